@@ -1,0 +1,110 @@
+"""A log: one recording of one engine on a uniform raster, with the audit of what was done to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from narxcal.errors import DataError
+
+FloatArray = NDArray[np.float64]
+Action = Literal["masked", "repaired", "filled", "dropped"]
+
+
+@dataclass(frozen=True)
+class AuditEntry:
+    """`samples` of `channel` were masked, repaired, filled or dropped for `reason`.
+
+    `spans_s` holds the (start, end) times where that was done for seconds or longer;
+    scattered single samples are only counted. Channel `*` stands for whole rows.
+    """
+
+    channel: str
+    action: Action
+    reason: str
+    samples: int
+    spans_s: tuple[tuple[float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Audit:
+    """Everything that was changed between the file and the log, in order."""
+
+    entries: tuple[AuditEntry, ...] = ()
+
+    def add(self, *entries: AuditEntry) -> Audit:
+        """Append the entries that touched at least one sample."""
+        return Audit(self.entries + tuple(entry for entry in entries if entry.samples))
+
+    def masked(self) -> dict[str, dict[str, int]]:
+        """Masked samples: channel -> reason -> count."""
+        counts: dict[str, dict[str, int]] = {}
+        for entry in self.entries:
+            if entry.action == "masked":
+                reasons = counts.setdefault(entry.channel, {})
+                reasons[entry.reason] = reasons.get(entry.reason, 0) + entry.samples
+        return counts
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a log came from; `sha256` is of the file's bytes."""
+
+    file: str = ""
+    sha256: str = ""
+    engine: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """Canonical channels `(time,)` on a uniform raster; a masked or missing sample is NaN.
+
+    `name` is `FILE:engine` (`FILE:engine#2` for the second part of a log split at a gap).
+    """
+
+    name: str
+    time_s: FloatArray
+    channels: Mapping[str, FloatArray]
+    audit: Audit = field(default_factory=Audit)
+    source: Source = field(default_factory=Source)
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def __getitem__(self, channel: str) -> FloatArray:
+        if channel not in self.channels:
+            raise DataError(
+                "the log has no such channel",
+                file=self.name,
+                channel=channel,
+                hint=f"It has {', '.join(self.channels)}",
+            )
+        return self.channels[channel]
+
+    @property
+    def dt_s(self) -> float:
+        """Raster interval in seconds."""
+        return float(self.time_s[1] - self.time_s[0])
+
+    def matrix(self, names: Sequence[str]) -> FloatArray:
+        """Stack the named channels into `(time, channel)`."""
+        return np.column_stack([self[name] for name in names])
+
+    def with_channels(self, channels: Mapping[str, FloatArray], *entries: AuditEntry) -> Log:
+        """Replace or add channels and record what that changed."""
+        return replace(
+            self, channels={**self.channels, **channels}, audit=self.audit.add(*entries)
+        )
+
+    def part(self, start: int, stop: int) -> Log:
+        """Rows `start:stop` as a log of the same name and audit."""
+        rows = slice(start, stop)
+        return replace(
+            self,
+            time_s=self.time_s[rows],
+            channels={name: values[rows] for name, values in self.channels.items()},
+        )

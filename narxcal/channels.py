@@ -1,0 +1,64 @@
+"""The canonical channels: the one table of names, units, roles and physical ranges."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from typing import Literal
+
+from narxcal.errors import ConfigError
+
+Role = Literal["time", "lever", "ambient", "switch", "output", "auxiliary"]
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One signal: its canonical name is also its CSV header.
+
+    `low` and `high` bound what any turbofan can physically show; a sample outside is a
+    recording fault, not an extreme manoeuvre.
+    """
+
+    name: str
+    unit: str
+    role: Role
+    low: float
+    high: float
+    meaning: str
+
+
+_TABLE = (
+    Channel("time_s", "s", "time", float("-inf"), float("inf"), "time, strictly increasing"),
+    Channel("TRA_deg", "deg", "lever", -30.0, 120.0, "throttle resolver angle"),
+    Channel("ALT_ft", "ft", "ambient", -2000.0, 60000.0, "pressure altitude"),
+    Channel("Mach", "-", "ambient", 0.0, 1.2, "flight Mach number"),
+    Channel("dT_C", "degC", "ambient", -60.0, 60.0, "static temperature minus ISA"),
+    Channel("WOW", "0/1", "switch", 0.0, 1.0, "weight on wheels"),
+    Channel("Approach", "0/1", "switch", 0.0, 1.0, "approach idle selected"),
+    Channel("ECS", "0/1", "switch", 0.0, 1.0, "environmental control bleed"),
+    Channel("NAI", "0/1", "switch", 0.0, 1.0, "nacelle anti-ice"),
+    Channel("WAI", "0/1", "switch", 0.0, 1.0, "wing anti-ice"),
+    Channel("N1_pct", "%", "output", 0.0, 130.0, "low-pressure spool speed"),
+    Channel("N2_pct", "%", "output", 0.0, 130.0, "high-pressure spool speed"),
+    Channel("EGT_C", "degC", "output", -60.0, 1300.0, "exhaust or inter-turbine temperature"),
+    Channel("FF_kgph", "kg/h", "output", 0.0, 20000.0, "fuel mass flow"),
+    Channel("FN_kN", "kN", "output", -50.0, 600.0, "net thrust"),
+    Channel("FPR", "-", "output", 0.5, 5.0, "fan pressure ratio"),
+    Channel("EPR", "-", "output", 0.5, 10.0, "engine pressure ratio"),
+    # Read only to derive the channels above.
+    Channel("SAT_C", "degC", "auxiliary", -100.0, 70.0, "static air temperature"),
+    Channel("TAT_C", "degC", "auxiliary", -100.0, 120.0, "total air temperature"),
+    Channel("CAS_kt", "kt", "auxiliary", 0.0, 600.0, "calibrated airspeed"),
+    Channel("TAS_kt", "kt", "auxiliary", 0.0, 800.0, "true airspeed"),
+)
+
+CHANNELS: dict[str, Channel] = {channel.name: channel for channel in _TABLE}
+
+
+def channel(name: str) -> Channel:
+    """Look a canonical channel up; raises `ConfigError` naming the nearest known one."""
+    if name in CHANNELS:
+        return CHANNELS[name]
+    near = difflib.get_close_matches(name, CHANNELS, n=1, cutoff=0.4)
+    hint = f"Did you mean '{near[0]}'?" if near else f"Known channels: {', '.join(CHANNELS)}"
+    raise ConfigError(f"unknown channel '{name}'", hint=hint)

@@ -1,0 +1,54 @@
+"""The three errors a user can cause, all children of `NarxcalError`."""
+
+from __future__ import annotations
+
+from os import PathLike
+
+
+class NarxcalError(Exception):
+    """Something the user can act on: what was expected, what was found, where, what to do.
+
+    The message reads `FILE, channel C, row R: PROBLEM. HINT`, each part only where it is known.
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        file: str | PathLike[str] | None = None,
+        channel: str | None = None,
+        row: int | None = None,
+        hint: str | None = None,
+    ) -> None:
+        self.problem = problem
+        self.file = None if file is None else str(file)
+        self.channel = channel
+        self.row = row
+        self.hint = hint
+        super().__init__(self._message())
+
+    def _message(self) -> str:
+        place = [
+            text
+            for text, known in (
+                (f"{self.file}", self.file is not None),
+                (f"channel {self.channel}", self.channel is not None),
+                (f"row {self.row}", self.row is not None),
+            )
+            if known
+        ]
+        head = f"{', '.join(place)}: " if place else ""
+        tail = f". {self.hint}" if self.hint else ""
+        return f"{head}{self.problem}{tail}"
+
+
+class DataError(NarxcalError):
+    """A log, table or recording is not what it has to be."""
+
+
+class ConfigError(NarxcalError):
+    """A configuration or a command-line argument is not what it has to be."""
+
+
+class ModelError(NarxcalError):
+    """A model or a bundle cannot be used as asked."""

@@ -1,0 +1,60 @@
+"""Base class of all configuration sections, and the one place that turns bad ones into errors."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from os import PathLike
+from typing import Any, Self, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from narxcal.errors import ConfigError
+
+
+class Section(BaseModel):
+    """One table of a TOML configuration: immutable, and without unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @classmethod
+    def parse(cls, table: Mapping[str, Any], file: str | PathLike[str] | None = None) -> Self:
+        """Validate `table`; the first thing wrong becomes a `ConfigError` that names the key."""
+        try:
+            return cls.model_validate(dict(table))
+        except ValidationError as error:
+            raise _explain(cls, error, file) from None
+
+
+def _explain(
+    section: type[BaseModel], error: ValidationError, file: str | PathLike[str] | None
+) -> ConfigError:
+    first = error.errors()[0]
+    path = [str(part) for part in first["loc"]]
+    key = ".".join(path)
+    if first["type"] == "extra_forbidden":
+        known = _known_keys(section, path[:-1])
+        near = difflib.get_close_matches(path[-1], known, n=1, cutoff=0.5)
+        hint = f"Did you mean '{near[0]}'?" if near else f"Known keys: {', '.join(known)}"
+        return ConfigError(f"unknown key '{key}'", file=file, hint=hint)
+    if first["type"] == "missing":
+        return ConfigError(f"key '{key}' is missing", file=file, hint="Add it")
+    found = repr(first["input"])
+    return ConfigError(f"key '{key}': {first['msg']}, found {found[:80]}", file=file)
+
+
+def _known_keys(section: type[BaseModel], path: list[str]) -> list[str]:
+    """Keys of the (possibly nested) section that `path` leads to."""
+    for part in path:
+        field = section.model_fields.get(part)
+        nested = field and _section_in(field.annotation)
+        if nested:
+            section = nested
+    return sorted(section.model_fields)
+
+
+def _section_in(annotation: Any) -> type[BaseModel] | None:
+    for candidate in (annotation, *get_args(annotation)):
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+            return candidate
+    return None
