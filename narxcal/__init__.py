@@ -1,0 +1,58 @@
+"""Calibrates the dynamics of a steady-state turbofan model from flight-test logs.
+
+Names are imported on first use, so that `data_prep`, which needs only the channel table
+and the errors, never waits for PyTorch.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from narxcal.bundle import Bundle, load_bundle, save_bundle
+    from narxcal.calibration import DynamicCalibration
+    from narxcal.errors import ConfigError, DataError, ModelError, NarxcalError
+    from narxcal.fuser import KalmanFuser
+    from narxcal.narx import Narx, NarxConfig
+
+__all__ = [
+    "Bundle",
+    "ConfigError",
+    "DataError",
+    "DynamicCalibration",
+    "KalmanFuser",
+    "ModelError",
+    "Narx",
+    "NarxConfig",
+    "NarxcalError",
+    "load_bundle",
+    "save_bundle",
+]
+
+_MODULE_OF = {
+    "Bundle": "narxcal.bundle",
+    "ConfigError": "narxcal.errors",
+    "DataError": "narxcal.errors",
+    "DynamicCalibration": "narxcal.calibration",
+    "KalmanFuser": "narxcal.fuser",
+    "ModelError": "narxcal.errors",
+    "Narx": "narxcal.narx",
+    "NarxConfig": "narxcal.narx",
+    "NarxcalError": "narxcal.errors",
+    "load_bundle": "narxcal.bundle",
+    "save_bundle": "narxcal.bundle",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first asked for (PEP 562)."""
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value: object = getattr(import_module(_MODULE_OF[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,42 @@
+# A fresh machine needs only Python 3.11+ and make.
+# Everything is installed into .venv through constraints.txt, which pins what was tested.
+
+PYTHON ?= python3
+# Threads of the numerical libraries fight with pytest's own workers.
+TEST_WORKERS ?= 2
+
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+PIP := $(BIN)/python -m pip install --disable-pip-version-check --quiet -c constraints.txt
+
+.PHONY: demo test lint bench clean
+
+demo: $(STAMP)
+	$(BIN)/narxcal demo
+
+test: $(STAMP)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
+		$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/mypy --strict tests/typing_api.py
+	$(BIN)/lint-imports
+
+bench: $(STAMP)
+	$(BIN)/python -m eval.bench
+
+clean:
+	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis dist build
+	find narxcal data_prep training eval tests -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# The first line of defence is the interpreter, the second pip: before 25.1 it knows no --group.
+$(STAMP): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "narxcal needs Python 3.11 or newer, but $(PYTHON) is " + sys.version.split()[0] + "; name another: make PYTHON=python3.12")'
+	$(PYTHON) -m venv --clear $(VENV)
+	$(PIP) --upgrade pip
+	$(PIP) --build-constraint constraints.txt -e '.[parquet,fmu]' --group dev
+	@touch $@
