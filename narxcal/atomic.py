@@ -1,0 +1,155 @@
+"""Writes files and folders whole or not at all.
+
+Everything is written under a temporary name in the target's own folder and renamed once it
+is complete and on the disk, so that a full disk or a killed run never leaves half a file
+under a name that is taken for good. A run killed outright can leave a temporary
+(`.NAME.*.part`) behind; nothing ever reads one.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import secrets
+import shutil
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from narxcal.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from os import PathLike
+
+
+_DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
+
+
+def atomic_write_bytes(path: str | PathLike[str], data: bytes) -> None:
+    """Write `data` to `path`, replacing what was there only once all of it is on the disk.
+
+    Raises `ConfigError` if it cannot be written; the former file is then untouched.
+    """
+    target = Path(path)
+    part = _beside(target, "part")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("xb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        part.replace(target)
+    except OSError as error:
+        raise _cannot_write(target, error) from None
+    finally:
+        with suppress(OSError):
+            part.unlink()
+
+
+def atomic_write_text(path: str | PathLike[str], text: str) -> None:
+    """Write `text` as UTF-8 to `path` like `atomic_write_bytes`."""
+    atomic_write_bytes(path, text.encode("utf-8"))
+
+
+@contextmanager
+def atomic_folder(path: str | PathLike[str], replace: bool = False) -> Iterator[Path]:
+    """Yield an empty temporary folder that becomes `path` when the block ends well.
+
+    On any error, Ctrl-C included, the temporary folder is removed and `path` stays as it
+    was. An existing folder with content is refused; with `replace`, one that narxcal wrote
+    is moved aside, and deleted only after the new one stands.
+
+    Raises `ConfigError` as `check_output_folder`, and if the disk refuses the content.
+    """
+    target = Path(path)
+    check_output_folder(target, replace)
+    part = _beside(target, "part")
+    try:
+        part.mkdir(parents=True)
+    except OSError as error:
+        raise _cannot_write(target, error) from None
+    try:
+        yield part
+        _sync(part)
+        _swap_in(part, target)
+    except OSError as error:
+        # What else fails inside the block (a log that cannot be read) is not about writing.
+        if error.errno in _DISK_ERRORS:
+            raise _cannot_write(target, error) from None
+        raise
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def check_output_folder(path: str | PathLike[str], replace: bool = False) -> None:
+    """Refuse, before any work is done, a folder that must not be written to.
+
+    Raises `ConfigError` for a file, for a folder with content, and, under `replace`, for a
+    folder in which narxcal wrote nothing.
+    """
+    target = Path(path)
+    if not target.exists() and not target.is_symlink():
+        return
+    if not target.is_dir():
+        raise ConfigError(f"output folder {target} is not a folder", hint="Choose another name")
+    if not any(target.iterdir()):
+        return
+    if not replace:
+        raise ConfigError(
+            f"output folder {target} exists and is not empty",
+            hint="Choose another name, or allow it to be overwritten",
+        )
+    if not _is_ours(target):
+        raise ConfigError(
+            f"output folder {target} holds other content and is not overwritten",
+            hint="Choose another name, or empty it yourself",
+        )
+
+
+def _is_ours(folder: Path) -> bool:
+    """Whether a JSON file in `folder` bears one of narxcal's schemas."""
+    for file in folder.glob("*.json"):
+        try:
+            document = json.loads(file.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            continue
+        if isinstance(document, dict) and str(document.get("schema")).startswith("narxcal."):
+            return True
+    return False
+
+
+def _swap_in(part: Path, target: Path) -> None:
+    """Rename `part` to `target`; content there is moved aside first and deleted last."""
+    if not target.exists() or not any(target.iterdir()):
+        part.replace(target)
+        return
+    aside = _beside(target, "old")
+    target.replace(aside)
+    try:
+        part.replace(target)
+    except OSError:
+        aside.replace(target)
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+def _sync(folder: Path) -> None:
+    for file in folder.rglob("*"):
+        if file.is_file():
+            with file.open("rb") as stream:
+                os.fsync(stream.fileno())
+
+
+def _beside(target: Path, suffix: str) -> Path:
+    """Make up a name that nobody else uses, in the folder of `target`."""
+    return target.with_name(f".{target.name}.{secrets.token_hex(6)}.{suffix}")
+
+
+def _cannot_write(target: Path, error: OSError) -> ConfigError:
+    return ConfigError(
+        f"cannot write: {error.strerror or error}",
+        file=target,
+        hint="Nothing was changed; free some space or choose another place",
+    )

@@ -1,0 +1,203 @@
+"""Files and folders appear whole or not at all."""
+
+import errno
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from narxcal.atomic import (
+    atomic_folder,
+    atomic_write_bytes,
+    atomic_write_text,
+    check_output_folder,
+)
+from narxcal.errors import ConfigError
+
+FULL = OSError(errno.ENOSPC, "No space left on device")
+
+
+def disk_full(*_):
+    raise FULL
+
+
+def names(folder):
+    return sorted(item.name for item in folder.iterdir())
+
+
+def test_a_file_is_written_and_replaced_with_ordinary_permissions(tmp_path):
+    file = tmp_path / "deep" / "a.txt"
+    atomic_write_text(file, "first")
+    atomic_write_text(file, "zweite Fassung \u00e4")
+    plain = tmp_path / "plain"
+    plain.write_text("x", encoding="utf-8")
+    assert file.read_text(encoding="utf-8") == "zweite Fassung \u00e4"
+    assert names(file.parent) == ["a.txt"]
+    assert file.stat().st_mode == plain.stat().st_mode
+
+
+def test_a_full_disk_keeps_the_former_file_and_leaves_nothing(tmp_path, monkeypatch):
+    file = tmp_path / "a.bin"
+    atomic_write_bytes(file, b"former")
+    monkeypatch.setattr(os, "fsync", disk_full)
+    message = (
+        f"{file}: cannot write: No space left on device. "
+        "Nothing was changed; free some space or choose another place"
+    )
+    with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
+        atomic_write_bytes(file, b"new")
+    assert file.read_bytes() == b"former"
+    assert names(tmp_path) == ["a.bin"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
+def test_a_truly_full_device_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(Path, "open", lambda *_: open("/dev/full", "wb"))  # noqa: PTH123, SIM115
+    with pytest.raises(ConfigError, match="cannot write: No space left on device"):
+        atomic_write_bytes(tmp_path / "a.bin", b"x" * 100_000)
+    assert names(tmp_path) == []
+
+
+def test_a_place_that_cannot_hold_it_is_named(tmp_path):
+    (tmp_path / "file").touch()
+    for write in (lambda at: atomic_write_bytes(at, b""), lambda at: atomic_folder(at).__enter__()):
+        with pytest.raises(ConfigError, match=r"file/run: cannot write: Not a directory\. Nothing"):
+            write(tmp_path / "file" / "run")
+
+
+def test_an_unreadable_input_inside_the_block_is_not_blamed_on_the_disk(tmp_path):
+    with pytest.raises(FileNotFoundError), atomic_folder(tmp_path / "run"):
+        (tmp_path / "log.csv").read_text(encoding="utf-8")
+    assert names(tmp_path) == []
+
+
+def test_a_folder_appears_only_when_the_block_ends_well(tmp_path):
+    target = tmp_path / "runs" / "one"
+    with atomic_folder(target) as part:
+        (part / "a").write_text("1", encoding="utf-8")
+        assert not target.exists()
+    assert names(target) == ["a"]
+    assert names(target.parent) == ["one"]
+
+
+def test_an_empty_folder_may_be_filled(tmp_path):
+    (tmp_path / "run").mkdir()
+    with atomic_folder(tmp_path / "run") as part:
+        (part / "a").touch()
+    assert names(tmp_path / "run") == ["a"]
+
+
+@pytest.mark.parametrize("error", [ValueError("bad"), KeyboardInterrupt()])
+def test_any_error_removes_the_folder_and_goes_on(tmp_path, error):
+    def fail():
+        with atomic_folder(tmp_path / "run") as part:
+            (part / "a").touch()
+            raise error
+
+    with pytest.raises(type(error)):
+        fail()
+    assert names(tmp_path) == []
+
+
+def test_a_disk_that_fills_up_in_a_folder_leaves_nothing(tmp_path):
+    def fail():
+        with atomic_folder(tmp_path / "run"):
+            disk_full()
+
+    with pytest.raises(ConfigError, match="run: cannot write: No space left on device"):
+        fail()
+    assert names(tmp_path) == []
+
+
+def refused(path, message, *, replace=True):
+    with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"), atomic_folder(path, replace):
+        pass
+    with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
+        check_output_folder(path, replace)
+
+
+def test_a_folder_with_content_is_refused_and_untouched(tmp_path):
+    (tmp_path / "thesis.tex").touch()
+    refused(
+        tmp_path,
+        f"output folder {tmp_path} exists and is not empty. "
+        "Choose another name, or allow it to be overwritten",
+        replace=False,
+    )
+    assert names(tmp_path) == ["thesis.tex"]
+
+
+def test_foreign_content_is_not_even_overwritten_on_request(tmp_path):
+    (tmp_path / "thesis.json").write_text("{not json", encoding="utf-8")
+    (tmp_path / "list.json").write_text("[1]", encoding="utf-8")
+    refused(
+        tmp_path,
+        f"output folder {tmp_path} holds other content and is not overwritten. "
+        "Choose another name, or empty it yourself",
+        replace=True,
+    )
+
+
+def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
+    file = tmp_path / "run"
+    file.touch()
+    refused(file, f"output folder {file} is not a folder. Choose another name")
+
+
+def written_run(folder):
+    folder.mkdir()
+    (folder / "bundle.json").write_text('{"schema": "narxcal.bundle/1"}', encoding="utf-8")
+    (folder / "old").touch()
+    return folder
+
+
+def test_our_own_folder_is_replaced_whole_on_request(tmp_path):
+    run = written_run(tmp_path / "run")
+    with atomic_folder(run, replace=True) as part:
+        (part / "new").touch()
+    assert names(run) == ["new"]
+    assert names(tmp_path) == ["run"]
+
+
+def test_a_failed_rename_puts_the_former_folder_back(tmp_path, monkeypatch):
+    run = written_run(tmp_path / "run")
+    real = Path.replace
+
+    def replace(self, target):
+        if self.name.endswith(".part"):
+            raise FULL
+        return real(self, target)
+
+    monkeypatch.setattr(Path, "replace", replace)
+    with pytest.raises(ConfigError, match="cannot write"), atomic_folder(run, replace=True):
+        pass
+    assert names(run) == ["bundle.json", "old"]
+    assert names(tmp_path) == ["run"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
+def test_a_killed_run_leaves_no_folder_that_could_be_taken_for_good(tmp_path):
+    code = (
+        "import sys, time\n"
+        "from narxcal.atomic import atomic_folder\n"
+        "with atomic_folder(sys.argv[1]) as part:\n"
+        "    (part / 'bundle.json').write_text('half')\n"
+        "    (part.parent / 'ready').touch()\n"
+        "    time.sleep(60)\n"
+    )
+    run = tmp_path / "run"
+    with subprocess.Popen([sys.executable, "-c", code, str(run)]) as process:
+        until = time.monotonic() + 30
+        while not (tmp_path / "ready").exists() and time.monotonic() < until:
+            time.sleep(0.02)
+        process.send_signal(signal.SIGKILL)
+    assert (tmp_path / "ready").exists()
+    assert not run.exists()
+    with atomic_folder(run) as part:
+        (part / "bundle.json").touch()
+    assert run.exists()
