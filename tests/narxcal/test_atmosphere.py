@@ -1,0 +1,82 @@
+"""The atmosphere against the published tables."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from narxcal.atmosphere import FT_M, P0_PA, T0_K, air_state, isa
+
+# ICAO Doc 7488: geopotential altitude m, temperature K, pressure hPa.
+ICAO = [
+    (-1000.0, 294.650, 1139.29),
+    (0.0, 288.150, 1013.25),
+    (1000.0, 281.650, 898.745),
+    (5000.0, 255.650, 540.199),
+    (10000.0, 223.150, 264.363),
+    (11000.0, 216.650, 226.320),
+    (15000.0, 216.650, 120.446),
+    (20000.0, 216.650, 54.7487),
+]
+
+
+@pytest.mark.parametrize(("height", "temperature", "pressure"), ICAO)
+def test_standard_values_are_those_of_the_icao_table(height, temperature, pressure):
+    found = isa(height / FT_M)
+    assert found[0] == pytest.approx(temperature, abs=1e-3)
+    assert found[1] == pytest.approx(pressure * 100, rel=2e-5)
+
+
+def test_flight_level_350_has_the_ratios_of_the_handbooks():
+    air = air_state(35000.0)
+    assert air.theta == pytest.approx(0.7594, abs=1e-4)
+    assert air.delta == pytest.approx(0.2353, abs=1e-4)
+
+
+def test_all_to_20_km_agrees_with_ambiance():
+    if importlib.util.find_spec("ambiance") is None:
+        pytest.skip("the peer ambiance is not installed")
+    from ambiance import Atmosphere  # noqa: PLC0415
+
+    # ambiance takes geometric altitude.
+    height = np.linspace(0, 20000, 201)
+    peer = Atmosphere(height * 6356766.0 / (6356766.0 - height))
+    temperature, pressure = isa(height / FT_M)
+    np.testing.assert_allclose(temperature, peer.temperature, rtol=1e-6)
+    np.testing.assert_allclose(pressure, peer.pressure, rtol=1e-5)
+
+
+def test_pressure_is_continuous_at_the_tropopause_and_held_above_20_km():
+    edge = 11000.0 / FT_M
+    assert isa(edge - 1e-6)[1] == pytest.approx(isa(edge + 1e-6)[1], rel=1e-9)
+    assert isa(70000.0) == isa(20000.0 / FT_M)
+
+
+def test_at_rest_on_a_standard_day_at_sea_level_all_ratios_are_one():
+    air = air_state(0.0)
+    assert [air.theta, air.delta, air.theta2, air.delta2] == pytest.approx([1.0] * 4)
+
+
+def test_total_ratios_at_mach_one_are_those_of_the_flow_tables():
+    air = air_state(0.0, 1.0)
+    assert air.theta2 == pytest.approx(1.2)
+    assert 1.0 / air.delta2 == pytest.approx(0.52828, abs=1e-5)
+
+
+@given(st.floats(-2000, 60000), st.floats(0, 1.2), st.floats(-60, 60))
+def test_a_deviation_shifts_the_temperature_only(alt, mach, shift):
+    warm, standard = air_state(alt, mach, shift), air_state(alt, mach)
+    assert pytest.approx(shift, abs=1e-9) == warm.T_K - standard.T_K
+    assert warm.P2_Pa == standard.P2_Pa
+    assert warm.T2_K >= warm.T_K
+    assert warm.theta2 * T0_K == pytest.approx(warm.T2_K)
+    assert warm.delta2 * P0_PA == pytest.approx(warm.P2_Pa)
+
+
+def test_inputs_broadcast_and_nan_stays_nan():
+    air = air_state(np.array([0.0, np.nan, 30000.0]), 0.5, np.zeros((2, 1)))
+    assert air.T_K.shape == air.P_Pa.shape == air.T2_K.shape == air.P2_Pa.shape == (2, 3)
+    assert np.isnan(air.delta2[:, 1]).all()
+    assert np.isfinite(air.delta2[:, [0, 2]]).all()
