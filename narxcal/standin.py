@@ -55,7 +55,7 @@ class StandInEngine:
     fuel_tau_s: float = 0.15
     probe_tau_s: float = 0.70
     # Direct response of the gas temperature to fuel above its steady value (FACTS A2).
-    overshoot_K: float = 230.0
+    overshoot_K: float = 300.0
 
     def steady_state(self, inputs: ArrayLike) -> FloatArray:
         """Where the outputs settle: `(..., 9)` in `INPUT_NAMES` -> `(..., 4)` in `OUTPUT_NAMES`.
