@@ -1,0 +1,231 @@
+"""The Kalman fuser: merges a model's free run with a noisy measurement, sample by sample."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.stats import chi2
+
+from narxcal.errors import DataError, ModelError
+from narxcal.fuser_noise import NoiseModel, estimate_noise
+from narxcal.settings import Section
+
+__all__ = ["FusedRun", "FusedStep", "FuserConfig", "KalmanFuser", "NoiseModel", "estimate_noise"]
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+class FuserConfig(Section):
+    """Table `[fuser]`.
+
+    A measurement whose innovation a correct filter would show less often than
+    `1 - gate_probability` is left out; innovations that stay outside, on one side, for `relock_s`
+    are a real change and the channel starts again from its measurement.
+    """
+
+    gate_probability: float = Field(default=1.0 - 1e-6, gt=0.5, lt=1.0)
+    relock_s: float = Field(default=1.0, gt=0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class FusedStep:
+    """One fused sample, all arrays `(n_out,)` in channel units.
+
+    `innovation` is measurement minus what was expected before it (NaN where none), `variance`
+    that of `value`. `nis` is the normalised innovation squared of the `used` channels taken
+    together. `gated` channels were measured but left out; `relocked` ones started again.
+    """
+
+    value: FloatArray
+    innovation: FloatArray
+    variance: FloatArray
+    gated: BoolArray
+    relocked: BoolArray
+    nis: float
+    used: int
+
+
+@dataclass(frozen=True, eq=False)
+class FusedRun:
+    """A whole fused record: `(time, n_out)` arrays, and `nis` and `used` `(time,)`."""
+
+    values: FloatArray
+    innovations: FloatArray
+    variances: FloatArray
+    gated: BoolArray
+    relocked: BoolArray
+    nis: FloatArray
+    used: NDArray[np.int64]
+
+    def consistency(self, probability: float = 0.95) -> Consistency:
+        """Chi-square check of the normalised innovation squared over the whole run.
+
+        Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation,
+        2001, section 5.4: the sum over a run of a correct filter is chi-square distributed with
+        as many degrees of freedom as measurements were used. The first sample has no history and
+        is left out. Raises `DataError` where nothing was measured.
+        """
+        dof = int(self.used[1:].sum())
+        if dof == 0:
+            raise DataError("the consistency of a fuser cannot be checked: nothing was measured")
+        tail = 0.5 * (1.0 - probability)
+        low, high = (float(chi2.ppf(part, dof)) / dof for part in (tail, 1.0 - tail))
+        mean = float(np.nansum(self.nis[1:])) / dof
+        return Consistency(mean, low, high, dof, int(self.gated.sum()))
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """Mean NIS per measurement, which a correct filter keeps within `low` and `high`."""
+
+    mean_nis: float
+    low: float
+    high: float
+    measurements: int
+    gated: int
+
+    @property
+    def consistent(self) -> bool:
+        """Whether R and Q describe the innovations; a mean above `high` says they are too small."""
+        return self.low <= self.mean_nis <= self.high
+
+
+class KalmanFuser:
+    """Kalman filter (filterpy) whose process model is the prediction of a dynamic model.
+
+    State: the `n_out` output channels. With F = diag(`retention`) and input p[k] - F p[k-1],
+
+        x[k|k-1] = p[k] + F (x[k-1] - p[k-1]),     P[k|k-1] = F P F' + Q[k]
+
+    so a slow static error of the model is learned and taken off, and while nothing is measured
+    the estimate returns to the model's own prediction. Paper: section 2.6; noise: `NoiseModel`.
+    The covariance update is filterpy's, in Joseph form. Channels without a measurement
+    have their rows of H and R left out.
+    """
+
+    def __init__(self, noise: NoiseModel, config: FuserConfig | None = None) -> None:
+        config = config or FuserConfig()
+        self.noise = noise
+        self.n_out = len(noise.retention)
+        self.gated_samples = np.zeros(self.n_out, dtype=np.int64)
+        self._gate = float(chi2.ppf(config.gate_probability, 1))
+        self._patience = max(1, round(config.relock_s / noise.dt_s))
+        self._eye = np.eye(self.n_out)
+        self._R = np.diag(noise.measurement)
+        self._filter = KalmanFilter(dim_x=self.n_out, dim_z=self.n_out, dim_u=self.n_out)
+        self._filter.F = np.diag(noise.retention)
+        self._filter.B = self._eye
+        self._last: FloatArray | None = None
+        # Rejections in a row: how many, signed by the side on which the measurement lies.
+        self._streak = np.zeros(self.n_out)
+
+    def reset(self, prediction: FloatArray, measurement: FloatArray) -> FusedStep:
+        """Start a record: the first sample, expected at `prediction` within the model's spread."""
+        prediction, measurement = self._checked(prediction, measurement)
+        self._filter.x = prediction[:, None].copy()
+        self._filter.P = np.diag(self.noise.spread)
+        self._last = prediction
+        self._streak[:] = 0.0
+        return self._update(measurement)
+
+    def step(self, prediction: FloatArray, measurement: FloatArray) -> FusedStep:
+        """Fuse the next sample: `prediction` and `measurement` `(n_out,)`, NaN where not measured.
+
+        Raises `ModelError` before the first `reset` and where the prediction is not finite.
+        """
+        prediction, measurement = self._checked(prediction, measurement)
+        if self._last is None:
+            raise ModelError("the fuser has no past", hint="Call reset with the first sample")
+        last, self._last = self._last, prediction
+        self._filter.predict(
+            u=(prediction - self.noise.retention * last)[:, None],
+            Q=self.noise.process_covariance(prediction - last),
+        )
+        return self._update(measurement)
+
+    def run(self, predictions: FloatArray, measurements: FloatArray) -> FusedRun:
+        """Fuse one record, `(time, n_out)` each: `reset` with the first row, `step` with the rest.
+
+        Raises `DataError` where the shapes differ or there is no sample.
+        """
+        if predictions.shape != measurements.shape or predictions.shape[1:] != (self.n_out,):
+            raise DataError(
+                f"expected predictions and measurements (time, {self.n_out}), "
+                f"found {predictions.shape} and {measurements.shape}"
+            )
+        if not len(predictions):
+            raise DataError("there is no sample to fuse")
+        first = self.reset(predictions[0], measurements[0])
+        rest = [self.step(p, z) for p, z in zip(predictions[1:], measurements[1:], strict=True)]
+        return _stack([first, *rest])
+
+    def _checked(
+        self, prediction: FloatArray, measurement: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        prediction = np.asarray(prediction, dtype=float)
+        measurement = np.asarray(measurement, dtype=float)
+        if prediction.shape != (self.n_out,) or measurement.shape != (self.n_out,):
+            raise DataError(
+                f"expected a prediction and a measurement of {self.n_out} channels, "
+                f"found shapes {prediction.shape} and {measurement.shape}"
+            )
+        if not np.isfinite(prediction).all():
+            raise ModelError(f"the prediction to fuse is not finite: {prediction}")
+        return prediction, measurement
+
+    def _update(self, measurement: FloatArray) -> FusedStep:
+        kf = self._filter
+        innovation = measurement - kf.x[:, 0]
+        # An infinite reading is no measurement either.
+        measured = np.isfinite(innovation)
+        outside = innovation**2 > self._gate * (kf.P.diagonal() + self.noise.measurement)
+        gated = measured & outside
+        relocked = self._relock(measurement, np.where(gated, np.sign(innovation), 0.0))
+        rows = np.flatnonzero(measured & ~outside)
+        nis = self._correct(measurement, rows)
+        return FusedStep(
+            value=kf.x[:, 0].copy(),
+            innovation=np.where(measured, innovation, np.nan),
+            variance=kf.P.diagonal().copy(),
+            gated=gated,
+            relocked=relocked,
+            nis=nis,
+            used=len(rows),
+        )
+
+    def _correct(self, measurement: FloatArray, rows: NDArray[np.intp]) -> float:
+        """Measurement update with the `rows` of H and R; the normalised innovation squared."""
+        kf = self._filter
+        if not len(rows):
+            return float("nan")
+        kf.update(measurement[rows, None], R=self._R[rows[:, None], rows], H=self._eye[rows])
+        return float((kf.y.T @ kf.SI @ kf.y)[0, 0])
+
+    def _relock(self, measurement: FloatArray, side: FloatArray) -> BoolArray:
+        """Count rejections in a row on one side, and start a channel again after too many."""
+        self.gated_samples += side != 0.0
+        self._streak = np.where(side * self._streak > 0.0, self._streak + side, side)
+        relocked: BoolArray = np.abs(self._streak) >= self._patience
+        for i in np.flatnonzero(relocked):
+            self._filter.x[i, 0] = measurement[i]
+            self._filter.P[i, :] = self._filter.P[:, i] = 0.0
+            self._filter.P[i, i] = self.noise.measurement[i]
+            self._streak[i] = 0.0
+        return relocked
+
+
+def _stack(steps: list[FusedStep]) -> FusedRun:
+    return FusedRun(
+        values=np.array([s.value for s in steps]),
+        innovations=np.array([s.innovation for s in steps]),
+        variances=np.array([s.variance for s in steps]),
+        gated=np.array([s.gated for s in steps]),
+        relocked=np.array([s.relocked for s in steps]),
+        nis=np.array([s.nis for s in steps]),
+        used=np.array([s.used for s in steps], dtype=np.int64),
+    )
