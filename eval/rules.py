@@ -1,0 +1,84 @@
+"""The Ti/Tt rule sets: where Tt starts and how far the model may be from the flight.
+
+Ti is the time from the lever movement to 10 % of the response. Sources disagree on Tt:
+
+- `paper`: the calibration paper, section 3.2: Ti from 0 to t1 (10 %), Tt from t1 to t2 (90 %),
+  both within +-10 % or 0.25 s.
+- `part60`: 14 CFR Part 60 App. A Table A2A, 1.f.1/1.f.2 (1-1-14 edition): "(+-10 % Tt) and
+  (+-10 % Ti, or +-0.25 s)"; Tt from Ti (Appendix F, quoted from memory). No floor for Tt.
+- `icao`: ICAO 9625 / EASA CS-FSTD(A), quoted from memory: Tt from the lever movement to 90 %,
+  both within +-10 % or 0.25 s.
+
+Where two tolerances are given, the less restrictive applies (Part 60 App. A Att. 2, section 2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from narxcal.errors import ConfigError
+
+RulesName = Literal["paper", "part60", "icao"]
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """`share` of the flight's time, or `floor_s` seconds if that is more."""
+
+    share: float
+    floor_s: float
+
+    def allowed_s(self, flight_s: float) -> float:
+        """Largest error in seconds that passes for a flight reading in seconds."""
+        return max(self.share * abs(flight_s), self.floor_s)
+
+
+@dataclass(frozen=True)
+class Rules:
+    """One rule set; `tt_origin` says whether Tt starts at 10 % or at the lever movement.
+
+    `least_model_share` is ours, not the regulator's: each curve is read between its own settled
+    values, so a model that hardly moves could still be "in time". A model whose response is a
+    smaller share of the flight's than this fails.
+    """
+
+    name: RulesName
+    source: str
+    tt_origin: Literal["t10", "lever"]
+    Ti: Tolerance
+    Tt: Tolerance
+    least_model_share: float = 0.5
+
+
+RULES: dict[RulesName, Rules] = {
+    "paper": Rules(
+        name="paper",
+        source="NARX dynamic calibration paper, section 3.2",
+        tt_origin="t10",
+        Ti=Tolerance(0.10, 0.25),
+        Tt=Tolerance(0.10, 0.25),
+    ),
+    "part60": Rules(
+        name="part60",
+        source="14 CFR Part 60 App. A Table A2A, 1.f.1 and 1.f.2 (1-1-14 edition)",
+        tt_origin="t10",
+        Ti=Tolerance(0.10, 0.25),
+        Tt=Tolerance(0.10, 0.0),
+    ),
+    "icao": Rules(
+        name="icao",
+        source="ICAO 9625 / EASA CS-FSTD(A), engine acceleration and deceleration",
+        tt_origin="lever",
+        Ti=Tolerance(0.10, 0.25),
+        Tt=Tolerance(0.10, 0.25),
+    ),
+}
+
+
+def rules(name: str) -> Rules:
+    """Look a rule set up; raises `ConfigError` naming the known ones."""
+    for known, found in RULES.items():
+        if known == name:
+            return found
+    raise ConfigError(f"unknown rule set '{name}'", hint=f"Known rule sets: {', '.join(RULES)}")

@@ -1,0 +1,302 @@
+"""Verdicts: what passes, what fails, what is not assessable, and how many of each."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from data_prep.events import Event
+from eval.response import Transient
+from eval.rules import RULES, rules
+from eval.tally import Tally, tally
+from eval.transients import Overlay, TransientsConfig, assess_events, compare_transients
+from eval.windows import Band, tolerance_windows
+from narxcal.errors import ConfigError, DataError
+
+
+def transient(initial_s=0.5, total_s=2.0, response=20.0, dt_s=0.03125):
+    t0_s = 10.0
+    return Transient(
+        t0_s=t0_s,
+        dt_s=dt_s,
+        t10_s=t0_s + initial_s,
+        t90_s=t0_s + initial_s + total_s,
+        Ti_s=initial_s,
+        Tt_s=total_s,
+        before=60.0,
+        after=60.0 + response,
+        response=response,
+    )
+
+
+times = st.floats(0.05, 20.0)
+
+
+@given(initial_s=times, total_s=times, name=st.sampled_from(sorted(RULES)))
+def test_identical_transients_pass_under_all_rules(initial_s, total_s, name):
+    same = transient(initial_s, total_s)
+    verdict = compare_transients(same, same, rules(name))
+    assert verdict.ok is True
+    assert verdict.Ti.error_s == verdict.Tt.error_s == 0.0
+
+
+@given(initial_s=times, total_s=times, delay_s=st.floats(0.0, 5.0))
+def test_a_delayed_copy_fails_paper_and_part60_only_beyond_the_Ti_tolerance(  # noqa: N802
+    initial_s, total_s, delay_s
+):
+    allowed_s = max(0.1 * initial_s, 0.25)
+    if abs(delay_s - allowed_s) < 1e-6:
+        return
+    late = transient(initial_s + delay_s, total_s)
+    for name in ("paper", "part60"):
+        verdict = compare_transients(transient(initial_s, total_s), late, rules(name))
+        assert verdict.ok is (delay_s < allowed_s)
+        assert verdict.Tt.ok
+
+
+def test_an_error_of_exactly_the_tolerance_passes():
+    verdict = compare_transients(transient(0.5), transient(0.75), rules("paper"))
+    assert verdict.Ti.ok
+    assert verdict.Ti.allowed_s == 0.25
+    late = compare_transients(transient(0.1 + 0.2), transient(0.3 + 0.25), rules("paper"))
+    assert late.Ti.ok
+
+
+def test_the_less_restrictive_of_share_and_floor_applies():
+    verdict = compare_transients(transient(4.0, 4.0), transient(4.4, 4.4), rules("paper"))
+    assert (verdict.Ti.allowed_s, verdict.Tt.allowed_s) == (0.4, 0.4)
+    assert verdict.ok
+
+
+def test_part60_gives_Tt_no_floor():  # noqa: N802
+    flight, model = transient(0.5, 1.0), transient(0.5, 1.2)
+    assert compare_transients(flight, model, rules("paper")).ok
+    verdict = compare_transients(flight, model, rules("part60"))
+    assert verdict.ok is False
+    assert verdict.Ti.ok
+    assert not verdict.Tt.ok
+    assert verdict.Tt.allowed_s == pytest.approx(0.1)
+
+
+def test_icao_measures_Tt_from_the_lever():  # noqa: N802
+    flight, model = transient(0.6, 2.0), transient(0.8, 1.9)
+    verdict = compare_transients(flight, model, rules("icao"))
+    assert verdict.Tt.flight_s == pytest.approx(2.6)
+    assert verdict.Tt.model_s == pytest.approx(2.7)
+    assert verdict.Tt.allowed_s == pytest.approx(0.26)
+
+
+def test_relative_error_is_of_the_flight_time_but_of_no_less_than_one_sample():
+    verdict = compare_transients(transient(0.5, 2.0), transient(0.6, 1.8), rules("paper"))
+    assert verdict.Ti.relative == pytest.approx(0.2)
+    assert verdict.Tt.relative == pytest.approx(0.1)
+    early = compare_transients(transient(0.0, dt_s=0.1), transient(0.05), rules("paper"))
+    assert early.Ti.relative == pytest.approx(0.5)
+
+
+def test_unknown_rules_are_refused():
+    with pytest.raises(
+        ConfigError, match=r"^unknown rule set 'faa'. Known rule sets: paper, part60, icao$"
+    ):
+        rules("faa")
+
+
+def test_a_model_that_hardly_moves_fails_even_if_it_is_in_time():
+    verdict = compare_transients(transient(), transient(response=1.2), rules("paper"))
+    assert verdict.ok is False
+    assert verdict.reason == "model: its response 1.2 is 6 % of the flight's, less than 50 %"
+
+
+def test_a_model_that_moves_the_other_way_fails():
+    verdict = compare_transients(transient(), transient(response=-20.0), rules("paper"))
+    assert verdict.ok is False
+    assert verdict.reason == "model: it moves by -20 where the flight moves by 20"
+
+
+def test_windows_surround_the_crossings_of_the_flight():
+    low, high = tolerance_windows(transient(0.5, 4.0), rules("paper"))
+    assert low == Band(10.25, 10.75, 62.0)
+    assert high == Band(pytest.approx(14.1), pytest.approx(14.9), 78.0)
+    _, high = tolerance_windows(transient(0.5, 4.0), rules("icao"))
+    assert high.stop_s == pytest.approx(14.95)
+
+
+def test_windows_of_a_transient_that_is_not_assessable_are_refused():
+    with pytest.raises(
+        DataError, match=r"^a transient that is not assessable has no windows: too small$"
+    ):
+        tolerance_windows(replace(transient(), reason="too small"), rules("paper"))
+
+
+# Whole logs: pushes and pulls of 20 % every 20 s at 10 Hz, the spool a lag of 1 s.
+DT_S = 0.1
+STARTS = (50, 250, 450, 650)
+
+
+def log(tau_s=1.0, delay=0, size=20.0):
+    """Lag of `tau_s` and `delay` samples on a lever that goes up and down at STARTS."""
+    index = np.arange(900)
+    level = np.full(len(index), 60.0)
+    for number, start in enumerate(STARTS):
+        level[start + 1 + delay :] = 60.0 + size * (number % 2 == 0)
+    y = level.copy()
+    decay = np.exp(-DT_S / tau_s)
+    for k in range(1, len(y)):
+        y[k] = level[k] + (y[k - 1] - level[k]) * decay
+    return y
+
+
+def events():
+    return [
+        Event(
+            log="F:left",
+            start=start,
+            stop=start + 150,
+            label=number % 2,
+            speed="fast",
+            start_s=start * DT_S,
+            lever_before=0.0,
+            lever_after=0.0,
+            settled=True,
+            interrupted=False,
+        )
+        for number, start in enumerate(STARTS)
+    ]
+
+
+def overlay(flight, model, **kwargs):
+    return Overlay(
+        np.arange(len(flight)) * DT_S, flight[:, None], model[:, None], ("N1_pct",), **kwargs
+    )
+
+
+def assess(flight, model, some=None, config=None, **kwargs):
+    return assess_events(
+        events() if some is None else some,
+        overlay(flight, model, **kwargs),
+        config or TransientsConfig(),
+    )
+
+
+def test_every_event_of_a_perfect_model_passes():
+    result = assess(log(), log())
+    assert [one.verdict.ok for one in result] == [True] * 4
+    assert tally(result) == Tally(4, 4, 4, 4, 0, 0.0, 0.0, 0.0, 0.0)
+    assert tally(result).passed_pct == 100.0
+    assert [one.row()["label"] for one in result] == ["push", "pull", "push", "pull"]
+
+
+def test_a_steady_offset_is_not_a_fault_of_timing():
+    assert all(one.verdict.ok for one in assess(log(), log() + 3.0))
+
+
+def test_too_slow_a_model_fails_on_Tt_alone():  # noqa: N802
+    result = assess(log(), log(tau_s=1.4))
+    assert all(one.verdict.Ti.ok and not one.verdict.Tt.ok for one in result)
+    assert tally(result).passed == 0
+    assert tally(result).mean_relative_Tt_pct == pytest.approx(40.0, abs=0.5)
+    assert tally(result).mean_absolute_Tt_s == pytest.approx(0.4 * np.log(9.0), abs=0.01)
+
+
+def test_a_constant_model_fails_and_counts_as_100_percent():
+    result = assess(log(), np.full(900, 70.0))
+    assert {one.verdict.reason for one in result} == {
+        "model: its response 0 is 0 % of the flight's, less than 50 %"
+    }
+    assert tally(result) == Tally(4, 4, 0, 0, 0, 100.0, 100.0, None, None)
+
+
+def test_a_model_without_a_value_fails_unless_its_inputs_were_missing():
+    model = log()
+    model[60:65] = np.nan
+    first = assess(log(), model)[0]
+    assert first.verdict.ok is False
+    assert first.verdict.reason == "model: 5 of 160 samples are missing"
+    first = assess(log(), model, inputs_known=np.isfinite(model))[0]
+    assert first.verdict.ok is None
+    assert first.verdict.reason == "inputs are missing at 5 of 160 samples"
+
+
+def test_interrupted_unsettled_small_and_masked_events_are_reported_not_passed():
+    flight = log()
+    flight[700] = np.nan
+    one, two, three, four = events()
+    some = [replace(one, interrupted=True, settled=False), replace(two, settled=False), four]
+    reasons = [item.verdict.reason for item in assess(flight, log(), some)]
+    assert reasons == [
+        "the lever moves again before the response settles",
+        "the response does not settle",
+        "1 of 160 samples are missing",
+    ]
+    small = assess(log(size=1.2), log(size=1.2), [three])
+    assert small[0].verdict.reason == "response 1.2 % is below 5 %"
+    assert small[0].verdict.ok is None
+    assert tally(small) == Tally(1, 0, 0, 0, 1, None, None, None, None)
+    assert tally(small).passed_pct is None
+
+
+def test_the_flight_alone_decides_whether_a_small_response_is_assessed():
+    result = assess(log(size=5.1), log(size=4.9))
+    assert [one.verdict.ok for one in result] == [True] * 4
+
+
+def test_only_configured_channels_are_judged_and_each_has_its_least_response():
+    both = np.column_stack([log(), log()])
+    time_s = np.arange(900) * DT_S
+    pair = Overlay(time_s, both, both, ("N1_pct", "EGT_C"))
+    config = TransientsConfig(channels=("EGT_C",), least_response={"EGT_C": 10.0})
+    assert [one.channel for one in assess_events(events(), pair, config)] == ["EGT_C"] * 4
+    strict = assess_events(events(), pair, TransientsConfig(channels=("EGT_C",)))
+    assert strict[0].verdict.reason == "response 20 degC is below 30 degC"
+
+
+def test_a_channel_without_a_least_response_is_refused():
+    config = TransientsConfig(channels=("FN_kN",))
+    with pytest.raises(
+        ConfigError,
+        match=r"^channel FN_kN: the smallest response worth assessing is not known. "
+        r"Set least_response.FN_kN$",
+    ):
+        config.reading_of("FN_kN")
+
+
+def test_overlay_of_unequal_shapes_is_refused():
+    with pytest.raises(
+        DataError,
+        match=r"^expected flight and model of shape \(time, channel\) = \(9, 1\), "
+        r"got \(9, 1\) and \(8, 1\)$",
+    ):
+        Overlay(np.arange(9.0), np.zeros((9, 1)), np.zeros((8, 1)), ("N1_pct",))
+
+
+def test_rows_are_json_and_keep_the_raw_times():
+    model = log(tau_s=1.1)
+    model[460] = np.nan
+    rows = [one.row() for one in assess(log(), model)]
+    again = json.loads(json.dumps(rows, allow_nan=False))
+    assert again[0]["Ti"]["ok"] is True
+    assert again[0]["raw"]["flight"]["t0_s"] == 5.0
+    assert again[0]["raw"]["flight"]["t10_s"] == pytest.approx(5.0 + again[0]["Ti"]["flight"])
+    assert again[2]["ok"] is False
+    assert again[2]["Tt"] == {
+        "flight": pytest.approx(np.log(9.0), abs=0.02),
+        "model": None,
+        "error": None,
+        "allowed": None,
+        "ok": False,
+    }
+    json.dumps(tally(assess(log(), model)).row(), allow_nan=False)
+
+
+@given(seed=st.integers(0, 10_000), delay=st.integers(0, 6))
+@settings(deadline=None, max_examples=25)
+def test_a_delay_of_whole_samples_is_found_in_spite_of_noise(seed, delay):
+    """0.25 s lie between 2 and 3 samples of 0.1 s; noise of 0.05 % moves Ti by less than 20 ms."""
+    noise = np.random.default_rng(seed).normal(0.0, 0.05, (2, 900))
+    result = assess(log() + noise[0], log(delay=delay) + noise[1])
+    assert all(one.verdict.Ti.ok is (delay <= 2) for one in result)
