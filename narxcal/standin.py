@@ -19,6 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from narxcal.atmosphere import air_state
+
 FloatArray = NDArray[np.float64]
 
 INPUT_NAMES = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "NAI", "WAI")
@@ -63,8 +65,8 @@ class StandInEngine:
         This is the encapsulated model that a maker would hand over. NaN in, NaN out.
         """
         u = np.asarray(inputs, dtype=np.float64)
-        theta, delta = total_ratios(u[..., 1], u[..., 2], u[..., 3])
-        root = np.sqrt(theta)
+        air = air_state(u[..., 1], u[..., 2], u[..., 3])
+        theta, delta, root = air.theta2, air.delta2, np.sqrt(air.theta2)
         n = self._command(u)
         bleed_K, bleed_fuel = _bleeds(u)
         return np.stack(
@@ -83,8 +85,8 @@ class StandInEngine:
         `inputs` maps `INPUT_NAMES` to `(time,)`; the result maps `OUTPUT_NAMES` likewise.
         """
         u = np.column_stack([inputs[name] for name in INPUT_NAMES])
-        theta, delta = total_ratios(u[:, 1], u[:, 2], u[:, 3])
-        root = np.sqrt(theta)
+        air = air_state(u[:, 1], u[:, 2], u[:, 3])
+        theta, delta, root = air.theta2, air.delta2, np.sqrt(air.theta2)
         n, core, fuel = self._run(self._command(u), root / delta, dt_s)
         bleed_K, bleed_fuel = _bleeds(u)
         hot = self._temperature(n) + self.overshoot_K * (fuel / self._fuel(n) - 1.0)
@@ -166,18 +168,6 @@ class StandInEngine:
 def maker_model(inputs: ArrayLike) -> FloatArray:
     """Give `StandInEngine().steady_state(inputs)`, as a configuration names it."""
     return StandInEngine().steady_state(inputs)
-
-
-def total_ratios(
-    altitude_ft: ArrayLike, mach: ArrayLike, dT_C: ArrayLike
-) -> tuple[FloatArray, FloatArray]:
-    """`theta` and `delta`: ICAO standard atmosphere (Doc 7488) plus `dT_C`, at stagnation."""
-    height_m = 0.3048 * np.asarray(altitude_ft)
-    standard_K = np.maximum(288.15 - 0.0065 * height_m, 216.65)
-    below = (np.minimum(height_m, 11000.0) * -0.0065 / 288.15 + 1.0) ** 5.2559
-    static = below * np.exp(-np.maximum(height_m - 11000.0, 0.0) / 6341.6)
-    ram = 1.0 + 0.2 * np.asarray(mach) ** 2
-    return (standard_K + np.asarray(dT_C)) * ram / 288.15, static * ram**3.5
 
 
 def _bleeds(u: FloatArray) -> tuple[FloatArray, FloatArray]:

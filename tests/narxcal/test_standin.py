@@ -5,9 +5,10 @@ import re
 import numpy as np
 import pytest
 
+from narxcal.atmosphere import air_state
 from narxcal.channels import CHANNELS
 from narxcal.errors import ConfigError
-from narxcal.standin import INPUT_NAMES, OUTPUT_NAMES, StandInEngine, maker_model, total_ratios
+from narxcal.standin import INPUT_NAMES, OUTPUT_NAMES, StandInEngine, maker_model
 from narxcal.standin_pilot import NOISE, fly
 
 DT_S = 1.0 / 32.0
@@ -68,8 +69,8 @@ def test_a_slam_takes_seconds_at_sea_level_and_about_twice_as_long_at_altitude()
 def test_open_loop_lags_shrink_with_power_and_grow_with_altitude():
     idle, top = StandInEngine().idle_ground, 1.0
     assert open_loop_tau_s(idle, 1.0) / open_loop_tau_s(top, 1.0) == pytest.approx(2.5, rel=0.05)
-    theta, delta = total_ratios(35_000.0, 0.78, 0.0)
-    factor = float(np.sqrt(theta) / delta)
+    air = air_state(35_000.0, 0.78)
+    factor = float(np.sqrt(air.theta2) / air.delta2)
     for n, low, high in ((idle, 1.7, 2.5), (top, 3.0, 4.0)):
         assert low < open_loop_tau_s(n, factor) / open_loop_tau_s(n, 1.0) < high
 
@@ -87,13 +88,6 @@ def test_core_leads_the_fan_and_a_small_push_overshoots_in_temperature():
     egt = outputs["EGT_C"]
     assert egt.max() - egt[0] > 1.15 * (egt[-1] - egt[0])
     assert outputs["N2_pct"].max() > outputs["N2_pct"][-1] + 0.1
-
-
-def test_total_ratios_meet_the_standard_atmosphere():
-    # ICAO Doc 7488: 11 km is 216.65 K and 226.32 hPa; 20 km is 216.65 K and 54.748 hPa.
-    theta, delta = total_ratios(np.array([0.0, 11e3, 20e3]) / 0.3048, 0.0, 0.0)
-    assert theta == pytest.approx([1.0, 216.65 / 288.15, 216.65 / 288.15], rel=1e-6)
-    assert delta == pytest.approx([1.0, 226.32 / 1013.25, 54.748 / 1013.25], rel=2e-4)
 
 
 def test_anti_ice_heats_the_exhaust_and_lowers_n1():
