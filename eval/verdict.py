@@ -70,15 +70,16 @@ def compare_transients(flight: Transient, model: Transient, rules: Rules) -> Ver
 def _failure(flight: Transient, model: Transient, rules: Rules) -> str | None:
     """Why the model cannot pass whatever its times are."""
     if math.isfinite(model.response):
-        share = model.response / flight.response
-        if share < 0.0:
+        percent = 100.0 * model.response / flight.response
+        if percent < 0.0:
             return (
                 f"it moves by {model.response:.3g} where the flight moves by {flight.response:.3g}"
             )
-        if share < rules.least_model_share:
+        least = 100.0 * rules.least_model_share
+        if percent < least:
             return (
-                f"its response {abs(model.response):.3g} is {100 * abs(share):.0f} % of the flight's, "
-                f"less than {100 * rules.least_model_share:.0f} %"
+                f"its response {abs(model.response):.3g} is {abs(percent):.0f} % of the flight's, "
+                f"less than {least:.0f} %"
             )
     return model.reason
 

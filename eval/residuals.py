@@ -1,0 +1,183 @@
+"""Residual tests: what is left in the residual that the model should have described.
+
+Whiteness (autocorrelation) and independence of the inputs (cross-correlation at lags of both
+signs: a positive lag is an effect of the input that the model misses, a negative one is feedback
+from the output to the input), after Ljung, System Identification, section 16.6.
+
+The band of a white residual is `z / sqrt(N)` with N the number of samples. (One tool divides by
+the square root of 2N-1, the length of the two-sided correlation; its 95 % band then loses three
+times as many lags of true white noise as it should.) A free-run residual is coloured by nature:
+independence of the inputs is the test that counts there, and `coloured=True` widens its band by
+what the two autocorrelations allow (Bartlett's formula).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import correlate
+from scipy.stats import norm
+
+from narxcal.errors import DataError
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Records = Sequence[FloatArray]
+
+# Chance of calling a white or independent residual dependent, over all lags of one test.
+FALSE_ALARM = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Correlation:
+    """Normalised correlation at `lags (lag,)` in samples.
+
+    `deviation (lag,)` is the standard deviation of `values` under the null hypothesis; the bands
+    are 1.96 and 2.58 times that.
+    """
+
+    lags: IntArray
+    values: FloatArray
+    deviation: FloatArray
+
+    @property
+    def band_95(self) -> FloatArray:
+        """Half width of the 95 % band, `(lag,)`."""
+        return 1.96 * self.deviation
+
+    @property
+    def band_99(self) -> FloatArray:
+        """Half width of the 99 % band, `(lag,)`."""
+        return 2.58 * self.deviation
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """Verdict on a set of lags.
+
+    `outside_95` and `outside_99` are shares of lags outside their band (5 % and 1 % expected of
+    white noise). `ok` is false if the worst lag stands out of what the largest of that many would
+    reach with a chance of 1 % (Bonferroni: holds for correlated lags too). Without a lag that
+    could be computed, the shares and `worst_lag` are None and `ok` is None.
+    """
+
+    ok: bool | None
+    outside_95: float | None
+    outside_99: float | None
+    worst_lag: int | None
+    worst_value: float | None
+
+
+def autocorrelation(residuals: Records, lags: int) -> Correlation:
+    """Correlate the residual with itself at lags 0 to `lags`.
+
+    `residuals` holds one `(time,)` array per log; pairs never cross from one to the next, and
+    pairs with a NaN are left out. The mean over all logs is removed.
+    """
+    _check(residuals, residuals, lags)
+    centred = _standardised(residuals)
+    values, pairs = _pair_means(centred, centred, lags)
+    forward = slice(lags, None)
+    return Correlation(np.arange(lags + 1), values[forward], _white(pairs[forward]))
+
+
+def cross_correlation(
+    inputs: Records, residuals: Records, lags: int, *, coloured: bool = False
+) -> Correlation:
+    """Correlate `input[t]` with `residual[t + lag]` at lags `-lags` to `lags`.
+
+    Arguments as in `autocorrelation`. With `coloured`, the band allows for the autocorrelation
+    of input and residual up to `lags`: variance `sum_k r_u(k) r_e(k) / N`.
+    """
+    _check(inputs, residuals, lags)
+    moved, left = _standardised(inputs), _standardised(residuals)
+    values, pairs = _pair_means(moved, left, lags)
+    deviation = _white(pairs)
+    if coloured:
+        own = _pair_means(moved, moved, lags)[0] * _pair_means(left, left, lags)[0]
+        deviation = deviation * np.sqrt(max(1.0, float(np.nansum(own))))
+    return Correlation(np.arange(-lags, lags + 1), values, deviation)
+
+
+def whiteness(correlation: Correlation) -> Dependence:
+    """Judge the autocorrelation at lags 1 and up."""
+    return _judge(correlation, correlation.lags > 0)
+
+
+def independence(correlation: Correlation) -> Dependence:
+    """Judge lags 0 and up: effects of the input that the model misses."""
+    return _judge(correlation, correlation.lags >= 0)
+
+
+def no_feedback(correlation: Correlation) -> Dependence:
+    """Judge negative lags: the input reacting to the residual, as under an autothrottle."""
+    return _judge(correlation, correlation.lags < 0)
+
+
+def _judge(correlation: Correlation, chosen: NDArray[np.bool_]) -> Dependence:
+    known = chosen & np.isfinite(correlation.values) & np.isfinite(correlation.deviation)
+    if not known.any():
+        return Dependence(None, None, None, None, None)
+    size = np.abs(correlation.values[known])
+    score = size / correlation.deviation[known]
+    worst = int(np.argmax(score))
+    bound = float(norm.isf(FALSE_ALARM / (2 * len(score))))
+    return Dependence(
+        ok=bool(score[worst] <= bound),
+        outside_95=float(np.mean(size > correlation.band_95[known])),
+        outside_99=float(np.mean(size > correlation.band_99[known])),
+        worst_lag=int(correlation.lags[known][worst]),
+        worst_value=float(correlation.values[known][worst]),
+    )
+
+
+def _check(first: Records, second: Records, lags: int) -> None:
+    if lags < 1:
+        raise DataError(f"expected at least 1 lag, got {lags}")
+    if [one.shape for one in first] != [one.shape for one in second]:
+        raise DataError(
+            f"expected inputs and residuals of the same logs, got shapes "
+            f"{[one.shape for one in first]} and {[one.shape for one in second]}"
+        )
+    if any(one.ndim != 1 for one in second):
+        raise DataError(f"expected records of shape (time,), got {[one.shape for one in second]}")
+
+
+def _standardised(records: Records) -> list[FloatArray]:
+    """Remove the mean over all records and divide by the standard deviation over all of them."""
+    joined = np.concatenate([*records, np.empty(0)])
+    known = joined[np.isfinite(joined)]
+    spread = float(known.std()) if len(known) else 0.0
+    if spread == 0.0:
+        return [np.full_like(record, np.nan) for record in records]
+    return [(record - known.mean()) / spread for record in records]
+
+
+def _pair_means(first: Records, second: Records, lags: int) -> tuple[FloatArray, FloatArray]:
+    """Mean of `first[t] * second[t + lag]` and number of pairs, lags `-lags` to `lags`."""
+    sums, pairs = np.zeros(2 * lags + 1), np.zeros(2 * lags + 1)
+    for one, other in zip(first, second, strict=True):
+        known, other_known = np.isfinite(one), np.isfinite(other)
+        sums += _lagged_sums(np.where(known, one, 0.0), np.where(other_known, other, 0.0), lags)
+        pairs += np.round(_lagged_sums(known.astype(float), other_known.astype(float), lags))
+    means = np.divide(sums, pairs, out=np.full_like(sums, np.nan), where=pairs > 0)
+    return means, pairs
+
+
+def _lagged_sums(first: FloatArray, second: FloatArray, lags: int) -> FloatArray:
+    """Sum of `first[t] * second[t + lag]` over t, lags `-lags` to `lags`, by FFT."""
+    if len(first) == 0:
+        return np.zeros(2 * lags + 1)
+    margin = np.zeros(lags)
+    first, second = (np.concatenate((margin, values, margin)) for values in (first, second))
+    full = correlate(second, first, mode="full", method="fft")
+    middle = len(first) - 1
+    return np.asarray(full[middle - lags : middle + lags + 1])
+
+
+def _white(pairs: FloatArray) -> FloatArray:
+    """Return the standard deviation of a correlation of white noise over that many pairs."""
+    return np.divide(1.0, np.sqrt(pairs), out=np.full_like(pairs, np.nan), where=pairs > 0)
