@@ -87,8 +87,8 @@ class Log:
 
     @property
     def dt_s(self) -> float:
-        """Raster interval in seconds."""
-        return float(self.time_s[1] - self.time_s[0])
+        """Raster interval in seconds, from the whole span so that rounding does not show."""
+        return float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)
 
     def matrix(self, names: Sequence[str]) -> FloatArray:
         """Stack the named channels into `(time, channel)`."""

@@ -1,0 +1,189 @@
+"""Columns of a CSV file as float64, parsed in pieces so that memory does not grow with the text."""
+
+from __future__ import annotations
+
+import gzip
+import warnings
+import zlib
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, TextIO, cast
+
+import numpy as np
+import pandas as pd
+
+from data_prep.dialect import Dialect, next_header, open_text, sniff
+from narxcal.errors import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from data_prep.log import FloatArray
+
+CHUNK_ROWS = 100_000
+
+
+class _Prefixed:
+    """A text stream with a line put before it; what pandas needs of a file, and no more."""
+
+    def __init__(self, line: str, text: TextIO) -> None:
+        self._line = line
+        self._text = text
+
+    def read(self, size: int = -1) -> str:
+        line, self._line = self._line, ""
+        return line or self._text.read(size)
+
+    def __iter__(self) -> Iterator[str]:
+        """Lines; pandas asks for the method but reads in blocks."""
+        yield from iter(self._text)
+
+
+class CsvSource:
+    """One CSV file: its header, and on request some of its columns.
+
+    Only the requested columns are kept, as float64; the text is read in pieces of
+    `chunk_rows` rows. Row 1 is the first line after the header; blank lines and comment
+    lines are not counted.
+    """
+
+    def __init__(self, path: Path, dialect: Dialect, chunk_rows: int = CHUNK_ROWS) -> None:
+        self.path = path
+        self.dialect = dialect
+        self.chunk_rows = chunk_rows
+
+    @property
+    def header(self) -> tuple[str, ...]:
+        """Column names in file order."""
+        return self.dialect.header
+
+    def read(self, names: Sequence[str]) -> dict[str, FloatArray]:
+        """Read the named columns, each `(rows,)`; a blank is NaN.
+
+        Raises `DataError` for text in a number's place (naming row and value), for a row
+        longer than the header, a column that occurs twice, and a file that cannot be decoded.
+        """
+        positions = {name: self._position(name) for name in names}
+        try:
+            return self._numbers(positions)
+        except ValueError as error:  # pandas: text where a number should be, or a broken row
+            self._explain(positions, error)
+            raise DataError(
+                f"the rows cannot be parsed ({' '.join(str(error).split())})", file=self.path
+            ) from error
+
+    def _position(self, name: str) -> int:
+        if self.header.count(name) > 1:
+            raise DataError(
+                f"column '{name}' occurs {self.header.count(name)} times in the header",
+                file=self.path,
+                hint="Rename all but one",
+            )
+        return self.header.index(name)
+
+    def _numbers(self, positions: dict[str, int]) -> dict[str, FloatArray]:
+        pieces: dict[str, list[FloatArray]] = {name: [] for name in positions}
+        overflow = len(self.header)
+        row = 0
+        for chunk in self._chunks(sorted({*positions.values()}), np.float64):
+            self._refuse_long_rows(chunk[overflow], row)
+            row += len(chunk)
+            for name, position in positions.items():
+                pieces[name].append(chunk[position].to_numpy(dtype=np.float64, copy=True))
+        # Popped one by one, so that pieces and whole columns never all exist at once.
+        return {name: np.concatenate([np.empty(0), *pieces.pop(name)]) for name in positions}
+
+    def _refuse_long_rows(self, extra: pd.Series[Any], row: int) -> None:
+        if extra.notna().any():
+            raise DataError(
+                f"the row holds more fields than the header, which has {len(self.header)}",
+                file=self.path,
+                row=row + int(extra.notna().to_numpy().argmax()) + 1,
+                hint="Check the delimiter and the decimal mark",
+            )
+
+    @contextmanager
+    def _rows(self) -> Iterator[TextIO]:
+        with readable(self.path), open_text(self.path) as text:
+            next_header(text, self.dialect.comment)
+            yield text
+
+    def _chunks(self, positions: list[int], dtype: Any) -> Iterator[pd.DataFrame]:
+        """Pieces of the table, plus the field after the last column to catch rows too long."""
+        count = len(self.header)
+        delimiter = self.dialect.delimiter
+        # pandas learns from the first row how many fields there may be.
+        widest = delimiter.join(["0"] * (count + 1)) + "\n"
+        with self._rows() as text, warnings.catch_warnings():
+            warnings.simplefilter("ignore", pd.errors.ParserWarning)
+            try:
+                reader = pd.read_csv(
+                    cast("TextIO", _Prefixed(widest, text)),
+                    sep=r"\s+" if delimiter == " " else delimiter,
+                    decimal=self.dialect.decimal,
+                    comment=self.dialect.comment or None,
+                    header=None,
+                    names=list(range(count + 1)),
+                    usecols=[*positions, count],
+                    index_col=False,
+                    dtype={**dict.fromkeys(positions, dtype), count: object},
+                    skipinitialspace=True,
+                    float_precision="round_trip",
+                    chunksize=self.chunk_rows,
+                    engine="c",
+                )
+            except pd.errors.EmptyDataError:
+                return
+            with reader:
+                yield next(reader).iloc[1:]
+                yield from reader
+
+    def _explain(self, positions: dict[str, int], cause: ValueError) -> None:
+        """Look the first unreadable value up and raise the error that shows it."""
+        row = 0
+        for chunk in self._chunks(sorted({*positions.values()}), object):
+            found = [
+                (int(bad.argmax()), name, position)
+                for name, position in positions.items()
+                if (bad := self._unreadable(chunk[position])).any()
+            ]
+            if found:
+                at, name, position = min(found, key=lambda item: item[0])
+                raise DataError(
+                    f"expected a number, found {str(chunk[position].iloc[at])[:40]!r}",
+                    file=self.path,
+                    channel=name,
+                    row=row + at + 1,
+                    hint="Row 1 is the first line after the header",
+                ) from cause
+            row += len(chunk)
+
+    def _unreadable(self, texts: pd.Series[Any]) -> np.ndarray[Any, np.dtype[np.bool_]]:
+        plain = texts.astype("str").str.replace(self.dialect.decimal, ".", regex=False)
+        numbers = pd.to_numeric(plain.str.strip(), errors="coerce")
+        return np.asarray(numbers.isna() & texts.notna())
+
+
+@contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """Turn what the file system and the decompressor may raise into a `DataError`."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise DataError("the file does not exist", file=path) from None
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise DataError(
+            "the compressed file is truncated or damaged", file=path, hint="Copy it again"
+        ) from error
+    except OSError as error:
+        raise DataError(f"the file cannot be read ({error.strerror})", file=path) from error
+
+
+def open_csv(path: Path, delimiter: str, decimal: str, comment: str) -> CsvSource:
+    """Find out how `path` is written; raises `DataError` when it is empty or unreadable."""
+    with readable(path), open_text(path) as text:
+        try:
+            dialect = sniff(text, delimiter, decimal, comment)
+        except DataError as error:
+            raise DataError(error.problem, file=path, hint=error.hint) from None
+    return CsvSource(path, dialect)

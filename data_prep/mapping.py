@@ -1,0 +1,105 @@
+"""Which column of a file is which channel of which engine, and help when one is not there."""
+
+from __future__ import annotations
+
+import difflib
+from typing import TYPE_CHECKING, Protocol
+
+from data_prep.logs_config import ENGINE, ColumnSource, LogsConfig
+from data_prep.units import find_unit, to_canonical
+from narxcal.channels import CHANNELS
+from narxcal.errors import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+    from pathlib import Path
+
+    from data_prep.log import FloatArray
+
+_SHOWN = 12
+
+
+class Table(Protocol):
+    """A file of named columns."""
+
+    path: Path
+
+    @property
+    def header(self) -> tuple[str, ...]:
+        """Column names in file order."""
+
+    def read(self, names: Sequence[str]) -> dict[str, FloatArray]:
+        """Columns as float64 `(rows,)`, NaN where blank."""
+
+
+def map_columns(table: Table, config: LogsConfig) -> dict[str, dict[str, str]]:
+    """Engine -> channel -> column, for every column that `table` has.
+
+    Raises `DataError` for a column that is configured, not optional and not there.
+    """
+    sources = config.sources(table.header)
+    if "time_s" not in sources:
+        hint = f"{_near('time_s', table.header)}; or map the columns under [logs.columns]"
+        raise DataError("column 'time_s' is missing", file=table.path, hint=hint)
+    engines = config.engines or {"": ""}
+    return {
+        engine: {
+            name: column
+            for name, source in sources.items()
+            if (column := _column(table, name, source, (engine, prefix)))
+        }
+        for engine, prefix in engines.items()
+    }
+
+
+def _column(table: Table, name: str, source: ColumnSource, engine: tuple[str, str]) -> str:
+    column = source.column.replace(ENGINE, engine[1])
+    if column in table.header or not column:
+        return column
+    if source.optional:
+        return ""
+    if ENGINE in source.column and not any(engine[1] in known for known in table.header):
+        raise DataError(
+            f"no column name holds the prefix '{engine[1]}' of engine '{engine[0]}'",
+            file=table.path,
+            channel=name,
+            hint=_prefixes(source.column, table.header),
+        )
+    raise DataError(
+        f"column '{column}' is missing",
+        file=table.path,
+        channel=name,
+        hint=_near(column, table.header),
+    )
+
+
+def _near(column: str, header: tuple[str, ...]) -> str:
+    near = difflib.get_close_matches(column, header, n=3, cutoff=0.5)
+    if near:
+        return f"Did you mean {' or '.join(repr(name) for name in near)}?"
+    more = ", ..." if len(header) > _SHOWN else ""
+    return f"The file has {', '.join(header[:_SHOWN])}{more}"
+
+
+def _prefixes(template: str, header: tuple[str, ...]) -> str:
+    head, _, tail = template.partition(ENGINE)
+    fits = [name for name in header if name.startswith(head) and name.endswith(tail)]
+    prefixes = [name[len(head) : len(name) - len(tail)] for name in fits]
+    if not any(prefixes):
+        return _near(template.replace(ENGINE, ""), header)
+    return f"Prefixes in the file: {', '.join(repr(prefix) for prefix in prefixes if prefix)}"
+
+
+def to_channel(name: str, cells: FloatArray, source: ColumnSource) -> FloatArray:
+    """Cells as the file holds them -> channel `name` in its canonical unit."""
+    if (source.scale, source.offset) != (1.0, 0.0):
+        cells = cells * source.scale + source.offset
+    unit = CHANNELS[name].unit if source.unit is None else source.unit
+    return to_canonical(cells, find_unit(unit, name))
+
+
+def constants(sources: Mapping[str, ColumnSource]) -> dict[str, float]:
+    """Channels that the configuration gives a value instead of a column."""
+    return {
+        name: source.constant for name, source in sources.items() if source.constant is not None
+    }

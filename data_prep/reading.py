@@ -1,0 +1,147 @@
+"""From flight-test files to logs: every recording of every engine on a uniform raster."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from data_prep.csv_source import open_csv, readable
+from data_prep.derive import derive
+from data_prep.log import Audit, AuditEntry, Log, Source
+from data_prep.logs_config import LogsConfig
+from data_prep.mapping import Table, constants, map_columns, to_channel
+from data_prep.raster import Raster, lay, resample
+from data_prep.stamps import Rows, native_interval, ordered_rows, split_at_gaps, undo_rounding
+from narxcal.channels import CHANNELS
+from narxcal.errors import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from data_prep.log import FloatArray
+
+__all__ = ["LogsConfig", "read_logs"]
+
+PARQUET_MAGIC = b"PAR1"
+
+
+@dataclass(frozen=True)
+class _Recording:
+    """One engine of one file: its channels row by row, before the raster."""
+
+    name: str
+    source: Source
+    rows: Mapping[str, FloatArray]
+    constants: Mapping[str, float]
+
+
+def read_logs(
+    files: str | Path | Sequence[str | Path], config: LogsConfig | None = None
+) -> list[Log]:
+    """Read recordings into logs: file by file, engine by engine, part by part.
+
+    Channels are canonical `(time,)` float64, NaN where missing; derived channels are included.
+    Rows are put in order of time, split where they are more than `max_gap_s` apart, and laid on
+    the raster as `data_prep.raster.resample` states; the audit of each log holds every row and
+    sample that was dropped, moved, filled or left missing. `folder` and `files` of `config` are
+    not used here.
+
+    Raises `DataError` (file, channel, row) for what the files hold, `ConfigError` for a
+    configuration that cannot apply to them.
+    """
+    config = config or LogsConfig()
+    paths = [files] if isinstance(files, str | Path) else list(files)
+    return [
+        log
+        for path in paths
+        for recording in _recordings(Path(path), config)
+        for log in _logs(recording, config)
+    ]
+
+
+def _recordings(path: Path, config: LogsConfig) -> list[_Recording]:
+    table = _open(path, config)
+    columns = map_columns(table, config)
+    sources = config.sources(table.header)
+    cells = table.read(list({name: None for each in columns.values() for name in each.values()}))
+    digest = _sha256(path)
+    return [
+        _Recording(
+            f"{path.name}:{engine}" if engine else path.name,
+            Source(str(path), digest, engine),
+            {name: to_channel(name, cells[each], sources[name]) for name, each in mapped.items()},
+            constants(sources),
+        )
+        for engine, mapped in columns.items()
+    ]
+
+
+def _open(path: Path, config: LogsConfig) -> Table:
+    return open_csv(path, config.delimiter, config.decimal, config.comment)
+
+
+def _sha256(path: Path) -> str:
+    with readable(path), path.open("rb") as raw:
+        return hashlib.file_digest(raw, "sha256").hexdigest()
+
+
+def _logs(recording: _Recording, config: LogsConfig) -> list[Log]:
+    """Order and split the rows of one recording, and put each part on the raster."""
+    file = recording.source.file
+    stamps = recording.rows["time_s"]
+    if not len(stamps):
+        raise DataError("no rows follow the header", file=file)
+    rows = ordered_rows(stamps, config.max_gap_s, file)
+    if len(rows.time_s) < 2 or rows.time_s[0] == rows.time_s[-1]:
+        raise DataError(
+            f"expected samples at two or more times, found {min(1, len(rows.time_s))}",
+            file=file,
+            channel="time_s",
+        )
+    native = native_interval(rows.time_s)
+    interval = 1.0 / config.raster_hz if config.raster_hz else native
+    logs: list[Log] = []
+    lost: list[AuditEntry] = []
+    for part in split_at_gaps(rows.time_s, config.max_gap_s):
+        time = undo_rounding(rows.time_s[part], native)
+        raster = lay(time, interval, config.bridge_s)
+        if raster.samples < 2:
+            lost.append(AuditEntry("*", "dropped", "lone row between gaps", len(time)))
+            continue
+        name = recording.name + (f"#{len(logs) + 1}" if logs else "")
+        logs.append(_part(recording, name, Rows(rows.order[part], time, ()), raster))
+    if not logs:
+        raise DataError(
+            f"no two samples are closer than max_gap_s = {config.max_gap_s:g} s",
+            file=file,
+            channel="time_s",
+            hint="Raise [logs] max_gap_s or check the unit of time_s",
+        )
+    first = Audit().add(*rows.entries, *lost)
+    logs[0] = Log(
+        logs[0].name,
+        logs[0].time_s,
+        logs[0].channels,
+        Audit(first.entries + logs[0].audit.entries),
+        logs[0].source,
+    )
+    return [log.with_channels(derive(log.channels, config.derive, file)) for log in logs]
+
+
+def _part(recording: _Recording, name: str, rows: Rows, raster: Raster) -> Log:
+    channels: dict[str, FloatArray] = {}
+    audit = Audit()
+    for channel, values in recording.rows.items():
+        if channel != "time_s":
+            hold = CHANNELS[channel].role == "switch"
+            picked = values[rows.order]
+            channels[channel], entries = resample(channel, rows.time_s, picked, raster, hold=hold)
+            audit = audit.add(*entries)
+    for channel, value in recording.constants.items():
+        channels[channel] = np.full(raster.samples, value)
+        audit = audit.add(AuditEntry(channel, "filled", "constant of the config", raster.samples))
+    return Log(name, raster.time_s, channels, audit, recording.source)

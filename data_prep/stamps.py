@@ -1,0 +1,147 @@
+"""Time stamps of one recording: repaired, ordered, split at gaps, and rid of their rounding."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d
+
+from data_prep.log import AuditEntry
+from data_prep.raster import ON_RASTER
+from narxcal.errors import DataError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from data_prep.log import FloatArray
+
+_MAX_DECIMALS = 7
+_BASELINE_ROWS = 256
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Usable rows in order of time: `order` picks them from the file, `time_s` belongs to them.
+
+    Equal stamps may follow each other.
+    """
+
+    order: NDArray[np.intp]
+    time_s: FloatArray
+    entries: tuple[AuditEntry, ...]
+
+
+def ordered_rows(stamps: FloatArray, max_gap_s: float, file: str) -> Rows:
+    """Drop rows without a usable stamp and put late ones in their place.
+
+    A lone stamp far from both neighbours, which agree with each other, is a fault of the clock:
+    its row is dropped. A row that comes late by up to `max_gap_s` is sorted in. Time that goes
+    back further is a second recording: `DataError` naming the row.
+    """
+    finite = np.isfinite(stamps)
+    order = np.flatnonzero(finite)
+    spikes = _lone_spikes(stamps[order], max_gap_s)
+    kept = order[~spikes]
+    time = stamps[kept]
+    lateness = np.maximum.accumulate(time) - time if len(time) else time
+    if (lateness > max_gap_s).any():
+        at = int((lateness > max_gap_s).argmax())
+        raise DataError(
+            f"time goes back from {time[:at].max():.10g} s to {time[at]:.10g} s",
+            file=file,
+            channel="time_s",
+            row=int(kept[at]) + 1,
+            hint="Split the file there: it holds more than one recording",
+        )
+    sorting = np.argsort(time, kind="stable")
+    entries = (
+        AuditEntry("*", "dropped", "no time stamp", int((~finite).sum())),
+        AuditEntry("*", "dropped", "lone wrong time stamp", int(spikes.sum())),
+        AuditEntry("*", "repaired", "out of order", int((lateness > 0.0).sum())),
+    )
+    return Rows(kept[sorting], time[sorting], entries)
+
+
+def _lone_spikes(time: FloatArray, max_gap_s: float) -> NDArray[np.bool_]:
+    spikes = np.zeros(len(time), dtype=np.bool_)
+    if len(time) > 2:
+        far = np.abs(np.diff(time)) > max_gap_s
+        near = np.abs(time[2:] - time[:-2]) <= max_gap_s
+        spikes[1:-1] = far[:-1] & far[1:] & near
+    return spikes
+
+
+def split_at_gaps(time: FloatArray, max_gap_s: float) -> list[slice]:
+    """Stretches of rows without a step longer than `max_gap_s`."""
+    cuts = np.flatnonzero(np.diff(time) > max_gap_s) + 1
+    edges = [0, *cuts.tolist(), len(time)]
+    return [slice(start, stop) for start, stop in pairwise(edges)]
+
+
+def native_interval(time: FloatArray) -> float:
+    """Estimate the sampling interval of ordered stamps despite rounding, jitter and gaps.
+
+    In seconds. The median advance over many rows is divided by their number: stamps printed with five
+    digits repeat or jump, but keep time over the long run. A whole number of Hz is taken where
+    it is within 0.5 %, else the interval to four digits, else (evenly spaced) as measured.
+    """
+    rows = np.unique(time)
+    if len(rows) < 2:
+        raise DataError("fewer than two different time stamps")
+    span = min(_BASELINE_ROWS, len(rows) - 1)
+    measured = float(np.median(rows[span:] - rows[:-span])) / span
+    tidy = float(f"{measured:.4g}")
+    rate = round(1.0 / measured)
+    if rate and abs(rate * measured - 1.0) <= 0.005:
+        tidy = 1.0 / rate
+    mean = float(rows[-1] - rows[0]) / (len(rows) - 1)
+    for interval in (tidy, measured, mean):
+        if on_raster(rows, interval):
+            return interval
+    return tidy
+
+
+def on_raster(time: FloatArray, interval: float) -> bool:
+    """Whether every stamp is within 1 % of a whole number of intervals from the first."""
+    steps = (time - time[0]) / interval
+    return bool((np.abs(steps - np.round(steps)) <= ON_RASTER).all())
+
+
+def undo_rounding(time: FloatArray, interval: float) -> FloatArray:
+    """Exact stamps of evenly sampled rows whose stamps were printed with few digits.
+
+    Row `k` belongs to a whole number of intervals `n_k`, strictly increasing, with
+    `n_k * interval` within the rounding of its stamp. Where such numbers exist they are the
+    simplest explanation of repeated (0.03, 0.06, 0.09, 0.13) or equal stamps, and are taken;
+    else the stamps come back as they are. The earliest possible `n_k` is chosen:
+    `n_k = k + max_{j<=k}(low_j - j)`.
+    """
+    rounding = _rounding(time)
+    if on_raster(time, interval):
+        return time
+    slack = 0.5001 * (rounding + rounding[0]) + ON_RASTER * interval
+    steps = (time - time[0]) / interval
+    low = np.ceil(steps - slack / interval)
+    high = np.floor(steps + slack / interval)
+    count = np.arange(len(time))
+    number = count + np.maximum.accumulate(low - count)
+    if (number > high).any():
+        return time
+    return np.asarray(time[0] + (number - number[0]) * interval)
+
+
+def _rounding(time: FloatArray) -> FloatArray:
+    """Step of the last printed digit around each stamp; 0 where stamps look unrounded."""
+    decimals = np.full(len(time), _MAX_DECIMALS)
+    for digits in range(_MAX_DECIMALS - 1, -1, -1):
+        decimals[np.abs(time - np.round(time, digits)) < 1e-9 * np.maximum(1.0, time)] = digits
+    # A stamp like 1200 shows no digits only because zeros were left out; its neighbours tell.
+    # Where the digits change (999.97, 1000.1) the coarser of both sides holds.
+    before, after = (
+        maximum_filter1d(decimals, size=101, mode="reflect", origin=shift) for shift in (50, -50)
+    )
+    decimals = np.minimum(before, after)
+    return np.where(decimals == _MAX_DECIMALS, 0.0, 10.0**-decimals)

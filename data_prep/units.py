@@ -1,0 +1,126 @@
+"""Units a recorder may use, and how each becomes the unit of its canonical channel."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from narxcal.channels import channel
+from narxcal.errors import ConfigError
+
+if TYPE_CHECKING:
+    from data_prep.log import FloatArray
+
+
+@dataclass(frozen=True)
+class Unit:
+    """`value in base unit = value * scale + offset`; the base is the canonical channel's unit."""
+
+    dimension: str
+    scale: float
+    offset: float = 0.0
+
+
+_POUND_KG = 0.45359237  # exact, international avoirdupois pound
+_FOOT_M = 0.3048  # exact
+_MILE_M = 1852.0  # exact, international nautical mile
+_LBF_KN = 0.0044482216152605  # exact, pound of force
+
+_UNITS: dict[str, Unit] = {
+    "s": Unit("time", 1.0),
+    "ms": Unit("time", 1e-3),
+    "us": Unit("time", 1e-6),
+    "ns": Unit("time", 1e-9),
+    "min": Unit("time", 60.0),
+    "h": Unit("time", 3600.0),
+    "deg": Unit("angle", 1.0),
+    "rad": Unit("angle", 57.29577951308232),
+    "ft": Unit("length", 1.0),
+    "m": Unit("length", 1.0 / _FOOT_M),
+    "km": Unit("length", 1000.0 / _FOOT_M),
+    "FL": Unit("length", 100.0),
+    "%": Unit("ratio", 1.0),
+    "-": Unit("number", 1.0),
+    "0/1": Unit("switch", 1.0),
+    "degC": Unit("temperature", 1.0),
+    "K": Unit("temperature", 1.0, -273.15),
+    "degF": Unit("temperature", 5.0 / 9.0, -160.0 / 9.0),
+    "degR": Unit("temperature", 5.0 / 9.0, -273.15),
+    "kg/h": Unit("mass flow", 1.0),
+    "kg/s": Unit("mass flow", 3600.0),
+    "kg/min": Unit("mass flow", 60.0),
+    "g/s": Unit("mass flow", 3.6),
+    "lb/h": Unit("mass flow", _POUND_KG),
+    "lb/s": Unit("mass flow", 3600.0 * _POUND_KG),
+    "lb/min": Unit("mass flow", 60.0 * _POUND_KG),
+    "kN": Unit("force", 1.0),
+    "N": Unit("force", 1e-3),
+    "lbf": Unit("force", _LBF_KN),
+    "klbf": Unit("force", 1000.0 * _LBF_KN),
+    "kt": Unit("speed", 1.0),
+    "m/s": Unit("speed", 3600.0 / _MILE_M),
+    "km/h": Unit("speed", 1000.0 / _MILE_M),
+}
+_ALIASES = {
+    "sec": "s",
+    "°": "deg",
+    "°C": "degC",
+    "C": "degC",
+    "°F": "degF",
+    "F": "degF",
+    "R": "degR",
+    "kts": "kt",
+    "knots": "kt",
+    "kgph": "kg/h",
+    "pph": "lb/h",
+    "lb/hr": "lb/h",
+    "kg/hr": "kg/h",
+    "pps": "lb/s",
+    "pct": "%",
+    "1": "-",
+    "": "-",
+    "bool": "0/1",
+}
+
+
+def find_unit(name: str, canonical: str) -> Unit:
+    """Look up unit `name` as it applies to channel `canonical`.
+
+    Raises `ConfigError` for an unknown unit (naming the nearest) and for one of another
+    dimension (naming those that fit).
+    """
+    target = channel(canonical)
+    known = _lookup(name, canonical)
+    if target.name == "dT_C" and known.dimension == "temperature":
+        return Unit("difference", known.scale)  # a difference has no zero point
+    if target.unit == "%" and known.dimension == "number":
+        return Unit("ratio", 100.0)
+    wanted = _UNITS[target.unit].dimension
+    if known.dimension == wanted or (wanted, known.dimension) == ("switch", "number"):
+        return known
+    fitting = [unit for unit, each in _UNITS.items() if each.dimension == wanted]
+    raise ConfigError(
+        f"unit '{name}' is a {known.dimension}, this channel is a {wanted}",
+        channel=canonical,
+        hint=f"Units that fit: {', '.join(fitting)}",
+    )
+
+
+def _lookup(name: str, canonical: str) -> Unit:
+    name = _ALIASES.get(name, name)
+    if name in _UNITS:
+        return _UNITS[name]
+    everything = [*_UNITS, *_ALIASES]
+    near = difflib.get_close_matches(name, everything, n=1, cutoff=0.5) or [
+        unit for unit in everything if unit.lower() == name.lower()
+    ]
+    hint = f"Did you mean '{near[0]}'?" if near else f"Known units: {', '.join(_UNITS)}"
+    raise ConfigError(f"unknown unit '{name}'", channel=canonical, hint=hint)
+
+
+def to_canonical(values: FloatArray, unit: Unit) -> FloatArray:
+    """Apply `unit`; values already in the canonical unit come back untouched, bit for bit."""
+    if unit.scale == 1.0 and unit.offset == 0.0:
+        return values
+    return values * unit.scale + unit.offset
