@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
@@ -14,7 +15,19 @@ from narxcal.errors import DataError, ModelError
 from narxcal.fuser_noise import NoiseModel, estimate_noise
 from narxcal.settings import Section
 
-__all__ = ["FusedRun", "FusedStep", "FuserConfig", "KalmanFuser", "NoiseModel", "estimate_noise"]
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+__all__ = [
+    "Consistency",
+    "FusedRun",
+    "FusedStep",
+    "Fuser",
+    "FuserConfig",
+    "KalmanFuser",
+    "NoiseModel",
+    "estimate_noise",
+]
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -95,6 +108,28 @@ class Consistency:
         return self.low <= self.mean_nis <= self.high
 
 
+class Fuser(Protocol):
+    """What `KalmanFuser` and its compiled twin `narxcal.fuser_fast.FastFuser` both do."""
+
+    gated_samples: NDArray[np.int64]
+
+    def reset(self, prediction: FloatArray, measurement: FloatArray) -> FusedStep:
+        """Start a record with its first sample."""
+        ...
+
+    def step(self, prediction: FloatArray, measurement: FloatArray) -> FusedStep:
+        """Fuse the next sample."""
+        ...
+
+    def extend(self, predictions: FloatArray, measurements: FloatArray) -> FusedRun:
+        """Fuse further samples."""
+        ...
+
+    def run(self, predictions: FloatArray, measurements: FloatArray) -> FusedRun:
+        """Fuse a whole record."""
+        ...
+
+
 class KalmanFuser:
     """Kalman filter (filterpy) whose process model is the prediction of a dynamic model.
 
@@ -126,7 +161,7 @@ class KalmanFuser:
 
     def reset(self, prediction: FloatArray, measurement: FloatArray) -> FusedStep:
         """Start a record: the first sample, expected at `prediction` within the model's spread."""
-        prediction, measurement = self._checked(prediction, measurement)
+        prediction, measurement = check_sample(prediction, measurement, self.n_out)
         self._filter.x = prediction[:, None].copy()
         self._filter.P = np.diag(self.noise.spread)
         self._last = prediction
@@ -138,7 +173,7 @@ class KalmanFuser:
 
         Raises `ModelError` before the first `reset` and where the prediction is not finite.
         """
-        prediction, measurement = self._checked(prediction, measurement)
+        prediction, measurement = check_sample(prediction, measurement, self.n_out)
         if self._last is None:
             raise ModelError("the fuser has no past", hint="Call reset with the first sample")
         last, self._last = self._last, prediction
@@ -148,35 +183,20 @@ class KalmanFuser:
         )
         return self._update(measurement)
 
+    def extend(self, predictions: FloatArray, measurements: FloatArray) -> FusedRun:
+        """Fuse further samples `(time, n_out)` of the record in hand, one `step` each."""
+        check_record(predictions, measurements, self.n_out)
+        return stack([self.step(p, z) for p, z in zip(predictions, measurements, strict=True)])
+
     def run(self, predictions: FloatArray, measurements: FloatArray) -> FusedRun:
         """Fuse one record, `(time, n_out)` each: `reset` with the first row, `step` with the rest.
 
         Raises `DataError` where the shapes differ or there is no sample.
         """
-        if predictions.shape != measurements.shape or predictions.shape[1:] != (self.n_out,):
-            raise DataError(
-                f"expected predictions and measurements (time, {self.n_out}), "
-                f"found {predictions.shape} and {measurements.shape}"
-            )
-        if not len(predictions):
-            raise DataError("there is no sample to fuse")
+        check_record(predictions, measurements, self.n_out)
         first = self.reset(predictions[0], measurements[0])
         rest = [self.step(p, z) for p, z in zip(predictions[1:], measurements[1:], strict=True)]
-        return _stack([first, *rest])
-
-    def _checked(
-        self, prediction: FloatArray, measurement: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        prediction = np.asarray(prediction, dtype=float)
-        measurement = np.asarray(measurement, dtype=float)
-        if prediction.shape != (self.n_out,) or measurement.shape != (self.n_out,):
-            raise DataError(
-                f"expected a prediction and a measurement of {self.n_out} channels, "
-                f"found shapes {prediction.shape} and {measurement.shape}"
-            )
-        if not np.isfinite(prediction).all():
-            raise ModelError(f"the prediction to fuse is not finite: {prediction}")
-        return prediction, measurement
+        return stack([first, *rest])
 
     def _update(self, measurement: FloatArray) -> FusedStep:
         kf = self._filter
@@ -219,7 +239,38 @@ class KalmanFuser:
         return relocked
 
 
-def _stack(steps: list[FusedStep]) -> FusedRun:
+def check_sample(
+    prediction: FloatArray, measurement: FloatArray, n_out: int
+) -> tuple[FloatArray, FloatArray]:
+    """Both as float `(n_out,)`.
+
+    Raises `DataError` for another shape, `ModelError` for a prediction that is not finite.
+    """
+    prediction = np.asarray(prediction, dtype=float)
+    measurement = np.asarray(measurement, dtype=float)
+    if prediction.shape != (n_out,) or measurement.shape != (n_out,):
+        raise DataError(
+            f"expected a prediction and a measurement of {n_out} channels, "
+            f"found shapes {prediction.shape} and {measurement.shape}"
+        )
+    if not np.isfinite(prediction).all():
+        raise ModelError(f"the prediction to fuse is not finite: {prediction}")
+    return prediction, measurement
+
+
+def check_record(predictions: FloatArray, measurements: FloatArray, n_out: int) -> None:
+    """Refuse records that are not both `(time, n_out)`, and empty ones, with a `DataError`."""
+    if predictions.shape != measurements.shape or predictions.shape[1:] != (n_out,):
+        raise DataError(
+            f"expected predictions and measurements (time, {n_out}), "
+            f"found {predictions.shape} and {measurements.shape}"
+        )
+    if not len(predictions):
+        raise DataError("there is no sample to fuse")
+
+
+def stack(steps: Sequence[FusedStep]) -> FusedRun:
+    """Put single steps together."""
     return FusedRun(
         values=np.array([s.value for s in steps]),
         innovations=np.array([s.innovation for s in steps]),
