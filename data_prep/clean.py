@@ -1,0 +1,155 @@
+"""Cleaning: repair single gross errors, mask a channel while its sensor is at fault."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from data_prep.faults import (
+    FaultsConfig,
+    Reason,
+    beyond_usual,
+    bursts,
+    excursions,
+    frozen,
+    jumps,
+    out_of_range,
+    role,
+)
+from data_prep.log import Action, AuditEntry, Log
+from data_prep.moves import bridged, runs
+from data_prep.outliers import Method, gross_errors
+from narxcal.settings import Section
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+# Spikes that count towards a burst stand off by twice what makes a single gross error.
+_BURST_FACTOR = 2.0
+# Shorter spans are only counted.
+_SPAN_S = 1.0
+
+
+class CleanConfig(Section):
+    """TOML table `[clean]`.
+
+    method, sigmas: the test for single gross errors, "3-sigma" or "grubbs" (which knows no
+        `sigmas`), on the residual to a running median over `median_s`.
+    repair_s: a run of errors up to this long is repaired by interpolation, a longer one is
+        masked. enabled: false leaves the log as it is.
+    """
+
+    enabled: bool = True
+    method: Method = "3-sigma"
+    sigmas: float = Field(default=3.0, gt=0)
+    median_s: float = Field(default=1.0, gt=0)
+    repair_s: float = Field(default=0.2, gt=0)
+    faults: FaultsConfig = FaultsConfig()
+
+
+def clean(log: Log, config: CleanConfig | None = None) -> Log:
+    """Clean every channel for itself; only the affected channel is changed.
+
+    Faults that last become NaN, single gross errors are interpolated, and each sample of
+    both is counted in the audit.
+    """
+    config = config or CleanConfig()
+    if not config.enabled or len(log) < 3:
+        return log
+    changed: dict[str, FloatArray] = {}
+    entries: list[AuditEntry] = []
+    for name in log.channels:
+        work = _Work(log, name, config)
+        work.run()
+        if work.entries:
+            changed[name] = work.values
+            entries += work.entries
+    return log.with_channels(changed, *entries)
+
+
+@dataclass
+class _Work:
+    """One channel on its way through the tests; `values` is what is left of it."""
+
+    log: Log
+    name: str
+    config: CleanConfig
+    values: FloatArray = field(init=False)
+    entries: list[AuditEntry] = field(init=False, default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.values = self.log[self.name].copy()
+
+    def run(self) -> None:
+        """Run the tests, the surest first; later ones no longer see what earlier ones took."""
+        self._drop(out_of_range(self.name, self.values), "out of range")
+        if role(self.name) == "switch":
+            return
+        for start, stop in runs_of(frozen(self._current(), self.name, self.config.faults)):
+            self._plateau(start, stop, "frozen")
+        self._bursts()
+        for start, stop in excursions(self._current(), self.name, self.config.faults):
+            self._plateau(start, stop, "spiking")
+        self._drop(self._gross(self.config.sigmas), "spiking", longest_s=self.config.repair_s)
+
+    def _current(self) -> Log:
+        return self.log.with_channels({self.name: self.values})
+
+    def _window(self) -> int:
+        return 2 * max(1, round(0.5 * self.config.median_s / self.log.dt_s)) + 1
+
+    def _gross(self, sigmas: float) -> BoolArray:
+        return gross_errors(self.values, self._window(), sigmas, self.config.method)
+
+    def _bursts(self) -> None:
+        if role(self.name) != "output":
+            return
+        marks = self._gross(_BURST_FACTOR * self.config.sigmas)
+        jumping = jumps(self._current(), self.name)
+        marks[1:] |= jumping
+        mask = bursts(marks, self.log.dt_s, self.config.faults) & np.isfinite(self.values)
+        self._drop(mask, "spiking")
+
+    def _plateau(self, start: int, stop: int, reason: Reason) -> None:
+        mask = np.zeros(len(self.values), dtype=np.bool_)
+        mask[start:stop] = True
+        mask &= np.isfinite(self.values)
+        if (stop - start) * self.log.dt_s > self.config.repair_s and mask.any():
+            reason = "out of range" if beyond_usual(self.values, mask) else reason
+        self._drop(mask, reason)
+
+    def _drop(self, mask: BoolArray, reason: Reason, longest_s: float | None = None) -> None:
+        """Repair the short runs of `mask`, mask the longer ones (up to `longest_s`)."""
+        short = np.zeros(len(mask), dtype=np.bool_)
+        long = np.zeros(len(mask), dtype=np.bool_)
+        for start, stop in runs_of(mask):
+            span_s = (stop - start) * self.log.dt_s
+            if span_s <= self.config.repair_s + 1e-9:
+                short[start:stop] = True
+            elif longest_s is None:
+                long[start:stop] = True
+        self.values[short | long] = np.nan
+        self._note(long, "masked", reason)
+        self.values[short] = bridged(self.values)[short]
+        self._note(short, "repaired", reason)
+
+    def _note(self, mask: BoolArray, action: Action, reason: Reason) -> None:
+        if not mask.any():
+            return
+        time_s, half = self.log.time_s, 0.5 * self.log.dt_s
+        spans = tuple(
+            (float(time_s[start]) - half, float(time_s[stop - 1]) + half)
+            for start, stop in runs_of(mask)
+            if (stop - start) * self.log.dt_s >= _SPAN_S
+        )
+        count = int(mask.sum())
+        self.entries.append(AuditEntry(self.name, action, reason, count, spans))
+
+
+def runs_of(mask: BoolArray) -> list[tuple[int, int]]:
+    """List the runs of True as (start, stop)."""
+    starts, stops = runs(mask)
+    return list(zip(starts.tolist(), stops.tolist(), strict=True))

@@ -1,0 +1,197 @@
+"""Trend Intercept: cut the push and pull events of the driving channel out of a log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+from data_prep.log import Log
+from data_prep.moves import Driver, Move, bridged, find_moves, long_runs, noise_of
+from narxcal.channels import CHANNELS
+from narxcal.errors import DataError
+from narxcal.settings import Section
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Speed = Literal["fast", "slow", "small"]
+
+PUSH, PULL = 0, 1
+
+# A lever at rest may toggle by its resolution; smaller changes than this part of the
+# channel's physical range are none. Outputs used as driver are judged by their own noise.
+_LEVER_FLOOR = 0.005
+# Peak to peak of white noise over a settling window, in standard deviations.
+_PEAK_TO_PEAK = 6.0
+
+
+class EventsConfig(Section):
+    """TOML table `[events]`: what counts as a push or a pull, and where it ends.
+
+    driver, response: the channel that is moved, and those that have to settle.
+    condition, condition_value: only samples where this channel has this value; "" for all.
+    window_s, min_change, min_fraction: a move changes the driver within `window_s` by
+        `min_change` (its unit) or, where that is absent, by `min_fraction` of its range.
+    small_fraction, fast_s: a move below `small_fraction` of the driver's range is small; any
+        other is fast where the driver comes to rest within `fast_s`, else slow.
+    settle_s, settle_fraction: settled once driver and responses stay for `settle_s` within
+        `settle_fraction` of their range (and their noise). max_length_s: longest event.
+    """
+
+    driver: str = "TRA_deg"
+    response: tuple[str, ...] = ("N1_pct",)
+    condition: str = "WOW"
+    condition_value: float = 0.0
+    window_s: float = Field(default=2.0, gt=0)
+    min_change: float | None = Field(default=None, gt=0)
+    min_fraction: float = Field(default=0.02, gt=0, lt=1)
+    small_fraction: float = Field(default=0.1, ge=0, lt=1)
+    fast_s: float = Field(default=3.0, gt=0)
+    settle_s: float = Field(default=3.0, gt=0)
+    settle_fraction: float = Field(default=0.01, gt=0, lt=1)
+    max_length_s: float = Field(default=60.0, gt=0)
+
+
+@dataclass(frozen=True)
+class Event:
+    """Samples `start:stop` of one log, from the start of one lever movement to rest.
+
+    `start` is n0, the last sample before the lever moves; `label` is 0 for a push, 1 for a
+    pull. `interrupted`: the next movement came before everything had settled. `lever_before`
+    and `lever_after` are in the driver's unit.
+    """
+
+    log: str
+    start: int
+    stop: int
+    label: int
+    speed: Speed
+    start_s: float
+    lever_before: float
+    lever_after: float
+    settled: bool
+    interrupted: bool
+
+
+def find_events(log: Log, config: EventsConfig | None = None) -> list[Event]:
+    """Pushes and pulls in order of time (calibration paper, section 2.5).
+
+    A driver that never moves gives an empty list. Events do not overlap and hold no sample
+    that violates the condition. Raises `DataError` where the driver, a response or the
+    condition channel is missing.
+    """
+    config = config or EventsConfig()
+    allowed = _allowed(log, config)
+    if len(log) < 3:
+        return []
+    window = max(1, round(config.window_s / log.dt_s))
+    driver = Driver.of(log[config.driver], window // 4)
+    allowed &= ~driver.lost
+    moves = find_moves(driver, window, _least(driver, config), log.dt_s)
+    settled = _settled(log, config)
+    cutter = _Cutter(log, config, driver, allowed, settled)
+    nexts = [*(move.start for move in moves[1:]), len(log)]
+    events = [cutter.cut(move, until) for move, until in zip(moves, nexts, strict=True)]
+    return [event for event in events if event is not None]
+
+
+def _allowed(log: Log, config: EventsConfig) -> BoolArray:
+    """Mark the samples that meet the condition; NaN does not."""
+    if not config.condition:
+        return np.ones(len(log), dtype=np.bool_)
+    if config.condition not in log.channels:
+        raise DataError(
+            "events need their condition channel, and the log has none",
+            file=log.name,
+            channel=config.condition,
+            hint='Derive it in [logs], or set condition = "" in [events]',
+        )
+    return np.asarray(log[config.condition] == config.condition_value)
+
+
+def _least(driver: Driver, config: EventsConfig) -> float:
+    if config.min_change is not None:
+        return config.min_change
+    known = CHANNELS.get(config.driver)
+    lever = known is not None and known.role == "lever"
+    floor = _LEVER_FLOOR * (known.high - known.low) if known is not None and lever else 0.0
+    return max(config.min_fraction * driver.span, floor)
+
+
+def _settled(log: Log, config: EventsConfig) -> BoolArray:
+    """Mark sample k where driver and responses stay in their bands over `k:k + settle`."""
+    size = max(2, round(config.settle_s / log.dt_s))
+    flags = np.ones(len(log), dtype=np.bool_)
+    for name in dict.fromkeys((config.driver, *config.response)):
+        flags &= _quiet(log[name], size, config.settle_fraction)
+    flags[max(0, len(log) - size + 1) :] = False
+    return flags
+
+
+def _quiet(channel: FloatArray, size: int, fraction: float) -> BoolArray:
+    known = np.isfinite(channel)
+    if not known.any():
+        return np.ones(len(channel), dtype=np.bool_)
+    values = bridged(channel)
+    low, high = np.percentile(channel[known], (0.5, 99.5))
+    band = fraction * (high - low) + _PEAK_TO_PEAK * noise_of(values)
+    ahead = -(size // 2)
+    swing = maximum_filter1d(values, size, origin=ahead) - minimum_filter1d(
+        values, size, origin=ahead
+    )
+    lost = maximum_filter1d(long_runs(~known, size // 2).view(np.int8), size, origin=ahead)
+    return np.asarray((swing <= band) & (lost == 0))
+
+
+@dataclass(frozen=True)
+class _Cutter:
+    log: Log
+    config: EventsConfig
+    driver: Driver
+    allowed: BoolArray
+    settled: BoolArray
+
+    def cut(self, move: Move, until: int) -> Event | None:
+        """Cut the event of one move, at the latest at sample `until`; None where not allowed."""
+        limit = self._limit(move.start, until)
+        if limit <= move.start + 1 or limit < min(move.stop, until):
+            return None
+        rest = min(move.stop, limit)
+        quiet = np.flatnonzero(self.settled[rest:limit])
+        hold = max(2, round(self.config.settle_s / self.log.dt_s))
+        stop = rest + int(quiet[0]) + hold if len(quiet) else limit
+        settled = bool(len(quiet)) and stop <= limit
+        return self._event(move, min(stop, limit), settled, limit == until < len(self.log))
+
+    def _limit(self, start: int, until: int) -> int:
+        longest = start + max(2, round(self.config.max_length_s / self.log.dt_s))
+        limit = min(until, longest, len(self.log))
+        barred = np.flatnonzero(~self.allowed[start:limit])
+        return start + int(barred[0]) if len(barred) else limit
+
+    def _event(self, move: Move, stop: int, settled: bool, cut_short: bool) -> Event:
+        values = self.driver.values
+        before = float(np.median(values[max(0, move.start - 3) : move.start + 1]))
+        after = float(np.median(values[min(move.stop, stop - 1) : stop]))
+        return Event(
+            log=self.log.name,
+            start=move.start,
+            stop=stop,
+            label=PUSH if move.sign > 0 else PULL,
+            speed=self._speed(move, abs(after - before)),
+            start_s=float(self.log.time_s[move.start]),
+            lever_before=before,
+            lever_after=after,
+            settled=settled,
+            interrupted=cut_short and not settled,
+        )
+
+    def _speed(self, move: Move, change: float) -> Speed:
+        if change < self.config.small_fraction * self.driver.span:
+            return "small"
+        fast = (move.stop - move.start) * self.log.dt_s <= self.config.fast_s
+        return "fast" if fast else "slow"

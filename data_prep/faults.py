@@ -1,0 +1,237 @@
+"""Sensor faults that last: a channel that is frozen, spiking or out of physical range."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from data_prep.log import Log
+from data_prep.moves import noise_of, runs
+from data_prep.outliers import robust_range
+from narxcal.channels import CHANNELS
+from narxcal.settings import Section
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.intp]
+Reason = Literal["frozen", "spiking", "out of range"]
+
+# Slack on the physical limits, in parts of their distance: an air-data computer at rest
+# shows Mach -4e-6.
+_SLACK = 0.005
+# At most this many freezes are expected in one log; the next longest run is natural.
+_FREEZES = 10
+# A freeze is this many times longer than the longest natural run of equal samples.
+_UNNATURAL = 5
+# A witness lives if it changes at least this part as often as in the rest of the log.
+_ALIVE = 0.5
+# Below this part of its highest value an engine does not run, it is cranked or windmills.
+_STANDSTILL = 0.05
+# A jump is faster than this many ranges of the channel per second (the quickest measured:
+# 0.75, fuel flow of a geared turbofan at a slam) ...
+_JUMP_RATE = 1.5
+# ... and stands out of the channel's noise. A log at steady cruise has next to no range;
+# this part of the level stands in.
+_JUMP_NOISE = 12.0
+_LEAST_RANGE = 0.25
+# After an excursion the channel is back where it was, to this part of the jump.
+_RETURN = 0.35
+# Spools and hot metal cannot jump, whatever the fuel does.
+_INERTIAL = frozenset({"N1_pct", "N2_pct", "EGT_C"})
+
+
+class FaultsConfig(Section):
+    """Nested table `[clean.faults]`.
+
+    frozen_s: an output that repeats one value for longer may be frozen (see `frozen`).
+    excursion_s: longest dropout or plateau between two opposite jumps.
+    burst_s, burst_count: so many spikes within this time mask the channel as spiking.
+    """
+
+    frozen_s: float = Field(default=2.0, gt=0)
+    excursion_s: float = Field(default=60.0, gt=0)
+    burst_s: float = Field(default=2.0, gt=0)
+    burst_count: int = Field(default=4, ge=2)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Samples `mask` (time,) of one channel are no measurement, for `reason`."""
+
+    reason: Reason
+    mask: BoolArray
+
+
+def role(name: str) -> str:
+    """Look up the role of a channel; one outside the canonical table is an output."""
+    return CHANNELS[name].role if name in CHANNELS else "output"
+
+
+def out_of_range(name: str, values: FloatArray) -> BoolArray:
+    """Flag samples that no turbofan and no atmosphere can show."""
+    if name not in CHANNELS:
+        return np.isinf(values)
+    low, high = CHANNELS[name].low, CHANNELS[name].high
+    slack = _SLACK * (high - low)
+    return (values < low - slack) | (values > high + slack)
+
+
+def repeats(values: FloatArray) -> tuple[IntArray, IntArray]:
+    """Find the runs of equal samples, starts and (exclusive) stops; NaN is passed over."""
+    index = np.flatnonzero(np.isfinite(values))
+    if not len(index):
+        return np.empty(0, dtype=np.intp), np.empty(0, dtype=np.intp)
+    known = values[index]
+    step = np.abs(np.diff(known)) > 1e-9 * np.maximum(1.0, np.abs(known[1:]))
+    edges = np.flatnonzero(step) + 1
+    firsts = np.concatenate(([0], edges))
+    lasts = np.concatenate((edges, [len(index)])) - 1
+    return index[firsts], index[lasts] + 1
+
+
+def frozen(log: Log, name: str, config: FaultsConfig) -> BoolArray:
+    """Flag samples where an output with live noise repeats one value impossibly long.
+
+    All of these have to hold: it is an output; outside its long runs it has noise (a
+    simulation without noise has none and may rest for minutes); the run is longer than
+    `frozen_s` and five times its longest natural run; another channel lives on meanwhile;
+    and it is not the zero of an engine at standstill. Levers, ambient channels and switches
+    rest for minutes and are never frozen.
+    """
+    values = log[name]
+    mask = np.zeros(len(values), dtype=np.bool_)
+    if role(name) != "output":
+        return mask
+    for start, stop in _unnatural(values, config.frozen_s / log.dt_s):
+        if _standstill(values, start) or not _witnessed(log, name, start, stop):
+            continue
+        if abs(values[start]) < 1e-9 and followed(log, name, start, stop):
+            continue
+        mask[start:stop] = True
+    return mask
+
+
+def _unnatural(values: FloatArray, least: float) -> list[tuple[int, int]]:
+    starts, stops = repeats(values)
+    if len(starts) <= _FREEZES:
+        return []
+    length = stops - starts
+    natural = np.partition(length, -_FREEZES - 1)[-_FREEZES - 1]
+    longest = max(least, float(_UNNATURAL * natural))
+    long = length > longest
+    rest = np.ones(len(values), dtype=np.bool_)
+    for start, stop in zip(starts[long], stops[long], strict=True):
+        rest[start:stop] = False
+    if not long.any() or noise_of(values[rest & np.isfinite(values)]) == 0.0:
+        return []
+    return list(zip(starts[long].tolist(), stops[long].tolist(), strict=True))
+
+
+def _standstill(values: FloatArray, start: int) -> bool:
+    """Tell an engine that ran down to (nearly) zero from a dropout, which jumps there."""
+    low, high = robust_range(values)
+    before = values[max(0, start - 8) : start]
+    entry = float(np.nanmax(np.abs(before - values[start]), initial=0.0))
+    return bool(abs(values[start]) < _STANDSTILL * high) and not entry > 0.05 * (high - low)
+
+
+def _witnessed(log: Log, name: str, start: int, stop: int) -> bool:
+    """Whether another output or ambient channel goes on changing as it always does."""
+    others = [
+        other
+        for other in log.channels
+        if other != name and role(other) in {"output", "ambient", "auxiliary"}
+    ]
+    if not others:
+        return True
+    return any(_lives(log[other], start, stop) for other in others)
+
+
+def _lives(values: FloatArray, start: int, stop: int) -> bool:
+    changes = np.diff(values) != 0.0
+    known = np.isfinite(values[1:]) & np.isfinite(values[:-1])
+    usual = float(np.mean(changes[known])) if known.any() else 0.0
+    inside = known[start : stop - 1]
+    if usual < 0.1 or not inside.any():
+        return False
+    return float(np.mean(changes[start : stop - 1][inside])) >= _ALIVE * usual
+
+
+def jumps(log: Log, name: str) -> BoolArray:
+    """Flag the steps `(time - 1,)` that no engine can make: more than its range per second."""
+    values = log[name]
+    step = np.abs(np.diff(values))
+    low, high = robust_range(values)
+    scale = max(high - low, _LEAST_RANGE * float(np.nanmedian(np.abs(values))))
+    return step > max(_JUMP_RATE * scale * log.dt_s, _JUMP_NOISE * noise_of(values))
+
+
+def excursions(log: Log, name: str, config: FaultsConfig) -> list[tuple[int, int]]:
+    """Find where an output jumps away and back: dropouts to zero, plateaus, single spikes.
+
+    Fuel flow, thrust and pressure ratios can be cut for real; then the spools follow, and
+    the excursion is none.
+    """
+    values = log[name]
+    if role(name) != "output" or not np.isfinite(values).any():
+        return []
+    starts, stops = runs(jumps(log, name))
+    change = values[stops] - values[starts]
+    found, first = [], 0
+    while first + 1 < len(starts):
+        back = change[first] + change[first + 1]
+        start, stop = int(starts[first]) + 1, int(stops[first + 1])
+        returned = abs(back) <= _RETURN * abs(change[first])
+        if returned and (stop - start) * log.dt_s <= config.excursion_s:
+            if not followed(log, name, start, stop):
+                found.append((start, stop))
+            first += 1
+        first += 1
+    return found
+
+
+def followed(log: Log, name: str, start: int, stop: int) -> bool:
+    """Whether a spool ran down below everything it runs at: then a cut of fuel was real."""
+    if name in _INERTIAL:
+        return False
+    for spool in ("N1_pct", "N2_pct"):
+        if spool not in log.channels:
+            continue
+        values = log[spool]
+        outside = np.concatenate((values[:start], values[stop:]))
+        inside = values[start:stop]
+        if not np.isfinite(outside).any() or not np.isfinite(inside).any():
+            continue
+        idle = max(robust_range(outside)[0], 0.25 * robust_range(values)[1])
+        if np.nanmin(inside) < 0.85 * idle:
+            return True
+    return False
+
+
+def beyond_usual(values: FloatArray, mask: BoolArray) -> bool:
+    """Whether what `mask` holds lies outside what the channel shows elsewhere."""
+    rest = values[~mask & np.isfinite(values)]
+    if not len(rest):
+        return False
+    low, high = np.percentile(rest, (5, 95))
+    margin = 0.5 * (high - low)
+    floor = max(low - margin, 0.2 * low) if low > 0.0 else low - margin
+    held = float(np.nanmedian(values[mask]))
+    return bool(held < floor or held > high + margin)
+
+
+def bursts(marks: BoolArray, dt_s: float, config: FaultsConfig) -> BoolArray:
+    """Cover spans in which at least `burst_count` marked spikes lie within `burst_s`."""
+    starts, stops = runs(marks)
+    mask = np.zeros(len(marks), dtype=np.bool_)
+    count = config.burst_count
+    if len(starts) < count:
+        return mask
+    near = (stops[count - 1 :] - starts[: len(starts) - count + 1]) * dt_s <= config.burst_s
+    for first in np.flatnonzero(near):
+        mask[starts[first] : stops[first + count - 1]] = True
+    return mask

@@ -1,0 +1,116 @@
+"""Moving average of 2n + 1 samples, its frequency response, and the comparison of windows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+
+from data_prep.log import Log
+from narxcal.channels import CHANNELS
+from narxcal.errors import ConfigError
+from narxcal.settings import Section
+
+FloatArray = NDArray[np.float64]
+
+# A lever is a command: smoothing would move the start of a slam to an earlier sample.
+_SMOOTHED_ROLES = frozenset({"ambient", "output", "auxiliary"})
+
+
+class SmoothConfig(Section):
+    """TOML table `[smooth]`: the window, an odd number of samples (1 leaves the log as it is).
+
+    channels: what to smooth; absent, every output and ambient channel. Levers are left alone
+    unless named here, switches always.
+    """
+
+    window: int = Field(default=11, ge=1)
+    channels: tuple[str, ...] | None = None
+
+    @field_validator("window")
+    @classmethod
+    def _odd(cls, window: int) -> int:
+        if window % 2 == 0:
+            raise ValueError("a centred window is an odd number of samples")
+        return window
+
+
+def smooth(log: Log, config: SmoothConfig | None = None) -> Log:
+    """Smooth a cleaned log; a masked sample stays masked and takes part in no average."""
+    config = config or SmoothConfig()
+    names = _names(log, config.channels)
+    return log.with_channels({name: moving_average(log[name], config.window) for name in names})
+
+
+def _names(log: Log, wanted: Sequence[str] | None) -> list[str]:
+    if wanted is None:
+        return [
+            name
+            for name in log.channels
+            if name in CHANNELS and CHANNELS[name].role in _SMOOTHED_ROLES
+        ]
+    for name in wanted:
+        if name in CHANNELS and CHANNELS[name].role == "switch":
+            raise ConfigError(
+                f"'{name}' is a switch and cannot be smoothed",
+                hint="Remove it from channels in [smooth]",
+            )
+    return list(wanted)
+
+
+def moving_average(values: FloatArray, window: int) -> FloatArray:
+    """Centred moving average `(time,)` -> `(time,)`, calibration paper equation (5).
+
+    Where the window is cut off by an end of the log or holds missing samples, the average
+    would lean to one side; there the value at the centre of the straight line fitted to what
+    the window holds is taken, which over a full window *is* the average. So a ramp passes
+    unchanged everywhere: no phase shift. Missing samples stay missing.
+    """
+    known = np.isfinite(values)
+    if window == 1 or not known.any():
+        return values.copy()
+    # Sums over deviations from the mean, which keeps them small and so exact.
+    centre = float(values[known].mean())
+    deviation = np.where(known, values - centre, 0.0)
+    offset = np.arange(window, dtype=np.float64) - window // 2
+    weight = known.astype(np.float64)
+    s0, s1, s2 = (_sliding(weight, offset**power) for power in range(3))
+    y0, y1 = (_sliding(deviation, offset**power) for power in range(2))
+    spread = s0 * s2 - s1 * s1
+    full = s0 == window
+    lone = ~full & (spread < 0.5)
+    line = (s2 * y0 - s1 * y1) / np.where(lone | full, 1.0, spread)
+    smoothed = np.where(full, y0 / window, line) + centre
+    return np.where(lone | ~known, values, smoothed)
+
+
+def _sliding(values: FloatArray, weights: FloatArray) -> FloatArray:
+    """Weighted sum over a centred window; nothing lies beyond the ends."""
+    half = len(weights) // 2
+    padded = np.concatenate((np.zeros(half), values, np.zeros(half)))
+    return np.correlate(padded, weights, mode="valid")
+
+
+def frequency_response(window: int, frequency_hz: FloatArray, dt_s: float) -> FloatArray:
+    """Gain of the moving average: the Dirichlet kernel sin(pi f M T) / (M sin(pi f T)).
+
+    It is real (zero phase) and negative in every second side lobe. Source: Oppenheim and
+    Schafer, Discrete-Time Signal Processing, section 2.6.
+    """
+    angle = np.pi * np.asarray(frequency_hz, dtype=np.float64) * dt_s
+    base = np.sin(angle)
+    whole = np.abs(base) < 1e-12
+    ratio = np.sin(window * angle) / (window * np.where(whole, 1.0, base))
+    # At a whole multiple of the sampling rate an odd window passes everything.
+    return np.where(whole, 1.0, ratio)
+
+
+def cutoff_hz(window: int, dt_s: float) -> float:
+    """Frequency at which the gain has fallen to 1 / sqrt(2), infinite for a window of one."""
+    if window == 1:
+        return float("inf")
+    frequency = np.linspace(0.0, 1.0 / (window * dt_s), 2001)
+    gain = frequency_response(window, frequency, dt_s)
+    return float(np.interp(-np.sqrt(0.5), -gain, frequency))
