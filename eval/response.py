@@ -15,6 +15,7 @@ from narxcal.settings import Section
 FloatArray = NDArray[np.float64]
 
 FEWEST_SETTLED = 3  # samples; a median of two is no protection against an outlier
+_SLACK_S = 1e-6  # times on a raster are not exact in binary
 _NAN = float("nan")
 
 
@@ -66,17 +67,12 @@ def measure_transient(
     `DataError` when the arrays do not belong together or do not contain `t0_s`.
     """
     _check(time_s, y, t0_s)
-    dt_s = float(np.median(np.diff(time_s)))
-    slack_s = 1e-6 * dt_s  # times on a raster are not exact in binary
-    window = time_s >= t0_s - config.before_s - slack_s
+    transient = Transient(t0_s, float(np.median(np.diff(time_s))) if len(time_s) > 1 else _NAN)
+    window = time_s >= t0_s - config.before_s - _SLACK_S
     time_s, y = time_s[window], y[window]
-    start = y[time_s <= t0_s + slack_s]
-    end = y[(time_s >= time_s[-1] - config.after_s - slack_s) & (time_s > t0_s + slack_s)]
-    transient = Transient(t0_s=t0_s, dt_s=dt_s)
-    reason = _unreadable(y, start, end)
-    if reason is None and time_s[-1] - config.after_s < t0_s - slack_s:
-        reason = f"the event lasts {time_s[-1] - t0_s:.3g} s, less than the settled part's "
-        reason += f"{config.after_s:.3g} s"
+    start = y[time_s <= t0_s + _SLACK_S]
+    end = y[(time_s > t0_s + _SLACK_S) & (time_s >= time_s[-1] - config.after_s - _SLACK_S)]
+    reason = _unreadable(y, start, end) or _too_short(time_s[-1] - t0_s, config.after_s)
     if reason is not None:
         return replace(transient, reason=reason)
     transient = _with_levels(transient, start, end)
@@ -99,8 +95,8 @@ def _check(time_s: FloatArray, y: FloatArray, t0_s: float) -> None:
         raise DataError(
             f"expected time and response of one shape (time,), got {time_s.shape} and {y.shape}"
         )
-    if len(time_s) < 2 or not np.all(np.diff(time_s) > 0.0):
-        raise DataError("expected at least 2 samples of strictly increasing time")
+    if len(time_s) == 0 or not np.all(np.diff(time_s) > 0.0):
+        raise DataError("expected at least 1 sample of strictly increasing time")
     if not time_s[0] <= t0_s <= time_s[-1]:
         raise DataError(
             f"the lever moves at {t0_s:g} s, outside the record from {time_s[0]:g} "
@@ -115,8 +111,15 @@ def _unreadable(y: FloatArray, start: FloatArray, end: FloatArray) -> str | None
         return f"{missing} of {len(y)} samples are missing"
     for part, place in ((start, "up to the move"), (end, "at the end")):
         if len(part) < FEWEST_SETTLED:
-            return f"only {len(part)} samples {place}, {FEWEST_SETTLED} are needed"
+            noun = "sample" if len(part) == 1 else "samples"
+            return f"only {len(part)} {noun} {place}, {FEWEST_SETTLED} are needed"
     return None
+
+
+def _too_short(length_s: float, after_s: float) -> str | None:
+    if length_s >= after_s - _SLACK_S:
+        return None
+    return f"the event lasts {length_s:.3g} s, less than the settled part's {after_s:.3g} s"
 
 
 def _with_levels(transient: Transient, start: FloatArray, end: FloatArray) -> Transient:

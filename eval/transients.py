@@ -5,23 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from data_prep.events import Event, Speed
 from eval.crossings import ReadingMode
 from eval.response import Transient, TransientConfig, measure_transient
-from eval.rules import Rules, RulesName
+from eval.rules import RulesName
 from eval.rules import rules as rules_of
 from eval.verdict import TimeCheck, Verdict, compare_transients
 from narxcal.channels import channel as channel_of
 from narxcal.errors import ConfigError, DataError
 from narxcal.settings import Section
-
-if TYPE_CHECKING:
-    from data_prep.events import Event
 
 __all__ = [
     "Assessment",
@@ -46,12 +44,15 @@ LEAST_RESPONSE = {"N1_pct": 5.0, "N2_pct": 3.0, "EGT_C": 30.0}
 class TransientsConfig(Section):
     """Which channels are judged by which rules, and how their transients are read.
 
-    `least_response` (channel -> value in its unit) adds to and overrides the built-in values.
+    The rules are written for rapid movements: `speeds = ["fast"]` keeps to those, while by
+    default every movement is judged and none is spared. `least_response` (channel -> value in
+    its unit) adds to and overrides the built-in values.
     """
 
     rules: RulesName = "paper"
     reading: ReadingMode = "interpolated"
     channels: tuple[str, ...] = ("N1_pct", "N2_pct")
+    speeds: tuple[Speed, ...] = ("fast", "slow", "small")
     before_s: float = Field(default=1.0, gt=0.0)
     after_s: float = Field(default=1.0, gt=0.0)
     least_response: Mapping[str, float] = Field(default_factory=dict)
@@ -129,45 +130,51 @@ def assess_events(
     events: Sequence[Event], overlay: Overlay, config: TransientsConfig
 ) -> list[Assessment]:
     """Judge every event on every configured channel that `overlay` has, event by event."""
-    rules = rules_of(config.rules)
     return [
-        _assess(event, overlay, column, config.reading_of(name), rules)
+        _assess(event, overlay, column, config)
         for event in events
         for column, name in enumerate(overlay.channels)
         if name in config.channels
     ]
 
 
-def _assess(
-    event: Event, overlay: Overlay, column: int, reading: TransientConfig, rules: Rules
-) -> Assessment:
+def _assess(event: Event, overlay: Overlay, column: int, config: TransientsConfig) -> Assessment:
+    reading = config.reading_of(overlay.channels[column])
     t0_s = float(overlay.time_s[event.start])
     first = int(np.searchsorted(overlay.time_s, t0_s - reading.before_s - 1e-6))
     rows = slice(first, event.stop)
     time_s = overlay.time_s[rows]
     flight = measure_transient(time_s, overlay.flight[rows, column], t0_s, reading)
-    obstacle = _obstacle(event, overlay, rows)
+    obstacle = _obstacle(event, config) or _unknown_inputs(overlay, rows)
     if obstacle is not None:
         flight = Transient(t0_s=t0_s, dt_s=flight.dt_s, reason=obstacle)
-    # The floor says what is worth assessing, and the flight decides that.
-    own = reading.model_copy(update={"least_response": 0.0})
+    # What is worth assessing, and whether it is settled enough, is decided on the flight. A model
+    # beside a flight that just passes must not fail for a hair's breadth.
+    own = reading.model_copy(
+        update={"least_response": 0.0, "drift_share": 2.0 * reading.drift_share}
+    )
     model = measure_transient(time_s, overlay.model[rows, column], t0_s, own)
-    verdict = compare_transients(flight, model, rules)
+    verdict = compare_transients(flight, model, rules_of(config.rules))
     name = overlay.channels[column]
     return Assessment(t0_s, event.label, event.speed, name, flight, model, verdict)
 
 
-def _obstacle(event: Event, overlay: Overlay, rows: slice) -> str | None:
+def _obstacle(event: Event, config: TransientsConfig) -> str | None:
     """Why the event as a whole cannot be assessed on any channel."""
+    if event.speed not in config.speeds:
+        return f"the movement is {event.speed}; only {' and '.join(config.speeds)} ones are judged"
     if event.interrupted:
         return "the lever moves again before the response settles"
     if not event.settled:
         return "the response does not settle"
-    if overlay.inputs_known is None:
+    return None
+
+
+def _unknown_inputs(overlay: Overlay, rows: slice) -> str | None:
+    if overlay.inputs_known is None or overlay.inputs_known[rows].all():
         return None
     known = overlay.inputs_known[rows]
-    missing = int(np.count_nonzero(~known))
-    return f"inputs are missing at {missing} of {len(known)} samples" if missing else None
+    return f"inputs are missing at {np.count_nonzero(~known)} of {len(known)} samples"
 
 
 def _time_row(check: TimeCheck | None, flight_s: float, ok: bool | None) -> dict[str, Any]:

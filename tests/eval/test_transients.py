@@ -126,6 +126,22 @@ def test_windows_surround_the_crossings_of_the_flight():
     assert high.stop_s == pytest.approx(14.95)
 
 
+@given(times, times, st.floats(-1.0, 1.0), st.sampled_from(sorted(RULES)))
+def test_a_model_passes_Ti_inside_its_window_and_Tt_inside_the_other(  # noqa: N802
+    initial_s, total_s, error_s, name
+):
+    """For t90 on a model that is on time at 10 %."""
+    flight = transient(initial_s, total_s)
+    low, high = tolerance_windows(flight, rules(name))
+    early = compare_transients(flight, transient(initial_s + error_s, total_s), rules(name))
+    if min(abs(10.0 + initial_s + error_s - edge) for edge in (low.start_s, low.stop_s)) > 1e-6:
+        assert early.Ti.ok is (low.start_s < 10.0 + initial_s + error_s < low.stop_s)
+    slow = compare_transients(flight, transient(initial_s, total_s + error_s), rules(name))
+    t90_s = 10.0 + initial_s + total_s + error_s
+    if min(abs(t90_s - edge) for edge in (high.start_s, high.stop_s)) > 1e-6:
+        assert slow.Tt.ok is (high.start_s < t90_s < high.stop_s)
+
+
 def test_windows_of_a_transient_that_is_not_assessable_are_refused():
     with pytest.raises(
         DataError, match=r"^a transient that is not assessable has no windows: too small$"
@@ -238,6 +254,15 @@ def test_interrupted_unsettled_small_and_masked_events_are_reported_not_passed()
     assert small[0].verdict.ok is None
     assert tally(small) == Tally(1, 0, 0, 0, 1, None, None, None, None)
     assert tally(small).passed_pct is None
+
+
+def test_rules_can_be_kept_to_rapid_movements():
+    some = [
+        replace(one, speed=speed) for one, speed in zip(events(), ("slow", "fast"), strict=False)
+    ]
+    result = assess(log(), log(), some, TransientsConfig(speeds=("fast",)))
+    assert [one.verdict.ok for one in result] == [None, True]
+    assert result[0].verdict.reason == "the movement is slow; only fast ones are judged"
 
 
 def test_the_flight_alone_decides_whether_a_small_response_is_assessed():
