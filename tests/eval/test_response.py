@@ -116,6 +116,20 @@ def test_nearest_sample_is_a_sample_within_half_an_interval(tau_s, dt_s, delay_s
     assert near.dt_s == pytest.approx(dt_s)
 
 
+@given(tau_s=st.floats(0.2, 3.0), dt_s=st.sampled_from([0.03125, 0.1]))
+@settings(deadline=None, max_examples=30)
+def test_nearest_sample_is_what_the_papers_loop_finds(tau_s, dt_s):
+    """The paper loops over the samples for the one closest to 10 % and 90 % of the power."""
+    time_s, unit = first_order(tau_s, 0.0, dt_s)
+    near = measure_transient(time_s, 20.0 * unit, START_S, TransientConfig(reading="nearest"))
+    for level, found in ((0.1, near.t10_s), (0.9, near.t90_s)):
+        best = 0
+        for k in range(len(unit)):
+            if abs(unit[k] - level) < abs(unit[best] - level):
+                best = k
+        assert found == pytest.approx(time_s[best], abs=1e-12)
+
+
 def test_noise_does_not_bias_the_readings():
     """At 32 Hz and noise of 2 % of the response Ti and Tt scatter, but about the truth."""
     time_s, unit = first_order(1.0, 0.3, dt_s=1 / 32, stop_s=10.0)
