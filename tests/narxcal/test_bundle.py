@@ -1,0 +1,332 @@
+"""The bundle folder: comes back as it was, and anything else is refused by name."""
+
+import errno
+import hashlib
+import json
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from narxcal import bundle as module
+from narxcal.bundle import Bundle, load_bundle, read_document, save_bundle, write_bundle
+from narxcal.errors import ConfigError, ModelError
+from narxcal.steady_table import SteadyTable
+
+AGAIN = "Copy the bundle again, or train it anew"
+
+
+class Calibration:
+    """As little of a calibration as a bundle needs, so that any content can be tried."""
+
+    input_names = ("TRA_deg", "Mach")
+    output_names = ("N1_pct", "EGT_C")
+    dt_s = 1 / 32
+
+    def __init__(self, meta, arrays, steady=None):
+        self.meta, self.arrays, self.steady = meta, arrays, steady
+
+    def to_arrays(self):
+        return self.meta, self.arrays
+
+    @classmethod
+    def from_arrays(cls, meta, arrays):
+        return cls(meta, arrays)
+
+
+@pytest.fixture(autouse=True)
+def _calibration(monkeypatch):
+    monkeypatch.setattr(module, "DynamicCalibration", Calibration)
+
+
+def names(folder):
+    return sorted(item.name for item in folder.iterdir())
+
+
+def example(**meta):
+    arrays = {"narx/weight": np.arange(6.0).reshape(2, 3), "steady/points": np.eye(2)}
+    return Bundle(Calibration({"narx": {"lags": 4}}, arrays), meta)
+
+
+@pytest.fixture
+def saved(tmp_path):
+    save_bundle(tmp_path / "run", example(seed=7))
+    return tmp_path / "run"
+
+
+def refused(folder, message):
+    with pytest.raises(ModelError, match=f"^{re.escape(message)}$"):
+        load_bundle(folder)
+
+
+def edit(folder, **entries):
+    file = folder / "bundle.json"
+    document = {**json.loads(file.read_text(encoding="utf-8")), **entries}
+    file.write_text(json.dumps(document), encoding="utf-8")
+
+
+NAMES = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=12)
+JSON = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**53), 2**53)
+    | st.text(max_size=8)
+    | st.floats(allow_nan=False, allow_infinity=False),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAMES, inner, max_size=3),
+    max_leaves=8,
+)
+ARRAYS = st.dictionaries(
+    NAMES.filter(lambda name: name != "__metadata__"),
+    hnp.arrays(
+        st.sampled_from([np.float64, np.float32, np.int64, np.bool_]),
+        hnp.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=4),
+    ),
+    max_size=5,
+)
+
+
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    arrays=ARRAYS,
+    meta=st.dictionaries(NAMES, JSON, max_size=4),
+    more=st.dictionaries(NAMES.map("x-{}".format), JSON, max_size=4),
+)
+def test_any_arrays_and_any_json_come_back_as_they_were(tmp_path, arrays, meta, more):
+    folder = tmp_path / os.urandom(8).hex()
+    save_bundle(folder, Bundle(Calibration(meta, arrays), more))
+    back = load_bundle(folder)
+    assert back.calibration.meta == meta
+    assert back.calibration.arrays.keys() == arrays.keys()
+    for name, array in arrays.items():
+        found = back.calibration.arrays[name]
+        assert found.dtype == array.dtype
+        np.testing.assert_array_equal(found, array)
+    assert {key: value for key, value in back.meta.items() if key != "versions"} == more
+
+
+def test_the_document_says_what_is_in_the_bundle(saved):
+    document = read_document(saved)
+    assert document["schema"] == "narxcal.bundle/1"
+    assert document["dt_s"] == 0.03125
+    assert document["channels"] == {"inputs": ["TRA_deg", "Mach"], "outputs": ["N1_pct", "EGT_C"]}
+    assert document["units"] == {"TRA_deg": "deg", "Mach": "-", "N1_pct": "%", "EGT_C": "degC"}
+    assert document["calibration"]["narx"]["lags"] == 4
+    assert (
+        document["weights"]["sha256"]
+        == hashlib.sha256((saved / "weights.safetensors").read_bytes()).hexdigest()
+    )
+    assert document["weights"]["arrays"]["narx/weight"] == {"dtype": "float64", "shape": [2, 3]}
+    assert document["seed"] == 7
+    assert set(document["versions"]) >= {"python", "narxcal", "numpy", "torch"}
+    assert names(saved) == ["bundle.json", "weights.safetensors"]
+
+
+def test_arrays_that_are_not_contiguous_come_back_whole(tmp_path):
+    array = np.arange(24.0).reshape(4, 6).T[::2]
+    save_bundle(tmp_path / "run", Bundle(Calibration({}, {"a": array})))
+    np.testing.assert_array_equal(load_bundle(tmp_path / "run").calibration.arrays["a"], array)
+
+
+def test_meta_of_numpy_paths_and_nan_becomes_plain_json(tmp_path):
+    meta = {"rmse": np.float64("nan"), "seed": np.int64(3), "file": Path("a/b"), "t": (1, 2.5)}
+    save_bundle(tmp_path / "run", example(metrics=meta))
+    back = load_bundle(tmp_path / "run").meta["metrics"]
+    assert back == {"rmse": None, "seed": 3, "file": "a/b", "t": [1, 2.5]}
+
+
+@pytest.mark.parametrize(
+    ("bundle", "message"),
+    [
+        (example(x={"y": object()}), "bundle.x.y of type object cannot be stored in a bundle"),
+        (example(schema=1), "the bundle's meta may not hold 'schema', which it writes itself"),
+        (
+            Bundle(Calibration({"gain": float("inf")}, {})),
+            "bundle.calibration.gain is inf, which JSON cannot hold. Store it as array",
+        ),
+        (
+            Bundle(Calibration({}, {"names": np.array(["a"])})),
+            "array 'names' of type <U1 cannot be stored in a bundle",
+        ),
+    ],
+)
+def test_what_cannot_be_stored_is_refused_and_leaves_nothing(tmp_path, bundle, message):
+    with pytest.raises(ModelError, match=f"^{re.escape(message)}$"):
+        save_bundle(tmp_path / "run", bundle)
+    assert names(tmp_path) == []
+
+
+def test_a_missing_folder_is_refused(tmp_path):
+    folder = tmp_path / "none"
+    refused(folder, f"{folder}: the bundle folder does not exist. Train one first")
+
+
+def test_a_folder_without_document_is_no_bundle(tmp_path):
+    refused(
+        tmp_path,
+        f"{tmp_path}: the folder holds no bundle.json, so it is no bundle. "
+        "Name the folder that narxcal train wrote",
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"{", "Expecting property name enclosed in double quotes: line 1 column 2 (char 1)"),
+        (b"", "Expecting value: line 1 column 1 (char 0)"),
+        (b"\xff", "'utf-8' codec can't decode byte 0xff in position 0: invalid start byte"),
+    ],
+)
+def test_a_document_that_is_not_json_is_refused(saved, content, problem):
+    (saved / "bundle.json").write_bytes(content)
+    refused(saved, f"{saved / 'bundle.json'}: not JSON: {problem}. {AGAIN}")
+
+
+@pytest.mark.parametrize("schema", ["narxcal.bundle/9", None, 3])
+def test_another_schema_is_refused(saved, schema):
+    edit(saved, schema=schema)
+    refused(
+        saved,
+        f"{saved / 'bundle.json'}: unknown schema {schema!r}, expected 'narxcal.bundle/1'. "
+        "Read it with the version of narxcal that wrote it",
+    )
+
+
+def test_a_document_that_is_a_list_is_refused(saved):
+    (saved / "bundle.json").write_text("[]", encoding="utf-8")
+    with pytest.raises(ModelError, match=r"unknown schema None, expected 'narxcal\.bundle/1'"):
+        load_bundle(saved)
+
+
+@pytest.mark.parametrize("key", ["weights", "calibration"])
+def test_a_document_without_its_parts_is_refused(saved, key):
+    edit(saved, **{key: None})
+    refused(saved, f"{saved / 'bundle.json'}: '{key}' is missing. {AGAIN}")
+
+
+def test_missing_weights_are_refused(saved):
+    (saved / "weights.safetensors").unlink()
+    refused(saved, f"{saved / 'weights.safetensors'}: the weights are missing. {AGAIN}")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda data: data[:-5],
+        lambda data: data[:-1] + b"\x01",
+        lambda _: b"",
+        lambda data: data * 2,
+    ],
+    ids=["truncated", "altered", "empty", "appended"],
+)
+def test_weights_that_were_cut_off_or_altered_are_refused(saved, change):
+    file = saved / "weights.safetensors"
+    former = hashlib.sha256(file.read_bytes()).hexdigest()
+    file.write_bytes(change(file.read_bytes()))
+    found = hashlib.sha256(file.read_bytes()).hexdigest()
+    refused(
+        saved,
+        f"{file}: the weights were altered or cut off: sha256 is {found[:12]}, "
+        f"bundle.json says {former[:12]}. {AGAIN}",
+    )
+
+
+def test_weights_in_another_format_are_refused_even_with_a_fitting_hash(saved):
+    file = saved / "weights.safetensors"
+    file.write_bytes(b"PK\x03\x04 a pickle in a zip")
+    edit(saved, weights={"sha256": hashlib.sha256(file.read_bytes()).hexdigest()})
+    with pytest.raises(ModelError, match=rf"weights\.safetensors: not safetensors: .*{AGAIN}$"):
+        load_bundle(saved)
+
+
+def test_a_shape_other_than_the_documents_is_refused(saved):
+    weights = read_document(saved)["weights"]
+    weights["arrays"]["narx/weight"]["shape"] = [2, 4]
+    edit(saved, weights=weights)
+    refused(
+        saved,
+        f"{saved / 'bundle.json'}: array 'narx/weight' is float64 (2, 3) in weights.safetensors, "
+        f"and float64 (2, 4) here. {AGAIN}",
+    )
+    del weights["arrays"]["narx/weight"]
+    edit(saved, weights=weights)
+    refused(
+        saved,
+        f"{saved / 'bundle.json'}: array 'narx/weight' is float64 (2, 3) in weights.safetensors, "
+        f"and missing here. {AGAIN}",
+    )
+
+
+def test_a_document_without_its_list_of_arrays_is_refused(tmp_path):
+    save_bundle(tmp_path / "run", Bundle(Calibration({}, {})))
+    weights = read_document(tmp_path / "run")["weights"]
+    edit(tmp_path / "run", weights={"sha256": weights["sha256"]})
+    refused(
+        tmp_path / "run",
+        f"{tmp_path / 'run' / 'bundle.json'}: the list of arrays is missing. {AGAIN}",
+    )
+
+
+def test_a_folder_with_content_is_refused_and_a_bundle_only_replaced_on_request(saved):
+    with pytest.raises(ConfigError, match="run exists and is not empty"):
+        save_bundle(saved, example())
+    save_bundle(saved, example(seed=8), replace=True)
+    assert load_bundle(saved).meta["seed"] == 8
+
+
+def test_a_full_disk_leaves_no_bundle(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(ConfigError, match="cannot write: No space left on device"):
+        save_bundle(tmp_path / "run", example())
+    assert names(tmp_path) == []
+
+
+def test_a_run_killed_between_the_two_files_is_not_read_as_a_bundle(saved, monkeypatch):
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(module, "atomic_write_text", killed)
+    newer = Bundle(Calibration({}, {"narx/weight": np.ones(3)}))
+    with pytest.raises(KeyboardInterrupt):
+        write_bundle(saved, newer)
+    with pytest.raises(ModelError, match="the weights were altered or cut off"):
+        load_bundle(saved)
+
+
+def test_an_array_called_as_the_formats_own_header_is_refused(tmp_path):
+    message = "array name '__metadata__' is the format's own"
+    with pytest.raises(ModelError, match=f"^{re.escape(message)}$"):
+        save_bundle(tmp_path / "run", Bundle(Calibration({}, {"__metadata__": np.ones(1)})))
+
+
+class NeedsFile(SteadyTable):
+    def __init__(self, *paths):
+        super().__init__((["TRA_deg"], ["N1_pct"]), [[0.0], [1.0]], [[0.0], [1.0]])
+        self.paths = paths
+
+    def files(self):
+        return tuple(map(str, self.paths))
+
+
+def test_a_file_of_the_steady_state_model_travels_with_the_bundle(tmp_path):
+    fmu = tmp_path / "engine.fmu"
+    fmu.write_bytes(b"black box")
+    calibration = Calibration(
+        {"steady": {"kind": "fmu", "file": str(fmu)}}, {}, NeedsFile(fmu, tmp_path / "gone")
+    )
+    save_bundle(tmp_path / "run", Bundle(calibration))
+    fmu.unlink()
+    copy = tmp_path / "run" / "steady" / "engine.fmu"
+    assert copy.read_bytes() == b"black box"
+    assert load_bundle(tmp_path / "run").calibration.meta["steady"]["file"] == str(copy)
+    copy.unlink()
+    assert load_bundle(tmp_path / "run").calibration.meta["steady"]["file"] == str(fmu)
