@@ -119,7 +119,7 @@ def undo_rounding(time: FloatArray, interval: float) -> FloatArray:
     else the stamps come back as they are. The earliest possible `n_k` is chosen:
     `n_k = k + max_{j<=k}(low_j - j)`.
     """
-    rounding = _rounding(time)
+    rounding = printed_step(time)
     if on_raster(time, interval):
         return time
     slack = 0.5001 * (rounding + rounding[0]) + ON_RASTER * interval
@@ -133,7 +133,7 @@ def undo_rounding(time: FloatArray, interval: float) -> FloatArray:
     return np.asarray(time[0] + (number - number[0]) * interval)
 
 
-def _rounding(time: FloatArray) -> FloatArray:
+def printed_step(time: FloatArray) -> FloatArray:
     """Step of the last printed digit around each stamp; 0 where stamps look unrounded."""
     decimals = np.full(len(time), _MAX_DECIMALS)
     for digits in range(_MAX_DECIMALS - 1, -1, -1):
