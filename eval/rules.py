@@ -50,6 +50,10 @@ class Rules:
     Tt: Tolerance
     least_model_share: float = 0.5
 
+    def total_s(self, initial_s: float, rise_s: float) -> float:
+        """Return Tt in seconds, from Ti and the time from 10 % to 90 %."""
+        return rise_s if self.tt_origin == "t10" else initial_s + rise_s
+
 
 RULES: dict[RulesName, Rules] = {
     "paper": Rules(

@@ -113,6 +113,7 @@ class Assessment:
     def row(self) -> dict[str, Any]:
         """Return the JSON row of `evaluate.json`; times in seconds, None where there is none."""
         verdict = self.verdict
+        total_s = rules_of(verdict.rules).total_s(self.flight.Ti_s, self.flight.Tt_s)
         return {
             "start_s": self.start_s,
             "label": ("push", "pull")[self.label],
@@ -121,7 +122,7 @@ class Assessment:
             "ok": verdict.ok,
             "reason": verdict.reason,
             "Ti": _time_row(verdict.Ti, self.flight.Ti_s, verdict.ok),
-            "Tt": _time_row(verdict.Tt, self.flight.Tt_s, verdict.ok),
+            "Tt": _time_row(verdict.Tt, total_s, verdict.ok),
             "raw": {"flight": _raw(self.flight), "model": _raw(self.model)},
         }
 

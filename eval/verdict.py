@@ -57,13 +57,8 @@ def compare_transients(flight: Transient, model: Transient, rules: Rules) -> Ver
     if failure is not None:
         return Verdict(rules.name, ok=False, reason=f"model: {failure}")
     initial = _check(flight.Ti_s, model.Ti_s, rules.Ti, flight.dt_s)
-    origin = {"t10": 0.0, "lever": 1.0}[rules.tt_origin]
-    total = _check(
-        flight.Tt_s + origin * flight.Ti_s,
-        model.Tt_s + origin * model.Ti_s,
-        rules.Tt,
-        flight.dt_s,
-    )
+    flight_s, model_s = (rules.total_s(one.Ti_s, one.Tt_s) for one in (flight, model))
+    total = _check(flight_s, model_s, rules.Tt, flight.dt_s)
     return Verdict(rules.name, initial.ok and total.ok, initial, total)
 
 

@@ -27,7 +27,7 @@ def tolerance_windows(flight: Transient, rules: Rules) -> tuple[Band, Band]:
     """
     if flight.reason is not None:
         raise DataError(f"a transient that is not assessable has no windows: {flight.reason}")
-    total_s = flight.Tt_s + (flight.Ti_s if rules.tt_origin == "lever" else 0.0)
+    total_s = rules.total_s(flight.Ti_s, flight.Tt_s)
     return (
         _band(flight.t10_s, rules.Ti.allowed_s(flight.Ti_s), flight.before + 0.1 * flight.response),
         _band(flight.t90_s, rules.Tt.allowed_s(total_s), flight.before + 0.9 * flight.response),

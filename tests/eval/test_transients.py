@@ -299,6 +299,13 @@ def test_overlay_of_unequal_shapes_is_refused():
         Overlay(np.arange(9.0), np.zeros((9, 1)), np.zeros((8, 1)), ("N1_pct",))
 
 
+def test_rows_show_the_flight_times_of_the_rules_even_where_the_model_failed():
+    config = TransientsConfig(rules="icao")
+    row = assess(log(), np.full(900, 70.0), config=config)[0].row()
+    assert row["Tt"]["flight"] == pytest.approx(np.log(10.0), abs=0.02)
+    assert row["Tt"]["ok"] is False
+
+
 def test_rows_are_json_and_keep_the_raw_times():
     model = log(tau_s=1.1)
     model[460] = np.nan
