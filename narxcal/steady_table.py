@@ -108,7 +108,7 @@ class SteadyTable:
         result = np.full((len(flat), len(self.output_names)), np.nan)
         if known.any():
             result[known] = self._interpolant.values(flat[known])
-        return result.reshape(*array.shape[:-1], -1)
+        return result.reshape(*array.shape[:-1], len(self.output_names))
 
     def inside(self, inputs: ArrayLike) -> NDArray[np.bool_]:
         """Whether each sample lies in the grid's box or the points' convex hull: `(...,)`."""

@@ -127,6 +127,8 @@ def test_leading_axes_are_kept_and_nan_inputs_give_nan_outside():
         assert np.isfinite(found[0]).all()
         assert not held[1, 2]
         assert table.outputs(inputs[0, 0]).shape == (2,)
+        assert table.outputs(inputs[:0]).shape == (0, 3, 2)
+        assert table.inside(inputs[:0]).shape == (0, 3)
 
 
 def test_a_stored_table_gives_the_same_numbers():
