@@ -15,7 +15,6 @@ from data_prep.faults import (
     bursts,
     excursions,
     frozen,
-    jumps,
     out_of_range,
     role,
 )
@@ -107,11 +106,9 @@ class _Work:
     def _bursts(self) -> None:
         if role(self.name) != "output":
             return
-        marks = self._gross(_BURST_FACTOR * self.config.sigmas)
-        jumping = jumps(self._current(), self.name)
-        marks[1:] |= jumping
-        mask = bursts(marks, self.log.dt_s, self.config.faults) & np.isfinite(self.values)
-        self._drop(mask, "spiking")
+        spikes = self._gross(_BURST_FACTOR * self.config.sigmas)
+        mask = bursts(self._current(), self.name, spikes, self.config.faults)
+        self._drop(mask & np.isfinite(self.values), "spiking")
 
     def _plateau(self, start: int, stop: int, reason: Reason) -> None:
         mask = np.zeros(len(self.values), dtype=np.bool_)

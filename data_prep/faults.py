@@ -38,8 +38,9 @@ _JUMP_RATE = 1.5
 # this part of the level stands in.
 _JUMP_NOISE = 12.0
 _LEAST_RANGE = 0.25
-# After an excursion the channel is back where it was, to this part of the jump.
-_RETURN = 0.35
+# After an excursion the channel is back where it was, to this part of the larger jump; the
+# engine may have accelerated meanwhile.
+_RETURN = 0.5
 # Spools and hot metal cannot jump, whatever the fuel does.
 _INERTIAL = frozenset({"N1_pct", "N2_pct", "EGT_C"})
 
@@ -161,13 +162,23 @@ def _lives(values: FloatArray, start: int, stop: int) -> bool:
     return float(np.mean(changes[start : stop - 1][inside])) >= _ALIVE * usual
 
 
-def jumps(log: Log, name: str) -> BoolArray:
-    """Flag the steps `(time - 1,)` that no engine can make: more than its range per second."""
+def jumps(log: Log, name: str) -> tuple[IntArray, IntArray, FloatArray]:
+    """Find the jumps no engine can make, faster than its own range in two thirds of a second.
+
+    Returns their first and last samples and their signed heights; steps of one sign that
+    follow each other are one jump.
+    """
     values = log[name]
-    step = np.abs(np.diff(values))
+    step = np.diff(values)
     low, high = robust_range(values)
     scale = max(high - low, _LEAST_RANGE * float(np.nanmedian(np.abs(values))))
-    return step > max(_JUMP_RATE * scale * log.dt_s, _JUMP_NOISE * noise_of(values))
+    least = max(_JUMP_RATE * scale * log.dt_s, _JUMP_NOISE * noise_of(values))
+    found = [runs(sign * step > least) for sign in (1, -1)]
+    starts = np.concatenate([start for start, _ in found])
+    stops = np.concatenate([stop for _, stop in found])
+    order = np.argsort(starts)
+    starts, stops = starts[order], stops[order]
+    return starts, stops, values[stops] - values[starts]
 
 
 def excursions(log: Log, name: str, config: FaultsConfig) -> list[tuple[int, int]]:
@@ -179,13 +190,12 @@ def excursions(log: Log, name: str, config: FaultsConfig) -> list[tuple[int, int
     values = log[name]
     if role(name) != "output" or not np.isfinite(values).any():
         return []
-    starts, stops = runs(jumps(log, name))
-    change = values[stops] - values[starts]
+    starts, stops, change = jumps(log, name)
     found, first = [], 0
     while first + 1 < len(starts):
-        back = change[first] + change[first + 1]
+        there, back = change[first], change[first + 1]
         start, stop = int(starts[first]) + 1, int(stops[first + 1])
-        returned = abs(back) <= _RETURN * abs(change[first])
+        returned = abs(there + back) <= _RETURN * max(abs(there), abs(back))
         if returned and (stop - start) * log.dt_s <= config.excursion_s:
             if not followed(log, name, start, stop):
                 found.append((start, stop))
@@ -224,14 +234,25 @@ def beyond_usual(values: FloatArray, mask: BoolArray) -> bool:
     return bool(held < floor or held > high + margin)
 
 
-def bursts(marks: BoolArray, dt_s: float, config: FaultsConfig) -> BoolArray:
-    """Cover spans in which at least `burst_count` marked spikes lie within `burst_s`."""
-    starts, stops = runs(marks)
-    mask = np.zeros(len(marks), dtype=np.bool_)
-    count = config.burst_count
-    if len(starts) < count:
+def bursts(log: Log, name: str, spikes: BoolArray, config: FaultsConfig) -> BoolArray:
+    """Cover spans in which at least `burst_count` spikes lie within `burst_s`.
+
+    A spike is two jumps, or a run of `spikes` that holds no jump.
+    """
+    starts, stops, _ = jumps(log, name)
+    marked, ends = runs(spikes)
+    jumping = np.concatenate(([0], np.cumsum(np.isin(np.arange(len(log)), stops))))
+    soft = jumping[ends] == jumping[marked]
+    # Both sides of a soft spike count, so that every spike has two marks.
+    first = np.concatenate((starts + 1, marked[soft], marked[soft]))
+    last = np.concatenate((stops, ends[soft] - 1, ends[soft] - 1))
+    order = np.argsort(first, kind="stable")
+    first, last = first[order], last[order]
+    mask = np.zeros(len(log), dtype=np.bool_)
+    count = 2 * config.burst_count
+    if len(first) < count:
         return mask
-    near = (stops[count - 1 :] - starts[: len(starts) - count + 1]) * dt_s <= config.burst_s
-    for first in np.flatnonzero(near):
-        mask[starts[first] : stops[first + count - 1]] = True
+    near = (last[count - 1 :] - first[: len(first) - count + 1]) * log.dt_s <= config.burst_s
+    for index in np.flatnonzero(near):
+        mask[first[index] : last[index + count - 1] + 1] = True
     return mask

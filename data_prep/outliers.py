@@ -59,15 +59,16 @@ def gross_errors(
     if method == "grubbs":
         flagged = _grubbs(np.where(known, residual, np.nan), window * _SPREAD_WINDOWS)
         return flagged & (np.abs(residual) > least + swing)
-    spread = np.maximum(1.4826 * _slow_median(np.abs(residual), window), _resolution(values))
+    # The median of a quantised residual is short of its spread by up to half a step, and may
+    # be zero where the noise is not.
+    step = _resolution(values)
+    spread = 1.4826 * _slow_median(np.abs(residual), window)
+    spread = np.maximum(spread + 0.5 * step, step)
     return known & (np.abs(residual) > np.maximum(sigmas * spread, least) + swing)
 
 
 def _resolution(values: FloatArray) -> float:
-    """Estimate the step of a quantised channel: small among the changes that happen at all.
-
-    The median residual of a coarsely quantised channel is zero, its noise is not.
-    """
+    """Estimate the step of a quantised channel: small among the changes that happen at all."""
     steps = np.abs(np.diff(values))
     steps = steps[steps > 0.0]
     return float(np.percentile(steps, 5)) if len(steps) else 0.0
