@@ -1,0 +1,160 @@
+"""A CSV file as a stream of row blocks: one pass, constant memory, growing files included."""
+
+from __future__ import annotations
+
+import io
+import time
+import zlib
+from collections.abc import Callable
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from data_prep.csv_source import CsvSource, open_csv, readable
+from data_prep.dialect import next_header, open_text
+from data_prep.mapping import constants, map_columns, to_channel
+from narxcal.errors import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+    from typing import TextIO
+
+    from data_prep.log import FloatArray
+    from data_prep.logs_config import LogsConfig
+
+_POLL_S = 0.05
+
+
+@dataclass(kw_only=True)
+class Pace:
+    """How a stream is read: `lines` at a time; with `follow` until nothing came for `idle_s`.
+
+    `clock` and `sleep` are those of `time`; a test brings its own.
+    """
+
+    lines: int = 4096
+    follow: bool = False
+    idle_s: float = 10.0
+    clock: Callable[[], float] = time.monotonic
+    sleep: Callable[[float], None] = time.sleep
+
+
+@dataclass
+class CsvStream:
+    """Rows of a log as canonical channels, in file order, block by block.
+
+    After the last block `truncated` says whether the file broke off in mid-line or, compressed,
+    in mid-stream; the incomplete line is left out.
+    """
+
+    path: Path
+    config: LogsConfig
+    pace: Pace = field(default_factory=Pace)
+    truncated: bool = False
+
+    def __post_init__(self) -> None:
+        self._table = open_csv(
+            self.path, self.config.delimiter, self.config.decimal, self.config.comment
+        )
+        self._columns = map_columns(self._table, self.config)
+        self._sources = self.config.sources(self._table.header)
+
+    @property
+    def engines(self) -> tuple[str, ...]:
+        """Engines of the file; one without a name where the configuration names none."""
+        return tuple(self._columns)
+
+    @property
+    def constants(self) -> dict[str, float]:
+        """Channels that the configuration gives a value instead of a column."""
+        return constants(self._sources)
+
+    def channels(self, engine: str) -> tuple[str, ...]:
+        """Channels that `engine` has in this file, derived ones left out."""
+        return tuple(self._columns[engine])
+
+    def blocks(self, engines: Sequence[str]) -> Iterator[dict[str, dict[str, FloatArray]]]:
+        """Engine -> channel -> `(rows,)`; raises `DataError` as `data_prep.read_logs`."""
+        wanted = {name: None for engine in engines for name in self._columns[engine].values()}
+        first_row = 0
+        for text in self._texts():
+            cells = _Block(self._table, text, first_row).read(list(wanted))
+            first_row += len(next(iter(cells.values())))
+            yield {engine: self._canonical(engine, cells) for engine in engines}
+
+    def _canonical(self, engine: str, cells: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        return {
+            name: to_channel(name, cells[column], self._sources[name])
+            for name, column in self._columns[engine].items()
+        }
+
+    def _texts(self) -> Iterator[str]:
+        """Blocks of whole lines."""
+        rest = ""
+        with readable(self.path), open_text(self.path) as text:
+            next_header(text, self._table.dialect.comment)
+            for lines in self._lines(text):
+                lines[0] = rest + lines[0]
+                rest = "" if lines[-1].endswith("\n") else lines.pop()
+                if lines:
+                    yield "".join(lines)
+        if self._complete(rest):
+            yield rest + "\n"
+        else:
+            self.truncated = self.truncated or bool(rest.strip())
+
+    def _lines(self, text: TextIO) -> Iterator[list[str]]:
+        """Lines as they come; the last one of a list may still be growing."""
+        quiet_since = self.pace.clock()
+        while True:
+            lines = self._read(text)
+            if lines:
+                quiet_since = self.pace.clock()
+                yield lines
+            elif not self.pace.follow or self.pace.clock() - quiet_since >= self.pace.idle_s:
+                return
+            else:
+                self.pace.sleep(_POLL_S)
+
+    def _read(self, text: TextIO) -> list[str]:
+        lines: list[str] = []
+        try:
+            while len(lines) < self.pace.lines and (line := text.readline()):
+                lines.append(line)
+        except (EOFError, zlib.error):
+            self.truncated = True
+        return lines
+
+    def _complete(self, line: str) -> bool:
+        """Whether a last line without an end is as long as the header, so far as can be told."""
+        delimiter = None if self._table.dialect.delimiter == " " else self._table.dialect.delimiter
+        fields = line.split(delimiter)
+        return len(fields) >= len(self._table.header) and bool(fields[-1].strip())
+
+
+class _Block(CsvSource):
+    """Some lines of a file, read by the rules of the whole file."""
+
+    def __init__(self, table: CsvSource, text: str, first_row: int) -> None:
+        super().__init__(table.path, table.dialect)
+        self._text = text
+        self._first_row = first_row
+
+    def read(self, names: Sequence[str]) -> dict[str, FloatArray]:
+        try:
+            return super().read(names)
+        except DataError as error:
+            if error.row is None:
+                raise
+            raise DataError(
+                error.problem,
+                file=error.file,
+                channel=error.channel,
+                row=error.row + self._first_row,
+                hint=error.hint,
+            ) from None
+
+    @contextmanager
+    def _rows(self) -> Iterator[TextIO]:
+        yield io.StringIO(self._text)

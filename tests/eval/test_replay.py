@@ -1,0 +1,426 @@
+"""A flight streamed through model and fuser gives what the batch gives, and survives bad logs."""
+
+import csv
+import gzip
+import itertools
+import threading
+import time
+import tracemalloc
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from data_prep.logs_config import LogsConfig
+from data_prep.reading import read_logs
+from eval.replay import Clock, ReplayModel, ReplayOptions, replay
+from narxcal.errors import ConfigError, DataError, ModelError
+from narxcal.fuser import KalmanFuser, NoiseModel, estimate_noise
+
+DT = 0.1
+
+
+class Settled:
+    """Steady state of the fake engine: both speeds are straight lines in lever and Mach."""
+
+    input_names = ("TRA_deg", "Mach")
+    output_names = ("N1_pct", "N2_pct")
+
+    def outputs(self, inputs):
+        return np.stack(
+            [20.0 + inputs[..., 0] + 5.0 * inputs[..., 1], 50.0 + 0.5 * inputs[..., 0]], axis=-1
+        )
+
+    def inside(self, inputs):
+        return np.isfinite(inputs).all(axis=-1) & (inputs[..., 0] <= 60.0)
+
+
+class FirstOrder:
+    """Stands in for `DynamicCalibration`: the outputs follow the steady state with a lag."""
+
+    input_names = ("Mach", "TRA_deg")
+    output_names = Settled.output_names
+    dt_s = DT
+    steady = Settled()
+    rate = 0.2
+
+    def _settled(self, inputs):
+        return self.steady.outputs(inputs[..., ::-1])
+
+    def reset(self, inputs, start=None):
+        self.y = self._settled(inputs) if start is None else np.array(start)
+
+    def step(self, inputs, correction=None):
+        if correction is not None:
+            self.y = np.where(np.isnan(correction), self.y, correction)
+        self.y = self.y + self.rate * (self._settled(inputs) - self.y)
+        return self.y
+
+    def simulate(self, inputs, start=None):
+        self.reset(inputs[0], start)
+        return np.array([self.step(u) for u in inputs])
+
+
+def noise_model():
+    ones = np.ones(2)
+    return NoiseModel(DT, 0.99 * ones, 0.01 * ones, 0.1 * ones, 0.04 * ones, ones, np.eye(2))
+
+
+MODEL = ReplayModel(FirstOrder(), noise=noise_model())
+
+
+def flight(time_s=None, seed=0, samples=600):
+    """Columns of a clean log: lever steps, and outputs that lag, are off by 1 and noisy."""
+    rng = np.random.default_rng(seed)
+    time_s = np.round(np.arange(samples) * DT, 10) + 5.0 if time_s is None else time_s
+    lever = 20.0 + 30.0 * (np.floor(time_s / 7.0) % 2)
+    mach = 0.3 + 0.001 * time_s
+    model = FirstOrder()
+    truth = model.simulate(np.column_stack([mach, lever])) + 1.0
+    measured = truth + 0.2 * rng.normal(size=truth.shape)
+    return {
+        "time_s": time_s,
+        "TRA_deg": lever,
+        "Mach": mach,
+        "N1_pct": measured[:, 0],
+        "N2_pct": measured[:, 1],
+    }
+
+
+def write(path, columns, header=None):
+    rows = zip(*(np.asarray(values).tolist() for values in columns.values()), strict=True)
+    cells = [",".join("" if np.isnan(value) else repr(value) for value in row) for row in rows]
+    text = "\n".join([",".join(header or columns), *cells]) + "\n"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def read(path):
+    with path.open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    number = {
+        name: np.array([float(row[name] or "nan") for row in rows])
+        for name in rows[0]
+        if name != "engine"
+    }
+    return number, [row.get("engine") for row in rows]
+
+
+def test_prediction_and_fused_value_are_those_of_the_batch_without_a_shift(tmp_path):
+    log = write(tmp_path / "log.csv", flight())
+    summary = replay(MODEL, log, tmp_path / "out.csv")
+    found, _ = read(tmp_path / "out.csv")
+    [batch] = read_logs(log)
+    predicted = FirstOrder().simulate(batch.matrix(FirstOrder.input_names))
+    fused = KalmanFuser(noise_model()).run(predicted, batch.matrix(FirstOrder.output_names))
+    np.testing.assert_allclose(found["time_s"], batch.time_s, atol=1e-9)
+    for i, name in enumerate(FirstOrder.output_names):
+        np.testing.assert_allclose(found[f"{name}_prediction"], predicted[:, i], rtol=1e-9)
+        np.testing.assert_allclose(found[f"{name}_fused"], fused.values[:, i], rtol=1e-9)
+        np.testing.assert_allclose(
+            found[f"{name}_innovation"], fused.innovations[:, i], rtol=1e-6, atol=1e-8
+        )
+    # A lever step shows in the prediction at the very sample that has it.
+    at = int(np.flatnonzero(np.diff(batch["TRA_deg"]) > 1.0)[0]) + 1
+    moved = np.abs(np.diff(found["N1_pct_prediction"]))
+    assert moved[at - 1] > 5.0
+    assert moved[at - 2] < 0.1
+    assert summary.rows == len(batch) == 600
+    assert not found["gap"].any()
+    assert not found["held"].any()
+    assert found["inside_envelope"].all()
+    assert not (tmp_path / "out.csv.part").exists()
+
+
+@pytest.mark.parametrize("rate", [4.0, 10.0, 13.7, 50.0])
+def test_rows_between_raster_points_are_laid_on_the_model_raster_like_a_batch(tmp_path, rate):
+    time_s = np.round(np.arange(int(60 * rate)) / rate, 6)
+    log = write(tmp_path / "log.csv", flight(time_s))
+    config = LogsConfig(raster_hz=10.0)
+    replay(ReplayModel(FirstOrder(), config, noise=noise_model()), log, tmp_path / "out.csv")
+    found, _ = read(tmp_path / "out.csv")
+    [batch] = read_logs(log, config)
+    predicted = FirstOrder().simulate(batch.matrix(FirstOrder.input_names))
+    np.testing.assert_allclose(found["N1_pct_prediction"], predicted[:, 0], rtol=1e-6)
+
+
+def test_realtime_sample_by_sample_gives_the_same_rows_at_their_times(tmp_path):
+    log = write(tmp_path / "log.csv", flight(samples=80))
+    replay(MODEL, log, tmp_path / "batch.csv")
+    now = itertools.count(0.0, 1e-4)
+    slept = []
+    clock = Clock(now=lambda: next(now) + sum(slept), sleep=slept.append)
+    replay(MODEL, log, tmp_path / "live.csv", ReplayOptions(realtime=True), clock)
+    batch, live = read(tmp_path / "batch.csv")[0], read(tmp_path / "live.csv")[0]
+    for name in batch:
+        np.testing.assert_allclose(live[name], batch[name], rtol=1e-9, err_msg=name)
+    assert sum(slept) == pytest.approx(79 * DT, abs=0.05)
+
+
+def test_several_engines_come_interleaved_and_one_can_be_picked(tmp_path):
+    left, right = flight(seed=1), flight(seed=2)
+    right["TRA_deg"] = right["TRA_deg"] + 3.0
+    columns = {"time_s": left["time_s"], "Mach": left["Mach"]}
+    for prefix, each in (("lh", left), ("rh", right)):
+        columns |= {f"{prefix}_{n}": each[n] for n in ("TRA_deg", "N1_pct", "N2_pct")}
+    log = write(tmp_path / "log.csv", columns)
+    mapped = {n: {"column": "{engine}_" + n} for n in ("TRA_deg", "N1_pct", "N2_pct")}
+    mapped |= {n: {"column": n} for n in ("time_s", "Mach")}
+    config = LogsConfig.parse({"engines": {"left": "lh", "right": "rh"}, "columns": mapped})
+    model = ReplayModel(FirstOrder(), config, noise=noise_model())
+    summary = replay(model, log, tmp_path / "both.csv")
+    both, engines = read(tmp_path / "both.csv")
+    assert summary.engines == ("left", "right")
+    assert engines[:4] == ["left", "right", "left", "right"]
+    assert (np.diff(both["time_s"]) >= 0.0).all()
+    for i, engine in enumerate(("left", "right")):
+        replay(model, log, tmp_path / "one.csv", ReplayOptions(engine=engine))
+        one, none = read(tmp_path / "one.csv")
+        assert none[0] is None
+        for name in one:
+            np.testing.assert_array_equal(one[name], both[name][i::2])
+    with pytest.raises(ConfigError) as error:
+        replay(model, log, tmp_path / "x.csv", ReplayOptions(engine="centre"))
+    assert str(error.value) == f"{log}: unknown engine 'centre'. Its engines: left, right"
+
+
+def test_a_gap_restarts_the_model_settled_and_is_flagged_once(tmp_path):
+    columns = flight()
+    keep = np.r_[0:250, 330:600]
+    log = write(tmp_path / "log.csv", {n: v[keep] for n, v in columns.items()})
+    config = LogsConfig(raster_hz=10.0)
+    model = ReplayModel(FirstOrder(), config, noise=noise_model())
+    summary = replay(model, log, tmp_path / "out.csv")
+    found, _ = read(tmp_path / "out.csv")
+    assert np.flatnonzero(found["gap"]).tolist() == [250]
+    assert summary.restarts == {"": 1}
+    second = read_logs(log, config)[1]
+    inputs = second.matrix(FirstOrder.input_names)
+    np.testing.assert_allclose(
+        found["N1_pct_prediction"][250:], FirstOrder().simulate(inputs)[:, 0], rtol=1e-9
+    )
+    measured = second.matrix(FirstOrder.output_names)
+    replay(model, log, tmp_path / "out.csv", ReplayOptions(start="measured"))
+    found, _ = read(tmp_path / "out.csv")
+    np.testing.assert_allclose(
+        found["N1_pct_prediction"][250:],
+        FirstOrder().simulate(inputs, measured[0])[:, 0],
+        rtol=1e-9,
+    )
+
+
+def test_a_missing_input_is_held_up_to_the_limit_then_the_model_pauses(tmp_path):
+    columns = flight()
+    columns["TRA_deg"][100:110] = np.nan  # 1 s, of which all is held
+    columns["TRA_deg"][300:350] = np.nan  # 5 s, of which 2 s are held
+    columns["N2_pct"][400:] = np.nan
+    log = write(tmp_path / "log.csv", columns)
+    summary = replay(MODEL, log, tmp_path / "out.csv")
+    found, _ = read(tmp_path / "out.csv")
+    assert np.flatnonzero(found["held"]).tolist() == [*range(100, 110), *range(300, 320)]
+    assert np.flatnonzero(found["gap"]).tolist() == list(range(320, 351))
+    blank = np.isnan(found["N1_pct_prediction"])
+    assert np.flatnonzero(blank).tolist() == list(range(320, 350))
+    np.testing.assert_array_equal(blank, np.isnan(found["N1_pct_fused"]))
+    assert np.isnan(found["N2_pct_innovation"][400:]).all()
+    assert np.isfinite(found["N2_pct_fused"][400:]).all()
+    assert summary.held == {"": {"TRA_deg": 30}}
+    assert summary.restarts == {"": 1}
+
+
+def test_samples_outside_the_envelope_are_flagged_and_counted(tmp_path):
+    columns = flight()
+    columns["TRA_deg"][500:520] = 70.0
+    log = write(tmp_path / "log.csv", columns)
+    summary = replay(MODEL, log, tmp_path / "out.csv")
+    found, _ = read(tmp_path / "out.csv")
+    assert np.flatnonzero(found["inside_envelope"] == 0.0).tolist() == list(range(500, 520))
+    assert summary.outside == {"": 20}
+
+
+def test_an_output_the_log_lacks_is_predicted_and_not_fused(tmp_path):
+    columns = flight()
+    del columns["N2_pct"]
+    log = write(tmp_path / "log.csv", columns)
+    for options in (ReplayOptions(), ReplayOptions(noise="log")):
+        summary = replay(MODEL, log, tmp_path / "out.csv", options)
+        found, _ = read(tmp_path / "out.csv")
+        np.testing.assert_array_equal(found["N2_pct_fused"], found["N2_pct_prediction"])
+    assert summary.unfused == {"": ("N2_pct",)}
+
+
+def test_noise_is_estimated_from_the_start_of_the_log_where_none_is_stored(tmp_path):
+    log = write(tmp_path / "log.csv", flight())
+    [batch] = read_logs(log)
+    predicted = FirstOrder().simulate(batch.matrix(FirstOrder.input_names))
+    measured = batch.matrix(FirstOrder.output_names)
+    model = ReplayModel(FirstOrder())
+    for warmup_s, used in ((20.0, 595), (300.0, 600)):
+        replay(model, log, tmp_path / "out.csv", ReplayOptions(warmup_s=warmup_s))
+        found, _ = read(tmp_path / "out.csv")
+        assert len(found["time_s"]) == 600
+        if used == 600:
+            noise = estimate_noise(measured, predicted, DT)
+            fused = KalmanFuser(noise).run(predicted, measured)
+            np.testing.assert_allclose(found["N1_pct_fused"], fused.values[:, 0], rtol=1e-8)
+
+
+def test_a_truncated_last_line_is_left_out_and_reported(tmp_path):
+    log = write(tmp_path / "log.csv", flight())
+    whole = log.read_text(encoding="utf-8")
+    log.write_text(whole[:-30], encoding="utf-8")
+    summary = replay(MODEL, log, tmp_path / "out.csv")
+    assert summary.truncated
+    assert summary.rows == 599
+    log.write_text(whole[:-1], encoding="utf-8")  # only the line's end is missing
+    summary = replay(MODEL, log, tmp_path / "out.csv")
+    assert not summary.truncated
+    assert summary.rows == 600
+
+
+def test_a_compressed_log_and_a_broken_off_one_are_replayed(tmp_path):
+    log = write(tmp_path / "log.csv", flight(samples=3000))
+    packed = gzip.compress(log.read_bytes())
+    zipped = tmp_path / "log.csv.gz"
+    zipped.write_bytes(packed)
+    assert replay(MODEL, zipped, tmp_path / "out.csv").rows == 3000
+    zipped.write_bytes(packed[: len(packed) // 2])
+    summary = replay(MODEL, zipped, tmp_path / "out.csv")
+    assert summary.truncated
+    assert 1000 < summary.rows < 2000
+
+
+def test_a_growing_file_is_followed_until_it_stands_still(tmp_path):
+    log = write(tmp_path / "log.csv", flight(samples=300))
+    text = log.read_text(encoding="utf-8")
+    log.write_text(text[:4000], encoding="utf-8")
+
+    def grow():
+        for start in range(4000, len(text), 1777):  # in the middle of lines
+            with log.open("a", encoding="utf-8") as file:
+                file.write(text[start : start + 1777])
+            time.sleep(0.02)
+
+    writer = threading.Thread(target=grow)
+    writer.start()
+    options = ReplayOptions(follow=True, idle_s=0.5)
+    summary = replay(MODEL, log, tmp_path / "live.csv", options)
+    writer.join()
+    replay(MODEL, log, tmp_path / "batch.csv")
+    assert summary.rows == 300
+    live, batch = read(tmp_path / "live.csv")[0], read(tmp_path / "batch.csv")[0]
+    for name in batch:
+        np.testing.assert_allclose(live[name], batch[name], rtol=1e-8, err_msg=name)
+
+
+def test_interrupting_a_follow_ends_it_well_and_any_other_replay_leaves_nothing(tmp_path):
+    log = write(tmp_path / "log.csv", flight(samples=300))
+
+    def interrupt(seconds):
+        raise KeyboardInterrupt
+
+    clock = Clock(sleep=interrupt)
+    replay(MODEL, log, tmp_path / "live.csv", ReplayOptions(follow=True), clock)
+    assert len(read(tmp_path / "live.csv")[0]["time_s"]) == 299
+    with pytest.raises(KeyboardInterrupt):
+        replay(MODEL, log, tmp_path / "out.csv", ReplayOptions(realtime=True), clock)
+    assert sorted(each.name for each in tmp_path.iterdir()) == ["live.csv", "log.csv"]
+
+
+def test_memory_does_not_grow_with_the_log(tmp_path):
+    peaks = []
+    for samples in (9_000, 27_000):
+        log = write(tmp_path / "log.csv", flight(samples=samples))
+        tracemalloc.start()
+        replay(MODEL, log, tmp_path / "out.csv")
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.2 * peaks[0]
+
+
+def test_a_missing_input_column_is_named(tmp_path):
+    columns = flight()
+    del columns["Mach"]
+    log = write(tmp_path / "log.csv", columns)
+    with pytest.raises(DataError) as error:
+        replay(MODEL, log, tmp_path / "out.csv")
+    assert str(error.value) == (
+        f"{log}, channel Mach: the model needs this input, and the log neither has nor implies "
+        "it. The log has TRA_deg, N1_pct, N2_pct"
+    )
+    assert not list(tmp_path.glob("out*"))
+
+
+def test_text_in_a_number_is_refused_with_its_row_however_far_down(tmp_path):
+    log = write(tmp_path / "log.csv", flight(samples=6000))
+    lines = log.read_text(encoding="utf-8").splitlines()
+    lines[5001] = lines[5001].replace(lines[5001].split(",")[1], "full")
+    log.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with pytest.raises(DataError) as error:
+        replay(MODEL, log, tmp_path / "out.csv")
+    assert error.value.row == 5001
+    assert error.value.channel == "TRA_deg"
+    assert "expected a number, found 'full'" in str(error.value)
+
+
+def test_time_going_back_is_refused_with_its_row_however_far_down(tmp_path):
+    columns = flight(samples=6000)
+    columns["time_s"][5000:] -= 400.0
+    log = write(tmp_path / "log.csv", columns)
+    with pytest.raises(DataError) as error:
+        replay(MODEL, log, tmp_path / "out.csv")
+    assert error.value.row == 5001
+    assert str(error.value) == (
+        f"{log}, channel time_s, row 5001: time goes back from 504.9 s to 105 s. "
+        "Split the file there: it holds more than one recording"
+    )
+
+
+@pytest.mark.parametrize("samples", [0, 1])
+def test_a_log_with_less_than_two_samples_is_refused(tmp_path, samples):
+    log = write(tmp_path / "log.csv", {n: v[:samples] for n, v in flight().items()})
+    with pytest.raises(DataError) as error:
+        replay(MODEL, log, tmp_path / "out.csv")
+    assert str(error.value) == f"{log}, channel time_s: expected samples at two or more times"
+
+
+def test_a_lone_wrong_stamp_costs_its_row_and_no_more(tmp_path):
+    columns = flight()
+    columns["time_s"][300] += 5000.0
+    log = write(tmp_path / "log.csv", columns)
+    for options in (ReplayOptions(), ReplayOptions(follow=True, idle_s=0.01)):
+        summary = replay(MODEL, log, tmp_path / "out.csv", options)
+        assert (summary.rows, summary.dropped, summary.restarts) == (600, 1, {"": 0})
+
+
+def test_an_output_that_cannot_be_written_is_refused(tmp_path):
+    log = write(tmp_path / "log.csv", flight())
+    with pytest.raises(ConfigError) as error:
+        replay(MODEL, log, tmp_path / "absent" / "out.csv")
+    assert str(error.value) == (
+        f"{tmp_path / 'absent' / 'out.csv'}: cannot write: No such file or directory. "
+        "Nothing was changed; free some space or choose another place"
+    )
+
+
+def test_a_bundle_without_its_noise_model_whole_is_refused():
+    config = {"logs": {"raster_hz": 10.0}, "fuser": {"relock_s": 3.0}}
+    trained = SimpleNamespace(
+        calibration=FirstOrder(), meta={"config": config, "fuser_noise": {"dt_s": 0.1}}
+    )
+    with pytest.raises(ModelError, match="the fuser's noise model lacks retention, process"):
+        ReplayModel.of(trained)
+    del trained.meta["fuser_noise"]
+    model = ReplayModel.of(trained)
+    assert model.logs.raster_hz == 10.0
+    assert model.fuser.relock_s == 3.0
+    assert model.noise is None
+
+
+def test_throughput_without_the_network_leaves_room_for_three_hundred_times_real_time(tmp_path):
+    log = write(tmp_path / "log.csv", flight(samples=20_000))
+    replay(MODEL, log, tmp_path / "out.csv")
+    summary = replay(MODEL, log, tmp_path / "out.csv")
+    # 300 x real time at 32 Hz is 104 us a sample; half of that is left for the model.
+    assert summary.wall_s / summary.rows < 104e-6
+    assert summary.times_real_time == pytest.approx(summary.rows * DT / summary.wall_s)
