@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from narxcal.calibration import DynamicCalibration
     from narxcal.errors import ConfigError, DataError, ModelError, NarxcalError
     from narxcal.fuser import KalmanFuser
-    from narxcal.narx import Narx, NarxConfig
+    from narxcal.narx import NarxConfig
+    from training.estimator import Narx
 
 __all__ = [
     "Bundle",
@@ -37,7 +38,7 @@ _MODULE_OF = {
     "DynamicCalibration": "narxcal.calibration",
     "KalmanFuser": "narxcal.fuser",
     "ModelError": "narxcal.errors",
-    "Narx": "narxcal.narx",
+    "Narx": "training.estimator",
     "NarxConfig": "narxcal.narx",
     "NarxcalError": "narxcal.errors",
     "load_bundle": "narxcal.bundle",

@@ -1,0 +1,80 @@
+"""A record: one uninterrupted recording of inputs and outputs, all that a NARX model knows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from narxcal.errors import DataError
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Inputs `u` (time, inputs) and outputs `y` (time, outputs) on one raster.
+
+    A masked output sample is NaN: it is left out of every loss and score. Inputs have to be
+    complete, since a free run cannot step over a hole; `DataError` names the first bad row.
+    `weight` (time,), if given, scales the loss of each sample.
+    """
+
+    u: FloatArray
+    y: FloatArray
+    name: str = "record"
+    weight: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "u", _columns(self.u))
+        object.__setattr__(self, "y", _columns(self.y))
+        if len(self.u) != len(self.y):
+            raise DataError(
+                f"inputs and outputs have to be of one length, found {len(self.u)} "
+                f"and {len(self.y)} samples",
+                file=self.name,
+            )
+        bad = np.flatnonzero(~np.isfinite(self.u).all(axis=1))
+        if len(bad):
+            raise DataError(
+                "an input is not a finite number",
+                file=self.name,
+                row=int(bad[0]),
+                hint="Fill or cut the record first; only outputs may be masked with NaN",
+            )
+        if self.weight is not None and self.weight.shape != (len(self.u),):
+            raise DataError(
+                f"the weight has to be of shape ({len(self.u)},), found {self.weight.shape}",
+                file=self.name,
+            )
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+
+def _columns(values: ArrayLike) -> FloatArray:
+    array = np.ascontiguousarray(values, dtype=np.float64)
+    return array[:, None] if array.ndim == 1 else array
+
+
+def check_records(records: Sequence[Record], longer_than: int) -> tuple[int, int]:
+    """Return (inputs, outputs) that all records agree on; `DataError` where they do not."""
+    if not records:
+        raise DataError("at least one record is needed, found none")
+    inputs, outputs = records[0].u.shape[1], records[0].y.shape[1]
+    for record in records:
+        found = (record.u.shape[1], record.y.shape[1])
+        if found != (inputs, outputs):
+            raise DataError(
+                f"expected {inputs} inputs and {outputs} outputs as in {records[0].name}, "
+                f"found {found[0]} and {found[1]}",
+                file=record.name,
+            )
+        if len(record) <= longer_than:
+            raise DataError(
+                f"a record needs more than {longer_than} samples, found {len(record)}",
+                file=record.name,
+            )
+    return inputs, outputs

@@ -1,0 +1,154 @@
+"""The compiled free run and its derivatives against PyTorch, which is slow and exact."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from narxcal.narx import NarxConfig, NarxModel, NarxNet, Scaling, simulate_slowly
+from narxcal.records import Record
+from training.free_run import FreeRunProblem, cut_windows
+
+
+def make_model(config: NarxConfig, inputs: int = 3, outputs: int = 2, seed: int = 0) -> NarxModel:
+    torch.manual_seed(seed)
+    net = NarxNet(config, inputs, outputs)
+    net.low[:] = -0.6
+    net.high[:] = 0.5
+    rng = np.random.default_rng(seed)
+    return NarxModel(
+        net,
+        Scaling(rng.normal(size=inputs), 1 + rng.random(inputs)),
+        Scaling(np.zeros(outputs), 1 + rng.random(outputs)),
+    )
+
+
+def make_record(time: int = 60, inputs: int = 3, outputs: int = 2, seed: int = 1) -> Record:
+    rng = np.random.default_rng(seed)
+    y = rng.normal(size=(time, outputs))
+    y[7:11, 0] = np.nan
+    return Record(rng.normal(size=(time, inputs)), y, weight=rng.random(time))
+
+
+configs = st.builds(
+    NarxConfig,
+    lags=st.integers(1, 4),
+    taps=st.sampled_from([(0,), (0, 1), (1, 2), (0, 3, 7)]),
+    hidden=st.integers(1, 5),
+    moving=st.integers(0, 2),
+)
+
+
+@settings(max_examples=25, deadline=None)
+@given(config=configs, given_samples=st.integers(1, 6), seed=st.integers(0, 99))
+def test_compiled_free_run_equals_one_pytorch_call_a_step(config, given_samples, seed):
+    model = make_model(config, seed=seed)
+    record = make_record(seed=seed)
+    start = np.nan_to_num(record.y[:given_samples])
+    fast = model.simulate(record.u, start)
+    with torch.no_grad():
+        slow = simulate_slowly(
+            model.net,
+            torch.from_numpy(model.output_scaling.down(start))[None],
+            torch.from_numpy(model.input_scaling.down(record.u))[None],
+        )[0].numpy()
+    np.testing.assert_allclose(fast, model.output_scaling.up(slow), rtol=1e-10, atol=1e-10)
+
+
+def autograd(model, windows, theta):
+    """Loss and gradient by PyTorch through every step."""
+    net = model.net
+    net.set_theta(theta)
+    net.zero_grad()
+    lags, taps, inputs = net.config.lags, len(net.config.taps), net.inputs
+    loss = torch.zeros((), dtype=torch.float64)
+    for window in windows:
+        past = torch.from_numpy(window.history).reshape(1, lags, -1)
+        for k in range(len(window.tapped)):
+            past_u = torch.from_numpy(window.tapped[k]).reshape(1, taps, inputs)
+            y = net(past, past_u)
+            error = (y[0] - torch.from_numpy(window.target[k])) * torch.from_numpy(
+                window.root_weight[k]
+            )
+            loss = loss + 0.5 * (error**2).sum()
+            past = torch.cat([y[:, None], past[:, :-1]], dim=1)
+    loss.backward()
+    weights = dict(net.named_parameters())
+    names = ("hidden.weight", "hidden.bias", "output.weight", "output.bias", "linear.weight")
+    return loss.item(), np.concatenate(
+        [
+            np.zeros(weights[n].numel())
+            if weights[n].grad is None
+            else weights[n].grad.numpy().ravel()
+            for n in names
+        ]
+    )
+
+
+@settings(max_examples=15, deadline=None)
+@given(config=configs, horizon=st.sampled_from([None, 5, 17]), seed=st.integers(0, 99))
+def test_both_gradients_equal_autograd(config, horizon, seed):
+    model = make_model(config, seed=seed)
+    windows = cut_windows(model, [make_record(time=40, seed=seed)], horizon)
+    theta = model.net.get_theta()
+    problem = FreeRunProblem(model.net, windows, threads=2)
+    loss, gradient = autograd(model, windows, theta)
+    by_adjoint = problem.gradient(theta)
+    by_sensitivity = problem.normal_equations(theta)
+    assert problem.loss(theta) == pytest.approx(loss)
+    assert by_adjoint[0] == pytest.approx(loss)
+    np.testing.assert_allclose(by_adjoint[1], gradient, rtol=1e-7, atol=1e-10)
+    np.testing.assert_allclose(by_sensitivity.gradient, gradient, rtol=1e-7, atol=1e-10)
+
+
+def test_gauss_newton_matrix_is_the_jacobian_squared():
+    model = make_model(NarxConfig(hidden=3))
+    windows = cut_windows(model, [make_record()], None)
+    theta = model.net.get_theta()
+    problem = FreeRunProblem(model.net, windows)
+
+    def residual(at):
+        model.net.set_theta(at)
+        from narxcal.narx import Weights
+
+        y, _ = Weights.of(model.net).run(windows[0].tapped, windows[0].history.copy())
+        return ((y - windows[0].target) * windows[0].root_weight).ravel()
+
+    step = 1e-6
+    jacobian = np.stack(
+        [
+            (residual(theta + step * e) - residual(theta - step * e)) / (2 * step)
+            for e in np.eye(len(theta))
+        ],
+        axis=1,
+    )
+    hessian = problem.normal_equations(theta).hessian
+    np.testing.assert_allclose(hessian, jacobian.T @ jacobian, rtol=1e-4, atol=1e-8)
+
+
+def test_whatever_the_input_a_free_run_stays_inside_its_bounds():
+    model = make_model(NarxConfig())
+    u = 1e3 * np.random.default_rng(0).normal(size=(5000, 3))
+    y = model.simulate(u, np.zeros(2))[1:]
+    low, high = model.bounds
+    assert (y >= low - 1e-12).all()
+    assert (y <= high + 1e-12).all()
+
+
+def test_an_anchored_network_rests_at_zero_when_nothing_moves():
+    model = make_model(NarxConfig(moving=1, hidden=4))
+    model.input_scaling.centre[0] = 0.0
+    u = np.tile([0.0, 3.0, -2.0], (100, 1))
+    np.testing.assert_allclose(model.simulate(u, np.zeros(2)), 0.0, atol=1e-12)
+
+
+def test_windows_do_not_change_the_set_of_scored_samples():
+    model = make_model(NarxConfig())
+    record = make_record(time=200)
+    whole = cut_windows(model, [record], None, stride=3)
+    cut = cut_windows(model, [record], 20, stride=3)
+    lags = model.config.lags
+    roots = np.concatenate([w.root_weight for w in cut])
+    expected = whole[0].root_weight[lags - 1 :]
+    np.testing.assert_array_equal(roots > 0, expected > 0)

@@ -1,0 +1,98 @@
+"""Levenberg-Marquardt on any problem that gives its loss and its normal equations.
+
+Source: Nielsen (1999), Damping parameter in Marquardt's method, IMM-REP-1999-05; scaling of
+the damping by the diagonal after Marquardt (1963).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+FloatArray = NDArray[np.float64]
+
+
+class Equations(Protocol):
+    """Loss, gradient (P,) and Gauss-Newton matrix (P, P) at one point."""
+
+    @property
+    def loss(self) -> float: ...  # noqa: D102
+    @property
+    def gradient(self) -> FloatArray: ...  # noqa: D102
+    @property
+    def hessian(self) -> FloatArray: ...  # noqa: D102
+
+
+class Problem(Protocol):
+    """What the optimiser needs to know."""
+
+    def loss(self, theta: FloatArray) -> float: ...  # noqa: D102
+    def normal_equations(self, theta: FloatArray) -> Equations: ...  # noqa: D102
+
+
+@dataclass(frozen=True)
+class Step:
+    """One accepted step."""
+
+    theta: FloatArray
+    loss: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class Damping:
+    """State of Nielsen's rule: the damping and the factor by which the next failure grows it."""
+
+    value: float = 1e-3
+    growth: float = 2.0
+
+    def worse(self) -> Damping:
+        """After a step that did not lower the loss."""
+        return Damping(self.value * self.growth, self.growth * 2.0)
+
+    def better(self, gain: float) -> Damping:
+        """After a step that lowered it by `gain` times what the linear model promised."""
+        shrink = max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3)
+        return Damping(max(self.value * shrink, 1e-12))
+
+
+def minimise(problem: Problem, theta: FloatArray, decay: float = 0.0) -> Iterator[Step]:
+    """Yield accepted steps downhill from `theta` until none is found any more.
+
+    `decay` adds decay/2 * |theta|^2 to the loss. The caller decides when to stop.
+    """
+    damping = Damping()
+    while True:
+        equations = problem.normal_equations(theta)
+        gradient = equations.gradient + decay * theta
+        hessian = equations.hessian + decay * np.eye(len(theta))
+        loss = equations.loss + 0.5 * decay * float(theta @ theta)
+        while True:
+            step = _solve(hessian, gradient, damping.value)
+            trial = theta + step
+            after = problem.loss(trial) + 0.5 * decay * float(trial @ trial)
+            promised = -float(step @ gradient) - 0.5 * float(step @ hessian @ step)
+            if after < loss and promised > 0:
+                damping = damping.better((loss - after) / promised)
+                break
+            damping = damping.worse()
+            if damping.value > 1e12:
+                return
+        theta = trial
+        yield Step(theta, after, damping.value)
+
+
+def _solve(hessian: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:
+    diagonal = np.diag(hessian)
+    scale = np.maximum(diagonal, 1e-9 * diagonal.max() + 1e-30)
+    try:
+        factor = cho_factor(hessian + damping * np.diag(scale))
+    except LinAlgError:
+        return np.zeros_like(gradient)
+    solution: FloatArray = cho_solve(factor, -gradient)
+    return solution
