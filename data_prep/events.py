@@ -94,7 +94,7 @@ def find_events(log: Log, config: EventsConfig | None = None) -> list[Event]:
     moves = find_moves(driver, window, _least(driver, config), log.dt_s)
     settled = _settled(log, config)
     cutter = _Cutter(log, config, driver, allowed, settled)
-    nexts = [*(move.start for move in moves[1:]), len(log)]
+    nexts = [*(move.start for move in moves), len(log)][1:]
     events = [cutter.cut(move, until) for move, until in zip(moves, nexts, strict=True)]
     return [event for event in events if event is not None]
 

@@ -1,0 +1,170 @@
+"""Smoothing: closed forms of the moving average, its gain, and the comparison of windows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data_prep.log import Log
+from data_prep.smooth import (
+    SmoothConfig,
+    compare_windows,
+    cutoff_hz,
+    frequency_response,
+    moving_average,
+    smooth,
+)
+from narxcal.errors import ConfigError, DataError
+
+windows = st.integers(0, 12).map(lambda n: 2 * n + 1)
+
+
+def slow_twin(values, window):
+    """Plain mean over a full window; else the centre of a line through what there is."""
+    half = window // 2
+    out = values.copy()
+    for k in range(len(values)):
+        index = np.arange(max(0, k - half), min(len(values), k + half + 1))
+        index = index[np.isfinite(values[index])]
+        if np.isnan(values[k]):
+            continue
+        if len(index) == window:
+            out[k] = values[index].mean()
+        elif len(index) > 1:
+            out[k] = np.polyval(np.polyfit(index - k, values[index], 1), 0.0)
+    return out
+
+
+@given(seed=st.integers(0, 10_000), window=windows, missing=st.floats(0, 0.6))
+def test_fast_average_equals_the_slow_twin(seed, window, missing):
+    rng = np.random.default_rng(seed)
+    values = rng.normal(80.0, 5.0, 60)
+    values[rng.random(60) < missing] = np.nan
+    np.testing.assert_allclose(
+        moving_average(values, window), slow_twin(values, window), rtol=0, atol=1e-8
+    )
+
+
+@given(window=windows, slope=st.floats(-10, 10), gap=st.integers(0, 25))
+def test_a_ramp_passes_unchanged_at_the_ends_and_beside_gaps(window, slope, gap):
+    ramp = 70.0 + slope * np.arange(100.0)
+    ramp[40 : 40 + gap] = np.nan
+    np.testing.assert_allclose(moving_average(ramp, window), ramp, atol=1e-8)
+
+
+def test_equals_numpy_convolution_inside():
+    values = np.random.default_rng(1).normal(size=500)
+    expected = np.convolve(values, np.ones(11) / 11, mode="valid")
+    np.testing.assert_allclose(moving_average(values, 11)[5:-5], expected, atol=1e-12)
+
+
+def test_a_step_is_smeared_symmetrically_so_there_is_no_phase_shift():
+    step = np.repeat([0.0, 1.0], 50)
+    smoothed = moving_average(step, 11)
+    np.testing.assert_allclose(smoothed + smoothed[::-1], 1.0, atol=1e-12)
+    np.testing.assert_allclose(smoothed[44:56], np.arange(12) / 11, atol=1e-12)
+
+
+@pytest.mark.parametrize("window", [3, 11, 21])
+def test_gain_of_a_sine_is_the_frequency_response(window):
+    dt_s, time_s = 1 / 32, np.arange(3200) / 32
+    for hertz in (0.1, 0.7, 1.3, 3.0):
+        sine = np.sin(2 * np.pi * hertz * time_s)
+        gain = frequency_response(window, np.array([hertz]), dt_s)[0]
+        inner = slice(window, -window)
+        np.testing.assert_allclose(
+            moving_average(sine, window)[inner], gain * sine[inner], atol=1e-9
+        )
+
+
+def test_frequency_response_at_zero_the_notch_and_the_sampling_rate():
+    gain = frequency_response(11, np.array([0.0, 32 / 11, 32.0]), 1 / 32)
+    np.testing.assert_allclose(gain, [1.0, 0.0, 1.0], atol=1e-12)
+
+
+def test_cutoff_is_where_half_the_power_passes():
+    for window in (3, 11, 21):
+        gain = frequency_response(window, np.array([cutoff_hz(window, 1 / 32)]), 1 / 32)
+        assert gain[0] == pytest.approx(np.sqrt(0.5), abs=1e-4)
+    assert cutoff_hz(1, 1 / 32) == float("inf")
+
+
+def example(**channels):
+    count = len(next(iter(channels.values())))
+    return Log("flight:left", np.arange(count) / 32, channels)
+
+
+def test_lever_and_switches_keep_their_edges():
+    step = np.repeat([0.0, 1.0], 50)
+    log = example(TRA_deg=40 * step, WOW=step, N1_pct=80 * step, Mach=step)
+    smoothed = smooth(log, SmoothConfig())
+    assert smoothed["TRA_deg"] is log["TRA_deg"]
+    assert smoothed["WOW"] is log["WOW"]
+    assert smoothed["N1_pct"][50] != 80.0
+    assert smoothed["Mach"][50] != 1.0
+
+
+def test_named_channels_only_and_window_one_changes_nothing():
+    values = np.random.default_rng(0).normal(size=50)
+    log = example(N1_pct=values, N2_pct=values)
+    one = smooth(log, SmoothConfig(channels=("N1_pct",)))
+    assert one["N2_pct"] is log["N2_pct"]
+    np.testing.assert_array_equal(smooth(log, SmoothConfig(window=1))["N1_pct"], values)
+
+
+def test_masked_samples_stay_masked():
+    values = np.random.default_rng(0).normal(size=50)
+    values[20:30] = np.nan
+    smoothed = smooth(example(N1_pct=values))["N1_pct"]
+    np.testing.assert_array_equal(np.isnan(smoothed), np.isnan(values))
+    assert np.isnan(moving_average(np.full(5, np.nan), 3)).all()
+
+
+def test_a_switch_by_name_is_refused():
+    log = example(WOW=np.zeros(9))
+    with pytest.raises(ConfigError) as error:
+        smooth(log, SmoothConfig(channels=("WOW",)))
+    assert str(error.value) == (
+        "'WOW' is a switch and cannot be smoothed. Remove it from channels in [smooth]"
+    )
+
+
+def test_an_unknown_channel_is_refused():
+    with pytest.raises(DataError) as error:
+        smooth(example(N1_pct=np.zeros(9)), SmoothConfig(channels=("N2_pct",)))
+    assert str(error.value) == (
+        "flight:left, channel N2_pct: the log has no such channel. It has N1_pct"
+    )
+
+
+def test_an_even_window_is_refused():
+    with pytest.raises(ConfigError) as error:
+        SmoothConfig.parse({"window": 10}, file="a.toml")
+    assert str(error.value) == (
+        "a.toml: key 'window': Value error, a centred window is an odd number of samples, found 10"
+    )
+
+
+def test_comparison_shows_noise_falling_and_transients_suffering_with_the_window():
+    rng = np.random.default_rng(3)
+    time_s = np.arange(9600) / 32
+    speed = 70 + 20 * np.tanh(3 * np.sin(time_s / 3))
+    table = compare_windows(example(N1_pct=speed + rng.normal(0, 0.05, 9600)), ["N1_pct"])
+    assert table["window"].tolist() == [3, 11, 21]
+    assert table["window_s"].tolist() == pytest.approx([3 / 32, 11 / 32, 21 / 32])
+    np.testing.assert_allclose(table["noise_gain"], 1 / np.sqrt([3, 11, 21]))
+    # At rest the error is the noise that was removed: sigma * sqrt(1 - 1/M).
+    np.testing.assert_allclose(
+        table["rms_rest"], 0.05 * np.sqrt(1 - 1 / table["window"]), rtol=0.05
+    )
+    moving = table["rms_moving"].to_numpy()
+    assert moving[2] > 1.5 * moving[1]
+    assert (np.diff(table["cutoff_hz"]) < 0).all()
+    assert table["gain_1_hz"].iloc[1] == pytest.approx(0.818, abs=1e-3)
+
+
+def test_comparison_of_a_masked_channel_is_undefined_not_an_error():
+    table = compare_windows(example(N1_pct=np.full(99, np.nan)), ["N1_pct"], [3])
+    assert table[["rms", "rms_rest", "rms_moving"]].isna().all(axis=None)
