@@ -148,7 +148,7 @@ class EngineReplay:
         alive: BoolArray = (np.isfinite(filled) & (age <= self._hold_samples)).all(axis=1)
         self._carried, self._age = filled[-1].copy(), age[-1]
         self._held += ((age > 0) & alive[:, None]).sum(axis=0)
-        held: BoolArray = (age > 0).any(axis=1)
+        held = np.asarray((age > 0).any(axis=1))
         return filled, held, alive
 
     def _runs(self, alive: BoolArray) -> Iterator[tuple[int, int, bool]]:

@@ -1,0 +1,151 @@
+"""The paper's noise experiment: how far the fuser brings a noisy channel back to the truth.
+
+Section 3.3: Gaussian noise is added to the smoothed high-pressure speed, the noisy signal is fused
+with the model's free run, and the network is fed with either in turn (figure 13).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import pandas as pd
+from pydantic import Field
+
+from narxcal.errors import DataError
+from narxcal.fuser import FuserConfig, estimate_noise
+from narxcal.fuser_fast import FastFuser
+from narxcal.settings import Section
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from data_prep.log import FloatArray
+
+Power = Literal["mean_square", "variance"]
+
+
+class SweepConfig(Section):
+    """Which noise is added, and how often.
+
+    The signal-to-noise ratio is `10 log10(power / noise variance)`. The paper does not say which
+    power: `mean_square` is that of the signal as it is (MATLAB's `awgn(..., "measured")`),
+    `variance` that of the signal without its mean, some 17 dB less noise on a spool speed.
+    """
+
+    channel: str = "N2_pct"
+    snr_db: tuple[float, ...] = (20.0, 25.0, 30.0, 35.0, 40.0, 45.0)
+    seeds: tuple[int, ...] = (0, 1, 2)
+    power: Power = "mean_square"
+    fuser: FuserConfig = Field(default_factory=FuserConfig)
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """One log of the experiment, all `(time, n_out)` in the channels' units.
+
+    `truth` are the smoothed measurements (NaN where there is none), `free_run` the model's
+    own simulation. `feed` is its one-step prediction from a measured history,
+    `DynamicCalibration.predict` with the inputs already given.
+    """
+
+    names: tuple[str, ...]
+    dt_s: float
+    truth: FloatArray
+    free_run: FloatArray
+    feed: Callable[[FloatArray], FloatArray] | None = None
+
+
+def noise_deviation(signal: FloatArray, snr_db: float, power: Power) -> float:
+    """Find the standard deviation of the noise that puts `signal` `(time,)` at `snr_db`."""
+    known = signal[np.isfinite(signal)]
+    strength = np.mean(known**2) if power == "mean_square" else np.var(known)
+    return float(np.sqrt(strength / 10.0 ** (snr_db / 10.0)))
+
+
+def snr_sweep(flight: Flight, config: SweepConfig | None = None) -> pd.DataFrame:
+    """One row per ratio and seed, RMSE against the truth in the channel's unit.
+
+    Columns: `snr_db`, `seed`, `noise_sd`; `raw`, `fused` and `free_run` (the model alone);
+    `fed_raw` and `fed_fused`, the network's one-step prediction from either history (NaN without
+    `feed`); `mean_nis` with its 95 % bounds `nis_low` and `nis_high`; `gated` samples. R and Q are
+    estimated afresh from each noisy signal; nothing is tuned, and nothing knows the ratio.
+
+    Raises `DataError` for a channel that the flight has not, or has no truth of.
+    """
+    config = config or SweepConfig()
+    if config.channel not in flight.names:
+        raise DataError(
+            "the flight has no such output",
+            channel=config.channel,
+            hint=f"It has {', '.join(flight.names)}",
+        )
+    at = flight.names.index(config.channel)
+    if not np.isfinite(flight.truth[:, at]).any():
+        raise DataError("there is no truth to add noise to", channel=config.channel)
+    rows = [
+        {"snr_db": snr, "seed": seed, **_trial(flight, at, (snr, seed), config)}
+        for snr in config.snr_db
+        for seed in config.seeds
+    ]
+    return pd.DataFrame(rows)
+
+
+def summarise(sweep: pd.DataFrame) -> pd.DataFrame:
+    """Per ratio: means over the seeds, `fused_spread` (largest minus smallest), `beats_both`.
+
+    `beats_both` is true where the fused value is nearer to the truth than the raw measurement
+    and than the free run, with every seed; `consistent` where the mean NIS is within its
+    bounds with every seed.
+    """
+    sweep = sweep.assign(
+        beats_both=sweep["fused"] < sweep[["raw", "free_run"]].min(axis=1),
+        consistent=sweep["mean_nis"].between(sweep["nis_low"], sweep["nis_high"]),
+    )
+    groups = sweep.groupby("snr_db", sort=True)
+    means = groups.mean(numeric_only=True).drop(columns=["seed", "beats_both", "consistent"])
+    return means.assign(
+        fused_spread=groups["fused"].max() - groups["fused"].min(),
+        beats_both=groups["beats_both"].all(),
+        consistent=groups["consistent"].all(),
+    ).reset_index()
+
+
+def _trial(
+    flight: Flight, at: int, setting: tuple[float, int], config: SweepConfig
+) -> dict[str, float]:
+    snr_db, seed = setting
+    truth, free_run = flight.truth[:, at], flight.free_run[:, at]
+    deviation = noise_deviation(truth, snr_db, config.power)
+    # A stream per ratio: the same seed at two ratios must not give the same noise twice.
+    rng = np.random.default_rng([seed, round(10 * snr_db) % 2**32])
+    noisy = truth + deviation * rng.normal(size=truth.shape)
+    noise = estimate_noise(noisy, free_run, flight.dt_s, (config.channel,))
+    run = FastFuser(noise, config.fuser).run(free_run[:, None], noisy[:, None])
+    fused, check = run.values[:, 0], run.consistency()  # noqa: PD011 -- no data frame
+    return {
+        "noise_sd": deviation,
+        "raw": _rmse(noisy, truth),
+        "fused": _rmse(fused, truth),
+        "free_run": _rmse(free_run, truth),
+        "fed_raw": _fed(flight, at, noisy),
+        "fed_fused": _fed(flight, at, fused),
+        "mean_nis": check.mean_nis,
+        "nis_low": check.low,
+        "nis_high": check.high,
+        "gated": check.gated,
+    }
+
+
+def _fed(flight: Flight, at: int, history: FloatArray) -> float:
+    """RMSE of the one-step prediction when `history` takes the channel's place in the register."""
+    if flight.feed is None:
+        return float("nan")
+    measured = flight.truth.copy()
+    measured[:, at] = history
+    return _rmse(flight.feed(measured)[:, at], flight.truth[:, at])
+
+
+def _rmse(values: FloatArray, truth: FloatArray) -> float:
+    return float(np.sqrt(np.nanmean((values - truth) ** 2)))
