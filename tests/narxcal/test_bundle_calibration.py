@@ -1,0 +1,122 @@
+"""A real calibration, saved and loaded, gives the same numbers with every kind of model."""
+
+import re
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from narxcal import Bundle, DynamicCalibration, ModelError, load_bundle, save_bundle
+from narxcal.calibration import narx_features
+from narxcal.narx import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.steady_callable import SteadyCallable
+from narxcal.steady_fitted import FittedSteadyState, Layout
+from narxcal.steady_fmu import FmuOptions, SteadyFmu
+from narxcal.steady_state import Envelope
+from narxcal.steady_table import SteadyTable
+
+NAMES = (("TRA_deg", "Mach"), ("N1_pct", "EGT_C"))
+LOG = np.column_stack([40 + 30 * np.sign(np.sin(np.arange(200) / 15)), np.linspace(0, 0.7, 200)])
+
+
+def fmu_source():
+    spec = spec_from_file_location("fmu_source", Path(__file__).with_name("fmu_source.py"))
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def table(_):
+    points = np.array([[0.0, 0.0], [0.0, 0.8], [78.0, 0.0], [78.0, 0.8]])
+    return SteadyTable(NAMES, points, np.column_stack([20 + points[:, 0], 300 + points[:, 1]]))
+
+
+def scattered(_):
+    points = np.random.default_rng(0).uniform([0, 0], [80, 0.8], (40, 2))
+    return SteadyTable(NAMES, points, np.column_stack([20 + points[:, 0], 300 + points[:, 1]]))
+
+
+def function(folder):
+    code = "def outputs(inputs): return inputs * [1.0, 2.0] + [20.0, 300.0]\n"
+    (folder / "my_deck.py").write_text(code, encoding="utf-8")
+    return SteadyCallable.load("my_deck:outputs", NAMES, {"TRA_deg": (0.0, 60.0)}, folder)
+
+
+def fmu(folder):
+    file = fmu_source().build(folder / "deck.fmu", 2)
+    return SteadyFmu(file, NAMES, FmuOptions(variables={"EGT_C": "ITT"}))
+
+
+def fitted(_):
+    return FittedSteadyState(
+        layout=Layout(
+            input_names=NAMES[0], output_names=NAMES[1], driver="TRA_deg", corrected=False
+        ),
+        envelope=Envelope(np.array([0.0, 0.0]), np.array([78.0, 0.8])),
+        knots=np.linspace(0.0, 78.0, 4),
+        curve=np.random.default_rng(0).uniform(1, 20, (2, 1, 5)),
+        engine_lines=np.zeros((0, 2, 2)),
+    )
+
+
+def calibration(steady):
+    torch.manual_seed(0)
+    ss = steady.outputs(LOG)
+    features = narx_features(ss, LOG[:, 1:])
+    net = NarxNet(NarxConfig(lags=3, hidden=5, moving=2), features.shape[1], ss.shape[1])
+    with torch.no_grad():
+        for parameter in net.parameters():
+            parameter.copy_(0.1 * torch.randn_like(parameter))
+        net.low.fill_(-2.0)
+        net.high.fill_(2.0)
+    model = NarxModel(net.double(), Scaling.of(features), Scaling.of(ss, centred=False))
+    return DynamicCalibration(steady, model, 1 / 32, ("Mach",))
+
+
+@pytest.mark.parametrize("make", [table, scattered, function, fmu, fitted])
+def test_a_loaded_bundle_simulates_and_steps_as_the_saved_one(make, tmp_path):
+    saved = calibration(make(tmp_path))
+    save_bundle(tmp_path / "run", Bundle(saved, {"seed": 3}))
+    bundle = load_bundle(tmp_path / "run")
+    loaded = bundle.calibration
+    assert bundle.meta["seed"] == 3
+    assert loaded.input_names == saved.input_names
+    assert loaded.output_names == saved.output_names
+    assert loaded.dt_s == saved.dt_s
+    start = np.array([30.0, 400.0])
+    whole = saved.simulate(LOG, start)
+    assert np.ptp(whole[:, 0]) > 1.0
+    np.testing.assert_array_equal(loaded.simulate(LOG, start), whole)
+    np.testing.assert_array_equal(loaded.steady.inside(LOG), saved.steady.inside(LOG))
+    loaded.reset(LOG[0], start)
+    steps = np.array([loaded.step(row) for row in LOG[1:]])
+    np.testing.assert_allclose(steps, whole[1:], rtol=1e-9)
+
+
+def test_the_bundles_own_fmu_serves_when_the_former_is_gone(tmp_path):
+    saved = calibration(fmu(tmp_path))
+    save_bundle(tmp_path / "run", Bundle(saved))
+    (tmp_path / "deck.fmu").unlink()
+    (tmp_path / "run").rename(tmp_path / "moved")
+    loaded = load_bundle(tmp_path / "moved").calibration
+    np.testing.assert_array_equal(loaded.simulate(LOG), saved.simulate(LOG))
+    copy = tmp_path / "moved" / "steady" / "deck.fmu"
+    copy.write_bytes(copy.read_bytes() + b"\0")
+    message = (
+        f"{copy}: the FMU is not the one the bundle was trained on. "
+        "Restore the former file, or train anew"
+    )
+    with pytest.raises(ModelError, match=f"^{re.escape(message)}$"):
+        load_bundle(tmp_path / "moved")
+
+
+def test_a_bundle_may_be_saved_over_the_one_it_was_loaded_from(tmp_path):
+    run = tmp_path / "run"
+    save_bundle(run, Bundle(calibration(fmu(tmp_path))))
+    loaded = load_bundle(run)
+    save_bundle(run, Bundle(loaded.calibration, {"again": True}), replace=True)
+    again = load_bundle(run)
+    assert again.meta["again"] is True
+    np.testing.assert_array_equal(again.calibration.simulate(LOG), loaded.calibration.simulate(LOG))
