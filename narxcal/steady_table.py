@@ -9,10 +9,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, get_args
 
 import numpy as np
-from scipy.interpolate import LinearNDInterpolator, PchipInterpolator, RegularGridInterpolator
+from scipy.interpolate import LinearNDInterpolator, PchipInterpolator
 from scipy.spatial import ConvexHull, QhullError
 
 from narxcal.errors import ConfigError, DataError
+from narxcal.multilinear import Multilinear
 from narxcal.steady_state import Arrays, Envelope, Floats, checked_inputs, register_steady, stored
 
 if TYPE_CHECKING:
@@ -145,10 +146,10 @@ class _Grid:
             fine = _refined(axes[0])
             values = PchipInterpolator(axes[0], values, axis=0)(fine)
             axes = [fine, *axes[1:]]
-        self._interpolate = RegularGridInterpolator(tuple(axes), values)
+        self._interpolate = Multilinear.of(axes, values)
 
     def values(self, inputs: Floats) -> Floats:
-        return np.asarray(self._interpolate(self._box.clamp(inputs)), dtype=np.float64)
+        return self._interpolate(inputs)
 
     def inside(self, inputs: Floats) -> NDArray[np.bool_]:
         return self._box.inside(inputs)
