@@ -153,7 +153,7 @@ class _Replay:
         )
         self.stream = CsvStream(log, model.logs, pace)
         names = self._engines(log)
-        self.engines = {name: EngineReplay(model, options, str(log)) for name in names}
+        self.engines = {name: EngineReplay(model, options, name, str(log)) for name in names}
         ahead = 0.0 if live else _LOOK_AHEAD_S
         self.rasters = {
             name: RasterStream(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -58,9 +57,9 @@ class EngineReplay:
     all inputs are back, and the model starts anew there, as it does after a gap of the log.
     """
 
-    def __init__(self, model: ReplayModel, options: ReplayOptions, file: str) -> None:
-        # Each engine has a register of its own.
-        self._calibration = calibration = copy.deepcopy(model.calibration)
+    def __init__(self, model: ReplayModel, options: ReplayOptions, engine: str, file: str) -> None:
+        # A copy: each engine has a register of its own.
+        self._calibration = calibration = model.calibration.for_engine(engine)
         self._model = model
         self._options = options
         self._file = file
@@ -129,11 +128,12 @@ class EngineReplay:
         runs = list(self._runs(alive))
         for start, stop, fresh in runs:
             if fresh:
-                self._reset(inputs[start], measured[start])
+                prediction[start] = self._reset(inputs[start], measured[start])
                 gap[start] = self._begun
                 self.restarts += self._begun
                 self._begun = True
-            prediction[start:stop] = [self._calibration.step(u) for u in inputs[start:stop]]
+            for k in range(start + fresh, stop):
+                prediction[k] = self._calibration.step(inputs[k])
         inside = alive & self._calibration.steady.inside(inputs[:, self._steady])
         self.outside += int((alive & ~inside).sum())
         return _Predicted(piece, measured, prediction, runs, inside, held & alive, gap)
@@ -158,9 +158,9 @@ class EngineReplay:
             yield start, stop, start > 0 or not self._running
         self._running = bool(alive[-1])
 
-    def _reset(self, inputs: FloatArray, measured: FloatArray) -> None:
+    def _reset(self, inputs: FloatArray, measured: FloatArray) -> FloatArray:
         known = self._options.start == "measured" and bool(np.isfinite(measured).all())
-        self._calibration.reset(inputs, measured if known else None)
+        return self._calibration.reset(inputs, measured if known else None)
 
     def _noise(self) -> NoiseModel:
         """Estimated from what waits; a channel hardly ever measured is left out."""

@@ -47,8 +47,12 @@ class FirstOrder:
     def _settled(self, inputs):
         return self.steady.outputs(inputs[..., ::-1])
 
+    def for_engine(self, engine):
+        return FirstOrder()
+
     def reset(self, inputs, start=None):
         self.y = self._settled(inputs) if start is None else np.array(start)
+        return self.y
 
     def step(self, inputs, correction=None):
         if correction is not None:
@@ -57,8 +61,7 @@ class FirstOrder:
         return self.y
 
     def simulate(self, inputs, start=None):
-        self.reset(inputs[0], start)
-        return np.array([self.step(u) for u in inputs])
+        return np.array([self.reset(inputs[0], start), *map(self.step, inputs[1:])])
 
 
 def noise_model():
