@@ -8,6 +8,7 @@
     units        {channel: unit}
     weights      {"file", "sha256", "arrays": {name: {"dtype", "shape"}}}
     calibration  lags, widths, names and whatever `DynamicCalibration` needs beside arrays
+    calibration_sha256  of that part, for a lag changed by hand is another model
     versions     of Python and the packages that made it
     ...          what the trainer adds: config, data hashes, split, seeds, metrics
 
@@ -49,7 +50,7 @@ SCHEMA = "narxcal.bundle/1"
 DOCUMENT = "bundle.json"
 WEIGHTS = "weights.safetensors"
 STEADY_FILES = "steady"
-_OURS = ("schema", "dt_s", "channels", "units", "weights", "calibration")
+_OURS = ("schema", "dt_s", "channels", "units", "weights", "calibration", "calibration_sha256")
 _PACKAGES = ("narxcal", "numpy", "scipy", "torch", "safetensors")
 _AGAIN = "Copy the bundle again, or train it anew"
 
@@ -84,6 +85,7 @@ def write_bundle(folder: str | PathLike[str], bundle: Bundle) -> None:
     target = Path(folder)
     meta, arrays = bundle.calibration.to_arrays()
     weights = _pack(arrays)
+    calibration = _plain(meta, "bundle.calibration")
     document = {
         "schema": SCHEMA,
         "dt_s": float(bundle.calibration.dt_s),
@@ -93,7 +95,8 @@ def write_bundle(folder: str | PathLike[str], bundle: Bundle) -> None:
             "sha256": hashlib.sha256(weights).hexdigest(),
             "arrays": _shapes(arrays),
         },
-        "calibration": meta,
+        "calibration": calibration,
+        "calibration_sha256": _seal(calibration),
         "versions": versions(),
         **_checked_meta(bundle.meta),
     }
@@ -107,12 +110,12 @@ def load_bundle(folder: str | PathLike[str]) -> Bundle:
     """Read a bundle and check it against its own hashes and shapes.
 
     Raises `ModelError` naming the file for a folder that is no bundle, a bundle of another
-    schema, and one whose weights are missing, cut off or altered.
+    schema, and one whose weights or structure are missing, cut off or altered.
     """
     source = Path(folder)
     document = read_document(source)
     arrays = _read_weights(source, _part(source, document, "weights"))
-    meta = _with_own_files(source, _part(source, document, "calibration"))
+    meta = _with_own_files(source, _sealed_calibration(source, document))
     calibration = DynamicCalibration.from_arrays(meta, arrays)
     return Bundle(calibration, {key: document[key] for key in document if key not in _OURS})
 
@@ -230,6 +233,17 @@ def _part(source: Path, document: Mapping[str, Any], key: str) -> dict[str, Any]
     if not isinstance(part, dict):
         raise ModelError(f"'{key}' is missing", file=source / DOCUMENT, hint=_AGAIN)
     return part
+
+
+def _sealed_calibration(source: Path, document: Mapping[str, Any]) -> dict[str, Any]:
+    calibration = _part(source, document, "calibration")
+    if _seal(calibration) != document.get("calibration_sha256"):
+        raise ModelError("the part 'calibration' was altered", file=source / DOCUMENT, hint=_AGAIN)
+    return calibration
+
+
+def _seal(calibration: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(calibration, sort_keys=True).encode()).hexdigest()
 
 
 def _copy_files(target: Path, steady: object) -> None:

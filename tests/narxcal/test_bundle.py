@@ -210,6 +210,32 @@ def test_a_document_without_its_parts_is_refused(saved, key):
     refused(saved, f"{saved / 'bundle.json'}: '{key}' is missing. {AGAIN}")
 
 
+def test_a_structure_changed_by_hand_is_refused(saved):
+    edit(saved, calibration={"narx": {"lags": 5}})
+    refused(saved, f"{saved / 'bundle.json'}: the part 'calibration' was altered. {AGAIN}")
+
+
+@settings(
+    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(data=st.data())
+def test_no_change_of_any_byte_gives_another_model(saved, data):
+    file = saved / data.draw(st.sampled_from(["bundle.json", "weights.safetensors"]))
+    former = file.read_bytes()
+    at = data.draw(st.integers(0, len(former) - 1))
+    changed = bytes([data.draw(st.integers(0, 255))])
+    file.write_bytes(former[:at] + changed + former[at + 1 :])
+    try:
+        loaded = load_bundle(saved).calibration
+    except ModelError:
+        pass
+    else:
+        assert loaded.meta == {"narx": {"lags": 4}}
+        np.testing.assert_array_equal(loaded.arrays["narx/weight"], [[0, 1, 2], [3, 4, 5]])
+    finally:
+        file.write_bytes(former)
+
+
 def test_missing_weights_are_refused(saved):
     (saved / "weights.safetensors").unlink()
     refused(saved, f"{saved / 'weights.safetensors'}: the weights are missing. {AGAIN}")
