@@ -132,8 +132,9 @@ class EngineReplay:
                 gap[start] = self._begun
                 self.restarts += self._begun
                 self._begun = True
-            for k in range(start + fresh, stop):
-                prediction[k] = self._calibration.step(inputs[k])
+            if start + fresh < stop:
+                rest = slice(start + fresh, stop)
+                prediction[rest] = self._calibration.extend(inputs[rest])
         inside = alive & self._calibration.steady.inside(inputs[:, self._steady])
         self.outside += int((alive & ~inside).sum())
         return _Predicted(piece, measured, prediction, runs, inside, held & alive, gap)

@@ -123,7 +123,22 @@ class DynamicCalibration:
             register.correct(np.asarray(correction, dtype=np.float64))
         ss = self.steady.outputs(row)[0]
         feature = np.concatenate([ss - register.ss, ss, row[0, self._columns]])
-        return ss - register.advance(ss, feature)
+        value: FloatArray = ss - register.advance(ss, feature)
+        return value
+
+    def extend(self, inputs: ArrayLike) -> FloatArray:
+        """`step` through `inputs` (time, n_in) in one call, from where the register stands.
+
+        Returns (time, n_out): the numbers of `step`, at a small part of its cost.
+        """
+        given = self._checked(inputs)
+        if self._register is None:
+            first = self.reset(given[0])[None]
+            return np.concatenate([first, self.extend(given[1:])]) if len(given) > 1 else first
+        ss = self.steady.outputs(given)
+        before = np.concatenate([self._register.ss[None], ss[:-1]])
+        features = np.concatenate([ss - before, ss, given[:, self._columns]], axis=1)
+        return ss - self._register.extend(ss, features)
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Guaranteed (low, high) of the deviation of every output, in the outputs' units."""
@@ -204,10 +219,10 @@ class _Register:
     ) -> None:
         self.weights = Weights.of(narx.net)
         self.inputs, self.outputs = narx.input_scaling, narx.output_scaling
-        self.taps = narx.config.taps
+        self.taps = np.array(narx.config.taps)
         self.ss = ss
         self.history = np.tile(self.outputs.down(deviation), narx.config.lags)
-        self.past = np.tile(self.inputs.down(feature), (self.taps[-1] + 1, 1))
+        self.past = np.tile(self.inputs.down(feature), (int(self.taps[-1]) + 1, 1))
 
     def correct(self, outputs: FloatArray) -> None:
         newest = self.history[: len(outputs)]
@@ -215,9 +230,15 @@ class _Register:
         newest[:] = np.where(np.isfinite(outputs), scaled, newest)
 
     def advance(self, ss: FloatArray, feature: FloatArray) -> FloatArray:
-        self.past[1:] = self.past[:-1]
-        self.past[0] = self.inputs.down(feature)
-        tapped = self.past[list(self.taps)].reshape(1, -1)
+        deviation: FloatArray = self.extend(ss[None], feature[None])[0]
+        return deviation
+
+    def extend(self, ss: FloatArray, features: FloatArray) -> FloatArray:
+        """Deviations (time, n_out) at steady states and features (time, ...) to come."""
+        rows = np.concatenate([self.past, self.inputs.down(features)])
+        newest = np.arange(len(self.past), len(rows))
+        tapped = rows[newest[:, None] - self.taps].reshape(len(features), -1)
         deviation, _ = self.weights.run(tapped, self.history)
-        self.ss = ss
-        return self.outputs.up(deviation[0])
+        self.past = rows[-len(self.past) :]
+        self.ss = ss[-1]
+        return self.outputs.up(deviation)

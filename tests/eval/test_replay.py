@@ -48,6 +48,7 @@ class FirstOrder:
         return self.steady.outputs(inputs[..., ::-1])
 
     def for_engine(self, engine):
+        assert isinstance(engine, str)
         return FirstOrder()
 
     def reset(self, inputs, start=None):
@@ -59,6 +60,9 @@ class FirstOrder:
             self.y = np.where(np.isnan(correction), self.y, correction)
         self.y = self.y + self.rate * (self._settled(inputs) - self.y)
         return self.y
+
+    def extend(self, inputs):
+        return np.array([self.step(row) for row in inputs])
 
     def simulate(self, inputs, start=None):
         return np.array([self.reset(inputs[0], start), *map(self.step, inputs[1:])])
