@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from data_prep.faults import (
+    SPOOLS,
     FaultsConfig,
     Reason,
     beyond_usual,
     bursts,
     excursions,
     frozen,
+    is_sensed,
     out_of_range,
     role,
 )
@@ -60,8 +62,10 @@ def clean(log: Log, config: CleanConfig | None = None) -> Log:
         return log
     changed: dict[str, FloatArray] = {}
     entries: list[AuditEntry] = []
-    for name in log.channels:
-        work = _Work(log, name, config)
+    # Spools first: whether a cut of fuel was real is read off the cleaned ones.
+    order = sorted(log.channels, key=lambda name: name not in SPOOLS)
+    for name in order:
+        work = _Work(log.with_channels(changed), name, config)
         work.run()
         if work.entries:
             changed[name] = work.values
@@ -104,7 +108,7 @@ class _Work:
         return gross_errors(self.values, self._window(), sigmas, self.config.method)
 
     def _bursts(self) -> None:
-        if role(self.name) != "output":
+        if not is_sensed(self.name):
             return
         spikes = self._gross(_BURST_FACTOR * self.config.sigmas)
         mask = bursts(self._current(), self.name, spikes, self.config.faults)
@@ -130,8 +134,19 @@ class _Work:
                 long[start:stop] = True
         self.values[short | long] = np.nan
         self._note(long, "masked", reason)
-        self.values[short] = bridged(self.values)[short]
+        self.values[short] = self._bridge()[short]
         self._note(short, "repaired", reason)
+
+    def _bridge(self) -> FloatArray:
+        if role(self.name) != "switch":
+            return bridged(self.values)
+        index = np.arange(len(self.values))
+        known = index[np.isfinite(self.values)]
+        if not len(known):
+            return self.values
+        # A switch has no values in between: it keeps the last one, at the start takes the next.
+        last = np.maximum(np.searchsorted(known, index, side="right") - 1, 0)
+        return self.values[known[last]]
 
     def _note(self, mask: BoolArray, action: Action, reason: Reason) -> None:
         if not mask.any():

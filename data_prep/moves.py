@@ -63,9 +63,9 @@ def noise_of(values: FloatArray) -> float:
     A second difference of white noise has variance 6 s^2; their median makes steps and
     manoeuvres harmless.
     """
-    if len(values) < 3:
-        return 0.0
-    return float(np.nanmedian(np.abs(np.diff(values, 2))) / (0.6745 * np.sqrt(6.0)))
+    bends = np.abs(np.diff(values, 2))
+    bends = bends[np.isfinite(bends)]
+    return float(np.median(bends) / (0.6745 * np.sqrt(6.0))) if len(bends) else 0.0
 
 
 def bridged(values: FloatArray) -> FloatArray:

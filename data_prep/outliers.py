@@ -38,6 +38,13 @@ def robust_range(values: FloatArray) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def resolution(values: FloatArray) -> float:
+    """Estimate the step of a quantised channel: small among the changes that happen at all."""
+    steps = np.abs(np.diff(values))
+    steps = steps[steps > 0.0]
+    return float(np.percentile(steps, 5)) if len(steps) else 0.0
+
+
 def gross_errors(
     values: FloatArray, window: int, sigmas: float, method: Method = "3-sigma"
 ) -> BoolArray:
@@ -61,17 +68,10 @@ def gross_errors(
         return flagged & (np.abs(residual) > least + swing)
     # The median of a quantised residual is short of its spread by up to half a step, and may
     # be zero where the noise is not.
-    step = _resolution(values)
+    step = resolution(values)
     spread = 1.4826 * _slow_median(np.abs(residual), window)
     spread = np.maximum(spread + 0.5 * step, step)
     return known & (np.abs(residual) > np.maximum(sigmas * spread, least) + swing)
-
-
-def _resolution(values: FloatArray) -> float:
-    """Estimate the step of a quantised channel: small among the changes that happen at all."""
-    steps = np.abs(np.diff(values))
-    steps = steps[steps > 0.0]
-    return float(np.percentile(steps, 5)) if len(steps) else 0.0
 
 
 def _slow_median(values: FloatArray, window: int) -> FloatArray:

@@ -1,0 +1,231 @@
+"""Sensor faults: what is masked, with which reason, and what must never be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from data_prep.clean import CleanConfig, clean
+from data_prep.faults import FaultsConfig, excursions, frozen, out_of_range, repeats
+from data_prep.log import Log
+
+DT = 1 / 32
+COUNT = 9600
+
+
+def engine(seed=0, noise=1.0, moves=True):
+    """Five minutes of a noisy engine with a push and a pull, at 32 Hz."""
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(COUNT) * DT
+    power = 0.5 * (np.tanh((time_s - 100) / 2) - np.tanh((time_s - 200) / 2)) * moves
+    hiss = rng.normal(0, noise, (6, COUNT))
+    channels = {
+        "TRA_deg": 20 + 45 * power,
+        "ALT_ft": 10000 + 5 * time_s + hiss[0],
+        "Mach": 0.5 + 1e-4 * time_s + 0.0005 * hiss[1],
+        "WOW": np.zeros(COUNT),
+        "N1_pct": 50 + 40 * power + 0.05 * hiss[2],
+        "N2_pct": 70 + 25 * power + 0.05 * hiss[3],
+        "EGT_C": 500 + 300 * power + 1.5 * hiss[4],
+        "FF_kgph": 400 + 1000 * power + 3 * hiss[5],
+    }
+    return Log("flight:left", time_s, channels)
+
+
+def broken(log, channel, start, stop, value):
+    values = log[channel].copy()
+    values[start:stop] = value
+    return log.with_channels({channel: values})
+
+
+def masked(log):
+    return clean(log).audit.masked()
+
+
+OUTPUTS = ["N1_pct", "N2_pct", "EGT_C", "FF_kgph"]
+
+
+@pytest.mark.parametrize("channel", OUTPUTS)
+@pytest.mark.parametrize("start", [1000, 3100, 5000])
+def test_a_frozen_channel_is_masked_for_its_time_and_only_it(channel, start):
+    log = engine()
+    bad = broken(log, channel, start, start + 1280, log[channel][start])
+    cleaned = clean(bad)
+    assert cleaned.audit.masked() == {channel: {"frozen": 1280}}
+    assert np.isnan(cleaned[channel][start : start + 1280]).all()
+    (entry,) = [e for e in cleaned.audit.entries if e.action == "masked"]
+    np.testing.assert_allclose(entry.spans_s, [(start * DT, (start + 1280) * DT)], atol=DT)
+    for other in log.channels:
+        if other != channel:
+            np.testing.assert_array_equal(cleaned[other], clean(log)[other])
+
+
+@pytest.mark.parametrize("channel", OUTPUTS)
+@pytest.mark.parametrize("level", [0.0, 9999.0])
+@pytest.mark.parametrize("seconds", [3, 30])
+def test_a_dropout_or_an_overflow_is_out_of_range(channel, level, seconds):
+    bad = broken(engine(), channel, 3000, 3000 + 32 * seconds, level)
+    assert masked(bad) == {channel: {"out of range": 32 * seconds}}
+
+
+@pytest.mark.parametrize(("channel", "size"), [("EGT_C", 200.0), ("N1_pct", 20.0), ("ALT_ft", 4e3)])
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
+def test_a_burst_of_spikes_is_masked_as_a_whole(channel, size, share):
+    rng = np.random.default_rng(5)
+    log = engine()
+    values = log[channel].copy()
+    hit = 3000 + np.flatnonzero(rng.random(640) < share)
+    values[hit] += size * rng.uniform(0.5, 1.5, len(hit)) * rng.choice([-1, 1], len(hit))
+    cleaned = clean(log.with_channels({channel: values}))
+    touched = cleaned[channel] != values
+    assert touched[hit].mean() > 0.98
+    assert list(cleaned.audit.masked()) == [channel]
+    assert list(cleaned.audit.masked()[channel]) == ["spiking"]
+    assert cleaned.audit.masked()[channel]["spiking"] > 580
+    assert not np.isnan(cleaned[channel][:2990]).any()
+    assert not np.isnan(cleaned[channel][3650:]).any()
+
+
+def test_a_recorder_that_dropped_everything_is_masked_everywhere():
+    log = engine()
+    bad = log.with_channels({name: broken(log, name, 4000, 4100, 0.0)[name] for name in OUTPUTS})
+    assert masked(bad) == {name: {"out of range": 100} for name in OUTPUTS}
+
+
+def test_a_dropout_during_a_slam_is_found():
+    assert masked(broken(engine(), "N1_pct", 3160, 3256, 0.0)) == {"N1_pct": {"out of range": 96}}
+
+
+def test_a_dead_channel_is_frozen_all_along():
+    bad = broken(engine(), "N2_pct", 0, COUNT, 71.3)
+    assert masked(bad) == {"N2_pct": {"frozen": COUNT}}
+
+
+def test_good_channels_are_not_masked():
+    assert masked(engine()) == {}
+    assert masked(engine(moves=False)) == {}
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(0, 1000), step=st.sampled_from([0.0, 0.001, 0.02]))
+def test_a_simulation_without_noise_may_rest_for_minutes(seed, step):
+    log = engine(seed, noise=0.0)
+    if step:
+        log = log.with_channels({n: np.round(log[n] / step) * step for n in ("N1_pct", "N2_pct")})
+    assert masked(log) == {}
+
+
+def test_levers_ambient_channels_and_switches_may_rest_for_ever():
+    log = engine()
+    for channel in ("TRA_deg", "ALT_ft", "Mach"):
+        log = broken(log, channel, 2000, 8000, log[channel][2000])
+    assert masked(log) == {}
+
+
+def test_a_flame_out_is_no_sensor_fault():
+    """Fuel is cut, the spools run down, the metal cools: every channel tells the truth."""
+    log = engine()
+    after = np.maximum(log.time_s - 230, 0)
+    decay = np.exp(-after / 4)
+    out = log.with_channels(
+        {
+            "FF_kgph": np.where(after > 0, 0.0, log["FF_kgph"]),
+            "N1_pct": np.round(log["N1_pct"] * decay, 2),
+            "N2_pct": np.round(log["N2_pct"] * decay, 2),
+            "EGT_C": np.round(30 + (log["EGT_C"] - 30) * np.exp(-after / 30), 1),
+        }
+    )
+    assert masked(out) == {}
+
+
+def test_a_relight_within_the_minute_is_no_sensor_fault_either():
+    log = engine()
+    time_s = log.time_s
+    cut = (time_s > 230) & (time_s < 260)
+    fall = np.where(time_s > 260, np.exp(-(time_s - 260) / 4), 1 - np.exp(-(time_s - 230) / 4))
+    spool = log["N1_pct"] * (1 - 0.9 * np.clip(np.where(time_s > 230, fall, 0), 0, 1))
+    out = log.with_channels({"FF_kgph": np.where(cut, 0.0, log["FF_kgph"]), "N1_pct": spool})
+    assert masked(out) == {}
+
+
+def test_fuel_flow_that_reads_zero_while_the_spools_run_is_a_sensor_fault():
+    assert masked(broken(engine(), "FF_kgph", 7000, 8000, 0.0)) == {
+        "FF_kgph": {"out of range": 1000}
+    }
+
+
+def test_without_a_living_witness_a_pause_of_the_whole_recording_is_not_judged():
+    log = engine()
+    for channel in ("ALT_ft", "Mach", *OUTPUTS):
+        log = broken(log, channel, 1000, 2000, log[channel][1000])
+    assert masked(log) == {}
+
+
+def test_a_lone_channel_is_judged_by_itself():
+    log = engine()
+    lone = Log(log.name, log.time_s, {"N1_pct": log["N1_pct"]})
+    bad = broken(lone, "N1_pct", 1000, 2000, 50.0)
+    assert masked(bad) == {"N1_pct": {"frozen": 1000}}
+
+
+def test_short_freezes_are_left_alone():
+    log = engine()
+    assert masked(broken(log, "N1_pct", 1000, 1060, log["N1_pct"][1000])) == {}
+
+
+def test_frozen_is_told_by_equal_samples_across_missing_ones():
+    log = engine()
+    bad = broken(log, "N1_pct", 1000, 2000, 50.0)
+    bad = broken(bad, "N1_pct", 1200, 1300, np.nan)
+    assert masked(bad) == {"N1_pct": {"frozen": 900}}
+
+
+def test_physical_limits_hold_with_some_slack():
+    mach = np.array([-4e-6, 0.0, 1.2, 1.3, -0.1, np.nan])
+    assert out_of_range("Mach", mach).tolist() == [False, False, False, True, True, False]
+    assert out_of_range("WOW", np.array([0.0, 0.5, 1.0, 2.0])).tolist() == [False] * 3 + [True]
+    assert out_of_range("own", np.array([1e30, np.inf])).tolist() == [False, True]
+
+
+def test_a_channel_outside_the_table_is_cleaned_as_an_output():
+    log = engine()
+    log = log.with_channels({"P3_bar": log["N2_pct"] / 10})
+    assert masked(broken(log, "P3_bar", 1000, 2000, 7.0)) == {"P3_bar": {"frozen": 1000}}
+
+
+@given(values=st.lists(st.sampled_from([1.0, 2.0, np.nan]), max_size=40))
+def test_runs_of_equal_samples_match_a_slow_twin(values):
+    values = np.array(values, dtype=float)
+    expected, last = [], None
+    for index in np.flatnonzero(np.isfinite(values)).tolist():
+        if last is not None and values[index] == last:
+            expected[-1][1] = index + 1
+        else:
+            expected.append([index, index + 1])
+        last = values[index]
+    starts, stops = repeats(values)
+    assert [list(pair) for pair in zip(starts.tolist(), stops.tolist(), strict=True)] == expected
+
+
+def test_long_excursions_are_beyond_the_limit_that_a_config_sets():
+    bad = broken(engine(), "EGT_C", 3000, 3320, 0.0)
+    assert excursions(bad, "EGT_C", FaultsConfig()) == [(3000, 3320)]
+    assert excursions(bad, "EGT_C", FaultsConfig(excursion_s=5.0)) == []
+
+
+def test_frozen_time_is_configurable():
+    bad = broken(engine(), "N1_pct", 1000, 2000, 50.0)
+    patient = CleanConfig(faults=FaultsConfig(frozen_s=60.0))
+    assert clean(bad, patient).audit.masked() == {}
+    assert not frozen(bad, "N1_pct", patient.faults).any()
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 50])
+def test_tiny_or_empty_channels_pass_through(count):
+    nothing = np.full(count, np.nan)
+    log = Log("f", np.arange(count) * DT, {"N1_pct": nothing, "EGT_C": np.full(count, 500.0)})
+    cleaned = clean(log)
+    assert cleaned.audit.entries == ()
+    np.testing.assert_array_equal(cleaned["N1_pct"], nothing)
