@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import narxcal
+from training.config import load_config
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("narxcal", "data_prep", "training", "eval")
@@ -83,6 +84,13 @@ def test_shipped_configs_are_found_as_package_data(installed):
     )
     names = away(installed, "-c", script).split()
     assert {"agtf30.toml", "citation2.toml", "demo.toml", "jetcat.toml"} <= set(names)
+
+
+@pytest.mark.parametrize("name", ["agtf30.toml", "citation2.toml", "demo.toml", "jetcat.toml"])
+def test_a_shipped_config_is_found_by_its_name_and_valid(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    _, folder = load_config(name)
+    assert folder == ROOT / "configs"
 
 
 def test_public_names_are_there_and_an_unknown_one_is_refused():
