@@ -10,18 +10,38 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from data_prep.events import EventsConfig
-from data_prep.log import Audit, AuditEntry, Log
-from narxcal import ConfigError, DataError, ModelError, NarxcalError
+from data_prep import Audit, AuditEntry, Event, EventsConfig, Log, find_events, read_logs
+from data_prep.clean import CleanConfig, clean
+from data_prep.prepare import prepare
+from data_prep.smooth import SmoothConfig, smooth
+from eval import transients
+from eval.demo_flights import write_logs
+from eval.transients import Assessment, Overlay, TransientsConfig
+from narxcal import (
+    Bundle,
+    ConfigError,
+    DataError,
+    DynamicCalibration,
+    KalmanFuser,
+    ModelError,
+    NarxcalError,
+    load_bundle,
+    save_bundle,
+)
 from narxcal.channels import CHANNELS, Channel, channel
+from narxcal.fuser import FusedRun, FusedStep
+from narxcal.fuser_noise import NoiseModel
 from narxcal.standin import StandInEngine, maker_model
 from narxcal.standin_pilot import fly
+from training.config import RunConfig, load_config
+
+Floats = NDArray[np.float64]
 
 log: Log = Log("a.csv:left", np.zeros(3), {"N1_pct": np.zeros(3)}, Audit())
 length: int = len(log)
 interval: float = log.dt_s
-speed: NDArray[np.float64] = log["N1_pct"]
-matrix: NDArray[np.float64] = log.matrix(["N1_pct"])
+speed: Floats = log["N1_pct"]
+matrix: Floats = log.matrix(["N1_pct"])
 audited: Log = log.with_channels({"N2_pct": speed}, AuditEntry("N2_pct", "masked", "frozen", 3))
 reasons: dict[str, dict[str, int]] = audited.audit.masked()
 
@@ -33,6 +53,37 @@ error: NarxcalError = DataError("text", file=Path("a.csv"), channel="N1_pct", ro
 
 events: EventsConfig = EventsConfig.parse({"driver": "TRA_deg"}, file="demo.toml")
 
-flight: dict[str, NDArray[np.float64]] = fly(0, duration_s=480.0, rate_hz=32.0)
-settled: NDArray[np.float64] = maker_model(np.zeros((5, 9)))
-outputs: dict[str, NDArray[np.float64]] = StandInEngine().simulate(flight, 1.0 / 32.0)
+flight: dict[str, Floats] = fly(0, duration_s=480.0, rate_hz=32.0)
+settled: Floats = maker_model(np.zeros((5, 9)))
+outputs: dict[str, Floats] = StandInEngine().simulate(flight, 1.0 / 32.0)
+files: list[Path] = write_logs("flights", seed=0, flights=6)
+
+config: RunConfig
+folder: Path
+config, folder = load_config("demo.toml")
+raw: list[Log] = read_logs(config.logs.resolve(folder), config.logs)
+prepared: list[Log] = prepare(raw, config)
+smoothed: Log = smooth(clean(raw[0], CleanConfig()), SmoothConfig(window=11))
+found: list[Event] = find_events(smoothed, config.events)
+
+bundle: Bundle = load_bundle("run")
+save_bundle("copy", bundle)
+model: DynamicCalibration = bundle.calibration
+inputs: Floats = smoothed.matrix(model.input_names)
+measured: Floats = smoothed.matrix(model.output_names)
+free_run: Floats = model.simulate(inputs, start=measured[0])
+one_step: Floats = model.predict(inputs, measured)
+first: Floats = model.reset(inputs[0])
+following: Floats = model.step(inputs[1], correction=measured[0])
+
+
+def fuse(noise: NoiseModel) -> FusedRun:
+    """Merge prediction and measurement, one sample or a whole record at a time."""
+    fuser = KalmanFuser(noise)
+    started: FusedStep = fuser.reset(free_run[0], measured[0])
+    value: Floats = started.value
+    return fuser.run(free_run, value + measured)
+
+
+overlay: Overlay = Overlay(smoothed.time_s, measured, free_run, model.output_names)
+judged: list[Assessment] = transients.assess_events(found, overlay, TransientsConfig(rules="paper"))
