@@ -183,7 +183,7 @@ class EngineReplay:
         part = estimate_noise(
             [z[:, fit] for z in measured], [p[:, fit] for p in predicted], found.dt_s
         )
-        for name in ("retention", "process", "motion", "measurement", "spread"):
+        for name in ("retention", "process", "motion", "linger", "measurement", "spread"):
             getattr(found, name)[fit] = getattr(part, name)
         return found
 
@@ -202,5 +202,14 @@ class EngineReplay:
 
 def _blind(n_out: int, dt_s: float) -> NoiseModel:
     """Noise with which a fuser repeats the prediction, as it must where nothing was measured."""
-    zero = [np.zeros(n_out) for _ in range(4)]
-    return NoiseModel(dt_s, zero[0], zero[1], zero[2], np.ones(n_out), zero[3], np.eye(n_out))
+    zero = [np.zeros(n_out) for _ in range(5)]
+    return NoiseModel(
+        dt_s,
+        retention=zero[0],
+        process=zero[1],
+        motion=zero[2],
+        linger=zero[3],
+        measurement=np.ones(n_out),
+        spread=zero[4],
+        correlation=np.eye(n_out),
+    )

@@ -42,7 +42,7 @@ class FuserConfig(Section):
     """
 
     gate_probability: float = Field(default=1.0 - 1e-6, gt=0.5, lt=1.0)
-    relock_s: float = Field(default=1.0, gt=0.0)
+    relock_s: float = Field(default=0.3, gt=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +156,7 @@ class KalmanFuser:
         self._filter.F = np.diag(noise.retention)
         self._filter.B = self._eye
         self._last: FloatArray | None = None
+        self._activity = np.zeros(self.n_out)
         # Rejections in a row: how many, signed by the side on which the measurement lies.
         self._streak = np.zeros(self.n_out)
 
@@ -165,7 +166,7 @@ class KalmanFuser:
         self._filter.x = prediction[:, None].copy()
         self._filter.P = np.diag(self.noise.spread)
         self._last = prediction
-        self._streak[:] = 0.0
+        self._streak[:] = self._activity[:] = 0.0
         return self._update(measurement)
 
     def step(self, prediction: FloatArray, measurement: FloatArray) -> FusedStep:
@@ -177,9 +178,10 @@ class KalmanFuser:
         if self._last is None:
             raise ModelError("the fuser has no past", hint="Call reset with the first sample")
         last, self._last = self._last, prediction
+        self._activity = self.noise.activity(self._activity, prediction - last)
         self._filter.predict(
             u=(prediction - self.noise.retention * last)[:, None],
-            Q=self.noise.process_covariance(prediction - last),
+            Q=self.noise.process_covariance(self._activity),
         )
         return self._update(measurement)
 

@@ -24,11 +24,12 @@ def _compile(function: _F) -> _F:
 
 
 class _State(NamedTuple):
-    """What a step changes, in place: estimate, covariance, last prediction, rejections in a row."""
+    """What a step changes in place; `streak` counts rejections in a row."""
 
     x: FloatArray
     P: FloatArray
     last: FloatArray
+    activity: FloatArray
     streak: FloatArray
 
 
@@ -38,6 +39,7 @@ class _Settings(NamedTuple):
     retention: FloatArray
     process: FloatArray
     motion: FloatArray
+    linger: FloatArray
     measurement: FloatArray
     correlation: FloatArray
     gate: float
@@ -72,6 +74,7 @@ class FastFuser:
             noise.retention,
             noise.process,
             noise.motion,
+            noise.linger,
             noise.measurement,
             noise.correlation,
             float(chi2.ppf(config.gate_probability, 1)),
@@ -103,7 +106,11 @@ class FastFuser:
 
     def _start(self, prediction: FloatArray) -> None:
         self._state = _State(
-            prediction.copy(), np.diag(self.noise.spread), prediction.copy(), np.zeros(self.n_out)
+            prediction.copy(),
+            np.diag(self.noise.spread),
+            prediction.copy(),
+            np.zeros(self.n_out),
+            np.zeros(self.n_out),
         )
 
     def _fuse(self, predictions: FloatArray, measurements: FloatArray, fresh: bool) -> FusedRun:
@@ -163,7 +170,8 @@ def _predict(prediction: FloatArray, state: _State, settings: _Settings) -> None
     n_out = prediction.shape[0]
     x, P, last, f = state.x, state.P, state.last, settings.retention
     moved = prediction - last
-    w = np.sqrt(settings.process + settings.motion * moved * moved)
+    state.activity[:] = settings.linger * state.activity + (1.0 - settings.linger) * moved * moved
+    w = np.sqrt(settings.process + settings.motion * state.activity)
     for i in range(n_out):
         x[i] = prediction[i] + f[i] * (x[i] - last[i])
         last[i] = prediction[i]

@@ -21,6 +21,7 @@ BoolArray = NDArray[np.bool_]
 MIN_SAMPLES = 50
 # Bounds of log(variance / R): outside them one of the two sources carries no information.
 _LOG_RATIO = (-25.0, 15.0)
+_LOG_LINGER = np.log(100.0)  # samples that a move may be felt
 _STARTS = (-1.0, -4.0, -8.0)
 
 
@@ -30,12 +31,14 @@ class NoiseModel:
 
     ```
     y[k] = p[k] + b[k]                       the model is off by b
-    b[k] = retention * b[k-1] + w[k]         var w = process + motion * (p[k] - p[k-1])**2
+    b[k] = retention * b[k-1] + w[k]         var w = process + motion * a[k]
+    a[k] = linger * a[k-1] + (1 - linger) * (p[k] - p[k-1])**2
     z[k] = y[k] + v[k]                       var v = measurement
     ```
 
-    The error of a dynamic model grows while the engine moves and hardly changes while it is
-    settled; `motion` says so, without it a filter either lags a slam or follows the noise.
+    The error of a dynamic model grows while the engine moves, and a little after, and hardly
+    changes while it is settled; `motion` and the activity `a` say so. Without them a filter
+    either lags a slam or follows the noise.
     `spread` is the mean square of `b`, where a filter starts. `correlation` `(n_out, n_out)` is
     that of `w` between channels. All others are `(n_out,)`, and hold at the raster `dt_s` only.
     """
@@ -44,23 +47,28 @@ class NoiseModel:
     retention: FloatArray
     process: FloatArray
     motion: FloatArray
+    linger: FloatArray
     measurement: FloatArray
     spread: FloatArray
     correlation: FloatArray
 
     def __post_init__(self) -> None:
         n_out = len(self.retention)
-        for name in ("process", "motion", "measurement", "spread"):
+        for name in ("retention", "process", "motion", "linger", "measurement", "spread"):
             _check(name, getattr(self, name), (n_out,))
         _check("correlation", self.correlation, (n_out, n_out), low=-1.0)
         if not np.all(self.measurement > 0.0):
             raise ModelError("the measurement variance of a fuser must be positive")
-        if not (np.all(self.retention >= 0.0) and np.all(self.retention <= 1.0)):
-            raise ModelError("the retention of a fuser must lie within 0 and 1")
+        if np.any(self.retention > 1.0) or np.any(self.linger > 1.0):
+            raise ModelError("the retention and linger of a fuser must not exceed 1")
 
-    def process_covariance(self, moved: FloatArray) -> FloatArray:
-        """Q `(n_out, n_out)` of a step in which the prediction moved by `moved` `(n_out,)`."""
-        deviation = np.sqrt(self.process + self.motion * moved * moved)
+    def activity(self, before: FloatArray, moved: FloatArray) -> FloatArray:
+        """a[k] `(n_out,)` from a[k-1] and the prediction's move since then."""
+        return self.linger * before + (1.0 - self.linger) * moved * moved
+
+    def process_covariance(self, activity: FloatArray) -> FloatArray:
+        """Q `(n_out, n_out)` of a step at which the activity is `activity` `(n_out,)`."""
+        deviation = np.sqrt(self.process + self.motion * activity)
         covariance: FloatArray = self.correlation * np.outer(deviation, deviation)
         return covariance
 
@@ -115,10 +123,9 @@ def estimate_noise(
         _channel(deviation[:, i], moved[:, i], starts, names[i] if names else f"number {i}")
         for i in range(deviation.shape[1])
     ]
-    retention, process, motion, measurement, spread = np.array(columns).T
-    return NoiseModel(
-        dt_s, retention, process, motion, measurement, spread, np.eye(deviation.shape[1])
-    )
+    retention, process, motion, linger, measurement, spread = np.array(columns).T
+    unrelated = np.eye(deviation.shape[1])
+    return NoiseModel(dt_s, retention, process, motion, linger, measurement, spread, unrelated)
 
 
 def _records(values: FloatArray | Sequence[FloatArray]) -> list[FloatArray]:
@@ -128,8 +135,8 @@ def _records(values: FloatArray | Sequence[FloatArray]) -> list[FloatArray]:
 
 def _channel(
     deviation: FloatArray, moved: FloatArray, starts: BoolArray, name: str
-) -> tuple[float, float, float, float, float]:
-    """Retention, process, motion, measurement and spread of one channel, all from `(time,)`."""
+) -> tuple[float, float, float, float, float, float]:
+    """Find the parts of a noise model, in their order there, for one channel `(time,)`."""
     known = np.isfinite(deviation)
     if known.sum() < MIN_SAMPLES:
         raise DataError(
@@ -139,53 +146,52 @@ def _channel(
         )
     square = float(np.mean(deviation[known] ** 2)) + np.finfo(float).tiny
     motion_square = float(np.mean(moved**2)) + np.finfo(float).tiny
-    activity = moved**2 / motion_square
-    unit = deviation / np.sqrt(square)
+    unit = deviation / np.sqrt(square), moved / np.sqrt(motion_square), starts
 
     def cost(theta: FloatArray) -> float:
-        memory, process, motion = np.exp(theta)
-        return float(_likelihood(unit, activity, starts, 1.0 - 1.0 / memory, process, motion)[0])
+        return float(_likelihood(*unit, _parameters(theta))[0])
 
     # A bias that lives longer than the record cannot be told from a constant one.
-    bounds = [(np.log(2.0), np.log(max(4.0, float(known.sum())))), _LOG_RATIO, _LOG_RATIO]
+    memory = np.log(max(4.0, float(known.sum())))
+    bounds = [(np.log(2.0), memory), _LOG_RATIO, _LOG_RATIO, (0.0, _LOG_LINGER)]
     fits = [
-        minimize(cost, (0.8 * bounds[0][1], start, start), method="L-BFGS-B", bounds=bounds)
+        minimize(cost, (0.8 * memory, start, start, 1.5), method="L-BFGS-B", bounds=bounds)
         for start in _STARTS
     ]
-    best = min(fits, key=lambda fit: float(fit.fun))
-    memory, process, motion = (float(v) for v in np.exp(best.x))
-    retention = 1.0 - 1.0 / memory
-    scale = float(_likelihood(unit, activity, starts, retention, process, motion)[1]) * square
-    measurement = max(scale, np.finfo(float).tiny)
-    return (
-        retention,
-        process * measurement,
-        motion * measurement / motion_square,
-        measurement,
-        max(square - measurement, process * measurement),
-    )
+    best = _parameters(min(fits, key=lambda fit: float(fit.fun)).x)
+    retention, process, motion, linger = (float(v) for v in best)
+    measurement = max(float(_likelihood(*unit, best)[1]) * square, np.finfo(float).tiny)
+    process *= measurement
+    motion *= measurement / motion_square
+    return retention, process, motion, linger, measurement, max(square - measurement, process)
 
 
-def _likelihood_loop(  # noqa: PLR0913, PLR0917 -- compiled: takes plain arrays and numbers only
-    deviation: FloatArray,
-    activity: FloatArray,
-    starts: BoolArray,
-    retention: float,
-    process: float,
-    motion: float,
+def _parameters(theta: FloatArray) -> FloatArray:
+    """Retention, process, motion and linger from what the search works in: logarithms."""
+    memory, process, motion, lasting = np.exp(theta)
+    return np.array([1.0 - 1.0 / memory, process, motion, 1.0 - 1.0 / lasting])
+
+
+def _likelihood_loop(
+    deviation: FloatArray, moved: FloatArray, starts: BoolArray, parameters: FloatArray
 ) -> tuple[float, float]:
     """Mean concentrated negative log-likelihood, and the measurement variance that maximises it.
 
     All variances are in units of the measurement's; the first sample of a record has a
     diffuse prior: it sets the state and does not count.
     """
+    retention, process, motion, linger = parameters
     state, variance, logs, squares, count = 0.0, 0.0, 0.0, 0.0, 0
+    activity = 0.0
     fresh = True
     for k in range(len(deviation)):
-        fresh = fresh or starts[k]
+        if starts[k]:
+            fresh, activity = True, 0.0
+        else:
+            activity = linger * activity + (1.0 - linger) * moved[k] * moved[k]
         if not fresh:
             state *= retention
-            variance = retention * retention * variance + process + motion * activity[k]
+            variance = retention * retention * variance + process + motion * activity
         z = deviation[k]
         if np.isnan(z):
             continue

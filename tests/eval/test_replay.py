@@ -70,7 +70,9 @@ class FirstOrder:
 
 def noise_model():
     ones = np.ones(2)
-    return NoiseModel(DT, 0.99 * ones, 0.01 * ones, 0.1 * ones, 0.04 * ones, ones, np.eye(2))
+    return NoiseModel(
+        DT, 0.99 * ones, 0.01 * ones, 0.1 * ones, 0.5 * ones, 0.04 * ones, ones, np.eye(2)
+    )
 
 
 MODEL = ReplayModel(FirstOrder(), noise=noise_model())

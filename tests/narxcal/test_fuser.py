@@ -18,6 +18,7 @@ def noise(n_out=3, correlation=None, **parts):
         "retention": 0.98,
         "process": 0.04,
         "motion": 0.3,
+        "linger": 0.6,
         "measurement": 0.25,
         "spread": 1.0,
     } | parts
@@ -33,9 +34,10 @@ def simulated(model, time, seed):
     n_out = len(model.retention)
     p = np.cumsum(rng.normal(size=(time, n_out)) * (rng.random((time, 1)) < 0.2), axis=0)
     b = rng.normal(size=n_out) * np.sqrt(model.spread)
-    y = [p[0] + b]
+    y, a = [p[0] + b], np.zeros(n_out)
     for k in range(1, time):
-        Q = model.process_covariance(p[k] - p[k - 1])
+        a = model.activity(a, p[k] - p[k - 1])
+        Q = model.process_covariance(a)
         b = model.retention * b + rng.multivariate_normal(np.zeros(n_out), Q)
         y.append(p[k] + b)
     y = np.array(y)
@@ -46,11 +48,14 @@ def textbook(model, p, z):
     """Kalman filter as in the textbooks: full matrices, dense inverse, P = (I - K H) P."""
     n = p.shape[1]
     x, P, F = p[0].copy(), np.diag(model.spread), np.diag(model.retention)
+    a = np.zeros(n)
     values, variances = [], []
     for k in range(len(p)):
         if k:
             x = F @ x + p[k] - F @ p[k - 1]
-            P = F @ P @ F.T + model.process_covariance(p[k] - p[k - 1])
+            a = model.linger * a + (1.0 - model.linger) * (p[k] - p[k - 1]) ** 2
+            w = np.sqrt(model.process + model.motion * a)
+            P = F @ P @ F.T + np.diag(w) @ model.correlation @ np.diag(w)
         seen = ~np.isnan(z[k])
         if seen.any():
             H = np.eye(n)[seen]

@@ -5,17 +5,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from narxcal.errors import DataError, ModelError
 from narxcal.fuser import KalmanFuser, NoiseModel, estimate_noise
 from narxcal.fuser_noise import _likelihood, _likelihood_loop
 
 
-def record(time, seed, *, retention=0.99, process=0.01, motion=0.5, measurement=0.3):
+def record(time, seed, *, linger=0.8, measurement=0.3):
+    retention, process, motion = 0.99, 0.01, 0.5
     rng = np.random.default_rng(seed)
     moving = (np.arange(time) // 50) % 4 == 0
     p = 60.0 + np.cumsum(rng.normal(size=time) * moving)
-    w = rng.normal(size=time) * np.sqrt(process + motion * np.diff(p, prepend=p[0]) ** 2)
+    a = lfilter([1.0 - linger], [1.0, -linger], np.diff(p, prepend=p[0]) ** 2)
+    w = rng.normal(size=time) * np.sqrt(process + motion * a)
     b = np.zeros(time)
     for k in range(1, time):
         b[k] = retention * b[k - 1] + w[k]
@@ -31,6 +34,7 @@ def test_true_parameters_are_found_at_every_noise_level(measurement):
     if measurement < 1.0:
         assert found.process[0] == pytest.approx(0.01, rel=0.25)
         assert found.retention[0] == pytest.approx(0.99, abs=0.004)
+        assert found.linger[0] == pytest.approx(0.8, abs=0.12)
 
 
 def test_estimated_noise_makes_the_innovations_consistent():
@@ -91,7 +95,7 @@ def test_compiled_likelihood_is_the_plain_one():
     p, _, z = record(400, 11)
     z[100:130] = np.nan
     starts = np.arange(400) % 200 == 0
-    arguments = (z - p, np.abs(np.diff(p, prepend=p[0])), starts, 0.97, 0.2, 0.5)
+    arguments = (z - p, np.diff(p, prepend=p[0]), starts, np.array([0.97, 0.2, 0.5, 0.8]))
     np.testing.assert_allclose(_likelihood(*arguments), _likelihood_loop(*arguments), rtol=1e-12)
 
 
@@ -144,7 +148,11 @@ def test_an_incomplete_noise_model_is_refused(model):
             {"measurement": np.zeros(1)},
             "the measurement variance of a fuser must be positive",
         ),
-        ({"retention": np.array([1.5])}, "the retention of a fuser must lie within 0 and 1"),
+        (
+            {"retention": np.array([1.5])},
+            "the retention and linger of a fuser must not exceed 1",
+        ),
+        ({"linger": np.array([2.0])}, "the retention and linger of a fuser must not exceed 1"),
         (
             {"process": np.zeros(2)},
             "the fuser's process should have shape (1,), found (2,)",
