@@ -128,7 +128,6 @@ class CsvSource:
                     index_col=False,
                     dtype={**dict.fromkeys(positions, dtype), count: object},
                     skipinitialspace=True,
-                    float_precision="round_trip",
                     chunksize=self.chunk_rows,
                     engine="c",
                 )
