@@ -1,0 +1,1 @@
+"""Report pages: self-contained HTML about an evaluation, a preparation or a cross-validation."""

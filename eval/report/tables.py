@@ -1,0 +1,200 @@
+"""Tables of a page as records of text cells: what is in them, not how they look."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import pandas as pd
+
+from data_prep.log import Audit, Source
+from eval.report.content import LogPage, Scheme, Score, WindowTrial
+from eval.report.style import symbol, unit, with_unit
+
+Mark = Literal["", "best", "good", "bad", "none", "strong", "head", "group"]
+NOTHING = "\N{EN DASH}"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Text of one cell; `mark` says what it means, which the page turns into a look."""
+
+    text: str
+    mark: Mark = ""
+    number: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """A caption, a head and rows of cells; a row of one `group` cell titles those below it."""
+
+    caption: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+    @property
+    def numeric(self) -> tuple[bool, ...]:
+        """Which columns hold numbers, and so are set flush right."""
+        columns = zip(*(row for row in self.rows if len(row) == len(self.head)), strict=True)
+        found = tuple(any(cell.number for cell in column) for column in columns)
+        return found or (False,) * len(self.head)
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Print `digits` significant digits without an exponent; a dash for what does not exist."""
+    if value is None or not math.isfinite(value):
+        return NOTHING
+    if value == 0.0:
+        return "0"
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+    return f"{value:.{min(decimals, 6)}f}"
+
+
+def figure(value: float | None, mark: Mark = "", digits: int = 3) -> Cell:
+    """Put a number into a cell."""
+    return Cell(number(value, digits), mark, number=True)
+
+
+def baseline_names(scores: Iterable[Score]) -> tuple[str, ...]:
+    """All baselines that occur, in order of first appearance."""
+    return tuple(dict.fromkeys(name for score in scores for name in score.baselines))
+
+
+def scores(pages: Sequence[LogPage]) -> Table:
+    """Free-run errors per log and channel beside the baselines; the lowest RMSE is marked."""
+    names = baseline_names(score for page in pages for score in page.scores)
+    head = (
+        "channel", "free run RMSE", "NRMSE [%]", "max rel. [%]", "one step RMSE",
+        "static part", "dynamic part", *(f"{name} RMSE" for name in names),
+    )  # fmt: skip
+    rows: list[tuple[Cell, ...]] = []
+    for page in pages:
+        rows.append((Cell(page.name, "group"),))
+        rows += [_score_row(score, names) for score in page.scores]
+    return Table("RMSE in the unit of the channel", head, tuple(rows))
+
+
+def best_of(score: Score) -> float:
+    """Lowest RMSE among free run and baselines."""
+    known = [score.rmse, *score.baselines.values()]
+    return min((value for value in known if math.isfinite(value)), default=math.nan)
+
+
+def _score_row(score: Score, names: Sequence[str]) -> tuple[Cell, ...]:
+    best = best_of(score)
+    others = [score.baselines.get(name, math.nan) for name in names]
+    return (
+        Cell(with_unit(score.channel), "head"),
+        figure(score.rmse, "best" if score.rmse == best else ""),
+        figure(100.0 * score.nrmse),
+        figure(score.max_rel_pct),
+        figure(score.one_step_rmse),
+        figure(score.static_rmse),
+        figure(score.dynamic_rmse),
+        *(figure(value, "best" if value == best else "") for value in others),
+    )
+
+
+def pearson(table: pd.DataFrame, caption: str, strong: float = 0.8) -> Table:
+    """Pearson coefficients with the strong ones marked; inputs down, outputs across."""
+    rows = [
+        (
+            Cell(symbol(str(name)), "head"),
+            *(
+                Cell(
+                    f"{value:+.3f}" if math.isfinite(value) else NOTHING,
+                    "strong" if abs(value) >= strong else "",
+                    number=True,
+                )
+                for value in map(float, row)
+            ),
+        )
+        for name, row in zip(table.index, table.to_numpy(dtype=float), strict=True)
+    ]
+    return Table(caption, ("input", *(symbol(str(name)) for name in table.columns)), tuple(rows))
+
+
+def audit(record: Audit, caption: str) -> Table:
+    """Everything that cleaning changed, per channel."""
+    rows = []
+    for entry in record.entries:
+        longest = "; ".join(f"{start:.1f} to {end:.1f}" for start, end in entry.spans_s[:6])
+        more = f"; and {len(entry.spans_s) - 6} more" if len(entry.spans_s) > 6 else ""
+        channel = "all channels" if entry.channel == "*" else entry.channel
+        rows.append(
+            (
+                Cell(channel, "head"),
+                Cell(entry.action),
+                Cell(entry.reason),
+                Cell(f"{entry.samples:,}", number=True),
+                Cell(longest + more or NOTHING),
+            )
+        )
+    return Table(caption, ("channel", "what", "why", "samples", "longer spans [s]"), tuple(rows))
+
+
+def sources(files: Sequence[Source]) -> Table:
+    """Every data file with its hash, which pins exactly what was evaluated."""
+    rows = [
+        (Cell(part.file, "head"), Cell(part.engine or NOTHING), Cell(part.sha256 or NOTHING))
+        for part in files
+    ]
+    return Table("Data", ("file", "engine", "SHA-256"), tuple(rows))
+
+
+def windows(trials: Sequence[WindowTrial]) -> Table:
+    """RMS error that each smoothing window leaves, per log and channel, the chosen one marked."""
+    widths = sorted({width for trial in trials for part in trial.rms.values() for width in part})
+    rows = [
+        (
+            Cell(trial.log, "head"),
+            Cell(symbol(channel)),
+            Cell(unit(channel)),
+            *(figure(part.get(width), "best" if width == trial.chosen else "") for width in widths),
+        )
+        for trial in trials
+        for channel, part in trial.rms.items()
+    ]
+    head = ("log", "channel", "unit", *(f"{width} samples" for width in widths))
+    return Table("RMS of smoothed minus unsmoothed signal, by window", head, tuple(rows))
+
+
+def folds(scheme: Scheme) -> Table:
+    """Every fold, then mean, standard deviation, least and greatest of each measure."""
+    head = (
+        "fold",
+        "test data",
+        *(f"{part.label} [{part.unit}]" if part.unit else part.label for part in scheme.measures),
+    )
+    rows = []
+    for fold in scheme.folds:
+        values = [fold.results.get(part.key, math.nan) for part in scheme.measures]
+        marks: list[Mark] = [
+            "bad" if part.limit is not None and value > part.limit else ""
+            for part, value in zip(scheme.measures, values, strict=True)
+        ]
+        cells = [figure(value, mark) for value, mark in zip(values, marks, strict=True)]
+        rows.append((Cell(fold.name, "head"), Cell(fold.test), *cells))
+    for name, spread in summary(scheme).items():
+        rows.append(
+            (
+                Cell(name, "strong"),
+                Cell(""),
+                *(Cell(number(value), "strong", number=True) for value in spread),
+            )
+        )
+    return Table(scheme.name, head, tuple(rows))
+
+
+def summary(scheme: Scheme) -> Mapping[str, list[float]]:
+    """Mean, sample standard deviation, least and greatest per measure, missing folds left out."""
+    table = pd.DataFrame(
+        [
+            [fold.results.get(part.key, math.nan) for part in scheme.measures]
+            for fold in scheme.folds
+        ]
+    )
+    columns = {"mean": table.mean(), "std": table.std(), "min": table.min(), "max": table.max()}
+    return {name: [float(value) for value in part] for name, part in columns.items()}
