@@ -42,7 +42,7 @@ clean:
 # The first line of defence is the interpreter, the second pip: before 25.1 it knows no --group.
 $(STAMP): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "narxcal needs Python 3.11 or newer, but $(PYTHON) is " + sys.version.split()[0] + "; name another: make PYTHON=python3.12")'
-	$(PYTHON) -m venv --clear $(VENV)
+	$(PYTHON) -m venv $(VENV)
 	$(PIP) --upgrade pip
 	$(PIP) --build-constraint constraints.txt -e '.[parquet,fmu]' --group dev
 	@touch $@
