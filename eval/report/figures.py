@@ -9,8 +9,10 @@ from matplotlib.axes import Axes
 from data_prep.log import FloatArray
 from eval.report import style
 from eval.report.content import ChannelTrace, LogPage, ResidualTests
-from eval.report.svg import Picture, picture
+from eval.report.svg import Picture, envelope, picture
 from eval.residuals import Correlation, independence, whiteness
+
+_LAGS = 160  # drawn per correlation; a reader sees no more
 
 
 def overlay(page: LogPage) -> Picture:
@@ -32,12 +34,18 @@ def overlay(page: LogPage) -> Picture:
     figure.align_ylabels(list(rows))
     names = ", ".join(style.symbol(trace.name) for trace in outputs)
     alt = f"Free run of {names} over the whole log {page.name}: measured and model, with deviation"
-    caption = "Measured (black) on top, free run in blue; below each, model minus measured. " + (
-        "Left of the dotted line the trim offsets are estimated; only what follows is scored."
-        if page.scored_from_s is not None
-        else "Grey: samples masked by cleaning, not scored."
+    return picture(figure, alt, _overlay_caption(page))
+
+
+def _overlay_caption(page: LogPage) -> str:
+    if all(trace.model is None for trace in page.channels):
+        return "Thin lines in the driver strip: pushes (orange) and pulls (blue). Grey: masked."
+    text = (
+        "Measured in black on top of the free run in blue; below each, model minus measured. "
+        "Grey: masked by cleaning, not scored."
     )
-    return picture(figure, alt, caption)
+    trim = " Left of the dotted line trim offsets are estimated; only what follows is scored."
+    return text if page.scored_from_s is None else text + trim
 
 
 def _driver(axes: Axes, page: LogPage) -> None:
@@ -88,7 +96,8 @@ def _residual_test(log: str, part: ResidualTests) -> Picture:
     for colour, (name, cross) in zip(style.CYCLE * 4, part.cross.items(), strict=False):
         _band(right, cross, part.dt_s, None if right.lines else "95 % band")
         label = style.symbol(name)
-        right.plot(cross.lags * part.dt_s, cross.values, color=colour, lw=1.2, label=label)
+        lags, values = envelope(cross.lags * part.dt_s, cross.values, 2 * _LAGS)
+        right.plot(lags, values, color=colour, lw=1.2, label=label)
     right.set(xlabel="lag [s] (positive: the input comes first)", ylabel="cross-correlation [-]")
     for axes in (left, right):
         style.dress(axes)
@@ -101,21 +110,14 @@ def _residual_test(log: str, part: ResidualTests) -> Picture:
 
 def _stems(axes: Axes, part: Correlation, dt_s: float) -> None:
     """Bars from zero as one broken line: a tenth of the bytes of a collection of lines."""
-    zero, gap = np.zeros_like(part.values), np.full_like(part.values, np.nan)
-    bars = np.column_stack([zero, part.values, gap]).ravel()  # noqa: PD011 - not a frame
-    axes.plot(np.repeat(part.lags * dt_s, 3), bars, color=style.MODEL, lw=1.0)
+    lags, bars = envelope(part.lags * dt_s, part.values, _LAGS)
+    heights = np.column_stack([np.zeros_like(bars), bars, np.full_like(bars, np.nan)]).ravel()
+    axes.plot(np.repeat(lags, 3), heights, color=style.MODEL, lw=1.0)
 
 
 def _band(axes: Axes, part: Correlation, dt_s: float, label: str | None = "95 % band") -> None:
-    axes.fill_between(
-        part.lags * dt_s,
-        -part.band_95,
-        part.band_95,
-        color=style.MASK,
-        alpha=0.6,
-        lw=0,
-        label=label,
-    )
+    lags, half = envelope(part.lags * dt_s, part.band_95, _LAGS)
+    axes.fill_between(lags, -half, half, color=style.MASK, alpha=0.6, lw=0, label=label)
 
 
 def _judgement(part: ResidualTests) -> str:

@@ -39,44 +39,55 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Count:
-    """How many events of some logs were assessed on each channel, and how many passed."""
+    """Events of some logs, and their readings: one reading is one event on one channel."""
 
     events: int = 0
+    events_assessed: int = 0
+    events_passed: int = 0
     assessed: int = 0
     passed: int = 0
-
-    @property
-    def not_assessable(self) -> int:
-        """Events that count neither way."""
-        return self.events - self.assessed
+    not_assessable: int = 0
 
 
 def count(pages: Sequence[LogPage]) -> Count:
-    """Count events over all logs; an event passes if every assessable channel of it does."""
-    verdicts = [trace.ok for page in pages for trace in page.events]
+    """Count over all logs; an event passes if every assessable channel of it does."""
+    traces = [trace for page in pages for trace in page.events]
+    whole = [trace.ok for trace in traces]
+    parts = [
+        response.verdict.ok
+        for trace in traces
+        for response in trace.responses.values()
+        if response.verdict is not None
+    ]
     return Count(
-        len(verdicts), sum(ok is not None for ok in verdicts), sum(ok is True for ok in verdicts)
+        events=len(traces),
+        events_assessed=sum(ok is not None for ok in whole),
+        events_passed=sum(ok is True for ok in whole),
+        assessed=sum(ok is not None for ok in parts),
+        passed=sum(ok is True for ok in parts),
+        not_assessable=sum(ok is None for ok in parts),
     )
 
 
 def outcome(header: RunHeader, pages: Sequence[LogPage]) -> Outcome:
     """Put the counts into a verdict and into words."""
     found = count(pages)
-    rules = f"the '{header.rules}' rules" if header.rules else "the rules"
-    lines = []
-    if found.not_assessable:
-        lines.append(
-            f"{_events(found.not_assessable)} could not be assessed and count neither way; "
-            "the reason stands beside each."
-        )
-    lines += [_ranking(page) for page in pages if page.scores]
+    lines = [_ranking(page) for page in pages if page.scores]
     if not found.assessed:
         return Outcome(None, "No event could be assessed for Ti and Tt", tuple(lines))
     share = 100.0 * found.passed / found.assessed
-    headline = (
-        f"{found.passed} of {found.assessed} assessable events ({share:.0f} %) meet {rules} "
-        "in every channel"
+    rules = f"the '{header.rules}' rules" if header.rules else "the rules"
+    headline = f"{found.passed} of {found.assessed} assessable transients ({share:.0f} %) meet "
+    headline += f"{rules} for Ti and Tt"
+    lines.insert(
+        0, f"{found.events_passed} of {_events(found.events_assessed)} pass in every channel."
     )
+    if found.not_assessable:
+        lines.insert(
+            1,
+            f"{found.not_assessable} transients could not be assessed and count neither way; "
+            "the reason stands beside each.",
+        )
     return Outcome(found.passed == found.assessed, headline, tuple(lines))
 
 

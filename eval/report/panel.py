@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator
 from data_prep.log import FloatArray
 from eval.report.content import ChannelTrace, EventTrace, Response
 from eval.report.style import symbol, with_unit
-from eval.report.svg import Picture, envelope, spans
+from eval.report.svg import AnyFloats, Picture, envelope, spans
 from eval.report.windows import allowed_times
 
 _POINTS = 160
@@ -32,7 +32,7 @@ class _Axes:
     top: float
     bottom: float
 
-    def x(self, time: float | FloatArray) -> FloatArray:
+    def x(self, time: float | AnyFloats) -> FloatArray:
         """Return where a time in seconds lies across the panel."""
         first, last = self.time
         share = (np.asarray(time, dtype=float) - first) / (last - first)
@@ -124,8 +124,8 @@ def _output(axes: _Axes, time: FloatArray, trace: ChannelTrace) -> list[str]:
 
 
 def _path(axes: _Axes, time: FloatArray, values: FloatArray, kind: str) -> str:
-    time, values = envelope(time, values, _POINTS)
-    x, y = axes.x(time), axes.y(values)
+    thin_time, thin_values = envelope(time, values, _POINTS)
+    x, y = axes.x(thin_time), axes.y(thin_values)
     known = np.isfinite(y)
     pen_up = np.r_[True, ~known[:-1]]
     points = [

@@ -7,6 +7,7 @@ import io
 import re
 import threading
 from dataclasses import dataclass
+from typing import Any
 from xml.sax.saxutils import escape, quoteattr
 
 import matplotlib as mpl
@@ -14,8 +15,11 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from data_prep.log import FloatArray
+
+AnyFloats = NDArray[np.floating[Any]]
 
 MAX_POINTS = 1500
 
@@ -43,8 +47,8 @@ def picture(figure: Figure, alt: str, caption: str = "") -> Picture:
 
 
 def envelope(
-    time: FloatArray, values: FloatArray, points: int = MAX_POINTS
-) -> tuple[FloatArray, FloatArray]:
+    time: AnyFloats, values: FloatArray, points: int = MAX_POINTS
+) -> tuple[AnyFloats, FloatArray]:
     """Thin a curve to at most `points` samples that keep every bin's minimum and maximum.
 
     Arrays are `(time,)`. A bin of which all samples are missing gives one NaN, so a gap stays a
@@ -84,11 +88,12 @@ def _shrink(svg: str, alt: str) -> str:
     body = re.sub(r"\s*\n\s*", "\n", re.sub(r" \n(?=[LMCQzZ\"])", "", body))
     body = _private_ids(body)
     box = re.search(r'width="([\d.]+)pt" height="[\d.]+pt" (viewBox="[^"]+")', body)
-    width = box.group(1) if box else "720"
-    view = box.group(2) if box else ""
+    width, view = (float(box[1]), box[2]) if box else (720.0, "")
+    # Small drawings keep their size; wide ones take the width of the page.
+    limit = "" if width > 700.0 else f' style="max-width:{width * 4 / 3:.0f}px"'
     head = (
         f'<svg class="plot" role="img" aria-label={quoteattr(alt)} {view} '
-        f'style="max-width:{float(width) * 4 / 3:.0f}px" xmlns="http://www.w3.org/2000/svg" '
+        f'{limit} xmlns="http://www.w3.org/2000/svg" '
         f'xmlns:xlink="http://www.w3.org/1999/xlink">\n<title>{escape(alt)}</title>'
     )
     return head + body[body.index(">") + 1 :]
