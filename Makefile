@@ -39,10 +39,14 @@ clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis dist build
 	find narxcal data_prep training eval tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# The first line of defence is the interpreter, the second pip: before 25.1 it knows no --group.
-$(STAMP): pyproject.toml constraints.txt
+# Made once: venv over an environment of another Python mixes the two.
+$(VENV)/.made:
 	@$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "narxcal needs Python 3.11 or newer, but $(PYTHON) is " + sys.version.split()[0] + "; name another: make PYTHON=python3.12")'
-	$(PYTHON) -m venv $(VENV)
+	$(PYTHON) -m venv --clear $(VENV)
+	@touch $@
+
+# pip first: before 25.1 it knows no --group.
+$(STAMP): $(VENV)/.made pyproject.toml constraints.txt
 	$(PIP) --upgrade pip
 	$(PIP) --build-constraint constraints.txt -e '.[parquet,fmu]' --group dev
 	@touch $@
