@@ -6,72 +6,27 @@ import os
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import Field
 
-from data_prep.logs_config import LogsConfig
 from eval.raster_stream import RasterStream
 from eval.replay_engine import EngineReplay, Rows
+from eval.replay_setup import ReplayModel, ReplayOptions
 from eval.stream import CsvStream, Pace
 from narxcal.errors import ConfigError, DataError
-from narxcal.fuser import FuserConfig, NoiseModel
-from narxcal.settings import Section
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from typing import TextIO
 
-    from narxcal.bundle import Bundle
-    from narxcal.calibration import DynamicCalibration
+
+__all__ = ["Clock", "ReplayModel", "ReplayOptions", "ReplaySummary", "replay"]
 
 # At full speed there is no hurry: blanks of slow channels are waited for.
 _LOOK_AHEAD_S = 5.0
-
-
-class ReplayOptions(Section):
-    """How to replay.
-
-    `engine` picks one of several engines; else all are replayed. An input that is missing keeps
-    its last value up to `hold_s`. `start` says where the model begins after a gap: settled, or at
-    the measured outputs. `noise` is that of the bundle (`stored`) where it has one, or is
-    estimated from the first `warmup_s` of the log itself (`log`), which delays the output so
-    long. With `follow` a growing file is read until it stood still for `idle_s`.
-    """
-
-    engine: str | None = None
-    realtime: bool = False
-    follow: bool = False
-    idle_s: float = Field(default=10.0, gt=0.0)
-    hold_s: float = Field(default=2.0, ge=0.0)
-    start: Literal["steady", "measured"] = "steady"
-    noise: Literal["stored", "log"] = "stored"
-    warmup_s: float = Field(default=300.0, gt=0.0)
-
-
-@dataclass(frozen=True)
-class ReplayModel:
-    """What a replay needs of a bundle: the model, the columns of its logs, and the fuser."""
-
-    calibration: DynamicCalibration
-    logs: LogsConfig = field(default_factory=LogsConfig)
-    fuser: FuserConfig = field(default_factory=FuserConfig)
-    noise: NoiseModel | None = None
-
-    @classmethod
-    def of(cls, bundle: Bundle) -> Self:
-        """Read `meta["config"]` (tables `logs` and `fuser`) and `meta["fuser_noise"]`."""
-        config = bundle.meta.get("config", {})
-        noise = bundle.meta.get("fuser_noise")
-        return cls(
-            bundle.calibration,
-            LogsConfig.parse(config.get("logs", {})),
-            FuserConfig.parse(config.get("fuser", {})),
-            None if noise is None else NoiseModel.from_dict(noise),
-        )
 
 
 @dataclass(frozen=True)
@@ -143,7 +98,6 @@ class _Replay:
     def __init__(self, model: ReplayModel, log: Path, options: ReplayOptions, clock: Clock) -> None:
         self.options = options
         self.clock = clock
-        live = options.realtime or options.follow
         pace = Pace(
             lines=1 if options.realtime else 4096,
             follow=options.follow,
@@ -154,7 +108,7 @@ class _Replay:
         self.stream = CsvStream(log, model.logs, pace)
         names = self._engines(log)
         self.engines = {name: EngineReplay(model, options, name, str(log)) for name in names}
-        ahead = 0.0 if live else _LOOK_AHEAD_S
+        ahead = 0.0 if options.live else _LOOK_AHEAD_S
         self.rasters = {
             name: RasterStream(
                 model.logs, model.calibration.dt_s, ahead, str(log), self.stream.constants

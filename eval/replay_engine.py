@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from data_prep.log import FloatArray
     from eval.raster_stream import Piece
-    from eval.replay import ReplayModel, ReplayOptions
+    from eval.replay_setup import ReplayModel, ReplayOptions
 
     BoolArray = NDArray[np.bool_]
 
@@ -72,7 +72,7 @@ class EngineReplay:
         self._age = np.zeros(len(self._inputs), dtype=np.intp)
         self._running = self._begun = False
         self._waiting: list[_Predicted] = []
-        stored = model.noise if options.noise == "stored" else None
+        stored = model.noise if options.stored_noise else None
         self.fuser = None if stored is None else FastFuser(stored, model.fuser)
         self._fusable = np.ones(len(self.outputs), dtype=np.bool_)
         self._held = np.zeros(len(self._inputs), dtype=np.int64)
@@ -164,7 +164,7 @@ class EngineReplay:
         return self._calibration.reset(inputs, measured if known else None)
 
     def _noise(self) -> NoiseModel:
-        """Estimated from what waits; a channel hardly ever measured is left out."""
+        """Estimate the noise from what waits; a channel hardly ever measured is left out."""
         records: list[tuple[list[FloatArray], list[FloatArray]]] = []
         for each in self._waiting:
             for start, stop, fresh in each.runs:
@@ -185,7 +185,9 @@ class EngineReplay:
         )
         for name in ("retention", "process", "motion", "linger", "measurement", "spread"):
             getattr(found, name)[fit] = getattr(part, name)
-        return found
+        if self._model.noise is None:
+            return found
+        return replace(self._model.noise, measurement=found.measurement)
 
     def _fuse(self, each: _Predicted, fuser: FastFuser) -> Rows:
         measured = np.where(self._fusable, each.measured, np.nan)

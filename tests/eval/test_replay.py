@@ -6,6 +6,7 @@ import itertools
 import threading
 import time
 import tracemalloc
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -68,6 +69,10 @@ class FirstOrder:
         return np.array([self.reset(inputs[0], start), *map(self.step, inputs[1:])])
 
 
+# Most tests compare with a fuser of the same stored noise.
+STORED = ReplayOptions(noise="stored")
+
+
 def noise_model():
     ones = np.ones(2)
     return NoiseModel(
@@ -117,7 +122,7 @@ def read(path):
 
 def test_prediction_and_fused_value_are_those_of_the_batch_without_a_shift(tmp_path):
     log = write(tmp_path / "log.csv", flight())
-    summary = replay(MODEL, log, tmp_path / "out.csv")
+    summary = replay(MODEL, log, tmp_path / "out.csv", STORED)
     found, _ = read(tmp_path / "out.csv")
     [batch] = read_logs(log)
     predicted = FirstOrder().simulate(batch.matrix(FirstOrder.input_names))
@@ -146,7 +151,8 @@ def test_rows_between_raster_points_are_laid_on_the_model_raster_like_a_batch(tm
     time_s = np.round(np.arange(int(60 * rate)) / rate, 6)
     log = write(tmp_path / "log.csv", flight(time_s))
     config = LogsConfig(raster_hz=10.0)
-    replay(ReplayModel(FirstOrder(), config, noise=noise_model()), log, tmp_path / "out.csv")
+    model = ReplayModel(FirstOrder(), config, noise=noise_model())
+    replay(model, log, tmp_path / "out.csv", STORED)
     found, _ = read(tmp_path / "out.csv")
     [batch] = read_logs(log, config)
     predicted = FirstOrder().simulate(batch.matrix(FirstOrder.input_names))
@@ -155,7 +161,7 @@ def test_rows_between_raster_points_are_laid_on_the_model_raster_like_a_batch(tm
 
 def test_realtime_sample_by_sample_gives_the_same_rows_at_their_times(tmp_path):
     log = write(tmp_path / "log.csv", flight(samples=80))
-    replay(MODEL, log, tmp_path / "batch.csv")
+    replay(MODEL, log, tmp_path / "batch.csv", STORED)
     now = itertools.count(0.0, 1e-4)
     slept = []
     clock = Clock(now=lambda: next(now) + sum(slept), sleep=slept.append)
@@ -177,13 +183,13 @@ def test_several_engines_come_interleaved_and_one_can_be_picked(tmp_path):
     mapped |= {n: {"column": n} for n in ("time_s", "Mach")}
     config = LogsConfig.parse({"engines": {"left": "lh", "right": "rh"}, "columns": mapped})
     model = ReplayModel(FirstOrder(), config, noise=noise_model())
-    summary = replay(model, log, tmp_path / "both.csv")
+    summary = replay(model, log, tmp_path / "both.csv", STORED)
     both, engines = read(tmp_path / "both.csv")
     assert summary.engines == ("left", "right")
     assert engines[:4] == ["left", "right", "left", "right"]
     assert (np.diff(both["time_s"]) >= 0.0).all()
     for i, engine in enumerate(("left", "right")):
-        replay(model, log, tmp_path / "one.csv", ReplayOptions(engine=engine))
+        replay(model, log, tmp_path / "one.csv", ReplayOptions(engine=engine, noise="stored"))
         one, none = read(tmp_path / "one.csv")
         assert none[0] is None
         for name in one:
@@ -199,7 +205,7 @@ def test_a_gap_restarts_the_model_settled_and_is_flagged_once(tmp_path):
     log = write(tmp_path / "log.csv", {n: v[keep] for n, v in columns.items()})
     config = LogsConfig(raster_hz=10.0)
     model = ReplayModel(FirstOrder(), config, noise=noise_model())
-    summary = replay(model, log, tmp_path / "out.csv")
+    summary = replay(model, log, tmp_path / "out.csv", STORED)
     found, _ = read(tmp_path / "out.csv")
     assert np.flatnonzero(found["gap"]).tolist() == [250]
     assert summary.restarts == {"": 1}
@@ -209,7 +215,7 @@ def test_a_gap_restarts_the_model_settled_and_is_flagged_once(tmp_path):
         found["N1_pct_prediction"][250:], FirstOrder().simulate(inputs)[:, 0], rtol=1e-9
     )
     measured = second.matrix(FirstOrder.output_names)
-    replay(model, log, tmp_path / "out.csv", ReplayOptions(start="measured"))
+    replay(model, log, tmp_path / "out.csv", ReplayOptions(start="measured", noise="stored"))
     found, _ = read(tmp_path / "out.csv")
     np.testing.assert_allclose(
         found["N1_pct_prediction"][250:],
@@ -224,7 +230,7 @@ def test_a_missing_input_is_held_up_to_the_limit_then_the_model_pauses(tmp_path)
     columns["TRA_deg"][300:350] = np.nan  # 5 s, of which 2 s are held
     columns["N2_pct"][400:] = np.nan
     log = write(tmp_path / "log.csv", columns)
-    summary = replay(MODEL, log, tmp_path / "out.csv")
+    summary = replay(MODEL, log, tmp_path / "out.csv", STORED)
     found, _ = read(tmp_path / "out.csv")
     assert np.flatnonzero(found["held"]).tolist() == [*range(100, 110), *range(300, 320)]
     assert np.flatnonzero(found["gap"]).tolist() == list(range(320, 351))
@@ -241,7 +247,7 @@ def test_samples_outside_the_envelope_are_flagged_and_counted(tmp_path):
     columns = flight()
     columns["TRA_deg"][500:520] = 70.0
     log = write(tmp_path / "log.csv", columns)
-    summary = replay(MODEL, log, tmp_path / "out.csv")
+    summary = replay(MODEL, log, tmp_path / "out.csv", STORED)
     found, _ = read(tmp_path / "out.csv")
     assert np.flatnonzero(found["inside_envelope"] == 0.0).tolist() == list(range(500, 520))
     assert summary.outside == {"": 20}
@@ -251,7 +257,7 @@ def test_an_output_the_log_lacks_is_predicted_and_not_fused(tmp_path):
     columns = flight()
     del columns["N2_pct"]
     log = write(tmp_path / "log.csv", columns)
-    for options in (ReplayOptions(), ReplayOptions(noise="log")):
+    for options in (STORED, ReplayOptions(noise="log")):
         summary = replay(MODEL, log, tmp_path / "out.csv", options)
         found, _ = read(tmp_path / "out.csv")
         np.testing.assert_array_equal(found["N2_pct_fused"], found["N2_pct_prediction"])
@@ -274,15 +280,35 @@ def test_noise_is_estimated_from_the_start_of_the_log_where_none_is_stored(tmp_p
             np.testing.assert_allclose(found["N1_pct_fused"], fused.values[:, 0], rtol=1e-8)
 
 
+def test_the_sensors_noise_is_the_logs_own_and_the_models_is_the_bundles(tmp_path):
+    log = write(tmp_path / "log.csv", flight())
+    stored = replace(noise_model(), measurement=np.full(2, 1e-6))
+    replay(ReplayModel(FirstOrder(), noise=stored), log, tmp_path / "out.csv")
+    found, _ = read(tmp_path / "out.csv")
+    [batch] = read_logs(log)
+    predicted = FirstOrder().simulate(batch.matrix(FirstOrder.input_names))
+    measured = batch.matrix(FirstOrder.output_names)
+    own = estimate_noise(measured, predicted, DT).measurement
+    np.testing.assert_allclose(own, 0.04, rtol=0.15)
+    fused = KalmanFuser(replace(stored, measurement=own)).run(predicted, measured)
+    np.testing.assert_allclose(found["N1_pct_fused"], fused.values[:, 0], rtol=1e-8)
+    # Live rows are not kept back for it.
+    options = ReplayOptions(follow=True, idle_s=0.01)
+    replay(ReplayModel(FirstOrder(), noise=stored), log, tmp_path / "live.csv", options)
+    live, _ = read(tmp_path / "live.csv")
+    fused = KalmanFuser(stored).run(predicted, measured)
+    np.testing.assert_allclose(live["N1_pct_fused"], fused.values[:, 0], rtol=1e-6)
+
+
 def test_a_truncated_last_line_is_left_out_and_reported(tmp_path):
     log = write(tmp_path / "log.csv", flight())
     whole = log.read_text(encoding="utf-8")
     log.write_text(whole[:-30], encoding="utf-8")
-    summary = replay(MODEL, log, tmp_path / "out.csv")
+    summary = replay(MODEL, log, tmp_path / "out.csv", STORED)
     assert summary.truncated
     assert summary.rows == 599
     log.write_text(whole[:-1], encoding="utf-8")  # only the line's end is missing
-    summary = replay(MODEL, log, tmp_path / "out.csv")
+    summary = replay(MODEL, log, tmp_path / "out.csv", STORED)
     assert not summary.truncated
     assert summary.rows == 600
 
@@ -315,7 +341,7 @@ def test_a_growing_file_is_followed_until_it_stands_still(tmp_path):
     options = ReplayOptions(follow=True, idle_s=0.5)
     summary = replay(MODEL, log, tmp_path / "live.csv", options)
     writer.join()
-    replay(MODEL, log, tmp_path / "batch.csv")
+    replay(MODEL, log, tmp_path / "batch.csv", STORED)
     assert summary.rows == 300
     live, batch = read(tmp_path / "live.csv")[0], read(tmp_path / "batch.csv")[0]
     for name in batch:
@@ -338,10 +364,10 @@ def test_interrupting_a_follow_ends_it_well_and_any_other_replay_leaves_nothing(
 
 def test_memory_does_not_grow_with_the_log(tmp_path):
     peaks = []
-    for samples in (9_000, 27_000):
+    for samples in (8_500, 17_000):
         log = write(tmp_path / "log.csv", flight(samples=samples))
         tracemalloc.start()
-        replay(MODEL, log, tmp_path / "out.csv")
+        replay(MODEL, log, tmp_path / "out.csv", STORED)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] < 1.2 * peaks[0]
@@ -352,7 +378,7 @@ def test_a_missing_input_column_is_named(tmp_path):
     del columns["Mach"]
     log = write(tmp_path / "log.csv", columns)
     with pytest.raises(DataError) as error:
-        replay(MODEL, log, tmp_path / "out.csv")
+        replay(MODEL, log, tmp_path / "out.csv", STORED)
     assert str(error.value) == (
         f"{log}, channel Mach: the model needs this input, and the log neither has nor implies "
         "it. The log has TRA_deg, N1_pct, N2_pct"
@@ -366,7 +392,7 @@ def test_text_in_a_number_is_refused_with_its_row_however_far_down(tmp_path):
     lines[5001] = lines[5001].replace(lines[5001].split(",")[1], "full")
     log.write_text("\n".join(lines) + "\n", encoding="utf-8")
     with pytest.raises(DataError) as error:
-        replay(MODEL, log, tmp_path / "out.csv")
+        replay(MODEL, log, tmp_path / "out.csv", STORED)
     assert error.value.row == 5001
     assert error.value.channel == "TRA_deg"
     assert "expected a number, found 'full'" in str(error.value)
@@ -377,7 +403,7 @@ def test_time_going_back_is_refused_with_its_row_however_far_down(tmp_path):
     columns["time_s"][5000:] -= 400.0
     log = write(tmp_path / "log.csv", columns)
     with pytest.raises(DataError) as error:
-        replay(MODEL, log, tmp_path / "out.csv")
+        replay(MODEL, log, tmp_path / "out.csv", STORED)
     assert error.value.row == 5001
     assert str(error.value) == (
         f"{log}, channel time_s, row 5001: time goes back from 504.9 s to 105 s. "
@@ -389,7 +415,7 @@ def test_time_going_back_is_refused_with_its_row_however_far_down(tmp_path):
 def test_a_log_with_less_than_two_samples_is_refused(tmp_path, samples):
     log = write(tmp_path / "log.csv", {n: v[:samples] for n, v in flight().items()})
     with pytest.raises(DataError) as error:
-        replay(MODEL, log, tmp_path / "out.csv")
+        replay(MODEL, log, tmp_path / "out.csv", STORED)
     assert str(error.value) == f"{log}, channel time_s: expected samples at two or more times"
 
 
@@ -428,8 +454,8 @@ def test_a_bundle_without_its_noise_model_whole_is_refused():
 
 def test_throughput_without_the_network_leaves_room_for_three_hundred_times_real_time(tmp_path):
     log = write(tmp_path / "log.csv", flight(samples=20_000))
-    replay(MODEL, log, tmp_path / "out.csv")
-    summary = replay(MODEL, log, tmp_path / "out.csv")
+    replay(MODEL, log, tmp_path / "out.csv", STORED)
+    summary = replay(MODEL, log, tmp_path / "out.csv", STORED)
     # 300 x real time at 32 Hz is 104 us a sample; half of that is left for the model.
     assert summary.wall_s / summary.rows < 104e-6
     assert summary.times_real_time == pytest.approx(summary.rows * DT / summary.wall_s)
