@@ -1,0 +1,145 @@
+"""Trim: what a practitioner adjusts before a flight is judged, from its first minutes alone.
+
+Fuel meters and temperature probes differ between flights and engines. From the quasi-steady
+samples of the first part of a log, an offset of every output is estimated as a function of the
+power level, and added to the model over the rest of the log, which alone is scored.
+
+The offset is a Gaussian process over the level (Rasmussen and Williams 2006, section 2.2; the
+same as ridge regression with documented prior widths):
+
+    offset(x) ~ N( 0, common^2 + local^2 exp(-(x - x')^2 / (2 length^2)) )
+
+What was seen at ground idle is thus not carried to cruise: where no sample of a similar level was
+seen, the offset goes back to the common part, which is small. The level x is the steady-state
+value of the first output between its 1 % and 99 % quantiles in the training logs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from data_prep.log import FloatArray
+from narxcal.errors import ConfigError
+from narxcal.settings import Section
+
+BoolArray = NDArray[np.bool_]
+
+# Half of what separates installed engines and fuel meters a year apart: 2 to 3 % of fuel flow
+# moves N1 by 0.3 % and N2 by 0.2 % each; probes and build scatter move temperatures by 15 K.
+WIDTHS = {"N1_pct": 0.5, "N2_pct": 0.3, "EGT_C": 15.0}
+_BIN = 0.1
+
+
+class TrimConfig(Section):
+    """Table [evaluate.trim]: the prior of the offsets.
+
+    `widths` (channel -> standard deviation in its unit) adds to and overrides the built-in
+    ones; a channel without a width is not trimmed. `common` is the share of it that holds at
+    every level, `length` how far in level (0 is idle, 1 is full power) an offset reaches.
+    Quasi-steady errors count as one independent observation, as uncertain as the width, per
+    `correlation_s` seconds. Offsets are kept at the levels `nodes` and are linear in between.
+    """
+
+    widths: Mapping[str, float] = Field(default_factory=dict)
+    common: float = Field(default=0.25, ge=0.0)
+    length: float = Field(default=0.15, gt=0.0)
+    correlation_s: float = Field(default=60.0, gt=0.0)
+    nodes: tuple[float, ...] = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+
+    def width(self, channel: str) -> float:
+        """Prior standard deviation of the channel's offset in its unit; 0 if not trimmed."""
+        return float({**WIDTHS, **self.widths}.get(channel, 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Trim:
+    """The offsets to be added to a model, (nodes, channel) in the channels' units.
+
+    `samples` quasi-steady samples (channel,) of the first `until` rows decided them.
+    """
+
+    nodes: FloatArray
+    offsets: FloatArray
+    samples: tuple[int, ...]
+    until: int
+
+    def at(self, level: FloatArray) -> FloatArray:
+        """Offsets (time, channel) at `level` (time,), held beyond the outermost nodes."""
+        columns = [np.interp(level, self.nodes, column) for column in self.offsets.T]
+        return np.stack(columns, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class TrimSamples:
+    """What a trim may look at, on a raster of `dt_s`.
+
+    `error` (time, channel) is measured minus model; `level` and `still`, the quasi-steady
+    samples, are (time,).
+    """
+
+    error: FloatArray
+    level: FloatArray
+    still: BoolArray
+    dt_s: float
+
+
+def rows_for_trim(fraction: float, samples: int) -> int:
+    """How many of the first rows `--trim FRACTION` takes; `ConfigError` unless 0 < it < 1."""
+    if not 0.0 < fraction < 1.0:
+        raise ConfigError(
+            f"the trim fraction has to lie between 0 and 1, found {fraction:g}",
+            hint="0.2 takes the first 20 % of each log and scores the rest",
+        )
+    return round(fraction * samples)
+
+
+def estimate_trim(
+    seen: TrimSamples, until: int, channels: tuple[str, ...], config: TrimConfig
+) -> Trim:
+    """Estimate the offsets from the first `until` rows; nothing later is looked at.
+
+    A channel without quasi-steady samples there, or without a prior width, gets no offset.
+    """
+    nodes = np.array(config.nodes)
+    columns, counts = [], []
+    for k, name in enumerate(channels):
+        rows = np.flatnonzero(seen.still[:until] & np.isfinite(seen.error[:until, k]))
+        width = config.width(name)
+        counts.append(len(rows) if width > 0.0 else 0)
+        if not counts[-1]:
+            columns.append(np.zeros(len(nodes)))
+            continue
+        points = _binned(seen.level[rows], seen.error[rows, k], seen.dt_s / config.correlation_s)
+        columns.append(_posterior(nodes, points, width, config))
+    return Trim(nodes, np.stack(columns, axis=1), tuple(counts), until)
+
+
+def _binned(level: FloatArray, error: FloatArray, weight: float) -> FloatArray:
+    """Rows (mean level, median error, independent observations), one per bin of levels."""
+    bins = np.floor(level / _BIN)
+    rows = []
+    for each in np.unique(bins):
+        chosen = bins == each
+        count = float(chosen.sum()) * weight
+        rows.append((float(level[chosen].mean()), float(np.median(error[chosen])), count))
+    return np.array(rows)
+
+
+def _posterior(
+    nodes: FloatArray, points: FloatArray, width: float, config: TrimConfig
+) -> FloatArray:
+    """Mean of the Gaussian process at the nodes, given the points."""
+    at, error, count = points.T
+
+    def covariance(a: FloatArray, b: FloatArray) -> FloatArray:
+        apart = (a[:, None] - b[None, :]) / config.length
+        return np.asarray(width**2 * (config.common**2 + np.exp(-0.5 * apart**2)))
+
+    noise = np.diag(width**2 / count)
+    weights = np.linalg.solve(covariance(at, at) + noise, error)
+    return np.asarray(covariance(nodes, at) @ weights)

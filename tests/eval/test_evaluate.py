@@ -1,0 +1,234 @@
+"""Evaluation of logs whose answers are known: an engine that is an exact first-order lag."""
+
+import json
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eval.evaluate import EvaluateConfig, evaluate, run_config
+from narxcal.bundle import Bundle
+from narxcal.errors import ConfigError, DataError, ModelError
+
+
+def test_the_true_model_has_no_error_and_passes_every_event(make_bundle, make_log):
+    document = evaluate(make_bundle(), [make_log()]).document()
+    (log,) = document["logs"]
+    for figures in log["channels"].values():
+        assert figures["rmse"] < 1e-9
+        assert figures["max_rel_pct"] < 1e-9
+        assert figures["one_step_rmse"] < 1e-9
+        assert figures["static_rmse"] < 1e-9
+        assert figures["first_order_rmse"] < 0.01
+        assert figures["steady_state_rmse"] > 3.0
+    assert log["ti_tt"]["assessed"] == log["ti_tt"]["passed"] >= 10
+    assert document["ok"] is True
+    assert document["missed"] == []
+
+
+def test_the_document_has_the_agreed_layout_and_is_json(make_bundle, make_log):
+    document = evaluate(make_bundle(), [make_log()]).document()
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+    assert document["schema"] == "narxcal.evaluate/1"
+    (log,) = document["logs"]
+    assert {"log", "channels", "events", "ti_tt", "masked"} <= set(log)
+    assert log["log"] == "flight.csv:left"
+    agreed = {
+        "rmse", "nrmse", "max_rel_pct", "one_step_rmse", "steady_state_rmse", "first_order_rmse",
+    }  # fmt: skip
+    assert agreed <= set(log["channels"]["N1_pct"])
+    event = log["events"][0]
+    assert event["label"] in ("push", "pull")
+    assert {"flight", "model", "ok"} <= set(event["Ti"])
+    assert {"flight", "model", "ok"} <= set(event["Tt"])
+    assert {"assessed", "passed"} <= set(log["ti_tt"])
+
+
+def test_a_constant_offset_is_static_bias_and_not_timing(make_bundle, make_log):
+    log = make_log(offset=(-2.0, 1.0))
+    (found,) = evaluate(make_bundle(), [log]).document()["logs"]
+    n1, n2 = found["channels"]["N1_pct"], found["channels"]["N2_pct"]
+    assert n1["static_bias"] == pytest.approx(2.0, rel=0.02)
+    assert n2["static_bias"] == pytest.approx(-1.0, rel=0.02)
+    assert n1["static_rmse"] == pytest.approx(2.0, rel=0.02)
+    assert found["ti_tt"]["passed"] == found["ti_tt"]["assessed"]
+
+
+def test_a_slow_model_is_a_dynamic_error_and_fails_its_events(make_bundle, make_log):
+    evaluation = evaluate(make_bundle(tau_s=(4.0, 0.8)), [make_log()])
+    (found,) = evaluation.document()["logs"]
+    n1 = found["channels"]["N1_pct"]
+    assert n1["dynamic_rmse"] > 3.0 * n1["static_rmse"]
+    assert n1["rmse"] > 10.0 * n1["first_order_rmse"]
+    assert found["ti_tt"]["channels"]["N1_pct"]["passed"] == 0
+    assert found["ti_tt"]["channels"]["N2_pct"]["passed"] > 0
+    assert (
+        found["baselines"]["first_order"]["passed"] == found["baselines"]["first_order"]["assessed"]
+    )
+    (missed,) = evaluation.missed()
+    assert re.fullmatch(r"Ti/Tt: \d+ of \d+ events pass \(50\.0 %\), at least 95 % have to", missed)
+
+
+def test_parts_add_up_to_the_whole(make_bundle, make_log):
+    (found,) = evaluate(make_bundle(tau_s=(3.0, 2.0)), [make_log(offset=(0.5, -0.5))]).logs
+    for figures in found.scores.values():
+        moving = figures.samples - figures.static_samples
+        parts = figures.static_samples * figures.static_rmse**2 + moving * figures.dynamic_rmse**2
+        assert math.sqrt(parts / figures.samples) == pytest.approx(figures.rmse)
+
+
+def test_pooled_figures_weigh_samples_and_not_logs(make_bundle, make_log):
+    logs = [
+        make_log("a.csv:left", 120.0, offset=(3.0, 0.0)),
+        make_log("b.csv:left", 360.0, offset=(1.0, 0.0)),
+    ]
+    pooled = evaluate(make_bundle(), logs).pooled["N1_pct"]
+    # Each run starts at its first measured value, so the offset grows within some tau.
+    assert pooled.rmse == pytest.approx(math.sqrt((9.0 + 3 * 1.0) / 4), rel=0.01)
+    assert pooled.samples == 4800
+
+
+def test_masked_outputs_are_left_out_of_their_channel_only(make_bundle, make_log, mask):
+    log = mask(make_log(offset=(50.0, 0.0)), "N1_pct", slice(100, None))
+    (found,) = evaluate(make_bundle(), [log]).document()["logs"]
+    assert found["channels"]["N1_pct"]["samples"] == 100
+    assert found["channels"]["N2_pct"]["samples"] == 2400
+    reasons = found["ti_tt"]["channels"]["N1_pct"]
+    assert reasons["assessed"] < reasons["events"]
+
+
+def test_a_channel_without_any_sample_gives_null_and_no_pass(make_bundle, make_log, mask):
+    log = mask(mask(make_log(), "N1_pct", slice(None)), "N2_pct", slice(None))
+    document = evaluate(make_bundle(), [log]).document()
+    (found,) = document["logs"]
+    assert found["channels"]["N1_pct"]["rmse"] is None
+    assert found["channels"]["N1_pct"]["samples"] == 0
+    assert found["ti_tt"]["assessed"] == 0
+    assert json.dumps(document, allow_nan=False)
+
+
+def test_held_inputs_are_counted_and_their_rows_not_scored(make_bundle, make_log, mask):
+    log = mask(make_log(), "Mach", slice(150, 450))
+    (found,) = evaluate(make_bundle(), [log]).document()["logs"]
+    assert found["inputs"]["held_samples"] == 300
+    assert found["channels"]["N1_pct"]["samples"] == 2100
+    assert any("inputs are missing" in one for one in found["ti_tt"]["not_assessable_reasons"])
+
+
+def test_the_share_outside_the_envelope_is_shown(make_bundle, make_log):
+    log = make_log()
+    fast = np.where(log.time_s < 60.0, 0.9, 0.3)
+    (found,) = evaluate(make_bundle(), [log.with_channels({"Mach": fast})]).document()["logs"]
+    assert found["inputs"]["outside_envelope_share"] == pytest.approx(0.25)
+
+
+def test_logs_are_named_by_what_the_bundle_did_with_them(make_bundle, make_log):
+    used, other = make_log("train.csv:left"), make_log("other.csv:left")
+    roles = [log.role for log in evaluate(make_bundle(train=[used]), [used, other]).logs]
+    assert roles == ["train", "new"]
+
+
+def test_a_log_of_the_same_name_but_other_bytes_is_new(make_bundle, make_log):
+    used = make_log("train.csv:left")
+    forged = replace(used, source=replace(used.source, sha256="other"))
+    assert evaluate(make_bundle(train=[used]), [forged]).logs[0].role == "new"
+
+
+def test_a_bound_on_the_error_is_missed_by_name(make_bundle, make_log):
+    bundle = make_bundle(evaluate={"largest_rmse": {"N1_pct": 1.0, "N2_pct": 1.0}})
+    evaluation = evaluate(bundle, [make_log(offset=(2.0, 0.0))])
+    assert evaluation.missed() == ["N1_pct: RMSE 1.99, at most 1 allowed"]
+    assert evaluation.document()["ok"] is False
+
+
+def test_a_bound_on_a_channel_that_is_not_there_is_refused(make_bundle, make_log):
+    bundle = make_bundle(evaluate={"largest_rmse": {"EGT_C": 10.0}})
+    expected = (
+        "channel EGT_C: [evaluate.largest_rmse] bounds a channel that the model does not give. "
+        "It gives N1_pct, N2_pct"
+    )
+    with pytest.raises(ConfigError, match=f"^{re.escape(expected)}$"):
+        evaluate(bundle, [make_log()]).missed()
+
+
+def test_trim_takes_an_offset_away_and_scores_the_rest_only(make_bundle, make_log):
+    log = make_log(offset=(0.8, -0.4), duration_s=900.0)
+    settings = EvaluateConfig.parse({"trim": {"correlation_s": 5.0}})
+    evaluation = evaluate(make_bundle(), [log], trim=0.2, settings=settings)
+    (found,) = evaluation.document()["logs"]
+    for figures, offset in zip(found["channels"].values(), (0.8, 0.4), strict=True):
+        assert figures["samples"] == 7200
+        assert figures["untrimmed_rmse"] == pytest.approx(offset, rel=0.01)
+        assert figures["rmse"] < 0.35 * offset
+        assert figures["steady_state_rmse"] > 1.0
+    assert found["trim"]["scored_from_s"] == pytest.approx(180.0)
+    assert min(event["start_s"] for event in found["events"]) >= 179.9
+
+
+def test_trim_looks_at_nothing_after_its_part(make_bundle, make_log):
+    log = make_log(duration_s=600.0, offset=(0.5, 0.5))
+    later = log["N1_pct"] + np.where(log.time_s < 120.0, 0.0, 30.0)
+    first, second = (
+        evaluate(make_bundle(), [one], trim=0.2).document()["logs"][0]["trim"]
+        for one in (log, log.with_channels({"N1_pct": later}))
+    )
+    assert first == second
+
+
+@pytest.mark.parametrize("fraction", [0.0, 1.0, -0.2, 20.0])
+def test_a_trim_that_leaves_nothing_is_refused(make_bundle, make_log, fraction):
+    expected = (
+        f"the trim fraction has to lie between 0 and 1, found {fraction:g}. "
+        "0.2 takes the first 20 % of each log and scores the rest"
+    )
+    with pytest.raises(ConfigError, match=f"^{re.escape(expected)}$"):
+        evaluate(make_bundle(), [make_log()], trim=fraction)
+
+
+def test_a_log_on_another_raster_is_refused(make_bundle, make_log):
+    log = make_log()
+    log = replace(log, time_s=log.time_s * 2.0)
+    expected = (
+        "flight.csv:left: the model runs on a raster of 0.1 s, found 0.2 s. "
+        "Read the log on the model's raster: raster_hz in [logs]"
+    )
+    with pytest.raises(DataError, match=f"^{re.escape(expected)}$"):
+        evaluate(make_bundle(), [log])
+
+
+def test_a_log_without_an_output_is_refused(make_bundle, make_log):
+    log = make_log()
+    channels = {name: values for name, values in log.channels.items() if name != "N2_pct"}
+    expected = (
+        "flight.csv:left, channel N2_pct: the log has no such channel. It has TRA_deg, Mach, N1_pct"
+    )
+    with pytest.raises(DataError, match=f"^{re.escape(expected)}$"):
+        evaluate(make_bundle(), [replace(log, channels=channels)])
+
+
+def test_a_bundle_without_its_configuration_is_refused(make_bundle):
+    bare = Bundle(make_bundle().calibration, {})
+    expected = "the bundle does not say how its logs were prepared. Train it with narxcal train"
+    with pytest.raises(ModelError, match=f"^{re.escape(expected)}$"):
+        run_config(bare)
+
+
+def test_an_unknown_key_in_the_evaluate_table_names_the_nearest(make_bundle):
+    bundle = make_bundle(evaluate={"least_pased_pct": 90.0})
+    expected = (
+        "bundle.json, [evaluate]: unknown key 'least_pased_pct'. Did you mean 'least_passed_pct'?"
+    )
+    with pytest.raises(ConfigError, match=f"^{re.escape(expected)}$"):
+        run_config(bundle)
+
+
+def test_without_baselines_the_rest_is_still_there(make_bundle, make_log):
+    bundle = make_bundle()
+    bare = Bundle(
+        bundle.calibration, {key: bundle.meta[key] for key in bundle.meta if key != "baselines"}
+    )
+    (found,) = evaluate(bare, [make_log()]).document()["logs"]
+    assert found["channels"]["N1_pct"]["first_order_rmse"] is None
+    assert found["channels"]["N1_pct"]["steady_state_rmse"] > 3.0
