@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from narxcal.errors import DataError, ModelError
-from narxcal.narx import NarxModel, Weights
+from narxcal.narx import AT_START, NarxModel, Weights
 from narxcal.steady_state import SteadyStateModel, steady_from_json, steady_to_json
 
 FloatArray = NDArray[np.float64]

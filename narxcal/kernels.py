@@ -13,6 +13,9 @@ All that depends on the inputs alone is one matrix product, done beforehand:
 part, `W1y` and `Ay`, is left in the recursion (the value at rest goes into `drive_linear`). The PyTorch module in `narxcal.narx` is the
 slow exact twin of these functions and their test.
 
+Several windows are run as one: `restarts` is (positions (n,), histories (n, m)), the steps at
+which a window begins and the outputs just before it.
+
 Shapes: T steps, o outputs, h hidden units, m = lags * o feedback entries (newest lag first),
 f = m + input taps features, P parameters in the order W1 (h, f), b1 (h), W2 (o, h), b2 (o),
 A (o, f), each flattened by rows.
@@ -28,6 +31,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Run = tuple[FloatArray, FloatArray, FloatArray]
 _compile: Any = njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
 
 
@@ -36,23 +41,30 @@ def free_run(
     drive_hidden: FloatArray,
     drive_linear: FloatArray,
     feedback: tuple[FloatArray, FloatArray, FloatArray],
-    history: FloatArray,
+    restarts: tuple[IntArray, FloatArray],
     bounds: tuple[FloatArray, FloatArray],
-) -> tuple[FloatArray, FloatArray]:
+) -> Run:
     """Run the network on its own outputs.
 
-    `feedback` is (W1y (h, m), W2 (o, h), Ay (o, m)); `history` (m,) is left holding the last
-    `lags` outputs, so that a run can go on where another stopped. Returns outputs (T, o) and
-    tanh activations (T, h).
+    `feedback` is (W1y (h, m), W2 (o, h), Ay (o, m)). Returns outputs (T, o), tanh activations
+    (T, h) and what was fed back into each step (T, m).
     """
     w1y, w2, ay = feedback
+    positions, histories = restarts
     low, high = bounds
     steps, hidden = drive_hidden.shape
     outputs = drive_linear.shape[1]
-    m = history.shape[0]
+    m = histories.shape[1]
+    history = np.zeros(m)
     y = np.empty((steps, outputs))
     active = np.empty((steps, hidden))
+    fed = np.empty((steps, m))
+    window = 0
     for k in range(steps):
+        if window < len(positions) and positions[window] == k:
+            history[:] = histories[window]
+            window += 1
+        fed[k] = history
         for i in range(hidden):
             z = drive_hidden[k, i]
             for j in range(m):
@@ -69,7 +81,7 @@ def free_run(
             history[j] = history[j - outputs]
         for o in range(outputs):
             history[o] = y[k, o]
-    return y, active
+    return y, active, fed
 
 
 @_compile
@@ -90,16 +102,17 @@ def _gain(
 @_compile
 def adjoint(
     outer: FloatArray,
-    run: tuple[FloatArray, FloatArray],
+    run: Run,
     feedback: tuple[FloatArray, FloatArray, FloatArray],
+    positions: IntArray,
     bounds: tuple[FloatArray, FloatArray],
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray]:
     """Back-propagate through time: from dLoss/dy (T, o) to the loss's sensitivities.
 
-    `run` is what `free_run` returned. Returns `total` (T, o) = dLoss/d(drive_linear),
-    `hidden` (T, h) = dLoss/d(drive_hidden) and `start` (m,) = dLoss/d(history).
+    `run` is what `free_run` returned, `positions` are its restarts. Returns `total` (T, o) =
+    dLoss/d(drive_linear) and `hidden` (T, h) = dLoss/d(drive_hidden).
     """
-    y, active = run
+    y, active, _ = run
     _, w2, ay = feedback
     low, high = bounds
     steps, outputs = outer.shape
@@ -110,6 +123,7 @@ def adjoint(
     pending = np.zeros(m + outputs)
     total = np.zeros((steps, outputs))
     hidden = np.zeros((steps, units))
+    window = len(positions) - 1
     for k in range(steps - 1, -1, -1):
         _gain(active[k], feedback, gain)
         for o in range(outputs):
@@ -124,64 +138,77 @@ def adjoint(
             for o in range(outputs):
                 back += total[k, o] * w2[o, i]
             hidden[k, i] = back * (1.0 - active[k, i] * active[k, i])
-    return total, hidden, pending[:m].copy()
+        if window >= 0 and positions[window] == k:
+            pending[:] = 0.0
+            window -= 1
+    return total, hidden
+
+
+@_compile
+def _direct(
+    row: FloatArray,
+    sample: tuple[int, int, float],
+    features: tuple[FloatArray, FloatArray],
+    weights: FloatArray,
+) -> None:
+    """Add `sign` times dy_o/dtheta at fixed history to `row` (P,).
+
+    `sample` is (step, output, sign); `features` are phi (T, f) and activations (T, h);
+    `weights` is W2.
+    """
+    k, o, sign = sample
+    phi, active = features
+    outputs, units = weights.shape
+    width = phi.shape[1]
+    at_b1 = units * width
+    at_w2 = at_b1 + units
+    at_a = at_w2 + outputs * units + outputs
+    for i in range(units):
+        c = sign * weights[o, i] * (1.0 - active[k, i] * active[k, i])
+        for j in range(width):
+            row[i * width + j] += c * phi[k, j]
+        row[at_b1 + i] += c
+        row[at_w2 + o * units + i] += sign * active[k, i]
+    row[at_a - outputs + o] += sign
+    for j in range(width):
+        row[at_a + o * width + j] += sign * phi[k, j]
 
 
 @_compile
 def jacobian(
     features: tuple[FloatArray, FloatArray, FloatArray],
-    run: tuple[FloatArray, FloatArray],
+    run: Run,
     feedback: tuple[FloatArray, FloatArray, FloatArray],
+    restarts: tuple[IntArray, FloatArray],
     bounds: tuple[FloatArray, FloatArray],
-    memory: FloatArray,
 ) -> FloatArray:
     """Forward sensitivities dy/dtheta (T, o, P) along a free run, for Gauss-Newton steps.
 
     `features` is phi (T, f), rest (T, f) and the tanh activations at rest (T, h); the latter two
-    have no rows if the network is not anchored. `memory` (m, P) is dhistory/dtheta at the start
-    and is left at its value at the end, so that a long run can be done in blocks.
+    have no rows if the network is not anchored. `restarts` is (positions (n,), memory (m, P)):
+    dhistory/dtheta at the start, left at its value at the end, so that a long run can be done
+    in blocks.
     """
     phi, rest, rest_active = features
-    anchored = len(rest) > 0
-    y, active = run
-    w2 = feedback[1]
+    y, active, _ = run
+    positions, memory = restarts
     low, high = bounds
     steps, outputs = y.shape
-    units = active.shape[1]
     m, size = memory.shape
-    width = phi.shape[1]
     gain = np.empty((outputs, m))
     result = np.zeros((steps, outputs, size))
-    at_b1 = units * width
-    at_w2 = at_b1 + units
-    at_b2 = at_w2 + outputs * units
-    at_a = at_b2 + outputs
+    window = 0
     for k in range(steps):
+        if window < len(positions) and positions[window] == k:
+            memory[:] = 0.0
+            window += 1
         _gain(active[k], feedback, gain)
         for o in range(outputs):
             row = result[k, o]
             if low[o] < y[k, o] < high[o]:
-                for i in range(units):
-                    c = w2[o, i] * (1.0 - active[k, i] * active[k, i])
-                    base = i * width
-                    for j in range(width):
-                        row[base + j] = c * phi[k, j]
-                    row[at_b1 + i] = c
-                    row[at_w2 + o * units + i] = active[k, i]
-                base = at_a + o * width
-                for j in range(width):
-                    row[base + j] = phi[k, j]
-                if not anchored:
-                    row[at_b2 + o] = 1.0
-                else:
-                    for i in range(units):
-                        c = w2[o, i] * (1.0 - rest_active[k, i] * rest_active[k, i])
-                        for j in range(width):
-                            row[i * width + j] -= c * rest[k, j]
-                        row[at_b1 + i] -= c
-                        row[at_w2 + o * units + i] -= rest_active[k, i]
-                    for j in range(width):
-                        row[base + j] -= rest[k, j]
+                _direct(row, (k, o, 1.0), (phi, active), feedback[1])
+                if len(rest):
+                    _direct(row, (k, o, -1.0), (rest, rest_active), feedback[1])
                 for j in range(m):
                     g = gain[o, j]
                     if g != 0.0:

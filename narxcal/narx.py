@@ -21,6 +21,8 @@ from narxcal.errors import DataError, ModelError
 from narxcal.settings import Section
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+AT_START: IntArray = np.zeros(1, dtype=np.int64)
 PARAMETER_ORDER = ("hidden.weight", "hidden.bias", "output.weight", "output.bias", "linear.weight")
 
 
@@ -173,14 +175,15 @@ class Weights:
         """(low, high) as the kernels take them."""
         return self.low, self.high
 
-    def run(self, tapped: FloatArray, history: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Free run over tapped inputs (T, taps * inputs); moves `history` (m,) along."""
+    def run(self, tapped: FloatArray, restarts: tuple[IntArray, FloatArray]) -> kernels.Run:
+        """Free run over tapped inputs (T, taps * inputs) from `restarts` (see kernels)."""
         hidden = self.b1 + tapped @ self.w1u.T
         linear = self.b2 + tapped @ self.au.T
         if len(self.fixed):
             rest = tapped * self.fixed
             linear -= self.b2 + self.at_rest(tapped) @ self.w2.T + rest @ self.au.T
-        return kernels.free_run(hidden, linear, self.feedback, history, self.bounds)  # type: ignore[no-any-return]
+        run: kernels.Run = kernels.free_run(hidden, linear, self.feedback, restarts, self.bounds)
+        return run
 
     def at_rest(self, tapped: FloatArray) -> FloatArray:
         """Tanh activations (T, h) at rest; no rows if the network is not anchored."""
@@ -265,7 +268,7 @@ class NarxModel:
         scaled = self.output_scaling.down(first)
         tapped = tap(self.input_scaling.down(inputs), self.config.taps)[len(first) :]
         history = history_before(scaled, len(scaled), self.config.lags)
-        y, _ = weights.run(tapped, history)
+        y, _, _ = weights.run(tapped, (AT_START, history[None]))
         return np.concatenate([first, self.output_scaling.up(y)])[: len(inputs)]
 
     def predict(self, u: ArrayLike, y: ArrayLike) -> FloatArray:

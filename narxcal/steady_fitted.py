@@ -204,9 +204,9 @@ def i_splines(knots: Floats) -> PPoly:
     # I_j is the sum of the B-splines from j on.
     tails = np.tril(np.ones((count, count)))[:, 1:]
     spline = BSpline(padded, tails, degree)
-    polynomial = PPoly.from_spline(spline)
-    inner = slice(degree, len(padded) - degree - 1)
-    return PPoly(polynomial.c[:, inner], knots)
+    # Taylor coefficients of each piece, highest power first, as PPoly wants them.
+    taylor = [spline.derivative(2)(knots[:-1]) / 2.0, spline.derivative(1)(knots[:-1])]
+    return PPoly(np.stack([*taylor, spline(knots[:-1])]), knots)
 
 
 def corner_weights(layout: Layout, envelope: Envelope, inputs: Floats) -> Floats:

@@ -6,10 +6,11 @@ w * (y_sim - y)^2 in scaled units over all scored samples. Windows never cross t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ from narxcal.narx import NarxModel, NarxNet, Weights, history_before, tap
 from narxcal.records import Record
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+T = TypeVar("T")
 _BLOCK = 1024  # steps whose Jacobian is held at one time
 
 
@@ -92,13 +95,45 @@ class NormalEquations:
     hessian: FloatArray
 
 
+@dataclass(frozen=True, eq=False)
+class _Batch:
+    """Several windows end to end, which the kernels run as one."""
+
+    tapped: FloatArray
+    target: FloatArray
+    root_weight: FloatArray
+    positions: IntArray
+    histories: FloatArray
+
+    @classmethod
+    def of(cls, windows: Sequence[Window]) -> _Batch:
+        lengths = np.array([len(window.tapped) for window in windows])
+        return cls(
+            np.concatenate([window.tapped for window in windows]),
+            np.concatenate([window.target for window in windows]),
+            np.concatenate([window.root_weight for window in windows]),
+            np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(np.int64),
+            np.stack([window.history for window in windows]),
+        )
+
+
+def _batches(windows: Sequence[Window], count: int) -> list[_Batch]:
+    """Share windows among `count` batches of about equal length, longest first."""
+    shares: list[list[Window]] = [[] for _ in range(count)]
+    sizes = [0] * count
+    for window in sorted(windows, key=lambda w: -len(w.tapped)):
+        k = sizes.index(min(sizes))
+        shares[k].append(window)
+        sizes[k] += len(window.tapped)
+    return [_Batch.of(share) for share in shares if share]
+
+
 class FreeRunProblem:
     """Loss of `net` over `windows` as a function of its weight vector theta."""
 
     def __init__(self, net: NarxNet, windows: Sequence[Window], threads: int = 1) -> None:
         self.net = net
-        self.windows = list(windows)
-        self.threads = threads
+        self.batches = _batches(windows, threads)
 
     def loss(self, theta: FloatArray) -> float:
         """Half the weighted mean square of the free-run error."""
@@ -125,41 +160,43 @@ class FreeRunProblem:
         self.net.set_theta(theta)
         return Weights.of(self.net)
 
-    def _map(self, work: partial) -> list:  # type: ignore[type-arg]
-        if self.threads == 1 or len(self.windows) == 1:
-            return [work(window) for window in self.windows]
-        with ThreadPoolExecutor(self.threads) as pool:
-            return list(pool.map(work, self.windows))
+    def _map(self, work: Callable[[_Batch], T]) -> list[T]:
+        if len(self.batches) == 1:
+            return [work(self.batches[0])]
+        with ThreadPoolExecutor(len(self.batches)) as pool:
+            return list(pool.map(work, self.batches))
 
 
-def _loss(window: Window, weights: Weights) -> float:
-    y, _ = weights.run(window.tapped, window.history.copy())
-    return 0.5 * float((((y - window.target) * window.root_weight) ** 2).sum())
+def _run(batch: _Batch, weights: Weights) -> kernels.Run:
+    return weights.run(batch.tapped, (batch.positions, batch.histories))
+
+
+def _loss(batch: _Batch, weights: Weights) -> float:
+    y = _run(batch, weights)[0]
+    return 0.5 * float((((y - batch.target) * batch.root_weight) ** 2).sum())
 
 
 def _features(
-    window: Window, y: FloatArray, weights: Weights
+    batch: _Batch, fed: FloatArray, weights: Weights
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Phi along a run (T, f), and phi and activations at rest (see kernels.jacobian)."""
-    outputs = y.shape[1]
-    lags = weights.w1y.shape[1] // outputs
-    start = window.history.reshape(lags, outputs)[::-1]
-    longer = np.concatenate([start, y])
-    fed = [longer[lags - j : len(longer) - j] for j in range(1, lags + 1)]
-    phi = np.concatenate([*fed, window.tapped], axis=1)
-    rest_active = weights.at_rest(window.tapped)
+    phi = np.concatenate([fed, batch.tapped], axis=1)
+    rest_active = weights.at_rest(batch.tapped)
     if not len(rest_active):
         return phi, np.empty((0, phi.shape[1])), rest_active
-    still = np.zeros((len(y), lags * outputs))
-    return phi, np.concatenate([still, window.tapped * weights.fixed], axis=1), rest_active
+    rest = np.concatenate([np.zeros_like(fed), batch.tapped * weights.fixed], axis=1)
+    return phi, rest, rest_active
 
 
-def _loss_and_gradient(window: Window, weights: Weights) -> tuple[float, FloatArray]:
-    y, active = weights.run(window.tapped, window.history.copy())
-    error = (y - window.target) * window.root_weight**2
-    loss = 0.5 * float((error * (y - window.target)).sum())
-    total, hidden, _ = kernels.adjoint(error, (y, active), weights.feedback, weights.bounds)
-    phi, rest, rest_active = _features(window, y, weights)
+def _loss_and_gradient(batch: _Batch, weights: Weights) -> tuple[float, FloatArray]:
+    run = _run(batch, weights)
+    y, active, fed = run
+    error = (y - batch.target) * batch.root_weight**2
+    loss = 0.5 * float((error * (y - batch.target)).sum())
+    total, hidden = kernels.adjoint(
+        error, run, weights.feedback, batch.positions, weights.bounds
+    )
+    phi, rest, rest_active = _features(batch, fed, weights)
     parts = [hidden.T @ phi, hidden.sum(0), total.T @ active, total.sum(0), total.T @ phi]
     if len(rest):
         back = (total @ weights.w2) * (1.0 - rest_active**2)
@@ -171,23 +208,28 @@ def _loss_and_gradient(window: Window, weights: Weights) -> tuple[float, FloatAr
     return loss, np.concatenate([part.ravel() for part in parts])
 
 
-def _normal_equations(window: Window, weights: Weights) -> NormalEquations:
-    y, active = weights.run(window.tapped, window.history.copy())
-    phi, rest, rest_active = _features(window, y, weights)
+def _normal_equations(batch: _Batch, weights: Weights) -> NormalEquations:
+    run = _run(batch, weights)
+    features = _features(batch, run[2], weights)
     units, outputs = weights.w2.T.shape
-    size = (units + outputs) * phi.shape[1] + units + outputs * units + outputs
-    loss, gradient, hessian = 0.0, np.zeros(size), np.zeros((size, size))
-    memory = np.zeros((len(window.history), size))
-    for first in range(0, len(y), _BLOCK):
+    width = features[0].shape[1]
+    size = (units + outputs) * width + units + outputs * units + outputs
+    gradient, hessian = np.zeros(size), np.zeros((size, size))
+    loss, memory = 0.0, np.zeros((run[2].shape[1], size))
+    for first in range(0, len(run[0]), _BLOCK):
         part = slice(first, first + _BLOCK)
-        features = (phi[part], rest[part], rest_active[part])
+        inside = (batch.positions >= first) & (batch.positions < first + _BLOCK)
         jacobian = kernels.jacobian(
-            features, (y[part], active[part]), weights.feedback, weights.bounds, memory
+            tuple(feature[part] for feature in features),
+            tuple(values[part] for values in run),
+            weights.feedback,
+            (batch.positions[inside] - first, memory),
+            weights.bounds,
         )
-        root = window.root_weight[part].ravel()
+        root = batch.root_weight[part].ravel()
         scored = root > 0
         j = jacobian.reshape(-1, size)[scored] * root[scored, None]
-        e = (y[part] - window.target[part]).ravel()[scored] * root[scored]
+        e = (run[0][part] - batch.target[part]).ravel()[scored] * root[scored]
         loss += 0.5 * float(e @ e)
         gradient += j.T @ e
         hessian += j.T @ j

@@ -41,7 +41,7 @@ class Step:
 
     theta: FloatArray
     loss: float
-    damping: float
+    damping: Damping
 
 
 @dataclass(frozen=True)
@@ -61,12 +61,15 @@ class Damping:
         return Damping(max(self.value * shrink, 1e-12))
 
 
-def minimise(problem: Problem, theta: FloatArray, decay: float = 0.0) -> Iterator[Step]:
+def minimise(
+    problem: Problem, theta: FloatArray, decay: float = 0.0, damping: Damping | None = None
+) -> Iterator[Step]:
     """Yield accepted steps downhill from `theta` until none is found any more.
 
-    `decay` adds decay/2 * |theta|^2 to the loss. The caller decides when to stop.
+    `decay` adds decay/2 * |theta|^2 to the loss. The caller decides when to stop, and can go
+    on from any step by giving its theta and damping back: the path is the same.
     """
-    damping = Damping()
+    damping = damping or Damping()
     while True:
         equations = problem.normal_equations(theta)
         gradient = equations.gradient + decay * theta
@@ -84,7 +87,7 @@ def minimise(problem: Problem, theta: FloatArray, decay: float = 0.0) -> Iterato
             if damping.value > 1e12:
                 return
         theta = trial
-        yield Step(theta, after, damping.value)
+        yield Step(theta, after, damping)
 
 
 def _solve(hessian: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:

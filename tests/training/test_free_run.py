@@ -6,7 +6,15 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.narx import NarxConfig, NarxModel, NarxNet, Scaling, simulate_slowly
+from narxcal.narx import (
+    AT_START,
+    NarxConfig,
+    NarxModel,
+    NarxNet,
+    Scaling,
+    Weights,
+    simulate_slowly,
+)
 from narxcal.records import Record
 from training.free_run import FreeRunProblem, cut_windows
 
@@ -110,9 +118,8 @@ def test_gauss_newton_matrix_is_the_jacobian_squared():
 
     def residual(at):
         model.net.set_theta(at)
-        from narxcal.narx import Weights
-
-        y, _ = Weights.of(model.net).run(windows[0].tapped, windows[0].history.copy())
+        history = windows[0].history[None]
+        y, _, _ = Weights.of(model.net).run(windows[0].tapped, (AT_START, history))
         return ((y - windows[0].target) * windows[0].root_weight).ravel()
 
     step = 1e-6

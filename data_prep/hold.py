@@ -1,0 +1,37 @@
+"""Completes the inputs of a model: a free run cannot step over a hole."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from data_prep.log import AuditEntry, Log
+from narxcal.errors import DataError
+
+
+def hold_inputs(log: Log, names: Sequence[str]) -> Log:
+    """Carry the last known value of each named channel over its masked samples, and count them.
+
+    Samples before the first known one take that one. Raises `DataError` for a channel with no
+    known sample at all.
+    """
+    held, entries = {}, []
+    for name in names:
+        values = log[name]
+        known = np.flatnonzero(np.isfinite(values))
+        if len(known) == len(values):
+            continue
+        if not len(known):
+            raise DataError(
+                "an input of the model has no valid sample",
+                file=log.name,
+                channel=name,
+                hint="Map another column to it, or leave the log out",
+            )
+        last = np.searchsorted(known, np.arange(len(values)), side="right") - 1
+        held[name] = values[known[np.maximum(last, 0)]]
+        entries.append(
+            AuditEntry(name, "filled", "held for the model", len(values) - len(known))
+        )
+    return log.with_channels(held, *entries) if held else log

@@ -1,0 +1,87 @@
+"""Writes a training's progress to one file after every step, and reads it back.
+
+The file is safetensors: the arrays as they are, everything else as one JSON text in its header.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load, save
+
+from narxcal.atomic import atomic_write_bytes
+from narxcal.errors import ModelError
+from training.adam import Moments
+from training.levenberg_marquardt import Damping
+from training.trainer import HistoryRow, Progress
+
+_SCHEMA = "narxcal.checkpoint/1"
+
+
+def fingerprint(*parts: str) -> str:
+    """One hash of all that decides a training: configuration, data hashes, code version."""
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def write_checkpoint(file: Path, progress: Progress, key: str) -> None:
+    """Write atomically: a kill at any time leaves the last complete step."""
+    arrays = {"theta": progress.theta}
+    if progress.best_theta is not None:
+        arrays["best_theta"] = progress.best_theta
+    if progress.moments is not None:
+        arrays["first"] = progress.moments.first
+        arrays["second"] = progress.moments.second
+    state = {
+        "start": progress.start,
+        "stage": progress.stage,
+        "iteration": progress.iteration,
+        "damping": [progress.damping.value, progress.damping.growth],
+        "adam_steps": None if progress.moments is None else progress.moments.steps,
+        "best_score": float(progress.best_score).hex(),
+        "since_best": progress.since_best,
+        "history": [asdict(row) for row in progress.history],
+    }
+    header = {"schema": _SCHEMA, "key": key, "state": json.dumps(state)}
+    # A copy makes every array contiguous and its own, which is what gets written.
+    data = save({name: np.array(value) for name, value in arrays.items()}, header)
+    atomic_write_bytes(file, data)
+
+
+def read_checkpoint(file: Path, key: str) -> Progress:
+    """Read what `write_checkpoint` wrote; raises `ModelError` if it is of another training."""
+    data = file.read_bytes()
+    try:
+        arrays = load(data)
+        length = int.from_bytes(data[:8], "little")
+        header = json.loads(data[8 : 8 + length])["__metadata__"]
+        state = json.loads(header["state"])
+    except (SafetensorError, ValueError, KeyError) as error:
+        raise ModelError(
+            f"the checkpoint cannot be read: {error}", file=file, hint="Train without --resume"
+        ) from None
+    if header.get("key") != key:
+        raise ModelError(
+            "the checkpoint belongs to a training with another configuration or other data",
+            file=file,
+            hint="Restore them, or train without --resume into another folder",
+        )
+    moments = None
+    if state["adam_steps"] is not None:
+        moments = Moments(arrays["first"], arrays["second"], state["adam_steps"])
+    return Progress(
+        theta=arrays["theta"],
+        start=state["start"],
+        stage=state["stage"],
+        iteration=state["iteration"],
+        damping=Damping(*state["damping"]),
+        moments=moments,
+        best_theta=arrays.get("best_theta"),
+        best_score=float.fromhex(state["best_score"]),
+        since_best=state["since_best"],
+        history=tuple(HistoryRow(**row) for row in state["history"]),
+    )

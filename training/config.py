@@ -1,0 +1,138 @@
+"""The configuration of a whole run: one TOML file, one section per room."""
+
+from __future__ import annotations
+
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from data_prep.clean import CleanConfig
+from data_prep.events import EventsConfig
+from data_prep.logs_config import LogsConfig
+from data_prep.quasi_steady import QuasiSteadyConfig
+from data_prep.smooth import SmoothConfig
+from narxcal.channels import channel
+from narxcal.errors import ConfigError
+from narxcal.fuser import FuserConfig
+from narxcal.settings import Section
+from training.steady_fit import SteadyStateConfig
+
+SCHEMA = "narxcal.config/1"
+
+
+class NarxSection(Section):
+    """Table [narx]: the network over the deviation from steady state.
+
+    `outputs` are the channels it calibrates; `joint` = false trains one network per output.
+    `schedule` names the inputs that change how fast the engine moves. `anchored` makes the
+    steady-state model an exact equilibrium; without it the network is the paper's.
+    """
+
+    outputs: tuple[str, ...] = ("N1_pct", "N2_pct", "EGT_C")
+    schedule: tuple[str, ...] = ("ALT_ft", "Mach")
+    lags: int = Field(default=2, ge=1)
+    taps: tuple[int, ...] = (0,)
+    hidden: int = Field(default=6, ge=1)
+    margin: float = Field(default=0.25, ge=0)
+    anchored: bool = True
+    joint: bool = True
+
+    @field_validator("outputs", "schedule")
+    @classmethod
+    def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            channel(name)
+        return names
+
+
+class TrainConfig(Section):
+    """Table [train]: free-run training by horizons that grow.
+
+    `horizons_s` are the lengths of the windows in seconds, 0 for whole logs, and `iterations`
+    the steps at each. `starts` networks are drawn from `seed` on and the best is kept. One
+    sample in every `score_every_s` is scored. Training stops early after `patience` steps
+    without a better free run on the validation logs, where there are any.
+    """
+
+    optimiser: Literal["lm", "adam"] = "lm"
+    horizons_s: tuple[float, ...] = (5.0, 60.0)
+    iterations: tuple[int, ...] = (8, 12)
+    starts: int = Field(default=1, ge=1)
+    seed: int = 0
+    decay: float = Field(default=1e-5, ge=0)
+    rate: float = Field(default=0.01, gt=0)
+    score_every_s: float = Field(default=0.3, gt=0)
+    patience: int = Field(default=8, ge=1)
+    threads: int = Field(default=2, ge=1)
+
+    @model_validator(mode="after")
+    def _paired(self) -> TrainConfig:
+        if len(self.horizons_s) != len(self.iterations):
+            raise ValueError(
+                f"horizons_s and iterations have to be of one length, found "
+                f"{len(self.horizons_s)} and {len(self.iterations)}"
+            )
+        return self
+
+
+class SplitConfig(Section):
+    """Table [split]: patterns of log names (FILE:engine); a log's first match decides.
+
+    Whole logs only: lags and scores never cross from one set into another. An empty `test`
+    means that every log which is in no other set is a test log.
+    """
+
+    train: tuple[str, ...] = ("*",)
+    validate_: tuple[str, ...] = Field(default=(), alias="validate")
+    test: tuple[str, ...] = ()
+
+
+class RunConfig(Section):
+    """Everything that decides a run. `evaluate` is read by the evaluator's own section."""
+
+    schema_: Literal["narxcal.config/1"] = Field(default=SCHEMA, alias="schema")
+    name: str = "narxcal"
+    logs: LogsConfig = LogsConfig()
+    clean: CleanConfig = CleanConfig()
+    smooth: SmoothConfig = SmoothConfig()
+    events: EventsConfig = EventsConfig()
+    quasi_steady: QuasiSteadyConfig = QuasiSteadyConfig()
+    steady_state: SteadyStateConfig = SteadyStateConfig()
+    narx: NarxSection = NarxSection()
+    train: TrainConfig = TrainConfig()
+    split: SplitConfig = SplitConfig()
+    fuser: FuserConfig = FuserConfig()
+    evaluate: dict[str, Any] = {}
+
+
+def load_config(path: str | Path) -> tuple[RunConfig, Path]:
+    """Read a TOML file; returns the configuration and the folder its paths are relative to.
+
+    A name that is no file is looked up among the shipped configurations. Raises `ConfigError`
+    for a missing file, bad TOML, an unknown key or a bad value.
+    """
+    file = Path(path)
+    if not file.is_file():
+        shipped = Path(str(files("configs"))) / file.name
+        if not shipped.is_file():
+            names = sorted(item.name for item in Path(str(files("configs"))).glob("*.toml"))
+            raise ConfigError(
+                "the configuration does not exist",
+                file=file,
+                hint=f"Name a file, or one of the shipped {', '.join(names)}",
+            )
+        file = shipped
+    try:
+        table = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"not TOML: {error}", file=file) from None
+    if table.get("schema") != SCHEMA:
+        raise ConfigError(
+            f"expected schema = '{SCHEMA}', found {table.get('schema')!r}",
+            file=file,
+            hint="Write it as the first line",
+        )
+    return RunConfig.parse(table, file), file.resolve().parent

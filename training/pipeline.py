@@ -1,0 +1,281 @@
+"""From a configuration to a calibrated model: the steps of `narxcal train`, in order."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from data_prep.hold import hold_inputs
+from data_prep.log import Log
+from data_prep.prepare import prepare
+from data_prep.quasi_steady import quasi_steady
+from data_prep.reading import read_logs
+from narxcal.bundle import Bundle
+from narxcal.calibration import DynamicCalibration, narx_features, steady_for_engine
+from narxcal.errors import ConfigError, DataError
+from narxcal.fuser_noise import estimate_noise
+from narxcal.narx import NarxConfig, NarxModel
+from narxcal.records import Record
+from narxcal.steady_fitted import Layout
+from narxcal.steady_source import open_steady
+from narxcal.steady_state import SteadyStateModel
+from training.baselines import fit_baselines
+from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
+from training.config import RunConfig, SplitConfig
+from training.merge import merge_models, single_output
+from training.steady_fit import SteadyQuality, SteadySamples, fit_steady_state
+from training.trainer import FitResult, HistoryRow, Material, Progress, fit_narx
+
+CHECKPOINT = "checkpoint-{}.safetensors"
+
+
+@dataclass(frozen=True)
+class Split:
+    """Whole logs: to fit to, to stop by, and those that took no part."""
+
+    train: tuple[Log, ...]
+    validate: tuple[Log, ...]
+    test: tuple[Log, ...]
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """How to run a training: who watches, where checkpoints go, whether to go on from them."""
+
+    watch: Any = None
+    checkpoints: Path | None = None
+    resume: bool = False
+
+
+def configured_files(config: RunConfig, base: Path) -> list[Path]:
+    """Paths that [logs] names, relative to the configuration's folder."""
+    return config.logs.resolve(base)
+
+
+def prepare_logs(
+    config: RunConfig, files: Sequence[Path], dt_s: float | None = None
+) -> list[Log]:
+    """Read, clean, smooth and complete the inputs of `files`, on the raster `dt_s` if given."""
+    reading = config.logs
+    if dt_s is not None:
+        reading = reading.model_copy(update={"raster_hz": 1.0 / dt_s})
+    logs = prepare(read_logs(files, reading), config)
+    return [hold_inputs(log, config.steady_state.inputs) for log in logs]
+
+
+def split_logs(logs: Sequence[Log], config: SplitConfig) -> Split:
+    """Sort logs into sets by their names; `ConfigError` where nothing is left to train on."""
+    parts: dict[str, list[Log]] = {"test": [], "validate": [], "train": []}
+    patterns = {"test": config.test, "validate": config.validate_, "train": config.train}
+    for log in logs:
+        for part in parts:
+            if any(fnmatch(log.name, pattern) for pattern in patterns[part]):
+                parts[part].append(log)
+                break
+        else:
+            if not config.test:
+                parts["test"].append(log)
+    if not parts["train"]:
+        raise ConfigError(
+            f"no log matches [split] train = {list(config.train)}",
+            hint=f"Logs are {', '.join(log.name for log in logs)}",
+        )
+    return Split(tuple(parts["train"]), tuple(parts["validate"]), tuple(parts["test"]))
+
+
+def calibrate(
+    config: RunConfig, base: Path, split: Split, options: TrainOptions | None = None
+) -> Bundle:
+    """Fit or load the steady-state model, train the network, estimate the fuser's noise.
+
+    Raises `DataError` for logs of different rasters or with too little in them, `ConfigError`
+    for a configuration that does not fit the logs.
+    """
+    began = time.perf_counter()
+    dt_s = _common_raster([*split.train, *split.validate])
+    steady, quality = steady_state(config, base, split.train)
+    structure = NarxConfig(
+        lags=config.narx.lags,
+        taps=config.narx.taps,
+        hidden=config.narx.hidden,
+        margin=config.narx.margin,
+        moving=len(config.narx.outputs) if config.narx.anchored else 0,
+    )
+    schedule = config.narx.schedule
+    material = Material(
+        [deviation_record(log, steady, schedule) for log in split.train],
+        [deviation_record(log, steady, schedule) for log in split.validate],
+        dt_s,
+    )
+    results = _fit(config, material, structure, options or TrainOptions())
+    calibration = DynamicCalibration(steady, merge_models(_models(results)), dt_s, schedule)
+    meta = _meta(config, base, split)
+    meta["steady_state"] = _quality_row(quality)
+    meta["training"] = _training_row(results, time.perf_counter() - began)
+    meta["fuser_noise"] = _noise(calibration, split).to_dict()
+    meta["baselines"] = fit_baselines(calibration, split.train)
+    return Bundle(calibration, meta)
+
+
+def calibration_for(calibration: DynamicCalibration, log: Log) -> DynamicCalibration:
+    """The calibration as it holds for the engine of `log`."""
+    return calibration.for_engine(log.source.engine)
+
+
+def steady_state(
+    config: RunConfig, base: Path, logs: Sequence[Log]
+) -> tuple[SteadyStateModel, SteadyQuality | None]:
+    """Fit the steady-state model to the logs' quasi-steady samples, or open the maker's."""
+    section = config.steady_state
+    outputs = config.narx.outputs
+    if section.kind != "fitted":
+        names = (section.inputs, outputs)
+        return open_steady(section.kind, section.source, names, base, section.options), None
+    layout = Layout(
+        input_names=section.inputs,
+        output_names=outputs,
+        driver=config.events.driver,
+        blend=section.blend,
+        corrected=section.corrected,
+    )
+    speeds = tuple(name for name in outputs if name in ("N1_pct", "N2_pct"))
+    samples = []
+    for log in logs:
+        still = quasi_steady(log, layout.driver, speeds, config.quasi_steady)
+        inputs, measured = log.matrix(section.inputs)[still], log.matrix(outputs)[still]
+        samples.append(SteadySamples(inputs, measured, log.source.engine))
+    return fit_steady_state(samples, layout, section.fit)
+
+
+def deviation_record(log: Log, steady: SteadyStateModel, schedule: Sequence[str]) -> Record:
+    """What the network learns from: features and deviations of one log (papers/narx, 2.1)."""
+    inputs = log.matrix(steady.input_names)
+    ss = steady_for_engine(steady, log.source.engine).outputs(inputs)
+    columns = [steady.input_names.index(name) for name in schedule]
+    features = narx_features(ss, inputs[:, columns])
+    return Record(features, ss - log.matrix(steady.output_names), log.name)
+
+
+def _common_raster(logs: Sequence[Log]) -> float:
+    rasters = {round(log.dt_s, 6): log.name for log in logs}
+    if len(rasters) > 1:
+        found = ", ".join(f"{dt:g} s in {name}" for dt, name in sorted(rasters.items()))
+        raise DataError(
+            f"expected all logs on one raster, found {found}",
+            hint="Set raster_hz in [logs]",
+        )
+    return logs[0].dt_s
+
+
+def _fit(
+    config: RunConfig, material: Material, structure: NarxConfig, options: TrainOptions
+) -> list[FitResult]:
+    """One joint network, or one per output whose results are merged."""
+    if config.narx.joint:
+        return [_fit_one(config, material, structure, (options, "joint"))]
+    results = []
+    for k, name in enumerate(config.narx.outputs):
+        part = Material(
+            [single_output(record, k) for record in material.records],
+            [single_output(record, k) for record in material.validation],
+            material.dt_s,
+        )
+        results.append(_fit_one(config, part, structure, (options, name)))
+    return results
+
+
+def _fit_one(
+    config: RunConfig,
+    material: Material,
+    structure: NarxConfig,
+    how: tuple[TrainOptions, str],
+) -> FitResult:
+    options, name = how
+    file = None if options.checkpoints is None else options.checkpoints / CHECKPOINT.format(name)
+    data = [record.u.tobytes() + record.y.tobytes() for record in material.records]
+    key = fingerprint(config.train.model_dump_json(), structure.model_dump_json(), *_hashes(data))
+
+    def watch(progress: Progress) -> None:
+        if file is not None:
+            write_checkpoint(file, progress, key)
+        if options.watch is not None:
+            options.watch(progress)
+
+    resume = None
+    if options.resume and file is not None and file.is_file():
+        resume = read_checkpoint(file, key)
+    return fit_narx(material, structure, config.train, watch, resume)
+
+
+def _hashes(parts: Sequence[bytes]) -> list[str]:
+    return [fingerprint(part.hex()) for part in parts]
+
+
+def _models(results: Sequence[FitResult]) -> list[NarxModel]:
+    return [result.model for result in results]
+
+
+def _noise(calibration: DynamicCalibration, split: Split) -> Any:
+    """Fuser noise from logs the network was not fitted to, where there are any."""
+    measured, predicted = [], []
+    for log in split.validate or split.train:
+        own = calibration_for(calibration, log)
+        outputs = log.matrix(own.output_names)
+        predicted.append(own.simulate(log.matrix(own.input_names), outputs[0]))
+        measured.append(outputs)
+    return estimate_noise(measured, predicted, calibration.dt_s)
+
+
+def _meta(config: RunConfig, base: Path, split: Split) -> dict[str, Any]:
+    parts = {"train": split.train, "validate": split.validate, "test": split.test}
+    logs = [log for part in parts.values() for log in part]
+    return {
+        "config": config.model_dump(mode="json", by_alias=True),
+        "base": str(base),
+        "split": {name: [log.name for log in part] for name, part in parts.items()},
+        "data": {log.source.file: log.source.sha256 for log in logs},
+        "seeds": [config.train.seed + k for k in range(config.train.starts)],
+        "hardware": {
+            "machine": platform.machine(),
+            "system": platform.system(),
+            "cores": os.cpu_count(),
+        },
+    }
+
+
+def _quality_row(quality: SteadyQuality | None) -> dict[str, Any]:
+    if quality is None:
+        return {"fitted": False}
+    return {
+        "fitted": True,
+        "samples": quality.samples,
+        "rms": quality.rms,
+        "coverage": quality.coverage,
+    }
+
+
+def _training_row(results: Sequence[FitResult], wall_s: float) -> dict[str, Any]:
+    return {
+        "status": "; ".join(sorted({result.status for result in results})),
+        "score": [result.score for result in results],
+        "wall_s": wall_s,
+        "history": [[_history_row(row) for row in result.history] for result in results],
+    }
+
+
+def _history_row(row: HistoryRow) -> dict[str, Any]:
+    return {
+        "start": row.start,
+        "horizon_s": row.horizon_s,
+        "iteration": row.iteration,
+        "loss": row.loss,
+        "validation": row.validation if np.isfinite(row.validation) else None,
+    }

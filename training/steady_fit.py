@@ -1,0 +1,254 @@
+"""Fits the steady-state curves of `narxcal.steady_fitted` to quasi-steady samples.
+
+A penalised least-squares problem with signs (Eilers and Marx 1996, P-splines; Huber 1964 for
+the robust weights): unrecorded bleed or a wrong sensor for some minutes must not bend the
+curve of the rest of the flight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+from scipy.optimize import lsq_linear
+
+from narxcal.errors import DataError
+from narxcal.settings import Section
+from narxcal.steady_fitted import (
+    FittedSteadyState,
+    Layout,
+    corner_weights,
+    i_splines,
+    middle,
+)
+from narxcal.steady_source import SteadySourceOptions
+from narxcal.steady_state import Envelope
+
+FloatArray = NDArray[np.float64]
+_ROWS = 20000  # more quasi-steady samples than this tell nothing new
+
+
+class SteadyFitConfig(Section):
+    """How stiff the curves are.
+
+    `knots` of the spline over the driver; `bend`, `spread` and `scatter` are the penalties on
+    curvature, on differences between envelope corners and on engine lines, as shares of the
+    mean squared error. `huber` is the residual, in robust standard deviations, beyond which a
+    sample loses weight; 0 turns that off.
+    """
+
+    knots: int = Field(default=5, ge=2)
+    bend: float = Field(default=1e-4, ge=0)
+    spread: float = Field(default=1e-4, ge=0)
+    scatter: float = Field(default=1e-4, ge=0)
+    huber: float = Field(default=1.0, ge=0)
+
+
+@dataclass(frozen=True, eq=False)
+class SteadySamples:
+    """Quasi-steady samples of one log: inputs (n, n_in), outputs (n, n_out), its engine."""
+
+    inputs: FloatArray
+    outputs: FloatArray
+    engine: str = ""
+
+
+@dataclass(frozen=True)
+class SteadyQuality:
+    """What a fit rests on: samples, residual RMS per output, share of driver range covered."""
+
+    samples: int
+    rms: dict[str, float]
+    coverage: float
+
+
+def fit_steady_state(
+    samples: Sequence[SteadySamples], layout: Layout, config: SteadyFitConfig
+) -> tuple[FittedSteadyState, SteadyQuality]:
+    """Fit all outputs; raises `DataError` where there is too little to fit to."""
+    inputs = np.concatenate([part.inputs for part in samples])
+    outputs = np.concatenate([part.outputs for part in samples])
+    names = np.concatenate([[part.engine] * len(part.inputs) for part in samples])
+    _require(inputs, layout)
+    step = max(len(inputs) // _ROWS, 1)
+    inputs, outputs, names = inputs[::step], outputs[::step], names[::step]
+    drive = layout.drive(inputs)
+    knots = _spread_knots(drive, config.knots)
+    engines = _told_apart(samples)
+    envelope = Envelope.of(inputs)
+    design = _Design(layout, envelope, knots, engines, config)
+    matrix = design.matrix(inputs, names)
+    referred = layout.referred(inputs, outputs)
+    coefficients = np.stack([design.solve(matrix, column) for column in referred.T])
+    model = design.model(coefficients)
+    return model, _quality(model, (inputs, outputs, names), knots)
+
+
+def _require(inputs: FloatArray, layout: Layout) -> None:
+    if len(inputs) < 50:
+        raise DataError(
+            f"expected at least 50 quasi-steady samples, found {len(inputs)}",
+            channel=layout.driver,
+            hint="Loosen [steady_state.quasi_steady], add logs, or load the maker's model",
+        )
+    drive = layout.drive(inputs)
+    if float(np.ptp(drive)) <= 1e-6 * max(1.0, float(np.abs(drive).max())):
+        raise DataError(
+            f"the driving channel stands at {layout.column(inputs, layout.driver)[0]:g} in all "
+            "quasi-steady samples, so no curve can be fitted",
+            channel=layout.driver,
+            hint="Add logs at other power settings",
+        )
+
+
+def _spread_knots(drive: FloatArray, count: int) -> FloatArray:
+    """Even knots over the whole range, so that no gap in the data is bridged by one piece."""
+    return np.linspace(float(drive.min()), float(drive.max()), count)
+
+
+def _told_apart(samples: Sequence[SteadySamples]) -> tuple[str, ...]:
+    engines = sorted({part.engine for part in samples if len(part.inputs)})
+    return tuple(engines) if len(engines) > 1 else ()
+
+
+@dataclass(frozen=True)
+class _Design:
+    layout: Layout
+    envelope: Envelope
+    knots: FloatArray
+    engines: tuple[str, ...]
+    config: SteadyFitConfig
+
+    @property
+    def corners(self) -> int:
+        return int(2 ** len(self.layout.blend))
+
+    @property
+    def splines(self) -> int:
+        return len(self.knots)
+
+    def matrix(self, inputs: FloatArray, names: NDArray[np.str_]) -> FloatArray:
+        """Columns: corner by corner 1 and the splines, then engine by engine 1 and slope."""
+        drive = self.layout.drive(inputs)
+        basis = np.concatenate([np.ones((len(drive), 1)), i_splines(self.knots)(drive)], axis=1)
+        weights = corner_weights(self.layout, self.envelope, inputs)
+        curve = (weights[:, :, None] * basis[:, None, :]).reshape(len(drive), -1)
+        line = np.stack([np.ones_like(drive), middle(drive, self.knots)], axis=1)
+        lines = [line * (names == engine)[:, None] for engine in self.engines]
+        return np.concatenate([curve, *lines], axis=1)
+
+    def solve(self, matrix: FloatArray, target: FloatArray) -> FloatArray:
+        """Huber-weighted penalised least squares with b >= 0, for one output."""
+        known = np.isfinite(target)
+        matrix, target = matrix[known], target[known]
+        lower = np.full(matrix.shape[1], -np.inf)
+        width = 1 + self.splines
+        for corner in range(self.corners):
+            lower[corner * width + 1 : (corner + 1) * width] = 0.0
+        penalty = self._penalty(matrix.shape[1])
+        weight = np.full(len(target), 1.0 / len(target))
+        for _ in range(15 if self.config.huber else 1):
+            root = np.sqrt(weight)[:, None]
+            rows = np.concatenate(
+                [
+                    np.column_stack([matrix * root, target * root[:, 0]]),
+                    np.column_stack([penalty, np.zeros(len(penalty))]),
+                ]
+            )
+            small = np.linalg.qr(rows, mode="r")
+            solution = lsq_linear(small[:, :-1], small[:, -1], (lower, np.inf)).x
+            residual = np.abs(target - matrix @ solution)
+            if self.config.huber:
+                edge = self.config.huber * max(1.4826 * float(np.median(residual)), 1e-9)
+                weight = np.minimum(1.0, edge / np.maximum(residual, 1e-12)) / len(target)
+        return np.asarray(solution)
+
+    def _penalty(self, size: int) -> FloatArray:
+        width = 1 + self.splines
+        rows = []
+        for corner in range(self.corners):
+            first = corner * width + 1
+            for j in range(first, first + self.splines - 1):
+                rows.append(_row(size, {j: -1.0, j + 1: 1.0}, self.config.bend))
+            for bit in range(len(self.layout.blend)):
+                other = corner ^ (1 << bit)
+                if other > corner:
+                    for j in range(width):
+                        pair = {corner * width + j: -1.0, other * width + j: 1.0}
+                        rows.append(_row(size, pair, self.config.spread))
+        first = self.corners * width
+        rows += [_row(size, {j: 1.0}, self.config.scatter) for j in range(first, size)]
+        return np.array(rows)
+
+    def model(self, coefficients: FloatArray) -> FittedSteadyState:
+        """Coefficients (n_out, columns) to a model whose curve is the mean engine's."""
+        at = self.corners * (1 + self.splines)
+        curve = coefficients[:, :at].reshape(len(coefficients), self.corners, -1)
+        lines = coefficients[:, at:].reshape(len(coefficients), -1, 2).transpose(1, 0, 2)
+        return FittedSteadyState(
+            layout=self.layout,
+            envelope=self.envelope,
+            knots=self.knots,
+            curve=curve,
+            engines=self.engines,
+            engine_lines=lines,
+        )
+
+
+def _row(size: int, entries: dict[int, float], strength: float) -> FloatArray:
+    row = np.zeros(size)
+    for column, value in entries.items():
+        row[column] = value * np.sqrt(strength)
+    return row
+
+
+def _quality(
+    model: FittedSteadyState,
+    data: tuple[FloatArray, FloatArray, NDArray[np.str_]],
+    knots: FloatArray,
+) -> SteadyQuality:
+    inputs, outputs, names = data
+    error = np.empty_like(outputs)
+    for engine in np.unique(names):
+        rows = names == engine
+        error[rows] = model.for_engine(str(engine)).outputs(inputs[rows]) - outputs[rows]
+    rms = np.sqrt(np.nanmean(error**2, axis=0))
+    bins, _ = np.histogram(model.layout.drive(inputs), 20, (knots[0], knots[-1]))
+    return SteadyQuality(
+        samples=len(inputs),
+        rms={name: float(value) for name, value in zip(model.output_names, rms, strict=True)},
+        coverage=float((bins > 0).mean()),
+    )
+
+
+Kind = Literal["fitted", "table", "callable", "fmu"]
+
+
+class SteadyStateConfig(Section):
+    """Table [steady_state]: fit a model to the logs, or load the maker's.
+
+    `kind` "fitted" uses `inputs` (which must hold ALT_ft, Mach and dT_C if `corrected`) and
+    blends curves between the extremes of `blend`. The other kinds load `source`: a CSV table,
+    `module:function` or an FMU file.
+    """
+
+    kind: Kind = "fitted"
+    source: str = ""
+    inputs: tuple[str, ...] = ("TRA_deg", "ALT_ft", "Mach", "dT_C")
+    blend: tuple[str, ...] = ("Mach",)
+    corrected: bool = True
+    fit: SteadyFitConfig = SteadyFitConfig()
+    options: SteadySourceOptions = SteadySourceOptions()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> SteadyStateConfig:
+        if self.kind != "fitted" and not self.source:
+            raise ValueError(f"kind '{self.kind}' needs a source")
+        missing = [name for name in self.blend if name not in self.inputs]
+        if missing:
+            raise ValueError(f"blend names '{missing[0]}', which is no input")
+        return self

@@ -1,0 +1,226 @@
+"""Trains a NARX network in free run: several starts, growing horizons, the best one kept.
+
+The loop knows nothing of the optimiser but that it yields steps. What it has done so far is in
+a `Progress` that can be written to disk after every step and gone on from, with the same path
+as if it had never stopped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from narxcal.narx import NarxConfig, NarxModel
+from narxcal.records import Record, check_records
+from training import adam, levenberg_marquardt
+from training.adam import Moments
+from training.config import TrainConfig
+from training.free_run import FreeRunProblem, cut_windows
+from training.levenberg_marquardt import Damping
+from training.warm_start import new_model, start_linear
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class HistoryRow:
+    """One training step: where it was taken and the losses after it.
+
+    `validation` is the root of twice the free-run loss on whole validation records in scaled
+    units (NaN without validation records).
+    """
+
+    start: int
+    stage: int
+    horizon_s: float
+    iteration: int
+    loss: float
+    validation: float
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """Where training stands after a step, complete: theta, optimiser state, the best so far."""
+
+    theta: FloatArray
+    start: int = 0
+    stage: int = 0
+    iteration: int = 0
+    damping: Damping = field(default_factory=Damping)
+    moments: Moments | None = None
+    best_theta: FloatArray | None = None
+    best_score: float = float("inf")
+    since_best: int = 0
+    history: tuple[HistoryRow, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """The trained model, how it ended in words, and every step on the way."""
+
+    model: NarxModel
+    status: str
+    score: float
+    history: tuple[HistoryRow, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What to learn from: training records, validation records (may be none), their raster."""
+
+    records: Sequence[Record]
+    validation: Sequence[Record]
+    dt_s: float
+
+
+class Watch(Protocol):
+    """Told after every step; it may show a progress bar or write a checkpoint."""
+
+    def __call__(self, progress: Progress) -> None: ...  # noqa: D102
+
+
+def fit_narx(
+    material: Material,
+    structure: NarxConfig,
+    config: TrainConfig,
+    watch: Watch | None = None,
+    resume: Progress | None = None,
+) -> FitResult:
+    """Train on whole records in free run; the same seed gives the same network.
+
+    Ctrl-C ends the training and keeps the best network so far. Raises `DataError` for records
+    that do not fit each other or are too short.
+    """
+    check_records([*material.records, *material.validation], structure.lags + structure.taps[-1])
+    run = _Run(material, structure, config, watch or _ignore)
+    progress = resume or Progress(run.first_theta(0))
+    status = "all steps done"
+    try:
+        for progress in run.steps(progress):  # noqa: B007 (the last one is what counts)
+            pass
+    except KeyboardInterrupt:
+        status = "interrupted: the best network so far was kept; --resume goes on from here"
+        progress = run.latest or progress
+    theta = progress.theta if progress.best_theta is None else progress.best_theta
+    run.model.net.set_theta(theta)
+    return FitResult(run.model, status, progress.best_score, progress.history)
+
+
+def _ignore(progress: Progress) -> None:
+    del progress
+
+
+class _Run:
+    """One call of `fit_narx`: the fixed things, and the loop over starts and stages."""
+
+    def __init__(
+        self, material: Material, structure: NarxConfig, config: TrainConfig, watch: Watch
+    ) -> None:
+        self.material = material
+        self.config = config
+        self.watch = watch
+        self.structure = structure
+        self.latest: Progress | None = None
+        self.model = new_model(material.records, structure, config.seed)
+        self.judge = self._problem(material.validation or material.records, 0.0)
+
+    def _problem(self, records: Sequence[Record], horizon_s: float) -> FreeRunProblem:
+        dt_s = self.material.dt_s
+        horizon = round(horizon_s / dt_s) if horizon_s > 0 else None
+        stride = max(round(self.config.score_every_s / dt_s), 1)
+        windows = cut_windows(self.model, records, horizon, stride)
+        return FreeRunProblem(self.model.net, windows, self.config.threads)
+
+    def first_theta(self, start: int) -> FloatArray:
+        """Weights that start number `start` begins with."""
+        drawn = new_model(self.material.records, self.structure, self.config.seed + start)
+        self.model.net.set_theta(drawn.net.get_theta())
+        problem = self._problem(self.material.records, self.config.horizons_s[0])
+        start_linear(self.model, self.material.records, problem)
+        return self.model.net.get_theta()
+
+    def steps(self, progress: Progress) -> Iterator[Progress]:
+        """Yield the progress after each step, going on from `progress`."""
+        while progress.start < self.config.starts:
+            while progress.stage < len(self.config.horizons_s):
+                for after in self._stage(progress):
+                    progress = self.latest = after
+                    self.watch(progress)
+                    yield progress
+                progress = self._settle(progress)
+            start = progress.start + 1
+            if start < self.config.starts:
+                progress = replace(progress, theta=self.first_theta(start))
+            progress = replace(progress, start=start, stage=0)
+        self.latest = progress
+        self.watch(progress)
+        yield progress
+
+    def _stage(self, progress: Progress) -> Iterator[Progress]:
+        horizon_s = self.config.horizons_s[progress.stage]
+        problem = self._problem(self.material.records, horizon_s)
+        limit = self.config.iterations[progress.stage]
+        if progress.iteration >= limit:
+            return
+        for theta, loss, state in self._optimise(problem, progress):
+            progress = self._scored(
+                replace(state, theta=theta, iteration=progress.iteration + 1), loss, horizon_s
+            )
+            yield progress
+            tired = bool(self.material.validation) and progress.since_best >= self.config.patience
+            if progress.iteration >= limit or tired:
+                return
+
+    def _optimise(
+        self, problem: FreeRunProblem, progress: Progress
+    ) -> Iterator[tuple[FloatArray, float, Progress]]:
+        """Yield (theta, loss, progress with the optimiser's state) whatever the optimiser."""
+        theta, decay = progress.theta, self.config.decay
+        if self.config.optimiser == "lm":
+            for step in levenberg_marquardt.minimise(problem, theta, decay, progress.damping):
+                progress = replace(self.latest or progress, damping=step.damping)
+                yield step.theta, step.loss, progress
+        else:
+            rate = self.config.rate
+            for move in adam.minimise(problem, theta, rate, decay, progress.moments):
+                progress = replace(self.latest or progress, moments=move.moments)
+                yield move.theta, move.loss, progress
+
+    def _scored(self, progress: Progress, loss: float, horizon_s: float) -> Progress:
+        """Add the history row; with validation records, keep the best step by them."""
+        validation = float("nan")
+        if self.material.validation:
+            validation = float(np.sqrt(2.0 * self.judge.loss(progress.theta)))
+            progress = _keep(progress, validation)
+        row = HistoryRow(
+            progress.start, progress.stage, horizon_s, progress.iteration, loss, validation
+        )
+        return replace(progress, history=(*progress.history, row))
+
+    def _settle(self, progress: Progress) -> Progress:
+        """End a stage; without validation records, its last step competes by its own free run."""
+        last = progress.stage + 1 == len(self.config.horizons_s)
+        if last and not self.material.validation:
+            own = float(np.sqrt(2.0 * self.judge.loss(progress.theta)))
+            progress = _keep(progress, own)
+        return replace(
+            progress,
+            stage=progress.stage + 1,
+            iteration=0,
+            since_best=0,
+            damping=Damping(),
+            moments=None,
+        )
+
+
+def _keep(progress: Progress, score: float) -> Progress:
+    if score < progress.best_score:
+        return replace(progress, best_theta=progress.theta, best_score=score, since_best=0)
+    return replace(progress, since_best=progress.since_best + 1)
+
+
+WatchFactory = Callable[[str], Watch]
