@@ -10,6 +10,7 @@ import pandas as pd
 
 from data_prep.log import Audit, FloatArray, Source
 from eval.residuals import Correlation
+from eval.tally import Tally
 from eval.transients import Transient, Verdict
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ class ChannelTrace:
 class Score:
     """Errors of one channel over one log, in the channel's unit unless the name says otherwise.
 
+    `bias` is the mean error; `untrimmed_rmse` that of the same rows before trim.
     `static_rmse` is the part left in quasi-steady samples, `dynamic_rmse` the part in transients;
     `baselines` maps a name (`steady state`, `first order`, `ARX`) to its RMSE on the same samples.
     NaN where a figure does not exist.
@@ -64,6 +66,8 @@ class Score:
     one_step_rmse: float = float("nan")
     static_rmse: float = float("nan")
     dynamic_rmse: float = float("nan")
+    bias: float = float("nan")
+    untrimmed_rmse: float = float("nan")
     baselines: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -129,12 +133,20 @@ class ResidualTests:
     cross: Mapping[str, Correlation] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Offsets:
+    """Trim offsets added to the model: channel -> one value per power level, in its unit."""
+
+    levels: Sequence[float]
+    added: Mapping[str, Sequence[float]]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LogPage:
     """Everything about one log; `pearson` has inputs as rows and outputs as columns.
 
-    `offsets` are the trim offsets that were added to the model (channel unit), estimated before
-    `scored_from_s`; both are empty without trim.
+    `role` says what training did with the log. `offsets` were estimated before `scored_from_s`;
+    both are None without trim. `tallies` counts Ti/Tt of the model and of each baseline.
     """
 
     name: str
@@ -147,7 +159,9 @@ class LogPage:
     residuals: Sequence[ResidualTests] = ()
     pearson: pd.DataFrame | None = None
     audit: Audit = field(default_factory=Audit)
-    offsets: Mapping[str, float] = field(default_factory=dict)
+    role: str = ""
+    tallies: Mapping[str, Tally] = field(default_factory=dict)
+    offsets: Offsets | None = None
     scored_from_s: float | None = None
 
 

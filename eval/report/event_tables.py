@@ -27,6 +27,26 @@ def transients(pages: Sequence[LogPage]) -> Table:
     return Table("Ti and Tt of every event; differences are model minus flight", head, tuple(rows))
 
 
+def tallies(pages: Sequence[LogPage]) -> Table:
+    """Ti and Tt of the model beside those of the baselines, on the same events."""
+    head = (
+        "model", "passed", "assessed", "passed [%]", "mean |ΔTi| [%]", "mean |ΔTt| [%]",
+        "mean |ΔTi| [s]", "mean |ΔTt| [s]",
+    )  # fmt: skip
+    rows: list[tuple[Cell, ...]] = []
+    for page in pages:
+        rows.append((Cell(page.name, "group"),))
+        for name, part in page.tallies.items():
+            values = (
+                part.passed_pct, part.mean_relative_Ti_pct, part.mean_relative_Tt_pct,
+                part.mean_absolute_Ti_s, part.mean_absolute_Tt_s,
+            )  # fmt: skip
+            counts = [Cell(str(number), number=True) for number in (part.passed, part.assessed)]
+            rows.append((Cell(name, "head"), *counts, *(figure(value) for value in values)))
+    caption = "Times read as 100 % wrong where a model failed before they could be compared"
+    return Table(caption, head, tuple(rows))
+
+
 def event_times(trace: EventTrace) -> Table:
     """Build the same figures for one event, to stand beside its overlay."""
     head = ("channel", "", "flight [s]", "model [s]", "Δ [s]", "|Δ| [%]", "allowed [s]", "outcome")
@@ -34,7 +54,7 @@ def event_times(trace: EventTrace) -> Table:
     for channel, response in trace.responses.items():
         verdict, name = response.verdict, Cell(symbol(channel), "head")
         if verdict is None or verdict.Ti is None or verdict.Tt is None:
-            rows.append((name, *[Cell(NOTHING)] * 6, outcome(response)))
+            rows.append((name, *[Cell(NOTHING, number=True)] * 6, outcome(response)))
             continue
         rows += [
             (name, Cell(time), *_check_cells(check), _passed(check))
@@ -90,7 +110,12 @@ def _transient_row(trace: EventTrace, channel: str, response: Response) -> tuple
 def _times(check: TimeCheck | None, flight_s: float, model_s: float | None) -> tuple[Cell, ...]:
     """Flight, model, difference and allowed; what was read though it was not compared."""
     if check is None:
-        return (figure(flight_s), figure(model_s), Cell(NOTHING), Cell(NOTHING))
+        return (
+            figure(flight_s),
+            figure(model_s),
+            Cell(NOTHING, number=True),
+            Cell(NOTHING, number=True),
+        )
     mark: Mark = "" if check.ok else "bad"
     return (
         figure(check.flight_s),

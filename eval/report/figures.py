@@ -17,14 +17,16 @@ _LAGS = 160  # drawn per correlation; a reader sees no more
 
 def overlay(page: LogPage) -> Picture:
     """Draw the whole log: driver, then per output flight over model and the deviation below it."""
-    outputs = page.channels
-    ratios = [0.7] + [part for _ in outputs for part in (1.7, 0.7)]
+    outputs, compared = page.channels, any(part.model is not None for part in page.channels)
+    ratios = [0.7] + [part for _ in outputs for part in ((1.7, 0.7) if compared else (1.5,))]
     figure = style.figure(10.0, 1.0 * sum(ratios))
     rows = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
+    step = 2 if compared else 1
     _driver(rows[0], page)
-    for trace, upper, lower in zip(outputs, rows[1::2], rows[2::2], strict=True):
-        _output(upper, page.time_s, trace)
-        _deviation(lower, page.time_s, trace)
+    for position, trace in enumerate(outputs):
+        _output(rows[1 + step * position], page.time_s, trace)
+        if compared:
+            _deviation(rows[2 + step * position], page.time_s, trace)
     style.legend(rows[1], columns=5)
     for axes in rows:
         style.dress(axes)
@@ -33,7 +35,8 @@ def overlay(page: LogPage) -> Picture:
     rows[-1].set_xlabel("time [s]")
     figure.align_ylabels(list(rows))
     names = ", ".join(style.symbol(trace.name) for trace in outputs)
-    alt = f"Free run of {names} over the whole log {page.name}: measured and model, with deviation"
+    shown = "measured and model, with deviation" if compared else "as measured"
+    alt = f"{names} over the whole log {page.name}: {shown}"
     return picture(figure, alt, _overlay_caption(page))
 
 
@@ -69,11 +72,10 @@ def _output(axes: Axes, time: FloatArray, trace: ChannelTrace) -> None:
 
 
 def _deviation(axes: Axes, time: FloatArray, trace: ChannelTrace) -> None:
-    model = trace.model if trace.model is not None else trace.steady
     axes.axhline(0.0, color="#8c959f", lw=0.6)
-    if model is not None:
-        style.shade_missing(axes, time, trace.measured)
-        style.curve(axes, time, model - trace.measured, style.MODEL, lw=0.7)
+    style.shade_missing(axes, time, trace.measured)
+    if trace.model is not None:
+        style.curve(axes, time, trace.model - trace.measured, style.MODEL, lw=0.7)
     axes.set_ylabel(f"Δ{style.with_unit(trace.name)}")
 
 

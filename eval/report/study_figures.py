@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 
 import numpy as np
@@ -121,7 +122,7 @@ def _values(scheme: Scheme, measure: Measure) -> FloatArray:
 
 
 def _short(name: str) -> str:
-    return name if len(name) <= 16 else "\n".join((name[:16], name[16:30].strip()))
+    return "\n".join(textwrap.wrap(name, 16)[:2])
 
 
 def noise(sweep: NoiseSweep) -> Picture:

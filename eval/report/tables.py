@@ -10,7 +10,7 @@ from typing import Literal
 import pandas as pd
 
 from data_prep.log import Audit, Source
-from eval.report.content import LogPage, Scheme, Score, WindowTrial
+from eval.report.content import LogPage, Offsets, Scheme, Score, WindowTrial
 from eval.report.style import symbol, unit, with_unit
 
 Mark = Literal["", "best", "good", "bad", "none", "strong", "head", "group"]
@@ -64,16 +64,20 @@ def baseline_names(scores: Iterable[Score]) -> tuple[str, ...]:
 
 def scores(pages: Sequence[LogPage]) -> Table:
     """Free-run errors per log and channel beside the baselines; the lowest RMSE is marked."""
-    names = baseline_names(score for page in pages for score in page.scores)
+    every = [part for page in pages for part in page.scores]
+    names = baseline_names(every)
+    trimmed = any(math.isfinite(part.untrimmed_rmse) for part in every)
     head = (
-        "channel", "free run RMSE", "NRMSE [%]", "max rel. [%]", "one step RMSE",
-        "static part", "dynamic part", *(f"{name} RMSE" for name in names),
+        "channel", "free run RMSE", *(["before trim"] if trimmed else []), "NRMSE [%]", "bias",
+        "max rel. [%]", "one step RMSE", "static part", "dynamic part",
+        *(f"{name} RMSE" for name in names),
     )  # fmt: skip
     rows: list[tuple[Cell, ...]] = []
     for page in pages:
-        rows.append((Cell(page.name, "group"),))
-        rows += [_score_row(score, names) for score in page.scores]
-    return Table("RMSE in the unit of the channel", head, tuple(rows))
+        role = f" ({page.role})" if page.role else ""
+        rows.append((Cell(page.name + role, "group"),))
+        rows += [_score_row(part, names, trimmed=trimmed) for part in page.scores]
+    return Table("RMSE, bias and parts in the unit of the channel", head, tuple(rows))
 
 
 def best_of(score: Score) -> float:
@@ -82,19 +86,34 @@ def best_of(score: Score) -> float:
     return min((value for value in known if math.isfinite(value)), default=math.nan)
 
 
-def _score_row(score: Score, names: Sequence[str]) -> tuple[Cell, ...]:
+def _score_row(score: Score, names: Sequence[str], *, trimmed: bool) -> tuple[Cell, ...]:
     best = best_of(score)
     others = [score.baselines.get(name, math.nan) for name in names]
+    before = (figure(score.untrimmed_rmse),) if trimmed else ()
     return (
         Cell(with_unit(score.channel), "head"),
         figure(score.rmse, "best" if score.rmse == best else ""),
+        *before,
         figure(100.0 * score.nrmse),
+        figure(score.bias),
         figure(score.max_rel_pct),
         figure(score.one_step_rmse),
         figure(score.static_rmse),
         figure(score.dynamic_rmse),
         *(figure(value, "best" if value == best else "") for value in others),
     )
+
+
+def offsets(part: Offsets, caption: str) -> Table:
+    """Trim offsets per channel across the power levels (0 is idle, 1 is full power)."""
+    rows = [
+        (
+            Cell(with_unit(name), "head"),
+            *(Cell(f"{value:+.3g}", number=True) for value in values),
+        )
+        for name, values in part.added.items()
+    ]
+    return Table(caption, ("level", *(f"{level:.2g}" for level in part.levels)), tuple(rows))
 
 
 def pearson(table: pd.DataFrame, caption: str, strong: float = 0.8) -> Table:
@@ -181,11 +200,11 @@ def folds(scheme: Scheme) -> Table:
         rows.append(
             (
                 Cell(name, "strong"),
-                Cell(""),
+                Cell("", "strong"),
                 *(Cell(number(value), "strong", number=True) for value in spread),
             )
         )
-    return Table(scheme.name, head, tuple(rows))
+    return Table("", head, tuple(rows))
 
 
 def summary(scheme: Scheme) -> Mapping[str, list[float]]:
