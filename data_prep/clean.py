@@ -30,6 +30,8 @@ BoolArray = NDArray[np.bool_]
 
 # Spikes that count towards a burst stand off by twice what makes a single gross error.
 _BURST_FACTOR = 2.0
+# Slack when a span is compared with a limit that it just reaches.
+_ROUNDING = 1e-9
 # Shorter spans are only counted.
 _SPAN_S = 1.0
 
@@ -95,8 +97,13 @@ class _Work:
             self._plateau(start, stop, "frozen")
         self._bursts()
         for start, stop in excursions(self._current(), self.name, self.config.faults):
-            self._plateau(start, stop, "spiking")
-        self._drop(self._gross(self.config.sigmas), "spiking", longest_s=self.config.repair_s)
+            # Single spikes are told apart better below: two of opposite sign look like one jump.
+            if (stop - start) * self.log.dt_s > self.config.repair_s + _ROUNDING:
+                self._plateau(start, stop, "spiking")
+        self._drop(self._gross(self.config.sigmas), "spiking", repair_only=True)
+        # Half a second off the median is no manoeuvre of an output; ambient channels may blip.
+        if role(self.name) == "output":
+            self._drop(self._gross(_BURST_FACTOR * self.config.sigmas), "spiking")
 
     def _current(self) -> Log:
         return self.log.with_channels({self.name: self.values})
@@ -118,19 +125,19 @@ class _Work:
         mask = np.zeros(len(self.values), dtype=np.bool_)
         mask[start:stop] = True
         mask &= np.isfinite(self.values)
-        if (stop - start) * self.log.dt_s > self.config.repair_s and mask.any():
-            reason = "out of range" if beyond_usual(self.values, mask) else reason
+        if mask.any() and beyond_usual(self.values, mask):
+            reason = "out of range"
         self._drop(mask, reason)
 
-    def _drop(self, mask: BoolArray, reason: Reason, longest_s: float | None = None) -> None:
-        """Repair the short runs of `mask`, mask the longer ones (up to `longest_s`)."""
+    def _drop(self, mask: BoolArray, reason: Reason, *, repair_only: bool = False) -> None:
+        """Repair the short runs of `mask`, mask the longer ones unless `repair_only`."""
         short = np.zeros(len(mask), dtype=np.bool_)
         long = np.zeros(len(mask), dtype=np.bool_)
         for start, stop in runs_of(mask):
             span_s = (stop - start) * self.log.dt_s
-            if span_s <= self.config.repair_s + 1e-9:
+            if span_s <= self.config.repair_s + _ROUNDING:
                 short[start:stop] = True
-            elif longest_s is None:
+            elif not repair_only:
                 long[start:stop] = True
         self.values[short | long] = np.nan
         self._note(long, "masked", reason)

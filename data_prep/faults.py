@@ -103,8 +103,7 @@ def frozen(log: Log, name: str, config: FaultsConfig) -> BoolArray:
     simulation without noise has none and may rest for minutes); the run is longer than
     `frozen_s` and five times its longest natural run; another channel lives on meanwhile;
     and it is not the zero of an engine at standstill. Or: it never changes at all, while
-    another core output moves by a fifth. Levers, ambient channels and switches rest for
-    minutes and are never frozen.
+    another core output moves by a fifth. Levers, ambient channels and switches may rest.
     """
     values = log[name]
     mask = np.zeros(len(values), dtype=np.bool_)
@@ -130,8 +129,8 @@ def _dead(log: Log, name: str) -> bool:
 
 
 def _constant(values: FloatArray) -> bool:
-    known = values[np.isfinite(values)]
-    return len(known) > 0 and bool(np.ptp(known) <= 1e-9 * np.abs(known).max())
+    starts, _ = repeats(values)
+    return len(starts) == 1
 
 
 def _unnatural(values: FloatArray, least: float) -> list[tuple[int, int]]:
@@ -192,8 +191,7 @@ def _lives(values: FloatArray, start: int, stop: int) -> bool:
 def jumps(log: Log, name: str) -> tuple[IntArray, IntArray, FloatArray]:
     """Find the jumps no engine can make, faster than its own range in two thirds of a second.
 
-    Returns their first and last samples and their signed heights; steps of one sign that
-    follow each other are one jump.
+    Returns first and last samples and signed heights; successive steps of one sign are one.
     """
     values = log[name]
     step = np.diff(values)
@@ -213,8 +211,7 @@ def jumps(log: Log, name: str) -> tuple[IntArray, IntArray, FloatArray]:
 def excursions(log: Log, name: str, config: FaultsConfig) -> list[tuple[int, int]]:
     """Find where a channel jumps away and back: dropouts to zero, plateaus, single spikes.
 
-    Fuel flow, thrust and pressure ratios can be cut for real; then the spools follow, and
-    the excursion is none.
+    Fuel flow, thrust and pressure ratios can be cut for real: then the spools follow.
     """
     if not is_sensed(name):
         return []
@@ -222,14 +219,26 @@ def excursions(log: Log, name: str, config: FaultsConfig) -> list[tuple[int, int
     found, first = [], 0
     while first + 1 < len(starts):
         there, back = change[first], change[first + 1]
+        height = max(abs(there), abs(back))
         start, stop = int(starts[first]) + 1, int(stops[first + 1])
-        returned = abs(there + back) <= _RETURN * max(abs(there), abs(back))
+        returned = abs(there + back) <= _RETURN * height
         if returned and (stop - start) * log.dt_s <= config.excursion_s:
-            if not followed(log, name, start, stop):
+            if _stands_off(log, name, (start, stop), 0.5 * height):
                 found.append((start, stop))
             first += 1
         first += 1
-    return found
+    return [span for span in found if not followed(log, name, *span)]
+
+
+def _stands_off(log: Log, name: str, span: tuple[int, int], height: float) -> bool:
+    """Tell an excursion from the good samples between two spikes of one sign."""
+    values, (start, stop), reach = log[name], span, max(1, round(1.0 / log.dt_s))
+    around = np.concatenate((values[max(0, start - reach) : start], values[stop : stop + reach]))
+    inside, outside = values[start:stop], around[np.isfinite(around)]
+    inside = inside[np.isfinite(inside)]
+    if not len(inside) or not len(outside):
+        return False
+    return bool(abs(np.median(inside) - np.median(outside)) > height)
 
 
 def followed(log: Log, name: str, start: int, stop: int) -> bool:
@@ -276,11 +285,17 @@ def bursts(log: Log, name: str, spikes: BoolArray, config: FaultsConfig) -> Bool
     last = np.concatenate((stops, ends[soft] - 1, ends[soft] - 1))
     order = np.argsort(first, kind="stable")
     first, last = first[order], last[order]
-    mask = np.zeros(len(log), dtype=np.bool_)
     count = 2 * config.burst_count
+    mask = np.zeros(len(log), dtype=np.bool_)
     if len(first) < count:
         return mask
     near = (last[count - 1 :] - first[: len(first) - count + 1]) * log.dt_s <= config.burst_s
+    inside = np.zeros(len(first) - 1, dtype=np.bool_)
     for index in np.flatnonzero(near):
-        mask[first[index] : last[index + count - 1] + 1] = True
+        inside[index : index + count - 1] = True
+    # A burst takes in the spikes that follow each other closely at its ends.
+    close = np.diff(first) * log.dt_s <= config.burst_s / config.burst_count
+    for begin, end in zip(*runs(inside | close), strict=True):
+        if inside[begin:end].any():
+            mask[first[begin] : last[begin : end + 1].max() + 1] = True
     return mask

@@ -229,3 +229,17 @@ def test_tiny_or_empty_channels_pass_through(count):
     cleaned = clean(log)
     assert cleaned.audit.entries == ()
     np.testing.assert_array_equal(cleaned["N1_pct"], nothing)
+
+
+@pytest.mark.parametrize("sizes", [(100, -100), (100, 100), (-80, -120), (90, -60)])
+@pytest.mark.parametrize("apart", [1, 2, 7])
+def test_good_samples_between_two_spikes_are_not_taken_for_the_fault(sizes, apart):
+    log = engine(moves=False)
+    truth = log["EGT_C"]
+    values = truth.copy()
+    values[4000] += sizes[0]
+    values[4000 + apart] += sizes[1]
+    cleaned = clean(log.with_channels({"EGT_C": values}))
+    assert cleaned.audit.masked() == {}
+    near = slice(3990, 4020)
+    assert np.abs(cleaned["EGT_C"][near] - truth[near]).max() < 10
