@@ -24,8 +24,7 @@ Reason = Literal["frozen", "spiking", "out of range"]
 _SLACK = 0.005
 # At most this many freezes are expected in one log; the next longest run is natural.
 _FREEZES = 10
-# A freeze is this many times longer than the longest natural run of equal samples.
-_UNNATURAL = 5
+_UNNATURAL = 5  # times longer than the longest natural run of equal samples is a freeze
 # Noise reverses at least this part of the changes.
 _REVERSALS = 0.02
 # A witness lives if it changes at least this part as often as in the rest of the log.
@@ -129,8 +128,7 @@ def _dead(log: Log, name: str) -> bool:
 
 
 def _constant(values: FloatArray) -> bool:
-    starts, _ = repeats(values)
-    return len(starts) == 1
+    return len(repeats(values)[0]) == 1
 
 
 def _unnatural(values: FloatArray, least: float) -> list[tuple[int, int]]:
