@@ -11,6 +11,10 @@ from data_prep.clean import CleanConfig, clean
 from data_prep.faults import FaultsConfig, excursions, frozen, out_of_range, repeats
 from data_prep.log import Log
 
+# A busy machine is no failure.
+settings.register_profile("patient", deadline=None)
+settings.load_profile("patient")
+
 DT = 1 / 32
 COUNT = 9600
 
