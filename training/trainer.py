@@ -151,12 +151,11 @@ class _Run:
                     progress = self.latest = after
                     self.watch(progress)
                     yield progress
-                progress = self._settle(progress)
+                progress = self.latest = self._settle(progress)
             start = progress.start + 1
             if start < self.config.starts:
                 progress = replace(progress, theta=self.first_theta(start))
-            progress = replace(progress, start=start, stage=0)
-        self.latest = progress
+            progress = self.latest = replace(progress, start=start, stage=0)
         self.watch(progress)
         yield progress
 
