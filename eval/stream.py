@@ -6,9 +6,8 @@ import io
 import time
 import zlib
 from collections.abc import Callable
-from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from data_prep.csv_source import CsvSource, open_csv, readable
 from data_prep.dialect import next_header, open_text
@@ -18,7 +17,7 @@ from narxcal.errors import DataError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
-    from typing import TextIO
+    from typing import BinaryIO, TextIO
 
     from data_prep.log import FloatArray
     from data_prep.logs_config import LogsConfig
@@ -79,7 +78,7 @@ class CsvStream:
         wanted = {name: None for engine in engines for name in self._columns[engine].values()}
         first_row = 0
         for text in self._texts():
-            cells = _Block(self._table, text, first_row).read(list(wanted))
+            cells = _read(self._table, text, list(wanted), first_row)
             first_row += len(next(iter(cells.values())))
             yield {engine: self._canonical(engine, cells) for engine in engines}
 
@@ -108,7 +107,7 @@ class CsvStream:
         """Lines as they come; the last one of a list may still be growing."""
         quiet_since = self.pace.clock()
         while True:
-            lines = self._read(text)
+            lines = self._some(text)
             if lines:
                 quiet_since = self.pace.clock()
                 yield lines
@@ -117,7 +116,7 @@ class CsvStream:
             else:
                 self.pace.sleep(_POLL_S)
 
-    def _read(self, text: TextIO) -> list[str]:
+    def _some(self, text: TextIO) -> list[str]:
         lines: list[str] = []
         try:
             while len(lines) < self.pace.lines and (line := text.readline()):
@@ -133,28 +132,41 @@ class CsvStream:
         return len(fields) >= len(self._table.header) and bool(fields[-1].strip())
 
 
-class _Block(CsvSource):
-    """Some lines of a file, read by the rules of the whole file."""
+@dataclass(frozen=True)
+class _Lines:
+    """Some lines of a file in the place of the whole one: what a reader needs of a path."""
 
-    def __init__(self, table: CsvSource, text: str, first_row: int) -> None:
-        super().__init__(table.path, table.dialect)
-        self._text = text
-        self._first_row = first_row
+    path: Path
+    text: str
 
-    def read(self, names: Sequence[str]) -> dict[str, FloatArray]:
-        try:
-            return super().read(names)
-        except DataError as error:
-            if error.row is None:
-                raise
-            raise DataError(
-                error.problem,
-                file=error.file,
-                channel=error.channel,
-                row=error.row + self._first_row,
-                hint=error.hint,
-            ) from None
+    def open(self, mode: str) -> BinaryIO:
+        """Give the lines behind a stand-in for the header, which readers skip."""
+        if mode != "rb":
+            raise ValueError(f"lines are read as bytes, not in mode {mode!r}")
+        return io.BytesIO(b"header\n" + self.text.encode("utf-8"))
 
-    @contextmanager
-    def _rows(self) -> Iterator[TextIO]:
-        yield io.StringIO(self._text)
+    def __fspath__(self) -> str:
+        return str(self.path)
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+
+def _read(table: CsvSource, text: str, names: Sequence[str], row: int) -> dict[str, FloatArray]:
+    """Read lines by the rules of their whole file, of which `row` rows went before."""
+    block = CsvSource(cast("Path", _Lines(table.path, text)), table.dialect)
+    try:
+        cells = block.read(names)
+    except DataError as error:
+        if error.row is None:
+            raise
+        raise DataError(
+            error.problem,
+            file=error.file,
+            channel=error.channel,
+            row=error.row + row,
+            hint=error.hint,
+        ) from None
+    # Which decimal mark is in use may have shown only now.
+    table.dialect = block.dialect
+    return cells
