@@ -2,69 +2,34 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from pydantic import Field
-
-from data_prep.events import Event, find_events
 from data_prep.log import Log
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs
+from eval.judged import EvaluateConfig, LogEvaluation, Task, judge_log
+from eval.rows import log_row, tally_rows
 from eval.rules import rules as rules_of
-from eval.runs import BASELINES, MODEL, Runs, run_log, trimmed
 from eval.scores import ChannelScores, score
 from eval.tally import Tally, tally
-from eval.transients import Assessment, Overlay, TransientsConfig, assess_events
-from eval.trim import Trim, TrimConfig, rows_for_trim
 from narxcal.bundle import Bundle
 from narxcal.errors import ConfigError, ModelError
-from narxcal.settings import Section
 from training.config import RunConfig
 from training.pipeline import split_logs
 
+__all__ = [
+    "EvaluateConfig",
+    "Evaluation",
+    "LogEvaluation",
+    "evaluate",
+    "evaluation_logs",
+    "run_config",
+]
+
 SCHEMA = "narxcal.evaluate/1"
-NEW = "new"
-
-
-class EvaluateConfig(Section):
-    """Table [evaluate]: how events are judged, what trim may assume, what has to be reached.
-
-    `least_passed_pct` of the assessed events have to pass. `largest_rmse` (channel -> value in
-    its unit) bounds the RMSE pooled over the logs; none is bounded by default.
-    """
-
-    transients: TransientsConfig = TransientsConfig()
-    trim: TrimConfig = TrimConfig()
-    least_passed_pct: float = Field(default=95.0, ge=0.0, le=100.0)
-    largest_rmse: Mapping[str, float] = Field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class LogEvaluation:
-    """One log: its runs, scores per channel, events with their assessments.
-
-    `role` says what the bundle did with the log: train, validate, test, or new to it.
-    `untrimmed` are the scores on the same rows before trim, where there was one. `rivals` are
-    the baselines' Ti/Tt counts on the same events.
-    """
-
-    runs: Runs
-    role: str
-    scores: Mapping[str, ChannelScores]
-    events: tuple[Event, ...]
-    assessments: tuple[Assessment, ...]
-    rivals: Mapping[str, Tally]
-    untrimmed: Mapping[str, ChannelScores]
-
-    @property
-    def log(self) -> Log:
-        """The prepared log, masked samples still NaN."""
-        return self.runs.log
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,10 +81,10 @@ class Evaluation:
             "missed": missed,
             "trim": self.trim,
             "rules": {"name": rules.name, "source": rules.source, "tt_origin": rules.tt_origin},
-            "logs": [_log_row(log) for log in self.logs],
+            "logs": [log_row(log) for log in self.logs],
             "pooled": {
                 "channels": {name: one.row() for name, one in self.pooled.items()},
-                "ti_tt": _tally_rows([each for log in self.logs for each in log.assessments]),
+                "ti_tt": tally_rows([each for log in self.logs for each in log.assessments]),
             },
         }
 
@@ -162,130 +127,5 @@ def evaluate(
     """
     config, stored = run_config(bundle)
     settings = settings or stored
-    return Evaluation(
-        tuple(_evaluate_log(bundle, config, log, (settings, trim)) for log in logs), settings, trim
-    )
-
-
-def _evaluate_log(
-    bundle: Bundle, config: RunConfig, log: Log, how: tuple[EvaluateConfig, float | None]
-) -> LogEvaluation:
-    settings, trim = how
-    runs, untrimmed = run_log(bundle, config, log), {}
-    events = find_events(log, config.events)
-    if trim is not None:
-        until = rows_for_trim(trim, len(log))
-        runs, as_is = trimmed(runs, until, settings.trim), runs
-        untrimmed = score([_from_row(as_is, until)])
-        events = [event for event in events if event.start >= until]
-    return LogEvaluation(
-        runs=runs,
-        role=_role(bundle, log),
-        scores=score([runs]),
-        events=tuple(events),
-        assessments=tuple(_assess(runs, MODEL, events, settings)),
-        rivals={
-            name: tally(_assess(runs, name, events, settings))
-            for name in BASELINES
-            if name in runs.outputs
-        },
-        untrimmed=untrimmed,
-    )
-
-
-def _from_row(runs: Runs, until: int) -> Runs:
-    return Runs(
-        runs.log,
-        runs.channels,
-        runs.measured,
-        runs.outputs,
-        runs.known,
-        runs.still,
-        runs.inside,
-        runs.level,
-        until,
-    )
-
-
-def _assess(
-    runs: Runs, name: str, events: Sequence[Event], settings: EvaluateConfig
-) -> list[Assessment]:
-    overlay = Overlay(
-        time_s=runs.log.time_s,
-        flight=runs.measured,
-        model=runs.outputs[name],
-        channels=runs.channels,
-        inputs_known=runs.known,
-    )
-    return assess_events(events, overlay, settings.transients)
-
-
-def _role(bundle: Bundle, log: Log) -> str:
-    """What the bundle did with a log of these bytes and this name."""
-    if log.source.sha256 not in dict(bundle.meta.get("data", {})).values():
-        return NEW
-    split = bundle.meta.get("split", {})
-    return next((role for role in split if log.name in split[role]), NEW)
-
-
-def _log_row(one: LogEvaluation) -> dict[str, Any]:
-    runs = one.runs
-    channels = {}
-    for name, figures in one.scores.items():
-        channels[name] = figures.row()
-        if name in one.untrimmed:
-            channels[name]["untrimmed_rmse"] = one.untrimmed[name].row()["rmse"]
-    return {
-        "log": one.log.name,
-        "role": one.role,
-        "file": one.log.source.file,
-        "sha256": one.log.source.sha256,
-        "samples": len(one.log),
-        "dt_s": one.log.dt_s,
-        "channels": channels,
-        "events": [each.row() for each in one.assessments],
-        "ti_tt": _tally_rows(one.assessments),
-        "baselines": {name: rival.row() for name, rival in one.rivals.items()},
-        "masked": _masked_rows(one.log),
-        "inputs": {
-            "held_samples": int(np.count_nonzero(~runs.known)),
-            "outside_envelope_share": float(np.mean(~runs.inside)),
-            "quasi_steady_share": float(np.mean(runs.still)),
-        },
-        "trim": _trim_row(runs, one.log),
-    }
-
-
-def _tally_rows(assessments: Sequence[Assessment]) -> dict[str, Any]:
-    """Counts over all, then per channel and per direction, and why events were not assessed."""
-    channels = list(dict.fromkeys(each.channel for each in assessments))
-    reasons = Counter(each.verdict.reason for each in assessments if each.verdict.ok is None)
-    return {
-        **tally(assessments).row(),
-        "channels": {
-            name: tally([each for each in assessments if each.channel == name]).row()
-            for name in channels
-        },
-        "push": tally([each for each in assessments if each.label == 0]).row(),
-        "pull": tally([each for each in assessments if each.label == 1]).row(),
-        "not_assessable_reasons": {str(reason): n for reason, n in sorted(reasons.items())},
-    }
-
-
-def _masked_rows(log: Log) -> dict[str, Any]:
-    return {
-        channel: {"samples": sum(reasons.values()), "reasons": reasons}
-        for channel, reasons in log.audit.masked().items()
-    }
-
-
-def _trim_row(runs: Runs, log: Log) -> dict[str, Any] | None:
-    trim: Trim | None = (runs.trims or {}).get(MODEL)
-    if trim is None:
-        return None
-    return {
-        "scored_from_s": float(log.time_s[min(trim.until, len(log) - 1)]),
-        "levels": trim.nodes.tolist(),
-        "offsets": dict(zip(runs.channels, trim.offsets.T.tolist(), strict=True)),
-        "samples": dict(zip(runs.channels, trim.samples, strict=True)),
-    }
+    task = Task(settings, trim)
+    return Evaluation(tuple(judge_log(bundle, config, log, task) for log in logs), settings, trim)

@@ -1,0 +1,228 @@
+"""`narxcal crossval`: how the calibration fares on data that it was not fitted to, fold by fold."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from data_prep.log import Log
+from eval.evaluate import run_config
+from eval.judged import EvaluateConfig, LogEvaluation, Task, judge_log
+from eval.scores import score
+from eval.tally import tally
+from narxcal.bundle import Bundle, versions
+from narxcal.errors import DataError
+from training.config import RunConfig
+from training.crossval import (
+    LEAVE_ONE_OUT,
+    RANDOM,
+    Plan,
+    Segment,
+    leave_one_flight_out,
+    random_splits,
+    run_plans,
+)
+
+SCHEMA = "narxcal.crossval/1"
+REMARKS = {
+    LEAVE_ONE_OUT: "A whole flight is held back at a time, with all its engines; free run over "
+    "the whole flight.",
+    RANDOM: "Whole events are held back; free run over each event, from its first measured values.",
+}
+
+
+@dataclass(frozen=True)
+class FoldResult:
+    """One division and its figures on the test part; `values` are None where not defined.
+
+    Keys are `rmse.CHANNEL`, `worst_rmse.CHANNEL` (of a single log or event), `max_rel_pct.CHANNEL`,
+    `max_error.CHANNEL`, `mean_relative_Ti_pct`, `mean_relative_Tt_pct`, `passed_pct`, `assessed`
+    and `passed`. `not_judged` names test parts without a valid input.
+    """
+
+    scheme: str
+    name: str
+    seed: int | None
+    train: tuple[str, ...]
+    test: tuple[str, ...]
+    values: dict[str, float | None]
+    not_judged: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class CrossValidation:
+    """All folds in order; `skipped` says which schemes could not be run and why."""
+
+    folds: tuple[FoldResult, ...]
+    settings: EvaluateConfig
+    skipped: dict[str, str] = field(default_factory=dict)
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def schemes(self) -> dict[str, tuple[FoldResult, ...]]:
+        """Scheme -> its folds."""
+        names = dict.fromkeys(fold.scheme for fold in self.folds)
+        return {name: tuple(f for f in self.folds if f.scheme == name) for name in names}
+
+    def missed(self) -> list[str]:
+        """Say which scheme or fold misses what `evaluate` would ask for; empty if none does."""
+        texts = []
+        for name, folds in self.schemes.items():
+            assessed, passed = (_total(folds, key) for key in ("assessed", "passed"))
+            least = self.settings.least_passed_pct
+            if assessed and 100.0 * passed / assessed < least:
+                texts.append(
+                    f"{name}: {passed} of {assessed} events pass "
+                    f"({100.0 * passed / assessed:.1f} %), at least {least:g} % have to"
+                )
+            for channel, bound in self.settings.largest_rmse.items():
+                texts += [
+                    f"{name}, {fold.name}: {channel} RMSE {value:.3g}, at most {bound:g} allowed"
+                    for fold in folds
+                    if (value := fold.values.get(f"rmse.{channel}")) is not None and value > bound
+                ]
+        return texts
+
+    def document(self) -> dict[str, Any]:
+        """`crossval.json`."""
+        missed = self.missed()
+        return {
+            "schema": SCHEMA,
+            "ok": not missed,
+            "missed": missed,
+            "schemes": [
+                {
+                    "name": name,
+                    "remark": REMARKS.get(name, ""),
+                    "folds": [_fold_row(fold) for fold in folds],
+                    "spread": spread(folds),
+                }
+                for name, folds in self.schemes.items()
+            ],
+            "skipped": self.skipped,
+            **self.provenance,
+        }
+
+
+def cross_validate(
+    config: RunConfig,
+    base: Path,
+    logs: Sequence[Log],
+    jobs: int = -1,
+    watch: Callable[[FoldResult, int, int], None] | None = None,
+) -> CrossValidation:
+    """Calibrate and judge once per fold; `watch` is told each fold, its number and how many.
+
+    `logs` are prepared as by `eval.evaluate.evaluation_logs`: masked inputs still NaN. [split]
+    plays no part. Raises `DataError` where no scheme can be run.
+    """
+    settings = EvaluateConfig.parse(config.evaluate, "[evaluate]")
+    plans, skipped = _plans(config, settings, logs)
+    folds = []
+    for result in run_plans(plans, config, base, judge_fold, jobs):
+        folds.append(result)
+        if watch is not None:
+            watch(result, len(folds), len(plans))
+    provenance = {
+        "config": config.model_dump(mode="json", by_alias=True),
+        "data": {log.source.file: log.source.sha256 for log in logs},
+        "versions": versions(),
+    }
+    return CrossValidation(tuple(folds), settings, skipped, provenance)
+
+
+def judge_fold(bundle: Bundle, plan: Plan) -> FoldResult:
+    """Judge a fold's calibration on its test segments."""
+    config, settings = run_config(bundle)
+    inputs = bundle.calibration.input_names
+    usable = [part for part in plan.test if _has_inputs(part, inputs)]
+    judged = [
+        judge_log(bundle, config, part.log, Task(settings, events=part.own_events))
+        for part in usable
+    ]
+    return FoldResult(
+        plan.scheme,
+        plan.name,
+        plan.seed,
+        tuple(part.log.name for part in plan.train),
+        tuple(part.log.name for part in plan.test),
+        _values(judged),
+        tuple(part.log.name for part in plan.test if part not in usable),
+    )
+
+
+def spread(folds: Sequence[FoldResult]) -> dict[str, dict[str, float | None]]:
+    """Mean, sample standard deviation, least and greatest of every figure over the folds."""
+    keys = dict.fromkeys(key for fold in folds for key in fold.values)
+    found = {}
+    for key in keys:
+        given = [value for fold in folds if (value := fold.values.get(key)) is not None]
+        found[key] = {
+            "mean": float(np.mean(given)) if given else None,
+            "std": float(np.std(given, ddof=1)) if len(given) > 1 else None,
+            "min": min(given, default=None),
+            "max": max(given, default=None),
+        }
+    return found
+
+
+def _plans(
+    config: RunConfig, settings: EvaluateConfig, logs: Sequence[Log]
+) -> tuple[list[Plan], dict[str, str]]:
+    wanted, plans, skipped = settings.crossval, [], {}
+    if wanted.leave_one_flight_out:
+        try:
+            plans += leave_one_flight_out(logs, config.events)
+        except DataError as error:
+            skipped[LEAVE_ONE_OUT] = str(error)
+    if wanted.random_splits:
+        try:
+            plans += random_splits(logs, config.events, wanted)
+        except DataError as error:
+            skipped[RANDOM] = str(error)
+    if not plans:
+        why = "; ".join(skipped.values()) or "[evaluate.crossval] asks for none"
+        raise DataError(f"no division of the logs is possible: {why}")
+    return plans, skipped
+
+
+def _has_inputs(part: Segment, names: Sequence[str]) -> bool:
+    return bool(np.isfinite(part.log.matrix(names)).any(axis=0).all())
+
+
+def _values(judged: Sequence[LogEvaluation]) -> dict[str, float | None]:
+    found: dict[str, float | None] = {}
+    for name, figures in score([one.runs for one in judged]).items():
+        single = [one.scores[name].rmse for one in judged]
+        worst = max((value for value in single if math.isfinite(value)), default=math.nan)
+        row = figures.row()
+        found[f"rmse.{name}"] = row["rmse"]
+        found[f"worst_rmse.{name}"] = worst if math.isfinite(worst) else None
+        found[f"max_rel_pct.{name}"] = row["max_rel_pct"]
+        found[f"max_error.{name}"] = row["max_error"]
+    counts = tally([each for one in judged for each in one.assessments])
+    found["mean_relative_Ti_pct"] = counts.mean_relative_Ti_pct
+    found["mean_relative_Tt_pct"] = counts.mean_relative_Tt_pct
+    found["passed_pct"] = counts.passed_pct
+    found["assessed"], found["passed"] = counts.assessed, counts.passed
+    return found
+
+
+def _fold_row(fold: FoldResult) -> dict[str, Any]:
+    return {
+        "name": fold.name,
+        "seed": fold.seed,
+        "train": list(fold.train),
+        "test": list(fold.test),
+        "not_judged": list(fold.not_judged),
+        "values": fold.values,
+    }
+
+
+def _total(folds: Sequence[FoldResult], key: str) -> int:
+    return sum(int(fold.values.get(key) or 0) for fold in folds)

@@ -1,0 +1,138 @@
+"""Baselines recover the systems they are made for, and travel as JSON."""
+
+import json
+import math
+import re
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from data_prep.log import Log
+from narxcal.errors import ModelError
+from training.baselines import Baselines, FirstOrderLag, LinearArx, fit_baselines, lag_steps
+
+DT_S = 0.1
+
+
+class Linear:
+    """Settled N1 = 20 + lever, EGT = 300 + 5 lever."""
+
+    input_names, output_names = ("TRA_deg",), ("N1_pct", "EGT_C")
+
+    def outputs(self, inputs):
+        return np.column_stack([20.0 + inputs[:, 0], 300.0 + 5.0 * inputs[:, 0]])
+
+
+@dataclass
+class Calibration:
+    steady: Linear = field(default_factory=Linear)
+    dt_s: float = DT_S
+    input_names: tuple = Linear.input_names
+    output_names: tuple = Linear.output_names
+
+    def for_engine(self, _):
+        return self
+
+
+def slams(seed=0, samples=2000):
+    """Random levels, each held for 10 s."""
+    levels = np.random.default_rng(seed).uniform(0.0, 80.0, samples // 100)
+    return np.repeat(levels, 100)
+
+
+def log_of(outputs, lever):
+    time_s = DT_S * np.arange(len(lever))
+    channels = {"TRA_deg": lever, "N1_pct": outputs[:, 0], "EGT_C": outputs[:, 1]}
+    return Log("flight.csv", time_s, channels)
+
+
+def lagged(lever, push_s, pull_s):
+    settled = Linear().outputs(lever[:, None])
+    return FirstOrderLag(push_s, pull_s).simulate(settled, settled[0], DT_S)
+
+
+def test_the_time_constants_of_push_and_pull_are_found():
+    lever = slams()
+    params = fit_baselines(Calibration(), [log_of(lagged(lever, (0.7, 2.0), (1.6, 0.4)), lever)])
+    assert params["first_order"]["push_s"] == pytest.approx([0.7, 2.0], rel=0.01)
+    assert params["first_order"]["pull_s"] == pytest.approx([1.6, 0.4], rel=0.01)
+
+
+def test_a_symmetric_lag_steps_as_its_closed_form():
+    lag = FirstOrderLag((1.5,), (1.5,)).simulate(np.full((50, 1), 10.0), np.array([4.0]), DT_S)
+    expected = 10.0 - 6.0 * np.exp(-DT_S * np.arange(50) / 1.5)
+    np.testing.assert_allclose(lag[:, 0], expected, rtol=1e-12)
+
+
+@given(seed=st.integers(0, 99), push=st.floats(0.01, 0.99), pull=st.floats(0.01, 0.99))
+@settings(max_examples=20, deadline=None)
+def test_the_compiled_lag_gives_the_numbers_of_the_plain_one(seed, push, pull):
+    settled = np.random.default_rng(seed).normal(size=(300, 1)).cumsum(axis=0)
+    lag = FirstOrderLag((-DT_S / math.log1p(-push),), (-DT_S / math.log1p(-pull),))
+    fast = lag.simulate(settled, np.array([1.0]), DT_S)[:, 0]
+    np.testing.assert_allclose(fast, lag_steps(settled[:, 0], 1.0, push, pull), rtol=1e-9)
+
+
+def test_an_arx_system_is_recovered_and_simulated_exactly():
+    lever = slams(1)
+    settled = Linear().outputs(lever[:, None])
+    true = LinearArx(
+        poles=((1.5, -0.56), (0.8,)),
+        gains=(((0.05, 0.0), (0.01, 0.0), (0.0, 0.0)), ((0.3, 0.1), (-0.1, 0.0))),
+        offsets=(0.2, -3.0),
+    )
+    outputs = true.simulate(settled, settled[0])
+    params = fit_baselines(Calibration(), [log_of(outputs, lever)])
+    found = Baselines.from_json(params).arx.simulate(settled, outputs[0])
+    # The start itself is not a state of the system: it stood still before.
+    np.testing.assert_allclose(found, outputs, atol=0.05)
+
+
+def test_an_arx_run_is_its_difference_equation():
+    settled = np.random.default_rng(2).normal(size=(40, 1))
+    arx = LinearArx(poles=((0.5, 0.3),), gains=(((0.7,), (-0.2,)),), offsets=(0.1,))
+    run = arx.simulate(settled, np.array([2.0]))[:, 0]
+    y = [2.0, 2.0]
+    for k in range(1, 40):
+        y.append(0.5 * y[-1] + 0.3 * y[-2] + 0.7 * settled[k, 0] - 0.2 * settled[k - 1, 0] + 0.1)
+    np.testing.assert_allclose(run, y[1:], rtol=1e-12)
+
+
+def test_an_unstable_arx_is_never_returned():
+    lever = slams(3, 400)
+    growing = np.exp(0.02 * np.arange(len(lever)))
+    params = fit_baselines(Calibration(), [log_of(np.column_stack([growing, growing]), lever)])
+    for poles in params["arx"]["poles"]:
+        roots = np.roots([1.0, *(-value for value in poles)])
+        assert np.all(np.abs(roots) < 1.0)
+
+
+def test_a_channel_without_a_stable_arx_runs_as_nan():
+    arx = LinearArx(poles=((),), gains=((),), offsets=(0.0,))
+    assert np.isnan(arx.simulate(np.ones((5, 1)), np.array([1.0]))).all()
+
+
+def test_masked_samples_do_not_move_the_fit():
+    lever = slams(4)
+    outputs = lagged(lever, (1.0, 1.0), (1.0, 1.0))
+    holes = outputs.copy()
+    holes[300:420] = np.nan
+    holes[0] = np.nan
+    params = fit_baselines(Calibration(), [log_of(holes, lever)])
+    assert params["first_order"]["push_s"] == pytest.approx([1.0, 1.0], rel=0.01)
+
+
+def test_parameters_survive_json():
+    lever = slams(5, 600)
+    params = fit_baselines(Calibration(), [log_of(lagged(lever, (1.0, 2.0), (1.0, 2.0)), lever)])
+    assert Baselines.from_json(json.loads(json.dumps(params))) == Baselines.from_json(params)
+    assert params["low"][0] < params["high"][0]
+
+
+def test_baselines_with_a_part_missing_are_refused():
+    expected = "the bundle's baselines cannot be read: 'first_order'. Train it again"
+    with pytest.raises(ModelError, match=f"^{re.escape(expected)}$"):
+        Baselines.from_json({"arx": {}})
