@@ -105,7 +105,7 @@ def residual_tests(
     Inputs that never change are left out: they correlate with nothing.
     """
     lags = max(1, round(lag_s / log.dt_s))
-    moving = [name for name in inputs if np.nanstd(log[name]) > 0.0]
+    moving = [name for name in inputs if _moves(log[name])]
     tests = []
     for trace in traces:
         if trace.model is None:
@@ -117,3 +117,8 @@ def residual_tests(
         auto = autocorrelation(residual, lags)
         tests.append(ResidualTests(channel=trace.name, dt_s=log.dt_s, auto=auto, cross=cross))
     return tests
+
+
+def _moves(values: FloatArray) -> bool:
+    known = values[np.isfinite(values)]
+    return bool(len(known) and known.max() > known.min())

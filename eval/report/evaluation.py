@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from data_prep.ranking import pearson
 from eval.evaluate import Evaluation, LogEvaluation
 from eval.report.building import log_page, residual_tests, traces_of
@@ -50,7 +52,8 @@ def page_of(one: LogEvaluation, driver: str, inputs: Sequence[str]) -> LogPage:
     traces = traces_of(log, runs.channels, runs.outputs[MODEL], steady)
     names = list(dict.fromkeys((driver, *inputs)))
     scored = log.part(runs.scored_from, len(log))
-    tested = traces_of(scored, runs.channels, runs.outputs[MODEL][runs.scored_from :])
+    counted = np.where(runs.scored[:, None], runs.outputs[MODEL], np.nan)
+    tested = traces_of(scored, runs.channels, counted[runs.scored_from :])
     offsets = _offsets(one)
     return replace(
         log_page(log, driver, traces, one.events, one.assessments),

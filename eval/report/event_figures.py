@@ -33,9 +33,8 @@ def large(trace: EventTrace, driver_name: str) -> Picture:
 
 def overlay_figure(trace: EventTrace, driver_name: str) -> Figure:
     """Build the large overlay: driver, then per output the curves and their deviation."""
-    ratios = [0.75] + [part for _ in trace.channels for part in (2.0, 0.6)]
-    figure = style.figure(8.6, 0.95 * sum(ratios))
-    rows = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
+    ratios = [0.6] + [part for _ in trace.channels for part in (1.7, 0.5)]
+    figure, rows = style.stack(8.6, ratios)
     time = trace.time_s - trace.event.start_s
     rows[0].plot(time, trace.driver, color=style.DRIVER, lw=1.2)
     rows[0].set_ylabel(style.with_unit(driver_name))
@@ -56,7 +55,6 @@ def overlay_figure(trace: EventTrace, driver_name: str) -> Figure:
         axes.margins(x=0.0)
     style.legend(rows[1], columns=6)
     rows[-1].set_xlabel("time after the lever moved [s]")
-    figure.align_ylabels(list(rows))
     return figure
 
 
@@ -64,10 +62,13 @@ def summary_figure(trace: EventTrace, driver_name: str) -> bytes:
     """One event as a PNG for a README: driver, overlay with Ti/Tt windows and residual."""
     figure = overlay_figure(trace, driver_name)
     kind = f"{trace.event.log}: {_kind(trace)} at {trace.event.start_s:.0f} s"
-    figure.suptitle(kind, fontsize=9, x=0.01, ha="left", color="#24292f")
+    figure.axes[0].set_title(kind, fontsize=9, loc="left", color="#24292f")
     buffer = io.BytesIO()
     FigureCanvasAgg(figure)
-    figure.savefig(buffer, format="png", dpi=160, metadata={"Software": None})
+    figure.savefig(
+        buffer, format="png", dpi=160, bbox_inches="tight", pad_inches=0.1,
+        metadata={"Software": None},
+    )  # fmt: skip
     return buffer.getvalue()
 
 

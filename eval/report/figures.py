@@ -18,9 +18,8 @@ _LAGS = 160  # drawn per correlation; a reader sees no more
 def overlay(page: LogPage) -> Picture:
     """Draw the whole log: driver, then per output flight over model and the deviation below it."""
     outputs, compared = page.channels, any(part.model is not None for part in page.channels)
-    ratios = [0.7] + [part for _ in outputs for part in ((1.7, 0.7) if compared else (1.5,))]
-    figure = style.figure(10.0, 1.0 * sum(ratios))
-    rows = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
+    ratios = [0.6] + [part for _ in outputs for part in ((1.6, 0.6) if compared else (1.4,))]
+    figure, rows = style.stack(10.0, ratios)
     step = 2 if compared else 1
     _driver(rows[0], page)
     for position, trace in enumerate(outputs):
@@ -33,7 +32,6 @@ def overlay(page: LogPage) -> Picture:
         axes.margins(x=0.0)
         _mark_trim(axes, page.scored_from_s)
     rows[-1].set_xlabel("time [s]")
-    figure.align_ylabels(list(rows))
     names = ", ".join(style.symbol(trace.name) for trace in outputs)
     shown = "measured and model, with deviation" if compared else "as measured"
     alt = f"{names} over the whole log {page.name}: {shown}"
@@ -90,8 +88,7 @@ def residual_tests(page: LogPage) -> list[Picture]:
 
 
 def _residual_test(log: str, part: ResidualTests) -> Picture:
-    figure = style.figure(10.0, 2.5)
-    left, right = figure.subplots(1, 2)
+    figure, left, right = style.pair(10.0, 2.5)
     _band(left, part.auto, part.dt_s)
     _stems(left, part.auto, part.dt_s)
     left.set(xlabel="lag [s]", ylabel="autocorrelation [-]", ylim=(-1.05, 1.05))

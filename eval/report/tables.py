@@ -14,6 +14,7 @@ from eval.report.content import LogPage, Offsets, Scheme, Score, WindowTrial
 from eval.report.style import symbol, unit, with_unit
 
 Mark = Literal["", "best", "good", "bad", "none", "strong", "head", "group"]
+_OPTIONAL = {"untrimmed_rmse": "before trim", "bias": "bias"}
 NOTHING = "\N{EN DASH}"
 
 
@@ -66,9 +67,14 @@ def scores(pages: Sequence[LogPage]) -> Table:
     """Free-run errors per log and channel beside the baselines; the lowest RMSE is marked."""
     every = [part for page in pages for part in page.scores]
     names = baseline_names(every)
-    trimmed = any(math.isfinite(part.untrimmed_rmse) for part in every)
+    # A column is shown if any log has the figure.
+    optional = [
+        name
+        for name in ("untrimmed_rmse", "bias")
+        if any(math.isfinite(getattr(part, name)) for part in every)
+    ]
     head = (
-        "channel", "free run RMSE", *(["before trim"] if trimmed else []), "NRMSE [%]", "bias",
+        "channel", "free run RMSE", *(_OPTIONAL[name] for name in optional), "NRMSE [%]",
         "max rel. [%]", "one step RMSE", "static part", "dynamic part",
         *(f"{name} RMSE" for name in names),
     )  # fmt: skip
@@ -76,7 +82,7 @@ def scores(pages: Sequence[LogPage]) -> Table:
     for page in pages:
         role = f" ({page.role})" if page.role else ""
         rows.append((Cell(page.name + role, "group"),))
-        rows += [_score_row(part, names, trimmed=trimmed) for part in page.scores]
+        rows += [_score_row(part, names, optional) for part in page.scores]
     return Table("RMSE, bias and parts in the unit of the channel", head, tuple(rows))
 
 
@@ -86,16 +92,14 @@ def best_of(score: Score) -> float:
     return min((value for value in known if math.isfinite(value)), default=math.nan)
 
 
-def _score_row(score: Score, names: Sequence[str], *, trimmed: bool) -> tuple[Cell, ...]:
+def _score_row(score: Score, names: Sequence[str], optional: Sequence[str]) -> tuple[Cell, ...]:
     best = best_of(score)
     others = [score.baselines.get(name, math.nan) for name in names]
-    before = (figure(score.untrimmed_rmse),) if trimmed else ()
     return (
         Cell(with_unit(score.channel), "head"),
         figure(score.rmse, "best" if score.rmse == best else ""),
-        *before,
+        *(figure(getattr(score, name)) for name in optional),
         figure(100.0 * score.nrmse),
-        figure(score.bias),
         figure(score.max_rel_pct),
         figure(score.one_step_rmse),
         figure(score.static_rmse),
