@@ -1,0 +1,169 @@
+"""What `prepare` finds out about one log: events, ranking, and what each smoothing window does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from data_prep.clean import clean
+from data_prep.events import PUSH, Event, find_events
+from data_prep.log import Log
+from data_prep.ranking import STRONG, pearson
+from data_prep.smooth import compare_windows, frequency_response, moving_average, smooth
+from eval.report.building import log_page, traces_of
+from eval.report.content import LogPage, WindowTrial
+from narxcal.errors import DataError
+from training.config import RunConfig
+
+# The paper compares these, section 2.4.
+WINDOWS = (3, 11, 21)
+_EXCERPT_S = 12.0
+_LEAD_S = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """One prepared log and what was found in it.
+
+    `ranking` has inputs as rows and outputs as columns; `windows` is that of
+    `data_prep.smooth.compare_windows` on the cleaned log, and `trial` its figure.
+    """
+
+    log: Log
+    events: tuple[Event, ...]
+    ranking: pd.DataFrame
+    windows: pd.DataFrame
+    trial: WindowTrial
+    driver: str
+
+    def page(self) -> LogPage:
+        """Turn into the record that the HTML page shows."""
+        traces = traces_of(self.log, list(self.ranking.columns))
+        return replace(log_page(self.log, self.driver, traces, self.events), pearson=self.ranking)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON: the log in figures, its audit, its events by kind."""
+        log = self.log
+        return {
+            "log": log.name,
+            "file": log.source.file,
+            "sha256": log.source.sha256,
+            "engine": log.source.engine,
+            "samples": len(log),
+            "dt_s": log.dt_s,
+            "duration_s": float(log.time_s[-1] - log.time_s[0]),
+            "channels": list(log.channels),
+            "audit": [asdict(entry) for entry in log.audit.entries],
+            "masked": log.audit.masked(),
+            "events": self.counts(),
+            "not_ranked": self.ranking.attrs["reasons"],
+        }
+
+    def counts(self) -> dict[str, int]:
+        """Events in all and by kind."""
+        events = self.events
+        kinds = {kind: sum(one.speed == kind for one in events) for kind in _SPEEDS}
+        return {
+            "found": len(events),
+            "push": sum(one.label == PUSH for one in events),
+            "pull": sum(one.label != PUSH for one in events),
+            **kinds,
+            "settled": sum(one.settled for one in events),
+            "interrupted": sum(one.interrupted for one in events),
+        }
+
+
+_SPEEDS = ("fast", "slow", "small")
+
+
+def study(raw: Log, config: RunConfig) -> Prepared:
+    """Clean and smooth `raw` as `config` says, and look at the result.
+
+    Raises `DataError` for a log without the driver or without any of the outputs.
+    """
+    cleaned = clean(raw, config.clean)
+    log = smooth(cleaned, config.smooth)
+    events = tuple(find_events(log, config.events))
+    outputs = [name for name in config.narx.outputs if name in log.channels]
+    if not outputs:
+        raise DataError(
+            f"the log has none of the outputs {', '.join(config.narx.outputs)}",
+            file=log.name,
+            hint="Map them under [logs.columns], or name others in [narx] outputs",
+        )
+    sizes = sorted({*WINDOWS, config.smooth.window})
+    windows = compare_windows(cleaned, outputs, sizes)
+    return Prepared(
+        log=log,
+        events=events,
+        ranking=pearson(log, _candidates(log, config), outputs),
+        windows=windows,
+        trial=_trial(cleaned, events, windows, config.smooth.window),
+        driver=config.events.driver,
+    )
+
+
+def events_table(studies: Sequence[Prepared]) -> pd.DataFrame:
+    """One row per event of all logs."""
+    columns = [*Event.__dataclass_fields__]
+    rows = [asdict(event) for one in studies for event in one.events]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def pearson_table(studies: Sequence[Prepared]) -> pd.DataFrame:
+    """One row per log, input and output: rho, and whether it is strong (|rho| >= 0.8)."""
+    rows = [
+        {"log": one.log.name, "input": source, "output": target, "rho": rho}
+        for one in studies
+        for target in one.ranking.columns
+        for source, rho in one.ranking[target].items()
+    ]
+    table = pd.DataFrame(rows, columns=["log", "input", "output", "rho"])
+    return table.assign(strong=table["rho"].abs() >= STRONG)
+
+
+def windows_table(studies: Sequence[Prepared]) -> pd.DataFrame:
+    """One row per log, channel and window."""
+    return pd.concat([one.windows.assign(log=one.log.name) for one in studies], ignore_index=True)
+
+
+def _candidates(log: Log, config: RunConfig) -> list[str]:
+    """Channels that may drive the engine: the driver, then the inputs of the model."""
+    names = (config.events.driver, *config.steady_state.inputs)
+    return [name for name in dict.fromkeys(names) if name in log.channels]
+
+
+def _trial(
+    cleaned: Log, events: Sequence[Event], windows: pd.DataFrame, chosen: int
+) -> WindowTrial:
+    channel = str(windows["channel"].iloc[0])
+    sizes = [int(size) for size in windows["window"].unique()]
+    frequency = np.linspace(0.0, 0.5 / cleaned.dt_s, 400)
+    rows = _excerpt(cleaned, events)
+    values = cleaned[channel]
+    smoothed = {size: moving_average(values, size)[rows] for size in sizes}
+    return WindowTrial(
+        log=cleaned.name,
+        chosen=chosen,
+        rms={
+            str(name): dict(zip(part["window"].tolist(), part["rms"].tolist(), strict=True))
+            for name, part in windows.groupby("channel", sort=False)
+        },
+        frequency_hz=frequency,
+        gain={size: frequency_response(size, frequency, cleaned.dt_s) for size in sizes},
+        excerpt_channel=channel,
+        excerpt_time_s=cleaned.time_s[rows],
+        excerpt={0: values[rows], **smoothed},
+    )
+
+
+def _excerpt(log: Log, events: Sequence[Event]) -> slice:
+    """Some seconds round the first fast movement, where a window can do harm."""
+    ranked = sorted(events, key=lambda event: _SPEEDS.index(event.speed))
+    start = ranked[0].start - round(_LEAD_S / log.dt_s) if ranked else 0
+    start = max(0, min(start, len(log) - 2))
+    return slice(start, start + round(_EXCERPT_S / log.dt_s))

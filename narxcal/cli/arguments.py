@@ -1,0 +1,205 @@
+"""The words of the command line: commands, options and their help."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import NoReturn, TypeAlias
+
+from narxcal.errors import ConfigError
+
+_EPILOG = """\
+exit codes: 0 good, 1 a tolerance was missed, 2 bad input or configuration,
+3 internal error (NARXCAL_TRACEBACK=1 shows where), 130 interrupted.
+--json prints one JSON document to stdout and nothing else.
+"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reports a bad command line as every other bad input: in one line, exit code 2."""
+
+    def error(self, message: str) -> NoReturn:
+        raise ConfigError(message, hint=f"See {self.prog} --help")
+
+
+def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+    """Parse a command line; raises `ConfigError` for a bad one, `SystemExit` after `--help`."""
+    return _parser().parse_args(arguments)
+
+
+def _parser() -> _Parser:
+    parser = _Parser(
+        prog="narxcal",
+        description="Calibrates the dynamics of a steady-state turbofan model from flight logs.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"narxcal {_version()}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for add in (_demo, _prepare, _train, _evaluate, _crossval, _replay, _simulate, _info, _denoise):
+        _common(add(commands))
+    return parser
+
+
+# argparse keeps the type of its sub-commands to itself.
+_Commands: TypeAlias = "argparse._SubParsersAction[_Parser]"  # noqa: SLF001
+
+
+def _command(commands: _Commands, name: str, text: str) -> argparse.ArgumentParser:
+    return commands.add_parser(name, help=text, description=text, allow_abbrev=False)
+
+
+def _common(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("output")
+    group.add_argument("--json", action="store_true", help="print one JSON document instead")
+    group.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    group.add_argument("--traceback", action="store_true", help="show where an error arose")
+
+
+def _config(parser: argparse.ArgumentParser, out: str, text: str) -> None:
+    """What every command that starts from a configuration takes."""
+    parser.add_argument("config", metavar="CONFIG", help="TOML file, or a shipped one's name")
+    parser.add_argument("--out", metavar=out, type=Path, required=True, help=text)
+    _data(parser, "folder of the logs, instead of the configuration's")
+
+
+def _data(parser: argparse.ArgumentParser, text: str) -> None:
+    parser.add_argument(
+        "--data",
+        metavar="DIR",
+        type=Path,
+        default=os.environ.get("NARXCAL_DATA") or None,
+        help=f"{text} (or set NARXCAL_DATA)",
+    )
+
+
+def _bundle(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("bundle", metavar="RUN", type=Path, help="folder that train wrote")
+
+
+def _demo(commands: _Commands) -> argparse.ArgumentParser:
+    parser = _command(
+        commands, "demo", "Fly the stand-in engine, train on it, evaluate; needs no files."
+    )
+    parser.add_argument("--out", metavar="DIR", type=Path, default=Path("demo_run"), help="folder")
+    return parser
+
+
+def _prepare(commands: _Commands) -> argparse.ArgumentParser:
+    parser = _command(
+        commands, "prepare", "Read, clean and smooth the logs; find events, rank channels."
+    )
+    _config(parser, "DIR", "folder for the prepared logs, tables and page")
+    return parser
+
+
+def _train(commands: _Commands) -> argparse.ArgumentParser:
+    parser = _command(
+        commands,
+        "train",
+        "Calibrate a model. Ctrl-C keeps the best network so far and ends well.",
+    )
+    _config(parser, "RUN", "folder for the model")
+    parser.add_argument("--resume", action="store_true", help="go on with a training cut short")
+    return parser
+
+
+def _evaluate(commands: _Commands) -> argparse.ArgumentParser:
+    parser = _command(
+        commands, "evaluate", "Judge a model in free run over whole logs, and its Ti and Tt."
+    )
+    _bundle(parser)
+    parser.add_argument(
+        "--logs",
+        metavar="FILE",
+        type=Path,
+        nargs="+",
+        action="extend",
+        help="logs to evaluate on, instead of the held-out ones; read by RUN's column mapping",
+    )
+    parser.add_argument(
+        "--trim",
+        metavar="FRACTION",
+        type=fraction,
+        help="estimate offsets from this first part of each log, score the rest",
+    )
+    parser.add_argument("--out", metavar="DIR", type=Path, help="folder (default RUN/evaluate)")
+    _data(parser, "folder of the held-out logs, if they have moved")
+    return parser
+
+
+def _crossval(commands: _Commands) -> argparse.ArgumentParser:
+    parser = _command(
+        commands, "crossval", "Leave one flight out, and ten random 7:3 splits by event."
+    )
+    _config(parser, "DIR", "folder for the tables and the page")
+    parser.add_argument(
+        "--jobs", metavar="N", type=count, default=os.cpu_count() or 1, help="folds at a time"
+    )
+    return parser
+
+
+def _replay(commands: _Commands) -> argparse.ArgumentParser:
+    parser = _command(commands, "replay", "Stream a log through model and fuser, sample by sample.")
+    _bundle(parser)
+    parser.add_argument("log", metavar="LOG.csv", type=Path, help="log, read by RUN's mapping")
+    parser.add_argument("--out", metavar="OUT.csv", type=Path, required=True, help="CSV file")
+    parser.add_argument("--engine", metavar="NAME", help="replay this engine only")
+    parser.add_argument("--realtime", action="store_true", help="no faster than the clock")
+    parser.add_argument("--follow", action="store_true", help="wait for the log to grow")
+    return parser
+
+
+def _simulate(commands: _Commands) -> argparse.ArgumentParser:
+    parser = _command(commands, "simulate", "Free run over a file of inputs.")
+    _bundle(parser)
+    parser.add_argument(
+        "inputs", metavar="INPUTS.csv", type=Path, help="inputs, by RUN's mapping or canonical"
+    )
+    parser.add_argument("--out", metavar="OUT.csv", type=Path, required=True, help="CSV file")
+    return parser
+
+
+def _info(commands: _Commands) -> argparse.ArgumentParser:
+    parser = _command(commands, "info", "Say what a model is and where it comes from.")
+    _bundle(parser)
+    return parser
+
+
+def _denoise(commands: _Commands) -> argparse.ArgumentParser:
+    parser = _command(
+        commands, "denoise", "The paper's noise experiment: raw, fused and free run against SNR."
+    )
+    _bundle(parser)
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="folder")
+    parser.add_argument("--channel", metavar="NAME", default="N2_pct", help="default N2_pct")
+    _data(parser, "folder of the held-out logs, if they have moved")
+    return parser
+
+
+def fraction(text: str) -> float:
+    """Read the value of `--trim`."""
+    value = float(text)
+    if not math.isfinite(value) or not 0.0 <= value < 1.0:
+        raise argparse.ArgumentTypeError(f"expected a fraction from 0 to below 1, found {text}")
+    return value
+
+
+def count(text: str) -> int:
+    """Read the value of `--jobs`."""
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected 1 or more, found {text}")
+    return value
+
+
+def _version() -> str:
+    try:
+        return version("narxcal")
+    except PackageNotFoundError:  # run from a checkout that is not installed
+        return "unknown"

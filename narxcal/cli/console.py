@@ -1,0 +1,124 @@
+"""What a command shows: tables and lines on stdout, progress and warnings on stderr."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import rich.console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+WIDTH = 80
+
+# Told how far a piece of work has come: steps done of steps in all, and a word on it.
+Advance = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class Console:
+    """Shows all (default), errors and warnings only (`quiet`), or one JSON document (`json`)."""
+
+    json: bool = False
+    quiet: bool = False
+
+    @property
+    def silent(self) -> bool:
+        """Whether words and tables are unwanted."""
+        return self.json or self.quiet
+
+    def say(self, text: str) -> None:
+        """Print a line to stdout."""
+        if not self.silent:
+            sys.stdout.write(f"{text}\n")
+
+    def warn(self, text: str) -> None:
+        """Print a warning to stderr, whatever was asked for: the result depends on it."""
+        sys.stderr.write(f"narxcal: warning: {text}\n")
+
+    def table(self, title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+        """Print a table of at most 80 columns; all but the first column are aligned right."""
+        if self.silent:
+            return
+        table = Table(
+            title=title,
+            title_justify="left",
+            title_style="bold",
+            min_width=len(title),
+            box=None,
+            pad_edge=False,
+        )
+        for number, name in enumerate(head):
+            table.add_column(name, justify="right" if number else "left", overflow="fold")
+        for row in rows:
+            table.add_row(*row)
+        self.page.print(table)
+
+    def facts(self, facts: Mapping[str, str]) -> None:
+        """Print name and value pairs, aligned."""
+        if self.silent:
+            return
+        table = Table(box=None, pad_edge=False, show_header=False)
+        table.add_column(style="bold", no_wrap=True)
+        table.add_column(overflow="fold")
+        for name, value in facts.items():
+            table.add_row(name, value)
+        self.page.print(table)
+
+    def document(self, document: Mapping[str, Any]) -> None:
+        """Print the JSON document, where that was asked for."""
+        if self.json:
+            sys.stdout.write(to_json(document))
+
+    @contextmanager
+    def progress(self, what: str) -> Iterator[Advance]:
+        """Show a bar on stderr while the block runs, if a person is watching."""
+        if self.silent or not sys.stderr.isatty():
+            yield _ignore
+            return
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.completed}/{task.total}"),
+            TimeRemainingColumn(),
+        )
+        shown = rich.console.Console(stderr=True)
+        with Progress(*columns, console=shown, transient=True) as bar:
+            task = bar.add_task(what, total=None)
+
+            def advance(done: int, total: int, note: str = "") -> None:
+                words = f"{what} {note}" if note else what
+                bar.update(task, completed=done, total=total, description=words)
+
+            yield advance
+
+    @property
+    def page(self) -> rich.console.Console:
+        """Where `eval.terminal` prints: stdout, 80 columns at most, or nothing at all."""
+        found = rich.console.Console(highlight=False, markup=False, quiet=self.silent)
+        found.width = min(WIDTH, found.width)
+        return found
+
+
+def _ignore(done: int, total: int, note: str = "") -> None:
+    """Nobody is watching."""
+
+
+def to_json(document: Mapping[str, Any]) -> str:
+    """Format as JSON with a final line feed; what is not a finite number becomes null."""
+    return json.dumps(_finite(document), indent=1, allow_nan=False) + "\n"
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,61 @@
+"""`narxcal demo`: all of it on flights of the stand-in engine, without any file."""
+
+from __future__ import annotations
+
+import shutil
+from argparse import Namespace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from eval.demo_flights import write_logs
+from narxcal.atomic import atomic_write_text
+from narxcal.cli.console import Console, to_json
+from narxcal.cli.evaluate import PAGE, Judgement, judge, show, write
+from narxcal.cli.folders import Results
+from narxcal.cli.held_out import logs_for
+from narxcal.cli.train import train
+from training.config import load_config
+
+SCHEMA = "narxcal.demo/1"
+DOCUMENT, CONFIG, FLIGHTS, MODEL, PAGES = "demo.json", "demo.toml", "flights", "run", "evaluate"
+RESULTS = Results(SCHEMA, DOCUMENT, (CONFIG, FLIGHTS, MODEL, PAGES))
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Fly, train, evaluate, and say where the page is."""
+    folder = options.out.resolve()
+    RESULTS.check(folder)
+    _begin(folder)
+    with console.progress("Flying the stand-in engine"):
+        write_logs(folder / FLIGHTS)
+    config, base = load_config(folder / CONFIG)
+    bundle = train(config, base, folder / MODEL, (False, console))
+    found = judge(bundle, logs_for(bundle, None, None, console), (folder / MODEL, None), console)
+    (folder / PAGES).mkdir()
+    write(folder / PAGES, found)
+    document = _document(found, complete=True)
+    atomic_write_text(folder / DOCUMENT, to_json(document))
+    show(console, found)
+    console.say("This is a stand-in engine: draw no conclusions about any real one.")
+    console.say(f"Page: {options.out / PAGES / PAGE}")
+    console.document(document)
+    return found.exit_code
+
+
+def _begin(folder: Path) -> None:
+    """Clear what an earlier demonstration left, and mark the folder as one that is not done."""
+    for name in (FLIGHTS, MODEL, PAGES):
+        shutil.rmtree(folder / name, ignore_errors=True)
+    atomic_write_text(folder / DOCUMENT, to_json({"schema": SCHEMA, "complete": False}))
+    shipped = files("configs").joinpath("demo.toml").read_text(encoding="utf-8")
+    atomic_write_text(folder / CONFIG, shipped)
+
+
+def _document(found: Judgement, *, complete: bool) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA,
+        "complete": complete,
+        "page": f"{PAGES}/{PAGE}",
+        "evaluation": found.document,
+    }

@@ -1,0 +1,90 @@
+"""`narxcal evaluate`: a model in free run over whole logs, and its Ti and Tt."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from data_prep.log import Log
+from eval import terminal
+from eval.evaluate import SCHEMA, Evaluation, evaluate, run_config
+from eval.report.content import LogPage
+from eval.report.evaluation import page_of, verdict_of
+from eval.report.page import Outcome, evaluate_page
+from narxcal.bundle import Bundle, load_bundle
+from narxcal.cli.console import Console, to_json
+from narxcal.cli.folders import Results
+from narxcal.cli.header import header_of
+from narxcal.cli.held_out import changed, logs_for
+
+DOCUMENT, PAGE = "evaluate.json", "evaluate.html"
+RESULTS = Results(SCHEMA, DOCUMENT, (PAGE,))
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """An evaluation in all its forms: figures, JSON, page, and the records of the tables."""
+
+    evaluation: Evaluation
+    document: dict[str, Any]
+    html: str
+    pages: Sequence[LogPage]
+    outcome: Outcome
+
+    @property
+    def exit_code(self) -> int:
+        """1 where a tolerance was missed."""
+        return 1 if self.evaluation.missed() else 0
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Evaluate a bundle on its held-out logs, or on others; writes JSON and HTML."""
+    out = options.out or options.bundle / "evaluate"
+    RESULTS.check(out)
+    bundle = load_bundle(options.bundle)
+    logs = logs_for(bundle, options.logs, options.data, console)
+    found = judge(bundle, logs, (options.bundle, options.trim), console)
+    with RESULTS.writing(out) as folder:
+        write(folder, found)
+    show(console, found)
+    console.say(f"Page: {out / PAGE}")
+    console.document(found.document)
+    return found.exit_code
+
+
+def judge(
+    bundle: Bundle, logs: Sequence[Log], how: tuple[Path, float | None], console: Console
+) -> Judgement:
+    """Evaluate log by log; `how` names the bundle's folder and the trim."""
+    run_folder, trim = how
+    config, settings = run_config(bundle)
+    parts, pages = [], []
+    with console.progress("Evaluating") as advance:
+        for number, log in enumerate(logs):
+            advance(number, len(logs), log.name)
+            parts += evaluate(bundle, [log], trim or None, settings).logs
+            pages.append(page_of(parts[-1], config.events.driver, bundle.calibration.input_names))
+    evaluation = Evaluation(tuple(parts), settings, trim or None)
+    title = f"Evaluation: {config.name}"
+    header = header_of(title, run_folder, bundle, logs, settings.transients.rules)
+    outcome = verdict_of(header, evaluation, pages)
+    with console.progress("Drawing the page"):
+        html = evaluate_page(header, pages, outcome)
+    document = {**evaluation.document(), "run": str(run_folder), "changed": changed(bundle, logs)}
+    return Judgement(evaluation, document, html, pages, outcome)
+
+
+def write(folder: Path, found: Judgement) -> None:
+    """Write JSON and page into a folder."""
+    (folder / DOCUMENT).write_text(to_json(found.document), encoding="utf-8")
+    (folder / PAGE).write_text(found.html, encoding="utf-8")
+
+
+def show(console: Console, found: Judgement) -> None:
+    """Print the tables and the verdict."""
+    terminal.print_scores(console.page, found.pages)
+    terminal.print_transients(console.page, found.pages)
+    terminal.print_outcome(console.page, found.outcome)

@@ -1,0 +1,56 @@
+"""Where commands put their results, and what they refuse to overwrite."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from narxcal.atomic import atomic_folder
+from narxcal.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Results:
+    """A folder of results: what a command puts there, told by `document` and its `schema`.
+
+    `document` is the JSON file every such folder has, `others` further names at its top.
+    """
+
+    schema: str
+    document: str
+    others: tuple[str, ...]
+
+    def check(self, folder: Path) -> None:
+        """Refuse, before any work is done, a folder with content that this command never wrote.
+
+        Raises `ConfigError`.
+        """
+        if not folder.exists():
+            return
+        if not folder.is_dir():
+            raise ConfigError(f"output folder {folder} is not a folder", hint="Choose another name")
+        found = sorted(entry.name for entry in folder.iterdir())
+        foreign = [name for name in found if name not in (self.document, *self.others)]
+        if foreign or (found and not self._ours(folder)):
+            raise ConfigError(
+                f"output folder {folder} holds other content ('{(foreign or found)[0]}') "
+                "and is not overwritten",
+                hint="Choose another name, or empty it yourself",
+            )
+
+    @contextmanager
+    def writing(self, folder: Path) -> Iterator[Path]:
+        """Yield a temporary folder that takes the place of `folder` when the block ends well."""
+        self.check(folder)
+        with atomic_folder(folder, replace=True) as part:
+            yield part
+
+    def _ours(self, folder: Path) -> bool:
+        try:
+            document = json.loads((folder / self.document).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return False
+        return isinstance(document, dict) and document.get("schema") == self.schema

@@ -1,0 +1,82 @@
+"""`narxcal info`: what a model is and where it comes from."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from typing import Any
+
+from narxcal.bundle import Bundle, load_bundle, read_document
+from narxcal.cli.console import Console
+
+SCHEMA = "narxcal.info/1"
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Load a bundle, which checks it, and print what it says of itself."""
+    bundle = load_bundle(options.bundle)
+    document = _document(str(options.bundle), bundle, read_document(options.bundle))
+    console.facts(_facts(document))
+    console.table(
+        "Outputs and the guaranteed bounds of their deviation from steady state",
+        ["channel", "unit", "low", "high"],
+        [
+            [name, document["units"].get(name, ""), f"{low:.4g}", f"{high:.4g}"]
+            for name, (low, high) in document["deviation_bounds"].items()
+        ],
+    )
+    console.table(
+        "Data",
+        ["file", "sha256"],
+        [[file, digest[:16]] for file, digest in document["data"].items()],
+    )
+    console.document(document)
+    return 0
+
+
+def _document(run: str, bundle: Bundle, stored: dict[str, Any]) -> dict[str, Any]:
+    calibration, meta = bundle.calibration, bundle.meta
+    low, high = calibration.bounds()
+    narx = calibration.narx.config
+    return {
+        "schema": SCHEMA,
+        "run": run,
+        "name": meta.get("config", {}).get("name", ""),
+        "channels": stored["channels"],
+        "units": stored["units"],
+        "dt_s": calibration.dt_s,
+        "schedule": list(calibration.schedule),
+        "lags": narx.lags,
+        "taps": list(narx.taps),
+        "hidden": narx.hidden,
+        "weights": int(calibration.narx.net.get_theta().size),
+        "weights_sha256": stored["weights"]["sha256"],
+        "deviation_bounds": {
+            name: [float(low[k]), float(high[k])] for k, name in enumerate(calibration.output_names)
+        },
+        **{key: meta.get(key) for key in ("split", "seeds", "steady_state", "training", "metrics")},
+        "data": meta.get("data", {}),
+        "hardware": meta.get("hardware", {}),
+        "versions": meta.get("versions", {}),
+        "config": meta.get("config", {}),
+    }
+
+
+def _facts(document: dict[str, Any]) -> dict[str, str]:
+    training = document["training"] or {}
+    split = document["split"] or {}
+    facts = {
+        "Model": document["name"] or document["run"],
+        "Inputs": ", ".join(document["channels"]["inputs"]),
+        "Outputs": ", ".join(document["channels"]["outputs"]),
+        "Schedule": ", ".join(document["schedule"]) or "none",
+        "Raster": f"{document['dt_s']:.6g} s ({1.0 / document['dt_s']:.4g} Hz)",
+        "Network": f"{document['lags']} lags, {document['hidden']} hidden units, "
+        f"{document['weights']} weights",
+        "Weights": f"sha256 {document['weights_sha256'][:16]}",
+        **{f"{part.capitalize()} logs": ", ".join(logs) or "none" for part, logs in split.items()},
+        "Seeds": ", ".join(map(str, document["seeds"] or [])),
+        "Versions": ", ".join(f"{name} {text}" for name, text in document["versions"].items()),
+    }
+    if training:
+        facts["Training"] = f"{training.get('status', '')} ({training.get('wall_s', 0.0):.1f} s)"
+    return facts

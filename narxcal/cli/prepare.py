@@ -1,0 +1,117 @@
+"""`narxcal prepare`: what is in the logs, before any model."""
+
+from __future__ import annotations
+
+import gzip
+import re
+from argparse import Namespace
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from data_prep.log import Log
+from data_prep.reading import read_logs
+from eval.preparation import Prepared, events_table, pearson_table, study, windows_table
+from eval.report.content import RunHeader
+from eval.report.page import prepare_page, write_page
+from narxcal.bundle import versions
+from narxcal.cli.configured import read_config
+from narxcal.cli.console import Console, to_json
+from narxcal.cli.folders import Results
+from training.config import RunConfig
+from training.pipeline import configured_files
+
+SCHEMA = "narxcal.prepare/1"
+RESULTS = Results(
+    SCHEMA,
+    "prepare.json",
+    ("prepare.html", "events.csv", "pearson.csv", "windows.csv", "logs"),
+)
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Prepare the logs of a configuration; writes tables, prepared logs, JSON and HTML."""
+    RESULTS.check(options.out)
+    config, base = read_config(options.config, options.data)
+    studies = _studies(configured_files(config, base), config, console)
+    document = _document(config, studies)
+    with RESULTS.writing(options.out) as folder:
+        _write(folder, studies, document)
+        write_page(folder / "prepare.html", _page(config, studies))
+    _show(console, studies, options.out)
+    console.document(document)
+    return 0
+
+
+def _studies(files: Sequence[Path], config: RunConfig, console: Console) -> list[Prepared]:
+    studies = []
+    with console.progress("Preparing") as advance:
+        for number, file in enumerate(files):
+            advance(number, len(files), file.name)
+            studies += [study(raw, config) for raw in read_logs(file, config.logs)]
+    return studies
+
+
+def _document(config: RunConfig, studies: Sequence[Prepared]) -> dict[str, Any]:
+    windows = windows_table(studies).to_dict(orient="records")
+    return {
+        "schema": SCHEMA,
+        "config": config.model_dump(mode="json", by_alias=True),
+        "versions": versions(),
+        "logs": [{**one.to_dict(), "prepared": _file_name(one.log)} for one in studies],
+        "pearson": pearson_table(studies).to_dict(orient="records"),
+        "windows": windows,
+        "window": config.smooth.window,
+    }
+
+
+def _write(folder: Path, studies: Sequence[Prepared], document: dict[str, Any]) -> None:
+    for one in studies:
+        _write_log(folder / _file_name(one.log), one.log)
+    for name, table in (
+        ("events.csv", events_table(studies)),
+        ("pearson.csv", pearson_table(studies)),
+        ("windows.csv", windows_table(studies)),
+    ):
+        table.to_csv(folder / name, index=False, float_format="%.8g", lineterminator="\n")
+    (folder / "prepare.json").write_text(to_json(document), encoding="utf-8")
+
+
+def _file_name(log: Log) -> str:
+    plain = re.sub(r"\.(csv|parquet|txt)(\.gz)?", "", log.name)
+    return f"logs/{re.sub(r'[^A-Za-z0-9._-]+', '_', plain)}.csv.gz"
+
+
+def _write_log(path: Path, log: Log) -> None:
+    """Write a canonical log that `read_logs` reads back; no time stamp, so the bytes repeat."""
+    path.parent.mkdir(exist_ok=True)
+    table = pd.DataFrame({"time_s": log.time_s, **log.channels})
+    text = table.to_csv(index=False, float_format="%.9g", lineterminator="\n")
+    path.write_bytes(gzip.compress(text.encode("utf-8"), compresslevel=6, mtime=0))
+
+
+def _page(config: RunConfig, studies: Sequence[Prepared]) -> str:
+    header = RunHeader(
+        title=f"Prepared logs: {config.name}",
+        created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        sources=[one.log.source for one in studies],
+        versions=versions(),
+        config=config.model_dump_json(by_alias=True, indent=1),
+    )
+    return prepare_page(header, [one.page() for one in studies], [one.trial for one in studies])
+
+
+def _show(console: Console, studies: Sequence[Prepared], out: Path) -> None:
+    rows = []
+    for one in studies:
+        counts, masked = one.counts(), one.log.audit.masked()
+        lost = sum(sum(reasons.values()) for reasons in masked.values())
+        minutes = (one.log.time_s[-1] - one.log.time_s[0]) / 60.0
+        rows.append(
+            [one.log.name, f"{minutes:.1f}", str(counts["push"]), str(counts["pull"]), f"{lost}"]
+        )
+    console.table("Prepared logs", ["log", "minutes", "pushes", "pulls", "masked samples"], rows)
+    console.say(f"Page: {out / 'prepare.html'}")

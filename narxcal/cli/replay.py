@@ -1,0 +1,47 @@
+"""`narxcal replay`: a log streamed through model and fuser."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+
+from eval.replay import ReplayModel, ReplayOptions, ReplaySummary, replay
+from narxcal.bundle import load_bundle
+from narxcal.cli.console import Console
+
+SCHEMA = "narxcal.replay/1"
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Replay a log and write one CSV."""
+    model = ReplayModel.of(load_bundle(options.bundle))
+    how = ReplayOptions(engine=options.engine, realtime=options.realtime, follow=options.follow)
+    with console.progress("Replaying"):
+        summary = replay(model, options.log, options.out, how)
+    _show(console, summary)
+    console.say(f"Replayed: {options.out}")
+    console.document({"schema": SCHEMA, "out": str(options.out), **summary.to_dict()})
+    return 0
+
+
+def _show(console: Console, summary: ReplaySummary) -> None:
+    rows = [
+        [
+            engine or "(one engine)",
+            str(sum(summary.held[engine].values())),
+            str(summary.restarts[engine]),
+            str(summary.outside[engine]),
+            str(sum(summary.gated[engine].values())),
+            ", ".join(summary.unfused[engine]) or "none",
+        ]
+        for engine in summary.engines
+    ]
+    head = ["engine", "held inputs", "restarts", "outside", "refused", "not fused"]
+    console.table("Samples with something to know about", head, rows)
+    pace = f"{summary.times_real_time:,.0f} times real time"
+    console.say(
+        f"{summary.rows} rows, {summary.log_s:.0f} s of log in {summary.wall_s:.1f} s: {pace}"
+    )
+    if summary.dropped:
+        console.warn(f"{summary.dropped} rows had no usable stamp and were dropped")
+    if summary.truncated:
+        console.warn("the log breaks off in mid-line; that line was left out")

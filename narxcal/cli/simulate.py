@@ -1,0 +1,111 @@
+"""`narxcal simulate`: a free run over a file of inputs."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from data_prep.csv_source import open_csv
+from data_prep.log import Log
+from data_prep.logs_config import LogsConfig
+from narxcal.atomic import atomic_write_text
+from narxcal.bundle import Bundle, load_bundle
+from narxcal.calibration import DynamicCalibration
+from narxcal.cli.console import Console
+from training.config import RunConfig
+from training.pipeline import calibration_for, prepare_logs
+
+SCHEMA = "narxcal.simulate/1"
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """One log simulated: a table with `inside_envelope`, and the log it came from."""
+
+    log: Log
+    table: pd.DataFrame
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Simulate every engine of the file and write one CSV."""
+    bundle = load_bundle(options.bundle)
+    runs = [
+        _simulated(bundle.calibration, log) for log in read_inputs(bundle, Path(options.inputs))
+    ]
+    tables = [one.table for one in runs]
+    if len({one.log.source.engine for one in runs}) == 1:
+        tables = [table.drop(columns="engine") for table in tables]
+    joined = pd.concat(tables).sort_values("time_s", kind="stable")
+    atomic_write_text(
+        options.out, joined.to_csv(index=False, float_format="%.9g", lineterminator="\n")
+    )
+    document = _document(str(options.out), runs)
+    for row in document["logs"]:
+        outside = f", {row['outside']} outside the envelope" if row["outside"] else ""
+        console.say(f"{row['log']}: {row['samples']} samples{outside}")
+    console.say(f"Simulated: {options.out}")
+    console.document(document)
+    return 0
+
+
+def read_inputs(bundle: Bundle, file: Path) -> list[Log]:
+    """Read the inputs in `file` by the bundle's column mapping, or by canonical headers.
+
+    Outputs need not be there. The logs are on the model's raster, prepared as those that the
+    model was trained on. Raises `DataError`.
+    """
+    config = RunConfig.parse(bundle.meta["config"])
+    names = bundle.calibration.input_names
+    header = open_csv(file, config.logs.delimiter, config.logs.decimal, config.logs.comment).header
+    logs = config.logs
+    if {"time_s", *names} <= set(header):
+        logs = LogsConfig(max_gap_s=logs.max_gap_s, bridge_s=logs.bridge_s)
+    else:
+        outputs = set(bundle.calibration.output_names) - set(names)
+        columns = {
+            name: source.model_copy(update={"optional": source.optional or name in outputs})
+            for name, source in logs.columns.items()
+        }
+        logs = logs.model_copy(update={"columns": columns})
+    reading = config.model_copy(update={"logs": logs})
+    return prepare_logs(reading, [file], bundle.calibration.dt_s)
+
+
+def _simulated(calibration: DynamicCalibration, log: Log) -> _Run:
+    own = calibration_for(calibration, log)
+    inputs = log.matrix(own.input_names)
+    table = pd.DataFrame(own.simulate(inputs), columns=list(own.output_names))
+    table.insert(0, "time_s", log.time_s)
+    table.insert(1, "engine", log.source.engine)
+    table["inside_envelope"] = own.steady.inside(inputs).astype(int)
+    return _Run(log, table)
+
+
+def _document(out: str, runs: Sequence[_Run]) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA,
+        "out": out,
+        "logs": [
+            {
+                "log": one.log.name,
+                "sha256": one.log.source.sha256,
+                "samples": len(one.table),
+                "outside": int((one.table["inside_envelope"] == 0).sum()),
+                "audit": [
+                    {
+                        "channel": entry.channel,
+                        "action": entry.action,
+                        "samples": entry.samples,
+                        "reason": entry.reason,
+                    }
+                    for entry in one.log.audit.entries
+                ],
+            }
+            for one in runs
+        ],
+    }

@@ -1,0 +1,161 @@
+"""`narxcal train`: from logs to a bundle, to be cut short and gone on with at any time.
+
+RUN holds the bundle once there is one, and `checkpoints/` while a training is unfinished. An
+interrupted training leaves both: its best network so far, and the place to go on from.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+from narxcal.bundle import DOCUMENT, Bundle, read_document, write_bundle
+from narxcal.cli.configured import read_config
+from narxcal.cli.console import Advance, Console
+from narxcal.errors import ConfigError
+from training.config import RunConfig
+from training.pipeline import (
+    TrainOptions,
+    calibrate,
+    configured_files,
+    prepare_logs,
+    split_logs,
+)
+from training.trainer import Progress
+
+SCHEMA = "narxcal.train/1"
+CHECKPOINTS = "checkpoints"
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Train, or go on with a training; an interrupted one ends well with its best network."""
+    run_folder: Path = options.out
+    config, base = read_config(options.config, options.data)
+    _check(run_folder, resume=options.resume)
+    if options.resume and _complete(run_folder, config):
+        console.say(f"{run_folder} is complete; nothing is left to do.")
+        console.document(_document(run_folder, read_document(run_folder)))
+        return 0
+    try:
+        bundle = train(config, base, run_folder, (options.resume, console))
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(_where_it_stands(run_folder)) from None
+    _show(console, run_folder, bundle)
+    console.document(_document(run_folder, bundle.meta))
+    return 0
+
+
+def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]) -> Bundle:
+    """Calibrate on the logs of `config` and write the bundle to `folder`.
+
+    `how` says whether to go on from checkpoints, and where to show progress.
+    """
+    resume, console = how
+    with console.progress("Reading the logs") as advance:
+        logs = []
+        files = configured_files(config, base)
+        for number, file in enumerate(files):
+            advance(number, len(files), file.name)
+            logs += prepare_logs(config, [file])
+    checkpoints = folder / CHECKPOINTS
+    with console.progress("Training") as advance:
+        options = TrainOptions(_watch(config, advance), checkpoints, resume)
+        bundle = calibrate(config, base, split_logs(logs, config.split), options)
+    write_bundle(folder, bundle)
+    if not interrupted(bundle.meta):
+        shutil.rmtree(checkpoints, ignore_errors=True)
+    return bundle
+
+
+def interrupted(meta: dict[str, Any]) -> bool:
+    """Whether Ctrl-C ended the training of a bundle."""
+    return "interrupted" in (meta.get("training") or {}).get("status", "")
+
+
+def _check(folder: Path, *, resume: bool) -> None:
+    """Refuse a folder that holds anything but, when resuming, a training of ours."""
+    if not folder.exists():
+        return
+    if not folder.is_dir():
+        raise ConfigError(f"output folder {folder} is not a folder", hint="Choose another name")
+    found = {entry.name for entry in folder.iterdir()}
+    if not found or (resume and found & {DOCUMENT, CHECKPOINTS}):
+        return
+    if DOCUMENT in found:
+        what, hint = "holds a trained model", "Choose another name"
+    elif CHECKPOINTS in found:
+        what, hint = "holds an unfinished training", "Go on with it by --resume, or choose another"
+    else:
+        what, hint = "exists and is not empty", "Choose another name"
+    raise ConfigError(f"output folder {folder} {what}", hint=hint)
+
+
+def _complete(folder: Path, config: RunConfig) -> bool:
+    """Whether `folder` holds the finished model of `config`; another's is refused."""
+    if not (folder / DOCUMENT).is_file():
+        return False
+    stored = read_document(folder)
+    if stored.get("config") != config.model_dump(mode="json", by_alias=True):
+        raise ConfigError(
+            f"output folder {folder} holds a model of another configuration",
+            hint="Choose another name",
+        )
+    return not interrupted(stored)
+
+
+def _watch(config: RunConfig, advance: Advance) -> Any:
+    """Turn each training step into one step of the progress bar."""
+    networks = 1 if config.narx.joint else len(config.narx.outputs)
+    total = networks * config.train.starts * sum(config.train.iterations)
+    seen = 0
+
+    def watch(progress: Progress) -> None:
+        nonlocal seen
+        if not progress.history:
+            return
+        seen += 1
+        last = progress.history[-1]
+        error = last.validation if math.isfinite(last.validation) else math.sqrt(2.0 * last.loss)
+        kind = "validation" if math.isfinite(last.validation) else "training"
+        advance(min(seen, total), total, f"(free-run {kind} error {error:.4f})")
+
+    return watch
+
+
+def _where_it_stands(folder: Path) -> str:
+    if (folder / CHECKPOINTS).is_dir():
+        return f"no model was written; train --resume --out {folder} goes on from the last step"
+    return ""
+
+
+def _document(folder: Path, meta: dict[str, Any]) -> dict[str, Any]:
+    kept = ("training", "steady_state", "split", "seeds", "data", "metrics", "config", "hardware")
+    return {
+        "schema": SCHEMA,
+        "run": str(folder),
+        "interrupted": interrupted(meta),
+        **{key: meta.get(key) for key in kept},
+    }
+
+
+def _show(console: Console, folder: Path, bundle: Bundle) -> None:
+    training = bundle.meta["training"]
+    rows = [
+        [str(row["start"]), f"{row['horizon_s']:g}", str(row["iteration"]), *_errors(row)]
+        for history in training["history"]
+        for row, after in zip(history, [*history[1:], None], strict=True)
+        if after is None or after["iteration"] <= row["iteration"]
+    ]
+    head = ["start", "horizon [s]", "steps", "training error", "validation error"]
+    console.table("Free-run error in scaled units at the end of each stage", head, rows)
+    if interrupted(bundle.meta):
+        console.say("Interrupted: the best network so far was kept; --resume goes on with it.")
+    console.say(f"Model: {folder} ({training['wall_s']:.1f} s). Next: narxcal evaluate {folder}")
+
+
+def _errors(row: dict[str, Any]) -> tuple[str, str]:
+    validation = row["validation"]
+    return f"{math.sqrt(2.0 * row['loss']):.4f}", "" if validation is None else f"{validation:.4f}"
