@@ -6,21 +6,25 @@ import gzip
 import warnings
 import zlib
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import numpy as np
 import pandas as pd
 
-from data_prep.dialect import Dialect, next_header, open_text, sniff
+from data_prep.dialect import COMMA_NUMBER, Dialect, next_header, open_text, sniff
 from narxcal.errors import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
     from data_prep.log import FloatArray
 
-CHUNK_ROWS = 100_000
+CHUNK_ROWS = 50_000
+_SHOWN_CHARS = 40
 
 
 class _Prefixed:
@@ -43,8 +47,8 @@ class CsvSource:
     """One CSV file: its header, and on request some of its columns.
 
     Only the requested columns are kept, as float64; the text is read in pieces of
-    `chunk_rows` rows. Row 1 is the first line after the header; blank lines and comment
-    lines are not counted.
+    `chunk_rows` rows. Row 1 is the first data row below the header; blank lines and comment
+    lines are not counted. A row shorter than the header ends in blanks.
     """
 
     def __init__(self, path: Path, dialect: Dialect, chunk_rows: int = CHUNK_ROWS) -> None:
@@ -60,17 +64,29 @@ class CsvSource:
     def read(self, names: Sequence[str]) -> dict[str, FloatArray]:
         """Read the named columns, each `(rows,)`; a blank is NaN.
 
-        Raises `DataError` for text in a number's place (naming row and value), for a row
-        longer than the header, a column that occurs twice, and a file that cannot be decoded.
+        Raises `DataError` for text in a number's place (naming row and value), a row longer
+        than the header, a column that occurs twice, and a file that cannot be parsed.
         """
         positions = {name: self._position(name) for name in names}
         try:
             return self._numbers(positions)
         except ValueError as error:  # pandas: text where a number should be, or a broken row
-            self._explain(positions, error)
-            raise DataError(
-                f"the rows cannot be parsed ({' '.join(str(error).split())})", file=self.path
-            ) from error
+            cause = error
+        row, name, text = self._first_text(positions) or (0, "", "")
+        if not row:
+            problem = " ".join(str(cause).split())
+            raise DataError(f"the rows cannot be parsed ({problem})", file=self.path) from cause
+        if self.dialect.decimal_open and COMMA_NUMBER.fullmatch(text):
+            # The first rows held whole numbers only, so the comma could not be seen there.
+            self.dialect = replace(self.dialect, decimal=",", decimal_open=False)
+            return self.read(names)
+        raise DataError(
+            f"expected a number, found {text[:_SHOWN_CHARS]!r}",
+            file=self.path,
+            channel=name,
+            row=row,
+            hint="Row 1 is the first data row below the header",
+        ) from cause
 
     def _position(self, name: str) -> int:
         if self.header.count(name) > 1:
@@ -83,10 +99,9 @@ class CsvSource:
 
     def _numbers(self, positions: dict[str, int]) -> dict[str, FloatArray]:
         pieces: dict[str, list[FloatArray]] = {name: [] for name in positions}
-        overflow = len(self.header)
         row = 0
-        for chunk in self._chunks(sorted({*positions.values()}), np.float64):
-            self._refuse_long_rows(chunk[overflow], row)
+        for chunk in self._chunks([*positions.values()], np.float64):
+            self._refuse_long_rows(chunk[len(self.header)], row)
             row += len(chunk)
             for name, position in positions.items():
                 pieces[name].append(chunk[position].to_numpy(dtype=np.float64, copy=True))
@@ -104,6 +119,7 @@ class CsvSource:
 
     @contextmanager
     def _rows(self) -> Iterator[TextIO]:
+        """Open the text below the header."""
         with readable(self.path), open_text(self.path) as text:
             next_header(text, self.dialect.comment)
             yield text
@@ -111,56 +127,52 @@ class CsvSource:
     def _chunks(self, positions: list[int], dtype: Any) -> Iterator[pd.DataFrame]:
         """Pieces of the table, plus the field after the last column to catch rows too long."""
         count = len(self.header)
-        delimiter = self.dialect.delimiter
+        dialect = self.dialect
         # pandas learns from the first row how many fields there may be.
-        widest = delimiter.join(["0"] * (count + 1)) + "\n"
+        widest = dialect.delimiter.join(["0"] * (count + 1)) + "\n"
         with self._rows() as text, warnings.catch_warnings():
             warnings.simplefilter("ignore", pd.errors.ParserWarning)
-            try:
-                reader = pd.read_csv(
-                    cast("TextIO", _Prefixed(widest, text)),
-                    sep=r"\s+" if delimiter == " " else delimiter,
-                    decimal=self.dialect.decimal,
-                    comment=self.dialect.comment or None,
-                    header=None,
-                    names=list(range(count + 1)),
-                    usecols=[*positions, count],
-                    index_col=False,
-                    dtype={**dict.fromkeys(positions, dtype), count: object},
-                    skipinitialspace=True,
-                    chunksize=self.chunk_rows,
-                    engine="c",
-                )
-            except pd.errors.EmptyDataError:
-                return
+            reader = pd.read_csv(
+                cast("TextIO", _Prefixed(widest, text)),
+                sep=r"\s+" if dialect.delimiter == " " else dialect.delimiter,
+                decimal=dialect.decimal,
+                comment=dialect.comment or None,
+                header=None,
+                names=list(range(count + 1)),
+                usecols=sorted({*positions, count}),
+                index_col=False,
+                dtype={**dict.fromkeys(positions, dtype), count: object},
+                skipinitialspace=True,
+                chunksize=self.chunk_rows,
+                engine="c",
+            )
             with reader:
                 yield next(reader).iloc[1:]
                 yield from reader
 
-    def _explain(self, positions: dict[str, int], cause: ValueError) -> None:
-        """Look the first unreadable value up and raise the error that shows it."""
+    def _first_text(self, positions: dict[str, int]) -> tuple[int, str, str] | None:
+        """Row, column and content of the first cell that is no number."""
         row = 0
-        for chunk in self._chunks(sorted({*positions.values()}), object):
-            found = [
-                (int(bad.argmax()), name, position)
-                for name, position in positions.items()
-                if (bad := self._unreadable(chunk[position])).any()
-            ]
-            if found:
-                at, name, position = min(found, key=lambda item: item[0])
-                raise DataError(
-                    f"expected a number, found {str(chunk[position].iloc[at])[:40]!r}",
-                    file=self.path,
-                    channel=name,
-                    row=row + at + 1,
-                    hint="Row 1 is the first line after the header",
-                ) from cause
-            row += len(chunk)
+        try:
+            for chunk in self._chunks([*positions.values()], object):
+                found = [
+                    (int(bad.argmax()), position, name)
+                    for name, position in positions.items()
+                    if (bad := self._unreadable(chunk[position])).any()
+                ]
+                if found:
+                    at, position, name = min(found)
+                    return row + at + 1, name, str(chunk[position].iloc[at])
+                row += len(chunk)
+        except ValueError:  # a broken row comes first
+            return None
+        return None
 
-    def _unreadable(self, texts: pd.Series[Any]) -> np.ndarray[Any, np.dtype[np.bool_]]:
-        plain = texts.astype("str").str.replace(self.dialect.decimal, ".", regex=False)
-        numbers = pd.to_numeric(plain.str.strip(), errors="coerce")
-        return np.asarray(numbers.isna() & texts.notna())
+    def _unreadable(self, texts: pd.Series[Any]) -> NDArray[np.bool_]:
+        plain = texts.astype("str").str.strip()
+        if self.dialect.decimal != ".":
+            plain = plain.str.replace(".", "x").str.replace(self.dialect.decimal, ".")
+        return np.asarray(pd.to_numeric(plain, errors="coerce").isna() & texts.notna())
 
 
 @contextmanager

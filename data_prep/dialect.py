@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 DELIMITERS = (";", "\t", "|", ",")
 SAMPLE_LINES = 200
-MAX_HEADER_CHARS = 1_000_000
+MAX_LINE_CHARS = 1_000_000
 _GZIP_MAGIC = b"\x1f\x8b"
 _BOMS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
@@ -28,16 +28,20 @@ _BOMS = (
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
 _QUOTED = re.compile(r'"[^"]*"')
-_COMMA_NUMBER = re.compile(r'"?\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*"?')
+COMMA_NUMBER = re.compile(r'"?\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*"?')
 _POINT_NUMBER = re.compile(r'"?\s*[+-]?\d*\.\d+([eE][+-]?\d+)?\s*"?')
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """What has to be known to parse the data rows; delimiter ` ` means any run of blanks."""
+    """What has to be known to parse the data rows; delimiter ` ` means any run of blanks.
+
+    `decimal_open`: no decimal mark was seen yet, so that a comma may still turn up.
+    """
 
     delimiter: str
     decimal: str
+    decimal_open: bool
     comment: str
     header: tuple[str, ...]
 
@@ -66,8 +70,8 @@ def open_text(path: Path) -> TextIO:
 
 
 def next_header(text: TextIO, comment: str) -> str:
-    """Advance to the header, the first line that is neither blank nor a comment."""
-    while line := text.readline(MAX_HEADER_CHARS):
+    """Read up to the header, the first line that is neither blank nor a comment."""
+    while line := text.readline(MAX_LINE_CHARS):
         stripped = line.strip()
         if stripped and not (comment and stripped.startswith(comment)):
             return line.rstrip("\r\n")
@@ -86,11 +90,17 @@ def sniff(text: TextIO, delimiter: str, decimal: str, comment: str) -> Dialect:
         delimiter = _delimiter(header, rows)
     if decimal == "auto":
         decimal = _decimal(rows, delimiter)
-    return Dialect(delimiter, decimal, comment, _names(header, delimiter))
+    return Dialect(
+        delimiter=delimiter,
+        decimal=decimal or ".",
+        decimal_open=not decimal,
+        comment=comment,
+        header=_fields(header, delimiter),
+    )
 
 
 def _sample(text: TextIO, comment: str) -> list[str]:
-    lines = (text.readline(MAX_HEADER_CHARS).strip() for _ in range(SAMPLE_LINES))
+    lines = (text.readline(MAX_LINE_CHARS).strip() for _ in range(SAMPLE_LINES))
     return [line for line in lines if line and not (comment and line.startswith(comment))]
 
 
@@ -113,13 +123,15 @@ def _delimiter(header: str, rows: list[str]) -> str:
 
 
 def _decimal(rows: list[str], delimiter: str) -> str:
-    fields = [field for row in rows for field in _names(row, delimiter)]
-    commas = any(_COMMA_NUMBER.fullmatch(field) for field in fields)
+    fields = [field for row in rows for field in _fields(row, delimiter)]
+    commas = any(COMMA_NUMBER.fullmatch(field) for field in fields)
     points = any(_POINT_NUMBER.fullmatch(field) for field in fields)
-    return "," if commas and not points else "."
+    if points or commas:
+        return "." if points else ","
+    return ""
 
 
-def _names(line: str, delimiter: str) -> tuple[str, ...]:
+def _fields(line: str, delimiter: str) -> tuple[str, ...]:
     line = line.replace("\0", "")
     if delimiter == " ":
         return tuple(line.split())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Self
+from typing import Literal, Self
 
 from pydantic import Field, PositiveFloat, field_validator, model_validator
 
@@ -52,18 +52,27 @@ class LogsConfig(Section):
     max_gap_s: PositiveFloat = 2.0
     bridge_s: float = Field(default=0.5, ge=0.0)
     delimiter: str = "auto"
-    decimal: str = "auto"
+    decimal: Literal["auto", ".", ","] = "auto"
     comment: str = Field(default="#", max_length=1)
     engines: dict[str, str] = Field(default_factory=dict)
     columns: dict[str, ColumnSource] = Field(default_factory=dict)
     derive: DeriveConfig = DeriveConfig()
 
-    @field_validator("delimiter", "decimal")
+    @field_validator("delimiter")
     @classmethod
     def _one_character(cls, value: str) -> str:
-        if value != "auto" and len(value) != 1:
+        if value != "auto" and (len(value) != 1 or not (value.isprintable() or value == "\t")):
             raise ValueError("expected 'auto' or a single character")
         return value
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.delimiter != "auto" and self.delimiter in (self.decimal, self.comment):
+            raise ValueError("delimiter, decimal and comment have to differ")
+        placed = any(ENGINE in source.column for source in self.columns.values())
+        if bool(self.engines) != placed:
+            raise ValueError("[logs.engines] and '{engine}' in the column names belong together")
+        return self
 
     @field_validator("columns")
     @classmethod

@@ -5,6 +5,8 @@ from __future__ import annotations
 import difflib
 from typing import TYPE_CHECKING, Protocol
 
+import numpy as np
+
 from data_prep.logs_config import ENGINE, ColumnSource, LogsConfig
 from data_prep.units import find_unit, to_canonical
 from narxcal.channels import CHANNELS
@@ -93,9 +95,11 @@ def _prefixes(template: str, header: tuple[str, ...]) -> str:
 def to_channel(name: str, cells: FloatArray, source: ColumnSource) -> FloatArray:
     """Cells as the file holds them -> channel `name` in its canonical unit."""
     if (source.scale, source.offset) != (1.0, 0.0):
-        cells = cells * source.scale + source.offset
+        with np.errstate(over="ignore"):  # an infinity is accounted for on the raster
+            cells = cells * source.scale + source.offset
     unit = CHANNELS[name].unit if source.unit is None else source.unit
-    return to_canonical(cells, find_unit(unit, name))
+    with np.errstate(over="ignore"):
+        return to_canonical(cells, find_unit(unit, name))
 
 
 def constants(sources: Mapping[str, ColumnSource]) -> dict[str, float]:

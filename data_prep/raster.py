@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 ON_RASTER = 0.01  # of the interval: samples closer than this to a raster time are on it
 OWN_INTERVALS = 2.5  # a slower channel may miss one of its own samples
 LONG_SPAN_S = 1.0
+_LARGEST = 1e30  # beyond it a number is a fault, and its arithmetic would overflow
 
 
 @dataclass(frozen=True)
@@ -60,11 +61,11 @@ def resample(
     * `hold` (switches): the last sample at or before the raster time, however old.
     * Of several samples with one stamp the last counts.
     """
-    valid = np.isfinite(values)
-    infinite = int((~valid & ~np.isnan(values)).sum())
+    valid = np.abs(values) < _LARGEST
+    absurd = int((~valid & ~np.isnan(values)).sum())
     steps, values, repeated = _last_of_equal(raster.steps(time[valid]), values[valid])
     entries = [
-        AuditEntry(name, "dropped", "not finite", infinite),
+        AuditEntry(name, "dropped", "not finite", absurd),
         AuditEntry(name, "dropped", "duplicate time stamp", repeated),
     ]
     grid = np.arange(raster.samples, dtype=np.float64)
@@ -131,8 +132,10 @@ def _account(
         index = side.astype(np.intp)
         touched[index[(index >= 0) & (index < raster.samples)]] = True
     filled = ~missing & ~touched
+    slow = len(steps) > 1 and float(np.median(np.diff(steps))) > 1.5
+    reason = "slower than the raster" if slow else "blank"
     return (
-        AuditEntry(name, "filled", "blank", int(filled.sum()), _spans(filled, raster)),
+        AuditEntry(name, "filled", reason, int(filled.sum()), _spans(filled, raster)),
         AuditEntry(name, "masked", "missing", int(missing.sum()), _spans(missing, raster)),
     )
 

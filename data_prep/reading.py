@@ -109,11 +109,14 @@ def _logs(recording: _Recording, config: LogsConfig) -> list[Log]:
     for part in split_at_gaps(rows.time_s, config.max_gap_s):
         time = undo_rounding(rows.time_s[part], native)
         raster = lay(time, interval, config.bridge_s)
+        _refuse_endless(raster, len(time), file)
         if raster.samples < 2:
             lost.append(AuditEntry("*", "dropped", "lone row between gaps", len(time)))
             continue
         name = recording.name + (f"#{len(logs) + 1}" if logs else "")
-        logs.append(_part(recording, name, Rows(rows.order[part], time, ()), raster))
+        rebuilt = int((np.abs(time - rows.time_s[part]) > 0.01 * native).sum())
+        entry = AuditEntry("*", "repaired", "rounded time stamp", rebuilt)
+        logs.append(_part(recording, name, Rows(rows.order[part], time, (entry,)), raster))
     if not logs:
         raise DataError(
             f"no two samples are closer than max_gap_s = {config.max_gap_s:g} s",
@@ -132,9 +135,23 @@ def _logs(recording: _Recording, config: LogsConfig) -> list[Log]:
     return [log.with_channels(derive(log.channels, config.derive, file)) for log in logs]
 
 
+def _refuse_endless(raster: Raster, rows: int, file: str) -> None:
+    if raster.samples > 1000 * (rows + 10):
+        raise DataError(
+            f"{rows} rows would become {raster.samples} samples at {1 / raster.interval_s:.4g} Hz",
+            file=file,
+            channel="time_s",
+            hint="Check the unit of time_s and set [logs] raster_hz",
+        )
+
+
 def _part(recording: _Recording, name: str, rows: Rows, raster: Raster) -> Log:
     channels: dict[str, FloatArray] = {}
-    audit = Audit()
+    steps = raster.steps(rows.time_s)
+    uneven = int((steps != np.round(steps)).sum())
+    audit = Audit().add(
+        *rows.entries, AuditEntry("*", "repaired", "time stamp off the raster", uneven)
+    )
     for channel, values in recording.rows.items():
         if channel != "time_s":
             hold = CHANNELS[channel].role == "switch"

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from data_prep.log import FloatArray
 
 _MAX_DECIMALS = 7
-_BASELINE_ROWS = 256
+_BASELINES_ROWS = (256, 64, 16, 4)
+_LATEST_S = 1e11  # later than any clock that counts seconds
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ def ordered_rows(stamps: FloatArray, max_gap_s: float, file: str) -> Rows:
     its row is dropped. A row that comes late by up to `max_gap_s` is sorted in. Time that goes
     back further is a second recording: `DataError` naming the row.
     """
-    finite = np.isfinite(stamps)
+    finite = np.abs(stamps) < _LATEST_S  # false for NaN
     order = np.flatnonzero(finite)
     spikes = _lone_spikes(stamps[order], max_gap_s)
     kept = order[~spikes]
@@ -84,24 +85,35 @@ def split_at_gaps(time: FloatArray, max_gap_s: float) -> list[slice]:
 def native_interval(time: FloatArray) -> float:
     """Estimate the sampling interval of ordered stamps despite rounding, jitter and gaps.
 
-    In seconds. The median advance over many rows is divided by their number: stamps printed with five
-    digits repeat or jump, but keep time over the long run. A whole number of Hz is taken where
-    it is within 0.5 %, else the interval to four digits, else (evenly spaced) as measured.
+    In seconds. The median advance over up to 256 rows is divided by their number: stamps printed
+    with five digits repeat or jump, but keep time over the long run. A whole number of Hz is
+    taken where it is within 0.5 %, else the interval to four digits, else as measured.
     """
     rows = np.unique(time)
     if len(rows) < 2:
         raise DataError("fewer than two different time stamps")
-    span = min(_BASELINE_ROWS, len(rows) - 1)
-    measured = float(np.median(rows[span:] - rows[:-span])) / span
+    measured = _median_advance(rows)
     tidy = float(f"{measured:.4g}")
     rate = round(1.0 / measured)
     if rate and abs(rate * measured - 1.0) <= 0.005:
         tidy = 1.0 / rate
     mean = float(rows[-1] - rows[0]) / (len(rows) - 1)
-    for interval in (tidy, measured, mean):
+    median = float(np.median(np.diff(rows)))  # right where many rows are missing
+    for interval in (tidy, measured, mean, 1.0 / max(1, round(1.0 / median)), median):
         if on_raster(rows, interval):
             return interval
     return tidy
+
+
+def _median_advance(rows: FloatArray) -> float:
+    """Median advance per row over the longest stretches that hold no gap."""
+    steps = np.diff(rows)
+    gaps = np.concatenate([[0], np.cumsum(steps > 3.0 * np.median(steps))])
+    for span in _BASELINES_ROWS:
+        whole = gaps[span:] == gaps[:-span]
+        if whole.any():
+            return float(np.median((rows[span:] - rows[:-span])[whole])) / span
+    return float(np.median(steps))
 
 
 def on_raster(time: FloatArray, interval: float) -> bool:
@@ -137,7 +149,7 @@ def printed_step(time: FloatArray) -> FloatArray:
     """Step of the last printed digit around each stamp; 0 where stamps look unrounded."""
     decimals = np.full(len(time), _MAX_DECIMALS)
     for digits in range(_MAX_DECIMALS - 1, -1, -1):
-        decimals[np.abs(time - np.round(time, digits)) < 1e-9 * np.maximum(1.0, time)] = digits
+        decimals[np.abs(time - np.round(time, digits)) <= 4.0 * np.spacing(np.abs(time))] = digits
     # A stamp like 1200 shows no digits only because zeros were left out; its neighbours tell.
     # Where the digits change (999.97, 1000.1) the coarser of both sides holds.
     before, after = (
