@@ -238,7 +238,8 @@ class _Register:
         rows = np.concatenate([self.past, self.inputs.down(features)])
         newest = np.arange(len(self.past), len(rows))
         tapped = rows[newest[:, None] - self.taps].reshape(len(features), -1)
-        deviation, _ = self.weights.run(tapped, self.history)
+        deviation, _, fed = self.weights.run(tapped, (AT_START, self.history[None]))
+        self.history = np.concatenate([deviation[-1], fed[-1, : -deviation.shape[1]]])
         self.past = rows[-len(self.past) :]
         self.ss = ss[-1]
         return self.outputs.up(deviation)
