@@ -14,6 +14,7 @@ from data_prep.derive import derive
 from data_prep.log import Audit, AuditEntry, Log, Source
 from data_prep.logs_config import LogsConfig
 from data_prep.mapping import Table, constants, map_columns, to_channel
+from data_prep.parquet_source import MAGIC, ParquetSource
 from data_prep.raster import Raster, lay, resample
 from data_prep.stamps import Rows, native_interval, ordered_rows, split_at_gaps, undo_rounding
 from narxcal.channels import CHANNELS
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
     from data_prep.log import FloatArray
 
 __all__ = ["LogsConfig", "read_logs"]
-
-PARQUET_MAGIC = b"PAR1"
 
 
 @dataclass(frozen=True)
@@ -81,6 +80,10 @@ def _recordings(path: Path, config: LogsConfig) -> list[_Recording]:
 
 
 def _open(path: Path, config: LogsConfig) -> Table:
+    with readable(path), path.open("rb") as raw:
+        magic = raw.read(len(MAGIC))
+    if magic == MAGIC:
+        return ParquetSource(path)
     return open_csv(path, config.delimiter, config.decimal, config.comment)
 
 

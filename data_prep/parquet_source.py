@@ -1,0 +1,70 @@
+"""Columns of a Parquet file as float64, read in batches (needs the extra `parquet`)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from narxcal.errors import ConfigError, DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from data_prep.log import FloatArray
+
+MAGIC = b"PAR1"
+BATCH_ROWS = 100_000
+
+
+class ParquetSource:
+    """One Parquet file: its header, and on request some of its columns; row 1 is the first."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            import pyarrow as pa  # noqa: PLC0415 - an extra, needed for such files only
+            from pyarrow import parquet  # noqa: PLC0415 - likewise
+        except ImportError:
+            raise ConfigError(
+                "reading Parquet needs pyarrow",
+                file=path,
+                hint="Install it with: pip install 'narxcal[parquet]'",
+            ) from None
+        self._broken = (pa.ArrowException, OSError)
+        self._numeric = (pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean)
+        self._double = pa.float64()
+        try:
+            self._file: Any = parquet.ParquetFile(path)
+        except self._broken as error:
+            raise self._damaged() from error
+
+    @property
+    def header(self) -> tuple[str, ...]:
+        """Column names in file order."""
+        return tuple(self._file.schema_arrow.names)
+
+    def read(self, names: Sequence[str]) -> dict[str, FloatArray]:
+        """Read the named columns, each `(rows,)`; null is NaN.
+
+        Raises `DataError` for a column that holds no numbers and for a damaged file.
+        """
+        for name in names:
+            kind = self._file.schema_arrow.field(name).type
+            if not any(fits(kind) for fits in self._numeric):
+                raise DataError(
+                    f"expected a column of numbers, found {kind}", file=self.path, channel=name
+                )
+        pieces: dict[str, list[FloatArray]] = {name: [np.empty(0)] for name in names}
+        try:
+            for batch in self._file.iter_batches(BATCH_ROWS, columns=list(names)):
+                for name in names:
+                    column = batch.column(name).cast(self._double, safe=False)
+                    pieces[name].append(column.to_numpy(zero_copy_only=False))
+        except self._broken as error:
+            raise self._damaged() from error
+        return {name: np.concatenate(pieces.pop(name)) for name in names}
+
+    def _damaged(self) -> DataError:
+        return DataError("the Parquet file is damaged", file=self.path, hint="Copy it again")

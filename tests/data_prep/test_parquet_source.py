@@ -1,0 +1,46 @@
+"""Parquet files read like CSV files of the same content."""
+
+import numpy as np
+import pytest
+
+from data_prep.reading import read_logs
+from narxcal.errors import DataError
+
+pa = pytest.importorskip("pyarrow", reason="the extra 'parquet' is not installed")
+parquet = pytest.importorskip("pyarrow.parquet", reason="the extra 'parquet' is not installed")
+
+
+def write(path, **columns):
+    parquet.write_table(pa.table(columns), path)
+    return path
+
+
+def test_a_parquet_file_reads_like_the_csv_of_the_same_numbers(tmp_path):
+    time, n1 = np.arange(50) / 10, np.random.default_rng(1).normal(80, 5, 50)
+    csv = tmp_path / "log.csv"
+    rows = "".join(f"{t!r},{v!r},1\n" for t, v in zip(time.tolist(), n1.tolist(), strict=True))
+    csv.write_text("time_s,N1_pct,WOW\n" + rows, encoding="utf-8")
+    path = write(tmp_path / "log.parquet", time_s=time, N1_pct=n1, WOW=np.ones(50, bool))
+    (left,), (right,) = read_logs(csv), read_logs(path)
+    for name in ("N1_pct", "WOW"):
+        np.testing.assert_array_equal(left[name], right[name])
+
+
+def test_nulls_are_missing(tmp_path):
+    path = write(tmp_path / "a.parquet", time_s=[0.0, 0.1, 0.2], N1_pct=pa.array([None] * 3, "f8"))
+    (log,) = read_logs(path)
+    assert log.audit.masked() == {"N1_pct": {"missing": 3}}
+
+
+def test_text_and_damage_are_refused(tmp_path):
+    path = write(tmp_path / "a.parquet", time_s=[0.0, 0.1], N1_pct=["x", "y"])
+    with pytest.raises(DataError) as caught:
+        read_logs(path)
+    assert str(caught.value) == (
+        f"{path}, channel N1_pct: expected a column of numbers, found string"
+    )
+    broken = tmp_path / "b.parquet"
+    broken.write_bytes(path.read_bytes()[:40])
+    with pytest.raises(DataError) as caught:
+        read_logs(broken)
+    assert str(caught.value) == f"{broken}: the Parquet file is damaged. Copy it again"
