@@ -82,6 +82,17 @@ def _bundle(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bundle", metavar="RUN", type=Path, help="folder that train wrote")
 
 
+def _logs(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--logs",
+        metavar="FILE",
+        type=Path,
+        nargs="+",
+        action="extend",
+        help="logs to use instead of the held-out ones; read by RUN's column mapping",
+    )
+
+
 def _demo(commands: _Commands) -> argparse.ArgumentParser:
     parser = _command(
         commands, "demo", "Fly the stand-in engine, train on it, evaluate; needs no files."
@@ -114,14 +125,7 @@ def _evaluate(commands: _Commands) -> argparse.ArgumentParser:
         commands, "evaluate", "Judge a model in free run over whole logs, and its Ti and Tt."
     )
     _bundle(parser)
-    parser.add_argument(
-        "--logs",
-        metavar="FILE",
-        type=Path,
-        nargs="+",
-        action="extend",
-        help="logs to evaluate on, instead of the held-out ones; read by RUN's column mapping",
-    )
+    _logs(parser)
     parser.add_argument(
         "--trim",
         metavar="FRACTION",
@@ -176,6 +180,7 @@ def _denoise(commands: _Commands) -> argparse.ArgumentParser:
         commands, "denoise", "The paper's noise experiment: raw, fused and free run against SNR."
     )
     _bundle(parser)
+    _logs(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="folder")
     parser.add_argument("--channel", metavar="NAME", default="N2_pct", help="default N2_pct")
     _data(parser, "folder of the held-out logs, if they have moved")

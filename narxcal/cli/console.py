@@ -45,11 +45,12 @@ class Console:
         """Print a table of at most 80 columns; all but the first column are aligned right."""
         if self.silent:
             return
+        # As wide as its title: one over a narrow table would be broken into lines.
         table = Table(
             title=title,
             title_justify="left",
             title_style="bold",
-            min_width=len(title),
+            min_width=min(len(title), WIDTH),
             box=None,
             pad_edge=False,
         )

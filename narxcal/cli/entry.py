@@ -14,7 +14,9 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from narxcal.cli.arguments import parse
@@ -33,7 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code = _run(parse(arguments))
         sys.stdout.flush()
     except BrokenPipeError:
-        return _pipe_closed()
+        _drop_stdout()
+        return PIPE_CLOSED
     except KeyboardInterrupt as stop:
         return _end(
             f"interrupted; {stop}" if str(stop) else "interrupted; nothing was written", INTERRUPTED
@@ -41,6 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (NarxcalError, OSError) as error:
         if wants_traceback:
             traceback.print_exc()
+        if isinstance(error, OSError):
+            _drop_stdout()
         return _end(f"error: {_one_line(error)}", BAD_INPUT)
     except Exception as error:  # noqa: BLE001 -- the roof: nothing above could still report it
         if wants_traceback:
@@ -74,7 +79,7 @@ def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split())
 
 
-def _pipe_closed() -> int:
-    """Keep the interpreter from complaining once more when it flushes at its end."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    return PIPE_CLOSED
+def _drop_stdout() -> None:
+    """Give up what stdout still holds: the interpreter would fail on it once more at its end."""
+    with suppress(OSError), Path(os.devnull).open("w", encoding="utf-8") as nowhere:
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())

@@ -11,6 +11,7 @@ from typing import Any
 from data_prep.log import Log
 from eval import terminal
 from eval.evaluate import SCHEMA, Evaluation, evaluate, run_config
+from eval.judged import LogEvaluation
 from eval.report.content import LogPage
 from eval.report.evaluation import page_of, verdict_of
 from eval.report.page import Outcome, evaluate_page
@@ -61,7 +62,8 @@ def judge(
     """Evaluate log by log; `how` names the bundle's folder and the trim."""
     run_folder, trim = how
     config, settings = run_config(bundle)
-    parts, pages = [], []
+    parts: list[LogEvaluation] = []
+    pages: list[LogPage] = []
     with console.progress("Evaluating") as advance:
         for number, log in enumerate(logs):
             advance(number, len(logs), log.name)

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from data_prep.log import Log
+from data_prep.log import Log, Source
 from eval.report.content import RunHeader
 from eval.rules import Tolerance, rules
 from narxcal.bundle import Bundle
@@ -33,11 +33,16 @@ def header_of(
         f"{', '.join(bundle.calibration.input_names)}",
         rules=found.name,
         tolerances=f"Ti {_words(found.Ti)}; Tt {_words(found.Tt)} ({found.source})",
-        sources=list({log.source.file + log.source.engine: log.source for log in logs}.values()),
+        sources=data_files(logs),
         versions=meta.get("versions", {}),
         facts=_facts(meta),
         config=json.dumps(meta.get("config", {}), indent=1),
     )
+
+
+def data_files(logs: Sequence[Log]) -> list[Source]:
+    """Every recording once, however many parts it was split into."""
+    return list({(log.source.file, log.source.engine): log.source for log in logs}.values())
 
 
 def _words(tolerance: Tolerance) -> str:

@@ -1,0 +1,69 @@
+"""`narxcal crossval`: one calibration per division of the logs."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Sequence
+
+from data_prep.log import Log
+from data_prep.prepare import prepare
+from data_prep.reading import read_logs
+from eval import terminal
+from eval.crossval import SCHEMA, CrossValidation, FoldResult, cross_validate
+from eval.report.content import RunHeader
+from eval.report.crossvalidation import crossvalidation_page, schemes_of
+from narxcal.bundle import versions
+from narxcal.cli.configured import read_config
+from narxcal.cli.console import Console, to_json
+from narxcal.cli.folders import Results
+from narxcal.cli.header import data_files, now
+from training.config import RunConfig
+from training.pipeline import configured_files
+
+DOCUMENT, PAGE = "crossval.json", "crossval.html"
+RESULTS = Results(SCHEMA, DOCUMENT, (PAGE,))
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Cross-validate the configured logs; writes JSON and HTML, 1 where a tolerance was missed."""
+    RESULTS.check(options.out)
+    config, base = read_config(options.config, options.data)
+    logs: list[Log] = []
+    files = configured_files(config, base)
+    with console.progress("Reading the logs") as advance:
+        for number, file in enumerate(files):
+            advance(number, len(files), file.name)
+            logs += prepare(read_logs(file, config.logs), config)
+    with console.progress("Calibrating the folds") as advance:
+
+        def watch(fold: FoldResult, done: int, total: int) -> None:
+            advance(done, total, f"({fold.scheme})")
+
+        found = cross_validate(config, base, logs, options.jobs, watch)
+    document = found.document()
+    html = crossvalidation_page(_header(config, logs), found)
+    with RESULTS.writing(options.out) as folder:
+        (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
+        (folder / PAGE).write_text(html, encoding="utf-8")
+    _show(console, found)
+    console.say(f"Page: {options.out / PAGE}")
+    console.document(document)
+    return 1 if document["missed"] else 0
+
+
+def _header(config: RunConfig, logs: Sequence[Log]) -> RunHeader:
+    return RunHeader(
+        title=f"Cross-validation: {config.name}",
+        created=now(),
+        sources=data_files(logs),
+        versions=versions(),
+        config=config.model_dump_json(by_alias=True, indent=1),
+    )
+
+
+def _show(console: Console, found: CrossValidation) -> None:
+    terminal.print_crossval(console.page, schemes_of(found))
+    for scheme, reason in found.skipped.items():
+        console.warn(f"{scheme} was left out: {reason}")
+    for text in found.missed():
+        console.say(f"Missed: {text}")

@@ -1,0 +1,135 @@
+"""`narxcal denoise`: the calibration paper's noise experiment on the held-out logs."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from data_prep.hold import hold_inputs
+from data_prep.log import Log
+from eval import terminal
+from eval.denoising import Flight, SweepConfig, snr_sweep, summarise
+from eval.evaluate import run_config
+from eval.report.content import NoiseSweep
+from eval.report.page import Outcome, evaluate_page
+from narxcal.bundle import Bundle, load_bundle
+from narxcal.cli.console import Console, to_json
+from narxcal.cli.folders import Results
+from narxcal.cli.header import header_of
+from narxcal.cli.held_out import logs_for
+
+SCHEMA = "narxcal.denoise/1"
+DOCUMENT, PAGE = "denoise.json", "denoise.html"
+RESULTS = Results(SCHEMA, DOCUMENT, (PAGE,))
+_CURVES = {
+    "raw": "raw measurement",
+    "fused": "fused",
+    "free_run": "free run",
+    "fed_raw": "one step from raw",
+    "fed_fused": "one step from fused",
+}
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Sweep the noise; 1 where the fused value does not beat both of what it was made of."""
+    RESULTS.check(options.out)
+    bundle = load_bundle(options.bundle)
+    run_settings, settings = run_config(bundle)
+    logs = logs_for(bundle, options.logs, options.data, console)
+    sweep = SweepConfig(channel=options.channel, fuser=run_settings.fuser)
+    sweeps: dict[str, pd.DataFrame] = {}
+    with console.progress("Adding noise") as advance:
+        for number, log in enumerate(logs):
+            advance(number, len(logs), log.name)
+            sweeps[log.name] = summarise(snr_sweep(_flight(bundle, log), sweep))
+    outcome = _outcome(sweeps)
+    document = _document(str(options.bundle), sweep, sweeps, outcome)
+    header = header_of(
+        f"Denoising: {run_settings.name}", options.bundle, bundle, logs, settings.transients.rules
+    )
+    figures = [_figure(name, sweep.channel, found) for name, found in sweeps.items()]
+    with RESULTS.writing(options.out) as folder:
+        (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
+        html = evaluate_page(header, [], outcome, figures)
+        (folder / PAGE).write_text(html, encoding="utf-8")
+    _show(console, sweep.channel, sweeps)
+    terminal.print_outcome(console.page, outcome)
+    console.say(f"Page: {options.out / PAGE}")
+    console.document(document)
+    return 0 if outcome.passed else 1
+
+
+def _flight(bundle: Bundle, log: Log) -> Flight:
+    own = bundle.calibration.for_engine(log.source.engine)
+    inputs = hold_inputs(log, own.input_names).matrix(own.input_names)
+    truth = log.matrix(own.output_names)
+    return Flight(
+        names=own.output_names,
+        dt_s=own.dt_s,
+        truth=truth,
+        free_run=own.simulate(inputs, truth[0]),
+        feed=lambda history: own.predict(inputs, history),
+    )
+
+
+def _outcome(sweeps: Mapping[str, pd.DataFrame]) -> Outcome:
+    ratios = sum(len(found) for found in sweeps.values())
+    won = sum(int(found["beats_both"].sum()) for found in sweeps.values())
+    consistent = sum(int(found["consistent"].sum()) for found in sweeps.values())
+    headline = (
+        f"At {won} of {ratios} signal-to-noise ratios the fused value is nearer to the truth "
+        "than both the measurement and the free run"
+    )
+    lines = (f"The filter is consistent (mean NIS within its 95 % band) at {consistent}.",)
+    return Outcome(won == ratios, headline, lines)
+
+
+def _document(
+    run_folder: str, sweep: SweepConfig, sweeps: Mapping[str, pd.DataFrame], outcome: Outcome
+) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA,
+        "run": run_folder,
+        "ok": outcome.passed,
+        "sweep": sweep.model_dump(mode="json"),
+        "logs": [
+            {"log": name, "ratios": found.to_dict(orient="records")}
+            for name, found in sweeps.items()
+        ],
+    }
+
+
+def _figure(log: str, channel: str, found: pd.DataFrame) -> NoiseSweep:
+    return NoiseSweep(
+        log=log,
+        channel=channel,
+        snr_db=found["snr_db"].to_numpy(dtype=np.float64),
+        curves={
+            label: found[name].to_numpy(dtype=np.float64)
+            for name, label in _CURVES.items()
+            if found[name].notna().any()
+        },
+        nis=found["mean_nis"].to_numpy(dtype=np.float64),
+        nis_band=(float(found["nis_low"].mean()), float(found["nis_high"].mean())),
+    )
+
+
+def _show(console: Console, channel: str, sweeps: Mapping[str, pd.DataFrame]) -> None:
+    head = ["SNR [dB]", "raw", "fused", "free run", "from raw", "from fused", "NIS", "beats both"]
+    for name, found in sweeps.items():
+        console.table(f"{name}: RMSE of {channel}", head, _rows(found))
+
+
+def _rows(found: pd.DataFrame) -> Sequence[Sequence[str]]:
+    return [
+        [
+            f"{row['snr_db']:g}",
+            *(f"{row[name]:.3g}" for name in (*_CURVES, "mean_nis")),
+            "yes" if row["beats_both"] else "no",
+        ]
+        for row in found.to_dict(orient="records")
+    ]
