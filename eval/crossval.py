@@ -32,7 +32,9 @@ SCHEMA = "narxcal.crossval/1"
 REMARKS = {
     LEAVE_ONE_OUT: "A whole flight is held back at a time, with all its engines; free run over "
     "the whole flight.",
-    RANDOM: "Whole events are held back; free run over each event, from its first measured values.",
+    RANDOM: "Whole events are held back, each engine's for itself; free run over each event, from "
+    "its first measured values. Other events of the same flight were trained on, so this asks less "
+    "than leaving a flight out.",
 }
 
 

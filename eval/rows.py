@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
@@ -14,6 +15,9 @@ from eval.runs import MODEL, Runs
 from eval.tally import tally
 from eval.transients import Assessment
 from eval.trim import Trim
+
+# What was measured in one event; reasons that differ in nothing else are counted together.
+_MEASURED = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
 
 
 def log_row(one: LogEvaluation) -> dict[str, Any]:
@@ -48,7 +52,11 @@ def log_row(one: LogEvaluation) -> dict[str, Any]:
 def tally_rows(assessments: Sequence[Assessment]) -> dict[str, Any]:
     """Counts over all, then per channel and per direction, and why events were not assessed."""
     channels = list(dict.fromkeys(each.channel for each in assessments))
-    reasons = Counter(each.verdict.reason for each in assessments if each.verdict.ok is None)
+    reasons = Counter(
+        _MEASURED.sub("..", str(each.verdict.reason), count=1)
+        for each in assessments
+        if each.verdict.ok is None
+    )
     return {
         **tally(assessments).row(),
         "channels": {
@@ -57,7 +65,7 @@ def tally_rows(assessments: Sequence[Assessment]) -> dict[str, Any]:
         },
         "push": tally([each for each in assessments if each.label == 0]).row(),
         "pull": tally([each for each in assessments if each.label == 1]).row(),
-        "not_assessable_reasons": {str(reason): n for reason, n in sorted(reasons.items())},
+        "not_assessable_reasons": dict(sorted(reasons.items())),
     }
 
 

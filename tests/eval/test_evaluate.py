@@ -232,3 +232,11 @@ def test_without_baselines_the_rest_is_still_there(make_bundle, make_log):
     (found,) = evaluate(bare, [make_log()]).document()["logs"]
     assert found["channels"]["N1_pct"]["first_order_rmse"] is None
     assert found["channels"]["N1_pct"]["steady_state_rmse"] > 3.0
+
+
+def test_events_that_differ_only_in_the_response_are_counted_together(make_bundle, make_log):
+    log = make_log()
+    weak = log.with_channels({"N1_pct": 50.0 + 0.01 * log["N1_pct"]})
+    (found,) = evaluate(make_bundle(), [weak]).document()["logs"]
+    reasons = found["ti_tt"]["not_assessable_reasons"]
+    assert reasons["response .. % is below 5 %"] == found["ti_tt"]["channels"]["N1_pct"]["events"]
