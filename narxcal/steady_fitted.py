@@ -29,7 +29,7 @@ from narxcal.steady_state import Arrays, Envelope, checked_inputs, register_stea
 
 Floats = NDArray[np.float64]
 KELVIN = 273.15
-_ARRAYS = ("low", "high", "knots", "curve", "engine_lines")
+_ARRAYS = ("low", "high", "seen", "knots", "curve", "engine_lines")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,13 +101,15 @@ class FittedSteadyState:
 
     `curve` (n_out, corners, 1 + splines) holds a_v and b_vj; `engine_lines` (engines, n_out, 2)
     value at mid-range and slope per full range of the driver. `engine` picks the scatter in
-    force; an unknown engine gets none. The envelope is the box of the samples it was fitted to.
+    force; an unknown engine gets none. The envelope is the box of the samples it was fitted to,
+    `seen` (2,) their range of the driver as the curves see it; the knots reach beyond it.
     """
 
     kind: ClassVar[str] = "fitted"
 
     layout: Layout
     envelope: Envelope
+    seen: Floats
     knots: Floats
     curve: Floats
     engines: tuple[str, ...] = ()
@@ -132,11 +134,11 @@ class FittedSteadyState:
         """Whether samples (..., n_in) lie within what the fit has seen, driver included."""
         given = checked_inputs(inputs, self.input_names)
         drive = self.layout.drive(given)
-        seen = (drive >= self.knots[0]) & (drive <= self.knots[-1])
+        seen = (drive >= self.seen[0]) & (drive <= self.seen[1])
         return self.envelope.inside(given) & seen
 
     def outputs(self, inputs: ArrayLike) -> Floats:
-        """Settled outputs (..., n_out) at `inputs` (..., n_in); held at the envelope's edge."""
+        """Settled outputs (..., n_out) at `inputs` (..., n_in); held beyond the knots."""
         given = checked_inputs(inputs, self.input_names)
         z = np.clip(self.layout.drive(given), self.knots[0], self.knots[-1])
         weights = corner_weights(self.layout, self.envelope, given)
@@ -168,6 +170,7 @@ class FittedSteadyState:
         arrays = {
             "low": self.envelope.low,
             "high": self.envelope.high,
+            "seen": self.seen,
             "knots": self.knots,
             "curve": self.curve,
             "engine_lines": self.engine_lines,
@@ -188,6 +191,7 @@ class FittedSteadyState:
                 corrected=layout["corrected"],
             ),
             envelope=Envelope(kept["low"], kept["high"]),
+            seen=kept["seen"],
             knots=kept["knots"],
             curve=kept["curve"],
             engines=tuple(meta.get("engines", ())),
@@ -197,9 +201,14 @@ class FittedSteadyState:
 
 
 def i_splines(knots: Floats) -> PPoly:
-    """All monotone I-splines of degree 2 over `knots`, rising from 0 to 1: (..., splines)."""
+    """All monotone I-splines of degree 2 over even `knots`: (..., splines).
+
+    The knots go on evenly beyond their ends, so that equal coefficients make a straight line.
+    """
     degree = 2
-    padded = np.concatenate([[knots[0]] * degree, knots, [knots[-1]] * degree])
+    step = knots[1] - knots[0]
+    more = step * np.arange(1, degree + 1)
+    padded = np.concatenate([knots[0] - more[::-1], knots, knots[-1] + more])
     count = len(padded) - degree - 1
     # I_j is the sum of the B-splines from j on.
     tails = np.tril(np.ones((count, count)))[:, 1:]

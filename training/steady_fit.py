@@ -38,14 +38,16 @@ class SteadyFitConfig(Section):
     `knots` of the spline over the driver; `bend`, `spread` and `scatter` are the penalties on
     curvature, on differences between envelope corners and on engine lines, as shares of the
     mean squared error. `huber` is the residual, in robust standard deviations, beyond which a
-    sample loses weight; 0 turns that off.
+    sample loses weight; 0 turns that off. The curves go on straight for `reach` of the driver's
+    range beyond the samples, and are held from there on; both count as outside the envelope.
     """
 
-    knots: int = Field(default=5, ge=2)
-    bend: float = Field(default=1e-4, ge=0)
-    spread: float = Field(default=1e-4, ge=0)
+    knots: int = Field(default=8, ge=2)
+    bend: float = Field(default=1e-3, ge=0)
+    spread: float = Field(default=3e-4, ge=0)
     scatter: float = Field(default=1e-4, ge=0)
-    huber: float = Field(default=1.0, ge=0)
+    huber: float = Field(default=0.0, ge=0)
+    reach: float = Field(default=0.15, ge=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,15 +79,16 @@ def fit_steady_state(
     step = max(len(inputs) // _ROWS, 1)
     inputs, outputs, names = inputs[::step], outputs[::step], names[::step]
     drive = layout.drive(inputs)
-    knots = _spread_knots(drive, config.knots)
+    knots = _spread_knots(drive, config)
     engines = _told_apart(samples)
     envelope = Envelope.of(inputs)
-    design = _Design(layout, envelope, knots, engines, config)
+    seen = np.array([drive.min(), drive.max()])
+    design = _Design(layout, envelope, seen, knots, engines, config)
     matrix = design.matrix(inputs, names)
     referred = layout.referred(inputs, outputs)
     coefficients = np.stack([design.solve(matrix, column) for column in referred.T])
     model = design.model(coefficients)
-    return model, _quality(model, (inputs, outputs, names), knots)
+    return model, _quality(model, (inputs, outputs, names))
 
 
 def _require(inputs: FloatArray, layout: Layout) -> None:
@@ -105,9 +108,11 @@ def _require(inputs: FloatArray, layout: Layout) -> None:
         )
 
 
-def _spread_knots(drive: FloatArray, count: int) -> FloatArray:
-    """Even knots over the whole range, so that no gap in the data is bridged by one piece."""
-    return np.linspace(float(drive.min()), float(drive.max()), count)
+def _spread_knots(drive: FloatArray, config: SteadyFitConfig) -> FloatArray:
+    """Even knots over the range and a little beyond, where the penalty draws straight lines."""
+    low, high = float(drive.min()), float(drive.max())
+    beyond = config.reach * (high - low)
+    return np.linspace(low - beyond, high + beyond, config.knots)
 
 
 def _told_apart(samples: Sequence[SteadySamples]) -> tuple[str, ...]:
@@ -119,6 +124,7 @@ def _told_apart(samples: Sequence[SteadySamples]) -> tuple[str, ...]:
 class _Design:
     layout: Layout
     envelope: Envelope
+    seen: FloatArray
     knots: FloatArray
     engines: tuple[str, ...]
     config: SteadyFitConfig
@@ -192,6 +198,7 @@ class _Design:
         return FittedSteadyState(
             layout=self.layout,
             envelope=self.envelope,
+            seen=self.seen,
             knots=self.knots,
             curve=curve,
             engines=self.engines,
@@ -209,7 +216,6 @@ def _row(size: int, entries: dict[int, float], strength: float) -> FloatArray:
 def _quality(
     model: FittedSteadyState,
     data: tuple[FloatArray, FloatArray, NDArray[np.str_]],
-    knots: FloatArray,
 ) -> SteadyQuality:
     inputs, outputs, names = data
     error = np.empty_like(outputs)
@@ -217,7 +223,7 @@ def _quality(
         rows = names == engine
         error[rows] = model.for_engine(str(engine)).outputs(inputs[rows]) - outputs[rows]
     rms = np.sqrt(np.nanmean(error**2, axis=0))
-    bins, _ = np.histogram(model.layout.drive(inputs), 20, (knots[0], knots[-1]))
+    bins, _ = np.histogram(model.layout.drive(inputs), 20, (model.seen[0], model.seen[1]))
     return SteadyQuality(
         samples=len(inputs),
         rms={name: float(value) for name, value in zip(model.output_names, rms, strict=True)},
