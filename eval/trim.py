@@ -7,7 +7,7 @@ power level, and added to the model over the rest of the log, which alone is sco
 The offset is a Gaussian process over the level (Rasmussen and Williams 2006, section 2.2; the
 same as ridge regression with documented prior widths):
 
-    offset(x) ~ N( 0, common^2 + local^2 exp(-(x - x')^2 / (2 length^2)) )
+    offset(x) ~ N( 0, width^2 (common^2 + exp(-(x - x')^2 / (2 length^2))) )
 
 What was seen at ground idle is thus not carried to cruise: where no sample of a similar level was
 seen, the offset goes back to the common part, which is small. The level x is the steady-state
@@ -29,31 +29,53 @@ from narxcal.settings import Section
 
 BoolArray = NDArray[np.bool_]
 
-# Half of what separates installed engines and fuel meters a year apart: 2 to 3 % of fuel flow
-# moves N1 by 0.3 % and N2 by 0.2 % each; probes and build scatter move temperatures by 15 K.
-WIDTHS = {"N1_pct": 0.5, "N2_pct": 0.3, "EGT_C": 15.0}
 _BIN = 0.1
 
 
-class TrimConfig(Section):
-    """Table [evaluate.trim]: the prior of the offsets.
+class OffsetPrior(Section):
+    """What is assumed of one channel's offset before the log is seen.
 
-    `widths` (channel -> standard deviation in its unit) adds to and overrides the built-in
-    ones; a channel without a width is not trimmed. `common` is the share of it that holds at
-    every level, `length` how far in level (0 is idle, 1 is full power) an offset reaches.
-    Quasi-steady errors count as one independent observation, as uncertain as the width, per
-    `correlation_s` seconds. Offsets are kept at the levels `nodes` and are linear in between.
+    `width` is its standard deviation in the channel's unit, `common` the share of it that holds
+    at every level, `length` how far in level an offset reaches.
     """
 
-    widths: Mapping[str, float] = Field(default_factory=dict)
-    common: float = Field(default=0.25, ge=0.0)
-    length: float = Field(default=0.15, gt=0.0)
-    correlation_s: float = Field(default=60.0, gt=0.0)
-    nodes: tuple[float, ...] = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+    width: float = Field(gt=0.0)
+    common: float = Field(default=0.1, ge=0.0)
+    length: float = Field(default=0.1, gt=0.0)
 
-    def width(self, channel: str) -> float:
-        """Prior standard deviation of the channel's offset in its unit; 0 if not trimmed."""
-        return float({**WIDTHS, **self.widths}.get(channel, 0.0))
+
+# Fuel meters a year apart differ by 2 to 3 %, and not alike at all flows; 1 % of fuel flow moves
+# N1 by 0.3 % and N2 by 0.2 %. A temperature probe and the build of an engine make 15 K, and reach
+# further. Round values that served two measured flights in both directions, between neighbours
+# that serve them nearly as well.
+PRIORS = {
+    "N1_pct": OffsetPrior(width=0.5),
+    "N2_pct": OffsetPrior(width=0.3),
+    "EGT_C": OffsetPrior(width=15.0, common=0.25, length=0.2),
+}
+
+
+class TrimConfig(Section):
+    """Table [evaluate.trim]: the priors of the offsets.
+
+    `priors` (channel -> prior) adds to and overrides the built-in ones; a channel without one is
+    not trimmed. Quasi-steady errors count as one independent observation, as uncertain as the
+    prior, per `correlation_s` seconds. Offsets are kept at evenly spaced levels `spacing` apart
+    from 0, idle, to 1, full power, and are linear in between.
+    """
+
+    priors: Mapping[str, OffsetPrior] = Field(default_factory=dict)
+    correlation_s: float = Field(default=60.0, gt=0.0)
+    spacing: float = Field(default=0.1, gt=0.0, le=1.0)
+
+    def prior(self, channel: str) -> OffsetPrior | None:
+        """Prior of the channel's offset; None if it is not trimmed."""
+        return {**PRIORS, **self.priors}.get(channel)
+
+    @property
+    def nodes(self) -> FloatArray:
+        """Levels at which the offsets are kept, `(nodes,)`."""
+        return np.linspace(0.0, 1.0, round(1.0 / self.spacing) + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,17 +127,18 @@ def estimate_trim(
 
     A channel without quasi-steady samples there, or without a prior width, gets no offset.
     """
-    nodes = np.array(config.nodes)
+    nodes = config.nodes
     columns, counts = [], []
     for k, name in enumerate(channels):
         rows = np.flatnonzero(seen.still[:until] & np.isfinite(seen.error[:until, k]))
-        width = config.width(name)
-        counts.append(len(rows) if width > 0.0 else 0)
-        if not counts[-1]:
+        prior = config.prior(name)
+        if prior is None or not len(rows):
+            counts.append(0)
             columns.append(np.zeros(len(nodes)))
             continue
+        counts.append(len(rows))
         points = _binned(seen.level[rows], seen.error[rows, k], seen.dt_s / config.correlation_s)
-        columns.append(_posterior(nodes, points, width, config))
+        columns.append(_posterior(nodes, points, prior))
     return Trim(nodes, np.stack(columns, axis=1), tuple(counts), until)
 
 
@@ -130,16 +153,14 @@ def _binned(level: FloatArray, error: FloatArray, weight: float) -> FloatArray:
     return np.array(rows)
 
 
-def _posterior(
-    nodes: FloatArray, points: FloatArray, width: float, config: TrimConfig
-) -> FloatArray:
+def _posterior(nodes: FloatArray, points: FloatArray, prior: OffsetPrior) -> FloatArray:
     """Mean of the Gaussian process at the nodes, given the points."""
     at, error, count = points.T
 
     def covariance(a: FloatArray, b: FloatArray) -> FloatArray:
-        apart = (a[:, None] - b[None, :]) / config.length
-        return np.asarray(width**2 * (config.common**2 + np.exp(-0.5 * apart**2)))
+        apart = (a[:, None] - b[None, :]) / prior.length
+        return np.asarray(prior.width**2 * (prior.common**2 + np.exp(-0.5 * apart**2)))
 
-    noise = np.diag(width**2 / count)
+    noise = np.diag(prior.width**2 / count)
     weights = np.linalg.solve(covariance(at, at) + noise, error)
     return np.asarray(covariance(nodes, at) @ weights)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eval.trim import TrimConfig, TrimSamples, estimate_trim
+from eval.trim import OffsetPrior, TrimConfig, TrimSamples, estimate_trim
 
 NAMES = ("N1_pct", "EGT_C")
 DT_S = 0.1
@@ -19,15 +19,14 @@ def seen(level, error, still=True):
 
 def test_one_level_alone_gives_the_closed_form():
     """One bin: offset(x) = k(x, x0) e / (k(x0, x0) + width^2 / n), with n samples' worth."""
-    samples = seen(np.full(1200, 0.55), 0.4)
-    config = TrimConfig(common=0.25, length=0.15, correlation_s=60.0, nodes=(0.0, 0.55, 1.0))
-    trim = estimate_trim(samples, 1200, NAMES, config)
+    prior = OffsetPrior(width=0.5, common=0.25, length=0.15)
+    config = TrimConfig(priors={"N1_pct": prior}, correlation_s=60.0, spacing=0.25)
+    trim = estimate_trim(seen(np.full(1200, 0.5), 0.4), 1200, NAMES, config)
     n, k0 = 1200 * DT_S / 60.0, 0.25**2 + 1.0
-    weight = 1.0 / (k0 + 1.0 / n)
-    far = 0.25**2 + np.exp(-0.5 * (0.55 / 0.15) ** 2)
-    assert trim.offsets[1, 0] == pytest.approx(0.4 * k0 * weight)
-    assert trim.offsets[0, 0] == pytest.approx(0.4 * far * weight)
-    assert trim.offsets[1, 1] == pytest.approx(4.0 * k0 * weight)
+    weight = 0.4 / (k0 + 1.0 / n)
+    for node, offset in zip(config.nodes, trim.offsets[:, 0], strict=True):
+        reach = 0.25**2 + np.exp(-0.5 * ((node - 0.5) / 0.15) ** 2)
+        assert offset == pytest.approx(reach * weight)
 
 
 def test_an_offset_seen_at_idle_is_not_carried_to_full_power():
@@ -40,17 +39,17 @@ def test_seconds_count_less_than_minutes():
     short, long = (
         estimate_trim(seen(np.full(n, 0.6), 1.0), n, NAMES, TrimConfig()) for n in (50, 5000)
     )
-    assert abs(short.offsets[3, 0]) < 0.1
-    assert long.offsets[3, 0] > 0.8
+    assert abs(short.offsets[6, 0]) < 0.1
+    assert long.offsets[6, 0] > 0.8
 
 
 def test_without_quasi_steady_samples_nothing_is_added():
     trim = estimate_trim(seen(np.full(500, 0.5), 1.0, still=False), 500, NAMES, TrimConfig())
-    assert np.array_equal(trim.offsets, np.zeros((6, 2)))
+    assert np.array_equal(trim.offsets, np.zeros((11, 2)))
     assert trim.samples == (0, 0)
 
 
-def test_a_channel_without_a_width_is_left_alone():
+def test_a_channel_without_a_prior_is_left_alone():
     samples = seen(np.full(500, 0.5), 1.0)
     trim = estimate_trim(samples, 500, ("FPR", "EGT_C"), TrimConfig())
     assert not trim.offsets[:, 0].any()
@@ -58,9 +57,9 @@ def test_a_channel_without_a_width_is_left_alone():
     assert trim.samples == (0, 500)
 
 
-def test_a_width_can_be_given():
+def test_a_prior_can_be_given():
     samples = seen(np.full(500, 0.5), 1.0)
-    config = TrimConfig(widths={"FPR": 0.1})
+    config = TrimConfig.parse({"priors": {"FPR": {"width": 0.1}}})
     assert estimate_trim(samples, 500, ("FPR", "EGT_C"), config).offsets[:, 0].any()
 
 
@@ -77,7 +76,7 @@ def test_masked_samples_take_no_part():
 
 def test_offsets_are_linear_between_levels_and_held_beyond():
     trim = estimate_trim(seen(np.linspace(0, 1, 5000), 1.0), 5000, NAMES, TrimConfig())
-    found = trim.at(np.array([-3.0, 0.0, 0.1, 0.2, 9.0]))
+    found = trim.at(np.array([-3.0, 0.0, 0.05, 0.1, 9.0]))
     assert found[0] == pytest.approx(trim.offsets[0])
     assert found[2] == pytest.approx((trim.offsets[0] + trim.offsets[1]) / 2)
     assert found[4] == pytest.approx(trim.offsets[-1])
@@ -91,7 +90,10 @@ def test_offsets_are_linear_between_levels_and_held_beyond():
 @settings(max_examples=60, deadline=None)
 def test_a_constant_error_is_never_overcorrected_by_much(levels, error, common):
     trim = estimate_trim(
-        seen(np.array(levels), error), len(levels), NAMES, TrimConfig(common=common)
+        seen(np.array(levels), error),
+        len(levels),
+        NAMES,
+        TrimConfig(priors={"N1_pct": OffsetPrior(width=0.5, common=common)}),
     )
     assert np.isfinite(trim.offsets).all()
     assert np.abs(trim.offsets[:, 0]).max() <= 1.3 * abs(error) + 1e-12
