@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from narxcal.errors import ConfigError
 from training.config import RunConfig, load_config
 
 
@@ -13,7 +14,14 @@ def read_config(path: str, data: Path | None) -> tuple[RunConfig, Path]:
     Returns the configuration and the folder that its paths are relative to; raises
     `ConfigError` as `load_config`.
     """
-    config, base = load_config(path)
+    try:
+        config, base = load_config(path)
+    except ConfigError as error:
+        if error.file is not None:
+            raise
+        raise ConfigError(
+            error.problem, file=path, channel=error.channel, hint=error.hint
+        ) from None
     if data is None:
         return config, base
     logs = config.logs.model_copy(update={"folder": str(data.resolve())})

@@ -101,9 +101,15 @@ class Console:
     @property
     def page(self) -> rich.console.Console:
         """Where `eval.terminal` prints: stdout, 80 columns at most, or nothing at all."""
-        found = rich.console.Console(highlight=False, markup=False, quiet=self.silent)
+        found = _Stdout(highlight=False, markup=False, quiet=self.silent)
         found.width = min(WIDTH, found.width)
         return found
+
+
+class _Stdout(rich.console.Console):
+    def on_broken_pipe(self) -> None:
+        """Leave the end to the entry: rich would exit with 1, which means a missed tolerance."""
+        raise BrokenPipeError
 
 
 def _ignore(done: int, total: int, note: str = "") -> None:

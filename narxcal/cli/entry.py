@@ -38,9 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _drop_stdout()
         return PIPE_CLOSED
     except KeyboardInterrupt as stop:
-        return _end(
-            f"interrupted; {stop}" if str(stop) else "interrupted; nothing was written", INTERRUPTED
-        )
+        return _end(f"interrupted; {str(stop) or 'nothing was written'}", INTERRUPTED)
     except (NarxcalError, OSError) as error:
         if wants_traceback:
             traceback.print_exc()

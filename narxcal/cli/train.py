@@ -87,7 +87,10 @@ def _check(folder: Path, *, resume: bool) -> None:
     if DOCUMENT in found:
         what, hint = "holds a trained model", "Choose another name"
     elif CHECKPOINTS in found:
-        what, hint = "holds an unfinished training", "Go on with it by --resume, or choose another"
+        what, hint = (
+            "holds an unfinished training",
+            "Go on with it by --resume, or choose another name",
+        )
     else:
         what, hint = "exists and is not empty", "Choose another name"
     raise ConfigError(f"output folder {folder} {what}", hint=hint)

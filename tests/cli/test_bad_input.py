@@ -1,0 +1,354 @@
+"""Every kind of bad input ends in one line that says what, where and what to do, and in code 2."""
+
+import json
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+
+FLIGHT = "flight_3.csv"
+
+
+@pytest.fixture
+def flight(project):
+    return pd.read_csv(project / "flights" / FLIGHT).iloc[: 60 * 32]
+
+
+@pytest.fixture
+def prepare(narxcal, project, tmp_path):
+    """Prepare one file as it is, with the tiny configuration changed; nothing may be written."""
+
+    def run(content, *changes, name="log.csv"):
+        folder = tmp_path / "flights"
+        folder.mkdir(exist_ok=True)
+        file = folder / name
+        if isinstance(content, pd.DataFrame):
+            content.to_csv(file, index=False)
+        else:
+            file.write_text(content, "utf-8")
+        text = (project / "tiny.toml").read_text("utf-8").replace("flight_*.csv", "*.csv")
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        (tmp_path / "run.toml").write_text(text, "utf-8")
+        done = narxcal("prepare", tmp_path / "run.toml", "--out", tmp_path / "out")
+        return done, file
+
+    return run
+
+
+def refused(done, message):
+    """Exit code 2, exactly one line on stderr, nothing on stdout."""
+    assert (done.code, done.out) == (2, "")
+    assert done.err == f"narxcal: error: {message}\n"
+
+
+def mapped(**columns):
+    """A change of the configuration that maps columns."""
+    table = {"time_s": "time_s", "TRA_deg": "TRA_deg", "N1_pct": "N1_pct", **columns}
+    lines = [f'{name} = {{ column = "{column}" }}' for name, column in table.items()]
+    return "raster_hz = 8.0", "raster_hz = 8.0\n[logs.columns]\n" + "\n".join(lines)
+
+
+def test_missing_column(prepare, flight, tmp_path):
+    done, file = prepare(flight, mapped(N2_pct="N2_prc"))
+    refused(
+        done,
+        f"{file}, channel N2_pct: column 'N2_prc' is missing. Did you mean 'N2_pct' or 'N1_pct'?",
+    )
+    assert not (tmp_path / "out").exists()
+
+
+def test_unit_typo(prepare, flight, tmp_path):
+    old, new = mapped()
+    new = new.replace('column = "N1_pct"', 'column = "N1_pct", unit = "prcent"')
+    done, _ = prepare(flight, (old, new))
+    refused(
+        done,
+        f"{tmp_path / 'run.toml'}, channel N1_pct: unknown unit 'prcent'. Did you mean 'pct'?",
+    )
+
+
+def test_text_in_a_numeric_column(prepare, flight):
+    table = flight.astype(object)
+    table.loc[6, "N1_pct"] = "n/a!"
+    done, file = prepare(table)
+    refused(
+        done,
+        f"{file}, channel N1_pct, row 7: expected a number, found 'n/a!'. "
+        "Row 1 is the first data row below the header",
+    )
+
+
+def test_empty_file(prepare):
+    done, file = prepare("")
+    refused(done, f"{file}: the file is empty. Expected a header line and data rows")
+
+
+def test_header_without_rows(prepare, flight):
+    done, file = prepare(flight.iloc[:0])
+    refused(done, f"{file}: no rows follow the header")
+
+
+def test_one_sample(prepare, flight):
+    done, file = prepare(flight.iloc[:1])
+    refused(done, f"{file}, channel time_s: expected samples at two or more times, found 1")
+
+
+def test_time_going_back(prepare, flight):
+    done, file = prepare(pd.concat([flight, flight]))
+    refused(
+        done,
+        f"{file}, channel time_s, row 1921: time goes back from 59.96875 s to 0 s. "
+        "Split the file there: it holds more than one recording",
+    )
+
+
+def test_wrong_engine_prefix(prepare, flight):
+    old, new = mapped(N1_pct="{engine}N1_pct")
+    table = flight.rename(columns={"N1_pct": "rh_N1_pct"})
+    done, file = prepare(table, (old, new + '\n[logs.engines]\nleft = "lh_"'))
+    refused(
+        done,
+        f"{file}, channel N1_pct: no column name holds the prefix 'lh_' of engine 'left'. "
+        "Prefixes in the file: 'rh_'",
+    )
+
+
+def test_unknown_key(prepare, flight, tmp_path):
+    done, _ = prepare(flight, ("window = 3", "windw = 3"))
+    refused(
+        done,
+        f"{tmp_path / 'run.toml'}: unknown key 'smooth.windw'. Did you mean 'window'?",
+    )
+
+
+def test_a_configuration_that_is_not_toml(prepare, flight, tmp_path):
+    done, _ = prepare(flight, ("window = 3", "window = "))
+    assert done.code == 2
+    assert done.err.startswith(f"narxcal: error: {tmp_path / 'run.toml'}: not TOML: ")
+
+
+def test_a_configuration_that_is_not_there(narxcal, tmp_path):
+    done = narxcal("train", tmp_path / "none.toml", "--out", tmp_path / "run")
+    refused(
+        done,
+        f"{tmp_path / 'none.toml'}: the configuration does not exist. Name a file, or one of the "
+        "shipped agtf30.toml, citation2.toml, demo.toml, jetcat.toml",
+    )
+
+
+def test_logs_of_mixed_rates(narxcal, project, tmp_path):
+    shutil.copytree(project / "flights", tmp_path / "flights")
+    file = tmp_path / "flights" / "flight_2.csv"
+    pd.read_csv(file).iloc[::2].to_csv(file, index=False)
+    text = (project / "tiny.toml").read_text("utf-8").replace("raster_hz = 8.0\n", "")
+    (tmp_path / "run.toml").write_text(text, "utf-8")
+    done = narxcal("train", tmp_path / "run.toml", "--out", tmp_path / "run")
+    refused(
+        done,
+        "expected all logs on one raster, found 0.03125 s in flight_1.csv, "
+        "0.0625 s in flight_2.csv. Set raster_hz in [logs]",
+    )
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_log_of_another_rate_is_put_on_the_model_s_raster(narxcal, project, flight, tmp_path):
+    file = tmp_path / "slow.csv"
+    flight.iloc[::2].to_csv(file, index=False)
+    done = narxcal("evaluate", project / "run", "--logs", file, "--out", tmp_path / "out", "--json")
+    assert json.loads(done.out)["logs"][0]["dt_s"] == pytest.approx(0.125)
+
+
+def test_a_constant_lever_gives_no_events_and_no_false_pass(narxcal, project, flight, tmp_path):
+    file = tmp_path / "still.csv"
+    flight.assign(TRA_deg=30.0).to_csv(file, index=False)
+    done = narxcal("evaluate", project / "run", "--logs", file, "--out", tmp_path / "out")
+    assert done.code == 0
+    assert "NOT ASSESSED  No event could be assessed for Ti and Tt" in done.out
+    document = json.loads((tmp_path / "out" / "evaluate.json").read_text("utf-8"))
+    assert document["logs"][0]["ti_tt"]["assessed"] == 0
+
+
+def test_a_constant_lever_cannot_be_trained_on(narxcal, project, tmp_path):
+    (tmp_path / "flights").mkdir()
+    for file in (project / "flights").iterdir():
+        pd.read_csv(file).assign(TRA_deg=30.0).to_csv(tmp_path / "flights" / file.name, index=False)
+    text = (project / "tiny.toml").read_text("utf-8")
+    head = text[: text.index("[steady_state]")]
+    inputs = '[steady_state]\ninputs = ["TRA_deg", "ALT_ft", "Mach", "dT_C"]\n'
+    (tmp_path / "run.toml").write_text(head + inputs, "utf-8")
+    done = narxcal("train", tmp_path / "run.toml", "--out", tmp_path / "run")
+    refused(
+        done,
+        "channel TRA_deg: the driving channel stands at 30 in all quasi-steady samples, so no "
+        "curve can be fitted. Add logs at other power settings",
+    )
+    assert not (tmp_path / "run").exists()
+
+
+def test_bursts_of_nan_are_counted_and_not_scored(narxcal, project, flight, tmp_path):
+    file = tmp_path / "bursts.csv"
+    table = flight.copy()
+    table.loc[800:1000, "N1_pct"] = np.nan
+    table.loc[400:480, "TRA_deg"] = np.nan
+    table.to_csv(file, index=False)
+    done = narxcal("evaluate", project / "run", "--logs", file, "--out", tmp_path / "out", "--json")
+    log = json.loads(done.out)["logs"][0]
+    assert done.err == ""
+    assert log["inputs"]["held_samples"] > 10
+    assert log["channels"]["N1_pct"]["samples"] < log["channels"]["N2_pct"]["samples"]
+
+
+def test_an_input_without_a_single_sample(narxcal, project, flight, tmp_path):
+    file = tmp_path / "dead.csv"
+    flight.assign(TRA_deg=np.nan).to_csv(file, index=False)
+    done = narxcal("simulate", project / "run", file, "--out", tmp_path / "out.csv")
+    refused(
+        done,
+        "dead.csv, channel TRA_deg: an input of the model has no valid sample. "
+        "Map another column to it, or leave the log out",
+    )
+    assert not (tmp_path / "out.csv").exists()
+
+
+@pytest.fixture
+def bundle(project, tmp_path):
+    shutil.copytree(project / "run", tmp_path / "run")
+    return tmp_path / "run"
+
+
+@pytest.mark.parametrize("command", ["info", "evaluate"])
+def test_missing_weights(narxcal, bundle, command):
+    file = bundle / "weights.safetensors"
+    file.unlink()
+    refused(
+        narxcal(command, bundle),
+        f"{file}: the weights are missing. Copy the bundle again, or train it anew",
+    )
+
+
+@pytest.mark.parametrize("harm", ["truncated", "altered"])
+def test_damaged_weights(narxcal, bundle, harm):
+    file = bundle / "weights.safetensors"
+    data = bytearray(file.read_bytes())
+    said = json.loads((bundle / "bundle.json").read_text("utf-8"))["weights"]["sha256"][:12]
+    if harm == "altered":
+        data[-1] ^= 1
+    else:
+        del data[-100:]
+    file.write_bytes(data)
+    done = narxcal("info", bundle)
+    assert done.code == 2
+    assert done.err.startswith(
+        f"narxcal: error: {file}: the weights were altered or cut off: sha256 is "
+    )
+    assert done.err.endswith(
+        f", bundle.json says {said}. Copy the bundle again, or train it anew\n"
+    )
+
+
+def test_a_folder_that_is_no_bundle(narxcal, tmp_path):
+    refused(
+        narxcal("info", tmp_path),
+        f"{tmp_path}: the folder holds no bundle.json, so it is no bundle. "
+        "Name the folder that narxcal train wrote",
+    )
+    refused(
+        narxcal("info", tmp_path / "none"),
+        f"{tmp_path / 'none'}: the bundle folder does not exist. Train one first",
+    )
+
+
+@pytest.mark.parametrize("command", ["prepare", "train", "crossval"])
+def test_an_output_folder_with_other_content(narxcal, project, tmp_path, command):
+    (tmp_path / "notes.txt").write_text("mine", "utf-8")
+    done = narxcal(command, project / "tiny.toml", "--out", tmp_path)
+    if command == "train":
+        what = "exists and is not empty. Choose another name"
+    else:
+        what = (
+            "holds other content ('notes.txt') and is not overwritten. "
+            "Choose another name, or empty it yourself"
+        )
+    refused(done, f"output folder {tmp_path} {what}")
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_results_are_never_written_over_a_model(narxcal, bundle):
+    done = narxcal("evaluate", bundle, "--out", bundle)
+    refused(
+        done,
+        f"output folder {bundle} holds other content ('bundle.json') and is not overwritten. "
+        "Choose another name, or empty it yourself",
+    )
+    assert narxcal("info", bundle).code == 0
+
+
+def test_a_trained_model_is_never_trained_over(narxcal, project, bundle):
+    done = narxcal("train", project / "tiny.toml", "--out", bundle)
+    refused(done, f"output folder {bundle} holds a trained model. Choose another name")
+
+
+def test_an_output_that_is_a_file(narxcal, project, tmp_path):
+    file = tmp_path / "out"
+    file.write_text("mine", "utf-8")
+    for command in ("prepare", "train"):
+        done = narxcal(command, project / "tiny.toml", "--out", file)
+        refused(done, f"output folder {file} is not a folder. Choose another name")
+
+
+def test_the_same_json_of_another_command_is_other_content(narxcal, project, tmp_path):
+    (tmp_path / "prepare.json").write_text('{"schema": "narxcal.crossval/1"}', "utf-8")
+    done = narxcal("prepare", project / "tiny.toml", "--out", tmp_path)
+    refused(
+        done,
+        f"output folder {tmp_path} holds other content ('prepare.json') and is not overwritten. "
+        "Choose another name, or empty it yourself",
+    )
+
+
+TRIM = "argument --trim: expected a fraction from 0 to below 1, found 1.5"
+
+
+@pytest.mark.parametrize(
+    ("words", "message", "see"),
+    [
+        ("", "the following arguments are required: COMMAND", "narxcal"),
+        ("info", "the following arguments are required: RUN", "narxcal info"),
+        ("info run --jason", "unrecognized arguments: --jason", "narxcal"),
+        ("evaluate run --trim 1.5", TRIM, "narxcal evaluate"),
+        (
+            "evaluate run --trim much",
+            "argument --trim: invalid fraction value: 'much'",
+            "narxcal evaluate",
+        ),
+        (
+            "crossval c.toml --out d --jobs 0",
+            "argument --jobs: expected 1 or more, found 0",
+            "narxcal crossval",
+        ),
+    ],
+)
+def test_a_bad_command_line(narxcal, words, message, see):
+    refused(narxcal(*words.split()), f"{message}. See {see} --help")
+
+
+def test_an_engine_that_the_log_does_not_have(narxcal, project, tmp_path):
+    log = project / "flights" / FLIGHT
+    done = narxcal(
+        "replay", project / "run", log, "--out", tmp_path / "out.csv", "--engine", "left"
+    )
+    refused(
+        done,
+        f"{log}: unknown engine 'left'. It holds one engine, without a name",
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_channel_that_the_model_does_not_give(narxcal, project, tmp_path):
+    out = tmp_path / "noise"
+    done = narxcal("denoise", project / "run", "--out", out, "--channel", "FF_kgph")
+    refused(done, "channel FF_kgph: the flight has no such output. It has N1_pct, N2_pct, EGT_C")
+    assert not out.exists()

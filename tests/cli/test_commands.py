@@ -1,0 +1,298 @@
+"""What each command prints, writes and returns when all is well."""
+
+import gzip
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from data_prep.reading import read_logs
+from eval.demo_flights import write_logs
+from narxcal.bundle import load_bundle
+from narxcal.cli import main
+
+ROOT = Path(__file__).parents[2]
+COMMANDS = (
+    "demo", "prepare", "train", "evaluate", "crossval", "replay", "simulate", "info", "denoise",
+)  # fmt: skip
+
+
+def strict(text):
+    """One JSON document and nothing else, without NaN or infinity."""
+
+    def refuse(constant):
+        pytest.fail(f"{constant} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def test_help_is_there_at_once_and_does_not_wait_for_torch():
+    script = (
+        "import sys, time; before = time.process_time()\n"
+        "from narxcal.cli import main\n"
+        "try:\n    main(['--help'])\n"
+        "except SystemExit as end:\n    code = end.code\n"
+        "spent = time.process_time() - before\n"
+        "heavy = {'torch', 'pandas', 'numba', 'matplotlib', 'numpy'} & set(sys.modules)\n"
+        "sys.exit(f'{heavy} {spent}' if heavy or spent > 0.5 or code else None)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert all(name in done.stdout for name in COMMANDS)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself_and_takes_json_and_quiet(capsys, command):
+    with pytest.raises(SystemExit) as end:
+        main([command, "--help"])
+    assert end.value.code == 0
+    text = capsys.readouterr().out
+    assert "--json" in text
+    assert "--quiet" in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_prepare_writes_logs_that_can_be_read_again_with_their_tables(project, narxcal, tmp_path):
+    out = tmp_path / "prepared"
+    done = narxcal("prepare", project / "tiny.toml", "--out", out, "--json")
+    assert (done.code, done.err) == (0, "")
+    document = strict(done.out)
+    assert document == strict((out / "prepare.json").read_text("utf-8"))
+    assert document["schema"] == "narxcal.prepare/1"
+    assert [log["log"] for log in document["logs"]] == [f"flight_{n}.csv" for n in (1, 2, 3)]
+    (log,) = read_logs(out / document["logs"][0]["prepared"])
+    assert len(log) == document["logs"][0]["samples"]
+    events = pd.read_csv(out / "events.csv")
+    assert (events["label"].isin([0, 1])).all()
+    assert document["logs"][0]["events"]["found"] == (events["log"] == "flight_1.csv").sum()
+    ranking = pd.read_csv(out / "pearson.csv")
+    assert ranking.loc[ranking["rho"].abs().idxmax(), "input"] == "TRA_deg"
+    assert set(pd.read_csv(out / "windows.csv")["window"]) == {3, 11, 21}
+    assert "<html" in (out / "prepare.html").read_text("utf-8")
+
+
+def test_prepare_again_replaces_its_own_results_with_the_same_bytes(project, narxcal, tmp_path):
+    out = tmp_path / "prepared"
+    assert narxcal("prepare", project / "tiny.toml", "--out", out, "--quiet").out == ""
+    first = {path.name: path.read_bytes() for path in out.rglob("*.gz")}
+    assert narxcal("prepare", project / "tiny.toml", "--out", out, "--quiet").code == 0
+    assert {path.name: path.read_bytes() for path in out.rglob("*.gz")} == first
+    assert gzip.decompress(first["flight_1.csv.gz"]).startswith(b"time_s,")
+
+
+def test_info_tells_what_the_model_is_and_where_it_comes_from(project, narxcal):
+    done = narxcal("info", project / "run", "--json")
+    document = strict(done.out)
+    bundle = load_bundle(project / "run")
+    assert document["channels"]["outputs"] == ["N1_pct", "N2_pct", "EGT_C"]
+    assert document["lags"] == bundle.calibration.narx.config.lags
+    assert document["split"]["test"] == ["flight_3.csv"]
+    assert len(document["data"]) == 3
+    assert document["versions"]["torch"]
+    low, high = document["deviation_bounds"]["N1_pct"]
+    assert low < 0.0 < high
+    shown = narxcal("info", project / "run").out
+    assert "Test logs" in shown
+    assert "flight_3.csv" in shown
+    assert max(map(len, shown.splitlines())) <= 80
+
+
+def test_evaluate_judges_the_held_out_log_and_says_that_a_tolerance_was_missed(project, narxcal):
+    done = narxcal("evaluate", project / "run")
+    assert done.code == 1  # four steps of training are not enough
+    assert max(map(len, done.out.splitlines())) <= 80
+    assert "FAIL" in done.out
+    folder = project / "run" / "evaluate"
+    assert done.out.endswith(f"Page: {folder / 'evaluate.html'}\n")
+    document = strict((folder / "evaluate.json").read_text("utf-8"))
+    assert document["schema"] == "narxcal.evaluate/1"
+    assert [log["log"] for log in document["logs"]] == ["flight_3.csv"]
+    figures = document["logs"][0]["channels"]["N1_pct"]
+    for name in ("rmse", "nrmse", "max_rel_pct", "one_step_rmse", "steady_state_rmse"):
+        assert figures[name] > 0.0
+    assert {"start_s", "label", "Ti", "Tt"} <= set(document["logs"][0]["events"][0])
+    assert document["logs"][0]["ti_tt"]["assessed"] > 0
+
+
+def test_evaluate_takes_several_files_after_one_option_or_several(project, narxcal, tmp_path):
+    one, two = (project / "flights" / f"flight_{n}.csv" for n in (1, 2))
+    ways = [("--logs", one, two, "--trim", "0.2"), ("--logs", one, "--trim", "0.2", "--logs", two)]
+    found = []
+    for number, words in enumerate(ways):
+        out = tmp_path / str(number)
+        done = narxcal("evaluate", project / "run", *words, "--out", out, "--json")
+        document = strict(done.out)
+        assert document == strict((out / "evaluate.json").read_text("utf-8"))
+        assert document["trim"] == 0.2
+        found.append(document["logs"])
+    assert found[0] == found[1]
+    assert [log["role"] for log in found[0]] == ["train", "train"]
+
+
+def test_evaluate_warns_of_a_held_out_file_that_has_changed(project, narxcal, tmp_path):
+    folder = tmp_path / "moved"
+    folder.mkdir()
+    for file in (project / "flights").iterdir():
+        text = file.read_text("utf-8")
+        cut = text.splitlines(keepends=True)[:3000]
+        (folder / file.name).write_text("".join(cut) if "_3" in file.name else text, "utf-8")
+    done = narxcal(
+        "evaluate", project / "run", "--data", folder, "--out", tmp_path / "out", "--json"
+    )
+    file = folder / "flight_3.csv"
+    assert done.err.startswith(
+        f"narxcal: warning: {file}: the file has changed since the training: sha256 was "
+    )
+    document = strict(done.out)
+    assert len(document["changed"]) == 1
+    assert document["logs"][0]["role"] == "new"
+
+
+def test_simulate_gives_the_free_run_and_needs_no_outputs(project, narxcal, tmp_path):
+    flight = pd.read_csv(project / "flights" / "flight_3.csv")
+    inputs, out = tmp_path / "inputs.csv", tmp_path / "out.csv"
+    flight.drop(columns=["N1_pct", "N2_pct", "EGT_C", "FF_kgph"]).to_csv(inputs, index=False)
+    done = narxcal("simulate", project / "run", inputs, "--out", out, "--json")
+    assert (done.code, done.err) == (0, "")
+    table = pd.read_csv(out)
+    assert list(table) == ["time_s", "N1_pct", "N2_pct", "EGT_C", "inside_envelope"]
+    assert strict(done.out)["logs"][0]["samples"] == len(table)
+    measured = np.interp(table["time_s"], flight["time_s"], flight["N1_pct"])
+    assert math.sqrt(np.mean((table["N1_pct"] - measured) ** 2)) < 6.0
+
+
+def test_simulate_reads_the_recorder_s_columns_by_the_mapping_of_the_model(narxcal, tmp_path):
+    """Train on a recorder with two engines and its own names, then simulate its inputs alone."""
+    recorded(tmp_path)
+    assert narxcal("train", tmp_path / "two.toml", "--out", tmp_path / "run", "--quiet").code == 0
+    flight = pd.read_csv(tmp_path / "flights" / "flight_2.csv")
+    inputs = tmp_path / "inputs.csv"
+    outputs = [name for name in flight if name.endswith(("_fan", "_core", "_itt"))]
+    flight.drop(columns=outputs).to_csv(inputs, index=False)
+    assert narxcal("simulate", tmp_path / "run", inputs, "--out", tmp_path / "out.csv").code == 0
+    table = pd.read_csv(tmp_path / "out.csv")
+    assert set(table["engine"]) == {"left", "right"}
+    assert table["time_s"].is_monotonic_increasing
+
+
+def recorded(folder, engines=("lh", "rh")):
+    """Two flights as a recorder with names of its own would write them, both engines alike."""
+    shared = ["ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "NAI", "WAI"]
+    own = {"TRA_deg": "lever", "N1_pct": "fan", "N2_pct": "core", "EGT_C": "itt"}
+    for path in write_logs(folder / "flights", seed=5, flights=2, duration_s=150.0):
+        log = pd.read_csv(path)
+        table = log[["time_s", *shared]].rename(columns={"time_s": "clock"})
+        for engine in engines:
+            for name, column in own.items():
+                table[f"{engine}_{column}"] = log[name]
+        table.to_csv(path, index=False)
+    names = "\n".join(f'{name} = {{ column = "{name}" }}' for name in shared)
+    (folder / "two.toml").write_text(TWO_ENGINES.replace("COLUMNS", names), "utf-8")
+
+
+TWO_ENGINES = """\
+schema = "narxcal.config/1"
+name = "two engines"
+
+[logs]
+folder = "flights"
+raster_hz = 8.0
+
+[logs.engines]
+left = "lh_"
+right = "rh_"
+
+[logs.columns]
+time_s = { column = "clock" }
+TRA_deg = { column = "{engine}lever" }
+N1_pct = { column = "{engine}fan" }
+N2_pct = { column = "{engine}core" }
+EGT_C = { column = "{engine}itt" }
+COLUMNS
+
+[split]
+train = ["flight_1.csv*"]
+
+[train]
+horizons_s = [5.0]
+iterations = [1]
+threads = 1
+
+[steady_state]
+kind = "callable"
+source = "narxcal.standin:maker_model"
+inputs = ["TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "NAI", "WAI"]
+"""
+
+
+def test_replay_writes_prediction_fused_value_and_flags(project, narxcal, tmp_path):
+    out = tmp_path / "replayed.csv"
+    log = project / "flights" / "flight_3.csv"
+    done = narxcal("replay", project / "run", log, "--out", out, "--json")
+    assert (done.code, done.err) == (0, "")
+    document, table = strict(done.out), pd.read_csv(out)
+    assert document["schema"] == "narxcal.replay/1"
+    assert document["rows"] == len(table)
+    assert {"N1_pct_prediction", "N1_pct_fused", "N1_pct_innovation"} <= set(table)
+    assert {"inside_envelope", "held", "gap"} <= set(table)
+    assert f"Replayed: {out}\n" in narxcal("replay", project / "run", log, "--out", out).out
+
+
+def test_crossval_writes_folds_and_page(project, narxcal, tmp_path):
+    out = tmp_path / "folds"
+    done = narxcal("crossval", project / "tiny.toml", "--out", out, "--jobs", "1", "--json")
+    assert done.code == 1
+    document = strict(done.out)
+    assert document == strict((out / "crossval.json").read_text("utf-8"))
+    assert [len(scheme["folds"]) for scheme in document["schemes"]] == [3, 1]
+    assert "<html" in (out / "crossval.html").read_text("utf-8")
+
+
+def test_denoise_reports_raw_fused_and_free_run_at_each_ratio(project, narxcal, tmp_path):
+    out = tmp_path / "noise"
+    done = narxcal("denoise", project / "run", "--out", out, "--json")
+    document = strict(done.out)
+    ratios = document["logs"][0]["ratios"]
+    assert [row["snr_db"] for row in ratios] == [20.0, 25.0, 30.0, 35.0, 40.0, 45.0]
+    assert done.code == (0 if all(row["beats_both"] for row in ratios) else 1)
+    assert "<html" in (out / "denoise.html").read_text("utf-8")
+    assert "SNR [dB]" in narxcal("denoise", project / "run", "--out", out).out
+
+
+def test_the_folder_of_the_logs_can_be_named_by_option_or_environment(
+    project, narxcal, tmp_path, monkeypatch
+):
+    config = tmp_path / "elsewhere.toml"
+    config.write_text((project / "tiny.toml").read_text("utf-8"), "utf-8")
+    missing = tmp_path / "flights"
+    without = narxcal("prepare", config, "--out", tmp_path / "a")
+    assert without.code == 2
+    assert without.err == (
+        f"narxcal: error: {missing}: the folder of the logs does not exist. Set [logs] folder\n"
+    )
+    data = project / "flights"
+    given = narxcal("prepare", config, "--out", tmp_path / "a", "--data", data, "--quiet")
+    assert (given.code, given.out, given.err) == (0, "", "")
+    monkeypatch.setenv("NARXCAL_DATA", str(data))
+    assert narxcal("prepare", config, "--out", tmp_path / "b", "--quiet").code == 0
+
+
+@pytest.mark.slow
+def test_the_demonstration_needs_no_files_and_ends_with_a_page(narxcal, tmp_path):
+    out = tmp_path / "demo"
+    done = narxcal("demo", "--out", out)
+    assert done.err == ""
+    assert done.code == 0
+    assert done.out.endswith(f"Page: {out / 'evaluate' / 'evaluate.html'}\n")
+    assert strict((out / "demo.json").read_text("utf-8"))["complete"] is True
