@@ -121,3 +121,10 @@ def test_what_is_missed_names_scheme_and_fold():
     ]
     (scheme,) = schemes_of(found)
     assert [part.limit for part in scheme.measures if part.key == "rmse.N1_pct"] == [5.0]
+
+
+def test_a_configuration_that_asks_for_no_division_is_refused(config, flights):
+    none = {"crossval": {"leave_one_flight_out": False, "random_splits": 0}}
+    expected = "no division of the logs is possible: [evaluate.crossval] asks for none"
+    with pytest.raises(DataError, match=f"^{re.escape(expected)}$"):
+        cross_validate(config.model_copy(update={"evaluate": none}), Path(), flights, 1)

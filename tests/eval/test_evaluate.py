@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from eval.evaluate import EvaluateConfig, evaluate, run_config
+from eval.scores import score
 from narxcal.bundle import Bundle
 from narxcal.errors import ConfigError, DataError, ModelError
 
@@ -240,3 +241,16 @@ def test_events_that_differ_only_in_the_response_are_counted_together(make_bundl
     (found,) = evaluate(make_bundle(), [weak]).document()["logs"]
     reasons = found["ti_tt"]["not_assessable_reasons"]
     assert reasons["response .. % is below 5 %"] == found["ti_tt"]["channels"]["N1_pct"]["events"]
+
+
+def test_nothing_to_score_is_refused(make_bundle):
+    with pytest.raises(DataError, match=r"^expected at least one log to score, found none$"):
+        evaluate(make_bundle(), []).document()
+
+
+def test_logs_of_different_channels_are_not_pooled(make_bundle, make_log):
+    (found,) = evaluate(make_bundle(), [make_log()]).logs
+    other = replace(found.runs, channels=("N1_pct", "EGT_C"))
+    expected = "flight.csv:left: expected the channels N1_pct, N2_pct, found N1_pct, EGT_C"
+    with pytest.raises(DataError, match=f"^{re.escape(expected)}$"):
+        score([found.runs, other])
