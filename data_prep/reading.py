@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from data_prep.log import FloatArray
 
-__all__ = ["LogsConfig", "read_logs"]
+__all__ = ["LogsConfig", "open_table", "read_logs"]
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def read_logs(
 
 
 def _recordings(path: Path, config: LogsConfig) -> list[_Recording]:
-    table = _open(path, config)
+    table = open_table(path, config)
     columns = map_columns(table, config)
     sources = config.sources(table.header)
     cells = table.read(list({name: None for each in columns.values() for name in each.values()}))
@@ -79,7 +79,8 @@ def _recordings(path: Path, config: LogsConfig) -> list[_Recording]:
     ]
 
 
-def _open(path: Path, config: LogsConfig) -> Table:
+def open_table(path: Path, config: LogsConfig) -> Table:
+    """Open a CSV or Parquet file, told apart by their first bytes; raises `DataError`."""
     with readable(path), path.open("rb") as raw:
         magic = raw.read(len(MAGIC))
     if magic == MAGIC:

@@ -140,6 +140,11 @@ def crossval_page(header: RunHeader, schemes: Sequence[Scheme]) -> str:
     return _render("crossval.html.j2", header=header, schemes=schemes, spread=drawing)
 
 
+def noise_page(header: RunHeader, verdict: Outcome, sweeps: Sequence[NoiseSweep]) -> str:
+    """Build the page of `denoise`: the paper's noise experiment on its own."""
+    return _render("denoise.html.j2", header=header, outcome=verdict, sweeps=sweeps)
+
+
 def write_page(path: str | os.PathLike[str], html: str) -> None:
     """Write the page whole or not at all."""
     atomic_write_text(path, html)

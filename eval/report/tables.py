@@ -10,7 +10,7 @@ from typing import Literal
 import pandas as pd
 
 from data_prep.log import Audit, Source
-from eval.report.content import LogPage, Offsets, Scheme, Score, WindowTrial
+from eval.report.content import LogPage, NoiseSweep, Offsets, Scheme, Score, WindowTrial
 from eval.report.style import symbol, unit, with_unit
 
 Mark = Literal["", "best", "good", "bad", "none", "strong", "head", "group"]
@@ -221,3 +221,17 @@ def summary(scheme: Scheme) -> Mapping[str, list[float]]:
     )
     columns = {"mean": table.mean(), "std": table.std(), "min": table.min(), "max": table.max()}
     return {name: [float(value) for value in part] for name, part in columns.items()}
+
+
+def noise(sweep: NoiseSweep) -> Table:
+    """RMSE against the clean signal at each signal-to-noise ratio; the lowest is marked."""
+    head = ("SNR [dB]", *sweep.curves, *(("mean NIS",) if sweep.nis is not None else ()))
+    rows = []
+    for at, ratio in enumerate(sweep.snr_db):
+        values = [float(curve[at]) for curve in sweep.curves.values()]
+        least = min((value for value in values if math.isfinite(value)), default=math.nan)
+        cells = [figure(value, "best" if value == least else "") for value in values]
+        check = [figure(float(sweep.nis[at]))] if sweep.nis is not None else []
+        rows.append((Cell(f"{ratio:g}", "head"), *cells, *check))
+    caption = f"{sweep.log}: RMSE of {with_unit(sweep.channel)} against the clean signal"
+    return Table(caption, head, tuple(rows))

@@ -13,6 +13,7 @@ from typing import Any
 import rich.console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 WIDTH = 80
 
@@ -45,15 +46,8 @@ class Console:
         """Print a table of at most 80 columns; all but the first column are aligned right."""
         if self.silent:
             return
-        # As wide as its title: one over a narrow table would be broken into lines.
-        table = Table(
-            title=title,
-            title_justify="left",
-            title_style="bold",
-            min_width=min(len(title), WIDTH),
-            box=None,
-            pad_edge=False,
-        )
+        self.page.print(Text(title, style="bold"))
+        table = Table(box=None, pad_edge=False)
         for number, name in enumerate(head):
             table.add_column(name, justify="right" if number else "left", overflow="fold")
         for row in rows:

@@ -15,7 +15,7 @@ from eval import terminal
 from eval.denoising import Flight, SweepConfig, snr_sweep, summarise
 from eval.evaluate import run_config
 from eval.report.content import NoiseSweep
-from eval.report.page import Outcome, evaluate_page
+from eval.report.page import Outcome, noise_page
 from narxcal.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console, to_json
 from narxcal.cli.folders import Results
@@ -54,7 +54,7 @@ def run(options: Namespace, console: Console) -> int:
     figures = [_figure(name, sweep.channel, found) for name, found in sweeps.items()]
     with RESULTS.writing(options.out) as folder:
         (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
-        html = evaluate_page(header, [], outcome, figures)
+        html = noise_page(header, outcome, figures)
         (folder / PAGE).write_text(html, encoding="utf-8")
     _show(console, sweep.channel, sweeps)
     terminal.print_outcome(console.page, outcome)

@@ -15,7 +15,7 @@ from eval.judged import LogEvaluation
 from eval.report.content import LogPage
 from eval.report.evaluation import page_of, verdict_of
 from eval.report.page import Outcome, evaluate_page
-from narxcal.bundle import Bundle, load_bundle
+from narxcal.bundle import Bundle, load_bundle, read_document
 from narxcal.cli.console import Console, to_json
 from narxcal.cli.folders import Results
 from narxcal.cli.header import header_of
@@ -75,8 +75,18 @@ def judge(
     outcome = verdict_of(header, evaluation, pages)
     with console.progress("Drawing the page"):
         html = evaluate_page(header, pages, outcome)
-    document = {**evaluation.document(), "run": str(run_folder), "changed": changed(bundle, logs)}
+    document = {
+        **evaluation.document(),
+        "run": str(run_folder),
+        "weights_sha256": weights_hash(run_folder),
+        "changed": changed(bundle, logs),
+    }
     return Judgement(evaluation, document, html, pages, outcome)
+
+
+def weights_hash(run_folder: Path) -> str:
+    """What tells one model from another."""
+    return str(read_document(run_folder)["weights"]["sha256"])
 
 
 def write(folder: Path, found: Judgement) -> None:

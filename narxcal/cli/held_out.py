@@ -24,6 +24,8 @@ def logs_for(
         if files:
             return evaluation_logs(bundle, files)
         logs = _held_out(bundle, data)
+    if not (bundle.meta.get("split") or {}).get("test"):
+        console.warn("no log was held out: these are logs that the model was trained on")
     for text in changed(bundle, logs):
         console.warn(text)
     return logs

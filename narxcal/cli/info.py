@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from argparse import Namespace
+from pathlib import Path
 from typing import Any
 
 from narxcal.bundle import Bundle, load_bundle, read_document
 from narxcal.cli.console import Console
 
 SCHEMA = "narxcal.info/1"
+_FIGURES = ("rmse", "one_step_rmse", "steady_state_rmse")
 
 
 def run(options: Namespace, console: Console) -> int:
@@ -24,6 +27,10 @@ def run(options: Namespace, console: Console) -> int:
             for name, (low, high) in document["deviation_bounds"].items()
         ],
     )
+    if document["metrics"] is None:
+        console.say(f"No figures yet: narxcal evaluate {options.bundle}")
+    else:
+        _show_metrics(console, document["metrics"], document["units"])
     console.table(
         "Data",
         ["file", "sha256"],
@@ -31,6 +38,22 @@ def run(options: Namespace, console: Console) -> int:
     )
     console.document(document)
     return 0
+
+
+def _show_metrics(console: Console, metrics: dict[str, Any], units: dict[str, str]) -> None:
+    trim = f", trim {metrics['trim']:g}" if metrics["trim"] else ""
+    rows = [
+        [name, units.get(name, ""), *(_number(figures[key]) for key in _FIGURES)]
+        for name, figures in metrics["channels"].items()
+    ]
+    head = ["channel", "unit", "free run RMSE", "one step RMSE", "steady state RMSE"]
+    console.table(f"Last evaluation{trim}: {', '.join(metrics['logs'])}", head, rows)
+    found = metrics["ti_tt"]
+    console.say(f"Ti/Tt: {found['passed']} of {found['assessed']} assessed events pass")
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"
 
 
 def _document(run: str, bundle: Bundle, stored: dict[str, Any]) -> dict[str, Any]:
@@ -53,12 +76,28 @@ def _document(run: str, bundle: Bundle, stored: dict[str, Any]) -> dict[str, Any
         "deviation_bounds": {
             name: [float(low[k]), float(high[k])] for k, name in enumerate(calibration.output_names)
         },
-        **{key: meta.get(key) for key in ("split", "seeds", "steady_state", "training", "metrics")},
+        **{key: meta.get(key) for key in ("split", "seeds", "steady_state", "training")},
+        "metrics": _metrics(Path(run), stored["weights"]["sha256"]),
         "data": meta.get("data", {}),
         "hardware": meta.get("hardware", {}),
         "versions": meta.get("versions", {}),
         "config": meta.get("config", {}),
     }
+
+
+def _metrics(run: Path, weights: str) -> dict[str, Any] | None:
+    """What `evaluate` last found for these weights, if it wrote into its usual place."""
+    try:
+        found = json.loads((run / "evaluate" / "evaluate.json").read_text(encoding="utf-8"))
+        if found["weights_sha256"] != weights:
+            return None
+        return {
+            "logs": {log["log"]: log["role"] for log in found["logs"]},
+            "trim": found["trim"],
+            **found["pooled"],
+        }
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def _facts(document: dict[str, Any]) -> dict[str, str]:

@@ -6,7 +6,7 @@ import gzip
 import re
 from argparse import Namespace
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from narxcal.bundle import versions
 from narxcal.cli.configured import read_config
 from narxcal.cli.console import Console, to_json
 from narxcal.cli.folders import Results
+from narxcal.cli.header import data_files, now
 from training.config import RunConfig
 from training.pipeline import configured_files
 
@@ -37,9 +38,10 @@ def run(options: Namespace, console: Console) -> int:
     RESULTS.check(options.out)
     config, base = read_config(options.config, options.data)
     studies = _studies(configured_files(config, base), config, console)
-    document = _document(config, studies)
+    names = file_names([one.log for one in studies])
+    document = _document(config, studies, names)
     with RESULTS.writing(options.out) as folder:
-        _write(folder, studies, document)
+        _write(folder, studies, names, document)
         write_page(folder / "prepare.html", _page(config, studies))
     _show(console, studies, options.out)
     console.document(document)
@@ -55,22 +57,26 @@ def _studies(files: Sequence[Path], config: RunConfig, console: Console) -> list
     return studies
 
 
-def _document(config: RunConfig, studies: Sequence[Prepared]) -> dict[str, Any]:
-    windows = windows_table(studies).to_dict(orient="records")
+def _document(
+    config: RunConfig, studies: Sequence[Prepared], names: Sequence[str]
+) -> dict[str, Any]:
+    prepared = zip(studies, names, strict=True)
     return {
         "schema": SCHEMA,
         "config": config.model_dump(mode="json", by_alias=True),
         "versions": versions(),
-        "logs": [{**one.to_dict(), "prepared": _file_name(one.log)} for one in studies],
+        "logs": [{**one.to_dict(), "prepared": name} for one, name in prepared],
         "pearson": pearson_table(studies).to_dict(orient="records"),
-        "windows": windows,
+        "windows": windows_table(studies).to_dict(orient="records"),
         "window": config.smooth.window,
     }
 
 
-def _write(folder: Path, studies: Sequence[Prepared], document: dict[str, Any]) -> None:
-    for one in studies:
-        _write_log(folder / _file_name(one.log), one.log)
+def _write(
+    folder: Path, studies: Sequence[Prepared], names: Sequence[str], document: dict[str, Any]
+) -> None:
+    for one, name in zip(studies, names, strict=True):
+        _write_log(folder / name, one.log)
     for name, table in (
         ("events.csv", events_table(studies)),
         ("pearson.csv", pearson_table(studies)),
@@ -80,9 +86,15 @@ def _write(folder: Path, studies: Sequence[Prepared], document: dict[str, Any]) 
     (folder / "prepare.json").write_text(to_json(document), encoding="utf-8")
 
 
-def _file_name(log: Log) -> str:
-    plain = re.sub(r"\.(csv|parquet|txt)(\.gz)?", "", log.name)
-    return f"logs/{re.sub(r'[^A-Za-z0-9._-]+', '_', plain)}.csv.gz"
+def file_names(logs: Sequence[Log]) -> list[str]:
+    """Choose a file for each log by its name, with a number where two would share one."""
+    found: list[str] = []
+    for log in logs:
+        plain = re.sub(r"\.(csv|parquet|txt)(\.gz)?", "", log.name)
+        stem = re.sub(r"[^A-Za-z0-9._-]+", "_", plain)
+        tries = (f"logs/{stem}{tail}.csv.gz" for tail in chain([""], map("({})".format, count(2))))
+        found.append(next(name for name in tries if name not in found))
+    return found
 
 
 def _write_log(path: Path, log: Log) -> None:
@@ -96,8 +108,8 @@ def _write_log(path: Path, log: Log) -> None:
 def _page(config: RunConfig, studies: Sequence[Prepared]) -> str:
     header = RunHeader(
         title=f"Prepared logs: {config.name}",
-        created=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        sources=[one.log.source for one in studies],
+        created=now(),
+        sources=data_files([one.log for one in studies]),
         versions=versions(),
         config=config.model_dump_json(by_alias=True, indent=1),
     )

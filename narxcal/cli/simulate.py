@@ -10,9 +10,9 @@ from typing import Any
 
 import pandas as pd
 
-from data_prep.csv_source import open_csv
 from data_prep.log import Log
 from data_prep.logs_config import LogsConfig
+from data_prep.reading import open_table
 from narxcal.atomic import atomic_write_text
 from narxcal.bundle import Bundle, load_bundle
 from narxcal.calibration import DynamicCalibration
@@ -61,7 +61,7 @@ def read_inputs(bundle: Bundle, file: Path) -> list[Log]:
     """
     config = RunConfig.parse(bundle.meta["config"])
     names = bundle.calibration.input_names
-    header = open_csv(file, config.logs.delimiter, config.logs.decimal, config.logs.comment).header
+    header = open_table(file, config.logs).header
     logs = config.logs
     if {"time_s", *names} <= set(header):
         logs = LogsConfig(max_gap_s=logs.max_gap_s, bridge_s=logs.bridge_s)

@@ -3,6 +3,7 @@
 import gzip
 import json
 import math
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,10 +12,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from data_prep.log import Log
 from data_prep.reading import read_logs
 from eval.demo_flights import write_logs
 from narxcal.bundle import load_bundle
 from narxcal.cli import main
+from narxcal.cli.prepare import file_names
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = (
@@ -91,6 +94,17 @@ def test_prepare_again_replaces_its_own_results_with_the_same_bytes(project, nar
     assert gzip.decompress(first["flight_1.csv.gz"]).startswith(b"time_s,")
 
 
+def test_logs_that_would_share_a_file_get_numbers():
+    names = ("a.csv.gz:left", "a.csv:left", "a:left", "a.csv:right#2")
+    logs = [Log(name, np.arange(3.0), {}) for name in names]
+    assert file_names(logs) == [
+        "logs/a_left.csv.gz",
+        "logs/a_left(2).csv.gz",
+        "logs/a_left(3).csv.gz",
+        "logs/a_right_2.csv.gz",
+    ]
+
+
 def test_info_tells_what_the_model_is_and_where_it_comes_from(project, narxcal):
     done = narxcal("info", project / "run", "--json")
     document = strict(done.out)
@@ -123,6 +137,35 @@ def test_evaluate_judges_the_held_out_log_and_says_that_a_tolerance_was_missed(p
         assert figures[name] > 0.0
     assert {"start_s", "label", "Ti", "Tt"} <= set(document["logs"][0]["events"][0])
     assert document["logs"][0]["ti_tt"]["assessed"] > 0
+
+
+def test_info_shows_the_last_evaluation_of_these_weights_only(project, narxcal, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(project / "run", run, ignore=shutil.ignore_patterns("evaluate"))
+    assert strict(narxcal("info", run, "--json").out)["metrics"] is None
+    assert f"No figures yet: narxcal evaluate {run}\n" in narxcal("info", run).out
+    done = narxcal("evaluate", run, "--json")
+    metrics = strict(narxcal("info", run, "--json").out)["metrics"]
+    assert metrics["channels"] == strict(done.out)["pooled"]["channels"]
+    assert metrics["logs"] == {"flight_3.csv": "test"}
+    assert "Last evaluation: flight_3.csv" in narxcal("info", run).out
+    file = run / "evaluate" / "evaluate.json"
+    file.write_text(file.read_text("utf-8").replace('"weights_sha256": "', '"weights_sha256": "0'))
+    assert strict(narxcal("info", run, "--json").out)["metrics"] is None
+
+
+def test_evaluate_says_that_no_log_was_held_out(project, narxcal, tmp_path):
+    text = (project / "tiny.toml").read_text("utf-8")
+    text = text.replace('flight_[1-2].csv*"]\ntest = ["flight_3.csv*', "*").replace(
+        'folder = "flights"', f'folder = "{project / "flights"}"'
+    )
+    (tmp_path / "all.toml").write_text(text, "utf-8")
+    assert narxcal("train", tmp_path / "all.toml", "--out", tmp_path / "run", "--quiet").code == 0
+    done = narxcal("evaluate", tmp_path / "run", "--quiet")
+    assert done.err == (
+        "narxcal: warning: no log was held out: these are logs that the model was trained on\n"
+    )
+    assert done.out == ""
 
 
 def test_evaluate_takes_several_files_after_one_option_or_several(project, narxcal, tmp_path):
@@ -266,7 +309,8 @@ def test_denoise_reports_raw_fused_and_free_run_at_each_ratio(project, narxcal, 
     ratios = document["logs"][0]["ratios"]
     assert [row["snr_db"] for row in ratios] == [20.0, 25.0, 30.0, 35.0, 40.0, 45.0]
     assert done.code == (0 if all(row["beats_both"] for row in ratios) else 1)
-    assert "<html" in (out / "denoise.html").read_text("utf-8")
+    page = (out / "denoise.html").read_text("utf-8")
+    assert "RMSE of N2 [%] against the clean signal" in page
     assert "SNR [dB]" in narxcal("denoise", project / "run", "--out", out).out
 
 
