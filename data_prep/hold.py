@@ -31,7 +31,5 @@ def hold_inputs(log: Log, names: Sequence[str]) -> Log:
             )
         last = np.searchsorted(known, np.arange(len(values)), side="right") - 1
         held[name] = values[known[np.maximum(last, 0)]]
-        entries.append(
-            AuditEntry(name, "filled", "held for the model", len(values) - len(known))
-        )
+        entries.append(AuditEntry(name, "filled", "held for the model", len(values) - len(known)))
     return log.with_channels(held, *entries) if held else log

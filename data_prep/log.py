@@ -96,9 +96,7 @@ class Log:
 
     def with_channels(self, channels: Mapping[str, FloatArray], *entries: AuditEntry) -> Log:
         """Replace or add channels and record what that changed."""
-        return replace(
-            self, channels={**self.channels, **channels}, audit=self.audit.add(*entries)
-        )
+        return replace(self, channels={**self.channels, **channels}, audit=self.audit.add(*entries))
 
     def part(self, start: int, stop: int) -> Log:
         """Rows `start:stop` as a log of the same name and audit."""

@@ -9,9 +9,9 @@ An *anchored* network subtracts its own value at rest, `W2 tanh(b1 + W1 rest(k))
 where `rest` is phi with the feedback and all moving inputs set to zero; it has no b2.
 
 All that depends on the inputs alone is one matrix product, done beforehand:
-`drive_hidden = b1 + W1u phi_u` and `drive_linear = b2 + Au phi_u`. Only the feedback
-part, `W1y` and `Ay`, is left in the recursion (the value at rest goes into `drive_linear`). The PyTorch module in `narxcal.narx` is the
-slow exact twin of these functions and their test.
+`drive_hidden = b1 + W1u phi_u` and `drive_linear = b2 + Au phi_u`, less the value at rest. Only
+the feedback part, `W1y` and `Ay`, is left in the recursion. The PyTorch module in `narxcal.narx`
+is the slow exact twin of these functions and their test.
 
 Several windows are run as one: `restarts` is (positions (n,), histories (n, m)), the steps at
 which a window begins and the outputs just before it.
@@ -24,7 +24,8 @@ A (o, f), each flattened by rows.
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import numpy as np
 from numba import njit
@@ -33,7 +34,26 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Run = tuple[FloatArray, FloatArray, FloatArray]
-_compile: Any = njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
+Function = TypeVar("Function", bound=Callable[..., Any])
+# Sums may be reordered, but NaN and infinity keep their meaning.
+_FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
+
+
+def _compile(function: Function) -> Function:
+    """Compile by numba, which ships no types: to its callers the function is what it was."""
+    compiled: Any = njit(cache=True, nogil=True, fastmath=_FASTMATH)(function)
+    same: Function = compiled
+    return same
+
+
+@_compile
+def _push(register: FloatArray, newest: FloatArray) -> None:
+    """Shift `newest` in at the front of `register`; both are rows, or rows of vectors."""
+    count = len(newest)
+    for j in range(len(register) - 1, count - 1, -1):
+        register[j] = register[j - count]
+    for o in range(count):
+        register[o] = newest[o]
 
 
 @_compile
@@ -76,11 +96,9 @@ def free_run(
                 v += ay[o, j] * history[j]
             for i in range(hidden):
                 v += w2[o, i] * active[k, i]
-            y[k, o] = min(max(v, low[o]), high[o])
-        for j in range(m - 1, outputs - 1, -1):
-            history[j] = history[j - outputs]
-        for o in range(outputs):
-            history[o] = y[k, o]
+            # Written so that an overflow to NaN, too, ends inside the bounds.
+            y[k, o] = min(v, high[o]) if v > low[o] else low[o]
+        _push(history, y[k])
     return y, active, fed
 
 
@@ -175,6 +193,15 @@ def _direct(
 
 
 @_compile
+def _recall(row: FloatArray, gain: FloatArray, memory: FloatArray) -> None:
+    """Add what the history passes on, sum_j gain_j memory_j, to `row` (P,)."""
+    for j in range(len(gain)):
+        if gain[j] != 0.0:
+            for p in range(len(row)):
+                row[p] += gain[j] * memory[j, p]
+
+
+@_compile
 def jacobian(
     features: tuple[FloatArray, FloatArray, FloatArray],
     run: Run,
@@ -209,14 +236,6 @@ def jacobian(
                 _direct(row, (k, o, 1.0), (phi, active), feedback[1])
                 if len(rest):
                     _direct(row, (k, o, -1.0), (rest, rest_active), feedback[1])
-                for j in range(m):
-                    g = gain[o, j]
-                    if g != 0.0:
-                        past = memory[j]
-                        for p in range(size):
-                            row[p] += g * past[p]
-        for j in range(m - 1, outputs - 1, -1):
-            memory[j] = memory[j - outputs]
-        for o in range(outputs):
-            memory[o] = result[k, o]
+                _recall(row, gain[o], memory)
+        _push(memory, result[k])
     return result

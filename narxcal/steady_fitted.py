@@ -135,7 +135,8 @@ class FittedSteadyState:
         given = checked_inputs(inputs, self.input_names)
         drive = self.layout.drive(given)
         seen = (drive >= self.seen[0]) & (drive <= self.seen[1])
-        return self.envelope.inside(given) & seen
+        inside: NDArray[np.bool_] = self.envelope.inside(given) & seen
+        return inside
 
     def outputs(self, inputs: ArrayLike) -> Floats:
         """Settled outputs (..., n_out) at `inputs` (..., n_in); held beyond the knots."""

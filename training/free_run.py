@@ -60,9 +60,7 @@ def cut_windows(
             windows.append(Window(tapped[part], target[part], root[part], past))
     scored = sum(float((window.root_weight**2).sum()) for window in windows)
     scale = 1.0 / np.sqrt(max(scored, 1e-12))
-    return [
-        Window(w.tapped, w.target, w.root_weight * scale, w.history) for w in windows
-    ]
+    return [Window(w.tapped, w.target, w.root_weight * scale, w.history) for w in windows]
 
 
 def _root_weight(record: Record, y: FloatArray, stride: int) -> FloatArray:
@@ -176,6 +174,11 @@ def _loss(batch: _Batch, weights: Weights) -> float:
     return 0.5 * float((((y - batch.target) * batch.root_weight) ** 2).sum())
 
 
+def _rows(arrays: kernels.Run, part: slice) -> kernels.Run:
+    first, second, third = arrays
+    return first[part], second[part], third[part]
+
+
 def _features(
     batch: _Batch, fed: FloatArray, weights: Weights
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -193,9 +196,7 @@ def _loss_and_gradient(batch: _Batch, weights: Weights) -> tuple[float, FloatArr
     y, active, fed = run
     error = (y - batch.target) * batch.root_weight**2
     loss = 0.5 * float((error * (y - batch.target)).sum())
-    total, hidden = kernels.adjoint(
-        error, run, weights.feedback, batch.positions, weights.bounds
-    )
+    total, hidden = kernels.adjoint(error, run, weights.feedback, batch.positions, weights.bounds)
     phi, rest, rest_active = _features(batch, fed, weights)
     parts = [hidden.T @ phi, hidden.sum(0), total.T @ active, total.sum(0), total.T @ phi]
     if len(rest):
@@ -220,8 +221,8 @@ def _normal_equations(batch: _Batch, weights: Weights) -> NormalEquations:
         part = slice(first, first + _BLOCK)
         inside = (batch.positions >= first) & (batch.positions < first + _BLOCK)
         jacobian = kernels.jacobian(
-            tuple(feature[part] for feature in features),
-            tuple(values[part] for values in run),
+            _rows(features, part),
+            _rows(run, part),
             weights.feedback,
             (batch.positions[inside] - first, memory),
             weights.bounds,

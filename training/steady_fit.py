@@ -165,7 +165,7 @@ class _Design:
                     np.column_stack([penalty, np.zeros(len(penalty))]),
                 ]
             )
-            small = np.linalg.qr(rows, mode="r")
+            small = np.asarray(np.linalg.qr(rows, mode="r"))
             solution = lsq_linear(small[:, :-1], small[:, -1], (lower, np.inf)).x
             residual = np.abs(target - matrix @ solution)
             if self.config.huber:
@@ -178,8 +178,10 @@ class _Design:
         rows = []
         for corner in range(self.corners):
             first = corner * width + 1
-            for j in range(first, first + self.splines - 1):
-                rows.append(_row(size, {j: -1.0, j + 1: 1.0}, self.config.bend))
+            rows += [
+                _row(size, {j: -1.0, j + 1: 1.0}, self.config.bend)
+                for j in range(first, first + self.splines - 1)
+            ]
             for bit in range(len(self.layout.blend)):
                 other = corner ^ (1 << bit)
                 if other > corner:

@@ -7,7 +7,7 @@ as if it had never stopped.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -100,11 +100,10 @@ def fit_narx(
     progress = resume or Progress(run.first_theta(0))
     status = "all steps done"
     try:
-        for progress in run.steps(progress):  # noqa: B007 (the last one is what counts)
-            pass
+        run.train(progress)
     except KeyboardInterrupt:
         status = "interrupted: the best network so far was kept; --resume goes on from here"
-        progress = run.latest or progress
+    progress = run.latest or progress
     theta = progress.theta if progress.best_theta is None else progress.best_theta
     run.model.net.set_theta(theta)
     return FitResult(run.model, status, progress.best_score, progress.history)
@@ -130,7 +129,7 @@ class _Run:
 
     def _problem(self, records: Sequence[Record], horizon_s: float) -> FreeRunProblem:
         dt_s = self.material.dt_s
-        horizon = round(horizon_s / dt_s) if horizon_s > 0 else None
+        horizon = max(round(horizon_s / dt_s), 1) if horizon_s > 0 else None
         stride = max(round(self.config.score_every_s / dt_s), 1)
         windows = cut_windows(self.model, records, horizon, stride)
         return FreeRunProblem(self.model.net, windows, self.config.threads)
@@ -143,51 +142,55 @@ class _Run:
         start_linear(self.model, self.material.records, problem)
         return self.model.net.get_theta()
 
-    def steps(self, progress: Progress) -> Iterator[Progress]:
-        """Yield the progress after each step, going on from `progress`."""
+    def train(self, progress: Progress) -> None:
+        """Go on from `progress` to the end; `latest` always holds the last complete step."""
         while progress.start < self.config.starts:
             while progress.stage < len(self.config.horizons_s):
                 for after in self._stage(progress):
                     progress = self.latest = after
                     self.watch(progress)
-                    yield progress
                 progress = self.latest = self._settle(progress)
             start = progress.start + 1
             if start < self.config.starts:
                 progress = replace(progress, theta=self.first_theta(start))
             progress = self.latest = replace(progress, start=start, stage=0)
         self.watch(progress)
-        yield progress
 
     def _stage(self, progress: Progress) -> Iterator[Progress]:
+        """Yield the progress after each step of one horizon."""
         horizon_s = self.config.horizons_s[progress.stage]
-        problem = self._problem(self.material.records, horizon_s)
-        limit = self.config.iterations[progress.stage]
-        if progress.iteration >= limit:
+        if self._over(progress):
             return
-        for theta, loss, state in self._optimise(problem, progress):
-            progress = self._scored(
-                replace(state, theta=theta, iteration=progress.iteration + 1), loss, horizon_s
+        problem = self._problem(self.material.records, horizon_s)
+        for stepped, loss in self._optimise(problem, progress):
+            progress = replace(
+                progress,
+                theta=stepped.theta,
+                damping=stepped.damping,
+                moments=stepped.moments,
+                iteration=progress.iteration + 1,
             )
+            progress = self._scored(progress, loss, horizon_s)
             yield progress
-            tired = bool(self.material.validation) and progress.since_best >= self.config.patience
-            if progress.iteration >= limit or tired:
+            if self._over(progress):
                 return
+
+    def _over(self, progress: Progress) -> bool:
+        tired = bool(self.material.validation) and progress.since_best >= self.config.patience
+        return tired or progress.iteration >= self.config.iterations[progress.stage]
 
     def _optimise(
         self, problem: FreeRunProblem, progress: Progress
-    ) -> Iterator[tuple[FloatArray, float, Progress]]:
-        """Yield (theta, loss, progress with the optimiser's state) whatever the optimiser."""
+    ) -> Iterator[tuple[Progress, float]]:
+        """Yield (`progress` with new theta and optimiser's state, loss) for any optimiser."""
         theta, decay = progress.theta, self.config.decay
         if self.config.optimiser == "lm":
             for step in levenberg_marquardt.minimise(problem, theta, decay, progress.damping):
-                progress = replace(self.latest or progress, damping=step.damping)
-                yield step.theta, step.loss, progress
+                yield replace(progress, theta=step.theta, damping=step.damping), step.loss
         else:
             rate = self.config.rate
             for move in adam.minimise(problem, theta, rate, decay, progress.moments):
-                progress = replace(self.latest or progress, moments=move.moments)
-                yield move.theta, move.loss, progress
+                yield replace(progress, theta=move.theta, moments=move.moments), move.loss
 
     def _scored(self, progress: Progress, loss: float, horizon_s: float) -> Progress:
         """Add the history row; with validation records, keep the best step by them."""
@@ -220,6 +223,3 @@ def _keep(progress: Progress, score: float) -> Progress:
     if score < progress.best_score:
         return replace(progress, best_theta=progress.theta, best_score=score, since_best=0)
     return replace(progress, since_best=progress.since_best + 1)
-
-
-WatchFactory = Callable[[str], Watch]

@@ -58,9 +58,7 @@ def start_linear(model: NarxModel, records: Sequence[Record], problem: FreeRunPr
     net.set_theta(thetas[int(np.argmin(losses))])
 
 
-def _candidates(
-    model: NarxModel, records: Sequence[Record]
-) -> list[tuple[FloatArray, FloatArray]]:
+def _candidates(model: NarxModel, records: Sequence[Record]) -> list[tuple[FloatArray, FloatArray]]:
     phi, target = _regression(model, records)
     arx = _least_squares(phi, target, model.config.moving > 0)
     found = [arx]

@@ -48,7 +48,7 @@ configs = st.builds(
 )
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(config=configs, given_samples=st.integers(1, 6), seed=st.integers(0, 99))
 def test_compiled_free_run_equals_one_pytorch_call_a_step(config, given_samples, seed):
     model = make_model(config, seed=seed)
@@ -94,7 +94,7 @@ def autograd(model, windows, theta):
     )
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(config=configs, horizon=st.sampled_from([None, 5, 17]), seed=st.integers(0, 99))
 def test_both_gradients_equal_autograd(config, horizon, seed):
     model = make_model(config, seed=seed)
