@@ -30,6 +30,9 @@ from narxcal.settings import Section
 BoolArray = NDArray[np.bool_]
 
 _BIN = 0.1
+# More widths than this are no offset but a model that went astray, at levels it may not go to
+# again: such an error must not spread over the common part.
+_MOST_WIDTHS = 4.0
 
 
 class OffsetPrior(Section):
@@ -156,6 +159,7 @@ def _binned(level: FloatArray, error: FloatArray, weight: float) -> FloatArray:
 def _posterior(nodes: FloatArray, points: FloatArray, prior: OffsetPrior) -> FloatArray:
     """Mean of the Gaussian process at the nodes, given the points."""
     at, error, count = points.T
+    error = np.clip(error, -_MOST_WIDTHS * prior.width, _MOST_WIDTHS * prior.width)
 
     def covariance(a: FloatArray, b: FloatArray) -> FloatArray:
         apart = (a[:, None] - b[None, :]) / prior.length

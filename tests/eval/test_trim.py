@@ -35,6 +35,14 @@ def test_an_offset_seen_at_idle_is_not_carried_to_full_power():
     assert abs(trim.offsets[-1, 0]) < 0.15
 
 
+def test_a_model_gone_astray_is_not_taken_for_an_offset():
+    wrong, most = (
+        estimate_trim(seen(np.zeros(20000), error), 20000, NAMES, TrimConfig())
+        for error in (40.0, 2.0)
+    )
+    assert np.array_equal(wrong.offsets[:, 0], most.offsets[:, 0])
+
+
 def test_seconds_count_less_than_minutes():
     short, long = (
         estimate_trim(seen(np.full(n, 0.6), 1.0), n, NAMES, TrimConfig()) for n in (50, 5000)
