@@ -196,7 +196,13 @@ class DynamicCalibration:
     def _first_deviation(self, ss: FloatArray, start: ArrayLike | None) -> FloatArray:
         if start is None:
             return np.zeros(len(self.output_names))
-        return np.nan_to_num(ss - np.asarray(start, dtype=np.float64))
+        given = np.asarray(start, dtype=np.float64)
+        if given.shape != ss.shape:
+            raise DataError(
+                f"expected start values of shape ({len(ss)},) ({', '.join(self.output_names)}), "
+                f"found {given.shape}"
+            )
+        return np.where(np.isfinite(given), ss - given, 0.0)
 
 
 def narx_features(ss: FloatArray, schedule: FloatArray) -> FloatArray:

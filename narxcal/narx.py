@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
-from pydantic import field_validator
+from pydantic import AfterValidator, Field
 from torch import Tensor, nn
 
 from narxcal import kernels
@@ -24,6 +24,15 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 AT_START: IntArray = np.zeros(1, dtype=np.int64)
 PARAMETER_ORDER = ("hidden.weight", "hidden.bias", "output.weight", "output.bias", "linear.weight")
+
+
+def _increasing(taps: tuple[int, ...]) -> tuple[int, ...]:
+    if not taps or taps[0] < 0 or list(taps) != sorted(set(taps)):
+        raise ValueError("has to list increasing delays >= 0, for example [0, 1]")
+    return taps
+
+
+Taps = Annotated[tuple[int, ...], AfterValidator(_increasing)]
 
 
 class NarxConfig(Section):
@@ -39,25 +48,11 @@ class NarxConfig(Section):
     are an exact equilibrium wherever the other inputs stand still.
     """
 
-    lags: int = 2
-    taps: tuple[int, ...] = (0, 1)
-    hidden: int = 8
-    margin: float = 0.25
-    moving: int = 0
-
-    @field_validator("lags", "hidden")
-    @classmethod
-    def _at_least_one(cls, value: int) -> int:
-        if value < 1:
-            raise ValueError("has to be at least 1")
-        return value
-
-    @field_validator("taps")
-    @classmethod
-    def _increasing(cls, value: tuple[int, ...]) -> tuple[int, ...]:
-        if not value or value[0] < 0 or list(value) != sorted(set(value)):
-            raise ValueError("has to list increasing delays >= 0, for example [0, 1]")
-        return value
+    lags: int = Field(default=2, ge=1)
+    taps: Taps = (0, 1)
+    hidden: int = Field(default=8, ge=1)
+    margin: float = Field(default=0.25, ge=0)
+    moving: int = Field(default=0, ge=0)
 
 
 class NarxNet(nn.Module):

@@ -59,6 +59,18 @@ def _columns(values: ArrayLike) -> FloatArray:
     return array[:, None] if array.ndim == 1 else array
 
 
+def check_measured(records: Sequence[Record], purpose: str) -> None:
+    """Raise `DataError` for an output that is masked throughout: nothing can be learnt of it."""
+    known = np.any([np.isfinite(record.y).any(axis=0) for record in records], axis=0)
+    if not known.all():
+        raise DataError(
+            f"output {int(np.argmin(known)) + 1} of {len(known)} has no known sample in any "
+            f"{purpose} record",
+            file=records[0].name,
+            hint="Leave the output out, or add records that hold it",
+        )
+
+
 def check_records(records: Sequence[Record], longer_than: int) -> tuple[int, int]:
     """Return (inputs, outputs) that all records agree on; `DataError` where they do not."""
     if not records:

@@ -24,6 +24,10 @@ class Section(BaseModel):
             return cls.model_validate(dict(table))
         except ValidationError as error:
             raise _explain(cls, error, file) from None
+        except ConfigError as error:  # from a validator, which does not know the file
+            raise ConfigError(
+                error.problem, file=error.file or file, channel=error.channel, hint=error.hint
+            ) from None
 
 
 def _explain(

@@ -24,7 +24,7 @@ _SCHEMA = "narxcal.checkpoint/1"
 
 
 def fingerprint(*parts: str) -> str:
-    """One hash of all that decides a training: configuration, data hashes, code version."""
+    """One hash of all that decides a training: its configuration and its data."""
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 

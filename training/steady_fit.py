@@ -75,7 +75,7 @@ def fit_steady_state(
     inputs = np.concatenate([part.inputs for part in samples])
     outputs = np.concatenate([part.outputs for part in samples])
     names = np.concatenate([[part.engine] * len(part.inputs) for part in samples])
-    _require(inputs, layout)
+    _require(inputs, outputs, layout)
     step = max(len(inputs) // _ROWS, 1)
     inputs, outputs, names = inputs[::step], outputs[::step], names[::step]
     drive = layout.drive(inputs)
@@ -91,7 +91,7 @@ def fit_steady_state(
     return model, _quality(model, (inputs, outputs, names))
 
 
-def _require(inputs: FloatArray, layout: Layout) -> None:
+def _require(inputs: FloatArray, outputs: FloatArray, layout: Layout) -> None:
     if len(inputs) < 50:
         raise DataError(
             f"expected at least 50 quasi-steady samples, found {len(inputs)}",
@@ -106,6 +106,13 @@ def _require(inputs: FloatArray, layout: Layout) -> None:
             channel=layout.driver,
             hint="Add logs at other power settings",
         )
+    for name, column in zip(layout.output_names, outputs.T, strict=True):
+        if not np.isfinite(column).any():
+            raise DataError(
+                "the output is masked in all quasi-steady samples, so no curve can be fitted",
+                channel=name,
+                hint="Take it out of [narx] outputs, or add logs that hold it",
+            )
 
 
 def _spread_knots(drive: FloatArray, config: SteadyFitConfig) -> FloatArray:
@@ -259,4 +266,6 @@ class SteadyStateConfig(Section):
         missing = [name for name in self.blend if name not in self.inputs]
         if missing:
             raise ValueError(f"blend names '{missing[0]}', which is no input")
+        if self.kind == "fitted" and self.corrected and "ALT_ft" not in self.inputs:
+            raise ValueError("corrected = true needs ALT_ft among the inputs")
         return self

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from narxcal.narx import NarxConfig, NarxModel
-from narxcal.records import Record, check_records
+from narxcal.records import Record, check_measured, check_records
 from training import adam, levenberg_marquardt
 from training.adam import Moments
 from training.config import TrainConfig
@@ -93,9 +93,12 @@ def fit_narx(
     """Train on whole records in free run; the same seed gives the same network.
 
     Ctrl-C ends the training and keeps the best network so far. Raises `DataError` for records
-    that do not fit each other or are too short.
+    that do not fit each other, are too short or lack an output throughout.
     """
     check_records([*material.records, *material.validation], structure.lags + structure.taps[-1])
+    check_measured(material.records, "training")
+    if material.validation:
+        check_measured(material.validation, "validation")
     run = _Run(material, structure, config, watch or _ignore)
     progress = resume or Progress(run.first_theta(0))
     status = "all steps done"

@@ -31,8 +31,9 @@ def new_model(records: Sequence[Record], config: NarxConfig, seed: int) -> NarxM
     outputs = Scaling.of(y, centred=not config.moving)
     inputs = Scaling.of(u)
     inputs.centre[: config.moving] = 0.0
-    torch.manual_seed(seed)
-    net = NarxNet(config, u.shape[1], y.shape[1])
+    with torch.random.fork_rng(devices=[]):  # the caller's random numbers are not ours
+        torch.manual_seed(seed)
+        net = NarxNet(config, u.shape[1], y.shape[1])
     low, high = np.nanmin(y, axis=0), np.nanmax(y, axis=0)
     if config.moving:
         low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
