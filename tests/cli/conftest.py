@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -81,14 +82,16 @@ def shell():
     return run
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture
 def start():
-    """Start the command and leave it running."""
+    """Start the command and leave it running; it is gone when the test is over."""
+    with ExitStack() as stack:
 
-    def run(*arguments):
-        command = [sys.executable, "-m", "narxcal.cli", *map(str, arguments)]
-        return subprocess.Popen(
-            command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
+        def run(*arguments):
+            command = [sys.executable, "-m", "narxcal.cli", *map(str, arguments)]
+            pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": environment()}
+            process = stack.enter_context(subprocess.Popen(command, text=True, **pipes))
+            stack.callback(process.kill)
+            return process
 
-    return run
+        yield run
