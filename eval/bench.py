@@ -1,0 +1,119 @@
+"""Our own figures beside their targets: `make bench`, or `python -m eval.bench [--flights]`.
+
+Speed is given as ratios measured in one run, since a busy machine slows both sides. Nothing is
+taken from a file: every figure is measured when the command runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from eval.benchmarks import flights, kernel_speed, public_sets, replay_speed
+from eval.benchmarks.row import Row
+from narxcal.bundle import versions
+
+SCHEMA = "narxcal.bench/1"
+_SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+_VERDICTS = {True: ("yes", "green"), False: ("no", "red"), None: ("", "")}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, print a table or JSON; always 0, since a missed target is a figure, no failure."""
+    parser = argparse.ArgumentParser(prog="python -m eval.bench", description=__doc__)
+    parser.add_argument("--flights", action="store_true", help="leave one flight out instead")
+    parser.add_argument(
+        "--data", type=Path, default=_SHARED, help="folder that holds bench, flights, agtf30"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON document")
+    options = parser.parse_args(arguments)
+    began = time.perf_counter()
+    found = _flights(options.data) if options.flights else _short(options.data)
+    document = describe(found, time.perf_counter() - began)
+    if options.json:
+        sys.stdout.write(json.dumps(document, indent=1, allow_nan=False) + "\n")
+    else:
+        show(Console(), found, document)
+    return 0
+
+
+def _short(data: Path) -> list[Row]:
+    return [*kernel_speed.rows(), *replay_speed.rows(), *public_sets.rows(data / "bench")]
+
+
+def _flights(data: Path) -> list[Row]:
+    found: list[Row] = []
+    for campaign, folder in zip(flights.CAMPAIGNS, ("flights", "agtf30"), strict=True):
+        found += flights.rows(data / folder, (campaign,))
+    return found
+
+
+def describe(found: Sequence[Row], wall_s: float) -> dict[str, Any]:
+    """All rows, the machine and the versions that made them."""
+    return {
+        "schema": SCHEMA,
+        "rows": [row.document() for row in found],
+        "wall_s": wall_s,
+        "machine": {
+            "processor": platform.machine(),
+            "system": platform.system(),
+            "cores": os.cpu_count(),
+            "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+        },
+        "versions": versions(),
+    }
+
+
+def show(console: Console, found: Sequence[Row], document: dict[str, Any]) -> None:
+    """One table per group; where targets come from and how figures were measured below it."""
+    for group in dict.fromkeys(row.group for row in found):
+        own = [row for row in found if row.group == group]
+        console.print(_table(group, own))
+        for note in dict.fromkeys(f"{row.name}: {row.note}" for row in own if row.note):
+            console.print(Text(f"  {note}", style="dim"))
+        for source in dict.fromkeys(row.source for row in own if row.source):
+            console.print(Text(f"  target: {source}", style="dim"))
+    machine = document["machine"]
+    load = "" if machine["load"] is None else f", load {machine['load']:.1f}"
+    console.print(Text(f"{document['wall_s']:.0f} s on {machine['cores']} cores{load}"))
+
+
+def _table(group: str, own: Sequence[Row]) -> Table:
+    table = Table(title=Text(group, style="bold"), title_justify="left", box=None, pad_edge=False)
+    table.add_column("figure", overflow="fold")
+    for head in ("measured", "target", "reached"):
+        table.add_column(head, justify="right", no_wrap=True)
+    for row in own:
+        word, look = _VERDICTS[row.reached]
+        table.add_row(
+            Text(row.name), _number(row.value, row.unit), _target(row), Text(word, style=look)
+        )
+    return table
+
+
+def _number(value: float, unit: str) -> Text:
+    if value != value:  # noqa: PLR0124 (NaN)
+        return Text("-")
+    return Text(f"{value:.4g} {unit}".rstrip())
+
+
+def _target(row: Row) -> Text:
+    if not row.bound:
+        return Text("")
+    sign = "<=" if row.bound == "at most" else ">="
+    return Text(f"{sign} {row.target:g} {row.unit}".rstrip())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Our own figures, each measured when asked for; `eval.bench` prints them."""

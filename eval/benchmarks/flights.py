@@ -1,0 +1,144 @@
+"""Leave one flight out, with the shipped configurations as they stand, against the targets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from data_prep.hold import hold_inputs
+from data_prep.log import Log
+from data_prep.prepare import prepare
+from data_prep.reading import read_logs
+from eval.benchmarks.row import Bound, Row
+from eval.evaluate import Evaluation, evaluate
+from narxcal.bundle import Bundle
+from narxcal.channels import channel
+from narxcal.errors import DataError
+from training.config import RunConfig, load_config
+from training.crossval import leave_one_flight_out
+from training.pipeline import Split, calibrate, configured_files
+
+_SOURCE = "issue: What to reach"
+_PART = 0.2
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Flights of one configuration; targets in the channels' units, and for errors in %."""
+
+    name: str
+    config: str
+    as_is: Mapping[str, float]
+    trimmed: Mapping[str, float]
+    max_rel_pct: float = math.nan
+    passed_pct: float = 95.0
+    mean_relative_pct: float = math.nan
+    training_s: float = math.nan
+
+
+CAMPAIGNS = (
+    Campaign(
+        "Citation II",
+        "citation2.toml",
+        {"N1_pct": 1.1, "N2_pct": 0.65, "EGT_C": 17.0},
+        {"N1_pct": 0.9, "N2_pct": 0.5, "EGT_C": 14.0},
+        mean_relative_pct=5.0,
+        training_s=120.0,
+    ),
+    Campaign("AGTF30", "agtf30.toml", {}, {}, max_rel_pct=5.0, passed_pct=100.0),
+)
+
+
+def rows(data: Path | None = None, campaigns: Sequence[Campaign] = CAMPAIGNS) -> list[Row]:
+    """Measure every campaign whose logs are there; `data` replaces the folder of its logs.
+
+    A campaign without logs becomes a row that says so.
+    """
+    found: list[Row] = []
+    for campaign in campaigns:
+        config, base = load_config(campaign.config)
+        if data is not None:
+            moved = config.logs.model_copy(update={"folder": str(data.resolve())})
+            config = config.model_copy(update={"logs": moved})
+        try:
+            files = configured_files(config, base)
+        except DataError as error:
+            note = f"not measured: {error}"
+            found.append(Row(campaign.name, "all", math.nan, "", note=note))
+            continue
+        found += list(campaign_rows(campaign, config, (base, files)))
+    return found
+
+
+def campaign_rows(
+    campaign: Campaign, config: RunConfig, where: tuple[Path, Sequence[Path]]
+) -> Iterator[Row]:
+    """Every flight in turn as the test flight, then the time to train on all of them."""
+    base, files = where
+    logs = prepare(read_logs(files, config.logs), config)
+    for plan in leave_one_flight_out(logs, config.events):
+        train = [part.log for part in plan.train]
+        test = [part.log for part in plan.test]
+        bundle = _calibrated(config, base, train)
+        yield from _judged(campaign, plan.name, bundle, test)
+    seconds = float(_calibrated(config, base, logs).meta["training"]["wall_s"])
+    note = f"{len(logs)} logs, {sum(len(log) * log.dt_s for log in logs) / 60:.0f} engine minutes"
+    bound: Bound = "" if math.isnan(campaign.training_s) else "at most"
+    yield Row(
+        campaign.name, "training on all flights", seconds, "s", campaign.training_s, bound,
+        _SOURCE if bound else "", note,
+    )  # fmt: skip
+
+
+def _calibrated(config: RunConfig, base: Path, logs: Sequence[Log]) -> Bundle:
+    held = tuple(hold_inputs(log, config.steady_state.inputs) for log in logs)
+    return calibrate(config, base, Split(held, (), ()))
+
+
+def _judged(campaign: Campaign, name: str, bundle: Bundle, test: Sequence[Log]) -> Iterator[Row]:
+    as_is, trimmed = evaluate(bundle, test), evaluate(bundle, test, _PART)
+    yield from _errors(campaign, name, as_is, campaign.as_is)
+    yield from _errors(campaign, f"{name}, trim {_PART:g}", trimmed, campaign.trimmed)
+    yield from _response_times(campaign, name, as_is)
+    yield from _response_times(campaign, f"{name}, trim {_PART:g}", trimmed)
+
+
+def _errors(
+    campaign: Campaign, name: str, found: Evaluation, targets: Mapping[str, float]
+) -> Iterator[Row]:
+    """RMSE of the worst log where there is a target for it, else the largest relative error."""
+    for output, pooled in found.pooled.items():
+        scores = [log.scores[output] for log in found.logs]
+        if output in targets:
+            worst = max(score.rmse for score in scores)
+            note = f"worst of {len(scores)} engines; pooled {pooled.rmse:.3g}"
+            yield Row(
+                campaign.name, f"{name}: RMSE {output}", worst, channel(output).unit,
+                targets[output], "at most", _SOURCE, note,
+            )  # fmt: skip
+        else:
+            worst = max(score.max_rel_pct for score in scores)
+            yield Row(
+                campaign.name, f"{name}: max relative error {output}", worst, "%",
+                campaign.max_rel_pct, "at most", _SOURCE, f"RMSE {pooled.rmse:.3g}",
+            )  # fmt: skip
+
+
+def _response_times(campaign: Campaign, name: str, found: Evaluation) -> Iterator[Row]:
+    counts = found.tally
+    passed = math.nan if counts.passed_pct is None else counts.passed_pct
+    note = f"{counts.passed} of {counts.assessed} assessed; rules {found.config.transients.rules}"
+    yield Row(
+        campaign.name, f"{name}: Ti and Tt passed", passed, "%", campaign.passed_pct,
+        "at least", _SOURCE, note,
+    )  # fmt: skip
+    pairs = (("Ti", counts.mean_relative_Ti_pct), ("Tt", counts.mean_relative_Tt_pct))
+    for label, value in pairs:
+        bound: Bound = "" if math.isnan(campaign.mean_relative_pct) else "at most"
+        yield Row(
+            campaign.name, f"{name}: mean relative error {label}",
+            math.nan if value is None else value, "%", campaign.mean_relative_pct, bound,
+            _SOURCE if bound else "",
+        )  # fmt: skip

@@ -1,0 +1,80 @@
+"""Replay with the fuser against the clock, on the stand-in engine at 32 Hz."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_prep.log import Log
+from eval.benchmarks.row import Row
+from eval.demo_flights import write_logs
+from eval.replay import ReplayModel, replay
+from narxcal.bundle import Bundle
+from narxcal.fuser import KalmanFuser, NoiseModel
+from training.config import RunConfig, load_config
+from training.pipeline import Split, calibrate, prepare_logs
+
+FloatArray = NDArray[np.float64]
+_GROUP = "replay"
+_SOURCE = "issue: replay with fuser"
+
+
+def rows(duration_s: float = 480.0, steps: int = 5000) -> list[Row]:
+    """Train briefly, since speed does not depend on the weights, then replay and step."""
+    config, base = load_config("demo.toml")
+    with TemporaryDirectory() as folder:
+        flight = write_logs(folder, flights=1, duration_s=duration_s)[0]
+        log, bundle = _briefly_trained(config, base, flight)
+        model = ReplayModel.of(bundle)
+        replay(model, flight, Path(folder) / "warm.csv")
+        summary = replay(model, flight, Path(folder) / "out.csv")
+    took_ms = 1e3 * step_seconds(bundle, log, steps)
+    slowest = f"median {np.median(took_ms):.3f} ms, slowest {took_ms.max():.2f} ms"
+    return [
+        Row(
+            _GROUP,
+            "CSV to CSV with fuser",
+            summary.times_real_time,
+            "x real time",
+            300.0,
+            "at least",
+            _SOURCE,
+            f"{summary.log_s:.0f} s of log at 32 Hz in {summary.wall_s:.2f} s",
+        ),
+        Row(
+            _GROUP,
+            "model step and fuser step, p99",
+            float(np.percentile(took_ms, 99)),
+            "ms",
+            1.0,
+            "at most",
+            _SOURCE,
+            f"DynamicCalibration.step and KalmanFuser.step, {len(took_ms)} samples; {slowest}",
+        ),
+    ]
+
+
+def _briefly_trained(config: RunConfig, base: Path, flight: Path) -> tuple[Log, Bundle]:
+    brief = config.train.model_copy(update={"horizons_s": (5.0,), "iterations": (2,)})
+    config = config.model_copy(update={"train": brief})
+    log = prepare_logs(config, [flight], 1.0 / 32.0)[0]
+    return log, calibrate(config, base, Split((log,), (), ()))
+
+
+def step_seconds(bundle: Bundle, log: Log, steps: int) -> FloatArray:
+    """Wall time of each online step, `(steps,)` or fewer where the log is shorter."""
+    calibration = bundle.calibration
+    fuser = KalmanFuser(NoiseModel.from_dict(bundle.meta["fuser_noise"]))
+    inputs = log.matrix(calibration.input_names)[: steps + 1]
+    measured = log.matrix(calibration.output_names)[: steps + 1]
+    fuser.reset(calibration.reset(inputs[0], measured[0]), measured[0])
+    took = []
+    for row, outputs in zip(inputs[1:], measured[1:], strict=True):
+        began = time.perf_counter()
+        fuser.step(calibration.step(row), outputs)
+        took.append(time.perf_counter() - began)
+    return np.array(took)

@@ -1,0 +1,43 @@
+"""One line of the benchmark table."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+Bound = Literal["at most", "at least", ""]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A measured figure beside what it is compared with.
+
+    `target` is a bound that `value` has to keep (`bound` "" : none). `source` says where the
+    target comes from, `note` how the figure was measured. A figure that could not be measured
+    is NaN and `note` says why.
+    """
+
+    group: str
+    name: str
+    value: float
+    unit: str
+    target: float = math.nan
+    bound: Bound = ""
+    source: str = ""
+    note: str = ""
+
+    @property
+    def reached(self) -> bool | None:
+        """Whether the target is kept; None without one or without a figure."""
+        if not self.bound or math.isnan(self.value) or math.isnan(self.target):
+            return None
+        return self.value <= self.target if self.bound == "at most" else self.value >= self.target
+
+    def document(self) -> dict[str, Any]:
+        """As JSON can hold it: None for what does not exist."""
+        table = {**asdict(self), "reached": self.reached}
+        return {
+            key: None if isinstance(value, float) and not math.isfinite(value) else value
+            for key, value in table.items()
+        }

@@ -1,0 +1,144 @@
+"""The benchmark: finite figures from real runs, and a choice that never sees the test range."""
+
+import json
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from eval import bench
+from eval.benchmarks import kernel_speed, public_sets, replay_speed
+from eval.benchmarks.public_sets import Candidate, Material, PublicSet, Target
+from eval.benchmarks.row import Row
+from narxcal.narx import NarxConfig
+from narxcal.records import Record
+from training.config import TrainConfig
+from training.free_run import FreeRunProblem, cut_windows
+from training.warm_start import new_model
+
+BRIEF = TrainConfig(horizons_s=(20.0,), iterations=(2,), score_every_s=1.0, threads=1)
+GOOD = Candidate(NarxConfig(lags=2, taps=(0, 1), hidden=3), BRIEF)
+# Sees inputs far too old to be of use.
+POOR = Candidate(NarxConfig(lags=1, taps=(40,), hidden=3), BRIEF)
+
+
+def tiny(targets=()):
+    return PublicSet("tiny", "mV", 1000.0, (POOR, GOOD), targets)
+
+
+def material(count=1, samples=300):
+    record = kernel_speed.record_of(samples * (count + 1))
+    parts = [
+        Record(record.u[k : k + samples], record.y[k : k + samples], f"r{k}")
+        for k in range(0, samples * (count + 1), samples)
+    ]
+    return Material(tuple(parts[:-1]), tuple(parts[-1:]), 2)
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_the_better_candidate_is_chosen_by_what_was_held_back(count):
+    outcome = public_sets.measure(tiny(), material(count))
+    assert outcome.chosen == GOOD
+    assert 0.0 < outcome.pooled < 200.0
+    assert 0.0 < outcome.fit_s < outcome.search_s
+
+
+def test_the_choice_does_not_depend_on_the_test_range():
+    given = material()
+    spoilt = Material(given.train, (Record(given.test[0].u, -100.0 * given.test[0].y),), 2)
+    seen = [public_sets.measure(tiny(), one) for one in (given, spoilt)]
+    assert seen[0].chosen == seen[1].chosen
+    assert seen[1].pooled > 10.0 * seen[0].pooled
+
+
+def test_every_training_recording_is_held_back_once():
+    records = material(7).train
+    folds = public_sets._folds(records, 0)
+    assert sorted(one.name for _, held in folds for one in held) == sorted(r.name for r in records)
+    for fit, held in folds:
+        assert not {one.name for one in fit} & {one.name for one in held}
+        assert len(fit) + len(held) == len(records)
+
+
+def test_one_recording_is_cut_and_only_its_configured_part_is_used():
+    [(fit, held)] = public_sets._folds(material().train, 100)
+    assert (len(fit[0]), len(held[0])) == (80, 20)
+
+
+def test_rows_of_a_set_name_peer_and_choice(tmp_path):
+    given = kernel_speed.record_of(600)
+    frame = pd.DataFrame({"u": given.u[:, 0], "y": given.y[:, 0]})
+    frame.to_csv(tmp_path / "tiny.csv.gz", index=False)
+    said = {"train": [0, 300], "test": {"a": [300, 450], "b": [450, 600]}, "init_window": 2}
+    (tmp_path / "tiny.json").write_text(json.dumps(said))
+    rows = public_sets.rows(tmp_path, [tiny((Target("a", 1e9, "a peer"),))])
+    assert [row.name for row in rows] == ["tiny a", "tiny b", "tiny pooled", "tiny, training"]
+    assert [row.reached for row in rows] == [True, None, None, None]
+    assert all(math.isfinite(row.value) for row in rows)
+    assert rows[0].note == (
+        "chosen of 2 by what was held back: lags 2, taps 0..1, hidden 3, decay 1e-05"
+    )
+
+
+def test_a_set_that_is_missing_becomes_a_row_that_says_so(tmp_path):
+    [row] = public_sets.rows(tmp_path, [tiny()])
+    assert row.note == f"not measured: tiny.json is not in {tmp_path}"
+    assert row.document()["value"] is None
+    assert row.reached is None
+
+
+def test_kernel_rows_are_finite_and_ratios_fit_their_parts():
+    rows = {row.name: row for row in kernel_speed.rows(400, 120)}
+    assert all(math.isfinite(row.value) and row.value > 0.0 for row in rows.values())
+    parts = rows["free run, eager PyTorch twin"].value / rows["free run, kernel"].value
+    assert rows["free run, twin over kernel"].value == pytest.approx(parts)
+
+
+def test_the_slow_training_step_has_the_loss_and_gradient_of_the_fast_one():
+    record = kernel_speed.record_of(301)
+    model = new_model([record], NarxConfig(lags=1, taps=(0,), hidden=4), seed=0)
+    with torch.no_grad():
+        model.net.linear.weight.fill_(0.3)
+        model.net.output.weight.fill_(0.1)
+    problem = FreeRunProblem(model.net, cut_windows(model, [record], 100))
+    loss, gradient = problem.gradient(model.net.get_theta())
+    assert kernel_speed.autograd_loss(model, record, 100) == pytest.approx(loss)
+    named = dict(model.net.named_parameters())
+    order = ("hidden.weight", "hidden.bias", "output.weight", "output.bias", "linear.weight")
+    slow = np.concatenate([named[name].grad.numpy().ravel() for name in order])
+    np.testing.assert_allclose(slow, gradient, atol=1e-9)
+
+
+def test_replay_rows_are_finite():
+    rows = replay_speed.rows(duration_s=120.0, steps=50)
+    assert [row.unit for row in rows] == ["x real time", "ms"]
+    assert all(math.isfinite(row.value) and row.value > 0.0 for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("value", "bound", "reached"),
+    [(1.0, "at most", True), (3.0, "at most", False), (3.0, "at least", True), (3.0, "", None),
+     (math.nan, "at most", None)],
+)  # fmt: skip
+def test_a_target_is_kept_on_its_side(value, bound, reached):
+    assert Row("g", "n", value, "s", 2.0, bound).reached is reached
+
+
+def test_json_is_one_document_without_nan(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(bench.kernel_speed, "rows", lambda: [Row("speed", "x", 2.0, "us")])
+    monkeypatch.setattr(bench.replay_speed, "rows", list)
+    assert bench.main(["--json", "--data", str(tmp_path)]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["schema"] == "narxcal.bench/1"
+    assert document["rows"][0]["value"] == 2.0
+    assert [row["value"] for row in document["rows"][1:]] == [None, None, None]
+
+
+def test_the_table_says_why_a_figure_is_missing(monkeypatch, capsys, tmp_path):
+    assert bench.main(["--flights", "--data", str(tmp_path)]) == 0
+    shown = capsys.readouterr().out
+    assert "Citation II" in shown
+    assert "AGTF30" in shown
+    assert shown.count("not measured: the folder of the logs does not exist") == 2
