@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.optimize import lsq_linear
 
-from narxcal.errors import DataError
+from narxcal.errors import ConfigError, DataError
 from narxcal.settings import Section
 from narxcal.steady_fitted import (
     FittedSteadyState,
@@ -71,7 +71,10 @@ class SteadyQuality:
 def fit_steady_state(
     samples: Sequence[SteadySamples], layout: Layout, config: SteadyFitConfig
 ) -> tuple[FittedSteadyState, SteadyQuality]:
-    """Fit all outputs; raises `DataError` where there is too little to fit to."""
+    """Fit all outputs; raises `DataError` where there is too little to fit to.
+
+    Corrected parameters without ALT_ft raise `ConfigError`.
+    """
     inputs = np.concatenate([part.inputs for part in samples])
     outputs = np.concatenate([part.outputs for part in samples])
     names = np.concatenate([[part.engine] * len(part.inputs) for part in samples])
@@ -92,6 +95,11 @@ def fit_steady_state(
 
 
 def _require(inputs: FloatArray, outputs: FloatArray, layout: Layout) -> None:
+    if layout.corrected and "ALT_ft" not in layout.input_names:
+        raise ConfigError(
+            "corrected parameters need ALT_ft among [steady_state] inputs",
+            hint="Add it, or set corrected = false",
+        )
     if len(inputs) < 50:
         raise DataError(
             f"expected at least 50 quasi-steady samples, found {len(inputs)}",
@@ -266,6 +274,4 @@ class SteadyStateConfig(Section):
         missing = [name for name in self.blend if name not in self.inputs]
         if missing:
             raise ValueError(f"blend names '{missing[0]}', which is no input")
-        if self.kind == "fitted" and self.corrected and "ALT_ft" not in self.inputs:
-            raise ValueError("corrected = true needs ALT_ft among the inputs")
         return self

@@ -57,6 +57,7 @@ def fitted(_):
         envelope=Envelope(np.array([0.0, 0.0]), np.array([78.0, 0.8])),
         knots=np.linspace(0.0, 78.0, 4),
         curve=np.random.default_rng(0).uniform(1, 20, (2, 1, 5)),
+        seen=np.array([0.0, 78.0]),
         engine_lines=np.zeros((0, 2, 2)),
     )
 
