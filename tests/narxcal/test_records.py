@@ -1,0 +1,80 @@
+"""A record is complete, agrees with its neighbours, or is refused in words."""
+
+import numpy as np
+import pytest
+
+from narxcal.errors import DataError
+from narxcal.records import Record, check_measured, check_records
+
+
+def test_a_single_channel_becomes_a_column():
+    record = Record(np.arange(5), [1, 2, 3, 4, np.nan])
+    assert record.u.shape == record.y.shape == (5, 1)
+    assert record.u.dtype == np.float64
+    assert len(record) == 5
+
+
+def test_records_agree_on_their_channels():
+    records = [Record(np.zeros((n, 3)), np.zeros((n, 2))) for n in (5, 9)]
+    assert check_records(records, 4) == (3, 2)
+
+
+def with_bad_input():
+    u = np.zeros((6, 2))
+    u[4, 1] = np.inf
+    return Record(u, np.zeros(6), "flight")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (
+            lambda: Record(np.zeros(3), np.zeros(4), "flight"),
+            "flight: inputs and outputs have to be of one length, found 3 and 4 samples",
+        ),
+        (
+            with_bad_input,
+            (
+                "flight, row 4: an input is not a finite number. "
+                "Fill or cut the record first; only outputs may be masked with NaN"
+            ),
+        ),
+        (
+            lambda: Record(np.zeros(3), np.zeros(3), "flight", np.ones(2)),
+            "flight: the weight has to be of shape (3,), found (2,)",
+        ),
+        (lambda: check_records([], 1), "at least one record is needed, found none"),
+        (
+            lambda: check_records([Record(np.zeros(3), np.zeros(3), "flight")], 3),
+            "flight: a record needs more than 3 samples, found 3",
+        ),
+        (
+            lambda: check_records(
+                [
+                    Record(np.zeros((9, 2)), np.zeros(9), "one"),
+                    Record(np.zeros((9, 2)), np.zeros((9, 3)), "two"),
+                ],
+                3,
+            ),
+            "two: expected 2 inputs and 1 outputs as in one, found 2 and 3",
+        ),
+        (
+            lambda: check_measured(
+                [Record(np.zeros(2), np.column_stack([np.zeros(2), [np.nan] * 2]), "one")], "test"
+            ),
+            (
+                "one: output 2 of 2 has no known sample in any test record. "
+                "Leave the output out, or add records that hold it"
+            ),
+        ),
+    ],
+)
+def test_what_is_wrong_is_said(make, message):
+    with pytest.raises(DataError) as error:
+        make()
+    assert str(error.value) == message
+
+
+def test_an_output_known_in_one_record_is_enough():
+    dark = Record(np.zeros(2), np.full(2, np.nan))
+    check_measured([dark, Record(np.zeros(2), [0.0, np.nan])], "training")
