@@ -1,0 +1,124 @@
+"""The documents name what the code has: every configuration key, every module, every command."""
+
+import re
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from eval.judged import EvaluateConfig
+from narxcal.cli.arguments import _parser
+from narxcal.settings import Section
+from training.config import RunConfig
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("narxcal", "data_prep", "training", "eval")
+PAGES = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))
+
+
+def text(name):
+    return (ROOT / name).read_text("utf-8")
+
+
+def sections_in(annotation):
+    if isinstance(annotation, type) and issubclass(annotation, Section):
+        return [annotation]
+    return [found for part in get_args(annotation) for found in sections_in(part)]
+
+
+def keys(section, table):
+    for name, field in section.model_fields.items():
+        key = field.alias or name
+        yield table, key
+        for nested in sections_in(field.annotation):
+            yield from keys(nested, f"{table}.{key}".lstrip("."))
+
+
+def chapter(table):
+    """The part of the page on a top-level table; the whole page for keys outside tables."""
+    if not table:
+        return text("docs/configuration.md")
+    first = table.split(".")[0]
+    found = re.search(
+        rf"^## \[{first}\].*?(?=^## |\Z)", text("docs/configuration.md"), re.MULTILINE | re.DOTALL
+    )
+    assert found, f"docs/configuration.md has no chapter on [{first}]"
+    return found[0]
+
+
+KEYS = sorted({*keys(RunConfig, ""), *keys(EvaluateConfig, "evaluate")})
+
+
+def test_keys_are_found_in_nested_tables():
+    assert ("evaluate.trim.priors", "width") in KEYS
+    assert ("logs.derive.WOW", "below_kt") in KEYS
+    assert len(KEYS) > 100
+
+
+@pytest.mark.parametrize(("table", "key"), KEYS)
+def test_every_key_is_described(table, key):
+    if table == "train.still":
+        assert "keys as in [quasi_steady]" in chapter(table)
+    elif (
+        not table
+        and key in RunConfig.model_fields
+        and sections_in(RunConfig.model_fields[key].annotation)
+    ) or (table, key) == ("", "evaluate"):
+        assert chapter(key)
+    elif (table, key) == ("", "schema"):
+        assert "`schema = " in chapter(table)
+    else:
+        assert f"`{key}`" in chapter(table)
+
+
+PLAIN = re.compile(r"^\| `(\w+)` \| (-?[\d.e-]+|true|false) \|", re.MULTILINE)
+
+
+def test_plain_defaults_are_those_of_the_code():
+    checked = 0
+    for name, field in RunConfig.model_fields.items():
+        for section in sections_in(field.annotation):
+            for key, said in PLAIN.findall(chapter(name)):
+                if key in section.model_fields:
+                    default = section.model_fields[key].default
+                    assert str(default).lower() == said or default == float(said), key
+                    checked += 1
+    assert checked > 30
+
+
+MODULES = sorted(
+    str(path.relative_to(ROOT))
+    for package in PACKAGES
+    for path in (ROOT / package).rglob("*.py")
+    if path.name not in ("__init__.py", "__main__.py")
+)
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_every_module_is_on_the_map(module):
+    room, name = module.rsplit("/", 1)
+    readme = text("README.md")
+    found = re.search(rf"^### `{room}/`.*?(?=^#|\Z)", readme, re.MULTILINE | re.DOTALL)
+    assert found, f"README has no room {room}/"
+    assert f"`{name.removesuffix('.py')}`" in found[0]
+
+
+def test_the_map_names_no_module_that_is_not_there():
+    for room, part in re.findall(
+        r"^### `([\w/]+)/`(.*?)(?=^#|\Z)", text("README.md"), re.MULTILINE | re.DOTALL
+    ):
+        for name in re.findall(r"^\| `(\w+)` \|", part, re.MULTILINE):
+            assert f"{room}/{name}.py" in MODULES
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_between_pages_lead_somewhere(page):
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)", text(page)):
+        assert ((ROOT / page).parent / target).exists(), target
+
+
+def test_every_command_is_in_the_readme():
+    readme = text("README.md")
+    actions = [action for action in _parser()._actions if action.choices]
+    for command in actions[0].choices:
+        assert re.search(rf"narxcal {command}\b|`{command}`", readme), command
