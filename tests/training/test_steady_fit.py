@@ -1,0 +1,196 @@
+"""The fit of steady-state curves: known curves come back, whatever the noise and the bleed."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from narxcal.errors import ConfigError, DataError
+from narxcal.steady_fitted import Layout
+from training.steady_fit import SteadyFitConfig, SteadySamples, SteadyStateConfig, fit_steady_state
+
+LAYOUT = Layout(
+    input_names=("TRA_deg", "ALT_ft", "Mach", "dT_C"),
+    output_names=("N1_pct", "EGT_C"),
+    driver="TRA_deg",
+    blend=("Mach",),
+)
+
+
+def truth(inputs):
+    """A curved engine whose corrected parameters are exactly one curve per Mach number."""
+    z, mach = inputs[:, 0] / 80.0, inputs[:, 2]
+    n1 = 25.0 + 70.0 * z**0.8 + 5.0 * mach
+    egt = 600.0 + 500.0 * z**1.5 + 20.0 * mach
+    return LAYOUT.actual(inputs, np.column_stack([n1, egt]))
+
+
+def drawn(count=600, seed=0):
+    rng = np.random.default_rng(seed)
+    low, high = [5.0, 0.0, 0.0, -10.0], [80.0, 30000.0, 0.8, 20.0]
+    return rng.uniform(low, high, (count, 4))
+
+
+def fitted(*samples, config=None, layout=LAYOUT):
+    return fit_steady_state(samples, layout, config or SteadyFitConfig())
+
+
+def largest_error(model, offset=0.0):
+    inputs = drawn(seed=9)
+    return np.abs(model.outputs(inputs) - truth(inputs) - offset).max(axis=0)
+
+
+def test_a_known_curve_is_recovered():
+    inputs = drawn()
+    model, quality = fitted(SteadySamples(inputs, truth(inputs)))
+    n1, egt = largest_error(model)
+    assert n1 < 0.6
+    assert egt < 6.0
+    assert quality.samples == 600
+    assert quality.coverage == 1.0
+    assert quality.rms["N1_pct"] < 0.2
+
+
+def test_noise_averages_out():
+    inputs = drawn(3000)
+    noise = np.random.default_rng(1).normal(size=(3000, 2)) * [1.0, 10.0]
+    model, quality = fitted(SteadySamples(inputs, truth(inputs) + noise))
+    assert (largest_error(model) < [0.8, 9.0]).all()
+    assert quality.rms["N1_pct"] == pytest.approx(1.0, rel=0.1)
+    assert quality.rms["EGT_C"] == pytest.approx(10.0, rel=0.1)
+
+
+def test_one_sample_in_five_with_bleed_does_not_bend_the_curve():
+    inputs = drawn(1500)
+    outputs = truth(inputs) + np.random.default_rng(1).normal(size=(1500, 2)) * [0.1, 1.0]
+    outputs[::5, 1] += 40.0
+    robust, _ = fitted(SteadySamples(inputs, outputs), config=SteadyFitConfig(huber=1.5))
+    plain, _ = fitted(SteadySamples(inputs, outputs), config=SteadyFitConfig(huber=0.0))
+    test = drawn(seed=9)
+    bias = [float(np.mean((m.outputs(test) - truth(test))[:, 1])) for m in (robust, plain)]
+    assert abs(bias[0]) < 1.5
+    assert bias[1] > 6.0
+
+
+def test_build_scatter_of_each_engine_is_found_and_the_mean_engine_has_none():
+    inputs, other = drawn(800, 0), drawn(800, 1)
+    samples = [
+        SteadySamples(inputs, truth(inputs) - [-0.5, 0.0], "left"),
+        SteadySamples(other, truth(other) - [0.5, 0.0], "right"),
+    ]
+    config = SteadyFitConfig(scatter=1e-6)
+    model, _ = fitted(*samples, config=config)
+    assert model.engines == ("left", "right")
+    at = drawn(seed=9)
+    gap = model.for_engine("left").outputs(at) - model.for_engine("right").outputs(at)
+    assert gap[:, 0].mean() == pytest.approx(1.0, abs=0.05)
+    assert np.abs(gap[:, 1]).max() < 0.5
+    mean = (model.outputs(at) - truth(at))[:, 0]
+    assert abs(mean.mean()) < 0.05
+
+
+def test_a_single_engine_gets_no_scatter():
+    inputs = drawn(100)
+    model, _ = fitted(SteadySamples(inputs, truth(inputs), "left"))
+    assert model.engines == ()
+    assert np.array_equal(model.for_engine("left").outputs(inputs), model.outputs(inputs))
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10**6), huber=st.sampled_from([0.0, 2.0]))
+def test_whatever_the_samples_the_curves_never_fall(seed, huber):
+    rng = np.random.default_rng(seed)
+    inputs = drawn(60, seed)
+    outputs = rng.normal(size=(60, 2)) * [30.0, 300.0]
+    model, _ = fitted(SteadySamples(inputs, outputs), config=SteadyFitConfig(huber=huber))
+    sweep = np.tile(inputs[0], (50, 1))
+    sweep[:, 0] = np.linspace(-20.0, 120.0, 50)
+    assert (np.diff(model.outputs(sweep), axis=0) >= -1e-7).all()
+
+
+def test_a_masked_output_costs_only_itself():
+    inputs = drawn()
+    outputs = truth(inputs)
+    masked = outputs.copy()
+    masked[::2, 0] = np.nan
+    whole, _ = fitted(SteadySamples(inputs, outputs))
+    part, _ = fitted(SteadySamples(inputs, masked))
+    assert np.array_equal(part.curve[1], whole.curve[1])
+    assert np.isfinite(part.curve).all()
+    assert largest_error(part)[0] < 0.8
+
+
+def test_beyond_the_samples_a_curve_goes_on_straight_and_then_stands():
+    inputs = drawn()
+    model, _ = fitted(SteadySamples(inputs, truth(inputs)), config=SteadyFitConfig(reach=0.2))
+    span = np.ptp(inputs[:, 0])
+    sweep = np.tile([0.0, 0.0, 0.0, 0.0], (4, 1))
+    sweep[:, 0] = inputs[:, 0].min() - span * np.array([0.0, 0.1, 0.2, 0.5])
+    n1 = model.outputs(sweep)[:, 0]
+    assert n1[0] > n1[1] > n1[2]
+    assert n1[2] == pytest.approx(n1[3])
+    assert model.inside(sweep).tolist()[1:] == [False] * 3
+
+
+def constant_lever():
+    inputs = drawn()
+    inputs[:, 0] = 40.0
+    return SteadySamples(inputs, truth(inputs))
+
+
+def dark_output():
+    inputs = drawn()
+    outputs = truth(inputs)
+    outputs[:, 1] = np.nan
+    return SteadySamples(inputs, outputs)
+
+
+TOO_FEW = (
+    "channel TRA_deg: expected at least 50 quasi-steady samples, found 49. "
+    "Loosen [steady_state.quasi_steady], add logs, or load the maker's model"
+)
+STANDS = (
+    "channel TRA_deg: the driving channel stands at 40 in all quasi-steady samples, "
+    "so no curve can be fitted. Add logs at other power settings"
+)
+DARK = (
+    "channel EGT_C: the output is masked in all quasi-steady samples, so no curve can be "
+    "fitted. Take it out of [narx] outputs, or add logs that hold it"
+)
+
+
+@pytest.mark.parametrize(
+    ("samples", "message"),
+    [
+        (SteadySamples(drawn(49), truth(drawn(49))), TOO_FEW),
+        (constant_lever(), STANDS),
+        (dark_output(), DARK),
+    ],
+)
+def test_too_little_to_fit_to_is_refused(samples, message):
+    with pytest.raises(DataError) as error:
+        fitted(samples)
+    assert str(error.value) == message
+
+
+def test_corrections_need_an_altitude():
+    layout = Layout(input_names=("TRA_deg",), output_names=("N1_pct",), driver="TRA_deg")
+    with pytest.raises(ConfigError) as error:
+        fitted(SteadySamples(drawn()[:, :1], drawn()[:, :1]), layout=layout)
+    assert str(error.value) == (
+        "corrected parameters need ALT_ft among [steady_state] inputs. "
+        "Add it, or set corrected = false"
+    )
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ({"kind": "table"}, "kind 'table' needs a source"),
+        ({"inputs": ["TRA_deg", "ALT_ft"]}, "blend names 'Mach', which is no input"),
+    ],
+)
+def test_a_section_that_contradicts_itself_is_refused(table, message):
+    with pytest.raises(ConfigError) as error:
+        SteadyStateConfig.parse(table)
+    assert message in str(error.value)
