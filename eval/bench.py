@@ -80,8 +80,9 @@ def show(console: Console, found: Sequence[Row], document: dict[str, Any]) -> No
     for group in dict.fromkeys(row.group for row in found):
         own = [row for row in found if row.group == group]
         console.print(_table(group, own))
-        for note in dict.fromkeys(f"{row.name}: {row.note}" for row in own if row.note):
-            console.print(Text(f"  {note}", style="dim"))
+        notes = {row.note: row.name for row in reversed(own) if row.note}
+        for note, name in reversed(notes.items()):
+            console.print(Text(f"  {name}: {note}", style="dim"))
         for source in dict.fromkeys(row.source for row in own if row.source):
             console.print(Text(f"  target: {source}", style="dim"))
     machine = document["machine"]

@@ -98,15 +98,15 @@ def _calibrated(config: RunConfig, base: Path, logs: Sequence[Log]) -> Bundle:
 
 
 def _judged(campaign: Campaign, name: str, bundle: Bundle, test: Sequence[Log]) -> Iterator[Row]:
-    as_is, trimmed = evaluate(bundle, test), evaluate(bundle, test, _PART)
-    yield from _errors(campaign, name, as_is, campaign.as_is)
-    yield from _errors(campaign, f"{name}, trim {_PART:g}", trimmed, campaign.trimmed)
-    yield from _response_times(campaign, name, as_is)
-    yield from _response_times(campaign, f"{name}, trim {_PART:g}", trimmed)
+    for trim, targets in ((None, campaign.as_is), (_PART, campaign.trimmed)):
+        found = evaluate(bundle, test, trim)
+        group = f"{campaign.name}, {name}, {'as is' if trim is None else f'trim {trim:g}'}"
+        yield from _errors(campaign, group, found, targets)
+        yield from _response_times(campaign, group, found)
 
 
 def _errors(
-    campaign: Campaign, name: str, found: Evaluation, targets: Mapping[str, float]
+    campaign: Campaign, group: str, found: Evaluation, targets: Mapping[str, float]
 ) -> Iterator[Row]:
     """RMSE of the worst log where there is a target for it, else the largest relative error."""
     for output, pooled in found.pooled.items():
@@ -115,30 +115,28 @@ def _errors(
             worst = max(score.rmse for score in scores)
             note = f"worst of {len(scores)} engines; pooled {pooled.rmse:.3g}"
             yield Row(
-                campaign.name, f"{name}: RMSE {output}", worst, channel(output).unit,
+                group, f"RMSE {output}", worst, channel(output).unit,
                 targets[output], "at most", _SOURCE, note,
             )  # fmt: skip
         else:
             worst = max(score.max_rel_pct for score in scores)
             yield Row(
-                campaign.name, f"{name}: max relative error {output}", worst, "%",
+                group, f"max relative error {output}", worst, "%",
                 campaign.max_rel_pct, "at most", _SOURCE, f"RMSE {pooled.rmse:.3g}",
             )  # fmt: skip
 
 
-def _response_times(campaign: Campaign, name: str, found: Evaluation) -> Iterator[Row]:
+def _response_times(campaign: Campaign, group: str, found: Evaluation) -> Iterator[Row]:
     counts = found.tally
     passed = math.nan if counts.passed_pct is None else counts.passed_pct
     note = f"{counts.passed} of {counts.assessed} assessed; rules {found.config.transients.rules}"
     yield Row(
-        campaign.name, f"{name}: Ti and Tt passed", passed, "%", campaign.passed_pct,
-        "at least", _SOURCE, note,
-    )  # fmt: skip
+        group, "Ti and Tt passed", passed, "%", campaign.passed_pct, "at least", _SOURCE, note
+    )
+    bound: Bound = "" if math.isnan(campaign.mean_relative_pct) else "at most"
+    source = _SOURCE if bound else ""
     pairs = (("Ti", counts.mean_relative_Ti_pct), ("Tt", counts.mean_relative_Tt_pct))
     for label, value in pairs:
-        bound: Bound = "" if math.isnan(campaign.mean_relative_pct) else "at most"
-        yield Row(
-            campaign.name, f"{name}: mean relative error {label}",
-            math.nan if value is None else value, "%", campaign.mean_relative_pct, bound,
-            _SOURCE if bound else "",
-        )  # fmt: skip
+        figure = math.nan if value is None else value
+        name = f"mean relative error {label}"
+        yield Row(group, name, figure, "%", campaign.mean_relative_pct, bound, source)

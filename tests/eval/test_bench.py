@@ -2,6 +2,7 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -9,9 +10,10 @@ import pytest
 import torch
 
 from eval import bench
-from eval.benchmarks import kernel_speed, public_sets, replay_speed
+from eval.benchmarks import kernel_speed, picture, public_sets, replay_speed
 from eval.benchmarks.public_sets import Candidate, Material, PublicSet, Target
 from eval.benchmarks.row import Row
+from narxcal.errors import DataError
 from narxcal.narx import NarxConfig
 from narxcal.records import Record
 from training.config import TrainConfig
@@ -165,3 +167,20 @@ def test_the_table_says_why_a_figure_is_missing(monkeypatch, capsys, tmp_path):
     assert "Citation II" in shown
     assert "AGTF30" in shown
     assert shown.count("the folder of the logs does not exist") == 2
+
+
+def trace(label=0, speed="fast", moved=10.0, ok=True):
+    event = SimpleNamespace(label=label, speed=speed, lever_before=0.0, lever_after=moved)
+    verdict = SimpleNamespace(ok=ok)
+    return SimpleNamespace(event=event, responses={"N1_pct": SimpleNamespace(verdict=verdict)})
+
+
+def test_the_picture_is_of_the_largest_assessed_push_even_a_failed_one():
+    failed = trace(moved=50.0, ok=False)
+    others = [trace(), trace(moved=90.0, ok=None), trace(label=1), trace(speed="slow", moved=99.0)]
+    assert picture.largest_push([*others, failed]) is failed
+
+
+def test_a_log_without_such_a_push_has_no_picture():
+    with pytest.raises(DataError, match="^no fast push could be assessed in every channel$"):
+        picture.largest_push([trace(label=1)])
