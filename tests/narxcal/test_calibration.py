@@ -1,0 +1,196 @@
+"""A calibration: simulate, step and extend agree; at rest it is the steady-state model."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from narxcal.calibration import DynamicCalibration, narx_features
+from narxcal.errors import DataError, ModelError
+from narxcal.narx import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.steady_fitted import FittedSteadyState, Layout
+from narxcal.steady_state import Envelope
+from narxcal.steady_table import SteadyTable
+
+INPUTS, OUTPUTS = ("TRA_deg", "Mach"), ("N1_pct", "EGT_C")
+
+
+def table():
+    points = np.array([[0.0, 0.0], [0.0, 0.8], [78.0, 0.0], [78.0, 0.8]])
+    settled = np.column_stack([20.0 + points[:, 0], 300.0 + 4.0 * points[:, 0]])
+    return SteadyTable((INPUTS, OUTPUTS), points, settled)
+
+
+def two_engines():
+    return FittedSteadyState(
+        layout=Layout(input_names=INPUTS, output_names=OUTPUTS, driver="TRA_deg", corrected=False),
+        envelope=Envelope(np.array([0.0, 0.0]), np.array([78.0, 0.8])),
+        seen=np.array([0.0, 78.0]),
+        knots=np.linspace(0.0, 78.0, 4),
+        curve=np.random.default_rng(0).uniform(1.0, 20.0, (2, 1, 5)),
+        engines=("left", "right"),
+        engine_lines=np.array([[[1.0, 0.0], [2.0, 0.0]], [[-1.0, 0.0], [-2.0, 0.0]]]),
+    )
+
+
+def calibration(config=None, steady=None, seed=0):
+    torch.manual_seed(seed)
+    steady = steady or table()
+    net = NarxNet(config or NarxConfig(lags=2, hidden=4, moving=2), 5, 2)
+    net.low[:], net.high[:] = -2.0, 2.0
+    inputs = Scaling(np.array([0.0, 0.0, 60.0, 450.0, 0.3]), np.array([5.0, 20.0, 30.0, 90.0, 0.2]))
+    network = NarxModel(net, inputs, Scaling(np.zeros(2), np.array([4.0, 30.0])))
+    return DynamicCalibration(steady, network, 0.1, ("Mach",))
+
+
+def log(samples=60, seed=0):
+    rng = np.random.default_rng(seed)
+    lever = np.repeat(rng.uniform(0.0, 78.0, samples // 10 + 1), 10)[:samples]
+    return np.column_stack([lever, np.linspace(0.0, 0.7, samples)])
+
+
+configs = st.builds(
+    NarxConfig,
+    lags=st.integers(1, 4),
+    taps=st.sampled_from([(0,), (0, 1), (1, 2), (0, 3, 7)]),
+    hidden=st.integers(1, 4),
+    moving=st.sampled_from([0, 2]),
+)
+
+
+@settings(max_examples=12, deadline=None)
+@given(config=configs, seed=st.integers(0, 99), settled=st.booleans(), cut=st.integers(2, 59))
+def test_steps_blocks_and_the_whole_are_one(config, seed, settled, cut):
+    model, inputs = calibration(config, seed=seed), log(seed=seed)
+    start = None if settled else model.steady.outputs(inputs[0]) - np.array([-2.0, 10.0])
+    whole = model.simulate(inputs, start)
+    by_step = [model.reset(inputs[0], start), *(model.step(row) for row in inputs[1:])]
+    np.testing.assert_allclose(by_step, whole, rtol=1e-10, atol=1e-10)
+    blocks = [model.reset(inputs[0], start)[None], model.extend(inputs[1:cut])]
+    blocks.append(model.extend(inputs[cut:]))
+    np.testing.assert_allclose(np.concatenate(blocks), whole, rtol=1e-10, atol=1e-10)
+
+
+def test_an_anchored_calibration_stays_at_the_steady_state_where_nothing_moves():
+    model, still = calibration(), np.tile([40.0, 0.5], (500, 1))
+    np.testing.assert_allclose(model.simulate(still), model.steady.outputs(still), rtol=1e-12)
+
+
+def test_eighty_minutes_of_wild_levers_stay_inside_the_guaranteed_bounds():
+    model = calibration()
+    inputs = np.random.default_rng(0).uniform(-1e6, 1e6, (48_000, 2))
+    deviation = (model.steady.outputs(inputs) - model.simulate(inputs))[1:]
+    low, high = model.bounds()
+    assert (deviation >= low - 1e-9).all()
+    assert (deviation <= high + 1e-9).all()
+
+
+def test_it_starts_where_it_is_told_and_settled_where_that_is_unknown():
+    model, inputs = calibration(), log()
+    ss = model.steady.outputs(inputs[0])
+    assert model.simulate(inputs)[0] == pytest.approx(ss)
+    assert model.simulate(inputs, [33.0, np.nan])[0] == pytest.approx([33.0, ss[1]])
+
+
+def test_prediction_knows_nothing_after_a_masked_sample():
+    model, inputs = calibration(), log()
+    measured = model.simulate(inputs)
+    np.testing.assert_allclose(model.predict(inputs, measured)[2:], measured[2:], rtol=1e-9)
+    measured[20, 0] = np.nan
+    unknown = np.isnan(model.predict(inputs, measured)).any(axis=1)
+    assert np.flatnonzero(unknown).tolist() == [0, 21, 22]
+
+
+def test_a_correction_replaces_the_newest_output_before_the_step():
+    model, inputs = calibration(NarxConfig(lags=1, taps=(0,), hidden=4)), log()
+    measured = model.steady.outputs(inputs) - np.array([-1.0, 5.0])
+    model.reset(inputs[0], measured[0])
+    for k in range(1, 40):
+        expected = model.predict(inputs, measured)[k]
+        assert model.step(inputs[k], measured[k - 1]) == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_correction_of_nan_keeps_the_models_own():
+    model, inputs = calibration(), log()
+    whole = model.simulate(inputs)
+    model.reset(inputs[0])
+    steps = [model.step(row, [np.nan, np.nan]) for row in inputs[1:]]
+    np.testing.assert_allclose(steps, whole[1:], rtol=1e-10)
+
+
+def test_each_engine_gets_its_own_steady_state_and_register():
+    both = calibration(steady=two_engines())
+    both.reset([40.0, 0.1])
+    left, right = both.for_engine("left"), both.for_engine("right")
+    inputs = log()
+    assert np.abs(left.simulate(inputs) - right.simulate(inputs)).min() > 0.0
+    settled = [one.step([40.0, 0.3]) for one in (left, right)]
+    np.testing.assert_allclose(settled[0] - settled[1], [2.0, 4.0])
+    assert both.step([40.0, 0.1]) == pytest.approx(both.steady.outputs(np.array([40.0, 0.1])))
+
+
+def test_a_steady_state_model_of_one_engine_serves_all():
+    model = calibration()
+    assert np.array_equal(model.for_engine("left").simulate(log()), model.simulate(log()))
+
+
+def test_the_network_sees_increments_values_and_the_schedule():
+    ss = np.array([[1.0], [4.0], [2.0]])
+    features = narx_features(ss, np.array([[7.0], [8.0], [9.0]]))
+    assert features.tolist() == [[0.0, 1.0, 7.0], [3.0, 4.0, 8.0], [-2.0, 2.0, 9.0]]
+
+
+def test_it_comes_back_from_json_and_arrays_as_it_was():
+    model = calibration(steady=two_engines()).for_engine("right")
+    again = DynamicCalibration.from_arrays(*model.to_arrays())
+    assert np.array_equal(again.simulate(log()), model.simulate(log()))
+    assert (again.dt_s, again.schedule) == (0.1, ("Mach",))
+
+
+def test_a_lost_part_is_named():
+    meta, arrays = calibration().to_arrays()
+    del meta["dt_s"]
+    with pytest.raises(ModelError) as error:
+        DynamicCalibration.from_arrays(meta, arrays)
+    assert str(error.value) == (
+        "the stored calibration has no 'dt_s'. The bundle was altered; train it again"
+    )
+
+
+def test_a_schedule_of_unknown_inputs_is_refused():
+    with pytest.raises(ModelError) as error:
+        DynamicCalibration(table(), calibration().narx, 0.1, ("ALT_ft",))
+    assert str(error.value) == (
+        "the schedule names 'ALT_ft', which is no input of the steady-state model. "
+        "Inputs are TRA_deg, Mach"
+    )
+
+
+@pytest.mark.parametrize(
+    ("inputs", "start", "message"),
+    [
+        (
+            np.zeros((5, 3)),
+            None,
+            "expected inputs of shape (time, 2) (TRA_deg, Mach), found (5, 3)",
+        ),
+        (
+            np.array([[0.0, 0.0], [np.inf, 0.0]]),
+            None,
+            (
+                "channel TRA_deg, row 1: expected a finite input, found inf. "
+                "Hold the last good value, or cut the log there"
+            ),
+        ),
+        (
+            np.zeros((5, 2)),
+            np.zeros(3),
+            "expected start values of shape (2,) (N1_pct, EGT_C), found (3,)",
+        ),
+    ],
+)
+def test_unfit_inputs_are_refused(inputs, start, message):
+    with pytest.raises(DataError) as error:
+        calibration().simulate(inputs, start)
+    assert str(error.value) == message
