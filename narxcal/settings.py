@@ -43,8 +43,15 @@ def _explain(
         return ConfigError(f"unknown key '{key}'", file=file, hint=hint)
     if first["type"] == "missing":
         return ConfigError(f"key '{key}' is missing", file=file, hint="Add it")
-    found = repr(first["input"])
-    return ConfigError(f"key '{key}': {first['msg']}, found {found[:80]}", file=file)
+    found = _shown(first["input"])
+    return ConfigError(f"key '{key}': {first['msg']}, found {found}", file=file)
+
+
+def _shown(value: object) -> str:
+    try:
+        return repr(value)[:80]
+    except ValueError:  # Python prints no number of more than 4300 digits
+        return "a number too long to print"
 
 
 def _known_keys(section: type[BaseModel], path: list[str]) -> list[str]:
