@@ -23,7 +23,7 @@ _GROUP = "replay"
 _SOURCE = "issue: replay with fuser"
 
 
-def rows(duration_s: float = 480.0, steps: int = 5000) -> list[Row]:
+def rows(duration_s: float = 1440.0, steps: int = 5000) -> list[Row]:
     """Train briefly, since speed does not depend on the weights, then replay and step."""
     config, base = load_config("demo.toml")
     with TemporaryDirectory() as folder:

@@ -182,5 +182,5 @@ def test_the_picture_is_of_the_largest_assessed_push_even_a_failed_one():
 
 
 def test_a_log_without_such_a_push_has_no_picture():
-    with pytest.raises(DataError, match="^no fast push could be assessed in every channel$"):
+    with pytest.raises(DataError, match=r"^no fast push could be assessed in every channel$"):
         picture.largest_push([trace(label=1)])
