@@ -5,9 +5,9 @@ from __future__ import annotations
 import tomllib
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, field_validator, model_validator
 
 from data_prep.clean import CleanConfig
 from data_prep.events import EventsConfig
@@ -17,10 +17,11 @@ from data_prep.smooth import SmoothConfig
 from narxcal.channels import channel
 from narxcal.errors import ConfigError
 from narxcal.fuser import FuserConfig
+from narxcal.narx import Taps
 from narxcal.settings import Section
 from training.steady_fit import SteadyStateConfig
 
-SCHEMA = "narxcal.config/1"
+SCHEMA: Final = "narxcal.config/1"
 
 
 class NarxSection(Section):
@@ -31,10 +32,10 @@ class NarxSection(Section):
     steady-state model an exact equilibrium; without it the network is the paper's.
     """
 
-    outputs: tuple[str, ...] = ("N1_pct", "N2_pct", "EGT_C")
+    outputs: tuple[str, ...] = Field(default=("N1_pct", "N2_pct", "EGT_C"), min_length=1)
     schedule: tuple[str, ...] = ("ALT_ft", "Mach")
     lags: int = Field(default=2, ge=1)
-    taps: tuple[int, ...] = (0,)
+    taps: Taps = (0,)
     hidden: int = Field(default=6, ge=1)
     margin: float = Field(default=0.25, ge=0)
     anchored: bool = True
@@ -54,12 +55,15 @@ class TrainConfig(Section):
     `horizons_s` are the lengths of the windows in seconds, 0 for whole logs, and `iterations`
     the steps at each. `starts` networks are drawn from `seed` on and the best is kept. One
     sample in every `score_every_s` is scored. Training stops early after `patience` steps
-    without a better free run on the validation logs, where there are any.
+    without a better free run on the validation logs, where there are any. `local_trim` takes the
+    static error out of the training deviations where `still` holds (see training.local_trim).
+    `rest_s` is the length of the records that teach the return to rest (see training.rest); 0
+    means none.
     """
 
     optimiser: Literal["lm", "adam"] = "lm"
-    horizons_s: tuple[float, ...] = (5.0, 60.0)
-    iterations: tuple[int, ...] = (8, 12)
+    horizons_s: tuple[NonNegativeFloat, ...] = Field(default=(5.0, 60.0), min_length=1)
+    iterations: tuple[NonNegativeInt, ...] = (8, 12)
     starts: int = Field(default=1, ge=1)
     seed: int = 0
     decay: float = Field(default=1e-5, ge=0)
@@ -67,6 +71,9 @@ class TrainConfig(Section):
     score_every_s: float = Field(default=0.3, gt=0)
     patience: int = Field(default=8, ge=1)
     threads: int = Field(default=2, ge=1)
+    local_trim: bool = True
+    rest_s: float = Field(default=20.0, ge=0)
+    still: QuasiSteadyConfig = QuasiSteadyConfig(window_s=4.0, speed_pct=0.4, driver_fraction=0.02)
 
     @model_validator(mode="after")
     def _paired(self) -> TrainConfig:
@@ -105,7 +112,22 @@ class RunConfig(Section):
     train: TrainConfig = TrainConfig()
     split: SplitConfig = SplitConfig()
     fuser: FuserConfig = FuserConfig()
-    evaluate: dict[str, Any] = {}
+    evaluate: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _inputs_serve(self) -> RunConfig:
+        """The network's schedule and the fitted curves' driver come from the same inputs."""
+        inputs = self.steady_state.inputs
+        needed = [("[narx] schedule", name) for name in self.narx.schedule]
+        if self.steady_state.kind == "fitted":
+            needed.append(("[events] driver", self.events.driver))
+        for key, name in needed:
+            if name not in inputs:
+                raise ConfigError(
+                    f"{key} names '{name}', which is not in [steady_state] inputs",
+                    hint=f"Inputs are {', '.join(inputs)}",
+                )
+        return self
 
 
 def load_config(path: str | Path) -> tuple[RunConfig, Path]:
@@ -127,7 +149,9 @@ def load_config(path: str | Path) -> tuple[RunConfig, Path]:
         file = shipped
     try:
         table = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except OSError as error:
+        raise ConfigError(f"cannot be read: {error.strerror}", file=file) from None
+    except (ValueError, RecursionError) as error:  # a number or a nesting beyond all reason too
         raise ConfigError(f"not TOML: {error}", file=file) from None
     if table.get("schema") != SCHEMA:
         raise ConfigError(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,9 @@ from narxcal.steady_state import SteadyStateModel
 from training.baselines import fit_baselines
 from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import RunConfig, SplitConfig
+from training.local_trim import locally_trimmed
 from training.merge import merge_models, single_output
+from training.rest import rest_records
 from training.steady_fit import SteadyQuality, SteadySamples, fit_steady_state
 from training.trainer import FitResult, HistoryRow, Material, Progress, fit_narx
 
@@ -60,9 +63,7 @@ def configured_files(config: RunConfig, base: Path) -> list[Path]:
     return config.logs.resolve(base)
 
 
-def prepare_logs(
-    config: RunConfig, files: Sequence[Path], dt_s: float | None = None
-) -> list[Log]:
+def prepare_logs(config: RunConfig, files: Sequence[Path], dt_s: float | None = None) -> list[Log]:
     """Read, clean, smooth and complete the inputs of `files`, on the raster `dt_s` if given."""
     reading = config.logs
     if dt_s is not None:
@@ -76,9 +77,9 @@ def split_logs(logs: Sequence[Log], config: SplitConfig) -> Split:
     parts: dict[str, list[Log]] = {"test": [], "validate": [], "train": []}
     patterns = {"test": config.test, "validate": config.validate_, "train": config.train}
     for log in logs:
-        for part in parts:
+        for part, chosen in parts.items():
             if any(fnmatch(log.name, pattern) for pattern in patterns[part]):
-                parts[part].append(log)
+                chosen.append(log)
                 break
         else:
             if not config.test:
@@ -109,14 +110,15 @@ def calibrate(
         margin=config.narx.margin,
         moving=len(config.narx.outputs) if config.narx.anchored else 0,
     )
-    schedule = config.narx.schedule
     material = Material(
-        [deviation_record(log, steady, schedule) for log in split.train],
-        [deviation_record(log, steady, schedule) for log in split.validate],
+        [deviation_record(log, steady, config) for log in split.train],
+        [deviation_record(log, steady, config) for log in split.validate],
         dt_s,
     )
+    material = replace(material, rest=_rest(config, material, structure.moving))
     results = _fit(config, material, structure, options or TrainOptions())
-    calibration = DynamicCalibration(steady, merge_models(_models(results)), dt_s, schedule)
+    network = merge_models(_models(results))
+    calibration = DynamicCalibration(steady, network, dt_s, config.narx.schedule)
     meta = _meta(config, base, split)
     meta["steady_state"] = _quality_row(quality)
     meta["training"] = _training_row(results, time.perf_counter() - began)
@@ -146,22 +148,36 @@ def steady_state(
         blend=section.blend,
         corrected=section.corrected,
     )
-    speeds = tuple(name for name in outputs if name in ("N1_pct", "N2_pct"))
     samples = []
     for log in logs:
-        still = quasi_steady(log, layout.driver, speeds, config.quasi_steady)
+        still = quasi_steady(log, layout.driver, _speeds(config), config.quasi_steady)
         inputs, measured = log.matrix(section.inputs)[still], log.matrix(outputs)[still]
         samples.append(SteadySamples(inputs, measured, log.source.engine))
     return fit_steady_state(samples, layout, section.fit)
 
 
-def deviation_record(log: Log, steady: SteadyStateModel, schedule: Sequence[str]) -> Record:
+def deviation_record(log: Log, steady: SteadyStateModel, config: RunConfig) -> Record:
     """What the network learns from: features and deviations of one log (papers/narx, 2.1)."""
     inputs = log.matrix(steady.input_names)
     ss = steady_for_engine(steady, log.source.engine).outputs(inputs)
-    columns = [steady.input_names.index(name) for name in schedule]
-    features = narx_features(ss, inputs[:, columns])
-    return Record(features, ss - log.matrix(steady.output_names), log.name)
+    measured = log.matrix(steady.output_names)
+    if config.train.local_trim:
+        still = quasi_steady(log, config.events.driver, _speeds(config), config.train.still)
+        ss = locally_trimmed(ss, measured, still)
+    columns = [steady.input_names.index(name) for name in config.narx.schedule]
+    return Record(narx_features(ss, inputs[:, columns]), ss - measured, log.name)
+
+
+def _rest(config: RunConfig, material: Material, moving: int) -> list[Record]:
+    """Rest records for an anchored network; one that is not anchored need not come to rest."""
+    steps = round(config.train.rest_s / material.dt_s)
+    if not moving or steps < 2:
+        return []
+    return rest_records(material.records, moving, steps, config.train.seed)
+
+
+def _speeds(config: RunConfig) -> tuple[str, ...]:
+    return tuple(name for name in config.narx.outputs if name in ("N1_pct", "N2_pct"))
 
 
 def _common_raster(logs: Sequence[Log]) -> float:
@@ -187,6 +203,7 @@ def _fit(
             [single_output(record, k) for record in material.records],
             [single_output(record, k) for record in material.validation],
             material.dt_s,
+            [single_output(record, k) for record in material.rest],
         )
         results.append(_fit_one(config, part, structure, (options, name)))
     return results
@@ -200,8 +217,13 @@ def _fit_one(
 ) -> FitResult:
     options, name = how
     file = None if options.checkpoints is None else options.checkpoints / CHECKPOINT.format(name)
-    data = [record.u.tobytes() + record.y.tobytes() for record in material.records]
-    key = fingerprint(config.train.model_dump_json(), structure.model_dump_json(), *_hashes(data))
+    key = fingerprint(
+        config.train.model_dump_json(),
+        structure.model_dump_json(),
+        *(_record_hash(record) for record in material.records),
+        "validation",
+        *(_record_hash(record) for record in material.validation),
+    )
 
     def watch(progress: Progress) -> None:
         if file is not None:
@@ -215,8 +237,10 @@ def _fit_one(
     return fit_narx(material, structure, config.train, watch, resume)
 
 
-def _hashes(parts: Sequence[bytes]) -> list[str]:
-    return [fingerprint(part.hex()) for part in parts]
+def _record_hash(record: Record) -> str:
+    """Of shapes and numbers; the name is left out, for a file may move."""
+    shapes = f"{record.u.shape} {record.y.shape}".encode()
+    return hashlib.sha256(shapes + record.u.tobytes() + record.y.tobytes()).hexdigest()
 
 
 def _models(results: Sequence[FitResult]) -> list[NarxModel]:

@@ -70,11 +70,21 @@ class FitResult:
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """What to learn from: training records, validation records (may be none), their raster."""
+    """What to learn from: training records, validation records (may be none), their raster.
+
+    `rest` records (see training.rest) teach the return to rest. They only make sense whole, so
+    they take part where the horizon holds them.
+    """
 
     records: Sequence[Record]
     validation: Sequence[Record]
     dt_s: float
+    rest: Sequence[Record] = ()
+
+    def within(self, horizon_s: float) -> list[Record]:
+        """Training records, with the rest records that fit into `horizon_s` (0: any)."""
+        steps = horizon_s / self.dt_s if horizon_s > 0 else float("inf")
+        return [*self.records, *(record for record in self.rest if len(record) <= steps)]
 
 
 class Watch(Protocol):
@@ -164,7 +174,7 @@ class _Run:
         horizon_s = self.config.horizons_s[progress.stage]
         if self._over(progress):
             return
-        problem = self._problem(self.material.records, horizon_s)
+        problem = self._problem(self.material.within(horizon_s), horizon_s)
         for stepped, loss in self._optimise(problem, progress):
             progress = replace(
                 progress,
