@@ -1,0 +1,150 @@
+"""The configuration file: shipped ones load, wrong ones are explained, none ends in a trace."""
+
+import contextlib
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from narxcal.errors import ConfigError
+from training.config import RunConfig, load_config
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = sorted(file.name for file in (ROOT / "configs").glob("*.toml"))
+TOO_LONG = "key 'name': Input should be a valid string, found a number too long to print"
+HEAD = "schema = 'narxcal.config/1'\n"
+
+
+def refused(file, content=None):
+    if content is not None:
+        file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(ConfigError) as error:
+        load_config(file)
+    return str(error.value)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_configurations_load_by_path_and_by_name(name):
+    config, base = load_config(ROOT / "configs" / name)
+    assert base == ROOT / "configs"
+    assert load_config(name) == (config, base)
+    assert RunConfig.parse(config.model_dump(mode="json", by_alias=True)) == config
+
+
+def test_a_file_of_the_schema_alone_is_enough(tmp_path):
+    file = tmp_path / "run.toml"
+    file.write_text(HEAD, "utf-8")
+    assert load_config(str(file)) == (RunConfig(), tmp_path.resolve())
+
+
+def test_a_missing_file_names_the_shipped_ones(tmp_path):
+    assert refused(tmp_path / "no.toml") == (
+        f"{tmp_path / 'no.toml'}: the configuration does not exist. "
+        f"Name a file, or one of the shipped {', '.join(SHIPPED)}"
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "expected schema = 'narxcal.config/1', found None. Write it as the first line"),
+        (
+            "schema = 'narxcal.config/2'",
+            (
+                "expected schema = 'narxcal.config/1', found 'narxcal.config/2'. "
+                "Write it as the first line"
+            ),
+        ),
+        (
+            HEAD + "[train]\nhorizon_s = [1.0]",
+            "unknown key 'train.horizon_s'. Did you mean 'horizons_s'?",
+        ),
+        (HEAD + "[trian]", "unknown key 'trian'. Did you mean 'train'?"),
+        (
+            HEAD + "[narx]\nlags = 0",
+            "key 'narx.lags': Input should be greater than or equal to 1, found 0",
+        ),
+        (
+            HEAD + "[narx]\ntaps = [1, 0]",
+            (
+                "key 'narx.taps': Value error, has to list increasing delays >= 0, for example "
+                "[0, 1], found [1, 0]"
+            ),
+        ),
+        (
+            HEAD + "[narx]\noutputs = ['N3_pct']",
+            "unknown channel 'N3_pct'. Did you mean 'N2_pct'?",
+        ),
+        (
+            HEAD + "[narx]\nschedule = ['WOW']",
+            (
+                "[narx] schedule names 'WOW', which is not in [steady_state] inputs. "
+                "Inputs are TRA_deg, ALT_ft, Mach, dT_C"
+            ),
+        ),
+        (
+            HEAD + "[events]\ndriver = 'FF_kgph'",
+            (
+                "[events] driver names 'FF_kgph', which is not in [steady_state] inputs. "
+                "Inputs are TRA_deg, ALT_ft, Mach, dT_C"
+            ),
+        ),
+        (
+            HEAD + "[train]\nhorizons_s = [-1.0]\niterations = [1]",
+            "key 'train.horizons_s.0': Input should be greater than or equal to 0, found -1.0",
+        ),
+        (HEAD + "seed = " + "9" * 5000, None),
+        (HEAD + "name = " + "[" * 5000, None),
+        (b"\xff\xfe", None),
+        (HEAD + "name = 0x" + "f" * 5000, TOO_LONG),
+        ("name = ", None),
+    ],
+)
+def test_what_is_wrong_is_said(content, message, tmp_path):
+    file = tmp_path / "run.toml"
+    found = refused(file, content)
+    if message is None:
+        assert found.startswith(f"{file}: not TOML: ")
+    else:
+        assert found == f"{file}: {message}"
+
+
+def test_horizons_and_iterations_belong_together(tmp_path):
+    found = refused(tmp_path / "run.toml", HEAD + "[train]\niterations = [1]")
+    assert "horizons_s and iterations have to be of one length, found 2 and 1" in found
+
+
+SECTIONS = ("train", "narx", "steady_state", "split", "smooth", "clean", "fuser", "quasi_steady")
+KEYS = sorted(
+    {key for name in SECTIONS for key in type(getattr(RunConfig(), name)).model_fields} | {"hiden"}
+)
+values = st.one_of(
+    st.booleans(),
+    st.integers(),
+    st.floats(),
+    st.text("xyz"),
+    st.lists(st.one_of(st.integers(), st.text("xyz")), max_size=3),
+    st.dictionaries(st.sampled_from(KEYS), st.integers(), max_size=2),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(content=st.one_of(st.binary(max_size=60), st.text(max_size=60).map(str.encode)))
+def test_any_bytes_give_a_configuration_or_one_error(content, tmp_path_factory):
+    file = tmp_path_factory.mktemp("fuzz") / "run.toml"
+    for head in (b"", HEAD.encode()):
+        file.write_bytes(head + content)
+        with contextlib.suppress(ConfigError):
+            assert isinstance(load_config(file)[0], RunConfig)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    section=st.sampled_from(SECTIONS),
+    table=st.dictionaries(st.sampled_from(KEYS), values, max_size=3),
+)
+def test_any_table_gives_a_configuration_or_one_error(section, table):
+    with contextlib.suppress(ConfigError):
+        found = RunConfig.parse({"schema": "narxcal.config/1", section: table})
+        assert isinstance(found, RunConfig)

@@ -1,0 +1,199 @@
+"""From logs to a bundle: the split, the raster, the calibration, its checkpoints and its record."""
+
+import json
+
+import numpy as np
+import pytest
+
+from data_prep.log import Log, Source
+from narxcal.bundle import Bundle, load_bundle, save_bundle
+from narxcal.errors import ConfigError, DataError, ModelError
+from training.config import RunConfig, SplitConfig
+from training.pipeline import (
+    TrainOptions,
+    calibrate,
+    calibration_for,
+    configured_files,
+    prepare_logs,
+    split_logs,
+)
+
+DT_S, TAU_S = 0.1, 1.5
+TABLE = {
+    "schema": "narxcal.config/1",
+    "steady_state": {"inputs": ["TRA_deg", "Mach"], "blend": [], "corrected": False},
+    "narx": {"outputs": ["N1_pct", "EGT_C"], "schedule": ["Mach"], "hidden": 2},
+    "train": {"horizons_s": [5.0, 20.0], "iterations": [3, 4], "threads": 1},
+    "smooth": {"window": 1},
+}
+
+
+def config(**sections):
+    return RunConfig.parse({**TABLE, **sections})
+
+
+def flight(name="a.csv:left", seed=0, samples=1200, dt_s=DT_S):
+    """Slams every 15 s; both outputs settle on lines over the lever, first-order lags behind."""
+    rng = np.random.default_rng(seed)
+    hold = round(15.0 / dt_s)
+    lever = np.repeat(rng.uniform(10.0, 70.0, samples // hold + 1), hold)[:samples]
+    settled = np.column_stack([20.0 + lever, 300.0 + 4.0 * lever])
+    outputs = settled.copy()
+    decay = np.exp(-dt_s / TAU_S)
+    for k in range(1, samples):
+        outputs[k] = settled[k] + decay * (outputs[k - 1] - settled[k])
+    outputs += rng.normal(size=outputs.shape) * [0.05, 0.5]
+    channels = {"TRA_deg": lever, "Mach": np.full(samples, 0.3) + 1e-3 * rng.random(samples)}
+    channels |= {"N1_pct": outputs[:, 0], "EGT_C": outputs[:, 1]}
+    file, _, engine = name.partition(":")
+    return Log(
+        name, dt_s * np.arange(samples), channels, source=Source(file, "sha-" + file, engine)
+    )
+
+
+def split(train=1, validate=0, test=0):
+    logs = [flight(f"{seed}.csv:left", seed) for seed in range(train + validate + test)]
+    pattern = [f"{seed}.*" for seed in range(len(logs))]
+    return split_logs(
+        logs,
+        SplitConfig.parse(
+            {"train": pattern[:train], "validate": pattern[train : train + validate]}
+        ),
+    )
+
+
+def named(parts):
+    return [[log.name for log in part] for part in (parts.train, parts.validate, parts.test)]
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory):
+    return calibrate(config(), tmp_path_factory.mktemp("base"), split(2, 1, 1))
+
+
+@pytest.mark.parametrize(
+    ("table", "expected"),
+    [
+        ({}, [["a:l", "a:r", "b:l"], [], []]),
+        ({"train": ["a*"]}, [["a:l", "a:r"], [], ["b:l"]]),
+        ({"train": ["*"], "test": ["b*"]}, [["a:l", "a:r"], [], ["b:l"]]),
+        ({"train": ["*:l"], "validate": ["b*"]}, [["a:l"], ["b:l"], ["a:r"]]),
+        ({"train": ["a:l"], "test": ["b*"]}, [["a:l"], [], ["b:l"]]),
+    ],
+)
+def test_logs_are_sorted_by_their_names(table, expected):
+    logs = [flight(name, samples=10) for name in ("a:l", "a:r", "b:l")]
+    assert named(split_logs(logs, SplitConfig.parse(table))) == expected
+
+
+def test_a_split_without_training_logs_is_refused():
+    with pytest.raises(ConfigError) as error:
+        split_logs([flight("a:l", samples=10)], SplitConfig(train=("x*",)))
+    assert str(error.value) == "no log matches [split] train = ['x*']. Logs are a:l"
+
+
+def test_logs_of_different_rasters_are_refused(tmp_path):
+    logs = [flight("a:l"), flight("b:l", dt_s=0.2)]
+    with pytest.raises(DataError) as error:
+        calibrate(config(), tmp_path, split_logs(logs, SplitConfig()))
+    assert str(error.value) == (
+        "expected all logs on one raster, found 0.1 s in a:l, 0.2 s in b:l. Set raster_hz in [logs]"
+    )
+
+
+def test_an_unseen_flight_is_followed_in_free_run(bundle):
+    log = flight("9.csv:left", 9)
+    own = calibration_for(bundle.calibration, log)
+    error = own.simulate(log.matrix(own.input_names)) - log.matrix(own.output_names)
+    n1, egt = np.sqrt((error[1:] ** 2).mean(axis=0))
+    assert n1 < 1.0
+    assert egt < 4.0
+
+
+def test_the_bundle_says_where_it_comes_from(bundle):
+    meta = json.loads(json.dumps(bundle.meta))
+    assert RunConfig.parse(meta["config"]) == config()
+    assert meta["split"] == {
+        "train": ["0.csv:left", "1.csv:left"],
+        "validate": ["2.csv:left"],
+        "test": ["3.csv:left"],
+    }
+    assert meta["data"] == {f"{k}.csv": f"sha-{k}.csv" for k in range(4)}
+    assert meta["training"]["status"] == "all steps done"
+    (history,) = meta["training"]["history"]
+    assert [row["iteration"] for row in history][:3] == [1, 2, 3]
+    assert meta["steady_state"]["fitted"]
+    assert meta["steady_state"]["rms"]["N1_pct"] < 0.5
+    assert {"fuser_noise", "baselines", "seeds", "hardware", "base"} <= set(meta)
+
+
+def test_a_saved_bundle_simulates_the_same_numbers(bundle, tmp_path):
+    save_bundle(tmp_path / "bundle", Bundle(bundle.calibration, bundle.meta))
+    again = load_bundle(tmp_path / "bundle").calibration
+    inputs = flight(seed=9).matrix(again.input_names)
+    assert np.array_equal(again.simulate(inputs), bundle.calibration.simulate(inputs))
+
+
+def test_one_network_per_output_has_a_checkpoint_each(tmp_path):
+    apart = config(narx={**TABLE["narx"], "joint": False})
+    found = calibrate(apart, tmp_path, split(1), TrainOptions(checkpoints=tmp_path))
+    names = {file.name for file in tmp_path.iterdir()}
+    assert names == {"checkpoint-N1_pct.safetensors", "checkpoint-EGT_C.safetensors"}
+    assert found.calibration.output_names == ("N1_pct", "EGT_C")
+    assert len(found.meta["training"]["history"]) == 2
+
+
+def test_an_interrupted_training_goes_on_to_the_same_weights(tmp_path):
+    seen = []
+
+    def press_ctrl_c(progress):
+        seen.append(progress)
+        if len(seen) == 4:
+            raise KeyboardInterrupt
+
+    parts = split(1)
+    whole = calibrate(config(), tmp_path, parts)
+    options = TrainOptions(press_ctrl_c, checkpoints=tmp_path)
+    stopped = calibrate(config(), tmp_path, parts, options)
+    assert stopped.meta["training"]["status"].startswith("interrupted: ")
+    resumed = calibrate(config(), tmp_path, parts, TrainOptions(None, tmp_path, resume=True))
+    weights = [b.calibration.narx.net.get_theta() for b in (whole, resumed)]
+    assert np.array_equal(*weights)
+
+
+@pytest.mark.parametrize("other", ["configuration", "training log", "validation log"])
+def test_a_checkpoint_of_something_else_is_refused(other, tmp_path):
+    options = TrainOptions(checkpoints=tmp_path)
+    calibrate(config(), tmp_path, split(1, 1), options)
+    parts = split(2, 1) if other == "training log" else split(1, 1)
+    if other == "validation log":
+        parts = split(1)
+    changed = config()
+    if other == "configuration":
+        changed = config(train={**TABLE["train"], "seed": 4})
+    file = tmp_path / "checkpoint-joint.safetensors"
+    with pytest.raises(ModelError) as error:
+        calibrate(changed, tmp_path, parts, TrainOptions(None, tmp_path, resume=True))
+    assert str(error.value) == (
+        f"{file}: the checkpoint belongs to a training with another configuration or other data. "
+        "Restore them, or train without --resume into another folder"
+    )
+
+
+def test_files_are_read_cleaned_and_completed(tmp_path):
+    log = flight(samples=300)
+    mach = log["Mach"].copy()
+    mach[100:150] = np.nan
+    columns = {"time_s": log.time_s, **log.channels, "Mach": mach}
+    rows = np.column_stack(list(columns.values()))
+    text = [",".join(columns), *(",".join(f"{x:.6g}" for x in row) for row in rows)]
+    (tmp_path / "one.csv").write_text("\n".join(text).replace("nan", ""), "utf-8")
+    files = configured_files(config(), tmp_path)
+    assert files == [tmp_path / "one.csv"]
+    (found,) = prepare_logs(config(), files)
+    assert np.isfinite(found["Mach"]).all()
+    assert found["Mach"][120] == found["Mach"][99]
+    held = [entry for entry in found.audit.entries if entry.reason == "held for the model"]
+    assert [entry.channel for entry in held] == ["Mach"]
+    (coarse,) = prepare_logs(config(), files, dt_s=0.2)
+    assert coarse.dt_s == pytest.approx(0.2)
