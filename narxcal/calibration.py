@@ -12,6 +12,7 @@ parameter register keeps the past deviations and inputs between steps.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from typing import Any, Self
@@ -19,15 +20,22 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from narxcal import kernels
 from narxcal.errors import DataError, ModelError
 from narxcal.narx import AT_START, NarxModel, Weights
 from narxcal.steady_state import SteadyStateModel, steady_from_json, steady_to_json
 
 FloatArray = NDArray[np.float64]
+# An EGT overshoots its final value by up to 1.6 times the change (FACTS: frozen-speed response).
+_OVERSHOOT = 2.0
 
 
 class DynamicCalibration:
     """Turns inputs into outputs over time: `simulate` for whole logs, `step` for one sample.
+
+    `settle_s` is the fading bound: a deviation may not be larger than twice that of a first-order
+    lag of this time constant, so that it never outlives the movement that caused it. It needs a
+    network whose outputs are deviations that vanish at rest (an anchored one); None means none.
 
     Both give the same numbers. Columns are canonical channels: `input_names` are those of
     the steady-state model, `output_names` those that it gives.
@@ -39,6 +47,7 @@ class DynamicCalibration:
         narx: NarxModel,
         dt_s: float,
         schedule: Sequence[str] = (),
+        settle_s: float | None = None,
     ) -> None:
         unknown = [name for name in schedule if name not in steady.input_names]
         if unknown:
@@ -50,6 +59,7 @@ class DynamicCalibration:
         self.narx = narx
         self.dt_s = dt_s
         self.schedule = tuple(schedule)
+        self.settle_s = settle_s
         self._columns = [steady.input_names.index(name) for name in schedule]
         self._register: _Register | None = None
 
@@ -83,7 +93,12 @@ class DynamicCalibration:
         given = self._checked(inputs)
         ss = self.steady.outputs(given)
         first = self._first_deviation(ss[0], start)
-        deviation = self.narx.simulate(self.features(given, ss), first)
+        features = self.features(given, ss)
+        register = _Register(self, ss[0], first, features[0])
+        deviation = first[None]
+        if len(given) > 1:
+            later = register.extend(ss[1:], features[1:])
+            deviation = np.concatenate([deviation, later])
         return ss - deviation
 
     def predict(self, inputs: ArrayLike, measured: ArrayLike) -> FloatArray:
@@ -104,7 +119,7 @@ class DynamicCalibration:
         given = self._checked(np.atleast_2d(np.asarray(inputs, dtype=np.float64)))
         ss = self.steady.outputs(given)
         first = self._first_deviation(ss[0], start)
-        self._register = _Register(self.narx, ss[0], first, self.features(given, ss)[0])
+        self._register = _Register(self, ss[0], first, self.features(given, ss)[0])
         value: FloatArray = ss[0] - first
         return value
 
@@ -153,6 +168,7 @@ class DynamicCalibration:
         meta = {
             "dt_s": self.dt_s,
             "schedule": list(self.schedule),
+            "settle_s": self.settle_s,
             "narx": narx,
             "steady": steady,
         }
@@ -169,7 +185,7 @@ class DynamicCalibration:
         try:
             narx = NarxModel.from_arrays(meta["narx"], part["narx"])
             steady = steady_from_json(meta["steady"], part["steady"])
-            return cls(steady, narx, float(meta["dt_s"]), meta["schedule"])
+            return cls(steady, narx, float(meta["dt_s"]), meta["schedule"], meta["settle_s"])
         except KeyError as error:
             raise ModelError(
                 f"the stored calibration has no {error}",
@@ -221,8 +237,15 @@ class _Register:
     """The paper's parameter register: past deviations, features and the last steady state."""
 
     def __init__(
-        self, narx: NarxModel, ss: FloatArray, deviation: FloatArray, feature: FloatArray
+        self,
+        owner: DynamicCalibration,
+        ss: FloatArray,
+        deviation: FloatArray,
+        feature: FloatArray,
     ) -> None:
+        narx = owner.narx
+        self.keep = None if owner.settle_s is None else math.exp(-owner.dt_s / owner.settle_s)
+        self.fading = np.stack([np.zeros_like(deviation), np.abs(deviation)])
         self.weights = Weights.of(narx.net)
         self.inputs, self.outputs = narx.input_scaling, narx.output_scaling
         self.taps = np.array(narx.config.taps)
@@ -234,6 +257,7 @@ class _Register:
         newest = self.history[: len(outputs)]
         scaled = self.outputs.down(self.ss - outputs)
         newest[:] = np.where(np.isfinite(outputs), scaled, newest)
+        self.fading[1] = np.maximum(self.fading[1], np.abs(self.outputs.up(newest)))
 
     def advance(self, ss: FloatArray, feature: FloatArray) -> FloatArray:
         deviation: FloatArray = self.extend(ss[None], feature[None])[0]
@@ -244,8 +268,16 @@ class _Register:
         rows = np.concatenate([self.past, self.inputs.down(features)])
         newest = np.arange(len(self.past), len(rows))
         tapped = rows[newest[:, None] - self.taps].reshape(len(features), -1)
-        deviation, _, fed = self.weights.run(tapped, (AT_START, self.history[None]))
+        limit = self._limit(features[:, : len(self.ss)])
+        deviation, _, fed = self.weights.run(tapped, (AT_START, self.history[None]), limit)
         self.history = np.concatenate([deviation[-1], fed[-1, : -deviation.shape[1]]])
         self.past = rows[-len(self.past) :]
         self.ss = ss[-1]
         return self.outputs.up(deviation)
+
+    def _limit(self, increments: FloatArray) -> FloatArray | None:
+        if self.keep is None:
+            return None
+        envelope = kernels.fading(np.ascontiguousarray(increments), self.fading, self.keep)
+        limit: FloatArray = _OVERSHOOT * envelope / self.outputs.scale
+        return limit

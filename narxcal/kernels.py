@@ -62,16 +62,17 @@ def free_run(
     drive_linear: FloatArray,
     feedback: tuple[FloatArray, FloatArray, FloatArray],
     restarts: tuple[IntArray, FloatArray],
-    bounds: tuple[FloatArray, FloatArray],
+    bounds: tuple[FloatArray, FloatArray, FloatArray],
 ) -> Run:
     """Run the network on its own outputs.
 
-    `feedback` is (W1y (h, m), W2 (o, h), Ay (o, m)). Returns outputs (T, o), tanh activations
-    (T, h) and what was fed back into each step (T, m).
+    `feedback` is (W1y (h, m), W2 (o, h), Ay (o, m)); `bounds` are low (o,), high (o,) and a
+    limit (T, o) on the magnitude at each step, which has no rows where there is none. Returns
+    outputs (T, o), tanh activations (T, h) and what was fed back into each step (T, m).
     """
     w1y, w2, ay = feedback
     positions, histories = restarts
-    low, high = bounds
+    low, high, limit = bounds
     steps, hidden = drive_hidden.shape
     outputs = drive_linear.shape[1]
     m = histories.shape[1]
@@ -98,8 +99,28 @@ def free_run(
                 v += w2[o, i] * active[k, i]
             # Written so that an overflow to NaN, too, ends inside the bounds.
             y[k, o] = min(v, high[o]) if v > low[o] else low[o]
+            if len(limit) > 0:
+                y[k, o] = max(min(y[k, o], limit[k, o]), -limit[k, o])
         _push(history, y[k])
     return y, active, fed
+
+
+@_compile
+def fading(increments: FloatArray, state: FloatArray, keep: float) -> FloatArray:
+    """Envelope (T, o) of what a slow first-order lag behind moving targets would be off by.
+
+    `increments` (T, o) are those of the targets, `keep` is the lag's pole. With the lag's error
+    e(k) = keep (e(k-1) + increment(k)), the envelope is E(k) = max(|e(k)|, keep E(k-1)).
+    `state` (2, o) holds e and E before the first step, and is left at their last values.
+    """
+    steps, outputs = increments.shape
+    envelope = np.empty((steps, outputs))
+    for k in range(steps):
+        for o in range(outputs):
+            state[0, o] = keep * (state[0, o] + increments[k, o])
+            state[1, o] = max(abs(state[0, o]), keep * state[1, o])
+            envelope[k, o] = state[1, o]
+    return envelope
 
 
 @_compile

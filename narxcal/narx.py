@@ -170,14 +170,23 @@ class Weights:
         """(low, high) as the kernels take them."""
         return self.low, self.high
 
-    def run(self, tapped: FloatArray, restarts: tuple[IntArray, FloatArray]) -> kernels.Run:
-        """Free run over tapped inputs (T, taps * inputs) from `restarts` (see kernels)."""
+    def run(
+        self,
+        tapped: FloatArray,
+        restarts: tuple[IntArray, FloatArray],
+        limit: FloatArray | None = None,
+    ) -> kernels.Run:
+        """Free run over tapped inputs (T, taps * inputs) from `restarts` (see kernels).
+
+        `limit` (T, outputs) bounds the magnitude of the outputs step by step.
+        """
         hidden = self.b1 + tapped @ self.w1u.T
         linear = self.b2 + tapped @ self.au.T
         if len(self.fixed):
             rest = tapped * self.fixed
             linear -= self.b2 + self.at_rest(tapped) @ self.w2.T + rest @ self.au.T
-        run: kernels.Run = kernels.free_run(hidden, linear, self.feedback, restarts, self.bounds)
+        bounds = (self.low, self.high, np.empty((0, len(self.b2))) if limit is None else limit)
+        run: kernels.Run = kernels.free_run(hidden, linear, self.feedback, restarts, bounds)
         return run
 
     def at_rest(self, tapped: FloatArray) -> FloatArray:

@@ -29,7 +29,8 @@ class NarxSection(Section):
 
     `outputs` are the channels it calibrates; `joint` = false trains one network per output.
     `schedule` names the inputs that change how fast the engine moves. `anchored` makes the
-    steady-state model an exact equilibrium; without it the network is the paper's.
+    steady-state model an exact equilibrium; without it the network is the paper's. `settle_s` is
+    the longest time constant with which an anchored network's deviation may fade; 0 means any.
     """
 
     outputs: tuple[str, ...] = Field(default=("N1_pct", "N2_pct", "EGT_C"), min_length=1)
@@ -39,6 +40,7 @@ class NarxSection(Section):
     hidden: int = Field(default=6, ge=1)
     margin: float = Field(default=0.25, ge=0)
     anchored: bool = True
+    settle_s: float = Field(default=60.0, ge=0)
     joint: bool = True
 
     @field_validator("outputs", "schedule")

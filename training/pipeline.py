@@ -118,7 +118,8 @@ def calibrate(
     material = replace(material, rest=_rest(config, material, structure.moving))
     results = _fit(config, material, structure, options or TrainOptions())
     network = merge_models(_models(results))
-    calibration = DynamicCalibration(steady, network, dt_s, config.narx.schedule)
+    settle_s = config.narx.settle_s if config.narx.anchored and config.narx.settle_s > 0 else None
+    calibration = DynamicCalibration(steady, network, dt_s, config.narx.schedule, settle_s)
     meta = _meta(config, base, split)
     meta["steady_state"] = _quality_row(quality)
     meta["training"] = _training_row(results, time.perf_counter() - began)

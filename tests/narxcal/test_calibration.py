@@ -34,14 +34,14 @@ def two_engines():
     )
 
 
-def calibration(config=None, steady=None, seed=0):
+def calibration(config=None, steady=None, seed=0, settle_s=None):
     torch.manual_seed(seed)
     steady = steady or table()
     net = NarxNet(config or NarxConfig(lags=2, hidden=4, moving=2), 5, 2)
     net.low[:], net.high[:] = -2.0, 2.0
     inputs = Scaling(np.array([0.0, 0.0, 60.0, 450.0, 0.3]), np.array([5.0, 20.0, 30.0, 90.0, 0.2]))
     network = NarxModel(net, inputs, Scaling(np.zeros(2), np.array([4.0, 30.0])))
-    return DynamicCalibration(steady, network, 0.1, ("Mach",))
+    return DynamicCalibration(steady, network, 0.1, ("Mach",), settle_s)
 
 
 def log(samples=60, seed=0):
@@ -75,6 +75,57 @@ def test_steps_blocks_and_the_whole_are_one(config, seed, settled, cut):
 def test_an_anchored_calibration_stays_at_the_steady_state_where_nothing_moves():
     model, still = calibration(), np.tile([40.0, 0.5], (500, 1))
     np.testing.assert_allclose(model.simulate(still), model.steady.outputs(still), rtol=1e-12)
+
+
+def stubborn(settle_s):
+    """A network that keeps any deviation for ever, or lets it grow."""
+    model = calibration(settle_s=settle_s)
+    with torch.no_grad():
+        model.narx.net.output.weight.zero_()
+        model.narx.net.linear.weight.zero_()
+        model.narx.net.linear.weight[:, :2] = 1.05 * torch.eye(2)
+    return model
+
+
+def test_whatever_the_weights_a_fading_bound_brings_the_engine_to_its_steady_state():
+    still = np.tile([40.0, 0.3], (3001, 1))
+    start = table().outputs(still[0]) + np.array([3.0, -25.0])
+    free = stubborn(None).simulate(still, start)
+    faded = stubborn(10.0).simulate(still, start)
+    assert abs(free[-1] - table().outputs(still[0])).min() > 3.0
+    off = abs(faded - table().outputs(still[0]))
+    envelope = 2.0 * np.array([3.0, 25.0]) * np.exp(-np.arange(3001) * 0.1 / 10.0)[:, None]
+    assert (off <= envelope + 1e-9).all()
+
+
+def test_after_a_move_the_deviation_stays_below_twice_that_of_the_slow_lag():
+    inputs = np.tile([20.0, 0.3], (2000, 1))
+    inputs[100:, 0] = 60.0
+    outputs = stubborn(10.0).simulate(inputs)
+    steady = table().outputs(inputs)
+    lag, worst = np.zeros(2), np.zeros(2)
+    keep = np.exp(-0.1 / 10.0)
+    for k in range(1, 2000):
+        lag = keep * (lag + steady[k] - steady[k - 1])
+        worst = np.maximum(abs(lag), keep * worst)
+        assert (abs(steady[k] - outputs[k]) <= 2.0 * worst + 1e-9).all()
+
+
+def test_a_fading_bound_is_the_same_in_steps_blocks_and_the_whole():
+    inputs = log(60)
+    whole = stubborn(5.0).simulate(inputs)
+    stepped, blocks = stubborn(5.0), stubborn(5.0)
+    np.testing.assert_allclose([stepped.step(row) for row in inputs], whole, atol=1e-10)
+    parts = [blocks.extend(inputs[:23]), blocks.extend(inputs[23:])]
+    np.testing.assert_allclose(np.concatenate(parts), whole, atol=1e-10)
+
+
+def test_a_correction_may_widen_a_fading_bound():
+    model = stubborn(10.0)
+    model.reset([40.0, 0.3])
+    value = table().outputs(np.array([40.0, 0.3]))
+    after = model.step([40.0, 0.3], correction=value + 2.0)
+    np.testing.assert_allclose(after - value, 2.0 * 1.05, atol=1e-9)
 
 
 def test_eighty_minutes_of_wild_levers_stay_inside_the_guaranteed_bounds():
