@@ -101,7 +101,7 @@ class FittedSteadyState:
 
     `curve` (n_out, corners, 1 + splines) holds a_v and b_vj; `engine_lines` (engines, n_out, 2)
     value at mid-range and slope per full range of the driver. `engine` picks the scatter in
-    force; an unknown engine gets none. The envelope is the box of the samples it was fitted to,
+    force; an unknown engine gets none. The envelope is the box it is vouched for,
     `seen` (2,) their range of the driver as the curves see it; the knots reach beyond it.
     """
 

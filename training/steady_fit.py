@@ -84,7 +84,7 @@ def fit_steady_state(
     drive = layout.drive(inputs)
     knots = _spread_knots(drive, config)
     engines = _told_apart(samples)
-    envelope = Envelope.of(inputs)
+    envelope = _envelope(inputs, layout)
     seen = np.array([drive.min(), drive.max()])
     design = _Design(layout, envelope, seen, knots, engines, config)
     matrix = design.matrix(inputs, names)
@@ -121,6 +121,20 @@ def _require(inputs: FloatArray, outputs: FloatArray, layout: Layout) -> None:
                 channel=name,
                 hint="Take it out of [narx] outputs, or add logs that hold it",
             )
+
+
+def _envelope(inputs: FloatArray, layout: Layout) -> Envelope:
+    """The box of the samples, a width wider for what the correction alone takes care of.
+
+    Corrected parameters carry a curve over to other air; Reynolds number and humidity say that
+    not to any other (Walsh and Fletcher 2004, section 4.3). The driver has a range of its own.
+    """
+    box = Envelope.of(inputs)
+    if not layout.corrected:
+        return box
+    carried = [name not in layout.blend for name in layout.input_names]
+    width = np.where(carried, box.high - box.low, 0.0)
+    return Envelope(box.low - width, box.high + width)
 
 
 def _spread_knots(drive: FloatArray, config: SteadyFitConfig) -> FloatArray:

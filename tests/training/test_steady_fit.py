@@ -132,6 +132,17 @@ def test_beyond_the_samples_a_curve_goes_on_straight_and_then_stands():
     assert model.inside(sweep).tolist()[1:] == [False] * 3
 
 
+def test_corrected_curves_are_vouched_for_in_air_they_were_not_fitted_in_but_not_at_any_mach():
+    inputs = drawn()
+    model, _ = fitted(SteadySamples(inputs, truth(inputs)))
+    seen = np.array([40.0, 15000.0, 0.4, 5.0])
+    assert model.inside(seen)
+    assert model.inside(seen + [0.0, 25000.0, 0.0, 25.0])
+    assert not model.inside(seen + [0.0, 0.0, 0.5, 0.0])
+    assert not model.inside(seen + [0.0, 60000.0, 0.0, 0.0])
+    assert not model.inside(seen + [45.0, 0.0, 0.0, 0.0])
+
+
 def constant_lever():
     inputs = drawn()
     inputs[:, 0] = 40.0
