@@ -135,12 +135,14 @@ def test_beyond_the_samples_a_curve_goes_on_straight_and_then_stands():
 def test_corrected_curves_are_vouched_for_in_air_they_were_not_fitted_in_but_not_at_any_mach():
     inputs = drawn()
     model, _ = fitted(SteadySamples(inputs, truth(inputs)))
-    seen = np.array([40.0, 15000.0, 0.4, 5.0])
-    assert model.inside(seen)
-    assert model.inside(seen + [0.0, 25000.0, 0.0, 25.0])
-    assert not model.inside(seen + [0.0, 0.0, 0.5, 0.0])
-    assert not model.inside(seen + [0.0, 60000.0, 0.0, 0.0])
-    assert not model.inside(seen + [45.0, 0.0, 0.0, 0.0])
+    for conditions, vouched_for in (
+        ([40.0, 15000.0, 0.4, 5.0], True),
+        ([40.0, 40000.0, 0.4, 30.0], True),
+        ([40.0, 15000.0, 0.9, 5.0], False),
+        ([40.0, 75000.0, 0.4, 5.0], False),
+        ([85.0, 15000.0, 0.4, 5.0], False),
+    ):
+        assert model.inside(conditions) == vouched_for
 
 
 def constant_lever():
