@@ -1,0 +1,157 @@
+"""Which N1 the control commands: ratings, idles, and the map from resolver angle to N1.
+
+The schedules are in N1 corrected to the engine's face, `N1 / sqrt(theta2)`, in which a fan's thrust
+over `delta2` is nearly fixed. So a constant value up to the corner temperature is a flat rating,
+and the fall beyond it is what holds the temperature of the gas. The command depends on the flight
+condition and the lever alone, never on the engine's state: the same function serves a whole run
+beforehand and the steady state. Numbers are typical of the class, not those of any engine; where
+FACTS, part A, has a figure it is quoted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from narxcal.atmosphere import air_state
+from narxcal.errors import ConfigError
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ratings:
+    """All numbers of one engine's schedules; N1 in corrected %, unless said otherwise.
+
+    `detents_deg` are the resolver angles of idle, cruise, climb and take-off. `cruise_pct`,
+    `climb_pct`, `take_off_pct` hold on a standard day over `altitude_ft`, straight in between and
+    held beyond. Above `corner_dT_C` they fall by `hot_slope_pct_per_C`: 1 degC costs about 3 degC
+    of EGT (FACTS A5) and about 10 degC of EGT go with 1 % N1. `N1_max_pct` limits physical N1.
+    Each bleed lowers the ratings, and through the map the lever positions towards them, but no
+    idle (FACTS A5: packs 0.4 to 0.7, anti-ice 0.6 to 0.8 % each). Idles rise with altitude and,
+    as the fan windmills, with Mach; on the ground it is the ground idle whatever `Approach` says.
+
+    Effects: `idle_schedule` is a changed `approach_idle_pct`, `temperature_effect` is
+    `temperature_bias_pct_per_C`, which adds to the command (in physical %) with `dT_C`.
+
+    Raises `ConfigError` if detents or altitudes do not ascend, or ratings or idles are in disorder.
+    """
+
+    take_off_pct: tuple[float, ...]
+    climb_pct: tuple[float, ...]
+    cruise_pct: tuple[float, ...]
+    ground_idle_pct: float
+    flight_idle_pct: float
+    approach_idle_pct: float
+    idle_pct_per_kft: float
+    idle_pct_per_mach: float
+    altitude_ft: tuple[float, ...] = (0.0, 10000.0, 20000.0, 30000.0, 40000.0)
+    detents_deg: tuple[float, float, float, float] = (0.0, 58.0, 71.0, 85.0)
+    corner_dT_C: float = 15.0
+    hot_slope_pct_per_C: float = 0.28
+    N1_max_pct: float = 104.0
+    ecs_pct: float = 0.5
+    nai_pct: float = 0.7
+    wai_pct: float = 0.7
+    temperature_bias_pct_per_C: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("detents_deg", "altitude_ft"):
+            if not np.all(np.diff(getattr(self, name)) > 0.0):
+                raise ConfigError(f"ratings: '{name}' has to ascend, found {getattr(self, name)}")
+        for name in ("cruise_pct", "climb_pct", "take_off_pct"):
+            if len(getattr(self, name)) != len(self.altitude_ft):
+                raise ConfigError(
+                    f"ratings: '{name}' has to have a value for each of the "
+                    f"{len(self.altitude_ft)} altitudes, found {len(getattr(self, name))}"
+                )
+        order = np.array([self.cruise_pct, self.climb_pct, self.take_off_pct])
+        if not np.all(np.diff(order, axis=0) >= 0.0):
+            raise ConfigError("ratings: expected cruise <= climb <= take-off at every altitude")
+        if not 0.0 < self.ground_idle_pct <= self.flight_idle_pct <= self.approach_idle_pct:
+            raise ConfigError(
+                "ratings: expected 0 < ground idle <= flight idle <= approach idle, found "
+                f"{self.ground_idle_pct}, {self.flight_idle_pct}, {self.approach_idle_pct}"
+            )
+
+
+BUSINESS_JET = Ratings(
+    take_off_pct=(94.0, 96.0, 97.5, 98.5, 98.5),
+    climb_pct=(90.5, 93.5, 96.0, 97.5, 98.0),
+    cruise_pct=(86.0, 89.5, 92.5, 94.5, 95.5),
+    ground_idle_pct=27.0,
+    flight_idle_pct=31.0,
+    approach_idle_pct=39.0,
+    idle_pct_per_kft=0.15,
+    idle_pct_per_mach=42.0,
+)
+SINGLE_AISLE = Ratings(
+    take_off_pct=(91.0, 95.0, 98.0, 100.0, 100.5),
+    climb_pct=(87.0, 92.0, 96.5, 99.5, 100.0),
+    cruise_pct=(83.0, 88.0, 92.5, 96.0, 97.0),
+    ground_idle_pct=20.0,  # FACTS A8: an A320 idles at about 20 % N1
+    flight_idle_pct=26.0,
+    approach_idle_pct=34.0,
+    idle_pct_per_kft=0.15,
+    idle_pct_per_mach=37.0,
+)
+
+
+def n1_command(ratings: Ratings, inputs: ArrayLike) -> FloatArray:
+    """N1 commanded, in % (...), for `inputs` (..., 9).
+
+    The last axis is resolver angle in deg, ALT_ft, Mach, dT_C, WOW, Approach, ECS, NAI, WAI.
+    Beyond the detents the resolver is held at them. NaN in, NaN out.
+    """
+    u = np.asarray(inputs, dtype=np.float64)
+    root = np.sqrt(air_state(u[..., 1], u[..., 2], u[..., 3]).theta2)
+    nodes = _nodes(ratings, u, ratings.N1_max_pct / root)
+    angle = np.clip(u[..., 0], ratings.detents_deg[0], ratings.detents_deg[-1])
+    corrected = _monotone(angle, np.array(ratings.detents_deg), nodes)
+    return np.asarray(corrected * root + ratings.temperature_bias_pct_per_C * u[..., 3])
+
+
+def idle(ratings: Ratings, inputs: ArrayLike) -> FloatArray:
+    """Corrected idle N1 in % (...) for `inputs` as in `n1_command`."""
+    u = np.asarray(inputs, dtype=np.float64)
+    airborne = np.where(u[..., 5] > 0.5, ratings.approach_idle_pct, ratings.flight_idle_pct)
+    base = np.where(u[..., 4] > 0.5, ratings.ground_idle_pct, airborne)
+    rise = ratings.idle_pct_per_kft * 1e-3 * u[..., 1] + ratings.idle_pct_per_mach * u[..., 2]
+    unknown = 0.0 * (u[..., 4] + u[..., 5])  # a switch that is no number, like all else
+    return np.asarray(base + rise + unknown)
+
+
+def _nodes(ratings: Ratings, u: FloatArray, ceiling: FloatArray) -> FloatArray:
+    """Corrected N1 at the four detents, (4, ...), ascending."""
+    hot = ratings.hot_slope_pct_per_C * np.maximum(u[..., 3] - ratings.corner_dT_C, 0.0)
+    bleed = ratings.ecs_pct * u[..., 6] + ratings.nai_pct * u[..., 7] + ratings.wai_pct * u[..., 8]
+    rated = [
+        np.minimum(np.interp(u[..., 1], ratings.altitude_ft, line) - hot - bleed, ceiling)
+        for line in (ratings.cruise_pct, ratings.climb_pct, ratings.take_off_pct)
+    ]
+    return np.stack([np.minimum(idle(ratings, u), rated[0]), *rated])
+
+
+def _monotone(x: FloatArray, knots: FloatArray, values: FloatArray) -> FloatArray:
+    """Smooth monotone map (...) through `values` (n, ...) at `knots` (n,).
+
+    Cubic Hermite pieces whose inner slopes are harmonic means of the neighbouring secants, which
+    keeps them monotone (Fritsch & Butland, SIAM J. Sci. Stat. Comput. 5, 1984).
+    """
+    width = np.diff(knots)
+    secant = np.diff(values, axis=0) / width.reshape(-1, *([1] * (values.ndim - 1)))
+    total = secant[:-1] + secant[1:]
+    inner = 2.0 * secant[:-1] * secant[1:] / np.where(total > 0.0, total, 1.0)
+    slope = np.concatenate([secant[:1], inner, secant[-1:]])
+    piece = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, len(knots) - 2)
+    t = (x - knots[piece]) / width[piece]
+
+    def at(table: FloatArray, offset: int) -> FloatArray:
+        return np.asarray(np.take_along_axis(table, (piece + offset)[np.newaxis], axis=0)[0])
+
+    low, high = at(values, 0), at(values, 1)
+    start, end = width[piece] * at(slope, 0), width[piece] * at(slope, 1)
+    blend = t * t * (3.0 - 2.0 * t)
+    return low + blend * (high - low) + t * (1.0 - t) * ((1.0 - t) * start - t * end)
