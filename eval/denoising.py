@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
+from data_prep.hold import hold_inputs
 from narxcal.errors import DataError
 from narxcal.fuser import FuserConfig, estimate_noise
 from narxcal.fuser_fast import FastFuser
@@ -21,7 +22,8 @@ from narxcal.settings import Section
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from data_prep.log import FloatArray
+    from data_prep.log import FloatArray, Log
+    from narxcal.bundle import Bundle
 
 Power = Literal["mean_square", "variance"]
 
@@ -55,6 +57,20 @@ class Flight:
     truth: FloatArray
     free_run: FloatArray
     feed: Callable[[FloatArray], FloatArray] | None = None
+
+
+def flight_of(bundle: Bundle, log: Log) -> Flight:
+    """The experiment's view of one prepared log: its outputs as truth, the bundle's free run."""
+    own = bundle.calibration.for_engine(log.source.engine)
+    inputs = hold_inputs(log, own.input_names).matrix(own.input_names)
+    truth = log.matrix(own.output_names)
+    return Flight(
+        names=own.output_names,
+        dt_s=own.dt_s,
+        truth=truth,
+        free_run=own.simulate(inputs, truth[0]),
+        feed=lambda history: own.predict(inputs, history),
+    )
 
 
 def noise_deviation(signal: FloatArray, snr_db: float, power: Power) -> float:
@@ -112,24 +128,30 @@ def summarise(sweep: pd.DataFrame) -> pd.DataFrame:
     ).reset_index()
 
 
+def noisy(truth: FloatArray, setting: tuple[float, int], power: Power) -> FloatArray:
+    """Add the sweep's noise at `setting` (ratio in dB, seed) to `truth` `(time,)`."""
+    snr_db, seed = setting
+    # A stream per ratio: the same seed at two ratios must not give the same noise twice.
+    rng = np.random.default_rng([seed, round(10 * snr_db) % 2**32])
+    deviation = noise_deviation(truth, snr_db, power)
+    return np.asarray(truth + deviation * rng.normal(size=truth.shape))
+
+
 def _trial(
     flight: Flight, at: int, setting: tuple[float, int], config: SweepConfig
 ) -> dict[str, float]:
-    snr_db, seed = setting
     truth, free_run = flight.truth[:, at], flight.free_run[:, at]
-    deviation = noise_deviation(truth, snr_db, config.power)
-    # A stream per ratio: the same seed at two ratios must not give the same noise twice.
-    rng = np.random.default_rng([seed, round(10 * snr_db) % 2**32])
-    noisy = truth + deviation * rng.normal(size=truth.shape)
-    noise = estimate_noise(noisy, free_run, flight.dt_s, (config.channel,))
-    run = FastFuser(noise, config.fuser).run(free_run[:, None], noisy[:, None])
+    deviation = noise_deviation(truth, setting[0], config.power)
+    measured = noisy(truth, setting, config.power)
+    noise = estimate_noise(measured, free_run, flight.dt_s, (config.channel,))
+    run = FastFuser(noise, config.fuser).run(free_run[:, None], measured[:, None])
     fused, check = run.values[:, 0], run.consistency()  # noqa: PD011 -- no data frame
     return {
         "noise_sd": deviation,
-        "raw": _rmse(noisy, truth),
+        "raw": _rmse(measured, truth),
         "fused": _rmse(fused, truth),
         "free_run": _rmse(free_run, truth),
-        "fed_raw": _fed(flight, at, noisy),
+        "fed_raw": _fed(flight, at, measured),
         "fed_fused": _fed(flight, at, fused),
         "mean_nis": check.mean_nis,
         "nis_low": check.low,

@@ -116,7 +116,7 @@ def evaluate_page(
     Without a `verdict` the page passes if every assessable event does; `sweeps` adds the
     denoising experiment.
     """
-    return _render(
+    return render(
         "evaluate.html.j2",
         header=header,
         outcome=verdict or outcome(header, pages),
@@ -130,19 +130,19 @@ def prepare_page(
     header: RunHeader, pages: Sequence[LogPage], trials: Sequence[WindowTrial] = ()
 ) -> str:
     """Build the page of `prepare`: windows compared, ranking, events and the audit; no model."""
-    return _render("prepare.html.j2", header=header, logs=pages, trials=trials, count=count(pages))
+    return render("prepare.html.j2", header=header, logs=pages, trials=trials, count=count(pages))
 
 
 def crossval_page(header: RunHeader, schemes: Sequence[Scheme]) -> str:
     """Build the page of `crossval`: every fold, and the spread over the folds."""
     measures = list(dict.fromkeys(part for scheme in schemes for part in scheme.measures))
     drawing = study_figures.spread(schemes, measures) if measures else None
-    return _render("crossval.html.j2", header=header, schemes=schemes, spread=drawing)
+    return render("crossval.html.j2", header=header, schemes=schemes, spread=drawing)
 
 
 def noise_page(header: RunHeader, verdict: Outcome, sweeps: Sequence[NoiseSweep]) -> str:
     """Build the page of `denoise`: the paper's noise experiment on its own."""
-    return _render("denoise.html.j2", header=header, outcome=verdict, sweeps=sweeps)
+    return render("denoise.html.j2", header=header, outcome=verdict, sweeps=sweeps)
 
 
 def write_page(path: str | os.PathLike[str], html: str) -> None:
@@ -212,5 +212,6 @@ def _environment() -> jinja2.Environment:
     return environment
 
 
-def _render(template: str, **content: object) -> str:
+def render(template: str, **content: object) -> str:
+    """Fill a template of this package."""
     return _environment().get_template(template).render(**content)

@@ -41,8 +41,20 @@ def _parser() -> _Parser:
     )
     parser.add_argument("--version", action="version", version=f"narxcal {_version()}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for add in (_demo, _prepare, _train, _evaluate, _crossval, _replay, _simulate, _info, _denoise):
+    for add in (
+        _demo,
+        _prepare,
+        _train,
+        _evaluate,
+        _crossval,
+        _replay,
+        _simulate,
+        _info,
+        _denoise,
+        _fly,
+    ):
         _common(add(commands))
+    _common(_reproduce(commands))
     return parser
 
 
@@ -75,6 +87,12 @@ def _data(parser: argparse.ArgumentParser, text: str) -> None:
         type=Path,
         default=os.environ.get("NARXCAL_DATA") or None,
         help=f"{text} (or set NARXCAL_DATA)",
+    )
+
+
+def _jobs(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--jobs", metavar="N", type=count, default=os.cpu_count() or 1, help="folds at a time"
     )
 
 
@@ -142,9 +160,7 @@ def _crossval(commands: _Commands) -> argparse.ArgumentParser:
         commands, "crossval", "Leave one flight out, and ten random 7:3 splits by event."
     )
     _config(parser, "DIR", "folder for the tables and the page")
-    parser.add_argument(
-        "--jobs", metavar="N", type=count, default=os.cpu_count() or 1, help="folds at a time"
-    )
+    _jobs(parser)
     return parser
 
 
@@ -184,6 +200,49 @@ def _denoise(commands: _Commands) -> argparse.ArgumentParser:
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="folder")
     parser.add_argument("--channel", metavar="NAME", default="N2_pct", help="default N2_pct")
     _data(parser, "folder of the held-out logs, if they have moved")
+    return parser
+
+
+def _reproduce(commands: _Commands) -> argparse.ArgumentParser:
+    parser = _command(
+        commands, "reproduce", "A paper's tables and figures, our numbers beside its claims."
+    )
+    parser.add_argument("paper", metavar="PAPER", choices=("narx-paper",), help="narx-paper")
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="folder")
+    parser.add_argument(
+        "--config", metavar="CONFIG", default="narx_paper.toml", help="default narx_paper.toml"
+    )
+    _data(parser, "folder of your own data sets, instead of virtual flights")
+    parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the virtual flights")
+    parser.add_argument("--quick", action="store_true", help="few steps and two divisions")
+    _jobs(parser)
+    return parser
+
+
+def _fly(commands: _Commands) -> argparse.ArgumentParser:
+    parser = _command(commands, "fly", "Fly the virtual engine and write what its recorder saw.")
+    parser.add_argument("config", metavar="CONFIG", help="TOML file, or a shipped one's name")
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, required=True, help="folder for the logs"
+    )
+    parser.add_argument(
+        "--effects",
+        metavar="EFFECT",
+        nargs="+",
+        action="extend",
+        help="effects instead of CONFIG's, as spool_lag:factor=1.3,sensor_lag@EGT_C:tau_s=1.5, "
+        "or none",
+    )
+    parser.add_argument("--sensors", metavar="PRESET", help="sensors instead of CONFIG's")
+    parser.add_argument("--seed", metavar="N", type=int, help="seed instead of CONFIG's")
+    parser.add_argument("--flights", metavar="N", type=count, help="flights instead of CONFIG's")
+    parser.add_argument("--gzip", action="store_true", help="write .csv.gz")
+    parser.add_argument(
+        "--truth-channels", action="store_true", help="write the outputs no sensor sees, too"
+    )
+    parser.add_argument(
+        "--jobs", metavar="N", type=count, default=os.cpu_count() or 1, help="flights at a time"
+    )
     return parser
 
 

@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from data_prep.hold import hold_inputs
-from data_prep.log import Log
 from eval import terminal
-from eval.denoising import Flight, SweepConfig, snr_sweep, summarise
+from eval.denoising import SweepConfig, flight_of, snr_sweep, summarise
 from eval.evaluate import run_config
 from eval.report.content import NoiseSweep
 from eval.report.page import Outcome, noise_page
-from narxcal.bundle import Bundle, load_bundle
+from narxcal.bundle import load_bundle
 from narxcal.cli.console import Console, to_json
 from narxcal.cli.folders import Results
 from narxcal.cli.header import header_of
@@ -45,7 +43,7 @@ def run(options: Namespace, console: Console) -> int:
     with console.progress("Adding noise") as advance:
         for number, log in enumerate(logs):
             advance(number, len(logs), log.name)
-            sweeps[log.name] = summarise(snr_sweep(_flight(bundle, log), sweep))
+            sweeps[log.name] = summarise(snr_sweep(flight_of(bundle, log), sweep))
     outcome = _outcome(sweeps)
     document = _document(str(options.bundle), sweep, sweeps, outcome)
     header = header_of(
@@ -61,19 +59,6 @@ def run(options: Namespace, console: Console) -> int:
     console.say(f"Page: {options.out / PAGE}")
     console.document(document)
     return 0 if outcome.passed else 1
-
-
-def _flight(bundle: Bundle, log: Log) -> Flight:
-    own = bundle.calibration.for_engine(log.source.engine)
-    inputs = hold_inputs(log, own.input_names).matrix(own.input_names)
-    truth = log.matrix(own.output_names)
-    return Flight(
-        names=own.output_names,
-        dt_s=own.dt_s,
-        truth=truth,
-        free_run=own.simulate(inputs, truth[0]),
-        feed=lambda history: own.predict(inputs, history),
-    )
 
 
 def _outcome(sweeps: Mapping[str, pd.DataFrame]) -> Outcome:

@@ -32,7 +32,7 @@ def header_of(
         model=f"NARX, {narx.lags} lags, {narx.hidden} hidden units, over "
         f"{', '.join(bundle.calibration.input_names)}",
         rules=found.name,
-        tolerances=f"Ti {_words(found.Ti)}; Tt {_words(found.Tt)} ({found.source})",
+        tolerances=f"Ti {words(found.Ti)}; Tt {words(found.Tt)} ({found.source})",
         sources=data_files(logs),
         versions=meta.get("versions", {}),
         facts=_facts(meta),
@@ -45,7 +45,8 @@ def data_files(logs: Sequence[Log]) -> list[Source]:
     return list({(log.source.file, log.source.engine): log.source for log in logs}.values())
 
 
-def _words(tolerance: Tolerance) -> str:
+def words(tolerance: Tolerance) -> str:
+    """Spell a tolerance out."""
     floor = f" or {tolerance.floor_s:g} s" if tolerance.floor_s else ""
     return f"±{100.0 * tolerance.share:g} %{floor}"
 

@@ -1,0 +1,113 @@
+"""Largest relative errors of the calibrated model, over the tests and per class of event."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from eval.judged import LogEvaluation
+from eval.report import figures
+from eval.report.claims import Claim, Study
+from eval.report.evaluation import page_of
+from eval.report.style import symbol
+from eval.report.svg import Picture
+from eval.report.tables import Cell, Table, figure
+from eval.reproduce.calibrated import Classed, by, worst_relative_pct
+from eval.reproduce.data_sets import DataSets
+from eval.reproduce.phases import PHASES, SPEEDS
+from eval.scores import score
+from narxcal.bundle import Bundle
+
+PAPER_PCT, GOAL_PCT = 5.0, 2.0
+
+
+def accuracy(
+    data: DataSets, bundle: Bundle, found: Sequence[LogEvaluation], events: Sequence[Classed]
+) -> Study:
+    """Say how far the free run is off, at worst."""
+    pooled = {name: one.max_rel_pct for name, one in score([log.runs for log in found]).items()}
+    classes = class_rows(events)
+    return Study(
+        key="accuracy",
+        title="Accuracy of the calibrated model",
+        source="section 3.2 and conclusion (1), figure 10",
+        text=f"Free run of all outputs over whole test data sets {data.labels(data.tests)}, "
+        "against the prepared measurement; temperatures count in °C. The classes are over "
+        "the samples of their events; the phases that the paper left out, and slow and small "
+        "movements, are in.",
+        claims=_claims(pooled, classes),
+        tables=[_table(pooled, classes)],
+        pictures=_pictures(data, bundle, found),
+        values={
+            "max_rel_pct": pooled,
+            "rmse": {name: one.rmse for name, one in score([x.runs for x in found]).items()},
+            "classes": classes,
+        },
+    )
+
+
+def class_rows(events: Sequence[Classed]) -> list[dict[str, Any]]:
+    """One row per phase and direction, then per speed, with the worst of each channel."""
+    groups = {
+        **by(events, lambda one: f"{one.kind.phase}, {one.kind.direction}", _both(PHASES)),
+        **by(events, lambda one: f"{one.kind.speed}, {one.kind.direction}", _both(SPEEDS)),
+    }
+    return [
+        {"class": name, "events": len(group), "max_rel_pct": worst_relative_pct(group)}
+        for name, group in groups.items()
+    ]
+
+
+def _both(names: Sequence[str]) -> list[str]:
+    return [f"{name}, {direction}" for name in names for direction in ("push", "pull")]
+
+
+def _claims(pooled: Mapping[str, float], classes: Sequence[dict[str, Any]]) -> list[Claim]:
+    claims = []
+    for name, value in pooled.items():
+        what = f"Largest relative error of {symbol(name)} in free run"
+        where = _worst_class(classes, name)
+        for origin, bound in (("paper", PAPER_PCT), ("our goal", GOAL_PCT)):
+            claims.append(
+                Claim(
+                    what=what,
+                    origin=origin,
+                    claimed=f"< {bound:g} %",
+                    value=value,
+                    bound=bound,
+                    unit="%",
+                    remark="" if value < bound else where,
+                )
+            )
+    return claims
+
+
+def _worst_class(classes: Sequence[dict[str, Any]], name: str) -> str:
+    if not classes:
+        return ""
+    worst = max(classes, key=lambda row: float(row["max_rel_pct"][name]))
+    return f"worst in: {worst['class']} ({worst['max_rel_pct'][name]:.2g} %)"
+
+
+def _table(pooled: Mapping[str, float], classes: Sequence[dict[str, Any]]) -> Table:
+    rows = [
+        (
+            Cell(row["class"], "head"),
+            Cell(str(row["events"]), number=True),
+            *(_percent(row["max_rel_pct"][name]) for name in pooled),
+        )
+        for row in classes
+    ]
+    whole = (Cell("every sample", "head"), Cell(""), *map(_percent, pooled.values()))
+    head = ("events", "number", *(f"{symbol(name)} [%]" for name in pooled))
+    caption = f"Largest relative error; more than the goal of {GOAL_PCT:g} % is marked"
+    return Table(caption, head, (whole, *rows))
+
+
+def _percent(value: float) -> Cell:
+    return figure(value, "bad" if value >= GOAL_PCT else "good")
+
+
+def _pictures(data: DataSets, bundle: Bundle, found: Sequence[LogEvaluation]) -> list[Picture]:
+    inputs, driver = bundle.calibration.input_names, data.config.events.driver
+    return [figures.overlay(page_of(one, driver, inputs)) for one in found[:1]]

@@ -1,0 +1,122 @@
+"""All tables and figures of the calibration paper, from the data sets to one page and one JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from eval.report.claims import Claim, Study
+from eval.reproduce.accuracy import accuracy
+from eval.reproduce.calibrated import classed, judged
+from eval.reproduce.correlation import correlation
+from eval.reproduce.data_sets import DataSets
+from eval.reproduce.deviations import deviations
+from eval.reproduce.effort import Effort, within
+from eval.reproduce.inputs import inputs
+from eval.reproduce.noise import noise
+from eval.reproduce.response_times import response_times
+from eval.reproduce.segments import segments
+from eval.reproduce.smoothing import smoothing
+from eval.reproduce.splits import splits
+from narxcal.bundle import Bundle, versions
+from training.pipeline import TrainOptions, calibrate
+from training.trainer import Progress
+
+SCHEMA = "narxcal.reproduce/1"
+PAPER = "narx-paper"
+
+
+class Watch(Protocol):
+    """Told what is being worked on, and how far that is."""
+
+    def __call__(self, what: str, done: int = 0, total: int = 0) -> None: ...  # noqa: D102
+
+
+@dataclass(frozen=True, eq=False)
+class Reproduction:
+    """Every study, and the calibration that most of them judge."""
+
+    studies: tuple[Study, ...]
+    bundle: Bundle
+    data: DataSets
+
+    @property
+    def claims(self) -> tuple[Claim, ...]:
+        """All claims in the order of the studies."""
+        return tuple(claim for study in self.studies for claim in study.claims)
+
+    def missed(self) -> list[str]:
+        """Say which claims were not reached, with our figure."""
+        return [
+            f"{claim.what}: {claim.ours}, {claim.origin} says {claim.claimed}"
+            for claim in self.claims
+            if claim.met is False
+        ]
+
+    def document(self) -> dict[str, Any]:
+        """`reproduce.json`."""
+        data, missed = self.data, self.missed()
+        training = self.bundle.meta["training"]
+        return {
+            "schema": SCHEMA,
+            "paper": PAPER,
+            "ok": not missed,
+            "missed": missed,
+            "data_sets": [
+                {"data_set": data.number(log.name), "log": log.name, "sha256": log.source.sha256}
+                for log in data.logs
+            ],
+            "test": [data.number(log.name) for log in data.tests],
+            "studies": [study.row() for study in self.studies],
+            "training": {key: training[key] for key in ("status", "wall_s")},
+            "config": data.config.model_dump(mode="json", by_alias=True),
+            "versions": versions(),
+        }
+
+
+def reproduce(data: DataSets, effort: Effort, watch: Watch | None = None) -> Reproduction:
+    """Run all studies; the same data, configuration and effort give the same numbers.
+
+    Raises what the studies raise: `DataError` for logs that they cannot be run on, `ConfigError`
+    for a configuration that does not fit the logs.
+    """
+    tell = watch or _ignore
+    tell("Reading what the flights show")
+    first = [correlation(data), smoothing(data), segments(data)]
+    bundle = _calibrated(data, effort, tell)
+    return Reproduction((*first, *_judging(data, bundle, effort, tell)), bundle, data)
+
+
+def _calibrated(data: DataSets, effort: Effort, tell: Watch) -> Bundle:
+    config = within(data.config, effort)
+    total = sum(config.train.iterations) * config.train.starts
+    if not config.narx.joint:
+        total *= len(config.narx.outputs)
+    seen = 0
+
+    def watch(progress: Progress) -> None:
+        nonlocal seen
+        seen += bool(progress.history)
+        tell("Calibrating", min(seen, total), total)
+
+    return calibrate(config, data.base, data.split, TrainOptions(watch))
+
+
+def _judging(data: DataSets, bundle: Bundle, effort: Effort, tell: Watch) -> Iterator[Study]:
+    tell("Comparing inputs")
+    yield inputs(data, effort)
+    tell("Comparing deviations")
+    yield deviations(data, bundle, effort)
+    found = judged(data, bundle)
+    events = classed(data, found)
+    yield accuracy(data, bundle, found, events)
+    yield response_times(data, bundle, found, events)
+    what = "Dividing at random"
+    tell(what)
+    yield splits(data, effort, lambda _fold, done, total: tell(what, done, total))
+    yield noise(data, bundle, effort, lambda done, total: tell("Adding noise", done, total))
+
+
+def _ignore(what: str, done: int = 0, total: int = 0) -> None:
+    del what, done, total

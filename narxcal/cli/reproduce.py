@@ -1,0 +1,136 @@
+"""`narxcal reproduce narx-paper`: the paper's tables and figures, our numbers beside its claims.
+
+OUT holds the page, its JSON, the flights (unless the user brought some) and the model.
+"""
+
+from __future__ import annotations
+
+import shutil
+from argparse import Namespace
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from eval import terminal
+from eval.report.content import RunHeader
+from eval.report.reproduction import counts, outcome_of, reproduction_page
+from eval.reproduce.data_sets import DataSets, as_config, read_data_sets
+from eval.reproduce.effort import Effort
+from eval.reproduce.flights import LOGS, TRUTH, write_data_sets
+from eval.reproduce.narx_paper import SCHEMA, Reproduction, Watch, reproduce
+from eval.rules import rules
+from narxcal.atomic import atomic_write_text
+from narxcal.bundle import versions, write_bundle
+from narxcal.cli.configured import read_config
+from narxcal.cli.console import Console, to_json
+from narxcal.cli.folders import Results
+from narxcal.cli.header import data_files, now, words
+from training.config import RunConfig
+
+DOCUMENT, PAGE, FLIGHTS, MODEL = "reproduce.json", "reproduce.html", "flights", "model"
+RESULTS = Results(SCHEMA, DOCUMENT, (PAGE, FLIGHTS, MODEL))
+QUICK = ((2, 2), 2)  # iterations per horizon, random divisions
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Fly or read the data sets, run every study; 1 where a claim was not reached."""
+    out: Path = options.out.resolve()
+    RESULTS.check(out)
+    config, base = read_config(options.config, options.data)
+    _begin(out)
+    with console.progress("Flying the data sets"):
+        config, truth = _placed(config, out, options)
+    with console.progress("Reading the data sets"):
+        data = read_data_sets(config, base, truth)
+    iterations, splits = QUICK if options.quick else ((), 10)
+    found = _studied(data, Effort(iterations, splits, options.jobs), console)
+    _write(out, found, options)
+    _show(console, found)
+    console.say(f"Page: {options.out / PAGE}")
+    console.document(_document(found, options))
+    return 1 if found.missed() else 0
+
+
+def _begin(out: Path) -> None:
+    """Clear what an earlier run left, and mark the folder as one that is not done."""
+    for name in (FLIGHTS, MODEL):
+        shutil.rmtree(out / name, ignore_errors=True)
+    (out / PAGE).unlink(missing_ok=True)
+    atomic_write_text(out / DOCUMENT, to_json({"schema": SCHEMA, "complete": False}))
+
+
+def _placed(config: RunConfig, out: Path, options: Namespace) -> tuple[RunConfig, Path | None]:
+    """The configuration with its logs in place, and the folder of their truth if there is one."""
+    if options.data is None:
+        write_data_sets(out / FLIGHTS, options.seed)
+        return as_config(config, out / FLIGHTS / LOGS), out / FLIGHTS / TRUTH
+    truth = options.data / TRUTH
+    return config, truth if truth.is_dir() else None
+
+
+def _studied(data: DataSets, effort: Effort, console: Console) -> Reproduction:
+    """Run the studies with one progress bar for each thing that takes time."""
+    with ExitStack() as stack:
+        shown: dict[str, Any] = {}
+
+        def watch(what: str, done: int = 0, total: int = 0) -> None:
+            if what not in shown:
+                stack.close()
+                shown[what] = stack.enter_context(console.progress(what))
+            if total:
+                shown[what](done, total)
+
+        checked: Watch = watch
+        return reproduce(data, effort, checked)
+
+
+def _document(found: Reproduction, options: Namespace) -> dict[str, Any]:
+    return {**found.document(), "complete": True, "quick": options.quick, "seed": options.seed}
+
+
+def _write(out: Path, found: Reproduction, options: Namespace) -> None:
+    write_bundle(out / MODEL, found.bundle)
+    html = reproduction_page(_header(found, options), found.studies)
+    atomic_write_text(out / PAGE, html)
+    atomic_write_text(out / DOCUMENT, to_json(_document(found, options)))
+
+
+def _header(found: Reproduction, options: Namespace) -> RunHeader:
+    config = found.data.config
+    rule_set = rules(config.evaluate.get("transients", {}).get("rules", "paper"))
+    narx = found.bundle.calibration.narx.config
+    origin = "the user's own" if options.data else f"virtual flights, seed {options.seed}"
+    return RunHeader(
+        title="The calibration paper reproduced",
+        created=now(),
+        run=config.name,
+        model=f"NARX, {narx.lags} lags, {narx.hidden} hidden units",
+        rules=rule_set.name,
+        tolerances=f"Ti {words(rule_set.Ti)}; Tt {words(rule_set.Tt)} ({rule_set.source})",
+        sources=data_files(found.data.logs),
+        versions=versions(),
+        facts={
+            "Data": origin,
+            "Test data sets": found.data.labels(found.data.tests),
+            "Effort": "quick: too few training steps to judge by" if options.quick else "full",
+            "Training": f"{found.bundle.meta['training']['wall_s']:.0f} s",
+        },
+        config=config.model_dump_json(by_alias=True, indent=1),
+    )
+
+
+def _show(console: Console, found: Reproduction) -> None:
+    for study in found.studies:
+        rows = [
+            [claim.what, claim.claimed, claim.ours, _OUTCOME[claim.met]] for claim in study.claims
+        ]
+        if rows:
+            console.table(study.title, ["claim", "claimed", "ours", ""], rows)
+    outcome = outcome_of(found.studies)
+    # The tables have said already which claims are missed.
+    lines = tuple(counts([claim for claim in found.claims if claim.met is not None]))
+    terminal.print_outcome(console.page, replace(outcome, lines=lines))
+
+
+_OUTCOME = {True: "reached", False: "missed", None: "not measured"}
