@@ -1,4 +1,4 @@
-"""The flight envelope of the virtual flight test, and which speeds belong to which altitudes.
+"""The flight envelope of the virtual flight test, which speeds belong to which altitudes, and the channels.
 
 The box is the calibration paper's (section 2.1): 0 to 12 km, up to Mach 0.85, static temperature
 -30 to +20 degC off the standard day. Two aircraft limit it further. Modelled: pressure altitude,
@@ -21,6 +21,8 @@ FloatArray = NDArray[np.float64]
 CEILING_FT = 12_000.0 / FT_M
 MACH_MAX = 0.85
 DT_LOW_C, DT_HIGH_C = -30.0, 20.0
+SWITCH_NAMES = ("WOW", "Approach", "ECS", "NAI", "WAI")
+CHANNEL_NAMES = ("time_s", "TRA_deg", "ALT_ft", "Mach", "dT_C", *SWITCH_NAMES)
 # Speed of sound at sea level on the standard day, in knots.
 _SOUND_KT = 661.4786
 

@@ -41,7 +41,7 @@ STYLES: tuple[Style, ...] = ("line", "enriched")
 ENGINES = ("left", "right")
 
 # The lever that follows moves this much later, in s; manoeuvres keep more than that apart.
-_LATER_S = (0.1, 0.6)
+LATER_S = (0.1, 0.6)
 _APART_S = 1.0
 _SOLO = 0.15
 
@@ -100,7 +100,7 @@ class _Programme:
         for index, engine in enumerate(ENGINES):
             if solo and index != leader:
                 continue
-            later = 0.0 if index == leader else self.random.uniform(*_LATER_S)
+            later = 0.0 if index == leader else self.random.uniform(*LATER_S)
             self.placed[engine].append(Placed(self.clock_s + later, manoeuvre))
         self.angle_deg += manoeuvre.net_deg
         self.clock_s += manoeuvre.duration_s + max(rest_s, _APART_S)
@@ -134,7 +134,7 @@ def _set(programme: _Programme, leg: Leg, style: Style) -> None:
     target = setting.base
     if target > 0.0:
         target = min(max(target + random.uniform(-3.0, 3.0), setting.low), setting.high)
-    rate = _rate(random) if style == "enriched" else random.uniform(6.0, 15.0)
+    rate = draw_rate(random) if style == "enriched" else random.uniform(6.0, 15.0)
     if leg.name in _STILL or leg.name in ("take_off", "go_around"):
         rate = max(rate, 12.0)
     by = target - programme.angle_deg
@@ -199,7 +199,7 @@ def _draw(random: np.random.Generator, setting: _Setting, angle: float) -> Manoe
     """Draw one of the pilot's habits: mostly a push or a pull, and everything else at times."""
     if random.random() < 0.6:
         drawn = random.uniform(setting.low, setting.high, size=2)
-        return travel(float(drawn[np.argmax(np.abs(drawn - angle))]) - angle, _rate(random))
+        return travel(float(drawn[np.argmax(np.abs(drawn - angle))]) - angle, draw_rate(random))
     makers = tuple(_habits(random, setting, angle))
     return makers[int(random.integers(len(makers)))]
 
@@ -220,6 +220,8 @@ def _habits(random: np.random.Generator, setting: _Setting, angle: float) -> Ite
     yield switch(str(random.choice(("ECS", "NAI", "WAI"))), stay, after_s=0.5 * stay)
 
 
-def _rate(random: np.random.Generator) -> float:
-    """Draw a rate of the lever: from slow to slam, every octave as often."""
-    return math.exp(random.uniform(math.log(SLOW_DEG_S), math.log(SLAM_DEG_S)))
+def draw_rate(
+    random: np.random.Generator, low: float = SLOW_DEG_S, high: float = SLAM_DEG_S
+) -> float:
+    """Draw a rate of the lever in deg/s: from slow to slam, every octave as often."""
+    return math.exp(random.uniform(math.log(low), math.log(high)))

@@ -14,6 +14,7 @@ from pydantic import model_validator
 from narxcal.errors import ConfigError
 from narxcal.flight_test.envelope import (
     AIRCRAFT,
+    CHANNEL_NAMES,
     DT_HIGH_C,
     DT_LOW_C,
     Aircraft,
@@ -150,9 +151,8 @@ def _channels(
     continuous: dict[str, FloatArray], switches: dict[str, NDArray[np.bool_]]
 ) -> dict[str, FloatArray]:
     """Put the channels in canonical order, switches as 0 and 1."""
-    names = ("time_s", "TRA_deg", "ALT_ft", "Mach", "dT_C")
-    ordered = {name: continuous[name].copy() for name in names}
-    return ordered | {name: flags.astype(np.float64) for name, flags in switches.items()}
+    every = continuous | {name: flags.astype(np.float64) for name, flags in switches.items()}
+    return {name: every[name].copy() for name in CHANNEL_NAMES}
 
 
 def _check_known(name: str, value: str, known: tuple[str, ...]) -> None:
