@@ -52,9 +52,10 @@ def _parser() -> _Parser:
         _info,
         _denoise,
         _fly,
+        _reproduce,
+        _export,
     ):
         _common(add(commands))
-    _common(_reproduce(commands))
     return parser
 
 
@@ -243,6 +244,36 @@ def _fly(commands: _Commands) -> argparse.ArgumentParser:
     parser.add_argument(
         "--jobs", metavar="N", type=count, default=os.cpu_count() or 1, help="flights at a time"
     )
+    return parser
+
+
+def _export(commands: _Commands) -> argparse.ArgumentParser:
+    parser = _command(commands, "export", "Write a steady-state model as a table or an FMU.")
+    parser.add_argument(
+        "source",
+        metavar="SOURCE",
+        help="run folder, table (.csv), FMU, module:function, or a virtual engine's name",
+    )
+    parser.add_argument("--to", choices=("table", "fmu"), required=True, help="what to write")
+    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help=".csv, .gz or .fmu")
+    parser.add_argument("--fmi", choices=("2.0", "3.0"), default="2.0", help="default 2.0")
+    parser.add_argument(
+        "--tolerance", metavar="PCT", type=float, default=0.5, help="of each range (default 0.5)"
+    )
+    parser.add_argument(
+        "--max-rows", metavar="N", type=count, default=100_000, help="default 100000"
+    )
+    parser.add_argument(
+        "--nodes",
+        metavar="NAME=NODES",
+        nargs="+",
+        action="extend",
+        help="nodes to have, as ALT_ft=0,36089,43000 or dT_C=-30:30:7; one node fixes an input",
+    )
+    parser.add_argument("--no-refine", action="store_true", help="add no nodes")
+    parser.add_argument("--strict", action="store_true", help="write nothing beyond the tolerance")
+    parser.add_argument("--inputs", metavar="NAME", nargs="+", help="where SOURCE names none")
+    parser.add_argument("--outputs", metavar="NAME", nargs="+", help="where SOURCE names none")
     return parser
 
 

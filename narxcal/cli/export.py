@@ -1,0 +1,163 @@
+"""`narxcal export`: a steady-state model as a table, or as a compiled FMU."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+
+from narxcal.bundle import load_bundle
+from narxcal.channels import channel
+from narxcal.cli.console import Console
+from narxcal.errors import ConfigError, ModelError
+from narxcal.standin import INPUT_NAMES
+from narxcal.steady_callable import SteadyCallable
+from narxcal.steady_csv import read_steady_table
+from narxcal.steady_export import ExportOptions, ExportReport, Grid, export_fmu, export_table
+from narxcal.steady_export.report import ADVICE
+from narxcal.steady_fmu import SteadyFmu
+from narxcal.steady_state import SteadyStateModel
+
+SCHEMA = "narxcal.export/1"
+ENGINES = ("business_jet", "single_aisle")
+# A function gives its outputs no names: these, as far as it has columns.
+_USUAL_OUTPUTS = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph", "FN_kN", "FPR", "EPR")
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Export SOURCE and say how well it is matched; 1 where the tolerance was missed."""
+    model = open_source(options.source, options.inputs, options.outputs)
+    grid = Grid.of_model(model, _nodes(options.nodes or ()))
+    with console.progress("Exporting") as advance:
+        how = ExportOptions(
+            tolerance_pct=options.tolerance,
+            max_rows=options.max_rows,
+            refine=not options.no_refine,
+            strict=options.strict,
+            source=_shown(options.source),
+            watch=advance,
+        )
+        if options.to == "fmu":
+            report = export_fmu(model, grid, options.out, options.fmi, how)
+        else:
+            report = export_table(model, grid, options.out, how)
+    _show(console, report)
+    console.document({"schema": SCHEMA, "to": options.to, **report.to_dict()})
+    return 0 if report.met else 1
+
+
+def open_source(
+    source: str, inputs: Sequence[str] | None, outputs: Sequence[str] | None
+) -> SteadyStateModel:
+    """Open a run folder, a virtual engine's name, `module:function`, a CSV file or an FMU.
+
+    `inputs` and `outputs` name the columns where SOURCE does not. Raises `ConfigError` for
+    what is none of these, else as the source's own reader.
+    """
+    path = Path(source)
+    if source in ENGINES:
+        return _virtual_engine(source)
+    if path.is_dir():
+        return load_bundle(path).calibration.steady
+    if path.name.endswith((".csv", ".csv.gz")):
+        return read_steady_table(path, inputs, outputs)
+    if path.suffix == ".fmu":
+        if not (inputs and outputs):
+            raise ConfigError(
+                "an FMU does not say which of its variables to export",
+                file=path,
+                hint="Name them with --inputs and --outputs",
+            )
+        return SteadyFmu(path, (inputs, outputs))
+    if ":" in source:
+        return _function(source, inputs or INPUT_NAMES, outputs)
+    raise ConfigError(
+        f"'{source}' is no run folder, table (.csv), FMU, module:function or virtual engine",
+        hint=f"Virtual engines are {' and '.join(ENGINES)}",
+    )
+
+
+def _virtual_engine(name: str) -> SteadyStateModel:
+    engine: SteadyStateModel = import_module("narxcal.turbofan").VirtualEngine(name)
+    return engine
+
+
+def _function(
+    source: str, inputs: Sequence[str], outputs: Sequence[str] | None
+) -> SteadyStateModel:
+    if outputs:
+        return SteadyCallable.load(source, (inputs, outputs))
+    problem = ""
+    for width in range(len(_USUAL_OUTPUTS), 0, -1):
+        model = SteadyCallable.load(source, (inputs, _USUAL_OUTPUTS[:width]))
+        try:
+            model.outputs(np.zeros((1, len(inputs))))
+        except ModelError as error:
+            problem = error.problem
+        else:
+            return model
+    raise ModelError(problem, hint="Name its columns with --inputs and --outputs")
+
+
+def _nodes(words: Sequence[str]) -> dict[str, tuple[float, ...]]:
+    """Read `NAME=V`, `NAME=V,V,...` and `NAME=LOW:HIGH:COUNT`; raises `ConfigError`."""
+    found: dict[str, tuple[float, ...]] = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        try:
+            if text.count(":") == 2:
+                low, high, count = text.split(":")
+                values = np.linspace(float(low), float(high), int(count)).tolist()
+            else:
+                values = [float(part) for part in text.split(",")]
+        except ValueError:
+            raise ConfigError(
+                f"cannot read the nodes '{word}'",
+                hint="Write NAME=VALUE, NAME=VALUE,VALUE,... or NAME=LOW:HIGH:COUNT",
+            ) from None
+        found[channel(name).name] = tuple(values)
+    return found
+
+
+def _shown(source: str) -> str:
+    """Name a source without the folders that lead to it, so that files do not tell them."""
+    return Path(source).resolve().name if Path(source).exists() else source
+
+
+def _show(console: Console, report: ExportReport) -> None:
+    console.table(
+        f"Interpolation error at {report.measured.inside} random conditions",
+        ["output", "unit", "range", "largest", "RMS", "largest %"],
+        [
+            [
+                one.name,
+                one.unit,
+                f"{one.range:.4g}",
+                f"{one.max:.3g}",
+                f"{one.rms:.3g}",
+                f"{one.max_pct:.3g}",
+            ]
+            for one in report.measured.outputs
+        ],
+    )
+    console.table(
+        f"Nodes ({report.rows} rows; {report.why})",
+        ["input", "low", "high", "nodes"],
+        [
+            [name, f"{axis[0]:g}", f"{axis[-1]:g}", str(len(axis))]
+            for name, axis in report.axes.items()
+        ],
+    )
+    for name, value in report.fixed.items():
+        console.say(f"{name} is fixed at {value:g} and left out")
+    if report.additive:
+        console.say(f"Summed on grids of their own: {', '.join(report.additive)}")
+    if not report.met:
+        console.warn(
+            f"the largest error, {report.measured.worst_pct:.3g} % of the range, is above the "
+            f"tolerance of {report.tolerance_pct:g} %: {report.why}. {ADVICE}"
+        )
+    console.say(f"Exported: {report.file} ({report.bytes / 1e6:.2f} MB)")
