@@ -89,23 +89,25 @@ class Sensed(NamedTuple):
 
 
 def schedules(
-    N2c_pct: ArrayLike, ratio: ArrayLike, *, accel_margin: float, decel_margin: float
+    N2c_pct: ArrayLike, ratio: ArrayLike, *, accel_margin: ArrayLike, decel_margin: ArrayLike
 ) -> tuple[FloatArray, FloatArray]:
     """Acceleration and deceleration limits about the steady line `ratio` over `N2c_pct`.
 
     `ratio = Wf / (Ps3 sqrt(theta2))` in kg/(s Pa). The limits are `(1 + accel_margin) ratio` and
     `(1 - decel_margin) ratio`; margins are fractions of the steady fuel that may be added or taken
-    away. The effect `accel_limit` scales `accel_margin`, `accel_decel_asymmetry` sets them apart.
+    away, each one number or a value per speed. The effect `accel_limit` scales `accel_margin`,
+    `accel_decel_asymmetry` sets them apart.
 
     Raises `ModelError` if the line is no table, or a margin leaves no room to move.
     """
     line = _table("steady line", N2c_pct, ratio)
-    if not (accel_margin > 0.0 and 0.0 < decel_margin < 1.0):
+    up, down = np.asarray(accel_margin, np.float64), np.asarray(decel_margin, np.float64)
+    if not (np.all(up > 0.0) and np.all((down > 0.0) & (down < 1.0))):
         raise ModelError(
             "schedules: expected an acceleration margin above 0 and a deceleration margin between "
             f"0 and 1, found {accel_margin} and {decel_margin}"
         )
-    return (1.0 + accel_margin) * line, (1.0 - decel_margin) * line
+    return (1.0 + up) * line, (1.0 - down) * line
 
 
 def governor(

@@ -333,6 +333,14 @@ def test_no_fuel_is_no_start():
         fadec.settled(parameters(), SENSED, 0.0)
 
 
+def test_margins_may_differ_from_speed_to_speed():
+    accel, decel = fadec.schedules(
+        [50.0, 100.0], [2.0, 4.0], accel_margin=[0.5, 0.25], decel_margin=0.5
+    )
+    np.testing.assert_allclose(accel, [3.0, 5.0])
+    np.testing.assert_allclose(decel, [1.0, 2.0])
+
+
 @pytest.mark.parametrize(("accel", "decel"), [(0.0, 0.3), (0.3, 0.0), (0.3, 1.0)])
 def test_schedules_need_room_to_move(accel, decel):
     with pytest.raises(ModelError, match=rf"margin above 0 .* found {accel} and {decel}"):
