@@ -1,0 +1,119 @@
+"""Fills the control's tables from the engine it has to control.
+
+Schedules and gains come from the running line at sea level static: the steady `Wf/Ps3` with
+margins either side, and a governor that cancels the rotors' own time constants, which are the
+eigenvalues of the engine linearised at constant fuel.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from narxcal.turbofan.cycle import POSITIONS
+from narxcal.turbofan.fadec import FadecParameters, governor, schedules
+from narxcal.turbofan.intake import intake
+from narxcal.turbofan.presets import Preset
+from narxcal.turbofan.rest import (
+    CONDITIONS,
+    N1,
+    OFFTAKE_W,
+    STATIC_K,
+    STATIC_PA,
+    Line,
+    Machine,
+    rest_points,
+)
+from narxcal.turbofan.solve import match_flows
+from narxcal.turbofan.stations import Running, Stations
+from narxcal.turbofan.transient import Body
+
+FloatArray = NDArray[np.float64]
+_SCHEDULED = (0.22, 1.08)  # relative N1 between which the tables are made
+_POINTS = 24
+_TOPPING_SHARE = 0.25  # of the fuel slope, so that toppings stay stable with all lags in the loop
+
+
+def control(
+    preset: Preset, machine: Machine, line: Line, body: Body, margin: float
+) -> FadecParameters:
+    """Tables and limits for `preset`; `margin` multiplies its acceleration margins."""
+    n1 = np.linspace(*_SCHEDULED, _POINTS)
+    conditions = np.zeros((_POINTS, CONDITIONS))
+    conditions[:, STATIC_K], conditions[:, STATIC_PA] = 288.15, 101325.0
+    conditions[:, N1], conditions[:, OFFTAKE_W] = n1, preset.offtake_W
+    unknowns, stations, _ = rest_points(machine, line, conditions)
+    fuel = machine.fuel_unit_kgps * unknowns[:, -1]
+    N1c, N2c = n1 * preset.speed_pct[0], unknowns[:, POSITIONS] * preset.speed_pct[1]
+    ratio = fuel / stations[:, Stations._fields.index("P3")]
+    lags = rotor_lags(machine, body, conditions, unknowns)
+    gain, reset, lead = governor(N1c, fuel, (lags[:, 0], lags[:, 1], preset.governor_lag_s))
+    accel, decel = _limits(preset, N2c, ratio, margin)
+    slopes = _topping_gains(fuel, N2c, stations)
+    return FadecParameters(
+        governor_N1c_pct=N1c,
+        governor_gain=gain,
+        governor_reset_s=reset,
+        governor_lead_s=lead,
+        schedule_N2c_pct=N2c,
+        accel_ratio=accel,
+        decel_ratio=decel,
+        topping_limit=np.array([*preset.limits, np.inf]),
+        topping_gain=slopes,
+        topping_reset_s=np.full(3, float(lags[-1, 0])),
+        fuel_min_kgps=0.0,
+        lean_ratio=0.45 * float(ratio.min()),
+    )
+
+
+def _limits(
+    preset: Preset, N2c: FloatArray, ratio: FloatArray, margin: float
+) -> tuple[FloatArray, FloatArray]:
+    """Limits whose margins run straight from idle to full speed."""
+    share = (N2c - N2c[0]) / (N2c[-1] - N2c[0])
+    up = np.interp(share, (0.0, 1.0), preset.accel_margins) * margin
+    down = np.interp(share, (0.0, 1.0), preset.decel_margins)
+    unit = schedules(N2c, ratio, accel_margin=1.0, decel_margin=0.5)
+    steady = 0.5 * unit[0]
+    return (1.0 + up) * steady, (1.0 - down) * steady
+
+
+def _topping_gains(fuel: FloatArray, N2c: FloatArray, stations: FloatArray) -> FloatArray:
+    """Fuel per unit of N2 (%), T45 (K) and Ps3 (Pa) along the top of the line."""
+    T45 = stations[:, Stations._fields.index("T45")]
+    P3 = stations[:, Stations._fields.index("P3")]
+    top = [float(x[-1] - x[-4]) for x in (N2c, T45, P3)]
+    return _TOPPING_SHARE * 4.0 * float(fuel[-1] - fuel[-4]) / np.array(top)
+
+
+def rotor_lags(
+    machine: Machine, body: Body, conditions: FloatArray, unknowns: FloatArray
+) -> FloatArray:
+    """Slow and fast time constant in s, (n, 2), at each steady point, at constant fuel.
+
+    A complex pair counts with its real part.
+    """
+    found = [
+        _eigenvalues(machine, body, condition, x)
+        for condition, x in zip(conditions, unknowns, strict=True)
+    ]
+    return np.array([sorted(-1.0 / value.real, reverse=True) for value in found])
+
+
+def _eigenvalues(
+    machine: Machine, body: Body, condition: FloatArray, x: FloatArray
+) -> NDArray[np.complex128]:
+    air = intake(condition[STATIC_K], condition[STATIC_PA], condition[2], machine.recovery)
+    fuel = machine.fuel_unit_kgps * x[-1]
+    inertia = np.array([body.inertia1_J, body.inertia2_J])
+
+    def rates(n: FloatArray) -> FloatArray:
+        run = Running(float(n[0]), float(n[1]), fuel, condition[4], condition[5], 0.0, 0.0)
+        engine = (machine.path, machine.health)
+        stations, _ = match_flows(engine, air, run, x[:POSITIONS].copy(), np.zeros((5, 5)))
+        return np.array([stations.power1_W, stations.power2_W]) / (inertia * n)
+
+    n = np.array([condition[N1], x[POSITIONS]])
+    step = 1e-4
+    columns = [(rates(n + step * e) - rates(n - step * e)) / (2.0 * step) for e in np.eye(2)]
+    return np.asarray(np.linalg.eigvals(np.column_stack(columns)), dtype=np.complex128)

@@ -1,0 +1,165 @@
+"""Closes the design point: from what is published of an engine to the constants of its gas path.
+
+The cycle is computed once, forwards, at sea level static on a standard day; areas, capacities
+and the turbines' pressure ratios follow from the flows and the power balances (Saravanamuttoo,
+Rogers & Cohen, chapter 3). The off-design solution at the same conditions is then this point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from scipy.optimize import brentq
+
+from narxcal.turbofan.cycle import reynolds_factor
+from narxcal.turbofan.gas import (
+    burnt_enthalpy,
+    enthalpy,
+    isentropic_temperature,
+    temperature_at_enthalpy,
+)
+from narxcal.turbofan.intake import Air, intake
+from narxcal.turbofan.maps import BACKBONE, CompressorMap, TurbineMap
+from narxcal.turbofan.nozzle import jet
+from narxcal.turbofan.stations import GasPath
+
+
+@dataclass(frozen=True)
+class DesignPoint:
+    """Sea level static, standard day, maximum power, with nothing taken off."""
+
+    flow_kgps: float
+    bypass_ratio: float
+    fan_pressure_ratio: float
+    lpc_pressure_ratio: float
+    hpc_pressure_ratio: float
+    T4_K: float
+    fan_efficiency: float
+    lpc_efficiency: float
+    hpc_efficiency: float
+    hpt_efficiency: float
+    lpt_efficiency: float
+    recovery: float = 0.995
+
+
+@dataclass(frozen=True)
+class Closed:
+    """The closed design point: constants, fuel flow, and the map positions (all known)."""
+
+    path: GasPath
+    fuel_kgps: float
+    positions: tuple[float, float, float, float, float]
+
+
+def close(point: DesignPoint, shape: GasPath) -> Closed:
+    """Fill the sizes in `shape`, whose exponents, losses and cooling shares are kept.
+
+    Raises `ValueError` if the turbines cannot drive the compressors.
+    """
+    air = intake(288.15, 101325.0, 0.0, point.recovery)
+    re = float(reynolds_factor(shape.reynolds_loss, air))
+    core = point.flow_kgps / (1.0 + point.bypass_ratio)
+    maps, heat, (T21, T3) = _compressors(point, shape, air, re)
+    P3 = air.P2_Pa * point.lpc_pressure_ratio * point.hpc_pressure_ratio
+    fan_work, lpc_work, hpc_work = heat
+    fuel, far4 = _fuel(point, shape, T3, core)
+    h3, P4 = enthalpy(T3, 0.0), P3 * (1.0 - shape.burner_loss)
+    vanes, rotor = shape.vane_cooling * core, shape.rotor_cooling * core
+    W31 = core - vanes - rotor
+    W41, far41 = W31 + fuel + vanes, fuel / (W31 + vanes)
+    h4 = burnt_enthalpy(h3, far4, shape.burner_efficiency)
+    h41 = ((W31 + fuel) * h4 + vanes * h3) / W41
+    need = core * hpc_work / shape.mechanical_efficiency / W41
+    hpt, P45, h45 = _turbine((h41, far41, P4, W41), need, (point.hpt_efficiency, re), shape.hpt)
+    W45, far45 = W41 + rotor, fuel / (W31 + vanes + rotor)
+    h45 = (W41 * h45 + rotor * h3) / W45
+    need = (point.flow_kgps - core) * fan_work + core * lpc_work
+    need /= shape.mechanical_efficiency * W45
+    lpt, P5, h5 = _turbine((h45, far45, P45, W45), need, (point.lpt_efficiency, re), shape.lpt)
+    T5 = temperature_at_enthalpy(h5, far45, 800.0)
+    P8 = P5 * (1.0 - shape.core_duct_loss)
+    P18 = air.P2_Pa * point.fan_pressure_ratio * (1.0 - shape.bypass_duct_loss)
+    T13 = temperature_at_enthalpy(enthalpy(air.T2_K, 0.0) + fan_work, 0.0, 330.0)
+    path = shape._replace(
+        fan=maps[0], lpc=maps[1], hpc=maps[2], hpt=hpt, lpt=lpt,
+        hpc_reference_K=T21,
+        core_area_m2=_area(W45, T5, far45, P8),
+        bypass_area_m2=_area(point.flow_kgps - core, T13, 0.0, P18),
+    )  # fmt: skip
+    at = (BACKBONE, BACKBONE, BACKBONE, hpt.pressure_ratio, lpt.pressure_ratio)
+    return Closed(path, fuel, at)
+
+
+def _compressors(
+    point: DesignPoint, shape: GasPath, air: Air, re: float
+) -> tuple[list[CompressorMap], list[float], tuple[float, float]]:
+    """Scale the three maps; their specific work in J/kg; temperatures behind the last two."""
+    core = point.flow_kgps / (1.0 + point.bypass_ratio)
+    T21, lpc_work = _work(air.T2_K, point.lpc_pressure_ratio, point.lpc_efficiency * re)
+    T3, hpc_work = _work(T21, point.hpc_pressure_ratio, point.hpc_efficiency * re)
+    _, fan_work = _work(air.T2_K, point.fan_pressure_ratio, point.fan_efficiency * re)
+    P21 = air.P2_Pa * point.lpc_pressure_ratio
+    rows = (
+        (shape.fan, point.flow_kgps - core, air.T2_K, air.P2_Pa, point.fan_pressure_ratio),
+        (shape.lpc, core, air.T2_K, air.P2_Pa, point.lpc_pressure_ratio),
+        (shape.hpc, core, T21, P21, point.hpc_pressure_ratio),
+    )
+    efficiencies = (point.fan_efficiency, point.lpc_efficiency, point.hpc_efficiency)
+    maps = [
+        chart._replace(
+            flow_kgps=flow * (T / 288.15) ** 0.5 / (P / 101325.0),
+            pressure_ratio=ratio,
+            efficiency=efficiency,
+        )
+        for (chart, flow, T, P, ratio), efficiency in zip(rows, efficiencies, strict=True)
+    ]
+    return maps, [fan_work, lpc_work, hpc_work], (T21, T3)
+
+
+def _work(temperature: float, ratio: float, efficiency: float) -> tuple[float, float]:
+    before = enthalpy(temperature, 0.0)
+    ideal = enthalpy(isentropic_temperature(temperature, 0.0, ratio), 0.0)
+    work = (ideal - before) / efficiency
+    return temperature_at_enthalpy(before + work, 0.0, temperature * ratio**0.3), work
+
+
+def _fuel(point: DesignPoint, shape: GasPath, T3: float, core: float) -> tuple[float, float]:
+    """Fuel flow in kg/s, and its ratio to the burner's air, that gives the design T4."""
+    h3 = enthalpy(T3, 0.0)
+
+    def excess(far: float) -> float:
+        h4 = burnt_enthalpy(h3, far, shape.burner_efficiency)
+        return float(temperature_at_enthalpy(h4, far, point.T4_K)) - point.T4_K
+
+    far4 = float(brentq(excess, 1e-4, 0.06, xtol=1e-14))
+    return far4 * core * (1.0 - shape.vane_cooling - shape.rotor_cooling), far4
+
+
+def _turbine(
+    entry: tuple[float, float, float, float],
+    work: float,
+    efficiency: tuple[float, float],
+    shape: TurbineMap,
+) -> tuple[TurbineMap, float, float]:
+    """Size a turbine that gives `work` J/kg; its exit pressure and enthalpy before mixing."""
+    h, far, P, W = entry
+    T = temperature_at_enthalpy(h, far, 1200.0)
+    ideal = work / (efficiency[0] * efficiency[1])
+
+    def excess(ratio: float) -> float:
+        return h - enthalpy(isentropic_temperature(T, far, 1.0 / ratio), far) - ideal
+
+    ratio = float(brentq(excess, 1.001, 40.0, xtol=1e-14))
+    # Efficiency is stated without the Reynolds factor, which the cycle applies.
+    sized = shape._replace(
+        capacity=W * T**0.5 / P,
+        pressure_ratio=ratio,
+        efficiency=efficiency[0],
+        work_speed=1.0 / ideal**0.5,
+    )
+    return sized, P / ratio, h - work
+
+
+def _area(flow: float, temperature: float, far: float, pressure: float) -> float:
+    capacity = jet(temperature, far, pressure / 101325.0).capacity
+    return float(flow * temperature**0.5 / pressure / capacity)

@@ -1,0 +1,274 @@
+"""The virtual engine: lever and flight condition in, speeds, temperature, fuel and thrust out.
+
+As a simulator it runs a whole log; as a steady-state model it is what a maker would hand over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from narxcal.atmosphere import isa
+from narxcal.channels import channel
+from narxcal.errors import ModelError
+from narxcal.steady_state import Envelope, checked_inputs
+from narxcal.turbofan import fadec, fuel_valve
+from narxcal.turbofan.control_design import control
+from narxcal.turbofan.cycle import POSITIONS
+from narxcal.turbofan.design import Closed, close
+from narxcal.turbofan.fadec import Sensed
+from narxcal.turbofan.fuel_valve import FuelValveParameters
+from narxcal.turbofan.intake import intake
+from narxcal.turbofan.lever import LeverParameters, resolver
+from narxcal.turbofan.presets import Preset, preset
+from narxcal.turbofan.ratings import n1_command
+from narxcal.turbofan.rest import (
+    BLEED,
+    CONDITIONS,
+    MACH,
+    N1,
+    OFFTAKE_W,
+    STATIC_K,
+    STATIC_PA,
+    Line,
+    Machine,
+    rest_points,
+    running_line,
+)
+from narxcal.turbofan.stations import Health, Stations
+from narxcal.turbofan.transient import COLUMNS, Body, Plant, State, run
+from narxcal.turbofan.unmodelled import Fit, Unmodelled, fitted_with
+
+FloatArray = NDArray[np.float64]
+INPUT_NAMES = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "NAI", "WAI")
+OUTPUT_NAMES = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph", "FN_kN", "FPR", "EPR")
+LOW = np.array([0.0, -1000.0, 0.0, -30.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+HIGH = np.array([85.0, 40000.0, 0.85, 20.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+_LINE = np.arange(1.10, 0.174, -0.025)
+
+
+@dataclass(frozen=True)
+class _Core:
+    """What follows from a preset alone."""
+
+    closed: Closed
+    machine: Machine
+    line: Line
+    body: Body
+
+
+@lru_cache(maxsize=8)
+def _core(name: str) -> _Core:
+    chosen = preset(name)
+    closed = close(chosen.point, chosen.shape)
+    machine = Machine(closed.path, Health(), chosen.point.recovery, closed.fuel_kgps)
+    line, _ = running_line(machine, _LINE, np.array([*closed.positions, 1.0, 1.0]))
+    at_design = np.zeros((1, CONDITIONS))
+    at_design[0, :4] = 288.15, 101325.0, 0.0, 1.0
+    stations = Stations(*rest_points(machine, line, at_design)[1][0])
+    return _Core(closed, machine, line, _body(chosen, stations))
+
+
+def _body(chosen: Preset, design: Stations) -> Body:
+    inertia = [i * w * w for i, w in zip(chosen.inertia, chosen.speed_radps, strict=True)]
+    heat_flow = design.W45 * 1180.0  # W/K of the gas, cp about 1180 J/(kg K) behind the burner
+    return Body(
+        inertia1_J=inertia[0],
+        inertia2_J=inertia[1],
+        N1_design_pct=chosen.speed_pct[0],
+        N2_design_pct=chosen.speed_pct[1],
+        metal_WpK=chosen.metal_share * heat_flow,
+        metal_tau_s=chosen.metal_tau_s,
+        casing_tau_s=chosen.casing_tau_s,
+        clearance_pK=chosen.clearance_pK,
+        flow_kgps=design.W45,
+        probe_tau_s=chosen.probe_tau_s,
+    )
+
+
+class VirtualEngine:
+    """One engine of a preset, with its own build and with what nobody modelled.
+
+    `build` are multipliers of component efficiencies and flows (see `build_scatter`),
+    `unmodelled` the effects switched on. It is a steady-state model by itself (`outputs`,
+    `inside`), and a simulator by `simulate`.
+
+    Raises `ConfigError` for an unknown preset.
+    """
+
+    input_names = INPUT_NAMES
+    output_names = OUTPUT_NAMES
+
+    def __init__(
+        self,
+        name: str = "business_jet",
+        build: Health | None = None,
+        unmodelled: Sequence[Unmodelled] = (),
+    ) -> None:
+        self.preset = preset(name)
+        core = _core(name)
+        slew = core.closed.fuel_kgps
+        nominal = Fit(
+            lever=LeverParameters(),
+            valve=FuelValveParameters(slew_kgps2=slew),
+            ratings=self.preset.ratings,
+            body=core.body,
+            health=build or Health(),
+        )
+        self.fit = fitted_with(nominal, unmodelled)
+        self._line = core.line
+        self._machine = core.machine._replace(health=self.fit.health)
+        # The control is designed for the engine as it should be, not as it is.
+        self._fadec = control(
+            self.preset, core.machine, core.line, core.body, self.fit.accel_margin
+        )
+        self._box = Envelope(LOW, HIGH)
+
+    def inside(self, inputs: ArrayLike) -> NDArray[np.bool_]:
+        """Whether each sample of `inputs` (..., 9) lies in the envelope: (...,)."""
+        return self._box.inside(checked_inputs(inputs, self.input_names))
+
+    def outputs(self, inputs: ArrayLike) -> FloatArray:
+        """Settled outputs (..., 7) at `inputs` (..., 9) moved into the envelope; NaN for NaN.
+
+        Raises `ModelError` naming the condition that does not converge.
+        """
+        array = checked_inputs(inputs, self.input_names)
+        flat = self._box.clamp(array.reshape(-1, len(INPUT_NAMES)))
+        known = np.isfinite(flat).all(axis=1)
+        found = np.full((len(flat), len(OUTPUT_NAMES)), np.nan)
+        if known.any():
+            found[known] = self._settled(flat[known])
+        return found.reshape(*array.shape[:-1], len(OUTPUT_NAMES))
+
+    steady_state = outputs
+
+    def simulate(self, inputs: Mapping[str, FloatArray], dt_s: float) -> dict[str, FloatArray]:
+        """Run a log sampled every `dt_s` seconds, from its settled first sample.
+
+        `inputs` maps `INPUT_NAMES` to (time,); the result maps the columns of
+        `narxcal.turbofan.transient` likewise. No sensor is between: EGT alone is behind its
+        probe, whose lag depends on the engine.
+
+        Raises `ModelError` if a sample lies outside the envelope or does not converge.
+        """
+        u = np.column_stack([np.asarray(inputs[name], np.float64) for name in INPUT_NAMES])
+        self._check(u, dt_s)
+        u[:, 0] = resolver(u[:, 0], dt_s, self.fit.lever)
+        commands = n1_command(self.fit.ratings, u)
+        conditions = self._conditions(u, commands)
+        self._add_switches(conditions, dt_s)
+        plant = Plant(self._machine, self.fit.body, self._fadec, self.fit.valve)
+        state = self._at_rest(conditions[0], float(commands[0]), dt_s)
+        rows, solved = run(plant, state, commands, conditions, dt_s)
+        if solved < len(u):
+            raise ModelError(
+                f"the engine's gas path has no solution {_where(u[solved])}", row=solved
+            )
+        return {name: rows[:, j].copy() for j, name in enumerate(COLUMNS)}
+
+    def _check(self, u: FloatArray, dt_s: float) -> None:
+        if not (np.isfinite(dt_s) and 0.0 < dt_s <= 0.2):
+            raise ModelError(f"the virtual engine runs at steps of up to 0.2 s, got {dt_s} s")
+        outside = ~self._box.inside(u)
+        if len(u) == 0 or outside.any():
+            raise ModelError(_outside(u, outside))
+
+    def _conditions(self, u: FloatArray, commands: FloatArray) -> FloatArray:
+        """Rows (n, 6) of what the gas path is asked for; bleeds follow the switches."""
+        rows = np.zeros((len(u), CONDITIONS))
+        temperature, rows[:, STATIC_PA] = isa(u[:, 1])
+        rows[:, STATIC_K] = temperature + u[:, 3]
+        rows[:, MACH] = u[:, 2]
+        rows[:, N1] = commands / self.preset.speed_pct[0]
+        p = self.preset
+        rows[:, BLEED] = u[:, 6:9] @ np.array([p.ecs_bleed, p.nai_bleed, p.wai_bleed])
+        rows[:, BLEED] += self.fit.bleed * (u[:, 6:9] > 0.5).any(axis=1)
+        rows[:, OFFTAKE_W] = p.offtake_W
+        return rows
+
+    def _add_switches(self, conditions: FloatArray, dt_s: float) -> None:
+        time_s = np.arange(len(conditions)) * dt_s
+        for effect in self.fit.switches:
+            for start, stop in effect.windows:
+                on = (time_s >= start) & (time_s < stop)
+                conditions[on, BLEED] += effect.value("bleed")
+                conditions[on, OFFTAKE_W] += 1e3 * effect.value("power_kW")
+
+    def _settled(self, u: FloatArray) -> FloatArray:
+        commands = n1_command(self.fit.ratings, u + self.fit.lever.bias_deg * (np.arange(9) == 0))
+        conditions = self._conditions(u, commands)
+        unknowns, rows, good = rest_points(self._machine, self._line, conditions)
+        if not good.all():
+            raise ModelError(f"the engine has no steady state {_where(u[np.argmin(good)])}")
+        at = dict(zip(Stations._fields, rows.T, strict=True))
+        P2 = np.array([_face(c, self._machine)[1] for c in conditions])
+        return np.column_stack(
+            [
+                commands,
+                self.preset.speed_pct[1] * unknowns[:, POSITIONS],
+                at["T45"] - 273.15,
+                3600.0 * self._machine.fuel_unit_kgps * unknowns[:, -1],
+                1e-3 * at["net_N"],
+                at["P13"] / P2,
+                at["P5"] / P2,
+            ]
+        )
+
+    def _at_rest(self, condition: FloatArray, command: float, dt_s: float) -> State:
+        """State of an engine that has long been running at `condition`."""
+        unknowns, rows, good = rest_points(self._machine, self._line, condition[np.newaxis])
+        if not good[0]:
+            raise ModelError("the engine has no steady state to start from", row=0)
+        x, s = unknowns[0], Stations(*rows[0])
+        fuel = float(self._machine.fuel_unit_kgps * x[-1])
+        T2, P2 = _face(condition, self._machine)
+        N2 = float(self.preset.speed_pct[1] * x[POSITIONS])
+        sensed = Sensed(command, command, N2, s.T45, s.P3, P2, T2)
+        return State(
+            rotors=np.array([condition[N1], x[POSITIONS], 0.0, 0.0]),
+            metal=np.array([s.T41, s.T41, s.T45, 0.0, 0.0]),
+            sensed=np.array([command, N2, s.P3]),
+            positions=x[:POSITIONS].copy(),
+            inverse=np.zeros((POSITIONS, POSITIONS)),
+            fadec=fadec.settled(self._fadec, sensed, fuel),
+            valve=fuel_valve.settled(self.fit.valve, fuel, dt_s / 2),
+        )
+
+
+def build_scatter(random: np.random.Generator, sigma_pct: float = 0.5) -> Health:
+    """Draw a build: every efficiency and flow off by a normal `sigma_pct` percent."""
+    drawn = 1.0 + 0.01 * sigma_pct * random.standard_normal(len(Health._fields))
+    return Health(*drawn.tolist())
+
+
+def maker_model(inputs: ArrayLike) -> FloatArray:
+    """Settled N1, N2 and EGT (..., 3) of the business-jet engine, as a maker would give them."""
+    return VirtualEngine("business_jet").outputs(inputs)[..., :3]
+
+
+def _face(condition: FloatArray, machine: Machine) -> tuple[float, float]:
+    """Total temperature and pressure at the fan face."""
+    air = intake(condition[STATIC_K], condition[STATIC_PA], condition[MACH], machine.recovery)
+    return air.T2_K, air.P2_Pa
+
+
+def _where(u: FloatArray) -> str:
+    values = (f"{name} {value:g}" for name, value in zip(INPUT_NAMES, u.tolist(), strict=True))
+    return f"at {', '.join(values)}"
+
+
+def _outside(u: FloatArray, outside: NDArray[np.bool_]) -> str:
+    if len(u) == 0:
+        return "the virtual engine needs at least one sample, got none"
+    row = int(np.argmax(outside))
+    j = int(np.argmax(~((u[row] >= LOW) & (u[row] <= HIGH))))
+    name, unit = INPUT_NAMES[j], channel(INPUT_NAMES[j]).unit
+    return (
+        f"sample {row}: {name} is {u[row, j]:g} {unit}, outside the virtual engine's envelope "
+        f"{LOW[j]:g} .. {HIGH[j]:g}"
+    )
