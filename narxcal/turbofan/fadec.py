@@ -105,7 +105,7 @@ def schedules(
     if not (np.all(up > 0.0) and np.all((down > 0.0) & (down < 1.0))):
         raise ModelError(
             "schedules: expected an acceleration margin above 0 and a deceleration margin between "
-            f"0 and 1, found {accel_margin} and {decel_margin}"
+            f"0 and 1, found {up} and {down}"
         )
     return (1.0 + up) * line, (1.0 - down) * line
 
