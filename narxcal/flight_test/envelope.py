@@ -1,4 +1,4 @@
-"""The flight envelope of the virtual flight test, which speeds belong to which altitudes, and the channels.
+"""The channels and the envelope of the virtual flight test, and which speed belongs where.
 
 The box is the calibration paper's (section 2.1): 0 to 12 km, up to Mach 0.85, static temperature
 -30 to +20 degC off the standard day. Two aircraft limit it further. Modelled: pressure altitude,

@@ -90,7 +90,10 @@ def _large(at: TestLevels) -> Iterator[TestPoint]:
     )
     sizes = ladder([share * up for share in _SIZES], at.stay_s, SLAM_DEG_S)
     yield TestPoint("three step sizes", sizes, ("rate limit", "asymmetry", "time constant"))
-    rates = [levels([(up, at.stay_s), (0.0, at.stay_s)], rate) for rate in _RATES_DEG_S]
+    rates = [
+        levels([(up, up / rate + at.stay_s), (0.0, up / rate + at.stay_s)], rate)
+        for rate in _RATES_DEG_S
+    ]
     yield TestPoint("throttle rates", Sequence(tuple(rates)), ("rate limit", "throttle rate"))
     soak = levels([(at.high - at.low, at.hold_s)], SLAM_DEG_S)
     yield TestPoint(

@@ -44,6 +44,8 @@ ENGINES = ("left", "right")
 LATER_S = (0.1, 0.6)
 _APART_S = 1.0
 _SOLO = 0.15
+# The lever gets to the angle of a leg in this share of it.
+_SET_SHARE = 0.4
 
 
 @dataclass(frozen=True)
@@ -86,9 +88,13 @@ _CORRECTIONS_S["high_cruise"] = _CORRECTIONS_S["cruise"]
 
 @dataclass
 class _Programme:
-    """The manoeuvres of both levers so far; `clock_s` is when the next one may begin."""
+    """The manoeuvres of both levers so far.
+
+    From `free_s` on the next one can begin; `clock_s` is when the pilot means it to.
+    """
 
     random: np.random.Generator
+    free_s: float = 0.0
     clock_s: float = 0.0
     angle_deg: float = 0.0
     placed: dict[str, list[Placed]] = field(default_factory=lambda: {e: [] for e in ENGINES})
@@ -103,7 +109,8 @@ class _Programme:
             later = 0.0 if index == leader else self.random.uniform(*LATER_S)
             self.placed[engine].append(Placed(self.clock_s + later, manoeuvre))
         self.angle_deg += manoeuvre.net_deg
-        self.clock_s += manoeuvre.duration_s + max(rest_s, _APART_S)
+        self.free_s = self.clock_s + manoeuvre.duration_s + _APART_S
+        self.clock_s = max(self.free_s, self.free_s - _APART_S + rest_s)
 
     def fits(self, manoeuvre: Manoeuvre, leg: Leg, setting: _Setting) -> bool:
         """Whether it ends in time, and stays between the leg's angles."""
@@ -118,7 +125,8 @@ def work_levers(
     """Draw the manoeuvres of the left and the right lever over a flight, from idle at 0 s."""
     programme = _Programme(random)
     for leg in legs:
-        programme.clock_s = max(programme.clock_s, leg.start_s + random.uniform(0.0, 1.0))
+        # A new leg begins when it begins, whatever rest was meant after the last movement.
+        programme.clock_s = max(programme.free_s, leg.start_s + random.uniform(0.0, 1.0))
         _set(programme, leg, style)
         if leg.name in _STILL:
             continue
@@ -138,6 +146,7 @@ def _set(programme: _Programme, leg: Leg, style: Style) -> None:
     if leg.name in _STILL or leg.name in ("take_off", "go_around"):
         rate = max(rate, 12.0)
     by = target - programme.angle_deg
+    rate = max(rate, abs(by) / (_SET_SHARE * (leg.stop_s - leg.start_s)))
     if leg.name == "take_off" and style == "line":
         # Engines are first brought to an even speed.
         stable = travel(0.5 * by, rate)
@@ -176,28 +185,33 @@ def _test(programme: _Programme, leg: Leg) -> None:
         points = [separating_set(at)[k] for k in random.permutation(len(points))]
     for point in points:
         if programme.fits(point.manoeuvre, leg, _SETTINGS[leg.name]):
-            programme.add(point.manoeuvre, random.uniform(3.0, 8.0), together=False)
+            # Each engine flies the whole set; bleed is often tried on one side.
+            one_side = bool(point.manoeuvre.switched)
+            programme.add(point.manoeuvre, random.uniform(3.0, 8.0), together=not one_side)
 
 
 def _enrich(programme: _Programme, leg: Leg) -> None:
     """Draw manoeuvres until the leg is full; each leaves some rest behind it."""
     setting, random = _SETTINGS[leg.name], programme.random
-    hurry = min(1.0, (leg.stop_s - leg.start_s) / 200.0)
+    # A short leg has no time for anything but pushes and pulls, close together.
+    leisure = min(1.0, (leg.stop_s - leg.start_s) / 200.0)
     together = leg.name in _TOGETHER
     while programme.clock_s < leg.stop_s - 4.0:
-        drawn = (_draw(random, setting, programme.angle_deg) for _ in range(6))
+        drawn = (_draw(random, setting, programme.angle_deg, leisure) for _ in range(8))
         fitting = (one for one in drawn if programme.fits(one, leg, setting))
         chosen = next(fitting, None)
-        rest = random.uniform(6.0, 12.0) + random.exponential(15.0) * hurry
+        rest = random.uniform(5.0, 12.0) + random.exponential(15.0) * leisure
         if chosen is None:
-            programme.clock_s += 2.0
+            programme.clock_s += 1.0
         else:
             programme.add(chosen, rest, together=together)
 
 
-def _draw(random: np.random.Generator, setting: _Setting, angle: float) -> Manoeuvre:
-    """Draw one of the pilot's habits: mostly a push or a pull, and everything else at times."""
-    if random.random() < 0.6:
+def _draw(
+    random: np.random.Generator, setting: _Setting, angle: float, leisure: float
+) -> Manoeuvre:
+    """Draw one of the pilot's habits: mostly a push or a pull, with leisure also the others."""
+    if random.random() > 0.4 * leisure:
         drawn = random.uniform(setting.low, setting.high, size=2)
         return travel(float(drawn[np.argmax(np.abs(drawn - angle))]) - angle, draw_rate(random))
     makers = tuple(_habits(random, setting, angle))

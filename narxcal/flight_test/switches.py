@@ -22,9 +22,11 @@ from narxcal.flight_test.manoeuvres import Switched
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# Anti-ice is for a total air temperature of 10 degC or less in visible moisture (the usual
-# rule of flight manuals). Planned with a margin, as the levers change speed and temperature.
+# Anti-ice is for a total air temperature of 10 degC or less in visible moisture, and a static one
+# of -40 degC or more: colder clouds are dry (the usual rule of flight manuals). Planned with a
+# margin, as the levers change speed and total temperature.
 ANTI_ICE_C = 10.0
+DRY_C = -40.0
 _MARGIN_C = 6.0
 _ABOVE_FIELD_FT = 1500.0
 _SHORTEST_S = 5.0
@@ -73,6 +75,11 @@ class Air:
         total = air_state(self.alt_ft, self.mach, self.dT_C).T2_K - 273.15
         return np.asarray(total <= ANTI_ICE_C - _MARGIN_C)
 
+    @property
+    def dry(self) -> BoolArray:
+        """Whether it is too cold for clouds to ice anything."""
+        return np.asarray(air_state(self.alt_ft, 0.0, self.dT_C).T_K - 273.15 < DRY_C)
+
 
 def planned_switches(day: Day, weather: Weather, legs: list[Leg], air: Air) -> dict[str, BoolArray]:
     """Set the switches as both engines have them, without test points."""
@@ -80,7 +87,7 @@ def planned_switches(day: Day, weather: Weather, legs: list[Leg], air: Air) -> d
     high = air.alt_ft > day.field_ft + _ABOVE_FIELD_FT
     clouds = [(c, (air.alt_ft >= c.base_ft) & (air.alt_ft <= c.top_ft)) for c in weather.clouds]
     none = np.zeros_like(ground)
-    icing = air.cold & ~ground
+    icing = air.cold & ~air.dry & ~ground
     nacelle = icing & np.logical_or.reduce([none, *(inside for _, inside in clouds)])
     wing = icing & high & np.logical_or.reduce([none, *(i for c, i in clouds if c.severe)])
     packs_off = during(legs, air.time_s, ("take_off", "initial_climb")) & ~high

@@ -1,0 +1,215 @@
+"""Manoeuvres: closed forms, continuity, and what a hand cannot do."""
+
+import itertools
+import math
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import chirp
+
+from narxcal.errors import ConfigError
+from narxcal.flight_test.manoeuvres import (
+    HAND_DEG_S,
+    SLAM_DEG_S,
+    Corners,
+    Sequence,
+    Sweep,
+    Switched,
+    chop,
+    doublet,
+    hold,
+    impulse,
+    ladder,
+    levels,
+    ramp,
+    reslam,
+    reversals,
+    slam,
+    step,
+    switch,
+    three_two_one_one,
+    travel,
+)
+
+DT = 1 / 32
+RASTER = np.arange(0, 40 * 32) * DT
+
+angles = st.floats(-40.0, 40.0)
+rates = st.floats(1.0, HAND_DEG_S)
+small = st.floats(1.0, 10.0)
+pieces = st.one_of(
+    st.builds(hold, st.floats(0.1, 10.0)),
+    st.builds(travel, angles, rates),
+    st.builds(doublet, small, st.floats(2.0, 5.0)),
+    st.builds(three_two_one_one, small, st.floats(2.0, 5.0)),
+    st.builds(reversals, small, rates, st.integers(1, 4)),
+    st.builds(reslam, small, st.floats(0.5, 3.0)),
+    st.builds(lambda sizes: ladder(sizes, 6.0), st.lists(small, min_size=1, max_size=4)),
+    st.builds(Sweep, small, st.floats(0.01, 0.1), st.floats(0.2, 1.0), st.floats(10.0, 30.0)),
+    st.builds(switch, st.sampled_from(["ECS", "NAI"]), st.floats(1.0, 9.0)),
+)
+sequences = st.lists(pieces, min_size=1, max_size=6).map(lambda parts: Sequence(tuple(parts)))
+
+
+def test_a_step_is_equation_1():
+    moved = step(7.0, after_s=1.0).swing_deg(RASTER)
+    np.testing.assert_array_equal(moved, np.where(RASTER >= 1.0, 7.0, 0.0))
+
+
+@pytest.mark.parametrize("samples", [1, 16])
+def test_an_impulse_is_equation_2_and_one_sample_wide_where_asked(samples):
+    moved = impulse(7.0, samples * DT, after_s=1.0).swing_deg(RASTER)
+    expected = 7.0 * np.isin(RASTER, 1.0 + DT * np.arange(samples))
+    np.testing.assert_array_equal(moved, expected)
+    assert np.count_nonzero(moved) == samples
+
+
+def test_a_ramp_is_equation_3():
+    moved = ramp(10.0, ramp_s=5.0, after_s=1.0).swing_deg(RASTER)
+    np.testing.assert_allclose(moved, 10.0 * np.clip((RASTER - 1.0) / 5.0, 0.0, 1.0), atol=1e-12)
+
+
+def test_slam_and_chop_go_opposite_ways_at_the_stated_rate():
+    for piece, sign in ((slam(60.0), 1), (chop(60.0), -1)):
+        assert piece.net_deg == sign * 60.0
+        assert piece.duration_s == 60.0 / SLAM_DEG_S
+        assert piece.fastest_deg_s == pytest.approx(SLAM_DEG_S)
+
+
+def test_a_three_two_one_one_stands_for_its_units():
+    unit, rate = 4.0, 40.0
+    piece = three_two_one_one(8.0, unit, rate)
+    ends = np.cumsum([3, 2, 1, 1, 1]) * unit
+    np.testing.assert_allclose(piece.swing_deg(ends - 1e-9), [8.0, -8.0, 8.0, -8.0, 0.0])
+    assert piece.duration_s == 8 * unit
+
+
+def test_a_ladder_goes_out_to_each_size_and_back():
+    piece = ladder((5.0, 10.0, 20.0), stay_s=6.0)
+    np.testing.assert_allclose(
+        piece.swing_deg(np.arange(1, 7) * 6.0 - 1e-9), [5.0, 0.0, 10.0, 0.0, 20.0, 0.0]
+    )
+
+
+def test_reversals_are_a_triangle_wave():
+    amplitude, rate, cycles = 3.0, 2.0, 3
+    piece = reversals(amplitude, rate, cycles)
+    period = 4 * amplitude / rate
+    time_s = np.linspace(0.0, cycles * period, 997)
+    expected = 2 * amplitude / math.pi * np.arcsin(np.sin(2 * math.pi * time_s / period))
+    np.testing.assert_allclose(piece.swing_deg(time_s), expected, atol=1e-9)
+    assert piece.fastest_deg_s == pytest.approx(rate)
+
+
+def test_a_reslam_comes_back_before_the_engine_can_settle():
+    piece = reslam(50.0, pause_s=1.5)
+    low = np.flatnonzero(piece.swing_deg(RASTER) == -50.0)
+    assert len(low) * DT == pytest.approx(1.5, abs=2 * DT)
+    assert piece.net_deg == 0.0
+
+
+@pytest.mark.parametrize("logarithmic", [True, False])
+def test_a_sweep_has_the_closed_form_phase(logarithmic):
+    piece = Sweep(4.0, low_hz=0.05, high_hz=1.0, wanted_s=60.0, logarithmic=logarithmic)
+    time_s = np.arange(0.0, piece.duration_s, DT)
+    method = "logarithmic" if logarithmic else "linear"
+    # SciPy's chirp is a cosine: a quarter turn later.
+    expected = 4.0 * chirp(time_s, 0.05, piece.duration_s, 1.0, method, phi=-90)
+    np.testing.assert_allclose(piece.swing_deg(time_s), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("logarithmic", [True, False])
+def test_a_sweep_runs_from_the_low_to_the_high_frequency_over_whole_cycles(logarithmic):
+    piece = Sweep(4.0, low_hz=0.05, high_hz=1.0, wanted_s=60.0, logarithmic=logarithmic)
+    time_s = np.linspace(0.0, piece.duration_s, 200_001)
+    frequency = np.gradient(piece.phase_rad(time_s), time_s) / (2 * math.pi)
+    assert frequency[[0, -1]] == pytest.approx([0.05, 1.0], rel=1e-4)
+    assert piece.phase_rad(time_s[-1:])[0] == pytest.approx(2 * math.pi * piece.cycles)
+    assert piece.duration_s == pytest.approx(60.0, rel=0.05)
+    moved = np.abs(np.gradient(piece.swing_deg(time_s), time_s))
+    assert moved.max() <= piece.fastest_deg_s * (1 + 1e-6)
+
+
+def test_a_switch_flips_while_the_lever_rests():
+    piece = switch("NAI", on_s=10.0, before_s=5.0)
+    assert piece.switched == (Switched("NAI", 5.0, 15.0),)
+    assert not piece.swing_deg(RASTER).any()
+
+
+def test_a_sequence_carries_its_switches_along():
+    both = Sequence.of(travel(10.0, 5.0), switch("ECS", 4.0), hold(3.0), switch("NAI", 2.0))
+    flips = {flip.channel: (flip.start_s, flip.stop_s) for flip in both.switched}
+    assert flips == {"ECS": (7.0, 11.0), "NAI": (39.0, 41.0)}
+
+
+@settings(max_examples=60, deadline=None)
+@given(sequences)
+def test_joined_manoeuvres_are_continuous_and_within_rate_and_reach(sequence):
+    time_s = np.linspace(-1.0, sequence.duration_s + 1.0, 4001)
+    moved = sequence.swing_deg(time_s)
+    dt = time_s[1] - time_s[0]
+    assert np.abs(np.diff(moved)).max() <= sequence.fastest_deg_s * dt * (1 + 1e-6) + 1e-9
+    low, high = sequence.reach_deg
+    assert low <= 0.0 <= high
+    assert moved.min() >= low - 1e-9
+    assert moved.max() <= high + 1e-9
+    assert moved[0] == 0.0
+    assert moved[-1] == pytest.approx(sequence.net_deg, abs=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(sequences)
+def test_a_sequence_is_its_parts_one_after_another(sequence):
+    level = 0.0
+    for start, part in zip(sequence.starts_s, sequence.parts, strict=True):
+        within = np.linspace(0.0, part.duration_s, 50)
+        np.testing.assert_allclose(
+            sequence.swing_deg(start + within), level + part.swing_deg(within), atol=1e-6
+        )
+        level += part.net_deg
+    nested = Sequence.of(sequence, hold(1.0))
+    assert nested.duration_s == pytest.approx(sequence.duration_s + 1.0)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (lambda: travel(10.0, 0.0), "a hand moves the lever at up to 170 deg/s, got 0 deg/s"),
+        (lambda: travel(10.0, 500.0), "got 500 deg/s. A step or an impulse is instantaneous"),
+        (lambda: travel(10.0, math.nan), "got nan deg/s"),
+        (lambda: hold(0.0), "a hold takes a positive time, got 0 s"),
+        (lambda: hold(math.inf), "a hold takes a positive time, got inf s"),
+        (lambda: impulse(5.0, -1.0), "the width of an impulse takes a positive time, got -1 s"),
+        (lambda: ramp(5.0, 0.0), "a ramp takes a positive time, got 0 s"),
+        (lambda: switch("NAI", 0.0), "a switch takes a positive time, got 0 s"),
+        (
+            lambda: levels([(40.0, 1.0)], 10.0),
+            "needs 4 s to get to 40 deg at 10 deg/s, and its stay there is over after 1 s",
+        ),
+        (lambda: Sweep(1.0, 1.0, 0.5, 60.0), "from a low to a higher frequency, got 1 .. 0.5 Hz"),
+        (lambda: Sweep(1.0, 0.01, 0.02, 3.0), "a sweep of 3 s has no time for one cycle"),
+        (lambda: Corners(((0.0, 0.0), (2.0, 1.0), (1.0, 1.0))), "go on in order of time"),
+        (lambda: Corners(((1.0, 0.0),)), "corner points have to begin at (0, 0)"),
+        (lambda: Corners(()), "corner points have to begin at (0, 0)"),
+    ],
+)
+def test_what_no_hand_can_do_is_refused(wrong, message):
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        wrong()
+
+
+def test_the_rate_of_a_step_is_infinite():
+    assert step(3.0).fastest_deg_s == math.inf
+    assert hold(3.0).fastest_deg_s == 0.0
+    steep = Sequence.of(travel(3.0, 5.0), step(3.0))
+    assert steep.fastest_deg_s == math.inf
+
+
+def test_every_manoeuvre_is_a_frozen_value():
+    made = [travel(3.0, 5.0), Sweep(1.0, 0.1, 1.0, 30.0), Sequence.of(hold(1.0)), hold(1.0)]
+    assert len({*made, travel(3.0, 5.0)}) == len(made)
+    for one, other in itertools.combinations(made, 2):
+        assert one != other
