@@ -239,12 +239,12 @@ class _Chain(NamedTuple):
             random = self.streams.draw(self.name, "freezes")
             spans = windows(random, time_s, sensor.freezes_per_h, sensor.freeze_s)
             values = frozen(values, time_s, spans)
-            drawn.update({"freezes_s": spans} if spans else {})
+            drawn.update({"freezes_s": [list(span) for span in spans]} if spans else {})
         if sensor.dropouts_per_h:
             random = self.streams.draw(self.name, "dropouts")
             spans = windows(random, time_s, sensor.dropouts_per_h, sensor.dropout_s)
             values = np.where(within(time_s, spans), np.nan, values)
-            drawn.update({"dropouts_s": spans} if spans else {})
+            drawn.update({"dropouts_s": [list(span) for span in spans]} if spans else {})
         return values
 
 

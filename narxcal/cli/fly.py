@@ -1,0 +1,102 @@
+"""`narxcal fly`: flights of the virtual engine as logs, with the truth about them in a file beside.
+
+OUT holds the logs, `truth.json` and, where asked for, `truth/` with what no sensor sees.
+"""
+
+from __future__ import annotations
+
+import re
+from argparse import Namespace
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from eval.virtual_flights import (
+    TRUE_CHANNELS,
+    TRUTH,
+    TRUTH_SCHEMA,
+    WriteOptions,
+    load_scenario,
+    write_flights,
+)
+from narxcal.cli.console import Console, to_json
+from narxcal.cli.folders import Results
+from narxcal.flight_test.flown_effects import parse_effects
+from narxcal.flight_test.scenario import FlightScenario
+
+_LOG = re.compile(r"(flight_\d+_(left|right)|data_set_\d+)\.csv(\.gz)?")
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Fly all flights of a scenario and write them as a whole or not at all."""
+    results = _results(options.out)
+    results.check(options.out)
+    scenario = read_scenario(options)
+    how = WriteOptions(options.jobs, options.gzip, options.truth_channels)
+    with results.writing(options.out) as folder:
+        with console.progress("Flying") as advance:
+
+            def watch(facts: Mapping[str, Any], done: int, total: int) -> None:
+                advance(done, total, f"(flight {facts['flight']})")
+
+            document = write_flights(folder, scenario, how, watch)
+        (folder / TRUTH).write_text(to_json(document), encoding="utf-8")
+    _show(console, document, options.out)
+    console.document({**document, "out": str(options.out)})
+    return 0
+
+
+def read_scenario(options: Namespace) -> FlightScenario:
+    """Read CONFIG, with what the command line says in its place; raises `ConfigError`."""
+    scenario = load_scenario(options.config)
+    changes: dict[str, Any] = {
+        name: value for name in ("seed", "flights") if (value := getattr(options, name)) is not None
+    }
+    if options.effects is not None:
+        changes["effects"] = parse_effects(options.effects)
+    if options.sensors is not None:
+        changes["sensors"] = {"preset": options.sensors}
+    if not changes:
+        return scenario
+    # Checked anew: effects name flights, and an engine has only some of them.
+    stored = scenario.model_dump(by_alias=True, exclude_unset=True)
+    return FlightScenario.parse({**stored, **changes}, options.config)
+
+
+def _results(folder: Path) -> Results:
+    """What may stand in the folder: logs of any number of flights are an earlier run's."""
+    found = folder.iterdir() if folder.is_dir() else ()
+    logs = [entry.name for entry in found if _LOG.fullmatch(entry.name)]
+    return Results(TRUTH_SCHEMA, TRUTH, (TRUE_CHANNELS, *logs))
+
+
+def _show(console: Console, document: Mapping[str, Any], out: Path) -> None:
+    head = ("log", "length [s]", "pushes", "pulls", "altitude [ft]", "Mach", "effects")
+    console.table(document["name"], head, [_row(log) for log in document["logs"]])
+    facts = {_name(effect): _size(effect, document["logs"]) for effect in document["effects"]}
+    console.facts(facts or {"Effects": "none"})
+    console.say(f"Logs: {out}. Truth: {out / TRUTH}")
+
+
+def _row(log: Mapping[str, Any]) -> list[str]:
+    kinds = [move["kind"] for move in log["lever_moves"]]
+    return [
+        log["file"].partition(".")[0],
+        f"{log['duration_s']:.0f}",
+        str(kinds.count("push")),
+        str(kinds.count("pull")),
+        "{:.0f}-{:.0f}".format(*log["alt_ft"]),
+        "{:.2f}-{:.2f}".format(*log["Mach"]),
+        str(len(log["effects"])),
+    ]
+
+
+def _name(effect: Mapping[str, Any]) -> str:
+    where = f"@{effect['channel']}" if effect["channel"] else ""
+    return f"{effect['id']}{where}"
+
+
+def _size(effect: Mapping[str, Any], logs: list[Mapping[str, Any]]) -> str:
+    sizes = ", ".join(f"{name} {value:g}" for name, value in effect["parameters"].items())
+    there = sum(_name(effect) == _name(each) for log in logs for each in log["effects"])
+    return f"{sizes} (on {there} of {len(logs)} logs)"

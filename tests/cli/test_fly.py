@@ -1,0 +1,161 @@
+"""`narxcal fly`: what it writes, prints and refuses."""
+
+import json
+
+import pytest
+
+from data_prep.logs_config import LogsConfig
+
+QUICK = """\
+schema = "narxcal.fly/1"
+name = "quick"
+engine = "standin"
+flights = 2
+
+[plan]
+duration_s = 480.0
+rate_hz = 4.0
+"""
+
+
+@pytest.fixture
+def quick(tmp_path):
+    file = tmp_path / "quick.toml"
+    file.write_text(QUICK, "utf-8")
+    return file
+
+
+def names(folder):
+    return sorted(str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file())
+
+
+LOGS = [f"flight_0{flight}_{side}.csv" for flight in (1, 2) for side in ("left", "right")]
+
+
+def test_fly_writes_logs_and_truth_and_shows_a_table(narxcal, quick, tmp_path):
+    out = tmp_path / "out"
+    done = narxcal("fly", quick, "--out", out)
+    assert (done.code, done.err) == (0, "")
+    assert names(out) == [*LOGS, "truth.json"]
+    assert [file.name for file in LogsConfig(folder=str(out)).resolve(out)] == LOGS
+    lines = done.out.splitlines()
+    assert lines[0] == "quick"
+    assert lines[1].split() == [
+        "log", "length", "[s]", "pushes", "pulls", "altitude", "[ft]", "Mach", "effects"
+    ]  # fmt: skip
+    assert [line.split()[0] for line in lines[2:6]] == [name[:-4] for name in LOGS]
+    assert lines[6].split() == ["Effects", "none"]
+    assert max(map(len, lines[:7])) <= 80
+
+
+def test_the_document_is_the_truth_file(narxcal, quick, tmp_path):
+    out = tmp_path / "out"
+    done = narxcal("fly", quick, "--out", out, "--json", "--seed", "3", "--flights", "1")
+    document = json.loads(done.out)
+    assert document.pop("out") == str(out)
+    assert document == json.loads((out / "truth.json").read_text("utf-8"))
+    assert document["schema"] == "narxcal.flight_truth/1"
+    assert (document["seed"], len(document["logs"])) == (3, 2)
+
+
+def test_options_take_the_place_of_what_the_file_says(narxcal, quick, tmp_path):
+    quick.write_text(
+        QUICK + "[[effects]]\nid = 'sensor_bias'\nchannel = 'N1_pct'\n"
+        "parameters = { offset = 1.0 }\n",
+        "utf-8",
+    )
+    done = narxcal(
+        "fly", quick, "--out", tmp_path / "a", "--effects", "sensor_lag@EGT_C:tau_s=1.5",
+        "sensor_drift@N2_pct:rate_per_h=2,flight=2", "--sensors", "perfect", "--json",
+    )  # fmt: skip
+    document = json.loads(done.out)
+    assert [effect["id"] for effect in document["effects"]] == ["sensor_lag", "sensor_drift"]
+    assert document["scenario"]["sensors"]["preset"] == "perfect"
+    assert document["scenario"]["plan"]["rate_hz"] == 4.0
+    assert [len(log["effects"]) for log in document["logs"]] == [1, 1, 2, 2]
+    none = narxcal("fly", quick, "--out", tmp_path / "b", "--effects", "none", "--json")
+    assert json.loads(none.out)["effects"] == []
+    as_said = narxcal("fly", quick, "--out", tmp_path / "c", "--json")
+    assert json.loads(as_said.out)["effects"][0]["parameters"] == {"offset": 1.0}
+
+
+def test_effects_are_listed_with_size_and_reach(narxcal, quick, tmp_path):
+    done = narxcal(
+        "fly", quick, "--out", tmp_path / "out", "--effects",
+        "sensor_lag@EGT_C:tau_s=1.5,engine=left",
+    )  # fmt: skip
+    assert "sensor_lag@EGT_C  tau_s 1.5 (on 2 of 4 logs)" in done.out
+
+
+def test_bytes_do_not_depend_on_jobs_and_a_run_may_replace_an_earlier_one(narxcal, quick, tmp_path):
+    one, two = tmp_path / "one", tmp_path / "two"
+    wide = ("--gzip", "--truth-channels", "--quiet")
+    assert narxcal("fly", quick, "--out", one, "--flights", "3", *wide).code == 0
+    assert narxcal("fly", quick, "--out", one, "--jobs", "1", *wide).out == ""
+    assert narxcal("fly", quick, "--out", two, "--jobs", "2", *wide).code == 0
+    zipped = [f"{name}.gz" for name in LOGS]
+    assert names(one) == [*zipped, "truth.json", *(f"truth/{name}" for name in zipped)]
+    for name in names(one):
+        assert (one / name).read_bytes() == (two / name).read_bytes()
+
+
+def test_a_folder_with_other_content_is_left_alone(narxcal, quick, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "flight_01_left.csv").write_text("mine", "utf-8")
+    done = narxcal("fly", quick, "--out", tmp_path / "out")
+    assert done.code == 2
+    assert done.err == (
+        f"narxcal: error: output folder {tmp_path / 'out'} holds other content "
+        "('flight_01_left.csv') and is not overwritten. Choose another name, or empty it yourself\n"
+    )
+    assert names(tmp_path / "out") == ["flight_01_left.csv"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            ["--effects", "sensor_lagg@EGT_C:tau_s=1"],
+            "unknown effect 'sensor_lagg'. Did you mean 'sensor_lag'?",
+        ),
+        (
+            ["--effects", "sensor_lag@EGT_C:tau_s=1,flight=9"],
+            "effect 'sensor_lag@EGT_C' names flight 9, and there are 2",
+        ),
+        (
+            ["--effects", "spool_lag:factor=1.3"],
+            (
+                "the stand-in engine has no effect 'spool_lag'. "
+                "Fly engine = 'business_jet', or sensor-side effects only"
+            ),
+        ),
+        (
+            ["--sensors", "ideal"],
+            (
+                "key 'sensors.preset': Input should be 'test_instrumentation', 'fdr' or "
+                "'perfect', found 'ideal'"
+            ),
+        ),
+        (["--seed", "-1"], "key 'seed': Input should be greater than or equal to 0, found -1"),
+        (["--flights", "0"], "argument --flights: expected 1 or more, found 0"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused_and_nothing_is_written(
+    narxcal, quick, tmp_path, options, message
+):
+    done = narxcal("fly", quick, "--out", tmp_path / "out", *options)
+    assert done.code == 2
+    assert done.err.startswith("narxcal: error: ")
+    assert message in done.err
+    assert done.err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["quick.toml"]
+
+
+def test_a_scenario_that_is_not_there_names_the_shipped_ones(narxcal, tmp_path):
+    done = narxcal("fly", "demmo", "--out", tmp_path / "out")
+    assert done.code == 2
+    assert done.err == (
+        "narxcal: error: demmo: the scenario does not exist. "
+        "Name a file, or one of the shipped demo, enriched, line, narx_paper\n"
+    )
