@@ -16,8 +16,6 @@ from narxcal.steady_export.ranges import model_ranges
 from narxcal.steady_state import Floats, SteadyStateModel
 from narxcal.steady_table import SteadyTable
 
-_CANDIDATES = 128
-
 
 @dataclass(frozen=True)
 class Grid:
@@ -103,10 +101,10 @@ def is_switch(name: str) -> bool:
     return name in CHANNELS and CHANNELS[name].role == "switch"
 
 
-def candidates(nodes: Sequence[float]) -> Floats:
-    """`nodes` and the round numbers between them, at most about 128, where nodes may be added."""
+def candidates(nodes: Sequence[float], most: int) -> Floats:
+    """`nodes` and round numbers between them, at most about `most`, where nodes may be added."""
     low, high = nodes[0], nodes[-1]
-    step = _round_up((high - low) / _CANDIDATES)
+    step = _round_up((high - low) / most)
     between = step * np.arange(math.ceil(low / step), math.floor(high / step) + 1)
     # Multiples of 0.01 as they are written, not as 7 * 0.01 comes out.
     between = np.array([float(f"{value:.9g}") for value in between])

@@ -22,7 +22,10 @@ from narxcal.steady_export.grid import Grid, candidates, is_switch
 from narxcal.steady_export.gridded import settled
 from narxcal.steady_state import Floats, SteadyStateModel
 
-_DRAWS, _LINES = 1024, 48
+# Random conditions that tell which switches add up; candidates and lines that nodes are chosen
+# by, fewer of them for what a switch adds: it is small, and each condition costs two samples.
+_DRAWS = 1024
+_FINE, _COARSE = (128, 48), (32, 18)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,15 +77,16 @@ class Layer:
         return {name: self._plan(name, scale, rng) for name in self.names if not is_switch(name)}
 
     def _plan(self, name: str, scale: Floats, rng: np.random.Generator) -> AxisNodes:
-        places = candidates(self.grid.axes[name])
-        others = self._lines(rng)
+        most, lines = _FINE if self.switch is None else _COARSE
+        places = candidates(self.grid.axes[name], most)
+        others = self._lines(lines, rng)
         values = curves(lambda at: self(at) / scale, others, self.names.index(name), places)
         return best_nodes(places, values, self.grid.axes[name])
 
-    def _lines(self, rng: np.random.Generator) -> Floats:
-        """Random conditions (lines, names), every third in a corner, where errors are largest."""
+    def _lines(self, count: int, rng: np.random.Generator) -> Floats:
+        """Random conditions (count, names), every third in a corner, where errors are largest."""
         order = [list(self.grid.axes).index(name) for name in self.names]
-        drawn = self.grid.draw(_LINES, rng)[:, order]
+        drawn = self.grid.draw(count, rng)[:, order]
         low = np.array([self.grid.axes[name][0] for name in self.names])
         high = np.array([self.grid.axes[name][-1] for name in self.names])
         corner = rng.integers(0, 2, drawn[::3].shape)

@@ -95,4 +95,6 @@ def _farthest(model: SteadyStateModel, inside: Floats, column: int, end: float) 
         probe[:, column] = middle
         held = model.inside(probe)
         near, far = np.where(held, middle, near), np.where(held, far, middle)
-    return near
+    # An end at zero is never quite met by halving.
+    probe[:, column] = round_ = np.round(near, 9)
+    return np.where(model.inside(probe), round_, near)
