@@ -125,7 +125,10 @@ class _Task:
     def refined(self) -> Planned:
         """Add nodes until the measured error keeps the tolerance, or no more are allowed."""
         rng = np.random.default_rng(self.options.seed)
-        plans = [layer.plans(self.probes.scale, rng) for layer in self.layers]
+        plans = []
+        for place, layer in enumerate(self.layers):
+            self.options.watch(place, len(self.layers), "choosing nodes")
+            plans.append(layer.plans(self.probes.scale, rng))
         goal = _HOPE * self.tolerance
         for _ in range(_ROUNDS):
             axes, stopped = self._grown(plans, goal)

@@ -2,6 +2,8 @@
 
 import gzip
 import re
+import textwrap
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -252,3 +254,15 @@ def test_a_sum_needs_fewer_rows_for_the_same_error(maker):
     assert summed.additive == ("ECS", "NAI", "WAI")
     assert whole.stopped == summed.stopped == "tolerance"
     assert summed.gridded.rows < 0.5 * whole.gridded.rows
+
+
+def test_what_the_documentation_shows_works_as_shown(tmp_path, monkeypatch):
+    page = (Path(__file__).parents[2] / "docs" / "steady_state.md").read_text("utf-8")
+    table = re.search(r"((?:^    .*\n)+)", page, re.MULTILINE).group(1)
+    (tmp_path / "deck.csv").write_text(textwrap.dedent(table), "utf-8")
+    blocks = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    exec(next(code for code in blocks if "export_table" in code), names)  # noqa: S102
+    assert names["report"].met
+    assert read_steady_table("copy.csv").outputs([78.0, 41000.0])[0] == pytest.approx(98.2)

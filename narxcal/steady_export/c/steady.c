@@ -21,7 +21,7 @@ static int add(const Block *block, const double *in, double *out)
 {
     double share[N_IN];
     size_t stride[N_IN], base = 0, step = 1;
-    int known = 1;
+    int active = 0, known = 1;
     const double *axis = block->nodes + block->n_nodes;
     for (int d = block->dims - 1; d >= 0; d--) {
         size_t low = 0, high = block->lengths[d] - 1;
@@ -32,23 +32,20 @@ static int add(const Block *block, const double *in, double *out)
             if (axis[middle] <= x) low = middle;
             else high = middle;
         }
-        share[d] = (x - axis[low]) / (axis[high] - axis[low]);
-        stride[d] = step;
-        base += low * step;
+        base += (x == axis[high] ? high : low) * step;
+        if (x > axis[low] && x < axis[high]) { /* on a node, the axis needs no neighbour */
+            share[active] = (x - axis[low]) / (axis[high] - axis[low]);
+            stride[active++] = step;
+        }
         step *= block->lengths[d];
     }
-    for (unsigned int corner = 0; corner < 1u << block->dims; corner++) {
+    for (unsigned int corner = 0; corner < 1u << active; corner++) {
         double weight = 1.0;
         size_t row = base;
-        for (int d = 0; d < block->dims; d++) {
-            if (corner >> d & 1u) {
-                weight *= share[d];
-                row += stride[d];
-            } else {
-                weight *= 1.0 - share[d];
-            }
+        for (int d = 0; d < active; d++) {
+            weight *= corner >> d & 1u ? share[d] : 1.0 - share[d];
+            row += corner >> d & 1u ? stride[d] : 0;
         }
-        if (weight == 0.0) continue;
         if (block->known && !block->known[row]) known = 0;
         for (int o = 0; o < N_OUT; o++) out[o] += weight * block->values[row * N_OUT + o];
     }
