@@ -10,9 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from narxcal.steady_state import Floats
@@ -73,16 +74,27 @@ def best_nodes(candidates: Floats, values: Floats, asked: Sequence[float]) -> Ax
 
 def segment_errors(candidates: Floats, values: Floats) -> Floats:
     """Worst error (M, M) of the straight line from candidate i to candidate j, inf for j <= i."""
-    count = len(candidates)
+    found: Floats = _run(candidates, np.ascontiguousarray(values))
+    return found
+
+
+def _errors(candidates: Floats, values: Floats) -> Floats:
+    count, width = values.shape
     error = np.full((count, count), np.inf)
     for low in range(count - 1):
-        error[low, low + 1] = 0.0
-        for high in range(low + 2, count):
-            x = candidates[low + 1 : high, None]
-            share = (x - candidates[low]) / (candidates[high] - candidates[low])
-            line = values[low] + share * (values[high] - values[low])
-            error[low, high] = np.abs(values[low + 1 : high] - line).max()
+        for high in range(low + 1, count):
+            worst = 0.0
+            for between in range(low + 1, high):
+                share = candidates[between] - candidates[low]
+                share /= candidates[high] - candidates[low]
+                for k in range(width):
+                    line = values[low, k] + share * (values[high, k] - values[low, k])
+                    worst = max(worst, abs(values[between, k] - line))
+            error[low, high] = worst
     return error
+
+
+_run: Any = njit(cache=True, nogil=True)(_errors)
 
 
 def curves(
