@@ -123,6 +123,11 @@ def random_splits(logs: Sequence[Log], events: EventsConfig, config: CrossvalCon
     an unknown history; test segments stay one event each.
     """
     segments = [part for log in logs for part in cut_segments(log, events, config.lead_s)]
+    return divide(segments, config)
+
+
+def divide(segments: Sequence[Segment], config: CrossvalConfig) -> list[Plan]:
+    """Draw `config.random_splits` divisions of these segments; as `random_splits` otherwise."""
     trained = round(config.train_share * len(segments))
     if not 0 < trained < len(segments):
         raise DataError(

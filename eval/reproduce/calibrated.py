@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from data_prep.events import PUSH, Event, find_events
+from data_prep.log import Log
 from eval.evaluate import run_config
 from eval.judged import LogEvaluation, Task, judge_log
 from eval.metrics import max_relative_percent
-from eval.reproduce.data_sets import DataSets, without_condition
 from eval.reproduce.phases import phase_of
 from eval.runs import MODEL
 from eval.transients import Assessment
@@ -37,19 +37,18 @@ class Classed:
     assessments: tuple[Assessment, ...]
 
 
-def judged(data: DataSets, bundle: Bundle) -> list[LogEvaluation]:
-    """Evaluate the test data sets; events on the ground are judged too."""
+def judged(bundle: Bundle, logs: Sequence[Log]) -> list[LogEvaluation]:
+    """Evaluate `logs`; events on the ground are judged too, whatever [events] says of them."""
     config, settings = run_config(bundle)
-    wider = without_condition(data).events
+    wider = config.events.model_copy(update={"condition": ""})
     return [
         judge_log(bundle, config, log, Task(settings, events=find_events(log, wider)))
-        for log in data.tests
+        for log in logs
     ]
 
 
-def classed(data: DataSets, found: Sequence[LogEvaluation]) -> list[Classed]:
-    """Sort every event into its class."""
-    driver = data.config.events.driver
+def classed(driver: str, found: Sequence[LogEvaluation]) -> list[Classed]:
+    """Sort every event of the lever `driver` into its class."""
     return [
         Classed(one, event, _kind(one, event, driver), _own(one, event))
         for one in found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -12,14 +12,23 @@ import numpy as np
 
 from data_prep.hold import hold_inputs
 from data_prep.log import FloatArray, Log
+from data_prep.logs_config import LogsConfig
+from data_prep.prepare import prepare
 from data_prep.reading import read_logs
 from eval.preparation import Prepared, study
+from eval.reproduce.pieces import trained_on_pieces
 from narxcal.errors import DataError
 from training.config import RunConfig
 from training.pipeline import Split, configured_files, split_logs
 
 FEWEST = 3
 CONDITION = ("dT_C", "ALT_ft", "Mach")
+# Beside the logs: outputs without sensors, and records of what the paper left open.
+TRUTH = "truth"
+FAMILIES = {
+    "throttle_rate": "throttle rate varied",
+    "take_off_approach": "take-off and approach",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +36,8 @@ class DataSets:
     """All data sets in order of their numbers, each with what `prepare` found in it.
 
     `truth` maps a log's name to its outputs without sensors, where a virtual engine wrote them;
-    it is empty for real flights. Paths of `config` are relative to `base`.
+    it is empty for real flights. `further` are prepared logs of the families that the paper left
+    open, named `FAMILY/FILE`. Paths of `config` are relative to `base`.
     """
 
     config: RunConfig
@@ -35,6 +45,7 @@ class DataSets:
     raw: tuple[Log, ...]
     prepared: tuple[Prepared, ...]
     truth: Mapping[str, Log]
+    further: tuple[Log, ...] = ()
 
     @property
     def logs(self) -> tuple[Log, ...]:
@@ -44,14 +55,35 @@ class DataSets:
     @cached_property
     def split(self) -> Split:
         """Prepared logs with masked inputs held, divided as [split] says."""
-        held = [hold_inputs(log, self.config.steady_state.inputs) for log in self.logs]
-        return split_logs(held, self.config.split)
+        return split_logs(_held(self.logs, self.config), self.config.split)
+
+    @cached_property
+    def whole_split(self) -> Split:
+        """As `split`, with the further records."""
+        every = _held((*self.logs, *self.further), self.config)
+        return split_logs(every, self.config.split)
+
+    @cached_property
+    def training(self) -> Split:
+        """`split` with its training logs cut into the segments round their events."""
+        return trained_on_pieces(self.split, self.config.events)
+
+    @cached_property
+    def whole_training(self) -> Split:
+        """`training` with the further records."""
+        return trained_on_pieces(self.whole_split, self.config.events)
 
     @property
     def tests(self) -> tuple[Log, ...]:
         """Test logs as `evaluate` takes them: masked inputs still NaN."""
         names = {log.name for log in self.split.test}
         return tuple(log for log in self.logs if log.name in names)
+
+    @property
+    def further_tests(self) -> tuple[Log, ...]:
+        """The test logs among the further records."""
+        names = {log.name for log in self.whole_split.test}
+        return tuple(log for log in self.further if log.name in names)
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -77,33 +109,56 @@ class DataSets:
         return ", ".join(str(self.number(log.name)) for log in logs)
 
 
-def read_data_sets(config: RunConfig, base: Path, truth: Path | None = None) -> DataSets:
+def read_data_sets(config: RunConfig, base: Path) -> DataSets:
     """Read and prepare the logs of `config`, numbered by file name as a person counts.
 
-    `truth` is a folder with a file of the same name per log that holds its outputs without
-    sensors; a log without one has no truth. Raises `DataError` for fewer logs than three, for a
-    split without test logs and for a truth that does not fit its log.
+    A folder `truth` beside them may hold files of the same names with the outputs without
+    sensors, and the folders of `FAMILIES` further records. Raises `DataError` for fewer logs
+    than three, for a split without test logs, for logs without a spool speed, and for a truth
+    that does not fit its log.
     """
     files = sorted(configured_files(config, base), key=counted)
-    raw = [log for file in files for log in read_logs(file, config.logs)]
+    folder = files[0].parent
+    raw = tuple(log for file in files for log in read_logs(file, config.logs))
     if len(raw) < FEWEST:
         raise DataError(
             f"the studies take at least {FEWEST} data sets, found {len(raw)}",
-            file=files[0].parent,
+            file=folder,
             hint="One log of one engine is one data set; name more in [logs] files",
         )
-    known = {} if truth is None else {log.name: log for log in _read_truth(config, files, truth)}
+    known = {log.name: log for log in _read_truth(config, files)}
     for log in raw:
         _check_truth(log, known.get(log.name))
     prepared = tuple(study(log, config) for log in raw)
-    found = DataSets(config, base, tuple(raw), prepared, known)
-    if not found.split.test:
+    further = tuple(log for name in FAMILIES for log in _family(config, folder / name))
+    found = DataSets(config, base, raw, prepared, known, further)
+    _check(found, folder)
+    return found
+
+
+def _check(data: DataSets, folder: Path) -> None:
+    outputs = ", ".join(data.config.narx.outputs)
+    if not data.speeds:
+        raise DataError(
+            f"the studies are about N1 and N2, and the outputs are {outputs}",
+            file=folder,
+            hint="Name a spool speed in [narx] outputs",
+        )
+    if not data.split.test:
         raise DataError(
             "no data set is held out for the test",
-            file=files[0].parent,
-            hint=f"Set [split] test; logs are {', '.join(log.name for log in raw)}",
+            file=folder,
+            hint=f"Set [split] test; logs are {', '.join(log.name for log in data.raw)}",
         )
-    return found
+
+
+def _family(config: RunConfig, folder: Path) -> list[Log]:
+    """Prepared logs of one family of further records; none where there is no such folder."""
+    if not folder.is_dir():
+        return []
+    files = sorted(configured_files(as_config(config, folder), folder), key=counted)
+    logs = prepare([log for file in files for log in read_logs(file, config.logs)], config)
+    return [replace(log, name=f"{folder.name}/{log.name}") for log in logs]
 
 
 def counted(file: Path) -> tuple[tuple[int, int, str], ...]:
@@ -114,7 +169,7 @@ def counted(file: Path) -> tuple[tuple[int, int, str], ...]:
 
 def numbered(data: DataSets, wanted: Sequence[int]) -> tuple[Log, ...]:
     """Logs of the given numbers; where one is missing, as many from the end of the list."""
-    logs = [hold_inputs(log, data.config.steady_state.inputs) for log in data.logs]
+    logs = _held(data.logs, data.config)
     if max(wanted) <= len(logs):
         return tuple(logs[number - 1] for number in wanted)
     return tuple(logs[-len(wanted) :])
@@ -126,9 +181,21 @@ def truth_of(data: DataSets, log: Log, channel: str) -> FloatArray | None:
     return known[channel] if known is not None and channel in known.channels else None
 
 
-def _read_truth(config: RunConfig, files: Sequence[Path], folder: Path) -> list[Log]:
-    paths = [folder / file.name for file in files]
-    return read_logs([path for path in paths if path.is_file()], config.logs)
+def as_config(config: RunConfig, folder: Path) -> RunConfig:
+    """`config` with the logs taken from `folder`."""
+    logs = config.logs.model_copy(update={"folder": str(folder.resolve())})
+    return config.model_copy(update={"logs": logs})
+
+
+def _held(logs: Sequence[Log], config: RunConfig) -> list[Log]:
+    return [hold_inputs(log, config.steady_state.inputs) for log in logs]
+
+
+def _read_truth(config: RunConfig, files: Sequence[Path]) -> list[Log]:
+    """Outputs without sensors, as far as they were written."""
+    paths = [file.parent / TRUTH / file.name for file in files]
+    canonical = LogsConfig(raster_hz=config.logs.raster_hz)
+    return read_logs([path for path in paths if path.is_file()], canonical)
 
 
 def _check_truth(log: Log, truth: Log | None) -> None:
@@ -141,15 +208,3 @@ def _check_truth(log: Log, truth: Log | None) -> None:
             file=truth.source.file,
             hint="Write both from one flight",
         )
-
-
-def as_config(config: RunConfig, folder: Path) -> RunConfig:
-    """`config` with the logs taken from `folder`."""
-    logs = config.logs.model_copy(update={"folder": str(folder.resolve())})
-    return config.model_copy(update={"logs": logs})
-
-
-def without_condition(data: DataSets) -> RunConfig:
-    """The configuration whose events include those on the ground."""
-    events = data.config.events.model_copy(update={"condition": ""})
-    return data.config.model_copy(update={"events": events})

@@ -83,7 +83,7 @@ def fed_variants(data: DataSets, bundle: Bundle, effort: Effort) -> list[Fed]:
     tests = data.split.test
     tasks = [
         Task(
-            [fed_record(log, steady, config, plan) for log in data.split.train],
+            [fed_record(log, steady, config, plan) for log in data.training.train],
             NarxConfig(
                 lags=config.narx.lags,
                 taps=config.narx.taps,

@@ -17,6 +17,7 @@ from eval.report.svg import Picture
 from eval.report.tables import Cell, Table, figure
 from eval.reproduce.data_sets import DataSets
 from eval.reproduce.effort import Effort, Task, fit_all, within
+from eval.reproduce.pieces import cut
 from narxcal.narx import NarxConfig, NarxModel
 from narxcal.records import Record
 
@@ -60,7 +61,7 @@ def inputs(data: DataSets, effort: Effort) -> Study:
 def variants(data: DataSets, effort: Effort, output: str) -> list[Variant]:
     """Single-single, single-multiple, multiple-single and multiple-multiple, in this order."""
     train, config = data.split.train, within(data.config, effort)
-    names = data.inputs
+    names, events = data.inputs, data.config.events
     plans = [
         (f"{many} data, {several} input", logs, chosen)
         for many, logs in (("single", train[:1]), ("multiple", train))
@@ -69,7 +70,7 @@ def variants(data: DataSets, effort: Effort, output: str) -> list[Variant]:
     structure = NarxConfig(lags=2, taps=(0, 1), hidden=config.narx.hidden)
     dt_s = train[0].dt_s
     tasks = [
-        Task([record(log, chosen, output) for log in logs], structure, dt_s)
+        Task([record(log, chosen, output) for log in cut(logs, events)], structure, dt_s)
         for _, logs, chosen in plans
     ]
     models = fit_all(tasks, config, effort.jobs)

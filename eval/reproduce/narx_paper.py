@@ -13,6 +13,7 @@ from eval.reproduce.correlation import correlation
 from eval.reproduce.data_sets import DataSets
 from eval.reproduce.deviations import deviations
 from eval.reproduce.effort import Effort, within
+from eval.reproduce.goal import goal
 from eval.reproduce.inputs import inputs
 from eval.reproduce.noise import noise
 from eval.reproduce.response_times import response_times
@@ -20,7 +21,7 @@ from eval.reproduce.segments import segments
 from eval.reproduce.smoothing import smoothing
 from eval.reproduce.splits import splits
 from narxcal.bundle import Bundle, versions
-from training.pipeline import TrainOptions, calibrate
+from training.pipeline import Split, TrainOptions, calibrate
 from training.trainer import Progress
 
 SCHEMA = "narxcal.reproduce/1"
@@ -84,11 +85,13 @@ def reproduce(data: DataSets, effort: Effort, watch: Watch | None = None) -> Rep
     tell = watch or _ignore
     tell("Reading what the flights show")
     first = [correlation(data), smoothing(data), segments(data)]
-    bundle = _calibrated(data, effort, tell)
+    bundle = _calibrated(data, data.training, effort, (tell, "Calibrating"))
     return Reproduction((*first, *_judging(data, bundle, effort, tell)), bundle, data)
 
 
-def _calibrated(data: DataSets, effort: Effort, tell: Watch) -> Bundle:
+def _calibrated(data: DataSets, split: Split, effort: Effort, told: tuple[Watch, str]) -> Bundle:
+    """Calibrate on the training part of `split`; `told` is the watch and what to tell it."""
+    tell, what = told
     config = within(data.config, effort)
     total = sum(config.train.iterations) * config.train.starts
     if not config.narx.joint:
@@ -98,9 +101,9 @@ def _calibrated(data: DataSets, effort: Effort, tell: Watch) -> Bundle:
     def watch(progress: Progress) -> None:
         nonlocal seen
         seen += bool(progress.history)
-        tell("Calibrating", min(seen, total), total)
+        tell(what, min(seen, total), total)
 
-    return calibrate(config, data.base, data.split, TrainOptions(watch))
+    return calibrate(config, data.base, split, TrainOptions(watch))
 
 
 def _judging(data: DataSets, bundle: Bundle, effort: Effort, tell: Watch) -> Iterator[Study]:
@@ -108,14 +111,22 @@ def _judging(data: DataSets, bundle: Bundle, effort: Effort, tell: Watch) -> Ite
     yield inputs(data, effort)
     tell("Comparing deviations")
     yield deviations(data, bundle, effort)
-    found = judged(data, bundle)
-    events = classed(data, found)
+    found = judged(bundle, data.tests)
+    events = classed(data.config.events.driver, found)
     yield accuracy(data, bundle, found, events)
     yield response_times(data, bundle, found, events)
     what = "Dividing at random"
     tell(what)
     yield splits(data, effort, lambda _fold, done, total: tell(what, done, total))
     yield noise(data, bundle, effort, lambda done, total: tell("Adding noise", done, total))
+    yield goal(data, _widened(data, bundle, effort, tell))
+
+
+def _widened(data: DataSets, bundle: Bundle, effort: Effort, tell: Watch) -> Bundle:
+    """The calibration of all records, which is `bundle` where there are no further ones."""
+    if not data.further:
+        return bundle
+    return _calibrated(data, data.whole_training, effort, (tell, "Calibrating on all records"))
 
 
 def _ignore(what: str, done: int = 0, total: int = 0) -> None:

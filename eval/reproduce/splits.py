@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from eval.crossval import CrossValidation, FoldResult, cross_validate
+from eval.crossval import CrossValidation, FoldResult, judge_fold
+from eval.judged import EvaluateConfig
 from eval.report import study_figures, tables
 from eval.report.claims import Claim, Study, or_nan
 from eval.report.content import Scheme
@@ -14,7 +15,8 @@ from eval.report.style import symbol, unit
 from eval.report.svg import Picture
 from eval.reproduce.data_sets import DataSets
 from eval.reproduce.effort import Effort, within
-from training.config import RunConfig
+from eval.reproduce.pieces import pieces
+from training.crossval import divide, run_plans
 
 PAPER_PCT, GOAL_PCT = 5.0, 2.0
 TIMES_PCT = 5.0
@@ -24,8 +26,7 @@ def splits(
     data: DataSets, effort: Effort, watch: Callable[[FoldResult, int, int], None] | None = None
 ) -> Study:
     """Calibrate once per division and judge the held-back events."""
-    config = split_config(data, effort)
-    found = cross_validate(config, data.base, data.logs, effort.jobs, watch)
+    found = divided(data, effort, watch)
     worst = worst_of(found)
     scheme = schemes_of(found)[0]
     return Study(
@@ -41,15 +42,20 @@ def splits(
     )
 
 
-def split_config(data: DataSets, effort: Effort) -> RunConfig:
-    """The configuration with random divisions only, as many as the effort allows."""
+def divided(
+    data: DataSets, effort: Effort, watch: Callable[[FoldResult, int, int], None] | None = None
+) -> CrossValidation:
+    """Draw the divisions, calibrate and judge: `narxcal crossval` on segments."""
     config = within(data.config, effort)
-    crossval = {
-        **config.evaluate.get("crossval", {}),
-        "leave_one_flight_out": False,
-        "random_splits": effort.splits,
-    }
-    return config.model_copy(update={"evaluate": {**config.evaluate, "crossval": crossval}})
+    settings = EvaluateConfig.parse(config.evaluate, "[evaluate]")
+    segments = [part for log in data.logs for part in pieces(log, config.events)]
+    wanted = settings.crossval.model_copy(update={"random_splits": effort.splits})
+    plans, folds = divide(segments, wanted), []
+    for fold in run_plans(plans, config, data.base, judge_fold, effort.jobs):
+        folds.append(fold)
+        if watch is not None:
+            watch(fold, len(folds), len(plans))
+    return CrossValidation(tuple(folds), settings)
 
 
 def worst_of(found: CrossValidation) -> dict[str, Any]:

@@ -15,9 +15,9 @@ from typing import Any
 from eval import terminal
 from eval.report.content import RunHeader
 from eval.report.reproduction import counts, outcome_of, reproduction_page
-from eval.reproduce.data_sets import DataSets, as_config, read_data_sets
+from eval.reproduce.data_sets import DataSets, read_data_sets
 from eval.reproduce.effort import Effort
-from eval.reproduce.flights import LOGS, TRUTH, write_data_sets
+from eval.reproduce.flights import flown, paper_scenario, write_records
 from eval.reproduce.narx_paper import SCHEMA, Reproduction, Watch, reproduce
 from eval.rules import rules
 from narxcal.atomic import atomic_write_text
@@ -40,9 +40,9 @@ def run(options: Namespace, console: Console) -> int:
     config, base = read_config(options.config, options.data)
     _begin(out)
     with console.progress("Flying the data sets"):
-        config, truth = _placed(config, out, options)
+        config = _placed(config, base, out, options)
     with console.progress("Reading the data sets"):
-        data = read_data_sets(config, base, truth)
+        data = read_data_sets(config, base)
     iterations, splits = QUICK if options.quick else ((), 10)
     found = _studied(data, Effort(iterations, splits, options.jobs), console)
     _write(out, found, options)
@@ -60,13 +60,12 @@ def _begin(out: Path) -> None:
     atomic_write_text(out / DOCUMENT, to_json({"schema": SCHEMA, "complete": False}))
 
 
-def _placed(config: RunConfig, out: Path, options: Namespace) -> tuple[RunConfig, Path | None]:
-    """The configuration with its logs in place, and the folder of their truth if there is one."""
-    if options.data is None:
-        write_data_sets(out / FLIGHTS, options.seed)
-        return as_config(config, out / FLIGHTS / LOGS), out / FLIGHTS / TRUTH
-    truth = options.data / TRUTH
-    return config, truth if truth.is_dir() else None
+def _placed(config: RunConfig, base: Path, out: Path, options: Namespace) -> RunConfig:
+    """The configuration with its logs in place: flown now, where the user brought none."""
+    if options.data is not None:
+        return config
+    write_records(out / FLIGHTS, paper_scenario(options.seed), options.jobs)
+    return flown(config, base, out / FLIGHTS)[0]
 
 
 def _studied(data: DataSets, effort: Effort, console: Console) -> Reproduction:
