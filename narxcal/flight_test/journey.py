@@ -215,7 +215,8 @@ def flown_mach(
     )
     change = _MACH_PER_DEG * departure * np.clip((planned - 0.2) / 0.3, 0.0, 1.0)
     room = np.maximum(mach_max - planned, 1e-6)
-    return planned + np.where(change > 0.0, room * np.tanh(change / room), change)
+    flown = planned + np.where(change > 0.0, room * np.tanh(change / room), change)
+    return np.minimum(flown, mach_max)
 
 
 def temperature_deviation(day: Day, alt_ft: FloatArray) -> FloatArray:

@@ -123,10 +123,11 @@ def mach_range(alt_ft: float, tla_deg: float) -> tuple[float, float]:
 def static_mesh(ceiling_ft: float = TOP_FT) -> tuple[Case, ...]:
     """List the static cases up to `ceiling_ft`, identification and validation marked.
 
+    The virtual engine ends at 40 000 ft: pass that as the ceiling to fly them with it.
     Raises `ConfigError` for a ceiling above the mesh, or below all of it.
     """
     return tuple(
-        Case("static", region, alt_ft, tla_deg, 0.0, _role(region, i, j))
+        Case("static", region, alt_ft, tla_deg, 0.0, _role(region, (i, j), ceiling_ft))
         for region in _regions()
         for i, alt_ft in enumerate(_below(region, ceiling_ft))
         for j, tla_deg in enumerate(_TLA_DEG[region])
@@ -140,7 +141,7 @@ def dynamic_mesh(ceiling_ft: float = TOP_FT, *, decelerations: bool = False) -> 
     TLA reached, downwards by as much. Raises `ConfigError` as `static_mesh`.
     """
     cases = [
-        Case(kind, region, alt_ft, start, tla_deg - start, _role(region, i, j))
+        Case(kind, region, alt_ft, start, tla_deg - start, _role(region, (i, j), ceiling_ft))
         for kind in _KINDS
         for region in _regions()
         for i, alt_ft in enumerate(_below(region, ceiling_ft))
@@ -160,11 +161,12 @@ def _regions() -> tuple[Region, ...]:
     return ("low", "high")
 
 
-def _role(region: Region, i: int, j: int) -> Role:
-    """Chequerboard over altitude `i` and TLA `j`, with the corners of the mesh identified."""
+def _role(region: Region, place: tuple[int, int], ceiling_ft: float) -> Role:
+    """Chequerboard over altitude and TLA (`place`), with the corners of the mesh identified."""
+    i, j = place
     # 1 is the least amplitude of the dynamic cases.
     ends = j in (0, 1, len(_TLA_DEG[region]) - 1)
-    corner = ends and i in (0, len(_ALTITUDES_FT[region]) - 1)
+    corner = ends and i in (0, len(_below(region, ceiling_ft)) - 1)
     return "identification" if corner or (i + j) % 2 == 0 else "validation"
 
 

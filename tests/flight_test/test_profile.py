@@ -34,7 +34,16 @@ styles = st.sampled_from(STYLES)
 aircrafts = st.sampled_from(sorted(AIRCRAFT))
 lengths = st.floats(SHORTEST_S, 900.0)
 many = settings(max_examples=12, deadline=None)
-plans = st.builds(FlightPlan, style=styles, aircraft=aircrafts, duration_s=lengths)
+plans = st.builds(
+    FlightPlan,
+    style=styles,
+    aircraft=aircrafts,
+    duration_s=lengths,
+    top_ft=st.none() | st.floats(15_000.0, 39_000.0),
+    cruise_mach=st.none() | st.floats(0.55, 0.82),
+    dT_C=st.none() | st.floats(DT_LOW_C, DT_HIGH_C),
+    field_ft=st.none() | st.floats(0.0, 6000.0),
+)
 
 
 @pytest.fixture(scope="module", params=STYLES)
@@ -326,6 +335,11 @@ def test_what_the_plan_says_is_what_is_flown():
     assert flight["ALT_ft"].max() == pytest.approx(30_000.0)
     assert flight["dT_C"].max() == flight["dT_C"].min() == 20.0
     assert flight["Mach"].max() < 0.68
+
+
+def test_at_its_highest_mach_an_aircraft_gets_slower_at_most():
+    flight = plan_flight(FlightPlan(duration_s=900.0, cruise_mach=0.85), 0)["left"]
+    assert 0.84 < flight["Mach"].max() <= 0.85
 
 
 def test_a_choice_in_the_plan_changes_nothing_else():
