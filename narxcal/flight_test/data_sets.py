@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from narxcal.flight_test.envelope import CHANNEL_NAMES
+from narxcal.flight_test.envelope import CHANNEL_NAMES, RATE_HZ, check_between
 from narxcal.flight_test.journey import smoothed
 from narxcal.flight_test.lever import Placed, compose
 from narxcal.flight_test.manoeuvres import travel
@@ -77,6 +77,7 @@ def take_off_approach_sets(seed: int, rate_hz: float = 32.0) -> tuple[DataSet, .
 
 
 def _sets(records: Sequence[Record], seed: int, rate_hz: float) -> tuple[DataSet, ...]:
+    check_between("rate_hz", rate_hz, *RATE_HZ)
     random = seeded(seed)
     sets: list[DataSet] = []
     for flight, record in enumerate(records, start=1):

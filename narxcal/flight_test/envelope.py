@@ -21,6 +21,8 @@ FloatArray = NDArray[np.float64]
 CEILING_FT = 12_000.0 / FT_M
 MACH_MAX = 0.85
 DT_LOW_C, DT_HIGH_C = -30.0, 20.0
+# Rasters: at least the 4 Hz that short delays need (GAP section 3).
+RATE_HZ = (4.0, 256.0)
 SWITCH_NAMES = ("WOW", "Approach", "ECS", "NAI", "WAI")
 CHANNEL_NAMES = ("time_s", "TRA_deg", "ALT_ft", "Mach", "dT_C", *SWITCH_NAMES)
 # Speed of sound at sea level on the standard day, in knots.

@@ -26,7 +26,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from narxcal.errors import ConfigError
-from narxcal.flight_test.envelope import CHANNEL_NAMES, MACH_MAX, mach_of_cas
+from narxcal.flight_test.envelope import (
+    CHANNEL_NAMES,
+    MACH_MAX,
+    RATE_HZ,
+    check_between,
+    mach_of_cas,
+)
 from narxcal.flight_test.lever import Placed, compose
 from narxcal.flight_test.manoeuvres import Manoeuvre, hold, impulse, ramp, step
 
@@ -75,7 +81,11 @@ class Case:
         return f"{start}{self.amplitude_deg:+g}" if self.kind != "static" else start
 
     def channels(self, rate_hz: float = 32.0) -> dict[str, FloatArray]:
-        """Input channels over the case: `time_s`, `TRA_deg` (0 .. 85) and so on, `(time,)` each."""
+        """Input channels over the case: `time_s`, `TRA_deg` (0 .. 85) and so on, `(time,)` each.
+
+        Raises `ConfigError` for a raster slower than 4 Hz or faster than 256 Hz.
+        """
+        check_between("rate_hz", rate_hz, *RATE_HZ)
         manoeuvre = self._manoeuvre(1.0 / rate_hz)
         time_s = np.arange(round(manoeuvre.duration_s * rate_hz)) / rate_hz
         channels = {name: np.zeros_like(time_s) for name in CHANNEL_NAMES}

@@ -17,6 +17,7 @@ from narxcal.flight_test.envelope import (
     CHANNEL_NAMES,
     DT_HIGH_C,
     DT_LOW_C,
+    RATE_HZ,
     Aircraft,
     check_between,
 )
@@ -41,7 +42,6 @@ FloatArray = NDArray[np.float64]
 LONGEST_S = 43_200.0
 _LOWEST_TOP_FT, _SLOWEST_MACH = 15_000.0, 0.55
 _FIELD_FT = (0.0, 6000.0)
-_RATE_HZ = (4.0, 256.0)
 
 
 class FlightPlan(Section):
@@ -69,7 +69,7 @@ class FlightPlan(Section):
         _check_known("style", self.style, tuple(STYLES))
         _check_known("aircraft", self.aircraft, tuple(AIRCRAFT))
         limits = AIRCRAFT[self.aircraft]
-        check_between("rate_hz", self.rate_hz, *_RATE_HZ)
+        check_between("rate_hz", self.rate_hz, *RATE_HZ)
         for name, value, bounds, hint in (
             ("duration_s", self.duration_s, (SHORTEST_S, LONGEST_S), "No leg has less"),
             ("top_ft", self.top_ft, (_LOWEST_TOP_FT, limits.ceiling_ft), ""),

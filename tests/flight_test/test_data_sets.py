@@ -201,3 +201,8 @@ def test_an_engine_can_fly_a_set():
 def test_a_negative_seed_is_refused():
     with pytest.raises(ConfigError, match="a seed is a whole number from 0 on, got -3"):
         fast_push_sets(-3)
+
+
+def test_a_raster_too_slow_is_refused():
+    with pytest.raises(ConfigError, match=r"rate_hz has to lie in 4 \.\. 256, got 1"):
+        fast_push_sets(0, rate_hz=1.0)

@@ -168,3 +168,8 @@ def test_an_engine_can_fly_a_case():
     channels = dynamic_mesh()[0].channels()
     outputs = StandInEngine().simulate({name: channels[name] for name in INPUT_NAMES}, 1 / 32)
     assert outputs["N1_pct"][-1] > outputs["N1_pct"][0] + 1.0
+
+
+def test_a_raster_too_slow_is_refused():
+    with pytest.raises(ConfigError, match=r"rate_hz has to lie in 4 \.\. 256, got 0"):
+        static_mesh()[0].channels(0.0)
