@@ -1,6 +1,8 @@
 """`narxcal fly`: what it writes, prints and refuses."""
 
 import json
+import signal
+import time
 
 import pytest
 
@@ -159,3 +161,16 @@ def test_a_scenario_that_is_not_there_names_the_shipped_ones(narxcal, tmp_path):
         "narxcal: error: demmo: the scenario does not exist. "
         "Name a file, or one of the shipped demo, enriched, line, narx_paper\n"
     )
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_an_interrupted_run_leaves_nothing(start, quick, tmp_path, jobs):
+    out = tmp_path / "out"
+    process = start("fly", quick, "--out", out, "--flights", "999", "--jobs", jobs)
+    while not list(tmp_path.glob(".out.*.part/*.csv")):
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate()
+    assert (process.returncode, err) == (130, "narxcal: interrupted; nothing was written\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["quick.toml"]
