@@ -61,7 +61,7 @@ class Claim:
 class Study:
     """One study of a paper: `source` is where the paper has it, `text` how ours was done.
 
-    `values` is what `reproduce.json` holds of it, beside the claims; `sheets` are logs of
+    `results` is what `reproduce.json` holds of it, beside the claims; `sheets` are logs of
     which every event is drawn.
     """
 
@@ -73,7 +73,7 @@ class Study:
     tables: Sequence[Table] = ()
     pictures: Sequence[Picture] = ()
     sheets: Sequence[LogPage] = ()
-    values: Mapping[str, Any] = field(default_factory=dict)
+    results: Mapping[str, Any] = field(default_factory=dict)
 
     def row(self) -> dict[str, Any]:
         """One entry of `studies`."""
@@ -82,7 +82,7 @@ class Study:
             "title": self.title,
             "source": self.source,
             "claims": [claim.row() for claim in self.claims],
-            **self.values,
+            **self.results,
         }
 
 

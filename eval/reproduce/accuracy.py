@@ -38,7 +38,7 @@ def accuracy(
         claims=_claims(pooled, classes),
         tables=[class_table(pooled, classes, PAPER_PCT)],
         pictures=_pictures(data, bundle, found),
-        values={
+        results={
             "max_rel_pct": pooled,
             "rmse": {name: one.rmse for name, one in score([x.runs for x in found]).items()},
             "classes": classes,

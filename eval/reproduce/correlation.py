@@ -26,7 +26,7 @@ def correlation(data: DataSets) -> Study:
         "as strong, as in the paper.",
         claims=[_claim(lever, name, table) for name, table in found.items()],
         tables=[_table(data, name, table) for name, table in found.items()],
-        values={"pearson": {name: _rows(data, table) for name, table in found.items()}},
+        results={"pearson": {name: _rows(data, table) for name, table in found.items()}},
     )
 
 

@@ -70,7 +70,7 @@ def deviations(data: DataSets, bundle: Bundle, effort: Effort) -> Study:
             )
         ],
         tables=[_table(found, output)],
-        values={"output": output, "variants": [_row(one) for one in found]},
+        results={"output": output, "variants": [_row(one) for one in found]},
     )
 
 

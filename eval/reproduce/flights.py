@@ -7,6 +7,7 @@ from pathlib import Path
 
 from eval.reproduce.data_sets import as_config
 from eval.virtual_flights import WriteOptions, load_scenario, write_flights
+from narxcal.errors import ConfigError
 from narxcal.flight_test.scenario import FlightScenario
 from narxcal.steady_export.grid import Grid
 from narxcal.steady_export.report import ExportOptions, ExportReport
@@ -61,13 +62,14 @@ def flown(config: RunConfig, base: Path, folder: Path) -> tuple[RunConfig, Expor
     """The configuration with the logs of `folder` and the steady-state model as a table there.
 
     Solving the gas path for every sample of every log would take longer than all the studies;
-    the report says how far the table is off.
+    the report says how far the table is off. Raises `ConfigError` for an input that the flights
+    do not have, and as `open_steady`.
     """
     section, outputs = config.steady_state, config.narx.outputs
     model = open_steady(
         section.kind, section.source, (section.inputs, outputs), base, section.options
     )
-    grid = Grid({name: _START[name] for name in section.inputs})
+    grid = Grid({name: _nodes(name) for name in section.inputs})
     options = ExportOptions(max_rows=_ROWS, tolerance_pct=0.1, source=section.source)
     report = export_table(model, grid, folder / TABLE, options)
     fixed = tuple(name for name in section.inputs if name in grid.varying)
@@ -75,3 +77,13 @@ def flown(config: RunConfig, base: Path, folder: Path) -> tuple[RunConfig, Expor
         update={"kind": "table", "source": str(folder / TABLE), "inputs": fixed}
     )
     return as_config(config, folder).model_copy(update={"steady_state": table}), report
+
+
+def _nodes(name: str) -> tuple[float, ...]:
+    if name not in _START:
+        raise ConfigError(
+            "[steady_state] inputs names what the virtual flights do not have",
+            channel=name,
+            hint=f"They have {', '.join(_START)}; or bring logs by --data",
+        )
+    return _START[name]

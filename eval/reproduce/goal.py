@@ -38,7 +38,7 @@ def goal(data: DataSets, bundle: Bundle) -> Study:
         "small, on the ground and in the air.",
         claims=[*_errors(pooled, classes), passed_claim(every, "our goal"), *_times(every)],
         tables=[times_table(rows), class_table(pooled, classes, ERROR_PCT)],
-        values={"families": rows, "max_rel_pct": pooled, "classes": classes, "all": every},
+        results={"families": rows, "max_rel_pct": pooled, "classes": classes, "all": every},
     )
 
 

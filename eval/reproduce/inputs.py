@@ -54,7 +54,7 @@ def inputs(data: DataSets, effort: Effort) -> Study:
         claims=[_criterion(found[-1], output), _order(found, best, output)],
         tables=[_table(data, found, output)],
         pictures=_pictures(data, found, output),
-        values={"output": output, "variants": [_row(data, one) for one in found]},
+        results={"output": output, "variants": [_row(data, one) for one in found]},
     )
 
 

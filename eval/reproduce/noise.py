@@ -63,7 +63,7 @@ def noise(
             *(study_figures.noise(sweep) for sweep in sweeps[:1]),
             _excerpt(data, logs[0], flight_of(bundle, logs[0]), config),
         ],
-        values={
+        results={
             "channel": config.channel,
             "data_sets": {name: _rows(table) for name, table in found.items()},
         },

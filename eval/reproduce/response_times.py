@@ -41,7 +41,7 @@ def response_times(
         claims=[passed_claim(every, "paper"), *largest],
         tables=[times_table(rows)],
         pictures=_pictures(data, bundle, found),
-        values={"groups": rows, "all": every},
+        results={"groups": rows, "all": every},
     )
 
 

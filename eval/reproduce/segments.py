@@ -49,7 +49,7 @@ def segments(data: DataSets) -> Study:
         tables=[_table(data)],
         pictures=_firsts(data),
         sheets=[one.page() for one in data.prepared],
-        values={"pushes": pushes, "data_sets": [_row(data, one) for one in data.prepared]},
+        results={"pushes": pushes, "data_sets": [_row(data, one) for one in data.prepared]},
     )
 
 

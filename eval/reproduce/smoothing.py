@@ -37,7 +37,7 @@ def smoothing(data: DataSets) -> Study:
         claims=_claims(rows, data) if known else [],
         tables=[_table(rows)],
         pictures=[study_figures.windows(data.prepared[0].trial)],
-        values={"against_truth": known, "windows": rows},
+        results={"against_truth": known, "windows": rows},
     )  # fmt: skip
 
 

@@ -38,7 +38,7 @@ def splits(
         claims=_claims(worst),
         tables=[tables.folds(scheme)],
         pictures=_pictures(scheme),
-        values={"worst": worst, "folds": found.document()["schemes"][0]["folds"]},
+        results={"worst": worst, "folds": found.document()["schemes"][0]["folds"]},
     )
 
 

@@ -1,0 +1,202 @@
+"""`narxcal reproduce` end to end on tiny data sets, its page, and what it refuses."""
+
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from narxcal.bundle import load_bundle
+from narxcal.cli import main
+from narxcal.cli import reproduce as command
+from narxcal.standin_pilot import fly
+
+CONFIG = """\
+schema = "narxcal.config/1"
+name = "tiny"
+
+[logs]
+files = ["data_set_*.csv"]
+raster_hz = 8.0
+
+[smooth]
+window = 3
+
+[split]
+train = ["*"]
+test = ["data_set_3*"]
+
+[narx]
+hidden = 2
+lags = 1
+
+[steady_state]
+kind = "callable"
+source = "narxcal.standin:maker_model"
+inputs = ["TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "NAI", "WAI"]
+"""
+STUDIES = [
+    "correlation", "smoothing", "segments", "inputs", "deviations", "accuracy",
+    "response_times", "splits", "noise", "goal",
+]  # fmt: skip
+
+
+def strict(text):
+    def refuse(constant):
+        pytest.fail(f"{constant} is not JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder of three data sets and their configuration."""
+    folder = tmp_path_factory.mktemp("paper")
+    (folder / "sets").mkdir()
+    for number in (1, 2, 3):
+        table = pd.DataFrame(fly(number, 150.0, 8.0))
+        table.to_csv(folder / "sets" / f"data_set_{number}.csv", index=False)
+    (folder / "tiny.toml").write_text(CONFIG, "utf-8")
+    return folder
+
+
+def arguments(place, out, *more):
+    words = ["reproduce", "narx-paper", "--config", place / "tiny.toml", "--data", place / "sets"]
+    return [str(word) for word in (*words, "--out", out, "--quick", "--jobs", "1", *more)]
+
+
+@pytest.fixture(scope="module")
+def out(place):
+    folder = place / "out"
+    assert main(arguments(place, folder, "--quiet")) == 1  # a few steps reach nobody's figures
+    return folder
+
+
+@pytest.fixture(scope="module")
+def document(out):
+    return strict((out / "reproduce.json").read_text("utf-8"))
+
+
+def test_every_study_is_in_the_document_with_claims_and_outcome(document):
+    assert document["schema"] == "narxcal.reproduce/1"
+    assert (document["paper"], document["complete"], document["quick"]) == (
+        "narx-paper", True, True,
+    )  # fmt: skip
+    assert [study["study"] for study in document["studies"]] == STUDIES
+    assert document["test"] == [3]
+    claims = [claim for study in document["studies"] for claim in study["claims"]]
+    for claim in claims:
+        assert set(claim) == {
+            "what", "origin", "claimed", "ours", "unit", "bound", "met", "remark",
+        }  # fmt: skip
+        assert (claim["met"] is None) == (claim["ours"] is None)
+    assert document["ok"] is False
+    assert len(document["missed"]) == sum(claim["met"] is False for claim in claims)
+
+
+def test_the_same_data_give_the_same_numbers(place, document, tmp_path, capsys):
+    assert main(arguments(place, tmp_path / "again", "--json")) == 1
+    again = strict(capsys.readouterr().out)
+    for one in (document, again):
+        one["training"].pop("wall_s", None)
+    assert again == document
+
+
+class Page(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.ids, self.anchors, self.outside, self.scripts, self.text = [], [], [], 0, []
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.scripts += tag == "script"
+        self.ids += [found["id"]] if "id" in found else []
+        href = found.get("href") or found.get("xlink:href") or found.get("src")
+        if href:
+            (self.anchors if href.startswith("#") else self.outside).append(href)
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def test_the_page_needs_nothing_but_itself_and_shows_what_the_document_says(out, document):
+    html = (out / "reproduce.html").read_text("utf-8")
+    page = Page()
+    page.feed(html)
+    assert page.scripts == 0
+    assert len(page.ids) == len(set(page.ids))
+    assert {anchor[1:] for anchor in page.anchors} <= set(page.ids)
+    assert all(link.startswith("data:") for link in page.outside)
+    assert not re.search(r"url\((?!#)|@import|https?://(?!www\.w3\.org/)", html)
+    text = " ".join(page.text)
+    for study in document["studies"]:
+        assert study["study"] in page.ids
+        assert study["title"] in text
+        assert all(claim["what"] in text for claim in study["claims"])
+    assert "quick: too few training steps to judge by" in text
+
+
+def test_the_model_is_there_to_be_used(out):
+    assert load_bundle(out / "model").calibration.output_names == ("N1_pct", "N2_pct", "EGT_C")
+
+
+def test_a_result_may_be_replaced_but_nothing_else(place, out, tmp_path, capsys):
+    command.RESULTS.check(out)
+    (tmp_path / "mine.txt").write_text("mine", "utf-8")
+    assert main(arguments(place, tmp_path)) == 2
+    assert "holds other content ('mine.txt')" in capsys.readouterr().err
+
+
+def test_an_unknown_paper_is_refused(capsys):
+    assert main(["reproduce", "spey", "--out", "x"]) == 2
+    assert "invalid choice: 'spey'" in capsys.readouterr().err
+
+
+def test_too_few_data_sets_end_in_one_line(place, tmp_path, capsys):
+    words = arguments(place, tmp_path / "out")
+    (tmp_path / "sets").mkdir()
+    first = (place / "sets" / "data_set_1.csv").read_bytes()
+    (tmp_path / "sets" / "data_set_1.csv").write_bytes(first)
+    words[words.index(str(place / "sets"))] = str(tmp_path / "sets")
+    assert main(words) == 2
+    shown = capsys.readouterr().err
+    assert shown.count("\n") == 1
+    assert "at least 3 data sets, found 1" in shown
+
+
+def test_without_data_the_virtual_engine_flies(place, tmp_path, monkeypatch):
+    seen = []
+
+    def fake_write(folder, scenario, jobs):
+        seen.append((folder, scenario.seed, scenario.build_scatter_pct, scenario.records, jobs))
+
+    def fake_flown(config, base, folder):
+        raise KeyboardInterrupt(str(folder))
+
+    monkeypatch.setattr(command, "write_records", fake_write)
+    monkeypatch.setattr(command, "flown", fake_flown)
+    monkeypatch.delenv("NARXCAL_DATA", raising=False)
+    out = tmp_path / "out"
+    words = ["reproduce", "narx-paper", "--out", str(out), "--seed", "7", "--jobs", "3"]
+    assert main(words) == 130
+    assert seen == [(out / "flights", 7, 0.0, "fast_push", 3)]
+    left = strict((out / "reproduce.json").read_text("utf-8"))
+    assert left == {"schema": "narxcal.reproduce/1", "complete": False}
+
+
+def test_numbers_of_the_page_are_finite_or_absent(document):
+    def walk(value):
+        if isinstance(value, dict):
+            for item in value.values():
+                walk(item)
+        elif isinstance(value, list):
+            for item in value:
+                walk(item)
+        elif isinstance(value, float):
+            assert np.isfinite(value)
+
+    walk(document)
+    assert Path(document["config"]["logs"]["folder"]).name == "sets"
