@@ -22,6 +22,7 @@ from narxcal.flight_test.data_sets import (
     take_off_approach_sets,
     throttle_rate_sets,
 )
+from narxcal.flight_test.envelope import DT_HIGH_C, DT_LOW_C, MACH_MAX
 from narxcal.flight_test.flown_effects import FlownEffect, Side, check_once
 from narxcal.flight_test.measurement import FloatArray
 from narxcal.flight_test.profile import FlightPlan, plan_flight
@@ -117,9 +118,8 @@ class FlightScenario(Section):
     def planned(self, flight: int) -> Mapping[str, Mapping[str, FloatArray]]:
         """Plan flight number `flight` (from 1): engine -> channel -> `(time,)`."""
         if self.records:
-            return {
-                each.engine: each.channels for each in self._data_sets() if each.flight == flight
-            }
+            sets = [each for each in self._data_sets() if each.flight == flight]
+            return {each.engine: _inside(each.channels) for each in sets}
         return plan_flight(self.flight_plan(), self._number(flight))
 
     def log_name(self, flight: int, engine: str) -> str:
@@ -162,6 +162,15 @@ class FlightScenario(Section):
 def _recorded(records: str, seed: int, rate_hz: float) -> tuple[DataSet, ...]:
     """Plan all data sets at once, as they are drawn together."""
     return _RECORDERS[records](seed, rate_hz)
+
+
+def _inside(channels: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Put back what rounding has taken out of the envelope on which the records touch."""
+    return {
+        **channels,
+        "Mach": np.clip(channels["Mach"], 0.0, MACH_MAX),
+        "dT_C": np.clip(channels["dT_C"], DT_LOW_C, DT_HIGH_C),
+    }
 
 
 def _drawn_windows(random: np.random.Generator, end_s: float) -> tuple[tuple[float, float], ...]:

@@ -91,6 +91,16 @@ def test_records_are_flown_whole_and_numbered_as_in_the_paper(records, flights):
     assert same(given.planned(2)["left"], scenario(records=records, flights=2).planned(2)["left"])
 
 
+@pytest.mark.parametrize("rate_hz", [8.0, 32.0])
+def test_records_that_touch_the_envelope_do_not_leave_it_by_rounding(rate_hz):
+    given = scenario(records="fast_push", plan={"rate_hz": rate_hz})
+    engine = VirtualEngine()
+    for flight in range(1, 6):
+        for channels in given.planned(flight).values():
+            inputs = np.column_stack([channels[name] for name in engine.input_names])
+            assert engine.inside(inputs).all()
+
+
 def test_logs_are_named_by_flight_and_engine():
     assert scenario().log_name(3, "right") == "flight_03_right"
     assert scenario().log_name(120, "left") == "flight_120_left"
