@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from data_prep.clean import clean
 from data_prep.hold import hold_inputs
 from data_prep.log import FloatArray, Log
 from data_prep.logs_config import LogsConfig
@@ -51,6 +52,11 @@ class DataSets:
     def logs(self) -> tuple[Log, ...]:
         """Prepared logs, masked samples still NaN."""
         return tuple(one.log for one in self.prepared)
+
+    @cached_property
+    def cleaned(self) -> tuple[Log, ...]:
+        """Logs as `prepare` has them before it smooths."""
+        return tuple(clean(log, self.config.clean) for log in self.raw)
 
     @cached_property
     def split(self) -> Split:

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from data_prep.clean import clean
 from data_prep.log import FloatArray, Log
 from data_prep.smooth import cutoff_hz, frequency_response, moving_average
 from eval.preparation import WINDOWS
@@ -47,9 +46,8 @@ def errors(data: DataSets, name: str, window: int) -> tuple[FloatArray, FloatArr
     Both (time,) over all data sets; NaN where samples are missing.
     """
     error, pace = [], []
-    for log in data.raw:
-        raw = clean(log, data.config.clean)[name]
-        truth = truth_of(data, log, name)
+    for log in data.cleaned:
+        raw, truth = log[name], truth_of(data, log, name)
         reference = raw if truth is None else truth
         error.append(moving_average(raw, window) - reference)
         pace.append(_pace(reference, log))

@@ -61,5 +61,5 @@ def test_an_input_without_nodes_is_named(tmp_path, make_config):
     config = make_config("elsewhere")
     inputs = (*config.steady_state.inputs, "FF_kgph")
     steady = config.steady_state.model_copy(update={"inputs": inputs})
-    with pytest.raises(ConfigError, match="FF_kgph.*virtual flights do not have.*--data"):
+    with pytest.raises(ConfigError, match=r"FF_kgph.*virtual flights do not have.*--data"):
         flown(config.model_copy(update={"steady_state": steady}), Path(), tmp_path)
