@@ -24,7 +24,7 @@ from narxcal.turbofan.rest import (
     Machine,
     rest_points,
 )
-from narxcal.turbofan.solve import match_flows
+from narxcal.turbofan.solve import solved
 from narxcal.turbofan.stations import Running, Stations
 from narxcal.turbofan.transient import Body
 
@@ -110,7 +110,7 @@ def _eigenvalues(
     def rates(n: FloatArray) -> FloatArray:
         run = Running(float(n[0]), float(n[1]), fuel, condition[4], condition[5], 0.0, 0.0)
         engine = (machine.path, machine.health)
-        stations, _ = match_flows(engine, air, run, x[:POSITIONS].copy(), np.zeros((5, 5)))
+        stations, _ = solved(engine, air, run, x[:POSITIONS].copy(), np.zeros((5, 5)))
         return np.array([stations.power1_W, stations.power2_W]) / (inertia * n)
 
     n = np.array([condition[N1], x[POSITIONS]])

@@ -60,9 +60,13 @@ def reynolds_factor(loss: float, air: Air) -> float:
 
 
 @compiled
-def handling_bleed(path: GasPath, n1_corrected: float) -> float:
-    """Share of the LPC flow dumped: shut above `handling_shut`, wide open at 60 % of that."""
-    opening = (path.handling_shut - n1_corrected) / (0.4 * path.handling_shut)
+def handling_bleed(path: GasPath, n2_corrected: float) -> float:
+    """Share of the LPC flow dumped: shut above `handling_shut`, wide open at 60 % of that.
+
+    It goes by the corrected speed of the core, which is what cannot swallow the flow: at idle in
+    fast flight the fan windmills and delivers more than at the same core speed on the ground.
+    """
+    opening = (path.handling_shut - n2_corrected) / (0.4 * path.handling_shut)
     opening = min(max(opening, 0.0), 1.0)
     return path.handling_bleed * opening * opening * (3.0 - 2.0 * opening)
 
@@ -154,9 +158,9 @@ def _cold_section(
     W21 = w * per_flow
     T21, lpc_work = _compress(air.T2_K, lpc_ratio, efficiency * re)
     P21 = lpc_ratio * air.P2_Pa
-    W25 = W21 * (1.0 - handling_bleed(path, n1c))
     root25 = theta(T21) ** 0.5
     n2c = run.n2 * (path.hpc_reference_K / T21) ** 0.5
+    W25 = W21 * (1.0 - handling_bleed(path, n2c))
     w, hpc_ratio, efficiency = compressor(path.hpc, n2c, x[HPC])
     residual[HPC_FLOW] = w * health.hpc_flow * delta(P21) / root25 / W25 - 1.0
     T3, hpc_work = _compress(T21, hpc_ratio, efficiency * health.hpc_efficiency * re)

@@ -1,8 +1,8 @@
 """Steady states of the gas path, many conditions at once.
 
 Newton starts from the running line at sea level static, looked up at the corrected speed asked
-for; where that does not converge, the flight condition is approached in steps. A point that
-still does not converge is reported, never filled in.
+for; where that does not converge, the flight condition is approached in steps, as short as need
+be. A point that still does not converge is reported, never filled in.
 """
 
 from __future__ import annotations
@@ -14,19 +14,20 @@ from numpy.typing import NDArray
 
 from narxcal.turbofan.compiled import compiled
 from narxcal.turbofan.cycle import POSITIONS
-from narxcal.turbofan.intake import SEA_LEVEL_K, SEA_LEVEL_PA, Air, intake, theta
-from narxcal.turbofan.solve import UNKNOWN, settle
+from narxcal.turbofan.intake import SEA_LEVEL_K, SEA_LEVEL_PA, Air, delta, intake, theta
+from narxcal.turbofan.lag import table_value
+from narxcal.turbofan.solve import UNKNOWN, solved
 from narxcal.turbofan.stations import GasPath, Health, Running, Stations
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 STATIC_K, STATIC_PA, MACH, N1, BLEED, OFFTAKE_W, CONDITIONS = range(7)  # columns of a condition
 FIELDS = len(Stations._fields)
-_APPROACH = 12  # steps towards a condition that is not reached at once
+_LONGEST, _SHORTEST = 0.25, 1.0 / 256.0  # steps, of the way to a condition not reached at once
 
 
 class Line(NamedTuple):
-    """The running line at sea level static: relative N1 (m,), descending, and unknowns (m, 7)."""
+    """The running line at sea level static: relative N1 (m,), ascending, and unknowns (7, m)."""
 
     n1: FloatArray
     unknowns: FloatArray
@@ -52,58 +53,80 @@ def _solve(machine: Machine, condition: FloatArray, x: FloatArray) -> tuple[Stat
     asked = Running(
         condition[N1], 1.0, machine.fuel_unit_kgps, condition[BLEED], condition[OFFTAKE_W], 0.0, 0.0
     )
-    return settle((machine.path, machine.health), air, asked, x)
+    inverse = np.zeros((UNKNOWN, UNKNOWN))
+    return solved((machine.path, machine.health), air, asked, x, inverse)
 
 
 @compiled
-def _start(machine: Machine, line: Line, condition: FloatArray) -> FloatArray:
+def _start(machine: Machine, line: Line, condition: FloatArray, x: FloatArray) -> None:
     """Unknowns on the running line at the corrected speed asked for, taken back to real ones."""
     air = _air(machine, condition)
     root = theta(air.T2_K) ** 0.5
-    corrected = condition[N1] / root
-    x = np.empty(UNKNOWN)
     for j in range(UNKNOWN):
-        x[j] = np.interp(corrected, line.n1[::-1], line.unknowns[::-1, j])
+        x[j] = table_value(condition[N1] / root, line.n1, line.unknowns[j])
     x[POSITIONS] *= root
-    x[POSITIONS + 1] *= root * air.P2_Pa / SEA_LEVEL_PA
-    return x
+    x[POSITIONS + 1] *= root * delta(air.P2_Pa)
 
 
 @compiled
-def _approach(
-    machine: Machine, line: Line, condition: FloatArray
-) -> tuple[Stations, FloatArray, bool]:
-    """Walk from sea level static, at the same corrected speed, to the condition."""
-    here = condition.copy()
-    here[STATIC_K], here[STATIC_PA], here[MACH] = SEA_LEVEL_K, SEA_LEVEL_PA, 0.0
-    here[BLEED] = here[OFFTAKE_W] = 0.0
-    here[N1] = min(max(condition[N1] / theta(_air(machine, condition).T2_K) ** 0.5, 0.25), 1.05)
-    first = here.copy()
-    x = _start(machine, line, here)
-    stations, converged = _solve(machine, here, x)
-    for k in range(1, _APPROACH + 1):
-        share = k / _APPROACH
-        stations, converged = _solve(machine, (1.0 - share) * first + share * condition, x)
-    return stations, x, converged
+def _reach(
+    machine: Machine, line: Line, condition: FloatArray, x: FloatArray
+) -> tuple[Stations, bool]:
+    """Settle at `condition`: at once, or by walking there from sea level static.
 
-
-@compiled
-def running_line(machine: Machine, n1: FloatArray, first: FloatArray) -> tuple[Line, int]:
-    """Follow the line at sea level static down `n1` (m,) from the design point's unknowns (7,).
-
-    Returns the line, and how many of its points converged.
+    The walk starts on the line at the same corrected speed; a step that fails is halved.
     """
-    unknowns = np.empty((len(n1), UNKNOWN))
-    condition = np.zeros(CONDITIONS)
+    here, first, kept = condition.copy(), condition.copy(), np.empty(UNKNOWN)
+    first[STATIC_K], first[STATIC_PA], first[MACH] = SEA_LEVEL_K, SEA_LEVEL_PA, 0.0
+    first[BLEED] = first[OFFTAKE_W] = 0.0
+    corrected = condition[N1] / theta(_air(machine, condition).T2_K) ** 0.5
+    first[N1] = min(max(corrected, line.n1[0]), line.n1[-1])
+    done, step = 0.0, 1.0
+    _start(machine, line, condition, x)
+    while step >= _SHORTEST:
+        for j in range(UNKNOWN):
+            kept[j] = x[j]
+        share = min(done + step, 1.0)
+        for j in range(CONDITIONS):
+            here[j] = first[j] + share * (condition[j] - first[j])
+        if share == 1.0:
+            here[:] = condition
+        stations, converged = _solve(machine, here, x)
+        if converged and share == 1.0:
+            return stations, True
+        if converged:
+            done = share
+        elif step == 1.0:
+            _start(machine, line, first, x)
+            step = _LONGEST
+        else:
+            step *= 0.5
+            for j in range(UNKNOWN):
+                x[j] = kept[j]
+    return stations, False
+
+
+@compiled
+def running_line(machine: Machine, n1: FloatArray, first: FloatArray) -> Line:
+    """Follow the line at sea level static down to `n1[0]` from the unknowns (7,) at `n1[-1]`.
+
+    `n1` (m,) ascends. The line starts above the last speed that does not converge.
+    """
+    lowest, unknowns = 0, np.empty((UNKNOWN, len(n1)))
+    condition, x, before = np.zeros(CONDITIONS), first.copy(), first.copy()
     condition[STATIC_K], condition[STATIC_PA] = SEA_LEVEL_K, SEA_LEVEL_PA
-    x = first.copy()
-    for k in range(len(n1)):
+    for k in range(len(n1) - 1, -1, -1):
         condition[N1] = n1[k]
+        for j in range(UNKNOWN):  # go on straight
+            past, before[j] = before[j], x[j]
+            x[j] += x[j] - past
         _, converged = _solve(machine, condition, x)
         if not converged:
-            return Line(n1[:k], unknowns[:k]), k
-        unknowns[k] = x
-    return Line(n1, unknowns), len(n1)
+            lowest = k + 1
+            break
+        for j in range(UNKNOWN):
+            unknowns[j, k] = x[j]
+    return Line(n1[lowest:].copy(), unknowns[:, lowest:].copy())
 
 
 @compiled
@@ -118,11 +141,7 @@ def rest_points(
     unknowns, rows = np.empty((count, UNKNOWN)), np.empty((count, FIELDS))
     good = np.zeros(count, dtype=np.bool_)
     for k in range(count):
-        x = _start(machine, line, conditions[k])
-        stations, converged = _solve(machine, conditions[k], x)
-        if not converged:
-            stations, x, converged = _approach(machine, line, conditions[k])
-        unknowns[k], good[k] = x, converged
+        stations, good[k] = _reach(machine, line, conditions[k], unknowns[k])
         for j in range(FIELDS):
             rows[k, j] = stations[j]
     return unknowns, rows, good

@@ -3,6 +3,8 @@
 In a transient the five balances of flow are solved from the positions of the sample before, with
 the Jacobian of some samples ago for as long as that converges well (a chord method). At rest, N2
 and the fuel flow are unknown too, and the powers of both spools must balance.
+
+Loops are written out: array expressions and LAPACK take several times as long to compile.
 """
 
 from __future__ import annotations
@@ -22,143 +24,162 @@ _DIFFERENCE = 1e-7
 _REACH = 0.25  # longest step of any unknown
 _LEAST_GAIN = 0.1  # a chord step that leaves more of the error than this asks for a new Jacobian
 _LOWEST, _HIGHEST = (-3.0, 1.0), (2.6, 15.0)  # of angles, of pressure ratios
+_LEAST_SHARE = 1e-3  # of a Newton step
 
 
 @compiled
 def worst(values: FloatArray) -> float:
     """Largest magnitude; infinite where a value is no number."""
     largest = 0.0
-    for value in values:
-        if not np.isfinite(value):
+    for i in range(len(values)):
+        size = abs(values[i])
+        if not size < np.inf:
             return np.inf
-        largest = max(largest, abs(value))
+        largest = max(size, largest)
     return largest
 
 
 @compiled
-def _moved(x: FloatArray, step: FloatArray, share: float) -> FloatArray:
-    """`x - share * step`, no unknown by more than `_REACH`, and all within their ranges."""
-    share *= min(1.0, _REACH / max(worst(step), 1e-12))
-    after = x - share * step
-    for i in range(3):
-        after[i] = min(max(after[i], _LOWEST[0]), _HIGHEST[0])
-    for i in range(3, POSITIONS):
-        after[i] = min(max(after[i], _LOWEST[1]), _HIGHEST[1])
-    for i in range(POSITIONS, len(x)):
-        after[i] = min(max(after[i], 1e-3), 3.0)
-    return after
+def _pivot(matrix: FloatArray, inverse: FloatArray, k: int) -> bool:
+    """Bring the largest of column `k` to its diagonal; False if there is none."""
+    best = k
+    for i in range(k + 1, len(matrix)):
+        if abs(matrix[i, k]) > abs(matrix[best, k]):
+            best = i
+    for j in range(len(matrix)):
+        matrix[k, j], matrix[best, j] = matrix[best, j], matrix[k, j]
+        inverse[k, j], inverse[best, j] = inverse[best, j], inverse[k, j]
+    return bool(0.0 < abs(matrix[k, k]) < np.inf)
 
 
 @compiled
-def _flow_jacobian(
-    engine: tuple[GasPath, Health], air: Air, run: Running, x: FloatArray
-) -> FloatArray:
-    """Forward differences of the balances of flow, (5, 5)."""
-    base, beside, jacobian = np.empty(5), np.empty(5), np.empty((5, 5))
-    gas_path(engine, air, run, x, base)
-    for j in range(5):
-        at = x.copy()
-        at[j] += _DIFFERENCE
-        gas_path(engine, air, run, at, beside)
-        jacobian[:, j] = (beside - base) / _DIFFERENCE
-    return jacobian
+def invert(matrix: FloatArray, inverse: FloatArray) -> bool:
+    """Gauss-Jordan elimination with partial pivoting; `matrix` (n, n) is used up.
 
-
-@compiled
-def match_flows(
-    engine: tuple[GasPath, Health], air: Air, run: Running, x: FloatArray, inverse: FloatArray
-) -> tuple[Stations, bool]:
-    """Move `x` (5,) until all flows balance; `inverse` (5, 5) is that of a Jacobian near `x`.
-
-    Both are changed in place and kept from call to call; an `inverse` that is all zero is made
-    anew. Returns the stations, and whether it converged.
+    False, and an `inverse` (n, n) of no meaning, where the matrix is singular or no number.
     """
-    residual = np.empty(5)
-    stations = gas_path(engine, air, run, x, residual)
-    error = worst(residual)
-    fresh, share = False, 1.0
-    for _ in range(80):
-        if error < TOLERANCE:
-            return stations, True
-        if inverse[0, 0] == 0.0 and not fresh:
-            inverse[:] = np.linalg.inv(_flow_jacobian(engine, air, run, x))
-            fresh = True
-        beside = np.empty(5)
-        trial = _moved(x, inverse @ residual, share)
-        tried = gas_path(engine, air, run, trial, beside)
-        found = worst(beside)
-        stale = found > _LEAST_GAIN * error and not fresh
-        if found < error:
-            x[:], residual, error, stations, share = trial, beside, found, tried, 1.0
-            fresh = False
-        elif not stale:
-            share *= 0.5
-        if stale and error >= TOLERANCE:
-            inverse[:] = np.linalg.inv(_flow_jacobian(engine, air, run, x))
-            fresh = True
-    return stations, False
+    n = len(matrix)
+    for i in range(n):
+        for j in range(n):
+            inverse[i, j] = 1.0 if i == j else 0.0
+    for k in range(n):
+        if not _pivot(matrix, inverse, k):
+            return False
+        scale = 1.0 / matrix[k, k]
+        for j in range(n):
+            matrix[k, j] *= scale
+            inverse[k, j] *= scale
+        for i in range(n):
+            factor = matrix[i, k]
+            if i != k and factor != 0.0:
+                for j in range(n):
+                    matrix[i, j] -= factor * matrix[k, j]
+                    inverse[i, j] -= factor * inverse[k, j]
+    return True
 
 
 @compiled
-def at_rest(
+def _moved(
+    x: FloatArray, inverse: FloatArray, residual: FloatArray, share: float, after: FloatArray
+) -> None:
+    """Put `x - share * inverse @ residual` into `after`.
+
+    No unknown moves by more than `_REACH`, and all stay within their ranges.
+    """
+    n, longest = len(x), 1e-12
+    for i in range(n):
+        after[i] = 0.0
+        for j in range(n):
+            after[i] += inverse[i, j] * residual[j]
+        longest = max(longest, abs(after[i]))
+    share *= min(1.0, _REACH / longest)
+    for i in range(n):
+        low, high = 1e-3, 3.0
+        if i < POSITIONS:
+            kind = 0 if i < 3 else 1
+            low, high = _LOWEST[kind], _HIGHEST[kind]
+        after[i] = min(max(x[i] - share * after[i], low), high)
+
+
+@compiled
+def balances(
     engine: tuple[GasPath, Health],
     air: Air,
     asked: Running,
     x: FloatArray,
     residual: FloatArray,
 ) -> Stations:
-    """All seven balances at `x` (7,): five of flow, then the powers over that of the HPT.
+    """The balances at `x`: the five of flow, and for seven unknowns those of power as well.
 
-    `asked.n2` is ignored and `asked.fuel_kgps` is the unit of the last unknown.
+    Powers are relative to that of the HPT. With seven unknowns `asked.n2` is ignored and
+    `asked.fuel_kgps` is the unit of the last of them.
     """
-    run = Running(
-        asked.n1,
-        x[POSITIONS],
-        asked.fuel_kgps * x[POSITIONS + 1],
-        asked.bleed,
-        asked.offtake_W,
-        asked.soak_W,
-        asked.clearance,
-    )
+    n2, fuel = asked.n2, asked.fuel_kgps
+    if len(x) > POSITIONS:
+        n2, fuel = x[POSITIONS], fuel * x[POSITIONS + 1]
+    run = Running(asked.n1, n2, fuel, asked.bleed, asked.offtake_W, asked.soak_W, asked.clearance)
     stations = gas_path(engine, air, run, x, residual)
-    residual[POSITIONS] = stations.power1_W / stations.hpt_W
-    residual[POSITIONS + 1] = stations.power2_W / stations.hpt_W
+    if len(x) > POSITIONS:
+        residual[POSITIONS] = stations.power1_W / stations.hpt_W
+        residual[POSITIONS + 1] = stations.power2_W / stations.hpt_W
     return stations
 
 
 @compiled
-def settle(
-    engine: tuple[GasPath, Health], air: Air, asked: Running, x: FloatArray
-) -> tuple[Stations, bool]:
-    """Move `x` (7,) until flows and powers balance at `asked.n1`; damped Newton.
+def _inverse_jacobian(
+    point: tuple[tuple[GasPath, Health], Air, Running],
+    x: FloatArray,
+    residual: FloatArray,
+    inverse: FloatArray,
+) -> bool:
+    """Inverse of the Jacobian by forward differences from the balances `residual` at `x`."""
+    n = len(x)
+    beside, at, jacobian = np.empty(n), np.empty(n), np.empty((n, n))
+    for j in range(n):
+        for i in range(n):
+            at[i] = x[i]
+        at[j] += _DIFFERENCE
+        balances(point[0], point[1], point[2], at, beside)
+        for i in range(n):
+            jacobian[i, j] = (beside[i] - residual[i]) / _DIFFERENCE
+    return invert(jacobian, inverse)
 
-    Returns the stations, and whether it converged.
+
+@compiled
+def solved(
+    engine: tuple[GasPath, Health], air: Air, asked: Running, x: FloatArray, inverse: FloatArray
+) -> tuple[Stations, bool]:
+    """Move `x` (5,) until all flows balance, or (7,) until the powers do as well.
+
+    `inverse` (n, n) is that of a Jacobian near `x`; both are changed in place and may be kept
+    from call to call. An `inverse` that is all zero is made anew, and so is one whose step gains
+    too little; a step with a fresh one is shortened until it gains. Returns the stations, and
+    whether it converged.
     """
-    residual, beside = np.empty(UNKNOWN), np.empty(UNKNOWN)
-    jacobian, step = np.empty((UNKNOWN, UNKNOWN)), np.empty(UNKNOWN)
-    stations = at_rest(engine, air, asked, x, residual)
+    n = len(x)
+    residual, beside, trial = np.empty(n), np.empty(n), np.empty(n)
+    fresh, share = False, 1.0
+    stations = balances(engine, air, asked, x, residual)
     error = worst(residual)
-    for _ in range(60):
+    for _ in range(120):
         if error < TOLERANCE:
             return stations, True
-        for j in range(UNKNOWN):
-            at = x.copy()
-            at[j] += _DIFFERENCE
-            at_rest(engine, air, asked, at, beside)
-            jacobian[:, j] = (beside - residual) / _DIFFERENCE
-        if not np.isfinite(jacobian).all():
-            return stations, False
-        step[:] = np.linalg.solve(jacobian, residual)
-        share, found = 1.0, np.inf
-        while share > 1e-3:
-            trial = _moved(x, step, share)
-            stations = at_rest(engine, air, asked, trial, beside)
-            found = worst(beside)
-            if found < error:
+        if inverse[0, 0] == 0.0:
+            if not _inverse_jacobian((engine, air, asked), x, residual, inverse):
                 break
+            fresh = True
+        _moved(x, inverse, residual, share, trial)
+        tried = balances(engine, air, asked, trial, beside)
+        found = worst(beside)
+        if found > _LEAST_GAIN * error and not (fresh and found >= error):
+            inverse[0, 0] = 0.0
+        if found < error:
+            for i in range(n):
+                x[i], residual[i] = trial[i], beside[i]
+            error, stations, fresh, share = found, tried, False, 1.0
+        elif fresh:
             share *= 0.5
-        if not found < error:
-            return stations, False
-        x[:], error = trial, found
-        residual[:] = beside
-    return stations, error < TOLERANCE
+            if share < _LEAST_SHARE:
+                break
+    inverse[0, 0] = 0.0  # what failed once is no start for the next call
+    return stations, False

@@ -15,9 +15,9 @@ class GasPath(NamedTuple):
     hpc: CompressorMap
     hpt: TurbineMap
     lpt: TurbineMap
-    hpc_reference_K: float  # HPC inlet temperature at the design point
-    core_area_m2: float
-    bypass_area_m2: float
+    hpc_reference_K: float = 0.0  # HPC inlet temperature at the design point
+    core_area_m2: float = 0.0  # this, and the two beside it: sized by the design point
+    bypass_area_m2: float = 0.0
     burner_efficiency: float = 0.995
     burner_loss: float = 0.05
     core_duct_loss: float = 0.01
@@ -27,7 +27,7 @@ class GasPath(NamedTuple):
     mechanical_efficiency: float = 0.99
     thrust_coefficient: float = 0.985
     handling_bleed: float = 0.0  # share of the LPC flow dumped at low speed
-    handling_shut: float = 0.6  # relative corrected N1 above which the handling bleed is shut
+    handling_shut: float = 0.9  # relative corrected N2 above which the handling bleed is shut
     reynolds_loss: float = 0.012  # efficiency lost where the Reynolds index is zero
 
 

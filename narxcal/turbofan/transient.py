@@ -22,19 +22,20 @@ from numpy.typing import NDArray
 
 from narxcal.turbofan import fadec, fuel_valve
 from narxcal.turbofan.compiled import compiled
+from narxcal.turbofan.cycle import HPC
 from narxcal.turbofan.fadec import FadecParameters, Sensed
 from narxcal.turbofan.fuel_valve import METERED, FuelValveParameters
 from narxcal.turbofan.intake import intake
 from narxcal.turbofan.lag import lagged
 from narxcal.turbofan.rest import BLEED, MACH, OFFTAKE_W, STATIC_K, STATIC_PA, Machine
-from narxcal.turbofan.solve import match_flows
+from narxcal.turbofan.solve import solved
 from narxcal.turbofan.stations import Running, Stations
 
 FloatArray = NDArray[np.float64]
 SUBSTEPS = 2
 COLUMNS = (
     "N1_pct", "N2_pct", "EGT_C", "FF_kgph", "FN_kN", "FPR", "EPR",
-    "FG_kN", "W2_kgps", "T45_K", "P3_kPa", "metal_K", "casing_K", "limiter",
+    "FG_kN", "W2_kgps", "T45_K", "P3_kPa", "metal_K", "casing_K", "hpc_angle", "limiter",
 )  # fmt: skip
 _WIDTH = len(COLUMNS)
 
@@ -123,6 +124,7 @@ def _row(plant: Plant, state: State, stations: Stations, air_Pa: float, row: Flo
     row[10] = 1e-3 * stations.P3
     row[11] = state.metal[0]
     row[12] = state.metal[1]
+    row[13] = state.positions[HPC]
 
 
 @compiled
@@ -132,7 +134,7 @@ def run(
     """Run through `conditions` (time, 6) at the N1 `commands` (time,) in %, from `state`.
 
     Each sample shows the engine as the conditions of that sample find it, before it moves on.
-    Returns all `COLUMNS` (time, 14) and the number of samples that were solved: where that is
+    Returns all `COLUMNS` (time, 15) and the number of samples that were solved: where that is
     less than all, the next sample did not converge.
     """
     machine, body = plant.machine, plant.body
@@ -150,7 +152,7 @@ def run(
                 state.rotors[0], state.rotors[1], fuel, c[BLEED], c[OFFTAKE_W],
                 state.metal[3], state.metal[4],
             )  # fmt: skip
-            stations, good = match_flows(engine, air, at, state.positions, state.inverse)
+            stations, good = solved(engine, air, at, state.positions, state.inverse)
             if not good:
                 return rows, k
             if s == 0:

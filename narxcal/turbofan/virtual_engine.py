@@ -48,7 +48,7 @@ INPUT_NAMES = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "N
 OUTPUT_NAMES = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph", "FN_kN", "FPR", "EPR")
 LOW = np.array([0.0, -1000.0, 0.0, -30.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 HIGH = np.array([85.0, 40000.0, 0.85, 20.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-_LINE = np.arange(1.10, 0.174, -0.025)
+_LINE = np.linspace(0.175, 1.10, 75)  # relative N1 of the running line
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def _core(name: str) -> _Core:
     chosen = preset(name)
     closed = close(chosen.point, chosen.shape)
     machine = Machine(closed.path, Health(), chosen.point.recovery, closed.fuel_kgps)
-    line, _ = running_line(machine, _LINE, np.array([*closed.positions, 1.0, 1.0]))
+    line = running_line(machine, _LINE, np.array([*closed.positions, 1.0, 1.0]))
     at_design = np.zeros((1, CONDITIONS))
     at_design[0, :4] = 288.15, 101325.0, 0.0, 1.0
     stations = Stations(*rest_points(machine, line, at_design)[1][0])
