@@ -1,0 +1,17 @@
+"""Unmodelled effects: what a real engine does and its simulator does not."""
+
+from narxcal.effects.base import Effect, Parameter, Signals
+from narxcal.effects.library import LIBRARY, candidates, effect
+from narxcal.effects.running import Flights, RateForm, respond
+
+__all__ = [
+    "LIBRARY",
+    "Effect",
+    "Flights",
+    "Parameter",
+    "RateForm",
+    "Signals",
+    "candidates",
+    "effect",
+    "respond",
+]

@@ -1,0 +1,185 @@
+"""What an effect is: a small, bounded departure of the real engine from its simulator.
+
+An effect has named parameters and acts on the *input* (what the engine is told), on the *rate*
+(how fast its outputs move) or on the *output* (what the sensor reports). Any simulator in rate
+form, `y[k+1] = y[k] + dt f(y, u)`, takes any effect without knowing it (see `effects.running`).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from narxcal.atmosphere import air_state
+from narxcal.effects.memory import Memory
+from narxcal.errors import ConfigError
+
+FloatArray = NDArray[np.float64]
+Side = Literal["input", "process", "sensor"]
+_UNITS = {"_pct": "%", "_C": "degC", "_kgph": "kg/h", "_kN": "kN"}
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect. At `neutral` the effect is not there.
+
+    `starts` are where a fit begins. The response is proportional to a `linear` parameter, which
+    then needs no search; its `neutral` is 0.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    neutral: float
+    starts: tuple[float, ...] = ()
+    linear: bool = False
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What a run is made of: names of the columns, the raster, and what `driver` moves.
+
+    `low` and `high` are the range of each output in the simulator's logs, `(outputs,)`: what idle
+    and full power mean. `lever` is that of the driver. `active` are the inputs that change.
+    """
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    dt_s: float
+    driver: str
+    low: FloatArray
+    high: FloatArray
+    lever: tuple[float, float] = (0.0, 1.0)
+    active: tuple[str, ...] = ()
+
+    @property
+    def governed(self) -> bool:
+        """Whether a control holds the first output at what the lever asks for."""
+        return self.driver == "TRA_deg"
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Outputs that nothing holds: all, or all but the governed first one."""
+        return self.outputs[1:] if self.governed else self.outputs
+
+    def u(self, name: str) -> int:
+        """Column of an input; raises `ConfigError` where there is none."""
+        return _column(self.inputs, name, "input")
+
+    def y(self, name: str) -> int:
+        """Column of an output; raises `ConfigError` where there is none."""
+        return _column(self.outputs, name, "output")
+
+    def width(self, output: str) -> float:
+        """Range of an output in the simulator's logs, in its unit."""
+        column = self.y(output)
+        return float(self.high[column] - self.low[column])
+
+    def power(self, y: FloatArray) -> FloatArray:
+        """Share of the range of the first output, 0 at idle and 1 at full power: `(...,)`."""
+        return np.asarray((y[..., 0] - self.low[0]) / (self.high[0] - self.low[0]))
+
+    def thin_air(self, u: FloatArray) -> FloatArray:
+        """`delta / sqrt(theta)` of the air at the intake, `(...,)`; 1 without an altitude.
+
+        Forces and flows of an engine at given corrected speed go with delta, its speeds with
+        sqrt(theta): rates of its spools go with their quotient (NACA TR-1011, FACTS A2).
+        """
+        if "ALT_ft" not in self.inputs:
+            return np.ones(u.shape[:-1])
+        mach = u[..., self.u("Mach")] if "Mach" in self.inputs else 0.0
+        dt_c = u[..., self.u("dT_C")] if "dT_C" in self.inputs else 0.0
+        air = air_state(u[..., self.u("ALT_ft")], mach, dt_c)
+        return np.asarray(air.delta2 / np.sqrt(air.theta2))
+
+
+def _column(names: Sequence[str], name: str, what: str) -> int:
+    if name not in names:
+        raise ConfigError(f"there is no {what} '{name}'", hint=f"There are {', '.join(names)}")
+    return list(names).index(name)
+
+
+@dataclass(eq=False)
+class Run:
+    """A batch of runs under way with one effect; only the hooks of that effect change it.
+
+    `theta` (batch, parameters) is in the order of the effect's parameters. `u` are the inputs the
+    engine is told over the block of samples at hand, (batch, time, inputs). `memory` keeps, by a
+    name, what has to be carried on from one block to the next.
+    """
+
+    signals: Signals
+    theta: FloatArray
+    u: FloatArray
+    memory: dict[str, Memory] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Effect(ABC):
+    """Base of all effects: what it is called, what it is easily taken for, and its parameters.
+
+    What separates it from the others of its `family` is the `manoeuvre`. An effect on one sensor
+    has a `channel`. `fixed` are the parameters that do not depend on the signals.
+    """
+
+    id: ClassVar[str]
+    family: ClassVar[str]
+    side: ClassVar[Side]
+    meaning: ClassVar[str]
+    manoeuvre: ClassVar[str]
+    fixed: ClassVar[tuple[Parameter, ...]] = ()
+    channel: str | None = field(default=None)
+
+    @property
+    def name(self) -> str:
+        """`id`, or `id:channel`."""
+        return self.id if self.channel is None else f"{self.id}:{self.channel}"
+
+    def parameters(self, signals: Signals) -> tuple[Parameter, ...]:  # noqa: ARG002 - bounds of some go with the range of a signal
+        """Parameters for runs of these signals."""
+        return self.fixed
+
+    def applies(self, signals: Signals) -> bool:
+        """Whether the signals hold what the effect acts on."""
+        return self.channel is None or self.channel in signals.outputs
+
+
+class InputEffect(Effect):
+    """An effect on what the engine is told."""
+
+    @abstractmethod
+    def on_input(self, run: Run, u: FloatArray) -> FloatArray:
+        """Inputs (batch, time, inputs) that arrive, for the block of inputs `u`.
+
+        A block is one sample or many, up to the whole log; `run` carries on from the last one.
+        """
+
+
+class RateEffect(Effect):
+    """An effect on how fast the outputs move."""
+
+    @abstractmethod
+    def on_rate(self, run: Run, rate: FloatArray, air: FloatArray) -> FloatArray:
+        """Rates (batch, outputs) of the engine at one sample, for those of the simulator.
+
+        `air` (batch, 1) is `Signals.thin_air` there.
+        """
+
+
+class OutputEffect(Effect):
+    """An effect on what is read of the outputs."""
+
+    @abstractmethod
+    def on_output(self, run: Run, y: FloatArray) -> FloatArray:
+        """Readings (batch, time, outputs) of the block of outputs `y`; blocks as for inputs."""
+
+
+def unit(output: str) -> str:
+    """Unit of an output, by the ending of its name."""
+    return next((text for ending, text in _UNITS.items() if output.endswith(ending)), "-")

@@ -1,0 +1,81 @@
+"""The library: every effect there is, by its id, and who is easily taken for whom."""
+
+from __future__ import annotations
+
+import difflib
+
+from narxcal.effects.base import Effect, Signals
+from narxcal.effects.dynamic import (
+    AccelDecelAsymmetry,
+    AccelLimit,
+    ActuatorLag,
+    AltitudeLag,
+    SpoolCoupling,
+    SpoolLag,
+)
+from narxcal.effects.input_side import (
+    ThrottleBacklash,
+    ThrottleBias,
+    ThrottleDelay,
+    ThrottleRateLimit,
+)
+from narxcal.effects.sensor_side import (
+    FlowmeterDynamics,
+    SensorBias,
+    SensorDrift,
+    SensorEffect,
+    SensorLag,
+    TimeSkew,
+)
+from narxcal.effects.steady import (
+    BleedExtraction,
+    Deterioration,
+    HeatSoak,
+    IdleSchedule,
+    TemperatureEffect,
+    UnloggedSwitch,
+)
+from narxcal.errors import ConfigError
+
+ENGINE_WIDE: tuple[type[Effect], ...] = (
+    ThrottleBacklash,
+    ThrottleDelay,
+    ThrottleRateLimit,
+    ThrottleBias,
+    ActuatorLag,
+    SpoolLag,
+    AccelDecelAsymmetry,
+    AccelLimit,
+    AltitudeLag,
+    SpoolCoupling,
+    HeatSoak,
+    BleedExtraction,
+    UnloggedSwitch,
+    Deterioration,
+    TemperatureEffect,
+    IdleSchedule,
+)
+PER_CHANNEL: tuple[type[Effect], ...] = (SensorLag, SensorBias, SensorDrift, TimeSkew)
+ALL: tuple[type[Effect], ...] = (*ENGINE_WIDE, *PER_CHANNEL, FlowmeterDynamics)
+LIBRARY: dict[str, type[Effect]] = {kind.id: kind for kind in ALL}
+
+
+def candidates(signals: Signals) -> tuple[Effect, ...]:
+    """Every effect that can act on these signals, sensor effects once per output."""
+    wide = [kind() for kind in ENGINE_WIDE]
+    each = [kind(channel) for channel in signals.outputs for kind in PER_CHANNEL]
+    meter = [FlowmeterDynamics("FF_kgph")]
+    return tuple(effect for effect in (*wide, *each, *meter) if effect.applies(signals))
+
+
+def effect(name: str) -> Effect:
+    """Effect called `id` or `id:channel`; raises `ConfigError` naming the nearest id."""
+    kind, _, channel = name.partition(":")
+    if kind not in LIBRARY:
+        near = difflib.get_close_matches(kind, LIBRARY, n=1, cutoff=0.4)
+        hint = f"Did you mean '{near[0]}'?" if near else f"Known: {', '.join(LIBRARY)}"
+        raise ConfigError(f"unknown effect '{kind}'", hint=hint)
+    if issubclass(LIBRARY[kind], SensorEffect) != bool(channel):
+        wants = "needs a channel, as in sensor_lag:EGT_C" if not channel else "has no channel"
+        raise ConfigError(f"effect '{kind}' {wants}")
+    return LIBRARY[kind](channel or None)

@@ -1,0 +1,100 @@
+"""Effects between the engine and the recorder: one channel each, nothing else changes."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import ClassVar
+
+from narxcal.effects.base import FloatArray, OutputEffect, Parameter, Run, Side, Signals, unit
+from narxcal.effects.memory import Clock, Delay, Lag
+
+LONGEST_S = 2.0
+
+
+class SensorEffect(OutputEffect):
+    """An effect on the reading of `channel` alone."""
+
+    side: ClassVar[Side] = "sensor"
+
+    def on_output(self, run: Run, y: FloatArray) -> FloatArray:
+        """Outputs with one channel as it is read; the others are passed on."""
+        column, read = run.signals.y(self.channel or ""), y.copy()
+        read[..., column] = self.reading(run, y[..., column])
+        return read
+
+    @abstractmethod
+    def reading(self, run: Run, value: FloatArray) -> FloatArray:
+        """What is recorded (batch, time) for a block of true values."""
+
+
+class SensorLag(SensorEffect):
+    """The sensor follows its channel with a further first-order lag."""
+
+    id: ClassVar[str] = "sensor_lag"
+    family: ClassVar[str] = "channel lag"
+    meaning: ClassVar[str] = "lag of one sensor"
+    manoeuvre: ClassVar[str] = "fast steps: a lag rounds one channel off, a delay only shifts it"
+    fixed = (Parameter("tau_s", "s", 0.0, 15.0, 0.0, (0.2, 0.8, 3.0)),)
+
+    def reading(self, run: Run, value: FloatArray) -> FloatArray:
+        """The lagged channel, settled at its first value."""
+        return run.memory.setdefault("lag", Lag(run.theta[:, 0], run.signals.dt_s))(value)
+
+
+class FlowmeterDynamics(SensorLag):
+    """The fuel flowmeter follows with a first-order lag."""
+
+    id: ClassVar[str] = "flowmeter_dynamics"
+    meaning: ClassVar[str] = "lag of the fuel flowmeter"
+
+
+class SensorBias(SensorEffect):
+    """The sensor reads a constant too much, in all flights alike."""
+
+    id: ClassVar[str] = "sensor_bias"
+    family: ClassVar[str] = "offset"
+    meaning: ClassVar[str] = "constant offset of one sensor"
+    manoeuvre: ClassVar[str] = "holds at idle and at full power, on both engines"
+
+    def parameters(self, signals: Signals) -> tuple[Parameter, ...]:
+        """One offset, within half of the channel's range."""
+        half, text = 0.5 * signals.width(self.channel or ""), unit(self.channel or "")
+        return (Parameter("bias", text, -half, half, 0.0, linear=True),)
+
+    def reading(self, run: Run, value: FloatArray) -> FloatArray:
+        """The channel plus a constant."""
+        return value + run.theta[:, :1]
+
+
+class SensorDrift(SensorEffect):
+    """The sensor's offset grows with time, from nothing at the start of each flight."""
+
+    id: ClassVar[str] = "sensor_drift"
+    family: ClassVar[str] = "slow offset"
+    meaning: ClassVar[str] = "drift of one sensor"
+    manoeuvre: ClassVar[str] = "a long hold at constant throttle: a drift goes on"
+
+    def parameters(self, signals: Signals) -> tuple[Parameter, ...]:
+        """One slope, up to the channel's range in three minutes."""
+        most, text = 20.0 * signals.width(self.channel or ""), unit(self.channel or "")
+        return (Parameter("rate_per_h", f"{text}/h", -most, most, 0.0, linear=True),)
+
+    def reading(self, run: Run, value: FloatArray) -> FloatArray:
+        """The channel plus what has gathered since the start."""
+        hours = run.memory.setdefault("clock", Clock(run.signals.dt_s))(value) / 3600.0
+        return value + run.theta[:, :1] * hours
+
+
+class TimeSkew(SensorEffect):
+    """The channel is recorded `skew_s` late."""
+
+    id: ClassVar[str] = "time_skew"
+    family: ClassVar[str] = "channel lag"
+    meaning: ClassVar[str] = "one channel recorded late"
+    manoeuvre: ClassVar[str] = "fast steps: a delay shifts one channel, a lag rounds it off"
+    fixed = (Parameter("skew_s", "s", 0.0, LONGEST_S, 0.0, (0.1, 0.3, 0.8)),)
+
+    def reading(self, run: Run, value: FloatArray) -> FloatArray:
+        """What the channel was `skew_s` ago."""
+        delay = Delay(run.theta[:, 0], run.signals.dt_s)
+        return run.memory.setdefault("delay", delay)(value)

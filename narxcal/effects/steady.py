@@ -1,0 +1,183 @@
+"""Effects on where the engine settles: offsets that follow a switch, power, the day or the past.
+
+All are linear in their amplitudes, one per output concerned. Their shapes are what the emulation
+of a steady shift needs to be right about; the engine takes about a second to follow a switch.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import ClassVar
+
+import numpy as np
+
+from narxcal.effects.base import FloatArray, OutputEffect, Parameter, Run, Side, Signals, unit
+from narxcal.effects.memory import Lag
+
+UNLOGGED = "unlogged"  # input column that holds the windows found by their change points
+FOLLOW_S = 1.0  # how an engine takes up a bleed
+SPOOL_S = 1.5  # and another idle speed
+SWITCHES = ("ECS", "NAI", "WAI")
+
+
+class OffsetEffect(OutputEffect):
+    """Adds shapes, each times its amplitude, to outputs: one amplitude per pair of `terms`."""
+
+    side: ClassVar[Side] = "process"
+
+    @abstractmethod
+    def terms(self, signals: Signals) -> tuple[tuple[str, str], ...]:
+        """Pairs (name of a shape, output that it moves), one per amplitude; none if not at hand."""
+
+    @abstractmethod
+    def shapes(self, run: Run, y: FloatArray) -> dict[str, FloatArray]:
+        """Values (batch, time) of each shape over a block of outputs."""
+
+    def parameters(self, signals: Signals) -> tuple[Parameter, ...]:
+        """The parameters that bend the shapes, then the amplitudes, within an output's range."""
+        return (*self.fixed, *(_amplitude(signals, *term) for term in self.terms(signals)))
+
+    def applies(self, signals: Signals) -> bool:
+        """Where there is anything to move."""
+        return len(self.terms(signals)) > 0
+
+    def on_output(self, run: Run, y: FloatArray) -> FloatArray:
+        """Outputs plus amplitudes times shapes."""
+        shapes, moved = self.shapes(run, y), y.copy()
+        amplitudes = run.theta[:, len(self.fixed) :]
+        for j, (shape, output) in enumerate(self.terms(run.signals)):
+            moved[..., run.signals.y(output)] += amplitudes[:, j, None] * shapes[shape]
+        return moved
+
+
+def _amplitude(signals: Signals, shape: str, output: str) -> Parameter:
+    width = signals.width(output)
+    return Parameter(f"{shape}_{output}", unit(output), -width, width, 0.0, linear=True)
+
+
+def _followed(run: Run, name: str, target: FloatArray, tau_s: float | FloatArray) -> FloatArray:
+    """First-order lag of `target` (batch, time), settled at its first value."""
+    lag = Lag(np.broadcast_to(tau_s, len(target)), run.signals.dt_s)
+    return run.memory.setdefault(name, lag)(target)
+
+
+class BleedExtraction(OffsetEffect):
+    """Bleed that follows ECS, NAI and WAI shifts temperature and speeds, more at high power."""
+
+    id: ClassVar[str] = "bleed_extraction"
+    family: ClassVar[str] = "slow offset"
+    meaning: ClassVar[str] = "bleed that follows the logged switches"
+    manoeuvre: ClassVar[str] = "anti-ice and bleed on and off at constant throttle"
+
+    def terms(self, signals: Signals) -> tuple[tuple[str, str], ...]:
+        """Each switch that is used, on every output."""
+        switches = [name for name in SWITCHES if name in signals.active]
+        return tuple((name, to) for name in switches for to in signals.outputs)
+
+    def shapes(self, run: Run, y: FloatArray) -> dict[str, FloatArray]:
+        """The followed switches, half at idle and whole at full power."""
+        power = 0.5 + 0.5 * np.clip(run.signals.power(y), 0.0, 1.0)
+        names = [name for name in SWITCHES if name in run.signals.active]
+        at = run.signals.u
+        return {
+            name: power * _followed(run, name, run.u[..., at(name)], FOLLOW_S) for name in names
+        }
+
+
+class UnloggedSwitch(OffsetEffect):
+    """A load or bleed that no channel records is on in some windows."""
+
+    id: ClassVar[str] = "unlogged_switch"
+    family: ClassVar[str] = "slow offset"
+    meaning: ClassVar[str] = "a load or bleed that no channel records"
+    manoeuvre: ClassVar[str] = "record the bleed valves and loads, or hold the throttle longer"
+
+    def terms(self, signals: Signals) -> tuple[tuple[str, str], ...]:
+        """Every output, once windows have been found."""
+        return tuple(("on", to) for to in signals.outputs) if UNLOGGED in signals.active else ()
+
+    def shapes(self, run: Run, y: FloatArray) -> dict[str, FloatArray]:  # noqa: ARG002 - a load takes the same at any power
+        """The followed windows."""
+        return {"on": _followed(run, "on", run.u[..., run.signals.u(UNLOGGED)], FOLLOW_S)}
+
+
+class Deterioration(OffsetEffect):
+    """Worn components shift temperature and N2 at given power, the same in all flights."""
+
+    id: ClassVar[str] = "deterioration"
+    family: ClassVar[str] = "offset"
+    meaning: ClassVar[str] = "shifts of temperature and speed that grow with power"
+    manoeuvre: ClassVar[str] = "stabilised points over the whole power range, and both engines"
+
+    def terms(self, signals: Signals) -> tuple[tuple[str, str], ...]:
+        """A constant and a slope on every output that no control holds."""
+        return tuple((shape, to) for to in signals.free for shape in ("base", "power"))
+
+    def shapes(self, run: Run, y: FloatArray) -> dict[str, FloatArray]:
+        """One, and the share of power."""
+        return {"base": np.ones(y.shape[:-1]), "power": run.signals.power(y)}
+
+
+class TemperatureEffect(OffsetEffect):
+    """A steady error that goes with the day's deviation from the standard atmosphere, per 10 K."""
+
+    id: ClassVar[str] = "temperature_effect"
+    family: ClassVar[str] = "offset"
+    meaning: ClassVar[str] = "steady error that follows the temperature of the day"
+    manoeuvre: ClassVar[str] = "the same points on a cold and on a hot day"
+
+    def terms(self, signals: Signals) -> tuple[tuple[str, str], ...]:
+        """Every output, where days differ."""
+        return tuple(("per_10K", to) for to in signals.outputs) if "dT_C" in signals.active else ()
+
+    def shapes(self, run: Run, y: FloatArray) -> dict[str, FloatArray]:  # noqa: ARG002 - the same at any power
+        """A tenth of the deviation."""
+        return {"per_10K": 0.1 * run.u[..., run.signals.u("dT_C")]}
+
+
+class IdleSchedule(OffsetEffect):
+    """Another idle while `Approach` is set: full with the lever at its stop, fading with it."""
+
+    id: ClassVar[str] = "idle_schedule"
+    family: ClassVar[str] = "slow offset"
+    meaning: ClassVar[str] = "another approach idle"
+    manoeuvre: ClassVar[str] = "idle with and without approach idle selected, at one condition"
+
+    def terms(self, signals: Signals) -> tuple[tuple[str, str], ...]:
+        """Every output, where the switch is used and a lever asks for the power."""
+        present = "Approach" in signals.active and signals.governed
+        return tuple(("idle", to) for to in signals.outputs) if present else ()
+
+    def shapes(self, run: Run, y: FloatArray) -> dict[str, FloatArray]:  # noqa: ARG002 - the lever says it all
+        """The followed switch, fading with the square of the lever's way to its other stop."""
+        signals, (low, high) = run.signals, run.signals.lever
+        lever = (run.u[..., signals.u(signals.driver)] - low) / (high - low)
+        wanted = run.u[..., signals.u("Approach")] * (1.0 - np.clip(lever, 0.0, 1.0)) ** 2
+        return {"idle": _followed(run, "idle", wanted, SPOOL_S)}
+
+
+class HeatSoak(OffsetEffect):
+    """Temperature (and N2) trail power by a slow share: metal still cold, clearances still open.
+
+    The shape is the temperature less its own lag of `tau_s` (FACTS A4: 30 to 300 s).
+    """
+
+    id: ClassVar[str] = "heat_soak"
+    family: ClassVar[str] = "slow offset"
+    meaning: ClassVar[str] = "slow drift after a change of power"
+    manoeuvre: ClassVar[str] = "3 to 5 minutes of hold after a large step, from cold and from hot"
+    fixed = (Parameter("tau_s", "s", 8.0, 400.0, 8.0, (15.0, 60.0, 180.0)),)
+
+    def terms(self, signals: Signals) -> tuple[tuple[str, str], ...]:
+        """Every output that no control holds."""
+        return tuple(("share", to) for to in signals.free)
+
+    def parameters(self, signals: Signals) -> tuple[Parameter, ...]:
+        """The metal's time constant, and shares of the shape."""
+        shares = (f"{shape}_{to}" for shape, to in self.terms(signals))
+        return (*self.fixed, *(Parameter(s, "-", -2.0, 2.0, 0.0, linear=True) for s in shares))
+
+    def shapes(self, run: Run, y: FloatArray) -> dict[str, FloatArray]:
+        """What the metal lacks, in the unit of the temperature (or of the last output)."""
+        hot = run.signals.outputs.index("EGT_C") if "EGT_C" in run.signals.outputs else -1
+        return {"share": y[..., hot] - _followed(run, "metal", y[..., hot], run.theta[:, 0])}
