@@ -99,7 +99,7 @@ class AccelLimit(_Spools):
         """Rates scaled down so that the fastest is at the limit; none at the neutral limit."""
         limit = np.where(run.theta[:, :1] < UNLIMITED_PCTPS, run.theta[:, :1] * air, np.inf)
         fastest = np.maximum(rate.max(axis=1, keepdims=True), 1e-9)
-        return rate * np.minimum(limit / fastest, 1.0)
+        return np.asarray(rate * np.minimum(limit / fastest, 1.0))
 
 
 class AltitudeLag(_Spools):
