@@ -37,19 +37,19 @@ def free_runs(
     """Overlay free runs of several models over one log, `(time,)` each."""
     figure, (upper, lower) = style.stack(10.0, [1.9, 0.9])
     for colour, (name, values) in zip(style.CYCLE, runs.items(), strict=False):
-        style.curve(upper, time_s, values, colour, lw=1.4, alpha=0.85, label=name)
-        style.curve(lower, time_s, values - measured, colour, lw=0.8)
-    style.curve(upper, time_s, measured, style.MEASURED, lw=0.8, label="measured")
+        style.curve(upper, time_s, values, colour, lw=1.4, alpha=0.85)
+        style.curve(lower, time_s, values - measured, colour, lw=0.8, label=name)
+    style.curve(upper, time_s, measured, style.MEASURED, lw=0.8)
     upper.set_ylabel(style.with_unit(channel))
     lower.set_ylabel(f"Δ{style.with_unit(channel)}")
     lower.set_xlabel("time [s]")
     for axes in (upper, lower):
         style.dress(axes)
         axes.margins(x=0.0)
-    style.legend(upper, columns=5)
+    style.legend(lower, columns=5)
     names = ", ".join(runs)
     alt = f"{style.symbol(channel)} measured and in free run: {names}"
-    return picture(figure, alt, "Below: model minus measured.")
+    return picture(figure, alt, "Measured in black; below, each model minus measured.")
 
 
 def fused(
