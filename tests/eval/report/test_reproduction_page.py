@@ -1,0 +1,82 @@
+"""Claims are held to their bounds, counted, and shown as they are."""
+
+import numpy as np
+import pytest
+
+from eval.report.claims import Claim, Study, claim_table, or_nan
+from eval.report.paper_figures import bars, free_runs, fused
+from eval.report.reproduction import counts, outcome_of, reproduction_page
+
+
+def claim(value, **more):
+    return Claim(**{"what": "w", "claimed": "< 5 %", "value": value, "bound": 5.0, **more})
+
+
+def study(*claims, key="a"):
+    return Study(key=key, title="Title <b>", source="section 1", text="text", claims=claims)
+
+
+@pytest.mark.parametrize(
+    ("value", "below", "met"),
+    [
+        (4.9, True, True), (5.0, True, False), (5.1, True, False),
+        (5.0, False, True), (4.9, False, False), (float("nan"), True, None),
+        (float("inf"), True, None),
+    ],
+)  # fmt: skip
+def test_a_claim_is_met_on_its_side_of_the_bound(value, below, met):
+    assert claim(value, below=below).met is met
+
+
+def test_a_row_holds_what_json_can_and_no_more():
+    row = claim(float("nan"), unit="%").row()
+    assert (row["ours"], row["met"], row["unit"]) == (None, None, "%")
+    assert claim(1.25, unit="%").ours == "1.25 %"
+    assert claim(float("nan"), unit="%").ours == "\N{EN DASH}"
+    assert or_nan(None) != or_nan(None)
+    assert or_nan(2) == 2.0
+
+
+def test_the_table_says_what_was_reached():
+    table = claim_table([claim(1.0), claim(9.0, remark="why"), claim(float("nan"))])
+    assert [row[4].text for row in table.rows] == ["✓ reached", "✗ not reached", "not measured"]
+    assert [row[4].mark for row in table.rows] == ["good", "bad", "none"]
+    assert table.rows[1][5].text == "why"
+
+
+def test_the_outcome_counts_paper_and_goals_apart_and_names_what_is_missed():
+    found = outcome_of(
+        [study(claim(1.0), claim(9.0)), study(claim(1.0, origin="our goal"), claim(float("nan")))]
+    )
+    assert found.passed is False
+    assert found.headline == "2 of 3 claims are reached"
+    assert found.lines == (
+        "1 of 2 of the paper's claims are reached.",
+        "1 of 1 of our own goals are reached.",
+        "w: 9.00, not < 5 %.",
+    )
+    assert outcome_of([study(claim(1.0))]).passed is True
+    assert outcome_of([study(claim(float("nan")))]).passed is None
+    assert counts([]) == []
+
+
+def test_the_page_escapes_what_it_is_given(header):
+    html = reproduction_page(header, [study(claim(1.0), key="a"), study(key="b")])
+    assert "Title <b>" not in html
+    assert "Title &lt;b&gt;" in html
+    assert "✓ REACHED" in html
+    assert html == reproduction_page(header, [study(claim(1.0), key="a"), study(key="b")])
+
+
+def test_figures_name_what_they_show():
+    time_s = np.arange(50.0)
+    runs = {"one": np.ones(50), "two": np.zeros(50)}
+    drawn = free_runs(time_s, "N1_pct", np.full(50, 0.5), runs)
+    assert "one, two" in drawn.alt
+    assert all(name in drawn.svg for name in (">one<", ">two<", "N1 [%]"))
+    shown = fused(time_s, "N2_pct", {"noisy": np.ones(50), "truth": np.zeros(50)}, "caption")
+    assert shown.caption == "caption"
+    assert ">truth<" in shown.svg
+    grouped = bars(["No. 5"], {"one": np.array([3.0])}, "MSE", 5.0)
+    assert ">No. 5<" in grouped.svg
+    assert ">MSE<" in grouped.svg
