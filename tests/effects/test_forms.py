@@ -1,0 +1,177 @@
+"""Each effect's own equation, in closed form or in a loop written out."""
+
+import numpy as np
+import pytest
+
+from narxcal.atmosphere import air_state
+from narxcal.effects import Flights, effect, respond
+from narxcal.effects.base import Run
+
+DT = 0.125
+
+
+def told(name, theta, flights, u):
+    """What arrives of the levers (batch, time)."""
+    rows = np.repeat(flights.u[:1, :1], u.shape[1], axis=1).repeat(len(u), axis=0)
+    rows[..., 0] = u
+    of = Run(flights.signals, np.atleast_2d(theta).repeat(len(u), axis=0), rows)
+    found = effect(name).on_input(of, rows)
+    np.testing.assert_array_equal(found[..., 1:], rows[..., 1:])
+    return found[..., 0]
+
+
+def moved(name, theta, rate, air=1.0, flights=None):
+    """Rates (batch, 4) of the engine, for those of the simulator (batch, 4)."""
+    rows = np.atleast_2d(rate)
+    run = Run(flights.signals, np.full((len(rows), 1), theta), flights.u[:1])
+    return effect(name).on_rate(run, rows, np.full((len(rows), 1), air))
+
+
+def added(acting, flights, **amplitudes):
+    """What an effect on outputs adds, with all amplitudes zero but these."""
+    theta = [amplitudes.get(p.name, p.neutral) for p in acting.parameters(flights.signals)]
+    return respond([(acting, np.array([theta]))], flights, None)[0] - flights.y
+
+
+def test_backlash_in_a_lever_is_half_its_width_behind_either_way(flights):
+    lever = np.concatenate([np.linspace(10, 30, 41), np.linspace(30, 10, 41)])[None]
+    arrived = told("throttle_backlash", [4.0], flights, lever)[0]
+    np.testing.assert_allclose(arrived[4:41], lever[0, 4:41] - 2.0)
+    np.testing.assert_allclose(arrived[50:], lever[0, 50:] + 2.0)
+
+
+def test_a_delay_and_a_limit_and_a_bias_of_the_lever(flights):
+    t = DT * np.arange(60)
+    ramp = 20.0 + 4.0 * t[None]
+    np.testing.assert_allclose(
+        told("throttle_delay", [0.45], flights, ramp)[0, 4:], ramp[0, 4:] - 4.0 * 0.45
+    )
+    np.testing.assert_allclose(told("throttle_rate_limit", [2.5], flights, ramp)[0], 20.0 + 2.5 * t)
+    np.testing.assert_allclose(told("throttle_bias", [-1.5], flights, ramp), ramp - 1.5)
+
+
+RATE = [[3.0, 4.0, 50.0, 60.0], [-3.0, 4.0, -50.0, 60.0], [-1.0, -2.0, 5.0, -6.0]]
+
+
+def test_slower_spools(flights):
+    found = moved("spool_lag", 2.0, RATE, flights=flights)
+    np.testing.assert_allclose(found, np.array(RATE) / [2.0, 2.0, 1.0, 1.0])
+
+
+def test_a_slower_low_pressure_spool(flights):
+    found = moved("spool_coupling", 2.0, RATE, flights=flights)
+    np.testing.assert_allclose(found, np.array(RATE) / [2.0, 1.0, 1.0, 1.0])
+
+
+def test_slower_up_than_down(flights):
+    found = moved("accel_decel_asymmetry", 2.0, RATE, flights=flights)[:, :2]
+    np.testing.assert_allclose(found, [[1.5, 2.0], [-3.0, 2.0], [-1.0, -2.0]])
+
+
+def test_thin_air_slows_the_spools_by_its_power(flights):
+    found = moved("altitude_lag", 0.8, RATE, 0.3, flights)[:, :2]
+    np.testing.assert_allclose(found, np.array(RATE)[:, :2] * 0.3**0.8)
+
+
+def test_the_air_is_that_of_the_intake(flights):
+    u = flights.u[:, :3]
+    air = air_state(u[..., 1], u[..., 2], u[..., 3])
+    expected = air.P2_Pa / 101325.0 / np.sqrt(air.T2_K / 288.15)
+    np.testing.assert_allclose(flights.signals.thin_air(u), expected)
+
+
+def test_a_time_constant_that_is_scaled_is_that_of_the_run(flights, fly, engine):
+    """N2 answers a step of the steady state as 1 - exp(-t / (factor tau))."""
+    u = np.repeat(flights.u[:1, :1], 200, axis=1)
+    u[:, 1:, 0] += 8.0
+    of, factor = fly(u), 1.6
+    found = respond([(effect("spool_lag"), np.array([[factor]]))], of, engine)[0, 0, :, 1]
+    rate = np.exp(-u[0, 0, 1] / 40000.0) / 0.8 / factor
+    expected = found[-1] + (found[1] - found[-1]) * (1.0 - rate * DT) ** np.arange(199)
+    np.testing.assert_allclose(found[1:], expected, atol=2e-3)
+
+
+def test_shapes_that_follow_switches_settle_at_them(flights):
+    found = added(effect("unlogged_switch"), flights, on_EGT_C=7.0)
+    on = flights.u[..., flights.signals.u("unlogged")]
+    since = np.diff(on, axis=1, prepend=on[:, :1])
+    last = np.flatnonzero(since[0])[0]
+    assert found[0, last - 1, 2] == pytest.approx(7.0 * on[0, 0], abs=1e-9)
+    t = DT * np.arange(1, 60)
+    gone = np.abs(found[0, last + 1 : last + 60, 2] - 7.0 * on[0, last])
+    np.testing.assert_allclose(gone, gone[0] * np.exp(-(t - DT)), rtol=1e-6)
+    np.testing.assert_array_equal(found[..., [0, 1, 3]], 0.0)
+
+
+def test_deterioration_is_a_line_over_power(flights):
+    found = added(effect("deterioration"), flights, base_EGT_C=3.0, power_EGT_C=9.0)
+    s, n1 = flights.signals, flights.y[..., 0]
+    expected = 3.0 + 9.0 * (n1 - s.low[0]) / (s.high[0] - s.low[0])
+    np.testing.assert_allclose(found[..., 2], expected)
+
+
+def test_a_hot_day_in_tens_of_degrees(flights):
+    found = added(effect("temperature_effect"), flights, per_10K_N1_pct=0.5)
+    np.testing.assert_allclose(found[..., 0], 0.05 * flights.u[..., 3], atol=1e-12)
+
+
+def test_metal_that_warms_up_has_its_time_constant(flights, fly):
+    u = np.repeat(flights.u[:1, :1], 1600, axis=1)
+    u[:, 1:, 0] += 30.0
+    of = fly(u)
+    theta = [{"tau_s": 30.0, "share_N2_pct": 0.01}.get(p.name, 0.0)
+             for p in effect("heat_soak").parameters(of.signals)]  # fmt: skip
+    found = respond([(effect("heat_soak"), np.array([theta]))], of, None)[0, 0] - of.y[0]
+    late = found[200:, 1]
+    rise = of.y[0, -1, 2] - of.y[0, 0, 2]
+    assert late[0] == pytest.approx(0.01 * rise * np.exp(-24.0 / 30.0), rel=0.05)
+    np.testing.assert_allclose(late / late[0], np.exp(-DT * np.arange(1400) / 30.0), rtol=1e-3)
+
+
+def test_offsets_superpose(flights):
+    one, two = effect("deterioration"), effect("bleed_extraction")
+    first = added(one, flights, base_EGT_C=4.0)
+    second = added(two, flights, NAI_N2_pct=1.0, ECS_EGT_C=3.0)
+    thetas = []
+    for acting, sizes in ((one, {"base_EGT_C": 4.0}), (two, {"NAI_N2_pct": 1.0, "ECS_EGT_C": 3.0})):
+        names = [p.name for p in acting.parameters(flights.signals)]
+        thetas.append(np.array([[sizes.get(name, 0.0) for name in names]]))
+    both = respond([(one, thetas[0]), (two, thetas[1])], flights, None)[0] - flights.y
+    np.testing.assert_allclose(both, first + second, atol=1e-9)
+
+
+def test_a_sensor_may_be_biased_or_drift(flights):
+    bias = added(effect("sensor_bias:N2_pct"), flights, bias=-0.4)
+    np.testing.assert_allclose(bias[..., 1], -0.4)
+    drift = added(effect("sensor_drift:EGT_C"), flights, rate_per_h=720.0)
+    np.testing.assert_allclose(drift[..., 2], np.tile(0.2 * DT * np.arange(240), (3, 1)))
+
+
+def test_a_channel_recorded_late_is_the_channel_earlier(flights):
+    found = added(effect("time_skew:N1_pct"), flights, skew_s=0.3) + flights.y
+    t = DT * np.arange(240)
+    for row, true in zip(found, flights.y, strict=True):
+        np.testing.assert_allclose(row[:, 0], np.interp(t - 0.3, t, true[:, 0]))
+
+
+def test_a_lagging_probe_is_the_loop_written_out(flights):
+    tau, x = 1.7, flights.y[0, :, 2]
+    y = [x[0]]
+    for k in range(1, len(x)):
+        behind = tau * (x[k] - x[k - 1]) / DT
+        y.append(x[k] - behind + np.exp(-DT / tau) * (y[-1] - x[k - 1] + behind))
+    found = added(effect("sensor_lag:EGT_C"), flights, tau_s=tau) + flights.y
+    np.testing.assert_allclose(found[0, :, 2], y)
+
+
+def test_a_flowmeter_lags_as_any_sensor(flights):
+    meter = added(effect("flowmeter_dynamics:FF_kgph"), flights, tau_s=0.9)
+    sensor = added(effect("sensor_lag:FF_kgph"), flights, tau_s=0.9)
+    np.testing.assert_array_equal(meter, sensor)
+
+
+def test_a_shorter_flight_of_the_same_signals_has_the_same_parameters(flights):
+    short = Flights(flights.signals, flights.u[:1, :20], flights.y[:1, :20], np.array([20]))
+    for name in ("sensor_bias:EGT_C", "heat_soak"):
+        acting = effect(name)
+        assert acting.parameters(short.signals) == acting.parameters(flights.signals)

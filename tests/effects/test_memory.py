@@ -1,0 +1,174 @@
+"""Lags, delays, play and limits of rate against closed forms and loops written out."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from narxcal.effects.memory import Clock, Delay, Hold, Lag, Play, RateLimit
+
+DT = 0.125
+PARTS = {
+    "lag": lambda: Lag(np.array([0.0, 0.05, 2.0]), DT),
+    "delay": lambda: Delay(np.array([0.0, 0.3, 1.0]), DT),
+    "play": lambda: Play(np.array([0.0, 0.5, 3.0])),
+    "limit": lambda: RateLimit(np.array([0.5, 4.0, np.inf]), DT),
+    "clock": lambda: Clock(DT),
+}
+
+
+def walk(steps=200, rows=3, seed=0):
+    return np.cumsum(np.random.default_rng(seed).normal(size=(rows, steps)), axis=1)
+
+
+def over(part, x):
+    return part(np.atleast_2d(x))[0]
+
+
+@pytest.mark.parametrize("make", PARTS.values(), ids=PARTS)
+@settings(max_examples=15, deadline=None)
+@given(cuts=st.lists(st.integers(1, 199), max_size=5))
+def test_a_log_cut_anywhere_gives_what_it_gives_whole(make, cuts):
+    x, part = walk(), make()
+    blocks = np.split(x, sorted(set(cuts)), axis=1)
+    pieces = np.concatenate([part(block) for block in blocks], axis=1)
+    np.testing.assert_array_equal(pieces, make()(x))
+
+
+@pytest.mark.parametrize("name", ["lag", "delay", "play", "limit"])
+def test_what_comes_later_changes_nothing_before(name):
+    x = walk()
+    y = x.copy()
+    y[:, 120:] += 5.0
+    np.testing.assert_array_equal(PARTS[name]()(x)[:, :120], PARTS[name]()(y)[:, :120])
+
+
+@pytest.mark.parametrize("name", ["lag", "delay", "play", "limit"])
+def test_at_rest_they_stay_at_rest(name):
+    x = np.full((3, 50), 7.25)
+    np.testing.assert_allclose(PARTS[name]()(x), x, rtol=1e-14)
+
+
+@pytest.mark.parametrize("tau", [0.02, 0.2, 3.0, 60.0])
+def test_a_lag_follows_a_ramp_as_the_equation_says(tau):
+    t, slope = DT * np.arange(400), 3.0
+    found = over(Lag(np.array([tau]), DT), slope * t)
+    np.testing.assert_allclose(found, slope * (t - tau * (1.0 - np.exp(-t / tau))), atol=1e-10)
+
+
+@pytest.mark.parametrize("tau", [0.2, 3.0])
+def test_a_lag_follows_a_step_that_took_one_sample(tau):
+    """The step runs straight over one sample, from there on the rest decays."""
+    t = DT * np.arange(100)
+    x = (t > 0.0).astype(float)
+    behind = tau / DT * (1.0 - np.exp(-DT / tau))
+    expected = np.where(t > 0.0, 1.0 - behind * np.exp(-(t - DT) / tau), 0.0)
+    np.testing.assert_allclose(over(Lag(np.array([tau]), DT), x), expected, atol=1e-12)
+
+
+def test_a_lag_is_the_loop_written_out():
+    tau, x = 0.7, walk(rows=1)[0]
+    y = [x[0]]
+    for k in range(1, len(x)):
+        behind = tau * (x[k] - x[k - 1]) / DT
+        y.append(x[k] - behind + np.exp(-DT / tau) * (y[-1] - x[k - 1] + behind))
+    np.testing.assert_allclose(over(Lag(np.array([tau]), DT), x), y, atol=1e-12)
+
+
+def test_a_lag_of_nothing_changes_not_a_bit():
+    np.testing.assert_array_equal(Lag(np.zeros(3), DT)(walk()), walk())
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.05, 0.3, 0.5, 1.99])
+def test_a_delay_of_any_length_moves_a_ramp_by_itself(delay):
+    t = DT * np.arange(100)
+    found = over(Delay(np.array([delay]), DT), t)
+    np.testing.assert_allclose(found[20:], t[20:] - delay, atol=1e-12)
+
+
+def test_a_delay_of_whole_samples_is_a_shift():
+    x = walk()
+    found = Delay(np.array([4 * DT, 4 * DT, 0.0]), DT)(x)
+    np.testing.assert_array_equal(found[:2, 4:], x[:2, :-4])
+    np.testing.assert_array_equal(found[:2, :4], np.repeat(x[:2, :1], 4, axis=1))
+    np.testing.assert_array_equal(found[2], x[2])
+
+
+def test_a_delay_lies_on_straight_lines_between_samples():
+    x = walk(rows=1)[0]
+    t = DT * np.arange(len(x))
+    found = over(Delay(np.array([0.33]), DT), x)
+    np.testing.assert_allclose(found, np.interp(t - 0.33, t, x), atol=1e-12)
+
+
+def test_play_is_the_loop_written_out():
+    half, x = 0.4, walk(rows=1)[0]
+    y = [x[0]]
+    for value in x[1:]:
+        if value - half > y[-1]:
+            y.append(value - half)
+        elif value + half < y[-1]:
+            y.append(value + half)
+        else:
+            y.append(y[-1])
+    np.testing.assert_array_equal(over(Play(np.array([2 * half])), x), y)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.floats(0.1, 3.0), st.integers(1, 12))
+def test_play_does_not_know_how_fast_it_is_pushed(width, slower):
+    corners = np.array([0.0, 5.0, 1.0, 4.0, -3.0, 2.0])
+    fine = np.interp(np.linspace(0, 5, 1 + 5 * slower), np.arange(6), corners)
+    slow = over(Play(np.array([width])), fine)[::slower]
+    np.testing.assert_allclose(slow, over(Play(np.array([width])), corners), atol=1e-12)
+
+
+def test_the_loop_of_play_is_as_wide_as_the_play():
+    x = 10.0 * np.sin(np.linspace(0.0, 6.0 * np.pi, 6001))
+    y = over(Play(np.array([3.0])), x)
+    steady, up = np.arange(6001) > 2000, np.gradient(x) > 0.0
+    middle = np.abs(y) < 1.0
+    rising, falling = x[steady & up & middle], x[steady & ~up & middle]
+    assert rising.mean() - falling.mean() == pytest.approx(3.0, abs=0.01)
+    assert np.ptp(y[steady]) == pytest.approx(np.ptp(x) - 3.0, abs=1e-4)
+
+
+def test_no_reversal_within_the_play_gets_through():
+    x = np.concatenate([np.linspace(0, 10, 50), 10 - 1.9 * np.abs(np.sin(np.arange(60)))])
+    y = over(Play(np.array([2.0])), x)
+    np.testing.assert_array_equal(y[49:], y[49])
+    assert y[49] == pytest.approx(9.0)
+
+
+def test_a_limit_of_rate_ramps_a_step_and_leaves_the_slow_alone():
+    t = DT * np.arange(80)
+    step = over(RateLimit(np.array([2.0]), DT), 5.0 * (t > 0.0))
+    np.testing.assert_allclose(step, np.minimum(2.0 * t, 5.0), atol=1e-12)
+    slow = 1.9 * t
+    np.testing.assert_array_equal(over(RateLimit(np.array([2.0]), DT), slow), slow)
+
+
+def test_a_limit_of_rate_is_never_passed():
+    y = RateLimit(np.array([0.5, 4.0, 1.0]), DT)(walk())
+    assert np.all(np.abs(np.diff(y)) <= np.array([[0.5], [4.0], [1.0]]) * DT + 1e-12)
+
+
+def test_a_clock_counts_on():
+    clock = Clock(DT)
+    first, second = clock(np.zeros((2, 3))), clock(np.zeros((2, 2)))
+    np.testing.assert_array_equal(first, [[0.0, DT, 2 * DT]] * 2)
+    np.testing.assert_array_equal(second, [[3 * DT, 4 * DT]] * 2)
+
+
+def test_a_held_lag_reaches_its_share_each_sample():
+    hold, tau = Hold(np.array([0.4, 0.0]), DT), 0.4
+    found = np.array([hold(np.ones((2, 1)))[:, 0] for _ in range(20)])
+    np.testing.assert_allclose(found[:, 0], 1.0 - np.exp(-DT * np.arange(1, 21) / tau))
+    np.testing.assert_array_equal(found[:, 1], 1.0)
+
+
+def test_each_row_has_its_own_parameter():
+    taus, x = np.array([0.5, 0.0, 2.0, 0.5]), walk(rows=4)
+    together = Lag(taus, DT)(x)
+    for j, tau in enumerate(taus):
+        np.testing.assert_array_equal(together[j], over(Lag(np.array([tau]), DT), x[j]))

@@ -1,0 +1,121 @@
+"""Effects in an anchored emulator against the engine itself with the effect in it."""
+
+import numpy as np
+import pytest
+
+from narxcal.effects import Flights, effect, respond
+from narxcal.errors import ConfigError
+
+DT = 0.125
+
+
+class Drifting:
+    """The emulator of someone who got every rate wrong."""
+
+    def __init__(self, engine):
+        self.engine = engine
+
+    def drive(self, u):
+        return self.engine.drive(u)
+
+    def rate(self, y, drive):
+        return 0.8 * self.engine.rate(y, drive) + np.sin(drive[..., :1])
+
+
+def test_no_effect_is_no_difference_however_wrong_the_emulator(acting, neutral, flights, engine):
+    found = respond([(acting, neutral(acting))], flights, Drifting(engine))
+    np.testing.assert_array_equal(found[0], flights.y)
+
+
+@pytest.mark.parametrize(
+    ("name", "theta"),
+    [
+        ("throttle_backlash", 4.0),
+        ("throttle_delay", 0.33),
+        ("throttle_rate_limit", 6.0),
+        ("throttle_bias", 2.5),
+    ],
+)
+def test_on_an_exact_emulator_an_input_effect_is_the_engine_told_so(
+    name, theta, flights, fly, engine
+):
+    setting = (effect(name), np.array([[theta]]))
+    found = respond([setting], flights, engine)[0]
+    told = flights.u.copy()
+    lever = told[..., 0]
+    if name == "throttle_bias":
+        lever += theta
+    elif name == "throttle_delay":
+        t = DT * np.arange(lever.shape[1])
+        lever[:] = [np.interp(t - theta, t, row) for row in lever]
+    else:
+        for row in lever:
+            at = row[0]
+            for k, value in enumerate(row):
+                if name == "throttle_backlash":
+                    at = min(max(at, value - 0.5 * theta), value + 0.5 * theta)
+                else:
+                    at += min(max(value - at, -theta * DT), theta * DT)
+                row[k] = at
+    exact = np.stack([engine.simulate(u, y[0]) for u, y in zip(told, flights.y, strict=True)])
+    np.testing.assert_allclose(found, exact, atol=1e-9)
+
+
+def changed(name, theta, rate, air):
+    """The effect on four rates of one run, in plain numbers."""
+    n1, n2 = rate[0], rate[1]
+    if name == "spool_lag":
+        n1, n2 = n1 / theta, n2 / theta
+    elif name == "spool_coupling":
+        n1 = n1 / theta
+    elif name == "accel_decel_asymmetry":
+        n1, n2 = (r / theta if r > 0.0 else r for r in (n1, n2))
+    elif name == "altitude_lag":
+        n1, n2 = n1 * air**theta, n2 * air**theta
+    return [n1, n2, *rate[2:]]
+
+
+@pytest.mark.parametrize(
+    ("name", "theta"),
+    [
+        ("spool_lag", 1.7),
+        ("spool_coupling", 0.6),
+        ("accel_decel_asymmetry", 2.0),
+        ("altitude_lag", 0.7),
+    ],
+)
+def test_on_an_exact_emulator_a_rate_effect_is_the_engine_so_changed(name, theta, flights, engine):
+    found = respond([(effect(name), np.array([[theta]]))], flights, engine)[0]
+    air = flights.signals.thin_air(flights.u)
+    for f in range(3):
+        y = flights.y[f, 0]
+        for k in range(120):
+            np.testing.assert_allclose(found[f, k], y, atol=1e-8)
+            rate = engine.rate(y, engine.drive(flights.u[f, k]))
+            y = y + DT * np.array(changed(name, theta, rate, air[f, k]))
+
+
+def test_effects_act_in_the_order_of_their_places(flights, engine):
+    """However they are listed: lever, rotors, sensor."""
+    settings = [
+        (effect("sensor_lag:EGT_C"), np.array([[1.0]])),
+        (effect("spool_lag"), np.array([[1.3]])),
+        (effect("throttle_delay"), np.array([[0.4]])),
+    ]
+    found = respond(settings, flights, engine)
+    np.testing.assert_array_equal(found, respond(settings[::-1], flights, engine))
+    inner = respond(settings[1:], flights, engine)[0]
+    of = Flights(flights.signals, flights.u, inner, flights.lengths)
+    np.testing.assert_array_equal(found, respond(settings[:1], of, None))
+
+
+@pytest.mark.parametrize("name", ["throttle_delay", "spool_lag"])
+def test_an_effect_inside_the_engine_needs_an_emulator(name, flights):
+    with pytest.raises(ConfigError, match=f"'{name}' acts inside the engine: it needs an emulator"):
+        respond([(effect(name), np.array([[1.0]]))], flights, None)
+
+
+def test_the_shape_is_batch_flights_time_outputs(flights, engine):
+    thetas = np.linspace(0.0, 1.0, 5)[:, None]
+    found = respond([(effect("throttle_delay"), thetas)], flights, engine)
+    assert found.shape == (5, *flights.y.shape)
