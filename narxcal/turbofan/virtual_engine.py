@@ -40,7 +40,7 @@ from narxcal.turbofan.rest import (
     running_line,
 )
 from narxcal.turbofan.stations import Health, Stations
-from narxcal.turbofan.transient import COLUMNS, Body, Plant, State, run
+from narxcal.turbofan.transient import COLUMNS, Body, Plant, State, run, steps_per_sample
 from narxcal.turbofan.unmodelled import Fit, Unmodelled, fitted_with
 
 FloatArray = NDArray[np.float64]
@@ -163,7 +163,7 @@ class VirtualEngine:
         conditions = self._conditions(u, commands)
         self._add_switches(conditions, dt_s)
         plant = Plant(self._machine, self.fit.body, self._fadec, self.fit.valve)
-        state = self._at_rest(conditions[0], float(commands[0]), dt_s)
+        state = self._at_rest(conditions[0], u[0], dt_s)
         rows, solved = run(plant, state, commands, conditions, dt_s)
         if solved < len(u):
             raise ModelError(
@@ -219,11 +219,12 @@ class VirtualEngine:
             ]
         )
 
-    def _at_rest(self, condition: FloatArray, command: float, dt_s: float) -> State:
-        """State of an engine that has long been running at `condition`."""
+    def _at_rest(self, condition: FloatArray, u: FloatArray, dt_s: float) -> State:
+        """State of an engine that has long been running at `condition`, which follows from `u`."""
         unknowns, rows, good = rest_points(self._machine, self._line, condition[np.newaxis])
         if not good[0]:
-            raise ModelError("the engine has no steady state to start from", row=0)
+            raise ModelError(f"the engine has no steady state to start from {_where(u)}", row=0)
+        command = float(condition[N1]) * self.preset.speed_pct[0]
         x, s = unknowns[0], Stations(*rows[0])
         fuel = float(self._machine.fuel_unit_kgps * x[-1])
         T2, P2 = _face(condition, self._machine)
@@ -231,12 +232,13 @@ class VirtualEngine:
         sensed = Sensed(command, command, N2, s.T45, s.P3, P2, T2)
         return State(
             rotors=np.array([condition[N1], x[POSITIONS], 0.0, 0.0]),
-            metal=np.array([s.T41, s.T41, s.T45, 0.0, 0.0]),
-            sensed=np.array([command, N2, s.P3]),
+            metal=np.array([s.T41, s.T41, 0.0, 0.0]),
+            sensed=np.array([command, N2, s.P3, s.T45]),
+            felt=np.array([command, N2, s.P3, s.T45]),
             positions=x[:POSITIONS].copy(),
             inverse=np.zeros((POSITIONS, POSITIONS)),
             fadec=fadec.settled(self._fadec, sensed, fuel),
-            valve=fuel_valve.settled(self.fit.valve, fuel, dt_s / 2),
+            valve=fuel_valve.settled(self.fit.valve, fuel, dt_s / steps_per_sample(dt_s)),
         )
 
 
