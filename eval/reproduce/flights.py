@@ -72,11 +72,16 @@ def flown(config: RunConfig, base: Path, folder: Path) -> tuple[RunConfig, Expor
     grid = Grid({name: _nodes(name) for name in section.inputs})
     options = ExportOptions(max_rows=_ROWS, tolerance_pct=0.1, source=section.source)
     report = export_table(model, grid, folder / TABLE, options)
-    fixed = tuple(name for name in section.inputs if name in grid.varying)
-    table = section.model_copy(
-        update={"kind": "table", "source": str(folder / TABLE), "inputs": fixed}
-    )
-    return as_config(config, folder).model_copy(update={"steady_state": table}), report
+    return with_table(as_config(config, folder), folder), report
+
+
+def with_table(config: RunConfig, folder: Path) -> RunConfig:
+    """The configuration with the steady-state model that `flown` wrote into `folder`."""
+    varying = tuple(name for name in config.steady_state.inputs if len(_nodes(name)) > 1)
+    source = str((folder / TABLE).resolve())
+    table = {"kind": "table", "source": source, "inputs": varying}
+    section = config.steady_state.model_copy(update=table)
+    return config.model_copy(update={"steady_state": section})
 
 
 def _nodes(name: str) -> tuple[float, ...]:

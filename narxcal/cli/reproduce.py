@@ -17,7 +17,7 @@ from eval.report.content import RunHeader
 from eval.report.reproduction import counts, outcome_of, reproduction_page
 from eval.reproduce.data_sets import DataSets, read_data_sets
 from eval.reproduce.effort import Effort
-from eval.reproduce.flights import flown, paper_scenario, write_records
+from eval.reproduce.flights import TABLE, flown, paper_scenario, with_table, write_records
 from eval.reproduce.narx_paper import SCHEMA, Reproduction, Watch, reproduce
 from eval.rules import rules
 from narxcal.atomic import atomic_write_text
@@ -30,6 +30,7 @@ from training.config import RunConfig
 
 DOCUMENT, PAGE, FLIGHTS, MODEL = "reproduce.json", "reproduce.html", "flights", "model"
 RESULTS = Results(SCHEMA, DOCUMENT, (PAGE, FLIGHTS, MODEL))
+OWN = "narx_paper.toml"
 QUICK = ((2, 2), 2)  # iterations per horizon, random divisions
 
 
@@ -38,6 +39,7 @@ def run(options: Namespace, console: Console) -> int:
     out: Path = options.out.resolve()
     RESULTS.check(out)
     config, base = read_config(options.config, options.data)
+    _warn(options, console)
     _begin(out)
     with console.progress("Flying the data sets"):
         config = _placed(config, base, out, options)
@@ -60,10 +62,22 @@ def _begin(out: Path) -> None:
     atomic_write_text(out / DOCUMENT, to_json({"schema": SCHEMA, "complete": False}))
 
 
+def _flown_before(folder: Path) -> bool:
+    """Whether the folder is one of our own flights."""
+    return (folder / TABLE).is_file()
+
+
+def _warn(options: Namespace, console: Console) -> None:
+    if options.data is not None and options.config == OWN and not _flown_before(options.data):
+        console.warn(
+            f"{OWN} has the virtual engine's steady-state model; name your own one by --config"
+        )
+
+
 def _placed(config: RunConfig, base: Path, out: Path, options: Namespace) -> RunConfig:
     """The configuration with its logs in place: flown now, where the user brought none."""
     if options.data is not None:
-        return config
+        return with_table(config, options.data) if _flown_before(options.data) else config
     write_records(out / FLIGHTS, paper_scenario(options.seed), options.jobs)
     return flown(config, base, out / FLIGHTS)[0]
 

@@ -200,3 +200,14 @@ def test_numbers_of_the_page_are_finite_or_absent(document):
 
     walk(document)
     assert Path(document["config"]["logs"]["folder"]).name == "sets"
+
+
+def test_own_data_with_the_virtual_engines_model_are_warned_of(place, tmp_path, capsys):
+    (tmp_path / "sets").mkdir()
+    words = ["reproduce", "narx-paper", "--data", str(tmp_path / "sets")]
+    assert main([*words, "--out", str(tmp_path / "out")]) == 2
+    shown = capsys.readouterr().err
+    assert "warning: narx_paper.toml has the virtual engine's steady-state model" in shown
+    (tmp_path / "sets" / "maker.csv").touch()
+    assert main([*words, "--out", str(tmp_path / "out")]) == 2
+    assert "warning" not in capsys.readouterr().err

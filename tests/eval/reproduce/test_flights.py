@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eval.reproduce import flights
-from eval.reproduce.flights import TABLE, flown, paper_scenario, write_records
+from eval.reproduce.flights import TABLE, flown, paper_scenario, with_table, write_records
 from narxcal.errors import ConfigError
 from narxcal.standin import maker_model
 from narxcal.steady_source import open_steady
@@ -41,6 +41,7 @@ def test_each_family_is_written_into_its_folder(monkeypatch):
 def test_the_table_stands_in_for_the_makers_function(tmp_path, make_config):
     config, report = flown(make_config("elsewhere"), Path(), tmp_path)
     section = config.steady_state
+    assert with_table(make_config("elsewhere"), tmp_path).steady_state == section
     assert (section.kind, section.source) == ("table", str(tmp_path / TABLE))
     assert config.logs.folder == str(tmp_path)
     assert section.inputs == ("TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach")
