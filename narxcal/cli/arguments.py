@@ -10,6 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import NoReturn, TypeAlias
 
+from narxcal.cli import gap_arguments
 from narxcal.errors import ConfigError
 
 _EPILOG = """\
@@ -54,6 +55,7 @@ def _parser() -> _Parser:
         _fly,
         _reproduce,
         _export,
+        gap_arguments.diagnose,
     ):
         _common(add(commands))
     return parser
@@ -177,12 +179,23 @@ def _replay(commands: _Commands) -> argparse.ArgumentParser:
 
 
 def _simulate(commands: _Commands) -> argparse.ArgumentParser:
-    parser = _command(commands, "simulate", "Free run over a file of inputs.")
-    _bundle(parser)
-    parser.add_argument(
-        "inputs", metavar="INPUTS.csv", type=Path, help="inputs, by RUN's mapping or canonical"
+    parser = _command(
+        commands, "simulate", "Free run over a file of inputs, or over a folder with found effects."
     )
-    parser.add_argument("--out", metavar="OUT.csv", type=Path, required=True, help="CSV file")
+    parser.add_argument(
+        "bundle", metavar="RUN", type=Path, nargs="?", help="folder that train wrote"
+    )
+    parser.add_argument(
+        "inputs",
+        metavar="INPUTS.csv",
+        type=Path,
+        nargs="?",
+        help="inputs, by RUN's mapping or canonical",
+    )
+    parser.add_argument(
+        "--out", metavar="OUT", type=Path, required=True, help="CSV file; folder with --effects"
+    )
+    gap_arguments.effects_of_simulate(parser)
     return parser
 
 

@@ -1,4 +1,4 @@
-"""`narxcal simulate`: a free run over a file of inputs."""
+"""`narxcal simulate`: a free run over a file of inputs, or over a folder with found effects."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from data_prep.reading import open_table
 from narxcal.atomic import atomic_write_text
 from narxcal.bundle import Bundle, load_bundle
 from narxcal.calibration import DynamicCalibration
+from narxcal.cli import simulate_effects
 from narxcal.cli.console import Console
+from narxcal.errors import ConfigError
 from training.config import RunConfig
 from training.pipeline import calibration_for, prepare_logs
 
@@ -32,7 +34,14 @@ class _Run:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Simulate every engine of the file and write one CSV."""
+    """Simulate every engine of the file and write one CSV; with `--effects`, a folder of them."""
+    if options.effects is not None or options.sim is not None or options.inputs_folder is not None:
+        return simulate_effects.run(options, console)
+    if options.bundle is None or options.inputs is None:
+        raise ConfigError(
+            "expected RUN and INPUTS.csv, or --sim, --effects and --inputs",
+            hint="See narxcal simulate --help",
+        )
     bundle = load_bundle(options.bundle)
     runs = [
         _simulated(bundle.calibration, log) for log in read_inputs(bundle, Path(options.inputs))

@@ -1,0 +1,1 @@
+"""The gap between a simulator and flights: read in pairs, located, explained, written down."""

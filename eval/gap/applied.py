@@ -1,0 +1,117 @@
+"""Found effects added to any simulated log: what `simulate --effects` does, log by log.
+
+Effects on readings act on the log's own raster. Those inside the engine need the emulator, which
+runs on the raster of the diagnosis: there the change they make is found, from block means of the
+log, and the change is added to the log, on straight lines between the blocks' middles.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from data_prep.hold import hold_inputs
+from data_prep.log import Log
+from eval.gap.blocks import block_means
+from eval.gap.claimed import Values, claimed_in, settings, with_effects
+from eval.gap.data import FloatArray
+from eval.gap.document import SCHEMA
+from eval.gap.summary import EMULATOR
+from narxcal.bundle import load_bundle
+from narxcal.effects.base import OutputEffect, Signals
+from narxcal.effects.running import Flights
+from narxcal.errors import ConfigError, DataError
+from training.gap.emulator import NarxEmulator
+
+
+@dataclass(frozen=True, eq=False)
+class FoundEffects:
+    """Effects with their sizes, the signals they were found on, and the emulator if needed."""
+
+    values: Values
+    signals: Signals
+    emulator: NarxEmulator | None
+
+    def added_to(self, log: Log) -> dict[str, FloatArray]:
+        """Outputs `(time,)` of a simulated log with the effects in place.
+
+        Raises `DataError` for a log that lacks one of the signals, or whose rate is no multiple
+        of the diagnosis'.
+        """
+        for name in (*self.signals.inputs, *self.signals.outputs):
+            if name not in log.channels:
+                raise DataError("the effects need it", file=log.name, channel=name)
+        held = hold_inputs(log, self.signals.inputs)
+        u, y = held.matrix(self.signals.inputs), held.matrix(self.signals.outputs)
+        changed = y + (self._change(u, y, log) if self.values else 0.0)
+        return dict(zip(self.signals.outputs, changed.T, strict=True))
+
+    def _change(self, u: FloatArray, y: FloatArray, log: Log) -> FloatArray:
+        found = settings(self.values, self.signals)
+        if all(isinstance(effect, OutputEffect) for effect, _ in found):
+            return self._run(u, y, log.dt_s)
+        size = round(self.signals.dt_s / log.dt_s)
+        if size < 1 or abs(size * log.dt_s / self.signals.dt_s - 1.0) > 0.01:
+            raise DataError(
+                f"the log is at {1 / log.dt_s:.4g} Hz, which is no multiple of the diagnosis' "
+                f"{1 / self.signals.dt_s:.4g} Hz",
+                file=log.name,
+                hint="Put it on the raster of the flights that were diagnosed",
+            )
+        change = self._run(block_means(u, size), block_means(y, size), size * log.dt_s)
+        middles = (np.arange(len(change)) + 0.5) * size - 0.5
+        rows = np.arange(len(u))
+        return np.column_stack([np.interp(rows, middles, column) for column in change.T])
+
+    def _run(self, u: FloatArray, y: FloatArray, dt_s: float) -> FloatArray:
+        flights = Flights(replace(self.signals, dt_s=dt_s), u[None], y[None], np.array([len(u)]))
+        return np.asarray(with_effects(self.values, flights, self.emulator)[0] - y)
+
+
+def read_effects(file: Path) -> FoundEffects:
+    """Read the claimed effects of a `gap.json`, with the emulator beside it.
+
+    Raises `ConfigError` for a file that is none, and `ModelError` for a damaged emulator.
+    """
+    document = _document(file)
+    values = claimed_in(document)
+    stored = document["quality"]["signals"]
+    signals = Signals(
+        inputs=tuple(stored["inputs"]),
+        outputs=tuple(stored["outputs"]),
+        dt_s=float(stored["dt_s"]),
+        driver=stored["driver"],
+        low=np.array(stored["low"], dtype=np.float64),
+        high=np.array(stored["high"], dtype=np.float64),
+        lever=(float(stored["lever"][0]), float(stored["lever"][1])),
+        active=tuple(stored["active"]),
+    )
+    folder = file.parent / EMULATOR
+    return FoundEffects(values, signals, _emulator(folder, signals) if folder.is_dir() else None)
+
+
+def _emulator(folder: Path, signals: Signals) -> NarxEmulator:
+    calibration = load_bundle(folder).calibration
+    return NarxEmulator(calibration, tuple(signals.u(name) for name in calibration.input_names))
+
+
+def _document(file: Path) -> Mapping[str, Any]:
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"cannot be read: {error.strerror}", file=file) from None
+    except ValueError as error:
+        raise ConfigError(f"not JSON: {error}", file=file) from None
+    found = document.get("schema") if isinstance(document, dict) else None
+    if found != SCHEMA:
+        raise ConfigError(
+            f"expected schema '{SCHEMA}', found {found!r}",
+            file=file,
+            hint="Name the gap.json that narxcal diagnose wrote",
+        )
+    return dict(document)

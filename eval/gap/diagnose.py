@@ -1,0 +1,194 @@
+"""The whole diagnosis: read pairs, fit the emulator, ask which effect, say where, check how far."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from eval.gap.blocks import batch
+from eval.gap.claimed import Values, claimed, with_effects
+from eval.gap.data import GapData, Pair
+from eval.gap.document import document
+from eval.gap.evidence import Evidence
+from eval.gap.excitation import check_excitation, events_of
+from eval.gap.pairs import read_pairs
+from eval.gap.parts import FEWEST, enough
+from eval.gap.realised import held_out, time_shrink
+from eval.gap.simulators import open_simulator
+from eval.gap.where import locate
+from narxcal.bundle import versions
+from narxcal.effects.base import FloatArray
+from narxcal.errors import DataError
+from training.config import RunConfig
+from training.gap.diagnosis import diagnose
+from training.gap.emulator import NarxEmulator, fit_emulator
+from training.gap.finding import Finding
+
+Watch = Callable[[str, int, int], None]  # what is at work, its number, how many there are
+
+
+class Request(NamedTuple):
+    """Where the logs are; `sim` may name any simulator, `held_sim` left out means the same one."""
+
+    real: Path
+    sim: str
+    config: RunConfig | None = None
+    held_real: Path | None = None
+    held_sim: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """The document of schema narxcal.gap/1, what it rests on, and the emulator that was used."""
+
+    document: dict[str, Any]
+    evidence: Evidence
+    emulator: NarxEmulator
+
+
+def diagnose_folders(request: Request, watch: Watch | None = None) -> Diagnosis:
+    """Read the logs and diagnose; raises `DataError`, `ConfigError` and `ModelError`."""
+    began = time.perf_counter()
+    watch = watch or _unwatched
+    watch("reading", 0, 1)
+    simulator = open_simulator(request.sim)
+    pairs = read_pairs(request.real, simulator.how, request.config)
+    held = _held_pairs(request)
+    found = diagnose_pairs(pairs, held, watch)
+    facts = {"simulator": simulator.kind, "wall_s": round(time.perf_counter() - began, 1)}
+    quality = {**facts, **found.document["quality"]}
+    return replace(found, document={**found.document, "quality": quality})
+
+
+def diagnose_pairs(
+    pairs: Sequence[Pair], held: Sequence[Pair] = (), watch: Watch | None = None
+) -> Diagnosis:
+    """Diagnose pairs that are already read; `held` are flights that take no part."""
+    watch = watch or _unwatched
+    data = batch(enough(pairs))
+    events = events_of(data)
+    check_excitation(data, events)
+    watch("emulator", 0, 1)
+    emulator = fit_emulator(data.flights)
+    found = diagnose(data.flights, (data.real, data.noise), emulator, watch=watch)
+    errors = dict(zip(data.flights.signals.outputs, emulator.errors(data.flights), strict=True))
+    finding = _bounded(replace(found, emulator_rmse=errors), pairs)
+    watch("where", 0, 1)
+    values = claimed(finding)
+    evidence = _evidence(data, finding, values, emulator)
+    if held:
+        evidence = _with_held_out(evidence, values, batch(held), emulator)
+    evidence = replace(evidence, facts=_facts(pairs, data, held))
+    return Diagnosis(document(evidence), evidence, emulator)
+
+
+def _evidence(data: GapData, finding: Finding, values: Values, emulator: NarxEmulator) -> Evidence:
+    after = with_effects(values, data.flights, emulator)
+    explained = None if finding.kind == "unknown" else after - data.flights.y
+    where = locate(data, explained)
+    return Evidence(data, finding, where, after, time_shrink(data, after, where.events))
+
+
+def _with_held_out(
+    evidence: Evidence, values: Values, data: GapData, emulator: NarxEmulator
+) -> Evidence:
+    data = _in_terms_of(evidence.data, data)
+    found = held_out(values, data, emulator)
+    return replace(evidence, held_out=found, times=time_shrink(data, found.after, events_of(data)))
+
+
+def _in_terms_of(data: GapData, other: GapData) -> GapData:
+    """`other` with the signals of `data`, so that effects mean the same in both."""
+    mine, theirs = data.flights.signals, other.flights.signals
+    for name in (*mine.inputs, *mine.outputs):
+        if name not in (*theirs.inputs, *theirs.outputs):
+            raise DataError("the held-out flights lack it", channel=name)
+    columns = [theirs.outputs.index(name) for name in mine.outputs]
+    u = other.flights.u[..., [theirs.inputs.index(name) for name in mine.inputs]]
+    flights = replace(other.flights, signals=mine, u=u, y=other.flights.y[..., columns])
+    return replace(
+        other, flights=flights, real=other.real[..., columns], noise=other.noise[columns]
+    )
+
+
+def _held_pairs(request: Request) -> list[Pair]:
+    if request.held_real is None:
+        return []
+    source = request.sim if request.held_sim is None else request.held_sim
+    simulator = open_simulator(source)
+    if request.held_sim is None and isinstance(simulator.how, Path):
+        raise DataError(
+            "held-out flights need their simulated logs", hint="Name them by --heldout-sim"
+        )
+    return read_pairs(request.held_real, simulator.how, request.config)
+
+
+def _bounded(finding: Finding, pairs: Sequence[Pair]) -> Finding:
+    """No firm word on one short flight: nothing could be checked on another."""
+    if len(pairs) > 1 or len(enough(pairs)) > 1 or finding.kind == "none":
+        return finding
+    reason = (
+        "one flight is no evidence: an effect has to hold in others too; the best candidate is "
+        f"{' and '.join(finding.tried[0].effects) if finding.tried else 'none'}"
+    )
+    return replace(finding, kind="unknown", effects=(), ambiguous_with=(), reason=reason)
+
+
+def _facts(pairs: Sequence[Pair], data: GapData, held: Sequence[Pair]) -> dict[str, Any]:
+    return {
+        "flights": [pair.name for pair in pairs],
+        "parts": list(data.names) if len(data.names) > len(pairs) else [],
+        "held_out": [pair.name for pair in held],
+        "duration_s": sum(len(pair.time_s) * pair.dt_s for pair in pairs),
+        "rate_hz": 1.0 / pairs[0].dt_s,
+        "worked_at_hz": 1.0 / data.flights.signals.dt_s,
+        "driver": data.flights.signals.driver,
+        "noise": dict(zip(data.flights.signals.outputs, data.noise.tolist(), strict=True)),
+        "compared": _compared(pairs),
+        "changed": {pair.name: dict(pair.counts) for pair in pairs if pair.counts},
+        "warnings": warnings_of(pairs, data),
+        "signals": _plain(asdict(data.flights.signals)),
+        "versions": versions(),
+    }
+
+
+def warnings_of(pairs: Sequence[Pair], data: GapData) -> list[str]:
+    """What a reader has to know before he believes the answer."""
+    found = []
+    if len(pairs) < FEWEST:
+        words = f"{len(pairs)} flight{'s' if len(pairs) > 1 else ''}: the uncertainty is wider"
+        if len(data.names) > len(pairs):
+            words += f"; {len(data.names)} parts of them stand for flights"
+        found.append(words)
+    unknown = 1.0 - float(np.mean([np.isfinite(v).mean() for p in pairs for v in p.real.values()]))
+    if unknown > 0.01:
+        found.append(f"{100.0 * unknown:.1f} % of the recorded samples are unknown")
+    cut = sum(pair.counts.get("cut at the end", 0) for pair in pairs)
+    if cut:
+        found.append(f"{cut} samples at the ends of flights have no partner and are cut")
+    return found
+
+
+def _compared(pairs: Sequence[Pair]) -> dict[str, float]:
+    """RMSE of the outputs that are recorded on both sides but not diagnosed."""
+    squares: dict[str, list[FloatArray]] = {}
+    for pair in pairs:
+        for name, both in pair.others.items():
+            squares.setdefault(name, []).append((both[:, 0] - both[:, 1]) ** 2)
+    return {n: float(np.sqrt(np.nanmean(np.concatenate(v)))) for n, v in squares.items()}
+
+
+def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        name: value.tolist() if isinstance(value, np.ndarray) else value
+        for name, value in values.items()
+    }
+
+
+def _unwatched(step: str, done: int, total: int) -> None:
+    """Nobody is watching."""

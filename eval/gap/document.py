@@ -1,0 +1,203 @@
+"""`gap.json`: the diagnosis as a document of schema narxcal.gap/1."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from eval.gap.claimed import claimed
+from eval.gap.evidence import Evidence, HeldOut
+from eval.gap.side import Sides
+from eval.gap.where import Row, Where
+from narxcal.effects.library import LIBRARY, effect
+from training.gap.diagnosis import OFFSETS
+from training.gap.finding import Finding, Interval, Tried
+
+SCHEMA = "narxcal.gap/1"
+_LEFT = {"none": 0.02, "unknown": 0.3}  # of the probability, for what was not claimed
+_DOMINANT = 0.6  # of a bin's energy in one level: the level that stands for the bin
+
+
+def document(evidence: Evidence) -> dict[str, Any]:
+    """Put everything into plain values; numbers that are not finite are left to the writer."""
+    finding, where = evidence.finding, evidence.where
+    return {
+        "schema": SCHEMA,
+        "verdict": _verdict(finding),
+        "effects": effect_rows(finding),
+        "where": [_bin(row) for row in where.rows],
+        "side": _side(finding, where)._asdict(),
+        "theil": {name: split._asdict() for name, split in where.theil.items()},
+        "shrink": _shrink(evidence),
+        "emulator": {
+            "used": bool(finding.emulator_rmse),
+            "rmse": dict(finding.emulator_rmse),
+        },
+        "quality": {**evidence.facts, **_measured(finding, where)},
+        "tried": [_model(one) for one in finding.tried],
+    }
+
+
+def _verdict(finding: Finding) -> dict[str, Any]:
+    return {
+        "kind": finding.kind,
+        "effects": list(finding.effects),
+        "ambiguous_with": list(finding.ambiguous_with),
+        "reason": finding.reason,
+        "separating_manoeuvre": finding.separating_manoeuvre,
+    }
+
+
+def effect_rows(finding: Finding) -> list[dict[str, Any]]:
+    """Every effect that was tried, claimed ones first, then by probability.
+
+    Its parameters are those of the first model with it, the claimed one where it is in that.
+    """
+    models: dict[str, Tried] = {}
+    for one in finding.tried:
+        for name in one.effects:
+            models.setdefault(name, one)
+    chances = probabilities(finding)
+    first = [name for name in claimed(finding) if name in models]
+    others = sorted((n for n in models if n not in first), key=lambda n: -chances[n])
+    return [_effect(name, models[name], chances[name]) for name in (*first, *others)]
+
+
+def probabilities(finding: Finding) -> dict[str, float]:
+    """Probability of every effect that was tried.
+
+    Among models with as many effects as the claimed one has (further effects have not earned
+    their place), those with the effect in them; offsets and what moves are judged apart. A verdict
+    without an effect leaves them only a small part.
+    """
+    left = _LEFT.get(finding.kind, 1.0)
+    found: dict[str, float] = {}
+    for group in (True, False):
+        models = [one for one in finding.tried if _is_offset(one) == group]
+        size = len([n for n in finding.effects if (n.partition(":")[0] in OFFSETS) == group])
+        same = [one for one in models if len(one.effects) == max(size, 1)]
+        whole = sum(one.probability for one in same) or 1.0
+        for one in models:
+            for name in one.effects:
+                chance = left * one.probability / whole if one in same else 0.0
+                found[name] = min(1.0, found.get(name, 0.0) + chance)
+    return found
+
+
+def _is_offset(model: Tried) -> bool:
+    return all(name.partition(":")[0] in OFFSETS for name in model.effects)
+
+
+def _effect(name: str, model: Tried, probability: float) -> dict[str, Any]:
+    found = effect(name)
+    row: dict[str, Any] = {"id": found.id}
+    if found.channel is not None:
+        row["channel"] = found.channel
+    units = model.units.get(name, {})
+    return {
+        **row,
+        "family": found.family,
+        "side": found.side,
+        "meaning": found.meaning,
+        "probability": probability,
+        "parameters": {
+            key: {**asdict(value), "unit": units.get(key, "-")}
+            for key, value in model.parameters[name].items()
+        },
+        "gain": _gain(model),
+        "at_bound": [each for each in model.at_bound if each.startswith(name)],
+        "with": [other for other in model.effects if other != name],
+    }
+
+
+def _gain(model: Tried) -> dict[str, float]:
+    """Share of the gap that a model takes away, with its least and most over flights.
+
+    No share is beyond all or the same again: where there is no gap, there is no sense in more.
+    """
+    found = [min(1.0, max(-1.0, gain)) for gain in (model.gain, *model.flights)]
+    return {"value": found[0], "low": min(found), "high": max(found)}
+
+
+def _side(finding: Finding, where: Where) -> Sides:
+    if not claimed(finding):
+        return where.side
+    chances = probabilities(finding)
+    votes = dict.fromkeys(Sides._fields, 0.0)
+    for name, chance in chances.items():
+        votes[LIBRARY[name.partition(":")[0]].side] += chance
+    whole = max(sum(votes.values()), 1e-9)
+    return Sides(**{side: vote / whole for side, vote in votes.items()})
+
+
+def _bin(row: Row) -> dict[str, Any]:
+    return {
+        "channel": row.channel,
+        "direction": row.direction,
+        "phase": row.phase,
+        "regime": {name: _dominant(levels) for name, levels in row.regimes.items()},
+        **_ends("share", row.share),
+        "core": row.core,
+        "regime_shares": {name: dict(levels) for name, levels in row.regimes.items()},
+    }
+
+
+def _ends(name: str, found: Interval) -> dict[str, float]:
+    return {name: found.value, "low": found.low, "high": found.high}
+
+
+def _dominant(levels: Mapping[str, float]) -> str:
+    level = max(levels, key=lambda name: levels[name])
+    return level if levels[level] >= _DOMINANT else "all"
+
+
+def _shrink(evidence: Evidence) -> dict[str, Any]:
+    held = evidence.held_out
+    channels = evidence.finding.channels if held is None else held.channels
+    return {
+        "predicted": asdict(evidence.finding.predicted),
+        "realised": None if held is None else held.share,
+        "channels": {name: asdict(found) for name, found in channels.items()},
+        "times": {name: asdict(found) for name, found in evidence.times.items()},
+        "on": "the flights of the diagnosis" if held is None else _flown(held),
+    }
+
+
+def _flown(held: HeldOut) -> str:
+    return f"{len(held.data.names)} flights that took no part"
+
+
+def _measured(finding: Finding, where: Where) -> dict[str, Any]:
+    return {
+        "gap_share": finding.gap_share,
+        "left_share": finding.left_share,
+        "threshold": finding.threshold,
+        "notes": list(finding.notes),
+        "channels": {name: asdict(found) for name, found in where.channels.items()},
+        "excess": dict(where.excess),
+        "bands": {name: [band._asdict() for band in bands] for name, bands in where.bands.items()},
+        "Ti_Tt": {
+            name: {
+                direction: {
+                    "events": found.count(direction),
+                    "Ti_s": found.median("Ti_s", direction),
+                    "Tt_s": found.median("Tt_s", direction),
+                }
+                for direction in ("push", "pull")
+            }
+            for name, found in where.times.items()
+        },
+        "pushes": sum(event.label == 0 for flight in where.events for event in flight),
+        "pulls": sum(event.label == 1 for flight in where.events for event in flight),
+    }
+
+
+def _model(one: Tried) -> dict[str, Any]:
+    return {
+        "effects": list(one.effects),
+        "family": one.family,
+        "gain": _gain(one)["value"],
+        "flights": [min(1.0, max(-1.0, gain)) for gain in one.flights],
+        "probability": one.probability,
+    }

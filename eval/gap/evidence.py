@@ -1,0 +1,53 @@
+"""Everything that a diagnosis rests on, for the page to draw and the document to quote."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from eval.gap.data import FloatArray, GapData
+from eval.gap.where import Where
+from training.gap.finding import ChannelShrink, Finding
+
+
+@dataclass(frozen=True)
+class TimeShrink:
+    """Mean absolute errors of Ti and Tt in seconds over `events`, before and after."""
+
+    events: int
+    Ti_before_s: float
+    Ti_after_s: float
+    Tt_before_s: float
+    Tt_after_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """What the found effects do on flights that took no part in finding them.
+
+    `share` of the audible gap that they take away, in the measure of the prediction; `channels`
+    the plain RMSE before and after; `after` (flights, time, outputs) the simulator with them.
+    """
+
+    data: GapData
+    share: float
+    channels: Mapping[str, ChannelShrink]
+    after: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A diagnosis in full.
+
+    `after` (flights, time, outputs) is the simulator with the claimed effects, or as it was where
+    nothing is claimed; `times` how Ti and Tt errors shrink with them, per channel, on held-out
+    flights where there are any. `facts` go into `quality` as they are.
+    """
+
+    data: GapData
+    finding: Finding
+    where: Where
+    after: FloatArray
+    times: Mapping[str, TimeShrink]
+    held_out: HeldOut | None = None
+    facts: Mapping[str, object] = field(default_factory=dict)

@@ -1,0 +1,323 @@
+"""Reads recorded and simulated logs in pairs, and refuses what does not belong together.
+
+File names pair the logs of two folders; `.csv` may meet `.csv.gz`. Rows are paired by number from
+the first. The rates have to agree within 0.1 %; one log may end up to 2 s after the other, and
+what is over is cut and counted. Inputs recorded in both have to be the same but for rounding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from data_prep.clean import clean
+from data_prep.hold import hold_inputs
+from data_prep.log import Log
+from data_prep.logs_config import LogsConfig
+from data_prep.moves import bridged
+from data_prep.reading import open_table, read_logs
+from eval.gap.blocks import batch
+from eval.gap.data import FloatArray, GapData, Pair
+from narxcal.channels import CHANNELS
+from narxcal.errors import DataError
+from training.config import RunConfig
+
+__all__ = [
+    "GapData",
+    "Pair",
+    "batch",
+    "match_simulated",
+    "pair_logs",
+    "pair_up",
+    "read_folder",
+    "read_pairs",
+]
+
+SUFFIXES = (".csv.gz", ".csv")
+DIAGNOSED = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
+COMPARED = ("FN_kN", "FPR", "EPR")
+_RATE = 1e-3
+_LONGER_S = 2.0
+# Samples of an input may differ by this part of the channel's range, and few of them by more.
+_ROUNDING, _FEW = 2e-3, 1e-3
+_MOST_MISSING = 0.2
+_NO_SPLIT_S = 1e7  # a gap is masked, not the end of a log
+
+Simulate = Callable[[Log], Mapping[str, FloatArray]]
+
+
+def read_pairs(real: Path, sim: Path | Simulate, config: RunConfig | None = None) -> list[Pair]:
+    """Read all logs of `real` with those of `sim`, or with what `sim` makes of their inputs.
+
+    `config` maps the columns of files whose headers are not canonical, and cleans the recorded
+    logs. Raises `DataError` for files without a partner, and as `pair_logs`.
+    """
+    flown = read_folder(real, config)
+    if config is not None:
+        flown = {name: clean(log, config.clean) for name, log in flown.items()}
+    if isinstance(sim, Path):
+        simulated = pair_up(flown, read_folder(sim, config), (real, sim))
+    else:
+        simulated = {name: _simulated(log, sim) for name, log in flown.items()}
+    return _alike([pair_logs(name, log, simulated[name]) for name, log in flown.items()])
+
+
+def read_folder(folder: Path, config: RunConfig | None = None) -> dict[str, Log]:
+    """Read every CSV file of a folder; names without ending -> log, in order of name.
+
+    A file with several engines gives `NAME_ENGINE` for each. Raises `DataError`.
+    """
+    if not folder.is_dir():
+        raise DataError("the folder of the logs does not exist", file=folder)
+    files = sorted(file for file in folder.iterdir() if file.name.endswith(SUFFIXES))
+    if not files:
+        raise DataError("the folder holds no .csv or .csv.gz", file=folder)
+    found: dict[str, Log] = {}
+    for file in files:
+        for log in read_logs(file, _reading(file, config)):
+            name = _stem(file) + (f"_{log.source.engine}" if log.source.engine else "")
+            if name in found:
+                raise DataError("two files have one name", file=file, hint="Remove one of them")
+            found[name] = log
+    return found
+
+
+def pair_up(
+    flown: Mapping[str, Log], simulated: Mapping[str, Log], folders: tuple[Path, Path]
+) -> Mapping[str, Log]:
+    """Check that both folders hold the same names; returns the simulated logs."""
+    for here, there, folder in (
+        (flown, simulated, folders[1]),
+        (simulated, flown, folders[0]),
+    ):
+        lone = [name for name in here if name not in there]
+        if lone:
+            raise DataError(
+                f"'{lone[0]}' has no partner here ({len(lone)} of {len(here)} logs have none)",
+                file=folder,
+                hint="Recorded and simulated logs are paired by their file names",
+            )
+    return simulated
+
+
+def match_simulated(name: str, log: Log, sim: Mapping[str, Log] | Simulate) -> Log:
+    """The simulated log for the inputs of `log`: of that name in `sim`, or made by `sim` now.
+
+    Inputs that only `log` has are taken from there. Raises `DataError` as `pair_logs`.
+    """
+    if not isinstance(sim, Mapping):
+        return _simulated(log, sim)
+    if name not in sim:
+        raise DataError(
+            "there is no simulated log of this name",
+            file=name,
+            hint=f"There are {', '.join(list(sim)[:5])}",
+        )
+    samples = _common_length(name, log, sim[name])
+    log, found = log.part(0, samples), sim[name].part(0, samples)
+    inputs = _inputs(name, log, found, {})
+    return replace(found, channels={**found.channels, **inputs})
+
+
+def pair_logs(name: str, real: Log, sim: Log) -> Pair:
+    """Put one recorded and one simulated log side by side.
+
+    Raises `DataError` for other rates, lengths or inputs, for a driver or an output that is
+    missing, constant or mostly unknown.
+    """
+    samples = _common_length(name, real, sim)
+    counts = _counts(real, sim, samples)
+    real, sim = real.part(0, samples), sim.part(0, samples)
+    inputs = _inputs(name, real, sim, counts)
+    outputs = _outputs(name, real, sim, inputs)
+    measured, modelled = {}, {}
+    for output in outputs:
+        modelled[output] = _complete(name, sim, output, counts)
+        measured[output] = np.where(np.isfinite(sim[output]), real[output], np.nan)
+        _check_output(name, real, output, counts)
+    both = [each for each in COMPARED if each in real.channels and each in sim.channels]
+    others = {each: np.column_stack([real[each], sim[each]]) for each in both}
+    return Pair(name, real.time_s, inputs, measured, modelled, others, counts)
+
+
+def _reading(file: Path, config: RunConfig | None) -> LogsConfig:
+    """Canonical headers are read as such, others by the configuration."""
+    logs = LogsConfig() if config is None else config.logs
+    header = set(open_table(file, logs).header)
+    if {"time_s", "N1_pct"} <= header or not logs.columns:
+        logs = LogsConfig(bridge_s=logs.bridge_s, delimiter=logs.delimiter, decimal=logs.decimal)
+    return logs.model_copy(update={"max_gap_s": _NO_SPLIT_S, "raster_hz": logs.raster_hz})
+
+
+def _stem(file: Path) -> str:
+    return next(file.name.removesuffix(end) for end in SUFFIXES if file.name.endswith(end))
+
+
+def _simulated(log: Log, simulate: Simulate) -> Log:
+    """The log's inputs, complete, with the outputs that the simulator gives for them."""
+    inputs = [name for name in log.channels if _is_input(name, log)]
+    held = hold_inputs(log, inputs)
+    outputs = {name: values for name, values in simulate(held).items() if name in CHANNELS}
+    return replace(held, channels={name: held[name] for name in inputs} | outputs)
+
+
+def _is_input(name: str, log: Log) -> bool:
+    if name == "FF_kgph":
+        return "TRA_deg" not in log.channels
+    return CHANNELS[name].role in ("lever", "ambient", "switch")
+
+
+def _common_length(name: str, real: Log, sim: Log) -> int:
+    if abs(real.dt_s / sim.dt_s - 1.0) > _RATE:
+        raise DataError(
+            f"the rates differ: recorded at {1 / real.dt_s:.4g} Hz, simulated at "
+            f"{1 / sim.dt_s:.4g} Hz",
+            file=name,
+            hint="Put both on one raster first",
+        )
+    over_s = abs(len(real) - len(sim)) * real.dt_s
+    if over_s > _LONGER_S:
+        raise DataError(
+            f"the lengths differ: recorded {len(real)} samples, simulated {len(sim)}, which is "
+            f"{over_s:.3g} s",
+            file=name,
+            hint=f"Up to {_LONGER_S:g} s are cut at the end; simulate the whole flight",
+        )
+    return min(len(real), len(sim))
+
+
+def _counts(real: Log, sim: Log, samples: int) -> dict[str, int]:
+    counts = {"cut at the end": max(len(real), len(sim)) - samples}
+    if abs(real.time_s[0] - sim.time_s[0]) > 0.5 * real.dt_s:
+        counts["paired by row, for the clocks start apart"] = samples
+    for entry in real.audit.entries:
+        if entry.action != "repaired" or entry.channel != "*":
+            key = f"{entry.channel} {entry.action}: {entry.reason}"
+            counts[key] = counts.get(key, 0) + entry.samples
+    return {reason: count for reason, count in counts.items() if count}
+
+
+def _inputs(name: str, real: Log, sim: Log, counts: dict[str, int]) -> dict[str, FloatArray]:
+    """Inputs of either log; where both have one, the simulator's, for that is what it was told."""
+    has = {**real.channels, **sim.channels}
+    driver = "TRA_deg" if "TRA_deg" in has else "FF_kgph"
+    if driver not in has:
+        raise DataError(
+            "there is no TRA_deg, and no FF_kgph to take for the driver",
+            file=name,
+            hint="Map the throttle's column, or the fuel flow's",
+        )
+    wanted = [
+        each
+        for each in CHANNELS
+        if each in has and (CHANNELS[each].role in ("lever", "ambient", "switch") or each == driver)
+    ]
+    found = {}
+    for each in wanted:
+        if each in real.channels and each in sim.channels:
+            _check_same(name, real, sim, each)
+        source = sim if each in sim.channels else real
+        missing = int(np.count_nonzero(~np.isfinite(source[each])))
+        if missing:
+            counts[f"{each} held"] = missing
+        found[each] = hold_inputs(source, [each])[each]
+    return found
+
+
+def _check_same(name: str, real: Log, sim: Log, channel: str) -> None:
+    a, b = real[channel], sim[channel]
+    known = np.isfinite(a) & np.isfinite(b)
+    if not known.any():
+        return
+    row = CHANNELS[channel]
+    span = min(row.high - row.low, 2.0 * float(np.ptp(b[known])) + float(np.abs(b[known]).max()))
+    apart = np.zeros(len(a), dtype=np.bool_)
+    apart[known] = np.abs(a[known] - b[known]) > _ROUNDING * span
+    if apart.sum() <= _FEW * len(a):
+        return
+    first = int(np.argmax(apart))
+    raise DataError(
+        f"the inputs differ: recorded {a[first]:g}, simulated with {b[first]:g} "
+        f"({int(apart.sum())} of {len(a)} samples differ by more than rounding)",
+        file=name,
+        channel=channel,
+        row=first + 1,
+        hint="Simulate with the inputs that were recorded",
+    )
+
+
+def _outputs(name: str, real: Log, sim: Log, inputs: Mapping[str, FloatArray]) -> tuple[str, ...]:
+    candidates = [each for each in DIAGNOSED if each not in inputs]
+    both = tuple(e for e in candidates if e in real.channels and e in sim.channels)
+    if not any(each in both for each in DIAGNOSED[:3]):
+        found = [each for each in candidates if each in {**real.channels, **sim.channels}]
+        raise DataError(
+            "recorded and simulated log share none of N1_pct, N2_pct and EGT_C",
+            file=name,
+            hint=f"Only one of them has {', '.join(found)}" if found else "Map their columns",
+        )
+    return both
+
+
+def _complete(name: str, sim: Log, channel: str, counts: dict[str, int]) -> FloatArray:
+    values = sim[channel]
+    missing = int(np.count_nonzero(~np.isfinite(values)))
+    if missing > _MOST_MISSING * len(values):
+        raise DataError(
+            f"{missing} of {len(values)} simulated samples are missing", file=name, channel=channel
+        )
+    if missing:
+        counts[f"{channel} simulated missing"] = missing
+    _check_varies(name, values, channel, "simulated")
+    return bridged(values)
+
+
+def _check_output(name: str, real: Log, channel: str, counts: dict[str, int]) -> None:
+    values = real[channel]
+    missing = int(np.count_nonzero(~np.isfinite(values)))
+    if missing == len(values):
+        raise DataError("no recorded sample is known", file=name, channel=channel)
+    if missing:
+        counts[f"{channel} unknown"] = missing
+    _check_varies(name, values, channel, "recorded")
+
+
+def _check_varies(name: str, values: FloatArray, channel: str, what: str) -> None:
+    known = values[np.isfinite(values)]
+    if np.ptp(known) <= 1e-9 * max(1.0, float(np.abs(known).max())):
+        raise DataError(
+            f"the {what} channel is constant ({known[0]:g} throughout)",
+            file=name,
+            channel=channel,
+            hint="Its sensor is stuck, or another column is meant; leave the channel or log out",
+        )
+
+
+def _alike(pairs: Sequence[Pair]) -> list[Pair]:
+    """Keep what all pairs have, and check that they are of one rate."""
+    first = pairs[0]
+    for pair in pairs[1:]:
+        if abs(pair.dt_s / first.dt_s - 1.0) > _RATE:
+            raise DataError(
+                f"recorded at {1 / pair.dt_s:.4g} Hz, but {first.name} at {1 / first.dt_s:.4g} Hz",
+                file=pair.name,
+                hint="Put all flights on one raster",
+            )
+        if pair.driver != first.driver:
+            raise DataError(
+                f"is driven by {pair.driver}, but {first.name} by {first.driver}", file=pair.name
+            )
+    inputs = [name for name in first.inputs if all(name in pair.inputs for pair in pairs)]
+    outputs = [name for name in first.sim if all(name in pair.sim for pair in pairs)]
+    return [
+        replace(
+            pair,
+            inputs={name: pair.inputs[name] for name in inputs},
+            real={name: pair.real[name] for name in outputs},
+            sim={name: pair.sim[name] for name in outputs},
+        )
+        for pair in pairs
+    ]

@@ -1,0 +1,183 @@
+"""Simulators by what the user names: a run folder, an FMU, a function, a virtual engine.
+
+Each becomes a function from a log, whose inputs are complete, to its outputs `(time,)` by channel.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from data_prep.log import Log
+from eval.gap.data import FloatArray
+from narxcal.bundle import DOCUMENT, load_bundle
+from narxcal.channels import CHANNELS
+from narxcal.errors import ConfigError, ModelError
+from training.pipeline import calibration_for
+
+ENGINES = ("business_jet", "single_aisle")
+_OUTPUTS = tuple(name for name, row in CHANNELS.items() if row.role == "output")
+Simulate = Callable[[Log], Mapping[str, FloatArray]]
+
+
+class Simulator(NamedTuple):
+    """What was named: its kind in a word, and either a folder of its logs or a function."""
+
+    kind: str
+    how: Path | Simulate
+
+
+def open_simulator(source: str) -> Simulator:
+    """Open a folder of logs, a run folder, an FMU, `module:function`, or a virtual engine's name.
+
+    A function takes `(inputs: {channel: (time,)}, dt_s)` and returns `{channel: (time,)}`. Raises
+    `ConfigError` for what is none of these, else as the simulator's own reader.
+    """
+    path = Path(source)
+    if source in ENGINES:
+        return Simulator("virtual engine", _virtual_engine(source))
+    if path.is_dir():
+        is_bundle = (path / DOCUMENT).is_file()
+        return Simulator("bundle", _bundle(path)) if is_bundle else Simulator("logs", path)
+    if path.suffix == ".fmu" and path.is_file():
+        return Simulator("FMU", _fmu(path))
+    if ":" in source and not path.exists():
+        return Simulator("function", _called(_function(source), source))
+    raise ConfigError(
+        f"simulator '{source}' is no folder of logs, run folder, FMU, module:function or "
+        "virtual engine",
+        hint=f"Virtual engines are {' and '.join(ENGINES)}",
+    )
+
+
+def _virtual_engine(name: str) -> Simulate:
+    engine = importlib.import_module("narxcal.turbofan").VirtualEngine(name)
+
+    def simulate(log: Log) -> Mapping[str, FloatArray]:
+        found: Mapping[str, FloatArray] = engine.simulate(
+            {each: log[each] for each in engine.input_names}, log.dt_s
+        )
+        return found
+
+    return simulate
+
+
+def _bundle(folder: Path) -> Simulate:
+    calibration = load_bundle(folder).calibration
+
+    def simulate(log: Log) -> Mapping[str, FloatArray]:
+        _check_rate(folder, calibration.dt_s, log)
+        own = calibration_for(calibration, log)
+        outputs = own.simulate(log.matrix(own.input_names))
+        return dict(zip(own.output_names, outputs.T, strict=True))
+
+    return simulate
+
+
+def _check_rate(folder: Path, dt_s: float, log: Log) -> None:
+    if abs(log.dt_s / dt_s - 1.0) > 1e-3:
+        raise ModelError(
+            f"the model runs at {1 / dt_s:.4g} Hz, the log is at {1 / log.dt_s:.4g} Hz",
+            file=folder,
+            hint="Put the logs on the model's raster (raster_hz in [logs] of --config)",
+        )
+
+
+def _fmu(path: Path) -> Simulate:
+    """Co-simulation of an FMU whose variables bear the names of channels."""
+    fmpy = _fmpy(path)
+    description = fmpy.read_model_description(str(path))
+    names = {
+        kind: [v.name for v in description.modelVariables if v.causality == kind]
+        for kind in ("input", "output")
+    }
+    outputs = [name for name in names["output"] if name in _OUTPUTS]
+    if not outputs:
+        raise ModelError(f"no output of the FMU is one of {', '.join(_OUTPUTS)}", file=path)
+
+    def simulate(log: Log) -> Mapping[str, FloatArray]:
+        told = [name for name in names["input"] if name in CHANNELS]
+        kinds = [("time", np.float64), *((name, np.float64) for name in told)]
+        rows = np.zeros(len(log), dtype=kinds)
+        rows["time"] = np.arange(len(log)) * log.dt_s
+        for name in told:
+            rows[name] = log[name]
+        found = fmpy.simulate_fmu(
+            str(path),
+            stop_time=float(rows["time"][-1]),
+            output_interval=log.dt_s,
+            step_size=log.dt_s,
+            input=rows,
+            output=outputs,
+        )
+        time_s, wanted = np.asarray(found["time"]), np.asarray(rows["time"])
+        return {name: np.interp(wanted, time_s, found[name]) for name in outputs}
+
+    return simulate
+
+
+def _fmpy(path: Path) -> Any:
+    try:
+        return importlib.import_module("fmpy")
+    except ImportError:
+        raise ModelError(
+            "FMUs need the package FMPy", file=path, hint="pip install narxcal[fmu]"
+        ) from None
+
+
+def _function(reference: str) -> Callable[..., Any]:
+    module_name, _, name = reference.partition(":")
+    try:
+        module = _module(module_name)
+    except ImportError as error:
+        raise ConfigError(
+            f"simulator '{reference}': {error}",
+            hint=f"Install it, or put {module_name}.py into {Path.cwd()}",
+        ) from None
+    function = getattr(module, name, None)
+    if not callable(function):
+        raise ConfigError(f"simulator '{reference}': the module has no function '{name}'")
+    return function  # type: ignore[no-any-return]
+
+
+def _module(name: str) -> ModuleType:
+    """Import an installed module, or one that lies in the current folder."""
+    file = Path(*name.split(".")).with_suffix(".py")
+    if importlib.util.find_spec(name.partition(".")[0]) or not file.is_file():
+        return importlib.import_module(name)
+    spec = importlib.util.spec_from_file_location(name, file)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"cannot import {file}")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _called(function: Callable[..., Any], reference: str) -> Simulate:
+    def simulate(log: Log) -> Mapping[str, FloatArray]:
+        inputs = {name: values for name, values in log.channels.items() if name in CHANNELS}
+        try:
+            found = dict(function(inputs, log.dt_s))
+        except (TypeError, ValueError, KeyError) as error:
+            raise ModelError(
+                f"simulator '{reference}' failed: {type(error).__name__}: {error}",
+                file=log.name,
+                hint="It takes ({channel: (time,)}, dt_s) and returns {channel: (time,)}",
+            ) from error
+        arrays = {name: np.asarray(v, dtype=np.float64) for name, v in found.items()}
+        for name, values in arrays.items():
+            if values.shape != (len(log),):
+                raise ModelError(
+                    f"simulator '{reference}' returned {values.shape}, expected ({len(log)},)",
+                    file=log.name,
+                    channel=name,
+                )
+        return arrays
+
+    return simulate

@@ -1,0 +1,120 @@
+"""A diagnosis in words and small tables, from its document alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+EMULATOR = "emulator"  # folder beside gap.json
+_MOST_EFFECTS, _MOST_BINS = 5, 6
+Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
+
+
+def sentence(document: Mapping[str, Any]) -> str:
+    """The verdict in one sentence."""
+    verdict, shrink = document["verdict"], document["shrink"]
+    kind, predicted = verdict["kind"], shrink["predicted"]
+    if kind == "none":
+        return "No gap beyond noise and build scatter." + _because(verdict)
+    if kind == "unknown":
+        return "The gap is real, but no effect of the library accounts for it." + _because(verdict)
+    names = " and ".join(named(document, name) for name in verdict["effects"])
+    words = f"{names}: takes away {_percent(predicted)} of the gap"
+    if shrink.get("realised") is not None:
+        words += f" (realised on held-out flights: {100 * shrink['realised']:.0f} %)"
+    if kind == "ambiguous":
+        words += f"; cannot be told from {', '.join(verdict['ambiguous_with'])}"
+        words += f". To tell: {verdict['separating_manoeuvre']}"
+    return words + "."
+
+
+def named(document: Mapping[str, Any], name: str) -> str:
+    """An effect with its parameters, as 'sensor_lag:EGT_C (tau_s 1.8 [1.6, 2.0] s)'."""
+    for row in document["effects"]:
+        if effect_name(row) == name:
+            return f"{name} ({parameters(row)})" if row["parameters"] else name
+    return name
+
+
+def effect_name(row: Mapping[str, Any]) -> str:
+    """`id`, or `id:channel`."""
+    return row["id"] if row.get("channel") is None else f"{row['id']}:{row['channel']}"
+
+
+def parameters(row: Mapping[str, Any]) -> str:
+    """Parameters of an effect with their intervals and units."""
+    return ", ".join(
+        f"{key} {number(each['value'])} [{number(each['low'])}, {number(each['high'])}]"
+        f" {each.get('unit', '')}".rstrip(" -")
+        for key, each in row["parameters"].items()
+    )
+
+
+def number(value: float | None) -> str:
+    """Three digits, or a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{value:.3g}"
+
+
+def effect_table(document: Mapping[str, Any]) -> Table:
+    """Ranked effects: probability, gain on flights that had no part in the fit, parameters."""
+    claimed = document["verdict"]["effects"]
+    rows = [
+        [
+            effect_name(row) + (" *" if effect_name(row) in claimed else ""),
+            f"{100 * row['probability']:.0f} %",
+            f"{100 * row['gain']['value']:.0f} %",
+            parameters(row),
+        ]
+        for row in document["effects"][:_MOST_EFFECTS]
+    ]
+    return "Effects (* claimed)", ("effect", "probability", "gain", "parameters"), rows
+
+
+def where_table(document: Mapping[str, Any]) -> Table:
+    """Largest bins of the gap's energy."""
+    rows = [
+        [
+            f"{row['channel']} {row['direction']}"
+            + (f" {row['phase']}" if row["phase"] != row["direction"] else ""),
+            _percent({**row, "value": row["share"]}),
+            " ".join(f"{key} {level}" for key, level in row["regime"].items() if level != "all"),
+        ]
+        for row in document["where"][:_MOST_BINS]
+        if row["share"] > 0.0
+    ]
+    return "Where the gap is", ("bin", "share [90 %]", "mostly at"), rows
+
+
+def shrink_table(document: Mapping[str, Any]) -> Table:
+    """Root mean squares of the gap before and after, and errors of Ti and Tt."""
+    shrink = document["shrink"]
+    times = shrink.get("times", {})
+    rows = [
+        [
+            name,
+            *(number(found[key]) for key in ("before", "after", "floor")),
+            _arrow(times.get(name, {}), "Ti"),
+            _arrow(times.get(name, {}), "Tt"),
+        ]
+        for name, found in shrink["channels"].items()
+    ]
+    head = ("RMSE of", "before", "after", "floor", "Ti error [s]", "Tt error [s]")
+    return f"How far it shrinks, on {shrink['on']}", head, rows
+
+
+def _arrow(found: Mapping[str, Any], name: str) -> str:
+    before, after = found.get(f"{name}_before_s"), found.get(f"{name}_after_s")
+    return f"{number(before)} -> {number(after)}"
+
+
+def _percent(found: Mapping[str, float]) -> str:
+    value, low, high = (100.0 * found[key] for key in ("value", "low", "high"))
+    return f"{value:.0f} % [{low:.0f}, {high:.0f}]"
+
+
+def _because(verdict: Mapping[str, Any]) -> str:
+    reason = verdict["reason"]
+    return f" {reason[0].upper()}{reason[1:].rstrip('.')}." if reason else ""

@@ -1,0 +1,184 @@
+"""Where the gap lies: its energy above the noise floor, bin by bin, and how sure that is.
+
+The energy of a sample is its squared gap over `noise^2 + (0.001 range)^2` of the channel, the
+weights by which effects are fitted; what noise alone would give is taken off bin by bin.
+Intervals are by bootstrap over flights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_prep.events import Event
+from eval.gap.bands import Band, bands_of
+from eval.gap.bins import MOVES, Bins, sort_samples
+from eval.gap.data import FloatArray, GapData
+from eval.gap.excitation import events_of
+from eval.gap.side import Sides, side_of
+from eval.gap.theil import Theil, theil_of
+from eval.gap.times import TimeErrors, time_errors
+from training.gap.finding import Interval
+from training.gap.quadratic import TOLERANCE, misfit
+
+CORE = 0.7  # the smallest set of bins that holds this share
+_DRAWS = 300
+_SIGMAS = 3.0  # a bin's energy has to stand out of white noise's by this much
+_PARTS = 6  # of a flight, where there are too few flights to draw from
+
+
+@dataclass(frozen=True)
+class Row:
+    """One bin: its share of all energy above the floor, with a 90 % interval.
+
+    `regimes` is how that share divides: altitude, Mach, power, bleed -> level -> part. `core`
+    marks the smallest set of bins that holds 70 %.
+    """
+
+    channel: str
+    direction: str
+    phase: str
+    share: Interval
+    core: bool
+    regimes: Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class Where:
+    """All that can be said on where the gap is, without naming an effect.
+
+    `rows` are a partition of the energy, largest first; `channels` their totals. `excess` is the
+    part of the squared gap that is above the floor, per channel.
+    """
+
+    rows: tuple[Row, ...]
+    channels: Mapping[str, Interval]
+    excess: Mapping[str, float]
+    theil: Mapping[str, Theil]
+    bands: Mapping[str, tuple[Band, ...]]
+    times: Mapping[str, TimeErrors]
+    side: Sides
+    events: tuple[tuple[Event, ...], ...]
+
+
+def locate(data: GapData, explained: FloatArray | None = None, seed: int = 0) -> Where:
+    """Say where the gap lies.
+
+    `explained` (flights, time, outputs) is what effects change, zero for none: nuisances that fit
+    beside them are then taken out of the gap. Without it nothing is known of what is nuisance and
+    what is gap, and all of it counts.
+    """
+    events = events_of(data)
+    bins = sort_samples(data, events)
+    gap = data.gap if explained is None else without_nuisances(data, explained)
+    energy = _Energy(data, bins, gap)
+    shares = energy.drawn(np.random.default_rng(seed))
+    outputs = data.flights.signals.outputs
+    totals = shares.sum(axis=2)
+    return Where(
+        rows=_rows(energy, shares, outputs),
+        channels={name: _interval(totals[:, k]) for k, name in enumerate(outputs)},
+        excess=dict(zip(outputs, energy.excess_share().tolist(), strict=True)),
+        theil=theil_of(data),
+        bands=bands_of(data, gap),
+        times=time_errors(data, data.flights.y, events),
+        side=side_of(data, gap, shares[0].sum(axis=1)),
+        events=events,
+    )
+
+
+def without_nuisances(data: GapData, explained: FloatArray) -> FloatArray:
+    """The gap (flights, time, outputs) less the offsets and skews that fit beside `explained`."""
+    measure = misfit(data.flights, data.real, data.noise)
+    kept = measure.cleaned(measure.gap - explained) + explained
+    return np.where(np.isfinite(data.gap), kept, np.nan)
+
+
+class _Energy:
+    """Energies (units, outputs, moves) above what noise gives, and the latter's spread."""
+
+    def __init__(self, data: GapData, bins: Bins, gap: FloatArray) -> None:
+        self.bins = bins
+        scale = np.sqrt(data.noise**2 + (TOLERANCE * data.span) ** 2)
+        self.floor = (data.noise / scale) ** 2
+        self.sample = (gap / scale) ** 2  # NaN where unknown
+        self.units = _units(data)
+        count = int(self.units.max()) + 1
+        shape = (count, len(scale), len(MOVES))
+        self.total, self.samples = np.zeros(shape), np.zeros(shape)
+        for k in range(len(scale)):
+            known = np.isfinite(self.sample[..., k]) & (bins.move >= 0)
+            at = (self.units[known], bins.move[known])
+            np.add.at(self.total[:, k], at, self.sample[..., k][known])
+            np.add.at(self.samples[:, k], at, 1.0)
+
+    def excess_share(self) -> FloatArray:
+        """Part of each output's squared gap that is above the floor: (outputs,)."""
+        total, samples = self.total.sum(axis=(0, 2)), self.samples.sum(axis=(0, 2))
+        above = np.maximum(total - samples * self.floor, 0.0)
+        return np.asarray(above / np.maximum(total, 1e-300))
+
+    def shares(self, weights: FloatArray) -> FloatArray:
+        """Shares (outputs, moves) of the energy of units that count `weights` (units,) times."""
+        total = np.tensordot(weights, self.total, axes=1)
+        samples = np.tensordot(weights, self.samples, axes=1)
+        floor = self.floor[:, None]
+        excess = total - samples * floor
+        excess[excess < _SIGMAS * floor * np.sqrt(2.0 * samples)] = 0.0
+        whole = excess.sum()
+        return np.asarray(excess / whole if whole > 0.0 else excess)
+
+    def drawn(self, rng: np.random.Generator) -> FloatArray:
+        """Shares (1 + draws, outputs, moves): those found, then those of resampled flights."""
+        count = len(self.total)
+        draws = rng.multinomial(count, np.full(count, 1.0 / count), size=_DRAWS)
+        weights = np.concatenate([np.ones((1, count)), draws])
+        return np.stack([self.shares(each) for each in weights])
+
+    def regimes(self, output: int, move: int) -> dict[str, dict[str, float]]:
+        """How the energy of one bin divides over the levels of each regime."""
+        inside = (self.bins.move == move) & np.isfinite(self.sample[..., output])
+        above = self.sample[..., output][inside] - self.floor[output]
+        found = {}
+        for name, (levels, index) in self.bins.regimes.items():
+            parts = np.bincount(index[inside], weights=above, minlength=len(levels))
+            parts = np.maximum(parts, 0.0)
+            whole = float(parts.sum())
+            if whole > 0.0:
+                found[name] = dict(zip(levels, (parts / whole).tolist(), strict=True))
+        return found
+
+
+def _units(data: GapData) -> np.ndarray[tuple[int, ...], np.dtype[np.int64]]:
+    """What is drawn in the bootstrap, (flights, time): flights, or parts of too few of them."""
+    count, steps = data.flights.u.shape[:2]
+    flight = np.repeat(np.arange(count)[:, None], steps, axis=1)
+    if count >= 3:
+        return flight
+    part = np.arange(steps) * _PARTS // data.flights.lengths[:, None]
+    return np.asarray(flight * _PARTS + np.minimum(part, _PARTS - 1))
+
+
+def _interval(draws: FloatArray) -> Interval:
+    """First value with the 90 % interval of the others, which it belongs to."""
+    low, high = np.percentile(draws[1:], (5.0, 95.0))
+    value = float(draws[0])
+    return Interval(value, min(float(low), value), max(float(high), value))
+
+
+def _rows(energy: _Energy, shares: FloatArray, outputs: Sequence[str]) -> tuple[Row, ...]:
+    found = shares[0]
+    order = np.argsort(-found, axis=None, kind="stable")
+    before = np.cumsum(found.ravel()[order]) - found.ravel()[order]
+    rows = []
+    for place, held in zip(order.tolist(), before.tolist(), strict=True):
+        output, move = divmod(place, found.shape[1])
+        share = _interval(shares[:, output, move])
+        if share.high > 0.0:
+            core = held < CORE and share.value > 0.0
+            regimes = energy.regimes(output, move)
+            direction, phase = MOVES[move]
+            rows.append(Row(outputs[output], direction, phase, share, core, regimes))
+    return tuple(rows)

@@ -1,0 +1,74 @@
+"""`narxcal diagnose`: where a simulator and flights differ, which effect it is, how far it shrinks.
+
+OUT holds `gap.json`, `gap.html` and, for `simulate --effects`, the emulator of the simulator.
+"""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Mapping
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from eval.gap.diagnose import Diagnosis, Request, diagnose_folders
+from eval.gap.document import SCHEMA
+from eval.gap.summary import EMULATOR, effect_table, sentence, shrink_table, where_table
+from narxcal.bundle import Bundle, write_bundle
+from narxcal.cli.configured import read_config
+from narxcal.cli.console import Console, to_json
+from narxcal.cli.folders import Results
+from narxcal.errors import ConfigError
+
+DOCUMENT, PAGE = "gap.json", "gap.html"
+RESULTS = Results(SCHEMA, DOCUMENT, (PAGE, EMULATOR))
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Diagnose and write document, page and emulator; 0 whatever the verdict."""
+    RESULTS.check(options.out)
+    request = _request(options)
+    with console.progress("Diagnosing") as advance:
+
+        def watch(step: str, done: int, total: int) -> None:
+            advance(done, total, f"({step})")
+
+        found = diagnose_folders(request, watch)
+    with RESULTS.writing(options.out) as folder:
+        write(folder, found)
+    show(console, found.document)
+    console.say(f"Page: {options.out / PAGE}")
+    console.document(found.document)
+    return 0
+
+
+def write(folder: Path, found: Diagnosis) -> None:
+    """Write document, page and emulator into a folder."""
+    (folder / DOCUMENT).write_text(to_json(found.document), encoding="utf-8")
+    with suppress(ModuleNotFoundError):
+        page = import_module("eval.gap.page").render(found.document, found.evidence)
+        (folder / PAGE).write_text(page, encoding="utf-8")
+    (folder / EMULATOR).mkdir()
+    write_bundle(folder / EMULATOR, Bundle(found.emulator.calibration, {"made_by": "diagnose"}))
+
+
+def show(console: Console, document: Mapping[str, Any]) -> None:
+    """Print the answer on one screen: sentence, effects, where, how far."""
+    console.say(sentence(document))
+    for title, head, rows in (
+        effect_table(document),
+        where_table(document),
+        shrink_table(document),
+    ):
+        if rows:
+            console.table(title, head, rows)
+    for text in document["quality"].get("warnings", ()):
+        console.warn(text)
+
+
+def _request(options: Namespace) -> Request:
+    if options.heldout_sim is not None and options.heldout_real is None:
+        raise ConfigError("--heldout-sim needs --heldout-real")
+    config = None if options.config is None else read_config(options.config, None)[0]
+    return Request(options.real, options.sim, config, options.heldout_real, options.heldout_sim)

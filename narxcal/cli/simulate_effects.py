@@ -1,0 +1,94 @@
+"""`narxcal simulate --sim ... --effects ...`: the simulator with the effects that were found.
+
+OUT gets one canonical CSV for each log of inputs, so that anybody can check how far the gap falls.
+"""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from data_prep.log import Log
+from eval.gap.applied import FoundEffects, read_effects
+from eval.gap.data import FloatArray
+from eval.gap.pairs import match_simulated, read_folder
+from eval.gap.simulators import open_simulator
+from narxcal.atomic import atomic_folder, check_output_folder
+from narxcal.channels import CHANNELS
+from narxcal.cli.configured import read_config
+from narxcal.cli.console import Console, to_json
+from narxcal.errors import ConfigError
+
+SCHEMA, DOCUMENT = "narxcal.simulate_effects/1", "simulated.json"
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Simulate every log of a folder, add the effects, and write the logs as a whole."""
+    _check(options)
+    check_output_folder(options.out, replace=True)
+    found = read_effects(options.effects)
+    simulator = open_simulator(options.sim)
+    config = None if options.config is None else read_config(options.config, None)[0]
+    inputs = read_folder(options.inputs_folder, config)
+    how = simulator.how
+    source = read_folder(how, config) if isinstance(how, Path) else how
+    rows = []
+    with atomic_folder(options.out, replace=True) as folder, console.progress("Adding") as advance:
+        for number, (name, log) in enumerate(inputs.items()):
+            advance(number, len(inputs), f"({name})")
+            sim = match_simulated(name, log, source)
+            channels, change = _with_effects(found, sim)
+            (folder / f"{name}.csv").write_bytes(_csv(channels))
+            rows.append({"log": name, "samples": len(sim), "rms_change": change})
+        document = {
+            "schema": SCHEMA,
+            "effects": {effect: dict(values) for effect, values in found.values.items()},
+            "simulator": simulator.kind,
+            "logs": rows,
+        }
+        (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
+    _show(console, document, options.out)
+    return 0
+
+
+def _check(options: Namespace) -> None:
+    needed = {"--sim": "sim", "--effects": "effects", "--inputs": "inputs_folder"}
+    lost = [word for word, name in needed.items() if getattr(options, name) is None]
+    if lost:
+        raise ConfigError(
+            f"expected --sim, --effects and --inputs together, but {' and '.join(lost)} is missing"
+        )
+    if options.bundle is not None:
+        raise ConfigError("expected either RUN and INPUTS.csv or --sim, --effects and --inputs")
+
+
+def _with_effects(found: FoundEffects, sim: Log) -> tuple[dict[str, FloatArray], dict[str, float]]:
+    """Canonical channels in their order, and by how much each output was changed."""
+    outputs = found.added_to(sim)
+    rms = {n: float(np.sqrt(np.mean((v - sim[n]) ** 2))) for n, v in outputs.items()}
+    both = replace(sim, channels={**sim.channels, **outputs})
+    names = [n for n, row in CHANNELS.items() if n in both.channels and row.role != "auxiliary"]
+    return {"time_s": sim.time_s, **{name: both[name] for name in names}}, rms
+
+
+def _csv(channels: Mapping[str, FloatArray]) -> bytes:
+    form = ",".join(["%.9g"] * len(channels)) + "\n"
+    table = np.column_stack(list(channels.values())) + 0.0
+    text = "".join([form % tuple(row) for row in table.tolist()]).replace("nan", "")
+    return (",".join(channels) + "\n" + text).encode()
+
+
+def _show(console: Console, document: Mapping[str, Any], out: Path) -> None:
+    names = list(document["logs"][0]["rms_change"])
+    console.table(
+        "RMS of what the effects change",
+        ["log", *names],
+        [[r["log"], *(f"{r['rms_change'][n]:.3g}" for n in names)] for r in document["logs"]],
+    )
+    console.say(f"Effects: {', '.join(document['effects']) or 'none'}. Logs: {out}")
+    console.document({**document, "out": str(out)})
