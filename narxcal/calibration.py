@@ -7,12 +7,12 @@ Source: papers/narx calibration, section 2.1 and figure 1. With `ss` the steady-
     y(k) = ss(k) - d(k)
 
 where the schedule holds the steady-state values themselves and the flight condition. The
-parameter register keeps the past deviations and inputs between steps.
+parameter register keeps the past deviations and inputs between steps. Where there are lags
+(`narxcal.lag`), the deviation is theirs plus the network's, which is shown theirs.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from typing import Any, Self
@@ -20,22 +20,22 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from narxcal import kernels
 from narxcal.errors import DataError, ModelError
-from narxcal.narx import AT_START, NarxModel, Weights
+from narxcal.lag import LagModel
+from narxcal.narx import NarxModel
+from narxcal.register import Parts, Register, Sample, stacked
 from narxcal.steady_state import SteadyStateModel, steady_from_json, steady_to_json
 
 FloatArray = NDArray[np.float64]
-# An EGT overshoots its final value by up to 1.6 times the change (FACTS: frozen-speed response).
-_OVERSHOOT = 2.0
 
 
 class DynamicCalibration:
     """Turns inputs into outputs over time: `simulate` for whole logs, `step` for one sample.
 
-    `settle_s` is the fading bound: a deviation may not be larger than twice that of a first-order
-    lag of this time constant, so that it never outlives the movement that caused it. It needs a
-    network whose outputs are deviations that vanish at rest (an anchored one); None means none.
+    `settle_s` is the fading bound: the network's deviation may not be larger than twice that of a
+    first-order lag of this time constant, so that it never outlives the movement that caused it. It
+    needs a network whose outputs vanish at rest (an anchored one); None means none. `with_lag`
+    puts lags in front of the network.
 
     Both give the same numbers. Columns are canonical channels: `input_names` are those of
     the steady-state model, `output_names` those that it gives.
@@ -61,7 +61,20 @@ class DynamicCalibration:
         self.schedule = tuple(schedule)
         self.settle_s = settle_s
         self._columns = [steady.input_names.index(name) for name in schedule]
-        self._register: _Register | None = None
+        self.lag: LagModel | None = None
+        self._register: Register | None = None
+
+    def with_lag(self, lag: LagModel | None) -> DynamicCalibration:
+        """The calibration with `lag` in front of a network that was trained for that."""
+        if lag is not None and lag.output_names != self.output_names:
+            raise ModelError(
+                f"the lags are those of {', '.join(lag.output_names)}, "
+                f"the steady-state model's outputs {', '.join(self.output_names)}"
+            )
+        chosen = copy(self)
+        chosen.lag = lag
+        chosen._register = None  # noqa: SLF001 (a copy of ourselves)
+        return chosen
 
     @property
     def input_names(self) -> tuple[str, ...]:
@@ -80,9 +93,14 @@ class DynamicCalibration:
         chosen._register = None  # noqa: SLF001 (a copy of ourselves)
         return chosen
 
-    def features(self, inputs: FloatArray, ss: FloatArray) -> FloatArray:
-        """What the network is driven by, (time, features): increments, values, schedule."""
-        return narx_features(ss, inputs[:, self._columns])
+    def features(
+        self, inputs: FloatArray, ss: FloatArray, lagged: FloatArray | None = None
+    ) -> FloatArray:
+        """What the network is driven by, (time, features): increments, values, schedule.
+
+        With lags in front of it, it is shown their deviation `lagged` (time, n_out) too.
+        """
+        return narx_features(ss, inputs[:, self._columns], lagged)
 
     def simulate(self, inputs: ArrayLike, start: ArrayLike | None = None) -> FloatArray:
         """Free run over `inputs` (time, n_in); returns (time, n_out).
@@ -93,11 +111,10 @@ class DynamicCalibration:
         given = self._checked(inputs)
         ss = self.steady.outputs(given)
         first = self._first_deviation(ss[0], start)
-        features = self.features(given, ss)
-        register = _Register(self, ss[0], first, features[0])
+        register = self._started(given[0], ss[0], first)
         deviation = first[None]
         if len(given) > 1:
-            later = register.extend(ss[1:], features[1:])
+            later = register.extend(given[1:], ss[1:])
             deviation = np.concatenate([deviation, later])
         return ss - deviation
 
@@ -105,11 +122,20 @@ class DynamicCalibration:
         """One-step-ahead prediction (time, n_out) from measured outputs (time, n_out).
 
         NaN where the register would hold an unknown value: at sample 0 and after a masked one.
+        With lags in front of the network, the network's own share is that of the free run.
         """
         given = self._checked(inputs)
         ss = self.steady.outputs(given)
         deviation = ss - np.asarray(measured, dtype=np.float64)
-        return ss - self.narx.predict(self.features(given, ss), deviation)
+        if self.lag is None:
+            return ss - self.narx.predict(self.features(given, ss), deviation)
+        drive = self.lag.drive(given, self.input_names, ss)
+        free = self.lag.deviations(drive, deviation[0], self.dt_s)
+        share = ss - free - self.simulate(given, ss[0] - deviation[0])
+        lagged = self.lag.deviations(drive, deviation[0], self.dt_s, deviation - share)
+        unknown = np.ones(len(ss), dtype=np.bool_)
+        unknown[1:] = np.isnan(deviation[:-1]).any(axis=1)
+        return np.where(unknown[:, None], np.nan, ss - lagged - share)
 
     def reset(self, inputs: ArrayLike, start: ArrayLike | None = None) -> FloatArray:
         """Fill the register as if the engine had stood still at `inputs` (n_in,).
@@ -119,7 +145,7 @@ class DynamicCalibration:
         given = self._checked(np.atleast_2d(np.asarray(inputs, dtype=np.float64)))
         ss = self.steady.outputs(given)
         first = self._first_deviation(ss[0], start)
-        self._register = _Register(self, ss[0], first, self.features(given, ss)[0])
+        self._register = self._started(given[0], ss[0], first)
         value: FloatArray = ss[0] - first
         return value
 
@@ -133,12 +159,10 @@ class DynamicCalibration:
         if self._register is None:
             return self.reset(given)
         row = self._checked(given[None])
-        register = self._register
         if correction is not None:
-            register.correct(np.asarray(correction, dtype=np.float64))
-        ss = self.steady.outputs(row)[0]
-        feature = np.concatenate([ss - register.ss, ss, row[0, self._columns]])
-        value: FloatArray = ss - register.advance(ss, feature)
+            self._register.correct(np.asarray(correction, dtype=np.float64))
+        ss = self.steady.outputs(row)
+        value: FloatArray = (ss - self._register.extend(row, ss))[0]
         return value
 
     def extend(self, inputs: ArrayLike) -> FloatArray:
@@ -151,12 +175,13 @@ class DynamicCalibration:
             first = self.reset(given[0])[None]
             return np.concatenate([first, self.extend(given[1:])]) if len(given) > 1 else first
         ss = self.steady.outputs(given)
-        before = np.concatenate([self._register.ss[None], ss[:-1]])
-        features = np.concatenate([ss - before, ss, given[:, self._columns]], axis=1)
-        return ss - self._register.extend(ss, features)
+        return ss - self._register.extend(given, ss)
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Guaranteed (low, high) of the deviation of every output, in the outputs' units."""
+        """Guaranteed (low, high) of the deviation of every output, in the outputs' units.
+
+        Of the network's share, where there are lags: theirs are bounded beside it (`LagModel`).
+        """
         return self.narx.bounds
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -165,19 +190,24 @@ class DynamicCalibration:
         steady, steady_arrays = steady_to_json(self.steady)
         arrays = {f"narx/{name}": value for name, value in narx_arrays.items()}
         arrays |= {f"steady/{name}": value for name, value in steady_arrays.items()}
+        lag_meta = None
+        if self.lag is not None:
+            lag_meta, lag_arrays = self.lag.to_arrays()
+            arrays |= {f"lag/{name}": value for name, value in lag_arrays.items()}
         meta = {
             "dt_s": self.dt_s,
             "schedule": list(self.schedule),
             "settle_s": self.settle_s,
             "narx": narx,
             "steady": steady,
+            "lag": lag_meta,
         }
         return meta, arrays
 
     @classmethod
     def from_arrays(cls, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Self:
         """Rebuild from `to_arrays`; raises `ModelError` where the parts do not fit."""
-        part: dict[str, dict[str, NDArray[Any]]] = {"narx": {}, "steady": {}}
+        part: dict[str, dict[str, NDArray[Any]]] = {"narx": {}, "steady": {}, "lag": {}}
         for name, value in arrays.items():
             room, _, rest = name.partition("/")
             if room in part:
@@ -185,12 +215,21 @@ class DynamicCalibration:
         try:
             narx = NarxModel.from_arrays(meta["narx"], part["narx"])
             steady = steady_from_json(meta["steady"], part["steady"])
-            return cls(steady, narx, float(meta["dt_s"]), meta["schedule"], meta["settle_s"])
+            plain = cls(steady, narx, float(meta["dt_s"]), meta["schedule"], meta["settle_s"])
+            lag = meta.get("lag")
+            plain.lag = None if lag is None else LagModel.from_arrays(lag, part["lag"])
         except KeyError as error:
             raise ModelError(
                 f"the stored calibration has no {error}",
                 hint="The bundle was altered; train it again",
             ) from None
+        return plain
+
+    def _started(self, inputs: FloatArray, ss: FloatArray, deviation: FloatArray) -> Register:
+        parts = Parts(
+            self.narx, self.lag, self.dt_s, self.settle_s, self.input_names, self._columns
+        )
+        return Register(parts, Sample(inputs, ss, deviation))
 
     def _checked(self, inputs: ArrayLike) -> FloatArray:
         given = np.asarray(inputs, dtype=np.float64)
@@ -221,9 +260,14 @@ class DynamicCalibration:
         return np.where(np.isfinite(given), ss - given, 0.0)
 
 
-def narx_features(ss: FloatArray, schedule: FloatArray) -> FloatArray:
-    """Stack increments of `ss` (time, n_out), `ss` itself and the flight condition."""
-    return np.concatenate([np.diff(ss, axis=0, prepend=ss[:1]), ss, schedule], axis=1)
+def narx_features(
+    ss: FloatArray, schedule: FloatArray, lagged: FloatArray | None = None
+) -> FloatArray:
+    """Stack increments of `ss` (time, n_out), `ss` itself and the flight condition.
+
+    The deviation of lags in front of the network, where there are any, follows the increments.
+    """
+    return stacked(np.diff(ss, axis=0, prepend=ss[:1]), lagged, ss, schedule)
 
 
 def steady_for_engine(steady: SteadyStateModel, engine: str) -> SteadyStateModel:
@@ -231,53 +275,3 @@ def steady_for_engine(steady: SteadyStateModel, engine: str) -> SteadyStateModel
     chooser = getattr(steady, "for_engine", None)
     chosen: SteadyStateModel = steady if chooser is None else chooser(engine)
     return chosen
-
-
-class _Register:
-    """The paper's parameter register: past deviations, features and the last steady state."""
-
-    def __init__(
-        self,
-        owner: DynamicCalibration,
-        ss: FloatArray,
-        deviation: FloatArray,
-        feature: FloatArray,
-    ) -> None:
-        narx = owner.narx
-        self.keep = None if owner.settle_s is None else math.exp(-owner.dt_s / owner.settle_s)
-        self.fading = np.stack([np.zeros_like(deviation), np.abs(deviation)])
-        self.weights = Weights.of(narx.net)
-        self.inputs, self.outputs = narx.input_scaling, narx.output_scaling
-        self.taps = np.array(narx.config.taps)
-        self.ss = ss
-        self.history = np.tile(self.outputs.down(deviation), narx.config.lags)
-        self.past = np.tile(self.inputs.down(feature), (int(self.taps[-1]) + 1, 1))
-
-    def correct(self, outputs: FloatArray) -> None:
-        newest = self.history[: len(outputs)]
-        scaled = self.outputs.down(self.ss - outputs)
-        newest[:] = np.where(np.isfinite(outputs), scaled, newest)
-        self.fading[1] = np.maximum(self.fading[1], np.abs(self.outputs.up(newest)))
-
-    def advance(self, ss: FloatArray, feature: FloatArray) -> FloatArray:
-        deviation: FloatArray = self.extend(ss[None], feature[None])[0]
-        return deviation
-
-    def extend(self, ss: FloatArray, features: FloatArray) -> FloatArray:
-        """Deviations (time, n_out) at steady states and features (time, ...) to come."""
-        rows = np.concatenate([self.past, self.inputs.down(features)])
-        newest = np.arange(len(self.past), len(rows))
-        tapped = rows[newest[:, None] - self.taps].reshape(len(features), -1)
-        limit = self._limit(features[:, : len(self.ss)])
-        deviation, _, fed = self.weights.run(tapped, (AT_START, self.history[None]), limit)
-        self.history = np.concatenate([deviation[-1], fed[-1, : -deviation.shape[1]]])
-        self.past = rows[-len(self.past) :]
-        self.ss = ss[-1]
-        return self.outputs.up(deviation)
-
-    def _limit(self, increments: FloatArray) -> FloatArray | None:
-        if self.keep is None:
-            return None
-        envelope = kernels.fading(np.ascontiguousarray(increments), self.fading, self.keep)
-        limit: FloatArray = _OVERSHOOT * envelope / self.outputs.scale
-        return limit

@@ -39,14 +39,14 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 
 
-def _compile(function: Function) -> Function:
+def compiled(function: Function) -> Function:
     """Compile by numba, which ships no types: to its callers the function is what it was."""
-    compiled: Any = njit(cache=True, nogil=True, fastmath=_FASTMATH)(function)
-    same: Function = compiled
+    made: Any = njit(cache=True, nogil=True, fastmath=_FASTMATH)(function)
+    same: Function = made
     return same
 
 
-@_compile
+@compiled
 def _push(register: FloatArray, newest: FloatArray) -> None:
     """Shift `newest` in at the front of `register`; both are rows, or rows of vectors."""
     count = len(newest)
@@ -56,7 +56,7 @@ def _push(register: FloatArray, newest: FloatArray) -> None:
         register[o] = newest[o]
 
 
-@_compile
+@compiled
 def free_run(
     drive_hidden: FloatArray,
     drive_linear: FloatArray,
@@ -105,7 +105,7 @@ def free_run(
     return y, active, fed
 
 
-@_compile
+@compiled
 def fading(increments: FloatArray, state: FloatArray, keep: float) -> FloatArray:
     """Envelope (T, o) of what a slow first-order lag behind moving targets would be off by.
 
@@ -123,7 +123,7 @@ def fading(increments: FloatArray, state: FloatArray, keep: float) -> FloatArray
     return envelope
 
 
-@_compile
+@compiled
 def _gain(
     active: FloatArray, feedback: tuple[FloatArray, FloatArray, FloatArray], gain: FloatArray
 ) -> None:
@@ -138,7 +138,7 @@ def _gain(
                 gain[o, j] += c * w1y[i, j]
 
 
-@_compile
+@compiled
 def adjoint(
     outer: FloatArray,
     run: Run,
@@ -183,7 +183,7 @@ def adjoint(
     return total, hidden
 
 
-@_compile
+@compiled
 def _direct(
     row: FloatArray,
     sample: tuple[int, int, float],
@@ -213,7 +213,7 @@ def _direct(
         row[at_a + o * width + j] += sign * phi[k, j]
 
 
-@_compile
+@compiled
 def _recall(row: FloatArray, gain: FloatArray, memory: FloatArray) -> None:
     """Add what the history passes on, sum_j gain_j memory_j, to `row` (P,)."""
     for j in range(len(gain)):
@@ -222,7 +222,7 @@ def _recall(row: FloatArray, gain: FloatArray, memory: FloatArray) -> None:
                 row[p] += gain[j] * memory[j, p]
 
 
-@_compile
+@compiled
 def jacobian(
     features: tuple[FloatArray, FloatArray, FloatArray],
     run: Run,

@@ -31,6 +31,8 @@ class NarxSection(Section):
     `schedule` names the inputs that change how fast the engine moves. `anchored` makes the
     steady-state model an exact equilibrium; without it the network is the paper's. `settle_s` is
     the longest time constant with which an anchored network's deviation may fade; 0 means any.
+    `lag` puts state-dependent lags in front of an anchored network (see narxcal.lag), which then
+    learns what they leave.
     """
 
     outputs: tuple[str, ...] = Field(default=("N1_pct", "N2_pct", "EGT_C"), min_length=1)
@@ -42,6 +44,13 @@ class NarxSection(Section):
     anchored: bool = True
     settle_s: float = Field(default=60.0, ge=0)
     joint: bool = True
+    lag: bool = False
+
+    @model_validator(mode="after")
+    def _lag_needs_an_anchor(self) -> NarxSection:
+        if self.lag and not self.anchored:
+            raise ValueError("lag = true needs anchored = true")
+        return self
 
     @field_validator("outputs", "schedule")
     @classmethod
@@ -122,7 +131,9 @@ class RunConfig(Section):
         inputs = self.steady_state.inputs
         needed = [("[narx] schedule", name) for name in self.narx.schedule]
         if self.steady_state.kind == "fitted":
-            needed.append(("[events] driver", self.events.driver))
+            own = self.steady_state.driver
+            key = "[steady_state] driver" if own else "[events] driver"
+            needed.append((key, own or self.events.driver))
         for key, name in needed:
             if name not in inputs:
                 raise ConfigError(

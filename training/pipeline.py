@@ -7,7 +7,7 @@ import os
 import platform
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from data_prep.prepare import prepare
 from data_prep.quasi_steady import quasi_steady
 from data_prep.reading import read_logs
 from narxcal.bundle import Bundle
-from narxcal.calibration import DynamicCalibration, narx_features, steady_for_engine
+from narxcal.calibration import DynamicCalibration
 from narxcal.errors import ConfigError, DataError
 from narxcal.fuser_noise import estimate_noise
 from narxcal.narx import NarxConfig, NarxModel
@@ -31,11 +31,23 @@ from narxcal.steady_state import SteadyStateModel
 from training.baselines import fit_baselines
 from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import RunConfig, SplitConfig
-from training.local_trim import locally_trimmed
+from training.material import deviation_record, lags, material, speeds, structure_of
 from training.merge import merge_models, single_output
-from training.rest import rest_records
 from training.steady_fit import SteadyQuality, SteadySamples, fit_steady_state
 from training.trainer import FitResult, HistoryRow, Material, Progress, fit_narx
+
+__all__ = [
+    "CHECKPOINT",
+    "Split",
+    "TrainOptions",
+    "calibrate",
+    "calibration_for",
+    "configured_files",
+    "deviation_record",
+    "prepare_logs",
+    "split_logs",
+    "steady_state",
+]
 
 CHECKPOINT = "checkpoint-{}.safetensors"
 
@@ -103,23 +115,14 @@ def calibrate(
     began = time.perf_counter()
     dt_s = _common_raster([*split.train, *split.validate])
     steady, quality = steady_state(config, base, split.train)
-    structure = NarxConfig(
-        lags=config.narx.lags,
-        taps=config.narx.taps,
-        hidden=config.narx.hidden,
-        margin=config.narx.margin,
-        moving=len(config.narx.outputs) if config.narx.anchored else 0,
-    )
-    material = Material(
-        [deviation_record(log, steady, config) for log in split.train],
-        [deviation_record(log, steady, config) for log in split.validate],
-        dt_s,
-    )
-    material = replace(material, rest=_rest(config, material, structure.moving))
-    results = _fit(config, material, structure, options or TrainOptions())
+    lag = lags(config, steady, split.train)
+    structure = structure_of(config)
+    learned = material(config, steady, lag, (split.train, split.validate))
+    results = _fit(config, learned, structure, options or TrainOptions())
     network = merge_models(_models(results))
     settle_s = config.narx.settle_s if config.narx.anchored and config.narx.settle_s > 0 else None
-    calibration = DynamicCalibration(steady, network, dt_s, config.narx.schedule, settle_s)
+    plain = DynamicCalibration(steady, network, dt_s, config.narx.schedule, settle_s)
+    calibration = plain.with_lag(lag)
     meta = _meta(config, base, split)
     meta["steady_state"] = _quality_row(quality)
     meta["training"] = _training_row(results, time.perf_counter() - began)
@@ -145,40 +148,16 @@ def steady_state(
     layout = Layout(
         input_names=section.inputs,
         output_names=outputs,
-        driver=config.events.driver,
+        driver=section.driver or config.events.driver,
         blend=section.blend,
         corrected=section.corrected,
     )
     samples = []
     for log in logs:
-        still = quasi_steady(log, layout.driver, _speeds(config), config.quasi_steady)
+        still = quasi_steady(log, layout.driver, speeds(config), config.quasi_steady)
         inputs, measured = log.matrix(section.inputs)[still], log.matrix(outputs)[still]
         samples.append(SteadySamples(inputs, measured, log.source.engine))
     return fit_steady_state(samples, layout, section.fit)
-
-
-def deviation_record(log: Log, steady: SteadyStateModel, config: RunConfig) -> Record:
-    """What the network learns from: features and deviations of one log (papers/narx, 2.1)."""
-    inputs = log.matrix(steady.input_names)
-    ss = steady_for_engine(steady, log.source.engine).outputs(inputs)
-    measured = log.matrix(steady.output_names)
-    if config.train.local_trim:
-        still = quasi_steady(log, config.events.driver, _speeds(config), config.train.still)
-        ss = locally_trimmed(ss, measured, still)
-    columns = [steady.input_names.index(name) for name in config.narx.schedule]
-    return Record(narx_features(ss, inputs[:, columns]), ss - measured, log.name)
-
-
-def _rest(config: RunConfig, material: Material, moving: int) -> list[Record]:
-    """Rest records for an anchored network; one that is not anchored need not come to rest."""
-    steps = round(config.train.rest_s / material.dt_s)
-    if not moving or steps < 2:
-        return []
-    return rest_records(material.records, moving, steps, config.train.seed)
-
-
-def _speeds(config: RunConfig) -> tuple[str, ...]:
-    return tuple(name for name in config.narx.outputs if name in ("N1_pct", "N2_pct"))
 
 
 def _common_raster(logs: Sequence[Log]) -> float:
@@ -193,18 +172,18 @@ def _common_raster(logs: Sequence[Log]) -> float:
 
 
 def _fit(
-    config: RunConfig, material: Material, structure: NarxConfig, options: TrainOptions
+    config: RunConfig, learned: Material, structure: NarxConfig, options: TrainOptions
 ) -> list[FitResult]:
     """One joint network, or one per output whose results are merged."""
     if config.narx.joint:
-        return [_fit_one(config, material, structure, (options, "joint"))]
+        return [_fit_one(config, learned, structure, (options, "joint"))]
     results = []
     for k, name in enumerate(config.narx.outputs):
         part = Material(
-            [single_output(record, k) for record in material.records],
-            [single_output(record, k) for record in material.validation],
-            material.dt_s,
-            [single_output(record, k) for record in material.rest],
+            [single_output(record, k) for record in learned.records],
+            [single_output(record, k) for record in learned.validation],
+            learned.dt_s,
+            [single_output(record, k) for record in learned.rest],
         )
         results.append(_fit_one(config, part, structure, (options, name)))
     return results
@@ -212,7 +191,7 @@ def _fit(
 
 def _fit_one(
     config: RunConfig,
-    material: Material,
+    learned: Material,
     structure: NarxConfig,
     how: tuple[TrainOptions, str],
 ) -> FitResult:
@@ -221,9 +200,9 @@ def _fit_one(
     key = fingerprint(
         config.train.model_dump_json(),
         structure.model_dump_json(),
-        *(_record_hash(record) for record in material.records),
+        *(_record_hash(record) for record in learned.records),
         "validation",
-        *(_record_hash(record) for record in material.validation),
+        *(_record_hash(record) for record in learned.validation),
     )
 
     def watch(progress: Progress) -> None:
@@ -235,7 +214,7 @@ def _fit_one(
     resume = None
     if options.resume and file is not None and file.is_file():
         resume = read_checkpoint(file, key)
-    return fit_narx(material, structure, config.train, watch, resume)
+    return fit_narx(learned, structure, config.train, watch, resume)
 
 
 def _record_hash(record: Record) -> str:

@@ -269,13 +269,15 @@ class SteadyStateConfig(Section):
     """Table [steady_state]: fit a model to the logs, or load the maker's.
 
     `kind` "fitted" uses `inputs` (which must hold ALT_ft, Mach and dT_C if `corrected`) and
-    blends curves between the extremes of `blend`. The other kinds load `source`: a CSV table,
+    blends curves over `driver` (that of [events] where it is empty) between the extremes of
+    `blend`. The other kinds load `source`: a CSV table,
     `module:function` or an FMU file.
     """
 
     kind: Kind = "fitted"
     source: str = ""
     inputs: tuple[str, ...] = ("TRA_deg", "ALT_ft", "Mach", "dT_C")
+    driver: str = ""
     blend: tuple[str, ...] = ("Mach",)
     corrected: bool = True
     fit: SteadyFitConfig = SteadyFitConfig()

@@ -10,6 +10,7 @@ from narxcal.bundle import Bundle, load_bundle, save_bundle
 from narxcal.errors import ConfigError, DataError, ModelError
 from training.config import RunConfig, SplitConfig
 from training.pipeline import (
+    Split,
     TrainOptions,
     calibrate,
     calibration_for,
@@ -197,3 +198,37 @@ def test_files_are_read_cleaned_and_completed(tmp_path):
     assert [entry.channel for entry in held] == ["Mach"]
     (coarse,) = prepare_logs(config(), files, dt_s=0.2)
     assert coarse.dt_s == pytest.approx(0.2)
+
+
+def test_lags_in_front_of_the_network_are_fitted_and_followed(tmp_path):
+    parts = split(2, 0, 1)
+    bundle = calibrate(config(narx={**TABLE["narx"], "lag": True}), tmp_path, parts)
+    model, (log,) = bundle.calibration, parts.test
+    assert model.lag is not None
+    tau_s = np.exp(model.lag.parameters[0, :7] @ [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert tau_s == pytest.approx(TAU_S, rel=0.25)
+    measured = log.matrix(model.output_names)
+    error = model.simulate(log.matrix(model.input_names), measured[0]) - measured
+    assert (np.sqrt(np.mean(error**2, axis=0)) < [0.6, 2.5]).all()
+
+
+def test_lags_need_an_anchored_network():
+    with pytest.raises(ConfigError, match="lag = true needs anchored = true"):
+        config(narx={**TABLE["narx"], "lag": True, "anchored": False})
+
+
+def test_curves_may_go_over_another_channel_than_events_do(tmp_path):
+    logs = tuple(
+        log.with_channels({"FF_kgph": 50.0 + 3.0 * log["TRA_deg"]}) for log in split(1, 0, 0).train
+    )
+    section = {"inputs": ["FF_kgph", "Mach"], "driver": "FF_kgph", "blend": [], "corrected": False}
+    bundle = calibrate(config(steady_state=section), tmp_path, Split(logs, (), ()))
+    assert bundle.calibration.input_names == ("FF_kgph", "Mach")
+    assert bundle.calibration.steady.layout.driver == "FF_kgph"
+
+
+def test_a_driver_of_the_curves_that_is_no_input_is_refused():
+    with pytest.raises(
+        ConfigError, match=r"\[steady_state\] driver names 'FF_kgph', which is not in"
+    ):
+        config(steady_state={**TABLE["steady_state"], "driver": "FF_kgph"})

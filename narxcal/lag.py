@@ -1,0 +1,239 @@
+"""State-dependent lags: how each output follows its steady-state value, in physical parameters.
+
+A spool is a first-order lag whose time constant depends on its speed and on the air (NACA
+TR-1011: coefficients are corrected for altitude like steady-state data; FACTS A2). With the
+deviation d = ss - y, the time constant tau and the increment D of ss over a step dt
+
+    fast(k) = a fast(k-1) + (1 - a) ((tau - lead) D / dt + core d_core(k)),   a = exp(-dt / tau)
+    slow(k) = b (slow(k-1) + share D),                                        b = exp(-dt / tau_s)
+    d(k)    = fast(k) + slow(k)
+    log tau = p . [1, log(sqrt(theta2) / delta2), v, w, v^2, v w, w^2]
+
+where v and w are the spool's corrected speed as it is and as it would settle, scaled to [-1, 1]
+over what training has seen. `lead` is the lag of the meter that ss is computed from, `core` how
+far an output follows the core spool, whose d is known first; the slow part is the heat soak.
+This is a state-dependent parameter model (Young, McKenna and Bruun 2001, Int. J. Control 74).
+Both parts decay wherever the inputs stand still, so the steady state is an exact equilibrium.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from narxcal.atmosphere import air_state
+from narxcal.errors import ModelError
+from narxcal.kernels import compiled
+from narxcal.narx import AT_START
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+PARAMETERS = (
+    "log_tau", "air", "speed", "target", "speed_speed", "speed_target", "target_target",
+    "lead_s", "core", "slow_share", "log_slow_tau",
+)  # fmt: skip
+_ARRAYS = ("parameters", "centre", "half", "limit")
+
+
+class Drive(NamedTuple):
+    """What the lags follow, row by row; row 0 is the sample before the first step.
+
+    `ss` (T, o) are the steady-state values, `target` (T, o) the same, corrected and scaled to
+    [-1, 1], `per_unit` (T, o) the scaled speed per unit of the output, `air` (T,) the logarithm of
+    sqrt(theta2) / delta2.
+    """
+
+    ss: FloatArray
+    target: FloatArray
+    per_unit: FloatArray
+    air: FloatArray
+
+    def rows(self, part: slice | IntArray) -> Drive:
+        """Some of the rows."""
+        return Drive(*(np.ascontiguousarray(column[part]) for column in self))
+
+    def after(self, before: Drive) -> Drive:
+        """These rows behind those of `before`."""
+        pairs = zip(before, self, strict=True)
+        return Drive(*(np.concatenate(pair) for pair in pairs))
+
+
+@compiled
+def run_lags(
+    drive: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    lags: tuple[FloatArray, FloatArray],
+    starts: tuple[IntArray, FloatArray],
+    measured: FloatArray,
+    dt_s: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Fast and slow part (T, o) of the deviation; see the module for the equations.
+
+    `drive` are the columns of `Drive` with the core spool first (see `LagModel.run`); where an
+    output is no speed, its columns but ss hold the core's, and `per_unit` is negative. `lags` are
+    `parameters` and `limit` of the model, sorted alike; the fast part is clipped to +-`limit`.
+    `starts` are (positions (n,), parts (n, 2, o)): rows at which a window begins, and fast and
+    slow part there. `measured` (T, o), if it has rows, replaces the deviation before each step
+    where it is finite (one-step prediction).
+    """
+    ss, target, per_unit, air = drive
+    parameters, limit = lags
+    positions, parts = starts
+    steps, outputs = ss.shape
+    fast = np.zeros((steps, outputs))
+    slow = np.zeros((steps, outputs))
+    before = np.zeros(outputs)
+    window = 0
+    for k in range(steps):
+        if window < len(positions) and positions[window] == k:
+            fast[k] = parts[window, 0]
+            slow[k] = parts[window, 1]
+            window += 1
+            continue
+        for o in range(outputs):
+            before[o] = fast[k - 1, o]
+            if len(measured) > 0 and math.isfinite(measured[k - 1, o]):
+                before[o] = measured[k - 1, o] - slow[k - 1, o]
+        for o in range(outputs):
+            p = parameters[o]
+            w = min(max(target[k, o], -1.5), 1.5)
+            mine = before[o] if per_unit[k, o] > 0.0 else before[0]
+            v = target[k - 1, o] - mine * abs(per_unit[k, o])
+            v = min(max(v, -1.5), 1.5)
+            log_tau = p[0] + p[1] * air[k] + p[2] * v + p[3] * w
+            log_tau += p[4] * v * v + p[5] * v * w + p[6] * w * w
+            tau = math.exp(min(max(log_tau, -2.5), 3.0))
+            a = math.exp(-dt_s / tau)
+            step = ss[k, o] - ss[k - 1, o]
+            drawn = (tau - p[7]) * step / dt_s
+            if o > 0:
+                drawn += p[8] * (fast[k, 0] + slow[k, 0])
+            fast[k, o] = min(max(a * before[o] + (1.0 - a) * drawn, -limit[o]), limit[o])
+            b = math.exp(-dt_s / math.exp(min(max(p[10], 0.0), 4.0)))
+            slow[k, o] = b * (slow[k - 1, o] + p[9] * step)
+    return fast, slow
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LagModel:
+    """The lags of all outputs.
+
+    `parameters` (n_out, 11) are named by `PARAMETERS`. `centre` and `half` (n_out,) scale the
+    corrected outputs; `limit` (n_out,) bounds the fast part of each deviation. The core spool is
+    the last output that is a speed, or the first output of an engine without one.
+    """
+
+    output_names: tuple[str, ...]
+    parameters: FloatArray
+    centre: FloatArray
+    half: FloatArray
+    limit: FloatArray
+
+    @property
+    def core(self) -> int:
+        """Column of the core spool."""
+        return core_of(self.output_names)
+
+    def of(self, columns: IntArray) -> LagModel:
+        """Some of the outputs; the core spool has to be among them."""
+        return LagModel(
+            output_names=tuple(self.output_names[k] for k in columns),
+            parameters=self.parameters[columns],
+            centre=self.centre[columns],
+            half=self.half[columns],
+            limit=self.limit[columns],
+        )
+
+    def drive(self, inputs: FloatArray, names: Sequence[str], ss: FloatArray) -> Drive:
+        """What the lags follow, from inputs (T, n_in) called `names` and ss (T, n_out)."""
+        root, air = thickness(inputs, names)
+        speeds = speeds_of(self.output_names)
+        own = np.where(speeds, np.arange(len(speeds)), self.core)
+        scale = root[:, None] * self.half
+        target = (ss / root[:, None] - self.centre) / self.half
+        sign = np.where(speeds | (np.arange(len(speeds)) == self.core), 1.0, -1.0)
+        return Drive(ss, target[:, own], sign / scale[:, own], air)
+
+    def run(
+        self,
+        drive: Drive,
+        starts: tuple[IntArray, FloatArray],
+        dt_s: float,
+        measured: FloatArray | None = None,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Fast and slow part (T, n_out) of the deviation; arguments as of `run_lags`."""
+        order = core_first(self.output_names)
+        back = np.argsort(order)
+        ss, target, per_unit = (np.ascontiguousarray(part[:, order]) for part in drive[:3])
+        forced = np.empty((0, len(order))) if measured is None else measured[:, order]
+        fast, slow = run_lags(
+            (ss, target, per_unit, drive.air),
+            (self.parameters[order], self.limit[order]),
+            (starts[0], np.ascontiguousarray(starts[1][:, :, order])),
+            np.ascontiguousarray(forced),
+            dt_s,
+        )
+        return fast[:, back], slow[:, back]
+
+    def deviations(
+        self, drive: Drive, start: FloatArray, dt_s: float, measured: FloatArray | None = None
+    ) -> FloatArray:
+        """Deviations (T, n_out) from `start` (n_out,) on; a NaN there counts as zero."""
+        first = np.stack([np.nan_to_num(start), np.zeros(len(start))])
+        fast, slow = self.run(drive, (AT_START, first[None]), dt_s, measured)
+        return fast + slow
+
+    def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
+        """Split into JSON-able structure and named arrays, for the bundle."""
+        meta = {"output_names": list(self.output_names), "parameter_names": list(PARAMETERS)}
+        return meta, {name: getattr(self, name) for name in _ARRAYS}
+
+    @classmethod
+    def from_arrays(cls, meta: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> Self:
+        """Rebuild from `to_arrays`; `ModelError` where an array is missing or misshapen."""
+        names = tuple(meta["output_names"])
+        shapes: dict[str, tuple[int, ...]] = dict.fromkeys(_ARRAYS, (len(names),))
+        shapes["parameters"] = (len(names), len(PARAMETERS))
+        kept = {}
+        for name, shape in shapes.items():
+            found = arrays.get(name)
+            if found is None or found.shape != shape:
+                given = None if found is None else found.shape
+                raise ModelError(f"lag array '{name}' has to be of shape {shape}, found {given}")
+            kept[name] = np.array(found, dtype=np.float64)
+        return cls(output_names=names, **kept)
+
+
+def speeds_of(names: Sequence[str]) -> NDArray[np.bool_]:
+    """Which outputs are spool speeds."""
+    return np.array([name.endswith("_pct") for name in names])
+
+
+def core_of(names: Sequence[str]) -> int:
+    """Column of the core spool: the last speed, or 0."""
+    speeds = np.flatnonzero(speeds_of(names))
+    return int(speeds[-1]) if len(speeds) else 0
+
+
+def core_first(names: Sequence[str]) -> IntArray:
+    """Columns with the core spool first."""
+    columns = np.arange(len(names))
+    core = core_of(names)
+    return np.concatenate([[core], columns[columns != core]])
+
+
+def thickness(inputs: FloatArray, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+    """Return sqrt(theta2) and log(sqrt(theta2) / delta2), both (T,); what is missing is zero."""
+    zero = np.zeros(len(inputs))
+    air = air_state(
+        *(
+            inputs[:, list(names).index(name)] if name in names else zero
+            for name in ("ALT_ft", "Mach", "dT_C")
+        )
+    )
+    root = np.sqrt(air.theta2)
+    return root, np.log(root / air.delta2)

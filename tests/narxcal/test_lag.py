@@ -1,0 +1,205 @@
+"""The lags: a slow twin, closed forms, an exact equilibrium, and what must not matter."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from narxcal.atmosphere import air_state
+from narxcal.errors import ModelError
+from narxcal.lag import PARAMETERS, LagModel, thickness
+from narxcal.narx import AT_START
+
+NAMES, INPUTS = ("N1_pct", "N2_pct", "EGT_C"), ("ALT_ft", "Mach", "dT_C")
+DT_S = 0.1
+
+
+def lags(names=NAMES, limit=100.0, **values):
+    """Lags of 1 s without a meter's lag or a slow part, but for `values`."""
+    parameters = np.zeros((len(names), len(PARAMETERS)))
+    parameters[:, PARAMETERS.index("log_slow_tau")] = 1.5
+    for name, value in values.items():
+        parameters[:, PARAMETERS.index(name)] = value
+    kept = {"N1_pct": (60.0, 30.0), "N2_pct": (75.0, 20.0), "EGT_C": (500.0, 150.0)}
+    centre, half = np.array([kept[name] for name in names]).T
+    return LagModel(
+        output_names=names,
+        parameters=parameters,
+        centre=centre,
+        half=half,
+        limit=np.full(len(names), limit),
+    )
+
+
+def wild(seed, names=NAMES):
+    """Lags and a log of steady-state values, both drawn."""
+    rng = np.random.default_rng(seed)
+    model = lags(names, limit=rng.uniform(5.0, 60.0))
+    model.parameters[:] = rng.normal(scale=0.5, size=model.parameters.shape)
+    ss = model.centre + model.half * np.repeat(rng.uniform(-1.2, 1.2, (8, len(names))), 15, axis=0)
+    inputs = rng.uniform([0.0, 0.0, -10.0], [35000.0, 0.8, 10.0], (8, 3))
+    return model, np.repeat(inputs, 15, axis=0), ss
+
+
+def slowly(model, inputs, ss, start):
+    """The module's equations, one by one, for outputs N1, N2 and EGT in this order."""
+    air = air_state(*inputs.T)
+    root, thin = np.sqrt(air.theta2), np.log(np.sqrt(air.theta2) / air.delta2)
+    fast, slow = [start], [np.zeros(3)]
+    for k in range(1, len(ss)):
+        new, soak = np.zeros(3), np.zeros(3)
+        for o in (1, 0, 2):
+            p = dict(zip(PARAMETERS, model.parameters[o], strict=True))
+            q = 1 if o == 2 else o  # the EGT goes by the core
+            scaled = (ss[:, q] / root - model.centre[q]) / model.half[q]
+            w = np.clip(scaled[k], -1.5, 1.5)
+            v = np.clip(scaled[k - 1] - fast[-1][q] / (root[k] * model.half[q]), -1.5, 1.5)
+            terms = np.array([1.0, thin[k], v, w, v * v, v * w, w * w])
+            tau = math.exp(np.clip(terms @ model.parameters[o, :7], -2.5, 3.0))
+            a, step = math.exp(-DT_S / tau), ss[k, o] - ss[k - 1, o]
+            drawn = (tau - p["lead_s"]) * step / DT_S
+            if o != 1:
+                drawn += p["core"] * (new[1] + soak[1])
+            new[o] = np.clip(a * fast[-1][o] + (1 - a) * drawn, -model.limit[o], model.limit[o])
+            b = math.exp(-DT_S / math.exp(np.clip(p["log_slow_tau"], 0.0, 4.0)))
+            soak[o] = b * (slow[-1][o] + p["slow_share"] * step)
+        fast.append(new)
+        slow.append(soak)
+    return np.array(fast) + np.array(slow)
+
+
+@settings(deadline=None, max_examples=25)
+@given(seed=st.integers(0, 200))
+def test_the_kernel_is_the_equations(seed):
+    model, inputs, ss = wild(seed)
+    start = np.random.default_rng(seed).normal(size=3)
+    expected = slowly(model, inputs, ss, start)
+    got = model.deviations(model.drive(inputs, INPUTS, ss), start, DT_S)
+    np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-9)
+
+
+def test_a_constant_time_constant_decays_by_the_textbook():
+    model, ss = lags(log_tau=math.log(0.7)), np.full((60, 3), 70.0)
+    drive = model.drive(np.zeros((60, 3)), INPUTS, ss)
+    got = model.deviations(drive, np.array([3.0, -2.0, 40.0]), DT_S)
+    decay = np.exp(-DT_S * np.arange(60) / 0.7)
+    np.testing.assert_allclose(got, decay[:, None] * [3.0, -2.0, 40.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize(("lead_s", "behind"), [(0.0, 2.0), (0.5, 1.0), (1.0, 0.0)])
+def test_behind_a_ramp_by_the_time_constant_less_the_lag_of_the_meter(lead_s, behind):
+    ss = np.repeat(20.0 + 2.0 * DT_S * np.arange(200)[:, None], 3, axis=1)
+    model = lags(lead_s=lead_s)
+    got = model.deviations(model.drive(np.zeros((200, 3)), INPUTS, ss), np.zeros(3), DT_S)
+    np.testing.assert_allclose(got[-1], behind, atol=1e-6)
+
+
+def test_thin_air_slows_a_spool_by_root_theta_over_delta():
+    low = np.zeros((40, 3))
+    high = np.tile([35000.0, 0.0, 0.0], (40, 1))
+    air = air_state(35000.0)
+    slower = float(np.sqrt(air.theta2) / air.delta2)
+    model, ss = lags(air=1.0), np.full((40, 3), 70.0)
+    once, thin = (
+        model.deviations(model.drive(inputs, INPUTS, ss), np.ones(3), DT_S)
+        for inputs in (low, high)
+    )
+    np.testing.assert_allclose(np.log(once[1:]) / np.log(thin[1:]), slower, rtol=1e-9)
+
+
+@settings(deadline=None, max_examples=25)
+@given(seed=st.integers(0, 200))
+def test_it_stays_bounded_and_comes_to_rest_whatever_the_parameters(seed):
+    model, inputs, ss = wild(seed)
+    model.parameters[:, PARAMETERS.index("slow_share")] = 0.0
+    moving = model.deviations(model.drive(inputs, INPUTS, ss), np.zeros(3), DT_S)
+    assert (np.abs(moving) <= model.limit).all()
+    still = np.full((6000, 3), 70.0)
+    drive = model.drive(np.tile(inputs[:1], (6000, 1)), INPUTS, still)
+    assert np.abs(model.deviations(drive, 0.5 * model.limit, DT_S)[-1]).max() < 1e-3
+
+
+@settings(deadline=None, max_examples=25)
+@given(seed=st.integers(0, 50))
+def test_the_order_of_the_outputs_does_not_matter(seed):
+    model, inputs, ss = wild(seed)
+    order = np.array([2, 0, 1])
+    mixed = model.of(order)
+    start = np.array([1.0, -2.0, 30.0])
+    expected = model.deviations(model.drive(inputs, INPUTS, ss), start, DT_S)
+    drive = mixed.drive(inputs, INPUTS, ss[:, order])
+    np.testing.assert_allclose(
+        mixed.deviations(drive, start[order], DT_S), expected[:, order], rtol=1e-12
+    )
+
+
+def test_an_output_does_not_act_on_the_core_nor_on_another():
+    model, inputs, ss = wild(3)
+    alone = model.of(np.array([1]))
+    both = model.deviations(model.drive(inputs, INPUTS, ss), np.zeros(3), DT_S)
+    core = alone.deviations(alone.drive(inputs, INPUTS, ss[:, 1:2]), np.zeros(1), DT_S)
+    np.testing.assert_allclose(core[:, 0], both[:, 1], rtol=1e-12)
+
+
+def test_windows_end_to_end_are_windows_alone():
+    model, inputs, ss = wild(5)
+    drive = model.drive(inputs, INPUTS, ss)
+    begins = np.array([0, 40, 90])
+    parts = np.random.default_rng(0).normal(size=(3, 2, 3))
+    fast, slow = model.run(drive, (begins, parts), DT_S)
+    for k, (first, last) in enumerate(zip(begins, [40, 90, 120], strict=True)):
+        rows = slice(first, last)
+        alone = model.run(drive.rows(rows), (AT_START, parts[k : k + 1]), DT_S)
+        np.testing.assert_array_equal(fast[rows], alone[0])
+        np.testing.assert_array_equal(slow[rows], alone[1])
+
+
+def test_measured_deviations_make_it_a_one_step_prediction():
+    model, inputs, ss = wild(7)
+    drive = model.drive(inputs, INPUTS, ss)
+    measured = np.random.default_rng(1).normal(size=ss.shape)
+    got = model.deviations(drive, measured[0], DT_S, measured)
+    fast, slow = model.run(drive, (AT_START, np.stack([measured[0], np.zeros(3)])[None]), DT_S)
+    for k in range(1, len(ss)):
+        state = np.stack([measured[k - 1] - slow[k - 1], slow[k - 1]])
+        one = model.run(drive.rows(slice(k - 1, k + 1)), (AT_START, state[None]), DT_S)
+        np.testing.assert_allclose(got[k], (one[0] + one[1])[1], rtol=1e-9, atol=1e-12)
+    unknown = np.full_like(measured, np.nan)
+    np.testing.assert_array_equal(model.deviations(drive, measured[0], DT_S, unknown), fast + slow)
+
+
+def test_missing_air_is_that_of_sea_level():
+    root, thin = thickness(np.full((3, 1), 40.0), ("TRA_deg",))
+    np.testing.assert_allclose(root, 1.0)
+    np.testing.assert_allclose(thin, 0.0, atol=1e-12)
+
+
+def test_an_engine_without_a_speed_goes_by_its_first_output():
+    model = lags(("EGT_C",), speed=0.5)
+    ss = np.full((30, 1), 500.0)
+    drive = model.drive(np.zeros((30, 3)), INPUTS, ss)
+    assert model.core == 0
+    assert np.abs(model.deviations(drive, np.array([50.0]), DT_S)[-1]) < 5.0
+
+
+def test_it_comes_back_from_json_and_arrays_as_it_was():
+    model, inputs, ss = wild(9)
+    again = LagModel.from_arrays(*model.to_arrays())
+    drive = model.drive(inputs, INPUTS, ss)
+    np.testing.assert_array_equal(
+        again.deviations(drive, np.ones(3), DT_S), model.deviations(drive, np.ones(3), DT_S)
+    )
+
+
+@pytest.mark.parametrize("found", [None, np.zeros(2)])
+def test_a_lost_or_misshapen_array_is_named(found):
+    meta, arrays = lags().to_arrays()
+    arrays = {name: value for name, value in arrays.items() if name != "half"}
+    arrays |= {} if found is None else {"half": found}
+    shape = "None" if found is None else r"\(2,\)"
+    with pytest.raises(
+        ModelError, match=rf"lag array 'half' has to be of shape \(3,\), found {shape}"
+    ):
+        LagModel.from_arrays(meta, arrays)

@@ -1,0 +1,91 @@
+"""Fitting the lags: known ones come back, also past a bleed that nobody recorded."""
+
+import numpy as np
+import pytest
+
+from narxcal.errors import DataError
+from narxcal.lag import PARAMETERS, LagModel
+from training.lag_fit import LagSamples, fit_lags
+
+NAMES = (("ALT_ft",), ("N1_pct", "N2_pct", "EGT_C"))
+DT_S = 0.1
+
+
+def truth():
+    values = {
+        "N1_pct": {"log_tau": 0.2, "air": 0.8, "speed": -0.3, "target": -0.4, "lead_s": 0.2,
+                   "core": 0.3, "slow_share": 0.03, "log_slow_tau": 1.6},
+        "N2_pct": {"log_tau": 0.0, "air": 1.0, "speed": -0.2, "target": -0.5, "lead_s": 0.4,
+                   "slow_share": 0.05, "log_slow_tau": 1.8},
+        "EGT_C": {"log_tau": -0.5, "core": -3.0, "slow_share": 0.1, "log_slow_tau": 2.0},
+    }  # fmt: skip
+    table = [[values[name].get(key, 0.0) for key in PARAMETERS] for name in NAMES[1]]
+    return LagModel(
+        output_names=NAMES[1],
+        parameters=np.array(table),
+        centre=np.array([60.0, 75.0, 500.0]),
+        half=np.array([30.0, 20.0, 150.0]),
+        limit=np.full(3, 1e3),
+    )
+
+
+def log(seed, bleed=0.0, noise=0.02, dt_s=DT_S):
+    """Moves every 12 s at altitudes up to 30 000 ft, followed by the true lags."""
+    rng = np.random.default_rng(seed)
+    hold, moves = round(12.0 / dt_s), 40
+    part = np.repeat(rng.uniform(-1.0, 1.0, moves), hold)
+    part = np.convolve(part, np.ones(8) / 8, "same")[:, None]
+    ss = np.array([60.0, 75.0, 500.0]) + np.array([30.0, 20.0, 150.0]) * part
+    inputs = np.repeat(rng.uniform(0.0, 30000.0, moves), hold)[:, None]
+    model = truth()
+    lag = model.deviations(model.drive(inputs, NAMES[0], ss), np.zeros(3), dt_s)
+    measured = ss - lag + noise * rng.normal(size=ss.shape) * [1.0, 1.0, 10.0]
+    measured[hold * 5 : hold * 8] += bleed
+    return LagSamples(inputs, ss, measured)
+
+
+def follow(model, seed=99, dt_s=DT_S):
+    """RMS error of a fitted model's free run over a log that it has not seen, per output."""
+    new = log(seed, noise=0.0, dt_s=dt_s)
+    lag = model.deviations(model.drive(new.inputs, NAMES[0], new.ss), np.zeros(3), dt_s)
+    spread = (new.ss - new.measured).std(axis=0)
+    return np.sqrt(np.mean((new.ss - lag - new.measured) ** 2, axis=0)) / spread
+
+
+def test_known_lags_come_back_and_follow_an_unseen_log():
+    model = fit_lags([log(0), log(1)], NAMES, DT_S)
+    assert (follow(model) < [0.03, 0.03, 0.03]).all()
+    core = dict(zip(PARAMETERS, model.parameters[1], strict=True))
+    assert core["air"] == pytest.approx(1.0, abs=0.05)
+    assert core["lead_s"] == pytest.approx(0.4, abs=0.05)
+    assert core["core"] == 0.0
+
+
+def test_a_finer_raster_gives_the_same_lags():
+    model = fit_lags([log(0, dt_s=1 / 32), log(1, dt_s=1 / 32)], NAMES, 1 / 32)
+    assert (follow(model, dt_s=1 / 32) < 0.1).all()
+
+
+def test_a_bleed_that_nobody_recorded_hardly_bends_them():
+    model = fit_lags([log(0, bleed=1.5), log(1)], NAMES, DT_S)
+    assert (follow(model) < [0.06, 0.06, 0.06]).all()
+
+
+def test_masked_samples_are_left_out():
+    holed = log(0)
+    holed.measured[500:900, 0] = np.nan
+    holed.measured[2000:2050] = np.nan
+    assert (follow(fit_lags([holed, log(1)], NAMES, DT_S)) < 0.05).all()
+
+
+def test_the_limit_is_wider_than_what_training_has_seen():
+    one = log(0)
+    model = fit_lags([one], NAMES, DT_S)
+    assert (model.limit > np.abs(one.ss - one.measured).max(axis=0)).all()
+
+
+def test_an_engine_that_never_moves_cannot_teach_a_lag():
+    still = np.tile([60.0, 75.0, 500.0], (200, 1))
+    wander = still + 1e-12 * np.arange(200)[:, None]
+    with pytest.raises(DataError, match="the outputs never move, so no lag can be fitted"):
+        fit_lags([LagSamples(np.zeros((200, 1)), still, wander)], NAMES, DT_S)

@@ -1,0 +1,94 @@
+"""What the lags and the network learn from, made of prepared logs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from data_prep.log import Log
+from data_prep.quasi_steady import quasi_steady
+from narxcal.calibration import narx_features, steady_for_engine
+from narxcal.lag import LagModel
+from narxcal.narx import NarxConfig
+from narxcal.records import Record
+from narxcal.steady_state import SteadyStateModel
+from training.config import RunConfig
+from training.lag_fit import LagSamples, fit_lags
+from training.local_trim import locally_trimmed
+from training.rest import rest_records
+from training.trainer import Material
+
+
+def material(
+    config: RunConfig,
+    steady: SteadyStateModel,
+    lag: LagModel | None,
+    sets: tuple[Sequence[Log], Sequence[Log]],
+) -> Material:
+    """Records of the logs to fit to and of those to stop by, and rest records if wanted."""
+    records, validation = (
+        [deviation_record(log, steady, config, lag) for log in logs] for logs in sets
+    )
+    plain = Material(records, validation, sets[0][0].dt_s)
+    return replace(plain, rest=_rest(config, plain, structure_of(config).moving))
+
+
+def deviation_record(
+    log: Log, steady: SteadyStateModel, config: RunConfig, lag: LagModel | None = None
+) -> Record:
+    """What the network learns from: features and deviations of one log (papers/narx, 2.1).
+
+    With lags in front of it, they are what the lags leave.
+    """
+    one = _samples(log, steady, config)
+    deviation, lagged = one.ss - one.measured, None
+    if lag is not None:
+        drive = lag.drive(one.inputs, steady.input_names, one.ss)
+        lagged = lag.deviations(drive, deviation[0], log.dt_s)
+        deviation = deviation - lagged
+    columns = [steady.input_names.index(name) for name in config.narx.schedule]
+    return Record(narx_features(one.ss, one.inputs[:, columns], lagged), deviation, log.name)
+
+
+def _samples(log: Log, steady: SteadyStateModel, config: RunConfig) -> LagSamples:
+    inputs = log.matrix(steady.input_names)
+    ss = steady_for_engine(steady, log.source.engine).outputs(inputs)
+    measured = log.matrix(steady.output_names)
+    if config.train.local_trim:
+        still = quasi_steady(log, config.events.driver, speeds(config), config.train.still)
+        ss = locally_trimmed(ss, measured, still)
+    return LagSamples(inputs, ss, measured)
+
+
+def lags(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> LagModel | None:
+    """Fit the lags in front of the network to training logs; None where none are wanted."""
+    if not config.narx.lag:
+        return None
+    names = (steady.input_names, tuple(steady.output_names))
+    return fit_lags([_samples(log, steady, config) for log in logs], names, logs[0].dt_s)
+
+
+def structure_of(config: RunConfig) -> NarxConfig:
+    """What the configuration makes of the network's structure."""
+    section = config.narx
+    vanishing = len(section.outputs) * (2 if section.lag else 1)
+    return NarxConfig(
+        lags=section.lags,
+        taps=section.taps,
+        hidden=section.hidden,
+        margin=section.margin,
+        moving=vanishing if section.anchored else 0,
+    )
+
+
+def _rest(config: RunConfig, material: Material, moving: int) -> list[Record]:
+    """Rest records for an anchored network; one that is not anchored need not come to rest."""
+    steps = round(config.train.rest_s / material.dt_s)
+    if not moving or steps < 2:
+        return []
+    return rest_records(material.records, moving, steps, config.train.seed)
+
+
+def speeds(config: RunConfig) -> tuple[str, ...]:
+    """Those outputs that are spool speeds: they say whether the engine stands still."""
+    return tuple(name for name in config.narx.outputs if name in ("N1_pct", "N2_pct"))
