@@ -54,7 +54,8 @@ def deviations(data: DataSets, bundle: Bundle, effort: Effort) -> Study:
         source="section 3.2",
         text=f"Δ is the steady-state value minus the actual one. Free run of Δ{symbol(output)} "
         f"over whole test data sets {data.labels(data.split.test)}; further deviations are the "
-        "measured ones of the sample before, except in the last variant, which simulates them.",
+        "measured ones of the sample before, except in the last variant, which simulates them and "
+        "has lags in front of its network where [narx] lag says so.",
         claims=[
             Claim(
                 what=f"Largest relative error of {symbol(output)}: {one.name}",
