@@ -166,7 +166,7 @@ class HeatSoak(OffsetEffect):
     family: ClassVar[str] = "slow offset"
     meaning: ClassVar[str] = "slow drift after a change of power"
     manoeuvre: ClassVar[str] = "3 to 5 minutes of hold after a large step, from cold and from hot"
-    fixed = (Parameter("tau_s", "s", 8.0, 400.0, 8.0, (15.0, 60.0, 180.0)),)
+    fixed = (Parameter("tau_s", "s", 20.0, 400.0, 20.0, (30.0, 80.0, 200.0)),)
 
     def terms(self, signals: Signals) -> tuple[tuple[str, str], ...]:
         """Every output that no control holds."""

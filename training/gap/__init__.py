@@ -1,0 +1,1 @@
+"""Which unmodelled effect causes the gap between simulation and flight."""

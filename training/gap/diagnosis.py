@@ -1,0 +1,153 @@
+"""Which unmodelled effect causes the gap: all candidates, fairly compared, or none of them.
+
+1. Every effect is fitted to all flights; what it is worth is what it takes off flights that had no
+   part in the fit (`fitting`). Offsets and slopes over power are nuisances here, so that build
+   scatter neither hides nor fakes anything.
+2. A claim has to exceed what the best candidate gains on pseudo-nulls (`null`), be material, and
+   hold in nearly every flight: the flight is the unit of evidence.
+3. A further effect is added as long as it earns its place in the same way.
+4. Candidates that the flights cannot tell from the leader are named with it; a leader that leaves
+   much of the gap unexplained is no answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from narxcal.effects.base import Effect, FloatArray
+from narxcal.effects.library import candidates
+from narxcal.effects.running import Flights
+from training.gap.emulator import NarxEmulator
+from training.gap.finding import Finding
+from training.gap.fitting import Fit, Problem, fit
+from training.gap.null import null_gains
+from training.gap.offsets import offset_fits, relative_size
+from training.gap.quadratic import misfit
+from training.gap.verdict import Offset, finding
+from training.gap.work import Options, Work
+
+OFFSETS = ("deterioration", "sensor_bias", "throttle_bias", "temperature_effect")
+Watch = Callable[[str, int, int], None]
+_SECOND = 0.3  # of what one effect leaves: less is no reason to name another
+
+
+def diagnose(
+    flights: Flights,
+    measured: tuple[FloatArray, FloatArray],
+    emulator: NarxEmulator | None,
+    options: Options | None = None,
+    watch: Watch | None = None,
+) -> Finding:
+    """Say which effects make the recorded outputs depart from the simulated ones.
+
+    `measured` are the recorded outputs (flights, time, outputs), NaN where unknown, and the
+    standard deviation of their noise (outputs,) on the raster. `watch` is told the model at work,
+    its number and how many there are.
+    """
+    chosen = options or Options()
+    real, noise = measured
+    problem = Problem(flights, emulator, misfit(flights, real, noise))
+    work = Work(problem, chosen, problem.misfit.size(problem.misfit.gap), noise)
+    moving = [c for c in candidates(flights.signals) if c.id not in OFFSETS]
+    claimed = _claims(work, moving, watch)
+    explained = np.zeros_like(flights.y) if claimed is None else claimed.response
+    still = [c for c in candidates(flights.signals) if c.id in OFFSETS]
+    offset = _offset(work, (real, noise), still, explained)
+    return finding(work, claimed, offset, noise)
+
+
+def _claims(work: Work, moving: Sequence[Effect], watch: Watch | None) -> Fit | None:
+    """The best model that earns each of its effects, or None."""
+    work.fits = [_tried(work, [effect], (k, len(moving), watch)) for k, effect in enumerate(moving)]
+    work.fits.sort(key=work.gain, reverse=True)
+    residual = work.problem.misfit.cleaned(work.problem.misfit.gap - work.fits[0].response)
+    gains = null_gains(
+        work.fits, work.problem.misfit, residual, work.options.draws, work.options.seed
+    )
+    work.threshold = float(np.quantile(gains, work.options.quantile)) / work.audible
+    if not _earned(work, work.fits[0], work.before, work.options.material):
+        return None
+    best = work.fits[0]
+    singles = list(work.fits)
+    while len(best.effects) < work.options.most and work.left(best) > 0.03:
+        further = _best_pair(work, singles, watch)
+        least = max(work.options.further, _SECOND * work.left(best))
+        if further is None or not _earned(work, further, best.held_out, least):
+            break
+        best = further
+    return best
+
+
+def _tried(work: Work, effects: Sequence[Effect], place: tuple[int, int, Watch | None]) -> Fit:
+    k, count, watch = place
+    if watch is not None:
+        watch(" + ".join(effect.name for effect in effects), k, count)
+    return fit(effects, work.problem)
+
+
+def _earned(work: Work, model: Fit, before: FloatArray, least: float) -> bool:
+    """Whether `model` is better than `before` (Q per flight, held out) in a way that counts.
+
+    More than the pseudo-nulls, at least `least`, and in all flights but one (all of them up to
+    four).
+    """
+    gained = before - model.held_out
+    share = float(gained.sum()) / work.audible
+    exceptions = 1 if len(gained) > 4 else 0
+    often = int((gained <= 0.0).sum()) <= exceptions
+    return share > max(work.threshold, least) and often
+
+
+def _best_pair(work: Work, singles: Sequence[Fit], watch: Watch | None) -> Fit | None:
+    """The best of the pairs of a leading effect and another, by linear steps, then fitted."""
+    scored = [
+        (_together(work, first, second), first, second)
+        for k, first in enumerate(singles[:3])
+        for second in singles[k + 1 :]
+    ]
+    if not scored:
+        return None
+    scored.sort(key=lambda row: row[0], reverse=True)
+    found = []
+    for k, (_, first, second) in enumerate(scored[:3]):
+        effects = (*first.effects, *second.effects)
+        start = np.concatenate([first.theta, second.theta])
+        if watch is not None:
+            watch(" + ".join(effect.name for effect in effects), k, 3)
+        found.append(fit(effects, work.problem, start))
+    work.fits += found
+    return max(found, key=work.gain)
+
+
+def _together(work: Work, first: Fit, second: Fit) -> float:
+    """Q that two effects take off together, if their responses add up and scale."""
+    measure = work.problem.misfit
+    both = np.stack([first.response, second.response])
+    slopes = np.concatenate([both, first.slopes, second.slopes])
+    hessian = measure.inner(slopes, slopes).sum(axis=0)
+    toward = measure.inner(slopes, measure.gap[None]).sum(axis=0)[:, 0]
+    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    ridge = hessian / np.outer(scale, scale) + 1e-3 * np.eye(len(scale))
+    return float(toward / scale @ np.linalg.solve(ridge, toward / scale))
+
+
+def _offset(
+    work: Work,
+    measured: tuple[FloatArray, FloatArray],
+    effects: Sequence[Effect],
+    explained: FloatArray,
+) -> Offset | None:
+    """Offsets that earn a claim, best first, with Q before and what is audible; None if none do."""
+    fits, before, floor = offset_fits(work.problem, measured, effects, explained)
+    if not fits:
+        return None
+    audible = max(float((before - floor).sum()), 1e-9)
+    best = fits[0]
+    gained = before - best.held_out
+    often = int((gained <= 0.0).sum()) <= (1 if len(gained) > 4 else 0)
+    large = relative_size(best.response, work.problem.flights) > work.options.scatter
+    if often and large and float(gained.sum()) / audible > 0.25:
+        return fits, before, audible
+    return None

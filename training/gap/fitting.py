@@ -1,0 +1,204 @@
+"""Fits one hypothesis, one effect or several at once, to the gap of all flights.
+
+Gauss-Newton with Levenberg's damping on the measure of `quadratic`; derivatives are differences,
+all of one step in one batch of runs. Linear parameters are solved at every start, so that only
+the others need starts. What a fit is worth on a flight that took no part in it comes from the
+jackknife: one Gauss-Newton step without that flight, and the quadratic form there (Wu, *Annals
+of Statistics* 14, 1986).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from narxcal.effects.base import Effect, FloatArray, Parameter
+from narxcal.effects.running import Flights, RateForm, respond
+from training.gap.quadratic import Misfit
+
+_STEPS = 7
+_GOOD = 2e-3  # relative progress of Q below which a fit has converged
+_RIDGE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What every hypothesis is fitted to."""
+
+    flights: Flights
+    emulator: RateForm | None
+    misfit: Misfit
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted hypothesis.
+
+    `theta` (p,) in the order of the effects' parameters; `left` Q per flight at it; `held_out` Q
+    per flight at the parameters found without that flight, `others` (flights, p) those; `response`
+    (flights, time, outputs), and its `slopes` (p, ...) by every parameter. `sizes` counts the
+    parameters of each effect.
+    """
+
+    effects: tuple[Effect, ...]
+    parameters: tuple[Parameter, ...]
+    theta: FloatArray
+    left: FloatArray
+    held_out: FloatArray
+    others: FloatArray
+    response: FloatArray
+    slopes: FloatArray
+    sizes: tuple[int, ...]
+
+    @property
+    def name(self) -> str:
+        """Names of the effects, joined by a plus."""
+        return " + ".join(effect.name for effect in self.effects)
+
+
+def fit(effects: Sequence[Effect], problem: Problem, start: FloatArray | None = None) -> Fit:
+    """Fit `effects` together, from `start` (p,) or from the best of their own starts."""
+    parameters = tuple(p for effect in effects for p in effect.parameters(problem.flights.signals))
+    theta = _best_start(effects, parameters, problem) if start is None else start
+    theta, response, slopes = _refine(effects, parameters, problem, theta)
+    rest = problem.misfit.gap - response
+    left = problem.misfit.size(rest)
+    held_out, others = _jackknife(problem.misfit, (rest, slopes, left), theta, parameters)
+    sizes = tuple(len(e.parameters(problem.flights.signals)) for e in effects)
+    return Fit(tuple(effects), parameters, theta, left, held_out, others, response, slopes, sizes)
+
+
+def _run(effects: Sequence[Effect], thetas: FloatArray, problem: Problem) -> FloatArray:
+    """Change of the outputs (batch, flights, time, outputs) at `thetas` (batch, p)."""
+    settings, at = [], 0
+    for effect in effects:
+        count = len(effect.parameters(problem.flights.signals))
+        settings.append((effect, thetas[:, at : at + count]))
+        at += count
+    moved = respond(settings, problem.flights, problem.emulator) - problem.flights.y
+    return np.where(np.isfinite(moved), moved, 1e6)
+
+
+def _best_start(
+    effects: Sequence[Effect], parameters: Sequence[Parameter], problem: Problem
+) -> FloatArray:
+    """Best of all combinations of starts, with the linear parameters solved at each."""
+    choices = [(0.0,) if p.linear else p.starts for p in parameters]
+    thetas = np.array(list(product(*choices)))
+    linear = [j for j, p in enumerate(parameters) if p.linear]
+    base = _run(effects, thetas, problem)
+    found, sizes = [], []
+    for start, response in zip(thetas, base, strict=True):
+        theta, rest = start, problem.misfit.gap - response
+        if linear:
+            units = np.repeat(start[None], len(linear), axis=0)
+            units[np.arange(len(linear)), linear] = 1.0
+            slopes = _run(effects, units, problem) - response
+            step = _solve(problem.misfit, slopes, rest, 0.0)
+            theta = _clipped(_added(start, linear, step), parameters)
+            rest = rest - np.tensordot(theta[linear], slopes, axes=1)
+        found.append(theta)
+        sizes.append(float(problem.misfit.size(rest).sum()))
+    best: FloatArray = found[int(np.argmin(sizes))]
+    return best
+
+
+def _added(theta: FloatArray, places: Sequence[int], values: FloatArray) -> FloatArray:
+    changed = theta.copy()
+    changed[list(places)] = values
+    return changed
+
+
+def _refine(
+    effects: Sequence[Effect],
+    parameters: Sequence[Parameter],
+    problem: Problem,
+    theta: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Damped Gauss-Newton; returns theta, the response there and its slopes."""
+    damping, error = 1e-3, np.inf
+    response, slopes = _linearised(effects, parameters, problem, theta)
+    error = float(problem.misfit.size(problem.misfit.gap - response).sum())
+    for _ in range(_STEPS):
+        step = _solve(problem.misfit, slopes, problem.misfit.gap - response, damping)
+        trial = _clipped(theta + step, parameters)
+        there, steeper = _linearised(effects, parameters, problem, trial)
+        found = float(problem.misfit.size(problem.misfit.gap - there).sum())
+        if found < error:
+            gained = (error - found) / error
+            theta, response, slopes, error = trial, there, steeper, found
+            damping *= 0.1
+            if gained < _GOOD:
+                break
+        else:
+            damping *= 30.0
+            if damping > 1e3 or np.allclose(trial, theta, rtol=1e-3, atol=0.0):
+                break
+    return theta, response, slopes
+
+
+def _linearised(
+    effects: Sequence[Effect],
+    parameters: Sequence[Parameter],
+    problem: Problem,
+    theta: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Response and its slopes (p, ...) by differences, away from the nearer bound."""
+    steps = np.array([_difference(p, v) for p, v in zip(parameters, theta, strict=True)])
+    thetas = np.concatenate([theta[None], theta + np.diag(steps)])
+    found = _run(effects, thetas, problem)
+    return found[0], (found[1:] - found[0]) / steps[:, None, None, None]
+
+
+def _difference(parameter: Parameter, value: float) -> float:
+    if parameter.linear:
+        return 0.01 * (parameter.high - parameter.low)
+    size = 0.03 * max(abs(value - parameter.neutral), 0.3 * _scale(parameter))
+    return size if value + size <= parameter.high else -size
+
+
+def _scale(parameter: Parameter) -> float:
+    """Size of a small effect of this kind: its start nearest to neutral."""
+    return min(abs(s - parameter.neutral) for s in parameter.starts)
+
+
+def _clipped(theta: FloatArray, parameters: Sequence[Parameter]) -> FloatArray:
+    return np.clip(theta, [p.low for p in parameters], [p.high for p in parameters])
+
+
+def _solve(misfit: Misfit, slopes: FloatArray, rest: FloatArray, damping: float) -> FloatArray:
+    """Gauss-Newton step for what is left, `rest`, with a share `damping` of its own diagonal."""
+    hessian = misfit.inner(slopes, slopes).sum(axis=0)
+    toward = misfit.inner(slopes, rest[None]).sum(axis=0)[:, 0]
+    return _newton(hessian, toward, damping)
+
+
+def _newton(hessian: FloatArray, toward: FloatArray, damping: float = 0.0) -> FloatArray:
+    diagonal = np.maximum(np.diag(hessian), 1e-300)
+    scale = np.sqrt(diagonal)
+    scaled = hessian / np.outer(scale, scale) + (damping + _RIDGE) * np.eye(len(hessian))
+    return np.asarray(np.linalg.solve(scaled, toward / scale) / scale)
+
+
+def _jackknife(
+    misfit: Misfit,
+    at: tuple[FloatArray, FloatArray, FloatArray],
+    theta: FloatArray,
+    parameters: Sequence[Parameter],
+) -> tuple[FloatArray, FloatArray]:
+    """Q of each flight (flights,) without it in the fit, and the parameters then (flights, p)."""
+    rest, slopes, left = at
+    hessian = misfit.inner(slopes, slopes)
+    toward = misfit.inner(slopes, rest[None])[..., 0]
+    held_out, others = left.copy(), np.repeat(theta[None], len(left), axis=0)
+    if len(left) < 2:
+        return held_out, others
+    for f in range(len(left)):
+        step = _newton(hessian.sum(axis=0) - hessian[f], toward.sum(axis=0) - toward[f])
+        others[f] = _clipped(theta + step, parameters)
+        step = others[f] - theta
+        held_out[f] = left[f] - 2.0 * step @ toward[f] + step @ hessian[f] @ step
+    return np.maximum(held_out, 0.0), others

@@ -1,0 +1,121 @@
+"""The verdict over all that was tried: none, effects, ambiguous or unknown, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from narxcal.effects.base import FloatArray, RateEffect
+from training.gap.answer import channels, probabilities, shrink, tried
+from training.gap.finding import Finding, Kind, Tried
+from training.gap.fitting import Fit
+from training.gap.work import Work
+
+Offset = tuple[list[Fit], FloatArray, float]  # offsets, best first; Q before; Q that is audible
+
+
+def finding(
+    work: Work,
+    claimed: Fit | None,
+    offset: Offset | None,
+    noise: FloatArray,
+) -> Finding:
+    """The verdict over all that was tried."""
+    order = sorted(work.fits, key=work.gain, reverse=True)
+    if claimed is not None:
+        order = [claimed, *(one for one in order if one is not claimed)]
+    odds = probabilities([one.held_out for one in order])
+    rows = [
+        tried(model, (work.gain(model), work.gains(model)), float(p))
+        for model, p in zip(order, odds, strict=True)
+    ]
+    if offset is not None:
+        rows = _with_offsets(rows, offset, claimed)
+    response = np.zeros_like(work.problem.flights.y) if claimed is None else claimed.response
+    if offset is not None:
+        response = response + offset[0][0].response
+    kind, reason = _verdict(work, claimed, offset)
+    rivals = _rivals(work, claimed, order) if claimed is not None else ()
+    if kind == "effects" and rivals:
+        kind, reason = "ambiguous", "other effects explain held-out flights as well"
+    names = () if kind in ("none", "unknown") else _names(claimed, offset)
+    leader = claimed or (offset[0][0] if offset else None)
+    gains = work.gains(claimed) if claimed is not None else np.zeros(len(work.before))
+    signals = work.problem.flights.signals
+    return Finding(
+        kind=kind,
+        effects=names,
+        ambiguous_with=rivals,
+        reason=reason,
+        separating_manoeuvre="" if leader is None else leader.effects[0].manoeuvre,
+        tried=tuple(rows),
+        predicted=shrink(gains, 0.0 if claimed is None else work.gain(claimed)),
+        channels=channels(work.problem.misfit, response, noise, signals.outputs),
+        gap_share=work.audible / float(work.before.sum()),
+        left_share=1.0 if claimed is None else work.left(claimed),
+        threshold=work.threshold,
+    )
+
+
+def _with_offsets(
+    rows: Sequence[Tried],
+    offset: Offset,
+    claimed: Fit | None,
+) -> list[Tried]:
+    """Rows with the offsets among them: first where nothing else was claimed, else second."""
+    fits, before, audible = offset
+    odds = probabilities([one.held_out for one in fits])
+    own = [
+        tried(
+            one, (float((before - one.held_out).sum()) / audible, (before - one.held_out)), float(p)
+        )
+        for one, p in zip(fits, odds, strict=True)
+    ]
+    return [rows[0], *own, *rows[1:]] if claimed is not None else [*own, *rows]
+
+
+def _names(claimed: Fit | None, offset: Offset | None) -> tuple[str, ...]:
+    names = () if claimed is None else tuple(effect.name for effect in claimed.effects)
+    return names if offset is None else (*names, offset[0][0].name)
+
+
+def _verdict(work: Work, claimed: Fit | None, offset: Offset | None) -> tuple[Kind, str]:
+    """Kind of the answer and the reason for it, rivals aside."""
+    heard = work.audible / float(work.problem.misfit.floor.sum())
+    if claimed is None and offset is None:
+        if heard < work.options.audible:
+            return "none", "no gap beyond noise and build scatter"
+        best = work.gain(work.fits[0])
+        if _loudest(work) < work.options.quiet:
+            return "none", "what is left beyond build scatter is below what has to be explained"
+        return "unknown", f"the gap is real, but the best effect takes only {best:.0%} of it"
+    if claimed is not None and work.left(claimed) > _bearable(work, claimed):
+        return "unknown", f"the best effect leaves {work.left(claimed):.0%} of the gap unexplained"
+    return "effects", "explains flights that had no part in the fit"
+
+
+def _bearable(work: Work, claimed: Fit) -> float:
+    """Share of the gap that may be left unexplained."""
+    inside = any(isinstance(effect, RateEffect) for effect in claimed.effects)
+    return work.options.unexplained_inside if inside else work.options.unexplained
+
+
+def _loudest(work: Work) -> float:
+    """Largest RMS of any channel's gap beyond noise, nuisances taken out, over its range."""
+    measure, signals = work.problem.misfit, work.problem.flights.signals
+    gap, known = measure.cleaned(measure.gap), measure.weights > 0.0
+    power = [
+        max(float(np.mean(gap[..., c][known[..., c]] ** 2)) - float(work.noise[c]) ** 2, 0.0)
+        for c in range(gap.shape[-1])
+    ]
+    return float(np.max(np.sqrt(power) / np.maximum(signals.high - signals.low, 1e-9)))
+
+
+def _rivals(work: Work, claimed: Fit, order: Sequence[Fit]) -> tuple[str, ...]:
+    """Single effects as good as the claimed single one on held-out flights."""
+    if len(claimed.effects) > 1:
+        return ()
+    least = work.options.close * work.gain(claimed)
+    same = [one for one in order if one is not claimed and len(one.effects) == 1]
+    return tuple(one.name for one in same if work.gain(one) >= least)

@@ -1,0 +1,72 @@
+"""How strict a diagnosis is, and everything it has at hand while it goes on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from narxcal.effects.base import FloatArray
+from training.gap.fitting import Fit, Problem
+
+_LEAST = 0.01  # of the noise's energy: less of a gap is none to take shares of
+
+
+@dataclass(frozen=True)
+class Options:
+    """How strict the diagnosis is.
+
+    `quantile` of the pseudo-nulls' best gains that a claim has to exceed, from `draws` of them;
+    `material` the least share of the gap, `further` that of one more effect, of `most` at once.
+    `unexplained` is the share that may be left before the answer is unknown, `unexplained_inside`
+    that for effects on how the engine moves, whose forms no two engines share. `close` is the
+    share of the leader's gain from which a rival is its equal. `audible` is the least gap, as a
+    share of the noise's energy, that is a gap at all; below `quiet`, as a share of a channel's
+    range, it is a misfit that nobody has to explain; `scatter` is the shift, as a share of a
+    channel's level, that build scatter may make.
+    """
+
+    quantile: float = 0.99
+    draws: int = 100
+    material: float = 0.05
+    further: float = 0.10
+    unexplained: float = 0.40
+    unexplained_inside: float = 0.60
+    quiet: float = 0.005
+    close: float = 0.93
+    audible: float = 0.03
+    most: int = 2
+    scatter: float = 0.012
+    seed: int = 0
+
+
+@dataclass
+class Work:
+    """Everything a diagnosis has at hand while it goes on."""
+
+    problem: Problem
+    options: Options
+    before: FloatArray  # Q per flight without any effect
+    noise: FloatArray
+    fits: list[Fit] = field(default_factory=list)
+    threshold: float = 0.0
+
+    @property
+    def audible(self) -> float:
+        """Q of the gap beyond noise."""
+        floor = self.problem.misfit.floor
+        return max(float((self.before - floor).sum()), _LEAST * float(floor.sum()))
+
+    def gain(self, tried: Fit) -> float:
+        """Share of the audible gap taken off held-out flights."""
+        return float((self.before - tried.held_out).sum()) / self.audible
+
+    def gains(self, tried: Fit) -> FloatArray:
+        """The same per flight."""
+        floor = self.problem.misfit.floor
+        own = np.maximum(self.before - floor, _LEAST * floor)
+        return np.asarray((self.before - tried.held_out) / own)
+
+    def left(self, tried: Fit) -> float:
+        """Share of the audible gap that the fit leaves on the flights it saw."""
+        return float((tried.left - self.problem.misfit.floor).sum()) / self.audible
