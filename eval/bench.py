@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from eval.benchmarks import flights, kernel_speed, public_sets, replay_speed
+from eval.benchmarks import flights, kernel_speed, public_sets, replay_speed, virtual_engine
 from eval.benchmarks.row import Row
 from narxcal.bundle import versions
 
@@ -49,7 +49,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _short(data: Path) -> list[Row]:
-    return [*kernel_speed.rows(), *replay_speed.rows(), *public_sets.rows(data / "bench")]
+    return [
+        *kernel_speed.rows(),
+        *replay_speed.rows(),
+        *virtual_engine.rows(),
+        *public_sets.rows(data / "bench"),
+    ]
 
 
 def _flights(data: Path) -> list[Row]:

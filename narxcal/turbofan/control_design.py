@@ -7,6 +7,8 @@ eigenvalues of the engine linearised at constant fuel.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,7 @@ from narxcal.turbofan.intake import intake
 from narxcal.turbofan.presets import Preset
 from narxcal.turbofan.rest import (
     CONDITIONS,
+    MACH,
     N1,
     OFFTAKE_W,
     STATIC_K,
@@ -93,27 +96,45 @@ def rotor_lags(
 
     A complex pair counts with its real part.
     """
-    found = [
-        _eigenvalues(machine, body, condition, x)
-        for condition, x in zip(conditions, unknowns, strict=True)
-    ]
-    return np.array([sorted(-1.0 / value.real, reverse=True) for value in found])
+    return np.array(
+        [
+            linearised(machine, body, condition, x).lags_s
+            for condition, x in zip(conditions, unknowns, strict=True)
+        ]
+    )
 
 
-def _eigenvalues(
-    machine: Machine, body: Body, condition: FloatArray, x: FloatArray
-) -> NDArray[np.complex128]:
-    air = intake(condition[STATIC_K], condition[STATIC_PA], condition[2], machine.recovery)
-    fuel = machine.fuel_unit_kgps * x[-1]
+class Linear(NamedTuple):
+    """The engine about a steady point, for small changes of fuel.
+
+    `lags_s`: time constants of the rotors, slow and fast. `overshoot`: what T45 does at once, with
+    the rotors still at their old speeds, over what it does in the end.
+    """
+
+    lags_s: tuple[float, float]
+    overshoot: float
+
+
+def linearised(machine: Machine, body: Body, condition: FloatArray, x: FloatArray) -> Linear:
+    """Central differences of the rates of both rotors and of T45, by speeds and fuel.
+
+    With `dn/dt = A n + b w` and `T = c n + d w` the final response to fuel is `d - c A^-1 b`.
+    """
+    air = intake(condition[STATIC_K], condition[STATIC_PA], condition[MACH], machine.recovery)
     inertia = np.array([body.inertia1_J, body.inertia2_J])
+    engine = (machine.path, machine.health)
 
-    def rates(n: FloatArray) -> FloatArray:
-        run = Running(float(n[0]), float(n[1]), fuel, condition[4], condition[5], 0.0, 0.0)
-        engine = (machine.path, machine.health)
+    def changes(at: FloatArray) -> FloatArray:
+        fuel = machine.fuel_unit_kgps * float(at[2])
+        run = Running(float(at[0]), float(at[1]), fuel, condition[4], condition[5], 0.0, 0.0)
         stations, _ = solved(engine, air, run, x[:POSITIONS].copy(), np.zeros((5, 5)))
-        return np.array([stations.power1_W, stations.power2_W]) / (inertia * n)
+        rates = np.array([stations.power1_W, stations.power2_W]) / (inertia * at[:2])
+        return np.array([*rates, stations.T45])
 
-    n = np.array([condition[N1], x[POSITIONS]])
-    step = 1e-4
-    columns = [(rates(n + step * e) - rates(n - step * e)) / (2.0 * step) for e in np.eye(2)]
-    return np.asarray(np.linalg.eigvals(np.column_stack(columns)), dtype=np.complex128)
+    at, step = np.array([condition[N1], *x[POSITIONS:]]), 1e-4
+    columns = [(changes(at + step * e) - changes(at - step * e)) / (2 * step) for e in np.eye(3)]
+    slopes = np.column_stack(columns)
+    values = np.linalg.eigvals(slopes[:2, :2])
+    fast, slow = sorted(float(-1.0 / value.real) for value in values)
+    final = slopes[2, 2] - slopes[2, :2] @ np.linalg.solve(slopes[:2, :2], slopes[:2, 2])
+    return Linear((slow, fast), float(slopes[2, 2] / final))

@@ -90,8 +90,8 @@ BUSINESS = Preset(
     speed_pct=(94.0, 95.0),
     speed_radps=(1580.0, 3260.0),
     inertia=(1.35, 0.105),
-    accel_margins=(0.75, 0.28),
-    decel_margins=(0.16, 0.58),
+    accel_margins=(0.68, 0.27),
+    decel_margins=(0.18, 0.60),
     clearance_pK=8e-5,
     limits=(102.0, 1130.0),
 )

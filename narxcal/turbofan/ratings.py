@@ -82,10 +82,10 @@ BUSINESS_JET = Ratings(
     climb_pct=(90.5, 93.5, 96.0, 97.5, 98.0),
     cruise_pct=(86.0, 89.5, 92.5, 94.5, 95.5),
     ground_idle_pct=27.0,
-    flight_idle_pct=34.5,
-    approach_idle_pct=42.0,
+    flight_idle_pct=36.5,
+    approach_idle_pct=43.0,
     idle_pct_per_kft=0.1,
-    idle_pct_per_mach=33.5,
+    idle_pct_per_mach=30.5,
 )
 SINGLE_AISLE = Ratings(
     take_off_pct=(91.0, 95.0, 98.0, 100.0, 100.5),

@@ -17,7 +17,7 @@ from narxcal.channels import channel
 from narxcal.errors import ModelError
 from narxcal.steady_state import Envelope, checked_inputs
 from narxcal.turbofan import fadec, fuel_valve
-from narxcal.turbofan.control_design import control
+from narxcal.turbofan.control_design import Linear, control, linearised
 from narxcal.turbofan.cycle import POSITIONS
 from narxcal.turbofan.design import Closed, close
 from narxcal.turbofan.fadec import Sensed
@@ -48,6 +48,7 @@ INPUT_NAMES = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "N
 OUTPUT_NAMES = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph", "FN_kN", "FPR", "EPR")
 LOW = np.array([0.0, -1000.0, 0.0, -30.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 HIGH = np.array([85.0, 40000.0, 0.85, 20.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+COMPRESSORS = ("fan", "lpc", "hpc")  # in the order of the map positions
 _LINE = np.linspace(0.175, 1.10, 75)  # relative N1 of the running line
 
 
@@ -147,6 +148,24 @@ class VirtualEngine:
 
     steady_state = outputs
 
+    def gas_path(self, inputs: ArrayLike) -> dict[str, FloatArray]:
+        """Settled stations, each (n,), at `inputs` (n, 9), by the names of `Stations`.
+
+        Beside them: `fuel_kgps`, relative `n1` and `n2`, and the map angles of the compressors
+        (`fan_angle`, `lpc_angle`, `hpc_angle`; surge is at pi/2). Raises as `outputs` does.
+        """
+        conditions, unknowns, rows = self._solved(checked_inputs(inputs, self.input_names))
+        fuel = self._machine.fuel_unit_kgps * unknowns[:, -1]
+        found = dict(zip(Stations._fields, rows.T, strict=True))
+        found |= {"fuel_kgps": fuel, "n1": conditions[:, N1], "n2": unknowns[:, POSITIONS]}
+        return found | {f"{part}_angle": unknowns[:, j] for j, part in enumerate(COMPRESSORS)}
+
+    def linearised(self, inputs: ArrayLike) -> list[Linear]:
+        """The rotors' time constants and the overshoot of EGT at each row of `inputs` (n, 9)."""
+        conditions, unknowns, _ = self._solved(checked_inputs(inputs, self.input_names))
+        pairs = zip(conditions, unknowns, strict=True)
+        return [linearised(self._machine, self.fit.body, c, x) for c, x in pairs]
+
     def simulate(self, inputs: Mapping[str, FloatArray], dt_s: float) -> dict[str, FloatArray]:
         """Run a log sampled every `dt_s` seconds, from its settled first sample.
 
@@ -199,17 +218,22 @@ class VirtualEngine:
                 conditions[on, BLEED] += effect.value("bleed")
                 conditions[on, OFFTAKE_W] += 1e3 * effect.value("power_kW")
 
-    def _settled(self, u: FloatArray) -> FloatArray:
+    def _solved(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Conditions, unknowns and stations at the settled points `u` (n, 9)."""
         commands = n1_command(self.fit.ratings, u + self.fit.lever.bias_deg * (np.arange(9) == 0))
         conditions = self._conditions(u, commands)
         unknowns, rows, good = rest_points(self._machine, self._line, conditions)
         if not good.all():
             raise ModelError(f"the engine has no steady state {_where(u[np.argmin(good)])}")
+        return conditions, unknowns, rows
+
+    def _settled(self, u: FloatArray) -> FloatArray:
+        conditions, unknowns, rows = self._solved(u)
         at = dict(zip(Stations._fields, rows.T, strict=True))
         P2 = np.array([_face(c, self._machine)[1] for c in conditions])
         return np.column_stack(
             [
-                commands,
+                self.preset.speed_pct[0] * conditions[:, N1],
                 self.preset.speed_pct[1] * unknowns[:, POSITIONS],
                 at["T45"] - 273.15,
                 3600.0 * self._machine.fuel_unit_kgps * unknowns[:, -1],

@@ -1,0 +1,241 @@
+"""The virtual engine against published figures: `python -m eval.benchmarks.virtual_engine`.
+
+Prints the table of `docs/virtual_engine.md`; `--figures FOLDER` draws its pictures as well.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eval.benchmarks import engine_figures, engine_manoeuvres
+from eval.benchmarks.engine_manoeuvres import at
+from eval.benchmarks.row import Row
+from narxcal.errors import ModelError
+from narxcal.turbofan import VirtualEngine
+from narxcal.turbofan.maps import SURGE
+from narxcal.turbofan.presets import PRESETS
+from narxcal.turbofan.stations import Health
+from narxcal.turbofan.unmodelled import Unmodelled
+from narxcal.turbofan.virtual_engine import COMPRESSORS, HIGH, LOW
+
+FloatArray = NDArray[np.float64]
+GROUP = "virtual engine"
+_N1, _N2, _EGT, _FF, _FN = range(5)
+
+
+class Figure(NamedTuple):
+    """A published figure beside that of each engine, in the order of `PRESETS`."""
+
+    name: str
+    unit: str
+    published: str
+    source: str
+    ours: tuple[float, ...]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the table, and draw the figures if asked to."""
+    parser = argparse.ArgumentParser(
+        prog="python -m eval.benchmarks.virtual_engine", description=__doc__
+    )
+    parser.add_argument("--figures", metavar="FOLDER", type=Path)
+    options = parser.parse_args(arguments)
+    sys.stdout.write(markdown(figures()))
+    if options.figures:
+        engine_figures.draw(options.figures)
+    return 0
+
+
+def rows(duration_s: float = 600.0, points: int = 1000) -> list[Row]:
+    """Speed, and what has to hold exactly; the table of figures is this module's own command."""
+    found = []
+    for name in PRESETS:
+        engine = VirtualEngine(name)
+        ratio, note = _speed(engine, duration_s)
+        slam = engine_manoeuvres.slam(engine, "sea level")
+        issue = "issue: a flight of 10 minutes in 2 s"
+        rule = "14 CFR 33.73: flight idle to 95 % of take-off thrust"
+        found += [
+            Row(GROUP, f"{name}, simulated", ratio, "x real time", 300.0, "at least", issue, note),
+            Row(GROUP, f"{name}, slam to 95 % thrust", slam.rise_s, "s", 5.0, "at most", rule),
+            Row(
+                GROUP,
+                f"{name}, settled points without solution",
+                float(_lost(engine, points)),
+                "",
+                0.0,
+                "at most",
+                "",
+                f"{points} random points of the envelope",
+            ),
+        ]
+    return found
+
+
+def _speed(engine: VirtualEngine, duration_s: float) -> tuple[float, str]:
+    """Simulated over wall time of a lever that never rests, after a run that compiles."""
+    u = engine_manoeuvres.log(engine_manoeuvres.weaving(duration_s), "sea level")
+    engine.simulate({name: value[:64] for name, value in u.items()}, 1.0 / 32.0)
+    wall, busy = time.perf_counter(), time.process_time()
+    engine.simulate(u, 1.0 / 32.0)
+    wall, busy = time.perf_counter() - wall, time.process_time() - busy
+    note = f"{duration_s:.0f} s at 32 Hz in {wall:.2f} s ({busy:.2f} s of one processor), "
+    return duration_s / wall, note + "gas path solved at each step"
+
+
+def _lost(engine: VirtualEngine, points: int) -> int:
+    """How many of as many random points of the envelope have no settled solution."""
+    u = np.random.default_rng(0).uniform(LOW, HIGH, (points, 9))
+    u[:, 4:] = np.round(u[:, 4:])
+    return sum(not _settles(engine, row) for row in u)
+
+
+def _settles(engine: VirtualEngine, u: FloatArray) -> bool:
+    try:
+        engine.outputs(u)
+    except ModelError:
+        return False
+    return True
+
+
+def figures() -> list[Figure]:
+    """All figures, measured now."""
+    columns = [_column(VirtualEngine(name)) for name in PRESETS]
+    return [
+        Figure(*head, tuple(column[k] for column in columns)) for k, head in enumerate(_PUBLISHED)
+    ]
+
+
+def markdown(found: Sequence[Figure]) -> str:
+    """The table of `docs/virtual_engine.md`."""
+    lines = [f"| figure | unit | published | source | {' | '.join(PRESETS)} |", "|---" * 6 + "|"]
+    for row in found:
+        ours = " | ".join(f"{value:.3g}" for value in row.ours)
+        lines.append(f"| {row.name} | {row.unit} | {row.published} | {row.source} | {ours} |")
+    return "\n".join(lines) + "\n"
+
+
+# In the order of `_column`: name, unit, published, source.
+_PUBLISHED = (
+    ("flight idle over take-off thrust, sea level", "%", "<= 15", "14 CFR 33.73, FACTS A1"),
+    ("slam to 95 % thrust, sea level", "s", "<= 5", "14 CFR 33.73; AGTF30 4.9, FACTS A1"),
+    ("the same at 10 kft, Mach 0.4", "s", "5.8", "AGTF30, FACTS A1"),
+    ("the same at 35 kft, Mach 0.8", "s", "10.2", "AGTF30, FACTS A1"),
+    ("the same from ground idle", "s", "up to 8", "USA Today 2018, FACTS A1"),
+    ("chop, N1 to idle + 5 %, from flight idle", "s", "10 to 11.5", "AGTF30, FACTS A1"),
+    ("the same, ground idle", "s", "10 to 11.5", "AGTF30, FACTS A1"),
+    ("N1 over its command in a slam", "%", "<= 1", "own"),
+    ("HPC angle of a slam over surge", "-", "< 1", "own"),
+    ("slow time constant, max, sea level", "s", "0.30; 0.5 to 1.5", "AGTF30; memory, FACTS A2"),
+    ("the same at 10 % thrust", "s", "0.76; 2 to 4", "AGTF30; memory, FACTS A2"),
+    ("idle over max, sea level", "-", "2.5", "AGTF30, FACTS A2"),
+    ("35 kft over sea level, max", "-", "3.5", "AGTF30, FACTS A2"),
+    ("the same at 10 % thrust", "-", "2", "AGTF30, FACTS A2"),
+    ("lags at 35 kft static, over the law of similarity", "-", "1", "NACA TR-1011, FACTS A2"),
+    ("EGT at once over final, max and 10 %", "-", "1.1 to 2.6", "AGTF30, FACTS A2"),
+    ("the same at 10 % thrust", "-", "1.1 to 2.6", "AGTF30, FACTS A2"),
+    ("EGT 15 s after a slam, above settled", "degC", "10 to 30", "memory, FACTS A4"),
+    ("6 % bleed at constant N1, EGT", "degC", "18; 5 to 10 per %", "AGTF30; memory, FACTS A5"),
+    ("ECS, EGT at its lowered rating", "degC", "-", "FACTS A5"),
+    ("nacelle anti-ice, the same", "degC", "10 to 20", "memory, FACTS A5"),
+    ("nacelle anti-ice, N1", "%", "-0.6 to -0.8", "A32NX, FACTS A5"),
+    ("+1 degC outside, EGT at flat rating", "degC", "3", "CFM56-7, FACTS A5"),
+    ("HPC efficiency -1 %, EGT at take-off N1", "degC", "7.0", "AGTF30, FACTS A7"),
+    ("the same, N2", "%", "-0.17", "AGTF30, FACTS A7"),
+    ("HPT efficiency -1 %, EGT", "degC", "9.7", "AGTF30, FACTS A7"),
+    ("the same, N2", "%", "-0.23", "AGTF30, FACTS A7"),
+    ("LPT efficiency -1 %, EGT", "degC", "6.5", "AGTF30, FACTS A7"),
+    ("the same, N2", "%", "+0.14", "AGTF30, FACTS A7"),
+    ("HPC flow -1 %, EGT", "degC", "1.6", "AGTF30, FACTS A7"),
+    ("the same, N2", "%", "+0.21", "AGTF30, FACTS A7"),
+    ("ground idle N1", "%", "20", "A320, FACTS A8"),
+    ("ground idle N2", "%", "60", "A320, FACTS A8"),
+    ("ground idle EGT", "degC", "400", "A320, FACTS A8"),
+    ("ground idle fuel", "kg/h", "300", "A320, FACTS A8"),
+    ("take-off thrust", "kN", "11.12; 120.1", "ICAO databank"),
+    ("take-off fuel", "kg/s", "0.1697; 1.142", "ICAO databank"),
+    ("largest map angle at rest over surge", "-", "< 1", "own"),
+)
+
+
+def _column(engine: VirtualEngine) -> list[float]:
+    return [*_manoeuvres(engine), *_lags(engine), *_shifts(engine), *_wear(engine), *_class(engine)]
+
+
+def _manoeuvres(engine: VirtualEngine) -> list[float]:
+    found = {name: engine_manoeuvres.slam(engine, name) for name in engine_manoeuvres.CONDITIONS}
+    sea, ground = found["sea level"], found["ground"]
+    return [
+        100.0 * sea.idle_share,
+        sea.rise_s,
+        found["10 kft"].rise_s,
+        found["35 kft"].rise_s,
+        ground.rise_s,
+        sea.fall_s,
+        ground.fall_s,
+        max(slam.overshoot_pct for slam in found.values()),
+        max(slam.surge_share for slam in found.values()),
+    ]
+
+
+def _lags(engine: VirtualEngine) -> list[float]:
+    """Time constants at sea level static and at 35 kft, 10 % and full thrust; EGT's overshoot."""
+    low = engine.linearised(engine_manoeuvres.at_thrust(engine, (0.0, 0.0), (0.1, 1.0)))
+    high = engine.linearised(engine_manoeuvres.at_thrust(engine, (35000.0, 0.78), (0.1, 1.0)))
+    idle, top = (point.lags_s[0] for point in low)
+    idle_up, top_up = (point.lags_s[0] for point in high)
+    alike = engine_manoeuvres.likeness(engine, 35000.0)
+    ratios = [idle / top, top_up / top, idle_up / idle, alike]
+    return [top, idle, *ratios, low[1].overshoot, low[0].overshoot]
+
+
+def _shifts(engine: VirtualEngine) -> list[float]:
+    """EGT's bloom, bleeds, anti-ice and outside temperature."""
+    effect = Unmodelled("bleed_extraction", {"share": 0.06})
+    bled = VirtualEngine(engine.preset.name, unmodelled=[effect])
+    plain, ecs, nai, warm = (at(engine, **on) for on in ({}, {"ECS": 1}, {"NAI": 1}, {"dT_C": 10}))
+    return [
+        engine_manoeuvres.slam(engine, "sea level").bloom_C,
+        (at(bled, ECS=1) - ecs)[_EGT],
+        (ecs - plain)[_EGT],
+        (nai - plain)[_EGT],
+        (nai - plain)[_N1],
+        (warm - plain)[_EGT] / 10.0,
+    ]
+
+
+def _wear(engine: VirtualEngine) -> list[float]:
+    """EGT and N2 by 1 % of each part, at take-off N1."""
+    new, found = at(engine), []
+    for part in ("hpc_efficiency", "hpt_efficiency", "lpt_efficiency", "hpc_flow"):
+        worn = at(VirtualEngine(engine.preset.name, build=Health(**{part: 0.99})))
+        found += [(worn - new)[_EGT], 100.0 * (worn / new - 1.0)[_N2]]
+    return found
+
+
+def _class(engine: VirtualEngine) -> list[float]:
+    """Ground idle, take-off, and how near to surge the engine ever rests."""
+    idle, top = at(engine, TRA_deg=0.0, WOW=1), at(engine)
+    return [*idle[[_N1, _N2, _EGT, _FF]], top[_FN], top[_FF] / 3600.0, surge_share(engine)]
+
+
+def surge_share(engine: VirtualEngine, points: int = 1000) -> float:
+    """Largest map angle over that of surge, at random settled points of the envelope."""
+    u = np.random.default_rng(0).uniform(LOW, HIGH, (points, 9))
+    u[:, 4:] = np.round(u[:, 4:])
+    u[: points // 3, 0] = 0.0
+    u[:, 4] *= (u[:, 2] < 0.3) & (u[:, 1] < 12000.0)  # wheels on the ground
+    solved = engine.gas_path(u)
+    return float(max(solved[f"{part}_angle"].max() for part in COMPRESSORS) / SURGE)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
