@@ -21,8 +21,8 @@ from eval.gap.blocks import block_means
 from eval.gap.claimed import Values, claimed_in, settings, with_effects
 from eval.gap.data import FloatArray
 from eval.gap.document import SCHEMA
+from eval.gap.stored_emulator import read_emulator, signals_from_json
 from eval.gap.summary import EMULATOR
-from narxcal.bundle import load_bundle
 from narxcal.effects.base import OutputEffect, Signals
 from narxcal.effects.running import Flights
 from narxcal.errors import ConfigError, DataError
@@ -80,24 +80,9 @@ def read_effects(file: Path) -> FoundEffects:
     """
     document = _document(file)
     values = claimed_in(document)
-    stored = document["quality"]["signals"]
-    signals = Signals(
-        inputs=tuple(stored["inputs"]),
-        outputs=tuple(stored["outputs"]),
-        dt_s=float(stored["dt_s"]),
-        driver=stored["driver"],
-        low=np.array(stored["low"], dtype=np.float64),
-        high=np.array(stored["high"], dtype=np.float64),
-        lever=(float(stored["lever"][0]), float(stored["lever"][1])),
-        active=tuple(stored["active"]),
-    )
+    signals = signals_from_json(document["quality"]["signals"])
     folder = file.parent / EMULATOR
-    return FoundEffects(values, signals, _emulator(folder, signals) if folder.is_dir() else None)
-
-
-def _emulator(folder: Path, signals: Signals) -> NarxEmulator:
-    calibration = load_bundle(folder).calibration
-    return NarxEmulator(calibration, tuple(signals.u(name) for name in calibration.input_names))
+    return FoundEffects(values, signals, read_emulator(folder) if folder.is_dir() else None)
 
 
 def _document(file: Path) -> Mapping[str, Any]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,8 +18,9 @@ from eval.gap.evidence import Evidence
 from eval.gap.excitation import check_excitation, events_of
 from eval.gap.pairs import read_pairs
 from eval.gap.parts import FEWEST, enough
-from eval.gap.realised import held_out, time_shrink
+from eval.gap.realised import channel_shrink, held_out, predicted, time_shrink
 from eval.gap.simulators import open_simulator
+from eval.gap.stored_emulator import signals_to_json
 from eval.gap.where import locate
 from narxcal.bundle import versions
 from narxcal.effects.base import FloatArray
@@ -27,7 +28,7 @@ from narxcal.errors import DataError
 from training.config import RunConfig
 from training.gap.diagnosis import diagnose
 from training.gap.emulator import NarxEmulator, fit_emulator
-from training.gap.finding import Finding
+from training.gap.finding import Finding, Interval
 
 Watch = Callable[[str, int, int], None]  # what is at work, its number, how many there are
 
@@ -76,7 +77,8 @@ def diagnose_pairs(
     watch("emulator", 0, 1)
     emulator = fit_emulator(data.flights)
     found = diagnose(data.flights, (data.real, data.noise), emulator, watch=watch)
-    errors = dict(zip(data.flights.signals.outputs, emulator.errors(data.flights), strict=True))
+    own = emulator.errors(data.flights).tolist()
+    errors = dict(zip(data.flights.signals.outputs, own, strict=True))
     finding = _bounded(replace(found, emulator_rmse=errors), pairs)
     watch("where", 0, 1)
     values = claimed(finding)
@@ -91,7 +93,26 @@ def _evidence(data: GapData, finding: Finding, values: Values, emulator: NarxEmu
     after = with_effects(values, data.flights, emulator)
     explained = None if finding.kind == "unknown" else after - data.flights.y
     where = locate(data, explained)
-    return Evidence(data, finding, where, after, time_shrink(data, after, where.events))
+    return Evidence(
+        data=data,
+        finding=finding,
+        where=where,
+        after=after,
+        times=time_shrink(data, after, where.events),
+        predicted=predicted(data, after, _optimism(finding)) if values else Interval(0.0, 0.0, 0.0),
+        channels=channel_shrink(data, after),
+    )
+
+
+def _optimism(finding: Finding) -> float:
+    """What the leading model gains on held-out flights, of what it gains on those it was fitted to.
+
+    Where only offsets are claimed, what is left says nothing of them.
+    """
+    leader, fitted = finding.tried[0], 1.0 - finding.left_share
+    if fitted <= 0.0 or leader.effects[0] not in finding.effects:
+        return 1.0
+    return min(1.0, max(0.0, leader.gain / fitted))
 
 
 def _with_held_out(
@@ -152,7 +173,7 @@ def _facts(pairs: Sequence[Pair], data: GapData, held: Sequence[Pair]) -> dict[s
         "compared": _compared(pairs),
         "changed": {pair.name: dict(pair.counts) for pair in pairs if pair.counts},
         "warnings": warnings_of(pairs, data),
-        "signals": _plain(asdict(data.flights.signals)),
+        "signals": signals_to_json(data.flights.signals),
         "versions": versions(),
     }
 
@@ -181,13 +202,6 @@ def _compared(pairs: Sequence[Pair]) -> dict[str, float]:
         for name, both in pair.others.items():
             squares.setdefault(name, []).append((both[:, 0] - both[:, 1]) ** 2)
     return {n: float(np.sqrt(np.nanmean(np.concatenate(v)))) for n, v in squares.items()}
-
-
-def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        name: value.tolist() if isinstance(value, np.ndarray) else value
-        for name, value in values.items()
-    }
 
 
 def _unwatched(step: str, done: int, total: int) -> None:

@@ -154,12 +154,13 @@ def _dominant(levels: Mapping[str, float]) -> str:
 
 def _shrink(evidence: Evidence) -> dict[str, Any]:
     held = evidence.held_out
-    channels = evidence.finding.channels if held is None else held.channels
+    channels = evidence.channels if held is None else held.channels
     return {
-        "predicted": asdict(evidence.finding.predicted),
+        "predicted": asdict(evidence.predicted),
         "realised": None if held is None else held.share,
         "channels": {name: asdict(found) for name, found in channels.items()},
         "times": {name: asdict(found) for name, found in evidence.times.items()},
+        "predicted_beside_scatter": asdict(evidence.finding.predicted),
         "on": "the flights of the diagnosis" if held is None else _flown(held),
     }
 

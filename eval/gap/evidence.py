@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from eval.gap.data import FloatArray, GapData
 from eval.gap.where import Where
-from training.gap.finding import ChannelShrink, Finding
+from training.gap.finding import ChannelShrink, Finding, Interval
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class TimeShrink:
 class HeldOut:
     """What the found effects do on flights that took no part in finding them.
 
-    `share` of the audible gap that they take away, in the measure of the prediction; `channels`
-    the plain RMSE before and after; `after` (flights, time, outputs) the simulator with them.
+    `share` of the squared gap above the noise that they take away, as predicted; `channels` the
+    RMSE before and after; `after` (flights, time, outputs) the simulator with them.
     """
 
     data: GapData
@@ -40,8 +40,9 @@ class Evidence:
     """A diagnosis in full.
 
     `after` (flights, time, outputs) is the simulator with the claimed effects, or as it was where
-    nothing is claimed; `times` how Ti and Tt errors shrink with them, per channel, on held-out
-    flights where there are any. `facts` go into `quality` as they are.
+    nothing is claimed; `predicted` the share of the squared gap that they will take off other
+    flights, `channels` the RMSE on these. `times` is how Ti and Tt errors shrink with them, per
+    channel, on held-out flights where there are any. `facts` go into `quality` as they are.
     """
 
     data: GapData
@@ -49,5 +50,7 @@ class Evidence:
     where: Where
     after: FloatArray
     times: Mapping[str, TimeShrink]
+    predicted: Interval
+    channels: Mapping[str, ChannelShrink]
     held_out: HeldOut | None = None
     facts: Mapping[str, object] = field(default_factory=dict)

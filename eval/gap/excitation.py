@@ -45,9 +45,14 @@ def check_excitation(data: GapData, events: Sequence[Sequence[Event]]) -> None:
     missing = " and ".join(
         f"{FEWEST - count} more {kind}" for kind, count in found.items() if count < FEWEST
     )
+    counted = " and ".join(_counted(count, kind) for kind, count in found.items())
     raise DataError(
-        f"too little excitation: {found['pushes']} pushes and {found['pulls']} pulls of "
-        f"{data.flights.signals.driver} in {len(data.names)} flights, "
-        f"{FEWEST} of each are needed",
+        f"too little excitation: {counted} of {data.flights.signals.driver} in "
+        f"{_counted(len(data.names), 'flights')}, {FEWEST} of each are needed",
         hint=f"Fly at least {missing}, idle to high power and back",
     )
+
+
+def _counted(count: int, plural: str) -> str:
+    one = plural.removesuffix("es") if plural.endswith("shes") else plural.removesuffix("s")
+    return f"{count} {one if count == 1 else plural}"

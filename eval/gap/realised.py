@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.stats import t
 
 from data_prep.events import Event
 from eval.gap.claimed import Values, with_effects
@@ -12,23 +13,52 @@ from eval.gap.data import FloatArray, GapData
 from eval.gap.evidence import HeldOut, TimeShrink
 from eval.gap.times import TimeErrors, time_errors
 from narxcal.effects.running import RateForm
-from training.gap.finding import ChannelShrink
-from training.gap.quadratic import misfit
+from training.gap.finding import ChannelShrink, Interval
+from training.gap.quadratic import TOLERANCE
 
 
 def held_out(values: Values, data: GapData, emulator: RateForm | None) -> HeldOut:
     """Add the effects to the simulator of flights that took no part in finding them."""
     after = with_effects(values, data.flights, emulator)
-    return HeldOut(data, audible_share(data, after), channel_shrink(data, after), after)
+    share = float(pooled_share(*squares(data, after)))
+    return HeldOut(data, share, channel_shrink(data, after), after)
 
 
-def audible_share(data: GapData, after: FloatArray) -> float:
-    """Share of the gap above noise and nuisances that `after` takes away; 0 without a gap."""
-    measure = misfit(data.flights, data.real, data.noise)
-    before = measure.size(measure.gap)
-    left = measure.size(measure.gap - np.where(measure.weights > 0.0, after - data.flights.y, 0.0))
-    audible = float((before - measure.floor).sum())
-    return float((before - left).sum()) / audible if audible > 0.0 else 0.0
+def squares(data: GapData, after: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Sums of squares of the gap above the noise per flight, before and `after`: (flights,) each.
+
+    Plain differences of recorded and simulated outputs, each channel over
+    `noise^2 + (0.001 range)^2`, so that anybody can form them from the logs.
+    """
+    variance = data.noise**2 + (TOLERANCE * data.span) ** 2
+    floor = (np.isfinite(data.gap) * (data.noise**2 / variance)).sum(axis=(1, 2))
+    before = np.nansum(data.gap**2 / variance, axis=(1, 2)) - floor
+    left = np.nansum((data.real - after) ** 2 / variance, axis=(1, 2)) - floor
+    return before, left
+
+
+def pooled_share(before: FloatArray, left: FloatArray) -> float:
+    """Share of the squared gap that is taken away over all flights; 0 where there is no gap."""
+    whole = float(before.sum())
+    return 1.0 - float(left.sum()) / whole if whole > 0.0 else 0.0
+
+
+def predicted(data: GapData, after: FloatArray, optimism: float) -> Interval:
+    """What the effects will take off the squared gap of other flights, with a 90 % interval.
+
+    The share over the flights at hand times `optimism`, what held-out flights gained of what
+    fitted ones did; the interval is Student's over flights, for the mean of two more of them.
+    """
+    before, left = squares(data, after)
+    value = optimism * pooled_share(before, left)
+    count = len(before)
+    if count < 2:
+        return Interval(value, -1.0, 1.0)
+    # Of flights with a gap: a share of nothing has no size.
+    own = np.maximum(before, 0.1 * max(float(before.mean()), 1e-9))
+    spread = float(((before - left) / own).std(ddof=1)) * np.sqrt(0.5 + 1.0 / count)
+    reach = float(t.ppf(0.95, count - 1)) * spread
+    return Interval(value, value - reach, min(1.0, value + reach))
 
 
 def channel_shrink(data: GapData, after: FloatArray) -> dict[str, ChannelShrink]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from eval.gap.data import FloatArray, GapData
 from eval.response import Transient, TransientConfig, measure_transient
 
 _LEAST = 0.08  # of the channel's range: the smallest response that is read
-_BEFORE_S = 1.0
+_BEFORE_S, _AFTER_S = 1.0, 8.0
 
 
 @dataclass(frozen=True)
@@ -53,14 +53,22 @@ def time_errors(
     """Read every event on every output of `data.real` and of `model` (flights, time, outputs).
 
     Events that end before the speeds settle, responses below 8 % of the channel's range, and
-    those that either side does not settle on are left out.
+    those that either side does not settle on are left out. A response is followed for up to 8 s
+    after its event, as far as the lever rests: the flight may be slower than the model.
     """
+    dt_s, lengths = data.flights.signals.dt_s, data.flights.lengths
+    longer = [
+        (f, replace(event, stop=min(event.stop + round(_AFTER_S / dt_s), until)))
+        for f, flight in enumerate(events)
+        for event, until in zip(
+            flight, [*(later.start for later in flight), int(lengths[f])][1:], strict=True
+        )
+    ]
     return {
         name: TimeErrors(
             tuple(
                 found
-                for f, flight in enumerate(events)
-                for event in flight
+                for f, event in longer
                 if (found := _read(data, model, (f, k), event)) is not None
             )
         )

@@ -14,8 +14,8 @@ from typing import Any
 
 from eval.gap.diagnose import Diagnosis, Request, diagnose_folders
 from eval.gap.document import SCHEMA
+from eval.gap.stored_emulator import write_emulator
 from eval.gap.summary import EMULATOR, effect_table, sentence, shrink_table, where_table
-from narxcal.bundle import Bundle, write_bundle
 from narxcal.cli.configured import read_config
 from narxcal.cli.console import Console, to_json
 from narxcal.cli.folders import Results
@@ -50,7 +50,7 @@ def write(folder: Path, found: Diagnosis) -> None:
         page = import_module("eval.gap.page").render(found.document, found.evidence)
         (folder / PAGE).write_text(page, encoding="utf-8")
     (folder / EMULATOR).mkdir()
-    write_bundle(folder / EMULATOR, Bundle(found.emulator.calibration, {"made_by": "diagnose"}))
+    write_emulator(folder / EMULATOR, found.emulator)
 
 
 def show(console: Console, document: Mapping[str, Any]) -> None:

@@ -1,11 +1,14 @@
 """An engine of first-order lags flown through slams, and logs of it in pairs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from data_prep.log import Log
 from eval.gap.blocks import batch
 from eval.gap.pairs import pair_logs
+from training.gap.finding import ChannelShrink, Finding, Interval, Tried
 
 RATE_HZ = 16.0
 NOISE = {"N1_pct": 0.05, "N2_pct": 0.04, "EGT_C": 0.8}
@@ -80,6 +83,33 @@ def gap_data(effect=nothing, flights=4, **how):
     return batch([pair_of(seed, effect, **how) for seed in range(flights)])
 
 
+LAG = {"tau_s": Interval(1.0, 0.9, 1.1)}
+
+
+def model_of(*names, probability=1.0, gain=0.9, parameters=None):
+    """A model that was tried; every effect is a lag of 1 s unless said otherwise."""
+    values = parameters or dict.fromkeys(names, LAG)
+    units = {name: dict.fromkeys(values[name], "s") for name in names}
+    return Tried(names, "family", gain, (gain, gain - 0.1), probability, values, units)
+
+
+def finding_of(kind, effects=(), tried=(), **more):
+    shrink = Interval(0.9, 0.8, 1.0)
+    rows = {"EGT_C": ChannelShrink(9.0, 1.0, 0.5)}
+    found = Finding(kind, effects, (), "because", "fly", tried, shrink, rows, 0.5, 0.1, 0.05)
+    return replace(found, **more)
+
+
+@pytest.fixture
+def make_model():
+    return model_of
+
+
+@pytest.fixture
+def make_finding():
+    return finding_of
+
+
 @pytest.fixture
 def fly():
     return flown
@@ -108,6 +138,12 @@ def pair():
 @pytest.fixture
 def make_data():
     return gap_data
+
+
+@pytest.fixture(scope="session")
+def flights_of_the_engine():
+    """Three simulated flights as one batch."""
+    return gap_data(flights=3, rate_hz=8.0).flights
 
 
 @pytest.fixture

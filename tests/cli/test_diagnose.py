@@ -1,0 +1,148 @@
+"""`narxcal diagnose` from end to end, and `narxcal simulate --effects` on what it found."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from narxcal.cli import main
+
+OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
+
+
+def lagged(target, tau_s, dt_s):
+    kept, found = np.exp(-dt_s / tau_s), target.copy()
+    for k in range(1, len(target)):
+        found[k] = target[k] + kept * (found[k - 1] - target[k])
+    return found
+
+
+def flight(seed, duration_s=200.0, rate_hz=8.0):
+    """An engine of first-order lags under a slam every 20 s, and what a slow probe recorded."""
+    rng = np.random.default_rng(seed)
+    dt_s = 1.0 / rate_hz
+    time_s = dt_s * np.arange(round(duration_s * rate_hz))
+    levels = np.where(np.arange(20) % 2, 55.0, 15.0) + rng.uniform(-8.0, 8.0, 20)
+    tra = levels[(time_s // 20.0).astype(int)]
+    sim = {
+        "time_s": time_s,
+        "TRA_deg": tra,
+        "ALT_ft": 5000.0 + 20.0 * time_s,
+        "Mach": 0.4 + 0 * tra,
+    }
+    shapes = ((25.0, 75.0, 1.5), (55.0, 45.0, 0.8), (400.0, 350.0, 0.7))
+    for name, (low, range_, tau_s) in zip(OUTPUTS, shapes, strict=True):
+        sim[name] = low + range_ * lagged(tra / 70.0, tau_s, dt_s)
+    real = {**sim, "EGT_C": lagged(sim["EGT_C"], 1.2, dt_s)}
+    for name, size in zip(OUTPUTS, (0.05, 0.04, 0.8), strict=True):
+        real[name] = real[name] + rng.normal(0.0, size, len(tra))
+    return sim, real
+
+
+def write(folder, name, channels):
+    folder.mkdir(exist_ok=True)
+    pd.DataFrame(channels).to_csv(folder / name, index=False, float_format="%.9g")
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory):
+    """Three flights to diagnose and one held out."""
+    folder = tmp_path_factory.mktemp("case")
+    for seed in range(4):
+        sim, real = flight(seed)
+        held = "_held" if seed == 3 else ""
+        write(folder / f"sim{held}", f"f{seed}.csv.gz", sim)
+        write(folder / f"real{held}", f"f{seed}.csv", real)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def diagnosed(case):
+    held = ["--heldout-real", str(case / "real_held"), "--heldout-sim", str(case / "sim_held")]
+    where = ["--real", str(case / "real"), "--sim", str(case / "sim")]
+    code = main(["diagnose", *where, *held, "--out", str(case / "gap"), "--quiet"])
+    return code, case / "gap"
+
+
+def test_a_slow_probe_is_found_and_the_gap_closes_on_other_flights(diagnosed):
+    code, folder = diagnosed
+    document = json.loads((folder / "gap.json").read_text("utf-8"))
+    assert code == 0
+    assert document["verdict"]["kind"] == "effects"
+    assert document["verdict"]["effects"] == ["sensor_lag:EGT_C"]
+    assert document["effects"][0]["parameters"]["tau_s"]["value"] == pytest.approx(1.2, abs=0.1)
+    assert document["where"][0]["channel"] == "EGT_C"
+    assert document["side"]["sensor"] > 0.9
+    assert document["shrink"]["realised"] > 0.95
+    assert document["shrink"]["realised"] == pytest.approx(
+        document["shrink"]["predicted"]["value"], abs=0.04
+    )
+
+
+def test_anybody_can_add_the_effects_to_the_simulator(diagnosed, case, narxcal):
+    _, folder = diagnosed
+    out = case / "with_effects"
+    done = narxcal(
+        "simulate",
+        *("--sim", case / "sim_held", "--effects", folder / "gap.json"),
+        *("--inputs", case / "real_held", "--out", out),
+    )
+    assert done.code == 0, done.err
+    assert "sensor_lag:EGT_C" in done.out
+    made, real = pd.read_csv(out / "f3.csv"), pd.read_csv(case / "real_held" / "f3.csv")
+    sim = pd.read_csv(case / "sim_held" / "f3.csv.gz")
+    assert list(made.columns) == list(sim.columns)
+
+    def rms(a):
+        return float(np.sqrt(np.mean((a["EGT_C"] - real["EGT_C"]) ** 2)))
+
+    assert rms(made) < 0.1 * rms(sim)
+    np.testing.assert_allclose(made["N1_pct"], sim["N1_pct"], rtol=1e-7)
+    again = narxcal(
+        "simulate",
+        *("--sim", case / "sim_held", "--effects", folder / "gap.json", "--json"),
+        *("--inputs", case / "real_held", "--out", out),
+    )
+    assert json.loads(again.out)["effects"]["sensor_lag:EGT_C"]["tau_s"] > 1.0
+
+
+def refused(done, words):
+    assert (done.code, done.out) == (2, "")
+    assert words in done.err
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (("--sim", "x"), "--effects and --inputs is missing"),
+        (("--sim", "x", "--effects", "g", "--inputs", "d", "run"), "expected either RUN"),
+        ((), "expected RUN and INPUTS.csv, or --sim, --effects and --inputs"),
+    ],
+)
+def test_half_a_command_is_refused(narxcal, tmp_path, words, problem):
+    refused(narxcal("simulate", *words, "--out", tmp_path / "out"), problem)
+
+
+def test_bad_input_is_one_line_and_leaves_nothing(case, narxcal, tmp_path):
+    def run(real, sim, *more):
+        return narxcal("diagnose", "--real", real, "--sim", sim, "--out", tmp_path / "g", *more)
+
+    refused(run(case / "real", case / "sim_held"), "has no partner here")
+    refused(run(case / "real", "nowhere"), "is no folder of logs, run folder, FMU")
+    refused(run(case / "none", case / "sim"), "the folder of the logs does not exist")
+    refused(
+        run(case / "real", case / "sim", "--heldout-sim", "x"),
+        "--heldout-sim needs --heldout-real",
+    )
+    sim, real = flight(0, duration_s=30.0)
+    write(tmp_path / "short_real", "f.csv", real)
+    write(tmp_path / "short_sim", "f.csv", sim)
+    refused(run(tmp_path / "short_real", tmp_path / "short_sim"), "too little excitation")
+    assert not (tmp_path / "g").exists()
+
+
+def test_a_folder_of_other_content_is_not_overwritten(case, narxcal, tmp_path):
+    (tmp_path / "mine.txt").write_text("mine", "utf-8")
+    done = narxcal("diagnose", "--real", case / "real", "--sim", case / "sim", "--out", tmp_path)
+    refused(done, "holds other content ('mine.txt')")

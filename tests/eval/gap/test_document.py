@@ -1,0 +1,144 @@
+"""The document has the fixed keys, ranks what was tried, and its summary says the verdict."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from eval.gap.document import document, effect_rows, probabilities
+from eval.gap.evidence import Evidence
+from eval.gap.realised import channel_shrink, held_out, time_shrink
+from eval.gap.summary import effect_table, sentence, shrink_table, where_table
+from eval.gap.where import locate
+from training.gap.finding import Interval
+
+NAME = "sensor_lag:EGT_C"
+VALUES = {NAME: {"tau_s": 1.0}}
+
+
+@pytest.fixture
+def evidence(make_data, probe, make_finding, make_model):
+    data = make_data(probe, flights=3)
+    tried = (
+        make_model(NAME, probability=0.6),
+        make_model(NAME, "spool_lag", probability=0.3, gain=0.91),
+        make_model("time_skew:EGT_C", probability=0.1, gain=0.7),
+    )
+    held = held_out(VALUES, make_data(probe, flights=2), None)
+    after = held_out(VALUES, data, None).after
+    where = locate(data, after - data.flights.y)
+    times = time_shrink(held.data, held.after, ((), ()))
+    finding = make_finding("effects", (NAME,), tried, emulator_rmse={"EGT_C": 0.4})
+    predicted = Interval(0.9, 0.8, 1.0)
+    shrink = channel_shrink(data, after)
+    facts = {"warnings": ["few"]}
+    return Evidence(data, finding, where, after, times, predicted, shrink, held, facts)
+
+
+def test_the_keys_are_those_that_others_rely_on(evidence):
+    found = json.loads(json.dumps(document(evidence)))
+    assert found["schema"] == "narxcal.gap/1"
+    assert found["verdict"] == {
+        "kind": "effects",
+        "effects": [NAME],
+        "ambiguous_with": [],
+        "reason": "because",
+        "separating_manoeuvre": "fly",
+    }
+    first = found["effects"][0]
+    assert (first["id"], first["channel"], first["family"]) == (
+        "sensor_lag",
+        "EGT_C",
+        "channel lag",
+    )
+    assert first["parameters"]["tau_s"] == {"value": 1.0, "low": 0.9, "high": 1.1, "unit": "s"}
+    assert first["gain"] == {"value": 0.9, "low": 0.8, "high": 0.9}
+    assert found["where"][0].items() >= {"channel": "EGT_C", "phase": "transit"}.items()
+    assert {"share", "low", "high", "regime", "direction"} <= set(found["where"][0])
+    assert set(found["side"]) == {"input", "process", "sensor"}
+    assert found["shrink"]["predicted"] == {"value": 0.9, "low": 0.8, "high": 1.0}
+    assert found["shrink"]["realised"] > 0.98
+    assert set(found["shrink"]["channels"]["EGT_C"]) == {"before", "after", "floor"}
+    assert found["emulator"] == {"used": True, "rmse": {"EGT_C": 0.4}}
+    assert found["quality"]["warnings"] == ["few"]
+    assert found["quality"]["pushes"] > 10
+
+
+def test_an_effect_without_a_channel_has_none(make_finding, make_model):
+    rows = effect_rows(make_finding("effects", ("spool_lag",), (make_model("spool_lag"),)))
+    assert "channel" not in rows[0]
+
+
+def test_further_effects_that_did_not_earn_their_place_have_no_probability(evidence):
+    chances = probabilities(evidence.finding)
+    assert chances[NAME] == pytest.approx(0.6 / 0.7)
+    assert chances["spool_lag"] == 0.0
+    assert chances["time_skew:EGT_C"] == pytest.approx(0.1 / 0.7)
+    assert document(evidence)["side"] == {
+        "input": 0.0,
+        "process": 0.0,
+        "sensor": pytest.approx(1.0),
+    }
+
+
+def test_offsets_are_judged_beside_what_moves(make_finding, make_model):
+    tried = (make_model(NAME), make_model("sensor_bias:N1_pct"), make_model("spool_lag"))
+    finding = make_finding("effects", (NAME, "sensor_bias:N1_pct"), tried)
+    assert probabilities(finding)["sensor_bias:N1_pct"] == pytest.approx(1.0)
+    assert [row["id"] for row in effect_rows(finding)][:2] == ["sensor_lag", "sensor_bias"]
+
+
+def test_where_nothing_is_claimed_little_probability_is_left(make_finding, make_model):
+    tried = (make_model(NAME, gain=1e9),)
+    none = make_finding("none", (), tried)
+    assert probabilities(none)[NAME] < 0.05
+    assert probabilities(make_finding("unknown", (), tried))[NAME] < 0.5
+    assert effect_rows(none)[0]["gain"]["value"] == 1.0
+
+
+def test_gap_beyond_the_library_keeps_the_side_of_its_shape(evidence):
+    unknown = replace(evidence.finding, kind="unknown", effects=())
+    found = document(replace(evidence, finding=unknown, held_out=None))
+    assert found["side"] == evidence.where.side._asdict()
+    assert found["shrink"]["realised"] is None
+    assert found["shrink"]["channels"]["EGT_C"]["before"] == evidence.channels["EGT_C"].before
+    assert found["shrink"]["on"] == "the flights of the diagnosis"
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("none", "No gap beyond noise and build scatter. Because."),
+        ("unknown", "The gap is real, but no effect of the library accounts for it. Because."),
+        (
+            "effects",
+            (
+                "sensor_lag:EGT_C (tau_s 1 [0.9, 1.1] s): takes away 90 % [80, 100] of the gap "
+                "(realised on held-out flights: 99 %)."
+            ),
+        ),
+        (
+            "ambiguous",
+            (
+                "sensor_lag:EGT_C (tau_s 1 [0.9, 1.1] s): takes away 90 % [80, 100] of the gap "
+                "(realised on held-out flights: 99 %); cannot be told from spool_lag. To tell: fly."
+            ),
+        ),
+    ],
+)
+def test_the_verdict_in_one_sentence(evidence, kind, words):
+    found = document(evidence)
+    found["verdict"] |= {"kind": kind, "ambiguous_with": ["spool_lag"]}
+    found["shrink"]["realised"] = 0.99
+    assert sentence(found) == words
+
+
+def test_tables_fit_on_one_screen(evidence):
+    found = document(evidence)
+    tables = [effect_table(found), where_table(found), shrink_table(found)]
+    assert sum(len(rows) + 2 for _, _, rows in tables) < 24
+    for _, head, rows in tables:
+        assert rows
+        assert all(len(row) == len(head) for row in rows)
+    assert tables[0][2][0][0] == "sensor_lag:EGT_C *"
+    assert tables[2][2][-1][-1] == "- -> -"

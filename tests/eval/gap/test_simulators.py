@@ -1,0 +1,80 @@
+"""A simulator is what the user names, and what is none is refused in a sentence."""
+
+import numpy as np
+import pytest
+
+from eval.gap.simulators import open_simulator
+from narxcal.errors import ConfigError, DataError, ModelError
+
+OWN = """\
+def double(inputs, dt_s):
+    return {"N1_pct": 2.0 * inputs["TRA_deg"] + dt_s}
+
+def short(inputs, dt_s):
+    return {"N1_pct": inputs["TRA_deg"][1:]}
+
+def broken(inputs, dt_s):
+    return {"N1_pct": inputs["power"]}
+
+number = 3
+"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    (tmp_path / "own_engine.py").write_text(OWN, "utf-8")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_function_beside_the_user_is_called_with_inputs_and_interval(here, fly, log_of):
+    found = open_simulator("own_engine:double")
+    assert found.kind == "function"
+    log = log_of(fly(0, 10.0))
+    np.testing.assert_allclose(found.how(log)["N1_pct"], 2.0 * log["TRA_deg"] + log.dt_s)
+
+
+def test_an_installed_function_too(fly, log_of):
+    with pytest.raises(ConfigError, match="has no function 'nothing'"):
+        open_simulator("narxcal.standin:nothing")
+
+
+@pytest.mark.parametrize(
+    ("source", "problem"),
+    [
+        ("own_engine:number", "has no function 'number'"),
+        ("no_engine:f", "No module named 'no_engine'"),
+        ("business_yet", "is no folder of logs, run folder, FMU, module:function or virtual"),
+        ("none.fmu", "is no folder of logs, run folder, FMU"),
+    ],
+)
+def test_what_is_no_simulator_is_refused(here, source, problem):
+    with pytest.raises(ConfigError, match=problem):
+        open_simulator(source)
+
+
+def test_a_function_that_fails_is_named(here, fly, log_of):
+    log = log_of(fly(0, 10.0))
+    with pytest.raises(
+        ModelError, match=r"'own_engine:short' returned \(159,\), expected \(160,\)"
+    ):
+        open_simulator("own_engine:short").how(log)
+    with pytest.raises(ModelError, match=r"'own_engine:broken' failed: KeyError: 'power'"):
+        open_simulator("own_engine:broken").how(log)
+
+
+def test_a_folder_of_logs_is_that_folder(tmp_path):
+    assert open_simulator(str(tmp_path)) == ("logs", tmp_path)
+
+
+def test_a_virtual_engine_flies_the_inputs(fly, log_of):
+    log = log_of(fly(0, 4.0))
+    switches = dict.fromkeys(("WOW", "Approach", "ECS", "WAI"), np.zeros(len(log)))
+    outputs = open_simulator("business_jet").how(log.with_channels(switches))
+    assert {"N1_pct", "N2_pct", "EGT_C", "FF_kgph"} <= set(outputs)
+    assert outputs["N1_pct"].shape == (len(log),)
+
+
+def test_a_virtual_engine_needs_its_inputs(fly, log_of):
+    with pytest.raises(DataError, match="channel WOW"):
+        open_simulator("business_jet").how(log_of(fly(0, 4.0)))
