@@ -48,16 +48,6 @@ def _air(machine: Machine, condition: FloatArray) -> Air:
 
 
 @compiled
-def _solve(machine: Machine, condition: FloatArray, x: FloatArray) -> tuple[Stations, bool]:
-    air = _air(machine, condition)
-    asked = Running(
-        condition[N1], 1.0, machine.fuel_unit_kgps, condition[BLEED], condition[OFFTAKE_W], 0.0, 0.0
-    )
-    inverse = np.zeros((UNKNOWN, UNKNOWN))
-    return solved((machine.path, machine.health), air, asked, x, inverse)
-
-
-@compiled
 def _start(machine: Machine, line: Line, condition: FloatArray, x: FloatArray) -> None:
     """Unknowns on the running line at the corrected speed asked for, taken back to real ones."""
     air = _air(machine, condition)
@@ -76,22 +66,22 @@ def _reach(
 
     The walk starts on the line at the same corrected speed; a step that fails is halved.
     """
-    here, first, kept = condition.copy(), condition.copy(), np.empty(UNKNOWN)
-    first[STATIC_K], first[STATIC_PA], first[MACH] = SEA_LEVEL_K, SEA_LEVEL_PA, 0.0
-    first[BLEED] = first[OFFTAKE_W] = 0.0
+    here, first, kept = np.empty(CONDITIONS), np.zeros(CONDITIONS), np.empty(UNKNOWN)
+    first[STATIC_K], first[STATIC_PA] = SEA_LEVEL_K, SEA_LEVEL_PA
     corrected = condition[N1] / theta(_air(machine, condition).T2_K) ** 0.5
     first[N1] = min(max(corrected, line.n1[0]), line.n1[-1])
-    done, step = 0.0, 1.0
+    engine, unit = (machine.path, machine.health), machine.fuel_unit_kgps
+    done, step, inverse = 0.0, 1.0, np.zeros((UNKNOWN, UNKNOWN))
     _start(machine, line, condition, x)
     while step >= _SHORTEST:
         for j in range(UNKNOWN):
             kept[j] = x[j]
         share = min(done + step, 1.0)
         for j in range(CONDITIONS):
-            here[j] = first[j] + share * (condition[j] - first[j])
-        if share == 1.0:
-            here[:] = condition
-        stations, converged = _solve(machine, here, x)
+            here[j] = condition[j] - (1.0 - share) * (condition[j] - first[j])
+        inverse[0, 0] = 0.0
+        asked = Running(here[N1], 1.0, unit, here[BLEED], here[OFFTAKE_W], 0.0, 0.0)
+        stations, converged = solved(engine, _air(machine, here), asked, x, inverse)
         if converged and share == 1.0:
             return stations, True
         if converged:
@@ -104,29 +94,6 @@ def _reach(
             for j in range(UNKNOWN):
                 x[j] = kept[j]
     return stations, False
-
-
-@compiled
-def running_line(machine: Machine, n1: FloatArray, first: FloatArray) -> Line:
-    """Follow the line at sea level static down to `n1[0]` from the unknowns (7,) at `n1[-1]`.
-
-    `n1` (m,) ascends. The line starts above the last speed that does not converge.
-    """
-    lowest, unknowns = 0, np.empty((UNKNOWN, len(n1)))
-    condition, x, before = np.zeros(CONDITIONS), first.copy(), first.copy()
-    condition[STATIC_K], condition[STATIC_PA] = SEA_LEVEL_K, SEA_LEVEL_PA
-    for k in range(len(n1) - 1, -1, -1):
-        condition[N1] = n1[k]
-        for j in range(UNKNOWN):  # go on straight
-            past, before[j] = before[j], x[j]
-            x[j] += x[j] - past
-        _, converged = _solve(machine, condition, x)
-        if not converged:
-            lowest = k + 1
-            break
-        for j in range(UNKNOWN):
-            unknowns[j, k] = x[j]
-    return Line(n1[lowest:].copy(), unknowns[:, lowest:].copy())
 
 
 @compiled
@@ -145,3 +112,23 @@ def rest_points(
         for j in range(FIELDS):
             rows[k, j] = stations[j]
     return unknowns, rows, good
+
+
+def running_line(machine: Machine, n1: FloatArray, first: FloatArray) -> Line:
+    """Follow the line at sea level static down to `n1[0]` from the unknowns (7,) at `n1[-1]`.
+
+    `n1` (m,) ascends. The line starts above the last speed that does not converge.
+    """
+    found, ahead = [first], first
+    condition = np.zeros((1, CONDITIONS))
+    condition[0, STATIC_K], condition[0, STATIC_PA] = SEA_LEVEL_K, SEA_LEVEL_PA
+    for speed in n1[::-1]:
+        condition[0, N1] = speed
+        start = Line(np.array([speed]), ahead.reshape(-1, 1).copy())
+        unknowns, _, good = rest_points(machine, start, condition)
+        if not good[0]:
+            break
+        ahead = 2.0 * unknowns[0] - found[-1]  # the line goes on straight
+        found.append(unknowns[0])
+    count = len(found) - 1
+    return Line(n1[len(n1) - count :].copy(), np.array(found[:0:-1]).T.copy())
