@@ -1,0 +1,62 @@
+"""Every effect has its drawing, with its sizes in words below."""
+
+import numpy as np
+import pytest
+
+from eval.gap.drawings import drawing
+from narxcal.effects import Signals, candidates, effect
+from training.gap.finding import Interval
+
+INPUTS = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "Approach", "ECS", "NAI", "WAI", "unlogged")
+OUTPUTS = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
+LOW, HIGH = np.array([30.0, 55.0, 400.0, 150.0]), np.array([95.0, 98.0, 700.0, 900.0])
+SIGNALS = Signals(INPUTS, OUTPUTS, 0.125, "TRA_deg", LOW, HIGH, (0.0, 85.0), INPUTS)
+
+
+def sizes(acting):
+    found = {}
+    for p in acting.parameters(SIGNALS):
+        value = p.starts[0] if p.starts else 0.05 * p.high
+        found[p.name] = Interval(value, 0.8 * value, 1.2 * value)
+    return found
+
+
+ONCE = {acting.id: acting for acting in candidates(SIGNALS)}
+
+
+@pytest.mark.parametrize("acting", ONCE.values(), ids=ONCE)
+def test_every_effect_is_drawn(acting):
+    found = drawing(acting, sizes(acting), SIGNALS)
+    assert found.svg.startswith("<svg")
+    assert found.alt == f"{acting.name}: {acting.meaning}"
+    assert "nan" not in found.svg.lower()
+    assert found.caption.endswith(".")
+
+
+@pytest.mark.parametrize("name", ["throttle_backlash", "throttle_delay", "sensor_lag:EGT_C"])
+def test_an_effect_of_no_size_can_be_drawn(name):
+    assert drawing(effect(name), {}, SIGNALS).svg.startswith("<svg")
+
+
+def test_the_caption_says_how_large_and_how_sure():
+    found = drawing(effect("throttle_backlash"), {"width_deg": Interval(2.0, 1.5, 2.6)}, SIGNALS)
+    assert found.caption == "Play in the throttle linkage: width_deg 2 ° (1.5 to 2.6)."
+
+
+def test_of_many_sizes_the_largest_are_told_and_the_others_counted():
+    given = {"NAI_EGT_C": Interval(30.0, 25.0, 35.0), "WAI_N1_pct": Interval(0.1, 0.0, 0.2)}
+    caption = drawing(effect("bleed_extraction"), given, SIGNALS).caption
+    assert "NAI_EGT_C 30 °C (25 to 35)" in caption
+    assert caption.endswith("; 8 smaller ones.")
+
+
+def test_the_same_effect_gives_the_same_bytes():
+    acting = effect("sensor_lag:EGT_C")
+    first, second = (drawing(acting, sizes(acting), SIGNALS).svg for _ in range(2))
+    assert first == second
+
+
+def test_a_lever_that_is_a_fuel_flow_is_drawn_in_its_unit():
+    fuel = Signals(("FF_kgph",), OUTPUTS, 0.125, "FF_kgph", LOW, HIGH, (150.0, 900.0), ("FF_kgph",))
+    found = drawing(effect("throttle_bias"), {"bias_deg": Interval(4.0, 3.0, 5.0)}, fuel)
+    assert "what arrives [kg/h]" in found.svg
