@@ -52,16 +52,23 @@ def _verdict(finding: Finding) -> dict[str, Any]:
 def effect_rows(finding: Finding) -> list[dict[str, Any]]:
     """Every effect that was tried, claimed ones first, then by probability.
 
-    Its parameters are those of the first model with it, the claimed one where it is in that.
+    Its parameters and gain are those of the claimed model where it is in that, else its own.
     """
     models: dict[str, Tried] = {}
-    for one in finding.tried:
+    alone = [one for one in finding.tried if len(one.effects) == 1]
+    for one in (*_claimed_models(finding), *alone, *finding.tried):
         for name in one.effects:
             models.setdefault(name, one)
     chances = probabilities(finding)
-    first = [name for name in claimed(finding) if name in models]
+    first = list(claimed(finding))
     others = sorted((n for n in models if n not in first), key=lambda n: -chances[n])
     return [_effect(name, models[name], chances[name]) for name in (*first, *others)]
+
+
+def _claimed_models(finding: Finding) -> list[Tried]:
+    """For each claimed effect the first model with it."""
+    names = claimed(finding)
+    return [next(one for one in finding.tried if name in one.effects) for name in names]
 
 
 def probabilities(finding: Finding) -> dict[str, float]:

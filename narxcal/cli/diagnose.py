@@ -7,18 +7,19 @@ from __future__ import annotations
 
 from argparse import Namespace
 from collections.abc import Mapping
-from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from eval.gap.diagnose import Diagnosis, Request, diagnose_folders
 from eval.gap.document import SCHEMA
+from eval.gap.page import gap_page
 from eval.gap.stored_emulator import write_emulator
 from eval.gap.summary import EMULATOR, effect_table, sentence, shrink_table, where_table
+from eval.report.page import write_page
 from narxcal.cli.configured import read_config
 from narxcal.cli.console import Console, to_json
 from narxcal.cli.folders import Results
+from narxcal.cli.header import now
 from narxcal.errors import ConfigError
 
 DOCUMENT, PAGE = "gap.json", "gap.html"
@@ -46,9 +47,7 @@ def run(options: Namespace, console: Console) -> int:
 def write(folder: Path, found: Diagnosis) -> None:
     """Write document, page and emulator into a folder."""
     (folder / DOCUMENT).write_text(to_json(found.document), encoding="utf-8")
-    with suppress(ModuleNotFoundError):
-        page = import_module("eval.gap.page").render(found.document, found.evidence)
-        (folder / PAGE).write_text(page, encoding="utf-8")
+    write_page(folder / PAGE, gap_page(found.document, found.evidence, now()))
     (folder / EMULATOR).mkdir()
     write_emulator(folder / EMULATOR, found.emulator)
 

@@ -142,3 +142,14 @@ def test_tables_fit_on_one_screen(evidence):
         assert all(len(row) == len(head) for row in rows)
     assert tables[0][2][0][0] == "sensor_lag:EGT_C *"
     assert tables[2][2][-1][-1] == "- -> -"
+
+
+def test_an_effect_that_is_not_claimed_shows_what_it_is_worth_alone(make_finding, make_model):
+    pair = make_model(NAME, "spool_lag", gain=0.95)
+    alone = make_model("spool_lag", gain=0.1)
+    rows = effect_rows(make_finding("effects", (NAME,), (make_model(NAME), pair, alone)))
+    assert rows[1]["gain"]["value"] == 0.1
+    rows = effect_rows(
+        make_finding("effects", (NAME, "spool_lag"), (pair, make_model(NAME), alone))
+    )
+    assert [row["gain"]["value"] for row in rows] == [0.95, 0.95]
