@@ -23,12 +23,13 @@ from training.gap.emulator import NarxEmulator
 from training.gap.finding import Finding
 from training.gap.fitting import Fit, Problem, fit
 from training.gap.null import null_gains
-from training.gap.offsets import offset_fits, relative_size
+from training.gap.offsets import offset_fits, relative_size, whole_gap
 from training.gap.quadratic import misfit
 from training.gap.verdict import Offset, finding
 from training.gap.work import Options, Work
 
 OFFSETS = ("deterioration", "sensor_bias", "throttle_bias", "temperature_effect")
+_OFFSET, _OF_WHOLE = 0.25, 0.03  # least shares of the whole gap of an offset, and of anything
 Watch = Callable[[str, int, int], None]
 _SECOND = 0.3  # of what one effect leaves: less is no reason to name another
 
@@ -49,12 +50,13 @@ def diagnose(
     chosen = options or Options()
     real, noise = measured
     problem = Problem(flights, emulator, misfit(flights, real, noise))
-    work = Work(problem, chosen, problem.misfit.size(problem.misfit.gap), noise)
+    tight = whole_gap(flights, measured)
+    work = Work(problem, chosen, problem.misfit.size(problem.misfit.gap), noise, tight)
     moving = [c for c in candidates(flights.signals) if c.id not in OFFSETS]
     claimed = _claims(work, moving, watch)
     explained = np.zeros_like(flights.y) if claimed is None else claimed.response
     still = [c for c in candidates(flights.signals) if c.id in OFFSETS]
-    offset = _offset(work, (real, noise), still, explained)
+    offset = _offset(work, still, explained)
     return finding(work, claimed, offset, noise)
 
 
@@ -67,7 +69,8 @@ def _claims(work: Work, moving: Sequence[Effect], watch: Watch | None) -> Fit | 
         work.fits, work.problem.misfit, residual, work.options.draws, work.options.seed
     )
     work.threshold = float(np.quantile(gains, work.options.quantile)) / work.audible
-    if not _earned(work, work.fits[0], work.before, work.options.material):
+    heard = work.audible > work.options.audible * float(work.problem.misfit.floor.sum())
+    if not (heard and _earned(work, work.fits[0], work.before, work.options.material)):
         return None
     best = work.fits[0]
     singles = list(work.fits)
@@ -90,14 +93,15 @@ def _tried(work: Work, effects: Sequence[Effect], place: tuple[int, int, Watch |
 def _earned(work: Work, model: Fit, before: FloatArray, least: float) -> bool:
     """Whether `model` is better than `before` (Q per flight, held out) in a way that counts.
 
-    More than the pseudo-nulls, at least `least`, and in all flights but one (all of them up to
-    four).
+    More than the pseudo-nulls, at least `least`, a part of the whole gap with its offsets, and in
+    all flights but one (all of them up to four).
     """
     gained = before - model.held_out
     share = float(gained.sum()) / work.audible
     exceptions = 1 if len(gained) > 4 else 0
     often = int((gained <= 0.0).sum()) <= exceptions
-    return share > max(work.threshold, least) and often
+    heard = float(gained.sum()) > _OF_WHOLE * work.whole
+    return share > max(work.threshold, least) and often and heard
 
 
 def _best_pair(work: Work, singles: Sequence[Fit], watch: Watch | None) -> Fit | None:
@@ -133,21 +137,15 @@ def _together(work: Work, first: Fit, second: Fit) -> float:
     return float(toward / scale @ np.linalg.solve(ridge, toward / scale))
 
 
-def _offset(
-    work: Work,
-    measured: tuple[FloatArray, FloatArray],
-    effects: Sequence[Effect],
-    explained: FloatArray,
-) -> Offset | None:
+def _offset(work: Work, effects: Sequence[Effect], explained: FloatArray) -> Offset | None:
     """Offsets that earn a claim, best first, with Q before and what is audible; None if none do."""
-    fits, before, floor = offset_fits(work.problem, measured, effects, explained)
+    fits, before = offset_fits(work.problem, work.tight, effects, explained)
     if not fits:
         return None
-    audible = max(float((before - floor).sum()), 1e-9)
     best = fits[0]
     gained = before - best.held_out
     often = int((gained <= 0.0).sum()) <= (1 if len(gained) > 4 else 0)
     large = relative_size(best.response, work.problem.flights) > work.options.scatter
-    if often and large and float(gained.sum()) / audible > 0.25:
-        return fits, before, audible
+    if often and large and float(gained.sum()) / work.whole > _OFFSET:
+        return fits, before, work.whole
     return None

@@ -15,35 +15,41 @@ import numpy as np
 from narxcal.effects.base import Effect, FloatArray, Signals
 from narxcal.effects.running import Flights
 from training.gap.fitting import Fit, Problem, fit
-from training.gap.quadratic import misfit
+from training.gap.quadratic import Misfit, misfit
 
-TIGHT = 0.05  # of the priors of offsets and slopes, so that they cannot take an effect's place
+TIGHT = 1e-5  # of the priors of offsets and slopes: none, they would take the effect's place
 _ZERO_K = 273.15
+_GOVERNED = 4.0
 
 
 def offset_fits(
-    problem: Problem,
-    measured: tuple[FloatArray, FloatArray],
-    effects: Sequence[Effect],
-    explained: FloatArray,
-) -> tuple[list[Fit], FloatArray, FloatArray]:
+    problem: Problem, tight: Misfit, effects: Sequence[Effect], explained: FloatArray
+) -> tuple[list[Fit], FloatArray]:
     """Fit each offset to what `explained` (flights, time, outputs) leaves.
 
-    Returns the fits, best first, Q per flight without them, and the floor of the noise.
+    Returns the fits, best first, and Q per flight without them.
     """
-    tight = misfit(problem.flights, measured[0], measured[1], TIGHT)
-    tight = replace(tight, gap=np.where(tight.weights > 0.0, tight.gap - explained, 0.0))
-    own = replace(problem, misfit=tight)
+    left = replace(tight, gap=np.where(tight.weights > 0.0, tight.gap - explained, 0.0))
+    own = replace(problem, misfit=left)
     fits = [fit([effect], own) for effect in effects]
     fits.sort(key=lambda tried: float(tried.held_out.sum()))
-    return fits, tight.size(tight.gap), tight.floor
+    return fits, left.size(left.gap)
+
+
+def whole_gap(flights: Flights, measured: tuple[FloatArray, FloatArray]) -> Misfit:
+    """The gap with its offsets: what all effects together have to explain."""
+    return misfit(flights, measured[0], measured[1], TIGHT)
 
 
 def relative_size(response: FloatArray, flights: Flights) -> float:
-    """Largest RMS shift of any output, as a share of its level (temperatures in K)."""
+    """Largest RMS shift of any output, as a share of its level (temperatures in K).
+
+    An output that the control governs counts several times: build scatter does not move it.
+    """
     signals: Signals = flights.signals
     sizes = []
     for c, name in enumerate(signals.outputs):
         level = flights.y[..., c] + (_ZERO_K if name.endswith("_C") else 0.0)
-        sizes.append(float(np.sqrt(np.mean((response[..., c] / level) ** 2))))
+        heavy = _GOVERNED if c == 0 and signals.governed else 1.0
+        sizes.append(heavy * float(np.sqrt(np.mean((response[..., c] / level) ** 2))))
     return max(sizes)

@@ -8,10 +8,11 @@ import numpy as np
 
 from narxcal.effects.base import FloatArray, RateEffect
 from training.gap.answer import channels, probabilities, shrink, tried
-from training.gap.finding import Finding, Kind, Tried
+from training.gap.finding import Finding, Interval, Kind, Tried
 from training.gap.fitting import Fit
 from training.gap.work import Work
 
+_LEFT = 0.01  # of the gap: nobody can tell two models that both leave less
 Offset = tuple[list[Fit], FloatArray, float]  # offsets, best first; Q before; Q that is audible
 
 
@@ -41,7 +42,6 @@ def finding(
         kind, reason = "ambiguous", "other effects explain held-out flights as well"
     names = () if kind in ("none", "unknown") else _names(claimed, offset)
     leader = claimed or (offset[0][0] if offset else None)
-    gains = work.gains(claimed) if claimed is not None else np.zeros(len(work.before))
     signals = work.problem.flights.signals
     return Finding(
         kind=kind,
@@ -50,12 +50,27 @@ def finding(
         reason=reason,
         separating_manoeuvre="" if leader is None else leader.effects[0].manoeuvre,
         tried=tuple(rows),
-        predicted=shrink(gains, 0.0 if claimed is None else work.gain(claimed)),
+        predicted=_predicted(work, claimed, offset, response),
         channels=channels(work.problem.misfit, response, noise, signals.outputs),
         gap_share=work.audible / float(work.before.sum()),
         left_share=1.0 if claimed is None else work.left(claimed),
         threshold=work.threshold,
     )
+
+
+def _predicted(
+    work: Work, claimed: Fit | None, offset: Offset | None, response: FloatArray
+) -> Interval:
+    """Share of the squared gap, offsets and all, that the claim takes off flights unseen.
+
+    What each flight loses by having had no part in the fit is added to what is left of it.
+    """
+    whole = work.tight.size(work.tight.gap)
+    known = work.tight.weights > 0.0
+    left = work.tight.size(np.where(known, work.tight.gap - response, 0.0))
+    for model in ([] if claimed is None else [claimed]) + ([] if offset is None else offset[0][:1]):
+        left = left + model.held_out - model.left
+    return shrink(1.0 - left / whole, 1.0 - float(left.sum() / whole.sum()))
 
 
 def _with_offsets(
@@ -68,7 +83,9 @@ def _with_offsets(
     odds = probabilities([one.held_out for one in fits])
     own = [
         tried(
-            one, (float((before - one.held_out).sum()) / audible, (before - one.held_out)), float(p)
+            one,
+            (float((before - one.held_out).sum()) / audible, 1.0 - one.held_out / before),
+            float(p),
         )
         for one, p in zip(fits, odds, strict=True)
     ]
@@ -113,9 +130,20 @@ def _loudest(work: Work) -> float:
 
 
 def _rivals(work: Work, claimed: Fit, order: Sequence[Fit]) -> tuple[str, ...]:
-    """Single effects as good as the claimed single one on held-out flights."""
+    """Single effects that may be meant where the single one claimed leads.
+
+    Those that leave hardly more of held-out flights; and where the leader leaves much, those of its
+    family that take at least half of what it takes: its form, not its kind, may be what does not
+    fit.
+    """
     if len(claimed.effects) > 1:
         return ()
-    least = work.options.close * work.gain(claimed)
-    same = [one for one in order if one is not claimed and len(one.effects) == 1]
-    return tuple(one.name for one in same if work.gain(one) >= least)
+    others = [one for one in order if one is not claimed and len(one.effects) == 1]
+    most = work.options.close * (1.0 - work.gain(claimed)) + _LEFT
+    alike = [one for one in others if 1.0 - work.gain(one) <= most]
+    if work.left(claimed) > work.options.unexplained:
+        alike = []
+        family = claimed.effects[0].family
+        kin = [one for one in others if one.effects[0].family == family and one not in alike]
+        alike += [one for one in kin if work.gain(one) >= 0.5 * work.gain(claimed)]
+    return tuple(one.name for one in alike)

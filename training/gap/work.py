@@ -8,6 +8,7 @@ import numpy as np
 
 from narxcal.effects.base import FloatArray
 from training.gap.fitting import Fit, Problem
+from training.gap.quadratic import Misfit
 
 _LEAST = 0.01  # of the noise's energy: less of a gap is none to take shares of
 
@@ -19,8 +20,8 @@ class Options:
     `quantile` of the pseudo-nulls' best gains that a claim has to exceed, from `draws` of them;
     `material` the least share of the gap, `further` that of one more effect, of `most` at once.
     `unexplained` is the share that may be left before the answer is unknown, `unexplained_inside`
-    that for effects on how the engine moves, whose forms no two engines share. `close` is the
-    share of the leader's gain from which a rival is its equal. `audible` is the least gap, as a
+    that for effects on how the engine moves, whose forms no two engines share. A rival is the
+    leader's equal if it leaves no more than `close` times what the leader leaves. `audible` is the least gap, as a
     share of the noise's energy, that is a gap at all; below `quiet`, as a share of a channel's
     range, it is a misfit that nobody has to explain; `scatter` is the shift, as a share of a
     channel's level, that build scatter may make.
@@ -33,7 +34,7 @@ class Options:
     unexplained: float = 0.40
     unexplained_inside: float = 0.60
     quiet: float = 0.005
-    close: float = 0.93
+    close: float = 1.5
     audible: float = 0.03
     most: int = 2
     scatter: float = 0.012
@@ -48,8 +49,14 @@ class Work:
     options: Options
     before: FloatArray  # Q per flight without any effect
     noise: FloatArray
+    tight: Misfit  # of the gap with its offsets, which `problem` counts as nuisances
     fits: list[Fit] = field(default_factory=list)
     threshold: float = 0.0
+
+    @property
+    def whole(self) -> float:
+        """Q of the gap with its offsets, beyond noise."""
+        return max(float((self.tight.size(self.tight.gap) - self.tight.floor).sum()), 1e-9)
 
     @property
     def audible(self) -> float:

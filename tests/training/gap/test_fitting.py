@@ -1,0 +1,66 @@
+"""Fits recover what was put in, to within their own intervals; held-out flights pay for a fit."""
+
+import numpy as np
+import pytest
+
+from narxcal.effects import effect
+from training.gap.fitting import Problem, fit
+from training.gap.quadratic import misfit
+
+from tests.training.gap.conftest import NOISE
+
+KNOWN = {
+    "throttle_delay": [0.4],
+    "throttle_backlash": [3.0],
+    "throttle_rate_limit": [12.0],
+    "spool_lag": [1.4],
+    "accel_decel_asymmetry": [1.5],
+    "altitude_lag": [0.6],
+    "sensor_lag:EGT_C": [1.3],
+    "time_skew:N1_pct": [0.35],
+}
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_known_parameters_are_recovered(name, flights, engine, recorded):
+    measure = misfit(flights, recorded({name: KNOWN[name]}), NOISE)
+    found = fit([effect(name)], Problem(flights, engine, measure))
+    np.testing.assert_allclose(found.theta, KNOWN[name], rtol=0.02)
+    assert found.left.sum() < 1.1 * measure.floor.sum()
+
+
+def test_linear_parameters_need_no_start(flights, engine, recorded):
+    truth = [0.0, 0.0, 9.0]
+    measure = misfit(flights, recorded({"bleed_extraction": truth}), NOISE)
+    found = fit([effect("bleed_extraction")], Problem(flights, engine, measure))
+    np.testing.assert_allclose(found.theta, truth, atol=0.5)
+
+
+def test_two_effects_are_fitted_together(flights, engine, recorded):
+    truth = {"throttle_delay": [0.4], "sensor_lag:EGT_C": [1.0]}
+    measure = misfit(flights, recorded(truth), NOISE)
+    both = [effect(name) for name in truth]
+    found = fit(both, Problem(flights, engine, measure), np.array([0.2, 0.5]))
+    np.testing.assert_allclose(found.theta, [0.4, 1.0], rtol=0.03)
+    assert found.sizes == (1, 1)
+    assert found.name == "throttle_delay + sensor_lag:EGT_C"
+
+
+def test_the_jackknife_is_close_to_fitting_again_without_the_flight(flights, engine, recorded):
+    real = recorded({"sensor_lag:EGT_C": [1.3]}, noise=20.0 * NOISE)
+    whole = fit(
+        [effect("sensor_lag:EGT_C")], Problem(flights, engine, misfit(flights, real, NOISE))
+    )
+    real[0] = np.nan
+    again = fit(
+        [effect("sensor_lag:EGT_C")], Problem(flights, engine, misfit(flights, real, NOISE))
+    )
+    spread = np.ptp(whole.others[:, 0])
+    assert abs(again.theta[0] - whole.others[0, 0]) < 0.2 * spread + 1e-3
+
+
+def test_a_flight_does_not_gain_from_its_own_noise(flights, engine, recorded):
+    measure = misfit(flights, recorded({}, seed=5), NOISE)
+    found = fit([effect("bleed_extraction")], Problem(flights, engine, measure))
+    assert found.held_out.sum() > measure.size(measure.gap).sum() - 1e-6
+    assert found.left.sum() < measure.size(measure.gap).sum()
