@@ -21,10 +21,10 @@ class Options:
     `material` the least share of the gap, `further` that of one more effect, of `most` at once.
     `unexplained` is the share that may be left before the answer is unknown, `unexplained_inside`
     that for effects on how the engine moves, whose forms no two engines share. A rival is the
-    leader's equal if it leaves no more than `close` times what the leader leaves. `audible` is the least gap, as a
-    share of the noise's energy, that is a gap at all; below `quiet`, as a share of a channel's
-    range, it is a misfit that nobody has to explain; `scatter` is the shift, as a share of a
-    channel's level, that build scatter may make.
+    leader's equal if it leaves no more than `close` times what the leader leaves. `audible` is the
+    least gap, as a share of the noise's energy, that is a gap at all; below `quiet`, as a share of
+    a channel's range, it is a misfit that nobody has to explain; `scatter` is the shift, as a share
+    of a channel's level, that build scatter may make.
     """
 
     quantile: float = 0.99

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
+from tests.training.gap.conftest import NOISE
 from training.gap.diagnosis import diagnose
 from training.gap.work import Options
-
-from tests.training.gap.conftest import NOISE
 
 QUICK = Options(draws=40)
 

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from narxcal.effects import effect
+from tests.training.gap.conftest import NOISE
 from training.gap.fitting import Problem, fit
 from training.gap.quadratic import misfit
-
-from tests.training.gap.conftest import NOISE
 
 KNOWN = {
     "throttle_delay": [0.4],

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from training.gap.quadratic import misfit
-
 from tests.training.gap.conftest import NOISE
+from training.gap.quadratic import misfit
 
 
 def test_an_offset_and_a_slope_over_power_cost_nothing(flights):
