@@ -1,0 +1,90 @@
+"""Windows of an unlogged load: found where they are, and only there."""
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from narxcal.errors import DataError
+from training.gap.windows import Options, find_windows
+
+DT_S = 0.25
+NOISE = np.array([0.1, 0.08, 1.5])  # N1, N2 in %, temperature in K
+SHIFT = np.array([-0.8, -0.4, 12.0])
+
+
+def coloured(seed, flights=3, duration_s=400.0):
+    """AR(1) noise of 12 s, white noise, drift, and decays as metal that warms up leaves them."""
+    random = np.random.default_rng(seed)
+    steps = round(duration_s / DT_S)
+    time = np.arange(steps) * DT_S
+    phi = np.exp(-DT_S / 12.0)
+    drive = random.standard_normal((flights, steps, 3)) * np.sqrt(1.0 - phi**2)
+    noise = lfilter([1.0], [1.0, -phi], drive, axis=1)
+    noise += 0.7 * random.standard_normal(noise.shape)
+    for f in range(flights):
+        noise[f] += 3.0 * random.standard_normal(3) * (time / duration_s)[:, None]
+        for start in random.uniform(0.0, duration_s, round(duration_s / 120.0)):
+            since = np.maximum(time - start, 0.0)
+            soak = np.exp(-since / random.uniform(30.0, 120.0)) - np.exp(-since / 8.0)
+            noise[f] += 2.0 * random.standard_normal(3) * soak[:, None]
+    return noise * NOISE
+
+
+def switched(flight_windows, steps):
+    """What a load of SHIFT adds, which the engine takes up within a second or two."""
+    time = np.arange(steps) * DT_S
+    on = np.zeros((len(flight_windows), steps))
+    for row, windows in zip(on, flight_windows, strict=True):
+        for start, stop in windows:
+            row[(time >= start) & (time < stop)] = 1.0
+    kept = np.exp(-DT_S / 1.0)
+    return lfilter([1.0 - kept], [1.0, -kept], on, axis=1)[..., None] * SHIFT
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_coloured_noise_holds_no_windows(seed):
+    residual = coloured(seed)
+    found = find_windows(
+        residual, np.ones_like(residual), DT_S, Options(rising=2, seed=seed, draws=8)
+    )
+    assert found.found == ()
+    assert not found.on.any()
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_windows_and_shift_are_those_of_the_load(seed):
+    truth = [[(60.0, 160.0), (260.0, 330.0)], [(90.0, 130.0)], []]
+    residual = coloured(10 + seed)
+    residual += switched(truth, residual.shape[1])
+    found = find_windows(
+        residual, np.ones_like(residual) / NOISE**2, DT_S, Options(rising=2, draws=8)
+    )
+    windows = [[(w.start_s, w.stop_s) for w in found.found if w.flight == f] for f in range(3)]
+    assert [len(row) for row in windows] == [2, 1, 0]
+    for row, expected in zip(windows, truth, strict=True):
+        np.testing.assert_allclose(np.array(row), np.array(expected), atol=1.5)
+    assert found.gain > found.threshold > 0.0
+    sizes = np.array([interval.value for interval in found.shift])
+    np.testing.assert_allclose(sizes, SHIFT, rtol=0.15)
+    for window in found.found:
+        assert window.score > 0.0
+        lows = np.array([interval.low for interval in window.shift])
+        highs = np.array([interval.high for interval in window.shift])
+        assert (lows < SHIFT + 2.0 * NOISE).all()
+        assert (highs > SHIFT - 2.0 * NOISE).all()
+
+
+def test_shapes_that_differ_are_refused():
+    with pytest.raises(DataError, match="of one shape"):
+        find_windows(np.zeros((1, 10, 3)), np.zeros((1, 10, 2)), DT_S)
+    with pytest.raises(DataError, match="expected steady"):
+        find_windows(
+            np.zeros((1, 10, 3)), np.ones((1, 10, 3)), DT_S, steady=np.ones((2, 10), dtype=np.bool_)
+        )
+
+
+def test_an_unknown_residual_needs_weight_zero():
+    residual = np.full((1, 10, 3), np.nan)
+    with pytest.raises(DataError, match="not finite"):
+        find_windows(residual, np.ones_like(residual), DT_S)
+    assert find_windows(residual, np.zeros_like(residual), DT_S).found == ()
