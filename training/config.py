@@ -22,6 +22,7 @@ from narxcal.settings import Section
 from training.steady_fit import SteadyStateConfig
 
 SCHEMA: Final = "narxcal.config/1"
+_SCENARIO: Final = "fly_"  # begins the names of scenarios of virtual flights, shipped beside
 
 
 class NarxSection(Section):
@@ -153,7 +154,8 @@ def load_config(path: str | Path) -> tuple[RunConfig, Path]:
     if not file.is_file():
         shipped = Path(str(files("configs"))) / file.name
         if not shipped.is_file():
-            names = sorted(item.name for item in Path(str(files("configs"))).glob("*.toml"))
+            there = sorted(item.name for item in shipped.parent.glob("*.toml"))
+            names = [name for name in there if not name.startswith(_SCENARIO)]
             raise ConfigError(
                 "the configuration does not exist",
                 file=file,

@@ -135,7 +135,7 @@ def test_a_configuration_that_is_not_there(narxcal, tmp_path):
     refused(
         done,
         f"{tmp_path / 'none.toml'}: the configuration does not exist. Name a file, or one of the "
-        "shipped agtf30.toml, citation2.toml, demo.toml, jetcat.toml",
+        "shipped agtf30.toml, citation2.toml, demo.toml, jetcat.toml, narx_paper.toml",
     )
 
 
