@@ -161,6 +161,18 @@ class InputEffect(Effect):
         """
 
 
+class ShiftEffect(InputEffect):
+    """An input effect that may as well stand behind the engine.
+
+    A delay commutes with anything that does not change with time, so that the log of an engine
+    which is told late is the log itself, late. No emulator is as exact.
+    """
+
+    @abstractmethod
+    def on_log(self, run: Run, y: FloatArray) -> FloatArray:
+        """Outputs (batch, time, outputs) of the engine so told, for its outputs `y` without."""
+
+
 class RateEffect(Effect):
     """An effect on how fast the outputs move."""
 

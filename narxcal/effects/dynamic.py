@@ -7,11 +7,23 @@ from typing import ClassVar
 
 import numpy as np
 
-from narxcal.effects.base import FloatArray, Parameter, RateEffect, Run, Side, Signals
-from narxcal.effects.memory import Hold
+from narxcal.effects.base import (
+    FloatArray,
+    OutputEffect,
+    Parameter,
+    RateEffect,
+    Run,
+    Side,
+    Signals,
+)
+from narxcal.effects.memory import Lag
 
 SPEEDS = ("N1_pct", "N2_pct")
 UNLIMITED_PCTPS = 80.0  # faster than any spool
+
+
+def _speeds(signals: Signals) -> list[int]:
+    return [signals.y(name) for name in SPEEDS if name in signals.outputs]
 
 
 class _Spools(RateEffect):
@@ -26,8 +38,7 @@ class _Spools(RateEffect):
 
     def on_rate(self, run: Run, rate: FloatArray, air: FloatArray) -> FloatArray:
         """Rates with those of the spools changed; the other outputs move as they did."""
-        speeds = [run.signals.y(name) for name in SPEEDS if name in run.signals.outputs]
-        changed = rate.copy()
+        speeds, changed = _speeds(run.signals), rate.copy()
         changed[:, speeds] = self.spool_rate(run, rate[:, speeds], air)
         return changed
 
@@ -81,25 +92,32 @@ class AccelDecelAsymmetry(_Spools):
         return np.where(rate > 0.0, rate / run.theta[:, :1], rate)
 
 
-class AccelLimit(_Spools):
+class AccelLimit(RateEffect):
     """No spool speeds up faster than `limit_pctps`, in the thick air of sea level.
 
-    The limit goes with `delta / sqrt(theta)`, as the power that drives the spools does; where it
-    binds, both spools are slowed down alike.
+    The limit goes with `delta / sqrt(theta)`, as the power that drives the spools does. What limits
+    is the fuel, so where it binds all outputs are held back alike: the engine passes through the
+    same states, later.
     """
 
     id: ClassVar[str] = "accel_limit"
+    family: ClassVar[str] = "transit"
+    side: ClassVar[Side] = "process"
     meaning: ClassVar[str] = "acceleration limited by the control"
     manoeuvre: ClassVar[str] = "slams of three sizes: only the large ones are slower"
     fixed = (
         Parameter("limit_pctps", "%/s", 0.5, UNLIMITED_PCTPS, UNLIMITED_PCTPS, (25.0, 12.0, 6.0)),
     )
 
-    def spool_rate(self, run: Run, rate: FloatArray, air: FloatArray) -> FloatArray:
-        """Rates scaled down so that the fastest is at the limit; none at the neutral limit."""
+    def applies(self, signals: Signals) -> bool:
+        """Wherever there is a spool speed."""
+        return any(name in signals.outputs for name in SPEEDS)
+
+    def on_rate(self, run: Run, rate: FloatArray, air: FloatArray) -> FloatArray:
+        """Rates scaled down so that the fastest spool's is at the limit; none at the neutral."""
         limit = np.where(run.theta[:, :1] < UNLIMITED_PCTPS, run.theta[:, :1] * air, np.inf)
-        fastest = np.maximum(rate.max(axis=1, keepdims=True), 1e-9)
-        return np.asarray(rate * np.minimum(limit / fastest, 1.0))
+        fastest = rate[:, _speeds(run.signals)].max(axis=1, keepdims=True)
+        return np.asarray(rate * np.minimum(limit / np.maximum(fastest, 1e-9), 1.0))
 
 
 class AltitudeLag(_Spools):
@@ -122,10 +140,12 @@ class AltitudeLag(_Spools):
         return rate * air ** run.theta[:, :1]
 
 
-class ActuatorLag(RateEffect):
-    """What moves the engine lags by `tau_s`: its rates follow the simulator's with that lag.
+class ActuatorLag(OutputEffect):
+    """A further lag of `tau_s` between the control and the fuel that burns.
 
-    In a control loop this shows as a later start and as overshoot, not as a longer transit.
+    A lag in series with an engine may as well stand behind it as long as the engine does not
+    change much within `tau_s`: all outputs follow the simulator's with the one lag. What the
+    control does about it (some overshoot) is left out.
     """
 
     id: ClassVar[str] = "actuator_lag"
@@ -135,6 +155,11 @@ class ActuatorLag(RateEffect):
     manoeuvre: ClassVar[str] = "fast small steps: a lag bends the start, a delay only shifts it"
     fixed = (Parameter("tau_s", "s", 0.0, 3.0, 0.0, (0.1, 0.3, 0.8)),)
 
-    def on_rate(self, run: Run, rate: FloatArray, air: FloatArray) -> FloatArray:  # noqa: ARG002 - the same in any air
-        """All rates behind a first-order lag, from rest."""
-        return run.memory.setdefault("rate", Hold(run.theta[:, 0], run.signals.dt_s))(rate)
+    def on_output(self, run: Run, y: FloatArray) -> FloatArray:
+        """All outputs behind one and the same lag."""
+        tau_s = run.theta[:, 0]
+        columns = [
+            run.memory.setdefault(f"lag {j}", Lag(tau_s, run.signals.dt_s))(y[..., j])
+            for j in range(y.shape[-1])
+        ]
+        return np.stack(columns, axis=-1)

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from narxcal.effects.base import FloatArray, InputEffect, Parameter, Run, Side
+from narxcal.effects.base import FloatArray, InputEffect, Parameter, Run, ShiftEffect, Side
 from narxcal.effects.memory import Delay, Play, RateLimit
 
 LONGEST_S = 2.0
@@ -47,7 +47,7 @@ class ThrottleBacklash(_Lever):
         return run.memory.setdefault("play", Play(run.theta[:, 0]))(lever)
 
 
-class ThrottleDelay(_Lever):
+class ThrottleDelay(_Lever, ShiftEffect):
     """Transport delay between lever and control, any length: straight lines between samples."""
 
     id: ClassVar[str] = "throttle_delay"
@@ -60,6 +60,14 @@ class ThrottleDelay(_Lever):
         """Where the lever was `delay_s` ago."""
         delay = Delay(run.theta[:, 0], run.signals.dt_s)
         return run.memory.setdefault("delay", delay)(lever)
+
+    def on_log(self, run: Run, y: FloatArray) -> FloatArray:
+        """What the outputs were `delay_s` ago; conditions change little meanwhile."""
+        columns = [
+            run.memory.setdefault(f"delay {j}", Delay(run.theta[:, 0], run.signals.dt_s))(y[..., j])
+            for j in range(y.shape[-1])
+        ]
+        return np.stack(columns, axis=-1)
 
 
 class ThrottleRateLimit(_Lever):

@@ -136,19 +136,3 @@ class Clock:
         steps = self._step + np.arange(value.shape[1])
         self._step += value.shape[1]
         return np.broadcast_to(steps * self._dt_s, value.shape)
-
-
-class Hold:
-    """First-order lag for an input that is held from one sample to the next, from zero.
-
-    `y[k] = y[k-1] + (1 - exp(-dt / tau)) (x[k] - y[k-1])`, on rows (batch, any) of one sample.
-    """
-
-    def __init__(self, tau_s: FloatArray, dt_s: float) -> None:
-        self._part = -np.expm1(-dt_s / np.maximum(tau_s, 1e-9))[:, None]
-        self._at: FloatArray | float = 0.0
-
-    def __call__(self, value: FloatArray) -> FloatArray:
-        """The lag after one more sample."""
-        self._at = np.where(self._part < 1.0, self._at + self._part * (value - self._at), value)
-        return self._at

@@ -25,6 +25,7 @@ from narxcal.effects.base import (
     OutputEffect,
     RateEffect,
     Run,
+    ShiftEffect,
     Signals,
 )
 from narxcal.errors import ConfigError
@@ -58,20 +59,29 @@ class RateForm(Protocol):
 def respond(settings: Sequence[Setting], flights: Flights, emulator: RateForm | None) -> FloatArray:
     """Outputs (batch, flights, time, outputs) with the effects of `settings` in place.
 
-    All thetas have one batch. Effects act in the order input, rate, output. Only those on inputs
-    and rates need the `emulator`; raises `ConfigError` where it is missing.
+    All thetas have one batch. Effects act in the order input, rate, output. Only those on rates,
+    and on inputs but for a delay, need the `emulator`; raises `ConfigError` where it is missing.
     """
     batch, (count, steps, _) = len(settings[0][1]), flights.u.shape
     rows = np.tile(np.arange(count), batch)
     spread = [(effect, np.repeat(theta, count, axis=0)) for effect, theta in settings]
-    told = arrived(spread, flights.signals, flights.u[rows])
-    inner = [effect for effect, _ in settings if isinstance(effect, (InputEffect, RateEffect))]
-    if inner and emulator is None:
-        raise ConfigError(f"effect '{inner[0].name}' acts inside the engine: it needs an emulator")
     y = flights.y[rows]
-    if inner and emulator is not None:
-        y = _moved(spread, flights, emulator, told)
+    inner = [setting for setting in spread if _inside(setting[0])]
+    if inner:
+        if emulator is None:
+            name = inner[0][0].name
+            raise ConfigError(f"effect '{name}' acts inside the engine: it needs an emulator")
+        y = _moved(inner, flights, emulator, arrived(inner, flights.signals, flights.u[rows]))
+    for effect, theta in spread:
+        if isinstance(effect, ShiftEffect):
+            y = effect.on_log(Run(flights.signals, theta, flights.u[rows]), y)
+    told = arrived(spread, flights.signals, flights.u[rows])
     return read(spread, flights.signals, told, y).reshape(batch, count, steps, -1)
+
+
+def _inside(effect: Effect) -> bool:
+    """Whether an engine with the effect has to be emulated."""
+    return isinstance(effect, (InputEffect, RateEffect)) and not isinstance(effect, ShiftEffect)
 
 
 def arrived(settings: Sequence[Setting], signals: Signals, u: FloatArray) -> FloatArray:

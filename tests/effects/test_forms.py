@@ -68,6 +68,19 @@ def test_slower_up_than_down(flights):
     np.testing.assert_allclose(found, [[1.5, 2.0], [-3.0, 2.0], [-1.0, -2.0]])
 
 
+def test_where_the_control_limits_all_is_held_back_alike(flights):
+    found = moved("accel_limit", 5.0, RATE, 0.5, flights)
+    np.testing.assert_allclose(found, np.array(RATE) * [[2.5 / 4.0], [2.5 / 4.0], [1.0]])
+
+
+def test_a_lag_of_the_actuator_is_one_lag_of_all_outputs(flights):
+    found = added(effect("actuator_lag"), flights, tau_s=0.6)
+    for name in flights.signals.outputs:
+        alone = added(effect(f"sensor_lag:{name}"), flights, tau_s=0.6)
+        column = flights.signals.y(name)
+        np.testing.assert_array_equal(found[..., column], alone[..., column])
+
+
 def test_thin_air_slows_the_spools_by_its_power(flights):
     found = moved("altitude_lag", 0.8, RATE, 0.3, flights)[:, :2]
     np.testing.assert_allclose(found, np.array(RATE)[:, :2] * 0.3**0.8)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.effects.memory import Clock, Delay, Hold, Lag, Play, RateLimit
+from narxcal.effects.memory import Clock, Delay, Lag, Play, RateLimit
 
 DT = 0.125
 PARTS = {
@@ -158,13 +158,6 @@ def test_a_clock_counts_on():
     first, second = clock(np.zeros((2, 3))), clock(np.zeros((2, 2)))
     np.testing.assert_array_equal(first, [[0.0, DT, 2 * DT]] * 2)
     np.testing.assert_array_equal(second, [[3 * DT, 4 * DT]] * 2)
-
-
-def test_a_held_lag_reaches_its_share_each_sample():
-    hold, tau = Hold(np.array([0.4, 0.0]), DT), 0.4
-    found = np.array([hold(np.ones((2, 1)))[:, 0] for _ in range(20)])
-    np.testing.assert_allclose(found[:, 0], 1.0 - np.exp(-DT * np.arange(1, 21) / tau))
-    np.testing.assert_array_equal(found[:, 1], 1.0)
 
 
 def test_each_row_has_its_own_parameter():

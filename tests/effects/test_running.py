@@ -31,7 +31,6 @@ def test_no_effect_is_no_difference_however_wrong_the_emulator(acting, neutral, 
     ("name", "theta"),
     [
         ("throttle_backlash", 4.0),
-        ("throttle_delay", 0.33),
         ("throttle_rate_limit", 6.0),
         ("throttle_bias", 2.5),
     ],
@@ -45,9 +44,6 @@ def test_on_an_exact_emulator_an_input_effect_is_the_engine_told_so(
     lever = told[..., 0]
     if name == "throttle_bias":
         lever += theta
-    elif name == "throttle_delay":
-        t = DT * np.arange(lever.shape[1])
-        lever[:] = [np.interp(t - theta, t, row) for row in lever]
     else:
         for row in lever:
             at = row[0]
@@ -58,6 +54,16 @@ def test_on_an_exact_emulator_an_input_effect_is_the_engine_told_so(
                     at += min(max(value - at, -theta * DT), theta * DT)
                 row[k] = at
     exact = np.stack([engine.simulate(u, y[0]) for u, y in zip(told, flights.y, strict=True)])
+    np.testing.assert_allclose(found, exact, atol=1e-9)
+
+
+def test_an_engine_that_is_told_late_does_the_same_late(flights, fly, engine):
+    u = np.repeat(flights.u[:, :1], 240, axis=1)
+    u[..., 0], u[..., 4:] = flights.u[..., 0], 0.0
+    of, told = fly(u), u.copy()
+    told[:, 3:, 0], told[:, :3, 0] = u[:, :-3, 0], u[:, :1, 0]
+    found = respond([(effect("throttle_delay"), np.array([[3 * DT]]))], of, None)[0]
+    exact = np.stack([engine.simulate(row, y[0]) for row, y in zip(told, of.y, strict=True)])
     np.testing.assert_allclose(found, exact, atol=1e-9)
 
 
@@ -109,7 +115,7 @@ def test_effects_act_in_the_order_of_their_places(flights, engine):
     np.testing.assert_array_equal(found, respond(settings[:1], of, None))
 
 
-@pytest.mark.parametrize("name", ["throttle_delay", "spool_lag"])
+@pytest.mark.parametrize("name", ["throttle_bias", "spool_lag"])
 def test_an_effect_inside_the_engine_needs_an_emulator(name, flights):
     with pytest.raises(ConfigError, match=f"'{name}' acts inside the engine: it needs an emulator"):
         respond([(effect(name), np.array([[1.0]]))], flights, None)
@@ -117,5 +123,5 @@ def test_an_effect_inside_the_engine_needs_an_emulator(name, flights):
 
 def test_the_shape_is_batch_flights_time_outputs(flights, engine):
     thetas = np.linspace(0.0, 1.0, 5)[:, None]
-    found = respond([(effect("throttle_delay"), thetas)], flights, engine)
+    found = respond([(effect("spool_lag"), 1.0 + thetas)], flights, engine)
     assert found.shape == (5, *flights.y.shape)
