@@ -31,6 +31,7 @@ from narxcal.effects.base import (
 from narxcal.errors import ConfigError
 
 Setting = tuple[Effect, FloatArray]  # an effect and its theta (batch, parameters)
+SETTLE_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -117,9 +118,22 @@ def _moved(
     ]
     air = signals.thin_air(told)[..., None]
     y = flights.y[rows]
+    if not np.array_equal(told[:, 0], flights.u[rows, 0]):
+        y[:, 0] = _settled(emulator, y[:, 0], (before[rows, 0], drive[:, 0]), dt)
     for k in range(y.shape[1] - 1):
         rate = anchor[rows, k] + emulator.rate(y[:, k], drive[:, k])
         for effect, run in acting:
             rate = effect.on_rate(run, rate, air[:, k])
         y[:, k + 1] = y[:, k] + dt * rate
+    return y
+
+
+def _settled(
+    emulator: RateForm, logged: FloatArray, drives: tuple[FloatArray, FloatArray], dt_s: float
+) -> FloatArray:
+    """Where an engine at rest at `logged` (rows, outputs) rests under the second of two drives."""
+    before, drive = drives
+    y, anchor = logged, emulator.rate(logged, before)
+    for _ in range(round(SETTLE_S / dt_s)):
+        y = y + dt_s * (emulator.rate(y, drive) - anchor)
     return y

@@ -5,6 +5,8 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import ClassVar
 
+import numpy as np
+
 from narxcal.effects.base import FloatArray, OutputEffect, Parameter, Run, Side, Signals, unit
 from narxcal.effects.memory import Clock, Delay, Lag
 
@@ -28,17 +30,29 @@ class SensorEffect(OutputEffect):
 
 
 class SensorLag(SensorEffect):
-    """The sensor follows its channel with a further first-order lag."""
+    """The sensor's time constant is `tau_s` longer than the simulator has it.
+
+    The simulator's channel may be behind a lag of its own, `own_s`, which is then replaced:
+    `(1 + own s) / (1 + (own + tau) s)`. With `own_s` = 0 it is one more lag in series.
+    """
 
     id: ClassVar[str] = "sensor_lag"
     family: ClassVar[str] = "channel lag"
     meaning: ClassVar[str] = "lag of one sensor"
     manoeuvre: ClassVar[str] = "fast steps: a lag rounds one channel off, a delay only shifts it"
-    fixed = (Parameter("tau_s", "s", 0.0, 15.0, 0.0, (0.2, 0.8, 3.0)),)
+    fixed = (
+        Parameter("tau_s", "s", 0.0, 15.0, 0.0, (0.2, 0.8, 3.0)),
+        Parameter("own_s", "s", 0.0, 5.0, 0.0, (0.05, 0.6)),
+    )
 
     def reading(self, run: Run, value: FloatArray) -> FloatArray:
         """The lagged channel, settled at its first value."""
-        return run.memory.setdefault("lag", Lag(run.theta[:, 0], run.signals.dt_s))(value)
+        tau, own = run.theta[:, 0], run.theta[:, 1]
+        passed = (own / np.maximum(own + tau, 1e-9))[:, None]
+        lagged = run.memory.setdefault("lag", Lag(own + tau, run.signals.dt_s))(value)
+        # Without an added lag, or without a lag at all, nothing may change, to the bit.
+        same = (tau == 0.0)[:, None]
+        return np.asarray(np.where(same, value, lagged + passed * (value - lagged)))
 
 
 class FlowmeterDynamics(SensorLag):

@@ -53,8 +53,17 @@ def test_on_an_exact_emulator_an_input_effect_is_the_engine_told_so(
                 else:
                     at += min(max(value - at, -theta * DT), theta * DT)
                 row[k] = at
-    exact = np.stack([engine.simulate(u, y[0]) for u, y in zip(told, flights.y, strict=True)])
+    rest = found[:, 0] if name == "throttle_bias" else flights.y[:, 0]
+    exact = np.stack([engine.simulate(u, start) for u, start in zip(told, rest, strict=True)])
     np.testing.assert_allclose(found, exact, atol=1e-9)
+
+
+def test_an_engine_that_is_told_wrong_from_the_start_starts_at_rest(flights, fly, engine):
+    u = np.repeat(flights.u[:, :1], 20, axis=1)
+    u[..., 4:] = 0.0
+    of, told = fly(u), u + np.array([2.5, *np.zeros(8)])
+    found = respond([(effect("throttle_bias"), np.array([[2.5]]))], of, engine)[0]
+    np.testing.assert_allclose(found, fly(told).y, atol=1e-2)
 
 
 def test_an_engine_that_is_told_late_does_the_same_late(flights, fly, engine):
