@@ -1,14 +1,15 @@
-"""`narxcal demo`: all of it on flights of the stand-in engine, without any file."""
+"""`narxcal demo`: all of it on flights of the virtual engine, without any file."""
 
 from __future__ import annotations
 
 import shutil
 from argparse import Namespace
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from eval.demo_flights import write_logs
+from eval.virtual_flights import TRUTH, WriteOptions, load_scenario, write_flights
 from narxcal.atomic import atomic_write_text
 from narxcal.cli.console import Console, to_json
 from narxcal.cli.evaluate import PAGE, Judgement, judge, show, write
@@ -19,6 +20,7 @@ from training.config import load_config
 
 SCHEMA = "narxcal.demo/1"
 DOCUMENT, CONFIG, FLIGHTS, MODEL, PAGES = "demo.json", "demo.toml", "flights", "run", "evaluate"
+SCENARIO, JOBS = "fly_demo.toml", 2
 RESULTS = Results(SCHEMA, DOCUMENT, (CONFIG, FLIGHTS, MODEL, PAGES))
 
 
@@ -27,8 +29,7 @@ def run(options: Namespace, console: Console) -> int:
     folder = options.out.resolve()
     RESULTS.check(folder)
     _begin(folder)
-    with console.progress("Flying the stand-in engine"):
-        write_logs(folder / FLIGHTS)
+    _fly(folder / FLIGHTS, console)
     config, base = load_config(folder / CONFIG)
     bundle = train(config, base, folder / MODEL, (False, console))
     found = judge(bundle, logs_for(bundle, None, None, console), (folder / MODEL, None), console)
@@ -37,7 +38,7 @@ def run(options: Namespace, console: Console) -> int:
     document = _document(found, complete=True)
     atomic_write_text(folder / DOCUMENT, to_json(document))
     show(console, found)
-    console.say("This is a stand-in engine: draw no conclusions about any real one.")
+    console.say("This engine is a virtual one: draw no conclusions about any real one.")
     console.say(f"Page: {options.out / PAGES / PAGE}")
     console.document(document)
     return found.exit_code
@@ -50,6 +51,18 @@ def _begin(folder: Path) -> None:
     atomic_write_text(folder / DOCUMENT, to_json({"schema": SCHEMA, "complete": False}))
     shipped = files("configs").joinpath("demo.toml").read_text(encoding="utf-8")
     atomic_write_text(folder / CONFIG, shipped)
+
+
+def _fly(folder: Path, console: Console) -> None:
+    """Write the demonstration's logs and, beside them, the truth about them."""
+    scenario = load_scenario(Path(str(files("configs"))) / SCENARIO)
+    with console.progress("Flying the virtual engine") as advance:
+
+        def watch(facts: Mapping[str, Any], done: int, total: int) -> None:
+            advance(done, total, f"(flight {facts['flight']})")
+
+        truth = write_flights(folder, scenario, WriteOptions(JOBS), watch)
+    atomic_write_text(folder / TRUTH, to_json(truth))
 
 
 def _document(found: Judgement, *, complete: bool) -> dict[str, Any]:

@@ -228,7 +228,7 @@ def test_an_unfinished_demonstration_is_marked_and_can_be_begun_again(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(demo, "train", stop)
-    monkeypatch.setattr(demo, "write_logs", lambda folder: folder.mkdir())
+    monkeypatch.setattr(demo, "write_flights", lambda folder, *_: folder.mkdir() or {})
     for _ in range(2):
         done = narxcal("demo", "--out", tmp_path / "demo")
         assert done.code == 130
