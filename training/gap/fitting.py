@@ -162,7 +162,7 @@ def _difference(parameter: Parameter, value: float) -> float:
 
 def _scale(parameter: Parameter) -> float:
     """Size of a small effect of this kind: its start nearest to neutral."""
-    return min(abs(s - parameter.neutral) for s in parameter.starts)
+    return min(abs(s - parameter.neutral) for s in parameter.starts if s != parameter.neutral)
 
 
 def _clipped(theta: FloatArray, parameters: Sequence[Parameter]) -> FloatArray:

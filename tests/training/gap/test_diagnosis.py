@@ -19,7 +19,7 @@ def answer(flights, engine, real):
     [
         ("throttle_delay", [0.4]),
         ("throttle_backlash", [3.0]),
-        ("sensor_lag:EGT_C", [1.2]),
+        ("sensor_lag:EGT_C", [1.2, 0.5]),
         ("time_skew:N2_pct", [0.5]),
         ("altitude_lag", [0.7]),
     ],
@@ -69,19 +69,19 @@ def test_what_is_in_no_library_is_not_named(flights, engine, recorded):
 
 
 def test_two_effects_are_both_named(flights, engine, recorded):
-    real = recorded({"throttle_delay": [0.5], "sensor_lag:EGT_C": [2.5]})
+    real = recorded({"throttle_delay": [0.5], "sensor_lag:EGT_C": [2.5, 0.5]})
     found = answer(flights, engine, real)
     assert set(found.effects) == {"throttle_delay", "sensor_lag:EGT_C"}, found.reason
 
 
 def test_the_same_logs_give_the_same_answer(flights, engine, recorded):
-    real = recorded({"sensor_lag:EGT_C": [1.2]})
+    real = recorded({"sensor_lag:EGT_C": [1.2, 0.5]})
     assert answer(flights, engine, real) == answer(flights, engine, real)
 
 
 def test_the_model_at_work_is_reported(flights, engine, recorded):
     seen = []
-    real = recorded({"sensor_lag:EGT_C": [1.2]})
+    real = recorded({"sensor_lag:EGT_C": [1.2, 0.5]})
     diagnose(flights, (real, NOISE), engine, QUICK, lambda name, k, n: seen.append((name, k, n)))
     assert seen[0][1] == 0
     assert all(k < n for _, k, n in seen)

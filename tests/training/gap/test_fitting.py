@@ -15,7 +15,7 @@ KNOWN = {
     "spool_lag": [1.4],
     "accel_decel_asymmetry": [1.5],
     "altitude_lag": [0.6],
-    "sensor_lag:EGT_C": [1.3],
+    "sensor_lag:EGT_C": [1.3, 0.5],
     "time_skew:N1_pct": [0.35],
 }
 
@@ -36,17 +36,17 @@ def test_linear_parameters_need_no_start(flights, engine, recorded):
 
 
 def test_two_effects_are_fitted_together(flights, engine, recorded):
-    truth = {"throttle_delay": [0.4], "sensor_lag:EGT_C": [1.0]}
+    truth = {"throttle_delay": [0.4], "sensor_lag:EGT_C": [1.0, 0.5]}
     measure = misfit(flights, recorded(truth), NOISE)
     both = [effect(name) for name in truth]
-    found = fit(both, Problem(flights, engine, measure), np.array([0.2, 0.5]))
-    np.testing.assert_allclose(found.theta, [0.4, 1.0], rtol=0.03)
-    assert found.sizes == (1, 1)
+    found = fit(both, Problem(flights, engine, measure), np.array([0.2, 0.5, 0.2]))
+    np.testing.assert_allclose(found.theta, [0.4, 1.0, 0.5], rtol=0.05)
+    assert found.sizes == (1, 2)
     assert found.name == "throttle_delay + sensor_lag:EGT_C"
 
 
 def test_the_jackknife_is_close_to_fitting_again_without_the_flight(flights, engine, recorded):
-    real = recorded({"sensor_lag:EGT_C": [1.3]}, noise=20.0 * NOISE)
+    real = recorded({"sensor_lag:EGT_C": [1.3, 0.5]}, noise=20.0 * NOISE)
     whole = fit(
         [effect("sensor_lag:EGT_C")], Problem(flights, engine, misfit(flights, real, NOISE))
     )
