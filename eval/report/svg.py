@@ -86,7 +86,7 @@ def _shrink(svg: str, alt: str) -> str:
     body = re.sub(r" transform=\"rotate\(-?0 [^\"]*\"", "", body)
     body = re.sub(r"\b(?:d|x|y|transform)=\"[^\"]*\"", _hundredths, body)
     body = re.sub(r"\s*\n\s*", "\n", re.sub(r" \n(?=[LMCQzZ\"])", "", body))
-    body = _private_ids(body)
+    body = _private_ids(body, alt)
     box = re.search(r'width="([\d.]+)pt" height="[\d.]+pt" (viewBox="[^"]+")', body)
     width, view = (float(box[1]), box[2]) if box else (720.0, "")
     # Small drawings keep their size; wide ones take the width of the page.
@@ -104,10 +104,10 @@ def _hundredths(attribute: re.Match[str]) -> str:
     return re.sub(r"(\d+\.\d\d)\d+", r"\1", attribute[0])
 
 
-def _private_ids(body: str) -> str:
-    """Drop the ids nobody refers to and make the others unique to this drawing."""
+def _private_ids(body: str, alt: str) -> str:
+    """Drop the ids nobody refers to and make the others unique to this drawing of this name."""
     used = set(re.findall(r"(?:href=\"#|url\(#)([^\")]+)", body))
-    key = hashlib.sha256(body.encode()).hexdigest()[:8]
+    key = hashlib.sha256((alt + body).encode()).hexdigest()[:8]
     body = re.sub(
         r" id=\"([^\"]*)\"",
         lambda match: f' id="{key}{match[1]}"' if match[1] in used else "",

@@ -1,0 +1,246 @@
+"""Tables of the page of a diagnosis, from its document alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from eval.gap.summary import effect_name
+from eval.report.style import symbol, unit, with_unit
+from eval.report.tables import NOTHING, Cell, Mark, Table, figure, number
+
+_TOO_COARSE = 0.5  # of the gap: an emulator with more error than this says little about it
+_UNITS = {"degC": "°C", "deg": "°", "degps": "°/s", "-": ""}
+
+
+def bins(document: Mapping[str, Any]) -> Table:
+    """Every bin of the gap's energy, largest first; the core is marked."""
+    rows = tuple(
+        (
+            Cell(symbol(row["channel"]), "head"),
+            Cell(row["direction"]),
+            Cell(row["phase"]),
+            percent(row["share"], "best" if row.get("core") else ""),
+            Cell(span(row), number=True),
+            Cell(_regime(row["regime"])),
+        )
+        for row in document["where"]
+    )
+    head = ("channel", "direction", "phase", "share [%]", "90 % interval [%]", "mostly at")
+    return Table("Marked: the fewest bins that hold 70 % of the energy", head, rows)
+
+
+def _regime(regime: Mapping[str, str]) -> str:
+    return ", ".join(f"{key} {level}" for key, level in regime.items() if level != "all") or NOTHING
+
+
+def effects(document: Mapping[str, Any]) -> Table:
+    """Ranked effects in full."""
+    claimed = set(document["verdict"]["effects"])
+    rows = tuple(_effect(row, claimed) for row in document["effects"])
+    head = ("effect", "family", "side", "probability [%]", "gain [%]", "least to most [%]",
+            "parameters with 90 % interval", "remark")  # fmt: skip
+    return Table("Claimed effects first, then by probability", head, rows)
+
+
+def _effect(row: Mapping[str, Any], claimed: set[str]) -> tuple[Cell, ...]:
+    name = effect_name(row)
+    remarks = ["claimed"] if name in claimed else []
+    if row.get("with"):
+        remarks.append(f"fitted with {', '.join(row['with'])}")
+    remarks += [f"{each} is at its bound" for each in row.get("at_bound", ())]
+    return (
+        Cell(name, "head"),
+        Cell(row["family"]),
+        Cell(row.get("side", "")),
+        percent(row["probability"], "best" if name in claimed else ""),
+        percent(row["gain"]["value"]),
+        Cell(span(row["gain"]), number=True),
+        Cell(sizes(row)),
+        Cell("; ".join(remarks)),
+    )
+
+
+def sizes(row: Mapping[str, Any]) -> str:
+    """Parameters of an effect in words: `tau_s 1.8 s (1.6 to 2.0)`."""
+    return "; ".join(
+        f"{name} {number(each['value'])} {printed(each.get('unit', '-'))}".rstrip()
+        + f" ({number(each['low'])} to {number(each['high'])})"
+        for name, each in row["parameters"].items()
+    )
+
+
+def printed(name: str) -> str:
+    """Unit as it is printed: `degC` -> `°C`."""
+    return _UNITS.get(name, name)
+
+
+def models(document: Mapping[str, Any]) -> Table:
+    """Every model that was fitted, by its gain."""
+    tried = sorted(document["tried"], key=lambda row: -_real(row["gain"]))
+    rows = tuple(
+        (
+            Cell(" + ".join(row["effects"]), "head"),
+            Cell(row["family"]),
+            percent(row["gain"]),
+            Cell(_reach(row["flights"]), number=True),
+            percent(row["probability"]),
+        )
+        for row in tried
+    )
+    head = ("model", "family", "gain [%]", "over flights [%]", "probability [%]")
+    return Table("Gain on flights that had no part in the fit", head, rows)
+
+
+def _reach(values: Sequence[float | None]) -> str:
+    known = [100 * value for value in values if value is not None]
+    return f"{whole(min(known))} to {whole(max(known))}" if known else NOTHING
+
+
+def shrinkage(document: Mapping[str, Any]) -> Table:
+    """Per channel: RMSE before, after and floor, and what that is of the squared gap."""
+    shrink = document["shrink"]
+    rows = tuple(
+        (
+            Cell(with_unit(name), "head"),
+            figure(row["before"]),
+            figure(row["after"], _better(row["before"], row["after"])),
+            figure(row["floor"]),
+            percent(_taken(row)),
+        )
+        for name, row in shrink["channels"].items()
+    )
+    head = ("RMSE of", "before", "after", "noise floor", "off the squared gap [%]")
+    return Table(f"On {shrink.get('on', 'the flights of the diagnosis')}", head, rows)
+
+
+def _taken(row: Mapping[str, float | None]) -> float | None:
+    before, after = _real(row["before"]), _real(row["after"])
+    return 1.0 - (after / before) ** 2 if before > 0.0 else None
+
+
+def times(document: Mapping[str, Any]) -> Table:
+    """Errors of Ti and Tt before and after, per channel."""
+    found = document["shrink"].get("times", {})
+    rows = tuple(
+        (
+            Cell(symbol(name), "head"),
+            count(row["events"]),
+            figure(row["Ti_before_s"]),
+            figure(row["Ti_after_s"], _better(row["Ti_before_s"], row["Ti_after_s"])),
+            figure(row["Tt_before_s"]),
+            figure(row["Tt_after_s"], _better(row["Tt_before_s"], row["Tt_after_s"])),
+        )
+        for name, row in found.items()
+    )
+    head = ("channel", "events", "Ti before [s]", "Ti after [s]", "Tt before [s]", "Tt after [s]")
+    return Table("Mean absolute errors of Ti and Tt", head, rows)
+
+
+def late(document: Mapping[str, Any]) -> Table:
+    """Median errors of Ti and Tt of the simulator as it is, pushes and pulls apart."""
+    rows = tuple(
+        (
+            Cell(symbol(name), "head"),
+            Cell(direction),
+            count(row["events"]),
+            figure(row["Ti_s"]),
+            figure(row["Tt_s"]),
+        )
+        for name, both in document["quality"].get("Ti_Tt", {}).items()
+        for direction, row in both.items()
+    )
+    head = ("channel", "direction", "events", "Ti [s]", "Tt [s]")
+    caption = "Median of recorded less simulated: positive where the engine is later"
+    return Table(caption, head, rows)
+
+
+def theil(document: Mapping[str, Any]) -> Table:
+    """Theil's split of every channel."""
+    rows = tuple(
+        (
+            Cell(symbol(name), "head"),
+            *(percent(row[key]) for key in ("bias", "variance", "covariance")),
+            figure(row["inequality"]),
+        )
+        for name, row in document["theil"].items()
+    )
+    head = ("channel", "bias [%]", "variance [%]", "covariance [%]", "inequality U")
+    return Table("Theil's split of the squared gap", head, rows)
+
+
+def emulator(document: Mapping[str, Any]) -> Table:
+    """The emulator's own error beside the gap that it has to explain."""
+    before = document["shrink"]["channels"]
+    rows = tuple(
+        (
+            Cell(with_unit(name), "head"),
+            figure(rmse, _coarse(rmse, before.get(name, {}).get("before"))),
+            figure(before.get(name, {}).get("before")),
+            figure(document["quality"].get("noise", {}).get(name)),
+        )
+        for name, rmse in document["emulator"]["rmse"].items()
+    )
+    head = ("channel", "emulator's own RMSE", "RMSE of the gap", "noise")
+    return Table("Free run of the emulator over whole simulated flights", head, rows)
+
+
+def _coarse(rmse: float | None, gap: float | None) -> Mark:
+    if rmse is None or gap is None:
+        return "none"
+    return "bad" if rmse > _TOO_COARSE * gap else "good"
+
+
+def changed(document: Mapping[str, Any]) -> Table:
+    """What was changed in the logs, or is missing in them, in samples."""
+    rows = tuple(
+        (Cell(flight, "head"), Cell(reason), count(samples))
+        for flight, reasons in document["quality"].get("changed", {}).items()
+        for reason, samples in reasons.items()
+    )
+    return Table("Samples that are unknown, masked or cut", ("flight", "what", "samples"), rows)
+
+
+def compared(document: Mapping[str, Any]) -> Table:
+    """Outputs that are compared but not diagnosed."""
+    rows = tuple(
+        (Cell(symbol(name), "head"), figure(rmse), Cell(unit(name)))
+        for name, rmse in document["quality"].get("compared", {}).items()
+    )
+    head = ("channel", "RMSE of recorded less simulated", "unit")
+    return Table("Recorded on both sides, compared, not diagnosed", head, rows)
+
+
+def percent(share: float | None, mark: Mark = "") -> Cell:
+    """A share as a number in percent; whole, but for small ones."""
+    if share is None or not math.isfinite(share):
+        return Cell(NOTHING, mark, number=True)
+    digits = 1 if 0.0005 <= abs(share) < 0.0995 else 0
+    return Cell(whole(100 * share, digits), mark, number=True)
+
+
+def count(number_of: int) -> Cell:
+    """A count."""
+    return Cell(f"{number_of:,}".replace(",", "\N{NO-BREAK SPACE}"), number=True)
+
+
+def whole(value: float, digits: int = 0) -> str:
+    """A rounded number; what rounds to nothing has no sign."""
+    return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def span(row: Mapping[str, float | None]) -> str:
+    """Ends of an interval in percent."""
+    low, high = row["low"], row["high"]
+    if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
+        return NOTHING
+    return f"{whole(100 * low)} to {whole(100 * high)}"
+
+
+def _better(before: float | None, after: float | None) -> Mark:
+    return "best" if _real(after, math.inf) < 0.98 * _real(before) else ""
+
+
+def _real(value: float | None, otherwise: float = 0.0) -> float:
+    return otherwise if value is None or not math.isfinite(value) else float(value)

@@ -1,0 +1,340 @@
+"""The page of a diagnosis says what its document says, safely, for every verdict and any gap."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from eval.gap import charts, heat_maps, page_tables
+from eval.gap.document import document
+from eval.gap.evidence import Evidence
+from eval.gap.overlays import event_picture, views, worst_event, worst_flight
+from eval.gap.page import drawn_effects, gap_page
+from eval.gap.realised import channel_shrink, held_out, predicted, time_shrink
+from eval.gap.verdict_box import next_flights, tiles, verdict_box
+from eval.gap.where import locate
+from training.gap.finding import Interval
+
+NAME = "sensor_lag:EGT_C"
+VALUES = {NAME: {"tau_s": 1.0}}
+HOSTILE = '<script>alert("x")</script> & co'
+SKEW = {"time_skew:EGT_C": {"skew_s": Interval(0.7, 0.65, 0.75)}}
+VOID = {"meta", "link", "input", "br"}
+KINDS = ("none", "effects", "ambiguous", "unknown")
+
+
+class Checker(HTMLParser):
+    """Collects ids, links, resources and text, and checks that tags are nested."""
+
+    def __init__(self):
+        super().__init__()
+        self.stack, self.ids, self.anchors, self.resources = [], [], [], []
+        self.text, self.tags, self.unnamed = [], [], 0
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.tags.append(tag)
+        if tag not in VOID:
+            self.stack.append(tag)
+        if tag == "svg":
+            self.unnamed += found.get("role") != "img" or not found.get("aria-label")
+        if "id" in found:
+            self.ids.append(found["id"])
+        href = found.get("href") or found.get("xlink:href") or found.get("src")
+        if href:
+            (self.anchors if href.startswith("#") else self.resources).append(href.lstrip("#"))
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.stack.pop()
+
+    def handle_endtag(self, tag):
+        assert self.stack.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def read(html):
+    checker = Checker()
+    checker.feed(html)
+    checker.close()
+    assert checker.stack == []
+    return checker
+
+
+@pytest.fixture
+def evidence(make_data, probe, make_finding, make_model):
+    """A probe lag of 1 s: three flights diagnosed, two held out."""
+    data = make_data(probe, flights=3, duration_s=80.0)
+    tried = (
+        make_model(NAME, probability=0.7),
+        make_model("time_skew:EGT_C", probability=0.1, gain=0.7, parameters=SKEW),
+        make_model(NAME, "spool_lag", probability=0.2, gain=0.91),
+    )
+    held = held_out(VALUES, make_data(probe, flights=2, duration_s=80.0), None)
+    after = held_out(VALUES, data, None).after
+    where = locate(data, after - data.flights.y)
+    rmse = {"EGT_C": 80.0, "N1_pct": 0.001}
+    return Evidence(
+        data=data,
+        finding=make_finding("effects", (NAME,), tried, emulator_rmse=rmse),
+        where=where,
+        after=after,
+        times=time_shrink(data, after, where.events),
+        predicted=predicted(data, after, 1.0),
+        channels=channel_shrink(data, after),
+        held_out=held,
+        facts={"warnings": [f"few flights {HOSTILE}"], "flights": list(data.names)},
+    )
+
+
+def with_verdict(evidence, kind):
+    """The same flights with another answer."""
+    claims = kind in ("effects", "ambiguous")
+    rivals = ("time_skew:EGT_C",) if kind == "ambiguous" else ()
+    finding = replace(
+        evidence.finding,
+        kind=kind,
+        effects=(NAME,) if claims else (),
+        ambiguous_with=rivals,
+        reason=f"because {HOSTILE}",
+        separating_manoeuvre="fast steps" if claims else "",
+    )
+    after = evidence.after if claims else evidence.data.flights.y
+    return replace(evidence, finding=finding, after=after)
+
+
+def bare(evidence):
+    """Nothing was tried, nothing stands out, nothing was held out, nothing could be read."""
+    finding = replace(with_verdict(evidence, "none").finding, tried=(), emulator_rmse={})
+    where = replace(
+        evidence.where, rows=(), theil={}, bands={}, times={}, events=((), (), ()), channels={}
+    )
+    return replace(
+        evidence, finding=finding, where=where, times={}, channels={}, held_out=None, facts={}
+    )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_verdict_makes_a_sound_page_that_needs_nothing_else(evidence, kind):
+    evidence = with_verdict(evidence, kind)
+    html = gap_page(document(evidence), evidence, "2026-11-21 17:00 UTC")
+    found = read(html)
+    assert "script" not in found.tags
+    assert HOSTILE in "".join(found.text)
+    assert len(found.ids) == len(set(found.ids))
+    assert set(found.anchors) <= set(found.ids)
+    assert all(resource.startswith("data:") for resource in found.resources)
+    assert not re.search(r"url\((?!#)|@import|https?://(?!www\.w3\.org/)", html)
+    assert found.unnamed == 0
+    assert "prefers-color-scheme: dark" in html
+    assert "2026-11-21 17:00 UTC" in html
+
+
+def test_a_page_is_the_same_bytes_each_time(evidence):
+    evidence = replace(bare(evidence), where=evidence.where)
+    found = document(evidence)
+    assert gap_page(found, evidence, "now") == gap_page(found, evidence, "now")
+
+
+def test_a_diagnosis_with_nothing_in_it_still_makes_a_page(evidence):
+    empty = bare(evidence)
+    html = gap_page(document(empty), empty)
+    read(html)
+    for text in (
+        "NO GAP",
+        "No part of the flights stands out of the noise",
+        "Nothing is claimed, so nothing is added",
+        "No emulator was used",
+        "nothing to show",
+        "All 0 models",
+    ):
+        assert text in html
+
+
+@pytest.mark.parametrize(
+    ("kind", "state", "word"),
+    [
+        ("none", "pass", "✓ NO GAP"),
+        ("effects", "found", "● FOUND"),
+        ("ambiguous", "found", "≈ NOT TOLD APART"),
+        ("unknown", "none", "? I DON'T KNOW"),
+    ],
+)
+def test_the_verdict_leads_and_says_why(evidence, kind, state, word):
+    box = verdict_box(document(with_verdict(evidence, kind)))
+    assert (box.state, box.word) == (state, word)
+    said = " ".join(box.lines)
+    assert "50 % of the squared residual is gap" in said
+    assert "takes away 5.0 %: a claim has to exceed that" in said
+    assert ("Probability 88 %, tau_s 1.00 s (0.900 to 1.10)" in said) == (state == "found")
+    assert ("10 % of the gap stays unexplained" in said) == (state == "found")
+    assert ("and is not claimed" in said) == (kind == "unknown")
+    assert "Because" in box.headline or kind in ("effects", "ambiguous")
+
+
+def test_the_figures_shown_large_are_those_of_the_document(evidence):
+    found = document(evidence)
+    shown = {what: figure for figure, what in tiles(found)}
+    assert shown["realised on held-out flights"] == f"{100 * found['shrink']['realised']:.0f} %"
+    assert shown["models tried"] == "3"
+    silent = tiles(document(with_verdict(evidence, "none")))
+    assert "realised on held-out flights" not in {what for _, what in silent}
+
+
+def test_what_to_fly_next_follows_from_the_verdict(evidence):
+    told = next_flights(document(with_verdict(evidence, "ambiguous")))
+    assert told[0] == ("fast steps", f"separates {NAME} from time_skew:EGT_C")
+    assert told[1][1] == "shows time_skew:EGT_C, or rules it out"
+    unknown = [reason for _, reason in next_flights(document(with_verdict(evidence, "unknown")))]
+    assert f"shows {NAME}, or rules it out" in unknown
+    known = document(evidence)
+    known["quality"] |= {"pushes": 3, "pulls": 40, "held_out": ["a"]}
+    assert next_flights(known)[1][1] == "there were only 3 pushes: every interval gets narrower"
+    known["quality"] |= {"pushes": 30}
+    assert len(next_flights(known)) == 1
+    known["quality"] |= {"held_out": []}
+    assert "--heldout-real" in next_flights(known)[1][1]
+
+
+def test_the_effects_are_drawn_that_the_verdict_speaks_of(evidence):
+    def drawn(kind):
+        changed = with_verdict(evidence, kind)
+        return [(one.name, one.standing) for one in drawn_effects(document(changed), changed)]
+
+    rival = ("time_skew:EGT_C", "cannot be told from it")
+    assert drawn("effects") == [(NAME, "claimed")]
+    assert drawn("ambiguous") == [(NAME, "claimed"), rival]
+    assert drawn("unknown") == [(NAME, "best candidate, not claimed")]
+    assert drawn("none") == []
+
+
+def test_the_heat_map_names_its_largest_cell_and_frames_the_core(evidence):
+    found = document(evidence)
+    drawn = heat_maps.phase_map(found)
+    first = found["where"][0]
+    assert first["channel"] == "EGT_C"
+    cell = f"EGT {first['direction']} {first['phase']} {100 * first['share']:.0f} %"
+    assert f"largest: {cell}" in drawn.alt
+    core = [row for row in found["where"] if row["core"]]
+    assert all(f">{100 * row['share']:.0f}<" in drawn.svg for row in core)
+    assert f">{100 * first['low']:.0f} to {100 * first['high']:.0f}<" in drawn.svg
+
+
+def test_regimes_add_up_to_the_whole(evidence):
+    bins = document(evidence)["where"]
+    shares = heat_maps._regime_shares(bins)
+    assert set(shares) >= {"power", "altitude", "Mach"}
+    for levels in shares.values():
+        whole = sum(sum(channels.values()) for channels in levels.values())
+        assert whole == pytest.approx(sum(row["share"] for row in bins))
+
+
+def test_the_worst_event_is_the_one_with_the_most_gap(evidence):
+    own, held = views(evidence)
+    assert held.data is evidence.held_out.data
+    gap = np.zeros_like(evidence.data.gap)
+    event = evidence.where.events[1][2]
+    gap[1, event.start + 1 : event.stop - 1, 2] = 50.0
+    data = replace(evidence.data, real=evidence.data.flights.y + gap)
+    view = own._replace(data=data)
+    assert worst_event(view) == (1, event)
+    assert worst_flight(view) == 1
+    assert "flight_1" in event_picture(view).alt
+    assert event_picture(view._replace(events=((), (), ()))) is None
+
+
+def test_before_and_after_are_drawn_only_where_something_is_added(evidence):
+    changed, _ = views(evidence)
+    assert ">simulated + effect<" in event_picture(changed).svg
+    same, _ = views(with_verdict(evidence, "unknown"))
+    drawn = event_picture(same)
+    assert ">simulated + effect<" not in drawn.svg
+    assert drawn.alt.endswith("recorded, simulated")
+
+
+def test_predicted_and_realised_stand_side_by_side(evidence):
+    found = document(evidence)
+    found["shrink"] |= {
+        "realised": 0.87,
+        "predicted": {"value": 0.9, "low": -math.inf, "high": 1.0},
+    }
+    drawn = charts.prediction(found)
+    assert drawn.alt.endswith("predicted 90 %, realised 87 %")
+    found["shrink"]["realised"] = None
+    assert "--heldout-real" in charts.prediction(found).caption
+    assert charts.prediction(document(with_verdict(evidence, "none"))) is None
+
+
+def test_charts_without_anything_to_show_are_left_out(evidence):
+    found = document(bare(evidence))
+    found["side"] = {"input": 0.0, "process": 0.0, "sensor": 0.0}
+    drawn = (
+        heat_maps.phase_map, heat_maps.regime_map, heat_maps.band_map, charts.effect_ranking,
+        charts.model_chart, charts.channel_bars, charts.sides, charts.theil,
+    )  # fmt: skip
+    assert [draw(found) for draw in drawn] == [None] * len(drawn)
+
+
+def test_ranking_and_models_name_what_leads(evidence):
+    found = document(evidence)
+    assert f"{NAME} 88 %" in charts.effect_ranking(found).alt
+    assert charts.model_chart(found).alt.endswith(f"best: {NAME} + spool_lag 91 %")
+    assert "5.0 %" in charts.model_chart(found).caption
+
+
+def texts(table):
+    return [[cell.text for cell in row] for row in table.rows]
+
+
+def test_tables_hold_every_bin_effect_and_model(evidence):
+    found = document(evidence)
+    assert len(page_tables.bins(found).rows) == len(found["where"])
+    effects = texts(page_tables.effects(found))
+    assert effects[0][:3] == [NAME, "channel lag", "sensor"]
+    assert effects[0][6:] == ["tau_s 1.00 s (0.900 to 1.10)", "claimed"]
+    assert any(row[7] == f"fitted with {NAME}" for row in effects)
+    models = texts(page_tables.models(found))
+    assert [row[0] for row in models] == [f"{NAME} + spool_lag", NAME, "time_skew:EGT_C"]
+    assert models[0][3] == "81 to 91"
+
+
+def test_an_emulator_with_more_error_than_gap_is_marked(evidence):
+    rows = page_tables.emulator(document(evidence)).rows
+    assert {row[0].text: row[1].mark for row in rows} == {"EGT [°C]": "bad", "N1 [%]": "good"}
+
+
+def test_what_was_changed_is_counted_flight_by_flight(evidence):
+    found = document(evidence)
+    found["quality"]["changed"] = {"a": {"N1_pct unknown": 1300}}
+    found["quality"]["compared"] = {"FN_kN": 0.25}
+    assert texts(page_tables.changed(found)) == [["a", "N1_pct unknown", "1\N{NO-BREAK SPACE}300"]]
+    assert texts(page_tables.compared(found)) == [["FN", "0.250", "kN"]]
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [(0.9, "90"), (0.042, "4.2"), (-1e-9, "0"), (None, "–"), (math.nan, "–"), (-0.27, "-27")],  # noqa: RUF001
+)
+def test_shares_in_percent(share, text):
+    assert page_tables.percent(share).text == text
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "text"),
+    [(0.1, 0.25, "10 to 25"), (-0.001, 0.001, "0 to 0"), (-math.inf, 1.0, "–"), (None, 0.1, "–")],  # noqa: RUF001
+)
+def test_intervals_in_percent(low, high, text):
+    assert page_tables.span({"low": low, "high": high}) == text
+
+
+@pytest.mark.parametrize(("unit", "text"), [("degC", "°C"), ("-", ""), ("s", "s"), ("%/h", "%/h")])
+def test_units_are_printed_as_an_engineer_writes_them(unit, text):
+    assert page_tables.printed(unit) == text
