@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PIP := $(BIN)/python -m pip install --disable-pip-version-check --quiet -c constraints.txt
 
-.PHONY: demo test lint ruff types floors bench clean
+.PHONY: demo test lint ruff types floors bench map clean
 
 demo: $(STAMP)
 	$(BIN)/narxcal demo
@@ -34,6 +34,9 @@ floors: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m eval.bench
+
+map: $(STAMP)
+	$(BIN)/python docs/make_map.py
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis dist build
