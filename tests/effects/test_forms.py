@@ -6,6 +6,7 @@ import pytest
 from narxcal.atmosphere import air_state
 from narxcal.effects import Flights, effect, respond
 from narxcal.effects.base import Run
+from narxcal.effects.memory import Lag
 
 DT = 0.125
 
@@ -175,6 +176,17 @@ def test_a_lagging_probe_is_the_loop_written_out(flights):
         y.append(x[k] - behind + np.exp(-DT / tau) * (y[-1] - x[k - 1] + behind))
     found = added(effect("sensor_lag:EGT_C"), flights, tau_s=tau) + flights.y
     np.testing.assert_allclose(found[0, :, 2], y)
+
+
+def test_a_slower_probe_takes_the_place_of_the_one_in_the_simulator(flights):
+    own, tau, signals = 0.8, 1.5, flights.signals
+    value = flights.y[..., 2]
+    y = flights.y.copy()
+    y[..., 2] = Lag(np.full(3, own), DT)(value)
+    of = Flights(signals, flights.u, y, flights.lengths)
+    found = respond([(effect("sensor_lag:EGT_C"), np.array([[tau, own]]))], of, None)[0, ..., 2]
+    slower = Lag(np.full(3, own + tau), DT)(value)
+    np.testing.assert_allclose(found, slower, atol=0.01 * np.ptp(value))
 
 
 def test_a_flowmeter_lags_as_any_sensor(flights):

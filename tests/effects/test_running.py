@@ -113,7 +113,7 @@ def test_on_an_exact_emulator_a_rate_effect_is_the_engine_so_changed(name, theta
 def test_effects_act_in_the_order_of_their_places(flights, engine):
     """However they are listed: lever, rotors, sensor."""
     settings = [
-        (effect("sensor_lag:EGT_C"), np.array([[1.0]])),
+        (effect("sensor_lag:EGT_C"), np.array([[1.0, 0.0]])),
         (effect("spool_lag"), np.array([[1.3]])),
         (effect("throttle_delay"), np.array([[0.4]])),
     ]
