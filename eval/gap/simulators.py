@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -57,12 +57,14 @@ def open_simulator(source: str) -> Simulator:
 
 
 def _virtual_engine(name: str) -> Simulate:
-    engine = importlib.import_module("narxcal.turbofan").VirtualEngine(name)
+    """The engine as built; inputs that noise carries out of its envelope are moved back in."""
+    home = importlib.import_module("narxcal.turbofan.virtual_engine")
+    engine = home.VirtualEngine(name)
 
     def simulate(log: Log) -> Mapping[str, FloatArray]:
-        found: Mapping[str, FloatArray] = engine.simulate(
-            {each: log[each] for each in engine.input_names}, log.dt_s
-        )
+        u = np.clip(log.matrix(engine.input_names), home.LOW, home.HIGH)
+        told = dict(zip(engine.input_names, u.T, strict=True))
+        found: Mapping[str, FloatArray] = engine.simulate(told, log.dt_s)
         return found
 
     return simulate
@@ -108,18 +110,29 @@ def _fmu(path: Path) -> Simulate:
         rows["time"] = np.arange(len(log)) * log.dt_s
         for name in told:
             rows[name] = log[name]
-        found = fmpy.simulate_fmu(
-            str(path),
-            stop_time=float(rows["time"][-1]),
-            output_interval=log.dt_s,
-            step_size=log.dt_s,
-            input=rows,
-            output=outputs,
-        )
+        found = _co_simulated(fmpy, path, rows, outputs)
         time_s, wanted = np.asarray(found["time"]), np.asarray(rows["time"])
         return {name: np.interp(wanted, time_s, found[name]) for name in outputs}
 
     return simulate
+
+
+def _co_simulated(fmpy: Any, path: Path, rows: Any, outputs: Sequence[str]) -> Any:
+    interval = float(rows["time"][1])
+    try:
+        return fmpy.simulate_fmu(
+            str(path),
+            stop_time=float(rows["time"][-1]),
+            output_interval=interval,
+            step_size=interval,
+            input=rows,
+            output=outputs,
+            terminate=False,
+        )
+    except (fmpy.fmi1.FMICallException, OSError, RuntimeError, ValueError) as error:
+        raise ModelError(
+            f"the FMU failed: {error}", file=path, hint="Run it in co-simulation by itself first"
+        ) from error
 
 
 def _fmpy(path: Path) -> Any:

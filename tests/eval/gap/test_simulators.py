@@ -1,5 +1,8 @@
 """A simulator is what the user names, and what is none is refused in a sentence."""
 
+import importlib.util
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -78,3 +81,37 @@ def test_a_virtual_engine_flies_the_inputs(fly, log_of):
 def test_a_virtual_engine_needs_its_inputs(fly, log_of):
     with pytest.raises(DataError, match="channel WOW"):
         open_simulator("business_jet").how(log_of(fly(0, 4.0)))
+
+
+def fmu_source():
+    """The tests' FMU in C: N1 follows 20 + 0.9 TRA - 5 Mach with a lag of 0.1 s."""
+    file = Path(__file__).parents[2] / "narxcal" / "fmu_source.py"
+    spec = importlib.util.spec_from_file_location("fmu_source", file)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_an_fmu_runs_through_the_whole_log(tmp_path, fly, log_of, version):
+    pytest.importorskip("fmpy", reason="FMUs need the extra `fmu`")
+    file = fmu_source().build(tmp_path / "engine.fmu", version)
+    log = log_of(fly(0, 60.0))
+    found = open_simulator(str(file))
+    assert found.kind == "FMU"
+    n1 = found.how(log)["N1_pct"]
+    target, state = 20.0 + 0.9 * log["TRA_deg"] - 5.0 * log["Mach"], 0.0
+    expected = []
+    for k in range(len(log)):
+        expected.append(state)
+        state += (target[k] - state) * (1.0 - np.exp(-log.dt_s / 0.1))
+    np.testing.assert_allclose(n1[20:], np.array(expected)[20:], atol=1.0)
+
+
+def test_an_fmu_that_fails_is_named(tmp_path, fly, log_of):
+    pytest.importorskip("fmpy", reason="FMUs need the extra `fmu`")
+    file = fmu_source().build(tmp_path / "engine.fmu", 2)
+    log = log_of(fly(0, 10.0))
+    fast = log.with_channels({"Mach": np.full(len(log), 0.95)})  # which this FMU refuses
+    with pytest.raises(ModelError, match=r"engine\.fmu: the FMU failed"):
+        open_simulator(str(file)).how(fast)
