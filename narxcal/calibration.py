@@ -178,11 +178,11 @@ class DynamicCalibration:
         return ss - self._register.extend(given, ss)
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Guaranteed (low, high) of the deviation of every output, in the outputs' units.
-
-        Of the network's share, where there are lags: theirs are bounded beside it (`LagModel`).
-        """
-        return self.narx.bounds
+        """Guaranteed (low, high) of the deviation of every output, in the outputs' units."""
+        low, high = self.narx.bounds
+        if self.lag is None:
+            return low, high
+        return low - self.lag.limit, high + self.lag.limit
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Split into JSON-able structure and named arrays, for the bundle."""

@@ -75,7 +75,7 @@ def run_lags(
 
     `drive` are the columns of `Drive` with the core spool first (see `LagModel.run`); where an
     output is no speed, its columns but ss hold the core's, and `per_unit` is negative. `lags` are
-    `parameters` and `limit` of the model, sorted alike; the fast part is clipped to +-`limit`.
+    `parameters` and `limit` of the model, sorted alike; their sum is kept within +-`limit`.
     `starts` are (positions (n,), parts (n, 2, o)): rows at which a window begins, and fast and
     slow part there. `measured` (T, o), if it has rows, replaces the deviation before each step
     where it is finite (one-step prediction).
@@ -112,9 +112,11 @@ def run_lags(
             drawn = (tau - p[7]) * step / dt_s
             if o > 0:
                 drawn += p[8] * (fast[k, 0] + slow[k, 0])
-            fast[k, o] = min(max(a * before[o] + (1.0 - a) * drawn, -limit[o]), limit[o])
             b = math.exp(-dt_s / math.exp(min(max(p[10], 0.0), 4.0)))
-            slow[k, o] = b * (slow[k - 1, o] + p[9] * step)
+            soak = b * (slow[k - 1, o] + p[9] * step)
+            followed = a * before[o] + (1.0 - a) * drawn
+            fast[k, o] = min(max(followed, -limit[o] - soak), limit[o] - soak)
+            slow[k, o] = soak
     return fast, slow
 
 
@@ -123,7 +125,7 @@ class LagModel:
     """The lags of all outputs.
 
     `parameters` (n_out, 11) are named by `PARAMETERS`. `centre` and `half` (n_out,) scale the
-    corrected outputs; `limit` (n_out,) bounds the fast part of each deviation. The core spool is
+    corrected outputs; `limit` (n_out,) bounds the magnitude of each deviation. The core spool is
     the last output that is a speed, or the first output of an engine without one.
     """
 

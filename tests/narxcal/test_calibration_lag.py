@@ -82,6 +82,15 @@ def test_where_nothing_moves_it_comes_to_the_steady_state():
     np.testing.assert_allclose(model.simulate(still)[-1], settled, atol=1e-9)
 
 
+def test_wild_levers_stay_inside_the_guaranteed_bounds():
+    model, rng = calibration(settle_s=None), np.random.default_rng(2)
+    inputs = np.column_stack([rng.uniform(-500.0, 500.0, 5000), rng.uniform(-3.0, 3.0, 5000)])
+    deviation = model.steady.outputs(inputs) - model.simulate(inputs)
+    low, high = model.bounds()
+    assert (deviation >= low - 1e-9).all()
+    assert (deviation <= high + 1e-9).all()
+
+
 def test_a_correction_replaces_the_newest_output_before_the_step():
     model, inputs = calibration(share=0.0), log()
     measured = model.steady.outputs(inputs) - np.array([-1.0, 5.0])

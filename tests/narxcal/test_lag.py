@@ -62,9 +62,10 @@ def slowly(model, inputs, ss, start):
             drawn = (tau - p["lead_s"]) * step / DT_S
             if o != 1:
                 drawn += p["core"] * (new[1] + soak[1])
-            new[o] = np.clip(a * fast[-1][o] + (1 - a) * drawn, -model.limit[o], model.limit[o])
             b = math.exp(-DT_S / math.exp(np.clip(p["log_slow_tau"], 0.0, 4.0)))
             soak[o] = b * (slow[-1][o] + p["slow_share"] * step)
+            followed = a * fast[-1][o] + (1 - a) * drawn
+            new[o] = np.clip(followed + soak[o], -model.limit[o], model.limit[o]) - soak[o]
         fast.append(new)
         slow.append(soak)
     return np.array(fast) + np.array(slow)
@@ -113,9 +114,8 @@ def test_thin_air_slows_a_spool_by_root_theta_over_delta():
 @given(seed=st.integers(0, 200))
 def test_it_stays_bounded_and_comes_to_rest_whatever_the_parameters(seed):
     model, inputs, ss = wild(seed)
-    model.parameters[:, PARAMETERS.index("slow_share")] = 0.0
     moving = model.deviations(model.drive(inputs, INPUTS, ss), np.zeros(3), DT_S)
-    assert (np.abs(moving) <= model.limit).all()
+    assert (np.abs(moving) <= model.limit * (1.0 + 1e-12)).all()
     still = np.full((6000, 3), 70.0)
     drive = model.drive(np.tile(inputs[:1], (6000, 1)), INPUTS, still)
     assert np.abs(model.deviations(drive, 0.5 * model.limit, DT_S)[-1]).max() < 1e-3
