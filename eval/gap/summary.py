@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+_NONE = "no gap beyond noise and build scatter"
 EMULATOR = "emulator"  # folder beside gap.json
 _MOST_EFFECTS, _MOST_BINS = 5, 6
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
@@ -16,7 +17,7 @@ def sentence(document: Mapping[str, Any]) -> str:
     verdict, shrink = document["verdict"], document["shrink"]
     kind, predicted = verdict["kind"], shrink["predicted"]
     if kind == "none":
-        return "No gap beyond noise and build scatter." + _because(verdict)
+        return f"{_NONE[0].upper()}{_NONE[1:]}." + _because(verdict)
     if kind == "unknown":
         return "The gap is real, but no effect of the library accounts for it." + _because(verdict)
     names = " and ".join(named(document, name) for name in verdict["effects"])
@@ -61,6 +62,7 @@ def number(value: float | None) -> str:
 def effect_table(document: Mapping[str, Any]) -> Table:
     """Ranked effects: probability, gain on flights that had no part in the fit, parameters."""
     claimed = document["verdict"]["effects"]
+    shown = document["effects"] if document["verdict"]["kind"] != "none" else []
     rows = [
         [
             effect_name(row) + (" *" if effect_name(row) in claimed else ""),
@@ -68,7 +70,7 @@ def effect_table(document: Mapping[str, Any]) -> Table:
             f"{100 * row['gain']['value']:.0f} %",
             parameters(row),
         ]
-        for row in document["effects"][:_MOST_EFFECTS]
+        for row in shown[:_MOST_EFFECTS]
     ]
     return "Effects (* claimed)", ("effect", "probability", "gain", "parameters"), rows
 
@@ -116,5 +118,7 @@ def _percent(found: Mapping[str, float]) -> str:
 
 
 def _because(verdict: Mapping[str, Any]) -> str:
-    reason = verdict["reason"]
-    return f" {reason[0].upper()}{reason[1:].rstrip('.')}." if reason else ""
+    reason = verdict["reason"].rstrip(".")
+    if not reason or reason == _NONE:
+        return ""
+    return f" {reason[0].upper()}{reason[1:]}."

@@ -1,0 +1,41 @@
+"""Two cases of a third party's simulation: one with a slow EGT probe, one with nothing."""
+
+from pathlib import Path
+
+import pytest
+
+from eval.gap.pairs import batch, read_pairs
+from eval.gap.realised import held_out
+from eval.gap.where import locate
+
+CASES = Path(__file__).parents[4] / "shared" / "data" / "gap_example"
+pytestmark = pytest.mark.skipif(
+    not CASES.is_dir(), reason="needs the open gap cases in ../shared/data/gap_example"
+)
+
+
+@pytest.fixture(scope="module", params=["A", "B"])
+def case(request):
+    folder = CASES / f"case_{request.param}"
+    return request.param, batch(read_pairs(folder / "real", folder / "sim"))
+
+
+def test_the_gap_is_where_it_was_put_and_nowhere_else(case):
+    name, data = case
+    assert data.flights.signals.dt_s == pytest.approx(0.125)
+    assert all(len(events) >= 18 for events in locate(data).events)
+    where = locate(data)
+    if name == "B":
+        assert sum(row.share.value for row in where.rows) < 1e-9
+        return
+    assert where.channels["EGT_C"].low > 0.9
+    assert (where.rows[0].direction, where.rows[0].phase) == ("push", "transit")
+    assert where.side.sensor > 0.8
+    assert where.times["EGT_C"].median("Tt_s", "push") > 0.5
+    assert abs(where.times["N1_pct"].median("Tt_s", "push")) < 0.05
+
+
+def test_the_true_lag_closes_the_gap_and_invents_none(case):
+    name, data = case
+    found = held_out({"sensor_lag:EGT_C": {"tau_s": 0.9, "own_s": 0.7}}, data, None)
+    assert found.share > 0.98 if name == "A" else found.share < 0.1
