@@ -56,6 +56,7 @@ def _parser() -> _Parser:
         _reproduce,
         _export,
         gap_arguments.diagnose,
+        gap_arguments.blind,
     ):
         _common(add(commands))
     return parser

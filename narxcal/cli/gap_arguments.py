@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -44,3 +45,103 @@ def effects_of_simulate(parser: argparse.ArgumentParser) -> None:
         "--inputs", metavar="DIR", type=Path, dest="inputs_folder", help="folder of input logs"
     )
     group.add_argument("--config", metavar="CONFIG", help="TOML file whose [logs] maps columns")
+
+
+def blind(commands: _Commands) -> argparse.ArgumentParser:
+    """`narxcal blind make|run|score`."""
+    text = "Make cases whose effect is withheld, answer them without the key, score with it."
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "blind", help=text, description=text, allow_abbrev=False
+    )
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    for add in (_blind_make, _blind_run, _blind_score):
+        _output(add(actions))
+    return parser
+
+
+def _blind_make(actions: _Commands) -> argparse.ArgumentParser:
+    text = "Fly the virtual engine with drawn effects; seal what they are in a key."
+    parser: argparse.ArgumentParser = actions.add_parser(
+        "make", help=text, description=text, allow_abbrev=False
+    )
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="folder")
+    parser.add_argument("--cases", metavar="N", type=int, default=60, help="default 60")
+    parser.add_argument("--flights", metavar="N", type=int, default=6, help="of a case, default 6")
+    parser.add_argument("--held-out", metavar="N", type=int, default=2, help="more, default 2")
+    parser.add_argument(
+        "--duration",
+        metavar="S",
+        type=float,
+        default=480.0,
+        dest="duration_s",
+        help="of a flight, default 480",
+    )
+    parser.add_argument(
+        "--rate", metavar="HZ", type=float, default=32.0, dest="rate_hz", help="default 32"
+    )
+    parser.add_argument("--style", choices=("line", "enriched", "both"), default="both")
+    parser.add_argument("--seed", metavar="N", type=int, default=0, help="default 0")
+    parser.add_argument("--secret", metavar="WORD", help="opens the key; the seed if left out")
+    _jobs(parser)
+    return parser
+
+
+def _blind_run(actions: _Commands) -> argparse.ArgumentParser:
+    text = "Diagnose every case without opening the key; goes on where it was cut short."
+    parser: argparse.ArgumentParser = actions.add_parser(
+        "run", help=text, description=text, allow_abbrev=False
+    )
+    parser.add_argument("folder", metavar="CASES", type=Path, help="folder that make wrote")
+    parser.add_argument("--out", metavar="ANSWERS", type=Path, required=True, help="folder")
+    parser.add_argument(
+        "--timeout",
+        metavar="S",
+        type=_seconds,
+        default=900.0,
+        dest="timeout_s",
+        help="for one case, default 900; a case that takes longer has no answer",
+    )
+    _jobs(parser)
+    return parser
+
+
+def _blind_score(actions: _Commands) -> argparse.ArgumentParser:
+    text = "Open the key, and say how good the answers are."
+    parser: argparse.ArgumentParser = actions.add_parser(
+        "score", help=text, description=text, allow_abbrev=False
+    )
+    parser.add_argument("folder", metavar="CASES", type=Path, help="folder that make wrote")
+    parser.add_argument("answers", metavar="ANSWERS", type=Path, help="folder that run wrote")
+    parser.add_argument("--secret", metavar="WORD", required=True, help="that of make, or its seed")
+    return parser
+
+
+def _jobs(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--jobs", metavar="N", type=_count, default=os.cpu_count() or 1, help="cases at a time"
+    )
+
+
+def _output(parser: argparse.ArgumentParser) -> None:
+    """The output options again, behind the action; left out, those before it count."""
+    group = parser.add_argument_group("output")
+    for name, text in (
+        ("--json", "print one JSON document instead"),
+        ("--quiet", "print nothing but errors"),
+        ("--traceback", "show where an error arose"),
+    ):
+        group.add_argument(name, action="store_true", default=argparse.SUPPRESS, help=text)
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected 1 or more, found {text}")
+    return value
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not value > 0.0:
+        raise argparse.ArgumentTypeError(f"expected more than 0 s, found {text}")
+    return value

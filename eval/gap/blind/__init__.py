@@ -1,0 +1,1 @@
+"""Cases whose effect is withheld: made, answered without the key, and scored with it."""

@@ -1,0 +1,177 @@
+"""Draws the cases of a blind test: what each holds, how large, flown how, told by which simulator.
+
+Of all cases at least a fifth hold nothing but build scatter and structural misfit, 15 % something
+out of the library, half of that mimics, and 15 % two effects; the rest hold one, the catalogue
+in turn, in four sizes by the share of the squared gap that it makes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from eval.gap.blind.catalogue import CATALOGUE, Scale
+from eval.gap.blind.outside import MIMICS, OTHERS, Strange
+from narxcal.settings import Section
+
+Kind = Literal["single", "pair", "null", "outside"]
+Style = Literal["line", "enriched"]
+STYLES: Final[tuple[Style, ...]] = ("line", "enriched")
+BINS: Final = ((0.02, 0.05), (0.05, 0.10), (0.10, 0.25), (0.25, 0.95))
+_NULLS, _OUTSIDE, _PAIRS = 0.2, 0.16, 0.16
+_BUILD_PCT, _NULL_BUILD_PCT = 0.3, 0.5  # standard deviation of efficiencies and flows
+
+
+class BlindPlan(Section):
+    """What to make: `cases` of `flights` of `duration_s` to answer, and `held_out` to check on.
+
+    `rate_hz` is that of the logs.
+    """
+
+    cases: int = Field(default=60, ge=1, le=9999)
+    flights: int = Field(default=6, ge=1, le=60)
+    held_out: int = Field(default=2, ge=1, le=60)
+    duration_s: float = Field(default=480.0, ge=480.0, le=43_200.0)
+    rate_hz: float = Field(default=32.0, ge=5.0, le=256.0)
+    style: Literal["line", "enriched", "both"] = "both"
+    seed: int = Field(default=0, ge=0)
+
+
+class Base(NamedTuple):
+    """How simulator and real engine differ besides the effect.
+
+    Each factor is the simulator's over the real engine's; `misfit` says whether the real engine
+    has another structure as well. `build_pct` is its scatter against the simulator.
+    """
+
+    build_pct: float
+    soak: float = 1.0
+    probe: float = 1.0
+    inertia: float = 1.0
+    misfit: bool = False
+
+    @property
+    def differs(self) -> bool:
+        """Whether parameters or structure differ, build scatter aside."""
+        return self.misfit or (self.soak, self.probe, self.inertia) != (1.0, 1.0, 1.0)
+
+
+class Case(NamedTuple):
+    """One case before its sizes are known; `share` is the share of the gap to aim at."""
+
+    name: str
+    number: int
+    kind: Kind
+    style: Style
+    engine: str
+    base: Base
+    effects: tuple[Scale, ...] = ()
+    signs: tuple[float, ...] = ()
+    strange: Strange | None = None
+    share: float = 0.0
+
+
+class _Content(NamedTuple):
+    kind: Kind
+    effects: tuple[Scale, ...] = ()
+    strange: Strange | None = None
+    bin: int = 0
+
+
+def draw_cases(plan: BlindPlan) -> list[Case]:
+    """Draw all cases of a plan, in an order that tells nothing about them."""
+    random = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(0,)))
+    contents = _contents(plan.cases, random)
+    styles = STYLES if plan.style == "both" else (plan.style,)
+    order = random.permutation(len(contents)).tolist()
+    width = max(3, len(str(plan.cases)))
+    return [
+        _case(f"case_{place + 1:0{width}d}", (place + 1, which), styles, contents[which], random)
+        for place, which in enumerate(order)
+    ]
+
+
+def _case(
+    name: str,
+    numbers: tuple[int, int],
+    styles: Sequence[Style],
+    content: _Content,
+    random: np.random.Generator,
+) -> Case:
+    number, which = numbers
+    signs = [float(random.choice((-1.0, 1.0))) if e.signed else 1.0 for e in content.effects]
+    return Case(
+        name=name,
+        number=number,
+        kind=content.kind,
+        style=styles[(which + which // len(CATALOGUE)) % len(styles)],
+        engine="single_aisle" if random.uniform() < 0.25 else "business_jet",
+        base=_base(content.kind, which, random),
+        effects=content.effects,
+        signs=tuple(signs),
+        strange=content.strange,
+        share=0.0 if content.kind == "null" else _share(BINS[content.bin], random),
+    )
+
+
+def _share(bounds: tuple[float, float], random: np.random.Generator) -> float:
+    """Draw a share of the gap; the energy of the effect over that of the rest is log-uniform."""
+    low, high = (math.log(share / (1.0 - share)) for share in bounds)
+    odds = math.exp(random.uniform(low, high))
+    return odds / (1.0 + odds)
+
+
+def _base(kind: Kind, which: int, random: np.random.Generator) -> Base:
+    """Nulls always, and every other of the rest, are told by a simulator that is wrong."""
+    if kind != "null" and which % 2:
+        return Base(_BUILD_PCT)
+    return Base(
+        _NULL_BUILD_PCT if kind == "null" else _BUILD_PCT,
+        soak=float(random.uniform(0.85, 1.15)),
+        probe=float(random.uniform(0.94, 1.06)),
+        inertia=float(random.uniform(0.985, 1.015)),
+        misfit=True,
+    )
+
+
+def _contents(cases: int, random: np.random.Generator) -> list[_Content]:
+    """What the cases hold; shares are rounded up, as long as there are enough cases."""
+    nulls = math.ceil(_NULLS * cases)
+    outside = min(math.ceil(_OUTSIDE * cases), cases - nulls)
+    pairs = min(math.ceil(_PAIRS * cases), cases - nulls - outside)
+    singles = cases - nulls - outside - pairs
+    found = [_Content("null") for _ in range(nulls)]
+    found += [_strange(k) for k in range(outside)]
+    found += [_Content("pair", _two(random), bin=3 if k % 3 else 2) for k in range(pairs)]
+    return found + _singles(singles, random)
+
+
+def _strange(number: int) -> _Content:
+    """Mimics and others in turn, of at least 5 %."""
+    group = (MIMICS, OTHERS)[number % 2]
+    return _Content("outside", strange=group[number // 2 % len(group)], bin=1 + number % 3)
+
+
+def _singles(count: int, random: np.random.Generator) -> list[_Content]:
+    """The catalogue in turn, in an order of its own each time, the sizes in turn as well."""
+    found: list[_Content] = []
+    while len(found) < count:
+        start = len(found) // len(CATALOGUE)
+        order: Iterable[int] = random.permutation(len(CATALOGUE)).tolist()
+        found += [
+            _Content("single", (CATALOGUE[index],), bin=(start + index) % len(BINS))
+            for index in order
+        ]
+    return found[:count]
+
+
+def _two(random: np.random.Generator) -> tuple[Scale, ...]:
+    """Two effects of different families."""
+    while True:
+        first, second = (CATALOGUE[k] for k in random.choice(len(CATALOGUE), 2, replace=False))
+        if first.family != second.family:
+            return first, second

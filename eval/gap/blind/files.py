@@ -1,0 +1,87 @@
+"""The files of a blind test: the list of its cases, their logs, the sealed key."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from eval.gap.blind.seal import opened
+from eval.gap.blind.truth import Channels
+from narxcal.errors import DataError
+
+SCHEMA: Final = "narxcal.blind/1"
+KEY_SCHEMA: Final = "narxcal.blind_key/1"
+CASES, KEY = "cases.json", "key.json.sealed"
+FOLDERS: Final = ("sim", "real", "sim_heldout", "real_heldout")
+
+
+def write_log(file: Path, channels: Channels) -> str:
+    """Write channels `(time,)` as gzipped CSV; returns the SHA-256 of the file.
+
+    Blank where there is no reading. The zip bears no time, so that the same numbers are the same
+    bytes.
+    """
+    # Adding 0 turns a minus zero into zero.
+    table = np.column_stack(list(channels.values())) + 0.0
+    form = ",".join(["%.8g"] * len(channels)) + "\n"
+    rows = "".join([form % tuple(row) for row in table.tolist()]).replace("nan", "")
+    content = gzip.compress((",".join(channels) + "\n" + rows).encode(), 6, mtime=0)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_bytes(content)
+    return hashlib.sha256(content).hexdigest()
+
+
+def read_cases(folder: Path) -> dict[str, Any]:
+    """Read the list of the cases, whose logs have to be there.
+
+    Raises `DataError` for a folder that `blind make` did not write, and for a missing log.
+    """
+    document = read_json(folder / CASES, SCHEMA)
+    for case, logs in document["logs"].items():
+        for log in logs:
+            if not (folder / case / log).is_file():
+                raise DataError("the log is gone", file=folder / case / log)
+    return document
+
+
+def read_json(file: Path, schema: str) -> dict[str, Any]:
+    """Read a document of a schema; raises `DataError`."""
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(
+            f"cannot be read: {error.strerror}", file=file, hint="Is this the right folder?"
+        ) from None
+    except ValueError:
+        raise DataError("is no JSON", file=file) from None
+    if not isinstance(document, dict) or document.get("schema") != schema:
+        raise DataError(f"is no document of schema {schema}", file=file)
+    return document
+
+
+def open_key(folder: Path, secret: str) -> dict[str, Any]:
+    """Open the key of a blind test and check that its logs are still those that were made.
+
+    Raises `DataError` for a missing key and changed logs, `ConfigError` where it does not open.
+    """
+    cases, file = read_cases(folder), folder / KEY
+    if not file.is_file():
+        raise DataError("there is no key", file=file, hint="Put it back where `blind make` put it")
+    key = opened(file.read_bytes(), secret, salt_of(cases), file)
+    for case, logs in cases["logs"].items():
+        for log, digest in logs.items():
+            path = folder / case / log
+            if hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+                raise DataError("the log was changed since it was made", file=path)
+    return key
+
+
+def salt_of(cases: Mapping[str, Any]) -> bytes:
+    """What binds the key to these very logs: the digest of all their digests."""
+    return hashlib.sha256(json.dumps(cases["logs"], sort_keys=True).encode()).digest()

@@ -1,0 +1,78 @@
+"""Where the gap truly lies: of what is so less what was simulated, without any noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from eval.gap.bins import MOVES, sort_samples
+from eval.gap.blind.truth import OUTPUTS, Channels
+from eval.gap.blocks import batch
+from eval.gap.data import Pair
+from eval.gap.excitation import events_of
+from training.gap.quadratic import TOLERANCE
+
+Shares = dict[str, float]  # "channel|direction|phase" -> share of the energy
+
+
+def bin_name(channel: str, direction: str, phase: str) -> str:
+    """Name of a bin, in the key and in the score."""
+    return f"{channel}|{direction}|{phase}"
+
+
+def true_shares(
+    true: Sequence[Channels], simulated: Sequence[Channels], recorded: Sequence[Channels]
+) -> Shares:
+    """Share of each bin in the energy of the gap, in the weights of the diagnosis.
+
+    The recorded flights give nothing but the noise in those weights. Bins without any are left
+    out.
+    """
+    noise = batch(_pairs(recorded, simulated)).noise
+    data = batch(_pairs(true, simulated))
+    move = sort_samples(data, events_of(data)).move
+    scale = np.sqrt(noise**2 + (TOLERANCE * data.span) ** 2)
+    sample = np.nan_to_num((data.gap / scale) ** 2)
+    found: Shares = {}
+    for k, channel in enumerate(data.flights.signals.outputs):
+        per_move = np.bincount(
+            move[move >= 0], weights=sample[..., k][move >= 0], minlength=len(MOVES)
+        )
+        names = [bin_name(channel, *each) for each in MOVES]
+        found.update(zip(names, per_move.tolist(), strict=True))
+    whole = sum(found.values())
+    return {name: value / whole for name, value in found.items() if whole > 0.0 and value > 0.0}
+
+
+def core(shares: Mapping[str, float], held: float = 0.7) -> set[str]:
+    """The smallest set of bins that holds 70 % of the energy."""
+    found, total = set(), 0.0
+    for name in sorted(shares, key=lambda each: (-shares[each], each)):
+        if total >= held * sum(shares.values()):
+            break
+        found.add(name)
+        total += shares[name]
+    return found
+
+
+def channel_of_most(shares: Mapping[str, float]) -> str | None:
+    """Channel with the largest share; None where there is nothing."""
+    totals: dict[str, float] = {}
+    for name, value in shares.items():
+        channel = name.partition("|")[0]
+        totals[channel] = totals.get(channel, 0.0) + value
+    return max(totals, key=lambda each: totals[each]) if totals else None
+
+
+def _pairs(real: Sequence[Channels], simulated: Sequence[Channels]) -> list[Pair]:
+    return [
+        Pair(
+            f"flight_{k}",
+            sim["time_s"],
+            {n: v for n, v in sim.items() if n != "time_s" and n not in OUTPUTS},
+            {name: each[name] for name in OUTPUTS},
+            {name: sim[name] for name in OUTPUTS},
+        )
+        for k, (each, sim) in enumerate(zip(real, simulated, strict=True))
+    ]

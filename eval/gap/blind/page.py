@@ -1,0 +1,116 @@
+"""The score of a blind test in tables: for the terminal, and as one small HTML page."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
+_STYLE = (
+    "body{font:15px/1.45 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem}"
+    "table{border-collapse:collapse;margin:.5rem 0 2rem}caption{text-align:left;font-weight:600}"
+    "td,th{padding:.15rem .6rem;text-align:right;border-bottom:1px solid #ddd}"
+    "td:first-child,th:first-child{text-align:left}"
+)
+
+
+def tables(document: Mapping[str, Any]) -> list[Table]:
+    """All tables of the score, the case by case one left out."""
+    return [_main(document), _by_gap_share(document), _confused(document)]
+
+
+def render(document: Mapping[str, Any]) -> str:
+    """The score as an HTML page that needs nothing else."""
+    parts = [_html_table(each) for each in (*tables(document), _case_by_case(document))]
+    counts = ", ".join(f"{count} {kind}" for kind, count in document["cases"].items())
+    return (
+        "<!doctype html><html lang='en'><meta charset='utf-8'><title>Blind test</title>"
+        f"<style>{_STYLE}</style><h1>Blind test of the gap diagnosis</h1>"
+        f"<p>{html.escape(counts)} cases; in {document['wrong_base']} the simulator has other "
+        f"parameters or another structure than the real engine. Intervals: 95 %, Wilson.</p>"
+        f"{''.join(parts)}</html>\n"
+    )
+
+
+def shown(row: Mapping[str, Any]) -> str:
+    """A share with its interval, or a number."""
+    value = row.get("value")
+    if value is None or not math.isfinite(value):
+        return "-"
+    if "of" not in row:
+        return f"{value:.3g} {row.get('unit', '')}".rstrip()
+    return f"{value:.2f} [{row['low']:.2f}, {row['high']:.2f}]"
+
+
+def _main(document: Mapping[str, Any]) -> Table:
+    styles = document["by_style"] if len(document["by_style"]) > 1 else {}
+    rows = [
+        [
+            row["name"],
+            shown(row),
+            str(row.get("of", "")),
+            *(_plain(rows[k]["value"]) for rows in styles.values()),
+        ]
+        for k, row in enumerate(document["table"])
+    ]
+    return "Blind test", ("", "all [95 %]", "n", *styles), rows
+
+
+def _by_gap_share(document: Mapping[str, Any]) -> Table:
+    names = ("detected", "claimed", "top_1", "top_2", "family", "channel")
+    rows = [
+        [
+            row["gap_share"],
+            str(row["cases"]),
+            *(_plain(row[name]["value"]) for name in names),
+            _plain(row["overlap"]),
+            _plain(row["shrinkage_error"]),
+        ]
+        for row in document["by_gap_share"]
+    ]
+    head = ("gap share", "cases", "seen", "claimed", "top-1", "top-2", "family", "channel")
+    return "By share of the gap", (*head, "IoU", "shrink MAE"), rows
+
+
+def _confused(document: Mapping[str, Any]) -> Table:
+    """What was said of each truth; only what is wrong is spelled out."""
+    rows = []
+    for true, said in document["confusion"].items():
+        wrong = sorted(((n, k) for n, k in said.items() if n != true), key=lambda e: (-e[1], e[0]))
+        words = ", ".join(f"{name} {count}" for name, count in wrong)
+        rows.append([true, str(sum(said.values())), str(said.get(true, 0)), words or "-"])
+    return "What was said of what", ("truth", "cases", "right", "said instead"), rows
+
+
+def _case_by_case(document: Mapping[str, Any]) -> Table:
+    rows = [
+        [
+            row["case"],
+            row["kind"],
+            row["style"],
+            f"{100 * row['gap_share']:.0f} %",
+            " + ".join(row["true"]) or "-",
+            row["verdict"],
+            " + ".join(row["claimed"]) or "-",
+            ", ".join(row["ambiguous_with"]) or "-",
+            f"{_plain(row['predicted'])} / {_plain(row['realised'])}",
+        ]
+        for row in document["outcomes"]
+    ]
+    head = ("case", "kind", "style", "g", "truth", "verdict", "claimed", "or", "shrinkage")
+    return "Case by case", head, rows
+
+
+def _plain(value: float | None) -> str:
+    return "-" if value is None or not math.isfinite(value) else f"{value:.2f}"
+
+
+def _html_table(table: Table) -> str:
+    title, head, rows = table
+    top = "".join(f"<th>{html.escape(name)}</th>" for name in head)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
+    )
+    return f"<table><caption>{html.escape(title)}</caption><tr>{top}</tr>{body}</table>"

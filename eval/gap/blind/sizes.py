@@ -1,0 +1,105 @@
+"""Finds sizes that make a wanted share of the squared gap, and says what share a content makes.
+
+    g = 1 - MSE(recorded - (simulated with the effect)) / MSE(recorded - simulated)
+
+GAP section 2; the MSE of a channel counts over the square of its simulated range, channels alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from eval.gap.blind.catalogue import Dose
+from eval.gap.blind.truth import NOTHING, OUTPUTS, Channels, Content, Flight, Specimen, squares
+
+_TRIES: Final = 3
+_CLOSE: Final = 0.1  # of the energy: the next size will do
+_LEAST: Final = 1e-3  # of the energy asked for: the size does nothing yet
+_SMALLEST: Final = 0.03  # of the first size
+Measure = Callable[[float], float]
+
+
+def ranges(simulated: Sequence[Channels]) -> dict[str, float]:
+    """Range of each output over all simulated flights."""
+    return {
+        name: max(float(np.ptp(np.concatenate([each[name] for each in simulated]))), 1e-9)
+        for name in OUTPUTS
+    }
+
+
+def energy(one: Channels, other: Channels, spans: Mapping[str, float]) -> float:
+    """Mean over the outputs of the squared difference, in squares of their ranges."""
+    found = squares(one, other)
+    return float(np.mean([found[name] / spans[name] ** 2 for name in OUTPUTS]))
+
+
+def gap_share(
+    recorded: Sequence[Channels],
+    simulated: Sequence[Channels],
+    told: Sequence[Channels],
+) -> float:
+    """Share of the squared gap that the true content takes away: `told` is simulated with it."""
+    spans = ranges(simulated)
+    before = sum(energy(r, s, spans) for r, s in zip(recorded, simulated, strict=True))
+    after = sum(energy(r, t, spans) for r, t in zip(recorded, told, strict=True))
+    return 1.0 - after / before if before > 0.0 else 0.0
+
+
+def sized(specimen: Specimen, flight: Flight, simulated: Channels) -> Content:
+    """Give the case's content the sizes that come to its share on one flight.
+
+    Several effects get equal parts. A share that the largest size does not make is left at that.
+    """
+    case = specimen.case
+    if case.kind == "null":
+        return NOTHING
+    spans = ranges([simulated])
+    _, recorded = specimen.both(flight, NOTHING)
+    rest = energy(recorded, simulated, spans)
+    wanted = rest * case.share / (1.0 - case.share)
+
+    def measured(content: Content) -> float:
+        # By itself: what it shares with the errors of the base would make it look larger.
+        return energy(specimen.simulated(flight, content), simulated, spans)
+
+    if case.strange is not None:
+        size = _found(lambda s: measured(Content(strange=s)), wanted, case.strange[3:5])
+        return Content(strange=size)
+    doses = []
+    for scale, sign in zip(case.effects, case.signs, strict=True):
+
+        def alone(size: float, dose: Dose = Dose(scale, sign)) -> float:  # noqa: B008 - bound now
+            return measured(Content((dose._replace(size=dose.size * size),)))
+
+        part = wanted / len(case.effects)
+        doses.append(Dose(scale, sign * _found(alone, part, (scale.first, scale.most))))
+    return Content(tuple(doses))
+
+
+def _found(measured: Measure, wanted: float, sizes: tuple[float, float]) -> float:
+    """Size, up to the second of `sizes`, whose energy is as wanted: few tries from the first.
+
+    Energies go with a power of the size, about the second; the power is taken from the last two.
+    """
+    size, most = sizes
+    least = _SMALLEST * size
+    power, last = 2.0, (0.0, 0.0)
+    for _ in range(_TRIES):
+        made = measured(size)
+        if made < _LEAST * wanted:
+            if size >= most:
+                return most
+            size = min(3.0 * size, most)
+            continue
+        if last[1] > 0.0 and abs(math.log(size / last[0])) > 0.02:
+            power = math.log(made / last[1]) / math.log(size / last[0])
+        last = (size, made)
+        size = size * (wanted / made) ** (1.0 / min(max(power, 0.7), 4.0))
+        size = min(max(size, least), most)
+        if abs(math.log(wanted / made)) < _CLOSE:
+            break
+    return size

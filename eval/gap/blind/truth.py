@@ -1,0 +1,149 @@
+"""The two engines of a case: the simulator's, and the real one with what nobody modelled."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eval.gap.blind.cases import BlindPlan, Case
+from eval.gap.blind.catalogue import Dose, Windows
+from eval.gap.blind.outside import MISFIT, applied
+from narxcal.flight_test.profile import FlightPlan, plan_flight
+from narxcal.flight_test.sensors import SensorConfig, Streams, record
+from narxcal.turbofan import Unmodelled, VirtualEngine, build_scatter
+
+FloatArray = NDArray[np.float64]
+Channels = dict[str, FloatArray]
+OUTPUTS: Final = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
+_MEASURED = SensorConfig(inputs="exact")
+_PERFECT = SensorConfig(preset="perfect", inputs="exact")
+_STRETCH_S = 240.0  # one window of an unlogged switch in each
+
+
+class Content(NamedTuple):
+    """What a case holds, in numbers: doses of effects, and the size of what is strange."""
+
+    doses: tuple[Dose, ...] = ()
+    strange: float = 0.0
+
+
+NOTHING: Final = Content()
+
+
+class Flight(NamedTuple):
+    """Inputs of one flight with its time, `(time,)` each, and the windows of a hidden switch."""
+
+    number: int
+    inputs: Channels
+    windows: Windows
+
+    @property
+    def dt_s(self) -> float:
+        """Interval of the raster."""
+        return float(self.inputs["time_s"][1] - self.inputs["time_s"][0])
+
+
+class Specimen:
+    """The case with its flights: what the simulator says, what is so, and what is recorded."""
+
+    def __init__(self, case: Case, plan: BlindPlan) -> None:
+        self.case, self.plan = case, plan
+        self.build = build_scatter(self._random("build", 0), case.base.build_pct)
+
+    def flight(self, number: int) -> Flight:
+        """Plan flight `number`, counted from 0."""
+        random = self._random("flight", number)
+        plan = FlightPlan(
+            style=self.case.style,
+            aircraft=self.case.engine,
+            duration_s=self.plan.duration_s,
+            rate_hz=self.plan.rate_hz,
+        )
+        inputs = dict(plan_flight(plan, int(random.integers(2**31)))["left"])
+        return Flight(number, inputs, _windows(random, float(inputs["time_s"][-1])))
+
+    def simulated(self, flight: Flight, content: Content = NOTHING) -> Channels:
+        """What the simulator says, `(time,)`, with the case's content added where it is given."""
+        base = self.case.base
+        inside = [each.unmodelled(flight.windows) for each in content.doses if not each.on_sensor]
+        ids = {each.id: each for each in inside}
+        for name, factor in (("heat_soak", base.soak), ("spool_lag", base.inertia)):
+            ids[name] = _multiplied(ids.get(name), name, factor)
+        engine = VirtualEngine(self.case.engine, unmodelled=list(ids.values()))
+        tau_s = engine.fit.body.probe_tau_s * base.probe
+        engine.fit = replace(engine.fit, body=engine.fit.body._replace(probe_tau_s=tau_s))
+        return self._shown(self._run(engine, flight, content), flight, content, _PERFECT)
+
+    def true(self, flight: Flight, content: Content) -> Channels:
+        """What is so, as perfect sensors would show it but for their faults."""
+        return self._shown(self._real(flight, content), flight, content, _PERFECT)
+
+    def both(self, flight: Flight, content: Content) -> tuple[Channels, Channels]:
+        """What is so, and what is recorded of it."""
+        real = self._real(flight, content)
+        return (
+            self._shown(real, flight, content, _PERFECT),
+            self._shown(real, flight, content, _MEASURED),
+        )
+
+    def _real(self, flight: Flight, content: Content) -> Channels:
+        inside = [each.unmodelled(flight.windows) for each in content.doses if not each.on_sensor]
+        engine = VirtualEngine(self.case.engine, self.build, inside)
+        return self._run(engine, flight, content, misfit=self.case.base.misfit)
+
+    def _run(
+        self, engine: VirtualEngine, flight: Flight, content: Content, *, misfit: bool = False
+    ) -> Channels:
+        """Inputs as the engine hears them, through the engine, to what it gives."""
+        changes = list(MISFIT) if misfit else []
+        if self.case.strange is not None and content.strange:
+            changes.append((self.case.strange, content.strange))
+        told = dict(flight.inputs)
+        for what, size in changes:
+            told = applied(what, "input", told, size)
+        inputs = {name: told[name] for name in engine.input_names}
+        outputs = engine.simulate(inputs, flight.dt_s)
+        seen = {**flight.inputs, **{name: outputs[name] for name in OUTPUTS}}
+        for what, size in changes:
+            seen = applied(what, "output", seen, size)
+        return seen
+
+    def _shown(
+        self, seen: Channels, flight: Flight, content: Content, sensors: SensorConfig
+    ) -> Channels:
+        faults = [each.fault(self.case.engine) for each in content.doses if each.on_sensor]
+        seed = int(self._random("sensors", flight.number).integers(2**31))
+        found = record(seen, flight.dt_s, sensors, Streams(seed, flight.number, 0), faults)
+        return {**flight.inputs, **{name: found.channels[name] for name in OUTPUTS}}
+
+    def _random(self, purpose: str, number: int) -> np.random.Generator:
+        code = int.from_bytes(purpose.encode()[:4], "big")
+        key = (1, self.case.number, code, number)
+        return np.random.default_rng(np.random.SeedSequence(self.plan.seed, spawn_key=key))
+
+
+def _multiplied(given: Unmodelled | None, name: str, factor: float) -> Unmodelled:
+    """An effect on top of a simulator that is off by a factor itself."""
+    before = 1.0 if given is None else given.value("factor")
+    return Unmodelled(name, {"factor": before * factor})
+
+
+def _windows(random: np.random.Generator, end_s: float) -> Windows:
+    """One window in each stretch of about four minutes, long enough to tell from noise."""
+    count = max(1, round(end_s / _STRETCH_S))
+    stretch = end_s / count
+    spans = []
+    for number in range(count):
+        length = stretch * random.uniform(0.2, 0.5)
+        start = stretch * number + random.uniform(0.1, 0.9) * (stretch - length)
+        spans.append((round(start, 3), round(start + length, 3)))
+    return tuple(spans)
+
+
+def squares(one: Mapping[str, FloatArray], other: Mapping[str, FloatArray]) -> dict[str, float]:
+    """Mean squared difference of each output, samples without a reading left out."""
+    return {name: float(np.nanmean((one[name] - other[name]) ** 2)) for name in OUTPUTS}

@@ -1,0 +1,73 @@
+"""`narxcal blind`: cases whose effect is withheld, the answers to them, and how good these are."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+from eval.gap.blind.cases import BlindPlan
+from eval.gap.blind.files import CASES, KEY, SCHEMA
+from eval.gap.blind.make import make_cases
+from eval.gap.blind.page import render, tables
+from eval.gap.blind.run import Limits, run_cases
+from eval.gap.blind.score import score_answers
+from narxcal.atomic import atomic_write_text
+from narxcal.cli.console import Console, to_json
+from narxcal.cli.folders import Results
+
+SCORE, PAGE = "score.json", "score.html"
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Make, run or score; 0 whatever the answers are worth."""
+    {"make": _make, "run": _run, "score": _score}[options.action](options, console)
+    return 0
+
+
+def _make(options: Namespace, console: Console) -> None:
+    names = ("cases", "flights", "held_out", "duration_s", "rate_hz", "style", "seed")
+    plan = BlindPlan.parse({name: getattr(options, name) for name in names})
+    results = _results(options.out)
+    results.check(options.out)
+    secret = str(plan.seed) if options.secret is None else options.secret
+    with results.writing(options.out) as folder, console.progress("Flying") as advance:
+
+        def watch(name: str, done: int, total: int) -> None:
+            advance(done, total, f"({name})")
+
+        document = make_cases(folder, plan, secret, options.jobs, watch)
+    console.say(f"Cases: {options.out}. Sealed key: {options.out / KEY}")
+    if options.secret is None:
+        console.say("The secret is the seed: keep it from whoever answers.")
+    console.document({**document, "out": str(options.out)})
+
+
+def _run(options: Namespace, console: Console) -> None:
+    with console.progress("Diagnosing") as advance:
+
+        def watch(name: str, done: int, total: int) -> None:
+            advance(done, total, f"({name})")
+
+        limits = Limits(options.jobs, options.timeout_s)
+        summary = run_cases(options.folder, options.out, limits, watch)
+    ends = {end: str(count) for end, count in summary["ends"].items()}
+    console.facts({"Cases": str(len(summary["cases"])), **ends})
+    console.document({**summary, "out": str(options.out)})
+
+
+def _score(options: Namespace, console: Console) -> None:
+    document = score_answers(options.folder, options.answers, options.secret)
+    atomic_write_text(options.answers / SCORE, to_json(document))
+    atomic_write_text(options.answers / PAGE, render(document))
+    for title, head, rows in tables(document):
+        console.table(title, head, rows)
+    console.say(f"Page: {options.answers / PAGE}")
+    console.document(document)
+
+
+def _results(folder: Path) -> Results:
+    """What may stand in the folder: cases of any number are an earlier run's."""
+    found: Any = folder.iterdir() if folder.is_dir() else ()
+    own = [entry.name for entry in found if entry.name.startswith("case_")]
+    return Results(SCHEMA, CASES, (KEY, *own))

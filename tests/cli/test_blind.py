@@ -1,0 +1,137 @@
+"""`narxcal blind`: make, run, score as a person types them, and what they refuse."""
+
+import json
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import pytest
+
+from eval.gap.blind import run, truth
+from narxcal.flight_test.measurement import first_order
+from narxcal.turbofan.virtual_engine import INPUT_NAMES
+
+
+class Body(SimpleNamespace):
+    def _replace(self, **changes):
+        return Body(**{**vars(self), **changes})
+
+
+@dataclass
+class Fit:
+    body: Body
+
+
+class LagEngine:
+    """One lag, whatever is unmodelled: fast enough to fly in a test."""
+
+    input_names = INPUT_NAMES
+
+    def __init__(self, name="", build=None, unmodelled=()):
+        self.words = (name, build)
+        self.fit = Fit(Body(probe_tau_s=0.7))
+        self.more = sum(abs(v) for effect in unmodelled for v in effect.parameters.values())
+
+    def simulate(self, inputs, dt_s):
+        power = first_order(inputs["TRA_deg"] / 85.0, 1.2 * (1.0 + 0.05 * self.more), dt_s)
+        return {
+            "N1_pct": 25.0 + 70.0 * power,
+            "N2_pct": 55.0 + 40.0 * power,
+            "EGT_C": 400.0 + 350.0 * first_order(power, self.fit.body.probe_tau_s, dt_s),
+            "FF_kgph": 100.0 + 400.0 * power,
+        }
+
+
+@pytest.fixture
+def cases(narxcal, monkeypatch, tmp_path):
+    monkeypatch.setattr(truth, "VirtualEngine", LagEngine)
+    done = make(narxcal, tmp_path / "cases")
+    assert (done.code, done.err) == (0, "")
+    return tmp_path / "cases"
+
+
+def make(narxcal, out, *more):
+    words = ("--cases", 2, "--flights", 1, "--held-out", 1, "--rate", 8, "--seed", 3, "--jobs", 1)
+    return narxcal("blind", "make", "--out", out, *words, *more)
+
+
+def answered(request):
+    name = request.real.parent.name
+    document = {
+        "schema": "narxcal.gap/1",
+        "verdict": {"kind": "none", "effects": [], "ambiguous_with": [], "reason": name},
+        "effects": [{"id": "spool_lag", "probability": 0.02}],
+        "where": [],
+        "shrink": {"predicted": {"value": 0.0, "low": 0.0, "high": 0.0}, "realised": 0.0},
+    }
+    return SimpleNamespace(document=document)
+
+
+def test_make_run_score(narxcal, cases, monkeypatch, tmp_path):
+    monkeypatch.setattr(run, "diagnose_folders", answered)
+    answers = tmp_path / "answers"
+    done = narxcal("blind", "run", cases, "--out", answers, "--jobs", 1)
+    assert (done.code, done.err) == (0, "")
+    assert "answered  2" in done.out
+    scored = narxcal("blind", "score", cases, answers, "--secret", "3")
+    assert (scored.code, scored.err) == (0, "")
+    assert "false claims on nulls" in scored.out
+    assert max(map(len, scored.out.splitlines()[:-1])) <= 80
+    assert "Case by case" in (answers / "score.html").read_text("utf-8")
+    document = json.loads((answers / "score.json").read_text("utf-8"))
+    assert document["schema"] == "narxcal.blind_score/1"
+    # A score beside the answers does not keep a run from going on.
+    again = narxcal("blind", "run", cases, "--out", answers, "--jobs", 1, "--json")
+    assert json.loads(again.out)["resumed"] == 2
+
+
+def test_json_before_and_behind_the_action(narxcal, cases, tmp_path):
+    for words in (("--json", "make"), ("make", "--json")):
+        done = narxcal(
+            "blind", *words, "--out", tmp_path / "again", "--cases", 1, "--flights", 1,
+            "--held-out", 1, "--rate", 8, "--jobs", 1, "--secret", "x",
+        )  # fmt: skip
+        document = json.loads(done.out)
+        assert document["schema"] == "narxcal.blind/1"
+        assert document["out"] == str(tmp_path / "again")
+
+
+def test_a_secret_that_is_given_is_not_the_seed(narxcal, cases, tmp_path):
+    own = make(narxcal, tmp_path / "own", "--secret", "word")
+    assert "The secret is the seed" not in own.out
+    assert "Sealed key:" in own.out
+    key = "key.json.sealed"
+    assert (tmp_path / "own" / key).read_bytes() != (cases / key).read_bytes()
+
+
+def test_earlier_cases_are_replaced_and_other_content_is_not(narxcal, cases, tmp_path):
+    before = (cases / "cases.json").read_bytes()
+    assert make(narxcal, cases).code == 0
+    assert (cases / "cases.json").read_bytes() == before
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").touch()
+    done = make(narxcal, tmp_path / "mine")
+    assert done.code == 2
+    assert "holds other content ('thesis.txt') and is not overwritten" in done.err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("make",), "the following arguments are required: --out"),
+        (("make", "--out", "o", "--duration", "100"), "key 'duration_s': Input should be greater"),
+        (("make", "--out", "o", "--style", "wild"), "invalid choice: 'wild'"),
+        (("make", "--out", "o", "--jobs", "0"), "expected 1 or more, found 0"),
+        (("run", "nowhere", "--out", "o"), "cases.json: cannot be read: No such file"),
+        (("run", "c", "--out", "o", "--timeout", "0"), "expected more than 0 s, found 0"),
+        (("score", "c", "a"), "the following arguments are required: --secret"),
+        (("score", "c", "a", "--secret", "1"), "answers.json: cannot be read: No such file"),
+        ((), "the following arguments are required: ACTION"),
+    ],
+)
+def test_what_it_refuses(narxcal, tmp_path, monkeypatch, words, said):
+    monkeypatch.chdir(tmp_path)
+    done = narxcal("blind", *words)
+    assert done.code == 2
+    assert said in done.err
+    assert len(done.err.splitlines()) == 1
+    assert not (tmp_path / "o").exists()

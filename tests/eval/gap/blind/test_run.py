@@ -1,0 +1,120 @@
+"""Running the cases: without the key, on from where it stopped, never longer than allowed."""
+
+import json
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from eval.gap.blind import run
+from eval.gap.blind.run import Limits, read_answer, run_cases
+from eval.gap.blind.score import score_answers
+from narxcal.errors import ConfigError, DataError
+
+
+@pytest.fixture
+def asked(monkeypatch, answer):
+    """Answer at once, and keep what was asked."""
+    seen = []
+
+    def diagnose(request):
+        seen.append(request)
+        return SimpleNamespace(document=answer(left=float("nan")))
+
+    monkeypatch.setattr(run, "diagnose_folders", diagnose)
+    return seen
+
+
+def test_every_case_gets_an_answer_and_nobody_needs_the_key(made, asked, tmp_path):
+    (made / "key.json.sealed").unlink()
+    seen = []
+    summary = run_cases(made, tmp_path / "out", watch=lambda *row: seen.append(row))
+    assert summary["ends"] == {"answered": 3}
+    assert [row[1:] for row in seen] == [(1, 3), (2, 3), (3, 3)]
+    answer = read_answer(tmp_path / "out", "case_002")
+    assert answer["verdict"]["kind"] == "effects"
+    assert answer["seconds"] >= 0.0
+    assert answer["left"] is None
+    first = asked[0]
+    assert (first.real, first.sim) == (made / "case_001" / "real", str(made / "case_001" / "sim"))
+    assert first.held_real == made / "case_001" / "real_heldout"
+    assert first.held_sim == str(made / "case_001" / "sim_heldout")
+
+
+def test_it_goes_on_where_it_was_cut_short(made, asked, tmp_path):
+    out = tmp_path / "out"
+    run_cases(made, out)
+    (out / "case_003" / "gap.json").unlink()
+    kept = (out / "case_001" / "gap.json").read_bytes()
+    summary = run_cases(made, out)
+    assert len(asked) == 4
+    assert summary["resumed"] == 2
+    assert (out / "case_001" / "gap.json").read_bytes() == kept
+
+
+def test_what_takes_too_long_is_stopped_and_counted(made, monkeypatch, tmp_path):
+    monkeypatch.setattr(run, "diagnose_folders", lambda _: time.sleep(30.0))
+    began = time.perf_counter()
+    summary = run_cases(made, tmp_path / "out", Limits(1, 0.05))
+    assert time.perf_counter() - began < 10.0
+    assert summary["ends"] == {"timeout": 3}
+    failed = read_answer(tmp_path / "out", "case_001")
+    assert failed["reason"] == "was stopped after 0.05 s"
+    assert "verdict" not in failed
+
+
+def test_where_nothing_can_be_stopped_late_is_late(made, monkeypatch, answer, tmp_path):
+    def slow(_):
+        time.sleep(0.05)
+        return SimpleNamespace(document=answer())
+
+    monkeypatch.setattr(run, "diagnose_folders", slow)
+    monkeypatch.delattr(run.signal, "setitimer")
+    summary = run_cases(made, tmp_path / "out", Limits(1, 0.01))
+    assert summary["ends"] == {"timeout": 3}
+    assert "took 0 s of 0.01 s" in read_answer(tmp_path / "out", "case_001")["reason"]
+
+
+@pytest.mark.parametrize(
+    "end",
+    [
+        (DataError("too little excitation"), "refused", "too little excitation"),
+        (ZeroDivisionError("oh"), "error", "ZeroDivisionError: oh"),
+    ],
+)
+def test_a_case_that_breaks_does_not_end_the_others(made, monkeypatch, tmp_path, end):
+    error, kind, reason = end
+
+    def broken(_):
+        raise error
+
+    monkeypatch.setattr(run, "diagnose_folders", broken)
+    summary = run_cases(made, tmp_path / "out")
+    assert summary["ends"] == {kind: 3}
+    assert read_answer(tmp_path / "out", "case_003")["reason"] == reason
+
+
+def test_a_folder_of_something_else_is_not_written_to(made, tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "mine.txt").write_text("mine", "utf-8")
+    with pytest.raises(ConfigError, match="holds other content and is not written to"):
+        run_cases(made, out)
+    (out / "answers.json").write_text('{"schema": "other"}', "utf-8")
+    with pytest.raises(ConfigError, match="holds other content"):
+        run_cases(made, out)
+
+
+def test_scoring_opens_the_key(made, asked, tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(DataError, match=r"answers.json: cannot be read"):
+        score_answers(made, out, "4")
+    run_cases(made, out)
+    with pytest.raises(ConfigError, match="the key does not open"):
+        score_answers(made, out, "5")
+    document = score_answers(made, out, "4")
+    assert len(document["outcomes"]) == 3
+    json.dumps(document)
+    (out / "case_002" / "gap.json").unlink()
+    with pytest.raises(DataError, match=r"case_002: the case has no answer yet. Go on with"):
+        score_answers(made, out, "4")

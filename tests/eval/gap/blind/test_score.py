@@ -1,0 +1,139 @@
+"""The table over outcomes whose every number a person can count."""
+
+import math
+
+import pytest
+
+from eval.gap.blind.page import render, shown, tables
+from eval.gap.blind.score import by_gap_share, confusion, scored, table
+
+FAILED = {"schema": "narxcal.blind_failed/1", "kind": "timeout", "reason": "was stopped"}
+
+
+@pytest.fixture
+def outcomes(outcome, answer):
+    """Eight cases: what is true, what is said, in turn."""
+    null, strange = {"kind": "null", "effects": (), "gap_share": 0.0}, {"kind": "outside"}
+    strange = {"kind": "outside", "effects": (), "gap_share": 0.3, "like": ("deterioration",)}
+    pair = {"kind": "pair", "effects": ("spool_lag", "sensor_lag:EGT_C"), "gap_share": 0.5}
+    lag = {"effects": ("sensor_lag:EGT_C",), "gap_share": 0.07}
+    return [
+        outcome(name="right"),
+        outcome(lag, answer("ambiguous", ("spool_lag",), ("sensor_lag:EGT_C",)), "rival"),
+        outcome({"gap_share": 0.03}, answer("none", ()), "small and missed"),
+        outcome(null, answer("none", ()), "null"),
+        outcome(null, answer("effects"), "null claimed"),
+        outcome(strange, answer("unknown", ()), "strange"),
+        outcome(pair, answer("effects", ("spool_lag", "sensor_lag:EGT_C")), "pair"),
+        outcome(answer=FAILED, name="failed"),
+    ]
+
+
+def value(outcomes, name):
+    return {each.name: each.value for each in table(outcomes)}[name]
+
+
+@pytest.mark.parametrize(
+    ("name", "hits", "of"),
+    [
+        ("false claims on nulls", 1, 2),
+        ("firm false claims on nulls", 1, 2),
+        ("gap seen, g >= 5 %", 3, 4),
+        ("effect claimed, g >= 5 %", 3, 4),
+        ("firm claims out of library", 0, 1),
+        ("firm claims on mimics", 0, 1),
+        ("top-1, ranked first", 2, 4),  # right, pair; the rival came second, one failed
+        ("top-1, as answered", 2, 4),
+        ("top-2", 3, 4),
+        ("family of the first", 2, 4),
+        ("right where it claims", 2, 4),
+        ("true effect in the named set", 3, 3),
+        ("precision of none and unknown", 3, 3),
+        ("unknown out of library, g >= 5 %", 1, 1),
+        ("channel of most energy", 3, 3),
+        ("realised within the interval", 4, 4),
+        ("exact pair", 1, 1),
+        ("at least one of two", 1, 1),
+        ("second effect claimed on one", 0, 2),
+        ("cases without an answer", 1, 8),
+    ],
+)
+def test_shares_are_counted_over_the_right_cases(outcomes, name, hits, of):
+    found = value(outcomes, name)
+    assert (found.hits, found.of) == (hits, of)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("mean probability of the true effect", (0.9 + 0.1 + 0.9 + 0.0) / 4),
+        ("mean size", (1 + 2 + 2) / 3),
+        ("overlap (IoU) of 70 % bins", 0.5),
+        ("mean absolute error", 0.05),
+        ("bias (predicted - realised)", 0.05),
+        # Claims are at 0.9 and half of them right.
+        ("calibration error (ECE) of claims", 0.4),
+        ("median time per case", 12.0),
+    ],
+)
+def test_means_are_taken_over_the_right_cases(outcomes, name, expected):
+    assert value(outcomes, name) == pytest.approx(expected)
+
+
+def test_groups_by_share_of_the_gap(outcomes):
+    groups = by_gap_share(outcomes)
+    assert [row["gap_share"] for row in groups] == [
+        "below 2 %", "2-5 %", "5-10 %", "10-25 %", "above 25 %"
+    ]  # fmt: skip
+    assert [row["cases"] for row in groups] == [0, 1, 1, 2, 1]
+    assert [row["top_1"]["hits"] for row in groups] == [0, 1, 0, 1, 1]
+    assert [row["claimed"]["hits"] for row in groups] == [0, 0, 1, 1, 1]
+
+
+def test_the_confusion_matrix_counts_every_case_once(outcomes):
+    found = confusion(outcomes)
+    assert found == {
+        "none": {"none": 1, "spool_lag": 1},
+        "sensor_lag:EGT_C": {"spool_lag": 1},
+        "spool_lag": {"spool_lag": 2, "none": 1, "failed": 1},
+        "unknown": {"unknown": 1},
+    }
+
+
+def test_nothing_at_all_has_no_numbers():
+    for each in table([]):
+        number = each.value if isinstance(each.value, float) else each.value.value
+        assert math.isnan(number)
+
+
+def test_document_and_page_show_it_all(outcomes):
+    document = scored(outcomes, {"seed": 1})
+    assert document["schema"] == "narxcal.blind_score/1"
+    assert document["cases"] == {"null": 2, "outside": 1, "pair": 1, "single": 4}
+    assert document["wrong_base"] == 8
+    assert list(document["by_style"]) == ["line"]
+    assert document["outcomes"][-1]["reason"] == "was stopped"
+    assert document["outcomes"][5]["true"] == ["map_kink"]
+    assert document["outcomes"][1]["ambiguous_with"] == ["sensor_lag:EGT_C"]
+    page = render(document)
+    for words in ("Blind test", "top-1, ranked first", "map_kink", "spool_lag", "10-25 %"):
+        assert words in page
+    main, shares, confused = tables(document)
+    assert ["top-2", "0.75 [0.30, 0.95]", "4"] in main[2]
+    assert len(shares[2]) == 5
+    assert ["spool_lag", "4", "2", "failed 1, none 1"] in confused[2]
+
+
+def test_both_styles_stand_side_by_side(outcomes, outcome):
+    other = outcome(name="rich")
+    other = other._replace(truth={**other.truth, "style": "enriched"})
+    main = tables(scored([*outcomes, other], {}))[0]
+    assert main[1] == ("", "all [95 %]", "n", "enriched", "line")
+
+
+def test_how_numbers_are_shown():
+    assert shown({"value": None}) == "-"
+    assert shown({"value": float("nan")}) == "-"
+    assert shown({"value": 0.12345, "unit": ""}) == "0.123"
+    assert shown({"value": 12.0, "unit": "s"}) == "12 s"
+    assert shown({"value": 0.5, "of": 2, "low": 0.1, "high": 0.9}) == "0.50 [0.10, 0.90]"
