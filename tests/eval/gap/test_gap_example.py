@@ -38,4 +38,5 @@ def test_the_gap_is_where_it_was_put_and_nowhere_else(case):
 def test_the_true_lag_closes_the_gap_and_invents_none(case):
     name, data = case
     found = held_out({"sensor_lag:EGT_C": {"tau_s": 0.9, "own_s": 0.7}}, data, None)
-    assert found.share > 0.98 if name == "A" else found.share < 0.1
+    # What is left of A is on N1: its temperature limiter listens to the slow probe.
+    assert found.share > 0.96 if name == "A" else found.share < 0.1
