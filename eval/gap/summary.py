@@ -43,13 +43,25 @@ def effect_name(row: Mapping[str, Any]) -> str:
     return row["id"] if row.get("channel") is None else f"{row['id']}:{row['channel']}"
 
 
-def parameters(row: Mapping[str, Any]) -> str:
-    """Parameters of an effect with their intervals and units."""
-    return ", ".join(
+def parameters(row: Mapping[str, Any], most: int = 3) -> str:
+    """Parameters of an effect with their intervals and units; of many those that are surest."""
+    found = row["parameters"]
+    surest = sorted(found, key=lambda key: -_sureness(found[key]))[:most]
+    words = [
         f"{key} {number(each['value'])} [{number(each['low'])}, {number(each['high'])}]"
         f" {each.get('unit', '')}".rstrip(" -")
-        for key, each in row["parameters"].items()
-    )
+        for key, each in found.items()
+        if key in surest
+    ]
+    if len(found) > most:
+        words.append(f"and {len(found) - most} more")
+    return ", ".join(words)
+
+
+def _sureness(found: Mapping[str, float | None]) -> float:
+    """Size of a parameter in widths of its interval."""
+    value, low, high = (found.get(key) or 0.0 for key in ("value", "low", "high"))
+    return abs(value) / max(high - low, 1e-3 * abs(value), 1e-12)
 
 
 def number(value: float | None) -> str:

@@ -8,7 +8,7 @@ import pytest
 from eval.gap.document import document, effect_rows, probabilities
 from eval.gap.evidence import Evidence
 from eval.gap.realised import channel_shrink, held_out, time_shrink
-from eval.gap.summary import effect_table, sentence, shrink_table, where_table
+from eval.gap.summary import effect_table, parameters, sentence, shrink_table, where_table
 from eval.gap.where import locate
 from training.gap.finding import Interval
 
@@ -153,3 +153,11 @@ def test_an_effect_that_is_not_claimed_shows_what_it_is_worth_alone(make_finding
         make_finding("effects", (NAME, "spool_lag"), (pair, make_model(NAME), alone))
     )
     assert [row["gain"]["value"] for row in rows] == [0.95, 0.95]
+
+
+def test_of_many_parameters_the_surest_are_shown():
+    sure, unsure = (
+        {"value": 2.0, "low": 2.0 - w, "high": 2.0 + w, "unit": "%"} for w in (0.1, 5.0)
+    )
+    row = {"parameters": {"a": unsure, "b": sure, "c": sure, "d": unsure, "e": sure}}
+    assert parameters(row) == "b 2 [1.9, 2.1] %, c 2 [1.9, 2.1] %, e 2 [1.9, 2.1] %, and 2 more"
