@@ -74,10 +74,11 @@ class FoundEffects:
 
 
 def read_effects(file: Path) -> FoundEffects:
-    """Read the claimed effects of a `gap.json`, with the emulator beside it.
+    """Read the claimed effects of a `gap.json`, or of the folder it is in, with its emulator.
 
     Raises `ConfigError` for a file that is none, and `ModelError` for a damaged emulator.
     """
+    file = file / "gap.json" if file.is_dir() else file
     document = _document(file)
     values = claimed_in(document)
     signals = signals_from_json(document["quality"]["signals"])

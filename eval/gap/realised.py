@@ -58,7 +58,7 @@ def predicted(data: GapData, after: FloatArray, optimism: float) -> Interval:
     own = np.maximum(before, 0.1 * max(float(before.mean()), 1e-9))
     spread = float(((before - left) / own).std(ddof=1)) * np.sqrt(0.5 + 1.0 / count)
     reach = float(t.ppf(0.95, count - 1)) * spread
-    return Interval(value, value - reach, min(1.0, value + reach))
+    return Interval(value, max(-1.0, value - reach), min(1.0, value + reach))
 
 
 def channel_shrink(data: GapData, after: FloatArray) -> dict[str, ChannelShrink]:

@@ -107,3 +107,4 @@ def test_what_diagnose_stored_comes_back(tmp_path, signals):
     assert found.signals.active == signals.active
     np.testing.assert_array_equal(found.signals.high, signals.high)
     assert found.emulator is None
+    assert read_effects(tmp_path).values == found.values
