@@ -41,7 +41,7 @@ class HeatMap:
 def phase_map(document: Mapping[str, Any]) -> Picture | None:
     """Channel against direction and phase, with intervals; None where there is no gap."""
     bins = document["where"]
-    if not bins:
+    if not _stands_out(document):
         return None
     channels = _channels(document)
     values = np.zeros((len(channels), len(MOVES)))
@@ -65,9 +65,9 @@ def phase_map(document: Mapping[str, Any]) -> Picture | None:
 
 
 def regime_map(document: Mapping[str, Any]) -> Picture | None:
-    """Channel against the levels of altitude, Mach, power and bleed; None without any."""
+    """Channel against the levels of altitude, Mach, power and bleed; None without a gap."""
     channels, shares = _channels(document), _regime_shares(document["where"])
-    if not shares:
+    if not (shares and _stands_out(document)):
         return None
     values, columns, titles = [], [], {}
     for regime, levels in shares.items():
@@ -84,9 +84,9 @@ def regime_map(document: Mapping[str, Any]) -> Picture | None:
 
 
 def band_map(document: Mapping[str, Any]) -> Picture | None:
-    """Channel against bands of frequency; each channel adds up to the whole of its own gap."""
+    """Channel against bands of frequency; each channel adds up to its own gap; None without one."""
     bands = {name: rows for name, rows in document["quality"].get("bands", {}).items() if rows}
-    if not bands:
+    if not (bands and _stands_out(document)):
         return None
     first = next(iter(bands.values()))
     columns = [_band(row["low_hz"], row["high_hz"], row is first[-1]) for row in first]
@@ -102,6 +102,11 @@ def band_map(document: Mapping[str, Any]) -> Picture | None:
         "Share of the channel's own gap in each band in %. Below it the coherence with the driver: "
         "the part of the gap there that a linear answer to the driver could be.",
     )
+
+
+def _stands_out(document: Mapping[str, Any]) -> bool:
+    """Whether any part of the gap is above the noise: shares of nothing mean nothing."""
+    return any(row["share"] > 0.0 for row in document["where"])
 
 
 def _channels(document: Mapping[str, Any]) -> list[str]:

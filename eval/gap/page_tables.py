@@ -11,7 +11,6 @@ from eval.report.style import symbol, unit, with_unit
 from eval.report.tables import NOTHING, Cell, Mark, Table, figure, number
 
 _TOO_COARSE = 0.5  # of the gap: an emulator with more error than this says little about it
-_UNITS = {"degC": "°C", "deg": "°", "degps": "°/s", "-": ""}
 
 
 def bins(document: Mapping[str, Any]) -> Table:
@@ -73,7 +72,7 @@ def sizes(row: Mapping[str, Any]) -> str:
 
 def printed(name: str) -> str:
     """Unit as it is printed: `degC` -> `°C`."""
-    return _UNITS.get(name, name)
+    return "" if name == "-" else name.replace("degC", "°C").replace("deg", "°")
 
 
 def models(document: Mapping[str, Any]) -> Table:
@@ -127,10 +126,10 @@ def times(document: Mapping[str, Any]) -> Table:
         (
             Cell(symbol(name), "head"),
             count(row["events"]),
-            figure(row["Ti_before_s"]),
-            figure(row["Ti_after_s"], _better(row["Ti_before_s"], row["Ti_after_s"])),
-            figure(row["Tt_before_s"]),
-            figure(row["Tt_after_s"], _better(row["Tt_before_s"], row["Tt_after_s"])),
+            seconds(row["Ti_before_s"]),
+            seconds(row["Ti_after_s"], _better(row["Ti_before_s"], row["Ti_after_s"])),
+            seconds(row["Tt_before_s"]),
+            seconds(row["Tt_after_s"], _better(row["Tt_before_s"], row["Tt_after_s"])),
         )
         for name, row in found.items()
     )
@@ -145,8 +144,8 @@ def late(document: Mapping[str, Any]) -> Table:
             Cell(symbol(name), "head"),
             Cell(direction),
             count(row["events"]),
-            figure(row["Ti_s"]),
-            figure(row["Tt_s"]),
+            seconds(row["Ti_s"]),
+            seconds(row["Tt_s"]),
         )
         for name, both in document["quality"].get("Ti_Tt", {}).items()
         for direction, row in both.items()
@@ -223,6 +222,13 @@ def percent(share: float | None, mark: Mark = "") -> Cell:
 def count(number_of: int) -> Cell:
     """A count."""
     return Cell(f"{number_of:,}".replace(",", "\N{NO-BREAK SPACE}"), number=True)
+
+
+def seconds(value: float | None, mark: Mark = "") -> Cell:
+    """A time to the millisecond."""
+    if value is None or not math.isfinite(value):
+        return Cell(NOTHING, mark, number=True)
+    return Cell(whole(value, 3), mark, number=True)
 
 
 def whole(value: float, digits: int = 0) -> str:

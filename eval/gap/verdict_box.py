@@ -114,7 +114,11 @@ def next_flights(document: Mapping[str, Any]) -> list[tuple[str, str]]:
         if manoeuvre not in known:
             known.add(manoeuvre)
             found.append((manoeuvre, f"shows {name}, or rules it out"))
-    found += _missing(document["quality"])
+    if verdict["kind"] != "none":
+        found += _missing(document["quality"])
+    if verdict["effects"] and not document["quality"].get("held_out"):
+        reason = "gives the shrinkage on flights that took no part (--heldout-real, --heldout-sim)"
+        found.append(("two more flights of the same kind", reason))
     return found
 
 
@@ -136,9 +140,6 @@ def _missing(quality: Mapping[str, Any]) -> list[tuple[str, str]]:
     if few:
         reason = f"there were only {' and '.join(few)}: every interval gets narrower"
         found.append(("idle to high power and back, ten times, settled in between", reason))
-    if not quality.get("held_out"):
-        reason = "gives the shrinkage on flights that took no part (--heldout-real, --heldout-sim)"
-        found.append(("two more flights of the same kind", reason))
     return found
 
 

@@ -273,6 +273,15 @@ def test_predicted_and_realised_stand_side_by_side(evidence):
     assert charts.prediction(document(with_verdict(evidence, "none"))) is None
 
 
+def test_a_gap_that_does_not_stand_out_has_no_map(evidence):
+    found = document(with_verdict(evidence, "none"))
+    for row in found["where"]:
+        row["share"] = 0.0
+    for draw in (heat_maps.phase_map, heat_maps.regime_map, heat_maps.band_map):
+        assert draw(found) is None
+    assert next_flights(found) == []
+
+
 def test_charts_without_anything_to_show_are_left_out(evidence):
     found = document(bare(evidence))
     found["side"] = {"input": 0.0, "process": 0.0, "sensor": 0.0}
@@ -335,6 +344,16 @@ def test_intervals_in_percent(low, high, text):
     assert page_tables.span({"low": low, "high": high}) == text
 
 
-@pytest.mark.parametrize(("unit", "text"), [("degC", "°C"), ("-", ""), ("s", "s"), ("%/h", "%/h")])
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.2449, "0.245"), (-0.00021, "0.000"), (math.nan, "–"), (None, "–")],  # noqa: RUF001
+)
+def test_times_to_the_millisecond(value, text):
+    assert page_tables.seconds(value).text == text
+
+
+@pytest.mark.parametrize(
+    ("unit", "text"), [("degC", "°C"), ("-", ""), ("deg/s", "°/s"), ("degC/h", "°C/h")]
+)
 def test_units_are_printed_as_an_engineer_writes_them(unit, text):
     assert page_tables.printed(unit) == text
