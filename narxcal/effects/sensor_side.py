@@ -42,7 +42,7 @@ class SensorLag(SensorEffect):
     manoeuvre: ClassVar[str] = "fast steps: a lag rounds one channel off, a delay only shifts it"
     fixed = (
         Parameter("tau_s", "s", 0.0, 15.0, 0.0, (0.2, 0.8, 3.0)),
-        Parameter("own_s", "s", 0.0, 5.0, 0.0, (0.05, 0.6)),
+        Parameter("own_s", "s", 0.0, 2.5, 0.0, (0.05, 0.6)),
     )
 
     def reading(self, run: Run, value: FloatArray) -> FloatArray:
