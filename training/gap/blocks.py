@@ -141,8 +141,9 @@ def moment(residual: FloatArray, known: FloatArray, where: tuple[int, int, int])
     first, last = block * size, (block + FOLLOW) * size
     if first <= 0:
         return 0
-    if last >= residual.shape[1]:
-        return residual.shape[1]
+    end: int = residual.shape[1]
+    if last >= end:
+        return end
     before, after = (
         slice(max(0, first - EDGE * size // 2), first),
         slice(last, last + EDGE * size // 2),
@@ -161,8 +162,9 @@ def moment(residual: FloatArray, known: FloatArray, where: tuple[int, int, int])
     )
     if not np.ptp(price) > 0.0:
         return (first + last) // 2
-    least: int = np.argmin(price).item()
-    return max(0, first + least - half)
+    least = int(np.argmin(price))
+    changed: int = first + least - half
+    return max(0, changed)
 
 
 def _level(residual: FloatArray, known: FloatArray) -> FloatArray:

@@ -237,6 +237,7 @@ def best_path(
     filters = (found.gain, found.variance, found.late_gain, found.late_variance)
     inverse: FloatArray = np.linalg.inv(noise.correlation).astype(np.float64)
     total, came = _paths(residual, shift, filters, (noise.phi, inverse), switch)
+    total[1] += switch  # and will be switched off
     last = int(total[1] < total[0])
     path, k, on = np.zeros(residual.shape[1], dtype=np.int8), residual.shape[1] - 1, last
     while k >= 0:
@@ -314,6 +315,7 @@ def _paths(
     flights, blocks, channels = residual.shape
     level = np.zeros((2, blocks + 1, flights, channels, 2))  # of the block before, thus one more
     total = np.zeros((2, blocks + 1))
+    total[1, 0] = switch  # what is on at the start was switched on, too
     came = np.zeros((2, blocks), dtype=np.int8)
     sign = np.array([-1.0, 1.0])
     variances = np.stack((late_variance, variance))

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,9 @@ _Z90 = 1.645
 _DRAWN = 60  # blocks that are drawn together
 _HALF_S = 0.7  # from a switch to half of its effect (narxcal.effects.steady)
 _EULER = 0.5772
+_CHI90 = 2.71  # of chi squared with one degree of freedom
+_SEEN = 150  # blocks to either side in which an edge may lie
+_TAKEN = np.array([0.37, 0.77, 0.92])  # mean share of a change in the blocks that follow it
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,8 @@ class Options:
 class Window:
     """One window of one flight, the shift of each output in it, and what it explains.
 
-    `score` is twice the gain of the log likelihood by this window.
+    `score` is twice the gain of the log likelihood by this window. `start_span_s` and
+    `stop_span_s` hold the edges with 90 % probability; a lever move can hide one for long.
     """
 
     flight: int
@@ -81,6 +86,8 @@ class Window:
     stop_s: float
     shift: tuple[Interval, ...]
     score: float
+    start_span_s: tuple[float, float]
+    stop_span_s: tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +135,7 @@ def find_windows(
     if blocks.residual.shape[1] < 4 * EDGE or not (blocks.share > 0.0).any():
         return silent
     noise, best = _refined(blocks, options)
+    best = replace(best, paths=_merged(best.paths, options))
     if best.gain <= 0.0:
         return silent
     threshold = _threshold(blocks, noise, best, options)
@@ -172,6 +180,17 @@ def _refined(blocks: Blocks, options: Options) -> tuple[Noise, _Search]:
     return noise, best
 
 
+def _merged(paths: NDArray[np.int8], options: Options) -> NDArray[np.int8]:
+    """On throughout where it is off between two windows for less than the shortest one."""
+    merged = paths.copy()
+    for row in merged:
+        for (_, stop), (start, _) in pairwise(_runs(row)):
+            off = np.count_nonzero(row[stop:start] == 0)
+            if off * options.block_s < options.shortest_s:
+                row[stop:start] = 1
+    return merged
+
+
 def _search(
     blocks: Blocks, noise: Noise, options: Options, starts: Sequence[FloatArray] | None = None
 ) -> _Search:
@@ -179,6 +198,8 @@ def _search(
     found = gains(noise, blocks.share)
     if starts is None:
         starts = sharpest_edges(blocks, noise, options.starts)
+        if options.rising is not None:
+            starts = [-start if start[options.rising] < 0.0 else start for start in starts]
     none = np.zeros(blocks.residual.shape[:2], dtype=np.int8)
     best = _Search(np.zeros(blocks.residual.shape[2]), none, 0.0)
     plain = _walk(replace(blocks, switch=np.inf), best.shift, found, noise)[0]
@@ -284,8 +305,12 @@ def _told(residual: FloatArray, known: FloatArray, dt_s: float, found: _All) -> 
                 continue
             on[rows, start:stop] = 1.0
             told = [_window(blocks, best.paths, noise, (f, first, last)) for f in rows]
+            model = (shift, noise.of(rows))
+            where = [_span(blocks, best.paths, (rows, edge), model) for edge in (first, last)]
+            ends = [(low * options.block_s, high * options.block_s) for low, high in where]
+            spans = _around(ends[0], start * dt_s), _around(ends[1], stop * dt_s)
             windows += [
-                Window(f, start * dt_s, stop * dt_s, own, score)
+                Window(f, start * dt_s, stop * dt_s, own, score, *spans)
                 for f, (own, score) in zip(rows, told, strict=True)
             ]
     if not windows:
@@ -318,6 +343,41 @@ def _window(
         shift[c], deviation[c] = found[0], np.sqrt(spread[0, 0] * variance)
     without = cost(rest + own * shift, noise).sum()
     return _intervals(shift, deviation), float(without - cost(rest, noise).sum())
+
+
+def _around(span: tuple[float, float], value: float) -> tuple[float, float]:
+    return min(span[0], value), max(span[1], value)
+
+
+def _span(
+    blocks: Blocks,
+    paths: NDArray[np.int8],
+    where: tuple[list[int], int],
+    model: tuple[FloatArray, Noise],
+) -> tuple[int, int]:
+    """Blocks between which a change of flights `rows` lies, the one that ends at block `edge`."""
+    (rows, edge), (shift, noise) = where, model
+    path = paths[rows[0]]
+    on = (path == 1).astype(np.float64)
+    if edge in (0, len(path)):
+        return edge, edge
+    # A change takes FOLLOW blocks; the search knows it by its end, or as off by its beginning.
+    begin = edge - FOLLOW if path[edge] == 1 else edge
+    after, before = float(path[edge] == 1), 1.0 - float(path[edge] == 1)
+    found = gains(noise, blocks.share[rows])
+    others = np.flatnonzero(path < 0)
+    earlier, later = others[others < begin], others[others >= begin + FOLLOW]
+    low = max(1, begin - _SEEN, int(earlier.max(initial=0)) + 1)
+    high = min(len(path) - 1, begin + _SEEN, int(later.min(initial=len(path))))
+    prices = []
+    for k in range(low, high):
+        moved = on.copy()
+        moved[min(k, begin) : max(k, begin + FOLLOW)] = after if k <= begin else before
+        moved[k : k + FOLLOW] = before + (after - before) * _TAKEN[: len(path) - k]
+        rest = blocks.residual[rows] - moved[:, None] * shift
+        prices.append(float(cost(whiten(rest, found, noise), noise).sum()))
+    near = np.flatnonzero(np.array(prices) <= min(prices) + _CHI90)
+    return low + int(near[0]), low + int(near[-1]) + 1
 
 
 def _intervals(value: FloatArray, deviation: FloatArray) -> tuple[Interval, ...]:
