@@ -159,24 +159,28 @@ def _lever_bias(sketch: _Sketch) -> Figure:
 
 
 def _step(sketch: _Sketch) -> Figure:
-    """Answer to a unit step, 63 % of it marked where a lag has that."""
+    """Answer to a unit step, 63 % of it marked where a lag has that.
+
+    A sensor may have had a lag in the simulator, `own_s`: then that is the simulator's answer.
+    """
     tau, shifted = sketch.first, sketch.effect.id == "time_skew"
-    until = max(5.0 * tau.value, 1.2 * tau.high, 0.5)
+    own = sketch.sizes["own_s"].value if "own_s" in sketch.sizes else 0.0
+    until = max(5.0 * (own + tau.value), 1.2 * (own + tau.high), 0.5)
     time = np.linspace(-0.2 * until, until, 601)
     drawn, axes = _panel("time after the step [s]", "share of the step [-]")
 
     def answer(size: float) -> FloatArray:
-        if shifted:
+        if shifted or size == 0.0:
             return np.asarray((time >= size).astype(float))
         lag = Lag(np.array([size]), float(time[1] - time[0]))
         return np.asarray(lag((time >= 0.0).astype(float)[None])[0])
 
-    true = (time >= 0.0).astype(float)
-    axes.plot(time, true, color=style.STEADY, ls="--", lw=0.8, label="simulator")
-    _band(axes, time, answer(tau.low), answer(tau.high))
-    axes.plot(time, answer(tau.value), color=style.MODEL, lw=1.6, label="with the effect")
+    axes.plot(time, answer(own), color=style.STEADY, ls="--", lw=0.8, label="simulator")
+    _band(axes, time, answer(own + tau.low), answer(own + tau.high))
+    axes.plot(time, answer(own + tau.value), color=style.MODEL, lw=1.6, label="with the effect")
     level = 0.5 if shifted else 1.0 - np.exp(-1.0)
-    axes.plot([tau.value], [level], "o", color=style.BAD, ms=4, label=f"{_number(tau.value)} s")
+    place = own + tau.value
+    axes.plot([place], [level], "o", color=style.BAD, ms=4, label=f"{_number(place)} s")
     axes.margins(x=0.0)
     _finish(axes)
     return drawn

@@ -60,3 +60,11 @@ def test_a_lever_that_is_a_fuel_flow_is_drawn_in_its_unit():
     fuel = Signals(("FF_kgph",), OUTPUTS, 0.125, "FF_kgph", LOW, HIGH, (150.0, 900.0), ("FF_kgph",))
     found = drawing(effect("throttle_bias"), {"bias_deg": Interval(4.0, 3.0, 5.0)}, fuel)
     assert "what arrives [kg/h]" in found.svg
+
+
+def test_a_slower_probe_starts_from_that_of_the_simulator():
+    own = {"tau_s": Interval(0.9, 0.8, 1.0), "own_s": Interval(0.6, 0.5, 0.7)}
+    drawn = drawing(effect("sensor_lag:EGT_C"), own, SIGNALS)
+    assert ">1.5 s<" in drawn.svg
+    alone = drawing(effect("sensor_lag:EGT_C"), {"tau_s": own["tau_s"]}, SIGNALS)
+    assert ">0.9 s<" in alone.svg
