@@ -104,10 +104,10 @@ def tiles(document: Mapping[str, Any]) -> list[tuple[str, str]]:
 def next_flights(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Manoeuvres worth flying next, each with what it would tell."""
     verdict, found = document["verdict"], []
-    if verdict["separating_manoeuvre"]:
-        rivals = ", ".join(verdict["ambiguous_with"])
-        what = f"separates {', '.join(verdict['effects']) or 'the candidates'}"
-        found.append((verdict["separating_manoeuvre"], f"{what} from {rivals or 'its family'}"))
+    if verdict["separating_manoeuvre"] and verdict["effects"]:
+        rivals = ", ".join(verdict["ambiguous_with"]) or "its family"
+        what = f"separates {', '.join(verdict['effects'])} from {rivals}"
+        found.append((verdict["separating_manoeuvre"], what))
     known = {text for text, _ in found}
     for name in _open_questions(document):
         manoeuvre = effect(name).manoeuvre
