@@ -39,8 +39,8 @@ _TAIL = """## How to read it
 - A start or stop that falls on a lever move is known no better than its interval says.
 - An engine's own constant offset (fuel meter, probe) is no effect of this kind; the last step shows
   what it is worth, fitted to the very log it is judged on.
-- The last section asks whether a model identified on a flight gets better once the windows are taken
-  out of it: compare its first row with that of the same flight further up.
+- The last section asks whether a model identified on a flight gets better once the windows are
+  taken out of it: compare its first row with that of the same flight further up.
 - "Not confirmed" and "no windows" are answers: the page claims only what one engine tells of the
   other.
 """
