@@ -8,13 +8,16 @@ from typing import Any
 
 from eval.gap.blind.cases import BlindPlan
 from eval.gap.blind.files import CASES, KEY, SCHEMA
-from eval.gap.blind.make import make_cases
+from eval.gap.blind.make import make_cases, write_key
 from eval.gap.blind.page import render, tables
+from eval.gap.blind.plasmode import Real, make_real_cases
 from eval.gap.blind.run import Limits, run_cases
 from eval.gap.blind.score import score_answers
 from narxcal.atomic import atomic_write_text
+from narxcal.cli.configured import read_config
 from narxcal.cli.console import Console, to_json
 from narxcal.cli.folders import Results
+from narxcal.errors import ConfigError
 
 SCORE, PAGE = "score.json", "score.html"
 
@@ -27,6 +30,8 @@ def run(options: Namespace, console: Console) -> int:
 
 def _make(options: Namespace, console: Console) -> None:
     names = ("cases", "flights", "held_out", "duration_s", "rate_hz", "style", "seed")
+    if (options.real is None) != (options.sim is None):
+        raise ConfigError("--real and --sim belong together", hint="Give both, or neither")
     plan = BlindPlan.parse({name: getattr(options, name) for name in names})
     results = _results(options.out)
     results.check(options.out)
@@ -36,11 +41,20 @@ def _make(options: Namespace, console: Console) -> None:
         def watch(name: str, done: int, total: int) -> None:
             advance(done, total, f"({name})")
 
-        document = make_cases(folder, plan, secret, options.jobs, watch)
+        if options.real is None:
+            document = make_cases(folder, plan, secret, options.jobs, watch)
+        else:
+            made = make_real_cases(folder, plan, _real(options))
+            document = write_key(folder, plan, secret, made, watch)
     console.say(f"Cases: {options.out}. Sealed key: {options.out / KEY}")
     if options.secret is None:
         console.say("The secret is the seed: keep it from whoever answers.")
     console.document({**document, "out": str(options.out)})
+
+
+def _real(options: Namespace) -> Real:
+    config = None if options.config is None else read_config(options.config, None)[0]
+    return Real(options.real, options.sim, config)
 
 
 def _run(options: Namespace, console: Console) -> None:

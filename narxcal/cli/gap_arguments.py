@@ -83,6 +83,10 @@ def _blind_make(actions: _Commands) -> argparse.ArgumentParser:
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="default 0")
     parser.add_argument("--secret", metavar="WORD", help="opens the key; the seed if left out")
     _jobs(parser)
+    real = parser.add_argument_group("from real flights, instead of the virtual engine's")
+    real.add_argument("--real", metavar="DIR", type=Path, help="folder of recorded logs")
+    real.add_argument("--sim", metavar="SIM", help="run folder, FMU or module:function")
+    real.add_argument("--config", metavar="CONFIG", help="TOML file whose [logs] maps columns")
     return parser
 
 

@@ -135,3 +135,25 @@ def test_what_it_refuses(narxcal, tmp_path, monkeypatch, words, said):
     assert said in done.err
     assert len(done.err.splitlines()) == 1
     assert not (tmp_path / "o").exists()
+
+
+def test_real_flights_need_a_simulator(narxcal, tmp_path):
+    for words in (("--real", tmp_path), ("--sim", "business_jet")):
+        done = narxcal("blind", "make", "--out", tmp_path / "o", *words)
+        assert done.code == 2
+        assert "--real and --sim belong together. Give both, or neither" in done.err
+
+
+@pytest.mark.slow
+def test_end_to_end_with_the_diagnosis_itself(narxcal, cases, tmp_path):
+    answers = tmp_path / "answers"
+    done = narxcal("blind", "run", cases, "--out", answers, "--jobs", 1, "--json")
+    ends = json.loads(done.out)["ends"]
+    assert sum(ends.values()) == 2
+    assert "error" not in ends
+    scored = narxcal("blind", "score", cases, answers, "--secret", "3", "--json")
+    document = json.loads(scored.out)
+    assert len(document["outcomes"]) == 2
+    assert {row["verdict"] for row in document["outcomes"]} <= {
+        "none", "effects", "ambiguous", "unknown", "failed"
+    }  # fmt: skip

@@ -23,7 +23,7 @@ Style = Literal["line", "enriched"]
 STYLES: Final[tuple[Style, ...]] = ("line", "enriched")
 BINS: Final = ((0.02, 0.05), (0.05, 0.10), (0.10, 0.25), (0.25, 0.95))
 _NULLS, _OUTSIDE, _PAIRS = 0.2, 0.16, 0.16
-_BUILD_PCT, _NULL_BUILD_PCT = 0.3, 0.5  # standard deviation of efficiencies and flows
+_BUILD_PCT, _NULL_BUILD_PCT = 0.6, 0.8  # standard deviation of efficiencies and flows
 
 
 class BlindPlan(Section):
@@ -114,11 +114,11 @@ def _case(
         effects=content.effects,
         signs=tuple(signs),
         strange=content.strange,
-        share=0.0 if content.kind == "null" else _share(BINS[content.bin], random),
+        share=0.0 if content.kind == "null" else share_in(BINS[content.bin], random),
     )
 
 
-def _share(bounds: tuple[float, float], random: np.random.Generator) -> float:
+def share_in(bounds: tuple[float, float], random: np.random.Generator) -> float:
     """Draw a share of the gap; the energy of the effect over that of the rest is log-uniform."""
     low, high = (math.log(share / (1.0 - share)) for share in bounds)
     odds = math.exp(random.uniform(low, high))

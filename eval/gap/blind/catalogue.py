@@ -7,7 +7,7 @@ chain: neither is a form that the diagnosis fits.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from narxcal.effects.library import LIBRARY
 from narxcal.flight_test.sensor_faults import SENSOR_EFFECTS, SensorFault
@@ -82,7 +82,7 @@ CATALOGUE: Final = (
 
 
 class Dose(NamedTuple):
-    """An effect of a size; `windows` are those of an unlogged switch on the flight at hand."""
+    """An effect of a size."""
 
     scale: Scale
     size: float
@@ -98,9 +98,18 @@ class Dose(NamedTuple):
         return self.scale.id in SENSOR_EFFECTS
 
     def unmodelled(self, windows: Windows) -> Unmodelled:
-        """Give it as an engine's effect."""
+        """Give it as an engine's effect; `windows` are those of a hidden switch."""
         own = windows if self.scale.id == "unlogged_switch" else ()
         return Unmodelled(self.scale.id, self.parameters, own)
+
+    def row(self) -> dict[str, Any]:
+        """Give it as a row of the key."""
+        return {
+            "id": self.scale.id,
+            "channel": self.scale.channel,
+            "family": self.scale.family,
+            "parameters": self.parameters,
+        }
 
     def fault(self, engine: str) -> SensorFault:
         """Give it as a sensor's fault."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,13 +37,20 @@ def make_cases(
     The bytes depend on plan and secret alone. The list tells names, flights and digests, and
     nothing of what is in a case. Raises `ModelError` naming the case that cannot be flown.
     """
+    made = _all_made(folder, plan, draw_cases(plan), jobs)
+    return write_key(folder, plan, secret, made, watch)
+
+
+def write_key(
+    folder: Path, plan: BlindPlan, secret: str, cases: Iterable[Made], watch: Watch | None = None
+) -> dict[str, Any]:
+    """Make `cases`, seal their key by `secret`, and write the list of them, which is returned."""
     rows: dict[str, Any] = {}
     logs: dict[str, dict[str, str]] = {}
-    cases = draw_cases(plan)
-    for number, made in enumerate(_all_made(folder, plan, cases, jobs), start=1):
+    for number, made in enumerate(cases, start=1):
         rows[made.name], logs[made.name] = made.row, made.logs
         if watch is not None:
-            watch(made.name, number, len(cases))
+            watch(made.name, number, plan.cases)
     told = {"schema": SCHEMA, "plan": plan.model_dump(exclude={"seed"}), "logs": logs}
     key = {"schema": KEY_SCHEMA, "plan": plan.model_dump(), "cases": rows}
     atomic_write_bytes(folder / KEY, sealed(key, secret, salt_of(told)))
@@ -108,15 +115,7 @@ def _facts(case: Case, content: Content, flights: Sequence[Flight]) -> dict[str,
         "kind": case.kind,
         "style": case.style,
         "engine": case.engine,
-        "effects": [
-            {
-                "id": dose.scale.id,
-                "channel": dose.scale.channel,
-                "family": dose.scale.family,
-                "parameters": dose.parameters,
-            }
-            for dose in content.doses
-        ],
+        "effects": [dose.row() for dose in content.doses],
         "outside": None
         if strange is None
         else {"id": strange.id, "size": content.strange, "like": list(strange.like)},

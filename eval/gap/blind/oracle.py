@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from eval.gap.bins import MOVES, sort_samples
-from eval.gap.blind.truth import OUTPUTS, Channels
+from eval.gap.blind.truth import Channels, outputs_of
 from eval.gap.blocks import batch
 from eval.gap.data import Pair
 from eval.gap.excitation import events_of
@@ -70,9 +70,9 @@ def _pairs(real: Sequence[Channels], simulated: Sequence[Channels]) -> list[Pair
         Pair(
             f"flight_{k}",
             sim["time_s"],
-            {n: v for n, v in sim.items() if n != "time_s" and n not in OUTPUTS},
-            {name: each[name] for name in OUTPUTS},
-            {name: sim[name] for name in OUTPUTS},
+            {n: v for n, v in sim.items() if n not in ("time_s", *outputs_of(sim))},
+            {name: each[name] for name in outputs_of(sim)},
+            {name: sim[name] for name in outputs_of(sim)},
         )
         for k, (each, sim) in enumerate(zip(real, simulated, strict=True))
     ]

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from eval.gap.blind.catalogue import Dose
-from eval.gap.blind.truth import NOTHING, OUTPUTS, Channels, Content, Flight, Specimen, squares
+from eval.gap.blind.truth import NOTHING, Channels, Content, Flight, Specimen, outputs_of
 
 _TRIES: Final = 3
 _CLOSE: Final = 0.1  # of the energy: the next size will do
@@ -26,15 +26,16 @@ Measure = Callable[[float], float]
 def ranges(simulated: Sequence[Channels]) -> dict[str, float]:
     """Range of each output over all simulated flights."""
     return {
-        name: max(float(np.ptp(np.concatenate([each[name] for each in simulated]))), 1e-9)
-        for name in OUTPUTS
+        name: max(max(np.nanmax(s[name]) for s in simulated) - low, 1e-9)
+        for name in outputs_of(simulated[0])
+        for low in [min(np.nanmin(s[name]) for s in simulated)]
     }
 
 
 def energy(one: Channels, other: Channels, spans: Mapping[str, float]) -> float:
     """Mean over the outputs of the squared difference, in squares of their ranges."""
-    found = squares(one, other)
-    return float(np.mean([found[name] / spans[name] ** 2 for name in OUTPUTS]))
+    squares = [np.nanmean((one[name] - other[name]) ** 2) / spans[name] ** 2 for name in spans]
+    return float(np.mean(squares))
 
 
 def gap_share(
@@ -67,7 +68,7 @@ def sized(specimen: Specimen, flight: Flight, simulated: Channels) -> Content:
         return energy(specimen.simulated(flight, content), simulated, spans)
 
     if case.strange is not None:
-        size = _found(lambda s: measured(Content(strange=s)), wanted, case.strange[3:5])
+        size = size_for(lambda s: measured(Content(strange=s)), wanted, case.strange[3:5])
         return Content(strange=size)
     doses = []
     for scale, sign in zip(case.effects, case.signs, strict=True):
@@ -76,11 +77,11 @@ def sized(specimen: Specimen, flight: Flight, simulated: Channels) -> Content:
             return measured(Content((dose._replace(size=dose.size * size),)))
 
         part = wanted / len(case.effects)
-        doses.append(Dose(scale, sign * _found(alone, part, (scale.first, scale.most))))
+        doses.append(Dose(scale, sign * size_for(alone, part, (scale.first, scale.most))))
     return Content(tuple(doses))
 
 
-def _found(measured: Measure, wanted: float, sizes: tuple[float, float]) -> float:
+def size_for(measured: Measure, wanted: float, sizes: tuple[float, float]) -> float:
     """Size, up to the second of `sizes`, whose energy is as wanted: few tries from the first.
 
     Energies go with a power of the size, about the second; the power is taken from the last two.

@@ -24,6 +24,12 @@ _PERFECT = SensorConfig(preset="perfect", inputs="exact")
 _STRETCH_S = 240.0  # one window of an unlogged switch in each
 
 
+def outputs_of(channels: Mapping[str, FloatArray]) -> tuple[str, ...]:
+    """Names of the outputs among channels: without a lever, the fuel flow drives and is none."""
+    outputs = OUTPUTS if "TRA_deg" in channels else OUTPUTS[:3]
+    return tuple(name for name in outputs if name in channels)
+
+
 class Content(NamedTuple):
     """What a case holds, in numbers: doses of effects, and the size of what is strange."""
 
@@ -142,8 +148,3 @@ def _windows(random: np.random.Generator, end_s: float) -> Windows:
         start = stretch * number + random.uniform(0.1, 0.9) * (stretch - length)
         spans.append((round(start, 3), round(start + length, 3)))
     return tuple(spans)
-
-
-def squares(one: Mapping[str, FloatArray], other: Mapping[str, FloatArray]) -> dict[str, float]:
-    """Mean squared difference of each output, samples without a reading left out."""
-    return {name: float(np.nanmean((one[name] - other[name]) ** 2)) for name in OUTPUTS}

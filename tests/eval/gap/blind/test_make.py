@@ -13,7 +13,7 @@ from eval.gap.blind.catalogue import CATALOGUE, Dose
 from eval.gap.blind.files import open_key, read_cases
 from eval.gap.blind.make import make_case, make_cases
 from eval.gap.blind.outside import CYCLE, DEADBAND, STRANGE, applied
-from eval.gap.blind.sizes import _found, energy, gap_share, ranges, sized
+from eval.gap.blind.sizes import energy, gap_share, ranges, size_for, sized
 from eval.gap.blind.truth import Content, Specimen
 from eval.gap.pairs import read_pairs
 from narxcal.errors import ConfigError, DataError, ModelError
@@ -145,10 +145,10 @@ def test_a_perfect_simulator_with_the_effect_takes_all_away(quick):
 
 
 def test_the_search_for_a_size():
-    assert _found(lambda size: size**2, 0.25, (1.0, 9.0)) == pytest.approx(0.5, rel=0.02)
-    assert _found(lambda size: size**3, 8.0, (1.0, 9.0)) == pytest.approx(2.0, rel=0.05)
-    assert _found(lambda size: 1e-9 * size, 1.0, (1.0, 9.0)) == 9.0
-    assert _found(lambda size: size**2, 1e-9, (1.0, 9.0)) == pytest.approx(0.03)
+    assert size_for(lambda size: size**2, 0.25, (1.0, 9.0)) == pytest.approx(0.5, rel=0.02)
+    assert size_for(lambda size: size**3, 8.0, (1.0, 9.0)) == pytest.approx(2.0, rel=0.05)
+    assert size_for(lambda size: 1e-9 * size, 1.0, (1.0, 9.0)) == 9.0
+    assert size_for(lambda size: size**2, 1e-9, (1.0, 9.0)) == pytest.approx(0.03)
 
 
 def test_the_simulator_is_wrong_where_it_should_be(quick):
