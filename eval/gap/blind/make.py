@@ -18,6 +18,7 @@ from eval.gap.blind.truth import Channels, Content, Flight, Specimen
 from narxcal.atomic import atomic_write_bytes, atomic_write_text
 from narxcal.errors import ModelError
 
+_SIZED_ON = 2  # flights: their days differ
 Watch = Callable[[str, int, int], None]  # name of the case that is done, its number, how many
 
 
@@ -82,7 +83,7 @@ def _made(folder: Path, plan: BlindPlan, case: Case) -> Made:
     flights = [specimen.flight(number) for number in range(plan.flights + plan.held_out)]
     simulated = [specimen.simulated(flight) for flight in flights]
     # Sizes and shares are those on flights that the diagnosis does not see.
-    content = sized(specimen, flights[-1], simulated[-1])
+    content = sized(specimen, flights[-_SIZED_ON:], simulated[-_SIZED_ON:])
     real = [specimen.both(flight, content) for flight in flights]
     recorded = [each[1] for each in real]
     own, held = slice(0, plan.flights), slice(plan.flights, None)

@@ -50,22 +50,23 @@ def gap_share(
     return 1.0 - after / before if before > 0.0 else 0.0
 
 
-def sized(specimen: Specimen, flight: Flight, simulated: Channels) -> Content:
-    """Give the case's content the sizes that come to its share on one flight.
+def sized(specimen: Specimen, flights: Sequence[Flight], simulated: Sequence[Channels]) -> Content:
+    """Give the case's content the sizes that come to its share on some flights.
 
     Several effects get equal parts. A share that the largest size does not make is left at that.
     """
     case = specimen.case
     if case.kind == "null":
         return NOTHING
-    spans = ranges([simulated])
-    _, recorded = specimen.both(flight, NOTHING)
-    rest = energy(recorded, simulated, spans)
+    spans = ranges(simulated)
+    recorded = [specimen.both(flight, NOTHING)[1] for flight in flights]
+    rest = sum(energy(r, s, spans) for r, s in zip(recorded, simulated, strict=True))
     wanted = rest * case.share / (1.0 - case.share)
 
     def measured(content: Content) -> float:
         # By itself: what it shares with the errors of the base would make it look larger.
-        return energy(specimen.simulated(flight, content), simulated, spans)
+        told = [specimen.simulated(flight, content) for flight in flights]
+        return sum(energy(t, s, spans) for t, s in zip(told, simulated, strict=True))
 
     if case.strange is not None:
         size = size_for(lambda s: measured(Content(strange=s)), wanted, case.strange[3:5])

@@ -13,6 +13,7 @@ from eval.gap.blind.cases import BlindPlan, Case
 from eval.gap.blind.catalogue import Dose, Windows
 from eval.gap.blind.outside import MISFIT, applied
 from narxcal.flight_test.profile import FlightPlan, plan_flight
+from narxcal.flight_test.sensor_presets import ChannelSensor
 from narxcal.flight_test.sensors import SensorConfig, Streams, record
 from narxcal.turbofan import Unmodelled, VirtualEngine, build_scatter
 
@@ -20,7 +21,12 @@ FloatArray = NDArray[np.float64]
 Channels = dict[str, FloatArray]
 OUTPUTS: Final = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
 _MEASURED = SensorConfig(inputs="exact")
-_PERFECT = SensorConfig(preset="perfect", inputs="exact")
+# The lags of the instrumentation itself are known and in the simulator: they are no gap.
+_KNOWN = SensorConfig(
+    preset="perfect",
+    inputs="exact",
+    channels={name: ChannelSensor(tau_s=_MEASURED.sensor(name).tau_s) for name in OUTPUTS},
+)
 _STRETCH_S = 240.0  # one window of an unlogged switch in each
 
 
@@ -82,17 +88,17 @@ class Specimen:
         engine = VirtualEngine(self.case.engine, unmodelled=list(ids.values()))
         tau_s = engine.fit.body.probe_tau_s * base.probe
         engine.fit = replace(engine.fit, body=engine.fit.body._replace(probe_tau_s=tau_s))
-        return self._shown(self._run(engine, flight, content), flight, content, _PERFECT)
+        return self._shown(self._run(engine, flight, content), flight, content, _KNOWN)
 
     def true(self, flight: Flight, content: Content) -> Channels:
-        """What is so, as perfect sensors would show it but for their faults."""
-        return self._shown(self._real(flight, content), flight, content, _PERFECT)
+        """What is so, as sensors without noise would show it, with their faults."""
+        return self._shown(self._real(flight, content), flight, content, _KNOWN)
 
     def both(self, flight: Flight, content: Content) -> tuple[Channels, Channels]:
         """What is so, and what is recorded of it."""
         real = self._real(flight, content)
         return (
-            self._shown(real, flight, content, _PERFECT),
+            self._shown(real, flight, content, _KNOWN),
             self._shown(real, flight, content, _MEASURED),
         )
 

@@ -105,7 +105,7 @@ def test_sizes_make_the_share_that_was_asked_for(quick, share):
     specimen = Specimen(case(share=share), PLAN)
     flight = specimen.flight(2)
     simulated = specimen.simulated(flight)
-    told = specimen.simulated(flight, sized(specimen, flight, simulated))
+    told = specimen.simulated(flight, sized(specimen, [flight], [simulated]))
     _, recorded = specimen.both(flight, Content())
     spans = ranges([simulated])
     effect, rest = energy(told, simulated, spans), energy(recorded, simulated, spans)
@@ -115,7 +115,7 @@ def test_sizes_make_the_share_that_was_asked_for(quick, share):
 def test_a_sensor_effect_keeps_its_sign(quick):
     specimen = Specimen(case(effects=(BIAS,), signs=(-1.0,), share=0.5), PLAN)
     flight = specimen.flight(2)
-    content = sized(specimen, flight, specimen.simulated(flight))
+    content = sized(specimen, [flight], [specimen.simulated(flight)])
     assert content.doses[0].parameters["offset"] < 0.0
 
 
@@ -123,16 +123,16 @@ def test_a_pair_and_something_strange_get_sizes(quick):
     both = Specimen(case(kind="pair", effects=(LAG, BIAS), signs=(1.0, 1.0)), PLAN)
     flight = both.flight(2)
     simulated = both.simulated(flight)
-    doses = sized(both, flight, simulated).doses
+    doses = sized(both, [flight], [simulated]).doses
     spans = ranges([simulated])
     parts = [energy(both.simulated(flight, Content((dose,))), simulated, spans) for dose in doses]
     assert parts[0] == pytest.approx(parts[1], rel=0.3)
     strange = Specimen(case(kind="outside", effects=(), signs=(), strange=CYCLE), PLAN)
-    content = sized(strange, flight, simulated)
+    content = sized(strange, [flight], [simulated])
     assert content.strange > 0.0
     assert content.doses == ()
     null = Specimen(case(kind="null", effects=(), signs=(), share=0.0), PLAN)
-    assert sized(null, flight, simulated) == Content()
+    assert sized(null, [flight], [simulated]) == Content()
 
 
 def test_a_perfect_simulator_with_the_effect_takes_all_away(quick):
@@ -142,6 +142,18 @@ def test_a_perfect_simulator_with_the_effect_takes_all_away(quick):
     simulated, told = specimen.simulated(flight), specimen.simulated(flight, content)
     assert gap_share([true], [simulated], [told]) == pytest.approx(1.0)
     assert gap_share([simulated], [simulated], [simulated]) == 0.0
+
+
+def test_known_lags_of_the_instrumentation_are_no_gap(quick):
+    specimen = Specimen(case(base=Base(0.0)), PLAN)
+    flight = specimen.flight(0)
+    simulated, (true, recorded) = specimen.simulated(flight), specimen.both(flight, Content())
+    for name in ("N1_pct", "N2_pct", "EGT_C", "FF_kgph"):
+        np.testing.assert_allclose(true[name], simulated[name], rtol=1e-12)
+    # Their noise, bias and clock are: what is left follows the fuel flow's rate hardly at all.
+    rate = np.gradient(simulated["FF_kgph"], flight.dt_s)
+    late_s = np.polyfit(rate, recorded["FF_kgph"] - simulated["FF_kgph"], 1)[0]
+    assert abs(late_s) < 0.03
 
 
 def test_the_search_for_a_size():
