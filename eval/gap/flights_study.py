@@ -118,7 +118,7 @@ def search(judged: Judged, rows: Sequence[int]) -> Windows:
     known = np.isfinite(gap)
     weights = known / np.array([NOISE[name] for name in judged.outputs]) ** 2
     rising = judged.outputs.index("EGT_C") if "EGT_C" in judged.outputs else None
-    options = Options(groups=(tuple(range(len(rows))),), rising=rising, draws=DRAWS)
+    options = Options(groups=(tuple(range(len(rows))),), rising=rising, draws=DRAWS, at_rest=False)
     steady = settled(judged.fuel[list(rows)], judged.dt_s)
     return find_windows(np.where(known, gap, 0.0), weights, judged.dt_s, options, steady)
 

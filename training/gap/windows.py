@@ -59,11 +59,14 @@ class Options:
     `groups` are rows of flights that share their windows, as the engines of one aircraft do; a
     flight in no group stands alone. `rising` is a channel that being on raises, such as a
     temperature; without it, on is what there is less of. A claim has to exceed what happens in
-    noise with probability `level`, known from `draws` searches.
+    noise with probability `level`, known from `draws` searches. With `at_rest`, most edges have to
+    lie where the residual is known before and after; that is not to be asked where the driver is
+    fuel flow, which a load moves itself.
     """
 
     groups: tuple[tuple[int, ...], ...] = ()
     rising: int | None = None
+    at_rest: bool = True
     shortest_s: float = 5.0
     block_s: float = 1.0
     level: float = 0.01
@@ -139,7 +142,7 @@ def find_windows(
     if best.gain <= 0.0:
         return silent
     threshold = _threshold(blocks, noise, best, options)
-    if best.gain <= threshold:
+    if best.gain <= threshold or (options.at_rest and _mostly_hidden(best.paths, blocks)):
         return replace(silent, gain=best.gain, threshold=threshold)
     return _told(residual, known, dt_s, (blocks, noise, best, threshold, options))
 
@@ -189,6 +192,23 @@ def _merged(paths: NDArray[np.int8], options: Options) -> NDArray[np.int8]:
             if off * options.block_s < options.shortest_s:
                 row[stop:start] = 1
     return merged
+
+
+def _mostly_hidden(paths: NDArray[np.int8], blocks: Blocks) -> bool:
+    """Whether most edges lie next to blocks of which nothing is known.
+
+    A load is switched at any time. What comes and goes with moves of the lever is an error that
+    depends on power.
+    """
+    seen, hidden = 0, 0
+    for group in blocks.groups:
+        path = paths[group[0]]
+        heard: NDArray[np.bool_] = np.all(blocks.share[list(group)] > 0.0, axis=(0, 2))
+        for start, stop in _runs(path):
+            zones = [k for k in (start - FOLLOW, stop) if 0 < k < len(path) - FOLLOW]
+            clear = [bool(heard[max(0, k - FOLLOW) : k + 2 * FOLLOW].all()) for k in zones]
+            seen, hidden = seen + sum(clear), hidden + len(clear) - sum(clear)
+    return seen <= hidden
 
 
 def _search(

@@ -1,5 +1,7 @@
 """Windows of an unlogged load: found where they are, and only there."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -72,6 +74,23 @@ def test_windows_and_shift_are_those_of_the_load(seed):
         highs = np.array([interval.high for interval in window.shift])
         assert (lows < SHIFT + 2.0 * NOISE).all()
         assert (highs > SHIFT - 2.0 * NOISE).all()
+
+
+def test_what_comes_and_goes_with_the_lever_is_no_load():
+    truth = [[(60.0, 160.0), (260.0, 330.0)], [(90.0, 130.0)], []]
+    residual = coloured(10)
+    residual += switched(truth, residual.shape[1])
+    time = np.arange(residual.shape[1]) * DT_S
+    steady = np.ones(residual.shape[:2], dtype=np.bool_)
+    for row, windows in zip(steady, truth, strict=True):
+        for moved in (edge for window in windows for edge in window):
+            row[(time >= moved - 1.0) & (time < moved + 8.0)] = False
+    weights = np.ones_like(residual) / NOISE**2
+    options = Options(rising=2, draws=4)
+    assert find_windows(residual, weights, DT_S, options, steady).found == ()
+    allowed = replace(options, at_rest=False)
+    assert len(find_windows(residual, weights, DT_S, allowed, steady).found) >= 2
+    assert len(find_windows(residual, weights, DT_S, options).found) == 3
 
 
 def test_shapes_that_differ_are_refused():
