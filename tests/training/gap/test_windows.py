@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from narxcal.errors import DataError
+from narxcal.turbofan import Unmodelled, VirtualEngine
 from training.gap.windows import Options, find_windows
 
 DT_S = 0.25
@@ -107,3 +108,32 @@ def test_an_unknown_residual_needs_weight_zero():
     with pytest.raises(DataError, match="not finite"):
         find_windows(residual, np.ones_like(residual), DT_S)
     assert find_windows(residual, np.zeros_like(residual), DT_S).found == ()
+
+
+@pytest.mark.parametrize(("effect", "count"), [("unlogged_switch", 3), ("throttle_bias", 0)])
+def test_virtual_flights_show_their_load_and_no_other_effect(effect, count):
+    """Bleed at two places of the gas path of a component-level engine, lever governed."""
+    windows = [((75.0, 108.0), (140.0, 215.0)), ((85.0, 155.0),)]
+    size = {"unlogged_switch": {"bleed": 0.05}, "throttle_bias": {"bias_deg": 3.0}}[effect]
+    random = np.random.default_rng(0)
+    residual, steady = [], []
+    for flight, own in enumerate(windows):
+        given = {name: np.zeros(1920) for name in VirtualEngine("business_jet").input_names}
+        lever = np.repeat([[40.0, 65.0, 25.0, 70.0], [60.0, 20.0, 75.0, 50.0]][flight], 480)
+        given |= {"TRA_deg": lever, "ALT_ft": np.full(1920, 15000.0), "Mach": np.full(1920, 0.5)}
+        told = Unmodelled(effect, size, own if effect == "unlogged_switch" else ())
+        real = VirtualEngine("business_jet", unmodelled=[told]).simulate(given, DT_S / 2)
+        sim = VirtualEngine("business_jet").simulate(given, DT_S / 2)
+        names = ("N1_pct", "N2_pct", "EGT_C")
+        gap = np.stack([(real[name] - sim[name])[::2] for name in names], axis=1)
+        residual.append(gap + np.array([0.05, 0.05, 1.0]) * random.standard_normal(gap.shape))
+        since = np.arange(960) % 240
+        steady.append((since >= 40) | (np.arange(960) < 240))
+    gap = np.array(residual)
+    options = Options(rising=2, draws=4)
+    found = find_windows(gap, np.ones_like(gap), DT_S, options, np.array(steady))
+    assert len(found.found) == count
+    times = [time for own in windows for time in own][: len(found.found)]
+    for window, (start, stop) in zip(found.found, times, strict=True):
+        assert window.start_s == pytest.approx(start, abs=2.5)
+        assert window.stop_s == pytest.approx(stop, abs=2.5)
