@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from training.gap.switching import FOLLOW, FloatArray, Noise, gains, trusted, whiten
 
 EDGE = 8  # blocks on either side of an edge that say how large it is
+_DRAWN = 60  # blocks that are drawn together
 _REWEIGHTED = 8
 
 
@@ -174,3 +175,18 @@ def _level(residual: FloatArray, known: FloatArray) -> FloatArray:
         np.where(known > 0.0, residual * known, 0.0).sum(axis=1)
         / np.where(total > 0.0, total, np.nan)
     )
+
+
+def drawn_anew(
+    innovations: FloatArray, share: FloatArray, random: np.random.Generator
+) -> FloatArray:
+    """Blocks of innovations of any flight at any time, each with a random sign."""
+    flights, count, _ = innovations.shape
+    pool = innovations[np.asarray((share > 0.0).all(axis=2))]
+    drawn = np.empty_like(innovations)
+    for f in range(flights):
+        for k in range(0, count, _DRAWN):
+            size = min(_DRAWN, count - k)
+            at = (int(random.integers(len(pool))) + np.arange(size)) % len(pool)
+            drawn[f, k : k + size] = random.choice((-1.0, 1.0)) * pool[at]
+    return drawn

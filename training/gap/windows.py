@@ -24,6 +24,7 @@ from training.gap.blocks import (
     blocks_of,
     centred,
     common_shift,
+    drawn_anew,
     moment,
     settled,
     sharpest_edges,
@@ -44,7 +45,6 @@ from training.gap.switching import (
 )
 
 _Z90 = 1.645
-_DRAWN = 60  # blocks that are drawn together
 _HALF_S = 0.7  # from a switch to half of its effect (narxcal.effects.steady)
 _EULER = 0.5772
 _CHI90 = 2.71  # of chi squared with one degree of freedom
@@ -284,25 +284,12 @@ def _threshold(blocks: Blocks, noise: Noise, best: _Search, options: Options) ->
     found = gains(noise, blocks.share)
     reached = []
     for _ in range(options.draws):
-        drawn = _drawn(innovations, share, random)
+        drawn = drawn_anew(innovations, share, random)
         made = replace(blocks, residual=colour(drawn, found, noise))
         made = centred(made, np.zeros_like(best.paths))
         reached.append(_search(made, fit_noise(made.residual, made.share), options).gain)
     scale = max(float(np.std(reached)) * np.sqrt(6.0) / np.pi, 0.5 * blocks.switch)
     return float(np.mean(reached) + scale * (-np.log(-np.log1p(-options.level)) - _EULER))
-
-
-def _drawn(innovations: FloatArray, share: FloatArray, random: np.random.Generator) -> FloatArray:
-    """Blocks of innovations of any flight at any time, each with a random sign."""
-    flights, count, _ = innovations.shape
-    pool = innovations[np.asarray((share > 0.0).all(axis=2))]
-    drawn = np.empty_like(innovations)
-    for f in range(flights):
-        for k in range(0, count, _DRAWN):
-            size = min(_DRAWN, count - k)
-            at = (int(random.integers(len(pool))) + np.arange(size)) % len(pool)
-            drawn[f, k : k + size] = random.choice((-1.0, 1.0)) * pool[at]
-    return drawn
 
 
 _All = tuple[Blocks, Noise, _Search, float, Options]
