@@ -117,7 +117,7 @@ def _logs(parser: argparse.ArgumentParser) -> None:
 
 def _demo(commands: _Commands) -> argparse.ArgumentParser:
     parser = _command(
-        commands, "demo", "Fly the stand-in engine, train on it, evaluate; needs no files."
+        commands, "demo", "Fly the virtual engine, train on it, evaluate; needs no files."
     )
     parser.add_argument("--out", metavar="DIR", type=Path, default=Path("demo_run"), help="folder")
     return parser
