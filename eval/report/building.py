@@ -5,10 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import pandas as pd
 
 from data_prep.events import Event
 from data_prep.log import FloatArray, Log
-from eval.report.content import ChannelTrace, EventTrace, LogPage, ResidualTests, Response
+from eval.report.content import (
+    ChannelTrace,
+    EventTrace,
+    LogPage,
+    NoiseSweep,
+    ResidualTests,
+    Response,
+)
 from eval.residuals import autocorrelation, cross_correlation
 from eval.transients import Assessment
 from narxcal.channels import CHANNELS
@@ -122,3 +130,21 @@ def residual_tests(
 def _moves(values: FloatArray) -> bool:
     known = values[np.isfinite(values)]
     return bool(len(known) and known.max() > known.min())
+
+
+def noise_curves(
+    log: str, channel: str, found: pd.DataFrame, labels: Mapping[str, str]
+) -> NoiseSweep:
+    """Page record of one log's noise experiment; `labels` name the columns of RMSE to draw."""
+    return NoiseSweep(
+        log=log,
+        channel=channel,
+        snr_db=found["snr_db"].to_numpy(dtype=np.float64),
+        curves={
+            label: found[name].to_numpy(dtype=np.float64)
+            for name, label in labels.items()
+            if found[name].notna().any()
+        },
+        nis=found["mean_nis"].to_numpy(dtype=np.float64),
+        nis_band=(float(found["nis_low"].mean()), float(found["nis_high"].mean())),
+    )

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from data_prep.log import Log
 from eval.denoising import Flight, SweepConfig, flight_of, noisy, snr_sweep, summarise
 from eval.report import paper_figures, study_figures, tables
+from eval.report.building import noise_curves
 from eval.report.claims import Claim, Study
-from eval.report.content import NoiseSweep
 from eval.report.style import symbol
 from eval.report.svg import Picture
 from eval.reproduce.data_sets import DataSets, numbered
@@ -48,7 +47,10 @@ def noise(
         if watch is not None:
             watch(count, len(logs))
         found[data.label(log.name)] = summarise(snr_sweep(flight_of(bundle, log), config))
-    sweeps = [_sweep(name, config.channel, table) for name, table in found.items()]
+    sweeps = [
+        noise_curves(f"Data set {name}", config.channel, table, _CURVES)
+        for name, table in found.items()
+    ]
     return Study(
         key="noise",
         title=f"{symbol(config.channel)} with noise below 45 dB",
@@ -126,21 +128,6 @@ def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:
         for row in table[kept].to_dict(orient="records")
     ]
     return rows
-
-
-def _sweep(name: str, channel: str, found: pd.DataFrame) -> NoiseSweep:
-    return NoiseSweep(
-        log=f"Data set {name}",
-        channel=channel,
-        snr_db=found["snr_db"].to_numpy(dtype=np.float64),
-        curves={
-            label: found[key].to_numpy(dtype=np.float64)
-            for key, label in _CURVES.items()
-            if found[key].notna().any()
-        },
-        nis=found["mean_nis"].to_numpy(dtype=np.float64),
-        nis_band=(float(found["nis_low"].mean()), float(found["nis_high"].mean())),
-    )
 
 
 def _excerpt(data: DataSets, log: Log, flight: Flight, config: SweepConfig) -> Picture:

@@ -6,13 +6,12 @@ from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from eval import terminal
 from eval.denoising import SweepConfig, flight_of, snr_sweep, summarise
 from eval.evaluate import run_config
-from eval.report.content import NoiseSweep
+from eval.report.building import noise_curves
 from eval.report.page import Outcome, noise_page
 from narxcal.bundle import load_bundle
 from narxcal.cli.console import Console, to_json
@@ -49,7 +48,7 @@ def run(options: Namespace, console: Console) -> int:
     header = header_of(
         f"Denoising: {run_settings.name}", options.bundle, bundle, logs, settings.transients.rules
     )
-    figures = [_figure(name, sweep.channel, found) for name, found in sweeps.items()]
+    figures = [noise_curves(name, sweep.channel, found, _CURVES) for name, found in sweeps.items()]
     with RESULTS.writing(options.out) as folder:
         (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
         html = noise_page(header, outcome, figures)
@@ -86,21 +85,6 @@ def _document(
             for name, found in sweeps.items()
         ],
     }
-
-
-def _figure(log: str, channel: str, found: pd.DataFrame) -> NoiseSweep:
-    return NoiseSweep(
-        log=log,
-        channel=channel,
-        snr_db=found["snr_db"].to_numpy(dtype=np.float64),
-        curves={
-            label: found[name].to_numpy(dtype=np.float64)
-            for name, label in _CURVES.items()
-            if found[name].notna().any()
-        },
-        nis=found["mean_nis"].to_numpy(dtype=np.float64),
-        nis_band=(float(found["nis_low"].mean()), float(found["nis_high"].mean())),
-    )
 
 
 def _show(console: Console, channel: str, sweeps: Mapping[str, pd.DataFrame]) -> None:

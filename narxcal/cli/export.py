@@ -13,13 +13,13 @@ from narxcal.bundle import load_bundle
 from narxcal.channels import channel
 from narxcal.cli.console import Console
 from narxcal.errors import ConfigError, ModelError
-from narxcal.standin import INPUT_NAMES
 from narxcal.steady_callable import SteadyCallable
 from narxcal.steady_csv import read_steady_table
 from narxcal.steady_export import ExportOptions, ExportReport, Grid, export_fmu, export_table
 from narxcal.steady_export.report import ADVICE
 from narxcal.steady_fmu import SteadyFmu
 from narxcal.steady_state import SteadyStateModel
+from narxcal.turbofan.virtual_engine import INPUT_NAMES
 
 SCHEMA = "narxcal.export/1"
 ENGINES = ("business_jet", "single_aisle")

@@ -272,11 +272,6 @@ def build_scatter(random: np.random.Generator, sigma_pct: float = 0.5) -> Health
     return Health(*drawn.tolist())
 
 
-def maker_model(inputs: ArrayLike) -> FloatArray:
-    """Settled N1, N2 and EGT (..., 3) of the business-jet engine, as a maker would give them."""
-    return VirtualEngine("business_jet").outputs(inputs)[..., :3]
-
-
 def _face(condition: FloatArray, machine: Machine) -> tuple[float, float]:
     """Total temperature and pressure at the fan face."""
     air = intake(condition[STATIC_K], condition[STATIC_PA], condition[MACH], machine.recovery)
