@@ -63,8 +63,14 @@ def rows(duration_s: float = 1440.0, steps: int = 5000) -> list[Row]:
 
 
 def _briefly_trained(config: RunConfig, base: Path, flight: Path) -> tuple[Log, Bundle]:
+    """A model of the demonstration's structure over the stand-in's own steady state.
+
+    The virtual engine's is solved anew at every row, which takes several times as long as all
+    else: a replay over it would measure the maker's model.
+    """
     brief = config.train.model_copy(update={"horizons_s": (5.0,), "iterations": (2,)})
-    config = config.model_copy(update={"train": brief})
+    steady = config.steady_state.model_copy(update={"source": "narxcal.standin:maker_model"})
+    config = config.model_copy(update={"train": brief, "steady_state": steady})
     log = prepare_logs(config, [flight], 1.0 / 32.0)[0]
     return log, calibrate(config, base, Split((log,), (), ()))
 
