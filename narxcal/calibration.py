@@ -155,14 +155,14 @@ class DynamicCalibration:
         `correction` (n_out,), such as a fused estimate, replaces the newest outputs in the
         register before the step; NaN keeps the model's own. The first call resets.
         """
-        given = np.asarray(inputs, dtype=np.float64)
+        given = np.ascontiguousarray(inputs, dtype=np.float64)
         if self._register is None:
             return self.reset(given)
         row = self._checked(given[None])
         if correction is not None:
             self._register.correct(np.asarray(correction, dtype=np.float64))
-        ss = self.steady.outputs(row)
-        value: FloatArray = (ss - self._register.extend(row, ss))[0]
+        ss = self.steady.outputs(row)[0]
+        value: FloatArray = ss - self._register.step(row[0], ss)
         return value
 
     def extend(self, inputs: ArrayLike) -> FloatArray:

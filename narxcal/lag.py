@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -61,6 +62,18 @@ class Drive(NamedTuple):
         """These rows behind those of `before`."""
         pairs = zip(before, self, strict=True)
         return Drive(*(np.concatenate(pair) for pair in pairs))
+
+
+class Wiring(NamedTuple):
+    """What goes by which speed.
+
+    `order` (o,) are the columns with the core spool first. Column k goes by speed `own[k]`, and
+    `sign[k]` is -1 where it is no speed itself.
+    """
+
+    order: IntArray
+    own: IntArray
+    sign: FloatArray
 
 
 @compiled
@@ -140,6 +153,15 @@ class LagModel:
         """Column of the core spool."""
         return core_of(self.output_names)
 
+    @cached_property
+    def wiring(self) -> Wiring:
+        """What goes by which speed."""
+        columns = np.arange(len(self.output_names))
+        speeds = speeds_of(self.output_names)
+        own = np.where(speeds, columns, self.core)
+        sign = np.where(speeds | (columns == self.core), 1.0, -1.0)
+        return Wiring(core_first(self.output_names), own, sign)
+
     def of(self, columns: IntArray) -> LagModel:
         """Some of the outputs; the core spool has to be among them."""
         return LagModel(
@@ -153,11 +175,9 @@ class LagModel:
     def drive(self, inputs: FloatArray, names: Sequence[str], ss: FloatArray) -> Drive:
         """What the lags follow, from inputs (T, n_in) called `names` and ss (T, n_out)."""
         root, air = thickness(inputs, names)
-        speeds = speeds_of(self.output_names)
-        own = np.where(speeds, np.arange(len(speeds)), self.core)
         scale = root[:, None] * self.half
         target = (ss / root[:, None] - self.centre) / self.half
-        sign = np.where(speeds | (np.arange(len(speeds)) == self.core), 1.0, -1.0)
+        _, own, sign = self.wiring
         return Drive(ss, target[:, own], sign / scale[:, own], air)
 
     def run(
@@ -168,7 +188,7 @@ class LagModel:
         measured: FloatArray | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """Fast and slow part (T, n_out) of the deviation; arguments as of `run_lags`."""
-        order = core_first(self.output_names)
+        order = self.wiring.order
         back = np.argsort(order)
         ss, target, per_unit = (np.ascontiguousarray(part[:, order]) for part in drive[:3])
         forced = np.empty((0, len(order))) if measured is None else measured[:, order]
@@ -231,11 +251,12 @@ def core_first(names: Sequence[str]) -> IntArray:
 def thickness(inputs: FloatArray, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
     """Return sqrt(theta2) and log(sqrt(theta2) / delta2), both (T,); what is missing is zero."""
     zero = np.zeros(len(inputs))
-    air = air_state(
-        *(
-            inputs[:, list(names).index(name)] if name in names else zero
-            for name in ("ALT_ft", "Mach", "dT_C")
-        )
-    )
+    air = air_state(*(zero if k < 0 else inputs[:, k] for k in air_columns(names)))
     root = np.sqrt(air.theta2)
     return root, np.log(root / air.delta2)
+
+
+def air_columns(names: Sequence[str]) -> IntArray:
+    """Columns of altitude, Mach number and temperature deviation; -1 for one that is missing."""
+    wanted = ("ALT_ft", "Mach", "dT_C")
+    return np.array([list(names).index(name) if name in names else -1 for name in wanted])

@@ -6,18 +6,19 @@ Source: papers/narx calibration, figure 1.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from narxcal import kernels
-from narxcal.lag import Drive, LagModel
+from narxcal import kernels, register_step
+from narxcal.lag import Drive, LagModel, air_columns
 from narxcal.narx import AT_START, NarxModel, Weights
+from narxcal.register_step import OVERSHOOT, Lags, Memory, Network
 
 FloatArray = NDArray[np.float64]
-# An EGT overshoots its final value by up to 1.6 times the change (FACTS: frozen-speed response).
-_OVERSHOOT = 2.0
 
 
 class Parts(NamedTuple):
@@ -43,7 +44,10 @@ class Sample(NamedTuple):
 
 
 class Register:
-    """Runs forward from one sample; the deviation is that of the lags plus the network's."""
+    """Runs forward from one sample; the deviation is that of the lags plus the network's.
+
+    `extend` takes a block of samples, `step` one: the same numbers, at a small part of the cost.
+    """
 
     def __init__(self, parts: Parts, first: Sample) -> None:
         self.parts = parts
@@ -54,68 +58,117 @@ class Register:
         self.keep = None if parts.settle_s is None else math.exp(-parts.dt_s / parts.settle_s)
         nothing = np.zeros_like(first.deviation)
         # A start away from the steady state is the lags' to lose, where there are any.
-        own = first.deviation if parts.lag is None else nothing
-        self.fading = np.stack([nothing, np.abs(own)])
-        self.lagged = np.stack([first.deviation, nothing])
-        self.ss = first.ss
-        self.drive: Drive | None = None
+        own, shown, target = first.deviation, None, nothing.copy()
         if parts.lag is not None:
-            self.drive = parts.lag.drive(first.inputs[None], parts.names, first.ss[None])
-        feature = self._features(first.inputs[None], first.ss[None], first.deviation[None])[0]
-        self.history = np.tile(self.outputs.down(own), narx.config.lags)
-        self.past = np.tile(self.inputs.down(feature), (int(self.taps[-1]) + 1, 1))
+            own, shown = nothing, first.deviation[None]
+            target = parts.lag.drive(first.inputs[None], parts.names, first.ss[None]).target[0]
+        schedule = first.inputs[None, parts.columns]
+        feature = stacked(nothing[None], shown, first.ss[None], schedule)[0]
+        self.memory = Memory(
+            ss=first.ss.copy(),
+            target=target,
+            lagged=np.stack([first.deviation, nothing]),
+            fading=np.stack([nothing, np.abs(own)]),
+            history=np.tile(self.outputs.down(own), narx.config.lags),
+            past=np.tile(self.inputs.down(feature), (int(self.taps[-1]) + 1, 1)),
+        )
 
     def correct(self, outputs: FloatArray) -> None:
         """Take measured `outputs` (n_out,) at the newest sample for true; NaN is not known."""
-        newest = self.history[: len(outputs)]
+        lagged, fading = self.memory.lagged, self.memory.fading
+        newest = self.memory.history[: len(outputs)]
         known = np.isfinite(outputs)
-        deviation = self.ss - outputs
+        deviation = self.memory.ss - outputs
         if self.parts.lag is None:
             newest[:] = np.where(known, self.outputs.down(deviation), newest)
-            self.fading[1] = np.maximum(self.fading[1], np.abs(self.outputs.up(newest)))
+            fading[1] = np.maximum(fading[1], np.abs(self.outputs.up(newest)))
         else:
-            fast = deviation - self.lagged[1] - self.outputs.up(newest)
-            self.lagged[0] = np.where(known, fast, self.lagged[0])
+            fast = deviation - lagged[1] - self.outputs.up(newest)
+            lagged[0] = np.where(known, fast, lagged[0])
+
+    def step(self, given: FloatArray, ss: FloatArray) -> FloatArray:
+        """Deviation (n_out,) at inputs (n_in,) and steady state (n_out,) one sample on."""
+        deviation: FloatArray = register_step.step(*self._compiled, self.memory, given, ss)
+        return deviation
 
     def extend(self, given: FloatArray, ss: FloatArray) -> FloatArray:
         """Deviations (time, n_out) at inputs (time, n_in) and steady states to come."""
         lagged = self._lags(given, ss)
         return self._network(self._features(given, ss, lagged)) + lagged
 
+    @cached_property
+    def _compiled(self) -> tuple[Network, Lags]:
+        """What `register_step.step` takes beside the memory."""
+        w, lag = self.weights, self.parts.lag
+        network = Network(
+            feedback=w.feedback,
+            drive=(w.w1u, w.b1, w.au, w.b2),
+            fixed=w.fixed,
+            bounds=w.bounds,
+            inputs=(np.array(self.inputs.centre), np.array(self.inputs.scale)),
+            outputs=(np.array(self.outputs.centre), np.array(self.outputs.scale)),
+            taps=self.taps,
+            schedule=np.array(self.parts.columns, dtype=np.int64),
+            keep=-1.0 if self.keep is None else self.keep,
+        )
+        return network, lags_of(lag, self.parts.names, self.parts.dt_s)
+
     def _lags(self, given: FloatArray, ss: FloatArray) -> FloatArray:
-        lag = self.parts.lag
-        if lag is None or self.drive is None:
+        lag, memory = self.parts.lag, self.memory
+        if lag is None:
             return np.zeros_like(ss)
-        drive = lag.drive(given, self.parts.names, ss).after(self.drive)
-        fast, slow = lag.run(drive, (AT_START, self.lagged[None]), self.parts.dt_s)
-        self.lagged = np.stack([fast[-1], slow[-1]])
-        self.drive = drive.rows(slice(-1, None))
+        # The air and the scale of the newest sample are behind it.
+        unused = np.ones((1, ss.shape[1]))
+        newest = Drive(memory.ss[None], memory.target[None], unused, unused[:, 0])
+        drive = lag.drive(given, self.parts.names, ss).after(newest)
+        fast, slow = lag.run(drive, (AT_START, memory.lagged[None]), self.parts.dt_s)
+        memory.lagged[:] = fast[-1], slow[-1]
+        memory.target[:] = drive.target[-1]
         deviation: FloatArray = (fast + slow)[1:]
         return deviation
 
     def _features(self, given: FloatArray, ss: FloatArray, lagged: FloatArray) -> FloatArray:
-        increments = np.diff(ss, axis=0, prepend=self.ss[None])
-        self.ss = ss[-1]
+        increments = np.diff(ss, axis=0, prepend=self.memory.ss[None])
+        self.memory.ss[:] = ss[-1]
         shown = None if self.parts.lag is None else lagged
         return stacked(increments, shown, ss, given[:, self.parts.columns])
 
     def _network(self, features: FloatArray) -> FloatArray:
         """The network's deviations (time, n_out)."""
-        rows = np.concatenate([self.past, self.inputs.down(features)])
-        newest = np.arange(len(self.past), len(rows))
+        memory = self.memory
+        rows = np.concatenate([memory.past, self.inputs.down(features)])
+        newest = np.arange(len(memory.past), len(rows))
         tapped = rows[newest[:, None] - self.taps].reshape(len(features), -1)
-        limit = self._limit(features[:, : len(self.ss)])
-        deviation, _, fed = self.weights.run(tapped, (AT_START, self.history[None]), limit)
-        self.history = np.concatenate([deviation[-1], fed[-1, : -deviation.shape[1]]])
-        self.past = rows[-len(self.past) :]
+        limit = self._limit(features[:, : len(memory.ss)])
+        deviation, _, fed = self.weights.run(tapped, (AT_START, memory.history[None]), limit)
+        memory.history[:] = np.concatenate([deviation[-1], fed[-1, : -deviation.shape[1]]])
+        memory.past[:] = rows[-len(memory.past) :]
         return self.outputs.up(deviation)
 
     def _limit(self, increments: FloatArray) -> FloatArray | None:
         if self.keep is None:
             return None
-        envelope = kernels.fading(np.ascontiguousarray(increments), self.fading, self.keep)
-        limit: FloatArray = _OVERSHOOT * envelope / self.outputs.scale
+        envelope = kernels.fading(np.ascontiguousarray(increments), self.memory.fading, self.keep)
+        limit: FloatArray = OVERSHOOT * envelope / self.outputs.scale
         return limit
+
+
+def lags_of(lag: LagModel | None, names: Sequence[str], dt_s: float) -> Lags:
+    """The arrays of `lag` as `register_step.step` takes them, of inputs called `names`."""
+    if lag is None:
+        nothing, none = np.empty(0), np.empty(0, dtype=np.int64)
+        return Lags(np.empty((0, 0)), nothing, (nothing, nothing), none, none, nothing, none, dt_s)
+    order, own, sign = lag.wiring
+    return Lags(
+        parameters=lag.parameters[order],
+        limit=lag.limit[order],
+        scale=(np.array(lag.centre), np.array(lag.half)),
+        order=order,
+        own=own,
+        sign=sign,
+        air=air_columns(names),
+        dt_s=dt_s,
+    )
 
 
 def stacked(

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline, PPoly
 
-from narxcal.atmosphere import air_state
+from narxcal.atmosphere import AirState, air_state
 from narxcal.steady_state import Arrays, Envelope, checked_inputs, register_steady, stored
 
 Floats = NDArray[np.float64]
@@ -53,35 +53,39 @@ class Layout:
             return np.zeros(inputs.shape[:-1])
         return inputs[..., self.input_names.index(name)]
 
-    def drive(self, inputs: Floats) -> Floats:
-        """The driver as the curves see it: log of corrected fuel flow, or the lever itself."""
+    def drive(self, inputs: Floats, air: AirState | None = None) -> Floats:
+        """The driver as the curves see it: log of corrected fuel flow, or the lever itself.
+
+        `air` is that of `inputs`, for a caller who has it already.
+        """
         driver = self.column(inputs, self.driver)
         if self.driver != "FF_kgph":
             return driver
         if self.corrected:
-            air = self._air(inputs)
+            air = air or self.air(inputs)
             driver = driver / (air.delta2 * np.sqrt(air.theta2))
         return np.log(np.maximum(driver, 1.0))
 
     def referred(self, inputs: Floats, outputs: Floats) -> Floats:
         """Outputs (..., n_out) to corrected parameters."""
-        scale, offset = self._reference(inputs)
+        scale, offset = self._reference(inputs, None)
         return (outputs + offset) / scale
 
-    def actual(self, inputs: Floats, referred: Floats) -> Floats:
-        """Corrected parameters back to outputs (..., n_out)."""
-        scale, offset = self._reference(inputs)
+    def actual(self, inputs: Floats, referred: Floats, air: AirState | None = None) -> Floats:
+        """Corrected parameters back to outputs (..., n_out); `air` as in `drive`."""
+        scale, offset = self._reference(inputs, air)
         return referred * scale - offset
 
-    def _air(self, inputs: Floats) -> Any:
+    def air(self, inputs: Floats) -> AirState:
+        """The air at `inputs` (..., n_in)."""
         names = ("ALT_ft", "Mach", "dT_C")
         return air_state(*(self.column(inputs, name) for name in names))
 
-    def _reference(self, inputs: Floats) -> tuple[Floats, Floats]:
+    def _reference(self, inputs: Floats, air: AirState | None) -> tuple[Floats, Floats]:
         shape = (*inputs.shape[:-1], len(self.output_names))
         scale, offset = np.ones(shape), np.zeros(shape)
         if self.corrected:
-            air = self._air(inputs)
+            air = air or self.air(inputs)
             for k, name in enumerate(self.output_names):
                 if name.endswith("_pct"):
                     scale[..., k] = np.sqrt(air.theta2)
@@ -141,13 +145,14 @@ class FittedSteadyState:
     def outputs(self, inputs: ArrayLike) -> Floats:
         """Settled outputs (..., n_out) at `inputs` (..., n_in); held beyond the knots."""
         given = checked_inputs(inputs, self.input_names)
-        z = np.clip(self.layout.drive(given), self.knots[0], self.knots[-1])
+        air = self.layout.air(given) if self.layout.corrected else None
+        z = np.clip(self.layout.drive(given, air), self.knots[0], self.knots[-1])
         weights = corner_weights(self.layout, self.envelope, given)
         referred = np.einsum("...v,...j,ovj->...o", weights, self._basis(z), self.curve)
         if self.engine in self.engines:
             line = self.engine_lines[self.engines.index(self.engine)]
             referred = referred + line[:, 0] + line[:, 1] * self._middle(z)[..., None]
-        return self.layout.actual(given, referred)
+        return self.layout.actual(given, referred, air)
 
     def _basis(self, z: Floats) -> Floats:
         return np.concatenate([np.ones((*z.shape, 1)), self._splines(z)], axis=-1)

@@ -148,8 +148,10 @@ def _monotone(x: FloatArray, knots: FloatArray, values: FloatArray) -> FloatArra
     piece = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, len(knots) - 2)
     t = (x - knots[piece]) / width[piece]
 
+    column = np.arange(piece.size).reshape(piece.shape)
+
     def at(table: FloatArray, offset: int) -> FloatArray:
-        return np.asarray(np.take_along_axis(table, (piece + offset)[np.newaxis], axis=0)[0])
+        return np.asarray(table.reshape(len(table), -1)[piece + offset, column])
 
     low, high = at(values, 0), at(values, 1)
     start, end = width[piece] * at(slope, 0), width[piece] * at(slope, 1)

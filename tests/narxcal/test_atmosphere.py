@@ -4,10 +4,10 @@ import importlib.util
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.atmosphere import FT_M, P0_PA, T0_K, air_state, isa
+from narxcal.atmosphere import FT_M, P0_PA, T0_K, air_state, isa, total_ratios
 
 # ICAO Doc 7488: geopotential altitude m, temperature K, pressure hPa.
 ICAO = [
@@ -80,3 +80,10 @@ def test_inputs_broadcast_and_nan_stays_nan():
     assert air.T_K.shape == air.P_Pa.shape == air.T2_K.shape == air.P2_Pa.shape == (2, 3)
     assert np.isnan(air.delta2[:, 1]).all()
     assert np.isfinite(air.delta2[:, [0, 2]]).all()
+
+
+@settings(deadline=None)
+@given(alt_ft=st.floats(-1000.0, 80000.0), mach=st.floats(0.0, 0.9), dt_c=st.floats(-40.0, 40.0))
+def test_a_single_sample_has_the_air_of_many(alt_ft, mach, dt_c):
+    air = air_state(alt_ft, mach, dt_c)
+    assert total_ratios(alt_ft, mach, dt_c) == pytest.approx((air.theta2, air.delta2), rel=1e-13)
