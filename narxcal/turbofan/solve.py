@@ -22,7 +22,9 @@ TOLERANCE = 1e-10  # of the relative balances
 UNKNOWN = POSITIONS + 2  # at rest: positions, N2, fuel flow over its design value
 _DIFFERENCE = 1e-7
 _REACH = 0.25  # longest step of any unknown
-_LEAST_GAIN = 0.1  # a chord step that leaves more of the error than this asks for a new Jacobian
+# A step that leaves more of the error than this asks for a new Jacobian: with one that is kept
+# as it is, and with one that learns from every step.
+_LEAST_GAIN, _LEAST_LEARNING = 0.1, 0.6
 _LOWEST, _HIGHEST = (-3.0, 1.0), (2.6, 15.0)  # of angles, of pressure ratios
 _LEAST_SHARE = 1e-3  # of a Newton step
 
@@ -126,7 +128,7 @@ def balances(
 
 
 @compiled
-def _inverse_jacobian(
+def inverse_jacobian(
     point: tuple[tuple[GasPath, Health], Air, Running],
     x: FloatArray,
     residual: FloatArray,
@@ -146,6 +148,31 @@ def _inverse_jacobian(
 
 
 @compiled
+def _learn(
+    inverse: FloatArray, x: FloatArray, moved: FloatArray, before: FloatArray, after: FloatArray
+) -> None:
+    """Make `inverse` fit the step from `x` to `moved`, which led from residual `before` to `after`.
+
+    Broyden's update (Mathematics of Computation 19, 1965) for the inverse; at rest alone, since in
+    a transient the steps are too small to learn from.
+    """
+    n = len(x)
+    if n == POSITIONS:
+        return
+    expected, row = np.zeros(n), np.zeros(n)
+    scale = 0.0
+    for i in range(n):
+        for j in range(n):
+            expected[i] += inverse[i, j] * (after[j] - before[j])
+            row[j] += (moved[i] - x[i]) * inverse[i, j]
+        scale += (moved[i] - x[i]) * expected[i]
+    if 0.0 < abs(scale) < np.inf:
+        for i in range(n):
+            for j in range(n):
+                inverse[i, j] += (moved[i] - x[i] - expected[i]) * row[j] / scale
+
+
+@compiled
 def solved(
     engine: tuple[GasPath, Health], air: Air, asked: Running, x: FloatArray, inverse: FloatArray
 ) -> tuple[Stations, bool]:
@@ -153,10 +180,11 @@ def solved(
 
     `inverse` (n, n) is that of a Jacobian near `x`; both are changed in place and may be kept
     from call to call. An `inverse` that is all zero is made anew, and so is one whose step gains
-    too little; a step with a fresh one is shortened until it gains. Returns the stations, and
-    whether it converged.
+    too little; a step with a fresh one is shortened until it gains. At rest, where few calls follow
+    each other closely, it learns from every step. Returns the stations, and whether it converged.
     """
     n = len(x)
+    least = _LEAST_GAIN if n == POSITIONS else _LEAST_LEARNING
     residual, beside, trial = np.empty(n), np.empty(n), np.empty(n)
     fresh, share = False, 1.0
     stations = balances(engine, air, asked, x, residual)
@@ -165,13 +193,14 @@ def solved(
         if error < TOLERANCE:
             return stations, True
         if inverse[0, 0] == 0.0:
-            if not _inverse_jacobian((engine, air, asked), x, residual, inverse):
+            if not inverse_jacobian((engine, air, asked), x, residual, inverse):
                 break
             fresh = True
         _moved(x, inverse, residual, share, trial)
         tried = balances(engine, air, asked, trial, beside)
         found = worst(beside)
-        if found > _LEAST_GAIN * error and not (fresh and found >= error):
+        _learn(inverse, x, trial, residual, beside)
+        if found > least * error and not (fresh and found >= error):
             inverse[0, 0] = 0.0
         if found < error:
             for i in range(n):

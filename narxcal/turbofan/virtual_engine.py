@@ -36,6 +36,7 @@ from narxcal.turbofan.rest import (
     STATIC_PA,
     Line,
     Machine,
+    face_pressures,
     rest_points,
     running_line,
 )
@@ -230,7 +231,7 @@ class VirtualEngine:
     def _settled(self, u: FloatArray) -> FloatArray:
         conditions, unknowns, rows = self._solved(u)
         at = dict(zip(Stations._fields, rows.T, strict=True))
-        P2 = np.array([_face(c, self._machine)[1] for c in conditions])
+        P2 = face_pressures(self._machine, conditions)
         return np.column_stack(
             [
                 self.preset.speed_pct[0] * conditions[:, N1],

@@ -40,10 +40,20 @@ def test_a_point_gives_the_same_alone_and_among_others(bench):
 
 def test_a_poor_start_reaches_the_same_point_by_walking_there(bench):
     point = bench.point(30000.0, 0.7, 10.0, 0.9, bleed=0.05, offtake_W=2e4)
-    far_off = Line(bench.line.n1[-3:], bench.line.unknowns[:, -3:].copy())
+    line = bench.line
+    far_off = Line(line.n1[-3:], line.unknowns[:, -3:].copy(), line.inverses[-3:])
     x, _, good = rest_points(bench.machine, far_off, point.condition()[np.newaxis])
     assert good[0]
     assert x[0] == pytest.approx(bench.rest(point)[0], rel=1e-8)
+
+
+def test_neither_the_stored_jacobians_nor_learning_move_a_point(bench):
+    u = drawn(200, seed=2)
+    conditions = bench.engine._conditions(u, n1_command(bench.engine.fit.ratings, u))
+    blank = bench.line._replace(inverses=np.zeros_like(bench.line.inverses))
+    found = rest_points(bench.machine, bench.line, conditions)[0]
+    anew = rest_points(bench.machine, blank, conditions)[0]
+    np.testing.assert_allclose(found, anew, rtol=1e-7, atol=1e-8)
 
 
 def test_an_impossible_point_is_reported_and_spoils_no_other(bench):
