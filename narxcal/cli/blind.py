@@ -13,6 +13,7 @@ from eval.gap.blind.page import render, tables
 from eval.gap.blind.plasmode import Real, make_real_cases
 from eval.gap.blind.run import Limits, run_cases
 from eval.gap.blind.score import score_answers
+from eval.gap.blind.sim_logs import make_log_cases
 from narxcal.atomic import atomic_write_text
 from narxcal.cli.configured import read_config
 from narxcal.cli.console import Console, to_json
@@ -29,9 +30,11 @@ def run(options: Namespace, console: Console) -> int:
 
 
 def _make(options: Namespace, console: Console) -> None:
-    names = ("cases", "flights", "held_out", "duration_s", "rate_hz", "style", "seed")
+    names = ("cases", "flights", "held_out", "duration_s", "rate_hz", "style", "engine", "seed")
     if (options.real is None) != (options.sim is None):
         raise ConfigError("--real and --sim belong together", hint="Give both, or neither")
+    if options.sim_logs is not None and options.real is not None:
+        raise ConfigError("--sim-logs and --real exclude each other", hint="Give one of them")
     plan = BlindPlan.parse({name: getattr(options, name) for name in names})
     results = _results(options.out)
     results.check(options.out)
@@ -41,7 +44,10 @@ def _make(options: Namespace, console: Console) -> None:
         def watch(name: str, done: int, total: int) -> None:
             advance(done, total, f"({name})")
 
-        if options.real is None:
+        if options.sim_logs is not None:
+            made = make_log_cases(folder, plan, options.sim_logs)
+            document = write_key(folder, plan, secret, made, watch)
+        elif options.real is None:
             document = make_cases(folder, plan, secret, options.jobs, watch)
         else:
             made = make_real_cases(folder, plan, _real(options))

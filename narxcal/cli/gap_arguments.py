@@ -80,12 +80,24 @@ def _blind_make(actions: _Commands) -> argparse.ArgumentParser:
         "--rate", metavar="HZ", type=float, default=32.0, dest="rate_hz", help="default 32"
     )
     parser.add_argument("--style", choices=("line", "enriched", "both"), default="both")
+    parser.add_argument(
+        "--engine",
+        choices=("virtual", "lumped", "all"),
+        default="all",
+        help="engines of components, lumped ones, or all: every third case lumped (default)",
+    )
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="default 0")
     parser.add_argument("--secret", metavar="WORD", help="opens the key; the seed if left out")
     _jobs(parser)
     real = parser.add_argument_group("from real flights, instead of the virtual engine's")
     real.add_argument("--real", metavar="DIR", type=Path, help="folder of recorded logs")
     real.add_argument("--sim", metavar="SIM", help="run folder, FMU or module:function")
+    real.add_argument(
+        "--sim-logs",
+        metavar="DIR",
+        type=Path,
+        help="instead: logs of any simulator, without noise, onto which effects are put",
+    )
     real.add_argument("--config", metavar="CONFIG", help="TOML file whose [logs] maps columns")
     return parser
 

@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import Field
 
 from eval.gap.blind.catalogue import CATALOGUE, Scale
+from eval.gap.blind.lumped import KINDS, applies
 from eval.gap.blind.outside import MIMICS, OTHERS, Strange
 from narxcal.settings import Section
 
@@ -22,6 +23,8 @@ Kind = Literal["single", "pair", "null", "outside"]
 Style = Literal["line", "enriched"]
 STYLES: Final[tuple[Style, ...]] = ("line", "enriched")
 BINS: Final = ((0.02, 0.05), (0.05, 0.10), (0.10, 0.25), (0.25, 0.95))
+OFFSETS: Final = ("deterioration", "sensor_bias", "throttle_bias", "temperature_effect")
+_OF_OFFSETS: Final = (0.7, 0.95)
 _NULLS, _OUTSIDE, _PAIRS = 0.2, 0.16, 0.16
 _BUILD_PCT, _NULL_BUILD_PCT = 0.6, 0.8  # standard deviation of efficiencies and flows
 
@@ -29,7 +32,8 @@ _BUILD_PCT, _NULL_BUILD_PCT = 0.6, 0.8  # standard deviation of efficiencies and
 class BlindPlan(Section):
     """What to make: `cases` of `flights` of `duration_s` to answer, and `held_out` to check on.
 
-    `rate_hz` is that of the logs.
+    `rate_hz` is that of the logs. `engine` restricts the engines: of all, about a third of the
+    cases fly a lumped one.
     """
 
     cases: int = Field(default=60, ge=1, le=9999)
@@ -38,6 +42,7 @@ class BlindPlan(Section):
     duration_s: float = Field(default=480.0, ge=480.0, le=43_200.0)
     rate_hz: float = Field(default=32.0, ge=5.0, le=256.0)
     style: Literal["line", "enriched", "both"] = "both"
+    engine: Literal["virtual", "lumped", "all"] = "all"
     seed: int = Field(default=0, ge=0)
 
 
@@ -66,7 +71,7 @@ class Case(NamedTuple):
     name: str
     number: int
     kind: Kind
-    style: Style
+    style: str
     engine: str
     base: Base
     effects: tuple[Scale, ...] = ()
@@ -75,22 +80,31 @@ class Case(NamedTuple):
     share: float = 0.0
 
 
-class _Content(NamedTuple):
+class Content(NamedTuple):
+    """What a case is to hold: `bin` is the group of sizes to draw from."""
+
     kind: Kind
     effects: tuple[Scale, ...] = ()
     strange: Strange | None = None
     bin: int = 0
 
 
+class Offer(NamedTuple):
+    """What cases can be made of: effects, and what no effect is."""
+
+    scales: tuple[Scale, ...] = CATALOGUE
+    mimics: tuple[Strange, ...] = MIMICS
+    others: tuple[Strange, ...] = OTHERS
+
+
 def draw_cases(plan: BlindPlan) -> list[Case]:
     """Draw all cases of a plan, in an order that tells nothing about them."""
     random = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(0,)))
-    contents = _contents(plan.cases, random)
-    styles = STYLES if plan.style == "both" else (plan.style,)
+    contents = draw_contents(plan.cases, random)
     order = random.permutation(len(contents)).tolist()
     width = max(3, len(str(plan.cases)))
     return [
-        _case(f"case_{place + 1:0{width}d}", (place + 1, which), styles, contents[which], random)
+        _case(f"case_{place + 1:0{width}d}", (place + 1, which), plan, contents[which], random)
         for place, which in enumerate(order)
     ]
 
@@ -98,24 +112,51 @@ def draw_cases(plan: BlindPlan) -> list[Case]:
 def _case(
     name: str,
     numbers: tuple[int, int],
-    styles: Sequence[Style],
-    content: _Content,
+    plan: BlindPlan,
+    content: Content,
     random: np.random.Generator,
 ) -> Case:
     number, which = numbers
-    signs = [float(random.choice((-1.0, 1.0))) if e.signed else 1.0 for e in content.effects]
+    styles = STYLES if plan.style == "both" else (plan.style,)
+    signs = draw_signs(content.effects, random)
     return Case(
         name=name,
         number=number,
         kind=content.kind,
         style=styles[(which + which // len(CATALOGUE)) % len(styles)],
-        engine="single_aisle" if random.uniform() < 0.25 else "business_jet",
+        engine=_engine(plan.engine, which, content, random),
         base=_base(content.kind, which, random),
         effects=content.effects,
-        signs=tuple(signs),
+        signs=signs,
         strange=content.strange,
-        share=0.0 if content.kind == "null" else share_in(BINS[content.bin], random),
+        share=draw_share(content, random),
     )
+
+
+def _engine(wanted: str, which: int, content: Content, random: np.random.Generator) -> str:
+    """A lumped engine in every third case, of a kind that has a place for all effects."""
+    preset = "single_aisle" if random.uniform() < 0.25 else "business_jet"
+    kinds = [kind for kind in KINDS if all(applies(e.id, kind) for e in content.effects)]
+    lumped = kinds[int(random.integers(len(kinds)))]
+    third = (which + which // 3 + which // 9) % 3 == 0
+    return lumped if wanted == "lumped" or (wanted == "all" and third) else preset
+
+
+def draw_signs(scales: Sequence[Scale], random: np.random.Generator) -> tuple[float, ...]:
+    """Draw which way each effect goes."""
+    return tuple(float(random.choice((-1.0, 1.0))) if e.signed else 1.0 for e in scales)
+
+
+def draw_share(content: Content, random: np.random.Generator) -> float:
+    """Draw the share of the gap that the content makes; nothing makes none.
+
+    An offset is most of the gap: a smaller one drowns in the offsets of build and instrumentation,
+    and nobody could name it.
+    """
+    if content.kind == "null":
+        return 0.0
+    offset = any(effect.id in OFFSETS for effect in content.effects)
+    return share_in(_OF_OFFSETS if offset else BINS[content.bin], random)
 
 
 def share_in(bounds: tuple[float, float], random: np.random.Generator) -> float:
@@ -138,40 +179,44 @@ def _base(kind: Kind, which: int, random: np.random.Generator) -> Base:
     )
 
 
-def _contents(cases: int, random: np.random.Generator) -> list[_Content]:
+def draw_contents(
+    cases: int, random: np.random.Generator, offer: Offer | None = None
+) -> list[Content]:
     """What the cases hold; shares are rounded up, as long as there are enough cases."""
+    offer = offer or Offer()
     nulls = math.ceil(_NULLS * cases)
     outside = min(math.ceil(_OUTSIDE * cases), cases - nulls)
     pairs = min(math.ceil(_PAIRS * cases), cases - nulls - outside)
     singles = cases - nulls - outside - pairs
-    found = [_Content("null") for _ in range(nulls)]
-    found += [_strange(k) for k in range(outside)]
-    found += [_Content("pair", _two(random), bin=3 if k % 3 else 2) for k in range(pairs)]
-    return found + _singles(singles, random)
+    found = [Content("null") for _ in range(nulls)]
+    found += [_strange(k, offer) for k in range(outside)]
+    found += [
+        Content("pair", _two(offer.scales, random), bin=3 if k % 3 else 2) for k in range(pairs)
+    ]
+    return found + _singles(singles, offer.scales, random)
 
 
-def _strange(number: int) -> _Content:
+def _strange(number: int, offer: Offer) -> Content:
     """Mimics and others in turn, of at least 5 %."""
-    group = (MIMICS, OTHERS)[number % 2]
-    return _Content("outside", strange=group[number // 2 % len(group)], bin=1 + number % 3)
+    group = (offer.mimics, offer.others)[number % 2]
+    return Content("outside", strange=group[number // 2 % len(group)], bin=1 + number % 3)
 
 
-def _singles(count: int, random: np.random.Generator) -> list[_Content]:
+def _singles(count: int, scales: Sequence[Scale], random: np.random.Generator) -> list[Content]:
     """The catalogue in turn, in an order of its own each time, the sizes in turn as well."""
-    found: list[_Content] = []
+    found: list[Content] = []
     while len(found) < count:
-        start = len(found) // len(CATALOGUE)
-        order: Iterable[int] = random.permutation(len(CATALOGUE)).tolist()
+        start = len(found) // len(scales)
+        order: Iterable[int] = random.permutation(len(scales)).tolist()
         found += [
-            _Content("single", (CATALOGUE[index],), bin=(start + index) % len(BINS))
-            for index in order
+            Content("single", (scales[index],), bin=(start + index) % len(BINS)) for index in order
         ]
     return found[:count]
 
 
-def _two(random: np.random.Generator) -> tuple[Scale, ...]:
+def _two(scales: Sequence[Scale], random: np.random.Generator) -> tuple[Scale, ...]:
     """Two effects of different families."""
     while True:
-        first, second = (CATALOGUE[k] for k in random.choice(len(CATALOGUE), 2, replace=False))
+        first, second = (scales[k] for k in random.choice(len(scales), 2, replace=False))
         if first.family != second.family:
             return first, second

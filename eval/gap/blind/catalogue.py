@@ -15,7 +15,8 @@ from narxcal.turbofan import Unmodelled
 
 Windows = tuple[tuple[float, float], ...]
 # Fuel flow (kg/h) at which the flow meter's time constant holds, about half of take-off.
-_METER_KGPH: Final = {"business_jet": 300.0, "single_aisle": 2000.0}
+_METER_KGPH: Final = {"single_aisle": 2000.0}
+_SMALL_KGPH: Final = 300.0
 
 
 class Scale(NamedTuple):
@@ -71,10 +72,12 @@ CATALOGUE: Final = (
     Scale("idle_schedule", {"shift_pct": 1.0}, 2.0, 12.0),
     Scale("sensor_lag", {"tau_s": 1.0}, 0.5, 6.0, channel="EGT_C"),
     Scale("sensor_lag", {"tau_s": 1.0}, 0.3, 4.0, channel="N2_pct"),
+    Scale("sensor_lag", {"tau_s": 1.0}, 0.3, 4.0, channel="N1_pct"),
     Scale("sensor_bias", {"offset": 1.0}, 6.0, 60.0, channel="EGT_C", signed=True),
     Scale("sensor_bias", {"offset": 1.0}, 0.6, 6.0, channel="N2_pct", signed=True),
     Scale("sensor_drift", {"rate_per_h": 1.0}, 80.0, 900.0, channel="EGT_C", signed=True),
     Scale("sensor_drift", {"rate_per_h": 1.0}, 8.0, 90.0, channel="N2_pct", signed=True),
+    Scale("sensor_bias", {"offset": 1.0}, 0.6, 6.0, channel="N1_pct", signed=True),
     Scale("time_skew", {"skew_s": 1.0}, 0.15, 1.5, channel="N2_pct"),
     Scale("time_skew", {"skew_s": 1.0}, 0.3, 1.5, channel="EGT_C"),
     Scale("flowmeter_dynamics", {"tau_s": 1.0}, 0.4, 4.0, channel="FF_kgph"),
@@ -115,5 +118,5 @@ class Dose(NamedTuple):
         """Give it as a sensor's fault."""
         more = {}
         if self.scale.id == "flowmeter_dynamics":
-            more = {"reference_kgph": _METER_KGPH[engine]}
+            more = {"reference_kgph": _METER_KGPH.get(engine, _SMALL_KGPH)}
         return SensorFault(self.scale.id, self.scale.channel or "", {**self.parameters, **more})

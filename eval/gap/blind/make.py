@@ -14,7 +14,7 @@ from eval.gap.blind.files import CASES, FOLDERS, KEY, KEY_SCHEMA, SCHEMA, salt_o
 from eval.gap.blind.oracle import true_shares
 from eval.gap.blind.seal import sealed
 from eval.gap.blind.sizes import gap_share, sized
-from eval.gap.blind.truth import Channels, Content, Flight, Specimen
+from eval.gap.blind.truth import NOTHING, Channels, Content, Specimen
 from narxcal.atomic import atomic_write_bytes, atomic_write_text
 from narxcal.errors import ModelError
 
@@ -71,15 +71,16 @@ def _all_made(folder: Path, plan: BlindPlan, cases: Sequence[Case], jobs: int) -
 def make_case(folder: Path, plan: BlindPlan, case: Case) -> Made:
     """Fly one case and write its logs; runs in a process of its own."""
     try:
-        return _made(folder, plan, case)
+        return made_from(folder, plan, Specimen(case, plan))
     except ModelError as error:
         raise ModelError(
             error.problem, file=case.name, row=error.row, hint="Take another --seed"
         ) from None
 
 
-def _made(folder: Path, plan: BlindPlan, case: Case) -> Made:
-    specimen = Specimen(case, plan)
+def made_from(folder: Path, plan: BlindPlan, specimen: Any) -> Made:
+    """Write the logs of a specimen; `Specimen` says what it has to be able to."""
+    case = specimen.case
     flights = [specimen.flight(number) for number in range(plan.flights + plan.held_out)]
     simulated = [specimen.simulated(flight) for flight in flights]
     # Sizes and shares are those on flights that the diagnosis does not see.
@@ -88,10 +89,12 @@ def _made(folder: Path, plan: BlindPlan, case: Case) -> Made:
     recorded = [each[1] for each in real]
     own, held = slice(0, plan.flights), slice(plan.flights, None)
     told = [specimen.simulated(flight, content) for flight in flights[held]]
+    bare = [specimen.true(flight, NOTHING) for flight in flights[own]] if content != NOTHING else []
+    effect = [(with_it[0], without) for with_it, without in zip(real, bare, strict=False)]
     row = {
         **_facts(case, content, flights),
         "gap_share": gap_share(recorded[held], simulated[held], told),
-        "where": true_shares([each[0] for each in real[own]], simulated[own], recorded[own]),
+        "where": true_shares(effect, simulated[own], recorded[own]) if effect else {},
     }
     return Made(case.name, row, _written(folder / case.name, plan.flights, simulated, recorded))
 
@@ -109,7 +112,7 @@ def _written(
     return found
 
 
-def _facts(case: Case, content: Content, flights: Sequence[Flight]) -> dict[str, Any]:
+def _facts(case: Case, content: Content, flights: Sequence[Any]) -> dict[str, Any]:
     """The row of the key, but for what is measured."""
     strange = case.strange
     return {

@@ -1,4 +1,4 @@
-"""Where the gap truly lies: of what is so less what was simulated, without any noise."""
+"""Where a case's content truly is: what is so with it less what would be without, no noise."""
 
 from __future__ import annotations
 
@@ -22,15 +22,20 @@ def bin_name(channel: str, direction: str, phase: str) -> str:
 
 
 def true_shares(
-    true: Sequence[Channels], simulated: Sequence[Channels], recorded: Sequence[Channels]
+    effect: Sequence[tuple[Channels, Channels]],
+    simulated: Sequence[Channels],
+    recorded: Sequence[Channels],
 ) -> Shares:
-    """Share of each bin in the energy of the gap, in the weights of the diagnosis.
+    """Share of each bin in the energy of what the content does, in the weights of the diagnosis.
 
-    The recorded flights give nothing but the noise in those weights. Bins without any are left
-    out.
+    `effect` is what is so with the content, and without it; what else is wrong with the simulator
+    (its build, its structure) is in both and cancels. The recorded flights give nothing but the
+    noise in the weights, the simulated ones the bins. Bins without any are left out.
     """
     noise = batch(_pairs(recorded, simulated)).noise
-    data = batch(_pairs(true, simulated))
+    data = batch(
+        _pairs([_moved(s, *both) for s, both in zip(simulated, effect, strict=True)], simulated)
+    )
     move = sort_samples(data, events_of(data)).move
     scale = np.sqrt(noise**2 + (TOLERANCE * data.span) ** 2)
     sample = np.nan_to_num((data.gap / scale) ** 2)
@@ -63,6 +68,12 @@ def channel_of_most(shares: Mapping[str, float]) -> str | None:
         channel = name.partition("|")[0]
         totals[channel] = totals.get(channel, 0.0) + value
     return max(totals, key=lambda each: totals[each]) if totals else None
+
+
+def _moved(simulated: Channels, true: Channels, without: Channels) -> Channels:
+    """What was simulated, and the difference that the content makes."""
+    outputs = {n: simulated[n] + true[n] - without[n] for n in outputs_of(simulated)}
+    return {**simulated, **outputs}
 
 
 def _pairs(real: Sequence[Channels], simulated: Sequence[Channels]) -> list[Pair]:

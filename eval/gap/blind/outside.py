@@ -16,7 +16,10 @@ from narxcal.turbofan.compiled import compiled
 
 FloatArray = NDArray[np.float64]
 Channels = dict[str, FloatArray]
+_FULL_DEG = 85.0
 _PERIOD_S, _ON_S = 90.0, 30.0  # GAP section 5: an ECS load for 30 s in every 90 s
+_OUTPUTS: Final = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
+_NONE: Final = np.zeros(1)  # in the place of an output that a log lacks
 _CELSIUS_PCT = 7.0  # degC of exhaust temperature that go with one percent of N2, roughly
 
 
@@ -36,15 +39,25 @@ class Strange(NamedTuple):
 
 
 def applied(what: Strange, on: str, channels: Mapping[str, FloatArray], size: float) -> Channels:
-    """`channels` `(time,)` with the change, if it acts on this side; without it otherwise."""
+    """`channels` `(time,)` with the change, if it acts on this side; without it otherwise.
+
+    Outputs that are not there are left out.
+    """
     if what.on != on or size == 0.0:
         return dict(channels)
-    return {**channels, **what.change(channels, size)}
+    changed = what.change({**dict.fromkeys(_OUTPUTS, _NONE), **channels}, size)
+    return {**channels, **{name: values for name, values in changed.items() if name in channels}}
 
 
 def _deadband(channels: Mapping[str, FloatArray], size: float) -> Channels:
-    """The lever is heard only once it has left its last heard place by `size` degrees."""
-    return {"TRA_deg": _jumping(np.ascontiguousarray(channels["TRA_deg"]), size)}
+    """The lever is heard only once it has left its last heard place by `size` degrees.
+
+    Without a lever it is the fuel flow, by that part of its range.
+    """
+    if "TRA_deg" in channels:
+        return {"TRA_deg": _jumping(np.ascontiguousarray(channels["TRA_deg"]), size)}
+    fuel = np.ascontiguousarray(channels["FF_kgph"])
+    return {"FF_kgph": _jumping(fuel, size / _FULL_DEG * float(np.ptp(fuel)))}
 
 
 @compiled

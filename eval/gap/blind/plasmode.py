@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from data_prep.hold import hold_inputs
 from data_prep.log import Log
 from data_prep.moves import bridged
-from eval.gap.blind.cases import BINS, BlindPlan, share_in
+from eval.gap.blind.cases import BINS, BlindPlan, Content, draw_share
 from eval.gap.blind.catalogue import CATALOGUE, Dose, Scale
 from eval.gap.blind.files import FOLDERS, write_log
 from eval.gap.blind.make import Made
@@ -96,7 +96,8 @@ def make_real_cases(folder: Path, plan: BlindPlan, real: Real) -> Iterator[Made]
     width = max(3, len(str(plan.cases)))
     for place, which in enumerate(order, start=1):
         scale = scales[which % len(scales)]
-        share = share_in(BINS[(which // len(scales) + which) % len(BINS)], random)
+        size = (which // len(scales) + which) % len(BINS)
+        share = draw_share(Content("single", (scale,), bin=size), random)
         chosen = [pieces[k] for k in random.permutation(len(pieces))]
         wanted = _Wanted(f"case_{place:0{width}d}", scale, _sign(scale, random), share)
         yield _made(folder, (flown, before), wanted, chosen[: plan.flights + plan.held_out], plan)
@@ -143,7 +144,9 @@ def _made(
         "aimed_share": wanted.share,
         "pieces": [[p.log, p.rows.start, p.rows.stop] for p in pieces],
         "gap_share": gap_share(parts[1][held], parts[0][held], parts[2][held]),
-        "where": true_shares(parts[1][own], parts[0][own], parts[1][own]),
+        "where": true_shares(
+            list(zip(parts[2][own], parts[0][own], strict=True)), parts[0][own], parts[1][own]
+        ),
     }
     return Made(wanted.name, row, logs)
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from eval.gap.blind.catalogue import Dose
-from eval.gap.blind.truth import NOTHING, Channels, Content, Flight, Specimen, outputs_of
+from eval.gap.blind.truth import NOTHING, Channels, Content, outputs_of
 
 _TRIES: Final = 3
 _CLOSE: Final = 0.1  # of the energy: the next size will do
@@ -50,7 +50,7 @@ def gap_share(
     return 1.0 - after / before if before > 0.0 else 0.0
 
 
-def sized(specimen: Specimen, flights: Sequence[Flight], simulated: Sequence[Channels]) -> Content:
+def sized(specimen: Any, flights: Sequence[Any], simulated: Sequence[Channels]) -> Content:
     """Give the case's content the sizes that come to its share on some flights.
 
     Several effects get equal parts. A share that the largest size does not make is left at that.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final, NamedTuple
 
@@ -11,14 +11,17 @@ from numpy.typing import NDArray
 
 from eval.gap.blind.cases import BlindPlan, Case
 from eval.gap.blind.catalogue import Dose, Windows
+from eval.gap.blind.lumped import KINDS, LumpedEngine
 from eval.gap.blind.outside import MISFIT, applied
 from narxcal.flight_test.profile import FlightPlan, plan_flight
 from narxcal.flight_test.sensor_presets import ChannelSensor
 from narxcal.flight_test.sensors import SensorConfig, Streams, record
 from narxcal.turbofan import Unmodelled, VirtualEngine, build_scatter
+from narxcal.turbofan.stations import Health
 
 FloatArray = NDArray[np.float64]
 Channels = dict[str, FloatArray]
+Engine = VirtualEngine | LumpedEngine
 OUTPUTS: Final = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
 _MEASURED = SensorConfig(inputs="exact")
 # The lags of the instrumentation itself are known and in the simulator: they are no gap.
@@ -32,8 +35,12 @@ _STRETCH_S = 240.0  # one window of an unlogged switch in each
 
 def outputs_of(channels: Mapping[str, FloatArray]) -> tuple[str, ...]:
     """Names of the outputs among channels: without a lever, the fuel flow drives and is none."""
-    outputs = OUTPUTS if "TRA_deg" in channels else OUTPUTS[:3]
-    return tuple(name for name in outputs if name in channels)
+    return tuple(name for name in outputs_for(channels) if name in channels)
+
+
+def outputs_for(inputs: Mapping[str, FloatArray]) -> tuple[str, ...]:
+    """Names of the outputs that an engine with these inputs may have."""
+    return OUTPUTS if "TRA_deg" in inputs else OUTPUTS[:3]
 
 
 class Content(NamedTuple):
@@ -71,12 +78,14 @@ class Specimen:
         random = self._random("flight", number)
         plan = FlightPlan(
             style=self.case.style,
-            aircraft=self.case.engine,
+            aircraft="business_jet" if self.case.engine in KINDS else self.case.engine,
             duration_s=self.plan.duration_s,
             rate_hz=self.plan.rate_hz,
         )
         inputs = dict(plan_flight(plan, int(random.integers(2**31)))["left"])
-        return Flight(number, inputs, _windows(random, float(inputs["time_s"][-1])))
+        if self.case.engine == "lumped_fuel":
+            inputs = _fuelled(inputs)
+        return Flight(number, inputs, hidden_windows(random, float(inputs["time_s"][-1])))
 
     def simulated(self, flight: Flight, content: Content = NOTHING) -> Channels:
         """What the simulator says, `(time,)`, with the case's content added where it is given."""
@@ -85,9 +94,7 @@ class Specimen:
         ids = {each.id: each for each in inside}
         for name, factor in (("heat_soak", base.soak), ("spool_lag", base.inertia)):
             ids[name] = _multiplied(ids.get(name), name, factor)
-        engine = VirtualEngine(self.case.engine, unmodelled=list(ids.values()))
-        tau_s = engine.fit.body.probe_tau_s * base.probe
-        engine.fit = replace(engine.fit, body=engine.fit.body._replace(probe_tau_s=tau_s))
+        engine = self._engine(None, list(ids.values()), base.probe)
         return self._shown(self._run(engine, flight, content), flight, content, _KNOWN)
 
     def true(self, flight: Flight, content: Content) -> Channels:
@@ -104,11 +111,22 @@ class Specimen:
 
     def _real(self, flight: Flight, content: Content) -> Channels:
         inside = [each.unmodelled(flight.windows) for each in content.doses if not each.on_sensor]
-        engine = VirtualEngine(self.case.engine, self.build, inside)
+        engine = self._engine(self.build, inside)
         return self._run(engine, flight, content, misfit=self.case.base.misfit)
 
+    def _engine(
+        self, build: Health | None, inside: Sequence[Unmodelled], probe: float = 1.0
+    ) -> Engine:
+        """The case's engine with a build and effects; `probe` multiplies its probe's lag."""
+        if self.case.engine in KINDS:
+            return LumpedEngine(self.case.engine, build, inside, probe)
+        engine = VirtualEngine(self.case.engine, build, inside)
+        tau_s = engine.fit.body.probe_tau_s * probe
+        engine.fit = replace(engine.fit, body=engine.fit.body._replace(probe_tau_s=tau_s))
+        return engine
+
     def _run(
-        self, engine: VirtualEngine, flight: Flight, content: Content, *, misfit: bool = False
+        self, engine: Engine, flight: Flight, content: Content, *, misfit: bool = False
     ) -> Channels:
         """Inputs as the engine hears them, through the engine, to what it gives."""
         changes = list(MISFIT) if misfit else []
@@ -119,7 +137,7 @@ class Specimen:
             told = applied(what, "input", told, size)
         inputs = {name: told[name] for name in engine.input_names}
         outputs = engine.simulate(inputs, flight.dt_s)
-        seen = {**flight.inputs, **{name: outputs[name] for name in OUTPUTS}}
+        seen = {**flight.inputs, **{name: outputs[name] for name in outputs_for(told)}}
         for what, size in changes:
             seen = applied(what, "output", seen, size)
         return seen
@@ -130,7 +148,8 @@ class Specimen:
         faults = [each.fault(self.case.engine) for each in content.doses if each.on_sensor]
         seed = int(self._random("sensors", flight.number).integers(2**31))
         found = record(seen, flight.dt_s, sensors, Streams(seed, flight.number, 0), faults)
-        return {**flight.inputs, **{name: found.channels[name] for name in OUTPUTS}}
+        names = outputs_for(flight.inputs)
+        return {**flight.inputs, **{name: found.channels[name] for name in names}}
 
     def _random(self, purpose: str, number: int) -> np.random.Generator:
         code = int.from_bytes(purpose.encode()[:4], "big")
@@ -144,7 +163,17 @@ def _multiplied(given: Unmodelled | None, name: str, factor: float) -> Unmodelle
     return Unmodelled(name, {"factor": before * factor})
 
 
-def _windows(random: np.random.Generator, end_s: float) -> Windows:
+def _fuelled(inputs: Channels) -> Channels:
+    """Inputs with the fuel flow that a governed engine would take in the place of its lever."""
+    dt_s = float(inputs["time_s"][1] - inputs["time_s"][0])
+    fuel = LumpedEngine("lumped_n2").simulate(inputs, dt_s)["FF_kgph"]
+    return {
+        ("FF_kgph" if n == "TRA_deg" else n): (fuel if n == "TRA_deg" else v)
+        for n, v in inputs.items()
+    }
+
+
+def hidden_windows(random: np.random.Generator, end_s: float) -> Windows:
     """One window in each stretch of about four minutes, long enough to tell from noise."""
     count = max(1, round(end_s / _STRETCH_S))
     stretch = end_s / count

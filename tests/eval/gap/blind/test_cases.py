@@ -6,6 +6,7 @@ import pytest
 
 from eval.gap.blind.cases import BINS, BlindPlan, draw_cases
 from eval.gap.blind.catalogue import CATALOGUE, Dose
+from eval.gap.blind.lumped import KINDS, applies
 from eval.gap.blind.outside import MIMICS
 from narxcal.effects.library import LIBRARY
 from narxcal.effects.library import effect as library_effect
@@ -82,6 +83,21 @@ def test_one_style_and_one_seed():
     assert draw_cases(plan) == draw_cases(plan)
     other = draw_cases(BlindPlan(cases=30, seed=10))
     assert [c.share for c in draw_cases(plan)] != [c.share for c in other]
+
+
+def test_every_third_case_flies_a_lumped_engine():
+    engines = [c.engine for c in draw_cases(BlindPlan(cases=120))]
+    lumped = [name for name in engines if name in KINDS]
+    assert 0.25 * len(engines) <= len(lumped) <= 0.42 * len(engines)
+    assert set(lumped) == set(KINDS)
+    for wanted in ("lumped", "virtual"):
+        found = {c.engine for c in draw_cases(BlindPlan(cases=40, engine=wanted))}
+        assert all((name in KINDS) == (wanted == "lumped") for name in found)
+
+
+def test_no_engine_flies_an_effect_that_it_has_no_place_for():
+    for each in draw_cases(BlindPlan(cases=200, engine="lumped")):
+        assert all(applies(effect.id, each.engine) for effect in each.effects)
 
 
 def test_names_sort_and_are_counted_from_one():

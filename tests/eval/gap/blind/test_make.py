@@ -12,6 +12,7 @@ from eval.gap.blind.cases import Base, BlindPlan, Case, draw_cases
 from eval.gap.blind.catalogue import CATALOGUE, Dose
 from eval.gap.blind.files import open_key, read_cases
 from eval.gap.blind.make import make_case, make_cases
+from eval.gap.blind.oracle import true_shares
 from eval.gap.blind.outside import CYCLE, DEADBAND, STRANGE, applied
 from eval.gap.blind.sizes import energy, gap_share, ranges, size_for, sized
 from eval.gap.blind.truth import Content, Specimen
@@ -69,7 +70,7 @@ def test_the_key_tells_all(made):
     assert list(key["cases"]) == ["case_001", "case_002", "case_003"]
     for row in key["cases"].values():
         assert row["gap_share"] <= 1.0
-        assert sum(row["where"].values()) == pytest.approx(1.0)
+        assert sum(row["where"].values()) == pytest.approx(0.0 if row["kind"] == "null" else 1.0)
         assert bool(row["effects"]) == (row["kind"] in ("single", "pair"))
     assert key["plan"]["seed"] == 4
 
@@ -88,6 +89,30 @@ def test_a_case_made_alone_is_the_one_made_with_others(made, plan, tmp_path):
     assert alone.logs == read_cases(made)["logs"]["case_002"]
     file = made / "case_002" / "sim" / "flight_0.csv.gz"
     assert hashlib.sha256(file.read_bytes()).hexdigest() == alone.logs["sim/flight_0.csv.gz"]
+
+
+def test_where_is_what_the_content_does_and_not_the_build(quick):
+    heavy = Base(1.5, soak=1.1, misfit=True)
+    specimen = Specimen(case(effects=(BIAS,), base=heavy), PLAN)
+    flights = [specimen.flight(k) for k in (0, 1)]
+    content = Content((Dose(BIAS, 8.0),))
+    simulated = [specimen.simulated(each) for each in flights]
+    recorded = [specimen.both(each, content)[1] for each in flights]
+    effect = [(specimen.true(each, content), specimen.true(each, Content())) for each in flights]
+    shares = true_shares(effect, simulated, recorded)
+    assert sum(v for name, v in shares.items() if name.startswith("EGT_C|")) == pytest.approx(1.0)
+    assert shares["EGT_C|steady|steady"] == max(shares.values())
+
+
+@pytest.mark.parametrize("engine", ["lumped_n1", "lumped_n2", "lumped_fuel"])
+def test_lumped_engines_fly_cases_too(engine, tmp_path):
+    made = make_case(tmp_path, PLAN, case(engine=engine))
+    assert made.row["engine"] == engine
+    assert made.row["gap_share"] > 0.05
+    pairs = read_pairs(tmp_path / "case_001" / "real", tmp_path / "case_001" / "sim")
+    driver = "FF_kgph" if engine == "lumped_fuel" else "TRA_deg"
+    assert pairs[0].driver == driver
+    assert len(pairs[0].sim) == (3 if engine == "lumped_fuel" else 4)
 
 
 def test_inputs_are_the_same_on_both_sides(quick):

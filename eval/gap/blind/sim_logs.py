@@ -1,0 +1,204 @@
+"""Cases from another maker's simulator, of which there are only logs: what can be put onto them.
+
+Only what needs no second run of that simulator is used. Exact are effects of sensors and a delay
+of the lever (it commutes with an engine that does not change with time). Nearly exact are effects
+on where the engine settles, if its control holds its first output (`log_shifts`). On top come a
+build, a structural misfit, and the noise of the instrumentation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_prep.log import Log
+from eval.gap.blind.cases import (
+    Base,
+    BlindPlan,
+    Case,
+    Offer,
+    draw_contents,
+    draw_share,
+    draw_signs,
+)
+from eval.gap.blind.catalogue import CATALOGUE, Scale
+from eval.gap.blind.log_shifts import SHIFTS, View, switches_of
+from eval.gap.blind.make import Made, made_from
+from eval.gap.blind.outside import MIMICS, MISFIT, OTHERS, applied
+from eval.gap.blind.truth import NOTHING, OUTPUTS, Channels, Content, hidden_windows, outputs_for
+from eval.gap.pairs import read_folder
+from narxcal.errors import DataError
+from narxcal.flight_test.sensor_presets import ChannelSensor
+from narxcal.flight_test.sensors import SensorConfig, Streams, record
+
+FloatArray = NDArray[np.float64]
+ENGINE: Final = "maker"
+_FOLDERS: Final = ("sim", "sim_heldout")
+# The logs are behind the simulator's own sensors: noise, bias and clock are added, no more lag.
+_MEASURED = SensorConfig(
+    inputs="exact", channels={name: ChannelSensor(tau_s=0.0) for name in OUTPUTS}
+)
+_PERFECT = SensorConfig(preset="perfect", inputs="exact")
+# Standard deviation of a build, in parts of the range: offset, slope and bend over power each.
+_BUILD: Final = {"N1_pct": 0.001, "N2_pct": 0.003, "EGT_C": 0.006, "FF_kgph": 0.006}
+
+
+def make_log_cases(folder: Path, plan: BlindPlan, logs: Path) -> Iterator[Made]:
+    """Make the cases of a plan from the simulator's logs, one after the other.
+
+    `logs` holds them, or folders `sim` and `sim_heldout` at any depth. Flights are used whole.
+    Raises `DataError` for too few of them, and as `read_folder`.
+    """
+    flights = _read(logs)
+    needed = plan.flights + plan.held_out
+    if len(flights) < needed:
+        raise DataError(
+            f"there are {len(flights)} simulated flights, and a case needs {needed}",
+            file=logs,
+            hint="Add logs, or take fewer by --flights and --held-out",
+        )
+    for case in drawn_cases(plan, flights):
+        yield made_from(folder, plan, LogSpecimen(case, plan, flights))
+
+
+class LogSpecimen:
+    """A case whose simulator is known by its logs alone."""
+
+    def __init__(self, case: Case, plan: BlindPlan, logs: Sequence[Log]) -> None:
+        self.case, self.plan = case, plan
+        random = self._random(0)
+        order = random.permutation(len(logs))[: plan.flights + plan.held_out].tolist()
+        self.logs = [_channels(logs[k]) for k in order]
+        self._build = {name: scale * random.standard_normal(3) for name, scale in _BUILD.items()}
+
+    def flight(self, number: int) -> View:
+        """Flight `number`, counted from 0."""
+        channels = self.logs[number]
+        time_s = channels["time_s"]
+        span = [float(each["N1_pct"].min()) for each in self.logs]
+        most = max(float(each["N1_pct"].max()) for each in self.logs)
+        power = (channels["N1_pct"] - min(span)) / (most - min(span))
+        windows = hidden_windows(self._random(2, number), float(time_s[-1] - time_s[0]))
+        return View(number, channels, float(time_s[1] - time_s[0]), power, windows)
+
+    def simulated(self, flight: View, content: Content = NOTHING) -> Channels:
+        """What the simulator says, `(time,)`, with the case's content added where it is given."""
+        seen = self._with(flight, content)
+        return seen if content == NOTHING else self._shown(seen, flight, content, _PERFECT)
+
+    def true(self, flight: View, content: Content) -> Channels:
+        """What is so, as sensors without noise would show it, with their faults."""
+        return self._shown(self._real(flight, content), flight, content, _PERFECT)
+
+    def both(self, flight: View, content: Content) -> tuple[Channels, Channels]:
+        """What is so, and what is recorded of it."""
+        real = self._real(flight, content)
+        return (
+            self._shown(real, flight, content, _PERFECT),
+            self._shown(real, flight, content, _MEASURED),
+        )
+
+    def _real(self, flight: View, content: Content) -> Channels:
+        """With the content, and with a build and a structure of its own."""
+        real = self._with(flight, content)
+        p = flight.power - 0.5
+        for name, (a, b, c) in self._build.items():
+            if name in real and name in outputs_for(real):
+                span = float(np.ptp(flight.channels[name]))
+                real[name] = real[name] + span * (a + 2.0 * b * p + 4.0 * c * p**2)
+        for what, size in MISFIT if self.case.base.misfit else ():
+            real = applied(what, "output", real, size)
+        return real
+
+    def _with(self, flight: View, content: Content) -> Channels:
+        """The simulated flight with what acts on the engine."""
+        found = dict(flight.channels)
+        for dose in content.doses:
+            if dose.scale.id in SHIFTS:
+                shifts = SHIFTS[dose.scale.id](flight, dose.size)
+                found |= {n: found[n] + each for n, each in shifts.items() if n in found}
+        for dose in content.doses:
+            if dose.scale.id == "throttle_delay":
+                found |= _late(found, dose.size / flight.dt_s)
+        if self.case.strange is not None and content.strange:
+            found = applied(self.case.strange, "output", found, content.strange)
+        return found
+
+    def _shown(
+        self, seen: Channels, flight: View, content: Content, sensors: SensorConfig
+    ) -> Channels:
+        faults = [dose.fault(ENGINE) for dose in content.doses if dose.on_sensor]
+        seed = int(self._random(1).integers(2**31))
+        names = [name for name in outputs_for(seen) if name in seen]
+        told = {name: seen[name] for name in names}
+        found = record(told, flight.dt_s, sensors, Streams(seed, flight.number, 0), faults)
+        return {**seen, **{name: found.channels[name] for name in names}}
+
+    def _random(self, purpose: int, number: int = 0) -> np.random.Generator:
+        key = (4, self.case.number, purpose, number)
+        return np.random.default_rng(np.random.SeedSequence(self.plan.seed, spawn_key=key))
+
+
+def drawn_cases(plan: BlindPlan, flights: Sequence[Log]) -> Iterator[Case]:
+    """Draw what the cases hold, of what these flights can show."""
+    offer = _offer(flights)
+    random = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(3,)))
+    contents = draw_contents(plan.cases, random, offer)
+    width = max(3, len(str(plan.cases)))
+    for place, which in enumerate(random.permutation(plan.cases).tolist(), start=1):
+        held = contents[which]
+        yield Case(
+            name=f"case_{place:0{width}d}",
+            number=place,
+            kind=held.kind,
+            style=ENGINE,
+            engine=ENGINE,
+            base=Base(0.0, misfit=held.kind == "null" or which % 2 == 0),
+            effects=held.effects,
+            signs=draw_signs(held.effects, random),
+            strange=held.strange,
+            share=draw_share(held, random),
+        )
+
+
+def _offer(flights: Sequence[Log]) -> Offer:
+    """What can be put onto these logs."""
+    first = _channels(flights[0])
+    days = [float(log["dT_C"].mean()) for log in flights if "dT_C" in log.channels]
+    missing = set()
+    if not all(switches_of(_channels(log)) for log in flights):
+        missing.add("bleed_extraction")
+    if not days or np.ptp(days) < 1.0:
+        missing.add("temperature_effect")
+
+    def possible(scale: Scale) -> bool:
+        if scale.channel is not None:
+            return scale.channel in outputs_for(first) and scale.channel in first
+        return scale.id == "throttle_delay" or (scale.id in SHIFTS and scale.id not in missing)
+
+    return Offer(
+        tuple(scale for scale in CATALOGUE if possible(scale)),
+        tuple(each for each in MIMICS if each.on == "output"),
+        OTHERS,
+    )
+
+
+def _read(folder: Path) -> list[Log]:
+    """All simulated flights, in order of their paths."""
+    parts = [each for each in folder.rglob("*") if each.is_dir() and each.name in _FOLDERS]
+    parts = sorted(parts) or [folder]
+    return [log for part in parts for log in read_folder(part).values()]
+
+
+def _channels(log: Log) -> Channels:
+    return {"time_s": log.time_s - log.time_s[0], **log.channels}
+
+
+def _late(channels: Channels, steps: float) -> Channels:
+    index = np.arange(len(channels["time_s"]), dtype=np.float64)
+    names = [name for name in outputs_for(channels) if name in channels]
+    return {name: np.interp(index - steps, index, channels[name]) for name in names}
