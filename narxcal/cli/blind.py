@@ -69,7 +69,7 @@ def _run(options: Namespace, console: Console) -> None:
         def watch(name: str, done: int, total: int) -> None:
             advance(done, total, f"({name})")
 
-        limits = Limits(options.jobs, options.timeout_s)
+        limits = Limits(options.jobs, options.timeout_s, options.seeds)
         summary = run_cases(options.folder, options.out, limits, watch)
     ends = {end: str(count) for end, count in summary["ends"].items()}
     console.facts({"Cases": str(len(summary["cases"])), **ends})

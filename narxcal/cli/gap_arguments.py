@@ -117,6 +117,13 @@ def _blind_run(actions: _Commands) -> argparse.ArgumentParser:
         dest="timeout_s",
         help="for one case, default 900; a case that takes longer has no answer",
     )
+    parser.add_argument(
+        "--seeds",
+        metavar="N",
+        type=_count,
+        default=1,
+        help="answer each case N times, flights in another order: does the answer change?",
+    )
     _jobs(parser)
     return parser
 

@@ -11,7 +11,7 @@ from joblib import Parallel, delayed, parallel_config
 
 from eval.gap.blind.cases import BlindPlan, Case, draw_cases
 from eval.gap.blind.files import CASES, FOLDERS, KEY, KEY_SCHEMA, SCHEMA, salt_of, write_log
-from eval.gap.blind.oracle import true_shares
+from eval.gap.blind.oracle import located
 from eval.gap.blind.seal import sealed
 from eval.gap.blind.sizes import gap_share, sized
 from eval.gap.blind.truth import NOTHING, Channels, Content, Specimen
@@ -94,7 +94,7 @@ def made_from(folder: Path, plan: BlindPlan, specimen: Any) -> Made:
     row = {
         **_facts(case, content, flights),
         "gap_share": gap_share(recorded[held], simulated[held], told),
-        "where": true_shares(effect, simulated[own], recorded[own]) if effect else {},
+        **located(effect, simulated[own], recorded[own]),
     }
     return Made(case.name, row, _written(folder / case.name, plan.flights, simulated, recorded))
 

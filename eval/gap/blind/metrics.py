@@ -85,6 +85,41 @@ def calibration_error(
     return error
 
 
+def log_score(probabilities: Sequence[float], least: float = 0.01) -> float:
+    """Mean of `-ln p` of what was true (I. J. Good, J. R. Stat. Soc. B 14, 1952, 107).
+
+    One that was thought less probable than `least` counts as that.
+    """
+    return mean([-math.log(max(p, least)) for p in probabilities])
+
+
+def area_under_curve(positive: Sequence[float], negative: Sequence[float]) -> float:
+    """Probability that a positive one exceeds a negative one, ties half.
+
+    J. A. Hanley, B. J. McNeil, Radiology 143, 1982, 29. NaN where either is missing.
+    """
+    if not len(positive) or not len(negative):
+        return math.nan
+    apart = np.subtract.outer(np.asarray(positive), np.asarray(negative))
+    return float(np.mean((apart > 0.0) + 0.5 * (apart == 0.0)))
+
+
+def selective_accuracy(
+    sureness: Sequence[float], hits: Sequence[bool], coverage: float = 0.8
+) -> float:
+    """Share of hits among the surest part of the answers; NaN of nothing."""
+    count = math.ceil(coverage * len(hits))
+    order = np.argsort(-np.asarray(sureness, np.float64), kind="stable")[:count]
+    return mean([float(hits[k]) for k in order.tolist()])
+
+
+def slope(x: Sequence[float], y: Sequence[float]) -> float:
+    """Slope of `y` over `x` by least squares; NaN where `x` does not vary."""
+    if len(x) < 2 or float(np.ptp(x)) <= 0.0:
+        return math.nan
+    return float(np.polyfit(x, y, 1)[0])
+
+
 def overlap(one: Collection[str], other: Collection[str]) -> float:
     """Intersection over union; 1 for two empty sets."""
     union = {*one} | {*other}

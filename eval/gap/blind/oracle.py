@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from eval.gap.bands import bands_of
 from eval.gap.bins import MOVES, sort_samples
 from eval.gap.blind.truth import Channels, outputs_of
 from eval.gap.blocks import batch
-from eval.gap.data import Pair
+from eval.gap.data import GapData, Pair
 from eval.gap.excitation import events_of
 from training.gap.quadratic import TOLERANCE
 
@@ -19,6 +22,23 @@ Shares = dict[str, float]  # "channel|direction|phase" -> share of the energy
 def bin_name(channel: str, direction: str, phase: str) -> str:
     """Name of a bin, in the key and in the score."""
     return f"{channel}|{direction}|{phase}"
+
+
+def located(
+    effect: Sequence[tuple[Channels, Channels]],
+    simulated: Sequence[Channels],
+    recorded: Sequence[Channels],
+) -> dict[str, Any]:
+    """Give where the content is, as rows of the key: bins, and each channel's bands of frequency.
+
+    Arguments as for `true_shares`; nothing where there is no content.
+    """
+    if not effect:
+        return {"where": {}, "bands": {}}
+    data = _moved_by(effect, simulated)
+    quiet = replace(data, noise=np.zeros_like(data.noise))
+    bands = {name: [each.share for each in every] for name, every in bands_of(quiet).items()}
+    return {"where": true_shares(effect, simulated, recorded), "bands": bands}
 
 
 def true_shares(
@@ -33,9 +53,7 @@ def true_shares(
     noise in the weights, the simulated ones the bins. Bins without any are left out.
     """
     noise = batch(_pairs(recorded, simulated)).noise
-    data = batch(
-        _pairs([_moved(s, *both) for s, both in zip(simulated, effect, strict=True)], simulated)
-    )
+    data = _moved_by(effect, simulated)
     move = sort_samples(data, events_of(data)).move
     scale = np.sqrt(noise**2 + (TOLERANCE * data.span) ** 2)
     sample = np.nan_to_num((data.gap / scale) ** 2)
@@ -63,11 +81,23 @@ def core(shares: Mapping[str, float], held: float = 0.7) -> set[str]:
 
 def channel_of_most(shares: Mapping[str, float]) -> str | None:
     """Channel with the largest share; None where there is nothing."""
+    return share_of_most(shares, 0)
+
+
+def share_of_most(shares: Mapping[str, float], part: int) -> str | None:
+    """The part of the name (0 channel, 1 direction, 2 phase) with the largest share in all."""
     totals: dict[str, float] = {}
     for name, value in shares.items():
-        channel = name.partition("|")[0]
-        totals[channel] = totals.get(channel, 0.0) + value
+        key = name.split("|")[part]
+        totals[key] = totals.get(key, 0.0) + value
     return max(totals, key=lambda each: totals[each]) if totals else None
+
+
+def _moved_by(
+    effect: Sequence[tuple[Channels, Channels]], simulated: Sequence[Channels]
+) -> GapData:
+    moved = [_moved(s, *both) for s, both in zip(simulated, effect, strict=True)]
+    return batch(_pairs(moved, simulated))
 
 
 def _moved(simulated: Channels, true: Channels, without: Channels) -> Channels:

@@ -2,22 +2,47 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
-from eval.gap.blind.oracle import bin_name, channel_of_most, core
+from eval.gap.blind.oracle import bin_name, channel_of_most, core, share_of_most
 from narxcal.effects.library import LIBRARY
 
 FLOOR: Final = 0.05  # share of the gap below which nobody has to find an effect
 NONE, UNKNOWN, FAILED = "none", "unknown", "failed"
+# Effect -> name of its size in the engines, and in the library.
+SAME: Final = {
+    "throttle_backlash": ("width_deg", "width_deg"),
+    "throttle_delay": ("delay_s", "delay_s"),
+    "throttle_rate_limit": ("rate_degps", "rate_degps"),
+    "throttle_bias": ("bias_deg", "bias_deg"),
+    "actuator_lag": ("tau_s", "tau_s"),
+    "sensor_lag": ("tau_s", "tau_s"),
+    "sensor_bias": ("offset", "bias"),
+    "sensor_drift": ("rate_per_h", "rate_per_h"),
+    "time_skew": ("skew_s", "skew_s"),
+}
+
+
+class Magnitude(NamedTuple):
+    """A size that was put in, and what was found of it."""
+
+    true: float
+    value: float
+    low: float
+    high: float
 
 
 class Outcome(NamedTuple):
-    """`truth` is the row of the key, `answer` a document of narxcal.gap/1, or why there is none."""
+    """`truth` is the row of the key, `answer` a document of narxcal.gap/1, or why there is none.
+
+    `reruns` are answers to the same case with other seeds.
+    """
 
     name: str
     truth: Mapping[str, Any]
     answer: Mapping[str, Any]
+    reruns: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def kind(self) -> str:
@@ -109,6 +134,54 @@ class Outcome(NamedTuple):
         return channel_of_most(self._said_shares()) == channel_of_most(self.truth["where"])
 
     @property
+    def direction_right(self) -> bool:
+        """Whether push, pull or rest is said to hold most energy, as it truly does."""
+        return share_of_most(self._said_shares(), 1) == share_of_most(self.truth["where"], 1)
+
+    @property
+    def has_bands(self) -> bool:
+        """Whether the key knows bands of frequency, and the answer has any."""
+        return bool(self.truth.get("bands")) and bool(self._said_bands())
+
+    @property
+    def band_right(self) -> bool:
+        """Whether most energy of the channel with most is said to be in the band that it is in."""
+        channel = channel_of_most(self.truth["where"]) or ""
+        true = self.truth["bands"].get(channel, ())
+        said = self._said_bands().get(channel, ())
+        return len(true) > 0 and len(said) > 0 and _largest(true) == _largest(said)
+
+    @property
+    def strength(self) -> float:
+        """The largest gain that any effect has: what a claim would rest on."""
+        gains = [row.get("gain", {}).get("value") for row in self.answer.get("effects", ())]
+        return max((float(gain) for gain in gains if gain is not None), default=0.0)
+
+    @property
+    def sureness(self) -> float:
+        """Probability of the effect that is named first; 0 where none is."""
+        return self.probabilities.get(self.claimed[0], 0.0) if self.claimed else 0.0
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The answer and those of the reruns in short: verdict and effects."""
+        every = (self, *(self._replace(answer=each) for each in self.reruns))
+        return tuple(" ".join([each.verdict, *sorted(each.claimed)]) for each in every)
+
+    @property
+    def magnitudes(self) -> list[Magnitude]:
+        """Sizes of effects that are rightly named, where engine and library mean the same."""
+        rows = {_name(row): row for row in self.answer.get("effects", ())}
+        found = []
+        for true in self.truth["effects"]:
+            own, theirs = SAME.get(true["id"], ("", ""))
+            said = rows.get(_name(true), {}).get("parameters", {}).get(theirs)
+            size = true.get("parameters", {}).get(own)
+            if said is not None and size and _name(true) in self.claimed:
+                found.append(Magnitude(size, said["value"], said["low"], said["high"]))
+        return found
+
+    @property
     def shrinkage(self) -> tuple[Mapping[str, float], float] | None:
         """Predicted shrinkage with its interval, and the realised one; None without a claim."""
         shrink = self.answer.get("shrink", {})
@@ -122,12 +195,20 @@ class Outcome(NamedTuple):
         found = self.answer.get("seconds")
         return None if found is None else float(found)
 
+    def _said_bands(self) -> dict[str, list[float]]:
+        bands = self.answer.get("quality", {}).get("bands", {})
+        return {name: [float(row["share"]) for row in rows] for name, rows in bands.items()}
+
     def _said_shares(self) -> dict[str, float]:
         return {
             bin_name(row["channel"], row["direction"], row["phase"]): float(row["share"])
             for row in self.answer.get("where", ())
             if row["share"] > 0.0
         }
+
+
+def _largest(values: Sequence[float]) -> int:
+    return max(range(len(values)), key=lambda k: values[k])
 
 
 def _name(row: Mapping[str, Any]) -> str:

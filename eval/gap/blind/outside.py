@@ -52,12 +52,12 @@ def applied(what: Strange, on: str, channels: Mapping[str, FloatArray], size: fl
 def _deadband(channels: Mapping[str, FloatArray], size: float) -> Channels:
     """The lever is heard only once it has left its last heard place by `size` degrees.
 
-    Without a lever it is the fuel flow, by that part of its range.
+    Without a lever it is the fuel flow, by that part of its median.
     """
     if "TRA_deg" in channels:
         return {"TRA_deg": _jumping(np.ascontiguousarray(channels["TRA_deg"]), size)}
     fuel = np.ascontiguousarray(channels["FF_kgph"])
-    return {"FF_kgph": _jumping(fuel, size / _FULL_DEG * float(np.ptp(fuel)))}
+    return {"FF_kgph": _jumping(fuel, size / _FULL_DEG * float(np.median(fuel)))}
 
 
 @compiled

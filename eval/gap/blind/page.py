@@ -18,7 +18,13 @@ _STYLE = (
 
 def tables(document: Mapping[str, Any]) -> list[Table]:
     """All tables of the score, the case by case one left out."""
-    return [_main(document), _by_gap_share(document), _confused(document)]
+    engines = _split(document, "engine")
+    return [
+        _main(document),
+        _by_gap_share(document),
+        *([engines] if engines else []),
+        _confused(document),
+    ]
 
 
 def render(document: Mapping[str, Any]) -> str:
@@ -56,6 +62,18 @@ def _main(document: Mapping[str, Any]) -> Table:
         for k, row in enumerate(document["table"])
     ]
     return "Blind test", ("", "all [95 %]", "n", *styles), rows
+
+
+def _split(document: Mapping[str, Any], fact: str) -> Table | None:
+    """Every measure by engine, where there are several."""
+    by = document[f"by_{fact}"]
+    if len(by) < 2:
+        return None
+    lines = [
+        [row["name"], *(_plain(rows[k]["value"]) for rows in by.values())]
+        for k, row in enumerate(document["table"])
+    ]
+    return f"By {fact}", ("", *by), lines
 
 
 def _by_gap_share(document: Mapping[str, Any]) -> Table:

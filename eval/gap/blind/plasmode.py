@@ -22,7 +22,7 @@ from eval.gap.blind.cases import BINS, BlindPlan, Content, draw_share
 from eval.gap.blind.catalogue import CATALOGUE, Dose, Scale
 from eval.gap.blind.files import FOLDERS, write_log
 from eval.gap.blind.make import Made
-from eval.gap.blind.oracle import true_shares
+from eval.gap.blind.oracle import located
 from eval.gap.blind.sizes import energy, gap_share, ranges, size_for
 from eval.gap.pairs import DIAGNOSED, match_simulated, read_folder
 from eval.gap.simulators import Simulate, open_simulator
@@ -144,7 +144,7 @@ def _made(
         "aimed_share": wanted.share,
         "pieces": [[p.log, p.rows.start, p.rows.stop] for p in pieces],
         "gap_share": gap_share(parts[1][held], parts[0][held], parts[2][held]),
-        "where": true_shares(
+        **located(
             list(zip(parts[2][own], parts[0][own], strict=True)), parts[0][own], parts[1][own]
         ),
     }

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import signal
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -16,9 +18,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import numpy as np
 from joblib import Parallel, delayed, parallel_config
 
-from eval.gap.blind.files import read_cases
+from eval.gap.blind.files import FOLDERS, read_cases
 from eval.gap.diagnose import Request, diagnose_folders
 from narxcal.atomic import atomic_write_text
 from narxcal.errors import ConfigError, NarxcalError
@@ -27,13 +30,19 @@ SCHEMA: Final = "narxcal.blind_answers/1"
 FAILED_SCHEMA: Final = "narxcal.blind_failed/1"
 ANSWERS, ANSWER, FAILED = "answers.json", "gap.json", "failed.json"
 Watch = Callable[[str, int, int], None]
+Task = tuple[str, int]  # a case, and the seed to answer it with
 
 
 class Limits(NamedTuple):
-    """How many cases at a time, and how many seconds each may take."""
+    """How many cases at a time, how many seconds each may take, and how often each is answered.
+
+    The first answer counts; further `seeds` show whether it would have been another. Each hands
+    over the flights in another order, which draws all pseudo-nulls and intervals anew.
+    """
 
     jobs: int = 1
     timeout_s: float = 900.0
+    seeds: int = 1
 
 
 class _Late(Exception):  # noqa: N818 - no error of anyone's
@@ -53,11 +62,12 @@ def run_cases(
     _check_out(out)
     out.mkdir(parents=True, exist_ok=True)
     atomic_write_text(out / ANSWERS, json.dumps({"schema": SCHEMA, "cases": cases}) + "\n")
-    left = [name for name in cases if not _answered(out / name)]
-    done = len(cases) - len(left)
+    every = [(name, seed) for seed in range(limits.seeds) for name in cases]
+    left = [task for task in every if not _answered(out / task[0], task[1])]
+    done = len(every) - len(left)
     for number, name in enumerate(_all_run(folder, out, left, limits), start=done + 1):
         if watch is not None:
-            watch(name, number, len(cases))
+            watch(name, number, len(every))
     summary = {"schema": SCHEMA, "cases": cases, **_counted(out, cases), "resumed": done}
     atomic_write_text(out / ANSWERS, json.dumps(summary, indent=1) + "\n")
     return summary
@@ -65,11 +75,29 @@ def run_cases(
 
 def read_answer(out: Path, name: str) -> dict[str, Any] | None:
     """Read the answer to a case, its failure included; None where there is none yet."""
-    for file in (out / name / ANSWER, out / name / FAILED):
+    return _read(out / name, 0)
+
+
+def read_reruns(out: Path, name: str) -> tuple[dict[str, Any], ...]:
+    """Read the answers with other seeds."""
+    found: list[dict[str, Any]] = []
+    while (answer := _read(out / name, len(found) + 1)) is not None:
+        found.append(answer)
+    return tuple(found)
+
+
+def _read(folder: Path, seed: int) -> dict[str, Any] | None:
+    for file in _files(folder, seed):
         if file.is_file():
             document: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
             return document
     return None
+
+
+def _files(folder: Path, seed: int) -> tuple[Path, Path]:
+    """Where an answer is, and where the reason is that there is none."""
+    start = "" if seed == 0 else f"seed_{seed}_"
+    return folder / f"{start}{ANSWER}", folder / f"{start}{FAILED}"
 
 
 def _check_out(out: Path) -> None:
@@ -86,32 +114,26 @@ def _check_out(out: Path) -> None:
         )
 
 
-def _answered(folder: Path) -> bool:
-    return (folder / ANSWER).is_file() or (folder / FAILED).is_file()
+def _answered(folder: Path, seed: int) -> bool:
+    return any(file.is_file() for file in _files(folder, seed))
 
 
-def _all_run(folder: Path, out: Path, names: list[str], limits: Limits) -> Iterator[str]:
-    if min(limits.jobs, len(names)) <= 1:
-        yield from (_run_case(folder, out, name, limits.timeout_s) for name in names)
+def _all_run(folder: Path, out: Path, left: list[Task], limits: Limits) -> Iterator[str]:
+    if min(limits.jobs, len(left)) <= 1:
+        yield from (_run_case(folder, out, task, limits.timeout_s) for task in left)
         return
-    tasks = (delayed(_run_case)(folder, out, name, limits.timeout_s) for name in names)
+    tasks = (delayed(_run_case)(folder, out, task, limits.timeout_s) for task in left)
     with parallel_config(backend="loky", inner_max_num_threads=1):
         yield from Parallel(n_jobs=limits.jobs, return_as="generator_unordered")(tasks)
 
 
-def _run_case(folder: Path, out: Path, name: str, timeout_s: float) -> str:
+def _run_case(folder: Path, out: Path, task: Task, timeout_s: float) -> str:
     """Diagnose one case and write what came of it; runs in a process of its own."""
+    name, seed = task
     began = time.perf_counter()
-    case = folder / name
-    request = Request(
-        real=case / "real",
-        sim=str(case / "sim"),
-        held_real=case / "real_heldout",
-        held_sim=str(case / "sim_heldout"),
-    )
     try:
-        with _at_most(timeout_s):
-            found = {**diagnose_folders(request).document}
+        with _at_most(timeout_s), _shuffled(folder / name, seed) as case:
+            found = {**diagnose_folders(_request(case)).document}
         took = time.perf_counter() - began
         if took > timeout_s:
             found = _failure("timeout", f"took {took:.0f} s of {timeout_s:g} s")
@@ -122,10 +144,36 @@ def _run_case(folder: Path, out: Path, name: str, timeout_s: float) -> str:
     except Exception as error:  # noqa: BLE001 - one case that breaks must not end all the others
         found = _failure("error", f"{type(error).__name__}: {error}")
     found["seconds"] = round(time.perf_counter() - began, 2)
-    file = FAILED if found["schema"] == FAILED_SCHEMA else ANSWER
+    answer, failed = _files(out / name, seed)
     text = json.dumps(_finite(found), indent=1, allow_nan=False) + "\n"
-    atomic_write_text(out / name / file, text)
+    atomic_write_text(failed if found["schema"] == FAILED_SCHEMA else answer, text)
     return name
+
+
+def _request(case: Path) -> Request:
+    return Request(
+        real=case / "real",
+        sim=str(case / "sim"),
+        held_real=case / "real_heldout",
+        held_sim=str(case / "sim_heldout"),
+    )
+
+
+@contextmanager
+def _shuffled(case: Path, seed: int) -> Iterator[Path]:
+    """The case with its flights in another order, by new names; as it is for seed 0."""
+    if seed == 0:
+        yield case
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        for sides in (FOLDERS[:2], FOLDERS[2:]):
+            logs = sorted(file.name for file in (case / sides[0]).iterdir())
+            order = np.random.default_rng(seed).permutation(len(logs)).tolist()
+            for side in sides:
+                (Path(folder) / side).mkdir()
+                for log, place in zip(logs, order, strict=True):
+                    shutil.copyfile(case / side / log, Path(folder) / side / logs[place])
+        yield Path(folder)
 
 
 def _failure(kind: str, reason: str) -> dict[str, Any]:

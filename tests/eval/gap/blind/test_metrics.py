@@ -7,14 +7,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eval.gap.blind.metrics import (
+    area_under_curve,
     brier,
     calibration_error,
     kappa,
+    log_score,
     macro_f1,
     mean,
     median,
     overlap,
     rate,
+    selective_accuracy,
+    slope,
 )
 
 
@@ -85,3 +89,14 @@ def test_means_of_nothing_are_no_numbers():
     assert math.isnan(mean([]))
     assert math.isnan(median([]))
     assert (mean([1.0, 4.0]), median([1.0, 9.0, 2.0])) == (2.5, 2.0)
+
+
+def test_log_score_area_selection_and_slope():
+    assert log_score([1.0, 0.5]) == pytest.approx(0.5 * math.log(2.0))
+    assert log_score([0.0]) == pytest.approx(-math.log(0.01))
+    assert area_under_curve([3.0, 2.0], [1.0, 2.0]) == pytest.approx((1 + 1 + 1 + 0.5) / 4)
+    assert math.isnan(area_under_curve([], [1.0]))
+    assert selective_accuracy([0.9, 0.1, 0.8, 0.7, 0.6], [True, False, True, True, False]) == 0.75
+    assert math.isnan(selective_accuracy([], []))
+    assert slope([0.0, 1.0, 2.0], [1.0, 3.0, 5.0]) == pytest.approx(2.0)
+    assert math.isnan(slope([1.0, 1.0], [0.0, 1.0]))

@@ -2,12 +2,13 @@
 
 import json
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from eval.gap.blind import run
-from eval.gap.blind.run import Limits, read_answer, run_cases
+from eval.gap.blind.run import Limits, read_answer, read_reruns, run_cases
 from eval.gap.blind.score import score_answers
 from narxcal.errors import ConfigError, DataError
 
@@ -39,6 +40,35 @@ def test_every_case_gets_an_answer_and_nobody_needs_the_key(made, asked, tmp_pat
     assert (first.real, first.sim) == (made / "case_001" / "real", str(made / "case_001" / "sim"))
     assert first.held_real == made / "case_001" / "real_heldout"
     assert first.held_sim == str(made / "case_001" / "sim_heldout")
+
+
+def test_other_seeds_hand_over_the_same_flights_in_another_order(
+    made, monkeypatch, answer, tmp_path
+):
+    seen = []
+
+    def diagnose(request):
+        logs = [
+            [file.read_bytes() for file in sorted(folder.iterdir())]
+            for folder in (request.real, Path(request.sim), request.held_real)
+        ]
+        seen.append(logs)
+        return SimpleNamespace(document=answer("none", ()) if len(seen) > 3 else answer())
+
+    monkeypatch.setattr(run, "diagnose_folders", diagnose)
+    out = tmp_path / "out"
+    run_cases(made, out)
+    run_cases(made, out, Limits(seeds=4))
+    assert len(seen) == 12
+    firsts = [seen[k] for k in (0, 3, 6, 9)]
+    assert all(sorted(each[0]) == sorted(firsts[0][0]) for each in firsts)
+    assert len({each[0][0] for each in firsts}) == 2
+    for each in firsts:
+        assert firsts[0][1].index(each[1][0]) == firsts[0][0].index(each[0][0])
+    assert [a["verdict"]["kind"] for a in read_reruns(out, "case_001")] == ["none"] * 3
+    table = score_answers(made, out, "4")["table"]
+    changed = next(row for row in table if row["name"] == "cases whose answer changes")
+    assert (changed["hits"], changed["of"]) == (3, 3)
 
 
 def test_it_goes_on_where_it_was_cut_short(made, asked, tmp_path):

@@ -80,6 +80,77 @@ def test_means_are_taken_over_the_right_cases(outcomes, name, expected):
     assert value(outcomes, name) == pytest.approx(expected)
 
 
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("AUC of the best gain, g >= 5 % against nulls", 0.5),
+        ("log score (-ln p of the true effect)", -(2 * math.log(0.9) + 2 * math.log(0.1)) / 4),
+        ("right among the surest 80 %", 2 / 4),
+        ("recovered (realised over g), median", 0.75 / 0.2),
+        ("relative error of the size, median", 0.1),
+    ],
+)
+def test_what_is_only_defined_for_some(outcome, answer, name, expected):
+    sized = {"value": 1.8, "low": 1.5, "high": 1.9}
+    told = answer(effects=("sensor_lag:EGT_C",))
+    row = {"id": "sensor_lag", "channel": "EGT_C", "probability": 0.9}
+    told["effects"] = [row | {"parameters": {"tau_s": sized}, "gain": {"value": 0.5}}]
+    right = outcome({"effects": ("sensor_lag:EGT_C",)}, told, "right")
+    right.truth["effects"][0]["parameters"] = {"tau_s": 2.0}
+    wrong = outcome({"effects": ("sensor_lag:EGT_C",), "gap_share": 0.2}, answer(), "wrong")
+    null = outcome({"kind": "null", "effects": (), "gap_share": 0.0}, told, "null")
+    cases = [right, wrong, right._replace(name="again"), wrong._replace(name="again wrong"), null]
+    found = value(cases, name)
+    if name.startswith("AUC"):  # gains of 0.5, 0, 0.5, 0 against one of 0.5
+        expected = (0.5 + 0.0 + 0.5 + 0.0) / 4
+    assert found == pytest.approx(expected)
+
+
+def test_sizes_within_their_intervals_and_slopes(outcome, answer):
+    low = answer(shrink={"predicted": {"value": 0.2, "low": 0.1, "high": 0.3}, "realised": 0.1})
+    high = answer(shrink={"predicted": {"value": 0.8, "low": 0.7, "high": 0.9}, "realised": 0.7})
+    cases = [outcome(answer=low, name="low"), outcome(answer=high, name="high")]
+    assert value(cases, "slope of realised over predicted") == pytest.approx(1.0)
+    assert math.isnan(value(cases[:1], "slope of realised over predicted"))
+    assert value(cases, "true size within its interval").of == 0
+
+
+def test_where_by_direction_and_band(outcome, answer):
+    bands = {"N1_pct": [{"share": 0.7}, {"share": 0.3}]}
+    told = answer(quality={"bands": bands})
+    known = outcome(answer=told)
+    for shares, right in (([0.6, 0.4], 1), ([0.2, 0.8], 0)):
+        truth = {**known.truth, "bands": {"N1_pct": shares}}
+        assert value([known._replace(truth=truth)], "band of most energy").hits == right
+    assert value([known], "band of most energy").of == 0
+    assert value([known], "direction of most energy").hits == 1
+    rest = {**known.truth, "where": {"N1_pct|steady|steady": 1.0}}
+    assert value([known._replace(truth=rest)], "direction of most energy").hits == 0
+
+
+def test_answers_that_change_are_counted(outcome, answer):
+    same, other = answer(), answer("ambiguous", ("spool_lag",), ("sensor_lag:EGT_C",))
+    cases = [
+        outcome(name="steady")._replace(reruns=(same, same)),
+        outcome(name="flips")._replace(reruns=(same, other)),
+        outcome(name="once"),
+    ]
+    assert (value(cases, "cases whose answer changes").hits) == 1
+    assert (value(cases, "cases whose answer changes").of) == 2
+    assert (value(cases, "reruns with another answer").hits) == 1
+    assert (value(cases, "reruns with another answer").of) == 4
+
+
+def test_several_engines_stand_side_by_side(outcomes, outcome):
+    other = outcome(name="lumped")
+    other = other._replace(truth={**other.truth, "engine": "lumped_n1"})
+    found = tables(scored([*outcomes, other], {}))
+    assert [each[0] for each in found] == [
+        "Blind test", "By share of the gap", "By engine", "What was said of what"
+    ]  # fmt: skip
+    assert found[2][1] == ("", "business_jet", "lumped_n1")
+
+
 def test_groups_by_share_of_the_gap(outcomes):
     groups = by_gap_share(outcomes)
     assert [row["gap_share"] for row in groups] == [
