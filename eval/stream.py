@@ -140,7 +140,7 @@ class _Lines:
     text: str
 
     def open(self, mode: str) -> BinaryIO:
-        """Give the lines behind a stand-in for the header, which readers skip."""
+        """Give the lines behind one in the place of the header, which readers skip."""
         if mode != "rb":
             raise ValueError(f"lines are read as bytes, not in mode {mode!r}")
         return io.BytesIO(b"header\n" + self.text.encode("utf-8"))

@@ -6,6 +6,7 @@ Nothing here runs; the names are public, so a user's type checker sees what this
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,8 @@ from data_prep.clean import CleanConfig, clean
 from data_prep.prepare import prepare
 from data_prep.smooth import SmoothConfig, smooth
 from eval import transients
-from eval.demo_flights import write_logs
 from eval.transients import Assessment, Overlay, TransientsConfig
+from eval.virtual_flights import VirtualLog, fly, load_scenario, write_flights
 from narxcal import (
     Bundle,
     ConfigError,
@@ -29,10 +30,10 @@ from narxcal import (
     save_bundle,
 )
 from narxcal.channels import CHANNELS, Channel, channel
+from narxcal.flight_test.scenario import FlightScenario
 from narxcal.fuser import FusedRun, FusedStep
 from narxcal.fuser_noise import NoiseModel
-from narxcal.standin import StandInEngine, maker_model
-from narxcal.standin_pilot import fly
+from narxcal.turbofan import VirtualEngine, maker_model
 from training.config import RunConfig, load_config
 
 Floats = NDArray[np.float64]
@@ -53,10 +54,11 @@ error: NarxcalError = DataError("text", file=Path("a.csv"), channel="N1_pct", ro
 
 events: EventsConfig = EventsConfig.parse({"driver": "TRA_deg"}, file="demo.toml")
 
-flight: dict[str, Floats] = fly(0, duration_s=480.0, rate_hz=32.0)
+scenario: FlightScenario = load_scenario("demo")
+flight: list[VirtualLog] = fly(scenario, 1)
 settled: Floats = maker_model(np.zeros((5, 9)))
-outputs: dict[str, Floats] = StandInEngine().simulate(flight, 1.0 / 32.0)
-files: list[Path] = write_logs("flights", seed=0, flights=6)
+outputs: dict[str, Floats] = VirtualEngine().simulate(flight[0].recorded, 1.0 / 32.0)
+truth: dict[str, Any] = write_flights(Path("flights"), scenario)
 
 config: RunConfig
 folder: Path

@@ -1,4 +1,4 @@
-"""Replay with the fuser against the clock, on the stand-in engine at 32 Hz."""
+"""Replay with the fuser against the clock, on a virtual flight at 32 Hz."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from data_prep.log import Log
 from eval.benchmarks.row import Row
-from eval.demo_flights import write_logs
 from eval.replay import ReplayModel, replay
+from eval.reproduce.flights import flown
+from eval.virtual_flights import load_scenario, write_flights
 from narxcal.bundle import Bundle
 from narxcal.fuser import KalmanFuser, NoiseModel
 from training.config import RunConfig, load_config
@@ -27,7 +28,7 @@ def rows(duration_s: float = 1440.0, steps: int = 5000) -> list[Row]:
     """Train briefly, since speed does not depend on the weights, then replay and step."""
     config, base = load_config("demo.toml")
     with TemporaryDirectory() as folder:
-        flight = write_logs(folder, flights=1, duration_s=duration_s)[0]
+        flight = _fly(Path(folder), duration_s)
         log, bundle = _briefly_trained(config, base, flight)
         model = ReplayModel.of(bundle)
         replay(model, flight, Path(folder) / "warm.csv")
@@ -62,15 +63,23 @@ def rows(duration_s: float = 1440.0, steps: int = 5000) -> list[Row]:
     ]
 
 
-def _briefly_trained(config: RunConfig, base: Path, flight: Path) -> tuple[Log, Bundle]:
-    """A model of the demonstration's structure over the stand-in's own steady state.
+def _fly(folder: Path, duration_s: float) -> Path:
+    """One flight of the demonstration's engine, of this length."""
+    demo = load_scenario("demo")
+    plan = demo.plan.model_copy(update={"duration_s": duration_s})
+    truth = write_flights(folder, demo.model_copy(update={"plan": plan, "flights": 1}))
+    return folder / str(truth["logs"][0]["file"])
 
-    The virtual engine's is solved anew at every row, which takes several times as long as all
-    else: a replay over it would measure the maker's model.
+
+def _briefly_trained(config: RunConfig, base: Path, flight: Path) -> tuple[Log, Bundle]:
+    """A model of the demonstration's structure over a table of the virtual engine.
+
+    The engine itself is solved anew at every row, which takes several times as long as all else:
+    a replay over it would measure the maker's model.
     """
+    config, _ = flown(config, base, flight.parent)
     brief = config.train.model_copy(update={"horizons_s": (5.0,), "iterations": (2,)})
-    steady = config.steady_state.model_copy(update={"source": "narxcal.standin:maker_model"})
-    config = config.model_copy(update={"train": brief, "steady_state": steady})
+    config = config.model_copy(update={"train": brief})
     log = prepare_logs(config, [flight], 1.0 / 32.0)[0]
     return log, calibrate(config, base, Split((log,), (), ()))
 

@@ -46,6 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _drop_stdout()
         return _end(f"error: {_one_line(error)}", BAD_INPUT)
     except Exception as error:  # noqa: BLE001 -- the roof: nothing above could still report it
+        if isinstance(error.__cause__, KeyboardInterrupt):  # it fell into a compiled loop
+            return _end("interrupted; nothing was written", INTERRUPTED)
         if wants_traceback:
             traceback.print_exc()
         what = f"{type(error).__name__}: {_one_line(error)}"

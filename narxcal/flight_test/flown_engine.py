@@ -2,36 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from narxcal.flight_test.flown_effects import FlownEffect
-from narxcal.flight_test.measurement import FloatArray
 from narxcal.flight_test.scenario import FlightScenario
-from narxcal.standin import StandInEngine
 from narxcal.turbofan import Unmodelled, VirtualEngine, build_scatter
 from narxcal.turbofan.stations import Health
 
 
-class Engine(Protocol):
-    """Turns inputs over time into outputs over time, from a settled start and without sensors."""
-
-    def simulate(self, inputs: Mapping[str, FloatArray], dt_s: float) -> dict[str, FloatArray]:
-        """Run a whole flight: channel -> `(time,)` in and out."""
-        ...
-
-
 def flown_engine(
     scenario: FlightScenario, side: str, effects: Sequence[FlownEffect] = ()
-) -> Engine:
+) -> VirtualEngine:
     """Build the engine on one side of the aircraft, with those `effects` that sit in an engine.
 
     It is the same engine on every flight of the scenario, but for its effects.
     """
-    if scenario.engine == "standin":
-        return StandInEngine()
     unmodelled = [
         Unmodelled(effect.id, effect.parameters, effect.windows_s)
         for effect in effects
@@ -42,7 +30,7 @@ def flown_engine(
 
 def build_facts(scenario: FlightScenario, side: str) -> dict[str, Any]:
     """Say how the engine on one side was built: multipliers of efficiencies and flows."""
-    return {} if scenario.engine == "standin" else _build(scenario, side)._asdict()
+    return _build(scenario, side)._asdict()
 
 
 def _build(scenario: FlightScenario, side: str) -> Health:

@@ -45,8 +45,7 @@ _STILL_DEG_S, _LEAST_DEG = 0.2, 0.5
 class FlightScenario(Section):
     """Everything that decides the logs of `narxcal fly`.
 
-    engine: the preset; `standin` is the small surrogate of `narxcal.standin`, which knows no
-        engine-side effects. engines: which of the two are recorded.
+    engine: the preset. engines: which of the two on the aircraft are recorded.
     flights, seed: how many, and what they are drawn from; left out, six or all `records`.
     plan: the kind of flight; the aircraft is the engine's where it is not named.
     records: fly the data sets of `narxcal.flight_test.data_sets` instead; of `plan`, only the rate
@@ -58,7 +57,7 @@ class FlightScenario(Section):
 
     schema_: Literal["narxcal.fly/1"] = Field(default=SCHEMA, alias="schema")
     name: str = "virtual flight test"
-    engine: Literal["business_jet", "single_aisle", "standin"] = "business_jet"
+    engine: Literal["business_jet", "single_aisle"] = "business_jet"
     engines: tuple[Side, ...] = Field(default=("left", "right"), min_length=1)
     flights: int | None = Field(default=None, ge=1, le=999)
     seed: int = Field(default=0, ge=0)
@@ -95,11 +94,6 @@ class FlightScenario(Section):
                     f"effect '{effect.name}' names flight {beyond[0]}, "
                     f"and there are {self.flight_count}"
                 )
-            if self.engine == "standin" and not effect.on_sensor:
-                raise ConfigError(
-                    f"the stand-in engine has no effect '{effect.id}'",
-                    hint="Fly engine = 'business_jet', or sensor-side effects only",
-                )
         return self
 
     @property
@@ -111,7 +105,7 @@ class FlightScenario(Section):
 
     def flight_plan(self) -> FlightPlan:
         """Give the plan of every flight, with the aircraft of the engine."""
-        if "aircraft" in self.plan.model_fields_set or self.engine == "standin":
+        if "aircraft" in self.plan.model_fields_set:
             return self.plan
         return self.plan.model_copy(update={"aircraft": self.engine})
 

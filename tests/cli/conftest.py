@@ -1,4 +1,4 @@
-"""Short flights of the stand-in engine, one model trained on them, and two ways to run commands."""
+"""Short pieces of virtual flights, one model trained on them, and two ways to run commands."""
 
 import os
 import signal
@@ -10,7 +10,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from eval.demo_flights import write_logs
 from narxcal.cli import main
 
 ROOT = Path(__file__).parents[2]
@@ -39,18 +38,18 @@ threads = 1
 random_splits = 1
 
 [steady_state]
-kind = "callable"
-source = "narxcal.standin:maker_model"
-inputs = ["TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "NAI", "WAI"]
+kind = "table"
+source = "MAKER"
+inputs = ["TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach"]
 """
 
 
 @pytest.fixture(scope="session")
-def project(tmp_path_factory):
+def project(tmp_path_factory, write_pieces, maker_table):
     """A folder with flights, a configuration and a trained model, for all tests to read."""
     folder = tmp_path_factory.mktemp("project")
-    write_logs(folder / "flights", seed=3, flights=3, duration_s=150.0)
-    (folder / "tiny.toml").write_text(CONFIG, "utf-8")
+    write_pieces(folder / "flights", seed=3, flights=3)
+    (folder / "tiny.toml").write_text(CONFIG.replace("MAKER", maker_table["source"]), "utf-8")
     assert main(["train", str(folder / "tiny.toml"), "--out", str(folder / "run"), "--quiet"]) == 0
     return folder
 

@@ -14,7 +14,6 @@ import pytest
 
 from data_prep.log import Log
 from data_prep.reading import read_logs
-from eval.demo_flights import write_logs
 from narxcal.bundle import load_bundle
 from narxcal.cli import main
 from narxcal.cli.prepare import file_names
@@ -221,9 +220,11 @@ def test_simulate_gives_the_free_run_and_needs_no_outputs(project, narxcal, tmp_
     assert math.sqrt(np.mean((table["N1_pct"] - measured) ** 2)) < 6.0
 
 
-def test_simulate_reads_the_recorder_s_columns_by_the_mapping_of_the_model(narxcal, tmp_path):
+def test_simulate_reads_the_recorder_s_columns_by_the_mapping_of_the_model(
+    narxcal, write_pieces, tmp_path
+):
     """Train on a recorder with two engines and its own names, then simulate its inputs alone."""
-    recorded(tmp_path)
+    recorded(write_pieces(tmp_path / "flights", seed=5, flights=2), tmp_path)
     assert narxcal("train", tmp_path / "two.toml", "--out", tmp_path / "run", "--quiet").code == 0
     flight = pd.read_csv(tmp_path / "flights" / "flight_2.csv")
     inputs = tmp_path / "inputs.csv"
@@ -235,11 +236,11 @@ def test_simulate_reads_the_recorder_s_columns_by_the_mapping_of_the_model(narxc
     assert table["time_s"].is_monotonic_increasing
 
 
-def recorded(folder, engines=("lh", "rh")):
-    """Two flights as a recorder with names of its own would write them, both engines alike."""
+def recorded(paths, folder, engines=("lh", "rh")):
+    """Flights as a recorder with names of its own would write them, both engines alike."""
     shared = ["ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "NAI", "WAI"]
     own = {"TRA_deg": "lever", "N1_pct": "fan", "N2_pct": "core", "EGT_C": "itt"}
-    for path in write_logs(folder / "flights", seed=5, flights=2, duration_s=150.0):
+    for path in paths:
         log = pd.read_csv(path)
         table = log[["time_s", *shared]].rename(columns={"time_s": "clock"})
         for engine in engines:
@@ -280,7 +281,7 @@ threads = 1
 
 [steady_state]
 kind = "callable"
-source = "narxcal.standin:maker_model"
+source = "narxcal.turbofan:maker_model"
 inputs = ["TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "NAI", "WAI"]
 """
 

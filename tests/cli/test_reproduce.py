@@ -6,13 +6,11 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 
 from narxcal.bundle import load_bundle
 from narxcal.cli import main
 from narxcal.cli import reproduce as command
-from narxcal.standin_pilot import fly
 
 CONFIG = """\
 schema = "narxcal.config/1"
@@ -34,9 +32,9 @@ hidden = 2
 lags = 1
 
 [steady_state]
-kind = "callable"
-source = "narxcal.standin:maker_model"
-inputs = ["TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "NAI", "WAI"]
+kind = "table"
+source = "MAKER"
+inputs = ["TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach"]
 """
 STUDIES = [
     "correlation", "smoothing", "segments", "inputs", "deviations", "accuracy",
@@ -52,14 +50,13 @@ def strict(text):
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
+def place(tmp_path_factory, piece, maker_table):
     """A folder of three data sets and their configuration."""
     folder = tmp_path_factory.mktemp("paper")
     (folder / "sets").mkdir()
     for number in (1, 2, 3):
-        table = pd.DataFrame(fly(number, 150.0, 8.0))
-        table.to_csv(folder / "sets" / f"data_set_{number}.csv", index=False)
-    (folder / "tiny.toml").write_text(CONFIG, "utf-8")
+        piece(number).to_csv(folder / "sets" / f"data_set_{number}.csv")
+    (folder / "tiny.toml").write_text(CONFIG.replace("MAKER", maker_table["source"]), "utf-8")
     return folder
 
 

@@ -17,7 +17,7 @@ from narxcal.flight_test.data_sets import (
 from narxcal.flight_test.envelope import CEILING_FT, CHANNEL_NAMES
 from narxcal.flight_test.manoeuvres import HAND_DEG_S
 from narxcal.flight_test.record import PAPER_RECORDS
-from narxcal.standin import INPUT_NAMES, StandInEngine
+from narxcal.turbofan.virtual_engine import INPUT_NAMES, VirtualEngine
 
 RANGED = ("TRA_deg", "ALT_ft", "Mach", "dT_C")
 
@@ -194,7 +194,7 @@ def test_wheels_carry_weight_on_the_field_only():
 def test_an_engine_can_fly_a_set():
     channels = take_off_approach_sets(0)[0].channels
     short = {name: channels[name][: 700 * 32] for name in INPUT_NAMES}
-    outputs = StandInEngine().simulate(short, 1 / 32)
+    outputs = VirtualEngine().simulate(short, 1 / 32)
     assert all(np.isfinite(values).all() for values in outputs.values())
 
 

@@ -16,7 +16,7 @@ from narxcal.flight_test.mesh import (
     mach_range,
     static_mesh,
 )
-from narxcal.standin import INPUT_NAMES, StandInEngine
+from narxcal.turbofan.virtual_engine import INPUT_NAMES, VirtualEngine
 
 ALL = (*static_mesh(), *dynamic_mesh(decelerations=True))
 
@@ -166,7 +166,7 @@ def test_a_ceiling_outside_the_mesh_is_refused(mesh, ceiling_ft):
 
 def test_an_engine_can_fly_a_case():
     channels = dynamic_mesh()[0].channels()
-    outputs = StandInEngine().simulate({name: channels[name] for name in INPUT_NAMES}, 1 / 32)
+    outputs = VirtualEngine().simulate({name: channels[name] for name in INPUT_NAMES}, 1 / 32)
     assert outputs["N1_pct"][-1] > outputs["N1_pct"][0] + 1.0
 
 

@@ -27,7 +27,7 @@ from narxcal.flight_test.lever import rate_limited
 from narxcal.flight_test.manoeuvres import HAND_DEG_S
 from narxcal.flight_test.pilot import ENGINES, STYLES
 from narxcal.flight_test.profile import FlightPlan, _draw_day, plan_flight, seeded
-from narxcal.standin import INPUT_NAMES, StandInEngine
+from narxcal.turbofan.virtual_engine import INPUT_NAMES, VirtualEngine
 
 seeds = st.integers(0, 2**31)
 styles = st.sampled_from(STYLES)
@@ -360,7 +360,7 @@ def test_lever_moves_change_the_speed_in_flight(enriched):
 
 def test_an_engine_can_fly_it():
     flight = plan_flight(FlightPlan(duration_s=480.0), 0)["left"]
-    outputs = StandInEngine().simulate({name: flight[name] for name in INPUT_NAMES}, 1 / 32)
+    outputs = VirtualEngine().simulate({name: flight[name] for name in INPUT_NAMES}, 1 / 32)
     assert all(np.isfinite(values).all() for values in outputs.values())
 
 

@@ -11,7 +11,6 @@ from narxcal.errors import ConfigError
 from narxcal.flight_test.flown_engine import build_facts, flown_engine
 from narxcal.flight_test.profile import FlightPlan
 from narxcal.flight_test.scenario import FlightScenario, LeverMove, canonical, lever_moves
-from narxcal.standin import StandInEngine
 from narxcal.turbofan import VirtualEngine
 
 SLOW = {"duration_s": 480.0, "rate_hz": 4.0}
@@ -58,7 +57,6 @@ def test_an_engine_keeps_its_build_and_the_two_differ():
     assert all(abs(value - 1.0) < 0.05 for value in (*left.values(), *right.values()))
     exact = build_facts(scenario(build_scatter_pct=0.0), "left")
     assert set(exact.values()) == {1.0}
-    assert build_facts(scenario(engine="standin"), "left") == {}
 
 
 # Plans
@@ -66,7 +64,6 @@ def test_an_engine_keeps_its_build_and_the_two_differ():
 
 def test_the_aircraft_is_the_engines_unless_it_is_named():
     assert scenario(engine="single_aisle").flight_plan().aircraft == "single_aisle"
-    assert scenario(engine="standin").flight_plan().aircraft == "business_jet"
     named = scenario(engine="single_aisle", plan={**SLOW, "aircraft": "business_jet"})
     assert named.flight_plan() == FlightPlan(aircraft="business_jet", **SLOW)
 
@@ -117,7 +114,6 @@ def test_the_engine_has_the_effects_of_its_side_and_no_others():
     assert isinstance(slow, VirtualEngine)
     assert slow.fit.body.inertia2_J == pytest.approx(1.5 * plain.fit.body.inertia2_J)
     assert slow.fit.health == plain.fit.health
-    assert isinstance(flown_engine(scenario(engine="standin"), "left"), StandInEngine)
 
 
 # Effects in time
@@ -208,10 +204,7 @@ def test_channels_are_put_in_canonical_order():
     [
         (
             {"engine": "jt15d"},
-            (
-                "key 'engine': Input should be 'business_jet', 'single_aisle' or 'standin', "
-                "found 'jt15d'"
-            ),
+            "key 'engine': Input should be 'business_jet' or 'single_aisle', found 'jt15d'",
         ),
         ({"sead": 1}, "unknown key 'sead'. Did you mean 'seed'?"),
         ({"seed": -1}, "key 'seed': Input should be greater than or equal to 0, found -1"),
@@ -239,13 +232,6 @@ def test_channels_are_put_in_canonical_order():
         (
             {"effects": [LAG, LAG]},
             "effect 'sensor_lag@EGT_C' is given twice. Give its parameters at one place",
-        ),
-        (
-            {"effects": [SWITCH], "engine": "standin"},
-            (
-                "the stand-in engine has no effect 'unlogged_switch'. "
-                "Fly engine = 'business_jet', or sensor-side effects only"
-            ),
         ),
         (
             {"effects": [{"id": "sensor_lagg", "channel": "EGT_C"}]},

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 
 from narxcal.errors import ConfigError, ModelError
-from narxcal.standin import INPUT_NAMES, maker_model
-from narxcal.steady_callable import SteadyCallable
 from narxcal.steady_csv import read_steady_table
 from narxcal.steady_export import ExportOptions, Grid, export_fmu, export_table
 from narxcal.steady_export.plan import plan
@@ -23,13 +21,8 @@ if shutil.which("cc") is None or not sys.platform.startswith("linux"):
     pytest.skip("needs a C compiler, on Linux", allow_module_level=True)
 
 OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
-OPTIONS = ExportOptions(tolerance_pct=1.0, probes=1000, source="<the> stand-in")
+OPTIONS = ExportOptions(tolerance_pct=1.0, probes=1000, source="<the> deck")
 VERSIONS = ("2.0", "3.0")
-
-
-@pytest.fixture(scope="module")
-def maker():
-    return SteadyCallable(maker_model, (INPUT_NAMES, OUTPUTS))
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +66,7 @@ def test_the_fmu_is_valid_and_bears_names_units_and_its_error(exported, version)
     assert described.fmiVersion == version
     assert described.generationTool.startswith("narxcal")
     assert described.coSimulation.modelIdentifier.isidentifier()
-    assert "Steady-state engine model <the> stand-in" in described.description
+    assert "Steady-state engine model <the> deck" in described.description
     assert "Holds for WAI = 1 only" in described.description
     assert all(name in described.description for name in OUTPUTS)
     found = {one.name: one for one in described.modelVariables}

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from narxcal.errors import ConfigError, ModelError
-from narxcal.standin import INPUT_NAMES, maker_model
 from narxcal.steady_callable import SteadyCallable
 from narxcal.steady_export.axis_nodes import best_nodes, grow
 from narxcal.steady_export.grid import Grid, candidates
@@ -96,9 +95,8 @@ def test_candidates_are_the_nodes_asked_for_and_round_numbers(ends):
     assert np.diff(found).min() > 0.29 * step
 
 
-def test_a_model_without_an_envelope_is_sampled_over_the_usual_ranges():
-    model = SteadyCallable(maker_model, (INPUT_NAMES, ("N1_pct", "N2_pct", "EGT_C")))
-    grid = Grid.of_model(model, {"NAI": [0.0], "dT_C": [-10.0, 0.0, 10.0]})
+def test_a_model_without_an_envelope_is_sampled_over_the_usual_ranges(maker):
+    grid = Grid.of_model(maker, {"NAI": [0.0], "dT_C": [-10.0, 0.0, 10.0]})
     assert grid.axes["TRA_deg"] == USUAL_RANGES["TRA_deg"]
     assert grid.axes["dT_C"] == (-10.0, 0.0, 10.0)
     assert grid.axes["WAI"] == (0.0, 1.0)

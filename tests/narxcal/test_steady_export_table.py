@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from narxcal.errors import ConfigError, ModelError
-from narxcal.standin import INPUT_NAMES, maker_model
 from narxcal.steady_callable import SteadyCallable
 from narxcal.steady_csv import read_steady_table
 from narxcal.steady_export import ExportOptions, Grid, export_table
@@ -17,14 +16,9 @@ from narxcal.steady_export.gridded import Block, GriddedModel
 from narxcal.steady_export.layers import additive_switches, layers
 from narxcal.steady_export.plan import plan
 from narxcal.steady_table import SteadyTable
+from narxcal.turbofan.virtual_engine import INPUT_NAMES
 
-NAMES = (INPUT_NAMES, ("N1_pct", "N2_pct", "EGT_C"))
 FIXED = {name: [0.0] for name in ("WOW", "Approach", "NAI", "WAI")}
-
-
-@pytest.fixture
-def maker():
-    return SteadyCallable(maker_model, NAMES)
 
 
 def bent(inputs):

@@ -39,7 +39,7 @@ def test_a_function_beside_the_user_is_called_with_inputs_and_interval(here, fly
 
 def test_an_installed_function_too(fly, log_of):
     with pytest.raises(ConfigError, match="has no function 'nothing'"):
-        open_simulator("narxcal.standin:nothing")
+        open_simulator("narxcal.turbofan:nothing")
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,15 @@ import pytest
 from eval.reproduce import flights
 from eval.reproduce.flights import TABLE, flown, paper_scenario, with_table, write_records
 from narxcal.errors import ConfigError
-from narxcal.standin import maker_model
 from narxcal.steady_source import open_steady
+from narxcal.turbofan import maker_model
+from narxcal.turbofan.virtual_engine import INPUT_NAMES
+
+MAKER = {
+    "kind": "callable",
+    "source": "narxcal.turbofan:maker_model",
+    "inputs": list(INPUT_NAMES),
+}
 
 
 def test_the_engine_flown_is_the_one_its_maker_describes():
@@ -38,10 +45,11 @@ def test_each_family_is_written_into_its_folder(monkeypatch):
     assert {s.build_scatter_pct for s, _ in seen.values()} == {0.0}
 
 
-def test_the_table_stands_in_for_the_makers_function(tmp_path, make_config):
-    config, report = flown(make_config("elsewhere"), Path(), tmp_path)
+def test_the_table_takes_the_place_of_the_makers_function(tmp_path, make_config):
+    by_function = make_config("elsewhere", steady_state=MAKER)
+    config, report = flown(by_function, Path(), tmp_path)
     section = config.steady_state
-    assert with_table(make_config("elsewhere"), tmp_path).steady_state == section
+    assert with_table(by_function, tmp_path).steady_state == section
     assert (section.kind, section.source) == ("table", str(tmp_path / TABLE))
     assert config.logs.folder == str(tmp_path)
     assert section.inputs == ("TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach")
@@ -59,7 +67,7 @@ def test_the_table_stands_in_for_the_makers_function(tmp_path, make_config):
 
 
 def test_an_input_without_nodes_is_named(tmp_path, make_config):
-    config = make_config("elsewhere")
+    config = make_config("elsewhere", steady_state=MAKER)
     inputs = (*config.steady_state.inputs, "FF_kgph")
     steady = config.steady_state.model_copy(update={"inputs": inputs})
     with pytest.raises(ConfigError, match=r"FF_kgph.*virtual flights do not have.*--data"):

@@ -1,0 +1,90 @@
+"""Short pieces of virtual flights, for every test that wants logs of an engine."""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from eval.virtual_flights import fly
+from narxcal.flight_test.scenario import FlightScenario
+from narxcal.steady_export import ExportOptions, Grid, export_table
+from narxcal.turbofan import VirtualEngine
+
+# The shortest flight there is; a piece begins on the initial climb, where the lever is busy.
+WHOLE_S, FROM_S = 480.0, 40.0
+NODES = {
+    "TRA_deg": (0.0, 15.0, 30.0, 50.0, 70.0, 85.0),
+    "ALT_ft": (-1000.0, 10_000.0, 20_000.0, 30_000.0, 40_000.0),
+    "Mach": (0.0, 0.3, 0.6, 0.85),
+    "dT_C": (-30.0, 20.0),
+}
+
+
+class Piece(NamedTuple):
+    """Channels (time,) of a piece of a flight: what was recorded, and what the engine did."""
+
+    recorded: dict
+    true: dict
+
+    def to_csv(self, path):
+        pd.DataFrame(self.recorded).to_csv(path, index=False, float_format="%.8g")
+
+    def true_to_csv(self, path):
+        table = pd.DataFrame({"time_s": self.recorded["time_s"], **self.true})
+        table.to_csv(path, index=False, float_format="%.8g")
+
+
+@lru_cache(maxsize=32)
+def flown(seed, rate_hz):
+    table = {
+        "seed": seed,
+        "flights": 1,
+        "engines": ["left"],
+        "build_scatter_pct": 0.0,
+        "outputs": ["N1_pct", "N2_pct", "EGT_C", "FF_kgph"],
+        "plan": {"duration_s": WHOLE_S, "rate_hz": rate_hz},
+    }
+    (log,) = fly(FlightScenario.parse(table), 1)
+    return log
+
+
+def piece(seed, duration_s=150.0, rate_hz=8.0):
+    log = flown(seed, rate_hz)
+    begin = round(FROM_S * rate_hz)
+    kept = slice(begin, begin + round(duration_s * rate_hz))
+    recorded = {name: values[kept].copy() for name, values in log.recorded.items()}
+    recorded["time_s"] = np.arange(len(recorded["time_s"])) / rate_hz
+    return Piece(recorded, {name: values[kept] for name, values in log.true.items()})
+
+
+@pytest.fixture(name="piece", scope="session")
+def _piece():
+    """A piece of the flight of a seed, by the engine that `narxcal.turbofan` describes."""
+    return piece
+
+
+@pytest.fixture(scope="session")
+def maker_table(tmp_path_factory):
+    """The `[steady_state]` section of a coarse table of that engine: quicker than solving it."""
+    every = {"WOW": (0.0, 1.0), "Approach": (0.0, 1.0), "ECS": (1.0,), "NAI": (0.0,), "WAI": (0.0,)}
+    model, path = VirtualEngine(), tmp_path_factory.mktemp("maker") / "maker.csv"
+    grid = Grid({name: every.get(name, NODES.get(name)) for name in model.input_names})
+    export_table(model, grid, path, ExportOptions(refine=False, probes=1))
+    varying = [name for name in model.input_names if name not in {"ECS", "NAI", "WAI"}]
+    return {"kind": "table", "source": str(path), "inputs": varying}
+
+
+@pytest.fixture(scope="session")
+def write_pieces():
+    """Write `flight_1.csv` ... of consecutive seeds into a folder; returns their paths."""
+
+    def write(folder, seed, flights, duration_s=150.0, rate_hz=32.0):
+        folder.mkdir(parents=True, exist_ok=True)
+        paths = [folder / f"flight_{number}.csv" for number in range(1, flights + 1)]
+        for number, path in enumerate(paths):
+            piece(seed + number, duration_s, rate_hz).to_csv(path)
+        return paths
+
+    return write
