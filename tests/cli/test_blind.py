@@ -121,6 +121,9 @@ def test_earlier_cases_are_replaced_and_other_content_is_not(narxcal, cases, tmp
         (("make", "--out", "o", "--duration", "100"), "key 'duration_s': Input should be greater"),
         (("make", "--out", "o", "--style", "wild"), "invalid choice: 'wild'"),
         (("make", "--out", "o", "--jobs", "0"), "expected 1 or more, found 0"),
+        (("make", "--out", "o", "--engine", "steam"), "invalid choice: 'steam'"),
+        (("make", "--out", "o", "--sim-logs", "l"), "l: the folder of the logs does not exist"),
+        (("run", "c", "--out", "o", "--seeds", "0"), "expected 1 or more, found 0"),
         (("run", "nowhere", "--out", "o"), "cases.json: cannot be read: No such file"),
         (("run", "c", "--out", "o", "--timeout", "0"), "expected more than 0 s, found 0"),
         (("score", "c", "a"), "the following arguments are required: --secret"),
@@ -142,6 +145,13 @@ def test_real_flights_need_a_simulator(narxcal, tmp_path):
         done = narxcal("blind", "make", "--out", tmp_path / "o", *words)
         assert done.code == 2
         assert "--real and --sim belong together. Give both, or neither" in done.err
+
+
+def test_logs_of_a_simulator_are_no_real_flights(narxcal, tmp_path):
+    words = ("--real", tmp_path, "--sim", "business_jet", "--sim-logs", tmp_path)
+    done = narxcal("blind", "make", "--out", tmp_path / "o", *words)
+    assert done.code == 2
+    assert "--sim-logs and --real exclude each other" in done.err
 
 
 @pytest.mark.slow

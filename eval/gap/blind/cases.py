@@ -24,7 +24,7 @@ Style = Literal["line", "enriched"]
 STYLES: Final[tuple[Style, ...]] = ("line", "enriched")
 BINS: Final = ((0.02, 0.05), (0.05, 0.10), (0.10, 0.25), (0.25, 0.95))
 OFFSETS: Final = ("deterioration", "sensor_bias", "throttle_bias", "temperature_effect")
-_OF_OFFSETS: Final = (0.7, 0.95)
+_OF_OFFSETS: Final = (0.9, 0.98)
 _NULLS, _OUTSIDE, _PAIRS = 0.2, 0.16, 0.16
 _BUILD_PCT, _NULL_BUILD_PCT = 0.6, 0.8  # standard deviation of efficiencies and flows
 

@@ -1,8 +1,9 @@
 """Cases from real flights: an effect added exactly to what was recorded, all else as it was.
 
 GAP section 2, tier P. Effects of sensors are put on a recorded output. A delay of the lever is
-made by handing the lever earlier: to whoever answers, and to the simulator. Flights are cut into
-pieces; what the real engine has besides stays in, so there are no nulls among these cases.
+made by handing the lever earlier: to whoever answers, and to the simulator. Effects inside the
+engine are what they change in a lumped engine (`injected`). Flights are cut into pieces; what the
+real engine has besides stays in, so there are no nulls among these cases.
 """
 
 from __future__ import annotations
@@ -19,11 +20,13 @@ from data_prep.hold import hold_inputs
 from data_prep.log import Log
 from data_prep.moves import bridged
 from eval.gap.blind.cases import BINS, BlindPlan, Content, draw_share
-from eval.gap.blind.catalogue import CATALOGUE, Dose, Scale
+from eval.gap.blind.catalogue import CATALOGUE, Dose, Scale, Windows
 from eval.gap.blind.files import FOLDERS, write_log
+from eval.gap.blind.injected import EFFECTS, Injector, possible
 from eval.gap.blind.make import Made
 from eval.gap.blind.oracle import located
 from eval.gap.blind.sizes import energy, gap_share, ranges, size_for
+from eval.gap.blind.truth import hidden_windows
 from eval.gap.pairs import DIAGNOSED, match_simulated, read_folder
 from eval.gap.simulators import Simulate, open_simulator
 from narxcal.channels import CHANNELS
@@ -60,6 +63,8 @@ class Flown(NamedTuple):
     simulate: Simulate
     driver: str
     outputs: tuple[str, ...]
+    injectors: Mapping[str, Injector]
+    windows: Mapping[str, Windows]
 
     def simulated(self, early_s: float = 0.0) -> dict[str, Channels]:
         """Inputs and simulated outputs of every log, the lever `early_s` earlier."""
@@ -122,9 +127,7 @@ def _made(
     early_s = dose.size if dose.scale.id == "throttle_delay" else 0.0
     told = flown.simulated(early_s) if early_s else before
     recorded = {name: _recorded(flown, name, told[name], dose) for name in flown.logs}
-    with_it = {
-        name: _added(told[name], dose, flown.logs[name], flown.outputs) for name in flown.logs
-    }
+    with_it = {name: _added(flown, name, told[name], dose) for name in flown.logs}
     parts = [[_cut(each[p.log], p.rows) for p in pieces] for each in (told, recorded, with_it)]
     held = slice(plan.flights, None)
     logs = {}
@@ -161,17 +164,20 @@ def _sized(flown: Flown, before: Mapping[str, Channels], wanted: _Wanted) -> Dos
 
     def measured(size: float) -> float:
         dose = Dose(wanted.scale, wanted.sign * size)
-        return energy(_added(simulated, dose, log, flown.outputs), simulated, spans)
+        return energy(_added(flown, name, simulated, dose), simulated, spans)
 
     part = rest * wanted.share / (1.0 - wanted.share)
     size = size_for(measured, part, (wanted.scale.first, wanted.scale.most))
     return Dose(wanted.scale, wanted.sign * size)
 
 
-def _added(simulated: Channels, dose: Dose, log: Log, outputs: Sequence[str]) -> Channels:
-    """Simulated channels with the effect: on one sensor, or on all outputs as a delay."""
+def _added(flown: Flown, name: str, simulated: Channels, dose: Dose) -> Channels:
+    """Simulated channels with the effect: on one sensor, inside, or on all outputs as a delay."""
+    log, outputs = flown.logs[name], flown.outputs
     if dose.on_sensor:
         return _measured(simulated, dose, log)
+    if dose.scale.id in EFFECTS:
+        return _injected(flown, name, simulated, dose)
     index = np.arange(len(log), dtype=np.float64)
     sooner = index - dose.size / log.dt_s
     late = {n: np.interp(sooner, index, v) for n, v in simulated.items() if n in outputs}
@@ -182,7 +188,16 @@ def _recorded(flown: Flown, name: str, told: Channels, dose: Dose) -> Channels:
     """What is handed over as recorded: inputs as told, outputs as they were or through a fault."""
     log = flown.logs[name]
     outputs = {**told, **{output: log[output] for output in flown.outputs}}
+    if dose.scale.id in EFFECTS:
+        return _injected(flown, name, outputs, dose)
     return _measured(outputs, dose, log) if dose.on_sensor else outputs
+
+
+def _injected(flown: Flown, name: str, channels: Channels, dose: Dose) -> Channels:
+    """Channels of a log with what the effect changes inside an engine."""
+    spans = {n: float(np.ptp(bridged(flown.logs[name][n]))) for n in flown.outputs}
+    change = flown.injectors[name].change(dose, flown.windows[name], spans)
+    return {**channels, **{n: channels[n] + each for n, each in change.items()}}
 
 
 def _measured(channels: Channels, dose: Dose, log: Log) -> Channels:
@@ -217,7 +232,14 @@ def _flown(real: Real) -> Flown:
             "the simulator gives no output that all flights have",
             hint=f"It gives {', '.join(given)}",
         )
-    return Flown(logs, simulator.how, driver, outputs)
+    injectors = {name: Injector(log.channels, driver, log.dt_s) for name, log in logs.items()}
+    return Flown(logs, simulator.how, driver, outputs, injectors, _hidden(logs))
+
+
+def _hidden(logs: Mapping[str, Log]) -> dict[str, Windows]:
+    """Windows of a hidden switch in every log."""
+    random = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(5,)))
+    return {n: hidden_windows(random, float(np.ptp(log.time_s))) for n, log in logs.items()}
 
 
 def _pieces(flown: Flown, plan: BlindPlan) -> list[Piece]:
@@ -242,7 +264,8 @@ def _pieces(flown: Flown, plan: BlindPlan) -> list[Piece]:
 
 
 def _possible(scale: Scale, flown: Flown) -> bool:
-    return scale.id == "throttle_delay" or (scale.channel or "") in flown.outputs
+    inside = possible(flown.driver, flown.outputs, scale.id)
+    return inside or scale.id == "throttle_delay" or (scale.channel or "") in flown.outputs
 
 
 def _sign(scale: Scale, random: np.random.Generator) -> float:

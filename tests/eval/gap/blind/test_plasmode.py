@@ -5,13 +5,15 @@ import pandas as pd
 import pytest
 
 from eval.gap.blind.cases import BlindPlan
+from eval.gap.blind.catalogue import CATALOGUE, Dose
 from eval.gap.blind.files import open_key
+from eval.gap.blind.injected import EFFECTS, Injector, possible
 from eval.gap.blind.make import write_key
 from eval.gap.blind.plasmode import Real, make_real_cases
 from narxcal.errors import ConfigError, DataError
 from narxcal.flight_test.measurement import first_order
 
-PLAN = BlindPlan(cases=5, flights=2, held_out=1, seed=1)
+PLAN = BlindPlan(cases=8, flights=2, held_out=1, seed=1)
 
 
 def lags(inputs, dt_s):
@@ -70,7 +72,10 @@ def test_only_the_effect_is_added(cases, tmp_path):
     key = open_key(cases, "1")["cases"]
     names = {row["effects"][0]["id"] for row in key.values()}
     assert "throttle_delay" in names
-    assert {"sensor_lag", "sensor_bias", "sensor_drift", "time_skew"} >= names - {"throttle_delay"}
+    assert {"sensor_lag", "sensor_bias", "sensor_drift", "time_skew"} >= {
+        name for name in names if name != "throttle_delay" and name not in EFFECTS
+    }
+    assert names & set(EFFECTS)
     for name, row in key.items():
         effect = row["effects"][0]
         log, start, stop = row["pieces"][0]
@@ -81,7 +86,10 @@ def test_only_the_effect_is_added(cases, tmp_path):
         np.testing.assert_array_equal(real[driver], sim[driver])
         for output in ("N1_pct", "EGT_C"):
             same = np.allclose(real[output], was[output], rtol=1e-6, equal_nan=True)
-            assert same == (output != effect["channel"])
+            if effect["id"] not in EFFECTS:
+                assert same == (output != effect["channel"])
+            elif output == "N1_pct":
+                assert not same
         later = np.interp(
             was["time_s"] + effect["parameters"].get("delay_s", 0.0), was["time_s"], was[driver]
         )
@@ -89,6 +97,28 @@ def test_only_the_effect_is_added(cases, tmp_path):
         np.testing.assert_allclose(real[driver][inner], later[inner], rtol=1e-6)
         assert row["kind"] == "single"
         assert row["gap_share"] < 1.0
+
+
+@pytest.mark.parametrize("driver", ["TRA_deg", "FF_kgph"])
+def test_what_acts_inside_is_the_difference_that_it_makes_in_a_lumped_engine(driver):
+    time_s = np.arange(0.0, 300.0, 0.125)
+    channels = {driver: np.where((time_s // 40.0) % 2, 40.0, 12.0), "ALT_ft": 9000.0 + 0.0 * time_s}
+    injector = Injector(channels, driver, 0.125)
+    scales = {each.id: each for each in CATALOGUE}
+    slow = Dose(scales["spool_lag"], 0.5)
+    spans = {"N1_pct": 60.0, "EGT_C": 400.0, "FF_kgph": 900.0}
+    one = injector.change(slow, (), spans)
+    assert set(one) == {"N1_pct", "EGT_C"}
+    assert np.abs(one["N1_pct"]).max() > 3.0
+    rest = np.abs(one["N1_pct"][time_s % 40.0 > 39.0])
+    assert rest.max() < 0.25 * np.abs(one["N1_pct"]).max()
+    two = injector.change(slow, (), {name: 2.0 * span for name, span in spans.items()})
+    np.testing.assert_allclose(two["EGT_C"], 2.0 * one["EGT_C"])
+    none = injector.change(Dose(scales["spool_lag"], 0.0), (), spans)
+    np.testing.assert_allclose(none["N1_pct"], 0.0, atol=1e-9)
+    assert possible(driver, ("N1_pct", "EGT_C"), "spool_lag")
+    assert not possible(driver, ("EGT_C", "FF_kgph"), "spool_lag")
+    assert not possible(driver, ("N1_pct", "EGT_C"), "throttle_backlash")
 
 
 def test_the_same_plan_gives_the_same_bytes(cases, simulator, tmp_path):
