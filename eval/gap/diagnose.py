@@ -16,6 +16,7 @@ from eval.gap.data import GapData, Pair
 from eval.gap.document import document
 from eval.gap.evidence import Evidence
 from eval.gap.excitation import check_excitation, events_of
+from eval.gap.hidden_load import look_again, look_for_load, spells
 from eval.gap.pairs import read_pairs
 from eval.gap.parts import FEWEST, enough
 from eval.gap.realised import channel_shrink, held_out, predicted, time_shrink
@@ -24,11 +25,14 @@ from eval.gap.stored_emulator import signals_to_json
 from eval.gap.where import locate
 from narxcal.bundle import versions
 from narxcal.effects.base import FloatArray
+from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
 from narxcal.errors import DataError
 from training.config import RunConfig
 from training.gap.diagnosis import diagnose
 from training.gap.emulator import NarxEmulator, fit_emulator
 from training.gap.finding import Finding, Interval
+from training.gap.unlogged import with_load
+from training.gap.work import Options
 
 Watch = Callable[[str, int, int], None]  # what is at work, its number, how many there are
 
@@ -71,21 +75,27 @@ def diagnose_pairs(
 ) -> Diagnosis:
     """Diagnose pairs that are already read; `held` are flights that take no part."""
     watch = watch or _unwatched
-    data = batch(enough(pairs))
+    parts = enough(pairs)
+    data = batch(parts)
     events = events_of(data)
     check_excitation(data, events)
     watch("emulator", 0, 1)
     emulator = fit_emulator(data.flights)
-    found = diagnose(data.flights, (data.real, data.noise), emulator, watch=watch)
     own = emulator.errors(data.flights).tolist()
+    watch("windows of an unlogged load", 0, 1)
+    data, load = look_for_load(data)
+    options = Options(price=tuple(load.price.tolist()) if load.windows else ())
+    found = diagnose(data.flights, (data.real, data.noise), emulator, options, watch)
     errors = dict(zip(data.flights.signals.outputs, own, strict=True))
     finding = _bounded(replace(found, emulator_rmse=errors), pairs)
     watch("where", 0, 1)
     values = claimed(finding)
     evidence = _evidence(data, finding, values, emulator)
+    evidence = replace(evidence, windows=spells(load, data, parts))
     if held:
-        evidence = _with_held_out(evidence, values, batch(held), emulator)
-    evidence = replace(evidence, facts=_facts(pairs, data, held))
+        evidence = _with_held_out(evidence, values, held, emulator)
+    facts = {**_facts(pairs, data, held), "unlogged_load": load.reason or "found"}
+    evidence = replace(evidence, facts=facts)
     return Diagnosis(document(evidence), evidence, emulator)
 
 
@@ -116,16 +126,25 @@ def _optimism(finding: Finding) -> float:
 
 
 def _with_held_out(
-    evidence: Evidence, values: Values, data: GapData, emulator: NarxEmulator
+    evidence: Evidence, values: Values, pairs: Sequence[Pair], emulator: NarxEmulator
 ) -> Evidence:
-    data = _in_terms_of(evidence.data, data)
+    data = _in_terms_of(evidence.data, batch(pairs))
+    windows = evidence.windows
+    if UnloggedSwitch.id in values:
+        data, load = look_again(values, data, emulator)
+        windows += spells(load, data, pairs, held_out=True)
     found = held_out(values, data, emulator)
-    return replace(evidence, held_out=found, times=time_shrink(data, found.after, events_of(data)))
+    times = time_shrink(data, found.after, events_of(data))
+    return replace(evidence, held_out=found, times=times, windows=windows)
 
 
 def _in_terms_of(data: GapData, other: GapData) -> GapData:
     """`other` with the signals of `data`, so that effects mean the same in both."""
     mine, theirs = data.flights.signals, other.flights.signals
+    if UNLOGGED in mine.inputs:
+        off = np.zeros(other.flights.u.shape[:2])
+        other = replace(other, flights=with_load(other.flights, off, always=True))
+        theirs = other.flights.signals
     for name in (*mine.inputs, *mine.outputs):
         if name not in (*theirs.inputs, *theirs.outputs):
             raise DataError("the held-out flights lack it", channel=name)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from eval.gap.data import FloatArray, GapData
+from eval.gap.hidden_load import Spell
 from eval.gap.where import Where
 from training.gap.finding import ChannelShrink, Finding, Interval
 
@@ -43,6 +44,7 @@ class Evidence:
     nothing is claimed; `predicted` the share of the squared gap that they will take off other
     flights, `channels` the RMSE on these. `times` is how Ti and Tt errors shrink with them, per
     channel, on held-out flights where there are any. `facts` go into `quality` as they are.
+    `windows` are those of an unlogged load, found here and in the held-out flights.
     """
 
     data: GapData
@@ -54,3 +56,4 @@ class Evidence:
     channels: Mapping[str, ChannelShrink]
     held_out: HeldOut | None = None
     facts: Mapping[str, object] = field(default_factory=dict)
+    windows: tuple[Spell, ...] = ()

@@ -25,6 +25,7 @@ from training.gap.fitting import Fit, Problem, fit
 from training.gap.null import null_gains
 from training.gap.offsets import offset_fits, relative_size, whole_gap
 from training.gap.quadratic import misfit
+from training.gap.unlogged import priced, witnesses
 from training.gap.verdict import Offset, finding
 from training.gap.work import Options, Work
 
@@ -87,19 +88,20 @@ def _tried(work: Work, effects: Sequence[Effect], place: tuple[int, int, Watch |
     k, count, watch = place
     if watch is not None:
         watch(" + ".join(effect.name for effect in effects), k, count)
-    return fit(effects, work.problem)
+    return priced(fit(effects, work.problem), work.options.price)
 
 
 def _earned(work: Work, model: Fit, before: FloatArray, least: float) -> bool:
     """Whether `model` is better than `before` (Q per flight, held out) in a way that counts.
 
     More than the pseudo-nulls, at least `least`, a part of the whole gap with its offsets, and in
-    all flights but one (all of them up to four).
+    all flights but one (all of them up to four). A load says nothing of flights without it.
     """
     gained = before - model.held_out
     share = float(gained.sum()) / work.audible
-    exceptions = 1 if len(gained) > 4 else 0
-    often = int((gained <= 0.0).sum()) <= exceptions
+    told = gained[witnesses(model, work.options.price)]
+    exceptions = 1 if len(told) > 4 else 0
+    often = int((told <= 0.0).sum()) <= exceptions
     heard = float(gained.sum()) > _OF_WHOLE * work.whole
     return share > max(work.threshold, least) and often and heard
 
@@ -120,7 +122,7 @@ def _best_pair(work: Work, singles: Sequence[Fit], watch: Watch | None) -> Fit |
         start = np.concatenate([first.theta, second.theta])
         if watch is not None:
             watch(" + ".join(effect.name for effect in effects), k, 3)
-        found.append(fit(effects, work.problem, start))
+        found.append(priced(fit(effects, work.problem, start), work.options.price))
     work.fits += found
     return max(found, key=work.gain)
 

@@ -10,12 +10,13 @@ same colour, made from the residual's own innovations with blocks of them drawn 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
+from scipy.stats import binom
 
 from narxcal.errors import DataError
 from training.gap.blocks import (
@@ -24,56 +25,36 @@ from training.gap.blocks import (
     blocks_of,
     centred,
     common_shift,
-    drawn_anew,
     moment,
-    settled,
-    sharpest_edges,
     whitened,
 )
 from training.gap.finding import Interval
 from training.gap.switching import (
     FOLLOW,
     FloatArray,
-    Gains,
     Noise,
-    best_path,
-    colour,
     cost,
     fit_noise,
     gains,
     whiten,
 )
+from training.gap.window_search import (
+    Null,
+    Options,
+    Search,
+    nulls,
+    rarely_reached,
+    refined,
+    search,
+)
 
+__all__ = ["Options", "Window", "Windows", "find_windows", "windows_of_shift"]
 _Z90 = 1.645
 _HALF_S = 0.7  # from a switch to half of its effect (narxcal.effects.steady)
-_EULER = 0.5772
 _CHI90 = 2.71  # of chi squared with one degree of freedom
 _SEEN = 150  # blocks to either side in which an edge may lie
+_SEEN_EDGES, _BY_CHANCE = 2, 0.1  # least edges at rest; how rarely as many are hidden by chance
 _TAKEN = np.array([0.37, 0.77, 0.92])  # mean share of a change in the blocks that follow it
-
-
-@dataclass(frozen=True)
-class Options:
-    """How windows are sought.
-
-    `groups` are rows of flights that share their windows, as the engines of one aircraft do; a
-    flight in no group stands alone. `rising` is a channel that being on raises, such as a
-    temperature; without it, on is what there is less of. A claim has to exceed what happens in
-    noise with probability `level`, known from `draws` searches. With `at_rest`, most edges have to
-    lie where the residual is known before and after; that is not to be asked where the driver is
-    fuel flow, which a load moves itself.
-    """
-
-    groups: tuple[tuple[int, ...], ...] = ()
-    rising: int | None = None
-    at_rest: bool = True
-    shortest_s: float = 5.0
-    block_s: float = 1.0
-    level: float = 0.01
-    draws: int = 24
-    starts: int = 6
-    rounds: int = 4
-    seed: int = 0
 
 
 @dataclass(frozen=True)
@@ -98,7 +79,8 @@ class Windows:
     """`on` (flights, time) is 1 within the windows; `shift` is that of all windows together.
 
     `gain` is twice the gain of the log likelihood less the price of the switches, `threshold` what
-    it has to exceed. Where there is nothing, `on` is 0 throughout and `found` is empty.
+    it has to exceed. Where there is nothing, `on` is 0 throughout and `found` is empty. `nulls` are
+    the searches of noise that the threshold comes from.
     """
 
     on: FloatArray
@@ -106,15 +88,7 @@ class Windows:
     shift: tuple[Interval, ...]
     gain: float
     threshold: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Search:
-    """A shift (channels,), its paths (flights, blocks), and what they gain over none."""
-
-    shift: FloatArray
-    paths: NDArray[np.int8]
-    gain: float
+    nulls: tuple[Null, ...] = ()
 
 
 def find_windows(
@@ -132,19 +106,55 @@ def find_windows(
     """
     options = options or Options()
     known = _checked(residual, weights, steady)
-    size = max(1, round(options.block_s / dt_s))
-    blocks = blocks_of(residual, known, size, options.groups)
+    blocks = blocks_of(residual, known, _size(options, dt_s), options.groups)
     silent = _nothing(residual)
-    if blocks.residual.shape[1] < 4 * EDGE or not (blocks.share > 0.0).any():
+    if _too_little(blocks):
         return silent
-    noise, best = _refined(blocks, options)
+    noise, best = refined(blocks, options)
     best = replace(best, paths=_merged(best.paths, options))
     if best.gain <= 0.0:
         return silent
-    threshold = _threshold(blocks, noise, best, options)
-    if best.gain <= threshold or (options.at_rest and _mostly_hidden(best.paths, blocks)):
+    made = nulls(blocks, noise, best, options)
+    threshold = rarely_reached([null.gain for null in made], options.level, 0.5 * blocks.switch)
+    if best.gain <= threshold or (options.at_rest and _with_the_lever(best.paths, blocks)):
         return replace(silent, gain=best.gain, threshold=threshold)
-    return _told(residual, known, dt_s, (blocks, noise, best, threshold, options))
+    told = _told(residual, known, dt_s, (blocks, noise, best, threshold, options))
+    return replace(told, nulls=tuple(made))
+
+
+def windows_of_shift(
+    residual: FloatArray,
+    weights: FloatArray,
+    dt_s: float,
+    shift: FloatArray,
+    more: tuple[Options, NDArray[np.bool_]],
+) -> Windows:
+    """Windows in which `residual` shows a `shift` (outputs,) that is known from elsewhere.
+
+    `more` are options and where the engine is steady. What explains more than its switches cost
+    is told; raises as `find_windows`.
+    """
+    options, steady = more
+    known = _checked(residual, weights, steady)
+    blocks = blocks_of(residual, known, _size(options, dt_s), options.groups)
+    silent = _nothing(residual)
+    if _too_little(blocks):
+        return silent
+    once = replace(options, rounds=1, rising=None)
+    noise = fit_noise(blocks.residual, blocks.share)
+    best = search(blocks, noise, once, [shift])
+    if best.gain <= 0.0:
+        return silent
+    best = Search(shift, _merged(best.paths, options), best.gain)
+    return _told(residual, known, dt_s, (blocks, noise, best, 0.0, options))
+
+
+def _size(options: Options, dt_s: float) -> int:
+    return max(1, round(options.block_s / dt_s))
+
+
+def _too_little(blocks: Blocks) -> bool:
+    return blocks.residual.shape[1] < 4 * EDGE or not (blocks.share > 0.0).any()
 
 
 def _checked(
@@ -169,20 +179,6 @@ def _nothing(residual: FloatArray) -> Windows:
     return Windows(np.zeros(residual.shape[:2]), (), none, 0.0, 0.0)
 
 
-def _refined(blocks: Blocks, options: Options) -> tuple[Noise, _Search]:
-    """Search, then again with the noise that is left once the windows found are taken out."""
-    noise = fit_noise(blocks.residual, blocks.share)
-    best = _search(blocks, noise, options)
-    for _ in range(2):
-        if best.gain <= 0.0:
-            break
-        blocks = centred(blocks, best.paths)
-        rest = blocks.residual - (best.paths == 1)[..., None] * best.shift
-        noise = fit_noise(rest, settled(blocks.share, best.paths))
-        best = _search(blocks, noise, options, [best.shift])
-    return noise, best
-
-
 def _merged(paths: NDArray[np.int8], options: Options) -> NDArray[np.int8]:
     """On throughout where it is off between two windows for less than the shortest one."""
     merged = paths.copy()
@@ -194,105 +190,34 @@ def _merged(paths: NDArray[np.int8], options: Options) -> NDArray[np.int8]:
     return merged
 
 
-def _mostly_hidden(paths: NDArray[np.int8], blocks: Blocks) -> bool:
-    """Whether most edges lie next to blocks of which nothing is known.
+def _with_the_lever(paths: NDArray[np.int8], blocks: Blocks) -> bool:
+    """Whether more edges than by chance lie next to blocks of which nothing is known.
 
     A load is switched at any time. What comes and goes with moves of the lever is an error that
-    depends on power.
+    depends on power, or on how the engine gets there.
     """
-    seen, hidden = 0, 0
+    edges, hidden, chance = 0, 0, []
     for group in blocks.groups:
         path = paths[group[0]]
         heard: NDArray[np.bool_] = np.all(blocks.share[list(group)] > 0.0, axis=(0, 2))
+        clear = minimum_filter1d(heard, 3 * FOLLOW, origin=FOLLOW - 3 * FOLLOW // 2)
         for start, stop in _runs(path):
             zones = [k for k in (start - FOLLOW, stop) if 0 < k < len(path) - FOLLOW]
-            clear = [bool(heard[max(0, k - FOLLOW) : k + 2 * FOLLOW].all()) for k in zones]
-            seen, hidden = seen + sum(clear), hidden + len(clear) - sum(clear)
-    return seen <= hidden
+            edges += len(zones)
+            hidden += sum(not clear[k] for k in zones)
+        chance.append(~clear[: _last(heard)])
+    expected = float(np.mean(np.concatenate(chance))) if chance else 0.0
+    if edges - hidden < _SEEN_EDGES:
+        return True
+    return bool(binom.sf(hidden - 1, edges, expected) < _BY_CHANCE)
 
 
-def _search(
-    blocks: Blocks, noise: Noise, options: Options, starts: Sequence[FloatArray] | None = None
-) -> _Search:
-    """The best of all starts."""
-    found = gains(noise, blocks.share)
-    if starts is None:
-        starts = sharpest_edges(blocks, noise, options.starts)
-        if options.rising is not None:
-            starts = [-start if start[options.rising] < 0.0 else start for start in starts]
-    none = np.zeros(blocks.residual.shape[:2], dtype=np.int8)
-    best = _Search(np.zeros(blocks.residual.shape[2]), none, 0.0)
-    plain = _walk(replace(blocks, switch=np.inf), best.shift, found, noise)[0]
-    for start in starts:
-        tried = _climb(blocks, (noise, found, plain), start, options)
-        if tried.gain > best.gain:
-            best = tried
-    return best
+def _last(heard: NDArray[np.bool_]) -> int:
+    """One more than the last block of which anything is known."""
+    return int(np.flatnonzero(heard).max(initial=0)) + 1
 
 
-def _climb(
-    blocks: Blocks, known: tuple[Noise, Gains, float], shift: FloatArray, options: Options
-) -> _Search:
-    """Path and shift in turn, until the path stays."""
-    noise, found, plain = known
-    best = _Search(shift, np.zeros(blocks.residual.shape[:2], dtype=np.int8), 0.0)
-    for _ in range(options.rounds):
-        total, paths = _walk(blocks, shift, found, noise)
-        if plain - total <= best.gain:
-            break
-        same = np.array_equal(paths, best.paths)
-        best = _Search(shift, paths, plain - total)
-        if same or not (paths == 1).any():
-            break
-        shift = common_shift(blocks, paths, noise)[0]
-        shift, paths = _signed(shift, paths, blocks, options.rising)
-        best = replace(best, shift=shift, paths=paths)
-    return best
-
-
-def _signed(
-    shift: FloatArray, paths: NDArray[np.int8], blocks: Blocks, rising: int | None
-) -> tuple[FloatArray, NDArray[np.int8]]:
-    """On and off change places where on would be the rule, or lower what it has to raise."""
-    known = blocks.share.any(axis=2)
-    rule = (paths == 1)[known].sum() > (paths == 0)[known].sum()
-    if rule if rising is None else shift[rising] < 0.0:
-        return -shift, np.where(paths >= 0, 1 - paths, paths).astype(np.int8)
-    return shift, paths
-
-
-def _walk(
-    blocks: Blocks, shift: FloatArray, found: Gains, noise: Noise
-) -> tuple[float, NDArray[np.int8]]:
-    """Cost and path (flights, blocks) of all groups."""
-    total, paths = 0.0, np.zeros(blocks.residual.shape[:2], dtype=np.int8)
-    for group in blocks.groups:
-        rows = list(group)
-        part = Gains(*(getattr(found, name)[rows] for name in Gains.__dataclass_fields__))
-        price, path = best_path(blocks.residual[rows], shift, part, noise, blocks.switch)
-        total += price
-        paths[rows] = path
-    return total, paths
-
-
-def _threshold(blocks: Blocks, noise: Noise, best: _Search, options: Options) -> float:
-    """Gain that noise of this colour reaches with probability `level` (Gumbel's law)."""
-    random = np.random.default_rng(options.seed)
-    rest = centred(blocks, best.paths).residual - (best.paths == 1)[..., None] * best.shift
-    share = settled(blocks.share, best.paths)
-    innovations = whiten(rest, gains(noise, share), noise)
-    found = gains(noise, blocks.share)
-    reached = []
-    for _ in range(options.draws):
-        drawn = drawn_anew(innovations, share, random)
-        made = replace(blocks, residual=colour(drawn, found, noise))
-        made = centred(made, np.zeros_like(best.paths))
-        reached.append(_search(made, fit_noise(made.residual, made.share), options).gain)
-    scale = max(float(np.std(reached)) * np.sqrt(6.0) / np.pi, 0.5 * blocks.switch)
-    return float(np.mean(reached) + scale * (-np.log(-np.log1p(-options.level)) - _EULER))
-
-
-_All = tuple[Blocks, Noise, _Search, float, Options]
+_All = tuple[Blocks, Noise, Search, float, Options]
 
 
 def _told(residual: FloatArray, known: FloatArray, dt_s: float, found: _All) -> Windows:
@@ -301,7 +226,7 @@ def _told(residual: FloatArray, known: FloatArray, dt_s: float, found: _All) -> 
     blocks = centred(blocks, best.paths)
     shift, deviation = common_shift(blocks, best.paths, noise)
     on, windows = np.zeros(residual.shape[:2]), []
-    size = max(1, round(options.block_s / dt_s))
+    size = _size(options, dt_s)
     for group in blocks.groups:
         for first, last in _runs(best.paths[group[0]]):
             rows = list(group)

@@ -39,6 +39,7 @@ class Options:
     most: int = 2
     scatter: float = 0.012
     seed: int = 0
+    price: tuple[float, ...] = ()
 
 
 @dataclass

@@ -1,0 +1,153 @@
+"""What speaks against windows being an unlogged load: checks that need no threshold in size.
+
+Errors of a simulator come in levels, too: where the lever goes, which switch is set, how high it
+is. A load is told from them by how it comes: at any time, at once, on several channels, and not by
+the clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
+from scipy.stats import binom
+
+from narxcal.effects.base import FloatArray
+from training.gap.levels import BoolArray, Found, Levels, runs
+
+WITNESSES = 2  # flights in which the load was on
+_BEFORE, _AFTER = 4, 3  # blocks that tell a level next to a change, and how long it may take
+_REACH = 2  # blocks by which an edge may be off
+_SHARP, _MOSTLY = (0.5, 1.6), 0.7  # of the shift that comes at once, and at how many edges
+_TYPICAL = 0.6
+_SPREAD = 0.28  # of the shift: how far from on and off the levels may scatter
+_BY_CHANCE = 0.1
+_SWITCHED = 4.0  # blocks between a logged switch and what follows it
+_TURNS, _PHASE, _ALIKE = 3, 0.08, 0.3  # periods that make a clock, and how exact it is
+_BESIDE = 0.02  # of what the strongest channel tells: the least of a second one
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """One change of a flight at a `block`; `clear` if all around is known; `jump` as shares."""
+
+    flight: int
+    block: int
+    clear: bool
+    jump: float
+
+
+def against(found: Found, levels: Levels, switched: Sequence[NDArray[np.float64]]) -> str:
+    """Why it is no unlogged load; empty where nothing speaks against it.
+
+    `switched` holds the blocks of each flight at which a logged switch changes.
+    """
+    edges, by_chance = edges_of(found, levels)
+    if np.count_nonzero(found.on.any(axis=1)) < min(WITNESSES, len(found.on)):
+        return "windows in one flight alone are no evidence"
+    if _follow(edges, switched):
+        return "the windows follow a logged switch"
+    if _by_the_clock(found, levels):
+        return "the windows come by the clock: a cycle, no switch"
+    if _one_channel(found, levels):
+        return "one channel alone is shifted: a sensor or its wiring, no load"
+    if _spread(found, levels) > _SPREAD:
+        return "the levels scatter too much to be on or off"
+    return _edges_against(edges, by_chance)
+
+
+def _edges_against(edges: Sequence[Edge], by_chance: float) -> str:
+    """A load comes at any time and at once."""
+    hidden = sum(not edge.clear for edge in edges)
+    if hidden and binom.sf(hidden - 1, len(edges), by_chance) < _BY_CHANCE:
+        return "the windows come and go with the lever"
+    jumps = np.array([edge.jump for edge in edges if np.isfinite(edge.jump)])
+    if len(jumps) < WITNESSES:
+        return "no two changes can be seen at rest"
+    sharp = np.mean((jumps > _SHARP[0]) & (jumps < _SHARP[1]))
+    if sharp < _MOSTLY or np.median(jumps) < _TYPICAL:
+        return "the changes are no sharp edges"
+    return ""
+
+
+def edges_of(found: Found, levels: Levels) -> tuple[list[Edge], float]:
+    """All edges inside the flights, and how often one would lie next to the unknown by chance."""
+    edges, unclear = [], []
+    for group in levels.groups:
+        rows = list(group)
+        known = levels.known[rows].all(axis=0)
+        last = int(np.flatnonzero(known).max(initial=0)) + 1
+        width = 2 * _AFTER + 1
+        clear = minimum_filter1d(known, width, origin=-1)
+        unclear.append(~clear[:last])
+        step = np.mean([_jumps(found.there[f], levels.known[f]) for f in rows], axis=0)
+        for first, stop in runs(found.on[rows[0]]):
+            for block, sign in ((first, 1.0), (stop, -1.0)):
+                if _AFTER < block < last - 2 * _AFTER:
+                    near = np.arange(max(0, block - _REACH), block + _REACH + 1)
+                    seen = sign * step[near[clear[near]]]
+                    known_here = seen[np.isfinite(seen)]
+                    jump = float(known_here.max()) if len(known_here) else np.nan
+                    edges.append(Edge(rows[0], block, bool(clear[near].any()), jump))
+    return edges, float(np.mean(np.concatenate(unclear)))
+
+
+def _jumps(there: FloatArray, known: BoolArray) -> FloatArray:
+    """Level soon after each block less that before, (blocks,), NaN where too little is known."""
+    total = np.concatenate([[0.0], np.cumsum(there * known)])
+    count = np.concatenate([[0.0], np.cumsum(known)])
+    last, at = len(known), np.arange(len(known))
+    levels = []
+    for low, high in (
+        (np.minimum(at + _AFTER, last), np.minimum(at + _AFTER + _BEFORE, last)),
+        (np.maximum(at - _BEFORE, 0), at),
+    ):
+        heard = count[high] - count[low]
+        enough = np.where(heard >= 0.5 * _BEFORE, heard, np.nan)
+        levels.append((total[high] - total[low]) / enough)
+    return np.asarray(levels[0] - levels[1])
+
+
+def _follow(edges: Sequence[Edge], switched: Sequence[NDArray[np.float64]]) -> bool:
+    """Whether most of the edges lie at changes of logged switches."""
+    near = [bool((np.abs(switched[edge.flight] - edge.block) < _SWITCHED).any()) for edge in edges]
+    return len(near) > 0 and 2 * sum(near) > len(near)
+
+
+def _by_the_clock(found: Found, levels: Levels) -> bool:
+    """Whether windows of about one length start at whole periods of one another, in all flights.
+
+    Two windows of a flight are no clock.
+    """
+    rows = [own for group in levels.groups for own in [runs(found.on[group[0]])] if len(own) > 2]
+    steps = np.array([b[0] - a[0] for own in rows for a, b in pairwise(own)], dtype=np.float64)
+    if len(steps) < _TURNS:
+        return False
+    lengths = np.array([stop - first for own in rows for first, stop in own], dtype=np.float64)
+    if np.mean(np.abs(lengths / np.median(lengths) - 1.0) < _ALIKE) < 0.6:
+        return False
+    for period in (float(np.quantile(steps, 0.1)), float(np.median(steps))):
+        off = np.abs(steps / period - np.round(steps / period))
+        if np.median(off) < _PHASE and np.mean(off < 2.0 * _PHASE) > 0.75:
+            return True
+    return False
+
+
+def _one_channel(found: Found, levels: Levels) -> bool:
+    """Whether a second channel tells hardly anything of the windows."""
+    if len(found.shift) < 2:
+        return False
+    known = found.left[levels.known]
+    scale = np.maximum(1.4826 * np.median(np.abs(known), axis=0), 1e-9)
+    told = np.sort((found.shift / scale) ** 2)[::-1]
+    return bool(told[1] < _BESIDE * told[0])
+
+
+def _spread(found: Found, levels: Levels) -> float:
+    """Typical distance of a block's level from off or on, in shifts."""
+    away = np.abs(found.there - found.on)[levels.known]
+    return 1.4826 * float(np.median(away))
