@@ -26,7 +26,7 @@ from eval.gap.summary import EMULATOR
 from narxcal.effects.base import OutputEffect, Signals
 from narxcal.effects.running import Flights
 from narxcal.errors import ConfigError, DataError
-from training.gap.emulator import NarxEmulator
+from training.gap.emulator import GreyBoxEmulator
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class FoundEffects:
 
     values: Values
     signals: Signals
-    emulator: NarxEmulator | None
+    emulator: GreyBoxEmulator | None
 
     def added_to(self, log: Log) -> dict[str, FloatArray]:
         """Outputs `(time,)` of a simulated log with the effects in place.

@@ -10,7 +10,7 @@ import numpy as np
 from eval.gap.data import FloatArray, GapData
 from narxcal.effects.base import Signals
 from narxcal.effects.library import effect
-from narxcal.effects.running import Flights, RateForm, Setting, respond
+from narxcal.effects.running import Emulator, Flights, Setting, respond
 from narxcal.errors import ConfigError
 from training.gap.finding import Finding
 
@@ -70,14 +70,14 @@ def _theta(name: str, given: Mapping[str, float], signals: Signals) -> FloatArra
     return np.array([[given.get(key, neutral) for key, neutral in known.items()]])
 
 
-def with_effects(values: Values, flights: Flights, emulator: RateForm | None) -> FloatArray:
+def with_effects(values: Values, flights: Flights, emulator: Emulator | None) -> FloatArray:
     """Outputs (flights, time, outputs) of the simulator with effects of these values."""
     if not values:
         return flights.y
     return np.asarray(respond(settings(values, flights.signals), flights, emulator)[0])
 
 
-def changes(values: Values, data: GapData, emulator: RateForm | None) -> FloatArray:
+def changes(values: Values, data: GapData, emulator: Emulator | None) -> FloatArray:
     """What the effects add to the simulated outputs, (flights, time, outputs)."""
     return np.asarray(with_effects(values, data.flights, emulator) - data.flights.y)
 

@@ -29,7 +29,7 @@ from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
 from narxcal.errors import DataError
 from training.config import RunConfig
 from training.gap.diagnosis import diagnose
-from training.gap.emulator import NarxEmulator, fit_emulator
+from training.gap.emulator import GreyBoxEmulator, fit_emulator
 from training.gap.finding import Finding, Interval
 from training.gap.unlogged import with_load
 from training.gap.work import Options
@@ -53,7 +53,7 @@ class Diagnosis:
 
     document: dict[str, Any]
     evidence: Evidence
-    emulator: NarxEmulator
+    emulator: GreyBoxEmulator
 
 
 def diagnose_folders(request: Request, watch: Watch | None = None) -> Diagnosis:
@@ -99,7 +99,9 @@ def diagnose_pairs(
     return Diagnosis(document(evidence), evidence, emulator)
 
 
-def _evidence(data: GapData, finding: Finding, values: Values, emulator: NarxEmulator) -> Evidence:
+def _evidence(
+    data: GapData, finding: Finding, values: Values, emulator: GreyBoxEmulator
+) -> Evidence:
     after = with_effects(values, data.flights, emulator)
     explained = None if finding.kind == "unknown" else after - data.flights.y
     where = locate(data, explained)
@@ -126,7 +128,7 @@ def _optimism(finding: Finding) -> float:
 
 
 def _with_held_out(
-    evidence: Evidence, values: Values, pairs: Sequence[Pair], emulator: NarxEmulator
+    evidence: Evidence, values: Values, pairs: Sequence[Pair], emulator: GreyBoxEmulator
 ) -> Evidence:
     data = _in_terms_of(evidence.data, batch(pairs))
     windows = evidence.windows

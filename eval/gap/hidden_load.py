@@ -12,7 +12,7 @@ import numpy as np
 from eval.gap.claimed import Values, with_effects
 from eval.gap.data import FloatArray, GapData, Pair
 from narxcal.effects.base import Signals
-from narxcal.effects.running import RateForm
+from narxcal.effects.running import Emulator
 from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
 from training.gap.quadratic import misfit
 from training.gap.unlogged import Load, find_known_load, find_load, with_load
@@ -54,7 +54,7 @@ def look_for_load(data: GapData) -> tuple[GapData, Load]:
     return replace(data, flights=with_load(data.flights, load.on)), load
 
 
-def look_again(values: Values, data: GapData, emulator: RateForm | None) -> tuple[GapData, Load]:
+def look_again(values: Values, data: GapData, emulator: Emulator | None) -> tuple[GapData, Load]:
     """Flights that took no part, with the windows in which the claimed load was on there.
 
     Their own gap tells when, the claim how large: no size is fitted to them. `data` are in terms

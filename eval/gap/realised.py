@@ -12,12 +12,12 @@ from eval.gap.claimed import Values, with_effects
 from eval.gap.data import FloatArray, GapData
 from eval.gap.evidence import HeldOut, TimeShrink
 from eval.gap.times import TimeErrors, time_errors
-from narxcal.effects.running import RateForm
+from narxcal.effects.running import Emulator
 from training.gap.finding import ChannelShrink, Interval
 from training.gap.quadratic import TOLERANCE
 
 
-def held_out(values: Values, data: GapData, emulator: RateForm | None) -> HeldOut:
+def held_out(values: Values, data: GapData, emulator: Emulator | None) -> HeldOut:
     """Add the effects to the simulator of flights that took no part in finding them."""
     after = with_effects(values, data.flights, emulator)
     share = float(pooled_share(*squares(data, after)))

@@ -20,63 +20,67 @@ from safetensors.numpy import save as save_arrays
 from eval.gap.data import FloatArray
 from narxcal.effects.base import Signals
 from narxcal.errors import ModelError
-from narxcal.narx import NarxModel
-from narxcal.steady_state import steady_from_json, steady_to_json
-from training.gap.emulator import NarxEmulator
+from narxcal.two_spool import TwoSpool
+from training.gap.emulator import GreyBoxEmulator
 from training.gap.settled import SettledModel
 
-SCHEMA = "narxcal.emulator/1"
+SCHEMA = "narxcal.emulator/2"
 DOCUMENT, WEIGHTS = "emulator.json", "weights.safetensors"
 _AGAIN = "Diagnose again, or copy the folder again"
 
 
-def write_emulator(folder: Path, emulator: NarxEmulator) -> None:
-    """Write into an existing folder; raises `ModelError` for a model that cannot be stored."""
-    settled = emulator.settled
-    narx, narx_arrays = emulator.narx.to_arrays()
-    curves, curve_arrays = steady_to_json(settled.curves)
-    arrays = {f"narx/{name}": value for name, value in narx_arrays.items()}
-    arrays |= {f"curves/{name}": value for name, value in curve_arrays.items()}
-    arrays["shifts"] = settled.shifts
+def write_emulator(folder: Path, emulator: GreyBoxEmulator) -> None:
+    """Write into an existing folder."""
+    settled, engine = emulator.settled, emulator.engine
+    arrays = {
+        "theta": engine.theta,
+        "thermal": engine.thermal,
+        "weights": settled.weights,
+        "low": settled.low,
+        "high": settled.high,
+    }
     weights = save_arrays({name: np.array(value, order="C") for name, value in arrays.items()})
     document = {
         "schema": SCHEMA,
         "signals": signals_to_json(settled.signals),
-        "dt_s": emulator.dt_s,
-        "schedule": list(emulator.schedule),
-        "columns": list(settled.columns),
+        "conditions": list(settled.conditions),
         "switches": list(settled.switches),
-        "narx": narx,
-        "curves": curves,
+        "core": {"low_pct": engine.low, "span_pct": engine.span},
+        "governed": engine.governed,
+        "dt_s": engine.dt_s,
         "sha256": hashlib.sha256(weights).hexdigest(),
     }
     (folder / WEIGHTS).write_bytes(weights)
     (folder / DOCUMENT).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
-def read_emulator(folder: Path) -> NarxEmulator:
+def read_emulator(folder: Path) -> GreyBoxEmulator:
     """Read what `write_emulator` wrote; raises `ModelError` where it is missing or altered."""
     document = _document(folder / DOCUMENT)
     arrays = _arrays(folder / WEIGHTS, str(document.get("sha256")))
-    parts: dict[str, dict[str, FloatArray]] = {"narx": {}, "curves": {}}
-    for name, value in arrays.items():
-        room, _, rest = name.partition("/")
-        if room in parts:
-            parts[room][rest] = value
     try:
         settled = SettledModel(
             signals_from_json(document["signals"]),
-            steady_from_json(document["curves"], parts["curves"]),
-            tuple(document["columns"]),
+            tuple(document["conditions"]),
             tuple(document["switches"]),
-            arrays["shifts"],
+            arrays["low"],
+            arrays["high"],
+            arrays["weights"],
         )
-        network = NarxModel.from_arrays(document["narx"], parts["narx"])
-        return NarxEmulator(settled, network, tuple(document["schedule"]), float(document["dt_s"]))
+        core = document["core"]
+        engine = TwoSpool(
+            arrays["theta"],
+            arrays["thermal"],
+            float(core["low_pct"]),
+            float(core["span_pct"]),
+            int(document["governed"]),
+            float(document["dt_s"]),
+        )
     except KeyError as error:
         raise ModelError(
             f"the stored emulator has no {error}", file=folder / DOCUMENT, hint=_AGAIN
         ) from None
+    return GreyBoxEmulator(settled, engine)
 
 
 def signals_to_json(signals: Signals) -> dict[str, Any]:

@@ -2,14 +2,14 @@
 
 from narxcal.effects.base import Effect, Parameter, Signals
 from narxcal.effects.library import LIBRARY, candidates, effect
-from narxcal.effects.running import Flights, RateForm, respond
+from narxcal.effects.running import Emulator, Flights, respond
 
 __all__ = [
     "LIBRARY",
     "Effect",
+    "Emulator",
     "Flights",
     "Parameter",
-    "RateForm",
     "Signals",
     "candidates",
     "effect",

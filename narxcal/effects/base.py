@@ -1,8 +1,8 @@
 """What an effect is: a small, bounded departure of the real engine from its simulator.
 
 An effect has named parameters and acts on the *input* (what the engine is told), on the *rate*
-(how fast its outputs move) or on the *output* (what the sensor reports). Any simulator in rate
-form, `y[k+1] = y[k] + dt f(y, u)`, takes any effect without knowing it (see `effects.running`).
+(how fast it moves) or on the *output* (what the sensor reports). Any simulator that can be told
+other inputs and set to another pace takes any effect without knowing it (see `effects.running`).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from narxcal.atmosphere import air_state
 from narxcal.effects.memory import Memory
+from narxcal.effects.pace import Pace
 from narxcal.errors import ConfigError
 
 FloatArray = NDArray[np.float64]
@@ -174,14 +175,11 @@ class ShiftEffect(InputEffect):
 
 
 class RateEffect(Effect):
-    """An effect on how fast the outputs move."""
+    """An effect on how fast the engine moves."""
 
     @abstractmethod
-    def on_rate(self, run: Run, rate: FloatArray, air: FloatArray) -> FloatArray:
-        """Rates (batch, outputs) of the engine at one sample, for those of the simulator.
-
-        `air` (batch, 1) is `Signals.thin_air` there.
-        """
+    def pace(self, theta: FloatArray) -> Pace:
+        """Pace of the engine against the simulator, for `theta` (batch, parameters)."""
 
 
 class OutputEffect(Effect):

@@ -2,32 +2,16 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from typing import ClassVar
 
-import numpy as np
-
-from narxcal.effects.base import (
-    FloatArray,
-    OutputEffect,
-    Parameter,
-    RateEffect,
-    Run,
-    Side,
-    Signals,
-)
-from narxcal.effects.memory import Lag
+from narxcal.effects.base import FloatArray, Parameter, RateEffect, Side, Signals
+from narxcal.effects.pace import Pace, as_simulated
 
 SPEEDS = ("N1_pct", "N2_pct")
-UNLIMITED_PCTPS = 80.0  # faster than any spool
 
 
-def _speeds(signals: Signals) -> list[int]:
-    return [signals.y(name) for name in SPEEDS if name in signals.outputs]
-
-
-class _Spools(RateEffect):
-    """An effect on the rates of the spool speeds."""
+class _Transit(RateEffect):
+    """An effect on the rates of the rotors, or on what the control lets them do."""
 
     side: ClassVar[Side] = "process"
     family: ClassVar[str] = "transit"
@@ -36,32 +20,27 @@ class _Spools(RateEffect):
         """Wherever there is a spool speed."""
         return any(name in signals.outputs for name in SPEEDS)
 
-    def on_rate(self, run: Run, rate: FloatArray, air: FloatArray) -> FloatArray:
-        """Rates with those of the spools changed; the other outputs move as they did."""
-        speeds, changed = _speeds(run.signals), rate.copy()
-        changed[:, speeds] = self.spool_rate(run, rate[:, speeds], air)
-        return changed
 
-    @abstractmethod
-    def spool_rate(self, run: Run, rate: FloatArray, air: FloatArray) -> FloatArray:
-        """Rates (batch, speeds) of the spools, in %/s."""
+class SpoolLag(_Transit):
+    """Both rotors are `factor` times as heavy: the same surplus of power moves them less.
 
-
-class SpoolLag(_Spools):
-    """All time constants of the spools are `factor` times as long."""
+    Under a governor the fan comes as asked where fuel allows it; the core and the temperature then
+    overshoot more.
+    """
 
     id: ClassVar[str] = "spool_lag"
     meaning: ClassVar[str] = "time constants of both spools scaled"
     manoeuvre: ClassVar[str] = "steps of three sizes, both ways: its transit time is independent"
     fixed = (Parameter("factor", "-", 0.4, 4.0, 1.0, (0.8, 1.3, 2.0)),)
 
-    def spool_rate(self, run: Run, rate: FloatArray, air: FloatArray) -> FloatArray:  # noqa: ARG002 - the same in any air
-        """`1 / factor` of the rate."""
-        return rate / run.theta[:, :1]
+    def pace(self, theta: FloatArray) -> Pace:
+        """`1 / factor` of every rate."""
+        slower, same = 1.0 / theta[:, 0], as_simulated(len(theta))
+        return same._replace(fan_up=slower, fan_down=slower, core_up=slower, core_down=slower)
 
 
-class SpoolCoupling(_Spools):
-    """The low-pressure spool alone is `factor` times as slow: it trails the other differently."""
+class SpoolCoupling(_Transit):
+    """The low-pressure rotor alone is `factor` times as heavy: it trails the other differently."""
 
     id: ClassVar[str] = "spool_coupling"
     meaning: ClassVar[str] = "low-pressure spool follows the high-pressure spool differently"
@@ -72,14 +51,13 @@ class SpoolCoupling(_Spools):
         """Where both spool speeds are known."""
         return all(name in signals.outputs for name in SPEEDS)
 
-    def spool_rate(self, run: Run, rate: FloatArray, air: FloatArray) -> FloatArray:  # noqa: ARG002 - the same in any air
-        """`1 / factor` of the rate of N1; N2 as it was."""
-        changed = rate.copy()
-        changed[:, 0] /= run.theta[:, 0]
-        return changed
+    def pace(self, theta: FloatArray) -> Pace:
+        """`1 / factor` of the fan's rate; the core as it was."""
+        slower = 1.0 / theta[:, 0]
+        return as_simulated(len(theta))._replace(fan_up=slower, fan_down=slower)
 
 
-class AccelDecelAsymmetry(_Spools):
+class AccelDecelAsymmetry(_Transit):
     """Time constants are `ratio` times as long while the spools speed up."""
 
     id: ClassVar[str] = "accel_decel_asymmetry"
@@ -87,40 +65,30 @@ class AccelDecelAsymmetry(_Spools):
     manoeuvre: ClassVar[str] = "pushes and pulls of one size, at low and at high altitude"
     fixed = (Parameter("ratio", "-", 0.4, 4.0, 1.0, (0.8, 1.3, 2.0)),)
 
-    def spool_rate(self, run: Run, rate: FloatArray, air: FloatArray) -> FloatArray:  # noqa: ARG002 - the same in any air
+    def pace(self, theta: FloatArray) -> Pace:
         """`1 / ratio` of every rising rate."""
-        return np.where(rate > 0.0, rate / run.theta[:, :1], rate)
+        slower = 1.0 / theta[:, 0]
+        return as_simulated(len(theta))._replace(fan_up=slower, core_up=slower)
 
 
-class AccelLimit(RateEffect):
-    """No spool speeds up faster than `limit_pctps`, in the thick air of sea level.
+class AccelLimit(_Transit):
+    """The control allows `share` of the acceleration that the simulator's allows.
 
-    The limit goes with `delta / sqrt(theta)`, as the power that drives the spools does. What limits
-    is the fuel, so where it binds all outputs are held back alike: the engine passes through the
-    same states, later.
+    The limit keeps the shape of the simulator's own over speed and air. Where that never was
+    reached, it is the greatest acceleration of the logs, and goes with `delta / sqrt(theta)`.
     """
 
     id: ClassVar[str] = "accel_limit"
-    family: ClassVar[str] = "transit"
-    side: ClassVar[Side] = "process"
     meaning: ClassVar[str] = "acceleration limited by the control"
     manoeuvre: ClassVar[str] = "slams of three sizes: only the large ones are slower"
-    fixed = (
-        Parameter("limit_pctps", "%/s", 0.5, UNLIMITED_PCTPS, UNLIMITED_PCTPS, (25.0, 12.0, 6.0)),
-    )
+    fixed = (Parameter("share", "-", 0.1, 2.0, 1.0, (0.8, 0.5, 0.3)),)
 
-    def applies(self, signals: Signals) -> bool:
-        """Wherever there is a spool speed."""
-        return any(name in signals.outputs for name in SPEEDS)
-
-    def on_rate(self, run: Run, rate: FloatArray, air: FloatArray) -> FloatArray:
-        """Rates scaled down so that the fastest spool's is at the limit; none at the neutral."""
-        limit = np.where(run.theta[:, :1] < UNLIMITED_PCTPS, run.theta[:, :1] * air, np.inf)
-        fastest = rate[:, _speeds(run.signals)].max(axis=1, keepdims=True)
-        return np.asarray(rate * np.minimum(limit / np.maximum(fastest, 1e-9), 1.0))
+    def pace(self, theta: FloatArray) -> Pace:
+        """`share` of the limit of acceleration."""
+        return as_simulated(len(theta))._replace(limit=theta[:, 0])
 
 
-class AltitudeLag(_Spools):
+class AltitudeLag(_Transit):
     """Time constants go with air density by an `exponent` more than the simulator has it.
 
     `tau ~ (sqrt(theta) / delta)^exponent` (NACA TR-1011, FACTS A2).
@@ -135,31 +103,27 @@ class AltitudeLag(_Spools):
         """Where the altitude changes."""
         return super().applies(signals) and "ALT_ft" in signals.active
 
-    def spool_rate(self, run: Run, rate: FloatArray, air: FloatArray) -> FloatArray:
+    def pace(self, theta: FloatArray) -> Pace:
         """Rates scaled by the power of what the air is."""
-        return rate * air ** run.theta[:, :1]
+        return as_simulated(len(theta))._replace(thin_air=theta[:, 0])
 
 
-class ActuatorLag(OutputEffect):
-    """A further lag of `tau_s` between the control and the fuel that burns.
+class ActuatorLag(_Transit):
+    """A further lag of `tau_s` between what the control asks for and the fuel that burns.
 
-    A lag in series with an engine may as well stand behind it as long as the engine does not
-    change much within `tau_s`: all outputs follow the simulator's with the one lag. What the
-    control does about it (some overshoot) is left out.
+    An accelerating engine needs ever more fuel, so that fuel which is late is fuel that is missing
+    all along. How much, goes with the core's own time constant `core_s`, which is fitted with it.
     """
 
     id: ClassVar[str] = "actuator_lag"
     family: ClassVar[str] = "initiation"
-    side: ClassVar[Side] = "process"
     meaning: ClassVar[str] = "lag of the fuel metering valve"
     manoeuvre: ClassVar[str] = "fast small steps: a lag bends the start, a delay only shifts it"
-    fixed = (Parameter("tau_s", "s", 0.0, 3.0, 0.0, (0.1, 0.3, 0.8)),)
+    fixed = (
+        Parameter("tau_s", "s", 0.0, 3.0, 0.0, (0.1, 0.3, 0.8)),
+        Parameter("core_s", "s", 0.3, 5.0, 1.0, (0.7, 2.0)),
+    )
 
-    def on_output(self, run: Run, y: FloatArray) -> FloatArray:
-        """All outputs behind one and the same lag."""
-        tau_s = run.theta[:, 0]
-        columns = [
-            run.memory.setdefault(f"lag {j}", Lag(tau_s, run.signals.dt_s))(y[..., j])
-            for j in range(y.shape[-1])
-        ]
-        return np.stack(columns, axis=-1)
+    def pace(self, theta: FloatArray) -> Pace:
+        """The valve's lag, and how the core answers fuel."""
+        return as_simulated(len(theta))._replace(valve_s=theta[:, 0], core_s=theta[:, 1])

@@ -1,12 +1,12 @@
 """Runs effects on a batch of flights: what the simulator would have said with them.
 
-The simulator is known by its logs and, in between, by an emulator in rate form `f(y, u)`. The
-emulator is *anchored*: at the logged outputs it moves exactly as the log does,
+The simulator is known by its logs and, in between, by an emulator that can be told other inputs and
+set to another pace. The emulator is *anchored*: what an effect does is the difference between its
+free run with the effect and its free run without,
 
-    dy/dt = f(y, u') - f(y_sim, u) + d y_sim / dt
+    y = y_sim + run(u', pace) - run(u, 1)
 
-so that only the difference an effect makes is left to the emulator, and no effect means no
-difference at all.
+so that no effect means no difference at all, and what the emulator gets wrong in both cancels.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from narxcal.effects.base import (
     ShiftEffect,
     Signals,
 )
+from narxcal.effects.pace import Pace, together
 from narxcal.errors import ConfigError
 
 Setting = tuple[Effect, FloatArray]  # an effect and its theta (batch, parameters)
-SETTLE_S = 20.0
 
 
 @dataclass(frozen=True)
@@ -47,17 +47,18 @@ class Flights:
     lengths: NDArray[np.int64]
 
 
-class RateForm(Protocol):
-    """A simulator in rate form, for many rows at once."""
+class Emulator(Protocol):
+    """Stands in for a simulator under other inputs, and at another pace."""
 
-    def drive(self, u: FloatArray) -> FloatArray:
-        """All that depends on inputs `u` (rows, time, inputs) alone: (rows, time, features)."""
+    def run(self, flights: Flights, told: FloatArray, pace: Pace | None = None) -> FloatArray:
+        """Free runs (rows, time, outputs) of an engine told `told` (blocks, time, inputs).
 
-    def rate(self, y: FloatArray, drive: FloatArray) -> FloatArray:
-        """Rates (..., outputs) at outputs `y` (..., outputs) under `drive` (..., features)."""
+        There are as many rows as `pace` has, or blocks: without one it is the simulator's own.
+        Row r is told block `r % blocks` and begins where flight `r % flights` does.
+        """
 
 
-def respond(settings: Sequence[Setting], flights: Flights, emulator: RateForm | None) -> FloatArray:
+def respond(settings: Sequence[Setting], flights: Flights, emulator: Emulator | None) -> FloatArray:
     """Outputs (batch, flights, time, outputs) with the effects of `settings` in place.
 
     All thetas have one batch. Effects act in the order input, rate, output. Only those on rates,
@@ -102,38 +103,12 @@ def read(settings: Sequence[Setting], signals: Signals, u: FloatArray, y: FloatA
 
 
 def _moved(
-    settings: Sequence[Setting], flights: Flights, emulator: RateForm, told: FloatArray
+    settings: Sequence[Setting], flights: Flights, emulator: Emulator, told: FloatArray
 ) -> FloatArray:
-    """Integrate the anchored emulator with the rate hooks, by explicit steps of the raster."""
-    signals, dt, count = flights.signals, flights.signals.dt_s, len(flights.u)
-    rows = np.arange(len(told)) % count
-    before = emulator.drive(flights.u)
-    anchor = np.diff(flights.y, axis=1) / dt - emulator.rate(flights.y, before)[:, :-1]
-    alone = all(not isinstance(effect, InputEffect) for effect, _ in settings)
-    drive = before[rows] if alone else emulator.drive(told)
-    acting = [
-        (effect, Run(signals, theta, told))
-        for effect, theta in settings
-        if isinstance(effect, RateEffect)
-    ]
-    air = signals.thin_air(told)[..., None]
-    y = flights.y[rows]
-    if not np.array_equal(told[:, 0], flights.u[rows, 0]):
-        y[:, 0] = _settled(emulator, y[:, 0], (before[rows, 0], drive[:, 0]), dt)
-    for k in range(y.shape[1] - 1):
-        rate = anchor[rows, k] + emulator.rate(y[:, k], drive[:, k])
-        for effect, run in acting:
-            rate = effect.on_rate(run, rate, air[:, k])
-        y[:, k + 1] = y[:, k] + dt * rate
-    return y
-
-
-def _settled(
-    emulator: RateForm, logged: FloatArray, drives: tuple[FloatArray, FloatArray], dt_s: float
-) -> FloatArray:
-    """Where an engine at rest at `logged` (rows, outputs) rests under the second of two drives."""
-    before, drive = drives
-    y, anchor = logged, emulator.rate(logged, before)
-    for _ in range(round(SETTLE_S / dt_s)):
-        y = y + dt_s * (emulator.rate(y, drive) - anchor)
-    return y
+    """Add to the logs what the effects change in the emulator's free run."""
+    rows = np.arange(len(settings[0][1])) % len(flights.u)
+    if all(not isinstance(effect, InputEffect) for effect, _ in settings):
+        told = flights.u
+    paces = [effect.pace(theta) for effect, theta in settings if isinstance(effect, RateEffect)]
+    changed = emulator.run(flights, told, together(paces) if paces else None)
+    return np.asarray(flights.y[rows] + (changed - emulator.run(flights, flights.u)[rows]))

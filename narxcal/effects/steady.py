@@ -159,25 +159,32 @@ class IdleSchedule(OffsetEffect):
 class HeatSoak(OffsetEffect):
     """Temperature (and N2) trail power by a slow share: metal still cold, clearances still open.
 
-    The shape is the temperature less its own lag of `tau_s` (FACTS A4: 30 to 300 s).
+    The shape is the temperature behind a lag of `rise_s` less that behind one of `tau_s` (FACTS A4:
+    30 to 300 s). Blades and discs grow before the casing does: the share may take some time to
+    come, and takes longer to go.
     """
 
     id: ClassVar[str] = "heat_soak"
     family: ClassVar[str] = "slow offset"
     meaning: ClassVar[str] = "slow drift after a change of power"
     manoeuvre: ClassVar[str] = "3 to 5 minutes of hold after a large step, from cold and from hot"
-    fixed = (Parameter("tau_s", "s", 20.0, 400.0, 20.0, (30.0, 80.0, 200.0)),)
+    fixed = (
+        Parameter("tau_s", "s", 20.0, 400.0, 20.0, (30.0, 80.0, 200.0)),
+        Parameter("rise_s", "s", 0.0, 60.0, 0.0, (1.0, 10.0)),
+    )
 
     def terms(self, signals: Signals) -> tuple[tuple[str, str], ...]:
         """Every output that no control holds."""
         return tuple(("share", to) for to in signals.free)
 
     def parameters(self, signals: Signals) -> tuple[Parameter, ...]:
-        """The metal's time constant, and shares of the shape."""
+        """The time constants, and shares of the shape."""
         shares = (f"{shape}_{to}" for shape, to in self.terms(signals))
         return (*self.fixed, *(Parameter(s, "-", -2.0, 2.0, 0.0, linear=True) for s in shares))
 
     def shapes(self, run: Run, y: FloatArray) -> dict[str, FloatArray]:
         """What the metal lacks, in the unit of the temperature (or of the last output)."""
         hot = run.signals.outputs.index("EGT_C") if "EGT_C" in run.signals.outputs else -1
-        return {"share": y[..., hot] - _followed(run, "metal", y[..., hot], run.theta[:, 0])}
+        blades = _followed(run, "blades", y[..., hot], run.theta[:, 1])
+        trail = blades - _followed(run, "metal", y[..., hot], run.theta[:, 0])
+        return {"share": trail * (0.5 + 0.5 * np.clip(run.signals.power(y), 0.0, 1.0))}

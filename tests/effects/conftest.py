@@ -1,15 +1,17 @@
-"""A small analytic engine in rate form, flights of it, and every effect that can act on them."""
+"""A small analytic engine that takes a pace, flights of it, and every effect that can act."""
 
 import numpy as np
 import pytest
 
 from narxcal.effects import Flights, Signals, candidates
 from narxcal.effects.base import OutputEffect, RateEffect
+from narxcal.effects.pace import as_simulated
 from narxcal.effects.sensor_side import SensorEffect
 
 INPUTS = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "Approach", "ECS", "NAI", "WAI", "unlogged")
 OUTPUTS = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
 DT = 0.125
+FASTEST = 12.0  # acceleration of the core in %/s that its control allows
 
 
 class Engine:
@@ -39,6 +41,25 @@ class Engine:
         for k in range(u.shape[-2] - 1):
             y.append(y[-1] + DT * self.rate(y[-1], self.drive(u[..., k, :])))
         return np.stack(y, axis=-2)
+
+    def run(self, flights, told, pace=None):
+        """Explicit steps at a pace: lags of the speeds scaled, the lever behind the valve's."""
+        pace = pace or as_simulated(len(told))
+        rows, which = np.arange(len(pace[0])) % len(flights.u), np.arange(len(pace[0])) % len(told)
+        drive, air = self.drive(told[which]).copy(), flights.signals.thin_air(told)[which]
+        for k in range(1, drive.shape[1]):
+            late = np.exp(-DT / np.maximum(pace.valve_s, 1e-9))
+            drive[:, k, 0] += late * (drive[:, k - 1, 0] - drive[:, k, 0])
+        y = [flights.y[rows, 0] + settled(told[which, 0]) - settled(flights.u[rows, 0])]
+        for k in range(drive.shape[1] - 1):
+            rate = self.rate(y[-1], drive[:, k])
+            thin = air[:, k] ** pace.thin_air
+            rate[:, 0] *= thin * np.where(rate[:, 0] > 0.0, pace.fan_up, pace.fan_down)
+            rate[:, 1] *= thin * np.where(rate[:, 1] > 0.0, pace.core_up, pace.core_down)
+            room = FASTEST * pace.limit / np.maximum(rate[:, 1], 1e-9)
+            rate *= np.where(pace.limit == 1.0, 1.0, np.minimum(room, 1.0))[:, None]
+            y.append(y[-1] + DT * rate)
+        return np.stack(y, axis=1)
 
 
 def levers(flights=3, steps=240, seed=0):

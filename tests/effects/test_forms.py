@@ -7,6 +7,7 @@ from narxcal.atmosphere import air_state
 from narxcal.effects import Flights, effect, respond
 from narxcal.effects.base import Run
 from narxcal.effects.memory import Lag
+from narxcal.effects.pace import as_simulated, together
 
 DT = 0.125
 
@@ -21,11 +22,15 @@ def told(name, theta, flights, u):
     return found[..., 0]
 
 
-def moved(name, theta, rate, air=1.0, flights=None):
-    """Rates (batch, 4) of the engine, for those of the simulator (batch, 4)."""
-    rows = np.atleast_2d(rate)
-    run = Run(flights.signals, np.full((len(rows), 1), theta), flights.u[:1])
-    return effect(name).on_rate(run, rows, np.full((len(rows), 1), air))
+def paced(name, *theta):
+    """What is not as simulated in the pace of an effect: field -> value."""
+    found = effect(name).pace(np.array([theta]))
+    usual = as_simulated(1)
+    return {
+        field: float(value[0])
+        for field, value, same in zip(found._fields, found, usual, strict=True)
+        if value[0] != same[0]
+    }
 
 
 def added(acting, flights, **amplitudes):
@@ -51,40 +56,39 @@ def test_a_delay_and_a_limit_and_a_bias_of_the_lever(flights):
     np.testing.assert_allclose(told("throttle_bias", [-1.5], flights, ramp), ramp - 1.5)
 
 
-RATE = [[3.0, 4.0, 50.0, 60.0], [-3.0, 4.0, -50.0, 60.0], [-1.0, -2.0, 5.0, -6.0]]
+@pytest.mark.parametrize(
+    ("name", "theta", "changed"),
+    [
+        ("spool_lag", [2.0], dict.fromkeys(("fan_up", "fan_down", "core_up", "core_down"), 0.5)),
+        ("spool_coupling", [2.0], {"fan_up": 0.5, "fan_down": 0.5}),
+        ("accel_decel_asymmetry", [2.0], {"fan_up": 0.5, "core_up": 0.5}),
+        ("accel_limit", [0.4], {"limit": 0.4}),
+        ("altitude_lag", [0.8], {"thin_air": 0.8}),
+        ("actuator_lag", [0.6, 2.0], {"valve_s": 0.6, "core_s": 2.0}),
+    ],
+)
+def test_what_an_effect_says_of_the_pace(name, theta, changed):
+    assert paced(name, *theta) == changed
 
 
-def test_slower_spools(flights):
-    found = moved("spool_lag", 2.0, RATE, flights=flights)
-    np.testing.assert_allclose(found, np.array(RATE) / [2.0, 2.0, 1.0, 1.0])
+def test_effects_on_the_pace_add_up():
+    paces = [effect(n).pace(np.array([t])) for n, t in PACES]
+    found = together(paces)
+    np.testing.assert_allclose(found.fan_up, 1.0 / (2.0 * 1.5))
+    np.testing.assert_allclose(found.core_up, 1.0 / 2.0)
+    np.testing.assert_allclose(found.limit, 0.4 * 0.5)
+    np.testing.assert_allclose(found.thin_air, 0.3)
+    np.testing.assert_allclose(found.valve_s, 0.6)
 
 
-def test_a_slower_low_pressure_spool(flights):
-    found = moved("spool_coupling", 2.0, RATE, flights=flights)
-    np.testing.assert_allclose(found, np.array(RATE) / [2.0, 1.0, 1.0, 1.0])
-
-
-def test_slower_up_than_down(flights):
-    found = moved("accel_decel_asymmetry", 2.0, RATE, flights=flights)[:, :2]
-    np.testing.assert_allclose(found, [[1.5, 2.0], [-3.0, 2.0], [-1.0, -2.0]])
-
-
-def test_where_the_control_limits_all_is_held_back_alike(flights):
-    found = moved("accel_limit", 5.0, RATE, 0.5, flights)
-    np.testing.assert_allclose(found, np.array(RATE) * [[2.5 / 4.0], [2.5 / 4.0], [1.0]])
-
-
-def test_a_lag_of_the_actuator_is_one_lag_of_all_outputs(flights):
-    found = added(effect("actuator_lag"), flights, tau_s=0.6)
-    for name in flights.signals.outputs:
-        alone = added(effect(f"sensor_lag:{name}"), flights, tau_s=0.6)
-        column = flights.signals.y(name)
-        np.testing.assert_array_equal(found[..., column], alone[..., column])
-
-
-def test_thin_air_slows_the_spools_by_its_power(flights):
-    found = moved("altitude_lag", 0.8, RATE, 0.3, flights)[:, :2]
-    np.testing.assert_allclose(found, np.array(RATE)[:, :2] * 0.3**0.8)
+PACES = [
+    ("spool_lag", [2.0]),
+    ("spool_coupling", [1.5]),
+    ("accel_limit", [0.4]),
+    ("accel_limit", [0.5]),
+    ("altitude_lag", [0.3]),
+    ("actuator_lag", [0.6, 1.0]),
+]
 
 
 def test_the_air_is_that_of_the_intake(flights):

@@ -10,21 +10,25 @@ DT = 0.125
 
 
 class Drifting:
-    """The emulator of someone who got every rate wrong."""
+    """The emulator of someone who got every run wrong, with and without an effect."""
 
     def __init__(self, engine):
         self.engine = engine
 
-    def drive(self, u):
-        return self.engine.drive(u)
-
-    def rate(self, y, drive):
-        return 0.8 * self.engine.rate(y, drive) + np.sin(drive[..., :1])
+    def run(self, flights, told, pace=None):
+        right = self.engine.run(flights, told, pace)
+        return 0.8 * right + np.sin(np.arange(right.shape[1]))[:, None]
 
 
 def test_no_effect_is_no_difference_however_wrong_the_emulator(acting, neutral, flights, engine):
     found = respond([(acting, neutral(acting))], flights, Drifting(engine))
     np.testing.assert_array_equal(found[0], flights.y)
+
+
+def test_what_an_emulator_gets_wrong_in_both_runs_cancels(flights, engine):
+    setting = (effect("spool_lag"), np.array([[1.5]]))
+    right, wrong = (respond([setting], flights, e) for e in (engine, Drifting(engine)))
+    np.testing.assert_allclose(wrong - flights.y, 0.8 * (right - flights.y), atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ import numpy as np
 from narxcal.effects.base import Effect, FloatArray
 from narxcal.effects.library import candidates
 from narxcal.effects.running import Flights
-from training.gap.emulator import NarxEmulator
+from training.gap.emulator import GreyBoxEmulator
 from training.gap.finding import Finding
 from training.gap.fitting import Fit, Problem, fit
 from training.gap.null import null_gains
@@ -38,7 +38,7 @@ _SECOND = 0.3  # of what one effect leaves: less is no reason to name another
 def diagnose(
     flights: Flights,
     measured: tuple[FloatArray, FloatArray],
-    emulator: NarxEmulator | None,
+    emulator: GreyBoxEmulator | None,
     options: Options | None = None,
     watch: Watch | None = None,
 ) -> Finding:

@@ -1,76 +1,56 @@
-r"""An emulator in rate form, fitted to a simulator's own logs.
+r"""An emulator of a simulator, fitted to the simulator's own logs.
 
-It has the form of the product's own model, a steady state and a NARX network of one lag over the
-deviation from it, read as a rate: one step of the network from `y` under inputs `u`, less `y`,
-over the length of the step. One lag makes the outputs the whole state, so that scaling or
-delaying the rate means what it says.
+The product's networks follow logs closely, but nothing holds them to physics where no log ever was:
+asked what an engine with heavier rotors does, they relax at a rate of their own. So the emulator is
+a grey box, two rotors under a control over the simulator's settled values. It says what *changes*:
+the difference between its run with an effect and its run without is added to the log.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from narxcal.effects.base import FloatArray
+from narxcal.effects.base import FloatArray, Signals
+from narxcal.effects.pace import Pace, as_simulated
 from narxcal.effects.running import Flights
-from narxcal.narx import NarxConfig, NarxModel, Weights
-from narxcal.records import Record
-from training.config import TrainConfig
+from narxcal.errors import DataError
+from narxcal.two_spool import TwoSpool
 from training.gap.settled import SettledModel, fit_settled
-from training.rest import rest_records
-from training.trainer import Material, fit_narx
+from training.gap.two_spool_fit import GOVERNED_CORE, GOVERNED_FAN, Course, fit_two_spool
 
-CONDITIONS = ("ALT_ft", "Mach")
-_REST_S = 20.0
-_MARGIN = 0.5
+FAN, CORE = "N1_pct", "N2_pct"
+_CLEARLY = 0.6  # of the cost of the other kind of control: no tie
 
 
 @dataclass(frozen=True, eq=False)
-class NarxEmulator:
-    """A steady state and a network of one lag as a rate form; `schedule` are columns of inputs."""
+class GreyBoxEmulator:
+    """Settled values and the two-spool engine that moves between them."""
 
     settled: SettledModel
-    narx: NarxModel
-    schedule: tuple[int, ...]
-    dt_s: float
-    _weights: Weights = field(init=False, repr=False)
+    engine: TwoSpool
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_weights", Weights.of(self.narx.net))
+    def run(self, flights: Flights, told: FloatArray, pace: Pace | None = None) -> FloatArray:
+        """Free runs (rows, time, outputs) of an engine that is told `told` (blocks, time, inputs).
 
-    def drive(self, u: FloatArray) -> FloatArray:
-        """Steady outputs at a sample and the next, and the network's drive there.
-
-        (rows, time, 3 outputs + hidden units); the last sample is driven by itself.
+        Row r is told block `r % blocks` and starts where flight `r % flights` does, moved by what
+        other inputs change at rest.
         """
-        return np.stack([self._drive(row) for row in u])
-
-    def _drive(self, u: FloatArray) -> FloatArray:
-        weights, ss = self._weights, self.settled.outputs(u)
-        tapped = self.narx.input_scaling.down(_features(ss, u[:, list(self.schedule)]))
-        hidden, linear = weights.b1 + tapped @ weights.w1u.T, weights.b2 + tapped @ weights.au.T
-        rest = tapped * weights.fixed
-        linear -= weights.b2 + weights.at_rest(tapped) @ weights.w2.T + rest @ weights.au.T
-        later = np.minimum(np.arange(len(u)) + 1, len(u) - 1)
-        return np.concatenate([ss, ss[later], linear[later], hidden[later]], axis=1)
-
-    def rate(self, y: FloatArray, drive: FloatArray) -> FloatArray:
-        """Rates (..., outputs) at `y` under `drive`, for one step of the network."""
-        weights, scale, count = self._weights, self.narx.output_scaling.scale, y.shape[-1]
-        left = (drive[..., :count] - y) / scale
-        active = np.tanh(drive[..., 3 * count :] + left @ weights.w1y.T)
-        after = drive[..., 2 * count : 3 * count] + left @ weights.ay.T + active @ weights.w2.T
-        after = np.minimum(np.maximum(after, weights.low), weights.high)
-        return np.asarray((drive[..., count : 2 * count] - after * scale - y) / self.dt_s)
+        order, count = _order(flights.signals), len(flights.u)
+        paces = np.stack(pace or as_simulated(len(told)), axis=1)
+        rows, which = np.arange(len(paces)) % count, np.arange(len(paces)) % len(told)
+        steady = self.settled.outputs(told)
+        asked = self.settled.outputs(flights.u[:, 0])
+        start = flights.y[rows, 0] + steady[which, 0] - asked[rows]
+        air = np.log(flights.signals.thin_air(told))
+        flown = (_picked(steady, order), air, _picked(start, order))
+        found = self.engine.free_run(flown, which, paces)
+        return _back(found, order, len(flights.signals.outputs))
 
     def free_run(self, flights: Flights) -> FloatArray:
         """Its own outputs (flights, time, outputs) from each flight's first sample on."""
-        drive, y = self.drive(flights.u), flights.y.copy()
-        for k in range(y.shape[1] - 1):
-            y[:, k + 1] = y[:, k] + self.dt_s * self.rate(y[:, k], drive[:, k])
-        return y
+        return self.run(flights, flights.u)
 
     def errors(self, flights: Flights) -> FloatArray:
         """RMSE (outputs,) of the free run over whole flights."""
@@ -79,35 +59,48 @@ class NarxEmulator:
         return np.asarray(np.sqrt(np.mean(np.concatenate(rows) ** 2, axis=0)))
 
 
-def _features(ss: FloatArray, schedule: FloatArray) -> FloatArray:
-    """Increments of the steady outputs, which move; the steady outputs, and the conditions."""
-    return np.concatenate([np.diff(ss, axis=0, prepend=ss[:1]), ss, schedule], axis=1)
+def fit_emulator(flights: Flights) -> GreyBoxEmulator:
+    """Fit to the simulated flights themselves, under whichever control suits them better.
 
-
-def fit_emulator(flights: Flights, hidden: int = 8, seed: int = 0) -> NarxEmulator:
-    """Train on the simulated flights themselves.
-
-    Raises `DataError` where they hold too little at rest to fit a steady state to.
+    Raises `DataError` where no spool speed is among the outputs.
     """
     signals = flights.signals
+    order = _order(signals)
     settled = fit_settled(flights)
-    schedule = [signals.u(name) for name in CONDITIONS if name in signals.active]
-    records = [
-        _record(settled, u[:n], y[:n], schedule)
-        for u, y, n in zip(flights.u, flights.y, flights.lengths.tolist(), strict=True)
-    ]
-    count = len(signals.outputs)
-    rest = rest_records(records, count, round(_REST_S / signals.dt_s), seed)
-    structure = NarxConfig(lags=1, taps=(0,), hidden=hidden, margin=_MARGIN, moving=count)
-    material = Material(records, [], signals.dt_s, rest)
-    fitted = fit_narx(material, structure, _training(seed))
-    return NarxEmulator(settled, fitted.model, tuple(schedule), signals.dt_s)
+    course = Course(
+        y=_picked(flights.y, order),
+        steady=_picked(settled.outputs(flights.u), order),
+        air=np.log(signals.thin_air(flights.u)),
+        inside=(np.arange(flights.y.shape[1]) < flights.lengths[:, None]).astype(float),
+        dt_s=signals.dt_s,
+    )
+    two = order[0] != order[1]
+    kinds = (GOVERNED_FAN, GOVERNED_CORE) if signals.governed and two else (GOVERNED_CORE,)
+    fits = [fit_two_spool(course, kind) for kind in kinds]
+    # Both follow the logs of a governed engine about equally well; most controls hold the fan.
+    best = fits[-1] if fits[-1][1] < _CLEARLY * fits[0][1] else fits[0]
+    return GreyBoxEmulator(settled, best[0])
 
 
-def _record(settled: SettledModel, u: FloatArray, y: FloatArray, schedule: Sequence[int]) -> Record:
-    ss = settled.outputs(u)
-    return Record(_features(ss, u[:, list(schedule)]), ss - y, "simulated flight")
+def _order(signals: Signals) -> list[int]:
+    """Columns of outputs as fan, core, and the others; one spool alone is both."""
+    speeds = [signals.y(name) for name in (FAN, CORE) if name in signals.outputs]
+    if not speeds:
+        raise DataError(
+            "no spool speed is recorded",
+            hint=f"An engine is emulated by {FAN} and {CORE}, or by one of them",
+        )
+    rest = [j for j in range(len(signals.outputs)) if j not in speeds]
+    return [speeds[0], speeds[-1], *rest]
 
 
-def _training(seed: int) -> TrainConfig:
-    return TrainConfig(decay=1e-5, iterations=(10, 15), seed=seed, threads=1, local_trim=False)
+def _picked(values: FloatArray, order: list[int]) -> FloatArray:
+    return np.ascontiguousarray(values[..., order])
+
+
+def _back(values: FloatArray, order: list[int], count: int) -> FloatArray:
+    """Columns in the order of the signals again; of one spool the core's."""
+    found = np.empty((*values.shape[:-1], count))
+    for place, column in enumerate(order):
+        found[..., column] = values[..., place]
+    return found

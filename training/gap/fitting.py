@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 
 from narxcal.effects.base import Effect, FloatArray, Parameter
-from narxcal.effects.running import Flights, RateForm, respond
+from narxcal.effects.running import Emulator, Flights, respond
 from training.gap.quadratic import Misfit
 
 _STEPS = 7
@@ -29,7 +29,7 @@ class Problem:
     """What every hypothesis is fitted to."""
 
     flights: Flights
-    emulator: RateForm | None
+    emulator: Emulator | None
     misfit: Misfit
 
 
@@ -156,7 +156,10 @@ def _linearised(
 def _difference(parameter: Parameter, value: float) -> float:
     if parameter.linear:
         return 0.01 * (parameter.high - parameter.low)
-    size = 0.03 * max(abs(value - parameter.neutral), 0.3 * _scale(parameter))
+    away, small = abs(value - parameter.neutral), _scale(parameter)
+    if parameter.neutral != 0.0:  # of a limit far above it, or a factor, a share of itself
+        away, small = min(away, abs(value)), min(small, abs(value))
+    size = 0.03 * max(away, 0.3 * small)
     return size if value + size <= parameter.high else -size
 
 

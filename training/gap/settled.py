@@ -1,102 +1,153 @@
-"""Where a simulator settles, fitted to its own logs: smooth curves, and what switches add.
+r"""Where a simulator settles, fitted to its own logs: piecewise lines over the lever.
 
-The curves over lever and flight condition are those of the product. Switches (weight on wheels,
-approach idle, bleeds) shift them by a quadratic in the lever's position each, found by ridge
-regression on what the curves leave at rest.
+    s(u) = sum_j hat_j(lever) phi(conditions)' c_j  +  sum_i switch_i hat(lever)' e_i
+
+with phi the constant, linear and quadratic terms of altitude, Mach and temperature. Hats follow the
+corners of a control (idle stops, ratings, the floor of approach idle), which no smooth curve does.
+Every sample counts by how little moves there; bends are penalised (Eilers & Marx, *Statistical
+Science* 11, 1996), so that where nothing was flown the neighbours are followed.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Final
 
 import numpy as np
 
-from data_prep.log import Log
-from data_prep.quasi_steady import QuasiSteadyConfig, quasi_steady
 from narxcal.effects.base import FloatArray, Signals
 from narxcal.effects.running import Flights
-from narxcal.steady_state import SteadyStateModel
-from training.config import RunConfig
-from training.pipeline import steady_state
 
-CURVES = ("ALT_ft", "Mach", "dT_C")
-SWITCHES = ("WOW", "Approach", "ECS", "NAI", "WAI")
-_STILL = QuasiSteadyConfig(window_s=5.0, speed_pct=0.8, driver_fraction=0.01)
-_RIDGE = 1e-3
+CONDITIONS: Final = ("ALT_ft", "Mach", "dT_C")
+SWITCHES: Final = ("WOW", "Approach", "ECS", "NAI", "WAI")
+_KNOTS: Final = np.concatenate([[0.0, 0.03, 0.06, 0.1, 0.15], np.linspace(0.22, 1.0, 9)])
+_SWITCHED: Final = np.array([0.0, 0.05, 0.12, 0.25, 0.5, 1.0])
+_STILL: Final = 0.003  # of a channel's range per s: what moves slower counts fully
+_BEND, _SIZE = 1e-6, 1e-5  # penalties on bends over the lever, and on how conditions change them
 
 
 @dataclass(frozen=True, eq=False)
 class SettledModel:
-    """Curves over `columns` of the inputs, plus `shifts` (3 per switch, outputs)."""
+    """`low` and `high` (conditions, 2 rows) are what was flown; `weights` (features, outputs)."""
 
     signals: Signals
-    curves: SteadyStateModel
-    columns: tuple[int, ...]
+    conditions: tuple[int, ...]
     switches: tuple[int, ...]
-    shifts: FloatArray
+    low: FloatArray
+    high: FloatArray
+    weights: FloatArray
 
     def outputs(self, u: FloatArray) -> FloatArray:
-        """Settled outputs (time, outputs) at inputs `u` (time, inputs)."""
-        base = self.curves.outputs(u[:, list(self.columns)])
-        return base + _terms(self.signals, u, self.switches) @ self.shifts
+        """Settled outputs (..., outputs) at inputs (..., inputs), held beyond what was flown."""
+        x, phi = self._lever(u), self._conditions(u)
+        count, terms = len(_KNOTS), phi.shape[-1]
+        smooth = self.weights[: count * terms].reshape(count, terms, -1)
+        # Only the two hats next to the lever are not zero: no row of features is ever built.
+        lines = np.einsum("...t,ktn->...kn", phi, smooth, optimize=True)
+        found = _between(x, _KNOTS, lines)
+        for s, part in zip(self.switches, self._switched(), strict=True):
+            found += u[..., s, None] * _between(x, _SWITCHED, part)
+        return found
 
+    def features(self, u: FloatArray) -> FloatArray:
+        """Hats times conditions, and switches times hats: (..., features)."""
+        x, phi = self._lever(u), self._conditions(u)
+        smooth = _hats(x, _KNOTS)[..., :, None] * phi[..., None, :]
+        parts = [smooth.reshape(*x.shape, -1)]
+        parts += [u[..., s, None] * _hats(x, _SWITCHED) for s in self.switches]
+        return np.concatenate(parts, axis=-1)
 
-def _terms(signals: Signals, u: FloatArray, switches: tuple[int, ...]) -> FloatArray:
-    """Each switch times 1, x and x^2 of the lever's position x, (time, 3 per switch)."""
-    low, high = signals.lever
-    x = np.clip((u[:, signals.u(signals.driver)] - low) / max(high - low, 1e-9), 0.0, 1.0)
-    powers = np.stack([np.ones_like(x), x, x * x], axis=1)
-    each = [u[:, s, None] * powers for s in switches]
-    return np.concatenate(each, axis=1) if each else np.zeros((len(u), 0))
+    def _lever(self, u: FloatArray) -> FloatArray:
+        """Share of the driver's range."""
+        bottom, top = self.signals.lever
+        lever = u[..., self.signals.u(self.signals.driver)]
+        return np.asarray(np.clip((lever - bottom) / max(top - bottom, 1e-9), 0.0, 1.0))
+
+    def _conditions(self, u: FloatArray) -> FloatArray:
+        """Terms in the conditions, each within -1 .. 1 of what was flown."""
+        here = np.clip(u[..., list(self.conditions)], self.low, self.high)
+        return _quadratic(2.0 * (here - self.low) / (self.high - self.low) - 1.0)
+
+    def _switched(self) -> FloatArray:
+        """Values of every switch at its knots, (switches, knots, outputs)."""
+        rest = self.weights[len(self.weights) - len(_SWITCHED) * len(self.switches) :]
+        return rest.reshape(len(self.switches), len(_SWITCHED), -1)
 
 
 def fit_settled(flights: Flights) -> SettledModel:
-    """Fit to the quasi-steady samples of the simulated flights.
-
-    Raises `DataError` where they hold too few of them.
-    """
-    signals = flights.signals
-    inputs = [signals.driver, *(name for name in CURVES if name in signals.inputs)]
-    logs = [_log(flights, f) for f in range(len(flights.u))]
-    curves, _ = steady_state(_config(signals, inputs), Path(), logs)
-    columns = tuple(signals.u(name) for name in inputs)
+    """Fit to the simulated flights, every sample by how still it is."""
+    signals, u = flights.signals, flights.u
+    conditions = tuple(signals.u(name) for name in CONDITIONS if name in signals.active)
     switches = tuple(signals.u(name) for name in SWITCHES if name in signals.active)
-    shifts = np.zeros((3 * len(switches), len(signals.outputs)))
-    blank = SettledModel(signals, curves, columns, switches, shifts)
-    return SettledModel(signals, curves, columns, switches, _shifts(blank, flights, logs))
+    flown = u[..., list(conditions)].reshape(-1, len(conditions))
+    low, high = flown.min(axis=0), flown.max(axis=0)
+    blank = SettledModel(signals, conditions, switches, low, high, np.zeros((0, 0)))
+    rows, targets = blank.features(u), flights.y
+    root = np.sqrt(_stillness(flights))[..., None]
+    a = (rows * root).reshape(-1, rows.shape[-1])
+    b = (targets * root).reshape(-1, targets.shape[-1])
+    penalty = float((root**2).sum()) * _penalty(rows.shape[-1], len(conditions))
+    weights = np.asarray(np.linalg.solve(a.T @ a + penalty, a.T @ b), dtype=np.float64)
+    return SettledModel(signals, conditions, switches, low, high, weights)
 
 
-def _shifts(blank: SettledModel, flights: Flights, logs: list[Log]) -> FloatArray:
-    signals = blank.signals
-    names = tuple(name for name in signals.outputs if name.endswith("_pct"))
-    rows, targets = [], []
-    for f, log in enumerate(logs):
-        still = quasi_steady(log, signals.driver, names, _STILL)
-        u, y = flights.u[f, : len(log)][still], flights.y[f, : len(log)][still]
-        rows.append(_terms(signals, u, blank.switches))
-        targets.append(y - blank.outputs(u))
-    x, target = np.concatenate(rows), np.concatenate(targets)
-    if not len(x):
-        return blank.shifts
-    gram = x.T @ x / len(x) + _RIDGE * np.eye(x.shape[1])
-    return np.asarray(np.linalg.solve(gram, x.T @ target / len(x)))
+def _stillness(flights: Flights) -> FloatArray:
+    """Weights (flights, time) between 1 at rest and 0, and 0 beyond a flight's end."""
+    signals = flights.signals
+    speeds = [j for j, name in enumerate(signals.outputs) if name.endswith("_pct")]
+    columns = speeds or list(range(len(signals.outputs)))
+    span = np.maximum(signals.high - signals.low, 1e-9)[columns]
+    rate = np.gradient(flights.y[..., columns] / span, signals.dt_s, axis=1)
+    fastest = np.abs(rate).max(axis=-1)
+    inside = np.arange(flights.y.shape[1]) < flights.lengths[:, None]
+    return np.asarray(np.where(inside, 1.0 / (1.0 + (fastest / _STILL) ** 2), 0.0))
 
 
-def _config(signals: Signals, inputs: list[str]) -> RunConfig:
-    blend = [name for name in inputs if name in ("ALT_ft", "Mach") and name in signals.active]
-    return RunConfig.parse(
-        {
-            "schema": "narxcal.config/1",
-            "events": {"driver": signals.driver, "condition": ""},
-            "steady_state": {"inputs": inputs, "blend": blend},
-            "narx": {"outputs": list(signals.outputs), "schedule": blend},
-        }
-    )
+def _between(x: FloatArray, knots: FloatArray, values: FloatArray) -> FloatArray:
+    """Straight lines at `x` (...) through `values` (..., knots, n) or (knots, n): (..., n)."""
+    after = np.clip(np.searchsorted(knots, x, side="right"), 1, len(knots) - 1)
+    part = ((x - knots[after - 1]) / (knots[after] - knots[after - 1]))[..., None]
+    if values.ndim == 2:
+        low, high = values[after - 1], values[after]
+    else:
+        at = after[..., None, None]
+        low = np.take_along_axis(values, at - 1, axis=-2)[..., 0, :]
+        high = np.take_along_axis(values, at, axis=-2)[..., 0, :]
+    return np.asarray(low + part * (high - low))
 
 
-def _log(flights: Flights, f: int) -> Log:
-    n, signals = int(flights.lengths[f]), flights.signals
-    channels = dict(zip(signals.inputs, flights.u[f, :n].T.copy(), strict=True))
-    channels |= dict(zip(signals.outputs, flights.y[f, :n].T.copy(), strict=True))
-    return Log(f"simulated {f + 1}", np.arange(n, dtype=np.float64) * signals.dt_s, channels)
+def _hats(x: FloatArray, knots: FloatArray) -> FloatArray:
+    """Piecewise linear functions (..., knots), each one at its own knot and none at the others."""
+    after = np.clip(np.searchsorted(knots, x, side="right"), 1, len(knots) - 1)
+    part = (x - knots[after - 1]) / (knots[after] - knots[after - 1])
+    found = np.zeros((*x.shape, len(knots)))
+    np.put_along_axis(found, after[..., None] - 1, (1.0 - part)[..., None], axis=-1)
+    np.put_along_axis(found, after[..., None], part[..., None], axis=-1)
+    return found
+
+
+def _quadratic(z: FloatArray) -> FloatArray:
+    """One, each, and all products of two: (..., 1 + n + n (n + 1) / 2)."""
+    count = z.shape[-1]
+    products = [z[..., i] * z[..., j] for i in range(count) for j in range(i, count)]
+    return np.stack([np.ones(z.shape[:-1]), *np.moveaxis(z, -1, 0), *products], axis=-1)
+
+
+def _penalty(size: int, conditions: int) -> FloatArray:
+    """Penalty (features, features) on bends over the lever, and on all but the mean line."""
+    terms = 1 + conditions + conditions * (conditions + 1) // 2
+    knots = len(_KNOTS)
+    steps = np.diff(_KNOTS)
+    bends = np.zeros((knots - 2, knots))
+    for i in range(knots - 2):
+        bends[i, i : i + 3] = (
+            1.0 / steps[i],
+            -1.0 / steps[i] - 1.0 / steps[i + 1],
+            1.0 / steps[i + 1],
+        )
+    penalty = np.zeros((size, size))
+    smooth = knots * terms
+    penalty[:smooth, :smooth] = _BEND * np.kron(bends.T @ bends, np.eye(terms))
+    free = np.full(size, _SIZE)
+    free[:smooth:terms] = 1e-2 * _SIZE
+    return np.asarray(penalty + np.diag(free))

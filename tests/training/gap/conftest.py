@@ -1,10 +1,13 @@
-"""A small analytic engine that is its own exact emulator, and gaps made with known effects."""
+"""A small engine that is its own exact emulator, and gaps made with known effects."""
 
 import numpy as np
 import pytest
 
+from narxcal import two_spool
 from narxcal.effects import Flights, Signals, effect
 from narxcal.effects.running import respond
+from narxcal.two_spool import TwoSpool
+from training.gap.emulator import GreyBoxEmulator
 
 DT = 0.25
 INPUTS = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "NAI")
@@ -12,30 +15,38 @@ OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
 NOISE = np.array([0.03, 0.03, 0.5])
 
 
-class Engine:
-    """Two spools and a temperature, each a lag behind where the lever wants it."""
+class Rest:
+    """Where the engine rests, in the place of a model fitted to logs."""
 
-    def drive(self, u):
-        return np.stack([u[..., 0], np.exp(-u[..., 1] / 40000.0)], axis=-1)
+    def outputs(self, u):
+        return settled(u)
 
-    def rate(self, y, drive):
-        wanted, air = 25.0 + 0.8 * drive[..., 0], drive[..., 1]
-        n1, n2, egt = np.moveaxis(y, -1, 0)
-        return np.stack(
-            [
-                air * (wanted - n1) / 1.2,
-                air * (45.0 + 0.5 * wanted - n2) / 0.8,
-                (300.0 + 5.0 * wanted + 4.0 * (wanted - n1) - egt) / 0.9,
-            ],
-            axis=-1,
-        )
 
-    def run(self, u):
-        start = 25.0 + 0.8 * u[:, 0, 0]
-        y = [np.stack([start, 45.0 + 0.5 * start, 300.0 + 5.0 * start], axis=-1)]
-        for k in range(u.shape[1] - 1):
-            y.append(y[-1] + DT * self.rate(y[-1], self.drive(u[:, k])))
-        return np.stack(y, axis=1)
+def engine_of():
+    """Two spools under a governor, its temperature, and limits that large moves reach."""
+    theta = np.zeros(two_spool.SIZE)
+    theta[two_spool.GAIN], theta[two_spool.DAMP] = np.log(1.5), 0.8
+    theta[two_spool.UP : two_spool.UP + 3] = np.log(5.0), 0.5, 1.0
+    theta[two_spool.DOWN : two_spool.DOWN + 3] = np.log(6.0), 0.5, 1.0
+    theta[two_spool.FAN], theta[two_spool.LINE] = np.log(0.9), 1.8
+    theta[two_spool.VALVE], theta[two_spool.PUSH] = np.log(0.2), 0.3
+    thermal = np.array([[8.0, 0.0, 0.0, 12.0, 0.0, 0.0, 0.9]])
+    return GreyBoxEmulator(Rest(), TwoSpool(theta, thermal, 50.0, 40.0, 0, DT))
+
+
+def settled(u):
+    """Outputs (..., outputs) at rest at inputs (..., inputs)."""
+    to = 25.0 + 0.8 * u[..., 0]
+    return np.stack([to, 45.0 + 0.5 * to, 300.0 + 5.0 * to], axis=-1)
+
+
+def simulate(u):
+    """Flights of the engine from rest."""
+    rest = settled(u[:, :1])
+    limits = (rest[:, 0].min(axis=0), rest[:, 0].max(axis=0))
+    signals = Signals(INPUTS, OUTPUTS, DT, "TRA_deg", *limits)
+    start = Flights(signals, u, np.repeat(rest, 2, axis=1), np.full(len(u), u.shape[1]))
+    return engine_of().run(start, u)
 
 
 def lever(random, steps):
@@ -62,7 +73,7 @@ def flights():
         u[f, :, 2] = 0.4
         u[f, :, 3] = random.uniform(-15, 15)
         u[f, steps // 3 : steps // 2, 4] = 1.0
-    y = Engine().run(u)
+    y = simulate(u)
     limits = (y.min(axis=(0, 1)), y.max(axis=(0, 1)))
     active = ("TRA_deg", "ALT_ft", "dT_C", "NAI")
     signals = Signals(INPUTS, OUTPUTS, DT, "TRA_deg", *limits, (2.0, 80.0), active)
@@ -71,7 +82,7 @@ def flights():
 
 @pytest.fixture(scope="session")
 def engine():
-    return Engine()
+    return engine_of()
 
 
 @pytest.fixture(scope="session")

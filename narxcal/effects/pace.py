@@ -1,0 +1,53 @@
+"""How fast an engine moves against its simulator: what effects on rates say of it.
+
+A two-spool engine moves by the power its core has to spare. What can be different is how fast
+either spool turns that into speed, up or down; what thin air makes of it; how much acceleration the
+control allows; and how late the fuel valve follows what the control asks for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+class Pace(NamedTuple):
+    """Each field is `(batch,)`.
+
+    Rates of the fan and of the core are so many times as fast while they speed up and while they
+    slow down, and go with `thin_air` as a further power of `delta / sqrt(theta)`. `limit` is the
+    greatest acceleration that the control asks for over the simulator's own; `valve_s` is a further
+    lag between what it asks for and the fuel. What fuel does to the core depends on the core's own
+    time constant `core_s` at constant fuel, which no log of a governed engine shows.
+    """
+
+    fan_up: FloatArray
+    fan_down: FloatArray
+    core_up: FloatArray
+    core_down: FloatArray
+    thin_air: FloatArray
+    limit: FloatArray
+    valve_s: FloatArray
+    core_s: FloatArray
+
+
+def as_simulated(batch: int) -> Pace:
+    """The simulator's own pace."""
+    one, none = np.ones(batch), np.zeros(batch)
+    return Pace(one, one, one, one, none, one, none, one)
+
+
+def together(paces: Sequence[Pace]) -> Pace:
+    """Several at once: factors multiply, powers and lags add up; one alone has a `core_s`."""
+    found = paces[0]
+    for other in paces[1:]:
+        products = [a * b for a, b in zip(found, other, strict=True)]
+        found = Pace(*products)._replace(
+            thin_air=found.thin_air + other.thin_air, valve_s=found.valve_s + other.valve_s
+        )
+    return found

@@ -1,0 +1,154 @@
+"""The two-spool grey box against its equations written out, at rest, and in its limits."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from narxcal import two_spool
+from narxcal.effects.pace import Pace, as_simulated
+from narxcal.two_spool import DAMP, DOWN, FAN, GAIN, LINE, PUSH, SIZE, UP, VALVE, TwoSpool, soft
+
+DT = 0.125
+STEPS = 2  # inside one raster interval of 0.125 s
+
+
+def coefficients():
+    theta = np.zeros(SIZE)
+    theta[GAIN : GAIN + 3] = np.log(1.5), 0.3, 0.2
+    theta[DAMP : DAMP + 3] = 0.8, -0.2, 0.1
+    theta[UP : UP + 3] = np.log(4.0), 0.5, 1.0
+    theta[DOWN : DOWN + 3] = np.log(6.0), 0.2, 0.8
+    theta[FAN : FAN + 3] = np.log(0.9), -0.3, -0.4
+    theta[LINE : LINE + 3] = 1.8, 0.4, 0.0
+    theta[VALVE], theta[PUSH] = np.log(0.2), 0.4
+    return theta
+
+
+THERMAL = np.array([[8.0, -2.0, 1.0, 12.0, 3.0, 0.5, 0.9], [10.0, 5.0, 0.0, 20.0, 0.0, 0.0, 0.3]])
+
+
+def engine(governed=0, theta=None):
+    return TwoSpool(coefficients() if theta is None else theta, THERMAL, 50.0, 45.0, governed, DT)
+
+
+def flown(steps=200, seed=0):
+    """Settled values that jump every few seconds, with their air and first row."""
+    random = np.random.default_rng(seed)
+    power = np.repeat(random.uniform(0.0, 1.0, steps // 25 + 1), 25)[:steps]
+    steady = np.stack(
+        [25 + 70 * power, 52 + 42 * power, 350 + 400 * power, 150 + 900 * power], axis=-1
+    )
+    return steady[None], np.full((1, steps), -0.4), steady[None, 0]
+
+
+def pace_of(**changed):
+    return np.stack([np.full(1, value) for value in as_simulated(1)._replace(**changed)], axis=1)
+
+
+def line(values, x, air):
+    return values[0] + values[1] * x + values[2] * air
+
+
+def written_out(steady, air, pace, governed):
+    """The equations of the module's docstring, one state at a time."""
+    t, h = coefficients(), DT / STEPS
+    n1, n2, *flows = steady[0]
+    p = v = 0.0
+    found = [[n1, n2, *flows]]
+    for k in range(len(steady) - 1):
+        for i in range(STEPS):
+            s = steady[k] + i / STEPS * (steady[k + 1] - steady[k])
+            x = min(max((n2 - 50.0) / 45.0, -0.2), 1.2)
+            thin = np.exp(air) ** pace.thin_air[0]
+            m = line(t[LINE : LINE + 3], x, air)
+            dn1 = (s[0] + m * (n2 - s[1]) + t[PUSH] * p - n1) / np.exp(line(t[FAN:15], x, air))
+            dn1 *= thin * (pace.fan_up[0] if dn1 > 0 else pace.fan_down[0])
+            dn2 = p * thin * (pace.core_up[0] if p > 0 else pace.core_down[0])
+            error = s[governed] - (n1, n2)[governed]
+            q = np.exp(line(t[GAIN : GAIN + 3], x, air)) * error - line(t[DAMP:6], x, air) * dn1
+            up = np.exp(line(t[UP:9], x, air)) * pace.limit[0]
+            down = np.exp(line(t[DOWN:12], x, air))
+            q = q / (1.0 + (q / (up if q > 0 else down)) ** 4) ** 0.25
+            q -= pace.valve_s[0] * dn2 / pace.core_s[0]
+            v = q + np.exp(-h / max(pace.valve_s[0], 1e-9)) * (v - q)
+            for j, own in enumerate(THERMAL):
+                to = s[2 + j] + line(own[:3], x, air) * (n2 - s[1]) + line(own[3:6], x, air) * p
+                flows[j] = to + np.exp(-h / own[6]) * (flows[j] - to)
+            p = v + np.exp(-h / 0.2) * (p - v)
+            n1, n2 = n1 + h * dn1, n2 + h * dn2
+        found.append([n1, n2, *flows])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("governed", [0, 1])
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {},
+        {"fan_up": 0.7, "fan_down": 1.2, "core_up": 0.8, "core_down": 0.9},
+        {"thin_air": 0.6, "limit": 0.5},
+        {"valve_s": 0.7, "core_s": 1.5},
+    ],
+)
+def test_it_is_its_equations(governed, changed):
+    steady, air, start = flown()
+    pace = Pace(
+        *(
+            np.full(1, v[0])
+            for v in as_simulated(1)._replace(**{k: np.array([v]) for k, v in changed.items()})
+        )
+    )
+    found = engine(governed).free_run(
+        (steady, air, start), np.zeros(1, dtype=int), np.stack(pace, axis=1)
+    )
+    np.testing.assert_allclose(found[0], written_out(steady[0], -0.4, pace, governed), atol=1e-9)
+
+
+def test_at_rest_it_stays_at_rest():
+    steady = np.repeat(flown()[0][:, :1], 100, axis=1)
+    given_ = (steady, np.zeros((1, 100)), steady[:, 0])
+    found = engine().free_run(given_, np.zeros(1, dtype=int), pace_of())
+    np.testing.assert_allclose(found, steady, atol=1e-12)
+
+
+@given(st.floats(0.5, 3.0), st.floats(-1.0, 0.0))
+def test_it_comes_to_rest_where_it_is_asked_whatever_its_rotors_weigh(factor, air):
+    steady = np.repeat(flown()[0][:, 30:31], 800, axis=1)
+    start = steady[:, 0] - np.array([[20.0, 12.0, 100.0, 200.0]])
+    slower = dict.fromkeys(("fan_up", "fan_down", "core_up", "core_down"), 1.0 / factor)
+    found = engine().free_run(
+        (steady, np.full((1, 800), air), start), np.zeros(1, dtype=int), pace_of(**slower)
+    )
+    np.testing.assert_allclose(found[0, -1], steady[0, -1], atol=0.3)
+
+
+def test_many_rows_are_each_alone():
+    one, two = flown(seed=1), flown(seed=2)
+    both = tuple(np.concatenate(pair) for pair in zip(one, two, strict=True))
+    which = np.array([1, 0, 1])
+    both = (*both[:2], both[2][which])
+    paces = np.concatenate([pace_of(), pace_of(limit=0.6), pace_of(thin_air=0.5)])
+    found = engine().free_run(both, which, paces)
+    for row, (block, pace) in enumerate(zip([two, one, two], paces, strict=True)):
+        alone = engine().free_run(block, np.zeros(1, dtype=int), pace[None])
+        np.testing.assert_array_equal(found[row], alone[0])
+
+
+@given(st.floats(-100, 100), st.floats(0.1, 20))
+def test_a_soft_limit_passes_what_is_small_and_never_more_than_the_limit(demand, limit):
+    found = soft(demand, limit)
+    assert abs(found) <= min(abs(demand), limit) * (1 + 1e-12)
+    assert found * demand >= 0.0
+    if abs(demand) < 0.3 * limit:
+        assert abs(found - demand) <= 0.01 * abs(demand)
+
+
+def test_the_compiled_run_is_the_same_from_python():
+    """The raster of the caller is cut into steps of 62.5 ms at most."""
+    steady, air, start = flown(60)
+    given_ = (steady, air, start)
+    theta = np.concatenate([coefficients()[None], pace_of()], axis=1)
+    which = np.zeros(1, dtype=int)
+    plain = two_spool.run.py_func(theta, THERMAL, given_, which, (DT, 50.0, 45.0, 0))
+    np.testing.assert_allclose(engine().free_run(given_, which, pace_of()), plain, atol=1e-9)

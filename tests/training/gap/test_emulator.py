@@ -1,0 +1,81 @@
+"""The grey box fitted to logs: it follows them, knows heavier rotors, and takes what there is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from narxcal.effects import Flights, effect
+from narxcal.effects.running import respond
+from narxcal.errors import DataError
+from training.gap.emulator import fit_emulator
+from training.gap.two_spool_fit import GOVERNED_CORE
+
+
+@pytest.fixture(scope="module")
+def fitted(flights):
+    return fit_emulator(flights)
+
+
+def test_its_free_run_follows_the_logs(fitted, flights):
+    span = flights.signals.high - flights.signals.low
+    assert (fitted.errors(flights) < 0.02 * span).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("spool_lag", 1.5),
+        ("spool_coupling", 1.5),
+        ("accel_limit", 0.6),
+        ("accel_decel_asymmetry", 1.5),
+        ("altitude_lag", 0.6),
+        ("throttle_backlash", 4.0),
+    ],
+)
+def test_what_an_effect_does_to_the_engine_it_does_to_its_emulator(
+    name, size, fitted, flights, engine
+):
+    setting = (effect(name), np.array([[size]]))
+    true, found = (respond([setting], flights, e)[0] - flights.y for e in (engine, fitted))
+    span = flights.signals.high - flights.signals.low
+    left = np.sum(((found - true) / span) ** 2) / np.sum((true / span) ** 2)
+    assert left < 0.15
+
+
+def test_a_row_does_not_know_the_others(fitted, flights):
+    told = flights.u.copy()
+    told[..., 0] += 2.0
+    both = fitted.run(flights, np.concatenate([flights.u, told]))
+    np.testing.assert_array_equal(both[: len(told)], fitted.run(flights, flights.u))
+    np.testing.assert_array_equal(both[len(told) :], fitted.run(flights, told))
+
+
+def test_without_a_lever_the_fuel_says_where_the_core_goes(flights):
+    signals = replace(
+        flights.signals,
+        inputs=("FF_kgph", *flights.signals.inputs[1:]),
+        driver="FF_kgph",
+        active=("FF_kgph", "ALT_ft", "dT_C", "NAI"),
+    )
+    found = fit_emulator(replace(flights, signals=signals))
+    assert found.engine.governed == GOVERNED_CORE
+
+
+@pytest.mark.parametrize("kept", [(0, 2), (1, 2)])
+def test_one_spool_alone_is_an_engine(kept, flights):
+    s, columns = flights.signals, list(kept)
+    signals = replace(
+        s, outputs=tuple(s.outputs[j] for j in kept), low=s.low[columns], high=s.high[columns]
+    )
+    alone = Flights(signals, flights.u, flights.y[..., columns], flights.lengths)
+    found = fit_emulator(alone)
+    assert (found.errors(alone) < 0.05 * (signals.high - signals.low)).all()
+
+
+def test_without_a_speed_there_is_no_engine(flights):
+    s = flights.signals
+    signals = replace(s, outputs=("EGT_C",), low=s.low[2:], high=s.high[2:])
+    only = Flights(signals, flights.u, flights.y[..., 2:], flights.lengths)
+    with pytest.raises(DataError, match="no spool speed is recorded"):
+        fit_emulator(only)

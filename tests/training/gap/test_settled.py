@@ -1,0 +1,88 @@
+"""Settled values follow the corners of a control, hold beyond what was flown, and ignore motion."""
+
+import numpy as np
+import pytest
+
+from narxcal.effects import Flights, Signals
+from training.gap.settled import fit_settled
+
+INPUTS = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "Approach", "NAI")
+OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
+DT = 0.25
+
+
+def rest(u):
+    """An idle floor, higher on approach; a rating that bends over the lever; bleed."""
+    floor = 30.0 + 8.0 * u[..., 4]
+    n1 = np.maximum(floor, 20.0 + 0.95 * u[..., 0] + 2e-4 * u[..., 1])
+    egt = 300.0 + 5.0 * n1 + 2.0 * u[..., 3] + 12.0 * u[..., 5]
+    return np.stack([n1, 50.0 + 0.45 * n1, egt], axis=-1)
+
+
+def flown(flights=5, steps=1600, seed=0):
+    random = np.random.default_rng(seed)
+    u = np.zeros((flights, steps, len(INPUTS)))
+    for f in range(flights):
+        u[f, :, 0] = np.repeat(random.uniform(0.0, 80.0, steps // 40), 40)
+        u[f, :, 1] = random.uniform(0, 30000) + np.linspace(0, 4000, steps)
+        u[f, :, 2] = 0.2 + 0.1 * f
+        u[f, :, 3] = random.uniform(-15, 15)
+        u[f, :, 4] = np.repeat(random.integers(0, 2, steps // 200), 200)
+        u[f, :, 5] = np.repeat(random.integers(0, 2, steps // 160), 160)
+    y = rest(u)
+    for k in range(1, steps):  # a lag of 1 s: in motion the outputs are elsewhere
+        y[:, k] = y[:, k] + np.exp(-DT / 1.0) * (y[:, k - 1] - y[:, k])
+    return u, y
+
+
+def signals(y):
+    low, high = y.min(axis=(0, 1)), y.max(axis=(0, 1))
+    return Signals(INPUTS, OUTPUTS, DT, "TRA_deg", low, high, (0.0, 80.0), INPUTS)
+
+
+@pytest.fixture(scope="module")
+def model():
+    u, y = flown()
+    return fit_settled(Flights(signals(y), u, y, np.full(len(u), u.shape[1])))
+
+
+def test_the_corners_of_a_control_are_followed(model):
+    u, _ = flown(seed=0)
+    wrong = model.outputs(u) - rest(u)
+    assert np.sqrt(np.mean(wrong**2, axis=(0, 1)))[0] < 0.6
+    assert np.median(np.abs(wrong[..., 0])) < 0.15
+
+
+def test_outputs_are_features_times_weights(model):
+    u, _ = flown(seed=3)
+    np.testing.assert_allclose(model.outputs(u), model.features(u) @ model.weights, atol=1e-9)
+    np.testing.assert_array_equal(model.outputs(u[2, 7]), model.outputs(u)[2, 7])
+
+
+def test_beyond_what_was_flown_it_holds(model):
+    u = flown()[0][0, :1].repeat(2, axis=0)
+    u[0, 0], u[1, 0] = 80.0, 120.0
+    u[0, 1], u[1, 1] = u[:, 1].max() + 1e5, u[:, 1].max() + 2e5
+    np.testing.assert_array_equal(*model.outputs(u))
+
+
+def test_what_fills_a_flight_up_counts_nothing():
+    u, y = flown()
+    full = fit_settled(Flights(signals(y), u[:, :1200], y[:, :1200], np.full(len(u), 1200)))
+    filled, wrong = u.copy(), y.copy()
+    wrong[:, 1200:] = 7.0
+    filled[:, 1200:] = u[:, :400]
+    of = Flights(signals(y), filled, wrong, np.full(len(u), 1200))
+    here = np.abs(fit_settled(of).outputs(u[:, :1100]) - full.outputs(u[:, :1100]))
+    assert here.max() < 0.5
+
+
+def test_a_condition_that_never_changes_is_none():
+    u, y = flown(flights=2)
+    u[..., 2] = 0.4
+    active = tuple(name for name in INPUTS if name != "Mach")
+    limits = (y.min(axis=(0, 1)), y.max(axis=(0, 1)))
+    of = Signals(INPUTS, OUTPUTS, DT, "TRA_deg", *limits, (0.0, 80.0), active)
+    found = fit_settled(Flights(of, u, y, np.full(2, u.shape[1])))
+    assert found.conditions == (1, 3)
+    assert np.isfinite(found.outputs(u)).all()

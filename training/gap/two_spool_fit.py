@@ -1,0 +1,162 @@
+"""Fits the two-spool grey box to a simulator's logs: rotors by output error, flows linearly.
+
+The rotors' coefficients minimise the free run's error over whole flights, with a robust loss (what
+the settled values miss must not bend the dynamics) and priors that hold the slopes where the logs
+say nothing. Temperatures and flows depend on them linearly once their lag is known.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares, minimize_scalar
+from scipy.signal import lfilter
+
+from narxcal import two_spool
+from narxcal.effects.base import FloatArray
+from narxcal.effects.pace import as_simulated
+from narxcal.two_spool import DAMP, DOWN, FAN, GAIN, LINE, PUSH, SIZE, UP, VALVE, TwoSpool
+
+GOVERNED_FAN, GOVERNED_CORE = 0, 1
+_TOLERANCE: Final = 0.01  # share of the range that counts as one standard error
+_ROBUST: Final = 2.0  # standard errors beyond which an error counts linearly
+_EVERY_S: Final = 0.25  # errors nearer in time tell nothing new
+_INDEPENDENT_S: Final = 1.0  # and those within this are one observation
+_RIDGE: Final = 1e-3
+_LAGS_S: Final = (0.05, 6.0)
+
+
+class Course(NamedTuple):
+    """Flights in the order fan, core, flows: logged `y` and settled values (flights, time, n).
+
+    `air` is `ln(delta / sqrt(theta))`, (flights, time); `inside` one up to a flight's end, then 0.
+    """
+
+    y: FloatArray
+    steady: FloatArray
+    air: FloatArray
+    inside: FloatArray
+    dt_s: float
+
+    @property
+    def low(self) -> FloatArray:
+        """Bottom of each channel."""
+        return np.asarray(self.y.min(axis=(0, 1)))
+
+    @property
+    def span(self) -> FloatArray:
+        """Range of each channel."""
+        return np.asarray(np.maximum(np.ptp(self.y, axis=(0, 1)), 1e-9))
+
+
+def fit_two_spool(course: Course, governed: int) -> tuple[TwoSpool, float]:
+    """Fit under one kind of control; returns the engine and the robust cost of its speeds."""
+    rotors = Course(course.y[..., :2], course.steady[..., :2], *course[2:])
+    prior, spread = _prior(rotors, governed)
+    blank = TwoSpool(
+        prior, np.zeros((0, 7)), float(course.low[1]), float(course.span[1]), governed, course.dt_s
+    )
+    problem = _Rotors(rotors, blank, prior, spread)
+    found = least_squares(
+        problem.errors,
+        np.zeros(SIZE),
+        problem.slopes,
+        bounds=(-3.0, 3.0),
+        loss="soft_l1",
+        f_scale=_ROBUST * problem.root,
+        x_scale=1.0,
+        ftol=1e-3,
+        xtol=1e-3,
+        max_nfev=30,
+    )
+    theta = prior + spread * found.x
+    thermal = np.array([_flow(course, j) for j in range(2, course.y.shape[-1])]).reshape(-1, 7)
+    engine = TwoSpool(theta, thermal, blank.low, blank.span, governed, course.dt_s)
+    return engine, float(found.cost)
+
+
+def _prior(rotors: Course, governed: int) -> tuple[FloatArray, FloatArray]:
+    """Where the fit begins, and standard deviations about it: (SIZE,) each."""
+    rate = np.diff(rotors.y[..., 1], axis=1)[rotors.inside[:, 1:] > 0.0] / rotors.dt_s
+    prior, spread = np.zeros(SIZE), np.full(SIZE, 1.5)
+    prior[DAMP] = 0.3 if governed == GOVERNED_FAN else 0.0
+    prior[UP] = np.log(max(float(np.quantile(rate, 0.998)), 0.5))
+    prior[DOWN] = np.log(max(-float(np.quantile(rate, 0.002)), 0.5))
+    prior[UP + 2] = prior[DOWN + 2] = 1.0  # power to spare goes with the density of the air
+    prior[FAN], prior[VALVE] = np.log(0.8), np.log(0.3)
+    prior[LINE] = np.polyfit(rotors.y[..., 1].ravel(), rotors.y[..., 0].ravel(), 1)[0]
+    spread[[GAIN, DAMP, UP, DOWN, FAN, LINE]] = 2.0
+    spread[VALVE], spread[PUSH] = 1.0, 1.0
+    if governed == GOVERNED_CORE:
+        spread[DAMP : DAMP + 3] = 1e-6
+    return prior, spread
+
+
+class _Rotors:
+    """Errors of the speeds as a function of z, the coefficients in standard deviations."""
+
+    def __init__(
+        self, rotors: Course, blank: TwoSpool, prior: FloatArray, spread: FloatArray
+    ) -> None:
+        self._rotors, self._blank, self._prior, self._spread = rotors, blank, prior, spread
+        self._every = max(1, round(_EVERY_S / rotors.dt_s))
+        # Errors are weighted so that all within a second count as one observation.
+        self.root = float(np.sqrt(self._every * rotors.dt_s / _INDEPENDENT_S))
+
+    def errors(self, z: FloatArray) -> FloatArray:
+        """Weighted errors, then z itself for the priors."""
+        return np.asarray(self._many(z[None])[0])
+
+    def slopes(self, z: FloatArray) -> FloatArray:
+        """Differences, all in one batch of runs."""
+        step = 1e-4
+        found = self._many(np.concatenate([z[None], z + step * np.eye(len(z))]))
+        return np.asarray((found[1:] - found[0]).T / step)
+
+    def _many(self, z: FloatArray) -> FloatArray:
+        rotors, flights = self._rotors, len(self._rotors.y)
+        theta = np.repeat(self._prior + self._spread * z, flights, axis=0)
+        pace = np.stack(as_simulated(len(theta)), axis=1)
+        which = np.tile(np.arange(flights), len(z))
+        flown = (rotors.steady, rotors.air, np.ascontiguousarray(rotors.y[which, 0]))
+        blank = self._blank
+        y = two_spool.run(
+            np.concatenate([theta, pace], axis=1),
+            blank.thermal,
+            flown,
+            which,
+            (blank.dt_s, blank.low, blank.span, blank.governed),
+        )
+        wrong = (y - rotors.y[which]) * rotors.inside[which][..., None] / rotors.span
+        scaled = wrong[:, :: self._every] * (self.root / _TOLERANCE)
+        return np.concatenate([scaled.reshape(len(z), -1), z * self.root], axis=1)
+
+
+def _flow(course: Course, j: int) -> FloatArray:
+    """Coefficients (7,) of one temperature or flow: a and b with their slopes, and its lag in s."""
+    power = np.gradient(course.y[..., 1], course.dt_s, axis=1)
+    x = np.clip((course.y[..., 1] - course.low[1]) / course.span[1], -0.2, 1.2)
+    shapes = [np.ones_like(x), x, course.air]
+    causes = [course.y[..., 1] - course.steady[..., 1], power]
+    columns = [cause * shape for cause in causes for shape in shapes]
+
+    def solved(log_lag: float) -> tuple[float, FloatArray]:
+        tau_s = float(np.exp(log_lag))
+        rows = np.stack([_lagged(column, tau_s, course.dt_s) for column in columns], axis=-1)
+        target = course.y[..., j] - _lagged(course.steady[..., j], tau_s, course.dt_s)
+        use = course.inside > 0.0
+        a, b = rows[use], target[use]
+        gram = a.T @ a
+        w = np.linalg.solve(gram + np.diag(_RIDGE * np.diag(gram) + 1e-9), a.T @ b)
+        return float(np.mean((b - a @ w) ** 2)), np.append(w, tau_s)
+
+    low, high = (float(np.log(lag)) for lag in _LAGS_S)
+    best = minimize_scalar(lambda z: solved(z)[0], bounds=(low, high), method="bounded")
+    return solved(float(best.x))[1]
+
+
+def _lagged(value: FloatArray, tau_s: float, dt_s: float) -> FloatArray:
+    kept = np.exp(-dt_s / tau_s)
+    found, _ = lfilter([1.0 - kept], [1.0, -kept], value, axis=1, zi=kept * value[:, :1])
+    return np.asarray(found)
