@@ -33,7 +33,8 @@ class NarxSection(Section):
     steady-state model an exact equilibrium; without it the network is the paper's. `settle_s` is
     the longest time constant with which an anchored network's deviation may fade; 0 means any.
     `lag` puts state-dependent lags in front of an anchored network (see narxcal.lag), which then
-    learns what they leave.
+    learns what they leave; they are fitted to errors in the outputs' units, or with
+    `lag_errors = "relative"` as shares of the response that each belongs to.
     """
 
     outputs: tuple[str, ...] = Field(default=("N1_pct", "N2_pct", "EGT_C"), min_length=1)
@@ -46,6 +47,7 @@ class NarxSection(Section):
     settle_s: float = Field(default=60.0, ge=0)
     joint: bool = True
     lag: bool = False
+    lag_errors: Literal["absolute", "relative"] = "absolute"
 
     @model_validator(mode="after")
     def _lag_needs_an_anchor(self) -> NarxSection:

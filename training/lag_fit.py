@@ -3,6 +3,10 @@
 An output-error estimate of few physical parameters (Jategaonkar, Flight Vehicle System
 Identification, chapter 4) by least squares with a robust loss (soft L1): what no lag explains,
 an unrecorded bleed, must not bend it. The core spool is fitted first, for the others follow it.
+
+Only stretches in which the core moves are scored. *Relative* errors are divided by the swing of the
+output around them, so that a small move counts as much as a slam, as it does in tolerances of Ti
+and Tt; they are scored closer to the moves, where the time constants show.
 """
 
 from __future__ import annotations
@@ -29,8 +33,10 @@ _START_TAU, _START_LEAD_S, _START_SLOW_TAU = -0.3, 0.3, 1.5
 _ROBUST = 0.15  # of the deviations' spread: errors above this count less than squared
 _PRIOR = 2.0  # one unit of a parameter costs as much as this many _ROBUST once per 1000 samples
 _EVALUATIONS = 15
-_MOVING = 0.03  # of the core's range within _SPAN_S: there the lags are scored
-_SPAN_S, _AROUND_S = 10.0, 3.0
+_MOVING = 0.03  # of the core's range within some seconds: there the lags are scored
+_STRETCHES_S = {False: (10.0, 3.0), True: (5.0, 1.0)}  # of relative errors: within, and around
+_SWING_S = 15.0  # a response with its settling
+_LEAST_SWING, _USUAL_SWING = 0.05, 0.3  # as shares of the output's range; the latter counts once
 _RASTER_S = 0.1  # the lags are exact between samples, so that no finer raster is needed
 _EVERY_S = 0.2  # one sample in this time is scored
 _MARGIN = 1.5  # times the largest deviation of the logs is the limit
@@ -50,18 +56,28 @@ class LagSamples:
 
 
 class _Part(NamedTuple):
-    """The moving stretches of one log, end to end."""
+    """The moving stretches of one log, end to end; an error counts `weight` (time, n_out) times."""
 
     drive: Drive
     deviation: FloatArray
     starts: tuple[IntArray, FloatArray]
+    weight: FloatArray
 
     def of(self, columns: IntArray) -> _Part:
         """Some of the outputs."""
         ss, target, per_unit = (part[:, columns] for part in self.drive[:3])
         rows, parts = self.starts
         drive = Drive(ss, target, per_unit, self.drive.air)
-        return _Part(drive, self.deviation[:, columns], (rows, parts[:, :, columns]))
+        starts = (rows, parts[:, :, columns])
+        return _Part(drive, self.deviation[:, columns], starts, self.weight[:, columns])
+
+
+class _Scored(NamedTuple):
+    """What is scored: where the output `core` moves, in absolute or relative errors."""
+
+    core: int
+    dt_s: float
+    relative: bool
 
 
 class _Task(NamedTuple):
@@ -72,10 +88,15 @@ class _Task(NamedTuple):
 
 
 def fit_lags(
-    samples: Sequence[LagSamples], names: tuple[Sequence[str], tuple[str, ...]], dt_s: float
+    samples: Sequence[LagSamples],
+    names: tuple[Sequence[str], tuple[str, ...]],
+    dt_s: float,
+    *,
+    relative: bool = False,
 ) -> LagModel:
     """Fit the lags of all outputs; `names` are those of the inputs and of the outputs.
 
+    With `relative`, errors count as shares of the response that they belong to.
     Raises `DataError` where nothing ever moves.
     """
     input_names, output_names = names
@@ -83,7 +104,8 @@ def fit_lags(
     samples, dt_s = [one.thinned(every) for one in samples], every * dt_s
     model = _first_guess(samples, input_names, output_names)
     core = core_of(output_names)
-    parts = [_part(model, one, input_names, (core, dt_s)) for one in samples]
+    scored = _Scored(core, dt_s, relative)
+    parts = [_part(model, one, input_names, scored) for one in samples]
     if not sum(len(part.deviation) for part in parts):
         raise DataError(
             "the outputs never move, so no lag can be fitted",
@@ -119,24 +141,41 @@ def _first_guess(
     )
 
 
-def _part(
-    model: LagModel, one: LagSamples, input_names: Sequence[str], how: tuple[int, float]
-) -> _Part:
-    core, dt_s = how
-    rows = np.flatnonzero(_moving(one.ss[:, core], 2.0 * float(model.half[core]), dt_s))
+def _part(model: LagModel, one: LagSamples, input_names: Sequence[str], scored: _Scored) -> _Part:
+    rows = np.flatnonzero(_moving(one.ss[:, scored.core], 2.0 * model.half[scored.core], scored))
     begins = np.flatnonzero(np.diff(rows, prepend=-2) > 1)
     deviation = one.ss[rows] - one.measured[rows]
     fast = np.nan_to_num(deviation[begins])
     starts = (begins.astype(np.int64), np.stack([fast, np.zeros_like(fast)], axis=1))
-    return _Part(model.drive(one.inputs, input_names, one.ss).rows(rows), deviation, starts)
+    drive = model.drive(one.inputs, input_names, one.ss).rows(rows)
+    return _Part(drive, deviation, starts, _weight(model, one, scored)[rows])
 
 
-def _moving(ss: FloatArray, full: float, dt_s: float) -> BoolArray:
-    size = max(round(_SPAN_S / dt_s), 2)
-    swing = maximum_filter1d(ss, size) - minimum_filter1d(ss, size)
-    around = max(round(_AROUND_S / dt_s), 1)
-    moving: BoolArray = binary_dilation(swing > _MOVING * full, iterations=around)
+def _moving(ss: FloatArray, full: float, scored: _Scored) -> BoolArray:
+    span_s, around_s = _STRETCHES_S[scored.relative]
+    around = max(round(around_s / scored.dt_s), 1)
+    moving: BoolArray = binary_dilation(
+        _swing(ss, span_s, scored.dt_s) > _MOVING * full, iterations=around
+    )
     return moving
+
+
+def _weight(model: LagModel, one: LagSamples, scored: _Scored) -> FloatArray:
+    """How much errors count (time, n_out): all alike, or the less the more the output swings."""
+    if not scored.relative:
+        return np.ones_like(one.ss)
+    known = np.where(np.isfinite(one.measured), one.measured, one.ss)
+    swings = [_swing(column, _SWING_S, scored.dt_s) for column in known.T]
+    share = np.stack(swings, axis=1) / (2.0 * model.half)
+    weight: FloatArray = _USUAL_SWING / np.maximum(share, _LEAST_SWING)
+    return weight
+
+
+def _swing(values: FloatArray, span_s: float, dt_s: float) -> FloatArray:
+    """Largest less smallest value within `span_s` around each sample."""
+    size = max(round(span_s / dt_s), 2)
+    swing: FloatArray = maximum_filter1d(values, size) - minimum_filter1d(values, size)
+    return swing
 
 
 def _fitted(model: LagModel, task: _Task) -> LagModel:
@@ -180,7 +219,8 @@ def _residuals(model: LagModel, task: _Task, moved: FloatArray) -> FloatArray:
     for part in task.parts:
         fast, slow = model.run(part.drive, part.starts, task.dt_s)
         error = fast[:, task.column] + slow[:, task.column] - part.deviation[:, task.column]
-        errors.append(np.nan_to_num(error[::every]) / task.scale)
+        weighted = error * part.weight[:, task.column]
+        errors.append(np.nan_to_num(weighted[::every]) / task.scale)
     error = np.concatenate(errors)
     prior = _PRIOR * _ROBUST * np.sqrt(len(error) / 1000.0) * moved
     return np.concatenate([error, prior])

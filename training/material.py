@@ -65,7 +65,9 @@ def lags(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> La
     if not config.narx.lag:
         return None
     names = (steady.input_names, tuple(steady.output_names))
-    return fit_lags([_samples(log, steady, config) for log in logs], names, logs[0].dt_s)
+    samples = [_samples(log, steady, config) for log in logs]
+    relative = config.narx.lag_errors == "relative"
+    return fit_lags(samples, names, logs[0].dt_s, relative=relative)
 
 
 def structure_of(config: RunConfig) -> NarxConfig:

@@ -89,3 +89,30 @@ def test_an_engine_that_never_moves_cannot_teach_a_lag():
     wander = still + 1e-12 * np.arange(200)[:, None]
     with pytest.raises(DataError, match="the outputs never move, so no lag can be fitted"):
         fit_lags([LagSamples(np.zeros((200, 1)), still, wander)], NAMES, DT_S)
+
+
+def small_moves_of_another_kind(relative):
+    """One log of slams, and one of moves a tenth of that, which are slower than the lags allow."""
+    slams, small = log(0, noise=0.0), log(1, noise=0.0)
+    middle = np.array([60.0, 75.0, 500.0])
+    ss = middle + 0.1 * (small.ss - middle)
+    slow = np.zeros_like(ss)
+    for k in range(1, len(ss)):
+        slow[k] = np.exp(-DT_S / 2.5) * (slow[k - 1] + ss[k] - ss[k - 1])
+    small = LagSamples(small.inputs, ss, ss - slow)
+    model = fit_lags([slams, small], NAMES, DT_S, relative=relative)
+    drive = model.drive(small.inputs, NAMES[0], ss)
+    found = model.deviations(drive, np.zeros(3), DT_S)
+    return np.sqrt(np.mean((found - slow)[:, 1] ** 2)) / slow[:, 1].std()
+
+
+def test_relative_errors_let_small_moves_count_as_much_as_slams():
+    assert small_moves_of_another_kind(relative=True) < 0.8 * small_moves_of_another_kind(
+        relative=False
+    )
+
+
+def test_relative_errors_find_known_lags_as_well():
+    model = fit_lags([log(0), log(1)], NAMES, DT_S, relative=True)
+    # So close to the moves, less is seen of the slow heat soak, which is most in the temperature.
+    assert (follow(model) < [0.03, 0.03, 0.12]).all()
