@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,31 +25,59 @@ from eval.gap.stored_emulator import read_emulator, signals_from_json
 from eval.gap.summary import EMULATOR
 from narxcal.effects.base import OutputEffect, Signals
 from narxcal.effects.running import Flights
+from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
 from narxcal.errors import ConfigError, DataError
 from training.gap.emulator import GreyBoxEmulator
+
+Windows = Mapping[str, tuple[tuple[float, float], ...]]  # log -> seconds since it began
 
 
 @dataclass(frozen=True, eq=False)
 class FoundEffects:
-    """Effects with their sizes, the signals they were found on, and the emulator if needed."""
+    """Effects with their sizes, the signals they were found on, and the emulator if needed.
+
+    `windows` are those of an unlogged load, by the names of the logs they were found in; `searched`
+    are all logs in which they would have been found.
+    """
 
     values: Values
     signals: Signals
     emulator: GreyBoxEmulator | None
+    windows: Windows = field(default_factory=dict)
+    searched: frozenset[str] = frozenset()
 
-    def added_to(self, log: Log) -> dict[str, FloatArray]:
+    @property
+    def has_load(self) -> bool:
+        """Whether a load that no channel records is among the effects."""
+        return UnloggedSwitch.id in self.values
+
+    def knows(self, name: str) -> bool:
+        """Whether the log of that name was searched for windows of the load."""
+        return name in self.searched
+
+    def added_to(self, log: Log, name: str | None = None) -> dict[str, FloatArray]:
         """Outputs `(time,)` of a simulated log with the effects in place.
 
-        Raises `DataError` for a log that lacks one of the signals, or whose rate is no multiple
-        of the diagnosis'.
+        A load that no channel records is on where it was found in the log called `name`, and off
+        in others. Raises `DataError` for a log that lacks one of the signals, or whose rate is no
+        multiple of the diagnosis'.
         """
-        for name in (*self.signals.inputs, *self.signals.outputs):
-            if name not in log.channels:
-                raise DataError("the effects need it", file=log.name, channel=name)
+        if UNLOGGED in self.signals.inputs:
+            log = log.with_channels({UNLOGGED: self._on(log, name or log.name)})
+        for each in (*self.signals.inputs, *self.signals.outputs):
+            if each not in log.channels:
+                raise DataError("the effects need it", file=log.name, channel=each)
         held = hold_inputs(log, self.signals.inputs)
         u, y = held.matrix(self.signals.inputs), held.matrix(self.signals.outputs)
         changed = y + (self._change(u, y, log) if self.values else 0.0)
         return dict(zip(self.signals.outputs, changed.T, strict=True))
+
+    def _on(self, log: Log, name: str) -> FloatArray:
+        """1 within the windows, by seconds since the log began."""
+        since, on = log.time_s - log.time_s[0], np.zeros(len(log))
+        for start_s, end_s in self.windows.get(name, ()):
+            on[(since >= start_s) & (since < end_s)] = 1.0
+        return on
 
     def _change(self, u: FloatArray, y: FloatArray, log: Log) -> FloatArray:
         found = settings(self.values, self.signals)
@@ -83,7 +111,20 @@ def read_effects(file: Path) -> FoundEffects:
     values = claimed_in(document)
     signals = signals_from_json(document["quality"]["signals"])
     folder = file.parent / EMULATOR
-    return FoundEffects(values, signals, read_emulator(folder) if folder.is_dir() else None)
+    emulator = read_emulator(folder) if folder.is_dir() else None
+    quality = document["quality"]
+    searched = frozenset((*quality.get("flights", ()), *quality.get("held_out", ())))
+    return FoundEffects(values, signals, emulator, _windows(document), searched)
+
+
+def _windows(document: Mapping[str, Any]) -> Windows:
+    """Seconds since the beginning of the log, for every log in which a load was on."""
+    found: dict[str, tuple[tuple[float, float], ...]] = {}
+    for row in document["effects"]:
+        for spell in row.get("windows", ()):
+            own = tuple(float(spell[key] - spell["log_start_s"]) for key in ("start_s", "end_s"))
+            found[spell["log"]] = (*found.get(spell["log"], ()), (own[0], own[1]))
+    return found
 
 
 def _document(file: Path) -> Mapping[str, Any]:

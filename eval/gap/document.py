@@ -11,9 +11,11 @@ from eval.gap.evidence import Evidence, HeldOut
 from eval.gap.side import Sides
 from eval.gap.where import Row, Where
 from narxcal.effects.library import LIBRARY, effect
+from narxcal.effects.steady import UnloggedSwitch
 from training.gap.diagnosis import OFFSETS
 from training.gap.finding import Finding, Interval, Tried
 
+HIDDEN = UnloggedSwitch.id
 SCHEMA = "narxcal.gap/1"
 _LEFT = {"none": 0.02, "unknown": 0.3}  # of the probability, for what was not claimed
 _DOMINANT = 0.6  # of a bin's energy in one level: the level that stands for the bin
@@ -25,7 +27,7 @@ def document(evidence: Evidence) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "verdict": _verdict(finding),
-        "effects": effect_rows(finding),
+        "effects": _with_windows(effect_rows(finding), evidence),
         "where": [_bin(row) for row in where.rows],
         "side": _side(finding, where)._asdict(),
         "theil": {name: split._asdict() for name, split in where.theil.items()},
@@ -63,6 +65,12 @@ def effect_rows(finding: Finding) -> list[dict[str, Any]]:
     first = list(claimed(finding))
     others = sorted((n for n in models if n not in first), key=lambda n: -chances[n])
     return [_effect(name, models[name], chances[name]) for name in (*first, *others)]
+
+
+def _with_windows(rows: list[dict[str, Any]], evidence: Evidence) -> list[dict[str, Any]]:
+    """The rows, an unlogged load's with the windows in which it was on."""
+    windows = [each.row() for each in evidence.windows]
+    return [{**row, "windows": windows} if row["id"] == HIDDEN else row for row in rows]
 
 
 def _claimed_models(finding: Finding) -> list[Tried]:

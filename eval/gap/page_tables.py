@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from eval.gap.summary import effect_name
+from eval.gap.summary import effect_name, seconds_within, windows_named
 from eval.report.style import symbol, unit, with_unit
 from eval.report.tables import NOTHING, Cell, Mark, Table, figure, number
 
@@ -73,6 +73,30 @@ def sizes(row: Mapping[str, Any]) -> str:
 def printed(name: str) -> str:
     """Unit as it is printed: `degC` -> `°C`."""
     return "" if name == "-" else name.replace("degC", "°C").replace("deg", "°")
+
+
+def windows(document: Mapping[str, Any]) -> Table:
+    """When an unlogged load was on, and what it shifted there."""
+    found = windows_named(document)
+    names = list(found[0]["shift"]) if found else []
+    rows = tuple(
+        (
+            Cell(spell["log"], "head"),
+            *(
+                Cell(seconds_within(spell[f"{end}_s"], spell[f"{end}_span_s"]), number=True)
+                for end in ("start", "end")
+            ),
+            *(Cell(_plus_minus(spell["shift"][name]), number=True) for name in names),
+            Cell("took no part" if spell["held_out"] else ""),
+        )
+        for spell in found
+    )
+    head = ("log", "from [s]", "to [s]", *(f"Δ{with_unit(name)}" for name in names), "remark")
+    return Table("Windows, and the shift in each, with 90 % intervals", head, rows)
+
+
+def _plus_minus(size: Mapping[str, float]) -> str:
+    return f"{number(size['value'])} ± {number(0.5 * (size['high'] - size['low']))}"
 
 
 def models(document: Mapping[str, Any]) -> Table:

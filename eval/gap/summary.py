@@ -87,6 +87,35 @@ def effect_table(document: Mapping[str, Any]) -> Table:
     return "Effects (* claimed)", ("effect", "probability", "gain", "parameters"), rows
 
 
+def windows_named(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Windows of an unlogged load that is claimed or cannot be ruled out."""
+    verdict = document["verdict"]
+    wanted = {*verdict["effects"], *verdict["ambiguous_with"]}
+    rows = [row for row in document["effects"] if effect_name(row) in wanted]
+    return [spell for row in rows for spell in row.get("windows", ())]
+
+
+def window_table(document: Mapping[str, Any]) -> Table:
+    """When an unlogged load was on, and what it shifted there."""
+    found = windows_named(document)
+    names = list(found[0]["shift"]) if found else []
+    rows = [
+        [
+            spell["log"] + (" (held out)" if spell["held_out"] else ""),
+            seconds_within(spell["start_s"], spell["start_span_s"]),
+            seconds_within(spell["end_s"], spell["end_span_s"]),
+            *(f"{spell['shift'][name]['value']:.2g}" for name in names),
+        ]
+        for spell in found
+    ]
+    return "When the load was on", ("log", "from [s]", "to [s]", *names), rows
+
+
+def seconds_within(value: float, span: Sequence[float]) -> str:
+    """A time with the half of its interval, as `97.2 ± 0.1`."""
+    return f"{value:.1f} ± {max(0.5 * (span[1] - span[0]), 0.05):.1f}"
+
+
 def where_table(document: Mapping[str, Any]) -> Table:
     """Largest bins of the gap's energy."""
     rows = [

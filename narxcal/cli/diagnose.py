@@ -14,7 +14,14 @@ from eval.gap.diagnose import Diagnosis, Request, diagnose_folders
 from eval.gap.document import SCHEMA
 from eval.gap.page import gap_page
 from eval.gap.stored_emulator import write_emulator
-from eval.gap.summary import EMULATOR, effect_table, sentence, shrink_table, where_table
+from eval.gap.summary import (
+    EMULATOR,
+    effect_table,
+    sentence,
+    shrink_table,
+    where_table,
+    window_table,
+)
 from eval.report.page import write_page
 from narxcal.cli.configured import read_config
 from narxcal.cli.console import Console, to_json
@@ -57,6 +64,7 @@ def show(console: Console, document: Mapping[str, Any]) -> None:
     console.say(sentence(document))
     for title, head, rows in (
         effect_table(document),
+        window_table(document),
         where_table(document),
         shrink_table(document),
     ):

@@ -42,9 +42,12 @@ def run(options: Namespace, console: Console) -> int:
         for number, (name, log) in enumerate(inputs.items()):
             advance(number, len(inputs), f"({name})")
             sim = match_simulated(name, log, source)
-            channels, change = _with_effects(found, sim)
+            channels, change = _with_effects(found, sim, name)
             (folder / f"{name}.csv").write_bytes(_csv(channels))
-            rows.append({"log": name, "samples": len(sim), "rms_change": change})
+            load = found.knows(name) if found.has_load else None
+            rows.append(
+                {"log": name, "samples": len(sim), "rms_change": change, "load_known": load}
+            )
         document = {
             "schema": SCHEMA,
             "effects": {effect: dict(values) for effect, values in found.values.items()},
@@ -67,9 +70,11 @@ def _check(options: Namespace) -> None:
         raise ConfigError("expected either RUN and INPUTS.csv or --sim, --effects and --inputs")
 
 
-def _with_effects(found: FoundEffects, sim: Log) -> tuple[dict[str, FloatArray], dict[str, float]]:
+def _with_effects(
+    found: FoundEffects, sim: Log, name: str
+) -> tuple[dict[str, FloatArray], dict[str, float]]:
     """Canonical channels in their order, and by how much each output was changed."""
-    outputs = found.added_to(sim)
+    outputs = found.added_to(sim, name)
     rms = {n: float(np.sqrt(np.mean((v - sim[n]) ** 2))) for n, v in outputs.items()}
     both = replace(sim, channels={**sim.channels, **outputs})
     names = [n for n, row in CHANNELS.items() if n in both.channels and row.role != "auxiliary"]
@@ -90,5 +95,11 @@ def _show(console: Console, document: Mapping[str, Any], out: Path) -> None:
         ["log", *names],
         [[r["log"], *(f"{r['rms_change'][n]:.3g}" for n in names)] for r in document["logs"]],
     )
+    blind = [row["log"] for row in document["logs"] if row["load_known"] is False]
+    if blind:
+        console.warn(
+            f"no channel records the load and no window of it is known in {', '.join(blind)}: it "
+            "is left off there"
+        )
     console.say(f"Effects: {', '.join(document['effects']) or 'none'}. Logs: {out}")
     console.document({**document, "out": str(out)})

@@ -24,7 +24,8 @@ class Options:
     leader's equal if it leaves no more than `close` times what the leader leaves. `audible` is the
     least gap, as a share of the noise's energy, that is a gap at all; below `quiet`, as a share of
     a channel's range, it is a misfit that nobody has to explain; `scatter` is the shift, as a share
-    of a channel's level, that build scatter may make.
+    of a channel's level, that build scatter may make. `price` is what the windows of an unlogged
+    load are worth in noise, in Q of every flight; nothing where there are none.
     """
 
     quantile: float = 0.99
