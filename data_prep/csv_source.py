@@ -67,11 +67,29 @@ class CsvSource:
         Raises `DataError` for text in a number's place (naming row and value), a row longer
         than the header, a column that occurs twice, and a file that cannot be parsed.
         """
+        pieces: dict[str, list[FloatArray]] = {name: [np.empty(0)] for name in names}
+        for block in self.blocks(names):
+            for name, values in block.items():
+                pieces[name].append(values)
+        # Popped one by one, so that pieces and whole columns never all exist at once.
+        return {name: np.concatenate(pieces.pop(name)) for name in names}
+
+    def blocks(self, names: Sequence[str]) -> Iterator[dict[str, FloatArray]]:
+        """The named columns in blocks of `chunk_rows` rows; raises as `read`."""
         positions = {name: self._position(name) for name in names}
-        try:
-            return self._numbers(positions)
-        except ValueError as error:  # pandas: text where a number should be, or a broken row
-            cause = error
+        done = 0
+        while True:
+            try:
+                for block in self._numbers(positions, done):
+                    done += len(next(iter(block.values()), ()))
+                    yield block
+            except ValueError as error:  # pandas: text where a number should be, or a broken row
+                self._explain(error, positions)
+            else:
+                return
+
+    def _explain(self, cause: ValueError, positions: dict[str, int]) -> None:
+        """Say where the text is that cannot be read, unless another decimal mark reads it."""
         row, name, text = self._first_text(positions) or (0, "", "")
         if not row:
             problem = " ".join(str(cause).split())
@@ -79,7 +97,7 @@ class CsvSource:
         if self.dialect.decimal_open and COMMA_NUMBER.fullmatch(text):
             # The first rows held whole numbers only, so the comma could not be seen there.
             self.dialect = replace(self.dialect, decimal=",", decimal_open=False)
-            return self.read(names)
+            return
         raise DataError(
             f"expected a number, found {text[:_SHOWN_CHARS]!r}",
             file=self.path,
@@ -97,16 +115,18 @@ class CsvSource:
             )
         return self.header.index(name)
 
-    def _numbers(self, positions: dict[str, int]) -> dict[str, FloatArray]:
-        pieces: dict[str, list[FloatArray]] = {name: [] for name in positions}
+    def _numbers(self, positions: dict[str, int], done: int) -> Iterator[dict[str, FloatArray]]:
+        """Blocks of columns, without the first `done` rows."""
         row = 0
         for chunk in self._chunks([*positions.values()], np.float64):
             self._refuse_long_rows(chunk[len(self.header)], row)
+            fresh = chunk.iloc[max(done - row, 0) :]
             row += len(chunk)
-            for name, position in positions.items():
-                pieces[name].append(chunk[position].to_numpy(dtype=np.float64, copy=True))
-        # Popped one by one, so that pieces and whole columns never all exist at once.
-        return {name: np.concatenate([np.empty(0), *pieces.pop(name)]) for name in positions}
+            if len(fresh):
+                yield {
+                    name: fresh[position].to_numpy(dtype=np.float64, copy=True)
+                    for name, position in positions.items()
+                }
 
     def _refuse_long_rows(self, extra: pd.Series[Any], row: int) -> None:
         if extra.notna().any():

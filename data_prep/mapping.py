@@ -13,7 +13,7 @@ from narxcal.channels import CHANNELS
 from narxcal.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from data_prep.log import FloatArray
@@ -32,6 +32,9 @@ class Table(Protocol):
 
     def read(self, names: Sequence[str]) -> dict[str, FloatArray]:
         """Columns as float64 `(rows,)`, NaN where blank."""
+
+    def blocks(self, names: Sequence[str]) -> Iterator[dict[str, FloatArray]]:
+        """The same in blocks of rows, for files that are larger than memory."""
 
 
 def map_columns(table: Table, config: LogsConfig) -> dict[str, dict[str, str]]:

@@ -9,7 +9,7 @@ import numpy as np
 from narxcal.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from data_prep.log import FloatArray
@@ -50,21 +50,29 @@ class ParquetSource:
 
         Raises `DataError` for a column that holds no numbers and for a damaged file.
         """
+        pieces: dict[str, list[FloatArray]] = {name: [np.empty(0)] for name in names}
+        for block in self.blocks(names):
+            for name, values in block.items():
+                pieces[name].append(values)
+        return {name: np.concatenate(pieces.pop(name)) for name in names}
+
+    def blocks(self, names: Sequence[str]) -> Iterator[dict[str, FloatArray]]:
+        """The named columns in blocks of up to `BATCH_ROWS` rows; raises as `read`."""
         for name in names:
             kind = self._file.schema_arrow.field(name).type
             if not any(fits(kind) for fits in self._numeric):
                 raise DataError(
                     f"expected a column of numbers, found {kind}", file=self.path, channel=name
                 )
-        pieces: dict[str, list[FloatArray]] = {name: [np.empty(0)] for name in names}
         try:
             for batch in self._file.iter_batches(BATCH_ROWS, columns=list(names)):
-                for name in names:
-                    column = batch.column(name).cast(self._double, safe=False)
-                    pieces[name].append(column.to_numpy(zero_copy_only=False))
+                columns = {name: batch.column(name) for name in names}
+                yield {
+                    name: column.cast(self._double, safe=False).to_numpy(zero_copy_only=False)
+                    for name, column in columns.items()
+                }
         except self._broken as error:
             raise self._damaged() from error
-        return {name: np.concatenate(pieces.pop(name)) for name in names}
 
     def _damaged(self) -> DataError:
         return DataError("the Parquet file is damaged", file=self.path, hint="Copy it again")

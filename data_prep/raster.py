@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 ON_RASTER = 0.01  # of the interval: samples closer than this to a raster time are on it
 OWN_INTERVALS = 2.5  # a slower channel may miss one of its own samples
 LONG_SPAN_S = 1.0
-_LARGEST = 1e30  # beyond it a number is a fault, and its arithmetic would overflow
+LARGEST = 1e30  # beyond it a number is a fault, and its arithmetic would overflow
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def resample(
     * `hold` (switches): the last sample at or before the raster time, however old.
     * Of several samples with one stamp the last counts.
     """
-    valid = np.abs(values) < _LARGEST
+    valid = np.abs(values) < LARGEST
     absurd = int((~valid & ~np.isnan(values)).sum())
     steps, values, repeated = _last_of_equal(raster.steps(time[valid]), values[valid])
     entries = [

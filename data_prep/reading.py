@@ -11,6 +11,7 @@ import numpy as np
 
 from data_prep.csv_source import open_csv, readable
 from data_prep.derive import derive
+from data_prep.large import is_large, large_logs
 from data_prep.log import Audit, AuditEntry, Log, Source
 from data_prep.logs_config import LogsConfig
 from data_prep.mapping import Table, constants, map_columns, to_channel
@@ -46,7 +47,8 @@ def read_logs(
     Channels are canonical `(time,)` float64, NaN where missing; derived channels are included.
     Rows are put in order of time, split where they are more than `max_gap_s` apart, and laid on
     the raster as `data_prep.raster.resample` states; the audit of each log holds every row and
-    sample that was dropped, moved, filled or left missing. `folder` and `files` of `config` are
+    sample that was dropped, moved, filled or left missing. Files of more than 200 MB are read block
+    by block, so that only the logs themselves take memory. `folder` and `files` of `config` are
     not used here.
 
     Raises `DataError` (file, channel, row) for what the files hold, `ConfigError` for a
@@ -54,16 +56,21 @@ def read_logs(
     """
     config = config or LogsConfig()
     paths = [files] if isinstance(files, str | Path) else list(files)
-    return [
-        log
-        for path in paths
-        for recording in _recordings(Path(path), config)
-        for log in _logs(recording, config)
-    ]
+    return [log for path in paths for log in _file_logs(Path(path), config)]
 
 
-def _recordings(path: Path, config: LogsConfig) -> list[_Recording]:
+def _file_logs(path: Path, config: LogsConfig) -> list[Log]:
     table = open_table(path, config)
+    if is_large(path, config):
+        digest = _sha256(path)
+        engines = config.engines or {"": ""}
+        origins = {engine: Source(str(path), digest, engine) for engine in engines}
+        return large_logs(table, config, origins)
+    recordings = _recordings(path, table, config)
+    return [log for recording in recordings for log in _logs(recording, config)]
+
+
+def _recordings(path: Path, table: Table, config: LogsConfig) -> list[_Recording]:
     columns = map_columns(table, config)
     sources = config.sources(table.header)
     cells = table.read(list({name: None for each in columns.values() for name in each.values()}))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from eval.raster_stream import RasterStream
+from data_prep.raster_stream import RasterStream
 from eval.replay_engine import EngineReplay, Rows
 from eval.replay_setup import ReplayModel, ReplayOptions
 from eval.stream import CsvStream, Pace

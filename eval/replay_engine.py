@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from data_prep.log import FloatArray
-    from eval.raster_stream import Piece
+    from data_prep.raster_stream import Piece
     from eval.replay_setup import ReplayModel, ReplayOptions
 
     BoolArray = NDArray[np.bool_]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from data_prep.derive import derive
+from data_prep.log import Audit
 from data_prep.raster import ON_RASTER, Raster, resample
 from data_prep.stamps import (
     native_interval,
@@ -16,6 +17,7 @@ from data_prep.stamps import (
     split_at_gaps,
     undo_rounding,
 )
+from data_prep.stream_audit import StreamAudit
 from narxcal.channels import CHANNELS
 from narxcal.errors import DataError
 
@@ -53,7 +55,8 @@ class RasterStream:
     look-ahead, and never a shift. `look_ahead_s` more are waited for, so that blanks of slow
     channels are bridged as in a whole file; with 0 such a blank is missing until it is over.
     `dropped` counts rows without a usable stamp, and lone rows between gaps; `samples` what
-    was given.
+    was given. `audit` adds up what was done to the recording in hand; `ended` is that of the one
+    before it.
     """
 
     config: LogsConfig
@@ -63,6 +66,8 @@ class RasterStream:
     constants: Mapping[str, float] = field(default_factory=dict)
     dropped: int = 0
     samples: int = 0
+    audit: StreamAudit = field(default_factory=StreamAudit)
+    ended: Audit = field(default_factory=Audit)
 
     def __post_init__(self) -> None:
         self._rows: dict[str, FloatArray] = {}
@@ -74,6 +79,7 @@ class RasterStream:
         self._origin = np.nan  # of the raster of the recording in hand
         self._next = 0  # sample of that raster to come next
         self._before: dict[str, float] = {}  # channels of the sample that came last
+        self._late = 0  # number of the last row whose lateness was counted
 
     def push(self, rows: Mapping[str, FloatArray], *, last: bool = False) -> Iterator[Piece]:
         """Take further rows `(rows,)` in file order, and give the samples that are now certain.
@@ -115,25 +121,43 @@ class RasterStream:
         sound = np.zeros(len(stamps), dtype=np.bool_)
         sound[rows.order] = True
         self.dropped += int((~sound).sum())
+        for entry in rows.entries:
+            if entry.action == "dropped":
+                self.audit.count("*", entry.action, entry.reason, entry.samples)
+        self._count_late(stamps[sound], self._numbers[sound])
         newest = int(self._numbers[-1]) if len(stamps) and not last else -1
         self._keep(sound)
         order = (np.cumsum(sound) - 1)[rows.order]
         known = self._numbers[order] != newest
         return order[known], rows.time_s[known]
 
+    def _count_late(self, stamps: FloatArray, numbers: NDArray[np.intp]) -> None:
+        if len(stamps):
+            late = (np.maximum.accumulate(stamps) > stamps) & (numbers > self._late)
+            self.audit.count("*", "repaired", "out of order", int(late.sum()))
+            self._late = int(numbers[-1])
+
     def _part(self, order: NDArray[np.intp], stamps: FloatArray, over: bool) -> Iterator[Piece]:
         """Give samples of one recording; `over` when no row of it is to come."""
         starts = bool(np.isnan(self._origin))
         if starts and (len(stamps) < 2 or stamps[0] == stamps[-1]):
-            self.dropped += len(stamps) if over else 0
+            lone = len(stamps) if over else 0
+            self.dropped += lone
+            self.audit.count("*", "dropped", "lone row between gaps", lone)
             return
+        new = np.isnan(self._exact[order])
         time = self._exact[order] = self._without_rounding(self._exact[order], stamps)
         if starts:
+            if self.samples:
+                self.ended = self.audit.taken()
             self._origin, self._next, self._before = float(time[0]), 0, {}
+        rounded = np.abs(time - stamps)[new] > 0.01 * self._native[0]
+        self.audit.count("*", "repaired", "rounded time stamp", int(rounded.sum()))
         limit = time[-1] - (0.0 if over else self.look_ahead_s)
         samples = int(np.floor((limit - self._origin) / self.dt_s + ON_RASTER)) + 1 - self._next
+        rows = {name: values[order] for name, values in self._rows.items()}
+        self.audit.rows(time, rows, new, Raster(self._origin, self.dt_s, 0, 0.0))
         if samples > 0:
-            rows = {name: values[order] for name, values in self._rows.items()}
             yield self._sampled(time, rows, samples)
         self._origin = np.nan if over else self._origin
 
@@ -162,12 +186,15 @@ class RasterStream:
     def _sampled(self, time: FloatArray, rows: dict[str, FloatArray], samples: int) -> Piece:
         start = self._origin + self._next * self.dt_s
         raster = Raster(start, self.dt_s, samples, self.config.bridge_s)
-        channels = {
-            name: resample(name, time, values, raster, hold=CHANNELS[name].role == "switch")[0]
-            for name, values in rows.items()
-            if name != "time_s"
-        }
-        channels |= {name: np.full(samples, value) for name, value in self.constants.items()}
+        channels: dict[str, FloatArray] = {}
+        for name, values in rows.items():
+            if name != "time_s":
+                hold = CHANNELS[name].role == "switch"
+                channels[name], entries = resample(name, time, values, raster, hold=hold)
+                self.audit.add(entries, self.dt_s)
+        for name, value in self.constants.items():
+            channels[name] = np.full(samples, value)
+            self.audit.count(name, "filled", "constant of the config", samples)
         channels |= self._derived(channels)
         self._before = {name: float(values[-1]) for name, values in channels.items()}
         grid = self._origin + np.arange(self._next, self._next + samples) * self.dt_s

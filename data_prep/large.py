@@ -1,0 +1,147 @@
+"""Files too large to hold: read block by block, so that only the logs themselves take memory.
+
+Rows go onto the raster as they come (`data_prep.raster_stream`), with the rules and the audit of
+`data_prep.reading`. What a file alone can tell, its own rate, is taken from its first rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from data_prep.log import Log
+from data_prep.mapping import constants, map_columns, to_channel
+from data_prep.raster_stream import RasterStream
+from data_prep.stamps import native_interval, ordered_rows
+from narxcal.errors import DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+    from pathlib import Path
+
+    from data_prep.log import Audit, FloatArray, Source
+    from data_prep.logs_config import ColumnSource, LogsConfig
+    from data_prep.mapping import Table
+    from data_prep.raster_stream import Piece
+
+LARGE_BYTES = 200_000_000
+_COMPRESSED = 5  # times as much text as bytes
+# A blank is bridged across blocks up to the time that the stream remembers.
+LONGEST_BRIDGE_S = 5.0
+_MOST_SAMPLES = 1000  # per row
+_GROWTH = 500_000  # samples by which a channel grows
+
+
+def is_large(path: Path, config: LogsConfig) -> bool:
+    """Whether `path` is better read block by block."""
+    size = path.stat().st_size * (_COMPRESSED if path.suffix == ".gz" else 1)
+    return size > LARGE_BYTES and config.bridge_s <= LONGEST_BRIDGE_S
+
+
+def large_logs(table: Table, config: LogsConfig, origins: Mapping[str, Source]) -> list[Log]:
+    """Logs of every engine, whose `origins` (engine -> source) are given.
+
+    Raises `DataError` as `data_prep.read_logs` does.
+    """
+    columns = map_columns(table, config)
+    sources = config.sources(table.header)
+    names = list({name: None for each in columns.values() for name in each.values()})
+    engines: dict[str, _Engine] = {}
+    for cells in table.blocks(names):
+        for engine, mapped in columns.items():
+            rows = _channels(cells, mapped, sources)
+            if engine not in engines:
+                dt_s = _interval(rows["time_s"], config, str(table.path))
+                stream = RasterStream(
+                    config, dt_s, LONGEST_BRIDGE_S, str(table.path), constants(sources)
+                )
+                engines[engine] = _Engine(stream, origins[engine], table.path.name)
+            engines[engine].take(engines[engine].stream.push(rows))
+    if not engines:
+        raise DataError("no rows follow the header", file=table.path)
+    return [log for engine in engines.values() for log in engine.finished()]
+
+
+def _channels(
+    cells: Mapping[str, FloatArray], mapped: Mapping[str, str], sources: Mapping[str, ColumnSource]
+) -> dict[str, FloatArray]:
+    return {name: to_channel(name, cells[column], sources[name]) for name, column in mapped.items()}
+
+
+def _interval(stamps: FloatArray, config: LogsConfig, file: str) -> float:
+    native = native_interval(ordered_rows(stamps, config.max_gap_s, file).time_s)
+    interval = 1.0 / config.raster_hz if config.raster_hz else native
+    if native > _MOST_SAMPLES * interval:
+        raise DataError(
+            f"rows {native:.4g} s apart would become samples at {1 / interval:.4g} Hz",
+            file=file,
+            channel="time_s",
+            hint="Check the unit of time_s and set [logs] raster_hz",
+        )
+    return interval
+
+
+class _Grown:
+    """Values that are added block by block, in one array whose memory grows with them."""
+
+    def __init__(self) -> None:
+        self._values = np.empty(0)
+        self._used = 0
+
+    def add(self, block: FloatArray) -> None:
+        """Append `block` `(time,)`."""
+        needed = self._used + len(block)
+        if needed > len(self._values):
+            # Moved by the system page by page, so that old and new never both take memory.
+            self._values.resize(needed + _GROWTH, refcheck=False)
+        self._values[self._used : needed] = block
+        self._used = needed
+
+    def taken(self) -> FloatArray:
+        """All of it `(time,)`; nothing can be added after that."""
+        self._values.resize(self._used, refcheck=False)
+        return self._values
+
+
+@dataclass
+class _Engine:
+    """Logs of one engine as they grow."""
+
+    stream: RasterStream
+    source: Source
+    file: str
+    logs: list[Log] = field(default_factory=list)
+    columns: dict[str, _Grown] = field(default_factory=dict)
+
+    def take(self, pieces: Iterable[Piece]) -> None:
+        """Add samples; one that begins a recording ends the one before."""
+        for piece in pieces:
+            if piece.starts:
+                self._finish(self.stream.ended)
+            for name, block in {"time_s": piece.time_s, **piece.channels}.items():
+                self.columns.setdefault(name, _Grown()).add(block)
+
+    def finished(self) -> Iterator[Log]:
+        """All logs, after the last row."""
+        self.take(self.stream.push({}, last=True))
+        self._finish(self.stream.audit.taken())
+        if not self.logs:
+            raise DataError(
+                f"no two samples are closer than max_gap_s = {self.stream.config.max_gap_s:g} s",
+                file=self.source.file,
+                channel="time_s",
+                hint="Raise [logs] max_gap_s or check the unit of time_s",
+            )
+        yield from self.logs
+
+    def _finish(self, audit: Audit) -> None:
+        columns, self.columns = self.columns, {}
+        if not columns:
+            return
+        number = f"#{len(self.logs) + 1}" if self.logs else ""
+        engine = f":{self.source.engine}" if self.source.engine else ""
+        channels = {name: column.taken() for name, column in columns.items()}
+        time_s = channels.pop("time_s")
+        self.logs.append(Log(f"{self.file}{engine}{number}", time_s, channels, audit, self.source))
