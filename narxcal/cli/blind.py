@@ -77,7 +77,7 @@ def _run(options: Namespace, console: Console) -> None:
 
 
 def _score(options: Namespace, console: Console) -> None:
-    document = score_answers(options.folder, options.answers, options.secret)
+    document = score_answers(options.folder, options.answers, options.secret, options.also)
     atomic_write_text(options.answers / SCORE, to_json(document))
     atomic_write_text(options.answers / PAGE, render(document))
     for title, head, rows in tables(document):

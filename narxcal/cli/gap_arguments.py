@@ -136,6 +136,15 @@ def _blind_score(actions: _Commands) -> argparse.ArgumentParser:
     parser.add_argument("folder", metavar="CASES", type=Path, help="folder that make wrote")
     parser.add_argument("answers", metavar="ANSWERS", type=Path, help="folder that run wrote")
     parser.add_argument("--secret", metavar="WORD", required=True, help="that of make, or its seed")
+    parser.add_argument(
+        "--also",
+        metavar=("CASES", "ANSWERS"),
+        nargs=2,
+        type=Path,
+        action="append",
+        default=[],
+        help="further cases under the same secret, scored together with these",
+    )
     return parser
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,11 +21,26 @@ EDGES: Final = (0.02, 0.05, 0.10, 0.25)
 GROUPS: Final = ("below 2 %", "2-5 %", "5-10 %", "10-25 %", "above 25 %")
 
 
-def score_answers(folder: Path, answers: Path, secret: str) -> dict[str, Any]:
+def score_answers(
+    folder: Path, answers: Path, secret: str, also: Sequence[tuple[Path, Path]] = ()
+) -> dict[str, Any]:
     """Open the key of the cases in `folder` and score the answers; returns the document.
 
+    `also` are further folders of cases with their answers, whose keys the same secret opens.
     Raises `DataError` for a case without an answer, and as `open_key`.
     """
+    outcomes, plan = _opened(folder, answers, secret)
+    if not also:
+        return scored(outcomes, plan)
+    outcomes = [each._replace(name=f"{folder.name}/{each.name}") for each in outcomes]
+    for other, theirs in also:
+        more = _opened(other, theirs, secret)[0]
+        outcomes += [each._replace(name=f"{other.name}/{each.name}") for each in more]
+    return scored(outcomes, plan)
+
+
+def _opened(folder: Path, answers: Path, secret: str) -> tuple[list[Outcome], dict[str, Any]]:
+    """All cases of a folder with their answers, and the plan that they were made by."""
     read_json(answers / ANSWERS, ANSWERS_SCHEMA)
     key = open_key(folder, secret)
     outcomes = []
@@ -38,7 +53,7 @@ def score_answers(folder: Path, answers: Path, secret: str) -> dict[str, Any]:
                 hint="Go on with `narxcal blind run`, then score",
             )
         outcomes.append(Outcome(name, truth, answer, read_reruns(answers, name)))
-    return scored(outcomes, key["plan"])
+    return outcomes, dict(key["plan"])
 
 
 def scored(outcomes: Cases, plan: Mapping[str, Any]) -> dict[str, Any]:

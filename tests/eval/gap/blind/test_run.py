@@ -71,6 +71,18 @@ def test_other_seeds_hand_over_the_same_flights_in_another_order(
     assert (changed["hits"], changed["of"]) == (3, 3)
 
 
+def test_several_folders_are_scored_together(made, asked, tmp_path):
+    out = tmp_path / "out"
+    run_cases(made, out)
+    one = score_answers(made, out, "4")
+    both = score_answers(made, out, "4", [(made, out)])
+    assert len(both["outcomes"]) == 2 * len(one["outcomes"]) == 2 * len(asked)
+    assert both["outcomes"][0]["case"] == "cases/case_001"
+    for single, double in zip(one["table"], both["table"], strict=True):
+        if single.get("of"):
+            assert (double["hits"], double["of"]) == (2 * single["hits"], 2 * single["of"])
+
+
 def test_it_goes_on_where_it_was_cut_short(made, asked, tmp_path):
     out = tmp_path / "out"
     run_cases(made, out)
