@@ -23,7 +23,7 @@ from eval.gap.data import FloatArray
 from eval.gap.document import SCHEMA
 from eval.gap.stored_emulator import read_emulator, signals_from_json
 from eval.gap.summary import EMULATOR
-from narxcal.effects.base import OutputEffect, Signals
+from narxcal.effects.base import InputEffect, RateEffect, Signals
 from narxcal.effects.running import Flights
 from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
 from narxcal.errors import ConfigError, DataError
@@ -81,7 +81,7 @@ class FoundEffects:
 
     def _change(self, u: FloatArray, y: FloatArray, log: Log) -> FloatArray:
         found = settings(self.values, self.signals)
-        if all(isinstance(effect, OutputEffect) for effect, _ in found):
+        if not any(isinstance(effect, (InputEffect, RateEffect)) for effect, _ in found):
             return self._run(u, y, log.dt_s)
         size = round(self.signals.dt_s / log.dt_s)
         if size < 1 or abs(size * log.dt_s / self.signals.dt_s - 1.0) > 0.01:

@@ -178,7 +178,7 @@ class RateEffect(Effect):
     """An effect on how fast the engine moves."""
 
     @abstractmethod
-    def pace(self, theta: FloatArray) -> Pace:
+    def pace(self, theta: FloatArray, signals: Signals) -> Pace:
         """Pace of the engine against the simulator, for `theta` (batch, parameters)."""
 
 

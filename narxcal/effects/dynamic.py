@@ -4,7 +4,18 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from narxcal.effects.base import FloatArray, Parameter, RateEffect, Side, Signals
+import numpy as np
+
+from narxcal.effects.base import (
+    FloatArray,
+    OutputEffect,
+    Parameter,
+    RateEffect,
+    Run,
+    Side,
+    Signals,
+)
+from narxcal.effects.memory import Lag
 from narxcal.effects.pace import Pace, as_simulated
 
 SPEEDS = ("N1_pct", "N2_pct")
@@ -33,7 +44,7 @@ class SpoolLag(_Transit):
     manoeuvre: ClassVar[str] = "steps of three sizes, both ways: its transit time is independent"
     fixed = (Parameter("factor", "-", 0.4, 4.0, 1.0, (0.8, 1.3, 2.0)),)
 
-    def pace(self, theta: FloatArray) -> Pace:
+    def pace(self, theta: FloatArray, signals: Signals) -> Pace:  # noqa: ARG002 - of any engine
         """`1 / factor` of every rate."""
         slower, same = 1.0 / theta[:, 0], as_simulated(len(theta))
         return same._replace(fan_up=slower, fan_down=slower, core_up=slower, core_down=slower)
@@ -51,7 +62,7 @@ class SpoolCoupling(_Transit):
         """Where both spool speeds are known."""
         return all(name in signals.outputs for name in SPEEDS)
 
-    def pace(self, theta: FloatArray) -> Pace:
+    def pace(self, theta: FloatArray, signals: Signals) -> Pace:  # noqa: ARG002 - of any engine
         """`1 / factor` of the fan's rate; the core as it was."""
         slower = 1.0 / theta[:, 0]
         return as_simulated(len(theta))._replace(fan_up=slower, fan_down=slower)
@@ -65,7 +76,7 @@ class AccelDecelAsymmetry(_Transit):
     manoeuvre: ClassVar[str] = "pushes and pulls of one size, at low and at high altitude"
     fixed = (Parameter("ratio", "-", 0.4, 4.0, 1.0, (0.8, 1.3, 2.0)),)
 
-    def pace(self, theta: FloatArray) -> Pace:
+    def pace(self, theta: FloatArray, signals: Signals) -> Pace:  # noqa: ARG002 - of any engine
         """`1 / ratio` of every rising rate."""
         slower = 1.0 / theta[:, 0]
         return as_simulated(len(theta))._replace(fan_up=slower, core_up=slower)
@@ -83,7 +94,7 @@ class AccelLimit(_Transit):
     manoeuvre: ClassVar[str] = "slams of three sizes: only the large ones are slower"
     fixed = (Parameter("share", "-", 0.1, 2.0, 1.0, (0.8, 0.5, 0.3)),)
 
-    def pace(self, theta: FloatArray) -> Pace:
+    def pace(self, theta: FloatArray, signals: Signals) -> Pace:  # noqa: ARG002 - of any engine
         """`share` of the limit of acceleration."""
         return as_simulated(len(theta))._replace(limit=theta[:, 0])
 
@@ -103,16 +114,18 @@ class AltitudeLag(_Transit):
         """Where the altitude changes."""
         return super().applies(signals) and "ALT_ft" in signals.active
 
-    def pace(self, theta: FloatArray) -> Pace:
+    def pace(self, theta: FloatArray, signals: Signals) -> Pace:  # noqa: ARG002 - of any engine
         """Rates scaled by the power of what the air is."""
         return as_simulated(len(theta))._replace(thin_air=theta[:, 0])
 
 
-class ActuatorLag(_Transit):
+class ActuatorLag(_Transit, OutputEffect):
     """A further lag of `tau_s` between what the control asks for and the fuel that burns.
 
     An accelerating engine needs ever more fuel, so that fuel which is late is fuel that is missing
     all along. How much, goes with the core's own time constant `core_s`, which is fitted with it.
+    Where fuel is the driver there is no control to close a loop over the lag: it commutes with the
+    engine, and all outputs follow the simulator's with the one lag.
     """
 
     id: ClassVar[str] = "actuator_lag"
@@ -124,6 +137,23 @@ class ActuatorLag(_Transit):
         Parameter("core_s", "s", 0.3, 5.0, 1.0, (0.7, 2.0)),
     )
 
-    def pace(self, theta: FloatArray) -> Pace:
+    def parameters(self, signals: Signals) -> tuple[Parameter, ...]:
+        """The lag alone where fuel is the driver."""
+        return self.fixed if signals.governed else self.fixed[:1]
+
+    def pace(self, theta: FloatArray, signals: Signals) -> Pace:
         """The valve's lag, and how the core answers fuel."""
-        return as_simulated(len(theta))._replace(valve_s=theta[:, 0], core_s=theta[:, 1])
+        same = as_simulated(len(theta))
+        if not signals.governed:
+            return same
+        return same._replace(valve_s=theta[:, 0], core_s=theta[:, 1])
+
+    def on_output(self, run: Run, y: FloatArray) -> FloatArray:
+        """Without a control, all outputs behind one and the same lag."""
+        if run.signals.governed:
+            return y
+        columns = [
+            run.memory.setdefault(f"lag {j}", Lag(run.theta[:, 0], run.signals.dt_s))(y[..., j])
+            for j in range(y.shape[-1])
+        ]
+        return np.stack(columns, axis=-1)

@@ -109,6 +109,10 @@ def _moved(
     rows = np.arange(len(settings[0][1])) % len(flights.u)
     if all(not isinstance(effect, InputEffect) for effect, _ in settings):
         told = flights.u
-    paces = [effect.pace(theta) for effect, theta in settings if isinstance(effect, RateEffect)]
+    paces = [
+        effect.pace(theta, flights.signals)
+        for effect, theta in settings
+        if isinstance(effect, RateEffect)
+    ]
     changed = emulator.run(flights, told, together(paces) if paces else None)
     return np.asarray(flights.y[rows] + (changed - emulator.run(flights, flights.u)[rows]))

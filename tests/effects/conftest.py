@@ -129,7 +129,7 @@ def moving(request):
     return request.param
 
 
-@each([e for e in ALL if isinstance(e, OutputEffect)])
+@each([e for e in ALL if isinstance(e, OutputEffect) and not isinstance(e, RateEffect)])
 def reading(request):
     """Every effect on outputs."""
     return request.param

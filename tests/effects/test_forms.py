@@ -1,5 +1,7 @@
 """Each effect's own equation, in closed form or in a loop written out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from narxcal.effects.memory import Lag
 from narxcal.effects.pace import as_simulated, together
 
 DT = 0.125
+SPEEDS = ("N1_pct", "N2_pct")
 
 
 def told(name, theta, flights, u):
@@ -22,9 +25,9 @@ def told(name, theta, flights, u):
     return found[..., 0]
 
 
-def paced(name, *theta):
+def paced(name, signals, *theta):
     """What is not as simulated in the pace of an effect: field -> value."""
-    found = effect(name).pace(np.array([theta]))
+    found = effect(name).pace(np.array([theta]), signals)
     usual = as_simulated(1)
     return {
         field: float(value[0])
@@ -67,12 +70,24 @@ def test_a_delay_and_a_limit_and_a_bias_of_the_lever(flights):
         ("actuator_lag", [0.6, 2.0], {"valve_s": 0.6, "core_s": 2.0}),
     ],
 )
-def test_what_an_effect_says_of_the_pace(name, theta, changed):
-    assert paced(name, *theta) == changed
+def test_what_an_effect_says_of_the_pace(name, theta, changed, flights):
+    assert paced(name, flights.signals, *theta) == changed
 
 
-def test_effects_on_the_pace_add_up():
-    paces = [effect(n).pace(np.array([t])) for n, t in PACES]
+def test_where_fuel_drives_a_slow_valve_is_one_lag_of_all_outputs(flights):
+    s = flights.signals
+    signals = replace(s, inputs=("FF_kgph", *s.inputs[1:]), driver="FF_kgph", outputs=SPEEDS)
+    assert [p.name for p in effect("actuator_lag").parameters(signals)] == ["tau_s"]
+    assert paced("actuator_lag", signals, 0.6) == {}
+    y = flights.y[..., :2]
+    run = Run(signals, np.full((len(y), 1), 0.6), flights.u)
+    found = effect("actuator_lag").on_output(run, y)
+    for j in range(2):
+        np.testing.assert_array_equal(found[..., j], Lag(np.full(len(y), 0.6), DT)(y[..., j]))
+
+
+def test_effects_on_the_pace_add_up(flights):
+    paces = [effect(n).pace(np.array([t]), flights.signals) for n, t in PACES]
     found = together(paces)
     np.testing.assert_allclose(found.fan_up, 1.0 / (2.0 * 1.5))
     np.testing.assert_allclose(found.core_up, 1.0 / 2.0)

@@ -20,6 +20,7 @@ from training.gap.quadratic import Misfit, misfit
 TIGHT = 1e-5  # of the priors of offsets and slopes: none, they would take the effect's place
 _ZERO_K = 273.15
 _GOVERNED = 4.0
+_WEIGHTS = {"FF_kgph": 0.5}  # fuel flow scatters twice as much as speed and temperature
 
 
 def offset_fits(
@@ -32,6 +33,7 @@ def offset_fits(
     left = replace(tight, gap=np.where(tight.weights > 0.0, tight.gap - explained, 0.0))
     own = replace(problem, misfit=left)
     fits = [fit([effect], own) for effect in effects]
+    fits = [one for one in fits if not _better_than_new(one, problem.flights.signals)]
     fits.sort(key=lambda tried: float(tried.held_out.sum()))
     return fits, left.size(left.gap)
 
@@ -50,6 +52,13 @@ def relative_size(response: FloatArray, flights: Flights) -> float:
     sizes = []
     for c, name in enumerate(signals.outputs):
         level = flights.y[..., c] + (_ZERO_K if name.endswith("_C") else 0.0)
-        heavy = _GOVERNED if c == 0 and signals.governed else 1.0
+        heavy = _GOVERNED if c == 0 and signals.governed else _WEIGHTS.get(name, 1.0)
         sizes.append(heavy * float(np.sqrt(np.mean((response[..., c] / level) ** 2))))
     return max(sizes)
+
+
+def _better_than_new(tried: Fit, signals: Signals) -> bool:
+    """Whether wear would have cooled the engine: that is build scatter, or something else."""
+    if tried.effects[0].id != "deterioration" or "EGT_C" not in signals.outputs:
+        return False
+    return float(np.mean(tried.response[..., signals.y("EGT_C")])) < 0.0

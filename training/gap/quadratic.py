@@ -1,8 +1,8 @@
 r"""The measure of misfit: weighted squares of the gap with small nuisances taken out.
 
 Under every hypothesis, and under none, each flight may have its own nuisances: an offset of each
-channel and one that grows with power (trim, build scatter). They are linear, with Gaussian priors,
-so they are eliminated in closed form:
+channel, one that grows with power, and one that bends over it (trim, build scatter). They are
+linear, with Gaussian priors, so they are eliminated in closed form:
 
     Q_f(v) = v' W v - b' S^-1 b,    b = X' W v,    S = X' W X + P^-1
 
@@ -20,7 +20,7 @@ from narxcal.effects.base import FloatArray
 from narxcal.effects.running import Flights
 
 TOLERANCE = 1e-3  # of a channel's range: what nobody would call a gap
-_OFFSET, _SLOPE = 0.03, 0.03  # priors of the nuisances, as shares of a channel's range
+_OFFSET, _SLOPE, _BEND = 0.03, 0.03, 0.06  # priors of the nuisances, as shares of a range
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +88,8 @@ def _nuisances(flights: Flights, span: FloatArray, loose: float) -> tuple[FloatA
         one[..., c] = 1.0
         sloped = np.zeros_like(y)
         sloped[..., c] = power - 0.5
-        shapes += [one, sloped]
-        priors += [loose * _OFFSET * span[c], loose * _SLOPE * span[c]]
+        bent = np.zeros_like(y)
+        bent[..., c] = (power - 0.5) ** 2 - 1.0 / 12.0
+        shapes += [one, sloped, bent]
+        priors += [loose * share * span[c] for share in (_OFFSET, _SLOPE, _BEND)]
     return np.stack(shapes, axis=1), np.array(priors)

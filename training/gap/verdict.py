@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import t
 
 from narxcal.effects.base import FloatArray, RateEffect
 from training.gap.answer import channels, probabilities, shrink, tried
@@ -13,6 +14,8 @@ from training.gap.fitting import Fit
 from training.gap.work import Work
 
 _LEFT = 0.01  # of the gap: nobody can tell two models that both leave less
+_KIN = 0.75  # of what the leader takes
+_AGREED = 0.95  # level at which flights agree on who is ahead
 Offset = tuple[list[Fit], FloatArray, float]  # offsets, best first; Q before; Q that is audible
 
 
@@ -107,15 +110,18 @@ def _verdict(work: Work, claimed: Fit | None, offset: Offset | None) -> tuple[Ki
         if _loudest(work) < work.options.quiet:
             return "none", "what is left beyond build scatter is below what has to be explained"
         return "unknown", f"the gap is real, but the best effect takes only {best:.0%} of it"
-    if claimed is not None and work.left(claimed) > _bearable(work, claimed):
+    if claimed is not None and not _bearable(work, claimed):
         return "unknown", f"the best effect leaves {work.left(claimed):.0%} of the gap unexplained"
     return "effects", "explains flights that had no part in the fit"
 
 
-def _bearable(work: Work, claimed: Fit) -> float:
-    """Share of the gap that may be left unexplained."""
+def _bearable(work: Work, claimed: Fit) -> bool:
+    """Whether what is left unexplained may be left."""
+    options = work.options
     inside = any(isinstance(effect, RateEffect) for effect in claimed.effects)
-    return work.options.unexplained_inside if inside else work.options.unexplained
+    if work.left(claimed) <= (options.unexplained_inside if inside else options.unexplained):
+        return True
+    return work.gain(claimed) >= options.distinct and work.aligned(claimed) >= options.aligned
 
 
 def _loudest(work: Work) -> float:
@@ -130,20 +136,32 @@ def _loudest(work: Work) -> float:
 
 
 def _rivals(work: Work, claimed: Fit, order: Sequence[Fit]) -> tuple[str, ...]:
-    """Single effects that may be meant where the single one claimed leads.
+    """Effects that may be meant instead of those claimed, by models of as many effects.
 
-    Those that leave hardly more of held-out flights; and where the leader leaves much, those of its
-    family that take at least half of what it takes: its form, not its kind, may be what does not
-    fit.
+    Those that leave hardly more of held-out flights, or of which the flights do not agree that they
+    are worse; and where a single leader leaves much, those of its family that take three quarters
+    of what it takes: its form, not its kind, may be what does not fit.
     """
-    if len(claimed.effects) > 1:
-        return ()
-    others = [one for one in order if one is not claimed and len(one.effects) == 1]
-    most = work.options.close * (1.0 - work.gain(claimed)) + _LEFT
-    alike = [one for one in others if 1.0 - work.gain(one) <= most]
-    if work.left(claimed) > work.options.unexplained:
-        alike = []
+    many = len(claimed.effects)
+    others = [one for one in order if one is not claimed and len(one.effects) == many]
+    alike = [one for one in others if _equal(work, claimed, one)]
+    if many == 1 and work.left(claimed) > work.options.unexplained:
         family = claimed.effects[0].family
         kin = [one for one in others if one.effects[0].family == family and one not in alike]
-        alike += [one for one in kin if work.gain(one) >= 0.5 * work.gain(claimed)]
-    return tuple(one.name for one in alike)
+        alike += [one for one in kin if work.gain(one) >= _KIN * work.gain(claimed)]
+    mine = {effect.name for effect in claimed.effects}
+    names = [effect.name for one in alike for effect in one.effects if effect.name not in mine]
+    return tuple(dict.fromkeys(names))
+
+
+def _equal(work: Work, claimed: Fit, other: Fit) -> bool:
+    """Whether held-out flights do not tell the two apart."""
+    left = 1.0 - work.gain(claimed)
+    if 1.0 - work.gain(other) <= work.options.close * left + _LEFT:
+        return True
+    worse = other.held_out - claimed.held_out
+    count = len(worse)
+    if count < 2 or work.gain(other) < 0.5 * work.gain(claimed):
+        return False
+    error = worse.std(ddof=1) / np.sqrt(count)
+    return bool(worse.mean() < t.ppf(_AGREED, count - 1) * error)

@@ -10,6 +10,7 @@ from narxcal.effects.base import FloatArray
 from training.gap.fitting import Fit, Problem
 from training.gap.quadratic import Misfit
 
+_FAINT = 0.02  # of the peak of a response: where it counts half
 _LEAST = 0.01  # of the noise's energy: less of a gap is none to take shares of
 
 
@@ -20,8 +21,10 @@ class Options:
     `quantile` of the pseudo-nulls' best gains that a claim has to exceed, from `draws` of them;
     `material` the least share of the gap, `further` that of one more effect, of `most` at once.
     `unexplained` is the share that may be left before the answer is unknown, `unexplained_inside`
-    that for effects on how the engine moves, whose forms no two engines share. A rival is the
-    leader's equal if it leaves no more than `close` times what the leader leaves. `audible` is the
+    that for effects on how the engine moves, whose forms no two engines share; more may be left,
+    as build scatter and other misfit leave it, by an effect that takes `distinct` of the gap and
+    explains `aligned` of it where it acts. A rival is the leader's equal if it leaves no more than
+    `close` times what the leader leaves, or if flights differ on who is ahead. `audible` is the
     least gap, as a share of the noise's energy, that is a gap at all; below `quiet`, as a share of
     a channel's range, it is a misfit that nobody has to explain; `scatter` is the shift, as a share
     of a channel's level, that build scatter may make. `price` is what the windows of an unlogged
@@ -33,12 +36,14 @@ class Options:
     material: float = 0.05
     further: float = 0.10
     unexplained: float = 0.40
-    unexplained_inside: float = 0.60
+    unexplained_inside: float = 0.55
+    distinct: float = 0.15
+    aligned: float = 0.70
     quiet: float = 0.005
-    close: float = 1.5
+    close: float = 1.2
     audible: float = 0.03
     most: int = 2
-    scatter: float = 0.012
+    scatter: float = 0.018
     seed: int = 0
     price: tuple[float, ...] = ()
 
@@ -79,3 +84,20 @@ class Work:
     def left(self, tried: Fit) -> float:
         """Share of the audible gap that the fit leaves on the flights it saw."""
         return float((tried.left - self.problem.misfit.floor).sum()) / self.audible
+
+    def aligned(self, tried: Fit) -> float:
+        """Share of the gap that the fit explains where its response is, noise aside.
+
+        Every sample counts by the energy of the response there, up to a fiftieth of its peak:
+        whatever else is wrong elsewhere says nothing about the effect.
+        """
+        measure = self.problem.misfit
+        gap, response = measure.cleaned(measure.gap), measure.cleaned(tried.response)
+        energy = measure.weights * response**2
+        peak = float(energy.max())
+        if peak <= 0.0:
+            return 0.0
+        acts = measure.weights * energy / (energy + _FAINT * peak)
+        before = float((acts * (gap**2 - self.noise**2)).sum())
+        after = float((acts * ((gap - response) ** 2 - self.noise**2)).sum())
+        return 1.0 - after / max(before, 1e-9)
