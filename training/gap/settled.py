@@ -71,7 +71,7 @@ class SettledModel:
     def _switched(self) -> FloatArray:
         """Values of every switch at its knots, (switches, knots, outputs)."""
         rest = self.weights[len(self.weights) - len(_SWITCHED) * len(self.switches) :]
-        return rest.reshape(len(self.switches), len(_SWITCHED), -1)
+        return rest.reshape(len(self.switches), len(_SWITCHED), self.weights.shape[-1])
 
 
 def fit_settled(flights: Flights) -> SettledModel:

@@ -1,5 +1,7 @@
 """Settled values follow the corners of a control, hold beyond what was flown, and ignore motion."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -86,3 +88,13 @@ def test_a_condition_that_never_changes_is_none():
     found = fit_settled(Flights(of, u, y, np.full(2, u.shape[1])))
     assert found.conditions == (1, 3)
     assert np.isfinite(found.outputs(u)).all()
+
+
+def test_flights_without_any_switch_settle_too():
+    u, y = flown()
+    u[..., 4:] = 0.0
+    y[:] = rest(u)
+    still = replace(signals(y), active=INPUTS[:4])
+    model = fit_settled(Flights(still, u, y, np.full(len(u), u.shape[1])))
+    assert model.switches == ()
+    np.testing.assert_allclose(model.outputs(u), model.features(u) @ model.weights, atol=1e-9)
