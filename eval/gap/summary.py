@@ -88,9 +88,11 @@ def effect_table(document: Mapping[str, Any]) -> Table:
 
 
 def windows_named(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Windows of an unlogged load that is claimed or cannot be ruled out."""
+    """Windows of an unlogged load that is claimed, cannot be ruled out, or is the best guess."""
     verdict = document["verdict"]
     wanted = {*verdict["effects"], *verdict["ambiguous_with"]}
+    if verdict["kind"] == "unknown":
+        wanted = {effect_name(row) for row in document["effects"][:1]}
     rows = [row for row in document["effects"] if effect_name(row) in wanted]
     return [spell for row in rows for spell in row.get("windows", ())]
 

@@ -77,7 +77,7 @@ def _claims(work: Work, moving: Sequence[Effect], watch: Watch | None) -> Fit | 
     singles = list(work.fits)
     while len(best.effects) < work.options.most and work.left(best) > 0.03:
         further = _best_pair(work, singles, watch)
-        least = max(work.options.further, _SECOND * work.left(best))
+        least = max(work.options.further, _SECOND * work.unexplained(best))
         if further is None or not _earned(work, further, best.held_out, least):
             break
         best = further

@@ -9,6 +9,7 @@ import numpy as np
 from narxcal.effects.base import FloatArray
 from training.gap.fitting import Fit, Problem
 from training.gap.quadratic import Misfit
+from training.gap.unlogged import witnesses
 
 _FAINT = 0.02  # of the peak of a response: where it counts half
 _LEAST = 0.01  # of the noise's energy: less of a gap is none to take shares of
@@ -101,3 +102,9 @@ class Work:
         before = float((acts * (gap**2 - self.noise**2)).sum())
         after = float((acts * ((gap - response) ** 2 - self.noise**2)).sum())
         return 1.0 - after / max(before, 1e-9)
+
+    def unexplained(self, tried: Fit) -> float:
+        """Share of what flights tell that is left; a load says nothing of flights without it."""
+        rows, floor = witnesses(tried, self.options.price), self.problem.misfit.floor
+        gap = max(float((self.before - floor)[rows].sum()), _LEAST * float(floor[rows].sum()))
+        return float((tried.left - floor)[rows].sum()) / gap

@@ -244,3 +244,14 @@ def test_a_gas_path_shows_its_load_and_no_other_effect(effect, size, count, virt
     for window, (start, stop) in zip(found.windows, times, strict=True):
         assert window.start_s == pytest.approx(start, abs=2.0)
         assert window.stop_s == pytest.approx(stop, abs=2.0)
+
+
+def test_what_a_flight_without_the_load_has_does_not_speak_against_it(monkeypatch):
+    monkeypatch.setattr(module, "candidates", lambda _signals: (UnloggedSwitch(), HeatSoak()))
+    real = recorded(shifted(on_in(WINDOWS)))
+    real[3, :, 2] += 9.0 * np.sin(TIME / 15.0)
+    found = load_in(real)
+    options = Options(unexplained=0.3, draws=40, price=tuple(found.price.tolist()))
+    answer = diagnose(with_load(FLIGHTS, found.on), (real, NOISE), None, options)
+    assert (answer.kind, answer.effects) == ("effects", ("unlogged_switch",)), answer.reason
+    assert answer.left_share > options.unexplained
