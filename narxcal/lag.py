@@ -1,24 +1,14 @@
 """State-dependent lags: how each output follows its steady-state value, in physical parameters.
 
 A spool is a first-order lag whose time constant depends on its speed and on the air (NACA
-TR-1011: coefficients are corrected for altitude like steady-state data; FACTS A2). With the
-deviation d = ss - y, the time constant tau and the increment D of ss over a step dt
-
-    fast(k) = a fast(k-1) + (1 - a) ((tau - lead) D / dt + core d_core(k)),   a = exp(-dt / tau)
-    slow(k) = b (slow(k-1) + share D),                                        b = exp(-dt / tau_s)
-    d(k)    = fast(k) + slow(k)
-    log tau = p . [1, log(sqrt(theta2) / delta2), v, w, v^2, v w, w^2]
-
-where v and w are the spool's corrected speed as it is and as it would settle, scaled to [-1, 1]
-over what training has seen. `lead` is the lag of the meter that ss is computed from, `core` how
-far an output follows the core spool, whose d is known first; the slow part is the heat soak.
-This is a state-dependent parameter model (Young, McKenna and Bruun 2001, Int. J. Control 74).
-Both parts decay wherever the inputs stand still, so the steady state is an exact equilibrium.
+TR-1011: coefficients are corrected for altitude like steady-state data; FACTS A2), behind a control
+that limits how fast it may move. This is a state-dependent parameter model (Young, McKenna and
+Bruun 2001, Int. J. Control 74); `narxcal.lag_steps` has its equations. The deviation that it gives
+decays wherever the inputs stand still, so the steady state is an exact equilibrium.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,15 +19,11 @@ from numpy.typing import NDArray
 
 from narxcal.atmosphere import air_state
 from narxcal.errors import ModelError
-from narxcal.kernels import compiled
+from narxcal.lag_steps import PARAMETERS, run_lags
 from narxcal.narx import AT_START
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-PARAMETERS = (
-    "log_tau", "air", "speed", "target", "speed_speed", "speed_target", "target_target",
-    "lead_s", "core", "slow_share", "log_slow_tau",
-)  # fmt: skip
 _ARRAYS = ("parameters", "centre", "half", "limit")
 
 
@@ -76,68 +62,11 @@ class Wiring(NamedTuple):
     sign: FloatArray
 
 
-@compiled
-def run_lags(
-    drive: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
-    lags: tuple[FloatArray, FloatArray],
-    starts: tuple[IntArray, FloatArray],
-    measured: FloatArray,
-    dt_s: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Fast and slow part (T, o) of the deviation; see the module for the equations.
-
-    `drive` are the columns of `Drive` with the core spool first (see `LagModel.run`); where an
-    output is no speed, its columns but ss hold the core's, and `per_unit` is negative. `lags` are
-    `parameters` and `limit` of the model, sorted alike; their sum is kept within +-`limit`.
-    `starts` are (positions (n,), parts (n, 2, o)): rows at which a window begins, and fast and
-    slow part there. `measured` (T, o), if it has rows, replaces the deviation before each step
-    where it is finite (one-step prediction).
-    """
-    ss, target, per_unit, air = drive
-    parameters, limit = lags
-    positions, parts = starts
-    steps, outputs = ss.shape
-    fast = np.zeros((steps, outputs))
-    slow = np.zeros((steps, outputs))
-    before = np.zeros(outputs)
-    window = 0
-    for k in range(steps):
-        if window < len(positions) and positions[window] == k:
-            fast[k] = parts[window, 0]
-            slow[k] = parts[window, 1]
-            window += 1
-            continue
-        for o in range(outputs):
-            before[o] = fast[k - 1, o]
-            if len(measured) > 0 and math.isfinite(measured[k - 1, o]):
-                before[o] = measured[k - 1, o] - slow[k - 1, o]
-        for o in range(outputs):
-            p = parameters[o]
-            w = min(max(target[k, o], -1.5), 1.5)
-            mine = before[o] if per_unit[k, o] > 0.0 else before[0]
-            v = target[k - 1, o] - mine * abs(per_unit[k, o])
-            v = min(max(v, -1.5), 1.5)
-            log_tau = p[0] + p[1] * air[k] + p[2] * v + p[3] * w
-            log_tau += p[4] * v * v + p[5] * v * w + p[6] * w * w
-            tau = math.exp(min(max(log_tau, -2.5), 3.0))
-            a = math.exp(-dt_s / tau)
-            step = ss[k, o] - ss[k - 1, o]
-            drawn = (tau - p[7]) * step / dt_s
-            if o > 0:
-                drawn += p[8] * (fast[k, 0] + slow[k, 0])
-            b = math.exp(-dt_s / math.exp(min(max(p[10], 0.0), 4.0)))
-            soak = b * (slow[k - 1, o] + p[9] * step)
-            followed = a * before[o] + (1.0 - a) * drawn
-            fast[k, o] = min(max(followed, -limit[o] - soak), limit[o] - soak)
-            slow[k, o] = soak
-    return fast, slow
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LagModel:
     """The lags of all outputs.
 
-    `parameters` (n_out, 11) are named by `PARAMETERS`. `centre` and `half` (n_out,) scale the
+    `parameters` (n_out, 23) are named by `PARAMETERS`. `centre` and `half` (n_out,) scale the
     corrected outputs; `limit` (n_out,) bounds the magnitude of each deviation. The core spool is
     the last output that is a speed, or the first output of an engine without one.
     """

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from narxcal.atmosphere import total_ratios
 from narxcal.kernels import compiled, fading, free_run
-from narxcal.lag import run_lags
+from narxcal.lag_steps import run_lags
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -40,7 +40,7 @@ class Network(NamedTuple):
 
 
 class Lags(NamedTuple):
-    """The lags' arrays, core spool first; no rows of `parameters` (o, 11) where there are none.
+    """The lags' arrays, core spool first; no rows of `parameters` (o, 23) where there are none.
 
     `order`, `own` and `sign` are those of `narxcal.lag.Wiring`, and `air` its `air_columns`.
     """

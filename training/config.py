@@ -34,7 +34,8 @@ class NarxSection(Section):
     the longest time constant with which an anchored network's deviation may fade; 0 means any.
     `lag` puts state-dependent lags in front of an anchored network (see narxcal.lag), which then
     learns what they leave; they are fitted to errors in the outputs' units, or with
-    `lag_errors = "relative"` as shares of the response that each belongs to.
+    `lag_errors = "relative"` as shares of the response that each belongs to. With `lag_limits`
+    they know how fast a control lets the spools move, and what fuel that takes.
     """
 
     outputs: tuple[str, ...] = Field(default=("N1_pct", "N2_pct", "EGT_C"), min_length=1)
@@ -48,6 +49,7 @@ class NarxSection(Section):
     joint: bool = True
     lag: bool = False
     lag_errors: Literal["absolute", "relative"] = "absolute"
+    lag_limits: bool = False
 
     @model_validator(mode="after")
     def _lag_needs_an_anchor(self) -> NarxSection:

@@ -21,18 +21,33 @@ from scipy.ndimage import binary_dilation, maximum_filter1d, minimum_filter1d
 from scipy.optimize import least_squares
 
 from narxcal.errors import DataError
-from narxcal.lag import PARAMETERS, Drive, LagModel, core_first, core_of, speeds_of, thickness
+from narxcal.lag import Drive, LagModel, core_first, core_of, speeds_of, thickness
+from narxcal.lag_steps import (
+    FUEL_PARAMETERS,
+    LAG_PARAMETERS,
+    LIMIT_PARAMETERS,
+    PARAMETERS,
+    UNLIMITED,
+)
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
-_TAU, _LEAD, _CORE, _SLOW = 0, PARAMETERS.index("lead_s"), PARAMETERS.index("core"), -1
-# A temperature has one time constant: that of its probe.
+_TAU, _LEAD, _CORE, _SLOW = (
+    PARAMETERS.index(name) for name in ("log_tau", "lead_s", "core", "log_slow_tau")
+)
+_LIMITS = [PARAMETERS.index(name) for name in ("log_up", "log_down")]
+_THIN = [PARAMETERS.index(name) for name in ("up_air", "down_air")]
+# A temperature has one time constant, that of its probe; with limits it goes with the flow.
 _PROBE = ("log_tau", "lead_s", "core", "slow_share", "log_slow_tau")
+_PROBE_IN_FLOW = ("log_tau", "air", "speed", "core", "slow_share", "log_slow_tau", *FUEL_PARAMETERS)
 _START_TAU, _START_LEAD_S, _START_SLOW_TAU = -0.3, 0.3, 1.5
+# Half the corrected range in a second; a given power speeds a rotor up the less, the thinner the
+# air. A heat soak takes the longer, the less flows.
+_START_LIMIT, _START_THIN, _START_SOAK = 0.0, -1.0, 3.7
 _ROBUST = 0.15  # of the deviations' spread: errors above this count less than squared
 _PRIOR = 2.0  # one unit of a parameter costs as much as this many _ROBUST once per 1000 samples
-_EVALUATIONS = 15
+_EVALUATIONS = {False: 15, True: 25}  # without and with limits
 _MOVING = 0.03  # of the core's range within some seconds: there the lags are scored
 _STRETCHES_S = {False: (10.0, 3.0), True: (5.0, 1.0)}  # of relative errors: within, and around
 _SWING_S = 15.0  # a response with its settling
@@ -85,6 +100,7 @@ class _Task(NamedTuple):
     column: int
     scale: float
     dt_s: float
+    limited: bool
 
 
 def fit_lags(
@@ -93,16 +109,20 @@ def fit_lags(
     dt_s: float,
     *,
     relative: bool = False,
+    limited: bool = False,
 ) -> LagModel:
     """Fit the lags of all outputs; `names` are those of the inputs and of the outputs.
 
-    With `relative`, errors count as shares of the response that they belong to.
+    With `relative`, errors count as shares of the response that they belong to; with `limited`,
+    there are limits of acceleration and deceleration too, and temperatures answer to the core's.
     Raises `DataError` where nothing ever moves.
     """
     input_names, output_names = names
     every = max(int(_RASTER_S / dt_s + 1e-6), 1)
     samples, dt_s = [one.thinned(every) for one in samples], every * dt_s
     model = _first_guess(samples, input_names, output_names)
+    if limited:
+        _guess_limits(model)
     core = core_of(output_names)
     scored = _Scored(core, dt_s, relative)
     parts = [_part(model, one, input_names, scored) for one in samples]
@@ -116,7 +136,7 @@ def fit_lags(
         deviations = np.concatenate([part.deviation[:, column] for part in parts])
         spread = float(np.nanstd(deviations))
         scale = spread if spread > 1e-9 else 1.0
-        model = _fitted(model, _Task(parts, int(column), scale, dt_s))
+        model = _fitted(model, _Task(parts, int(column), scale, dt_s, limited))
     return model
 
 
@@ -132,6 +152,7 @@ def _first_guess(
     parameters[:, _TAU] = _START_TAU
     parameters[:, _LEAD] = np.where(speeds_of(names), _START_LEAD_S, 0.0)
     parameters[:, _SLOW] = _START_SLOW_TAU
+    parameters[:, _LIMITS] = UNLIMITED
     return LagModel(
         output_names=names,
         parameters=parameters,
@@ -139,6 +160,14 @@ def _first_guess(
         half=np.maximum(0.5 * (high - low), 1e-9),
         limit=_MARGIN * np.maximum(largest, 1e-9),
     )
+
+
+def _guess_limits(model: LagModel) -> None:
+    speeds = speeds_of(model.output_names)
+    for columns, start in ((_LIMITS, _START_LIMIT), (_THIN, _START_THIN)):
+        for column in columns:
+            model.parameters[speeds, column] = start
+    model.parameters[~speeds, _SLOW] = _START_SOAK
 
 
 def _part(model: LagModel, one: LagSamples, input_names: Sequence[str], scored: _Scored) -> _Part:
@@ -180,7 +209,7 @@ def _swing(values: FloatArray, span_s: float, dt_s: float) -> FloatArray:
 
 def _fitted(model: LagModel, task: _Task) -> LagModel:
     """The model with the parameters of one output fitted."""
-    free = _free(model, task.column)
+    free = _free(model, task.column, limited=task.limited)
     begin = model.parameters[task.column, free]
     columns = np.unique([model.core, task.column])  # the others do not act on it
     small = model.of(columns)
@@ -189,19 +218,23 @@ def _fitted(model: LagModel, task: _Task) -> LagModel:
         int(np.searchsorted(columns, task.column)),
         task.scale,
         task.dt_s,
+        task.limited,
     )
 
     def residuals(values: FloatArray) -> FloatArray:
         return _residuals(_with(small, task.column, free, values), task, values - begin)
 
+    most = _EVALUATIONS[task.limited]
     found = least_squares(
-        residuals, begin, x_scale="jac", loss="soft_l1", f_scale=_ROBUST, max_nfev=_EVALUATIONS
+        residuals, begin, x_scale="jac", loss="soft_l1", f_scale=_ROBUST, max_nfev=most
     )
     return _with(model, int(columns[task.column]), free, found.x)
 
 
-def _free(model: LagModel, column: int) -> BoolArray:
-    names = PARAMETERS if speeds_of(model.output_names)[column] else _PROBE
+def _free(model: LagModel, column: int, *, limited: bool) -> BoolArray:
+    names: tuple[str, ...] = _PROBE_IN_FLOW if limited else _PROBE
+    if speeds_of(model.output_names)[column]:
+        names = (*LAG_PARAMETERS, *LIMIT_PARAMETERS) if limited else LAG_PARAMETERS
     free = np.array([name in names for name in PARAMETERS])
     free[_CORE] = column != model.core
     return free

@@ -66,8 +66,14 @@ def lags(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> La
         return None
     names = (steady.input_names, tuple(steady.output_names))
     samples = [_samples(log, steady, config) for log in logs]
-    relative = config.narx.lag_errors == "relative"
-    return fit_lags(samples, names, logs[0].dt_s, relative=relative)
+    section = config.narx
+    return fit_lags(
+        samples,
+        names,
+        logs[0].dt_s,
+        relative=section.lag_errors == "relative",
+        limited=section.lag_limits,
+    )
 
 
 def structure_of(config: RunConfig) -> NarxConfig:

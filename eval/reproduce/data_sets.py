@@ -74,11 +74,6 @@ class DataSets:
         """`split` with its training logs cut into the segments round their events."""
         return trained_on_pieces(self.split, self.config.events)
 
-    @cached_property
-    def whole_training(self) -> Split:
-        """`training` with the further records."""
-        return trained_on_pieces(self.whole_split, self.config.events)
-
     @property
     def tests(self) -> tuple[Log, ...]:
         """Test logs as `evaluate` takes them: masked inputs still NaN."""

@@ -13,7 +13,7 @@ from eval.reproduce.correlation import correlation
 from eval.reproduce.data_sets import DataSets
 from eval.reproduce.deviations import deviations
 from eval.reproduce.effort import Effort, within
-from eval.reproduce.goal import goal
+from eval.reproduce.goal import goal, goal_config, goal_training
 from eval.reproduce.inputs import inputs
 from eval.reproduce.noise import noise
 from eval.reproduce.response_times import response_times
@@ -21,6 +21,7 @@ from eval.reproduce.segments import segments
 from eval.reproduce.smoothing import smoothing
 from eval.reproduce.splits import splits
 from narxcal.bundle import Bundle, versions
+from training.config import RunConfig
 from training.pipeline import Split, TrainOptions, calibrate
 from training.trainer import Progress
 
@@ -85,14 +86,15 @@ def reproduce(data: DataSets, effort: Effort, watch: Watch | None = None) -> Rep
     tell = watch or _ignore
     tell("Reading what the flights show")
     first = [correlation(data), smoothing(data), segments(data)]
-    bundle = _calibrated(data, data.training, effort, (tell, "Calibrating"))
+    config = within(data.config, effort)
+    bundle = _calibrated(data, (config, data.training), (tell, "Calibrating"))
     return Reproduction((*first, *_judging(data, bundle, effort, tell)), bundle, data)
 
 
-def _calibrated(data: DataSets, split: Split, effort: Effort, told: tuple[Watch, str]) -> Bundle:
-    """Calibrate on the training part of `split`; `told` is the watch and what to tell it."""
+def _calibrated(data: DataSets, given: tuple[RunConfig, Split], told: tuple[Watch, str]) -> Bundle:
+    """Calibrate as `given`, on the training part; `told` is the watch and what to tell it."""
+    config, split = given
     tell, what = told
-    config = within(data.config, effort)
     total = sum(config.train.iterations) * config.train.starts
     if not config.narx.joint:
         total *= len(config.narx.outputs)
@@ -126,7 +128,9 @@ def _widened(data: DataSets, bundle: Bundle, effort: Effort, tell: Watch) -> Bun
     """The calibration of all records, which is `bundle` where there are no further ones."""
     if not data.further:
         return bundle
-    return _calibrated(data, data.whole_training, effort, (tell, "Calibrating on all records"))
+    config = goal_config(within(data.config, effort))
+    told = (tell, "Calibrating on all records")
+    return _calibrated(data, (config, goal_training(data)), told)
 
 
 def _ignore(what: str, done: int = 0, total: int = 0) -> None:

@@ -34,6 +34,8 @@ FloatArray = NDArray[np.float64]
 TEST_SETS = (5, 7, 8)
 PUSHES = 152
 _JITTER_DEG = 0.7
+# Of the circuits: pressure altitude of the field in ft, temperature deviation in degC.
+_FIELDS = ((300.0, -12.0), (1500.0, 3.0), (2500.0, 16.0), (4500.0, 19.0), (100.0, -27.0))
 
 
 @dataclass(frozen=True)
@@ -71,9 +73,11 @@ def throttle_rate_sets(seed: int, rate_hz: float = 32.0) -> tuple[DataSet, ...]:
 
 
 def take_off_approach_sets(seed: int, rate_hz: float = 32.0) -> tuple[DataSet, ...]:
-    """Record take-offs, approaches, go-arounds and landings: three flights of four circuits."""
-    fields = ((300.0, -12.0), (1500.0, 3.0), (2500.0, 16.0))
-    return _sets([circuits(field_ft, dT_C) for field_ft, dT_C in fields], seed, rate_hz)
+    """Record take-offs, approaches, go-arounds and landings: five flights of four circuits.
+
+    Fields and days of the last two enclose those of the others.
+    """
+    return _sets([circuits(field_ft, dT_C) for field_ft, dT_C in _FIELDS], seed, rate_hz)
 
 
 def _sets(records: Sequence[Record], seed: int, rate_hz: float) -> tuple[DataSet, ...]:

@@ -37,7 +37,7 @@ _RECORDERS = {
     "throttle_rate": throttle_rate_sets,
     "take_off_approach": take_off_approach_sets,
 }
-_RECORDED = {"fast_push": 5, "throttle_rate": 5, "take_off_approach": 3}
+_RECORDED = {"fast_push": 5, "throttle_rate": 5, "take_off_approach": 5}
 # The pilot's lever moves where it is faster than a hand's tremor, and has moved so far.
 _STILL_DEG_S, _LEAST_DEG = 0.2, 0.5
 

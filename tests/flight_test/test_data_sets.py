@@ -165,7 +165,7 @@ def test_throttle_rates_vary_from_slow_to_slam():
 
 def test_take_offs_and_approaches_are_flown_from_the_ground_up():
     sets = take_off_approach_sets(0)
-    assert [one.flight for one in sets] == [1, 1, 2, 2, 3, 3]
+    assert [one.flight for one in sets] == [1, 1, 2, 2, 3, 3, 4, 4, 5, 5]
     for one in sets:
         phases = [push.phase for push in one.pushes]
         assert {phase: phases.count(phase) for phase in phases} == {

@@ -76,7 +76,7 @@ def test_a_plan_has_both_engines_on_its_raster():
 
 
 @pytest.mark.parametrize(
-    ("records", "flights"), [("fast_push", 5), ("throttle_rate", 5), ("take_off_approach", 3)]
+    ("records", "flights"), [("fast_push", 5), ("throttle_rate", 5), ("take_off_approach", 5)]
 )
 def test_records_are_flown_whole_and_numbered_as_in_the_paper(records, flights):
     given = scenario(records=records)

@@ -6,7 +6,8 @@ import torch
 
 from narxcal.calibration import DynamicCalibration, narx_features
 from narxcal.errors import ModelError
-from narxcal.lag import PARAMETERS, LagModel
+from narxcal.lag import LagModel
+from narxcal.lag_steps import PARAMETERS
 from narxcal.narx import NarxConfig, NarxModel, NarxNet, Scaling
 from narxcal.steady_table import SteadyTable
 

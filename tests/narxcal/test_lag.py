@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from narxcal.atmosphere import air_state
 from narxcal.errors import ModelError
-from narxcal.lag import PARAMETERS, LagModel, thickness
+from narxcal.lag import LagModel, thickness
+from narxcal.lag_steps import PARAMETERS, UNLIMITED
 from narxcal.narx import AT_START
 
 NAMES, INPUTS = ("N1_pct", "N2_pct", "EGT_C"), ("ALT_ft", "Mach", "dT_C")
@@ -20,6 +21,8 @@ def lags(names=NAMES, limit=100.0, **values):
     """Lags of 1 s without a meter's lag or a slow part, but for `values`."""
     parameters = np.zeros((len(names), len(PARAMETERS)))
     parameters[:, PARAMETERS.index("log_slow_tau")] = 1.5
+    for name in ("log_up", "log_down"):
+        parameters[:, PARAMETERS.index(name)] = UNLIMITED
     for name, value in values.items():
         parameters[:, PARAMETERS.index(name)] = value
     kept = {"N1_pct": (60.0, 30.0), "N2_pct": (75.0, 20.0), "EGT_C": (500.0, 150.0)}
@@ -58,10 +61,19 @@ def slowly(model, inputs, ss, start):
             v = np.clip(scaled[k - 1] - fast[-1][q] / (root[k] * model.half[q]), -1.5, 1.5)
             terms = np.array([1.0, thin[k], v, w, v * v, v * w, w * w])
             tau = math.exp(np.clip(terms @ model.parameters[o, :7], -2.5, 3.0))
+            if o != 2:
+                way = "up" if w > v else "down"
+                names = (f"log_{way}", f"{way}_air", f"{way}_speed", f"{way}_speed_speed")
+                most = np.array([p[name] for name in names]) @ [1.0, thin[k], v, v * v]
+                tau = math.hypot(tau, (w - v) / math.exp(np.clip(most, -5.0, UNLIMITED)))
             a, step = math.exp(-DT_S / tau), ss[k, o] - ss[k - 1, o]
             drawn = (tau - p["lead_s"]) * step / DT_S
             if o != 1:
-                drawn += p["core"] * (new[1] + soak[1])
+                core, before = new[1] + soak[1], fast[-1][1] + slow[-1][1]
+                rate = (ss[k, 1] - core - ss[k - 1, 1] + before) / DT_S
+                strength = np.clip(p["rate_air"] * thin[k] + p["rate_speed"] * v, -3.0, 3.0)
+                drawn += p["core"] * core * (1.0 + p["core_speed"] * v)
+                drawn += p["rate"] * math.exp(strength) * rate
             b = math.exp(-DT_S / math.exp(np.clip(p["log_slow_tau"], 0.0, 4.0)))
             soak[o] = b * (slow[-1][o] + p["slow_share"] * step)
             followed = a * fast[-1][o] + (1 - a) * drawn
@@ -203,3 +215,30 @@ def test_a_lost_or_misshapen_array_is_named(found):
         ModelError, match=rf"lag array 'half' has to be of shape \(3,\), found {shape}"
     ):
         LagModel.from_arrays(meta, arrays)
+
+
+def test_a_limited_spool_moves_no_faster_than_its_control_lets_it():
+    ss = np.where(np.arange(300)[:, None] < 5, 40.0, 80.0) * np.ones(3)
+    model = lags(log_tau=math.log(0.2), log_up=math.log(0.25))
+    got = ss - model.deviations(model.drive(np.zeros((300, 3)), INPUTS, ss), np.zeros(3), DT_S)
+    rate = np.diff(got[:, 0]) / DT_S
+    # A quarter of the half range in a second, and at half way that is all there is.
+    assert rate.max() < 0.25 * 30.0 * 1.01
+    assert rate[np.argmin(np.abs(got[:, 0] - 60.0))] == pytest.approx(7.5, rel=0.03)
+    assert got[-1, 0] == pytest.approx(80.0, abs=1e-3)
+    down = lags(log_tau=math.log(0.2), log_down=math.log(0.25))
+    free = ss - down.deviations(down.drive(np.zeros((300, 3)), INPUTS, ss), np.zeros(3), DT_S)
+    assert np.diff(free[:, 0]).max() / DT_S > 60.0
+
+
+def test_a_temperature_answers_to_the_acceleration_of_the_core():
+    ss = np.repeat(60.0 + 3.0 * DT_S * np.arange(200)[:, None], 3, axis=1)
+    plain, hot = lags(), lags()
+    hot.parameters[2, PARAMETERS.index("rate")] = -5.0
+    runs = [
+        m.deviations(m.drive(np.zeros((200, 3)), INPUTS, ss), np.zeros(3), DT_S)
+        for m in (plain, hot)
+    ]
+    np.testing.assert_allclose(runs[1][:, :2], runs[0][:, :2])
+    # The core follows the ramp at its 3 % per second, and the temperature is above by 5 times that.
+    assert runs[0][-1, 2] - runs[1][-1, 2] == pytest.approx(15.0, rel=1e-3)

@@ -6,7 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.lag import PARAMETERS, LagModel
+from narxcal.lag import LagModel
+from narxcal.lag_steps import PARAMETERS
 from narxcal.narx import NarxConfig, NarxModel, NarxNet, Scaling
 from narxcal.register import Parts, Register, Sample
 

@@ -4,14 +4,17 @@ import numpy as np
 import pytest
 
 from narxcal.errors import DataError
-from narxcal.lag import PARAMETERS, LagModel
+from narxcal.lag import LagModel
+from narxcal.lag_steps import PARAMETERS, UNLIMITED
 from training.lag_fit import LagSamples, fit_lags
 
 NAMES = (("ALT_ft",), ("N1_pct", "N2_pct", "EGT_C"))
 DT_S = 0.1
 
 
-def truth():
+def truth(**limits):
+    """Lags without limits of the spools' rates, but for `limits`."""
+    free = {"log_up": UNLIMITED, "log_down": UNLIMITED, **limits}
     values = {
         "N1_pct": {"log_tau": 0.2, "air": 0.8, "speed": -0.3, "target": -0.4, "lead_s": 0.2,
                    "core": 0.3, "slow_share": 0.03, "log_slow_tau": 1.6},
@@ -19,7 +22,7 @@ def truth():
                    "slow_share": 0.05, "log_slow_tau": 1.8},
         "EGT_C": {"log_tau": -0.5, "core": -3.0, "slow_share": 0.1, "log_slow_tau": 2.0},
     }  # fmt: skip
-    table = [[values[name].get(key, 0.0) for key in PARAMETERS] for name in NAMES[1]]
+    table = [[values[name].get(key, free.get(key, 0.0)) for key in PARAMETERS] for name in NAMES[1]]
     return LagModel(
         output_names=NAMES[1],
         parameters=np.array(table),
@@ -29,7 +32,7 @@ def truth():
     )
 
 
-def log(seed, bleed=0.0, noise=0.02, dt_s=DT_S):
+def log(seed, bleed=0.0, noise=0.02, dt_s=DT_S, model=None):
     """Moves every 12 s at altitudes up to 30 000 ft, followed by the true lags."""
     rng = np.random.default_rng(seed)
     hold, moves = round(12.0 / dt_s), 40
@@ -37,16 +40,16 @@ def log(seed, bleed=0.0, noise=0.02, dt_s=DT_S):
     part = np.convolve(part, np.ones(8) / 8, "same")[:, None]
     ss = np.array([60.0, 75.0, 500.0]) + np.array([30.0, 20.0, 150.0]) * part
     inputs = np.repeat(rng.uniform(0.0, 30000.0, moves), hold)[:, None]
-    model = truth()
+    model = model or truth()
     lag = model.deviations(model.drive(inputs, NAMES[0], ss), np.zeros(3), dt_s)
     measured = ss - lag + noise * rng.normal(size=ss.shape) * [1.0, 1.0, 10.0]
     measured[hold * 5 : hold * 8] += bleed
     return LagSamples(inputs, ss, measured)
 
 
-def follow(model, seed=99, dt_s=DT_S):
+def follow(model, seed=99, dt_s=DT_S, true=None):
     """RMS error of a fitted model's free run over a log that it has not seen, per output."""
-    new = log(seed, noise=0.0, dt_s=dt_s)
+    new = log(seed, noise=0.0, dt_s=dt_s, model=true)
     lag = model.deviations(model.drive(new.inputs, NAMES[0], new.ss), np.zeros(3), dt_s)
     spread = (new.ss - new.measured).std(axis=0)
     return np.sqrt(np.mean((new.ss - lag - new.measured) ** 2, axis=0)) / spread
@@ -116,3 +119,13 @@ def test_relative_errors_find_known_lags_as_well():
     model = fit_lags([log(0), log(1)], NAMES, DT_S, relative=True)
     # So close to the moves, less is seen of the slow heat soak, which is most in the temperature.
     assert (follow(model) < [0.03, 0.03, 0.12]).all()
+
+
+def test_limits_of_acceleration_and_deceleration_come_back():
+    true = truth(log_up=-0.5, up_air=-1.0, up_speed=0.6, log_down=0.3, down_air=-0.7)
+    logs = [log(seed, model=true) for seed in (0, 1)]
+    limited = fit_lags(logs, NAMES, DT_S, limited=True)
+    assert (follow(limited, true=true) < 0.05).all()
+    plain = fit_lags(logs, NAMES, DT_S)
+    assert (follow(limited, true=true)[:2] < 0.5 * follow(plain, true=true)[:2]).all()
+    assert (plain.parameters[:, PARAMETERS.index("log_up")] == UNLIMITED).all()

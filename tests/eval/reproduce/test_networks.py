@@ -14,7 +14,7 @@ from eval.reproduce.accuracy import accuracy, class_rows, worst_class
 from eval.reproduce.calibrated import by, classed, judged, worst_relative_pct
 from eval.reproduce.deviations import deviations, fed_record, fed_variants
 from eval.reproduce.effort import Effort, within
-from eval.reproduce.goal import family_of, goal
+from eval.reproduce.goal import family_of, goal, goal_config, goal_training, thinned
 from eval.reproduce.inputs import inputs, record, variants
 from eval.reproduce.noise import noise, share_better
 from eval.reproduce.response_times import figures_of, passed_claim, response_times
@@ -176,6 +176,25 @@ def test_the_goal_is_judged_on_every_family(data, bundle):
     assert {claim.origin for claim in study.claims} == {"our goal"}
     assert "1 of take-off and approach" in study.text
     assert family_of("throttle_rate/data_set_01.csv") == "throttle rate varied"
+
+
+def test_the_goal_learns_circuits_whole_and_the_rest_in_segments_at_half_the_raster(data):
+    split, raster = goal_training(data), data.logs[0].dt_s
+    assert all(log.dt_s == pytest.approx(2 * raster) for log in split.train)
+    whole = [log for log in split.train if "[" not in log.name]
+    assert [log.name for log in whole] == ["take_off_approach/data_set_01.csv"]
+    assert len(whole[0]) == len(data.further[0]) // 2
+    assert {log.name.partition("[")[0] for log in split.train} == {
+        log.name for log in data.whole_split.train
+    }
+    assert goal_config(data.config).narx.lag_limits == data.config.narx.lag
+
+
+def test_every_so_many_samples_are_kept_on_their_times(data):
+    log = data.logs[0]
+    less = thinned(log, 3)
+    assert np.array_equal(less.time_s, log.time_s[::3])
+    assert np.array_equal(less["N1_pct"], log["N1_pct"][::3])
 
 
 def fold(number, **values):
