@@ -16,7 +16,7 @@ from eval.gap.data import GapData, Pair
 from eval.gap.document import document
 from eval.gap.evidence import Evidence
 from eval.gap.excitation import check_excitation, events_of
-from eval.gap.hidden_load import look_again, look_for_load, spells
+from eval.gap.hidden_load import look_again, look_beside, look_for_load, spells
 from eval.gap.pairs import read_pairs
 from eval.gap.parts import FEWEST, enough
 from eval.gap.realised import channel_shrink, held_out, predicted, time_shrink
@@ -31,7 +31,7 @@ from training.config import RunConfig
 from training.gap.diagnosis import diagnose
 from training.gap.emulator import GreyBoxEmulator, fit_emulator
 from training.gap.finding import Finding, Interval
-from training.gap.unlogged import with_load
+from training.gap.unlogged import Load, with_load
 from training.gap.work import Options
 
 Watch = Callable[[str, int, int], None]  # what is at work, its number, how many there are
@@ -82,10 +82,7 @@ def diagnose_pairs(
     watch("emulator", 0, 1)
     emulator = fit_emulator(data.flights)
     own = emulator.errors(data.flights).tolist()
-    watch("windows of an unlogged load", 0, 1)
-    data, load = look_for_load(data)
-    options = Options(price=tuple(load.price.tolist()) if load.windows else ())
-    found = diagnose(data.flights, (data.real, data.noise), emulator, options, watch)
+    data, load, found = _found(data, emulator, watch)
     errors = dict(zip(data.flights.signals.outputs, own, strict=True))
     finding = _bounded(replace(found, emulator_rmse=errors), pairs)
     watch("where", 0, 1)
@@ -97,6 +94,28 @@ def diagnose_pairs(
     facts = {**_facts(pairs, data, held), "unlogged_load": load.reason or "found"}
     evidence = replace(evidence, facts=facts)
     return Diagnosis(document(evidence), evidence, emulator)
+
+
+def _found(data: GapData, emulator: GreyBoxEmulator, watch: Watch) -> tuple[GapData, Load, Finding]:
+    """The finding, with an unlogged load among the candidates if there are windows of one.
+
+    Where the gap shows none, what the best model leaves of it is searched, and with windows there
+    the question is asked anew.
+    """
+    watch("windows of an unlogged load", 0, 1)
+    told, load = look_for_load(data)
+    finding = _asked(told, load, emulator, watch)
+    if load.windows:
+        return told, load, finding
+    told, beside = look_beside(finding, data, emulator)
+    if not beside.windows:
+        return data, load, finding
+    return told, beside, _asked(told, beside, emulator, watch)
+
+
+def _asked(data: GapData, load: Load, emulator: GreyBoxEmulator, watch: Watch) -> Finding:
+    options = Options(price=tuple(load.price.tolist()) if load.windows else ())
+    return diagnose(data.flights, (data.real, data.noise), emulator, options, watch)
 
 
 def _evidence(

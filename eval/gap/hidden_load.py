@@ -14,6 +14,7 @@ from eval.gap.data import FloatArray, GapData, Pair
 from narxcal.effects.base import Signals
 from narxcal.effects.running import Emulator
 from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
+from training.gap.finding import Finding
 from training.gap.quadratic import misfit
 from training.gap.unlogged import Load, find_known_load, find_load, with_load
 
@@ -52,6 +53,27 @@ def look_for_load(data: GapData) -> tuple[GapData, Load]:
     measure = misfit(data.flights, data.real, data.noise)
     load = find_load(data.flights, measure, aircraft(data))
     return replace(data, flights=with_load(data.flights, load.on)), load
+
+
+def look_beside(finding: Finding, data: GapData, emulator: Emulator | None) -> tuple[GapData, Load]:
+    """The same in what the best model leaves: an effect of lever moves may hide a load.
+
+    Only where there is a gap and something in it that was found.
+    """
+    values = {
+        name: {key: each.value for key, each in sizes.items()}
+        for model in finding.tried[:1]
+        for name, sizes in model.parameters.items()
+    }
+    if finding.kind == "none" or not values:
+        return data, _no_load(data)
+    beside = replace(data.flights, y=with_effects(values, data.flights, emulator))
+    load = find_load(beside, misfit(beside, data.real, data.noise), aircraft(data))
+    return replace(data, flights=with_load(data.flights, load.on)), load
+
+
+def _no_load(data: GapData) -> Load:
+    return Load(np.zeros(data.flights.u.shape[:2]), (), np.zeros(len(data.names)))
 
 
 def look_again(values: Values, data: GapData, emulator: Emulator | None) -> tuple[GapData, Load]:

@@ -12,9 +12,11 @@ from eval.gap.diagnose import diagnose_pairs
 from eval.gap.hidden_load import aircraft
 from eval.gap.page import gap_page
 from eval.gap.summary import window_table
+from tests.eval.gap.conftest import lagged
 from training.gap.finding import Interval
 
 SIZES = {"on_N1_pct": -0.6, "on_N2_pct": -0.5, "on_EGT_C": 14.0}
+SLOW = {"tau_s": Interval(9.0, 8.9, 9.1)}
 WINDOWS = {
     0: (62.0, 119.0),
     1: (95.0, 170.0),
@@ -119,6 +121,34 @@ def test_no_load_is_said_with_its_reason(pair, probe, monkeypatch, make_finding,
     document = diagnose_pairs([pair(seed, probe) for seed in range(3)]).document
     assert document["quality"]["unlogged_load"] not in ("", "found")
     assert window_table(document)[2] == []
+
+
+def test_what_an_effect_of_lever_moves_hides_is_found_in_what_it_leaves(
+    pair, monkeypatch, make_finding, make_model
+):
+    """A lag of the temperature probe so long that nothing ever rests hides the load."""
+
+    def both(seed):
+        def change(channels):
+            told = loaded(seed)(channels)
+            dt_s = channels["time_s"][1] - channels["time_s"][0]
+            return {**told, "EGT_C": lagged(told["EGT_C"], 9.0, dt_s)}
+
+        return change
+
+    asked = []
+
+    def answer(flights, *_args, **_more):
+        asked.append(flights.signals.inputs)
+        lag = make_model("sensor_lag:EGT_C", parameters={"sensor_lag:EGT_C": SLOW})
+        return make_finding("effects", ("sensor_lag:EGT_C",), (lag,))
+
+    monkeypatch.setattr(module, "fit_emulator", lambda _flights: NoEmulator())
+    monkeypatch.setattr(module, "diagnose", answer)
+    found = diagnose_pairs([pair(seed, both(seed)) for seed in range(4)])
+    assert ["unlogged" in inputs for inputs in asked] == [False, True]
+    assert found.document["quality"]["unlogged_load"] == "found"
+    assert len(found.evidence.windows) == 4
 
 
 @pytest.mark.parametrize(
