@@ -18,7 +18,7 @@ from training.gap.finding import Finding
 from training.gap.quadratic import misfit
 from training.gap.unlogged import Load, find_known_load, find_load, with_load
 
-_SIDE = re.compile(r"(?i)left|right|lh|rh|port|starboard|(eng|engine)?[1-4]|l|r")
+_SIDE = re.compile(r"(?i)left|right|lh|rh|port|starboard|(eng|engine)[1-4]|l|r")
 _SPLIT = re.compile(r"[^A-Za-z0-9]+")
 _AMBIENT = ("ALT_ft", "Mach", "dT_C")
 _SAME = 1e-3  # of the range of an ambient channel
@@ -106,11 +106,9 @@ def aircraft(data: GapData) -> tuple[tuple[int, ...], ...]:
     groups: dict[tuple[str, ...], list[int]] = {}
     for f, name in enumerate(data.names):
         words = [word for word in _SPLIT.split(name) if word]
-        sides = [k for k, word in enumerate(words) if _SIDE.fullmatch(word)]
-        # Of several words that may be a side, the last one outside a part's number is.
-        last = [k for k in sides if not ("#" in name and k == len(words) - 1)][-1:]
-        rest = tuple(word for k, word in enumerate(words) if k not in last)
-        if last and not words[last[0]].isdigit():
+        side = [k for k, word in enumerate(words) if _SIDE.fullmatch(word)][-1:]
+        rest = tuple(word for k, word in enumerate(words) if k not in side)
+        if side:
             groups.setdefault(rest, []).append(f)
     return tuple(tuple(rows) for rows in groups.values() if len(rows) > 1 and _together(data, rows))
 

@@ -156,6 +156,7 @@ def test_what_an_effect_of_lever_moves_hides_is_found_in_what_it_leaves(
     [
         (("a_left", "a_right", "b_left", "b_right"), ((0, 1), (2, 3))),
         (("a_lh", "a_rh", "b", "c"), ((0, 1),)),
+        (("a_left_1", "a_left_2", "a_right_1", "a_right_2"), ((0, 2), (1, 3))),
         (("flight_1", "flight_2", "flight_3", "flight_4"), ()),
         (("f_eng1", "f_eng2", "g_eng1", "h_eng2"), ((0, 1),)),
     ],
