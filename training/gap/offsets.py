@@ -19,7 +19,7 @@ from training.gap.quadratic import Misfit, misfit
 
 TIGHT = 1e-5  # of the priors of offsets and slopes: none, they would take the effect's place
 _ZERO_K = 273.15
-_GOVERNED = 4.0
+_GOVERNED = 2.5
 _WEIGHTS = {"FF_kgph": 0.5}  # fuel flow scatters twice as much as speed and temperature
 
 
