@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from eval.gap.blocks import batch
+from eval.gap.blocks import batch, block_size
 from eval.gap.claimed import Values, claimed, with_effects
 from eval.gap.data import GapData, Pair
 from eval.gap.document import document
@@ -20,11 +20,13 @@ from eval.gap.hidden_load import look_again, look_beside, look_for_load, spells
 from eval.gap.pairs import read_pairs
 from eval.gap.parts import FEWEST, enough
 from eval.gap.realised import channel_shrink, held_out, predicted, time_shrink
+from eval.gap.rerun import Rerun, Simulate
 from eval.gap.simulators import open_simulator
 from eval.gap.stored_emulator import signals_to_json
 from eval.gap.where import locate
 from narxcal.bundle import versions
 from narxcal.effects.base import FloatArray
+from narxcal.effects.running import Emulator
 from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
 from narxcal.errors import DataError
 from training.config import RunConfig
@@ -64,16 +66,23 @@ def diagnose_folders(request: Request, watch: Watch | None = None) -> Diagnosis:
     simulator = open_simulator(request.sim)
     pairs = read_pairs(request.real, simulator.how, request.config)
     held = _held_pairs(request)
-    found = diagnose_pairs(pairs, held, watch)
+    again = None if isinstance(simulator.how, Path) else simulator.how
+    found = diagnose_pairs(pairs, held, watch, again)
     facts = {"simulator": simulator.kind, "wall_s": round(time.perf_counter() - began, 1)}
     quality = {**facts, **found.document["quality"]}
     return replace(found, document={**found.document, "quality": quality})
 
 
 def diagnose_pairs(
-    pairs: Sequence[Pair], held: Sequence[Pair] = (), watch: Watch | None = None
+    pairs: Sequence[Pair],
+    held: Sequence[Pair] = (),
+    watch: Watch | None = None,
+    again: Simulate | None = None,
 ) -> Diagnosis:
-    """Diagnose pairs that are already read; `held` are flights that take no part."""
+    """Diagnose pairs that are already read; `held` are flights that take no part.
+
+    A simulator that can be run `again` says itself what claimed effects on its inputs do.
+    """
     watch = watch or _unwatched
     parts = enough(pairs)
     data = batch(parts)
@@ -87,10 +96,13 @@ def diagnose_pairs(
     finding = _bounded(replace(found, emulator_rmse=errors), pairs)
     watch("where", 0, 1)
     values = claimed(finding)
-    evidence = _evidence(data, finding, values, emulator)
+    stand_in: Emulator = emulator
+    if again is not None:
+        stand_in = Rerun(emulator, again, block_size(parts[0].dt_s))
+    evidence = _evidence(data, finding, values, stand_in)
     evidence = replace(evidence, windows=spells(load, data, parts))
     if held:
-        evidence = _with_held_out(evidence, values, held, emulator)
+        evidence = _with_held_out(evidence, values, held, stand_in)
     facts = {**_facts(pairs, data, held), "unlogged_load": load.reason or "found"}
     evidence = replace(evidence, facts=facts)
     return Diagnosis(document(evidence), evidence, emulator)
@@ -118,9 +130,7 @@ def _asked(data: GapData, load: Load, emulator: GreyBoxEmulator, watch: Watch) -
     return diagnose(data.flights, (data.real, data.noise), emulator, options, watch)
 
 
-def _evidence(
-    data: GapData, finding: Finding, values: Values, emulator: GreyBoxEmulator
-) -> Evidence:
+def _evidence(data: GapData, finding: Finding, values: Values, emulator: Emulator) -> Evidence:
     after = with_effects(values, data.flights, emulator)
     explained = None if finding.kind == "unknown" else after - data.flights.y
     where = locate(data, explained)
@@ -147,7 +157,7 @@ def _optimism(finding: Finding) -> float:
 
 
 def _with_held_out(
-    evidence: Evidence, values: Values, pairs: Sequence[Pair], emulator: GreyBoxEmulator
+    evidence: Evidence, values: Values, pairs: Sequence[Pair], emulator: Emulator
 ) -> Evidence:
     data = _in_terms_of(evidence.data, batch(pairs))
     windows = evidence.windows

@@ -28,7 +28,7 @@ from narxcal.effects.base import (
     ShiftEffect,
     Signals,
 )
-from narxcal.effects.pace import Pace, together
+from narxcal.effects.pace import Pace, as_simulated, together
 from narxcal.errors import ConfigError
 
 Setting = tuple[Effect, FloatArray]  # an effect and its theta (batch, parameters)
@@ -115,4 +115,5 @@ def _moved(
         if isinstance(effect, RateEffect)
     ]
     changed = emulator.run(flights, told, together(paces) if paces else None)
-    return np.asarray(flights.y[rows] + (changed - emulator.run(flights, flights.u)[rows]))
+    same = emulator.run(flights, flights.u, as_simulated(len(flights.u)) if paces else None)
+    return np.asarray(flights.y[rows] + (changed - same[rows]))

@@ -1,0 +1,60 @@
+"""A simulator that can be run again is run again, with the effect on its inputs.
+
+What such a simulator says of other inputs is exact where an emulator is a guess. It runs on its own
+raster, on straight lines between the middles of the diagnosis' blocks; for effects inside the
+engine, which it cannot have, the emulator stands in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from data_prep.log import Log
+from eval.gap.blocks import block_means
+from eval.gap.data import FloatArray
+from narxcal.channels import CHANNELS
+from narxcal.effects.pace import Pace
+from narxcal.effects.running import Emulator, Flights
+from narxcal.errors import ModelError
+
+Simulate = Callable[[Log], Mapping[str, FloatArray]]
+
+
+@dataclass(frozen=True, eq=False)
+class Rerun:
+    """`simulate` takes logs of `block` samples per sample of the flights."""
+
+    emulator: Emulator
+    simulate: Simulate
+    block: int
+
+    def run(self, flights: Flights, told: FloatArray, pace: Pace | None = None) -> FloatArray:
+        """Outputs (rows, time, outputs) for `told` (blocks, time, inputs).
+
+        Raises `ModelError` where the simulator leaves out one of the outputs.
+        """
+        if pace is not None:
+            return self.emulator.run(flights, told, pace)
+        return np.stack([self._one(flights, u) for u in told])
+
+    def _one(self, flights: Flights, u: FloatArray) -> FloatArray:
+        signals, count = flights.signals, len(u)
+        dt_s = signals.dt_s / self.block
+        rows = np.arange(count * self.block, dtype=np.float64)
+        middles = (np.arange(count) + 0.5) * self.block - 0.5
+        channels = {
+            name: np.interp(rows, middles, u[:, j])
+            for j, name in enumerate(signals.inputs)
+            if name in CHANNELS
+        }
+        found = self.simulate(
+            Log("flight run again", np.asarray(rows * dt_s, dtype=np.float64), channels)
+        )
+        lost = [name for name in signals.outputs if name not in found]
+        if lost:
+            raise ModelError("the simulator no longer gives it", channel=lost[0])
+        y = np.column_stack([found[name] for name in signals.outputs])
+        return block_means(y, self.block)

@@ -1,0 +1,64 @@
+"""A simulator that can be run again says itself what an effect on its inputs does."""
+
+import numpy as np
+import pytest
+
+from eval.gap.blocks import batch
+from eval.gap.pairs import pair_logs
+from eval.gap.rerun import Rerun
+from narxcal.effects import effect, respond
+from narxcal.errors import ModelError
+
+BLOCK = 2
+
+
+class Guess:
+    """An emulator that must not be asked for inputs, and says nothing of any pace."""
+
+    def run(self, flights, _told, pace=None):
+        assert pace is not None
+        return np.repeat(flights.y, len(pace[0]) // len(flights.y), axis=0)
+
+
+def simulate(log):
+    """Outputs that are lags of the lever, on the raster of the log."""
+    power, dt_s = log["TRA_deg"] / 70.0, log.dt_s
+    found = {}
+    for name, tau_s, low, span in (("N1_pct", 1.5, 25, 75), ("N2_pct", 0.8, 55, 45)):
+        y = np.empty_like(power)
+        y[0] = power[0]
+        for k in range(1, len(y)):
+            y[k] = power[k] + np.exp(-dt_s / tau_s) * (y[k - 1] - power[k])
+        found[name] = low + span * y
+    found["EGT_C"] = 400.0 + 350.0 * power
+    return found
+
+
+@pytest.fixture
+def flights(fly, log_of):
+    logs = []
+    for seed in range(2):
+        channels = fly(seed, 120.0)
+        channels |= simulate(log_of(channels))
+        logs.append(pair_logs(f"flight_{seed}", log_of(channels), log_of(channels)))
+    return batch(logs).flights
+
+
+def test_an_effect_on_inputs_is_the_simulator_told_so(flights):
+    rerun = Rerun(Guess(), simulate, BLOCK)
+    setting = (effect("throttle_bias"), np.array([[3.0]]))
+    found = respond([setting], flights, rerun)[0] - flights.y
+    np.testing.assert_allclose(found[:, 400:, 0], 75.0 * 3.0 / 70.0, atol=1e-6)
+    np.testing.assert_allclose(found[:, 400:, 2], 350.0 * 3.0 / 70.0, atol=1e-6)
+
+
+def test_an_effect_inside_is_the_emulators(flights):
+    setting = (effect("spool_lag"), np.array([[1.5]]))
+    found = respond([setting], flights, Rerun(Guess(), simulate, BLOCK))[0]
+    np.testing.assert_array_equal(found, flights.y)
+
+
+def test_a_simulator_that_loses_an_output_is_named(flights):
+    half = Rerun(Guess(), lambda log: {"N1_pct": log["TRA_deg"]}, BLOCK)
+    with pytest.raises(ModelError, match="the simulator no longer gives it"):
+        half.run(flights, flights.u)
