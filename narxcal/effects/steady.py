@@ -136,12 +136,17 @@ class TemperatureEffect(OffsetEffect):
 
 
 class IdleSchedule(OffsetEffect):
-    """Another idle while `Approach` is set: full with the lever at its stop, fading with it."""
+    """Another idle while `Approach` is set: full with the lever at its stop, gone well above it.
+
+    An idle is a floor under what the lever asks for, so that the shift falls with the lever until
+    the two meet, at the share `meets` of its way.
+    """
 
     id: ClassVar[str] = "idle_schedule"
     family: ClassVar[str] = "slow offset"
     meaning: ClassVar[str] = "another approach idle"
     manoeuvre: ClassVar[str] = "idle with and without approach idle selected, at one condition"
+    fixed = (Parameter("meets", "-", 0.03, 1.0, 0.3, (0.1, 0.6)),)
 
     def terms(self, signals: Signals) -> tuple[tuple[str, str], ...]:
         """Every output, where the switch is used and a lever asks for the power."""
@@ -149,10 +154,11 @@ class IdleSchedule(OffsetEffect):
         return tuple(("idle", to) for to in signals.outputs) if present else ()
 
     def shapes(self, run: Run, y: FloatArray) -> dict[str, FloatArray]:  # noqa: ARG002 - the lever says it all
-        """The followed switch, fading with the square of the lever's way to its other stop."""
+        """The followed switch, falling with the lever to where the floor is met."""
         signals, (low, high) = run.signals, run.signals.lever
         lever = (run.u[..., signals.u(signals.driver)] - low) / (high - low)
-        wanted = run.u[..., signals.u("Approach")] * (1.0 - np.clip(lever, 0.0, 1.0)) ** 2
+        above = np.clip(1.0 - lever / run.theta[:, :1], 0.0, 1.0)
+        wanted = run.u[..., signals.u("Approach")] * above
         return {"idle": _followed(run, "idle", wanted, SPOOL_S)}
 
 

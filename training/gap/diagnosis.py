@@ -30,7 +30,7 @@ from training.gap.verdict import Offset, finding
 from training.gap.work import Options, Work
 
 OFFSETS = ("deterioration", "sensor_bias", "throttle_bias", "temperature_effect")
-_OFFSET, _OF_WHOLE = 0.25, 0.03  # least shares of the whole gap of an offset, and of anything
+_OFFSET, _OF_WHOLE = 0.25, 0.015  # least shares of the whole gap of an offset, and of anything
 Watch = Callable[[str, int, int], None]
 _SECOND = 0.3  # of what one effect leaves: less is no reason to name another
 

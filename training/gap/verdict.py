@@ -103,23 +103,29 @@ def _names(claimed: Fit | None, offset: Offset | None) -> tuple[str, ...]:
 def _verdict(work: Work, claimed: Fit | None, offset: Offset | None) -> tuple[Kind, str]:
     """Kind of the answer and the reason for it, rivals aside."""
     heard = work.audible / float(work.problem.misfit.floor.sum())
-    if claimed is None and offset is None:
-        if heard < work.options.audible:
-            return "none", "no gap beyond noise and build scatter"
-        best = work.gain(work.fits[0])
-        if _loudest(work) < work.options.quiet:
-            return "none", "what is left beyond build scatter is below what has to be explained"
-        return "unknown", f"the gap is real, but the best effect takes only {best:.0%} of it"
-    if claimed is not None and not _bearable(work, claimed):
+    if claimed is not None and _bearable(work, claimed):
+        return "effects", "explains flights that had no part in the fit"
+    if claimed is None and offset is not None:
+        return "effects", "explains flights that had no part in the fit"
+    if heard < work.options.audible:
+        return "none", "no gap beyond noise and build scatter"
+    if offset is None and _loudest(work) < work.options.quiet:
+        return "none", "what is left beyond build scatter is below what has to be explained"
+    if claimed is not None:
         return "unknown", f"the best effect leaves {work.left(claimed):.0%} of the gap unexplained"
-    return "effects", "explains flights that had no part in the fit"
+    best = work.gain(work.fits[0])
+    return "unknown", f"the gap is real, but the best effect takes only {best:.0%} of it"
 
 
 def _bearable(work: Work, claimed: Fit) -> bool:
     """Whether what is left unexplained may be left."""
     options = work.options
-    inside = any(isinstance(effect, RateEffect) for effect in claimed.effects)
-    if work.left(claimed) <= (options.unexplained_inside if inside else options.unexplained):
+    most = options.unexplained
+    if len(claimed.effects) > 1:
+        most = options.unexplained_together
+    elif isinstance(claimed.effects[0], RateEffect):
+        most = options.unexplained_inside
+    if work.left(claimed) <= most:
         return True
     return work.gain(claimed) >= options.distinct and work.aligned(claimed) >= options.aligned
 
