@@ -132,8 +132,7 @@ def _asked(data: GapData, load: Load, emulator: GreyBoxEmulator, watch: Watch) -
 
 def _evidence(data: GapData, finding: Finding, values: Values, emulator: Emulator) -> Evidence:
     after = with_effects(values, data.flights, emulator)
-    explained = None if finding.kind == "unknown" else after - data.flights.y
-    where = locate(data, explained)
+    where = locate(data, after - data.flights.y)
     return Evidence(
         data=data,
         finding=finding,
