@@ -65,7 +65,8 @@ def candidates(signals: Signals) -> tuple[Effect, ...]:
     wide = [kind() for kind in ENGINE_WIDE]
     each = [kind(channel) for channel in signals.outputs for kind in PER_CHANNEL]
     meter = [FlowmeterDynamics("FF_kgph")]
-    return tuple(effect for effect in (*wide, *each, *meter) if effect.applies(signals))
+    # A flow meter lags as any sensor does: of two that are one the more telling name stands.
+    return tuple(effect for effect in (*wide, *meter, *each) if effect.applies(signals))
 
 
 def effect(name: str) -> Effect:
