@@ -1,0 +1,24 @@
+"""What an effect explains where it acts is not lessened by what is wrong elsewhere."""
+
+import numpy as np
+
+from narxcal.effects import effect
+from tests.training.gap.conftest import NOISE
+from training.gap.fitting import Problem, fit
+from training.gap.offsets import whole_gap
+from training.gap.quadratic import misfit
+from training.gap.work import Options, Work
+
+
+def test_other_misfit_elsewhere_says_nothing_of_an_effect(flights, engine, recorded):
+    real = recorded({"sensor_lag:N2_pct": [0.3, 0.5]})
+    time = np.arange(real.shape[1])
+    real[..., 2] += 8.0 * np.sin(time / 30.0)  # on another channel, and of no effect
+    measure = misfit(flights, real, NOISE)
+    problem = Problem(flights, engine, measure)
+    tight = whole_gap(flights, (real, NOISE))
+    work = Work(problem, Options(), measure.size(measure.gap), NOISE, tight)
+    found = fit([effect("sensor_lag:N2_pct")], problem)
+    assert work.left(found) > 0.4
+    assert work.aligned(found) > 0.95
+    assert work.aligned(fit([effect("sensor_lag:EGT_C")], problem)) < 0.5
