@@ -17,6 +17,7 @@ from eval.replay_engine import EngineReplay, Rows
 from eval.replay_setup import ReplayModel, ReplayOptions
 from eval.stream import CsvStream, Pace
 from narxcal.errors import ConfigError, DataError
+from narxcal.interrupt import held_interrupt
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -154,16 +155,15 @@ class _Replay:
 
     def _write_all(self, file: TextIO) -> None:
         file.write(",".join(self._header()) + "\n")
-        samples = self._samples()
-        while True:
-            try:
-                rows = next(samples, None)
-            except KeyboardInterrupt:
-                if not self.options.follow:
-                    raise
-                return
-            if rows is None:
-                return
+        if not self.options.follow:
+            self._write_rows(file)
+            return
+        with held_interrupt() as interrupt:
+            self.stream.pace.stop = lambda: interrupt.asked
+            self._write_rows(file)
+
+    def _write_rows(self, file: TextIO) -> None:
+        for rows in self._samples():
             self._emit(file, rows)
 
     def _header(self) -> list[str]:

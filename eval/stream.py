@@ -29,7 +29,8 @@ _POLL_S = 0.05
 class Pace:
     """How a stream is read: `lines` at a time; with `follow` until nothing came for `idle_s`.
 
-    `clock` and `sleep` are those of `time`; a test brings its own.
+    `clock` and `sleep` are those of `time`; a test brings its own. `stop` says that the reader
+    wants no more: what has come is all there is.
     """
 
     lines: int = 4096
@@ -37,6 +38,7 @@ class Pace:
     idle_s: float = 10.0
     clock: Callable[[], float] = time.monotonic
     sleep: Callable[[float], None] = time.sleep
+    stop: Callable[[], bool] = lambda: False
 
 
 @dataclass
@@ -106,7 +108,7 @@ class CsvStream:
     def _lines(self, text: TextIO) -> Iterator[list[str]]:
         """Lines as they come; the last one of a list may still be growing."""
         quiet_since = self.pace.clock()
-        while True:
+        while not self.pace.stop():
             lines = self._some(text)
             if lines:
                 quiet_since = self.pace.clock()

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from narxcal.interrupt import Interrupt, held_interrupt
 from narxcal.narx import NarxConfig, NarxModel
 from narxcal.records import Record, check_measured, check_records
 from training import adam, levenberg_marquardt
@@ -102,8 +103,8 @@ def fit_narx(
 ) -> FitResult:
     """Train on whole records in free run; the same seed gives the same network.
 
-    Ctrl-C ends the training and keeps the best network so far. Raises `DataError` for records
-    that do not fit each other, are too short or lack an output throughout.
+    Ctrl-C ends the training after the step it is in and keeps the best network so far. Raises
+    `DataError` for records that do not fit each other, are too short or lack an output throughout.
     """
     check_records([*material.records, *material.validation], structure.lags + structure.taps[-1])
     check_measured(material.records, "training")
@@ -113,7 +114,8 @@ def fit_narx(
     progress = resume or Progress(run.first_theta(0))
     status = "all steps done"
     try:
-        run.train(progress)
+        with held_interrupt() as interrupt:
+            run.train(progress, interrupt)
     except KeyboardInterrupt:
         status = "interrupted: the best network so far was kept; --resume goes on from here"
     progress = run.latest or progress
@@ -155,13 +157,14 @@ class _Run:
         start_linear(self.model, self.material.records, problem)
         return self.model.net.get_theta()
 
-    def train(self, progress: Progress) -> None:
+    def train(self, progress: Progress, interrupt: Interrupt) -> None:
         """Go on from `progress` to the end; `latest` always holds the last complete step."""
         while progress.start < self.config.starts:
             while progress.stage < len(self.config.horizons_s):
                 for after in self._stage(progress):
                     progress = self.latest = after
                     self.watch(progress)
+                    interrupt.stop_here()
                 progress = self.latest = self._settle(progress)
             start = progress.start + 1
             if start < self.config.starts:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 from narxcal.cli.arguments import parse
 from narxcal.errors import NarxcalError
+from narxcal.interrupt import is_interrupt
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -46,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _drop_stdout()
         return _end(f"error: {_one_line(error)}", BAD_INPUT)
     except Exception as error:  # noqa: BLE001 -- the roof: nothing above could still report it
-        if isinstance(error.__cause__, KeyboardInterrupt):  # it fell into a compiled loop
+        if is_interrupt(error):  # it fell into a compiled loop
             return _end("interrupted; nothing was written", INTERRUPTED)
         if wants_traceback:
             traceback.print_exc()
