@@ -1,8 +1,10 @@
 """Found effects added to any simulated log: what `simulate --effects` does, log by log.
 
-Effects on readings act on the log's own raster. Those inside the engine need the emulator, which
-runs on the raster of the diagnosis: there the change they make is found, from block means of the
-log, and the change is added to the log, on straight lines between the blocks' middles.
+A simulator that can be run again is: it is told inputs with the effects on them. Effects on
+readings act on its outputs. Both are exact, on the log's own raster. What nobody can do to a closed
+simulator is change its pace: there, and for everything inside the engine where there are only logs,
+the stored emulator says what changes. It runs on the raster of the diagnosis; the change is found
+from block means of the log and added to it, on straight lines between the blocks' middles.
 """
 
 from __future__ import annotations
@@ -21,14 +23,22 @@ from eval.gap.blocks import block_means
 from eval.gap.claimed import Values, claimed_in, settings, with_effects
 from eval.gap.data import FloatArray
 from eval.gap.document import SCHEMA
+from eval.gap.rerun import Simulate
 from eval.gap.stored_emulator import read_emulator, signals_from_json
 from eval.gap.summary import EMULATOR
-from narxcal.effects.base import InputEffect, RateEffect, Signals
-from narxcal.effects.running import Flights
+from narxcal.channels import CHANNELS
+from narxcal.effects.base import InputEffect, RateEffect, ShiftEffect, Signals
+from narxcal.effects.pace import as_simulated
+from narxcal.effects.running import Flights, Setting, arrived, read
 from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
-from narxcal.errors import ConfigError, DataError
+from narxcal.errors import ConfigError, DataError, ModelError
 from training.gap.emulator import GreyBoxEmulator
 
+INPUTS = "on its inputs, and the simulator run again"
+SHIFTED = "its outputs that much later"
+EMULATED = "by what it changes in the stored emulator's run"
+OUTPUTS = "on its outputs"
+_ONE_RASTER = 0.01
 Windows = Mapping[str, tuple[tuple[float, float], ...]]  # log -> seconds since it began
 
 
@@ -59,18 +69,102 @@ class FoundEffects:
         """Outputs `(time,)` of a simulated log with the effects in place.
 
         A load that no channel records is on where it was found in the log called `name`, and off
-        in others. Raises `DataError` for a log that lacks one of the signals, or whose rate is no
-        multiple of the diagnosis'.
+        in others. Raises `DataError` for a log that lacks one of the signals.
         """
-        if UNLOGGED in self.signals.inputs:
-            log = log.with_channels({UNLOGGED: self._on(log, name or log.name)})
-        for each in (*self.signals.inputs, *self.signals.outputs):
-            if each not in log.channels:
-                raise DataError("the effects need it", file=log.name, channel=each)
-        held = hold_inputs(log, self.signals.inputs)
+        held = self._complete(log, name or log.name, self.signals.outputs)
         u, y = held.matrix(self.signals.inputs), held.matrix(self.signals.outputs)
         changed = y + (self._change(u, y, log) if self.values else 0.0)
         return dict(zip(self.signals.outputs, changed.T, strict=True))
+
+    def run_again(
+        self, log: Log, simulate: Simulate, name: str | None = None
+    ) -> dict[str, FloatArray]:
+        """Outputs `(time,)` of the simulator itself for the inputs of a log, with the effects.
+
+        With inputs u' as they arrive, `y = simulate(u') + run(u', pace) - run(u', 1)`, the two runs
+        being the emulator's, and only needed for effects on the engine's pace; then y is read.
+        Outputs that no effect is known for are given as the simulator has them. Raises `DataError`
+        as `added_to`, and `ModelError` where an output is missing.
+        """
+        held = self._complete(log, name or log.name)
+        signals = replace(self.signals, dt_s=log.dt_s)
+        found, names = settings(self.values, signals), signals.inputs
+        u = held.matrix(names)[None]
+        told = arrived(found, signals, u)
+        changed = dict(zip(names, told[0].T, strict=True))
+        outputs = dict(simulate(self._told(held.with_channels(changed))))
+        y = self._diagnosed(outputs, log)
+        y += self._pace_change(found, told[0], y, log)
+        y = read(found, signals, told, y[None])[0]
+        return {**outputs, **dict(zip(signals.outputs, y.T, strict=True))}
+
+    def check(self, *, again: bool) -> None:
+        """Raise `ConfigError` where an effect needs the stored emulator and there is none."""
+        inside = [name for name, way in self.ways(again=again).items() if way == EMULATED]
+        if inside and self.emulator is None:
+            raise ConfigError(
+                f"effect '{inside[0]}' needs the emulator, which is not beside gap.json",
+                hint=f"Keep the whole folder that narxcal diagnose wrote, with {EMULATOR}/ in it",
+            )
+
+    def ways(self, *, again: bool) -> dict[str, str]:
+        """How each effect is applied, in words, if the simulator can be run `again` or not."""
+        return {
+            effect.name: self._way((effect, theta), again=again)
+            for effect, theta in settings(self.values, self.signals)
+        }
+
+    def _way(self, setting: Setting, *, again: bool) -> str:
+        effect = setting[0]
+        if again and isinstance(effect, InputEffect):
+            return INPUTS
+        if isinstance(effect, ShiftEffect):
+            return SHIFTED
+        inside = isinstance(effect, InputEffect) or self._changes_pace(setting)
+        return EMULATED if inside else OUTPUTS
+
+    def _changes_pace(self, setting: Setting) -> bool:
+        effect, theta = setting
+        if not isinstance(effect, RateEffect):
+            return False
+        both = zip(effect.pace(theta, self.signals), as_simulated(len(theta)), strict=True)
+        return not all(np.array_equal(here, there) for here, there in both)
+
+    def _complete(self, log: Log, name: str, outputs: tuple[str, ...] = ()) -> Log:
+        """The log with all inputs, an unlogged load's included, and without holes in them."""
+        if UNLOGGED in self.signals.inputs:
+            log = log.with_channels({UNLOGGED: self._on(log, name)})
+        for each in (*self.signals.inputs, *outputs):
+            if each not in log.channels:
+                raise DataError("the effects need it", file=log.name, channel=each)
+        return hold_inputs(log, self.signals.inputs)
+
+    def _told(self, log: Log) -> Log:
+        """The log without outputs and without what no simulator knows."""
+        names = [
+            name
+            for name in log.channels
+            if name in CHANNELS and (CHANNELS[name].role != "output" or name in self.signals.inputs)
+        ]
+        return replace(log, channels={name: log[name] for name in names})
+
+    def _diagnosed(self, outputs: Mapping[str, FloatArray], log: Log) -> FloatArray:
+        for name in self.signals.outputs:
+            if name not in outputs:
+                raise ModelError(
+                    "the simulator does not give it, and the effects were found on it",
+                    file=log.name,
+                    channel=name,
+                    hint=f"It gives {', '.join(outputs)}",
+                )
+        return np.column_stack([outputs[name] for name in self.signals.outputs])
+
+    def _pace_change(
+        self, found: list[Setting], told: FloatArray, y: FloatArray, log: Log
+    ) -> FloatArray | float:
+        """What effects on the pace change in the emulator's run of an engine told `told`."""
+        inside = {e.name: self.values[e.name] for e, t in found if self._changes_pace((e, t))}
+        return self._in_blocks(inside, told, y, log) if inside else 0.0
 
     def _on(self, log: Log, name: str) -> FloatArray:
         """1 within the windows, by seconds since the log began."""
@@ -80,25 +174,32 @@ class FoundEffects:
         return on
 
     def _change(self, u: FloatArray, y: FloatArray, log: Log) -> FloatArray:
-        found = settings(self.values, self.signals)
-        if not any(isinstance(effect, (InputEffect, RateEffect)) for effect, _ in found):
-            return self._run(u, y, log.dt_s)
-        size = round(self.signals.dt_s / log.dt_s)
-        if size < 1 or abs(size * log.dt_s / self.signals.dt_s - 1.0) > 0.01:
-            raise DataError(
-                f"the log is at {1 / log.dt_s:.4g} Hz, which is no multiple of the diagnosis' "
-                f"{1 / self.signals.dt_s:.4g} Hz",
-                file=log.name,
-                hint="Put it on the raster of the flights that were diagnosed",
-            )
-        change = self._run(block_means(u, size), block_means(y, size), size * log.dt_s)
-        middles = (np.arange(len(change)) + 0.5) * size - 0.5
-        rows = np.arange(len(u))
-        return np.column_stack([np.interp(rows, middles, column) for column in change.T])
+        if EMULATED not in self.ways(again=False).values():
+            return self._run(self.values, (u, y), log.dt_s)
+        return self._in_blocks(self.values, u, y, log)
 
-    def _run(self, u: FloatArray, y: FloatArray, dt_s: float) -> FloatArray:
+    def _in_blocks(self, values: Values, u: FloatArray, y: FloatArray, log: Log) -> FloatArray:
+        """The change on the raster of the diagnosis, carried over to that of the log."""
+        size = max(1, round(self.signals.dt_s / log.dt_s))
+        since, step_s = np.arange(len(u), dtype=np.float64) * log.dt_s, log.dt_s
+        if abs(size * step_s / self.signals.dt_s - 1.0) > _ONE_RASTER:
+            step_s = self.signals.dt_s / size
+            at = np.arange(0.0, since[-1] + 0.5 * step_s, step_s)
+            u, y = _between(at, since, u), _between(at, since, y)
+        blocks = block_means(u, size), block_means(y, size)
+        change = self._run(values, blocks, size * step_s)
+        middles = ((np.arange(len(change), dtype=np.float64) + 0.5) * size - 0.5) * step_s
+        return _between(since, middles, change)
+
+    def _run(self, values: Values, both: tuple[FloatArray, FloatArray], dt_s: float) -> FloatArray:
+        u, y = both
         flights = Flights(replace(self.signals, dt_s=dt_s), u[None], y[None], np.array([len(u)]))
-        return np.asarray(with_effects(self.values, flights, self.emulator)[0] - y)
+        return np.asarray(with_effects(values, flights, self.emulator)[0] - y)
+
+
+def _between(at: FloatArray, times: FloatArray, rows: FloatArray) -> FloatArray:
+    """Columns of `rows` (times, columns) on straight lines at other times."""
+    return np.column_stack([np.interp(at, times, column) for column in rows.T])
 
 
 def read_effects(file: Path) -> FoundEffects:

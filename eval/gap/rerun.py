@@ -1,8 +1,8 @@
 """A simulator that can be run again is run again, with the effect on its inputs.
 
 What such a simulator says of other inputs is exact where an emulator is a guess. It runs on its own
-raster, on straight lines between the middles of the diagnosis' blocks; for effects inside the
-engine, which it cannot have, the emulator stands in.
+raster, on straight lines between the middles of the diagnosis' blocks; what another pace changes,
+which it cannot have, the emulator says.
 """
 
 from __future__ import annotations
@@ -34,11 +34,19 @@ class Rerun:
     def run(self, flights: Flights, told: FloatArray, pace: Pace | None = None) -> FloatArray:
         """Outputs (rows, time, outputs) for `told` (blocks, time, inputs).
 
+        With a pace it is the emulator's run, anchored to what the simulator says of these inputs.
         Raises `ModelError` where the simulator leaves out one of the outputs.
         """
-        if pace is not None:
-            return self.emulator.run(flights, told, pace)
-        return np.stack([self._one(flights, u) for u in told])
+        if pace is None:
+            return np.stack([self._one(flights, u) for u in told])
+        found = self.emulator.run(flights, told, pace)
+        if told is flights.u:
+            return found
+        blocks, rows = len(told), np.arange(len(found))
+        here, there = rows % blocks, rows % len(flights.u)
+        anchored = self.run(flights, told)[here] - self.run(flights, flights.u)[there]
+        guessed = self.emulator.run(flights, told)[here]
+        return np.asarray(found + anchored - guessed + self.emulator.run(flights, flights.u)[there])
 
     def _one(self, flights: Flights, u: FloatArray) -> FloatArray:
         signals, count = flights.signals, len(u)

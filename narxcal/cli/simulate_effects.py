@@ -1,20 +1,21 @@
 """`narxcal simulate --sim ... --effects ...`: the simulator with the effects that were found.
 
 OUT gets one canonical CSV for each log of inputs, so that anybody can check how far the gap falls.
+A simulator that can be run again is told inputs with the effects on them; the document and the
+terminal say of each effect how it was applied.
 """
 
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from data_prep.log import Log
-from eval.gap.applied import FoundEffects, read_effects
+from eval.gap.applied import read_effects
 from eval.gap.data import FloatArray
 from eval.gap.pairs import match_simulated, read_folder
 from eval.gap.simulators import open_simulator
@@ -33,16 +34,23 @@ def run(options: Namespace, console: Console) -> int:
     check_output_folder(options.out, replace=True)
     found = read_effects(options.effects)
     simulator = open_simulator(options.sim)
+    how = simulator.how
+    found.check(again=not isinstance(how, Path))
     config = None if options.config is None else read_config(options.config, None)[0]
     inputs = read_folder(options.inputs_folder, config)
-    how = simulator.how
     source = read_folder(how, config) if isinstance(how, Path) else how
     rows = []
     with atomic_folder(options.out, replace=True) as folder, console.progress("Adding") as advance:
         for number, (name, log) in enumerate(inputs.items()):
             advance(number, len(inputs), f"({name})")
             sim = match_simulated(name, log, source)
-            channels, change = _with_effects(found, sim, name)
+            outputs = (
+                found.added_to(sim, name)
+                if isinstance(how, Path)
+                else found.run_again(sim, how, name)
+            )
+            channels, change = _changed(sim, outputs, found.signals.outputs)
+            channels["time_s"] = log.time_s[: len(sim)]
             (folder / f"{name}.csv").write_bytes(_csv(channels))
             load = found.knows(name) if found.has_load else None
             rows.append(
@@ -52,6 +60,7 @@ def run(options: Namespace, console: Console) -> int:
             "schema": SCHEMA,
             "effects": {effect: dict(values) for effect, values in found.values.items()},
             "simulator": simulator.kind,
+            "applied": found.ways(again=not isinstance(how, Path)),
             "logs": rows,
         }
         (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
@@ -70,14 +79,13 @@ def _check(options: Namespace) -> None:
         raise ConfigError("expected either RUN and INPUTS.csv or --sim, --effects and --inputs")
 
 
-def _with_effects(
-    found: FoundEffects, sim: Log, name: str
+def _changed(
+    sim: Log, outputs: Mapping[str, FloatArray], diagnosed: Sequence[str]
 ) -> tuple[dict[str, FloatArray], dict[str, float]]:
-    """Canonical channels in their order, and by how much each output was changed."""
-    outputs = found.added_to(sim, name)
-    rms = {n: float(np.sqrt(np.mean((v - sim[n]) ** 2))) for n, v in outputs.items()}
-    both = replace(sim, channels={**sim.channels, **outputs})
-    names = [n for n, row in CHANNELS.items() if n in both.channels and row.role != "auxiliary"]
+    """Canonical channels in their order, and by how much each diagnosed output was changed."""
+    rms = {n: float(np.sqrt(np.mean((outputs[n] - sim[n]) ** 2))) for n in diagnosed}
+    both = {**sim.channels, **outputs}
+    names = [n for n, row in CHANNELS.items() if n in both and row.role != "auxiliary"]
     return {"time_s": sim.time_s, **{name: both[name] for name in names}}, rms
 
 
@@ -101,5 +109,7 @@ def _show(console: Console, document: Mapping[str, Any], out: Path) -> None:
             f"no channel records the load and no window of it is known in {', '.join(blind)}: it "
             "is left off there"
         )
+    for effect, way in document["applied"].items():
+        console.say(f"{effect}: applied {way}")
     console.say(f"Effects: {', '.join(document['effects']) or 'none'}. Logs: {out}")
     console.document({**document, "out": str(out)})

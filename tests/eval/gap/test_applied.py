@@ -1,12 +1,17 @@
 """Found effects are added to any simulated log, on its own raster."""
 
+import importlib.util
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from eval.gap.applied import FoundEffects, read_effects
-from narxcal.errors import ConfigError, DataError
+from eval.gap.applied import EMULATED, INPUTS, OUTPUTS, SHIFTED, FoundEffects, read_effects
+from eval.gap.simulators import open_simulator
+from narxcal.effects.memory import Delay, Lag, Play
+from narxcal.errors import ConfigError, DataError, ModelError
 
 
 class Lagging:
@@ -48,6 +53,15 @@ def test_an_effect_inside_is_found_on_the_raster_of_the_diagnosis(signals, fly, 
     assert np.sqrt(np.mean((outputs["N1_pct"] - late) ** 2)) < 0.2 * before
 
 
+@pytest.mark.parametrize("rate_hz", [4.0, 5.0, 12.0, 33.0])
+def test_logs_may_be_at_any_rate(signals, fly, log_of, rate_hz):
+    sim = log_of(fly(3, rate_hz=rate_hz))
+    found = FoundEffects({"throttle_delay": {"delay_s": 0.5}}, signals, None)
+    n1, moved = sim["N1_pct"], found.added_to(sim)["N1_pct"]
+    late = np.interp(sim.time_s - 0.5, sim.time_s, n1)
+    assert np.sqrt(np.mean((moved - late) ** 2)) < 0.2 * np.sqrt(np.mean((n1 - late) ** 2))
+
+
 def test_no_effect_changes_nothing(signals, fly, log_of):
     sim = fly(3)
     outputs = FoundEffects({}, signals, None).added_to(log_of(sim))
@@ -56,8 +70,6 @@ def test_no_effect_changes_nothing(signals, fly, log_of):
 
 def test_logs_that_do_not_fit_are_refused(signals, fly, log_of):
     found = FoundEffects({"throttle_delay": {"delay_s": 0.5}}, signals, object())
-    with pytest.raises(DataError, match="at 5 Hz, which is no multiple of the diagnosis' 8 Hz"):
-        found.added_to(log_of(fly(3, rate_hz=5.0)))
     bare = fly(3)
     del bare["NAI"]
     with pytest.raises(DataError, match="channel NAI: the effects need it"):
@@ -108,3 +120,123 @@ def test_what_diagnose_stored_comes_back(tmp_path, signals):
     np.testing.assert_array_equal(found.signals.high, signals.high)
     assert found.emulator is None
     assert read_effects(tmp_path).values == found.values
+
+
+def simulate(log):
+    """A simulator that can be run again: N1 with a lag, the others at once."""
+    lever = log["TRA_deg"] / 70.0
+    lagged = Lag(np.array([1.5]), log.dt_s)(lever[None])[0]
+    found = {"N1_pct": 25.0 + 75.0 * lagged, "N2_pct": 55.0 + 45.0 * lever}
+    return {**found, "EGT_C": 400.0 + 350.0 * lever, "FN_kN": 30.0 * lagged}
+
+
+def through(operator, lever):
+    return operator(lever[None])[0]
+
+
+def test_a_simulator_that_can_be_run_again_is_told_what_arrives(signals, fly, log_of):
+    log = log_of(fly(3, rate_hz=5.0))  # any rate will do where no emulator is asked
+    found = FoundEffects({"throttle_backlash": {"width_deg": 4.0}}, signals, None)
+    arrives = through(Play(np.array([4.0])), log["TRA_deg"])
+    expected = simulate(log.with_channels({"TRA_deg": arrives}))
+    outputs = found.run_again(log, simulate)
+    for name, values in expected.items():
+        np.testing.assert_array_equal(outputs[name], values)
+    assert np.ptp(outputs["FN_kN"] - simulate(log)["FN_kN"]) > 0.5
+
+
+def test_what_is_recorded_of_the_outputs_is_not_told(signals, fly, log_of):
+    told = []
+
+    def listen(log):
+        told.extend(log.channels)
+        return simulate(log)
+
+    FoundEffects({}, signals, None).run_again(log_of(fly(3)), listen)
+    assert "N1_pct" not in told
+    assert {"TRA_deg", "ALT_ft", "NAI"} <= set(told)
+
+
+def test_readings_are_changed_behind_the_simulator(signals, fly, log_of):
+    log = log_of(fly(3, rate_hz=32.0))
+    values = {"throttle_delay": {"delay_s": 0.5}, "sensor_lag:EGT_C": {"tau_s": 1.2}}
+    outputs = FoundEffects(values, signals, None).run_again(log, simulate)
+    late = through(Delay(np.array([0.5]), log.dt_s), log["TRA_deg"])
+    expected = simulate(log.with_channels({"TRA_deg": late}))
+    lag = Lag(np.array([1.2]), log.dt_s)
+    np.testing.assert_array_equal(outputs["N1_pct"], expected["N1_pct"])
+    np.testing.assert_allclose(outputs["EGT_C"], through(lag, expected["EGT_C"]), rtol=1e-12)
+
+
+class Halving:
+    """An emulator in which any other pace is 3 more, and which notes what it is told."""
+
+    told = None
+
+    def run(self, _flights, told, pace=None):
+        self.told = told
+        changed = 0.0 if pace is None or pace.fan_up[0] == 1.0 else 3.0
+        return np.zeros((*told.shape[:2], 3)) + changed
+
+
+def test_only_what_changes_the_pace_is_asked_of_the_emulator(signals, fly, log_of):
+    log = log_of(fly(3, rate_hz=16.0))
+    values = {"throttle_bias": {"bias_deg": 3.0}, "spool_lag": {"factor": 1.5}}
+    emulator = Halving()
+    outputs = FoundEffects(values, signals, emulator).run_again(log, simulate)
+    expected = simulate(log.with_channels({"TRA_deg": log["TRA_deg"] + 3.0}))
+    np.testing.assert_allclose(outputs["N1_pct"], expected["N1_pct"] + 3.0)
+    lever = emulator.told[0, :, signals.u("TRA_deg")]
+    assert lever.max() == pytest.approx(log["TRA_deg"].max() + 3.0)  # of the engine as it is told
+
+
+def test_a_pace_needs_the_stored_emulator(signals, fly, log_of):
+    found = FoundEffects({"spool_lag": {"factor": 1.5}}, signals, None)
+    with pytest.raises(ConfigError, match="'spool_lag' acts inside the engine: it needs an emul"):
+        found.run_again(log_of(fly(3)), simulate)
+
+
+def test_a_simulator_without_the_output_is_refused(signals, fly, log_of):
+    found = FoundEffects({"throttle_bias": {"bias_deg": 1.0}}, signals, None)
+    with pytest.raises(
+        ModelError, match=r"channel N2_pct: the simulator does not give it, .* It gives N1_pct"
+    ):
+        found.run_again(log_of(fly(3)), lambda log: {"N1_pct": log["TRA_deg"]})
+
+
+def test_it_is_told_how_each_effect_is_applied(signals):
+    values = {
+        "throttle_bias": {"bias_deg": 1.0},
+        "throttle_delay": {"delay_s": 0.2},
+        "spool_lag": {"factor": 1.5},
+        "sensor_lag:EGT_C": {"tau_s": 1.2},
+    }
+    found = FoundEffects(values, signals, None)
+    assert list(found.ways(again=True).values()) == [INPUTS, INPUTS, EMULATED, OUTPUTS]
+    assert list(found.ways(again=False).values()) == [EMULATED, SHIFTED, EMULATED, OUTPUTS]
+
+
+def test_an_fmu_is_run_again_with_the_effect_on_its_inputs(tmp_path, signals, fly, log_of):
+    pytest.importorskip("fmpy", reason="FMUs need the extra `fmu`")
+    file = Path(__file__).parents[2] / "narxcal" / "fmu_source.py"
+    spec = importlib.util.spec_from_file_location("fmu_source", file)
+    source = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(source)
+    fmu = open_simulator(str(source.build(tmp_path / "engine.fmu", 2))).how
+    log = log_of(fly(0, 60.0))
+    one = signals_of_n1(signals)
+    found = FoundEffects({"throttle_backlash": {"width_deg": 6.0}}, one, None)
+    outputs = found.run_again(log, fmu)
+    arrives = through(Play(np.array([6.0])), log["TRA_deg"])
+    np.testing.assert_allclose(
+        outputs["N1_pct"][20:], fmu(log.with_channels({"TRA_deg": arrives}))["N1_pct"][20:]
+    )
+    # The play holds the lever back by half of its width: 3 deg are 2.7 % of N1.
+    late = np.abs(outputs["N1_pct"] - fmu(log)["N1_pct"])[20:]
+    assert np.median(late) == pytest.approx(2.7, abs=0.05)
+
+
+def signals_of_n1(signals):
+    column = [signals.outputs.index("N1_pct")]
+    low, high = signals.low[column], signals.high[column]
+    return replace(signals, outputs=("N1_pct",), low=low, high=high)

@@ -58,6 +58,23 @@ def test_an_effect_inside_is_the_emulators(flights):
     np.testing.assert_array_equal(found, flights.y)
 
 
+class Slower:
+    """An emulator whose every run is 10, and 1 more at another pace."""
+
+    def run(self, flights, told, pace=None):
+        rows = len(told) if pace is None else len(pace[0])
+        changed = 0.0 if pace is None or pace.fan_up[0] == 1.0 else 1.0
+        return np.full((rows, *flights.y.shape[1:]), 10.0 + changed)
+
+
+def test_of_both_the_input_is_the_simulators_and_the_pace_the_emulators(flights):
+    rerun = Rerun(Slower(), simulate, BLOCK)
+    told = (effect("throttle_bias"), np.array([[3.0]]))
+    paced = (effect("spool_lag"), np.array([[1.5]]))
+    alone = respond([told], flights, rerun)[0]
+    np.testing.assert_allclose(respond([told, paced], flights, rerun)[0], alone + 1.0, atol=1e-9)
+
+
 def test_a_simulator_that_loses_an_output_is_named(flights):
     half = Rerun(Guess(), lambda log: {"N1_pct": log["TRA_deg"]}, BLOCK)
     with pytest.raises(ModelError, match="the simulator no longer gives it"):
