@@ -14,6 +14,7 @@ from narxcal.effects.running import Flights
 RATE_HZ = 8.0
 KEEP_HZ = 12.0  # slower logs are taken as they are
 _STILL = 1e-6  # of a channel's size: what changes by less does not change
+_SILENT = 1e-5  # of a channel's range: logs that agree to the digit have no less noise
 _TRIMMED = 90.0  # percentile of the second differences that counts where their median is none
 
 
@@ -38,7 +39,8 @@ def batch(pairs: Sequence[Pair], rate_hz: float = RATE_HZ) -> GapData:
     )
     measured = np.stack([_padded(each, longest, np.nan) for each in real])
     gaps = [r - s for r, s in zip(real, y, strict=True)]
-    return GapData(flights, measured, _noise(gaps), tuple(pair.name for pair in pairs))
+    noise = np.maximum(_noise(gaps), _SILENT * (signals.high - signals.low))
+    return GapData(flights, measured, noise, tuple(pair.name for pair in pairs))
 
 
 def block_size(dt_s: float, rate_hz: float = RATE_HZ) -> int:

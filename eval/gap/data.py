@@ -20,7 +20,8 @@ class Pair:
 
     `inputs`, `real` and `sim` map channels to `(time,)`; `real` is NaN where nothing was recorded.
     `others` holds recorded and simulated outputs, `(time, 2)`, that are compared but not diagnosed.
-    `counts` says what was changed: reason -> samples.
+    `counts` says what was changed: reason -> samples; `lone` says of channels that cannot be used
+    why: channel -> where it is missing.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Pair:
     sim: Mapping[str, FloatArray]
     others: Mapping[str, FloatArray] = field(default_factory=dict)
     counts: Mapping[str, int] = field(default_factory=dict)
+    lone: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def dt_s(self) -> float:

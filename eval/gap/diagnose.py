@@ -11,14 +11,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eval.gap.blocks import batch, block_size
+from eval.gap.cautions import cautions, coarse_emulator
 from eval.gap.claimed import Values, claimed, with_effects
 from eval.gap.data import GapData, Pair
 from eval.gap.document import document
 from eval.gap.evidence import Evidence
 from eval.gap.excitation import check_excitation, events_of
+from eval.gap.held_flights import in_terms_of
 from eval.gap.hidden_load import look_again, look_beside, look_for_load, spells
 from eval.gap.pairs import read_pairs
-from eval.gap.parts import FEWEST, enough
+from eval.gap.parts import enough
 from eval.gap.realised import channel_shrink, held_out, predicted, time_shrink
 from eval.gap.rerun import Rerun, Simulate
 from eval.gap.simulators import open_simulator
@@ -27,13 +29,13 @@ from eval.gap.where import locate
 from narxcal.bundle import versions
 from narxcal.effects.base import FloatArray
 from narxcal.effects.running import Emulator
-from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
+from narxcal.effects.steady import UnloggedSwitch
 from narxcal.errors import DataError
 from training.config import RunConfig
 from training.gap.diagnosis import diagnose
 from training.gap.emulator import GreyBoxEmulator, fit_emulator
 from training.gap.finding import Finding, Interval
-from training.gap.unlogged import Load, with_load
+from training.gap.unlogged import Load
 from training.gap.work import Options
 
 Watch = Callable[[str, int, int], None]  # what is at work, its number, how many there are
@@ -88,6 +90,7 @@ def diagnose_pairs(
     data = batch(parts)
     events = events_of(data)
     check_excitation(data, events)
+    other = in_terms_of(data, batch(held)) if held else None
     watch("emulator", 0, 1)
     emulator = fit_emulator(data.flights)
     own = emulator.errors(data.flights).tolist()
@@ -101,9 +104,10 @@ def diagnose_pairs(
         stand_in = Rerun(emulator, again, block_size(parts[0].dt_s))
     evidence = _evidence(data, finding, values, stand_in)
     evidence = replace(evidence, windows=spells(load, data, parts))
-    if held:
-        evidence = _with_held_out(evidence, values, held, stand_in)
+    if other is not None:
+        evidence = _with_held_out(evidence, values, (held, other), stand_in)
     facts = {**_facts(pairs, data, held), "unlogged_load": load.reason or "found"}
+    facts["warnings"] += coarse_emulator(evidence, again=again is not None)
     evidence = replace(evidence, facts=facts)
     return Diagnosis(document(evidence), evidence, emulator)
 
@@ -156,9 +160,10 @@ def _optimism(finding: Finding) -> float:
 
 
 def _with_held_out(
-    evidence: Evidence, values: Values, pairs: Sequence[Pair], emulator: Emulator
+    evidence: Evidence, values: Values, flown: tuple[Sequence[Pair], GapData], emulator: Emulator
 ) -> Evidence:
-    data = _in_terms_of(evidence.data, batch(pairs))
+    pairs, other = flown
+    data = in_terms_of(evidence.data, other)
     windows = evidence.windows
     if UnloggedSwitch.id in values:
         data, load = look_again(values, data, emulator)
@@ -166,24 +171,6 @@ def _with_held_out(
     found = held_out(values, data, emulator)
     times = time_shrink(data, found.after, events_of(data))
     return replace(evidence, held_out=found, times=times, windows=windows)
-
-
-def _in_terms_of(data: GapData, other: GapData) -> GapData:
-    """`other` with the signals of `data`, so that effects mean the same in both."""
-    mine, theirs = data.flights.signals, other.flights.signals
-    if UNLOGGED in mine.inputs:
-        off = np.zeros(other.flights.u.shape[:2])
-        other = replace(other, flights=with_load(other.flights, off, always=True))
-        theirs = other.flights.signals
-    for name in (*mine.inputs, *mine.outputs):
-        if name not in (*theirs.inputs, *theirs.outputs):
-            raise DataError("the held-out flights lack it", channel=name)
-    columns = [theirs.outputs.index(name) for name in mine.outputs]
-    u = other.flights.u[..., [theirs.inputs.index(name) for name in mine.inputs]]
-    flights = replace(other.flights, signals=mine, u=u, y=other.flights.y[..., columns])
-    return replace(
-        other, flights=flights, real=other.real[..., columns], noise=other.noise[columns]
-    )
 
 
 def _held_pairs(request: Request) -> list[Pair]:
@@ -221,27 +208,10 @@ def _facts(pairs: Sequence[Pair], data: GapData, held: Sequence[Pair]) -> dict[s
         "noise": dict(zip(data.flights.signals.outputs, data.noise.tolist(), strict=True)),
         "compared": _compared(pairs),
         "changed": {pair.name: dict(pair.counts) for pair in pairs if pair.counts},
-        "warnings": warnings_of(pairs, data),
+        "warnings": cautions(pairs, data),
         "signals": signals_to_json(data.flights.signals),
         "versions": versions(),
     }
-
-
-def warnings_of(pairs: Sequence[Pair], data: GapData) -> list[str]:
-    """What a reader has to know before he believes the answer."""
-    found = []
-    if len(pairs) < FEWEST:
-        words = f"{len(pairs)} flight{'s' if len(pairs) > 1 else ''}: the uncertainty is wider"
-        if len(data.names) > len(pairs):
-            words += f"; {len(data.names)} parts of them stand for flights"
-        found.append(words)
-    unknown = 1.0 - float(np.mean([np.isfinite(v).mean() for p in pairs for v in p.real.values()]))
-    if unknown > 0.01:
-        found.append(f"{100.0 * unknown:.1f} % of the recorded samples are unknown")
-    cut = sum(pair.counts.get("cut at the end", 0) for pair in pairs)
-    if cut:
-        found.append(f"{cut} samples at the ends of flights have no partner and are cut")
-    return found
 
 
 def _compared(pairs: Sequence[Pair]) -> dict[str, float]:

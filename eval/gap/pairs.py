@@ -1,4 +1,4 @@
-"""Reads recorded and simulated logs in pairs, and refuses what does not belong together.
+"""Puts recorded and simulated logs side by side, and refuses what does not belong together.
 
 File names pair the logs of two folders; `.csv` may meet `.csv.gz`. Rows are paired by number from
 the first. The rates have to agree within 0.1 %; one log may end up to 2 s after the other, and
@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from data_prep.clean import clean
+from data_prep.faults import out_of_range
 from data_prep.hold import hold_inputs
-from data_prep.log import Log
-from data_prep.logs_config import LogsConfig
+from data_prep.log import AuditEntry, Log
 from data_prep.moves import bridged
-from data_prep.reading import open_table, read_logs
 from eval.gap.blocks import batch
 from eval.gap.data import FloatArray, GapData, Pair
+from eval.gap.log_folders import pair_up, read_folder
 from narxcal.channels import CHANNELS
 from narxcal.errors import DataError
 from training.config import RunConfig
@@ -36,15 +36,14 @@ __all__ = [
     "read_pairs",
 ]
 
-SUFFIXES = (".csv.gz", ".csv")
-DIAGNOSED = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
+SPEEDS = ("N1_pct", "N2_pct")
+DIAGNOSED = (*SPEEDS, "EGT_C", "FF_kgph")
 COMPARED = ("FN_kN", "FPR", "EPR")
 _RATE = 1e-3
 _LONGER_S = 2.0
 # Samples of an input may differ by this part of the channel's range, and few of them by more.
 _ROUNDING, _FEW = 2e-3, 1e-3
 _MOST_MISSING = 0.2
-_NO_SPLIT_S = 1e7  # a gap is masked, not the end of a log
 
 Simulate = Callable[[Log], Mapping[str, FloatArray]]
 
@@ -53,54 +52,18 @@ def read_pairs(real: Path, sim: Path | Simulate, config: RunConfig | None = None
     """Read all logs of `real` with those of `sim`, or with what `sim` makes of their inputs.
 
     `config` maps the columns of files whose headers are not canonical, and cleans the recorded
-    logs. Raises `DataError` for files without a partner, and as `pair_logs`.
+    logs; without one only values that no engine can have are taken for unknown. Raises `DataError`
+    for files without a partner, and as `pair_logs`.
     """
-    flown = read_folder(real, config)
-    if config is not None:
-        flown = {name: clean(log, config.clean) for name, log in flown.items()}
+    flown = {
+        name: _plausible(log) if config is None else clean(log, config.clean)
+        for name, log in read_folder(real, config).items()
+    }
     if isinstance(sim, Path):
         simulated = pair_up(flown, read_folder(sim, config), (real, sim))
     else:
         simulated = {name: _simulated(log, sim) for name, log in flown.items()}
     return _alike([pair_logs(name, log, simulated[name]) for name, log in flown.items()])
-
-
-def read_folder(folder: Path, config: RunConfig | None = None) -> dict[str, Log]:
-    """Read every CSV file of a folder; names without ending -> log, in order of name.
-
-    A file with several engines gives `NAME_ENGINE` for each. Raises `DataError`.
-    """
-    if not folder.is_dir():
-        raise DataError("the folder of the logs does not exist", file=folder)
-    files = sorted(file for file in folder.iterdir() if file.name.endswith(SUFFIXES))
-    if not files:
-        raise DataError("the folder holds no .csv or .csv.gz", file=folder)
-    found: dict[str, Log] = {}
-    for file in files:
-        for log in read_logs(file, _reading(file, config)):
-            name = _stem(file) + (f"_{log.source.engine}" if log.source.engine else "")
-            if name in found:
-                raise DataError("two files have one name", file=file, hint="Remove one of them")
-            found[name] = log
-    return found
-
-
-def pair_up(
-    flown: Mapping[str, Log], simulated: Mapping[str, Log], folders: tuple[Path, Path]
-) -> Mapping[str, Log]:
-    """Check that both folders hold the same names; returns the simulated logs."""
-    for here, there, folder in (
-        (flown, simulated, folders[1]),
-        (simulated, flown, folders[0]),
-    ):
-        lone = [name for name in here if name not in there]
-        if lone:
-            raise DataError(
-                f"'{lone[0]}' has no partner here ({len(lone)} of {len(here)} logs have none)",
-                file=folder,
-                hint="Recorded and simulated logs are paired by their file names",
-            )
-    return simulated
 
 
 def match_simulated(name: str, log: Log, sim: Mapping[str, Log] | Simulate) -> Log:
@@ -140,20 +103,19 @@ def pair_logs(name: str, real: Log, sim: Log) -> Pair:
         _check_output(name, real, output, counts)
     both = [each for each in COMPARED if each in real.channels and each in sim.channels]
     others = {each: np.column_stack([real[each], sim[each]]) for each in both}
-    return Pair(name, real.time_s, inputs, measured, modelled, others, counts)
+    lone = _lone(real, sim, [each for each in DIAGNOSED if each not in inputs])
+    return Pair(name, real.time_s, inputs, measured, modelled, others, counts, lone)
 
 
-def _reading(file: Path, config: RunConfig | None) -> LogsConfig:
-    """Canonical headers are read as such, others by the configuration."""
-    logs = LogsConfig() if config is None else config.logs
-    header = set(open_table(file, logs).header)
-    if {"time_s", "N1_pct"} <= header or not logs.columns:
-        logs = LogsConfig(bridge_s=logs.bridge_s, delimiter=logs.delimiter, decimal=logs.decimal)
-    return logs.model_copy(update={"max_gap_s": _NO_SPLIT_S, "raster_hz": logs.raster_hz})
-
-
-def _stem(file: Path) -> str:
-    return next(file.name.removesuffix(end) for end in SUFFIXES if file.name.endswith(end))
+def _plausible(log: Log) -> Log:
+    """The log with values beyond what any engine or atmosphere shows masked and counted."""
+    changed, entries = {}, []
+    for name, values in log.channels.items():
+        wrong = out_of_range(name, values)
+        if wrong.any():
+            changed[name] = np.where(wrong, np.nan, values)
+            entries.append(AuditEntry(name, "masked", "out of range", int(wrong.sum())))
+    return log.with_channels(changed, *entries)
 
 
 def _simulated(log: Log, simulate: Simulate) -> Log:
@@ -252,14 +214,28 @@ def _check_same(name: str, real: Log, sim: Log, channel: str) -> None:
 def _outputs(name: str, real: Log, sim: Log, inputs: Mapping[str, FloatArray]) -> tuple[str, ...]:
     candidates = [each for each in DIAGNOSED if each not in inputs]
     both = tuple(e for e in candidates if e in real.channels and e in sim.channels)
-    if not any(each in both for each in DIAGNOSED[:3]):
-        found = [each for each in candidates if each in {**real.channels, **sim.channels}]
+    if not any(each in both for each in SPEEDS):
         raise DataError(
-            "recorded and simulated log share none of N1_pct, N2_pct and EGT_C",
+            f"recorded and simulated log share neither {' nor '.join(SPEEDS)}",
             file=name,
-            hint=f"Only one of them has {', '.join(found)}" if found else "Map their columns",
+            hint=f"A spool speed has to be on both sides; recorded are {_named(real, candidates)}, "
+            f"simulated are {_named(sim, candidates)}",
         )
     return both
+
+
+def _named(log: Log, outputs: Sequence[str]) -> str:
+    return ", ".join(each for each in outputs if each in log.channels) or "none of the outputs"
+
+
+def _lone(real: Log, sim: Log, outputs: Sequence[str]) -> dict[str, str]:
+    """Outputs that only one side has: channel -> which."""
+    one, other = "recorded but not simulated", "simulated but not recorded"
+    return {
+        each: one if each in real.channels else other
+        for each in outputs
+        if (each in real.channels) != (each in sim.channels)
+    }
 
 
 def _complete(name: str, sim: Log, channel: str, counts: dict[str, int]) -> FloatArray:
@@ -267,7 +243,10 @@ def _complete(name: str, sim: Log, channel: str, counts: dict[str, int]) -> Floa
     missing = int(np.count_nonzero(~np.isfinite(values)))
     if missing > _MOST_MISSING * len(values):
         raise DataError(
-            f"{missing} of {len(values)} simulated samples are missing", file=name, channel=channel
+            f"{missing} of {len(values)} simulated samples are missing",
+            file=name,
+            channel=channel,
+            hint="Simulate the whole flight, or leave the log or the channel out",
         )
     if missing:
         counts[f"{channel} simulated missing"] = missing
@@ -279,7 +258,12 @@ def _check_output(name: str, real: Log, channel: str, counts: dict[str, int]) ->
     values = real[channel]
     missing = int(np.count_nonzero(~np.isfinite(values)))
     if missing == len(values):
-        raise DataError("no recorded sample is known", file=name, channel=channel)
+        raise DataError(
+            "no recorded sample is known",
+            file=name,
+            channel=channel,
+            hint="Leave the channel out of all logs, or this log out",
+        )
     if missing:
         counts[f"{channel} unknown"] = missing
     _check_varies(name, values, channel, "recorded")
@@ -318,6 +302,17 @@ def _alike(pairs: Sequence[Pair]) -> list[Pair]:
             inputs={name: pair.inputs[name] for name in inputs},
             real={name: pair.real[name] for name in outputs},
             sim={name: pair.sim[name] for name in outputs},
+            lone={**pair.lone, **_lost(pairs, (*inputs, *outputs))},
         )
         for pair in pairs
     ]
+
+
+def _lost(pairs: Sequence[Pair], kept: Sequence[str]) -> dict[str, str]:
+    """Channels that not all pairs have: channel -> which flight lacks them."""
+    has = [(pair.name, (*pair.inputs, *pair.sim)) for pair in pairs]
+    some = {name for _, names in has for name in names if name not in kept}
+    return {
+        name: f"missing in {next(flight for flight, names in has if name not in names)}"
+        for name in sorted(some)
+    }

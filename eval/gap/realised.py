@@ -38,9 +38,12 @@ def squares(data: GapData, after: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def pooled_share(before: FloatArray, left: FloatArray) -> float:
-    """Share of the squared gap that is taken away over all flights; 0 where there is no gap."""
+    """Share of the squared gap that is taken away over all flights; 0 where there is no gap.
+
+    No more than all: what is left may by chance be less than the noise.
+    """
     whole = float(before.sum())
-    return 1.0 - float(left.sum()) / whole if whole > 0.0 else 0.0
+    return min(1.0, 1.0 - float(left.sum()) / whole) if whole > 0.0 else 0.0
 
 
 def predicted(data: GapData, after: FloatArray, optimism: float) -> Interval:

@@ -159,13 +159,13 @@ def test_what_is_recorded_of_the_outputs_is_not_told(signals, fly, log_of):
 
 def test_readings_are_changed_behind_the_simulator(signals, fly, log_of):
     log = log_of(fly(3, rate_hz=32.0))
-    values = {"throttle_delay": {"delay_s": 0.5}, "sensor_lag:EGT_C": {"tau_s": 1.2}}
+    values = {"throttle_delay": {"delay_s": 0.5}, "time_skew:EGT_C": {"skew_s": 0.3125}}
     outputs = FoundEffects(values, signals, None).run_again(log, simulate)
     late = through(Delay(np.array([0.5]), log.dt_s), log["TRA_deg"])
     expected = simulate(log.with_channels({"TRA_deg": late}))
-    lag = Lag(np.array([1.2]), log.dt_s)
+    skew = Delay(np.array([0.3125]), log.dt_s)
     np.testing.assert_array_equal(outputs["N1_pct"], expected["N1_pct"])
-    np.testing.assert_allclose(outputs["EGT_C"], through(lag, expected["EGT_C"]), rtol=1e-12)
+    np.testing.assert_allclose(outputs["EGT_C"], through(skew, expected["EGT_C"]), rtol=1e-9)
 
 
 class Halving:

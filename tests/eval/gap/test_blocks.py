@@ -68,4 +68,5 @@ def test_a_coarse_reading_that_mostly_repeats_has_noise_all_the_same(fly, log_of
     real = {**flat, "N1_pct": flat["N1_pct"] + 0.5 * (rng.random(len(sim["time_s"])) < 0.04)}
     noise = batch([pair_logs("f", log_of(real), log_of(flat))]).noise
     assert 0.0 < noise[0] < 0.2
-    assert noise[1] == 0.0
+    # Logs that agree to the digit have next to none, but not so little that nothing can be said.
+    assert 0.0 < noise[1] < 1e-3

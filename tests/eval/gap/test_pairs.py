@@ -163,7 +163,7 @@ def test_logs_need_a_driver_and_a_common_output(fly, log_of):
     with pytest.raises(DataError, match="no TRA_deg, and no FF_kgph"):
         pair_logs("f", log_of(bare), log_of(bare))
     outputs = ("N1_pct", "N2_pct", "EGT_C")
-    with pytest.raises(DataError, match=r"share none of .* Only one of them has N1_pct, N2_pct"):
+    with pytest.raises(DataError, match=r"neither N1_pct nor N2_pct\. A spool speed has to"):
         pair_logs("f", log_of(sim), log_of(without(sim, *outputs)))
 
 
@@ -214,3 +214,21 @@ def test_the_simulated_log_of_a_name_or_what_a_simulator_makes(fly, log_of):
     assert set(made.channels) == {*bare.channels, "N1_pct"}
     with pytest.raises(DataError, match=r"no simulated log of this name\. There are f"):
         match_simulated("g", bare, {"f": sim})
+
+
+def test_values_that_no_engine_has_are_unknown_without_a_configuration(folders, fly, record, write):
+    real = record(fly(0, 60.0))
+    real["N1_pct"][100:104], real["EGT_C"][5] = 9999.0, -999.0
+    write(folders[0] / "a_0.csv", real)
+    pair = read_pairs(*folders)[0]
+    assert np.isnan(pair.real["N1_pct"][100:104]).all()
+    assert np.isnan(pair.real["EGT_C"]).sum() == 1
+    assert pair.counts["N1_pct masked: out of range"] == 4
+    assert pair.counts["EGT_C masked: out of range"] == 1
+
+
+def test_endings_may_be_capital_and_hidden_files_are_no_logs(folders):
+    real = folders[0]
+    (real / "a_0.csv").rename(real / "a_0.CSV")
+    (real / "._a_0.csv").write_bytes(b"\x00\x05\x16\x07")
+    assert [pair.name for pair in read_pairs(*folders)] == ["a_0", "a_1"]

@@ -65,3 +65,8 @@ def test_rms_and_times_shrink_on_the_channel_of_the_effect(make_data, probe):
     assert times["EGT_C"].events > 10
     assert times["EGT_C"].Tt_after_s < 0.2 * times["EGT_C"].Tt_before_s
     assert np.isnan(time_shrink(data, after, ((), (), (), ()))["EGT_C"].Ti_after_s)
+
+
+def test_no_more_than_all_of_a_gap_is_taken_away():
+    assert pooled_share(np.array([5.0, 5.0]), np.array([-0.3, 0.1])) == 1.0
+    assert pooled_share(np.array([-1.0]), np.array([0.0])) == 0.0

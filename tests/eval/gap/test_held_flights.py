@@ -1,0 +1,50 @@
+"""Held-out flights are put in the terms of the diagnosed ones, or refused by name."""
+
+import numpy as np
+import pytest
+
+from eval.gap.blocks import batch
+from eval.gap.held_flights import in_terms_of
+from eval.gap.pairs import pair_logs
+from narxcal.errors import DataError
+
+
+@pytest.fixture
+def without(fly, record, log_of):
+    """One flight that lacks some channels."""
+
+    def build(*names):
+        sim = {name: values for name, values in fly(7).items() if name not in names}
+        return batch([pair_logs("late", log_of(record(sim)), log_of(sim))])
+
+    return build
+
+
+def test_the_order_of_the_diagnosis_counts(make_data):
+    data, other = make_data(flights=3), make_data(flights=1)
+    found = in_terms_of(data, other)
+    assert found.flights.signals is data.flights.signals
+    np.testing.assert_array_equal(found.flights.u, other.flights.u)
+
+
+def test_an_input_that_never_changed_need_not_be_there(make_data, without):
+    found = in_terms_of(make_data(flights=3), without("dT_C", "Mach"))
+    signals = found.flights.signals
+    assert {"dT_C", "Mach"} <= set(signals.inputs)
+    np.testing.assert_allclose(found.flights.u[..., signals.u("dT_C")], 3.0)
+    np.testing.assert_allclose(found.flights.u[..., signals.u("Mach")], 0.4)
+
+
+@pytest.mark.parametrize("name", ["NAI", "EGT_C"])
+def test_what_changes_and_every_output_has_to_be_there(make_data, without, name):
+    with pytest.raises(
+        DataError, match=rf"late, channel {name}: the held-out flights lack it\. Record and sim"
+    ):
+        in_terms_of(make_data(flights=3), without(name))
+
+
+def test_another_rate_is_refused(make_data):
+    with pytest.raises(
+        DataError, match="flights are worked at 4 Hz, those of the diagnosis at 8 Hz"
+    ):
+        in_terms_of(make_data(flights=3), make_data(flights=1, rate_hz=4.0))
