@@ -39,6 +39,7 @@ SHIFTED = "its outputs that much later"
 EMULATED = "by what it changes in the stored emulator's run"
 OUTPUTS = "on its outputs"
 _ONE_RASTER = 0.01
+_AIR = ("ALT_ft", "Mach", "dT_C")
 Windows = Mapping[str, tuple[tuple[float, float], ...]]  # log -> seconds since it began
 
 
@@ -91,8 +92,8 @@ class FoundEffects:
         found, names = settings(self.values, signals), signals.inputs
         u = held.matrix(names)[None]
         told = arrived(found, signals, u)
-        changed = dict(zip(names, told[0].T, strict=True))
-        outputs = dict(simulate(self._told(held.with_channels(changed))))
+        changed = {n: v for n, v in zip(names, told[0].T, strict=True) if n in log.channels}
+        outputs = dict(simulate(self._told(log.with_channels(changed))))
         y = self._diagnosed(outputs, log)
         y += self._pace_change(found, told[0], y, log)
         y = read(found, signals, told, y[None])[0]
@@ -131,12 +132,25 @@ class FoundEffects:
         return not all(np.array_equal(here, there) for here, there in both)
 
     def _complete(self, log: Log, name: str, outputs: tuple[str, ...] = ()) -> Log:
-        """The log with all inputs, an unlogged load's included, and without holes in them."""
+        """The log with all inputs, an unlogged load's included, and without holes in them.
+
+        An input that no effect looks at and that never changed in the diagnosis may be missing.
+        """
         if UNLOGGED in self.signals.inputs:
             log = log.with_channels({UNLOGGED: self._on(log, name)})
+        emulated = EMULATED in self.ways(again=not outputs).values()
         for each in (*self.signals.inputs, *outputs):
-            if each not in log.channels:
-                raise DataError("the effects need it", file=log.name, channel=each)
+            if each in log.channels:
+                continue
+            still = each in self.signals.inputs and each not in self.signals.active
+            if not still or (emulated and each in _AIR):
+                raise DataError(
+                    "the flights that were diagnosed have it, and this log has not",
+                    file=log.name,
+                    channel=each,
+                    hint=f"It has {', '.join(log.channels)}",
+                )
+            log = log.with_channels({each: np.zeros(len(log))})
         return hold_inputs(log, self.signals.inputs)
 
     def _told(self, log: Log) -> Log:

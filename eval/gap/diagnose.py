@@ -38,6 +38,7 @@ from training.gap.finding import Finding, Interval
 from training.gap.unlogged import Load
 from training.gap.work import Options
 
+_SAME = 1e-9  # of a channel's range
 Watch = Callable[[str, int, int], None]  # what is at work, its number, how many there are
 
 
@@ -116,8 +117,10 @@ def _found(data: GapData, emulator: GreyBoxEmulator, watch: Watch) -> tuple[GapD
     """The finding, with an unlogged load among the candidates if there are windows of one.
 
     Where the gap shows none, what the best model leaves of it is searched, and with windows there
-    the question is asked anew.
+    the question is asked anew. Nothing is asked of logs that are the same.
     """
+    if not np.nanmax(np.abs(data.gap) / data.span, initial=0.0) > _SAME:
+        return data, *_nothing(data)
     watch("windows of an unlogged load", 0, 1)
     told, load = look_for_load(data)
     finding = _asked(told, load, emulator, watch)
@@ -127,6 +130,14 @@ def _found(data: GapData, emulator: GreyBoxEmulator, watch: Watch) -> tuple[GapD
     if not beside.windows:
         return data, load, finding
     return told, beside, _asked(told, beside, emulator, watch)
+
+
+def _nothing(data: GapData) -> tuple[Load, Finding]:
+    reason, none = "recorded and simulated logs are the same", Interval(0.0, 0.0, 0.0)
+    count, steps = data.gap.shape[:2]
+    channels = channel_shrink(data, data.flights.y)
+    finding = Finding("none", (), (), reason, "", (), none, channels, 0.0, 0.0, 0.0)
+    return Load(np.zeros((count, steps)), (), np.zeros(count), reason), finding
 
 
 def _asked(data: GapData, load: Load, emulator: GreyBoxEmulator, watch: Watch) -> Finding:

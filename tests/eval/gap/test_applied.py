@@ -53,6 +53,24 @@ def test_an_effect_inside_is_found_on_the_raster_of_the_diagnosis(signals, fly, 
     assert np.sqrt(np.mean((outputs["N1_pct"] - late) ** 2)) < 0.2 * before
 
 
+def test_an_input_that_never_changed_may_be_missing(signals, fly, log_of):
+    bare = fly(3)
+    del bare["dT_C"], bare["Mach"]
+    delay = FoundEffects({"throttle_delay": {"delay_s": 0.5}}, signals, None)
+    assert np.ptp(delay.added_to(log_of(bare))["N1_pct"] - bare["N1_pct"]) > 1.0
+    told = []
+
+    def listen(log):
+        told.extend(log.channels)
+        return simulate(log)
+
+    delay.run_again(log_of(bare), listen)
+    assert not {"dT_C", "Mach"} & set(told)
+    inside = FoundEffects({"spool_lag": {"factor": 1.5}}, signals, Halving())
+    with pytest.raises(DataError, match="channel Mach: the flights that were diagnosed have it"):
+        inside.added_to(log_of(bare))
+
+
 @pytest.mark.parametrize("rate_hz", [4.0, 5.0, 12.0, 33.0])
 def test_logs_may_be_at_any_rate(signals, fly, log_of, rate_hz):
     sim = log_of(fly(3, rate_hz=rate_hz))
@@ -72,7 +90,9 @@ def test_logs_that_do_not_fit_are_refused(signals, fly, log_of):
     found = FoundEffects({"throttle_delay": {"delay_s": 0.5}}, signals, object())
     bare = fly(3)
     del bare["NAI"]
-    with pytest.raises(DataError, match="channel NAI: the effects need it"):
+    with pytest.raises(
+        DataError, match=r"channel NAI: the flights that were diagnosed have it, .* It has TRA_deg"
+    ):
         found.added_to(log_of(bare))
 
 

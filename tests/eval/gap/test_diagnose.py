@@ -134,3 +134,12 @@ def test_folders_and_simulators_of_any_kind(answer, folders):
         diagnose_folders(request)
     with pytest.raises(ConfigError, match="is no folder of logs"):
         diagnose_folders(Request(real, "nothing"))
+
+
+def test_logs_that_are_the_same_have_no_gap(fly, log_of):
+    sims = [log_of(fly(seed, 60.0, rate_hz=8.0)) for seed in range(3)]
+    found = diagnose_pairs([pair_logs(f"f{k}", sim, sim) for k, sim in enumerate(sims)]).document
+    assert found["verdict"]["kind"] == "none"
+    assert found["verdict"]["reason"] == "recorded and simulated logs are the same"
+    assert found["effects"] == []
+    assert found["quality"]["gap_share"] == 0.0

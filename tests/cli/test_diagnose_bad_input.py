@@ -1,0 +1,225 @@
+"""Every kind of bad input to `narxcal diagnose`: one clear line, or an answer that says so."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
+
+
+def lagged(target, tau_s, dt_s):
+    kept, found = np.exp(-dt_s / tau_s), target.copy()
+    for k in range(1, len(target)):
+        found[k] = target[k] + kept * (found[k - 1] - target[k])
+    return found
+
+
+def flight(seed, duration_s=100.0, rate_hz=8.0):
+    """Recorded and simulated tables of one flight: a slow EGT probe under slams."""
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
+    levels = np.where(np.arange(40) % 2, 55.0, 15.0) + rng.uniform(-8.0, 8.0, 40)
+    lever = levels[(time_s // 10.0).astype(int)]
+    sim = pd.DataFrame({"time_s": time_s, "TRA_deg": lever, "ALT_ft": 5000.0 + 5.0 * time_s})
+    for name, low, span, tau_s in (
+        ("N1_pct", 25.0, 75.0, 1.5),
+        ("N2_pct", 55.0, 45.0, 0.8),
+        ("EGT_C", 400.0, 350.0, 0.7),
+    ):
+        sim[name] = low + span * lagged(lever / 70.0, tau_s, 1.0 / rate_hz)
+    real = sim.copy()
+    real["EGT_C"] = lagged(sim["EGT_C"].to_numpy(), 1.2, 1.0 / rate_hz)
+    for name, size in zip(OUTPUTS, (0.05, 0.04, 0.8), strict=True):
+        real[name] = real[name] + rng.normal(0.0, size, len(lever))
+    return real, sim
+
+
+@pytest.fixture
+def flights(tmp_path):
+    """Write flights, changed by `change(number, real, sim)` before they are."""
+
+    def write(change=None, count=3, **how):
+        for number in range(count):
+            real, sim = flight(number, **how)
+            if change is not None:
+                real, sim = change(number, real, sim)
+            for name, table in (("real", real), ("sim", sim)):
+                (tmp_path / name).mkdir(exist_ok=True)
+                if table is not None:
+                    table.to_csv(tmp_path / name / f"f{number}.csv", index=False)
+        return ("--real", tmp_path / "real", "--sim", tmp_path / "sim")
+
+    return write
+
+
+@pytest.fixture
+def refused(narxcal, tmp_path):
+    """Diagnose; the one line on stderr, the folder's own name left out."""
+
+    def run(words, *more):
+        done = narxcal("diagnose", *words, *more, "--out", tmp_path / "gap")
+        assert (done.code, done.out) == (2, "")
+        assert not (tmp_path / "gap").exists()
+        assert done.err.count("\n") == 1
+        return done.err.strip().replace(f"{tmp_path}/", "")
+
+    return run
+
+
+def of_one(number, **changed):
+    """A change of the recorded table of one flight by `real=`, of its simulated one by `sim=`."""
+
+    def change(at, real, sim):
+        if at != number:
+            return real, sim
+        how_real, how_sim = changed.get("real"), changed.get("sim")
+        return how_real(real) if how_real else real, how_sim(sim) if how_sim else sim
+
+    return change
+
+
+CASES = {
+    "unpaired": (
+        of_one(1, sim=lambda _: None),
+        (
+            "sim: 'f1' has no partner here (1 of 3 logs have none). Recorded and simulated logs are "
+            "paired by their file names"
+        ),
+    ),
+    "unpaired the other way": (
+        of_one(2, real=lambda _: None),
+        (
+            "real: 'f2' has no partner here (1 of 3 logs have none). Recorded and simulated logs are "
+            "paired by their file names"
+        ),
+    ),
+    "other inputs": (
+        of_one(1, sim=lambda table: table.assign(ALT_ft=table["ALT_ft"] + 500.0)),
+        (
+            "f1, channel ALT_ft, row 1: the inputs differ: recorded 5000, simulated with 5500 (800 of "
+            "800 samples differ by more than rounding). Simulate with the inputs that were recorded"
+        ),
+    ),
+    "other rates": (
+        of_one(1, sim=lambda table: table.iloc[::2]),
+        "f1: the rates differ: recorded at 8 Hz, simulated at 4 Hz. Put both on one raster first",
+    ),
+    "other lengths": (
+        of_one(1, sim=lambda table: table.iloc[:-40]),
+        (
+            "f1: the lengths differ: recorded 800 samples, simulated 760, which is 5 s. Up to 2 s are "
+            "cut at the end; simulate the whole flight"
+        ),
+    ),
+    "rates of flights": (
+        lambda at, real, sim: (real.iloc[::2], sim.iloc[::2]) if at == 2 else (real, sim),
+        "f2: recorded at 4 Hz, but f0 at 8 Hz. Put all flights on one raster",
+    ),
+    "too little excitation": (
+        lambda _, real, sim: (real.iloc[:150], sim.iloc[:150]),
+        (
+            "too little excitation: 3 pushes and 0 pulls of TRA_deg in 3 flights, 3 of each are "
+            "needed. Fly at least 3 more pulls, idle to high power and back"
+        ),
+    ),
+    "a constant recorded channel": (
+        of_one(1, real=lambda table: table.assign(EGT_C=500.0)),
+        (
+            "f1, channel EGT_C: the recorded channel is constant (500 throughout). Its sensor is "
+            "stuck, or another column is meant; leave the channel or log out"
+        ),
+    ),
+    "a constant simulated channel": (
+        of_one(1, sim=lambda table: table.assign(N1_pct=50.0)),
+        (
+            "f1, channel N1_pct: the simulated channel is constant (50 throughout). Its sensor is "
+            "stuck, or another column is meant; leave the channel or log out"
+        ),
+    ),
+    "nothing recorded": (
+        of_one(1, real=lambda table: table.assign(EGT_C=np.nan)),
+        (
+            "f1, channel EGT_C: no recorded sample is known. Leave the channel out of all logs, or "
+            "this log out"
+        ),
+    ),
+    "simulated with holes": (
+        of_one(1, sim=lambda table: table.assign(N1_pct=table["N1_pct"].where(table.index < 99))),
+        (
+            "f1, channel N1_pct: 701 of 800 simulated samples are missing. Simulate the whole flight, "
+            "or leave the log or the channel out"
+        ),
+    ),
+    "no speed": (
+        lambda _, real, sim: (real, sim.drop(columns=["N1_pct", "N2_pct"])),
+        (
+            "f0: recorded and simulated log share neither N1_pct nor N2_pct. A spool speed has to be "
+            "on both sides; recorded are N1_pct, N2_pct, EGT_C, simulated are EGT_C"
+        ),
+    ),
+    "no driver": (
+        lambda _, real, sim: (real.drop(columns="TRA_deg"), sim.drop(columns="TRA_deg")),
+        (
+            "f0: there is no TRA_deg, and no FF_kgph to take for the driver. Map the throttle's "
+            "column, or the fuel flow's"
+        ),
+    ),
+    "no time": (
+        of_one(1, real=lambda table: table.drop(columns="time_s")),
+        (
+            "real/f1.csv: column 'time_s' is missing. The file has TRA_deg, ALT_ft, N1_pct, N2_pct, "
+            "EGT_C; or map the columns under [logs.columns]"
+        ),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_cannot_be_diagnosed_is_told_in_one_line(flights, refused, name):
+    change, problem = CASES[name]
+    assert refused(flights(change)) == f"narxcal: error: {problem}"
+
+
+def test_held_out_flights_are_checked_before_any_work(flights, refused, tmp_path):
+    words = flights()
+    late = [("--heldout-real", tmp_path / "late"), ("--heldout-sim", tmp_path / "late_sim")]
+    for _, folder in late:
+        folder.mkdir()
+    real, sim = flight(9)
+    real.iloc[::2].to_csv(tmp_path / "late" / "f9.csv", index=False)
+    sim.iloc[::2].to_csv(tmp_path / "late_sim" / "f9.csv", index=False)
+    assert refused(words, *late[0], *late[1]) == (
+        "narxcal: error: f9: the held-out flights are worked at 4 Hz, those of the diagnosis at "
+        "8 Hz. Record and simulate them with the channels and at the rate of the others"
+    )
+    assert refused(words, *late[0]) == (
+        "narxcal: error: held-out flights need their simulated logs. Name them by --heldout-sim"
+    )
+
+
+def answered(narxcal, words, out):
+    done = narxcal("diagnose", *words, "--out", out, "--json")
+    assert done.code == 0
+    return json.loads(done.out), done.err
+
+
+def test_one_short_flight_gets_no_firm_answer(flights, narxcal, tmp_path):
+    document, said = answered(narxcal, flights(count=1), tmp_path / "gap")
+    assert document["verdict"]["kind"] == "unknown"
+    assert document["verdict"]["effects"] == []
+    assert document["verdict"]["reason"].startswith("one flight is no evidence")
+    assert said == "narxcal: warning: 1 flight: the uncertainty is wider\n"
+
+
+def test_a_channel_that_is_not_on_both_sides_is_left_out_and_said(flights, narxcal, tmp_path):
+    words = flights(lambda _, real, sim: (real.assign(FF_kgph=300.0), sim.drop(columns="EGT_C")))
+    document, said = answered(narxcal, words, tmp_path / "gap")
+    assert list(document["shrink"]["channels"]) == ["N1_pct", "N2_pct"]
+    assert document["verdict"]["kind"] == "none"
+    assert "warning: EGT_C is recorded but not simulated: it is left out" in said
+    assert document["quality"]["warnings"] == [
+        "EGT_C is recorded but not simulated: it is left out",
+        "FF_kgph is recorded but not simulated: it is left out",
+    ]
