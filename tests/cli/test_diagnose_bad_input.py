@@ -84,22 +84,22 @@ CASES = {
     "unpaired": (
         of_one(1, sim=lambda _: None),
         (
-            "sim: 'f1' has no partner here (1 of 3 logs have none). Recorded and simulated logs are "
-            "paired by their file names"
+            "sim: 'f1' has no partner here (1 of 3 logs have none). Recorded and simulated logs "
+            "are paired by their file names"
         ),
     ),
     "unpaired the other way": (
         of_one(2, real=lambda _: None),
         (
-            "real: 'f2' has no partner here (1 of 3 logs have none). Recorded and simulated logs are "
-            "paired by their file names"
+            "real: 'f2' has no partner here (1 of 3 logs have none). Recorded and simulated logs "
+            "are paired by their file names"
         ),
     ),
     "other inputs": (
         of_one(1, sim=lambda table: table.assign(ALT_ft=table["ALT_ft"] + 500.0)),
         (
-            "f1, channel ALT_ft, row 1: the inputs differ: recorded 5000, simulated with 5500 (800 of "
-            "800 samples differ by more than rounding). Simulate with the inputs that were recorded"
+            "f1, channel ALT_ft, row 1: the inputs differ: recorded 5000, simulated with 5500 (800 "
+            "of 800 samples differ by more than rounding). Simulate with the inputs that were recorded"
         ),
     ),
     "other rates": (
@@ -109,8 +109,8 @@ CASES = {
     "other lengths": (
         of_one(1, sim=lambda table: table.iloc[:-40]),
         (
-            "f1: the lengths differ: recorded 800 samples, simulated 760, which is 5 s. Up to 2 s are "
-            "cut at the end; simulate the whole flight"
+            "f1: the lengths differ: recorded 800 samples, simulated 760, which is 5 s. Up to 2 s "
+            "are cut at the end; simulate the whole flight"
         ),
     ),
     "rates of flights": (
@@ -148,15 +148,15 @@ CASES = {
     "simulated with holes": (
         of_one(1, sim=lambda table: table.assign(N1_pct=table["N1_pct"].where(table.index < 99))),
         (
-            "f1, channel N1_pct: 701 of 800 simulated samples are missing. Simulate the whole flight, "
-            "or leave the log or the channel out"
+            "f1, channel N1_pct: 701 of 800 simulated samples are missing. Simulate the whole "
+            "flight, or leave the log or the channel out"
         ),
     ),
     "no speed": (
         lambda _, real, sim: (real, sim.drop(columns=["N1_pct", "N2_pct"])),
         (
-            "f0: recorded and simulated log share neither N1_pct nor N2_pct. A spool speed has to be "
-            "on both sides; recorded are N1_pct, N2_pct, EGT_C, simulated are EGT_C"
+            "f0: recorded and simulated log share neither N1_pct nor N2_pct. A spool speed has to "
+            "be on both sides; recorded are N1_pct, N2_pct, EGT_C, simulated are EGT_C"
         ),
     ),
     "no driver": (
@@ -169,8 +169,8 @@ CASES = {
     "no time": (
         of_one(1, real=lambda table: table.drop(columns="time_s")),
         (
-            "real/f1.csv: column 'time_s' is missing. The file has TRA_deg, ALT_ft, N1_pct, N2_pct, "
-            "EGT_C; or map the columns under [logs.columns]"
+            "real/f1.csv: column 'time_s' is missing. The file has TRA_deg, ALT_ft, N1_pct, "
+            "N2_pct, EGT_C; or map the columns under [logs.columns]"
         ),
     ),
 }
