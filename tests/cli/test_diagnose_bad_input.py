@@ -99,7 +99,8 @@ CASES = {
         of_one(1, sim=lambda table: table.assign(ALT_ft=table["ALT_ft"] + 500.0)),
         (
             "f1, channel ALT_ft, row 1: the inputs differ: recorded 5000, simulated with 5500 (800 "
-            "of 800 samples differ by more than rounding). Simulate with the inputs that were recorded"
+            "of 800 samples differ by more than rounding). Simulate with the inputs that were "
+            "recorded"
         ),
     ),
     "other rates": (
