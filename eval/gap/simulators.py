@@ -23,6 +23,7 @@ from training.pipeline import calibration_for
 
 ENGINES = ("business_jet", "single_aisle")
 _OUTPUTS = tuple(name for name, row in CHANNELS.items() if row.role == "output")
+_ONE_RASTER = 1e-3
 Simulate = Callable[[Log], Mapping[str, FloatArray]]
 
 
@@ -71,24 +72,24 @@ def _virtual_engine(name: str) -> Simulate:
 
 
 def _bundle(folder: Path) -> Simulate:
+    """The calibration on its own raster; inputs and outputs are carried over on straight lines."""
     calibration = load_bundle(folder).calibration
 
     def simulate(log: Log) -> Mapping[str, FloatArray]:
-        _check_rate(folder, calibration.dt_s, log)
         own = calibration_for(calibration, log)
-        outputs = own.simulate(log.matrix(own.input_names))
-        return dict(zip(own.output_names, outputs.T, strict=True))
+        u = log.matrix(own.input_names)
+        if abs(log.dt_s / calibration.dt_s - 1.0) <= _ONE_RASTER:
+            return dict(zip(own.output_names, own.simulate(u).T, strict=True))
+        here = np.arange(len(log)) * log.dt_s
+        there = np.arange(0.0, here[-1] + 0.5 * calibration.dt_s, calibration.dt_s)
+        told = np.column_stack([np.interp(there, here, column) for column in u.T])
+        outputs = own.simulate(told).T
+        return {
+            name: np.interp(here, there, values)
+            for name, values in zip(own.output_names, outputs, strict=True)
+        }
 
     return simulate
-
-
-def _check_rate(folder: Path, dt_s: float, log: Log) -> None:
-    if abs(log.dt_s / dt_s - 1.0) > 1e-3:
-        raise ModelError(
-            f"the model runs at {1 / dt_s:.4g} Hz, the log is at {1 / log.dt_s:.4g} Hz",
-            file=folder,
-            hint="Put the logs on the model's raster (raster_hz in [logs] of --config)",
-        )
 
 
 def _fmu(path: Path) -> Simulate:

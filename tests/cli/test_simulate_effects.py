@@ -6,6 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from narxcal.bundle import load_bundle
+
 ENGINE = """\
 def run(inputs, dt_s):
     lever = inputs["TRA_deg"]
@@ -87,3 +89,23 @@ def test_logs_take_effects_on_readings_and_the_clock_of_the_inputs(here, narxcal
     made, sim = pd.read_csv(here / "out" / "f.csv"), pd.read_csv(here / "sim" / "f.csv")
     assert made["time_s"][0] == 50.0
     np.testing.assert_allclose(made["EGT_C"], sim["EGT_C"] + 3.0, rtol=1e-8)
+
+
+def test_a_run_works_on_its_own_raster(project, narxcal, tmp_path):
+    """The model runs at 8 Hz, the flights are at 32 Hz."""
+    quality = {"signals": {**SIGNALS, "active": []}}
+    gap = {**GAP, "verdict": {"kind": "none", "effects": []}, "quality": quality}
+    (tmp_path / "gap.json").write_text(json.dumps(gap), "utf-8")
+    words = ("--sim", project / "run", "--effects", tmp_path, "--inputs", project / "flights")
+    done = narxcal("simulate", *words, "--out", tmp_path / "out")
+    assert (done.code, done.err) == (0, "")
+    made, given = (pd.read_csv(f / "flight_3.csv") for f in (tmp_path / "out", project / "flights"))
+    assert len(made) == len(given)
+    np.testing.assert_allclose(made["time_s"], given["time_s"], atol=1e-6)
+    own = load_bundle(project / "run").calibration
+    inputs = given[list(own.input_names)].to_numpy(float)[::4]
+    slow = own.simulate(inputs)
+    for column, name in zip(slow.T, own.output_names, strict=True):
+        np.testing.assert_allclose(made[name][::4], column, atol=1e-6 * np.ptp(column))
+        between = made[name].to_numpy()[2:-4:4]
+        np.testing.assert_allclose(between, 0.5 * (column[:-1] + column[1:])[: len(between)])
