@@ -13,7 +13,7 @@ from eval.gap.where import Row, Where
 from narxcal.effects.library import LIBRARY, effect
 from narxcal.effects.steady import UnloggedSwitch
 from training.gap.diagnosis import OFFSETS
-from training.gap.finding import Finding, Interval, Tried
+from training.gap.finding import ChannelShrink, Finding, Interval, Tried
 
 HIDDEN = UnloggedSwitch.id
 SCHEMA = "narxcal.gap/1"
@@ -174,10 +174,16 @@ def _shrink(evidence: Evidence) -> dict[str, Any]:
         "predicted": asdict(evidence.predicted),
         "realised": None if held is None else held.share,
         "channels": {name: asdict(found) for name, found in channels.items()},
+        "shares": {name: _taken(found) for name, found in channels.items()},
         "times": {name: asdict(found) for name, found in evidence.times.items()},
         "predicted_beside_scatter": asdict(evidence.finding.predicted),
         "on": "the flights of the diagnosis" if held is None else _flown(held),
     }
+
+
+def _taken(found: ChannelShrink) -> float:
+    """Share of one channel's mean squared gap that is taken off."""
+    return 1.0 - (found.after / found.before) ** 2 if found.before > 0.0 else 0.0
 
 
 def _flown(held: HeldOut) -> str:
@@ -192,6 +198,10 @@ def _measured(finding: Finding, where: Where) -> dict[str, Any]:
         "notes": list(finding.notes),
         "channels": {name: asdict(found) for name, found in where.channels.items()},
         "excess": dict(where.excess),
+        "regimes": {
+            name: {level: _ends("share", found) for level, found in levels.items()}
+            for name, levels in where.regimes.items()
+        },
         "bands": {name: [band._asdict() for band in bands] for name, bands in where.bands.items()},
         "Ti_Tt": {
             name: {

@@ -34,6 +34,34 @@ def _regime(regime: Mapping[str, str]) -> str:
     return ", ".join(f"{key} {level}" for key, level in regime.items() if level != "all") or NOTHING
 
 
+def regimes(document: Mapping[str, Any]) -> Table:
+    """How the gap's energy divides over altitude, Mach, power and bleed."""
+    rows = tuple(
+        (Cell(name, "head"), Cell(level), percent(row["share"]), Cell(span(row), number=True))
+        for name, levels in document["quality"].get("regimes", {}).items()
+        for level, row in levels.items()
+    )
+    head = ("regime", "level", "share [%]", "90 % interval [%]")
+    return Table("Each regime adds up to the whole", head, rows)
+
+
+def bands(document: Mapping[str, Any]) -> Table:
+    """At which frequencies each channel's gap lives."""
+    rows = tuple(
+        (
+            Cell(symbol(name), "head"),
+            Cell(f"{row['low_hz']:g} to {row['high_hz']:g}", number=True),
+            percent(row["share"]),
+            Cell(span(row), number=True),
+            Cell(f"{row['coherence']:.2f}", number=True),
+        )
+        for name, found in document["quality"].get("bands", {}).items()
+        for row in found
+    )
+    head = ("channel", "band [Hz]", "share [%]", "90 % interval [%]", "coherence with the driver")
+    return Table("Each channel adds up to its own gap", head, rows)
+
+
 def effects(document: Mapping[str, Any]) -> Table:
     """Ranked effects in full."""
     claimed = set(document["verdict"]["effects"])

@@ -8,7 +8,7 @@ Intervals are by bootstrap over flights.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -49,8 +49,9 @@ class Row:
 class Where:
     """All that can be said on where the gap is, without naming an effect.
 
-    `rows` are a partition of the energy, largest first; `channels` their totals. `excess` is the
-    part of the squared gap that is above the floor, per channel.
+    `rows` are a partition of the energy, largest first; `channels` their totals, and `regimes` how
+    it divides over the levels of each regime. `excess` is the part of the squared gap that is above
+    the floor, per channel.
     """
 
     rows: tuple[Row, ...]
@@ -61,6 +62,7 @@ class Where:
     times: Mapping[str, TimeErrors]
     side: Sides
     events: tuple[tuple[Event, ...], ...]
+    regimes: Mapping[str, Mapping[str, Interval]] = field(default_factory=dict)
 
 
 def locate(data: GapData, explained: FloatArray | None = None, seed: int = 0) -> Where:
@@ -86,6 +88,7 @@ def locate(data: GapData, explained: FloatArray | None = None, seed: int = 0) ->
         times=time_errors(data, data.flights.y, events),
         side=side_of(data, gap, shares[0].sum(axis=1)),
         events=events,
+        regimes=energy.drawn_regimes(np.random.default_rng(seed)),
     )
 
 
@@ -132,10 +135,26 @@ class _Energy:
 
     def drawn(self, rng: np.random.Generator) -> FloatArray:
         """Shares (1 + draws, outputs, moves): those found, then those of resampled flights."""
+        return np.stack([self.shares(each) for each in self._weights(rng)])
+
+    def drawn_regimes(self, rng: np.random.Generator) -> dict[str, dict[str, Interval]]:
+        """Share of all energy in each level of each regime; none where nothing is above noise."""
+        above = np.nansum(self.sample - self.floor, axis=-1)
+        inside = self.bins.move >= 0
+        weights, found = self._weights(rng), {}
+        for name, (levels, index) in self.bins.regimes.items():
+            parts = np.zeros((weights.shape[1], len(levels)))
+            np.add.at(parts, (self.units[inside], index[inside]), above[inside])
+            drawn = np.maximum(weights @ parts, 0.0)
+            shares = drawn / np.maximum(drawn.sum(axis=1, keepdims=True), 1e-300)
+            found[name] = {level: _interval(shares[:, k]) for k, level in enumerate(levels)}
+        return found
+
+    def _weights(self, rng: np.random.Generator) -> FloatArray:
+        """How often each unit counts, (1 + draws, units): once as found, then drawn anew."""
         count = len(self.total)
         draws = rng.multinomial(count, np.full(count, 1.0 / count), size=_DRAWS)
-        weights = np.concatenate([np.ones((1, count)), draws])
-        return np.stack([self.shares(each) for each in weights])
+        return np.concatenate([np.ones((1, count)), draws])
 
     def regimes(self, output: int, move: int) -> dict[str, dict[str, float]]:
         """How the energy of one bin divides over the levels of each regime."""

@@ -38,3 +38,26 @@ def test_unknown_samples_are_bridged(make_data, probe):
     data = make_data(probe)
     data.real[:, 100:110, 2] = np.nan
     assert all(np.isfinite(band.share) for band in bands_of(data)["EGT_C"])
+
+
+def test_intervals_hold_the_share_and_come_from_flights(make_data, probe):
+    bands = bands_of(make_data(probe))["EGT_C"]
+    assert all(band.low <= band.share <= band.high for band in bands)
+    largest = max(bands, key=lambda band: band.share)
+    assert largest.high - largest.low < 0.2
+    assert bands == bands_of(make_data(probe))["EGT_C"]
+
+
+def test_of_one_flight_no_share_is_sure(make_data, probe):
+    bands = bands_of(make_data(probe, flights=1))["EGT_C"]
+    assert {(band.low, band.high) for band in bands} == {(0.0, 1.0)}
+
+
+def test_a_wave_in_one_flight_of_four_is_unsure(make_data):
+    data = make_data()
+    steps = np.arange(data.real.shape[1]) * data.flights.signals.dt_s
+    data.real[..., 0] += np.sin(2.0 * np.pi * 0.05 * steps)
+    data.real[0, :, 0] += 2.0 * np.sin(2.0 * np.pi * 0.5 * steps)
+    band = bands_of(data)["N1_pct"][3]
+    assert band.low < 0.05
+    assert 0.4 < band.share < band.high

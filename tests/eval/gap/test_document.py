@@ -59,6 +59,13 @@ def test_the_keys_are_those_that_others_rely_on(evidence):
     assert found["shrink"]["predicted"] == {"value": 0.9, "low": 0.8, "high": 1.0}
     assert found["shrink"]["realised"] > 0.98
     assert set(found["shrink"]["channels"]["EGT_C"]) == {"before", "after", "floor"}
+    row = found["shrink"]["channels"]["EGT_C"]
+    share = 1.0 - (row["after"] / row["before"]) ** 2
+    assert found["shrink"]["shares"]["EGT_C"] == pytest.approx(share)
+    bands = found["quality"]["bands"]["EGT_C"]
+    assert all(band["low"] <= band["share"] <= band["high"] for band in bands)
+    power = found["quality"]["regimes"]["power"]
+    assert sum(level["share"] for level in power.values()) == pytest.approx(1.0)
     assert found["emulator"] == {"used": True, "rmse": {"EGT_C": 0.4}}
     assert found["quality"]["warnings"] == ["few"]
     assert found["quality"]["pushes"] > 10

@@ -357,3 +357,19 @@ def test_times_to_the_millisecond(value, text):
 )
 def test_units_are_printed_as_an_engineer_writes_them(unit, text):
     assert page_tables.printed(unit) == text
+
+
+def test_bands_and_regimes_stand_there_in_numbers(evidence):
+    found = document(evidence)
+    html = gap_page(found, evidence)
+    assert "Each channel adds up to its own gap" in html
+    assert "Each regime adds up to the whole" in html
+    assert len(page_tables.bands(found).rows) == sum(map(len, found["quality"]["bands"].values()))
+    assert {row[0].text for row in page_tables.regimes(found).rows} >= {"power", "altitude"}
+
+
+@pytest.mark.parametrize(("kind", "said"), [("logs", False), ("FMU", True)])
+def test_a_simulator_that_is_run_again_is_said_to_be(evidence, kind, said):
+    evidence = replace(evidence, facts={**evidence.facts, "simulator": kind})
+    html = gap_page(document(evidence), evidence)
+    assert ("This simulator can be run again" in html) == said

@@ -127,3 +127,21 @@ def test_slower_spools_are_on_the_process_side(make_data):
         data.real[..., k] = data.flights.y[..., k] + size * data.span[k] * (power - 0.5)
     side = side_of(data, data.gap, np.array([0.4, 0.3, 0.3]))
     assert side.process > 0.9
+
+
+def test_each_regime_adds_up_to_the_whole_with_intervals(make_data, probe):
+    found = locate(make_data(probe)).regimes
+    assert {"power", "altitude", "Mach", "bleed"} == set(found)
+    for levels in found.values():
+        assert sum(share.value for share in levels.values()) == pytest.approx(1.0)
+        assert all(share.low <= share.value <= share.high for share in levels.values())
+    assert found["Mach"]["mid"].value == pytest.approx(1.0)
+
+
+def test_a_gap_at_high_power_is_there(make_data):
+    def biased(sim):
+        high = sim["N1_pct"] > 25.0 + 75.0 * 50.0 / 70.0
+        return {"EGT_C": sim["EGT_C"] + 30.0 * high}
+
+    power = locate(make_data(biased)).regimes["power"]
+    assert power["high"].value > 0.9
