@@ -18,12 +18,13 @@ from data_prep.log import Log
 from eval.gap.data import FloatArray
 from narxcal.bundle import DOCUMENT, load_bundle
 from narxcal.channels import CHANNELS
-from narxcal.errors import ConfigError, ModelError
+from narxcal.errors import ConfigError, ModelError, NarxcalError
 from training.pipeline import calibration_for
 
 ENGINES = ("business_jet", "single_aisle")
 _OUTPUTS = tuple(name for name, row in CHANNELS.items() if row.role == "output")
 _ONE_RASTER = 1e-3
+DRIVERS = ("TRA_deg", "FF_kgph")
 Simulate = Callable[[Log], Mapping[str, FloatArray]]
 
 
@@ -40,7 +41,7 @@ def open_simulator(source: str) -> Simulator:
     A function takes `(inputs: {channel: (time,)}, dt_s)` and returns `{channel: (time,)}`. Raises
     `ConfigError` for what is none of these, else as the simulator's own reader.
     """
-    path = Path(source)
+    path = Path(source or "nothing")
     if source in ENGINES:
         return Simulator("virtual engine", _virtual_engine(source))
     if path.is_dir():
@@ -48,7 +49,7 @@ def open_simulator(source: str) -> Simulator:
         return Simulator("bundle", _bundle(path)) if is_bundle else Simulator("logs", path)
     if path.suffix == ".fmu" and path.is_file():
         return Simulator("FMU", _fmu(path))
-    if ":" in source and not path.exists():
+    if all(source.partition(":")) and not path.exists():
         return Simulator("function", _called(_function(source), source))
     raise ConfigError(
         f"simulator '{source}' is no folder of logs, run folder, FMU, module:function or "
@@ -95,14 +96,24 @@ def _bundle(folder: Path) -> Simulate:
 def _fmu(path: Path) -> Simulate:
     """Co-simulation of an FMU whose variables bear the names of channels."""
     fmpy = _fmpy(path)
-    description = fmpy.read_model_description(str(path))
+    description = _described(fmpy, path)
     names = {
         kind: [v.name for v in description.modelVariables if v.causality == kind]
         for kind in ("input", "output")
     }
     outputs = [name for name in names["output"] if name in _OUTPUTS]
     if not outputs:
-        raise ModelError(f"no output of the FMU is one of {', '.join(_OUTPUTS)}", file=path)
+        raise ModelError(
+            f"no output of the FMU is one of {', '.join(_OUTPUTS)}",
+            file=path,
+            hint=f"Its outputs are {', '.join(names['output']) or 'none'}: name them so",
+        )
+    if not any(name in DRIVERS for name in names["input"]):
+        raise ModelError(
+            f"no input of the FMU is one of {', '.join(DRIVERS)}",
+            file=path,
+            hint=f"Its inputs are {', '.join(names['input']) or 'none'}: name the lever so",
+        )
 
     def simulate(log: Log) -> Mapping[str, FloatArray]:
         told = [name for name in names["input"] if name in CHANNELS]
@@ -116,6 +127,16 @@ def _fmu(path: Path) -> Simulate:
         return {name: np.interp(wanted, time_s, found[name]) for name in outputs}
 
     return simulate
+
+
+def _described(fmpy: Any, path: Path) -> Any:
+    # FMPy raises whatever the parser of its day does about a file that it dislikes.
+    try:
+        return fmpy.read_model_description(str(path))
+    except Exception as error:
+        raise ModelError(
+            f"the file is no FMU that can be read: {error}", file=path, hint="Export it again"
+        ) from error
 
 
 def _co_simulated(fmpy: Any, path: Path, rows: Any, outputs: Sequence[str]) -> Any:
@@ -154,6 +175,10 @@ def _function(reference: str) -> Callable[..., Any]:
             f"simulator '{reference}': {error}",
             hint=f"Install it, or put {module_name}.py into {Path.cwd()}",
         ) from None
+    except Exception as error:  # whatever a user's own file does
+        raise ConfigError(
+            f"simulator '{reference}' cannot be imported: {type(error).__name__}: {error}"
+        ) from error
     function = getattr(module, name, None)
     if not callable(function):
         raise ConfigError(f"simulator '{reference}': the module has no function '{name}'")
@@ -178,13 +203,15 @@ def _called(function: Callable[..., Any], reference: str) -> Simulate:
         inputs = {name: values for name, values in log.channels.items() if name in CHANNELS}
         try:
             found = dict(function(inputs, log.dt_s))
-        except (TypeError, ValueError, KeyError) as error:
+            arrays = {name: np.asarray(v, dtype=np.float64) for name, v in found.items()}
+        except NarxcalError:
+            raise
+        except Exception as error:  # whatever a user's own function does
             raise ModelError(
                 f"simulator '{reference}' failed: {type(error).__name__}: {error}",
                 file=log.name,
                 hint="It takes ({channel: (time,)}, dt_s) and returns {channel: (time,)}",
             ) from error
-        arrays = {name: np.asarray(v, dtype=np.float64) for name, v in found.items()}
         for name, values in arrays.items():
             if values.shape != (len(log),):
                 raise ModelError(

@@ -1,6 +1,7 @@
 """A simulator is what the user names, and what is none is refused in a sentence."""
 
 import importlib.util
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,12 @@ def short(inputs, dt_s):
 
 def broken(inputs, dt_s):
     return {"N1_pct": inputs["power"]}
+
+def text(inputs, dt_s):
+    return {"N1_pct": ["fast"] * len(inputs["TRA_deg"])}
+
+def divides(inputs, dt_s):
+    return {"N1_pct": inputs["TRA_deg"] * (1 / 0)}
 
 number = 3
 """
@@ -49,6 +56,9 @@ def test_an_installed_function_too(fly, log_of):
         ("no_engine:f", "No module named 'no_engine'"),
         ("business_yet", "is no folder of logs, run folder, FMU, module:function or virtual"),
         ("none.fmu", "is no folder of logs, run folder, FMU"),
+        (":f", "is no folder of logs, run folder, FMU"),
+        ("own_engine:", "is no folder of logs, run folder, FMU"),
+        ("", "is no folder of logs, run folder, FMU"),
     ],
 )
 def test_what_is_no_simulator_is_refused(here, source, problem):
@@ -64,6 +74,53 @@ def test_a_function_that_fails_is_named(here, fly, log_of):
         open_simulator("own_engine:short").how(log)
     with pytest.raises(ModelError, match=r"'own_engine:broken' failed: KeyError: 'power'"):
         open_simulator("own_engine:broken").how(log)
+    with pytest.raises(ModelError, match=r"'own_engine:text' failed: ValueError: could not conv"):
+        open_simulator("own_engine:text").how(log)
+    with pytest.raises(ModelError, match=r"'own_engine:divides' failed: ZeroDivisionError"):
+        open_simulator("own_engine:divides").how(log)
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("def f(:", "'halves:f' cannot be imported: SyntaxError"),
+        ("raise RuntimeError('no licence')", "cannot be imported: RuntimeError: no licence"),
+    ],
+)
+def test_a_module_that_cannot_be_imported_is_named(here, text, problem):
+    (here / "halves.py").write_text(text, "utf-8")
+    with pytest.raises(ConfigError, match=problem):
+        open_simulator("halves:f")
+
+
+def test_a_file_that_is_no_fmu_is_named(tmp_path):
+    pytest.importorskip("fmpy", reason="FMUs need the extra `fmu`")
+    file = tmp_path / "engine.fmu"
+    file.write_text("no archive", "utf-8")
+    with pytest.raises(ModelError, match=r"engine\.fmu: the file is no FMU that can be read"):
+        open_simulator(str(file))
+
+
+@pytest.mark.parametrize(
+    ("other", "problem"),
+    [
+        ({"N1_pct": "fan_speed"}, "no output of the FMU is one of N1_pct, .* are fan_speed, ITT"),
+        ({"TRA_deg": "lever"}, "no input of the FMU is one of TRA_deg, FF_kgph. Its inputs are le"),
+    ],
+)
+def test_an_fmu_of_other_names_is_refused_with_those_it_has(tmp_path, other, problem):
+    pytest.importorskip("fmpy", reason="FMUs need the extra `fmu`")
+    file = fmu_source().build(tmp_path / "engine.fmu", 2)
+    renamed = tmp_path / "renamed.fmu"
+    with zipfile.ZipFile(file) as old, zipfile.ZipFile(renamed, "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            if name == "modelDescription.xml":
+                for before, after in other.items():
+                    data = data.replace(before.encode(), after.encode())
+            new.writestr(name, data)
+    with pytest.raises(ModelError, match=problem):
+        open_simulator(str(renamed))
 
 
 def test_a_folder_of_logs_is_that_folder(tmp_path):
