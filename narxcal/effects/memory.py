@@ -7,7 +7,9 @@ everything has been at rest at that sample's value. `(batch,)` parameters differ
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,25 +26,31 @@ class Memory(Protocol):
 
 
 class _Recursion:
-    """`y[k] = kept y[k-1] + now x[k] + before x[k-1]`, each coefficient (batch,)."""
+    """`y[k] = kept y[k-1] + taps[0] x[k] + taps[1] x[k-1] ...`.
 
-    def __init__(self, kept: FloatArray, now: FloatArray, before: FloatArray) -> None:
-        self._coefficients = np.stack([kept, now, before], axis=1)
+    `kept` is (batch,), `taps` (batch, two or more).
+    """
+
+    def __init__(self, kept: FloatArray, taps: FloatArray) -> None:
+        self._coefficients = np.column_stack([kept, taps])
         self._carried: FloatArray | None = None
 
     def __call__(self, value: FloatArray) -> FloatArray:
         """The recursion over a block, from where the last one ended."""
         if self._carried is None:
-            kept, _, before = self._coefficients.T
-            self._carried = ((kept + before) * value[:, 0])[:, None]
+            self._carried = self._at_rest() * value[:, :1]
         out, carried = np.empty_like(value), self._carried
         alike, rows = np.unique(self._coefficients, axis=0, return_inverse=True)
-        for j, (kept, now, before) in enumerate(alike):
-            at = rows == j
-            out[at], carried[at] = lfilter(
-                [now, before], [1.0, -kept], value[at], axis=1, zi=carried[at]
-            )
+        for j, (kept, *taps) in enumerate(alike):
+            at, poles = rows == j, [1.0, -kept, *[0.0] * (len(taps) - 2)]
+            out[at], carried[at] = lfilter(taps, poles, value[at], axis=1, zi=carried[at])
         return out
+
+    def _at_rest(self) -> FloatArray:
+        """What the filter holds (batch, taps - 1) once it has settled at one."""
+        later = np.cumsum(self._coefficients[:, :0:-1], axis=1)[:, -2::-1]
+        later[:, 0] += self._coefficients[:, 0]
+        return later
 
 
 class Lag(_Recursion):
@@ -57,20 +65,40 @@ class Lag(_Recursion):
         lag = np.maximum(tau_s, 1e-9)
         kept, behind = np.exp(-dt_s / lag), -lag / dt_s * np.expm1(-dt_s / lag)
         there = tau_s > 0.0
+        taps = [np.where(there, 1.0 - behind, 1.0), np.where(there, behind - kept, 0.0)]
+        super().__init__(np.where(there, kept, 0.0), np.column_stack(taps))
+
+
+class SmoothLag(_Recursion):
+    """First-order lag, exact for an input on a parabola through each sample and the two before.
+
+    A lag much shorter than a sample and a delay differ in how a signal curves, which straight
+    lines do not know. With `r` and `e` of `Lag`, the first two moments of the weight over a sample
+    are `m = 1 - r (1 - e)` and `1 - 2 r m`; the curvature adds half their difference.
+    """
+
+    def __init__(self, tau_s: FloatArray, dt_s: float) -> None:
+        tau_s = np.asarray(tau_s, dtype=np.float64)
+        lag = np.maximum(tau_s, 1e-9) / dt_s
+        kept, behind = np.exp(-1.0 / lag), -lag * np.expm1(-1.0 / lag)
+        curved = 0.5 * ((1.0 - 2.0 * lag * (1.0 - behind)) - (1.0 - behind))
+        there = tau_s > 0.0
+        taps = [1.0 - behind + curved, behind - kept - 2.0 * curved, curved]
+        none = np.array([1.0, 0.0, 0.0])
         super().__init__(
-            np.where(there, kept, 0.0),
-            np.where(there, 1.0 - behind, 1.0),
-            np.where(there, behind - kept, 0.0),
+            np.where(there, kept, 0.0), np.where(there[:, None], np.column_stack(taps), none)
         )
 
 
 class Delay:
     """The input `delay_s` ago, on straight lines between samples."""
 
+    reach: ClassVar[int] = 1  # samples before the delayed one that are looked at
+
     def __init__(self, delay_s: FloatArray, dt_s: float) -> None:
         self._whole = np.floor(delay_s / dt_s).astype(int)
         self._part = (delay_s / dt_s - self._whole)[:, None]
-        self._longest = int(self._whole.max()) + 1
+        self._longest = int(self._whole.max()) + self.reach
         self._past: FloatArray | None = None
 
     def __call__(self, value: FloatArray) -> FloatArray:
@@ -80,8 +108,32 @@ class Delay:
         known = np.concatenate([self._past, value], axis=1)
         self._past = known[:, -self._longest :]
         at = self._longest + np.arange(value.shape[1]) - self._whole[:, None]
-        later, earlier = np.take_along_axis(known, at, 1), np.take_along_axis(known, at - 1, 1)
-        return np.asarray(later + self._part * (earlier - later))
+        samples = [np.take_along_axis(known, at - k, 1) for k in range(self.reach + 1)]
+        return self._between(samples, self._part)
+
+    def _between(self, samples: Sequence[FloatArray], part: FloatArray) -> FloatArray:
+        """Value at `part` of a sample before the first of `samples`, newest first."""
+        return np.asarray(samples[0] + part * (samples[1] - samples[0]))
+
+
+class SmoothDelay(Delay):
+    """The input `delay_s` ago, on the cubic through four samples (Newton, backward differences)."""
+
+    reach: ClassVar[int] = 3
+
+    def _between(self, samples: Sequence[FloatArray], part: FloatArray) -> FloatArray:
+        now, *_ = samples
+        first, second, third = (_difference(samples, k) for k in (1, 2, 3))
+        bend = second / 2.0 + (2.0 - part) * third / 6.0
+        return np.asarray(now - part * (first + (1.0 - part) * bend))
+
+
+def _difference(samples: Sequence[FloatArray], order: int) -> FloatArray:
+    """Backward difference at the first of `samples`, newest first."""
+    rows = list(samples)
+    for _ in range(order):
+        rows = [later - earlier for later, earlier in pairwise(rows)]
+    return rows[0]
 
 
 class Play:

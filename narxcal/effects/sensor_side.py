@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from narxcal.effects.base import FloatArray, OutputEffect, Parameter, Run, Side, Signals, unit
-from narxcal.effects.memory import Clock, Delay, Lag
+from narxcal.effects.memory import Clock, SmoothDelay, SmoothLag
 
 LONGEST_S = 2.0
 
@@ -49,7 +49,7 @@ class SensorLag(SensorEffect):
         """The lagged channel, settled at its first value."""
         tau, own = run.theta[:, 0], run.theta[:, 1]
         passed = (own / np.maximum(own + tau, 1e-9))[:, None]
-        lagged = run.memory.setdefault("lag", Lag(own + tau, run.signals.dt_s))(value)
+        lagged = run.memory.setdefault("lag", SmoothLag(own + tau, run.signals.dt_s))(value)
         # Without an added lag, or without a lag at all, nothing may change, to the bit.
         same = (tau == 0.0)[:, None]
         return np.asarray(np.where(same, value, lagged + passed * (value - lagged)))
@@ -110,5 +110,5 @@ class TimeSkew(SensorEffect):
 
     def reading(self, run: Run, value: FloatArray) -> FloatArray:
         """What the channel was `skew_s` ago."""
-        delay = Delay(run.theta[:, 0], run.signals.dt_s)
+        delay = SmoothDelay(run.theta[:, 0], run.signals.dt_s)
         return run.memory.setdefault("delay", delay)(value)

@@ -5,12 +5,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.effects.memory import Clock, Delay, Lag, Play, RateLimit
+from narxcal.effects.memory import (
+    Clock,
+    Delay,
+    Lag,
+    Play,
+    RateLimit,
+    SmoothDelay,
+    SmoothLag,
+)
 
 DT = 0.125
 PARTS = {
     "lag": lambda: Lag(np.array([0.0, 0.05, 2.0]), DT),
     "delay": lambda: Delay(np.array([0.0, 0.3, 1.0]), DT),
+    "smooth lag": lambda: SmoothLag(np.array([0.0, 0.05, 2.0]), DT),
+    "smooth delay": lambda: SmoothDelay(np.array([0.0, 0.3, 1.0]), DT),
     "play": lambda: Play(np.array([0.0, 0.5, 3.0])),
     "limit": lambda: RateLimit(np.array([0.5, 4.0, np.inf]), DT),
     "clock": lambda: Clock(DT),
@@ -35,7 +45,7 @@ def test_a_log_cut_anywhere_gives_what_it_gives_whole(make, cuts):
     np.testing.assert_array_equal(pieces, make()(x))
 
 
-@pytest.mark.parametrize("name", ["lag", "delay", "play", "limit"])
+@pytest.mark.parametrize("name", [name for name in PARTS if name != "clock"])
 def test_what_comes_later_changes_nothing_before(name):
     x = walk()
     y = x.copy()
@@ -43,7 +53,7 @@ def test_what_comes_later_changes_nothing_before(name):
     np.testing.assert_array_equal(PARTS[name]()(x)[:, :120], PARTS[name]()(y)[:, :120])
 
 
-@pytest.mark.parametrize("name", ["lag", "delay", "play", "limit"])
+@pytest.mark.parametrize("name", [name for name in PARTS if name != "clock"])
 def test_at_rest_they_stay_at_rest(name):
     x = np.full((3, 50), 7.25)
     np.testing.assert_allclose(PARTS[name]()(x), x, rtol=1e-14)
@@ -99,6 +109,61 @@ def test_a_delay_lies_on_straight_lines_between_samples():
     t = DT * np.arange(len(x))
     found = over(Delay(np.array([0.33]), DT), x)
     np.testing.assert_allclose(found, np.interp(t - 0.33, t, x), atol=1e-12)
+
+
+@pytest.mark.parametrize("tau", [0.02, 0.1, 0.6, 2.0])
+def test_a_smooth_lag_follows_a_parabola_as_the_equation_says(tau):
+    """Of `x = t^2` the settled lag is `t^2 - 2 tau t + 2 tau^2`."""
+    t = DT * np.arange(600)
+    found = over(SmoothLag(np.array([tau]), DT), t**2)
+    settled = t > 25.0 * tau + 1.0
+    expected = t**2 - 2.0 * tau * t + 2.0 * tau**2
+    np.testing.assert_allclose(found[settled], expected[settled], rtol=1e-9)
+
+
+def test_a_smooth_lag_is_the_recursion_written_out():
+    tau, x = 0.3, walk(rows=1)[0]
+    r, e = tau / DT, np.exp(-DT / tau)
+    first = 1.0 - r * (1.0 - e)
+    bend = 0.5 * (1.0 - 2.0 * r * first - first)
+    y, known = [x[0]], np.concatenate([[x[0]], x])
+    for earlier, before, now in zip(known, x, x[1:], strict=False):
+        straight = e * y[-1] + first * now + (1.0 - first - e) * before
+        y.append(straight + bend * (now - 2.0 * before + earlier))
+    np.testing.assert_allclose(over(SmoothLag(np.array([tau]), DT), x), y, atol=1e-12)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.05, 0.3, 0.5, 1.99])
+def test_a_smooth_delay_moves_a_cubic_by_itself(delay):
+    t = DT * np.arange(100)
+    found = over(SmoothDelay(np.array([delay]), DT), t**3 - 4.0 * t**2)
+    late = t - delay
+    np.testing.assert_allclose(found[25:], (late**3 - 4.0 * late**2)[25:], rtol=1e-9)
+
+
+@pytest.mark.parametrize("tau", [0.03, 0.06, 0.1])
+def test_a_short_lag_and_a_short_delay_of_means_over_samples_are_told_apart(tau):
+    """What is lagged or late at a fine raster, then averaged, is nearer to its own kind."""
+    fine, random = 16, np.random.default_rng(1)
+    t = DT / fine * np.arange(400 * fine)
+    x = sum(
+        np.sin(2 * np.pi * f * t + p) / f
+        for f, p in zip((0.1, 0.3, 0.6), random.random(3), strict=True)
+    )
+
+    def means(values):
+        return values.reshape(-1, fine).mean(axis=1)[10:]
+
+    truths = means(over(Lag(np.array([tau]), DT / fine), x)), means(np.interp(t - tau, t, x))
+    kinds = SmoothLag, SmoothDelay
+    off = np.array(
+        [
+            [np.std(over(kind(np.array([tau]), DT), means(x))[5:] - truth[5:]) for kind in kinds]
+            for truth in truths
+        ]
+    )
+    assert off[0, 0] < 0.5 * off[0, 1]
+    assert off[1, 1] < 0.5 * off[1, 0]
 
 
 def test_play_is_the_loop_written_out():

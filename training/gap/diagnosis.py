@@ -23,16 +23,17 @@ from training.gap.emulator import GreyBoxEmulator
 from training.gap.finding import Finding
 from training.gap.fitting import Fit, Problem, fit
 from training.gap.null import null_gains
-from training.gap.offsets import offset_fits, relative_size, whole_gap
+from training.gap.offsets import beyond_scatter, day_fit, offset_fits, unexplained, whole_gap
 from training.gap.quadratic import misfit
 from training.gap.unlogged import priced, witnesses
-from training.gap.verdict import Offset, finding
+from training.gap.verdict import Offset, bearable, finding
 from training.gap.work import Options, Work
 
 OFFSETS = ("deterioration", "sensor_bias", "throttle_bias", "temperature_effect")
 _OFFSET, _OF_WHOLE = 0.25, 0.015  # least shares of the whole gap of an offset, and of anything
 Watch = Callable[[str, int, int], None]
 _SECOND = 0.3  # of what one effect leaves: less is no reason to name another
+_ENOUGH = 0.03  # share left of the gap that nobody asks about
 
 
 def diagnose(
@@ -54,15 +55,20 @@ def diagnose(
     tight = whole_gap(flights, measured)
     work = Work(problem, chosen, problem.misfit.size(problem.misfit.gap), noise, tight)
     moving = [c for c in candidates(flights.signals) if c.id not in OFFSETS]
-    claimed = _claims(work, moving, watch)
-    explained = np.zeros_like(flights.y) if claimed is None else claimed.response
     still = [c for c in candidates(flights.signals) if c.id in OFFSETS]
-    offset = _offset(work, still, explained)
+    claimed = _first(work, moving, watch)
+    offset = _offset(work, still, claimed)
+    while claimed is not None and (more := _further(work, claimed, offset, watch)) is not None:
+        claimed, offset = more, _offset(work, still, more)
+    if claimed is not None and not bearable(work, claimed):
+        # An offset that needs no help from an effect that explains little is the answer by itself.
+        alone = _offset(work, still, None)
+        claimed, offset = (claimed, offset) if alone is None else (None, alone)
     return finding(work, claimed, offset, noise)
 
 
-def _claims(work: Work, moving: Sequence[Effect], watch: Watch | None) -> Fit | None:
-    """The best model that earns each of its effects, or None."""
+def _first(work: Work, moving: Sequence[Effect], watch: Watch | None) -> Fit | None:
+    """The best effect if it earns a claim, or None."""
     work.fits = [_tried(work, [effect], (k, len(moving), watch)) for k, effect in enumerate(moving)]
     work.fits.sort(key=work.gain, reverse=True)
     residual = work.problem.misfit.cleaned(work.problem.misfit.gap - work.fits[0].response)
@@ -73,15 +79,19 @@ def _claims(work: Work, moving: Sequence[Effect], watch: Watch | None) -> Fit | 
     heard = work.audible > work.options.audible * float(work.problem.misfit.floor.sum())
     if not (heard and _earned(work, work.fits[0], work.before, work.options.material)):
         return None
-    best = work.fits[0]
-    singles = list(work.fits)
-    while len(best.effects) < work.options.most and work.left(best) > 0.03:
-        further = _best_pair(work, singles, watch)
-        least = max(work.options.further, _SECOND * work.unexplained(best))
-        if further is None or not _earned(work, further, best.held_out, least):
-            break
-        best = further
-    return best
+    return work.fits[0]
+
+
+def _further(work: Work, best: Fit, offset: Offset | None, watch: Watch | None) -> Fit | None:
+    """A model of one effect more that earns its place, and takes more than an offset would."""
+    if len(best.effects) >= work.options.most or work.left(best) <= _ENOUGH:
+        return None
+    more = _best_pair(work, watch)
+    least = max(work.options.further, _SECOND * work.unexplained(best))
+    if more is None or not _earned(work, more, best.held_out, least):
+        return None
+    gained = float((best.held_out - more.held_out).sum())
+    return more if offset is None or gained > _gained(offset) else None
 
 
 def _tried(work: Work, effects: Sequence[Effect], place: tuple[int, int, Watch | None]) -> Fit:
@@ -106,8 +116,9 @@ def _earned(work: Work, model: Fit, before: FloatArray, least: float) -> bool:
     return share > max(work.threshold, least) and often and heard
 
 
-def _best_pair(work: Work, singles: Sequence[Fit], watch: Watch | None) -> Fit | None:
+def _best_pair(work: Work, watch: Watch | None) -> Fit | None:
     """The best of the pairs of a leading effect and another, by linear steps, then fitted."""
+    singles = list(work.fits)
     scored = [
         (_together(work, first, second), first, second)
         for k, first in enumerate(singles[:3])
@@ -139,15 +150,31 @@ def _together(work: Work, first: Fit, second: Fit) -> float:
     return float(toward / scale @ np.linalg.solve(ridge, toward / scale))
 
 
-def _offset(work: Work, effects: Sequence[Effect], explained: FloatArray) -> Offset | None:
-    """Offsets that earn a claim, best first, with Q before and what is audible; None if none do."""
-    fits, before = offset_fits(work.problem, work.tight, effects, explained)
-    if not fits:
-        return None
-    best = fits[0]
+def _gained(offset: Offset) -> float:
+    """Q that the best offset takes off held-out flights."""
+    fits, before, _ = offset
+    return float((before - fits[0].held_out).sum())
+
+
+def _offset(work: Work, effects: Sequence[Effect], claimed: Fit | None) -> Offset | None:
+    """Offsets that earn a claim beside what is, best first; None if none do.
+
+    With Q per flight before, and all of it that is audible.
+    """
+    explained = np.zeros_like(work.problem.flights.y) if claimed is None else claimed.response
+    left = unexplained(work.tight, explained)
+    fits, before = offset_fits(work.problem, left, effects), left.size(left.gap)
+    by_days = day_fit(work.problem, left, effects)
+    offered = [(fits, before, work.whole)] if fits and _stands(work, fits[0], before) else []
+    if by_days is not None:
+        others = [one for one in fits if one.effects != by_days.effects]
+        offered.append(([by_days, *others], before, work.whole))
+    return max(offered, key=_gained, default=None)
+
+
+def _stands(work: Work, best: Fit, before: FloatArray) -> bool:
+    """Whether an offset is beyond build scatter, a part of the gap, and in (nearly) all flights."""
     gained = before - best.held_out
     often = int((gained <= 0.0).sum()) <= (1 if len(gained) > 4 else 0)
-    large = relative_size(best.response, work.problem.flights) > work.options.scatter
-    if often and large and float(gained.sum()) / work.whole > _OFFSET:
-        return fits, before, work.whole
-    return None
+    large = beyond_scatter(best, before, work.problem.flights, work.tight.floor)
+    return often and large and float(gained.sum()) / work.whole > _OFFSET

@@ -25,7 +25,7 @@ _REACH = 2  # blocks by which an edge may be off
 _SHARP, _MOSTLY = (0.5, 1.6), 0.7  # of the shift that comes at once, and at how many edges
 _TYPICAL = 0.6
 _SPREAD = 0.28  # of the shift: how far from on and off the levels may scatter
-_BY_CHANCE = 0.1
+_BY_CHANCE, _WITH_LEVER = 0.1, 0.9  # edges at moves: how rarely by chance, how often if of them
 _SWITCHED = 4.0  # blocks between a logged switch and what follows it
 _TURNS, _PHASE, _ALIKE = 3, 0.08, 0.3  # periods that make a clock, and how exact it is
 _BESIDE = 0.02  # of what the strongest channel tells: the least of a second one
@@ -62,8 +62,7 @@ def against(found: Found, levels: Levels, switched: Sequence[NDArray[np.float64]
 
 def _edges_against(edges: Sequence[Edge], by_chance: float) -> str:
     """A load comes at any time and at once."""
-    hidden = sum(not edge.clear for edge in edges)
-    if hidden and binom.sf(hidden - 1, len(edges), by_chance) < _BY_CHANCE:
+    if _with_the_lever(sum(not edge.clear for edge in edges), len(edges), by_chance):
         return "the windows come and go with the lever"
     jumps = np.array([edge.jump for edge in edges if np.isfinite(edge.jump)])
     if len(jumps) < WITNESSES:
@@ -72,6 +71,13 @@ def _edges_against(edges: Sequence[Edge], by_chance: float) -> str:
     if sharp < _MOSTLY or np.median(jumps) < _TYPICAL:
         return "the changes are no sharp edges"
     return ""
+
+
+def _with_the_lever(hidden: int, edges: int, by_chance: float) -> bool:
+    """Whether so many edges at moves of the lever are too many, and as many as if it made them."""
+    rare = binom.sf(hidden - 1, edges, by_chance) < _BY_CHANCE
+    made = binom.pmf(hidden, edges, _WITH_LEVER) > binom.pmf(hidden, edges, by_chance)
+    return bool(rare and made)
 
 
 def edges_of(found: Found, levels: Levels) -> tuple[list[Edge], float]:

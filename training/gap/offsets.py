@@ -19,23 +19,68 @@ from training.gap.quadratic import Misfit, misfit
 
 TIGHT = 1e-5  # of the priors of offsets and slopes: none, they would take the effect's place
 _ZERO_K = 273.15
-_GOVERNED = 2.5
-_WEIGHTS = {"FF_kgph": 0.5}  # fuel flow scatters twice as much as speed and temperature
+# Shifts that build scatter may make, in % of the level: of a speed by all that an engine may
+# have, of one alone, which no engine has; both where nearly nothing else is left to explain.
+_SCATTER_PCT = {"EGT_C": 2.4, "FF_kgph": 7.0}
+_SPEED_PCT, _ALONE_PCT, _UNGOVERNED_PCT = 1.2, 0.6, 1.5
+_NEARLY_ALL, _AMONG_OTHERS = 0.85, 1.5  # share of what is left, and what is asked below it
+_DAYS, _BETWEEN_DAYS = 3, 0.4  # flights that tell days apart; how far they do, in scatters
+_FEW = 4  # flights of which none may speak against an offset; of more, one
+_MOST = 0.5  # of what is left: an offset that takes less is not what is wrong
+_AS_GOOD, _LEVEL = 0.75, 0.35  # of what wear takes; of the shift, its change over power
 
 
-def offset_fits(
-    problem: Problem, tight: Misfit, effects: Sequence[Effect], explained: FloatArray
-) -> tuple[list[Fit], FloatArray]:
-    """Fit each offset to what `explained` (flights, time, outputs) leaves.
+def unexplained(tight: Misfit, explained: FloatArray) -> Misfit:
+    """The gap that `explained` (flights, time, outputs) leaves."""
+    return replace(tight, gap=np.where(tight.weights > 0.0, tight.gap - explained, 0.0))
 
-    Returns the fits, best first, and Q per flight without them.
-    """
-    left = replace(tight, gap=np.where(tight.weights > 0.0, tight.gap - explained, 0.0))
+
+def offset_fits(problem: Problem, left: Misfit, effects: Sequence[Effect]) -> list[Fit]:
+    """Fit each offset to the gap `left`; best first."""
     own = replace(problem, misfit=left)
     fits = [fit([effect], own) for effect in effects]
     fits = [one for one in fits if not _better_than_new(one, problem.flights.signals)]
     fits.sort(key=lambda tried: float(tried.held_out.sum()))
-    return fits, left.size(left.gap)
+    return _plainest(fits, problem.flights, left)
+
+
+def day_fit(problem: Problem, left: Misfit, effects: Sequence[Effect]) -> Fit | None:
+    """Fit an error that follows the day's temperature, beside offsets that all days share.
+
+    What is the same on all days is build scatter or another offset's; without it in the fit it
+    would be taken for an effect of the days flown. What the fit takes off held-out flights is what
+    it takes of what the common offsets leave. None if no temperature is logged, or if it does not
+    take most of that, in (nearly) every flight, and make a difference between the days.
+    """
+    common = [one for one in effects if one.id == "sensor_bias"]
+    days = [one for one in effects if one.id == "temperature_effect"]
+    if not (days and common) or len(left.gap) < _DAYS:
+        return None
+    own = replace(problem, misfit=left)
+    without, tried = fit(common, own), fit([*days, *common], own)
+    gained = without.held_out - tried.held_out
+    share = float(gained.sum()) / float((without.held_out - left.floor).sum())
+    found = _first_of(tried, np.maximum(left.size(left.gap) - gained, tried.held_out))
+    spread = replace(found, response=found.response - found.response.mean(axis=(0, 1)))
+    often = int((gained <= 0.0).sum()) <= (1 if len(gained) > _FEW else 0)
+    large = _in_scatters(spread, problem.flights).max() > _BETWEEN_DAYS
+    return found if often and large and share > _MOST else None
+
+
+def _first_of(together: Fit, held_out: FloatArray) -> Fit:
+    """The first effect of a fit of several, all linear, with Q of held-out flights."""
+    own = slice(together.sizes[0])
+    return Fit(
+        effects=together.effects[:1],
+        parameters=together.parameters[own],
+        theta=together.theta[own],
+        left=together.left,
+        held_out=held_out,
+        others=together.others[:, own],
+        response=np.tensordot(together.theta[own], together.slopes[own], axes=1),
+        slopes=together.slopes[own],
+        sizes=together.sizes[:1],
+    )
 
 
 def whole_gap(flights: Flights, measured: tuple[FloatArray, FloatArray]) -> Misfit:
@@ -43,18 +88,53 @@ def whole_gap(flights: Flights, measured: tuple[FloatArray, FloatArray]) -> Misf
     return misfit(flights, measured[0], measured[1], TIGHT)
 
 
-def relative_size(response: FloatArray, flights: Flights) -> float:
-    """Largest RMS shift of any output, as a share of its level (temperatures in K).
+def beyond_scatter(tried: Fit, before: FloatArray, flights: Flights, noise: FloatArray) -> bool:
+    """Whether an offset takes most of Q `before` beyond noise, and more than scatter would shift.
 
-    An output that the control governs counts several times: build scatter does not move it.
+    `before` and `noise` are Q per flight, of what is left for the offset to explain and of noise.
     """
+    share = float((before - tried.held_out).sum() / (before - noise).sum())
+    asked = 1.0 if share > _NEARLY_ALL else _AMONG_OTHERS
+    return share > _MOST and _in_scatters(tried, flights).max() > asked
+
+
+def _in_scatters(tried: Fit, flights: Flights) -> FloatArray:
+    """RMS shift of each output (outputs,) over what build scatter may make of it."""
     signals: Signals = flights.signals
+    alone = tried.effects[0].id != "deterioration"
     sizes = []
     for c, name in enumerate(signals.outputs):
         level = flights.y[..., c] + (_ZERO_K if name.endswith("_C") else 0.0)
-        heavy = _GOVERNED if c == 0 and signals.governed else _WEIGHTS.get(name, 1.0)
-        sizes.append(heavy * float(np.sqrt(np.mean((response[..., c] / level) ** 2))))
-    return max(sizes)
+        shift = 100.0 * float(np.sqrt(np.mean((tried.response[..., c] / level) ** 2)))
+        speed = _ALONE_PCT if alone else _SPEED_PCT
+        if name in signals.free and c == 0:
+            speed = _UNGOVERNED_PCT
+        sizes.append(shift / _SCATTER_PCT.get(name, speed))
+    return np.array(sizes)
+
+
+def _plainest(fits: list[Fit], flights: Flights, left: Misfit) -> list[Fit]:
+    """The fits with a wrong sensor before wear, where wear would say no more than that.
+
+    Wear can shift every output, so that it follows whatever one sensor does and the scatter of
+    the others with it. It is no wear if one channel alone is shifted beyond scatter, by the same
+    at idle and at full power, and that channel's offset takes nearly as much.
+    """
+    if not fits or fits[0].effects[0].id != "deterioration":
+        return fits
+    worn, before = fits[0], float(left.size(left.gap).sum())
+    sizes, outputs = _in_scatters(worn, flights), flights.signals.outputs
+    most = int(np.argmax(sizes))
+    alone = [one for one in fits if one.effects[0].channel == outputs[most]]
+    shift, power = worn.response[..., most], flights.signals.power(flights.y)
+    slope = float(np.cov(shift.ravel(), power.ravel())[0, 1] / max(float(np.var(power)), 1e-12))
+    level = abs(slope) < _LEVEL * abs(float(shift.mean()))
+    others = float(np.delete(sizes, most).max(initial=0.0))
+    if not (alone and level and others < min(1.0, 0.5 * sizes[most])):
+        return fits
+    if before - float(alone[0].held_out.sum()) < _AS_GOOD * (before - float(worn.held_out.sum())):
+        return fits
+    return [alone[0], *(one for one in fits if one is not alone[0])]
 
 
 def _better_than_new(tried: Fit, signals: Signals) -> bool:

@@ -103,7 +103,7 @@ def _names(claimed: Fit | None, offset: Offset | None) -> tuple[str, ...]:
 def _verdict(work: Work, claimed: Fit | None, offset: Offset | None) -> tuple[Kind, str]:
     """Kind of the answer and the reason for it, rivals aside."""
     heard = work.audible / float(work.problem.misfit.floor.sum())
-    if claimed is not None and _bearable(work, claimed):
+    if claimed is not None and bearable(work, claimed):
         return "effects", "explains flights that had no part in the fit"
     if claimed is None and offset is not None:
         return "effects", "explains flights that had no part in the fit"
@@ -117,7 +117,7 @@ def _verdict(work: Work, claimed: Fit | None, offset: Offset | None) -> tuple[Ki
     return "unknown", f"the gap is real, but the best effect takes only {best:.0%} of it"
 
 
-def _bearable(work: Work, claimed: Fit) -> bool:
+def bearable(work: Work, claimed: Fit) -> bool:
     """Whether what is left unexplained may be left."""
     options = work.options
     most = options.unexplained

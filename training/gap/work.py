@@ -28,9 +28,8 @@ class Options:
     explains `aligned` of it where it acts. A rival is the leader's equal if it leaves no more than
     `close` times what the leader leaves, or if flights differ on who is ahead. `audible` is the
     least gap, as a share of the noise's energy, that is a gap at all; below `quiet`, as a share of
-    a channel's range, it is a misfit that nobody has to explain; `scatter` is the shift, as a share
-    of a channel's level, that build scatter may make. `price` is what the windows of an unlogged
-    load are worth in noise, in Q of every flight; nothing where there are none.
+    a channel's range, it is a misfit that nobody has to explain. `price` is what the windows of an
+    unlogged load are worth in noise, in Q of every flight; nothing where there are none.
     """
 
     quantile: float = 0.99
@@ -46,7 +45,6 @@ class Options:
     close: float = 1.2
     audible: float = 0.03
     most: int = 2
-    scatter: float = 0.018
     seed: int = 0
     price: tuple[float, ...] = ()
 

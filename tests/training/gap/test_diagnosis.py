@@ -42,6 +42,53 @@ def test_an_offset_larger_than_build_scatter_is_named(flights, engine, recorded)
     assert (found.kind, found.effects) == ("effects", ("throttle_bias",)), found.reason
 
 
+def test_an_error_that_follows_the_day_is_named_beside_build_scatter(flights, engine, recorded):
+    """Offsets that all days share, as large as what the days differ by, do not hide it."""
+    days = flights.u[..., [3]] * np.array([0.06, 0.03, 0.5])
+    found = answer(flights, engine, recorded({}) + days + np.array([0.2, -0.3, 8.0]))
+    assert (found.kind, found.effects) == ("effects", ("temperature_effect",)), found.reason
+    rate = found.tried[0].parameters["temperature_effect"]["per_10K_N1_pct"]
+    assert rate.value == pytest.approx(0.6, abs=0.03)
+
+
+def test_offsets_that_all_days_share_do_not_follow_them(flights, engine, recorded):
+    found = answer(flights, engine, recorded({}) + np.array([0.2, -0.3, 8.0]))
+    assert (found.kind, found.effects) == ("none", ())
+
+
+@pytest.mark.parametrize("channel", ["N2_pct", "EGT_C"])
+def test_one_wrong_sensor_is_no_wear(channel, flights, engine, recorded):
+    """The others scatter a little, which wear would follow."""
+    column = flights.signals.y(channel)
+    shift = np.array([0.0, 0.2, 3.0])
+    shift[column] = (1.8, 40.0)[column - 1]
+    found = answer(flights, engine, recorded({}) + shift)
+    assert (found.kind, found.effects) == ("effects", (f"sensor_bias:{channel}",)), found.reason
+
+
+def test_shifts_of_several_outputs_that_grow_with_power_are_wear(flights, engine, recorded):
+    real = recorded({"deterioration": [0.4, 1.2, 12.0, 25.0]})
+    found = answer(flights, engine, real)
+    assert (found.kind, found.effects) == ("effects", ("deterioration",)), found.reason
+
+
+def test_an_offset_is_named_by_itself_where_what_moves_explains_little(flights, engine, recorded):
+    """A temperature that swings by itself is no effect, and does not hide the lever's bias."""
+    time = np.arange(flights.y.shape[1])
+    real = recorded({"throttle_bias": [3.0]})
+    for f, row in enumerate(real):
+        row[:, 2] += 6.0 * np.sin(time / (7.0 + f))
+    found = answer(flights, engine, real)
+    assert (found.kind, found.effects) == ("effects", ("throttle_bias",)), found.reason
+
+
+def test_an_offset_comes_before_a_second_effect_that_takes_less(flights, engine, recorded):
+    real = recorded({"sensor_lag:EGT_C": [2.5, 0.5], "throttle_delay": [0.1]})
+    real[..., 1] += 3.0
+    found = answer(flights, engine, real)
+    assert found.effects == ("sensor_lag:EGT_C", "sensor_bias:N2_pct"), found.reason
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_noise_alone_is_no_gap(seed, flights, engine, recorded):
     found = answer(flights, engine, recorded({}, seed))
