@@ -223,11 +223,21 @@ def read_effects(file: Path) -> FoundEffects:
     """
     file = file / "gap.json" if file.is_dir() else file
     document = _document(file)
-    values = claimed_in(document)
-    signals = signals_from_json(document["quality"]["signals"])
     folder = file.parent / EMULATOR
     emulator = read_emulator(folder) if folder.is_dir() else None
-    quality = document["quality"]
+    try:
+        return _found(document, emulator)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ConfigError(
+            f"a part is missing or damaged: {type(error).__name__}: {error}",
+            file=file,
+            hint="Name the gap.json that narxcal diagnose wrote, unchanged",
+        ) from None
+
+
+def _found(document: Mapping[str, Any], emulator: GreyBoxEmulator | None) -> FoundEffects:
+    values, quality = claimed_in(document), document["quality"]
+    signals = signals_from_json(quality["signals"])
     searched = frozenset((*quality.get("flights", ()), *quality.get("held_out", ())))
     return FoundEffects(values, signals, emulator, _windows(document), searched)
 

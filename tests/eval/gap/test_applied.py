@@ -102,6 +102,15 @@ def test_logs_that_do_not_fit_are_refused(signals, fly, log_of):
         ("{", "not JSON"),
         ("[]", "expected schema 'narxcal.gap/1', found None"),
         ('{"schema": "narxcal.evaluate/1"}', "found 'narxcal.evaluate/1'. Name the gap.json"),
+        ('{"schema": "narxcal.gap/1"}', "a part is missing or damaged: KeyError: 'quality'"),
+        (
+            '{"schema": "narxcal.gap/1", "quality": {"signals": {"inputs": []}}}',
+            "a part is missing or damaged: KeyError: 'outputs'. Name the gap.json",
+        ),
+        (
+            '{"schema": "narxcal.gap/1", "effects": ["sensor_lag"]}',
+            "a part is missing or damaged: AttributeError",
+        ),
     ],
 )
 def test_what_is_no_diagnosis_is_refused(tmp_path, text, problem):
