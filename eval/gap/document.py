@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
@@ -171,14 +172,25 @@ def _shrink(evidence: Evidence) -> dict[str, Any]:
     held = evidence.held_out
     channels = evidence.channels if held is None else held.channels
     return {
-        "predicted": asdict(evidence.predicted),
+        "predicted": _within_all(evidence.predicted),
         "realised": None if held is None else held.share,
         "channels": {name: asdict(found) for name, found in channels.items()},
         "shares": {name: _taken(found) for name, found in channels.items()},
         "times": {name: asdict(found) for name, found in evidence.times.items()},
-        "predicted_beside_scatter": asdict(evidence.finding.predicted),
+        "predicted_beside_scatter": _within_all(evidence.finding.predicted),
         "on": "the flights of the diagnosis" if held is None else _flown(held),
     }
+
+
+def _within_all(found: Interval) -> dict[str, float]:
+    """A share from all to as much again; ends that one flight cannot know are as far as can be."""
+    value = _clipped(found.value, 0.0)
+    low, high = _clipped(found.low, -1.0), _clipped(found.high, 1.0)
+    return {"value": value, "low": min(low, value), "high": max(high, value)}
+
+
+def _clipped(share: float, unknown: float) -> float:
+    return min(1.0, max(-1.0, share)) if math.isfinite(share) else unknown
 
 
 def _taken(found: ChannelShrink) -> float:

@@ -80,6 +80,55 @@ def test_a_slow_probe_is_found_and_the_gap_closes_on_other_flights(diagnosed):
     )
 
 
+def intervals(value, path=""):
+    """Every part of a document with ends: where, the value in between (if any), low, high."""
+    if isinstance(value, dict):
+        # Levels of regimes are called low, mid and high, too.
+        if isinstance(value.get("low"), float) and "regime_shares" not in path:
+            middle = value.get("value", value.get("share"))
+            yield path, middle, value["low"], value["high"]
+        for key, part in value.items():
+            yield from intervals(part, f"{path}/{key}")
+    elif isinstance(value, list):
+        for number, part in enumerate(value):
+            yield from intervals(part, f"{path}/{number}")
+
+
+def refuse(constant):
+    pytest.fail(f"{constant} is no JSON")
+
+
+def test_the_document_keeps_its_contract(diagnosed):
+    """The keys that others rely on, numbers that JSON knows, and every value within its ends."""
+    text = (diagnosed[1] / "gap.json").read_text("utf-8")
+    document = json.loads(text, parse_constant=refuse)
+    keys = {"schema", "verdict", "effects", "where", "side", "theil", "shrink", "emulator"}
+    assert keys | {"quality"} <= set(document)
+    verdict = {"kind": str, "effects": list, "ambiguous_with": list, "reason": str}
+    for key, kind in {**verdict, "separating_manoeuvre": str}.items():
+        assert isinstance(document["verdict"][key], kind)
+    for row in document["effects"]:
+        assert isinstance(row["id"], str)
+        assert isinstance(row["family"], str)
+        assert 0.0 <= row["probability"] <= 1.0
+        assert {"value", "low", "high"} == set(row["gain"])
+        assert all({"value", "low", "high"} <= set(each) for each in row["parameters"].values())
+    for row in document["where"]:
+        assert {"channel", "direction", "phase", "regime", "share", "low", "high"} <= set(row)
+    shrink = document["shrink"]
+    assert {"value", "low", "high"} == set(shrink["predicted"])
+    assert isinstance(shrink["realised"], float)
+    assert all({"before", "after", "floor"} == set(row) for row in shrink["channels"].values())
+    assert document["emulator"]["used"] is True
+    assert set(document["emulator"]["rmse"]) == set(shrink["channels"])
+    assert set(document["side"]) == {"input", "process", "sensor"}
+    found = list(intervals(document))
+    assert len(found) > 30
+    for path, middle, low, high in found:
+        assert low <= high, path
+        assert middle is None or low <= middle <= high, path
+
+
 def test_anybody_can_add_the_effects_to_the_simulator(diagnosed, case, narxcal):
     _, folder = diagnosed
     out = case / "with_effects"

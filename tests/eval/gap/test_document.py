@@ -1,6 +1,7 @@
 """The document has the fixed keys, ranks what was tried, and its summary says the verdict."""
 
 import json
+import math
 from dataclasses import replace
 
 import pytest
@@ -168,3 +169,17 @@ def test_of_many_parameters_the_surest_are_shown():
     )
     row = {"parameters": {"a": unsure, "b": sure, "c": sure, "d": unsure, "e": sure}}
     assert parameters(row) == "b 2 [1.9, 2.1] %, c 2 [1.9, 2.1] %, e 2 [1.9, 2.1] %, and 2 more"
+
+
+@pytest.mark.parametrize(
+    ("predicted", "told"),
+    [
+        (Interval(0.9, 0.8, 1.0), (0.9, 0.8, 1.0)),
+        (Interval(1.1, 0.8, 1.3), (1.0, 0.8, 1.0)),
+        (Interval(0.4, -math.inf, math.inf), (0.4, -1.0, 1.0)),
+        (Interval(0.4, math.nan, math.nan), (0.4, -1.0, 1.0)),
+    ],
+)
+def test_a_prediction_is_a_share_with_ends_whatever_is_known(evidence, predicted, told):
+    found = document(replace(evidence, predicted=predicted))["shrink"]["predicted"]
+    assert tuple(found.values()) == told
