@@ -12,7 +12,7 @@ import numpy as np
 from eval.gap.claimed import Values, with_effects
 from eval.gap.data import FloatArray, GapData, Pair
 from narxcal.effects.base import Signals
-from narxcal.effects.running import Emulator
+from narxcal.effects.running import Emulator, Flights
 from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
 from training.gap.finding import Finding
 from training.gap.quadratic import misfit
@@ -50,8 +50,7 @@ class Spell(NamedTuple):
 
 def look_for_load(data: GapData) -> tuple[GapData, Load]:
     """The data with the windows of an unlogged load as one more input, if there are any."""
-    measure = misfit(data.flights, data.real, data.noise)
-    load = find_load(data.flights, measure, aircraft(data))
+    load = _search(data, data.flights)
     return replace(data, flights=with_load(data.flights, load.on)), load
 
 
@@ -68,8 +67,15 @@ def look_beside(finding: Finding, data: GapData, emulator: Emulator | None) -> t
     if finding.kind == "none" or not values:
         return data, _no_load(data)
     beside = replace(data.flights, y=with_effects(values, data.flights, emulator))
-    load = find_load(beside, misfit(beside, data.real, data.noise), aircraft(data))
+    load = _search(data, beside)
     return replace(data, flights=with_load(data.flights, load.on)), load
+
+
+def _search(data: GapData, flights: Flights) -> Load:
+    measure = misfit(flights, data.real, data.noise)
+    # A channel whose gap is nothing correlates with none: that is no reason for a warning.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return find_load(flights, measure, aircraft(data))
 
 
 def _no_load(data: GapData) -> Load:

@@ -8,9 +8,11 @@ import pytest
 
 from eval.gap import diagnose as module
 from eval.gap.applied import read_effects
+from eval.gap.blocks import batch
 from eval.gap.diagnose import diagnose_pairs
-from eval.gap.hidden_load import aircraft
+from eval.gap.hidden_load import aircraft, look_for_load
 from eval.gap.page import gap_page
+from eval.gap.pairs import pair_logs
 from eval.gap.summary import window_table
 from tests.eval.gap.conftest import lagged
 from training.gap.finding import Interval
@@ -174,3 +176,14 @@ def test_engines_of_one_aircraft_are_known_by_name_and_place(names, expected, ma
 def test_engines_flown_elsewhere_are_no_pair(make_data):
     data = replace(make_data(flights=2), names=("a_left", "a_right"))
     assert aircraft(data) == ()
+
+
+def test_a_channel_without_any_gap_is_no_reason_for_a_warning(fly, record, log_of):
+    """Warnings are errors in these tests."""
+    pairs = []
+    for seed in range(3):
+        sim = fly(seed)
+        real = {**record(sim, seed), "N2_pct": sim["N2_pct"]}
+        pairs.append(pair_logs(f"f{seed}", log_of(real), log_of(sim)))
+    _, load = look_for_load(batch(pairs))
+    assert load.windows == ()
