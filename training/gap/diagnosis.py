@@ -33,6 +33,7 @@ OFFSETS = ("deterioration", "sensor_bias", "throttle_bias", "temperature_effect"
 _OFFSET, _OF_WHOLE = 0.25, 0.015  # least shares of the whole gap of an offset, and of anything
 Watch = Callable[[str, int, int], None]
 _SECOND = 0.3  # of what one effect leaves: less is no reason to name another
+_LEADING = 0.7  # of the first one's rank: as likely, if the first holds in too few flights
 _ENOUGH = 0.03  # share left of the gap that nobody asks about
 
 
@@ -70,16 +71,16 @@ def diagnose(
 def _first(work: Work, moving: Sequence[Effect], watch: Watch | None) -> Fit | None:
     """The best effect if it earns a claim, or None."""
     work.fits = [_tried(work, [effect], (k, len(moving), watch)) for k, effect in enumerate(moving)]
-    work.fits.sort(key=work.gain, reverse=True)
+    work.fits.sort(key=work.rank, reverse=True)
     residual = work.problem.misfit.cleaned(work.problem.misfit.gap - work.fits[0].response)
     gains = null_gains(
         work.fits, work.problem.misfit, residual, work.options.draws, work.options.seed
     )
     work.threshold = float(np.quantile(gains, work.options.quantile)) / work.audible
     heard = work.audible > work.options.audible * float(work.problem.misfit.floor.sum())
-    if not (heard and _earned(work, work.fits[0], work.before, work.options.material)):
-        return None
-    return work.fits[0]
+    leading = [one for one in work.fits if work.rank(one) >= _LEADING * work.rank(work.fits[0])]
+    earned = (one for one in leading if _earned(work, one, work.before, work.options.material))
+    return next(earned, None) if heard else None
 
 
 def _further(work: Work, best: Fit, offset: Offset | None, watch: Watch | None) -> Fit | None:

@@ -15,6 +15,7 @@ from training.gap.work import Work
 
 _LEFT = 0.01  # of the gap: nobody can tell two models that both leave less
 _KIN = 0.75  # of what the leader takes
+_APART = 0.2  # in what two explain where they act: they are about different things
 _AGREED = 0.95  # level at which flights agree on who is ahead
 Offset = tuple[list[Fit], FloatArray, float]  # offsets, best first; Q before; Q that is audible
 
@@ -26,7 +27,7 @@ def finding(
     noise: FloatArray,
 ) -> Finding:
     """The verdict over all that was tried."""
-    order = sorted(work.fits, key=work.gain, reverse=True)
+    order = sorted(work.fits, key=work.rank, reverse=True)
     if claimed is not None:
         order = [claimed, *(one for one in order if one is not claimed)]
     odds = probabilities([one.held_out for one in order])
@@ -127,7 +128,9 @@ def bearable(work: Work, claimed: Fit) -> bool:
         most = options.unexplained_inside
     if work.left(claimed) <= most:
         return True
-    return work.gain(claimed) >= options.distinct and work.aligned(claimed) >= options.aligned
+    # A part of what nobody would call a gap is no more worth naming than the rest of it.
+    distinct = work.gain(claimed) >= options.distinct and _loudest(work) >= options.quiet
+    return distinct and work.aligned(claimed) >= options.aligned
 
 
 def _loudest(work: Work) -> float:
@@ -161,7 +164,9 @@ def _rivals(work: Work, claimed: Fit, order: Sequence[Fit]) -> tuple[str, ...]:
 
 
 def _equal(work: Work, claimed: Fit, other: Fit) -> bool:
-    """Whether held-out flights do not tell the two apart."""
+    """Whether held-out flights do not tell the two apart, nor what they explain where they act."""
+    if work.aligned(other) < work.aligned(claimed) - _APART:
+        return False
     left = 1.0 - work.gain(claimed)
     if 1.0 - work.gain(other) <= work.options.close * left + _LEFT:
         return True

@@ -103,6 +103,14 @@ class Work:
         after = float((acts * ((gap - response) ** 2 - self.noise**2)).sum())
         return 1.0 - after / max(before, 1e-9)
 
+    def rank(self, tried: Fit) -> float:
+        """What candidates are ordered by: what one gains, times what it explains where it acts.
+
+        Of two that gain much the same, one that explains what it touches is there; one that
+        explains it in part follows something else, of which it may gain as much by its size.
+        """
+        return self.gain(tried) * max(self.aligned(tried), 0.0)
+
     def unexplained(self, tried: Fit) -> float:
         """Share of what flights tell that is left; a load says nothing of flights without it."""
         rows, floor = witnesses(tried, self.options.price), self.problem.misfit.floor
