@@ -117,7 +117,10 @@ class Delay:
 
 
 class SmoothDelay(Delay):
-    """The input `delay_s` ago, on the cubic through four samples (Newton, backward differences)."""
+    """The input `delay_s` ago, on the cubic through four samples (Newton, backward differences).
+
+    Never beyond the two samples that it lies between, so that a step does not overshoot.
+    """
 
     reach: ClassVar[int] = 3
 
@@ -125,7 +128,8 @@ class SmoothDelay(Delay):
         now, *_ = samples
         first, second, third = (_difference(samples, k) for k in (1, 2, 3))
         bend = second / 2.0 + (2.0 - part) * third / 6.0
-        return np.asarray(now - part * (first + (1.0 - part) * bend))
+        found = now - part * (first + (1.0 - part) * bend)
+        return np.clip(found, np.minimum(now, samples[1]), np.maximum(now, samples[1]))
 
 
 def _difference(samples: Sequence[FloatArray], order: int) -> FloatArray:

@@ -138,7 +138,14 @@ def test_a_smooth_delay_moves_a_cubic_by_itself(delay):
     t = DT * np.arange(100)
     found = over(SmoothDelay(np.array([delay]), DT), t**3 - 4.0 * t**2)
     late = t - delay
-    np.testing.assert_allclose(found[25:], (late**3 - 4.0 * late**2)[25:], rtol=1e-9)
+    np.testing.assert_allclose(found[60:], (late**3 - 4.0 * late**2)[60:], rtol=1e-9)
+
+
+def test_a_smooth_delay_does_not_overshoot_a_step():
+    step = np.repeat([0.0, 1.0], 20)
+    found = over(SmoothDelay(np.array([0.7 * DT]), DT), step)
+    assert (np.diff(found) >= 0.0).all()
+    assert (found.min(), found.max()) == (0.0, 1.0)
 
 
 @pytest.mark.parametrize("tau", [0.03, 0.06, 0.1])

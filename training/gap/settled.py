@@ -79,7 +79,7 @@ def fit_settled(flights: Flights) -> SettledModel:
     signals, u = flights.signals, flights.u
     conditions = tuple(signals.u(name) for name in CONDITIONS if name in signals.active)
     switches = tuple(signals.u(name) for name in SWITCHES if name in signals.active)
-    flown = u[..., list(conditions)].reshape(-1, len(conditions))
+    flown = u.reshape(-1, u.shape[-1])[:, list(conditions)]
     low, high = flown.min(axis=0), flown.max(axis=0)
     blank = SettledModel(signals, conditions, switches, low, high, np.zeros((0, 0)))
     rows, targets = blank.features(u), flights.y

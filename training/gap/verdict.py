@@ -16,6 +16,7 @@ from training.gap.work import Work
 _LEFT = 0.01  # of the gap: nobody can tell two models that both leave less
 _KIN = 0.75  # of what the leader takes
 _APART = 0.2  # in what two explain where they act: they are about different things
+_SMALL = 0.25  # of the mean gap of a flight: less is none to take shares of
 _AGREED = 0.95  # level at which flights agree on who is ahead
 Offset = tuple[list[Fit], FloatArray, float]  # offsets, best first; Q before; Q that is audible
 
@@ -170,7 +171,8 @@ def _equal(work: Work, claimed: Fit, other: Fit) -> bool:
     left = 1.0 - work.gain(claimed)
     if 1.0 - work.gain(other) <= work.options.close * left + _LEFT:
         return True
-    worse = other.held_out - claimed.held_out
+    gap = work.before - work.problem.misfit.floor  # flights of any length count the same
+    worse = (other.held_out - claimed.held_out) / np.maximum(gap, _SMALL * gap.mean())
     count = len(worse)
     if count < 2 or work.gain(other) < 0.5 * work.gain(claimed):
         return False

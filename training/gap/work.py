@@ -87,7 +87,7 @@ class Work:
         return float((tried.left - self.problem.misfit.floor).sum()) / self.audible
 
     def aligned(self, tried: Fit) -> float:
-        """Share of the gap that the fit explains where its response is, noise aside.
+        """Share of the gap that the fit explains where its response is, noise aside: 0 to 1.
 
         Every sample counts by the energy of the response there, up to a fiftieth of its peak:
         whatever else is wrong elsewhere says nothing about the effect.
@@ -101,7 +101,7 @@ class Work:
         acts = measure.weights * energy / (energy + _FAINT * peak)
         before = float((acts * (gap**2 - self.noise**2)).sum())
         after = float((acts * ((gap - response) ** 2 - self.noise**2)).sum())
-        return 1.0 - after / max(before, 1e-9)
+        return 0.0 if before <= 0.0 else float(np.clip(1.0 - after / before, 0.0, 1.0))
 
     def rank(self, tried: Fit) -> float:
         """What candidates are ordered by: what one gains, times what it explains where it acts.
@@ -109,7 +109,7 @@ class Work:
         Of two that gain much the same, one that explains what it touches is there; one that
         explains it in part follows something else, of which it may gain as much by its size.
         """
-        return self.gain(tried) * max(self.aligned(tried), 0.0)
+        return self.gain(tried) * self.aligned(tried)
 
     def unexplained(self, tried: Fit) -> float:
         """Share of what flights tell that is left; a load says nothing of flights without it."""

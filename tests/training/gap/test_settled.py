@@ -98,3 +98,12 @@ def test_flights_without_any_switch_settle_too():
     model = fit_settled(Flights(still, u, y, np.full(len(u), u.shape[1])))
     assert model.switches == ()
     np.testing.assert_allclose(model.outputs(u), model.features(u) @ model.weights, atol=1e-9)
+
+
+def test_a_test_bench_has_no_conditions():
+    u, y = flown(flights=2)
+    u[..., 1:4] = 0.0
+    bench = replace(signals(y), active=("TRA_deg", *INPUTS[4:]))
+    model = fit_settled(Flights(bench, u, y, np.full(2, u.shape[1])))
+    assert model.conditions == ()
+    assert np.isfinite(model.outputs(u)).all()

@@ -22,3 +22,15 @@ def test_other_misfit_elsewhere_says_nothing_of_an_effect(flights, engine, recor
     assert work.left(found) > 0.4
     assert work.aligned(found) > 0.95
     assert work.aligned(fit([effect("sensor_lag:EGT_C")], problem)) < 0.5
+
+
+def test_what_does_next_to_nothing_ranks_last(flights, engine, recorded):
+    """A response that gains as good as nothing, where the gap is as good as nothing, leads nobody."""
+    measure = misfit(flights, recorded({"sensor_lag:EGT_C": [1.2, 0.5]}), NOISE)
+    problem = Problem(flights, engine, measure)
+    work = Work(problem, Options(), measure.size(measure.gap), NOISE, measure)
+    right, other = (fit([effect(n)], problem) for n in ("sensor_lag:EGT_C", "time_skew:N2_pct"))
+    for one in (right, other):
+        assert 0.0 <= work.aligned(one) <= 1.0
+    assert work.rank(right) > 0.9
+    assert work.rank(other) < 0.1
