@@ -25,7 +25,7 @@ def test_other_misfit_elsewhere_says_nothing_of_an_effect(flights, engine, recor
 
 
 def test_what_does_next_to_nothing_ranks_last(flights, engine, recorded):
-    """A response that gains as good as nothing, where the gap is as good as nothing, leads nobody."""
+    """Nearly no response, where there is nearly no gap, leads nobody."""
     measure = misfit(flights, recorded({"sensor_lag:EGT_C": [1.2, 0.5]}), NOISE)
     problem = Problem(flights, engine, measure)
     work = Work(problem, Options(), measure.size(measure.gap), NOISE, measure)
