@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from narxcal.atmosphere import air_state
 from narxcal.errors import ModelError
-from narxcal.lag_steps import PARAMETERS, run_lags
+from narxcal.lag_steps import CASING, FAST, PARAMETERS, STATES, run_lags
 from narxcal.narx import AT_START
 
 FloatArray = NDArray[np.float64]
@@ -66,7 +66,7 @@ class Wiring(NamedTuple):
 class LagModel:
     """The lags of all outputs.
 
-    `parameters` (n_out, 23) are named by `PARAMETERS`. `centre` and `half` (n_out,) scale the
+    `parameters` (n_out, 27) are named by `PARAMETERS`. `centre` and `half` (n_out,) scale the
     corrected outputs; `limit` (n_out,) bounds the magnitude of each deviation. The core spool is
     the last output that is a speed, or the first output of an engine without one.
     """
@@ -115,28 +115,41 @@ class LagModel:
         starts: tuple[IntArray, FloatArray],
         dt_s: float,
         measured: FloatArray | None = None,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Fast and slow part (T, n_out) of the deviation; arguments as of `run_lags`."""
+    ) -> FloatArray:
+        """States (T, 3, n_out), whose sum is the deviation; arguments as of `run_lags`."""
         order = self.wiring.order
         back = np.argsort(order)
         ss, target, per_unit = (np.ascontiguousarray(part[:, order]) for part in drive[:3])
         forced = np.empty((0, len(order))) if measured is None else measured[:, order]
-        fast, slow = run_lags(
+        states = run_lags(
             (ss, target, per_unit, drive.air),
             (self.parameters[order], self.limit[order]),
             (starts[0], np.ascontiguousarray(starts[1][:, :, order])),
             np.ascontiguousarray(forced),
             dt_s,
         )
-        return fast[:, back], slow[:, back]
+        return states[:, :, back]
 
     def deviations(
         self, drive: Drive, start: FloatArray, dt_s: float, measured: FloatArray | None = None
     ) -> FloatArray:
         """Deviations (T, n_out) from `start` (n_out,) on; a NaN there counts as zero."""
-        first = np.stack([np.nan_to_num(start), np.zeros(len(start))])
-        fast, slow = self.run(drive, (AT_START, first[None]), dt_s, measured)
-        return fast + slow
+        first = self.start(np.nan_to_num(start))
+        states = self.run(drive, (AT_START, first[None]), dt_s, measured)
+        deviation: FloatArray = states.sum(axis=1)
+        return deviation
+
+    def start(self, deviation: FloatArray) -> FloatArray:
+        """States (..., 3, n_out) where a run begins with `deviation` (..., n_out).
+
+        Engines are mostly found at rest. What is left then is the metal's heat, where the model
+        knows of it, and it goes in minutes.
+        """
+        states = np.zeros((*deviation.shape[:-1], len(STATES), deviation.shape[-1]))
+        warm = self.parameters[:, PARAMETERS.index("casing_share")] != 0.0
+        states[..., FAST, :] = np.where(warm, 0.0, deviation)
+        states[..., CASING, :] = np.where(warm, deviation, 0.0)
+        return states
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
         """Split into JSON-able structure and named arrays, for the bundle."""

@@ -2,20 +2,25 @@
 
 With the deviation d = ss - y, the time constant tau and the increment D of ss over a step dt
 
-    fast(k) = a fast(k-1) + (1 - a) ((tau - lead) D / dt + c d_core(k) + e Dy_core(k) / dt)
-    slow(k) = b (slow(k-1) + share D)
-    d(k)    = fast(k) + slow(k),         a = exp(-dt / tau),      b = exp(-dt / tau_s)
-    tau     = tau0 sqrt(1 + ((w - v) / (tau0 r))^2)
-    log tau0 = p . [1, air, v, w, v^2, v w, w^2],              air = log(sqrt(theta2) / delta2)
-    log r   = q . [1, air, v, v^2]       one q to speed up, another to slow down
-    c       = core (1 + core_speed v),   e = rate exp(rate_air air + rate_speed v)
+    fast(k)   = a fast(k-1) + (1 - a) ((tau - lead) D / dt + c d_core(k) + e Dy_core(k) / dt)
+    soak(k)   = b (soak(k-1) + share D),      casing(k) likewise, with its own share and time
+    d(k)      = fast(k) + soak(k) + casing(k),       a = exp(-dt / tau),      b = exp(-dt / tau_s)
+    tau       = tau0 sqrt(1 + ((w - v) / (tau0 r))^2)
+    log tau0  = p . [1, air, v, w, v^2, v w, w^2],             air = log(sqrt(theta2) / delta2)
+    log r     = q . [1, air, v, v^2, u]    one q to speed up, another to slow down
+    c         = core + core_speed (v_core + w_core)
+    e         = rate exp(rate_air air + rate_speed v_core)
 
 where v and w are the spool's corrected speed as it is and as it would settle, scaled to [-1, 1]
-over what training has seen. `lead` is the lag of the meter that ss is computed from, c how far an
-output follows the core spool, whose d is known first; the slow part is the heat soak. However far
-v is from w, it does not move faster than r: a control's schedules of acceleration and deceleration
-say so. A temperature answers to the core's acceleration by e, for that takes fuel. Without `limits`
-(q of `UNLIMITED`, core_speed and rate of zero) the equations are those of lags alone.
+over what training has seen, and u is the v of the other spool. `lead` is the lag of the meter that
+ss is computed from, c how far an output follows the core spool, whose d is known first: what it is
+at w_core less what it is at v_core, if a parabola says so. Soak and casing are the metal's heat,
+which blades take up in seconds and casings in minutes. However far v is from w, it does not move
+faster than r: a control's schedules of acceleration and deceleration say so. They hold the ratio of
+fuel to the pressure behind the compressor, and that pressure goes by both spools: behind a fan that
+is still slow the core accelerates less than in step with it. A temperature answers to the core's
+acceleration by e, for that takes fuel. Without `limits` (q of `UNLIMITED`; core_speed, rate and
+share of the casing zero) the equations are those of lags alone.
 """
 
 from __future__ import annotations
@@ -29,40 +34,86 @@ from narxcal.kernels import compiled
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+STATES = ("fast", "soak", "casing")
+FAST, SOAK, CASING = range(3)
 LAG_PARAMETERS = (
     "log_tau", "air", "speed", "target", "speed_speed", "speed_target", "target_target",
     "lead_s", "core", "slow_share", "log_slow_tau",
 )  # fmt: skip
 LIMIT_PARAMETERS = (
-    "log_up", "up_air", "up_speed", "up_speed_speed",
-    "log_down", "down_air", "down_speed", "down_speed_speed",
+    "log_up", "up_air", "up_speed", "up_speed_speed", "up_other",
+    "log_down", "down_air", "down_speed", "down_speed_speed", "down_other",
 )  # fmt: skip
 FUEL_PARAMETERS = ("core_speed", "rate", "rate_air", "rate_speed")
-PARAMETERS = (*LAG_PARAMETERS, *LIMIT_PARAMETERS, *FUEL_PARAMETERS)
+CASING_PARAMETERS = ("casing_share", "log_casing_tau")
+PARAMETERS = (*LAG_PARAMETERS, *LIMIT_PARAMETERS, *FUEL_PARAMETERS, *CASING_PARAMETERS)
 UNLIMITED = 20.0  # `log_up` and `log_down` of a spool as fast as its time constant lets it be
-_UP, _DOWN, _FUEL = (PARAMETERS.index(name) for name in ("log_up", "log_down", "core_speed"))
+_UP, _DOWN, _FUEL, _CASING = (
+    PARAMETERS.index(name) for name in ("log_up", "log_down", "core_speed", "casing_share")
+)
 
 
 @compiled
-def time_constant(p: FloatArray, air: float, v: float, w: float, limited: bool) -> float:
-    """Seconds; the longer the more of a step a `limited` spool still has before it."""
+def within(value: float, most: float) -> float:
+    """`value`, but no further from zero than `most`."""
+    return min(max(value, -most), most)
+
+
+@compiled
+def time_constant(
+    p: FloatArray, air: float, speeds: tuple[float, float, float], limited: bool
+) -> float:
+    """Seconds; the longer the more of a step a `limited` spool still has before it.
+
+    `speeds` are v, w and u of the module.
+    """
+    v, w, other = speeds
     log_tau = p[0] + p[1] * air + p[2] * v + p[3] * w
     log_tau += p[4] * v * v + p[5] * v * w + p[6] * w * w
     tau = math.exp(min(max(log_tau, -2.5), 3.0))
     if limited:
         q = _UP if w > v else _DOWN
-        log_most = p[q] + p[q + 1] * air + p[q + 2] * v + p[q + 3] * v * v
+        log_most = p[q] + p[q + 1] * air + p[q + 2] * v + p[q + 3] * v * v + p[q + 4] * other
         ratio = (w - v) / (tau * math.exp(min(max(log_most, -5.0), UNLIMITED)))
         tau *= math.sqrt(1.0 + ratio * ratio)
     return tau
 
 
 @compiled
-def drawn_by_core(p: FloatArray, core: float, rate: float, air: float, v: float) -> float:
-    """What the core's deviation `core` and its speed's `rate` per second draw an output to."""
-    strength = math.exp(min(max(p[_FUEL + 2] * air + p[_FUEL + 3] * v, -3.0), 3.0))
-    drawn: float = p[8] * core * (1.0 + p[_FUEL] * v) + p[_FUEL + 1] * strength * rate
+def drawn_by_core(
+    p: FloatArray, core: float, rate: float, air: float, speeds: tuple[float, float]
+) -> float:
+    """What the core's deviation `core` and its speed's `rate` per second draw an output to.
+
+    `speeds` are the core's v and w.
+    """
+    v, w = speeds
+    drawn: float = (p[8] + p[_FUEL] * (v + w)) * core
+    if p[_FUEL + 1] != 0.0:
+        strength = math.exp(within(p[_FUEL + 2] * air + p[_FUEL + 3] * v, 3.0))
+        drawn += p[_FUEL + 1] * strength * rate
     return drawn
+
+
+@compiled
+def decays(parameters: FloatArray, dt_s: float) -> FloatArray:
+    """What a step leaves of soak and casing, (2, o)."""
+    left = np.empty((2, len(parameters)))
+    for o in range(len(parameters)):
+        soak = min(max(parameters[o, 10], 0.0), 4.0)
+        casing = min(max(parameters[o, _CASING + 1], 2.0), 5.0)
+        left[0, o] = math.exp(-dt_s / math.exp(soak))
+        left[1, o] = math.exp(-dt_s / math.exp(casing))
+    return left
+
+
+@compiled
+def fan_of(per_unit: FloatArray) -> int:
+    """Column of the first spool beside the core; 0 where there is none."""
+    for o in range(1, per_unit.shape[1]):
+        if per_unit[len(per_unit) - 1, o] > 0.0:
+            return o
+    return 0
 
 
 @compiled
@@ -72,52 +123,48 @@ def run_lags(
     starts: tuple[IntArray, FloatArray],
     measured: FloatArray,
     dt_s: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Fast and slow part (T, o) of the deviation; see the module for the equations.
+) -> FloatArray:
+    """States (T, 3, o), see `STATES`, whose sum is the deviation; the module has the equations.
 
     `drive` are the columns of `Drive` with the core spool first (see `LagModel.run`); where an
     output is no speed, its columns but ss hold the core's, and `per_unit` is negative. `lags` are
-    `parameters` and `limit` of the model, sorted alike; their sum is kept within +-`limit`.
-    `starts` are (positions (n,), parts (n, 2, o)): rows at which a window begins, and fast and
-    slow part there. `measured` (T, o), if it has rows, replaces the deviation before each step
-    where it is finite (one-step prediction).
+    `parameters` and `limit` of the model, sorted alike; the sum is kept within +-`limit`.
+    `starts` are (positions (n,), states (n, 3, o)): rows at which a window begins, and the states
+    there. `measured` (T, o), if it has rows, replaces the deviation before each step where it is
+    finite (one-step prediction).
     """
     ss, target, per_unit, air = drive
     parameters, limit = lags
-    positions, parts = starts
-    steps, outputs = ss.shape
-    fast = np.zeros((steps, outputs))
-    slow = np.zeros((steps, outputs))
-    before = np.zeros(outputs)
-    window = 0
-    for k in range(steps):
-        if window < len(positions) and positions[window] == k:
-            fast[k] = parts[window, 0]
-            slow[k] = parts[window, 1]
+    states = np.zeros((len(ss), 3, ss.shape[1]))
+    before, v = np.zeros(ss.shape[1]), np.zeros(ss.shape[1])
+    left, fan, window = decays(parameters, dt_s), fan_of(per_unit), 0
+    for k in range(len(ss)):
+        if window < len(starts[0]) and starts[0][window] == k:
+            states[k] = starts[1][window]
             window += 1
             continue
-        for o in range(outputs):
-            before[o] = fast[k - 1, o]
+        past, state = states[k - 1], states[k]
+        for o in range(len(v)):
+            before[o] = past[0, o]
             if len(measured) > 0 and math.isfinite(measured[k - 1, o]):
-                before[o] = measured[k - 1, o] - slow[k - 1, o]
-        core_before = ss[k - 1, 0] - before[0] - slow[k - 1, 0]
-        for o in range(outputs):
-            p = parameters[o]
-            w = min(max(target[k, o], -1.5), 1.5)
+                before[o] = measured[k - 1, o] - past[1, o] - past[2, o]
             mine = before[o] if per_unit[k, o] > 0.0 else before[0]
-            v = target[k - 1, o] - mine * abs(per_unit[k, o])
-            v = min(max(v, -1.5), 1.5)
-            tau = time_constant(p, air[k], v, w, per_unit[k, o] > 0.0)
-            a = math.exp(-dt_s / tau)
-            step = ss[k, o] - ss[k - 1, o]
+            v[o] = within(target[k - 1, o] - mine * abs(per_unit[k, o]), 1.5)
+        core, rate = 0.0, 0.0
+        for o in range(len(v)):
+            p, step = parameters[o], ss[k, o] - ss[k - 1, o]
+            w, other = within(target[k, o], 1.5), v[fan] if o == 0 else v[0]
+            tau = time_constant(p, air[k], (v[o], w, other), per_unit[k, o] > 0.0)
             drawn = (tau - p[7]) * step / dt_s
             if o > 0:
-                core = fast[k, 0] + slow[k, 0]
-                rate = (ss[k, 0] - core - core_before) / dt_s
-                drawn += drawn_by_core(p, core, rate, air[k], v)
-            b = math.exp(-dt_s / math.exp(min(max(p[10], 0.0), 4.0)))
-            soak = b * (slow[k - 1, o] + p[9] * step)
-            followed = a * before[o] + (1.0 - a) * drawn
-            fast[k, o] = min(max(followed, -limit[o] - soak), limit[o] - soak)
-            slow[k, o] = soak
-    return fast, slow
+                speeds = (v[0], within(target[k, 0], 1.5))
+                drawn += drawn_by_core(p, core, rate, air[k], speeds)
+            a = math.exp(-dt_s / tau)
+            state[1, o] = left[0, o] * (past[1, o] + p[9] * step)
+            state[2, o] = left[1, o] * (past[2, o] + p[_CASING] * step)
+            slow = state[1, o] + state[2, o]
+            state[0, o] = within(a * before[o] + (1.0 - a) * drawn + slow, limit[o]) - slow
+            if o == 0:
+                core = state[0, 0] + slow
+                rate = (step - core + before[0] + past[1, 0] + past[2, 0]) / dt_s
+    return states

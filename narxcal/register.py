@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from narxcal import kernels, register_step
 from narxcal.lag import Drive, LagModel, air_columns
+from narxcal.lag_steps import FAST, STATES
 from narxcal.narx import AT_START, NarxModel, Weights
 from narxcal.register_step import OVERSHOOT, Lags, Memory, Network
 
@@ -59,15 +60,16 @@ class Register:
         nothing = np.zeros_like(first.deviation)
         # A start away from the steady state is the lags' to lose, where there are any.
         own, shown, target = first.deviation, None, nothing.copy()
+        started = np.zeros((len(STATES), len(nothing)))
         if parts.lag is not None:
-            own, shown = nothing, first.deviation[None]
+            own, shown, started = nothing, first.deviation[None], parts.lag.start(first.deviation)
             target = parts.lag.drive(first.inputs[None], parts.names, first.ss[None]).target[0]
         schedule = first.inputs[None, parts.columns]
         feature = stacked(nothing[None], shown, first.ss[None], schedule)[0]
         self.memory = Memory(
             ss=first.ss.copy(),
             target=target,
-            lagged=np.stack([first.deviation, nothing]),
+            lagged=started,
             fading=np.stack([nothing, np.abs(own)]),
             history=np.tile(self.outputs.down(own), narx.config.lags),
             past=np.tile(self.inputs.down(feature), (int(self.taps[-1]) + 1, 1)),
@@ -83,8 +85,8 @@ class Register:
             newest[:] = np.where(known, self.outputs.down(deviation), newest)
             fading[1] = np.maximum(fading[1], np.abs(self.outputs.up(newest)))
         else:
-            fast = deviation - lagged[1] - self.outputs.up(newest)
-            lagged[0] = np.where(known, fast, lagged[0])
+            fast = deviation - lagged[FAST + 1 :].sum(axis=0) - self.outputs.up(newest)
+            lagged[FAST] = np.where(known, fast, lagged[FAST])
 
     def step(self, given: FloatArray, ss: FloatArray) -> FloatArray:
         """Deviation (n_out,) at inputs (n_in,) and steady state (n_out,) one sample on."""
@@ -121,10 +123,10 @@ class Register:
         unused = np.ones((1, ss.shape[1]))
         newest = Drive(memory.ss[None], memory.target[None], unused, unused[:, 0])
         drive = lag.drive(given, self.parts.names, ss).after(newest)
-        fast, slow = lag.run(drive, (AT_START, memory.lagged[None]), self.parts.dt_s)
-        memory.lagged[:] = fast[-1], slow[-1]
+        states = lag.run(drive, (AT_START, memory.lagged[None]), self.parts.dt_s)
+        memory.lagged[:] = states[-1]
         memory.target[:] = drive.target[-1]
-        deviation: FloatArray = (fast + slow)[1:]
+        deviation: FloatArray = states.sum(axis=1)[1:]
         return deviation
 
     def _features(self, given: FloatArray, ss: FloatArray, lagged: FloatArray) -> FloatArray:

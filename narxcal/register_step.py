@@ -40,7 +40,7 @@ class Network(NamedTuple):
 
 
 class Lags(NamedTuple):
-    """The lags' arrays, core spool first; no rows of `parameters` (o, 23) where there are none.
+    """The lags' arrays, core spool first; no rows of `parameters` (o, 27) where there are none.
 
     `order`, `own` and `sign` are those of `narxcal.lag.Wiring`, and `air` its `air_columns`.
     """
@@ -59,7 +59,7 @@ class Memory(NamedTuple):
     """What the register remembers; `step` changes it in place.
 
     `ss` (o,) and the corrected, scaled `target` (o,) are those of the newest sample, `lagged`
-    (2, o) fast and slow part of the lags, `fading` (2, o) the state of the bound, `history`
+    (3, o) the states of the lags, `fading` (2, o) the state of the bound, `history`
     (lags * o,) past outputs, newest first, and `past` (depth, features) past features, newest
     last, both as the network sees them.
     """
@@ -86,16 +86,16 @@ def _lag(lags: Lags, memory: Memory, given: FloatArray, ss: FloatArray) -> None:
     )
     root = math.sqrt(theta2)
     values, target, per_unit = np.empty((2, count)), np.empty((2, count)), np.empty((2, count))
-    parts = np.empty((1, 2, count))
+    parts = np.empty((1, len(memory.lagged), count))
     centre, half = lags.scale
     for j in range(count):
         o, q = lags.order[j], lags.own[lags.order[j]]
         values[0, j], values[1, j] = memory.ss[o], ss[o]
         target[0, j], target[1, j] = memory.target[o], (ss[q] / root - centre[q]) / half[q]
         per_unit[0, j] = per_unit[1, j] = lags.sign[o] / (root * half[q])
-        parts[0, 0, j], parts[0, 1, j] = memory.lagged[0, o], memory.lagged[1, o]
+        parts[0, :, j] = memory.lagged[:, o]
     air = np.full(2, math.log(root / delta2))
-    fast, slow = run_lags(
+    states = run_lags(
         (values, target, per_unit, air),
         (lags.parameters, lags.limit),
         (np.zeros(1, dtype=np.int64), parts),
@@ -105,7 +105,7 @@ def _lag(lags: Lags, memory: Memory, given: FloatArray, ss: FloatArray) -> None:
     for j in range(count):
         o = lags.order[j]
         memory.target[o] = target[1, j]
-        memory.lagged[0, o], memory.lagged[1, o] = fast[1, j], slow[1, j]
+        memory.lagged[:, o] = states[1, :, j]
 
 
 @compiled
@@ -122,7 +122,7 @@ def _remember(
     for o in range(count):
         increments[0, o] = newest[o] = ss[o] - memory.ss[o]
         if lagged:
-            newest[count + o] = memory.lagged[0, o] + memory.lagged[1, o]
+            newest[count + o] = memory.lagged[:, o].sum()
         newest[behind + o] = memory.ss[o] = ss[o]
     for j in range(len(network.schedule)):
         newest[behind + count + j] = given[network.schedule[j]]
@@ -191,5 +191,5 @@ def step(
         history[o] = scaled[0, o]
         deviation[o] = scaled[0, o] * scale[o] + centre[o]
         if lagged:
-            deviation[o] += memory.lagged[0, o] + memory.lagged[1, o]
+            deviation[o] += memory.lagged[:, o].sum()
     return deviation

@@ -2,7 +2,8 @@
 
 An output-error estimate of few physical parameters (Jategaonkar, Flight Vehicle System
 Identification, chapter 4) by least squares with a robust loss (soft L1): what no lag explains,
-an unrecorded bleed, must not bend it. The core spool is fitted first, for the others follow it.
+an unrecorded bleed, must not bend it. The core spool is fitted first, for the others follow it; its
+limits go by the fan, which is taken as measured meanwhile.
 
 Only stretches in which the core moves are scored. *Relative* errors are divided by the swing of the
 output around them, so that a small move counts as much as a slam, as it does in tolerances of Ti
@@ -23,6 +24,7 @@ from scipy.optimize import least_squares
 from narxcal.errors import DataError
 from narxcal.lag import Drive, LagModel, core_first, core_of, speeds_of, thickness
 from narxcal.lag_steps import (
+    CASING_PARAMETERS,
     FUEL_PARAMETERS,
     LAG_PARAMETERS,
     LIMIT_PARAMETERS,
@@ -33,21 +35,30 @@ from narxcal.lag_steps import (
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
-_TAU, _LEAD, _CORE, _SLOW = (
-    PARAMETERS.index(name) for name in ("log_tau", "lead_s", "core", "log_slow_tau")
+_TAU, _LEAD, _CORE, _CORE_SPEED, _SLOW = (
+    PARAMETERS.index(name) for name in ("log_tau", "lead_s", "core", "core_speed", "log_slow_tau")
 )
+_OF_OTHER = [PARAMETERS.index(name) for name in ("up_other", "down_other")]
 _LIMITS = [PARAMETERS.index(name) for name in ("log_up", "log_down")]
+_SLOPES = [PARAMETERS.index(name) for name in ("core", "core_speed", "rate")]
 _THIN = [PARAMETERS.index(name) for name in ("up_air", "down_air")]
 # A temperature has one time constant, that of its probe; with limits it goes with the flow.
 _PROBE = ("log_tau", "lead_s", "core", "slow_share", "log_slow_tau")
-_PROBE_IN_FLOW = ("log_tau", "air", "speed", "core", "slow_share", "log_slow_tau", *FUEL_PARAMETERS)
+_PROBE_IN_FLOW = (
+    "log_tau", "air", "speed", "core", "slow_share", "log_slow_tau",
+    *FUEL_PARAMETERS, *CASING_PARAMETERS,
+)  # fmt: skip
 _START_TAU, _START_LEAD_S, _START_SLOW_TAU = -0.3, 0.3, 1.5
 # Half the corrected range in a second; a given power speeds a rotor up the less, the thinner the
-# air. A heat soak takes the longer, the less flows.
-_START_LIMIT, _START_THIN, _START_SOAK = 0.0, -1.0, 3.7
+# air.
+_START_LIMIT, _START_THIN = 0.0, -1.0
+# A temperature follows the core over its own range; the fuel that speeds the core up adds what it
+# will be 0.8 s later, longer in thin air. Blades soak heat for 7 s, casings for more than a minute.
+_START_RATE_S = -0.8
+_START_HOT = {"rate_air": 1.0, "log_slow_tau": 2.0, "casing_share": 0.02, "log_casing_tau": 4.3}
 _ROBUST = 0.15  # of the deviations' spread: errors above this count less than squared
 _PRIOR = 2.0  # one unit of a parameter costs as much as this many _ROBUST once per 1000 samples
-_EVALUATIONS = {False: 15, True: 25}  # without and with limits
+_EVALUATIONS = {False: 15, True: 20}  # without and with limits
 _MOVING = 0.03  # of the core's range within some seconds: there the lags are scored
 _STRETCHES_S = {False: (10.0, 3.0), True: (5.0, 1.0)}  # of relative errors: within, and around
 _SWING_S = 15.0  # a response with its settling
@@ -71,12 +82,16 @@ class LagSamples:
 
 
 class _Part(NamedTuple):
-    """The moving stretches of one log, end to end; an error counts `weight` (time, n_out) times."""
+    """The moving stretches of one log, end to end; an error counts `weight` (time, n_out) times.
+
+    `taken` (time, n_out), where it has rows, are deviations that are not simulated; NaN elsewhere.
+    """
 
     drive: Drive
     deviation: FloatArray
     starts: tuple[IntArray, FloatArray]
     weight: FloatArray
+    taken: FloatArray
 
     def of(self, columns: IntArray) -> _Part:
         """Some of the outputs."""
@@ -84,7 +99,15 @@ class _Part(NamedTuple):
         rows, parts = self.starts
         drive = Drive(ss, target, per_unit, self.drive.air)
         starts = (rows, parts[:, :, columns])
-        return _Part(drive, self.deviation[:, columns], starts, self.weight[:, columns])
+        rest = (self.deviation, self.weight, self.taken)
+        deviation, weight, taken = (part[:, columns] for part in rest)
+        return _Part(drive, deviation, starts, weight, taken)
+
+    def taking(self, columns: IntArray) -> _Part:
+        """With the deviations of some outputs taken as measured."""
+        taken = np.full_like(self.deviation, np.nan)
+        taken[:, columns] = self.deviation[:, columns]
+        return self._replace(taken=taken)
 
 
 class _Scored(NamedTuple):
@@ -167,17 +190,19 @@ def _guess_limits(model: LagModel) -> None:
     for columns, start in ((_LIMITS, _START_LIMIT), (_THIN, _START_THIN)):
         for column in columns:
             model.parameters[speeds, column] = start
-    model.parameters[~speeds, _SLOW] = _START_SOAK
+    slope = model.half[~speeds] / model.half[model.core]
+    for name, start in {"core": slope, "rate": _START_RATE_S * slope, **_START_HOT}.items():
+        model.parameters[~speeds, PARAMETERS.index(name)] = start
 
 
 def _part(model: LagModel, one: LagSamples, input_names: Sequence[str], scored: _Scored) -> _Part:
     rows = np.flatnonzero(_moving(one.ss[:, scored.core], 2.0 * model.half[scored.core], scored))
     begins = np.flatnonzero(np.diff(rows, prepend=-2) > 1)
     deviation = one.ss[rows] - one.measured[rows]
-    fast = np.nan_to_num(deviation[begins])
-    starts = (begins.astype(np.int64), np.stack([fast, np.zeros_like(fast)], axis=1))
+    starts = (begins.astype(np.int64), model.start(np.nan_to_num(deviation[begins])))
     drive = model.drive(one.inputs, input_names, one.ss).rows(rows)
-    return _Part(drive, deviation, starts, _weight(model, one, scored)[rows])
+    none = np.empty((0, deviation.shape[1]))
+    return _Part(drive, deviation, starts, _weight(model, one, scored)[rows], none)
 
 
 def _moving(ss: FloatArray, full: float, scored: _Scored) -> BoolArray:
@@ -211,32 +236,48 @@ def _fitted(model: LagModel, task: _Task) -> LagModel:
     """The model with the parameters of one output fitted."""
     free = _free(model, task.column, limited=task.limited)
     begin = model.parameters[task.column, free]
-    columns = np.unique([model.core, task.column])  # the others do not act on it
-    small = model.of(columns)
-    task = _Task(
-        [part.of(columns) for part in task.parts],
-        int(np.searchsorted(columns, task.column)),
-        task.scale,
-        task.dt_s,
-        task.limited,
-    )
+    unit = _units(model, task)[free]
+    fans = _fans(model) if task.limited and task.column == model.core else []
+    columns = np.unique([model.core, task.column, *fans[:1]])  # the others do not act on it
+    small, column = model.of(columns), int(np.searchsorted(columns, task.column))
+    parts = [part.of(columns) for part in task.parts]
+    if fans:
+        parts = [part.taking(np.flatnonzero(columns != task.column)) for part in parts]
+    task = task._replace(parts=parts, column=column)
 
     def residuals(values: FloatArray) -> FloatArray:
-        return _residuals(_with(small, task.column, free, values), task, values - begin)
+        return _residuals(_with(small, column, free, values), task, (values - begin) / unit)
 
     most = _EVALUATIONS[task.limited]
     found = least_squares(
         residuals, begin, x_scale="jac", loss="soft_l1", f_scale=_ROBUST, max_nfev=most
     )
-    return _with(model, int(columns[task.column]), free, found.x)
+    return _with(model, int(columns[column]), free, found.x)
+
+
+def _fans(model: LagModel) -> list[int]:
+    """Columns of the speeds beside the core's."""
+    speeds = np.flatnonzero(speeds_of(model.output_names))
+    return [int(column) for column in speeds if column != model.core]
+
+
+def _units(model: LagModel, task: _Task) -> FloatArray:
+    """What counts as one unit of each parameter for the prior."""
+    unit = np.ones(len(PARAMETERS))
+    if task.limited:
+        unit[_SLOPES] = model.half[task.column] / model.half[model.core]
+    return unit
 
 
 def _free(model: LagModel, column: int, *, limited: bool) -> BoolArray:
     names: tuple[str, ...] = _PROBE_IN_FLOW if limited else _PROBE
     if speeds_of(model.output_names)[column]:
-        names = (*LAG_PARAMETERS, *LIMIT_PARAMETERS) if limited else LAG_PARAMETERS
+        names = (*LAG_PARAMETERS, *LIMIT_PARAMETERS, "core_speed") if limited else LAG_PARAMETERS
     free = np.array([name in names for name in PARAMETERS])
-    free[_CORE] = column != model.core
+    if column == model.core:
+        free[[_CORE, _CORE_SPEED]] = False
+    if column != model.core or not _fans(model):
+        free[_OF_OTHER] = False
     return free
 
 
@@ -250,8 +291,8 @@ def _residuals(model: LagModel, task: _Task, moved: FloatArray) -> FloatArray:
     every = max(round(_EVERY_S / task.dt_s), 1)
     errors = []
     for part in task.parts:
-        fast, slow = model.run(part.drive, part.starts, task.dt_s)
-        error = fast[:, task.column] + slow[:, task.column] - part.deviation[:, task.column]
+        states = model.run(part.drive, part.starts, task.dt_s, part.taken)
+        error = states[:, :, task.column].sum(axis=1) - part.deviation[:, task.column]
         weighted = error * part.weight[:, task.column]
         errors.append(np.nan_to_num(weighted[::every]) / task.scale)
     error = np.concatenate(errors)

@@ -50,37 +50,45 @@ def slowly(model, inputs, ss, start):
     """The module's equations, one by one, for outputs N1, N2 and EGT in this order."""
     air = air_state(*inputs.T)
     root, thin = np.sqrt(air.theta2), np.log(np.sqrt(air.theta2) / air.delta2)
-    fast, slow = [start], [np.zeros(3)]
+    scaled = (ss / root[:, None] - model.centre) / model.half
+    settling = np.clip(scaled, -1.5, 1.5)
+    # All start in the casing, for the model knows of it.
+    fast, soaks, casings = [np.zeros(3)], [np.zeros(3)], [start]
     for k in range(1, len(ss)):
-        new, soak = np.zeros(3), np.zeros(3)
+        new, soak, casing = np.zeros(3), np.zeros(3), np.zeros(3)
+        speeds = np.clip(scaled[k - 1] - fast[-1] / (root[k] * model.half), -1.5, 1.5)
         for o in (1, 0, 2):
             p = dict(zip(PARAMETERS, model.parameters[o], strict=True))
             q = 1 if o == 2 else o  # the EGT goes by the core
-            scaled = (ss[:, q] / root - model.centre[q]) / model.half[q]
-            w = np.clip(scaled[k], -1.5, 1.5)
-            v = np.clip(scaled[k - 1] - fast[-1][q] / (root[k] * model.half[q]), -1.5, 1.5)
+            w, v, other = settling[k, q], speeds[q], speeds[0 if o == 1 else 1]
             terms = np.array([1.0, thin[k], v, w, v * v, v * w, w * w])
             tau = math.exp(np.clip(terms @ model.parameters[o, :7], -2.5, 3.0))
             if o != 2:
                 way = "up" if w > v else "down"
-                names = (f"log_{way}", f"{way}_air", f"{way}_speed", f"{way}_speed_speed")
-                most = np.array([p[name] for name in names]) @ [1.0, thin[k], v, v * v]
+                names = [f"{way}_{name}" for name in ("air", "speed", "speed_speed", "other")]
+                most = p[f"log_{way}"]
+                most += np.array([p[name] for name in names]) @ [thin[k], v, v * v, other]
                 tau = math.hypot(tau, (w - v) / math.exp(np.clip(most, -5.0, UNLIMITED)))
             a, step = math.exp(-DT_S / tau), ss[k, o] - ss[k - 1, o]
             drawn = (tau - p["lead_s"]) * step / DT_S
             if o != 1:
-                core, before = new[1] + soak[1], fast[-1][1] + slow[-1][1]
+                core = new[1] + soak[1] + casing[1]
+                before = fast[-1][1] + soaks[-1][1] + casings[-1][1]
                 rate = (ss[k, 1] - core - ss[k - 1, 1] + before) / DT_S
-                strength = np.clip(p["rate_air"] * thin[k] + p["rate_speed"] * v, -3.0, 3.0)
-                drawn += p["core"] * core * (1.0 + p["core_speed"] * v)
-                drawn += p["rate"] * math.exp(strength) * rate
+                strength = p["rate_air"] * thin[k] + p["rate_speed"] * speeds[1]
+                drawn += core * (p["core"] + p["core_speed"] * (speeds[1] + settling[k, 1]))
+                drawn += p["rate"] * math.exp(np.clip(strength, -3.0, 3.0)) * rate
             b = math.exp(-DT_S / math.exp(np.clip(p["log_slow_tau"], 0.0, 4.0)))
-            soak[o] = b * (slow[-1][o] + p["slow_share"] * step)
+            soak[o] = b * (soaks[-1][o] + p["slow_share"] * step)
+            b = math.exp(-DT_S / math.exp(np.clip(p["log_casing_tau"], 2.0, 5.0)))
+            casing[o] = b * (casings[-1][o] + p["casing_share"] * step)
+            heat = soak[o] + casing[o]
             followed = a * fast[-1][o] + (1 - a) * drawn
-            new[o] = np.clip(followed + soak[o], -model.limit[o], model.limit[o]) - soak[o]
+            new[o] = np.clip(followed + heat, -model.limit[o], model.limit[o]) - heat
         fast.append(new)
-        slow.append(soak)
-    return np.array(fast) + np.array(slow)
+        soaks.append(soak)
+        casings.append(casing)
+    return np.array(fast) + np.array(soaks) + np.array(casings)
 
 
 @settings(deadline=None, max_examples=25)
@@ -147,25 +155,28 @@ def test_the_order_of_the_outputs_does_not_matter(seed):
     )
 
 
-def test_an_output_does_not_act_on_the_core_nor_on_another():
+@pytest.mark.parametrize(("coupled", "kept"), [(True, [0, 1]), (False, [1])])
+def test_a_temperature_acts_on_no_spool_and_a_fan_on_the_core_by_its_limits_alone(coupled, kept):
     model, inputs, ss = wild(3)
-    alone = model.of(np.array([1]))
+    if not coupled:
+        model.parameters[1, [PARAMETERS.index(f"{way}_other") for way in ("up", "down")]] = 0.0
+    alone = model.of(np.array(kept))
     both = model.deviations(model.drive(inputs, INPUTS, ss), np.zeros(3), DT_S)
-    core = alone.deviations(alone.drive(inputs, INPUTS, ss[:, 1:2]), np.zeros(1), DT_S)
-    np.testing.assert_allclose(core[:, 0], both[:, 1], rtol=1e-12)
+    drive = alone.drive(inputs, INPUTS, ss[:, kept])
+    spools = alone.deviations(drive, np.zeros(len(kept)), DT_S)
+    np.testing.assert_allclose(spools, both[:, kept], rtol=1e-12)
 
 
 def test_windows_end_to_end_are_windows_alone():
     model, inputs, ss = wild(5)
     drive = model.drive(inputs, INPUTS, ss)
     begins = np.array([0, 40, 90])
-    parts = np.random.default_rng(0).normal(size=(3, 2, 3))
-    fast, slow = model.run(drive, (begins, parts), DT_S)
+    parts = np.random.default_rng(0).normal(size=(3, 3, 3))
+    states = model.run(drive, (begins, parts), DT_S)
     for k, (first, last) in enumerate(zip(begins, [40, 90, 120], strict=True)):
         rows = slice(first, last)
         alone = model.run(drive.rows(rows), (AT_START, parts[k : k + 1]), DT_S)
-        np.testing.assert_array_equal(fast[rows], alone[0])
-        np.testing.assert_array_equal(slow[rows], alone[1])
+        np.testing.assert_array_equal(states[rows], alone)
 
 
 def test_measured_deviations_make_it_a_one_step_prediction():
@@ -173,13 +184,16 @@ def test_measured_deviations_make_it_a_one_step_prediction():
     drive = model.drive(inputs, INPUTS, ss)
     measured = np.random.default_rng(1).normal(size=ss.shape)
     got = model.deviations(drive, measured[0], DT_S, measured)
-    fast, slow = model.run(drive, (AT_START, np.stack([measured[0], np.zeros(3)])[None]), DT_S)
+    states = model.run(drive, (AT_START, model.start(measured[0])[None]), DT_S)
     for k in range(1, len(ss)):
-        state = np.stack([measured[k - 1] - slow[k - 1], slow[k - 1]])
+        _, soak, casing = states[k - 1]
+        state = np.stack([measured[k - 1] - soak - casing, soak, casing])
         one = model.run(drive.rows(slice(k - 1, k + 1)), (AT_START, state[None]), DT_S)
-        np.testing.assert_allclose(got[k], (one[0] + one[1])[1], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(got[k], one[1].sum(axis=0), rtol=1e-9, atol=1e-12)
     unknown = np.full_like(measured, np.nan)
-    np.testing.assert_array_equal(model.deviations(drive, measured[0], DT_S, unknown), fast + slow)
+    np.testing.assert_array_equal(
+        model.deviations(drive, measured[0], DT_S, unknown), states.sum(axis=1)
+    )
 
 
 def test_missing_air_is_that_of_sea_level():
@@ -242,3 +256,52 @@ def test_a_temperature_answers_to_the_acceleration_of_the_core():
     np.testing.assert_allclose(runs[1][:, :2], runs[0][:, :2])
     # The core follows the ramp at its 3 % per second, and the temperature is above by 5 times that.
     assert runs[0][-1, 2] - runs[1][-1, 2] == pytest.approx(15.0, rel=1e-3)
+
+
+def test_a_fan_that_is_still_slow_holds_the_core_back():
+    ss = np.where(np.arange(80)[:, None] < 5, 60.0, 90.0) * np.ones(3)
+    ss[:, 0] = 60.0
+    times = []
+    for fan in (40.0, 80.0):
+        ss[:, 0] = fan
+        model = lags(log_tau=math.log(0.2), log_up=math.log(0.5), up_other=1.0)
+        model.parameters[0] = lags().parameters[0]
+        deviation = model.deviations(model.drive(np.zeros((80, 3)), INPUTS, ss), np.zeros(3), DT_S)
+        rate = np.diff(ss[:, 1] - deviation[:, 1]) / DT_S
+        times.append(rate[np.argmin(np.abs((ss - deviation)[:, 1] - 70.0))])
+    # The limit goes by exp(u), and 40 % of fan speed are 4/3 of u.
+    assert times[1] / times[0] == pytest.approx(math.exp(4.0 / 3.0), rel=0.08)
+
+
+def test_a_fan_draws_near_as_a_parabola_of_the_core_says():
+    core, curved = 1.2, 0.4
+    model = lags(log_tau=-2.5)
+    for name, value in (("core", core), ("core_speed", curved)):
+        model.parameters[0, PARAMETERS.index(name)] = value
+    model.parameters[1, PARAMETERS.index("log_tau")] = 2.0
+    ss = np.where(np.arange(120)[:, None] < 5, 65.0, 90.0) * np.ones(3)
+    deviation = model.deviations(model.drive(np.zeros((120, 3)), INPUTS, ss), np.zeros(3), DT_S)
+    v, w = ((ss - deviation)[100, 1] - 75.0) / 20.0, (90.0 - 75.0) / 20.0
+    expected = 20.0 * (core * (w - v) + curved * (w * w - v * v))
+    assert deviation[100, 0] == pytest.approx(expected, rel=0.02)
+
+
+def test_a_start_at_rest_is_the_casings_heat_where_the_model_knows_of_it():
+    model = lags()
+    model.parameters[2, PARAMETERS.index("casing_share")] = 0.05
+    model.parameters[2, PARAMETERS.index("log_casing_tau")] = math.log(60.0)
+    drive = model.drive(np.zeros((601, 3)), INPUTS, np.full((601, 3), 70.0))
+    got = model.deviations(drive, np.array([1.0, 1.0, 20.0]), DT_S)
+    assert got[600, 2] == pytest.approx(20.0 * math.exp(-1.0))
+    assert np.abs(got[600, :2]).max() < 1e-9
+
+
+def test_the_metal_keeps_a_share_of_each_step_and_gives_it_up_in_its_own_time():
+    model = lags(log_tau=-2.5, slow_share=0.1, log_slow_tau=math.log(5.0))
+    model.parameters[2, PARAMETERS.index("casing_share")] = 0.05
+    model.parameters[2, PARAMETERS.index("log_casing_tau")] = math.log(90.0)
+    ss = np.where(np.arange(400)[:, None] < 5, 500.0, 600.0) * np.ones(3)
+    got = model.deviations(model.drive(np.zeros((400, 3)), INPUTS, ss), np.zeros(3), DT_S)
+    since = DT_S * (np.arange(100, 400) - 4)
+    expected = 10.0 * np.exp(-since / 5.0) + 5.0 * np.exp(-since / 90.0)
+    np.testing.assert_allclose(got[100:, 2], expected, rtol=1e-6)

@@ -129,3 +129,24 @@ def test_limits_of_acceleration_and_deceleration_come_back():
     plain = fit_lags(logs, NAMES, DT_S)
     assert (follow(limited, true=true)[:2] < 0.5 * follow(plain, true=true)[:2]).all()
     assert (plain.parameters[:, PARAMETERS.index("log_up")] == UNLIMITED).all()
+
+
+def test_how_a_slow_fan_holds_the_core_back_comes_back():
+    true = truth(log_up=-0.5, up_air=-1.0, log_down=0.3, down_air=-0.7)
+    true.parameters[1, PARAMETERS.index("up_other")] = 0.8
+    fitted = fit_lags([log(seed, model=true) for seed in (0, 1)], NAMES, DT_S, limited=True)
+    assert (follow(fitted, true=true) < 0.05).all()
+    found = fitted.parameters[:, PARAMETERS.index("up_other")]
+    assert found[1] == pytest.approx(0.8, abs=0.3)
+    assert found[0] == found[2] == 0.0
+
+
+def test_the_heat_of_the_casing_comes_back_though_each_stretch_begins_with_some_of_it():
+    true = truth()
+    hot = {"casing_share": 0.1, "log_casing_tau": 4.0, "core": 6.0, "rate": -4.0, "rate_air": 0.5}
+    for name, value in hot.items():
+        true.parameters[2, PARAMETERS.index(name)] = value
+    fitted = fit_lags([log(seed, model=true) for seed in (0, 1)], NAMES, DT_S, limited=True)
+    plain = fit_lags([log(seed, model=true) for seed in (0, 1)], NAMES, DT_S)
+    assert follow(fitted, true=true)[2] < 0.03
+    assert follow(plain, true=true)[2] > 0.06
