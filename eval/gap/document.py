@@ -18,6 +18,9 @@ from training.gap.finding import ChannelShrink, Finding, Interval, Tried
 
 HIDDEN = UnloggedSwitch.id
 SCHEMA = "narxcal.gap/1"
+# Blind cases (docs/blind.md) say how far a claim can be relied on: firm ones were right 19 times in
+# 20, whatever the weights of the models say, and where rivals are named none is nearly certain.
+_FIRM, _SUREST, _DOUBTED = 0.9, 0.97, 0.9
 _LEFT = {"none": 0.02, "unknown": 0.3}  # of the probability, for what was not claimed
 _DOMINANT = 0.6  # of a bin's energy in one level: the level that stands for the bin
 
@@ -85,7 +88,7 @@ def probabilities(finding: Finding) -> dict[str, float]:
 
     Among models with as many effects as the claimed one has (further effects have not earned
     their place), those with the effect in them; offsets and what moves are judged apart. A verdict
-    without an effect leaves them only a small part.
+    without an effect leaves them only a small part, one that is firm at least nine tenths.
     """
     left = _LEFT.get(finding.kind, 1.0)
     found: dict[str, float] = {}
@@ -98,7 +101,17 @@ def probabilities(finding: Finding) -> dict[str, float]:
             for name in one.effects:
                 chance = left * one.probability / whole if one in same else 0.0
                 found[name] = min(1.0, found.get(name, 0.0) + chance)
-    return found
+    return _relied_on(found, finding)
+
+
+def _relied_on(found: dict[str, float], finding: Finding) -> dict[str, float]:
+    """Probabilities within what claims of their kind have been worth; the others share the rest."""
+    low, high = (_FIRM, _SUREST) if finding.kind == "effects" else (0.0, _DOUBTED)
+    sure = {name: min(high, max(low, found[name])) for name in finding.effects}
+    raised = max((sure[name] - found[name] for name in sure), default=0.0)
+    rest = 1.0 - min((sure[name] for name in sure), default=0.0)
+    shrunk = {n: min(p, rest) if raised > 0.0 else p for n, p in found.items() if n not in sure}
+    return {**shrunk, **sure}
 
 
 def _is_offset(model: Tried) -> bool:

@@ -22,6 +22,7 @@ from narxcal.effects.running import Flights
 from training.gap.emulator import GreyBoxEmulator
 from training.gap.finding import Finding
 from training.gap.fitting import Fit, Problem, fit
+from training.gap.foils import is_a_step
 from training.gap.null import null_gains
 from training.gap.offsets import beyond_scatter, day_fit, offset_fits, unexplained, whole_gap
 from training.gap.quadratic import misfit
@@ -32,7 +33,7 @@ from training.gap.work import Options, Work
 OFFSETS = ("deterioration", "sensor_bias", "throttle_bias", "temperature_effect")
 _OFFSET, _OF_WHOLE = 0.25, 0.015  # least shares of the whole gap of an offset, and of anything
 Watch = Callable[[str, int, int], None]
-_SECOND = 0.3  # of what one effect leaves: less is no reason to name another
+_SECOND = 0.25  # of what one effect leaves: less is no reason to name another
 _LEADING = 0.7  # of the first one's rank: as likely, if the first holds in too few flights
 _ENOUGH = 0.03  # share left of the gap that nobody asks about
 
@@ -106,7 +107,8 @@ def _earned(work: Work, model: Fit, before: FloatArray, least: float) -> bool:
     """Whether `model` is better than `before` (Q per flight, held out) in a way that counts.
 
     More than the pseudo-nulls, at least `least`, a part of the whole gap with its offsets, and in
-    all flights but one (all of them up to four). A load says nothing of flights without it.
+    all flights but one (all of them up to four). A load says nothing of flights without it, and a
+    step in mid-flight is no drift.
     """
     gained = before - model.held_out
     share = float(gained.sum()) / work.audible
@@ -114,7 +116,8 @@ def _earned(work: Work, model: Fit, before: FloatArray, least: float) -> bool:
     exceptions = 1 if len(told) > 4 else 0
     often = int((told <= 0.0).sum()) <= exceptions
     heard = float(gained.sum()) > _OF_WHOLE * work.whole
-    return share > max(work.threshold, least) and often and heard
+    worth = share > max(work.threshold, least) and often and heard
+    return worth and not is_a_step(model, work.problem.misfit)
 
 
 def _best_pair(work: Work, watch: Watch | None) -> Fit | None:
