@@ -1,0 +1,59 @@
+"""A step of one channel is no drift, and a drift is no step."""
+
+import numpy as np
+import pytest
+
+from narxcal.effects import effect
+from tests.training.gap.conftest import DT, NOISE
+from training.gap.diagnosis import diagnose
+from training.gap.fitting import Problem, fit
+from training.gap.foils import is_a_step
+from training.gap.quadratic import misfit
+from training.gap.work import Options
+
+
+def with_steps(real, at):
+    """EGT that reads 12 degC more from a share `at` of each flight on."""
+    shifted = real.copy()
+    for f, share in enumerate(at):
+        shifted[f, round(share * shifted.shape[1]) :, 2] += 12.0
+    return shifted
+
+
+def drift_in(flights, engine, real):
+    measure = misfit(flights, real, NOISE)
+    return fit([effect("sensor_drift:EGT_C")], Problem(flights, engine, measure)), measure
+
+
+@pytest.mark.parametrize("at", [(0.5,) * 5, (0.2, 0.4, 0.5, 0.6, 0.8)])
+def test_a_step_in_mid_flight_is_a_step(at, flights, engine, recorded):
+    assert is_a_step(*drift_in(flights, engine, with_steps(recorded({}), at)))
+
+
+@pytest.mark.parametrize("rate_per_h", [100.0, -400.0])
+def test_a_drift_is_not(rate_per_h, flights, engine, recorded):
+    real = recorded({"sensor_drift:EGT_C": [rate_per_h]})
+    assert not is_a_step(*drift_in(flights, engine, real))
+
+
+def test_what_holds_no_drift_is_not_asked(flights, engine, recorded):
+    measure = misfit(flights, with_steps(recorded({}), (0.5,) * 5), NOISE)
+    lag = fit([effect("sensor_lag:EGT_C")], Problem(flights, engine, measure))
+    assert not is_a_step(lag, measure)
+
+
+def test_a_drift_beside_a_lag_is_still_seen(flights, engine, recorded):
+    real = recorded({"sensor_lag:N2_pct": [0.8, 0.5]})
+    drifting = real.copy()
+    drifting[..., 2] += 0.06 * DT * np.arange(real.shape[1])
+    effects = [effect("sensor_lag:N2_pct"), effect("sensor_drift:EGT_C")]
+    for recording, expected in ((drifting, False), (with_steps(real, (0.5,) * 5), True)):
+        measure = misfit(flights, recording, NOISE)
+        both = fit(effects, Problem(flights, engine, measure))
+        assert is_a_step(both, measure) is expected
+
+
+def test_the_diagnosis_names_no_drift_where_a_channel_jumped(flights, engine, recorded):
+    real = with_steps(recorded({}), (0.5,) * 5)
+    found = diagnose(flights, (real, NOISE), engine, Options(draws=40))
+    assert "sensor_drift:EGT_C" not in found.effects
