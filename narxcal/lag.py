@@ -167,7 +167,10 @@ class LagModel:
             found = arrays.get(name)
             if found is None or found.shape != shape:
                 given = None if found is None else found.shape
-                raise ModelError(f"lag array '{name}' has to be of shape {shape}, found {given}")
+                raise ModelError(
+                    f"lag array '{name}' has to be of shape {shape}, found {given}",
+                    hint="Train again if another version of narxcal wrote the folder",
+                )
             kept[name] = np.array(found, dtype=np.float64)
         return cls(output_names=names, **kept)
 

@@ -305,3 +305,14 @@ def test_the_metal_keeps_a_share_of_each_step_and_gives_it_up_in_its_own_time():
     since = DT_S * (np.arange(100, 400) - 4)
     expected = 10.0 * np.exp(-since / 5.0) + 5.0 * np.exp(-since / 90.0)
     np.testing.assert_allclose(got[100:, 2], expected, rtol=1e-6)
+
+
+def test_a_folder_of_another_version_is_refused_with_what_to_do():
+    meta, arrays = lags().to_arrays()
+    arrays["parameters"] = arrays["parameters"][:, :23]
+    message = (
+        rf"lag array 'parameters' has to be of shape \(3, {len(PARAMETERS)}\), found \(3, 23\)"
+        ".*Train again if another version of narxcal wrote the folder"
+    )
+    with pytest.raises(ModelError, match=message):
+        LagModel.from_arrays(meta, arrays)
