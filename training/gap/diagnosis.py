@@ -21,7 +21,7 @@ from narxcal.effects.library import candidates
 from narxcal.effects.running import Flights
 from training.gap.emulator import GreyBoxEmulator
 from training.gap.finding import Finding
-from training.gap.fitting import Fit, Problem, fit
+from training.gap.fitting import Fit, Problem, fit, in_nearly_all
 from training.gap.foils import is_a_step
 from training.gap.null import null_gains
 from training.gap.offsets import beyond_scatter, day_fit, offset_fits, unexplained, whole_gap
@@ -113,10 +113,8 @@ def _earned(work: Work, model: Fit, before: FloatArray, least: float) -> bool:
     gained = before - model.held_out
     share = float(gained.sum()) / work.audible
     told = gained[witnesses(model, work.options.price)]
-    exceptions = 1 if len(told) > 4 else 0
-    often = int((told <= 0.0).sum()) <= exceptions
     heard = float(gained.sum()) > _OF_WHOLE * work.whole
-    worth = share > max(work.threshold, least) and often and heard
+    worth = share > max(work.threshold, least) and in_nearly_all(told) and heard
     return worth and not is_a_step(model, work.problem.misfit)
 
 
@@ -179,6 +177,5 @@ def _offset(work: Work, effects: Sequence[Effect], claimed: Fit | None) -> Offse
 def _stands(work: Work, best: Fit, before: FloatArray) -> bool:
     """Whether an offset is beyond build scatter, a part of the gap, and in (nearly) all flights."""
     gained = before - best.held_out
-    often = int((gained <= 0.0).sum()) <= (1 if len(gained) > 4 else 0)
     large = beyond_scatter(best, before, work.problem.flights, work.tight.floor)
-    return often and large and float(gained.sum()) / work.whole > _OFFSET
+    return in_nearly_all(gained) and large and float(gained.sum()) / work.whole > _OFFSET

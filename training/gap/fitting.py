@@ -22,6 +22,7 @@ from training.gap.quadratic import Misfit
 _STEPS = 7
 _GOOD = 2e-3  # relative progress of Q below which a fit has converged
 _RIDGE = 1e-9
+_FEW = 4  # flights of which none may speak against an effect; of more, one
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +58,11 @@ class Fit:
     def name(self) -> str:
         """Names of the effects, joined by a plus."""
         return " + ".join(effect.name for effect in self.effects)
+
+
+def in_nearly_all(gained: FloatArray) -> bool:
+    """Whether what is `gained` (flights,) is more than nothing in all but one; in all of a few."""
+    return int((gained <= 0.0).sum()) <= (1 if len(gained) > _FEW else 0)
 
 
 def fit(effects: Sequence[Effect], problem: Problem, start: FloatArray | None = None) -> Fit:

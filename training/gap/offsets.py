@@ -14,7 +14,7 @@ import numpy as np
 
 from narxcal.effects.base import Effect, FloatArray, Signals
 from narxcal.effects.running import Flights
-from training.gap.fitting import Fit, Problem, fit
+from training.gap.fitting import Fit, Problem, fit, in_nearly_all
 from training.gap.quadratic import Misfit, misfit
 
 TIGHT = 1e-5  # of the priors of offsets and slopes: none, they would take the effect's place
@@ -25,7 +25,6 @@ _SCATTER_PCT = {"EGT_C": 2.4, "FF_kgph": 7.0}
 _SPEED_PCT, _ALONE_PCT, _UNGOVERNED_PCT = 1.2, 0.6, 1.5
 _NEARLY_ALL, _AMONG_OTHERS = 0.85, 1.5  # share of what is left, and what is asked below it
 _DAYS, _BETWEEN_DAYS = 3, 0.4  # flights that tell days apart; how far they do, in scatters
-_FEW = 4  # flights of which none may speak against an offset; of more, one
 _MOST = 0.5  # of what is left: an offset that takes less is not what is wrong
 _AS_GOOD, _LEVEL = 0.75, 0.35  # of what wear takes; of the shift, its change over power
 
@@ -59,12 +58,11 @@ def day_fit(problem: Problem, left: Misfit, effects: Sequence[Effect]) -> Fit | 
     own = replace(problem, misfit=left)
     without, tried = fit(common, own), fit([*days, *common], own)
     gained = without.held_out - tried.held_out
-    share = float(gained.sum()) / float((without.held_out - left.floor).sum())
+    share = _share(gained, without.held_out - left.floor)
     found = _first_of(tried, np.maximum(left.size(left.gap) - gained, tried.held_out))
     spread = replace(found, response=found.response - found.response.mean(axis=(0, 1)))
-    often = int((gained <= 0.0).sum()) <= (1 if len(gained) > _FEW else 0)
     large = _in_scatters(spread, problem.flights).max() > _BETWEEN_DAYS
-    return found if often and large and share > _MOST else None
+    return found if in_nearly_all(gained) and large and share > _MOST else None
 
 
 def _first_of(together: Fit, held_out: FloatArray) -> Fit:
@@ -93,9 +91,14 @@ def beyond_scatter(tried: Fit, before: FloatArray, flights: Flights, noise: Floa
 
     `before` and `noise` are Q per flight, of what is left for the offset to explain and of noise.
     """
-    share = float((before - tried.held_out).sum() / (before - noise).sum())
+    share = _share(before - tried.held_out, before - noise)
     asked = 1.0 if share > _NEARLY_ALL else _AMONG_OTHERS
     return share > _MOST and _in_scatters(tried, flights).max() > asked
+
+
+def _share(gained: FloatArray, whole: FloatArray) -> float:
+    """What is gained in all flights, of what there is."""
+    return float(gained.sum()) / max(float(whole.sum()), 1e-9)
 
 
 def _in_scatters(tried: Fit, flights: Flights) -> FloatArray:
