@@ -26,7 +26,7 @@ _SPEED_PCT, _ALONE_PCT, _UNGOVERNED_PCT = 1.2, 0.6, 1.5
 _NEARLY_ALL, _AMONG_OTHERS = 0.85, 1.5  # share of what is left, and what is asked below it
 _DAYS, _BETWEEN_DAYS = 3, 0.4  # flights that tell days apart; how far they do, in scatters
 _MOST = 0.5  # of what is left: an offset that takes less is not what is wrong
-_AS_GOOD, _LEVEL = 0.75, 0.35  # of what wear takes; of the shift, its change over power
+_AS_GOOD, _LEVEL = 0.75, 0.35  # of what wear takes; of the shift, its growth with power
 
 
 def unexplained(tight: Misfit, explained: FloatArray) -> Misfit:
@@ -120,8 +120,8 @@ def _plainest(fits: list[Fit], flights: Flights, left: Misfit) -> list[Fit]:
     """The fits with a wrong sensor before wear, where wear would say no more than that.
 
     Wear can shift every output, so that it follows whatever one sensor does and the scatter of
-    the others with it. It is no wear if one channel alone is shifted beyond scatter, by the same
-    at idle and at full power, and that channel's offset takes nearly as much.
+    the others with it. It is no wear if one channel alone is shifted beyond scatter, no more at
+    full power than at idle, and that channel's offset takes nearly as much.
     """
     if not fits or fits[0].effects[0].id != "deterioration":
         return fits
@@ -131,7 +131,7 @@ def _plainest(fits: list[Fit], flights: Flights, left: Misfit) -> list[Fit]:
     alone = [one for one in fits if one.effects[0].channel == outputs[most]]
     shift, power = worn.response[..., most], flights.signals.power(flights.y)
     slope = float(np.cov(shift.ravel(), power.ravel())[0, 1] / max(float(np.var(power)), 1e-12))
-    level = abs(slope) < _LEVEL * abs(float(shift.mean()))
+    level = slope * np.sign(shift.mean()) < _LEVEL * abs(float(shift.mean()))
     others = float(np.delete(sizes, most).max(initial=0.0))
     if not (alone and level and others < min(1.0, 0.5 * sizes[most])):
         return fits

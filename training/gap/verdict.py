@@ -46,7 +46,7 @@ def finding(
     rivals = _rivals(work, claimed, order) if claimed is not None else ()
     if kind == "effects" and rivals:
         kind, reason = "ambiguous", "other effects explain held-out flights as well"
-    names = () if kind in ("none", "unknown") else _names(claimed, offset)
+    names = () if kind in ("none", "unknown") else _names(work, claimed, offset)
     leader = claimed or (offset[0][0] if offset else None)
     signals = work.problem.flights.signals
     return Finding(
@@ -98,9 +98,15 @@ def _with_offsets(
     return [rows[0], *own, *rows[1:]] if claimed is not None else [*own, *rows]
 
 
-def _names(claimed: Fit | None, offset: Offset | None) -> tuple[str, ...]:
+def _names(work: Work, claimed: Fit | None, offset: Offset | None) -> tuple[str, ...]:
+    """What is claimed, an offset first where it takes more of the gap than what moves."""
     names = () if claimed is None else tuple(effect.name for effect in claimed.effects)
-    return names if offset is None else (*names, offset[0][0].name)
+    if offset is None:
+        return names
+    fits, before, _ = offset
+    moving = 0.0 if claimed is None else float((work.before - claimed.held_out).sum())
+    first = float((before - fits[0].held_out).sum()) > moving
+    return (fits[0].name, *names) if first else (*names, fits[0].name)
 
 
 def _verdict(work: Work, claimed: Fit | None, offset: Offset | None) -> tuple[Kind, str]:
