@@ -8,7 +8,6 @@ import numpy as np
 from scipy.stats import t
 
 from narxcal.effects.base import FloatArray, RateEffect
-from narxcal.effects.steady import HeatSoak
 from training.gap.answer import channels, probabilities, shrink, tried
 from training.gap.finding import Finding, Interval, Kind, Tried
 from training.gap.fitting import Fit
@@ -132,7 +131,7 @@ def bearable(work: Work, claimed: Fit) -> bool:
     most = options.unexplained
     if len(claimed.effects) > 1:
         most = options.unexplained_together
-    elif isinstance(claimed.effects[0], (RateEffect, HeatSoak)):
+    elif isinstance(claimed.effects[0], RateEffect):
         most = options.unexplained_inside
     if work.left(claimed) <= most:
         return True

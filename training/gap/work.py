@@ -22,7 +22,7 @@ class Options:
     `quantile` of the pseudo-nulls' best gains that a claim has to exceed, from `draws` of them;
     `material` the least share of the gap, `further` that of one more effect, of `most` at once.
     `unexplained` is the share that may be left before the answer is unknown, `unexplained_inside`
-    that for one effect on how the engine moves or soaks, whose forms no two engines share, and
+    that for one effect on how the engine moves, whose forms no two engines share, and
     `unexplained_together` that for two, which can follow more; more may be left,
     as build scatter and other misfit leave it, by an effect that takes `distinct` of the gap and
     explains `aligned` of it where it acts. A rival is the leader's equal if it leaves no more than
