@@ -1,4 +1,4 @@
-"""Short pieces of virtual flights, one model trained on them, and two ways to run commands."""
+"""Flights, one model trained on them, and two ways to run commands."""
 
 import os
 import signal
@@ -8,9 +8,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from narxcal.cli import main
+from narxcal.flight_test.measurement import first_order
 
 ROOT = Path(__file__).parents[2]
 CONFIG = """\
@@ -52,6 +55,33 @@ def project(tmp_path_factory, write_pieces, maker_table):
     (folder / "tiny.toml").write_text(CONFIG.replace("MAKER", maker_table["source"]), "utf-8")
     assert main(["train", str(folder / "tiny.toml"), "--out", str(folder / "run"), "--quiet"]) == 0
     return folder
+
+
+# Idle, range and time constant of a simulator of first-order lags; what a recorder adds.
+LAGS = {"N1_pct": (25.0, 75.0, 1.5), "N2_pct": (55.0, 45.0, 0.8), "EGT_C": (400.0, 350.0, 0.7)}
+NOISE = {"N1_pct": 0.05, "N2_pct": 0.04, "EGT_C": 0.8}
+PROBE_TAU_S = 1.2
+
+
+def slow_probe(seed, duration_s=100.0, rate_hz=8.0, stay_s=10.0):
+    """Recorded and simulated table of one flight: slams, and an EGT probe slower than simulated."""
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
+    levels = np.where(np.arange(40) % 2, 55.0, 15.0) + rng.uniform(-8.0, 8.0, 40)
+    lever = levels[(time_s // stay_s).astype(int)]
+    sim = pd.DataFrame({"time_s": time_s, "TRA_deg": lever, "ALT_ft": 5000.0 + 20.0 * time_s})
+    for name, (idle, span, tau_s) in LAGS.items():
+        sim[name] = idle + span * first_order(lever / 70.0, tau_s, 1.0 / rate_hz)
+    real = sim.assign(EGT_C=first_order(sim["EGT_C"].to_numpy(), PROBE_TAU_S, 1.0 / rate_hz))
+    for name, size in NOISE.items():
+        real[name] += rng.normal(0.0, size, len(lever))
+    return real, sim
+
+
+@pytest.fixture(name="slow_probe", scope="session")
+def _slow_probe():
+    """Flights of a simulator of lags whose EGT probe is `PROBE_TAU_S` slower than it says."""
+    return slow_probe
 
 
 @pytest.fixture

@@ -8,49 +8,18 @@ import pytest
 
 from narxcal.cli import main
 
-OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
 
-
-def lagged(target, tau_s, dt_s):
-    kept, found = np.exp(-dt_s / tau_s), target.copy()
-    for k in range(1, len(target)):
-        found[k] = target[k] + kept * (found[k - 1] - target[k])
-    return found
-
-
-def flight(seed, duration_s=200.0, rate_hz=8.0):
-    """An engine of first-order lags under a slam every 20 s, and what a slow probe recorded."""
-    rng = np.random.default_rng(seed)
-    dt_s = 1.0 / rate_hz
-    time_s = dt_s * np.arange(round(duration_s * rate_hz))
-    levels = np.where(np.arange(20) % 2, 55.0, 15.0) + rng.uniform(-8.0, 8.0, 20)
-    tra = levels[(time_s // 20.0).astype(int)]
-    sim = {
-        "time_s": time_s,
-        "TRA_deg": tra,
-        "ALT_ft": 5000.0 + 20.0 * time_s,
-        "Mach": 0.4 + 0 * tra,
-    }
-    shapes = ((25.0, 75.0, 1.5), (55.0, 45.0, 0.8), (400.0, 350.0, 0.7))
-    for name, (low, range_, tau_s) in zip(OUTPUTS, shapes, strict=True):
-        sim[name] = low + range_ * lagged(tra / 70.0, tau_s, dt_s)
-    real = {**sim, "EGT_C": lagged(sim["EGT_C"], 1.2, dt_s)}
-    for name, size in zip(OUTPUTS, (0.05, 0.04, 0.8), strict=True):
-        real[name] = real[name] + rng.normal(0.0, size, len(tra))
-    return sim, real
-
-
-def write(folder, name, channels):
+def write(folder, name, table):
     folder.mkdir(exist_ok=True)
-    pd.DataFrame(channels).to_csv(folder / name, index=False, float_format="%.9g")
+    table.to_csv(folder / name, index=False, float_format="%.9g")
 
 
 @pytest.fixture(scope="module")
-def case(tmp_path_factory):
+def case(slow_probe, tmp_path_factory):
     """Three flights to diagnose and one held out."""
     folder = tmp_path_factory.mktemp("case")
     for seed in range(4):
-        sim, real = flight(seed)
+        real, sim = slow_probe(seed, 200.0, stay_s=20.0)
         held = "_held" if seed == 3 else ""
         write(folder / f"sim{held}", f"f{seed}.csv.gz", sim)
         write(folder / f"real{held}", f"f{seed}.csv", real)
@@ -173,7 +142,7 @@ def test_half_a_command_is_refused(narxcal, tmp_path, words, problem):
     refused(narxcal("simulate", *words, "--out", tmp_path / "out"), problem)
 
 
-def test_bad_input_is_one_line_and_leaves_nothing(case, narxcal, tmp_path):
+def test_bad_input_is_one_line_and_leaves_nothing(case, slow_probe, narxcal, tmp_path):
     def run(real, sim, *more):
         return narxcal("diagnose", "--real", real, "--sim", sim, "--out", tmp_path / "g", *more)
 
@@ -184,7 +153,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(case, narxcal, tmp_path):
         run(case / "real", case / "sim", "--heldout-sim", "x"),
         "--heldout-sim needs --heldout-real",
     )
-    sim, real = flight(0, duration_s=30.0)
+    real, sim = slow_probe(0, 30.0, stay_s=20.0)
     write(tmp_path / "short_real", "f.csv", real)
     write(tmp_path / "short_sim", "f.csv", sim)
     refused(run(tmp_path / "short_real", tmp_path / "short_sim"), "too little excitation")

@@ -3,46 +3,16 @@
 import json
 
 import numpy as np
-import pandas as pd
 import pytest
-
-OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
-
-
-def lagged(target, tau_s, dt_s):
-    kept, found = np.exp(-dt_s / tau_s), target.copy()
-    for k in range(1, len(target)):
-        found[k] = target[k] + kept * (found[k - 1] - target[k])
-    return found
-
-
-def flight(seed, duration_s=100.0, rate_hz=8.0):
-    """Recorded and simulated tables of one flight: a slow EGT probe under slams."""
-    rng = np.random.default_rng(seed)
-    time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
-    levels = np.where(np.arange(40) % 2, 55.0, 15.0) + rng.uniform(-8.0, 8.0, 40)
-    lever = levels[(time_s // 10.0).astype(int)]
-    sim = pd.DataFrame({"time_s": time_s, "TRA_deg": lever, "ALT_ft": 5000.0 + 5.0 * time_s})
-    for name, low, span, tau_s in (
-        ("N1_pct", 25.0, 75.0, 1.5),
-        ("N2_pct", 55.0, 45.0, 0.8),
-        ("EGT_C", 400.0, 350.0, 0.7),
-    ):
-        sim[name] = low + span * lagged(lever / 70.0, tau_s, 1.0 / rate_hz)
-    real = sim.copy()
-    real["EGT_C"] = lagged(sim["EGT_C"].to_numpy(), 1.2, 1.0 / rate_hz)
-    for name, size in zip(OUTPUTS, (0.05, 0.04, 0.8), strict=True):
-        real[name] = real[name] + rng.normal(0.0, size, len(lever))
-    return real, sim
 
 
 @pytest.fixture
-def flights(tmp_path):
+def flights(slow_probe, tmp_path):
     """Write flights, changed by `change(number, real, sim)` before they are."""
 
     def write(change=None, count=3, **how):
         for number in range(count):
-            real, sim = flight(number, **how)
+            real, sim = slow_probe(number, **how)
             if change is not None:
                 real, sim = change(number, real, sim)
             for name, table in (("real", real), ("sim", sim)):
@@ -183,12 +153,12 @@ def test_what_cannot_be_diagnosed_is_told_in_one_line(flights, refused, name):
     assert refused(flights(change)) == f"narxcal: error: {problem}"
 
 
-def test_held_out_flights_are_checked_before_any_work(flights, refused, tmp_path):
+def test_held_out_flights_are_checked_before_any_work(flights, slow_probe, refused, tmp_path):
     words = flights()
     late = [("--heldout-real", tmp_path / "late"), ("--heldout-sim", tmp_path / "late_sim")]
     for _, folder in late:
         folder.mkdir()
-    real, sim = flight(9)
+    real, sim = slow_probe(9)
     real.iloc[::2].to_csv(tmp_path / "late" / "f9.csv", index=False)
     sim.iloc[::2].to_csv(tmp_path / "late_sim" / "f9.csv", index=False)
     assert refused(words, *late[0], *late[1]) == (
