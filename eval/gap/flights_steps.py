@@ -11,7 +11,7 @@ from narxcal.effects.base import FloatArray
 from narxcal.effects.memory import Lag
 from narxcal.effects.steady import FOLLOW_S
 from training.gap.finding import Interval
-from training.gap.windows import Windows
+from training.gap.path_windows import Windows
 
 METAL_S = (15.0, 60.0, 180.0)  # time constants tried for heat soak (FACTS A4: 30 to 300 s)
 CONFIRMED = 0.1  # share of the squared error

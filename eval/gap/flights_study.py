@@ -24,7 +24,9 @@ from narxcal.effects.base import FloatArray
 from narxcal.errors import DataError
 from training.config import RunConfig, load_config
 from training.crossval import leave_one_flight_out
-from training.gap.windows import Options, Windows, find_windows
+from training.gap.path_windows import Windows
+from training.gap.window_search import Options
+from training.gap.windows import find_windows
 from training.pipeline import (
     Split,
     calibrate,

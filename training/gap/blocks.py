@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from training.gap.switching import FOLLOW, FloatArray, Noise, gains, trusted, whiten
+from training.gap.coloured_noise import FOLLOW, FloatArray, Noise, gains, whiten
+from training.gap.switching import trusted
 
 EDGE = 8  # blocks on either side of an edge that say how large it is
 _DRAWN = 60  # blocks that are drawn together

@@ -8,8 +8,8 @@ from narxcal.effects.base import FloatArray
 from narxcal.effects.steady import FOLLOW_S
 from training.gap.finding import Interval
 from training.gap.levels import BoolArray, Found, Levels, runs
+from training.gap.path_windows import Window
 from training.gap.quadratic import Misfit
-from training.gap.windows import Window
 
 _NEAR_S, _ROUND_S = 6.0, 15.0  # how far off an edge may be, and what tells where it is
 _Z90, _CHI90 = 1.645, 2.71

@@ -24,9 +24,10 @@ from training.gap.fitting import Fit
 from training.gap.levels import BoolArray, Found, Levels, of_paths, search_levels
 from training.gap.load_checks import against
 from training.gap.load_windows import told
+from training.gap.path_windows import Window
 from training.gap.quadratic import Misfit
-from training.gap.window_search import rarely_reached
-from training.gap.windows import Options, Window, find_windows
+from training.gap.window_search import Options, rarely_reached
+from training.gap.windows import find_windows
 
 Groups = Sequence[Sequence[int]]
 _BEFORE_S, _LONG_S, _AFTER_S = 4.0, 10.0, 1.0  # an engine is unsettled round a move of its driver

@@ -16,16 +16,8 @@ from training.gap.blocks import (
     settled,
     sharpest_edges,
 )
-from training.gap.switching import (
-    FloatArray,
-    Gains,
-    Noise,
-    best_path,
-    colour,
-    fit_noise,
-    gains,
-    whiten,
-)
+from training.gap.coloured_noise import FloatArray, Gains, Noise, colour, fit_noise, gains, whiten
+from training.gap.switching import best_path
 
 _EULER = 0.5772
 
@@ -53,6 +45,10 @@ class Options:
     rounds: int = 4
     seed: int = 0
 
+    def samples(self, dt_s: float) -> int:
+        """Samples of a block."""
+        return max(1, round(self.block_s / dt_s))
+
 
 @dataclass(frozen=True, eq=False)
 class Search:
@@ -60,15 +56,6 @@ class Search:
 
     shift: FloatArray
     paths: NDArray[np.int8]
-    gain: float
-
-
-@dataclass(frozen=True, eq=False)
-class Null:
-    """Noise in blocks (flights, blocks, channels), where a search put windows, and its gain."""
-
-    residual: FloatArray
-    on: NDArray[np.bool_]
     gain: float
 
 
@@ -150,7 +137,7 @@ def _walk(
     return total, paths
 
 
-def nulls(blocks: Blocks, noise: Noise, best: Search, options: Options) -> list[Null]:
+def gains_in_noise(blocks: Blocks, noise: Noise, best: Search, options: Options) -> list[float]:
     """Search noise of this colour, made of what the windows leave, `draws` times."""
     random = np.random.default_rng(options.seed)
     rest = centred(blocks, best.paths).residual - (best.paths == 1)[..., None] * best.shift
@@ -162,8 +149,7 @@ def nulls(blocks: Blocks, noise: Noise, best: Search, options: Options) -> list[
         drawn = drawn_anew(innovations, share, random)
         one = replace(blocks, residual=colour(drawn, found, noise))
         one = centred(one, np.zeros_like(best.paths))
-        searched = search(one, fit_noise(one.residual, one.share), options)
-        made.append(Null(one.residual, searched.paths == 1, searched.gain))
+        made.append(search(one, fit_noise(one.residual, one.share), options).gain)
     return made
 
 

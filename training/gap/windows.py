@@ -10,7 +10,7 @@ same colour, made from the residual's own innovations with blocks of them drawn 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,76 +19,13 @@ from scipy.ndimage import minimum_filter1d
 from scipy.stats import binom
 
 from narxcal.errors import DataError
-from training.gap.blocks import (
-    EDGE,
-    Blocks,
-    blocks_of,
-    centred,
-    common_shift,
-    moment,
-    whitened,
-)
-from training.gap.finding import Interval
-from training.gap.switching import (
-    FOLLOW,
-    FloatArray,
-    Noise,
-    cost,
-    fit_noise,
-    gains,
-    whiten,
-)
-from training.gap.window_search import (
-    Null,
-    Options,
-    Search,
-    nulls,
-    rarely_reached,
-    refined,
-    search,
-)
+from training.gap.blocks import EDGE, Blocks, blocks_of
+from training.gap.coloured_noise import FOLLOW, FloatArray
+from training.gap.levels import runs
+from training.gap.path_windows import Searched, Windows, no_windows, told
+from training.gap.window_search import Options, gains_in_noise, rarely_reached, refined
 
-__all__ = ["Options", "Window", "Windows", "find_windows", "windows_of_shift"]
-_Z90 = 1.645
-_HALF_S = 0.7  # from a switch to half of its effect (narxcal.effects.steady)
-_CHI90 = 2.71  # of chi squared with one degree of freedom
-_SEEN = 150  # blocks to either side in which an edge may lie
 _SEEN_EDGES, _BY_CHANCE = 2, 0.1  # least edges at rest; how rarely as many are hidden by chance
-_TAKEN = np.array([0.37, 0.77, 0.92])  # mean share of a change in the blocks that follow it
-
-
-@dataclass(frozen=True)
-class Window:
-    """One window of one flight, the shift of each output in it, and what it explains.
-
-    `score` is twice the gain of the log likelihood by this window. `start_span_s` and
-    `stop_span_s` hold the edges with 90 % probability; a lever move can hide one for long.
-    """
-
-    flight: int
-    start_s: float
-    stop_s: float
-    shift: tuple[Interval, ...]
-    score: float
-    start_span_s: tuple[float, float]
-    stop_span_s: tuple[float, float]
-
-
-@dataclass(frozen=True, eq=False)
-class Windows:
-    """`on` (flights, time) is 1 within the windows; `shift` is that of all windows together.
-
-    `gain` is twice the gain of the log likelihood less the price of the switches, `threshold` what
-    it has to exceed. Where there is nothing, `on` is 0 throughout and `found` is empty. `nulls` are
-    the searches of noise that the threshold comes from.
-    """
-
-    on: FloatArray
-    found: tuple[Window, ...]
-    shift: tuple[Interval, ...]
-    gain: float
-    threshold: float
-    nulls: tuple[Null, ...] = ()
 
 
 def find_windows(
@@ -106,51 +43,19 @@ def find_windows(
     """
     options = options or Options()
     known = _checked(residual, weights, steady)
-    blocks = blocks_of(residual, known, _size(options, dt_s), options.groups)
-    silent = _nothing(residual)
+    blocks = blocks_of(residual, known, options.samples(dt_s), options.groups)
+    silent = no_windows(residual)
     if _too_little(blocks):
         return silent
     noise, best = refined(blocks, options)
     best = replace(best, paths=_merged(best.paths, options))
     if best.gain <= 0.0:
         return silent
-    made = nulls(blocks, noise, best, options)
-    threshold = rarely_reached([null.gain for null in made], options.level, 0.5 * blocks.switch)
+    by_chance = gains_in_noise(blocks, noise, best, options)
+    threshold = rarely_reached(by_chance, options.level, 0.5 * blocks.switch)
     if best.gain <= threshold or (options.at_rest and _with_the_lever(best.paths, blocks)):
         return replace(silent, gain=best.gain, threshold=threshold)
-    told = _told(residual, known, dt_s, (blocks, noise, best, threshold, options))
-    return replace(told, nulls=tuple(made))
-
-
-def windows_of_shift(
-    residual: FloatArray,
-    weights: FloatArray,
-    dt_s: float,
-    shift: FloatArray,
-    more: tuple[Options, NDArray[np.bool_]],
-) -> Windows:
-    """Windows in which `residual` shows a `shift` (outputs,) that is known from elsewhere.
-
-    `more` are options and where the engine is steady. What explains more than its switches cost
-    is told; raises as `find_windows`.
-    """
-    options, steady = more
-    known = _checked(residual, weights, steady)
-    blocks = blocks_of(residual, known, _size(options, dt_s), options.groups)
-    silent = _nothing(residual)
-    if _too_little(blocks):
-        return silent
-    once = replace(options, rounds=1, rising=None)
-    noise = fit_noise(blocks.residual, blocks.share)
-    best = search(blocks, noise, once, [shift])
-    if best.gain <= 0.0:
-        return silent
-    best = Search(shift, _merged(best.paths, options), best.gain)
-    return _told(residual, known, dt_s, (blocks, noise, best, 0.0, options))
-
-
-def _size(options: Options, dt_s: float) -> int:
-    return max(1, round(options.block_s / dt_s))
+    return told(residual, known, dt_s, Searched(blocks, noise, best, threshold, options))
 
 
 def _too_little(blocks: Blocks) -> bool:
@@ -174,16 +79,11 @@ def _checked(
     return known
 
 
-def _nothing(residual: FloatArray) -> Windows:
-    none = tuple(Interval(0.0, 0.0, 0.0) for _ in range(residual.shape[2]))
-    return Windows(np.zeros(residual.shape[:2]), (), none, 0.0, 0.0)
-
-
 def _merged(paths: NDArray[np.int8], options: Options) -> NDArray[np.int8]:
     """On throughout where it is off between two windows for less than the shortest one."""
     merged = paths.copy()
     for row in merged:
-        for (_, stop), (start, _) in pairwise(_runs(row)):
+        for (_, stop), (start, _) in pairwise(runs(row == 1)):
             off = np.count_nonzero(row[stop:start] == 0)
             if off * options.block_s < options.shortest_s:
                 row[stop:start] = 1
@@ -201,7 +101,7 @@ def _with_the_lever(paths: NDArray[np.int8], blocks: Blocks) -> bool:
         path = paths[group[0]]
         heard: NDArray[np.bool_] = np.all(blocks.share[list(group)] > 0.0, axis=(0, 2))
         clear = minimum_filter1d(heard, 3 * FOLLOW, origin=FOLLOW - 3 * FOLLOW // 2)
-        for start, stop in _runs(path):
+        for start, stop in runs(path == 1):
             zones = [k for k in (start - FOLLOW, stop) if 0 < k < len(path) - FOLLOW]
             edges += len(zones)
             hidden += sum(not clear[k] for k in zones)
@@ -215,111 +115,3 @@ def _with_the_lever(paths: NDArray[np.int8], blocks: Blocks) -> bool:
 def _last(heard: NDArray[np.bool_]) -> int:
     """One more than the last block of which anything is known."""
     return int(np.flatnonzero(heard).max(initial=0)) + 1
-
-
-_All = tuple[Blocks, Noise, Search, float, Options]
-
-
-def _told(residual: FloatArray, known: FloatArray, dt_s: float, found: _All) -> Windows:
-    """Windows on the raster, with their own shifts."""
-    blocks, noise, best, threshold, options = found
-    blocks = centred(blocks, best.paths)
-    shift, deviation = common_shift(blocks, best.paths, noise)
-    on, windows = np.zeros(residual.shape[:2]), []
-    size = _size(options, dt_s)
-    for group in blocks.groups:
-        for first, last in _runs(best.paths[group[0]]):
-            rows = list(group)
-            half = round(_HALF_S / dt_s)
-            start = moment(residual[rows], known[rows], (first - FOLLOW, size, half))
-            stop = moment(residual[rows], known[rows], (last, size, half))
-            if (stop - start) * dt_s < options.shortest_s:
-                continue
-            on[rows, start:stop] = 1.0
-            told = [_window(blocks, best.paths, noise, (f, first, last)) for f in rows]
-            model = (shift, noise.of(rows))
-            where = [_span(blocks, best.paths, (rows, edge), model) for edge in (first, last)]
-            ends = [(low * options.block_s, high * options.block_s) for low, high in where]
-            spans = _around(ends[0], start * dt_s), _around(ends[1], stop * dt_s)
-            windows += [
-                Window(f, start * dt_s, stop * dt_s, own, score, *spans)
-                for f, (own, score) in zip(rows, told, strict=True)
-            ]
-    if not windows:
-        return replace(_nothing(residual), gain=best.gain, threshold=threshold)
-    common = _intervals(shift, deviation)
-    return Windows(on, tuple(windows), common, best.gain, threshold)
-
-
-def _window(
-    blocks: Blocks, paths: NDArray[np.int8], noise: Noise, where: tuple[int, int, int]
-) -> tuple[tuple[Interval, ...], float]:
-    """Shift of one window of one flight, all others of it fitted beside, and what it explains."""
-    f, first, last = where
-    rows = [f]
-    one = replace(blocks, residual=blocks.residual[rows], share=blocks.share[rows], groups=((0,),))
-    shapes = [np.zeros((1, paths.shape[1], 1), dtype=np.bool_) for _ in range(2)]
-    shapes[0][0, first:last] = True
-    shapes[1][0, :, 0] = (paths[f] == 1) & ~shapes[0][0, :, 0]
-    whole, own = whitened(one, paths[rows], shapes[0], noise.of(rows))
-    others = whitened(one, paths[rows], shapes[1], noise.of(rows))[1]
-    shift, deviation = np.zeros(whole.shape[2]), np.zeros(whole.shape[2])
-    rest = whole.copy()
-    for c in range(whole.shape[2]):
-        design = np.stack([own[0, :, c], others[0, :, c]], axis=1)
-        spread = np.linalg.pinv(design.T @ design)
-        found = spread @ design.T @ whole[0, :, c]
-        rest[0, :, c] -= design @ found
-        heard = max(1, int(np.count_nonzero(whole[0, :, c])))
-        variance = max(1.0, float((rest[0, :, c] ** 2).sum()) / heard)
-        shift[c], deviation[c] = found[0], np.sqrt(spread[0, 0] * variance)
-    without = cost(rest + own * shift, noise).sum()
-    return _intervals(shift, deviation), float(without - cost(rest, noise).sum())
-
-
-def _around(span: tuple[float, float], value: float) -> tuple[float, float]:
-    return min(span[0], value), max(span[1], value)
-
-
-def _span(
-    blocks: Blocks,
-    paths: NDArray[np.int8],
-    where: tuple[list[int], int],
-    model: tuple[FloatArray, Noise],
-) -> tuple[int, int]:
-    """Blocks between which a change of flights `rows` lies, the one that ends at block `edge`."""
-    (rows, edge), (shift, noise) = where, model
-    path = paths[rows[0]]
-    on = (path == 1).astype(np.float64)
-    if edge in (0, len(path)):
-        return edge, edge
-    # A change takes FOLLOW blocks; the search knows it by its end, or as off by its beginning.
-    begin = edge - FOLLOW if path[edge] == 1 else edge
-    after, before = float(path[edge] == 1), 1.0 - float(path[edge] == 1)
-    found = gains(noise, blocks.share[rows])
-    others = np.flatnonzero(path < 0)
-    earlier, later = others[others < begin], others[others >= begin + FOLLOW]
-    low = max(1, begin - _SEEN, int(earlier.max(initial=0)) + 1)
-    high = min(len(path) - 1, begin + _SEEN, int(later.min(initial=len(path))))
-    prices = []
-    for k in range(low, high):
-        moved = on.copy()
-        moved[min(k, begin) : max(k, begin + FOLLOW)] = after if k <= begin else before
-        moved[k : k + FOLLOW] = before + (after - before) * _TAKEN[: len(path) - k]
-        rest = blocks.residual[rows] - moved[:, None] * shift
-        prices.append(float(cost(whiten(rest, found, noise), noise).sum()))
-    near = np.flatnonzero(np.array(prices) <= min(prices) + _CHI90)
-    return low + int(near[0]), low + int(near[-1]) + 1
-
-
-def _intervals(value: FloatArray, deviation: FloatArray) -> tuple[Interval, ...]:
-    return tuple(
-        Interval(float(v), float(v - _Z90 * s), float(v + _Z90 * s))
-        for v, s in zip(value, deviation, strict=True)
-    )
-
-
-def _runs(path: NDArray[np.int8]) -> list[tuple[int, int]]:
-    """First and last but one block of each run of on."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], path == 1, [0]])))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -8,7 +8,8 @@ from scipy.signal import lfilter
 
 from narxcal.errors import DataError
 from narxcal.turbofan import Unmodelled, VirtualEngine
-from training.gap.windows import Options, find_windows
+from training.gap.window_search import Options
+from training.gap.windows import find_windows
 
 DT_S = 0.25
 NOISE = np.array([0.1, 0.08, 1.5])  # N1, N2 in %, temperature in K
