@@ -222,19 +222,25 @@ def _edges(z: FloatArray, levels: Levels, count: int) -> list[FloatArray]:
     return [step for _, step in found[: 3 * count : 3]]
 
 
-def contrast(values: FloatArray, known: BoolArray) -> FloatArray:
-    """Mean level after a change at each block less that before, (blocks, ...), NaN if unknown."""
+def contrast(
+    values: FloatArray, known: BoolArray, edge: int = EDGE, late: int = SETTLED
+) -> FloatArray:
+    """Mean level after a change at each block less that before, (blocks, ...), NaN if unknown.
+
+    Levels are means of `edge` blocks, of which half has to be known; the later one is heard
+    `late` blocks after the change.
+    """
     many = known.reshape(-1, *([1] * (values.ndim - 1)))
     total = np.cumsum(np.concatenate([0.0 * values[:1], values * many]), axis=0)
     count = np.concatenate([[0], np.cumsum(known)])
     last, at = len(known), np.arange(len(known))
     means = []
     for low, high in (
-        (np.minimum(at + SETTLED, last), np.minimum(at + SETTLED + EDGE, last)),
-        (np.maximum(at - EDGE, 0), at),
+        (np.minimum(at + late, last), np.minimum(at + late + edge, last)),
+        (np.maximum(at - edge, 0), at),
     ):
         heard = (count[high] - count[low]).astype(np.float64)
-        heard[heard < 0.5 * EDGE] = np.nan
+        heard[heard < 0.5 * edge] = np.nan
         means.append((total[high] - total[low]) / heard.reshape(many.shape))
     return np.asarray(means[0] - means[1])
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 from scipy.stats import binom
 
-from narxcal.effects.base import FloatArray
-from training.gap.levels import BoolArray, Found, Levels, runs
+from training.gap.levels import Found, Levels, contrast, runs
 
 WITNESSES = 2  # flights in which the load was on
 _BEFORE, _AFTER = 4, 3  # blocks that tell a level next to a change, and how long it may take
@@ -90,7 +89,9 @@ def edges_of(found: Found, levels: Levels) -> tuple[list[Edge], float]:
         width = 2 * _AFTER + 1
         clear = minimum_filter1d(known, width, origin=-1)
         unclear.append(~clear[:last])
-        step = np.mean([_jumps(found.there[f], levels.known[f]) for f in rows], axis=0)
+        step = np.mean(
+            [contrast(found.there[f], levels.known[f], _BEFORE, _AFTER) for f in rows], axis=0
+        )
         for first, stop in runs(found.on[rows[0]]):
             for block, sign in ((first, 1.0), (stop, -1.0)):
                 if _AFTER < block < last - 2 * _AFTER:
@@ -100,22 +101,6 @@ def edges_of(found: Found, levels: Levels) -> tuple[list[Edge], float]:
                     jump = float(known_here.max()) if len(known_here) else np.nan
                     edges.append(Edge(rows[0], block, bool(clear[near].any()), jump))
     return edges, float(np.mean(np.concatenate(unclear)))
-
-
-def _jumps(there: FloatArray, known: BoolArray) -> FloatArray:
-    """Level soon after each block less that before, (blocks,), NaN where too little is known."""
-    total = np.concatenate([[0.0], np.cumsum(there * known)])
-    count = np.concatenate([[0.0], np.cumsum(known)])
-    last, at = len(known), np.arange(len(known))
-    levels = []
-    for low, high in (
-        (np.minimum(at + _AFTER, last), np.minimum(at + _AFTER + _BEFORE, last)),
-        (np.maximum(at - _BEFORE, 0), at),
-    ):
-        heard = count[high] - count[low]
-        enough = np.where(heard >= 0.5 * _BEFORE, heard, np.nan)
-        levels.append((total[high] - total[low]) / enough)
-    return np.asarray(levels[0] - levels[1])
 
 
 def _follow(edges: Sequence[Edge], switched: Sequence[NDArray[np.float64]]) -> bool:
