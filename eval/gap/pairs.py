@@ -17,33 +17,19 @@ from data_prep.clean import clean
 from data_prep.faults import out_of_range
 from data_prep.hold import hold_inputs
 from data_prep.log import AuditEntry, Log
-from data_prep.moves import bridged
-from eval.gap.blocks import batch
-from eval.gap.data import FloatArray, GapData, Pair
+from eval.gap.data import FloatArray, Pair
 from eval.gap.log_folders import pair_up, read_folder
+from eval.gap.pair_inputs import inputs_of, is_input
+from eval.gap.pair_outputs import DIAGNOSED, check_recorded, complete, lone, outputs_of
 from narxcal.channels import CHANNELS
 from narxcal.errors import DataError
 from training.config import RunConfig
 
-__all__ = [
-    "GapData",
-    "Pair",
-    "batch",
-    "match_simulated",
-    "pair_logs",
-    "pair_up",
-    "read_folder",
-    "read_pairs",
-]
+__all__ = ["DIAGNOSED", "match_simulated", "pair_logs", "read_folder", "read_pairs"]
 
-SPEEDS = ("N1_pct", "N2_pct")
-DIAGNOSED = (*SPEEDS, "EGT_C", "FF_kgph")
 COMPARED = ("FN_kN", "FPR", "EPR")
 _RATE = 1e-3
 _LONGER_S = 2.0
-# Samples of an input may differ by this part of the channel's range, and few of them by more.
-_ROUNDING, _FEW = 2e-3, 1e-3
-_MOST_MISSING = 0.2
 
 Simulate = Callable[[Log], Mapping[str, FloatArray]]
 
@@ -81,7 +67,7 @@ def match_simulated(name: str, log: Log, sim: Mapping[str, Log] | Simulate) -> L
         )
     samples = _common_length(name, log, sim[name])
     log, found = log.part(0, samples), sim[name].part(0, samples)
-    inputs = _inputs(name, log, found, {})
+    inputs = inputs_of(name, log, found, {})
     return replace(found, channels={**found.channels, **inputs})
 
 
@@ -94,17 +80,17 @@ def pair_logs(name: str, real: Log, sim: Log) -> Pair:
     samples = _common_length(name, real, sim)
     counts = _counts(real, sim, samples)
     real, sim = real.part(0, samples), sim.part(0, samples)
-    inputs = _inputs(name, real, sim, counts)
-    outputs = _outputs(name, real, sim, inputs)
+    inputs = inputs_of(name, real, sim, counts)
+    outputs = outputs_of(name, real, sim, inputs)
     measured, modelled = {}, {}
     for output in outputs:
-        modelled[output] = _complete(name, sim, output, counts)
+        modelled[output] = complete(name, sim, output, counts)
         measured[output] = np.where(np.isfinite(sim[output]), real[output], np.nan)
-        _check_output(name, real, output, counts)
+        check_recorded(name, real, output, counts)
     both = [each for each in COMPARED if each in real.channels and each in sim.channels]
     others = {each: np.column_stack([real[each], sim[each]]) for each in both}
-    lone = _lone(real, sim, [each for each in DIAGNOSED if each not in inputs])
-    return Pair(name, real.time_s, inputs, measured, modelled, others, counts, lone)
+    alone = lone(real, sim, [each for each in DIAGNOSED if each not in inputs])
+    return Pair(name, real.time_s, inputs, measured, modelled, others, counts, alone)
 
 
 def _plausible(log: Log) -> Log:
@@ -120,16 +106,10 @@ def _plausible(log: Log) -> Log:
 
 def _simulated(log: Log, simulate: Simulate) -> Log:
     """The log's inputs, complete, with the outputs that the simulator gives for them."""
-    inputs = [name for name in log.channels if _is_input(name, log)]
+    inputs = [name for name in log.channels if is_input(name, log)]
     held = hold_inputs(log, inputs)
     outputs = {name: values for name, values in simulate(held).items() if name in CHANNELS}
     return replace(held, channels={name: held[name] for name in inputs} | outputs)
-
-
-def _is_input(name: str, log: Log) -> bool:
-    if name == "FF_kgph":
-        return "TRA_deg" not in log.channels
-    return CHANNELS[name].role in ("lever", "ambient", "switch")
 
 
 def _common_length(name: str, real: Log, sim: Log) -> int:
@@ -160,124 +140,6 @@ def _counts(real: Log, sim: Log, samples: int) -> dict[str, int]:
             key = f"{entry.channel} {entry.action}: {entry.reason}"
             counts[key] = counts.get(key, 0) + entry.samples
     return {reason: count for reason, count in counts.items() if count}
-
-
-def _inputs(name: str, real: Log, sim: Log, counts: dict[str, int]) -> dict[str, FloatArray]:
-    """Inputs of either log; where both have one, the simulator's, for that is what it was told."""
-    has = {**real.channels, **sim.channels}
-    driver = "TRA_deg" if "TRA_deg" in has else "FF_kgph"
-    if driver not in has:
-        raise DataError(
-            "there is no TRA_deg, and no FF_kgph to take for the driver",
-            file=name,
-            hint="Map the throttle's column, or the fuel flow's",
-        )
-    wanted = [
-        each
-        for each in CHANNELS
-        if each in has and (CHANNELS[each].role in ("lever", "ambient", "switch") or each == driver)
-    ]
-    found = {}
-    for each in wanted:
-        if each in real.channels and each in sim.channels:
-            _check_same(name, real, sim, each)
-        source = sim if each in sim.channels else real
-        missing = int(np.count_nonzero(~np.isfinite(source[each])))
-        if missing:
-            counts[f"{each} held"] = missing
-        found[each] = hold_inputs(source, [each])[each]
-    return found
-
-
-def _check_same(name: str, real: Log, sim: Log, channel: str) -> None:
-    a, b = real[channel], sim[channel]
-    known = np.isfinite(a) & np.isfinite(b)
-    if not known.any():
-        return
-    row = CHANNELS[channel]
-    span = min(row.high - row.low, 2.0 * float(np.ptp(b[known])) + float(np.abs(b[known]).max()))
-    apart = np.zeros(len(a), dtype=np.bool_)
-    apart[known] = np.abs(a[known] - b[known]) > _ROUNDING * span
-    if apart.sum() <= _FEW * len(a):
-        return
-    first = int(np.argmax(apart))
-    raise DataError(
-        f"the inputs differ: recorded {a[first]:g}, simulated with {b[first]:g} "
-        f"({int(apart.sum())} of {len(a)} samples differ by more than rounding)",
-        file=name,
-        channel=channel,
-        row=first + 1,
-        hint="Simulate with the inputs that were recorded",
-    )
-
-
-def _outputs(name: str, real: Log, sim: Log, inputs: Mapping[str, FloatArray]) -> tuple[str, ...]:
-    candidates = [each for each in DIAGNOSED if each not in inputs]
-    both = tuple(e for e in candidates if e in real.channels and e in sim.channels)
-    if not any(each in both for each in SPEEDS):
-        raise DataError(
-            f"recorded and simulated log share neither {' nor '.join(SPEEDS)}",
-            file=name,
-            hint=f"A spool speed has to be on both sides; recorded are {_named(real, candidates)}, "
-            f"simulated are {_named(sim, candidates)}",
-        )
-    return both
-
-
-def _named(log: Log, outputs: Sequence[str]) -> str:
-    return ", ".join(each for each in outputs if each in log.channels) or "none of the outputs"
-
-
-def _lone(real: Log, sim: Log, outputs: Sequence[str]) -> dict[str, str]:
-    """Outputs that only one side has: channel -> which."""
-    one, other = "recorded but not simulated", "simulated but not recorded"
-    return {
-        each: one if each in real.channels else other
-        for each in outputs
-        if (each in real.channels) != (each in sim.channels)
-    }
-
-
-def _complete(name: str, sim: Log, channel: str, counts: dict[str, int]) -> FloatArray:
-    values = sim[channel]
-    missing = int(np.count_nonzero(~np.isfinite(values)))
-    if missing > _MOST_MISSING * len(values):
-        raise DataError(
-            f"{missing} of {len(values)} simulated samples are missing",
-            file=name,
-            channel=channel,
-            hint="Simulate the whole flight, or leave the log or the channel out",
-        )
-    if missing:
-        counts[f"{channel} simulated missing"] = missing
-    _check_varies(name, values, channel, "simulated")
-    return bridged(values)
-
-
-def _check_output(name: str, real: Log, channel: str, counts: dict[str, int]) -> None:
-    values = real[channel]
-    missing = int(np.count_nonzero(~np.isfinite(values)))
-    if missing == len(values):
-        raise DataError(
-            "no recorded sample is known",
-            file=name,
-            channel=channel,
-            hint="Leave the channel out of all logs, or this log out",
-        )
-    if missing:
-        counts[f"{channel} unknown"] = missing
-    _check_varies(name, values, channel, "recorded")
-
-
-def _check_varies(name: str, values: FloatArray, channel: str, what: str) -> None:
-    known = values[np.isfinite(values)]
-    if np.ptp(known) <= 1e-9 * max(1.0, float(np.abs(known).max())):
-        raise DataError(
-            f"the {what} channel is constant ({known[0]:g} throughout)",
-            file=name,
-            channel=channel,
-            hint="Its sensor is stuck, or another column is meant; leave the channel or log out",
-        )
 
 
 def _alike(pairs: Sequence[Pair]) -> list[Pair]:

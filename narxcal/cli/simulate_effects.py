@@ -17,7 +17,8 @@ import numpy as np
 from data_prep.log import Log
 from eval.gap.applied import read_effects
 from eval.gap.data import FloatArray
-from eval.gap.pairs import match_simulated, read_folder
+from eval.gap.log_folders import read_folder
+from eval.gap.pairs import match_simulated
 from eval.gap.simulators import open_simulator
 from narxcal.atomic import atomic_folder, check_output_folder
 from narxcal.channels import CHANNELS

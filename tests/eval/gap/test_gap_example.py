@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from eval.gap.pairs import batch, read_pairs
+from eval.gap.blocks import batch
+from eval.gap.pairs import read_pairs
 from eval.gap.realised import held_out
 from eval.gap.where import locate
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from eval.gap.pairs import match_simulated, pair_logs, read_folder, read_pairs
+from eval.gap.log_folders import read_folder
+from eval.gap.pairs import match_simulated, pair_logs, read_pairs
 from narxcal.errors import DataError
 from training.config import RunConfig
 
