@@ -1,6 +1,8 @@
-"""Short pieces of virtual flights, for every test that wants logs of an engine."""
+"""Short pieces of virtual flights, and what every page of ours has to be."""
 
+import re
 from functools import lru_cache
+from html.parser import HTMLParser
 from typing import NamedTuple
 
 import numpy as np
@@ -88,3 +90,57 @@ def write_pieces():
         return paths
 
     return write
+
+
+class Page(HTMLParser):
+    """Collects the ids, links, resources and text of a page, and checks that tags are nested."""
+
+    VOID = frozenset(("meta", "link", "input", "br", "hr", "img"))
+
+    def __init__(self):
+        super().__init__()
+        self.stack, self.tags, self.ids, self.anchors, self.resources = [], [], [], [], []
+        self.text, self.unnamed = [], 0
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.tags.append(tag)
+        if tag not in self.VOID:
+            self.stack.append(tag)
+        if tag == "svg":
+            self.unnamed += found.get("role") != "img" or not found.get("aria-label")
+        if "id" in found:
+            self.ids.append(found["id"])
+        href = found.get("href") or found.get("xlink:href") or found.get("src")
+        if href:
+            (self.anchors if href.startswith("#") else self.resources).append(href.lstrip("#"))
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in self.VOID:
+            self.stack.pop()
+
+    def handle_endtag(self, tag):
+        assert self.stack.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+@pytest.fixture(scope="session")
+def sound_page():
+    """Parse a page that has to be well-formed and to need nothing but itself."""
+
+    def read(html):
+        page = Page()
+        page.feed(html)
+        page.close()
+        assert page.stack == []
+        assert "script" not in page.tags
+        assert len(page.ids) == len(set(page.ids))
+        assert set(page.anchors) <= set(page.ids)
+        assert all(resource.startswith("data:") for resource in page.resources)
+        assert not re.search(r"url\((?!#)|@import|https?://(?!www\.w3\.org/)", html)
+        return page
+
+    return read

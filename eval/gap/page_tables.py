@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from eval.gap.page_cells import count, percent, printed, seconds, span, whole
 from eval.gap.summary import effect_name, seconds_within, windows_named
 from eval.report.style import symbol, unit, with_unit
 from eval.report.tables import NOTHING, Cell, Mark, Table, figure, number
@@ -96,11 +97,6 @@ def sizes(row: Mapping[str, Any]) -> str:
         + f" ({number(each['low'])} to {number(each['high'])})"
         for name, each in row["parameters"].items()
     )
-
-
-def printed(name: str) -> str:
-    """Unit as it is printed: `degC` -> `°C`."""
-    return "" if name == "-" else name.replace("degC", "°C").replace("deg", "°")
 
 
 def windows(document: Mapping[str, Any]) -> Table:
@@ -261,39 +257,6 @@ def compared(document: Mapping[str, Any]) -> Table:
     )
     head = ("channel", "RMSE of recorded less simulated", "unit")
     return Table("Recorded on both sides, compared, not diagnosed", head, rows)
-
-
-def percent(share: float | None, mark: Mark = "") -> Cell:
-    """A share as a number in percent; whole, but for small ones."""
-    if share is None or not math.isfinite(share):
-        return Cell(NOTHING, mark, number=True)
-    digits = 1 if 0.0005 <= abs(share) < 0.0995 else 0
-    return Cell(whole(100 * share, digits), mark, number=True)
-
-
-def count(number_of: int) -> Cell:
-    """A count."""
-    return Cell(f"{number_of:,}".replace(",", "\N{NO-BREAK SPACE}"), number=True)
-
-
-def seconds(value: float | None, mark: Mark = "") -> Cell:
-    """A time to the millisecond."""
-    if value is None or not math.isfinite(value):
-        return Cell(NOTHING, mark, number=True)
-    return Cell(whole(value, 3), mark, number=True)
-
-
-def whole(value: float, digits: int = 0) -> str:
-    """A rounded number; what rounds to nothing has no sign."""
-    return f"{round(value, digits) + 0.0:.{digits}f}"
-
-
-def span(row: Mapping[str, float | None]) -> str:
-    """Ends of an interval in percent."""
-    low, high = row["low"], row["high"]
-    if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
-        return NOTHING
-    return f"{whole(100 * low)} to {whole(100 * high)}"
 
 
 def _better(before: float | None, after: float | None) -> Mark:

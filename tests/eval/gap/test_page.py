@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -24,49 +22,7 @@ NAME = "sensor_lag:EGT_C"
 VALUES = {NAME: {"tau_s": 1.0}}
 HOSTILE = '<script>alert("x")</script> & co'
 SKEW = {"time_skew:EGT_C": {"skew_s": Interval(0.7, 0.65, 0.75)}}
-VOID = {"meta", "link", "input", "br"}
 KINDS = ("none", "effects", "ambiguous", "unknown")
-
-
-class Checker(HTMLParser):
-    """Collects ids, links, resources and text, and checks that tags are nested."""
-
-    def __init__(self):
-        super().__init__()
-        self.stack, self.ids, self.anchors, self.resources = [], [], [], []
-        self.text, self.tags, self.unnamed = [], [], 0
-
-    def handle_starttag(self, tag, attrs):
-        found = dict(attrs)
-        self.tags.append(tag)
-        if tag not in VOID:
-            self.stack.append(tag)
-        if tag == "svg":
-            self.unnamed += found.get("role") != "img" or not found.get("aria-label")
-        if "id" in found:
-            self.ids.append(found["id"])
-        href = found.get("href") or found.get("xlink:href") or found.get("src")
-        if href:
-            (self.anchors if href.startswith("#") else self.resources).append(href.lstrip("#"))
-
-    def handle_startendtag(self, tag, attrs):
-        self.handle_starttag(tag, attrs)
-        if tag not in VOID:
-            self.stack.pop()
-
-    def handle_endtag(self, tag):
-        assert self.stack.pop() == tag
-
-    def handle_data(self, data):
-        self.text.append(data)
-
-
-def read(html):
-    checker = Checker()
-    checker.feed(html)
-    checker.close()
-    assert checker.stack == []
-    return checker
 
 
 @pytest.fixture
@@ -123,16 +79,11 @@ def bare(evidence):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_verdict_makes_a_sound_page_that_needs_nothing_else(evidence, kind):
+def test_every_verdict_makes_a_sound_page_that_needs_nothing_else(evidence, kind, sound_page):
     evidence = with_verdict(evidence, kind)
     html = gap_page(document(evidence), evidence, "2026-11-21 17:00 UTC")
-    found = read(html)
-    assert "script" not in found.tags
+    found = sound_page(html)
     assert HOSTILE in "".join(found.text)
-    assert len(found.ids) == len(set(found.ids))
-    assert set(found.anchors) <= set(found.ids)
-    assert all(resource.startswith("data:") for resource in found.resources)
-    assert not re.search(r"url\((?!#)|@import|https?://(?!www\.w3\.org/)", html)
     assert found.unnamed == 0
     assert "prefers-color-scheme: dark" in html
     assert "2026-11-21 17:00 UTC" in html
@@ -144,10 +95,10 @@ def test_a_page_is_the_same_bytes_each_time(evidence):
     assert gap_page(found, evidence, "now") == gap_page(found, evidence, "now")
 
 
-def test_a_diagnosis_with_nothing_in_it_still_makes_a_page(evidence):
+def test_a_diagnosis_with_nothing_in_it_still_makes_a_page(evidence, sound_page):
     empty = bare(evidence)
     html = gap_page(document(empty), empty)
-    read(html)
+    sound_page(html)
     for text in (
         "NO GAP",
         "No part of the flights stands out of the noise",
@@ -327,37 +278,6 @@ def test_what_was_changed_is_counted_flight_by_flight(evidence):
     found["quality"]["compared"] = {"FN_kN": 0.25}
     assert texts(page_tables.changed(found)) == [["a", "N1_pct unknown", "1\N{NO-BREAK SPACE}300"]]
     assert texts(page_tables.compared(found)) == [["FN", "0.250", "kN"]]
-
-
-@pytest.mark.parametrize(
-    ("share", "text"),
-    [(0.9, "90"), (0.042, "4.2"), (-1e-9, "0"), (None, "–"), (math.nan, "–"), (-0.27, "-27")],  # noqa: RUF001
-)
-def test_shares_in_percent(share, text):
-    assert page_tables.percent(share).text == text
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "text"),
-    [(0.1, 0.25, "10 to 25"), (-0.001, 0.001, "0 to 0"), (-math.inf, 1.0, "–"), (None, 0.1, "–")],  # noqa: RUF001
-)
-def test_intervals_in_percent(low, high, text):
-    assert page_tables.span({"low": low, "high": high}) == text
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.2449, "0.245"), (-0.00021, "0.000"), (math.nan, "–"), (None, "–")],  # noqa: RUF001
-)
-def test_times_to_the_millisecond(value, text):
-    assert page_tables.seconds(value).text == text
-
-
-@pytest.mark.parametrize(
-    ("unit", "text"), [("degC", "°C"), ("-", ""), ("deg/s", "°/s"), ("degC/h", "°C/h")]
-)
-def test_units_are_printed_as_an_engineer_writes_them(unit, text):
-    assert page_tables.printed(unit) == text
 
 
 def test_bands_and_regimes_stand_there_in_numbers(evidence):

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import subprocess
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -35,48 +33,6 @@ from eval.report.page import (
 )
 
 HOSTILE = '<script>alert("x")</script> & co.csv:left'
-VOID = {"meta", "link", "input", "br"}
-
-
-class Checker(HTMLParser):
-    """Collects ids, links, resources and text, and checks that tags are nested."""
-
-    def __init__(self):
-        super().__init__()
-        self.stack, self.ids, self.anchors, self.resources, self.scripts = [], [], [], [], 0
-        self.text = []
-
-    def handle_starttag(self, tag, attrs):
-        found = dict(attrs)
-        if tag not in VOID:
-            self.stack.append(tag)
-        self.scripts += tag == "script"
-        if "id" in found:
-            self.ids.append(found["id"])
-        href = found.get("href") or found.get("xlink:href") or found.get("src")
-        if href and href.startswith("#"):
-            self.anchors.append(href[1:])
-        elif href:
-            self.resources.append(href)
-
-    def handle_startendtag(self, tag, attrs):
-        self.handle_starttag(tag, attrs)
-        if tag not in VOID:
-            self.stack.pop()
-
-    def handle_endtag(self, tag):
-        assert self.stack.pop() == tag
-
-    def handle_data(self, data):
-        self.text.append(data)
-
-
-def read(html: str) -> Checker:
-    checker = Checker()
-    checker.feed(html)
-    checker.close()
-    assert checker.stack == []
-    return checker
 
 
 def trial() -> WindowTrial:
@@ -117,7 +73,7 @@ def evaluation(header, page) -> str:
     return evaluate_page(header, [one], sweeps=[sweep])
 
 
-def test_every_page_is_sound_escaped_and_self_contained(evaluation, header, page):
+def test_every_page_is_sound_escaped_and_self_contained(evaluation, header, page, sound_page):
     bare = replace(page(), scores=(), residuals=())
     pages = [
         evaluation,
@@ -125,13 +81,7 @@ def test_every_page_is_sound_escaped_and_self_contained(evaluation, header, page
         crossval_page(header, [scheme([1.0, 6.0])]),
     ]
     for html in pages:
-        found = read(html)
-        assert found.scripts == 0
-        assert HOSTILE in "".join(found.text)
-        assert len(found.ids) == len(set(found.ids))
-        assert set(found.anchors) <= set(found.ids)
-        assert all(resource.startswith("data:") for resource in found.resources)
-        assert not re.search(r"url\((?!#)|@import|https?://(?!www\.w3\.org/)", html)
+        assert HOSTILE in "".join(sound_page(html).text)
 
 
 def test_a_page_is_the_same_bytes_each_time(evaluation, header, page):
@@ -197,18 +147,18 @@ def test_trim_audit_hashes_and_configuration_are_on_the_page(evaluation):
         assert text in evaluation
 
 
-def test_a_log_without_events_or_residuals_or_audit_still_makes_a_page(page):
+def test_a_log_without_events_or_residuals_or_audit_still_makes_a_page(page, sound_page):
     bare = replace(page(), events=[], residuals=[], scores=[], pearson=None, audit=Audit())
     html = evaluate_page(RunHeader(title="t", created="now"), [bare])
     assert "No event was found in this log." in html
     assert "Not computed." in html
-    read(html)
+    sound_page(html)
 
 
-def test_a_channel_that_is_masked_throughout_still_makes_a_page(header, page):
+def test_a_channel_that_is_masked_throughout_still_makes_a_page(header, page, sound_page):
     made = page()
     gone = [replace(part, measured=np.full(900, np.nan)) for part in made.channels]
-    read(evaluate_page(header, [replace(made, channels=gone, events=[])]))
+    sound_page(evaluate_page(header, [replace(made, channels=gone, events=[])]))
 
 
 def test_the_prepare_page_shows_no_model_and_no_verdict(header, page):
