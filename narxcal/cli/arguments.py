@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import os
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import NoReturn, TypeAlias
 
 from narxcal.cli import gap_arguments
+from narxcal.cli.values import count, fraction, seed
 from narxcal.errors import ConfigError
 
 _EPILOG = """\
@@ -228,7 +228,7 @@ def _reproduce(commands: _Commands) -> argparse.ArgumentParser:
         "--config", metavar="CONFIG", default="narx_paper.toml", help="default narx_paper.toml"
     )
     _data(parser, "folder of your own data sets, instead of virtual flights")
-    parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the virtual flights")
+    parser.add_argument("--seed", metavar="N", type=seed, default=0, help="of the virtual flights")
     parser.add_argument("--quick", action="store_true", help="few steps and two divisions")
     _jobs(parser)
     return parser
@@ -249,7 +249,7 @@ def _fly(commands: _Commands) -> argparse.ArgumentParser:
         "or none",
     )
     parser.add_argument("--sensors", metavar="PRESET", help="sensors instead of CONFIG's")
-    parser.add_argument("--seed", metavar="N", type=int, help="seed instead of CONFIG's")
+    parser.add_argument("--seed", metavar="N", type=seed, help="seed instead of CONFIG's")
     parser.add_argument("--flights", metavar="N", type=count, help="flights instead of CONFIG's")
     parser.add_argument("--gzip", action="store_true", help="write .csv.gz")
     parser.add_argument(
@@ -269,7 +269,9 @@ def _export(commands: _Commands) -> argparse.ArgumentParser:
         help="run folder, table (.csv), FMU, module:function, or a virtual engine's name",
     )
     parser.add_argument("--to", choices=("table", "fmu"), required=True, help="what to write")
-    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help=".csv, .gz or .fmu")
+    parser.add_argument(
+        "--out", metavar="FILE", type=Path, required=True, help=".csv, .csv.gz or .fmu"
+    )
     parser.add_argument("--fmi", choices=("2.0", "3.0"), default="2.0", help="default 2.0")
     parser.add_argument(
         "--tolerance", metavar="PCT", type=float, default=0.5, help="of each range (default 0.5)"
@@ -289,22 +291,6 @@ def _export(commands: _Commands) -> argparse.ArgumentParser:
     parser.add_argument("--inputs", metavar="NAME", nargs="+", help="where SOURCE names none")
     parser.add_argument("--outputs", metavar="NAME", nargs="+", help="where SOURCE names none")
     return parser
-
-
-def fraction(text: str) -> float:
-    """Read the value of `--trim`."""
-    value = float(text)
-    if not math.isfinite(value) or not 0.0 <= value < 1.0:
-        raise argparse.ArgumentTypeError(f"expected a fraction from 0 to below 1, found {text}")
-    return value
-
-
-def count(text: str) -> int:
-    """Read the value of `--jobs`."""
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"expected 1 or more, found {text}")
-    return value
 
 
 def _version() -> str:

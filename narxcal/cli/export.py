@@ -29,6 +29,7 @@ _USUAL_OUTPUTS = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph", "FN_kN", "FPR", "EPR")
 
 def run(options: Namespace, console: Console) -> int:
     """Export SOURCE and say how well it is matched; 1 where the tolerance was missed."""
+    _check_name(options.out, options.to)
     model = open_source(options.source, options.inputs, options.outputs)
     grid = Grid.of_model(model, _nodes(options.nodes or ()))
     with console.progress("Exporting") as advance:
@@ -47,6 +48,16 @@ def run(options: Namespace, console: Console) -> int:
     _show(console, report)
     console.document({"schema": SCHEMA, "to": options.to, **report.to_dict()})
     return 0 if report.met else 1
+
+
+def _check_name(out: Path, kind: str) -> None:
+    """Refuse, before any work is done, a name that says another kind of file."""
+    endings = {"table": (".csv", ".csv.gz"), "fmu": (".fmu",)}[kind]
+    if not out.name.endswith(endings):
+        raise ConfigError(
+            f"--to {kind} writes a {' or '.join(endings)} file, and --out names {out.name}",
+            hint=f"Name it {out.name.partition('.')[0]}{endings[0]}",
+        )
 
 
 def open_source(

@@ -7,6 +7,8 @@ import os
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from narxcal.cli.values import count, seconds, seed
+
 # argparse keeps the type of its sub-commands to itself.
 _Commands: TypeAlias = "argparse._SubParsersAction[Any]"  # noqa: SLF001
 
@@ -65,9 +67,11 @@ def _blind_make(actions: _Commands) -> argparse.ArgumentParser:
         "make", help=text, description=text, allow_abbrev=False
     )
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="folder")
-    parser.add_argument("--cases", metavar="N", type=int, default=60, help="default 60")
-    parser.add_argument("--flights", metavar="N", type=int, default=6, help="of a case, default 6")
-    parser.add_argument("--held-out", metavar="N", type=int, default=2, help="more, default 2")
+    parser.add_argument("--cases", metavar="N", type=count, default=60, help="default 60")
+    parser.add_argument(
+        "--flights", metavar="N", type=count, default=6, help="of a case, default 6"
+    )
+    parser.add_argument("--held-out", metavar="N", type=count, default=2, help="more, default 2")
     parser.add_argument(
         "--duration",
         metavar="S",
@@ -86,7 +90,7 @@ def _blind_make(actions: _Commands) -> argparse.ArgumentParser:
         default="all",
         help="engines of components, lumped ones, or all: every third case lumped (default)",
     )
-    parser.add_argument("--seed", metavar="N", type=int, default=0, help="default 0")
+    parser.add_argument("--seed", metavar="N", type=seed, default=0, help="default 0")
     parser.add_argument("--secret", metavar="WORD", help="opens the key; the seed if left out")
     _jobs(parser)
     real = parser.add_argument_group("from real flights, instead of the virtual engine's")
@@ -112,7 +116,7 @@ def _blind_run(actions: _Commands) -> argparse.ArgumentParser:
     parser.add_argument(
         "--timeout",
         metavar="S",
-        type=_seconds,
+        type=seconds,
         default=900.0,
         dest="timeout_s",
         help="for one case, default 900; a case that takes longer has no answer",
@@ -120,7 +124,7 @@ def _blind_run(actions: _Commands) -> argparse.ArgumentParser:
     parser.add_argument(
         "--seeds",
         metavar="N",
-        type=_count,
+        type=count,
         default=1,
         help="answer each case N times, flights in another order: does the answer change?",
     )
@@ -150,7 +154,7 @@ def _blind_score(actions: _Commands) -> argparse.ArgumentParser:
 
 def _jobs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--jobs", metavar="N", type=_count, default=os.cpu_count() or 1, help="cases at a time"
+        "--jobs", metavar="N", type=count, default=os.cpu_count() or 1, help="cases at a time"
     )
 
 
@@ -163,17 +167,3 @@ def _output(parser: argparse.ArgumentParser) -> None:
         ("--traceback", "show where an error arose"),
     ):
         group.add_argument(name, action="store_true", default=argparse.SUPPRESS, help=text)
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"expected 1 or more, found {text}")
-    return value
-
-
-def _seconds(text: str) -> float:
-    value = float(text)
-    if not value > 0.0:
-        raise argparse.ArgumentTypeError(f"expected more than 0 s, found {text}")
-    return value

@@ -7,6 +7,7 @@ terminal say of each effect how it was applied.
 
 from __future__ import annotations
 
+import json
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,10 +21,10 @@ from eval.gap.data import FloatArray
 from eval.gap.log_folders import read_folder
 from eval.gap.pairs import match_simulated
 from eval.gap.simulators import open_simulator
-from narxcal.atomic import atomic_folder, check_output_folder
 from narxcal.channels import CHANNELS
 from narxcal.cli.configured import read_config
 from narxcal.cli.console import Console, to_json
+from narxcal.cli.folders import Results
 from narxcal.errors import ConfigError
 
 SCHEMA, DOCUMENT = "narxcal.simulate_effects/1", "simulated.json"
@@ -32,7 +33,8 @@ SCHEMA, DOCUMENT = "narxcal.simulate_effects/1", "simulated.json"
 def run(options: Namespace, console: Console) -> int:
     """Simulate every log of a folder, add the effects, and write the logs as a whole."""
     _check(options)
-    check_output_folder(options.out, replace=True)
+    results = _results(options.out)
+    results.check(options.out)
     found = read_effects(options.effects)
     simulator = open_simulator(options.sim)
     how = simulator.how
@@ -41,7 +43,7 @@ def run(options: Namespace, console: Console) -> int:
     inputs = read_folder(options.inputs_folder, config)
     source = read_folder(how, config) if isinstance(how, Path) else how
     rows = []
-    with atomic_folder(options.out, replace=True) as folder, console.progress("Adding") as advance:
+    with results.writing(options.out) as folder, console.progress("Adding") as advance:
         for number, (name, log) in enumerate(inputs.items()):
             advance(number, len(inputs), f"({name})")
             sim = match_simulated(name, log, source)
@@ -67,6 +69,16 @@ def run(options: Namespace, console: Console) -> int:
         (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
     _show(console, document, options.out)
     return 0
+
+
+def _results(folder: Path) -> Results:
+    """What may stand in the folder: the logs that an earlier run says it wrote there."""
+    try:
+        logs = json.loads((folder / DOCUMENT).read_text(encoding="utf-8"))["logs"]
+        names = tuple(f"{row['log']}.csv" for row in logs)
+    except (OSError, ValueError, LookupError, TypeError):
+        names = ()
+    return Results(SCHEMA, DOCUMENT, names)
 
 
 def _check(options: Namespace) -> None:

@@ -321,13 +321,23 @@ TRIM = "argument --trim: expected a fraction from 0 to below 1, found 1.5"
         ("evaluate run --trim 1.5", TRIM, "narxcal evaluate"),
         (
             "evaluate run --trim much",
-            "argument --trim: invalid fraction value: 'much'",
+            "argument --trim: expected a fraction from 0 to below 1, found much",
             "narxcal evaluate",
         ),
         (
             "crossval c.toml --out d --jobs 0",
-            "argument --jobs: expected 1 or more, found 0",
+            "argument --jobs: expected a whole number of 1 or more, found 0",
             "narxcal crossval",
+        ),
+        (
+            "crossval c.toml --out d --jobs many",
+            "argument --jobs: expected a whole number of 1 or more, found many",
+            "narxcal crossval",
+        ),
+        (
+            "reproduce narx-paper --out d --seed -4",
+            "argument --seed: expected a whole number of 0 or more, found -4",
+            "narxcal reproduce",
         ),
     ],
 )

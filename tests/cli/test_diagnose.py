@@ -164,3 +164,15 @@ def test_a_folder_of_other_content_is_not_overwritten(case, narxcal, tmp_path):
     (tmp_path / "mine.txt").write_text("mine", "utf-8")
     done = narxcal("diagnose", "--real", case / "real", "--sim", case / "sim", "--out", tmp_path)
     refused(done, "holds other content ('mine.txt')")
+
+
+def test_a_diagnosis_is_not_replaced_by_logs_made_from_it(diagnosed, case, narxcal):
+    folder = diagnosed[1]
+    before = sorted(folder.iterdir())
+    done = narxcal(
+        "simulate",
+        *("--sim", case / "sim_held", "--effects", folder / "gap.json"),
+        *("--inputs", case / "real_held", "--out", folder),
+    )
+    refused(done, "holds other content ('emulator') and is not overwritten")
+    assert sorted(folder.iterdir()) == before

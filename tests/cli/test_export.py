@@ -215,6 +215,27 @@ def test_what_cannot_be_exported_is_said_in_one_line(  # noqa: PLR0917
     assert not (tmp_path / "out.csv").exists()
 
 
+@pytest.mark.parametrize(
+    ("kind", "name", "said"),
+    [
+        (
+            "fmu",
+            "deck.csv",
+            "--to fmu writes a .fmu file, and --out names deck.csv. Name it deck.fmu",
+        ),
+        (
+            "table",
+            "deck.fmu",
+            "--to table writes a .csv or .csv.gz file, and --out names deck.fmu. Name it deck.csv",
+        ),
+    ],
+)
+def test_a_file_is_not_given_the_name_of_another_kind(narxcal, tmp_path, kind, name, said):
+    done = narxcal("export", MAKER, "--to", kind, "--out", tmp_path / name)
+    assert (done.code, done.out, done.err) == (2, "", f"narxcal: error: {said}\n")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_columns_can_be_named(narxcal, tmp_path, monkeypatch):
     (tmp_path / "two.py").write_text(MODULES["two"], "utf-8")
     monkeypatch.chdir(tmp_path)
