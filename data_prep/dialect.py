@@ -83,8 +83,13 @@ def sniff(text: TextIO, delimiter: str, decimal: str, comment: str) -> Dialect:
 
     The delimiter is the one of `; TAB | ,` that the header and most rows hold equally often,
     else blanks; the decimal mark is a comma where numbers like `1,5` occur and none like `1.5`.
+    Raises `DataError` for a file that is empty or no text.
     """
     header = next_header(text, comment)
+    if _is_no_text(header):
+        raise DataError(
+            "the file is no text", hint="Expected a CSV file, plain or gzipped, or Parquet"
+        )
     rows = _sample(text, comment)
     if delimiter == "auto":
         delimiter = _delimiter(header, rows)
@@ -97,6 +102,13 @@ def sniff(text: TextIO, delimiter: str, decimal: str, comment: str) -> Dialect:
         comment=comment,
         header=_fields(header, delimiter),
     )
+
+
+def _is_no_text(line: str) -> bool:
+    """Whether more of a header than stray signs of another encoding is unprintable."""
+    shown = line.replace("\t", " ").replace("\0", "")
+    wrong = sum(not sign.isprintable() or sign == "\N{REPLACEMENT CHARACTER}" for sign in shown)
+    return 5 * wrong > len(shown)
 
 
 def _sample(text: TextIO, comment: str) -> list[str]:

@@ -92,9 +92,8 @@ class LogsConfig(Section):
         """
         folder = (Path(base) / self.folder).resolve()
         if not folder.is_dir():
-            raise DataError(
-                "the folder of the logs does not exist", file=folder, hint="Set [logs] folder"
-            )
+            what = "is a file" if folder.exists() else "does not exist"
+            raise DataError(f"the folder of the logs {what}", file=folder, hint="Set [logs] folder")
         found: dict[Path, None] = {}
         for pattern in self.files:
             found.update(dict.fromkeys(sorted(folder.glob(pattern))))

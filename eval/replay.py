@@ -16,6 +16,7 @@ from data_prep.raster_stream import RasterStream
 from eval.replay_engine import EngineReplay, Rows
 from eval.replay_setup import ReplayModel, ReplayOptions
 from eval.stream import CsvStream, Pace
+from narxcal.atomic import cannot_write
 from narxcal.errors import ConfigError, DataError
 from narxcal.interrupt import held_interrupt
 
@@ -137,17 +138,14 @@ class _Replay:
     def write(self, out: Path) -> ReplaySummary:
         part = out.with_name(out.name + ".part")
         try:
+            out.parent.mkdir(parents=True, exist_ok=True)
             with part.open("w", encoding="utf-8", newline="") as file:
                 self._write_all(file)
                 file.flush()
                 os.fsync(file.fileno())
             part.replace(out)
         except OSError as error:
-            raise ConfigError(
-                f"cannot write: {error.strerror or error}",
-                file=out,
-                hint="Nothing was changed; free some space or choose another place",
-            ) from None
+            raise cannot_write(out, error) from None
         finally:
             with suppress(OSError):
                 part.unlink()

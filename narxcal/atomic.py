@@ -42,7 +42,7 @@ def atomic_write_bytes(path: str | PathLike[str], data: bytes) -> None:
             os.fsync(stream.fileno())
         part.replace(target)
     except OSError as error:
-        raise _cannot_write(target, error) from None
+        raise cannot_write(target, error) from None
     finally:
         with suppress(OSError):
             part.unlink()
@@ -69,7 +69,7 @@ def atomic_folder(path: str | PathLike[str], replace: bool = False) -> Iterator[
     try:
         part.mkdir(parents=True)
     except OSError as error:
-        raise _cannot_write(target, error) from None
+        raise cannot_write(target, error) from None
     try:
         yield part
         _sync(part)
@@ -77,7 +77,7 @@ def atomic_folder(path: str | PathLike[str], replace: bool = False) -> Iterator[
     except OSError as error:
         # What else fails inside the block (a log that cannot be read) is not about writing.
         if error.errno in _DISK_ERRORS:
-            raise _cannot_write(target, error) from None
+            raise cannot_write(target, error) from None
         raise
     finally:
         shutil.rmtree(part, ignore_errors=True)
@@ -147,9 +147,11 @@ def _beside(target: Path, suffix: str) -> Path:
     return target.with_name(f".{target.name}.{secrets.token_hex(6)}.{suffix}")
 
 
-def _cannot_write(target: Path, error: OSError) -> ConfigError:
+def cannot_write(target: Path, error: OSError) -> ConfigError:
+    """What to tell whose disk refused `target`, which is as it was."""
+    full = "free some space or choose" if error.errno in _DISK_ERRORS else "choose"
     return ConfigError(
         f"cannot write: {error.strerror or error}",
         file=target,
-        hint="Nothing was changed; free some space or choose another place",
+        hint=f"Nothing was changed; {full} another place",
     )

@@ -124,6 +124,12 @@ def read_document(folder: str | PathLike[str]) -> dict[str, Any]:
     """Read `bundle.json` alone, without the model; raises `ModelError` as `load_bundle`."""
     source = Path(folder)
     if not source.is_dir():
+        if source.exists():
+            raise ModelError(
+                "a bundle is a folder, and this is a file",
+                file=source,
+                hint="Name the folder that narxcal train wrote",
+            )
         raise ModelError("the bundle folder does not exist", file=source, hint="Train one first")
     file = source / DOCUMENT
     if not file.is_file():

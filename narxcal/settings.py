@@ -43,8 +43,10 @@ def _explain(
         return ConfigError(f"unknown key '{key}'", file=file, hint=hint)
     if first["type"] == "missing":
         return ConfigError(f"key '{key}' is missing", file=file, hint="Add it")
-    found = _shown(first["input"])
-    return ConfigError(f"key '{key}': {first['msg']}, found {found}", file=file)
+    said = first["msg"].removeprefix("Value error, ")
+    if first["type"] in ("model_type", "dict_type"):
+        said = "expected a table of keys"
+    return ConfigError(f"key '{key}': {said}, found {_shown(first['input'])}", file=file)
 
 
 def _shown(value: object) -> str:

@@ -67,9 +67,10 @@ class SteadyCallable:
         module, name = _split(reference)
         file = _find(module, Path(folder))
         if file is None:
+            place = module.replace(".", "/")
             raise ConfigError(
                 f"steady-state model '{reference}': there is no module '{module}'",
-                hint=f"Install it, or put {module}.py into {Path(folder).resolve()}",
+                hint=f"Install it, or put {place}.py into {Path(folder).resolve()}",
             )
         function = _function(_import(module, file), name, reference)
         return cls(function, names, ranges, reference, str(file))

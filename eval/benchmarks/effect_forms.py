@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from narxcal.effects import Flights, Signals, effect
 from narxcal.flight_test.profile import FlightPlan, plan_flight
 from narxcal.turbofan import Unmodelled, VirtualEngine
-from training.gap.emulator import GreyBoxEmulator, fit_emulator
+from training.gap.emulator import GreyBoxEmulator, fit_emulators
 from training.gap.fitting import Problem, fit
 from training.gap.quadratic import misfit
 
@@ -67,7 +67,7 @@ def explained(engine: str, names: tuple[str, ...] = tuple(TRUTHS)) -> list[Expla
     """Every effect of `names` in the physics of `engine`, and what the library makes of it."""
     plans = [_plan(engine, seed) for seed in range(_FLIGHTS)]
     flights = _flights(plans, _flown(engine, plans))
-    emulator = fit_emulator(flights)
+    emulator = fit_emulators(flights)[0]
     return [_explained(engine, plans, (flights, emulator), name) for name in names]
 
 

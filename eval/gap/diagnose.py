@@ -32,8 +32,9 @@ from narxcal.effects.running import Emulator
 from narxcal.effects.steady import UnloggedSwitch
 from narxcal.errors import DataError
 from training.config import RunConfig
+from training.gap.control import suited
 from training.gap.diagnosis import diagnose
-from training.gap.emulator import GreyBoxEmulator, fit_emulator
+from training.gap.emulator import GreyBoxEmulator, fit_emulators
 from training.gap.finding import Finding, Interval
 from training.gap.unlogged import Load
 from training.gap.work import Options
@@ -93,7 +94,7 @@ def diagnose_pairs(
     check_excitation(data, events)
     other = in_terms_of(data, batch(held)) if held else None
     watch("emulator", 0, 1)
-    emulator = fit_emulator(data.flights)
+    emulator = suited(fit_emulators(data.flights), data.flights, (data.real, data.noise))
     own = emulator.errors(data.flights).tolist()
     data, load, found = _found(data, emulator, watch)
     errors = dict(zip(data.flights.signals.outputs, own, strict=True))

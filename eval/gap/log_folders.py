@@ -22,7 +22,8 @@ def read_folder(folder: Path, config: RunConfig | None = None) -> dict[str, Log]
     engines gives `NAME_ENGINE` for each. Raises `DataError`.
     """
     if not folder.is_dir():
-        raise DataError("the folder of the logs does not exist", file=folder)
+        what = "is a file" if folder.exists() else "does not exist"
+        raise DataError(f"the folder of the logs {what}", file=folder)
     files = sorted(file for file in folder.iterdir() if _is_log(file))
     if not files:
         raise DataError("the folder holds no .csv or .csv.gz", file=folder)

@@ -173,7 +173,7 @@ def _function(reference: str) -> Callable[..., Any]:
     except ImportError as error:
         raise ConfigError(
             f"simulator '{reference}': {error}",
-            hint=f"Install it, or put {module_name}.py into {Path.cwd()}",
+            hint=f"Install it, or put {module_name.replace('.', '/')}.py into {Path.cwd()}",
         ) from None
     except Exception as error:  # whatever a user's own file does
         raise ConfigError(

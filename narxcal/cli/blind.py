@@ -35,6 +35,8 @@ def _make(options: Namespace, console: Console) -> None:
         raise ConfigError("--real and --sim belong together", hint="Give both, or neither")
     if options.sim_logs is not None and options.real is not None:
         raise ConfigError("--sim-logs and --real exclude each other", hint="Give one of them")
+    if options.config is not None and options.real is None:
+        raise ConfigError("--config maps the columns of --real, which is missing", hint="Give it")
     plan = BlindPlan.parse({name: getattr(options, name) for name in names})
     results = _results(options.out)
     results.check(options.out)

@@ -14,6 +14,12 @@ def read_config(path: str, data: Path | None) -> tuple[RunConfig, Path]:
     Returns the configuration and the folder that its paths are relative to; raises
     `ConfigError` as `load_config`.
     """
+    if Path(path).is_dir():
+        raise ConfigError(
+            "a configuration is a file, and this is a folder",
+            file=path,
+            hint="Name the TOML file in it",
+        )
     try:
         config, base = load_config(path)
     except ConfigError as error:

@@ -12,6 +12,7 @@ import numpy as np
 from narxcal.bundle import load_bundle
 from narxcal.channels import channel
 from narxcal.cli.console import Console
+from narxcal.cli.folders import check_file
 from narxcal.errors import ConfigError, ModelError
 from narxcal.steady_callable import SteadyCallable
 from narxcal.steady_csv import read_steady_table
@@ -30,6 +31,7 @@ _USUAL_OUTPUTS = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph", "FN_kN", "FPR", "EPR")
 def run(options: Namespace, console: Console) -> int:
     """Export SOURCE and say how well it is matched; 1 where the tolerance was missed."""
     _check_name(options.out, options.to)
+    check_file(options.out, Path(options.source))
     model = open_source(options.source, options.inputs, options.outputs)
     grid = Grid.of_model(model, _nodes(options.nodes or ()))
     with console.progress("Exporting") as advance:
@@ -125,10 +127,12 @@ def _nodes(words: Sequence[str]) -> dict[str, tuple[float, ...]]:
             else:
                 values = [float(part) for part in text.split(",")]
         except ValueError:
+            values = []
+        if not values:
             raise ConfigError(
                 f"cannot read the nodes '{word}'",
                 hint="Write NAME=VALUE, NAME=VALUE,VALUE,... or NAME=LOW:HIGH:COUNT",
-            ) from None
+            )
         found[channel(name).name] = tuple(values)
     return found
 

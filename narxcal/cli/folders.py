@@ -12,6 +12,19 @@ from narxcal.atomic import atomic_folder
 from narxcal.errors import ConfigError
 
 
+def check_file(out: Path, *inputs: Path) -> None:
+    """Refuse, before any work is done, to write a file in the place of a folder or of an input.
+
+    Raises `ConfigError`.
+    """
+    if out.is_dir():
+        raise ConfigError(
+            f"output file {out} is a folder", hint=f"Name a file, such as {out / 'out.csv'}"
+        )
+    if any(out.exists() and each.exists() and out.samefile(each) for each in inputs):
+        raise ConfigError(f"output file {out} is the input itself", hint="Choose another name")
+
+
 @dataclass(frozen=True)
 class Results:
     """A folder of results: what a command puts there, told by `document` and its `schema`.

@@ -7,12 +7,14 @@ from argparse import Namespace
 from eval.replay import ReplayModel, ReplayOptions, ReplaySummary, replay
 from narxcal.bundle import load_bundle
 from narxcal.cli.console import Console
+from narxcal.cli.folders import check_file
 
 SCHEMA = "narxcal.replay/1"
 
 
 def run(options: Namespace, console: Console) -> int:
     """Replay a log and write one CSV."""
+    check_file(options.out, options.log)
     model = ReplayModel.of(load_bundle(options.bundle))
     how = ReplayOptions(engine=options.engine, realtime=options.realtime, follow=options.follow)
     with console.progress("Replaying"):

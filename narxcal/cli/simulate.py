@@ -18,6 +18,7 @@ from narxcal.bundle import Bundle, load_bundle
 from narxcal.calibration import DynamicCalibration
 from narxcal.cli import simulate_effects
 from narxcal.cli.console import Console
+from narxcal.cli.folders import check_file
 from narxcal.errors import ConfigError
 from training.config import RunConfig
 from training.pipeline import calibration_for, prepare_logs
@@ -42,6 +43,7 @@ def run(options: Namespace, console: Console) -> int:
             "expected RUN and INPUTS.csv, or --sim, --effects and --inputs",
             hint="See narxcal simulate --help",
         )
+    check_file(options.out, options.inputs)
     bundle = load_bundle(options.bundle)
     runs = [
         _simulated(bundle.calibration, log) for log in read_inputs(bundle, Path(options.inputs))

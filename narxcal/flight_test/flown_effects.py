@@ -111,8 +111,8 @@ class FlownEffect(Section):
             unit, low, high, _ = known[name]
             if not low <= value <= high:
                 raise ConfigError(
-                    f"effect '{self.id}': {name} has to lie in {low:g} .. {high:g} {unit}, "
-                    f"found {value:g}"
+                    f"effect '{self.id}': {name} has to lie in {low:g} .. {high:g}"
+                    f"{'' if unit == '-' else f' {unit}'}, found {value:g}"
                 )
         if not self.parameters:
             raise ConfigError(f"effect '{self.id}' has no size", hint=f"Give {' or '.join(known)}")

@@ -362,3 +362,56 @@ def test_a_channel_that_the_model_does_not_give(narxcal, project, tmp_path):
     done = narxcal("denoise", project / "run", "--out", out, "--channel", "FF_kgph")
     refused(done, "channel FF_kgph: the flight has no such output. It has N1_pct, N2_pct, EGT_C")
     assert not out.exists()
+
+
+def test_a_file_where_a_folder_belongs_and_the_other_way_round(narxcal, project, tmp_path):
+    config, logs = project / "tiny.toml", project / "flights"
+    refused(
+        narxcal("info", config),
+        f"{config}: a bundle is a folder, and this is a file. "
+        "Name the folder that narxcal train wrote",
+    )
+    refused(
+        narxcal("prepare", logs, "--out", tmp_path / "out"),
+        f"{logs}: a configuration is a file, and this is a folder. Name the TOML file in it",
+    )
+    refused(
+        narxcal("prepare", config, "--data", config, "--out", tmp_path / "out"),
+        f"{config}: the folder of the logs is a file. Set [logs] folder",
+    )
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", ["simulate", "replay"])
+def test_a_result_takes_the_place_of_neither_a_folder_nor_its_input(
+    narxcal, project, tmp_path, command
+):
+    log = tmp_path / FLIGHT
+    shutil.copy(project / "flights" / FLIGHT, log)
+    before = log.read_bytes()
+    refused(
+        narxcal(command, project / "run", log, "--out", tmp_path),
+        f"output file {tmp_path} is a folder. Name a file, such as {tmp_path / 'out.csv'}",
+    )
+    refused(
+        narxcal(command, project / "run", log, "--out", log),
+        f"output file {log} is the input itself. Choose another name",
+    )
+    assert log.read_bytes() == before
+
+
+def test_a_file_that_is_no_text_is_not_shown(narxcal, project, tmp_path):
+    file = tmp_path / "sheet.csv"
+    file.write_bytes(b"PK\x03\x04" + bytes(range(128, 256)) * 20)
+    done = narxcal("evaluate", project / "run", "--logs", file, "--out", tmp_path / "out")
+    refused(
+        done,
+        f"{file}: the file is no text. Expected a CSV file, plain or gzipped, or Parquet",
+    )
+
+
+def test_a_value_in_the_place_of_a_table(narxcal, tmp_path):
+    file = tmp_path / "run.toml"
+    file.write_text('schema = "narxcal.config/1"\nsmooth = 3\n', "utf-8")
+    done = narxcal("prepare", file, "--out", tmp_path / "out")
+    refused(done, f"{file}: key 'smooth': expected a table of keys, found 3")

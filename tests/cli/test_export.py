@@ -189,6 +189,14 @@ MODULES = {
         ),
         (
             MAKER,
+            ("--nodes", "Mach=0:1:0"),
+            (
+                "cannot read the nodes 'Mach=0:1:0'. Write NAME=VALUE, NAME=VALUE,VALUE,... or "
+                "NAME=LOW:HIGH:COUNT"
+            ),
+        ),
+        (
+            MAKER,
             ("--nodes", "Mahc=0"),
             "unknown channel 'Mahc'. Did you mean 'Mach'?",
         ),

@@ -147,7 +147,7 @@ def test_an_even_window_is_refused():
     with pytest.raises(ConfigError) as error:
         SmoothConfig.parse({"window": 10}, file="a.toml")
     assert str(error.value) == (
-        "a.toml: key 'window': Value error, a centred window is an odd number of samples, found 10"
+        "a.toml: key 'window': a centred window is an odd number of samples, found 10"
     )
 
 

@@ -432,10 +432,9 @@ def test_a_lone_wrong_stamp_costs_its_row_and_no_more(tmp_path):
 def test_an_output_that_cannot_be_written_is_refused(tmp_path):
     log = write(tmp_path / "log.csv", flight())
     with pytest.raises(ConfigError) as error:
-        replay(MODEL, log, tmp_path / "absent" / "out.csv")
+        replay(MODEL, log, log / "out.csv")
     assert str(error.value) == (
-        f"{tmp_path / 'absent' / 'out.csv'}: cannot write: No such file or directory. "
-        "Nothing was changed; free some space or choose another place"
+        f"{log / 'out.csv'}: cannot write: File exists. Nothing was changed; choose another place"
     )
 
 
@@ -453,10 +452,7 @@ def test_a_bundle_without_its_noise_model_whole_is_refused():
     assert model.noise is None
 
 
-def test_throughput_without_the_network_leaves_room_for_three_hundred_times_real_time(tmp_path):
-    log = write(tmp_path / "log.csv", flight(samples=20_000))
-    replay(MODEL, log, tmp_path / "out.csv", STORED)
+def test_times_real_time_are_the_log_s_seconds_over_those_of_the_clock(tmp_path):
+    log = write(tmp_path / "log.csv", flight(samples=600))
     summary = replay(MODEL, log, tmp_path / "out.csv", STORED)
-    # 300 x real time at 32 Hz is 104 us a sample; half of that is left for the model.
-    assert summary.wall_s / summary.rows < 104e-6
     assert summary.times_real_time == pytest.approx(summary.rows * DT / summary.wall_s)

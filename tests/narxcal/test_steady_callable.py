@@ -108,7 +108,7 @@ def test_a_function_that_returns_something_else_is_refused(function, message):
             "no.such:f",
             (
                 "'no.such:f': there is no module 'no.such'. "
-                "Install it, or put no.such.py into FOLDER"
+                "Install it, or put no/such.py into FOLDER"
             ),
         ),
         (

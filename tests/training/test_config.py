@@ -70,7 +70,7 @@ def test_a_missing_file_names_the_shipped_ones(tmp_path):
         (
             HEAD + "[narx]\ntaps = [1, 0]",
             (
-                "key 'narx.taps': Value error, has to list increasing delays >= 0, for example "
+                "key 'narx.taps': has to list increasing delays >= 0, for example "
                 "[0, 1], found [1, 0]"
             ),
         ),

@@ -31,7 +31,8 @@ from training.gap.verdict import Offset, bearable, finding
 from training.gap.work import Options, Work
 
 OFFSETS = ("deterioration", "sensor_bias", "throttle_bias", "temperature_effect")
-_OFFSET, _OF_WHOLE = 0.25, 0.015  # least shares of the whole gap of an offset, and of anything
+_OFFSET = 0.25  # least share of the whole gap of an offset
+_OF_WHOLE, _IF_TELLING = 0.015, 0.005  # that of anything, and of what explains all that it touches
 Watch = Callable[[str, int, int], None]
 _SECOND = 0.25  # of what one effect leaves: less is no reason to name another
 _LEADING = 0.7  # of the first one's rank: as likely, if the first holds in too few flights
@@ -113,7 +114,7 @@ def _earned(work: Work, model: Fit, before: FloatArray, least: float) -> bool:
     gained = before - model.held_out
     share = float(gained.sum()) / work.audible
     told = gained[witnesses(model, work.options.price)]
-    heard = float(gained.sum()) > _OF_WHOLE * work.whole
+    heard = float(gained.sum()) > (_IF_TELLING if work.tells(model) else _OF_WHOLE) * work.whole
     worth = share > max(work.threshold, least) and in_nearly_all(told) and heard
     return worth and not is_a_step(model, work.problem.misfit)
 

@@ -22,6 +22,7 @@ from training.gap.two_spool_fit import GOVERNED_CORE, GOVERNED_FAN, Course, fit_
 
 FAN, CORE = "N1_pct", "N2_pct"
 _CLEARLY = 0.6  # of the cost of the other kind of control: no tie
+_POSSIBLE = 2.0  # times the better one's cost: the logs do not rule it out
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,9 +60,10 @@ class GreyBoxEmulator:
         return np.asarray(np.sqrt(np.mean(np.concatenate(rows) ** 2, axis=0)))
 
 
-def fit_emulator(flights: Flights) -> GreyBoxEmulator:
-    """Fit to the simulated flights themselves, under whichever control suits them better.
+def fit_emulators(flights: Flights) -> tuple[GreyBoxEmulator, ...]:
+    """Fit to the simulated flights under either kind of control; the better one first.
 
+    The other is left out where its cost is more than twice as high, or where nothing is governed.
     Raises `DataError` where no spool speed is among the outputs.
     """
     signals = flights.signals
@@ -78,8 +80,9 @@ def fit_emulator(flights: Flights) -> GreyBoxEmulator:
     kinds = (GOVERNED_FAN, GOVERNED_CORE) if signals.governed and two else (GOVERNED_CORE,)
     fits = [fit_two_spool(course, kind) for kind in kinds]
     # Both follow the logs of a governed engine about equally well; most controls hold the fan.
-    best = fits[-1] if fits[-1][1] < _CLEARLY * fits[0][1] else fits[0]
-    return GreyBoxEmulator(settled, best[0])
+    first = fits[-1] if fits[-1][1] < _CLEARLY * fits[0][1] else fits[0]
+    others = [each for each in fits if each is not first and each[1] <= _POSSIBLE * first[1]]
+    return tuple(GreyBoxEmulator(settled, engine) for engine, _ in (first, *others))
 
 
 def _order(signals: Signals) -> list[int]:

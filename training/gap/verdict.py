@@ -133,7 +133,7 @@ def bearable(work: Work, claimed: Fit) -> bool:
         most = options.unexplained_together
     elif isinstance(claimed.effects[0], RateEffect):
         most = options.unexplained_inside
-    if work.left(claimed) <= most:
+    if work.left(claimed) <= most or work.tells(claimed):
         return True
     # A part of what nobody would call a gap is no more worth naming than the rest of it.
     distinct = work.gain(claimed) >= options.distinct and _loudest(work) >= options.quiet

@@ -25,11 +25,12 @@ class Options:
     that for one effect on how the engine moves, whose forms no two engines share, and
     `unexplained_together` that for two, which can follow more; more may be left,
     as build scatter and other misfit leave it, by an effect that takes `distinct` of the gap and
-    explains `aligned` of it where it acts. A rival is the leader's equal if it leaves no more than
-    `close` times what the leader leaves, or if flights differ on who is ahead. `audible` is the
-    least gap, as a share of the noise's energy, that is a gap at all; below `quiet`, as a share of
-    a channel's range, it is a misfit that nobody has to explain. `price` is what the windows of an
-    unlogged load are worth in noise, in Q of every flight; nothing where there are none.
+    explains `aligned` of it where it acts. One that takes `telling[0]` and explains `telling[1]` is
+    believed of the smallest gap. A rival is the leader's equal if it leaves no more than `close`
+    times what the leader leaves, or if flights differ on who is ahead. `audible` is the least gap,
+    as a share of the noise's energy, that is a gap at all; below `quiet`, as a share of a channel's
+    range, it is a misfit that nobody has to explain. `price` is what the windows of an unlogged
+    load are worth in noise, in Q of every flight; nothing where there are none.
     """
 
     quantile: float = 0.99
@@ -41,6 +42,7 @@ class Options:
     unexplained_together: float = 0.30
     distinct: float = 0.15
     aligned: float = 0.70
+    telling: tuple[float, float] = (0.40, 0.82)
     quiet: float = 0.005
     close: float = 1.2
     audible: float = 0.03
@@ -110,6 +112,14 @@ class Work:
         explains it in part follows something else, of which it may gain as much by its size.
         """
         return self.gain(tried) * self.aligned(tried)
+
+    def tells(self, tried: Fit) -> bool:
+        """Whether a fit takes so much of the gap, and so well where it acts, that size matters not.
+
+        Of simulators that are wrong otherwise, none has made any effect do both.
+        """
+        least, aligned = self.options.telling
+        return self.gain(tried) >= least and self.aligned(tried) >= aligned
 
     def unexplained(self, tried: Fit) -> float:
         """Share of what flights tell that is left; a load says nothing of flights without it."""

@@ -57,7 +57,10 @@ class Piece(NamedTuple):
 
 
 class Flown(NamedTuple):
-    """All logs with their inputs complete, `(time,)`, and what simulates them."""
+    """All logs with their inputs complete, `(time,)`, and what simulates them.
+
+    They are flown in pieces of `piece_s`, in each of which a drift begins anew.
+    """
 
     logs: Mapping[str, Log]
     simulate: Simulate
@@ -65,6 +68,7 @@ class Flown(NamedTuple):
     outputs: tuple[str, ...]
     injectors: Mapping[str, Injector]
     windows: Mapping[str, Windows]
+    piece_s: float
 
     def simulated(self, early_s: float = 0.0) -> dict[str, Channels]:
         """Inputs and simulated outputs of every log, the lever `early_s` earlier."""
@@ -90,7 +94,7 @@ def make_real_cases(folder: Path, plan: BlindPlan, real: Real) -> Iterator[Made]
     Raises `DataError` for flights with too few pieces and for what cannot be read, `ConfigError`
     for a simulator that gives none of the recorded outputs.
     """
-    flown = _flown(real)
+    flown = _flown(real, plan.duration_s)
     pieces = _pieces(flown, plan)
     random = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(2,)))
     scales = [each for each in CATALOGUE if _possible(each, flown)]
@@ -175,7 +179,7 @@ def _added(flown: Flown, name: str, simulated: Channels, dose: Dose) -> Channels
     """Simulated channels with the effect: on one sensor, inside, or on all outputs as a delay."""
     log, outputs = flown.logs[name], flown.outputs
     if dose.on_sensor:
-        return _measured(simulated, dose, log)
+        return _measured(flown, simulated, dose, log)
     if dose.scale.id in EFFECTS:
         return _injected(flown, name, simulated, dose)
     index = np.arange(len(log), dtype=np.float64)
@@ -190,7 +194,7 @@ def _recorded(flown: Flown, name: str, told: Channels, dose: Dose) -> Channels:
     outputs = {**told, **{output: log[output] for output in flown.outputs}}
     if dose.scale.id in EFFECTS:
         return _injected(flown, name, outputs, dose)
-    return _measured(outputs, dose, log) if dose.on_sensor else outputs
+    return _measured(flown, outputs, dose, log) if dose.on_sensor else outputs
 
 
 def _injected(flown: Flown, name: str, channels: Channels, dose: Dose) -> Channels:
@@ -200,16 +204,21 @@ def _injected(flown: Flown, name: str, channels: Channels, dose: Dose) -> Channe
     return {**channels, **{n: channels[n] + each for n, each in change.items()}}
 
 
-def _measured(channels: Channels, dose: Dose, log: Log) -> Channels:
+def _measured(flown: Flown, channels: Channels, dose: Dose, log: Log) -> Channels:
     """Channels with one of them through the fault; unknown samples stay unknown."""
     name = dose.scale.channel or ""
-    fault = dose.fault("business_jet")
-    known = {name: bridged(channels[name])}
-    found = record(known, log.dt_s, _PERFECT, Streams(0, 0, 0), [fault]).channels[name]
+    fault, known = dose.fault("business_jet"), bridged(channels[name])
+    size = round(flown.piece_s / log.dt_s) if dose.scale.id == "sensor_drift" else len(known)
+    found = np.concatenate(
+        [
+            record({name: each}, log.dt_s, _PERFECT, Streams(0, 0, 0), [fault]).channels[name]
+            for each in np.split(known, range(size, len(known), size))
+        ]
+    )
     return {**channels, name: np.where(np.isfinite(channels[name]), found, np.nan)}
 
 
-def _flown(real: Real) -> Flown:
+def _flown(real: Real, piece_s: float) -> Flown:
     simulator = open_simulator(real.simulator)
     if isinstance(simulator.how, Path):
         raise ConfigError(
@@ -233,7 +242,7 @@ def _flown(real: Real) -> Flown:
             hint=f"It gives {', '.join(given)}",
         )
     injectors = {name: Injector(log.channels, driver, log.dt_s) for name, log in logs.items()}
-    return Flown(logs, simulator.how, driver, outputs, injectors, _hidden(logs))
+    return Flown(logs, simulator.how, driver, outputs, injectors, _hidden(logs), piece_s)
 
 
 def _hidden(logs: Mapping[str, Log]) -> dict[str, Windows]:
@@ -248,7 +257,7 @@ def _pieces(flown: Flown, plan: BlindPlan) -> list[Piece]:
     logs, driver = flown.logs, flown.driver
     span = max(float(np.ptp(log[driver])) for log in logs.values())
     for name, log in logs.items():
-        size = round(plan.duration_s / log.dt_s)
+        size = round(flown.piece_s / log.dt_s)
         for number in range(len(log) // size):
             rows = slice(number * size, (number + 1) * size)
             if float(np.ptp(log[driver][rows])) >= _MOVES * span:

@@ -28,7 +28,7 @@ def answer(monkeypatch, make_finding, make_model):
 
     def set_to(kind="effects", effects=(NAME,)):
         found = make_finding(kind, effects, (make_model(NAME),))
-        monkeypatch.setattr(module, "fit_emulator", lambda _flights: NoEmulator())
+        monkeypatch.setattr(module, "fit_emulators", lambda _flights: (NoEmulator(),))
         monkeypatch.setattr(module, "diagnose", lambda *_args, **_more: found)
 
     set_to()

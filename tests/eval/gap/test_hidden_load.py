@@ -55,7 +55,7 @@ def found(pair, monkeypatch, make_finding, make_model):
     sizes = {key: Interval(size, 0.9 * size, 1.1 * size) for key, size in SIZES.items()}
     model = make_model("unlogged_switch", parameters={"unlogged_switch": sizes})
     answer = make_finding("effects", ("unlogged_switch",), (model,))
-    monkeypatch.setattr(module, "fit_emulator", lambda _flights: NoEmulator())
+    monkeypatch.setattr(module, "fit_emulators", lambda _flights: (NoEmulator(),))
     monkeypatch.setattr(module, "diagnose", lambda *_args, **_more: answer)
     pairs = [pair(seed, loaded(seed)) for seed in range(5)]
     late = [replace(each, time_s=each.time_s + 100.0) for each in pairs]
@@ -118,7 +118,7 @@ def test_windows_go_onto_the_logs_they_were_found_in_and_no_others(found, tmp_pa
 
 def test_no_load_is_said_with_its_reason(pair, probe, monkeypatch, make_finding, make_model):
     answer = make_finding("effects", ("sensor_lag:EGT_C",), (make_model("sensor_lag:EGT_C"),))
-    monkeypatch.setattr(module, "fit_emulator", lambda _flights: NoEmulator())
+    monkeypatch.setattr(module, "fit_emulators", lambda _flights: (NoEmulator(),))
     monkeypatch.setattr(module, "diagnose", lambda *_args, **_more: answer)
     document = diagnose_pairs([pair(seed, probe) for seed in range(3)]).document
     assert document["quality"]["unlogged_load"] not in ("", "found")
@@ -145,7 +145,7 @@ def test_what_an_effect_of_lever_moves_hides_is_found_in_what_it_leaves(
         lag = make_model("sensor_lag:EGT_C", parameters={"sensor_lag:EGT_C": SLOW})
         return make_finding("effects", ("sensor_lag:EGT_C",), (lag,))
 
-    monkeypatch.setattr(module, "fit_emulator", lambda _flights: NoEmulator())
+    monkeypatch.setattr(module, "fit_emulators", lambda _flights: (NoEmulator(),))
     monkeypatch.setattr(module, "diagnose", answer)
     found = diagnose_pairs([pair(seed, both(seed)) for seed in range(4)])
     assert ["unlogged" in inputs for inputs in asked] == [False, True]

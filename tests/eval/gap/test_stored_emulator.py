@@ -5,7 +5,7 @@ import pytest
 
 from eval.gap.stored_emulator import read_emulator, write_emulator
 from narxcal.errors import ModelError
-from training.gap.emulator import fit_emulator
+from training.gap.emulator import fit_emulators
 
 
 @pytest.fixture(scope="module")
@@ -15,7 +15,7 @@ def stored(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def emulator(stored, flights_of_the_engine):
-    made = fit_emulator(flights_of_the_engine)
+    made = fit_emulators(flights_of_the_engine)[0]
     write_emulator(stored, made)
     return made
 

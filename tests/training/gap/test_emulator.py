@@ -8,13 +8,13 @@ import pytest
 from narxcal.effects import Flights, effect
 from narxcal.effects.running import respond
 from narxcal.errors import DataError
-from training.gap.emulator import fit_emulator
+from training.gap.emulator import fit_emulators
 from training.gap.two_spool_fit import GOVERNED_CORE
 
 
 @pytest.fixture(scope="module")
 def fitted(flights):
-    return fit_emulator(flights)
+    return fit_emulators(flights)[0]
 
 
 def test_its_free_run_follows_the_logs(fitted, flights):
@@ -58,7 +58,7 @@ def test_without_a_lever_the_fuel_says_where_the_core_goes(flights):
         driver="FF_kgph",
         active=("FF_kgph", "ALT_ft", "dT_C", "NAI"),
     )
-    found = fit_emulator(replace(flights, signals=signals))
+    found = fit_emulators(replace(flights, signals=signals))[0]
     assert found.engine.governed == GOVERNED_CORE
 
 
@@ -69,7 +69,7 @@ def test_one_spool_alone_is_an_engine(kept, flights):
         s, outputs=tuple(s.outputs[j] for j in kept), low=s.low[columns], high=s.high[columns]
     )
     alone = Flights(signals, flights.u, flights.y[..., columns], flights.lengths)
-    found = fit_emulator(alone)
+    found = fit_emulators(alone)[0]
     assert (found.errors(alone) < 0.05 * (signals.high - signals.low)).all()
 
 
@@ -78,4 +78,4 @@ def test_without_a_speed_there_is_no_engine(flights):
     signals = replace(s, outputs=("EGT_C",), low=s.low[2:], high=s.high[2:])
     only = Flights(signals, flights.u, flights.y[..., 2:], flights.lengths)
     with pytest.raises(DataError, match="no spool speed is recorded"):
-        fit_emulator(only)
+        fit_emulators(only)[0]

@@ -34,3 +34,14 @@ def test_what_does_next_to_nothing_ranks_last(flights, engine, recorded):
         assert 0.0 <= work.aligned(one) <= 1.0
     assert work.rank(right) > 0.9
     assert work.rank(other) < 0.1
+
+
+def test_a_small_gap_that_an_effect_explains_wherever_it_acts_tells(flights, engine, recorded):
+    """Whatever its size: a lag of a hundredth of a second, and not what it is mistaken for."""
+    quiet = NOISE / 100.0
+    measure = misfit(flights, recorded({"sensor_lag:EGT_C": [0.01, 0.5]}, noise=quiet), quiet)
+    problem = Problem(flights, engine, measure)
+    work = Work(problem, Options(), measure.size(measure.gap), quiet, measure)
+    right, other = (fit([effect(n)], problem) for n in ("sensor_lag:EGT_C", "heat_soak"))
+    assert work.tells(right)
+    assert not work.tells(other)
