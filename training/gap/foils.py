@@ -2,7 +2,8 @@
 
 A loose connector or a patched amplifier shifts a channel at once and for good. A ramp follows such
 a step well enough to gain as a drift would, so that a drift is only believed where steps, one in
-each flight at any time, would not explain more.
+each flight at any time, would not explain more. Steps that may lie anywhere also follow whatever
+else is wrong: what they gain once the drift is taken out is no evidence for them.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from training.gap.quadratic import Misfit
 def is_a_step(tried: Fit, measure: Misfit) -> bool:
     """Whether a drift in the fit is rather a step in mid-flight.
 
-    Of a ramp the best step explains at most three quarters, and of a step the ramp.
+    Of a ramp the best step explains at most three quarters, and of a step the ramp. The ramp's rate
+    is that of all flights.
     """
     at = 0
     for effect, count in zip(tried.effects, tried.sizes, strict=True):
@@ -26,14 +28,19 @@ def is_a_step(tried: Fit, measure: Misfit) -> bool:
             own = np.tensordot(tried.theta[at : at + count], tried.slopes[at : at + count], axes=1)
             gap = measure.cleaned(measure.gap - tried.response + own)
             column = int(np.argmax(np.abs(own).sum(axis=(0, 1))))
-            rows = zip(
+            flights = zip(
                 gap[..., column], own[..., column], measure.weights[..., column], strict=True
             )
-            gains = np.array([[_of_step(v, w), _of_shape(v, r, w)] for v, r, w in rows]).sum(axis=0)
-            if gains[0] > gains[1]:
+            if sum(_step_beyond_ramp(*flight) for flight in flights) > 0.0:
                 return True
         at += count
     return False
+
+
+def _step_beyond_ramp(gap: FloatArray, ramp: FloatArray, weights: FloatArray) -> float:
+    """Squares that the best step takes off a flight's gap (time,) more than its ramp explains."""
+    anyway = _of_step(gap - ramp, weights)
+    return _of_step(gap, weights) - anyway - _of_shape(gap, ramp, weights)
 
 
 def _of_shape(gap: FloatArray, shape: FloatArray, weights: FloatArray) -> float:

@@ -53,6 +53,18 @@ def test_a_drift_beside_a_lag_is_still_seen(flights, engine, recorded):
         assert is_a_step(both, measure) is expected
 
 
+def test_what_steps_would_gain_anyway_is_no_evidence_for_them(flights, engine, recorded):
+    """A channel that also swings slowly has a best step somewhere, drift or not."""
+    swing = 3.0 * np.sin(np.linspace(0.0, 5.0, 800))
+    for rate_per_h, expected in ((150.0, False), (0.0, True)):
+        real = recorded({"sensor_drift:EGT_C": [rate_per_h]})
+        real[..., 2] += swing if expected else swing * np.array([1, -1, 1, -1, 1])[:, None]
+        tried, measure = drift_in(
+            flights, engine, with_steps(real, (0.5,) * 5) if expected else real
+        )
+        assert is_a_step(tried, measure) is expected
+
+
 def test_the_diagnosis_names_no_drift_where_a_channel_jumped(flights, engine, recorded):
     real = with_steps(recorded({}), (0.5,) * 5)
     found = diagnose(flights, (real, NOISE), engine, Options(draws=40))

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from eval.gap.blind import plasmode
 from eval.gap.blind.cases import BlindPlan
 from eval.gap.blind.catalogue import CATALOGUE, Dose
 from eval.gap.blind.files import open_key
@@ -97,6 +98,21 @@ def test_only_the_effect_is_added(cases, tmp_path):
         np.testing.assert_allclose(real[driver][inner], later[inner], rtol=1e-6)
         assert row["kind"] == "single"
         assert row["gap_share"] < 1.0
+
+
+def test_a_drift_begins_anew_in_every_piece(simulator, tmp_path, monkeypatch):
+    """Every piece is a flight of its own: the instrument is warm at the start of none of them."""
+    drifts = [each for each in CATALOGUE if each.id == "sensor_drift"]
+    monkeypatch.setattr(plasmode, "CATALOGUE", drifts)
+    flights = write_flights(tmp_path / "flights")
+    case = made(flights, simulator, tmp_path, BlindPlan(cases=1, flights=2, held_out=1, seed=1))[0]
+    effect = case.row["effects"][0]
+    for number, (log, start, stop) in enumerate(case.row["pieces"][: PLAN.flights]):
+        was = read(flights / f"{log}.csv").iloc[start:stop].reset_index(drop=True)
+        real = read(tmp_path / "out" / case.name / "real" / f"flight_{number}.csv.gz")
+        ramp = (real[effect["channel"]] - was[effect["channel"]]).dropna()
+        per_s = effect["parameters"]["rate_per_h"] / 3600.0
+        np.testing.assert_allclose(ramp, per_s * real["time_s"][ramp.index], atol=1e-3)
 
 
 @pytest.mark.parametrize("driver", ["TRA_deg", "FF_kgph"])

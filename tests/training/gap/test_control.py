@@ -1,0 +1,53 @@
+"""A fan that trails tells which of its speeds an engine's control holds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from narxcal.effects import effect
+from narxcal.effects.running import respond
+from tests.training.gap.conftest import NOISE
+from training.gap.control import suited
+from training.gap.emulator import fit_emulators
+from training.gap.two_spool_fit import GOVERNED_CORE, GOVERNED_FAN
+
+
+@pytest.fixture(scope="module")
+def kinds(engine):
+    """The same rotors under a control of the fan, and under one of the core."""
+    core = replace(engine, engine=replace(engine.engine, governed=GOVERNED_CORE))
+    return engine, core
+
+
+def flown(kind, flights, effects):
+    settings = [(effect(name), np.array([theta])) for name, theta in effects.items()]
+    y = respond(settings, flights, kind)[0]
+    noise = NOISE * np.random.default_rng(1).standard_normal(y.shape)
+    return y + noise, NOISE
+
+
+@pytest.mark.parametrize("true", [GOVERNED_FAN, GOVERNED_CORE])
+@pytest.mark.parametrize("first", [GOVERNED_FAN, GOVERNED_CORE])
+def test_a_heavier_fan_tells_the_control(true, first, kinds, flights):
+    offered = (kinds[first], kinds[1 - first])
+    measured = flown(kinds[true], flights, {"spool_coupling": [1.6]})
+    assert suited(offered, flights, measured) is kinds[true]
+
+
+def test_what_says_nothing_of_the_control_leaves_the_better_emulator(kinds, flights):
+    measured = flown(kinds[0], flights, {"sensor_lag:EGT_C": [1.0, 0.5]})
+    for offered in (kinds, kinds[::-1]):
+        assert suited(offered, flights, measured) is offered[0]
+
+
+def test_one_spool_or_one_emulator_is_not_asked(kinds, flights):
+    alone = replace(flights.signals, outputs=("N2_pct", "EGT_C", "FF_kgph"))
+    assert suited(kinds, replace(flights, signals=alone), (flights.y, NOISE)) is kinds[0]
+    assert suited(kinds[:1], flights, (flights.y, NOISE)) is kinds[0]
+
+
+def test_where_fuel_is_the_driver_there_is_one_kind(flights):
+    inputs = ("FF_kgph", *flights.signals.inputs[1:])
+    driven = replace(flights.signals, inputs=inputs, driver="FF_kgph")
+    assert len(fit_emulators(replace(flights, signals=driven))) == 1
