@@ -2,13 +2,14 @@
 
 import importlib.util
 import re
+import shlex
 from pathlib import Path
 from typing import get_args
 
 import pytest
 
 from eval.judged import EvaluateConfig
-from narxcal.cli.arguments import _parser
+from narxcal.cli.arguments import _parser, parse
 from narxcal.settings import Section
 from training.config import RunConfig
 
@@ -120,3 +121,21 @@ def test_every_command_is_in_the_readme():
     actions = [action for action in _parser()._actions if action.choices]
     for command in actions[0].choices:
         assert re.search(rf"narxcal {command}\b|`{command}`", readme), command
+
+
+EXAMPLES = [
+    (page, line.strip())
+    for page in PAGES
+    for line in text(page).splitlines()
+    if re.match(r"(    |\$ )narxcal [a-z]", line)
+]
+
+
+@pytest.mark.parametrize(("page", "line"), EXAMPLES)
+def test_every_command_line_that_is_shown_can_be_typed(page, line):
+    words = shlex.split(line.removeprefix("$ "), comments=True)
+    assert parse(words[1:]).command == words[1], page
+
+
+def test_command_lines_are_found_on_many_pages():
+    assert len({page for page, _ in EXAMPLES}) >= 5
