@@ -93,7 +93,11 @@ class CsvSource:
         row, name, text = self._first_text(positions) or (0, "", "")
         if not row:
             problem = " ".join(str(cause).split())
-            raise DataError(f"the rows cannot be parsed ({problem})", file=self.path) from cause
+            raise DataError(
+                f"the rows cannot be parsed ({problem})",
+                file=self.path,
+                hint="Look for a quote that is never closed",
+            ) from cause
         if self.dialect.decimal_open and COMMA_NUMBER.fullmatch(text):
             # The first rows held whole numbers only, so the comma could not be seen there.
             self.dialect = replace(self.dialect, decimal=",", decimal_open=False)

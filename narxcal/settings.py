@@ -46,6 +46,8 @@ def _explain(
     said = first["msg"].removeprefix("Value error, ")
     if first["type"] in ("model_type", "dict_type"):
         said = "expected a table of keys"
+    if not key:  # of the table as a whole
+        return ConfigError(said, file=file)
     return ConfigError(f"key '{key}': {said}, found {_shown(first['input'])}", file=file)
 
 

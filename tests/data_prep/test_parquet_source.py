@@ -1,10 +1,12 @@
 """Parquet files read like CSV files of the same content."""
 
+import sys
+
 import numpy as np
 import pytest
 
 from data_prep.reading import read_logs
-from narxcal.errors import DataError
+from narxcal.errors import ConfigError, DataError
 
 pa = pytest.importorskip("pyarrow", reason="the extra 'parquet' is not installed")
 parquet = pytest.importorskip("pyarrow.parquet", reason="the extra 'parquet' is not installed")
@@ -44,3 +46,13 @@ def test_text_and_damage_are_refused(tmp_path):
     with pytest.raises(DataError) as caught:
         read_logs(broken)
     assert str(caught.value) == f"{broken}: the Parquet file is damaged. Copy it again"
+
+
+def test_without_pyarrow_the_extra_is_named(tmp_path, monkeypatch):
+    path = write(tmp_path / "a.parquet", time_s=[0.0, 0.1])
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(ConfigError) as caught:
+        read_logs(path)
+    assert str(caught.value) == (
+        f"{path}: reading Parquet needs pyarrow. Install it with: pip install 'narxcal[parquet]'"
+    )

@@ -2,6 +2,7 @@
 
 import gzip
 import hashlib
+import re
 import tomllib
 from pathlib import Path
 
@@ -212,6 +213,13 @@ HEAD = "time_s,N1_pct\n"
             "FILE: column 'N1_pct' occurs 2 times in the header. Rename all but one",
         ),
         (
+            HEAD + '0,50\n0.1,"51\n',
+            (
+                "FILE: the rows cannot be parsed (Error tokenizing data. C error: EOF inside "
+                "string starting at row 2). Look for a quote that is never closed"
+            ),
+        ),
+        (
             "times,N1_pct\n0,1\n",
             (
                 "FILE: column 'time_s' is missing. Did you mean 'times'?; "
@@ -278,10 +286,44 @@ def test_configuration_errors_name_the_nearest():
         mapped(N1_pct={})
 
 
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        (
+            {"delimiter": ";;"},
+            "key 'delimiter': expected 'auto' or a single character, found ';;'",
+        ),
+        ({"delimiter": ",", "decimal": ","}, "delimiter, decimal and comment have to differ"),
+        ({"delimiter": "#"}, "delimiter, decimal and comment have to differ"),
+    ],
+)
+def test_a_dialect_that_cannot_be_is_refused(table, message):
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        LogsConfig.parse(table)
+
+
+@pytest.mark.parametrize(
+    ("derive", "channel", "lacks"),
+    [
+        ({"dT_C": "SAT_C"}, "dT_C", "SAT_C and ALT_ft"),
+        ({"WOW": {"airspeed": "TAS_kt"}}, "WOW", "TAS_kt"),
+    ],
+)
+def test_what_cannot_be_derived_says_what_it_needs(tmp_path, derive, channel, lacks):
+    path = write(tmp_path, HEAD + "0,50\n0.1,50\n")
+    assert error_of(path, LogsConfig.parse({"derive": derive})) == (
+        f"FILE, channel {channel}: it cannot be derived without {lacks}. Map it under "
+        "[logs.columns] or take the derivation out of [logs.derive]"
+    )
+
+
 def test_missing_files_and_folders_are_named(tmp_path):
     assert error_of(tmp_path / "no.csv") == "FILE: the file does not exist"
     with pytest.raises(DataError, match="the folder of the logs does not exist"):
         LogsConfig(folder="nowhere").resolve(tmp_path)
+    (tmp_path / "file").touch()
+    with pytest.raises(DataError, match="the folder of the logs is a file"):
+        LogsConfig(folder="file").resolve(tmp_path)
     with pytest.raises(DataError, match=r"no file matches \*.csv or \*.csv.gz"):
         LogsConfig().resolve(tmp_path)
 

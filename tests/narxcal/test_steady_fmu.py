@@ -4,6 +4,7 @@ import gc
 import re
 import sys
 import time
+import zipfile
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
@@ -133,6 +134,21 @@ def test_ten_thousand_samples_take_seconds(fmu):
     start = time.perf_counter()
     deck.outputs(inputs)
     assert time.perf_counter() - start < 10.0
+
+
+FMI1 = """\
+<fmiModelDescription fmiVersion="1.0" modelName="deck" modelIdentifier="deck" guid="{deck}"
+  numberOfContinuousStates="0" numberOfEventIndicators="0"><ModelVariables/></fmiModelDescription>
+"""
+
+
+def test_an_fmu_of_another_version_is_refused(tmp_path):
+    old = tmp_path / "old.fmu"
+    with zipfile.ZipFile(old, "w") as archive:
+        archive.writestr("modelDescription.xml", FMI1)
+    message = f"{old}: the FMU is of FMI 1.0, expected 2.0 or 3.0"
+    with pytest.raises(ModelError, match=f"^{re.escape(message)}$"):
+        model(old)
 
 
 @pytest.mark.parametrize(

@@ -93,6 +93,16 @@ def test_a_module_that_cannot_be_imported_is_named(here, text, problem):
         open_simulator("halves:f")
 
 
+def test_a_module_that_needs_another_one_is_told_where_to_get_it(here):
+    (here / "halves.py").write_text("import nowhere_at_all", "utf-8")
+    with pytest.raises(ConfigError) as caught:
+        open_simulator("halves:f")
+    assert str(caught.value) == (
+        "simulator 'halves:f': No module named 'nowhere_at_all'. "
+        f"Install it, or put halves.py into {here}"
+    )
+
+
 def test_a_file_that_is_no_fmu_is_named(tmp_path):
     pytest.importorskip("fmpy", reason="FMUs need the extra `fmu`")
     file = tmp_path / "engine.fmu"
