@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import norm, t
@@ -13,15 +14,30 @@ from training.gap.fitting import Fit
 from training.gap.quadratic import Misfit
 
 _LEVEL = 0.90
+_ALIKE = 0.2  # how much of other misfit looks like an effect: what blind cases showed
 
 
-def interval(values: FloatArray, centre: float) -> Interval:
-    """90 % interval of `centre` by the jackknife values (flights,) (Efron & Tibshirani, 11)."""
+class Worth(NamedTuple):
+    """What a model takes of the gap on held-out flights, in all and in each (flights,); and leaves.
+
+    `left` is the share that it leaves of the gap it was fitted to.
+    """
+
+    gain: float
+    flights: FloatArray
+    left: float
+
+
+def interval(values: FloatArray, centre: float, beside: float = 0.0) -> Interval:
+    """90 % interval of `centre` by the jackknife values (flights,) (Efron & Tibshirani, 11).
+
+    `beside` is a further reach that the flights do not show, since it is the same in all.
+    """
     count = len(values)
     if count < 2:
         return Interval(centre, -np.inf, np.inf)
     spread = np.sqrt((count - 1) / count * np.sum((values - values.mean()) ** 2))
-    reach = float(t.ppf(0.5 + 0.5 * _LEVEL, count - 1) * spread)
+    reach = float(np.hypot(t.ppf(0.5 + 0.5 * _LEVEL, count - 1) * spread, beside))
     return Interval(centre, centre - reach, centre + reach)
 
 
@@ -52,8 +68,13 @@ def probabilities(held_out: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(total / total.sum())
 
 
-def tried(model: Fit, gains: tuple[float, FloatArray], probability: float) -> Tried:
-    """One model as a row of the finding."""
+def tried(model: Fit, worth: Worth, probability: float) -> Tried:
+    """One model as a row of the finding.
+
+    What it leaves is other misfit, not noise, and much the same in all flights: it moves an effect
+    by its likeness to it, which the jackknife over flights does not show.
+    """
+    alike = _ALIKE * float(np.sqrt(np.clip(worth.left, 0.0, 1.0)))
     parameters: dict[str, dict[str, Interval]] = {}
     units: dict[str, dict[str, str]] = {}
     bound, at = [], 0
@@ -61,7 +82,7 @@ def tried(model: Fit, gains: tuple[float, FloatArray], probability: float) -> Tr
     for effect, count in _counts(model):
         for _ in range(count):
             p, value = next(own), float(model.theta[at])
-            found = interval(model.others[:, at], value)
+            found = interval(model.others[:, at], value, alike * abs(value - p.neutral))
             parameters.setdefault(effect, {})[p.name] = Interval(
                 value, max(found.low, p.low), min(found.high, p.high)
             )
@@ -73,8 +94,8 @@ def tried(model: Fit, gains: tuple[float, FloatArray], probability: float) -> Tr
     return Tried(
         effects=tuple(effect.name for effect in model.effects),
         family=families,
-        gain=gains[0],
-        flights=tuple(gains[1].tolist()),
+        gain=worth.gain,
+        flights=tuple(worth.flights.tolist()),
         probability=probability,
         parameters=parameters,
         units=units,

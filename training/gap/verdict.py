@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import t
 
 from narxcal.effects.base import FloatArray, RateEffect
-from training.gap.answer import channels, probabilities, shrink, tried
+from training.gap.answer import Worth, channels, probabilities, shrink, tried
 from training.gap.finding import Finding, Interval, Kind, Tried
 from training.gap.fitting import Fit
 from training.gap.work import Work
@@ -33,7 +33,7 @@ def finding(
         order = [claimed, *(one for one in order if one is not claimed)]
     odds = probabilities([one.held_out for one in order])
     rows = [
-        tried(model, (work.gain(model), work.gains(model)), float(p))
+        tried(model, Worth(work.gain(model), work.gains(model), work.left(model)), float(p))
         for model, p in zip(order, odds, strict=True)
     ]
     if offset is not None:
@@ -86,14 +86,11 @@ def _with_offsets(
     """Rows with the offsets among them: first where nothing else was claimed, else second."""
     fits, before, audible = offset
     odds = probabilities([one.held_out for one in fits])
-    own = [
-        tried(
-            one,
-            (float((before - one.held_out).sum()) / audible, 1.0 - one.held_out / before),
-            float(p),
-        )
-        for one, p in zip(fits, odds, strict=True)
-    ]
+    own = []
+    for one, p in zip(fits, odds, strict=True):
+        gain = float((before - one.held_out).sum()) / audible
+        worth = Worth(gain, 1.0 - one.held_out / before, 1.0 - gain)
+        own.append(tried(one, worth, float(p)))
     return [rows[0], *own, *rows[1:]] if claimed is not None else [*own, *rows]
 
 
