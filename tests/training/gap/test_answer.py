@@ -44,8 +44,7 @@ def test_what_a_model_leaves_makes_its_sizes_uncertain(flights, engine, recorded
 
 def test_of_two_that_flights_do_not_tell_apart_neither_leads():
     same = np.array([1.0, 2.0, 3.0])
-    np.testing.assert_allclose(
-        probabilities([same, same + [0.1, -0.1, 0.0]]), [0.5, 0.5], atol=0.01
-    )
+    either = probabilities([same, same + np.array([0.1, -0.1, 0.0])])
+    np.testing.assert_allclose(either, [0.5, 0.5], atol=0.01)
     far = probabilities([same, same + 10.0])
     assert far[0] == pytest.approx(1.0)
