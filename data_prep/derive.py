@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
     from data_prep.log import FloatArray
 
-TROPOPAUSE_FT = 36089.24
-
 
 class WeightOnWheels(Section):
     """WOW from airspeed: 1 below `below_kt`, 0 from `below_kt + hysteresis_kt` on.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -103,31 +103,8 @@ def _sha256(path: Path) -> str:
 def _logs(recording: _Recording, config: LogsConfig) -> list[Log]:
     """Order and split the rows of one recording, and put each part on the raster."""
     file = recording.source.file
-    stamps = recording.rows["time_s"]
-    if not len(stamps):
-        raise DataError("no rows follow the header", file=file)
-    rows = ordered_rows(stamps, config.max_gap_s, file)
-    if len(rows.time_s) < 2 or rows.time_s[0] == rows.time_s[-1]:
-        raise DataError(
-            f"expected samples at two or more times, found {min(1, len(rows.time_s))}",
-            file=file,
-            channel="time_s",
-        )
-    native = native_interval(rows.time_s)
-    interval = 1.0 / config.raster_hz if config.raster_hz else native
-    logs: list[Log] = []
-    lost: list[AuditEntry] = []
-    for part in split_at_gaps(rows.time_s, config.max_gap_s):
-        time = undo_rounding(rows.time_s[part], native)
-        raster = lay(time, interval, config.bridge_s)
-        _refuse_endless(raster, len(time), file)
-        if raster.samples < 2:
-            lost.append(AuditEntry("*", "dropped", "lone row between gaps", len(time)))
-            continue
-        name = recording.name + (f"#{len(logs) + 1}" if logs else "")
-        rebuilt = int((np.abs(time - rows.time_s[part]) > 0.01 * native).sum())
-        entry = AuditEntry("*", "repaired", "rounded time stamp", rebuilt)
-        logs.append(_part(recording, name, Rows(rows.order[part], time, (entry,)), raster))
+    rows = _in_order(recording, config.max_gap_s)
+    logs, lost = _parts(recording, rows, config)
     if not logs:
         raise DataError(
             f"no two samples are closer than max_gap_s = {config.max_gap_s:g} s",
@@ -136,14 +113,44 @@ def _logs(recording: _Recording, config: LogsConfig) -> list[Log]:
             hint="Raise [logs] max_gap_s or check the unit of time_s",
         )
     first = Audit().add(*rows.entries, *lost)
-    logs[0] = Log(
-        logs[0].name,
-        logs[0].time_s,
-        logs[0].channels,
-        Audit(first.entries + logs[0].audit.entries),
-        logs[0].source,
-    )
+    logs[0] = replace(logs[0], audit=Audit(first.entries + logs[0].audit.entries))
     return [log.with_channels(derive(log.channels, config.derive, file)) for log in logs]
+
+
+def _in_order(recording: _Recording, max_gap_s: float) -> Rows:
+    file, stamps = recording.source.file, recording.rows["time_s"]
+    if not len(stamps):
+        raise DataError("no rows follow the header", file=file)
+    rows = ordered_rows(stamps, max_gap_s, file)
+    if len(rows.time_s) < 2 or rows.time_s[0] == rows.time_s[-1]:
+        raise DataError(
+            f"expected samples at two or more times, found {min(1, len(rows.time_s))}",
+            file=file,
+            channel="time_s",
+        )
+    return rows
+
+
+def _parts(
+    recording: _Recording, rows: Rows, config: LogsConfig
+) -> tuple[list[Log], list[AuditEntry]]:
+    """Logs between the gaps, and what was too short to be one."""
+    native = native_interval(rows.time_s)
+    interval = 1.0 / config.raster_hz if config.raster_hz else native
+    logs: list[Log] = []
+    lost: list[AuditEntry] = []
+    for part in split_at_gaps(rows.time_s, config.max_gap_s):
+        time = undo_rounding(rows.time_s[part], native)
+        raster = lay(time, interval, config.bridge_s)
+        _refuse_endless(raster, len(time), recording.source.file)
+        if raster.samples < 2:
+            lost.append(AuditEntry("*", "dropped", "lone row between gaps", len(time)))
+            continue
+        name = recording.name + (f"#{len(logs) + 1}" if logs else "")
+        rebuilt = int((np.abs(time - rows.time_s[part]) > 0.01 * native).sum())
+        entry = AuditEntry("*", "repaired", "rounded time stamp", rebuilt)
+        logs.append(_part(recording, name, Rows(rows.order[part], time, (entry,)), raster))
+    return logs, lost
 
 
 def _refuse_endless(raster: Raster, rows: int, file: str) -> None:

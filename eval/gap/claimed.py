@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -80,8 +80,3 @@ def with_effects(values: Values, flights: Flights, emulator: Emulator | None) ->
 def changes(values: Values, data: GapData, emulator: Emulator | None) -> FloatArray:
     """What the effects add to the simulated outputs, (flights, time, outputs)."""
     return np.asarray(with_effects(values, data.flights, emulator) - data.flights.y)
-
-
-def needs_emulator(names: Sequence[str]) -> bool:
-    """Whether one of the effects acts inside the engine or before it."""
-    return any(effect(name).side in ("input", "process") for name in names)

@@ -7,7 +7,7 @@ what is over is cut and counted. Inputs recorded in both have to be the same but
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,10 +17,11 @@ from data_prep.clean import clean
 from data_prep.faults import out_of_range
 from data_prep.hold import hold_inputs
 from data_prep.log import AuditEntry, Log
-from eval.gap.data import FloatArray, Pair
+from eval.gap.data import Pair
 from eval.gap.log_folders import pair_up, read_folder
 from eval.gap.pair_inputs import inputs_of, is_input
 from eval.gap.pair_outputs import DIAGNOSED, check_recorded, complete, lone, outputs_of
+from eval.gap.rerun import Simulate
 from narxcal.channels import CHANNELS
 from narxcal.errors import DataError
 from training.config import RunConfig
@@ -30,8 +31,6 @@ __all__ = ["DIAGNOSED", "match_simulated", "pair_logs", "read_folder", "read_pai
 COMPARED = ("FN_kN", "FPR", "EPR")
 _RATE = 1e-3
 _LONGER_S = 2.0
-
-Simulate = Callable[[Log], Mapping[str, FloatArray]]
 
 
 def read_pairs(real: Path, sim: Path | Simulate, config: RunConfig | None = None) -> list[Pair]:

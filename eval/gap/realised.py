@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.stats import t
@@ -84,17 +84,6 @@ def time_shrink(
 
 
 def _both(before: TimeErrors, after: TimeErrors) -> TimeShrink:
-    first, then = ({(e.flight, e.start): e for e in found.events} for found in (before, after))
-    common = [key for key in first if key in then]
-
-    def mean(found: Mapping[tuple[int, int], object], name: str) -> float:
-        values = [abs(float(getattr(found[key], name))) for key in common]
-        return float(np.mean(values)) if values else float("nan")
-
-    return TimeShrink(
-        len(common),
-        mean(first, "Ti_s"),
-        mean(then, "Ti_s"),
-        mean(first, "Tt_s"),
-        mean(then, "Tt_s"),
-    )
+    first, then = before.shared_with(after), after.shared_with(before)
+    times = [found.mean_abs(name) for name in ("Ti_s", "Tt_s") for found in (first, then)]
+    return TimeShrink(len(first.events), *times)

@@ -32,6 +32,11 @@ class TimeErrors:
 
     events: tuple[EventTimes, ...]
 
+    def shared_with(self, other: TimeErrors) -> TimeErrors:
+        """Those of the events that could be read in `other` as well."""
+        there = {(event.flight, event.start) for event in other.events}
+        return TimeErrors(tuple(e for e in self.events if (e.flight, e.start) in there))
+
     def mean_abs(self, name: str) -> float:
         """Mean absolute error of `Ti_s` or `Tt_s`; NaN without an event."""
         values = [abs(getattr(event, name)) for event in self.events]

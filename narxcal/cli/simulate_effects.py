@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 
 from data_prep.log import Log
-from eval.gap.applied import read_effects
+from eval.gap.applied import FoundEffects, read_effects
 from eval.gap.data import FloatArray
 from eval.gap.log_folders import read_folder
 from eval.gap.pairs import match_simulated
+from eval.gap.rerun import Simulate
 from eval.gap.simulators import open_simulator
 from narxcal.channels import CHANNELS
 from narxcal.cli.configured import read_config
@@ -47,18 +48,8 @@ def run(options: Namespace, console: Console) -> int:
         for number, (name, log) in enumerate(inputs.items()):
             advance(number, len(inputs), f"({name})")
             sim = match_simulated(name, log, source)
-            outputs = (
-                found.added_to(sim, name)
-                if isinstance(how, Path)
-                else found.run_again(sim, how, name)
-            )
-            channels, change = _changed(sim, outputs, found.signals.outputs)
-            channels["time_s"] = log.time_s[: len(sim)]
-            (folder / f"{name}.csv").write_bytes(_csv(channels))
-            load = found.knows(name) if found.has_load else None
-            rows.append(
-                {"log": name, "samples": len(sim), "rms_change": change, "load_known": load}
-            )
+            again = None if isinstance(how, Path) else how
+            rows.append(_added(folder, found, (name, log, sim), again))
         document = {
             "schema": SCHEMA,
             "effects": {effect: dict(values) for effect, values in found.values.items()},
@@ -69,6 +60,25 @@ def run(options: Namespace, console: Console) -> int:
         (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
     _show(console, document, options.out)
     return 0
+
+
+def _added(
+    folder: Path,
+    found: FoundEffects,
+    logs: tuple[str, Log, Log],
+    again: Simulate | None,
+) -> dict[str, Any]:
+    """Write one log with the effects added, by `again` where the simulator can be run so.
+
+    `logs` are its name, the inputs as they were given, and what the simulator says of them.
+    """
+    name, given, sim = logs
+    outputs = found.added_to(sim, name) if again is None else found.run_again(sim, again, name)
+    channels, change = _changed(sim, outputs, found.signals.outputs)
+    channels["time_s"] = given.time_s[: len(sim)]
+    (folder / f"{name}.csv").write_bytes(_csv(channels))
+    load = found.knows(name) if found.has_load else None
+    return {"log": name, "samples": len(sim), "rms_change": change, "load_known": load}
 
 
 def _results(folder: Path) -> Results:

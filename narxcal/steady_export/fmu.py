@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Literal
 
 from narxcal.atomic import atomic_write_bytes
 from narxcal.errors import ConfigError, ModelError
@@ -30,7 +29,6 @@ from narxcal.steady_export.report import ExportOptions, ExportReport
 from narxcal.steady_export.table import description, generation_tool
 from narxcal.steady_state import SteadyStateModel
 
-FmiVersion = Literal["2.0", "3.0"]
 # Archives bear no time, so that the same model gives the same bytes.
 _NO_TIME = (1980, 1, 1, 0, 0, 0)
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-w")

@@ -81,10 +81,6 @@ class Grid:
         """How many conditions the full grid has."""
         return math.prod(len(nodes) for nodes in self.axes.values())
 
-    def with_axes(self, axes: Mapping[str, Sequence[float]]) -> Grid:
-        """Return the grid with some axes replaced."""
-        return Grid({**self.axes, **{name: tuple(nodes) for name, nodes in axes.items()}})
-
     def draw(self, count: int, rng: np.random.Generator) -> Floats:
         """Random conditions `(count, n_in)`: switches at 0 or 1, the others between the ends."""
         columns = [

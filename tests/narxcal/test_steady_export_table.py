@@ -144,7 +144,7 @@ def test_a_model_that_gives_no_number_is_named_with_its_condition(tmp_path):
 
 
 def test_nodes_outside_the_envelope_leave_nothing_to_compare(small, tmp_path):
-    grid = Grid.of_model(small).with_axes({"Mach": [0.9, 1.0]})
+    grid = Grid({**Grid.of_model(small).axes, "Mach": (0.9, 1.0)})
     message = "the model holds nowhere between these nodes. Give nodes inside its envelope"
     with pytest.raises(ModelError, match=f"^{re.escape(message)}$"):
         export_table(small, grid, tmp_path / "deck.csv")
