@@ -15,11 +15,9 @@ from dataclasses import dataclass
 
 from narxcal.errors import ConfigError
 from narxcal.flight_test.lever import IDLE_DEG, TAKE_OFF_DEG
+from narxcal.flight_test.manoeuvre_pieces import Manoeuvre, Sequence, Sweep
 from narxcal.flight_test.manoeuvres import (
     SLAM_DEG_S,
-    Manoeuvre,
-    Sequence,
-    Sweep,
     hold,
     ladder,
     levels,

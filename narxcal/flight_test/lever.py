@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from narxcal.errors import ConfigError
-from narxcal.flight_test.manoeuvres import Manoeuvre, Switched
+from narxcal.flight_test.manoeuvre_pieces import Manoeuvre, Switched
 
 FloatArray = NDArray[np.float64]
 

@@ -34,7 +34,8 @@ from narxcal.flight_test.envelope import (
     mach_of_cas,
 )
 from narxcal.flight_test.lever import Placed, compose
-from narxcal.flight_test.manoeuvres import Manoeuvre, hold, impulse, ramp, step
+from narxcal.flight_test.manoeuvre_pieces import Manoeuvre
+from narxcal.flight_test.manoeuvres import hold, impulse, ramp, step
 
 FloatArray = NDArray[np.float64]
 

@@ -19,12 +19,10 @@ import numpy as np
 from narxcal.flight_test.excitation import TestLevels, separating_set
 from narxcal.flight_test.journey import Leg
 from narxcal.flight_test.lever import Placed
+from narxcal.flight_test.manoeuvre_pieces import Manoeuvre, Sequence, Sweep
 from narxcal.flight_test.manoeuvres import (
     SLAM_DEG_S,
     SLOW_DEG_S,
-    Manoeuvre,
-    Sequence,
-    Sweep,
     doublet,
     hold,
     ladder,

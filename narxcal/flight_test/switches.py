@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from narxcal.atmosphere import air_state
 from narxcal.flight_test.journey import GROUND, Day, Leg, during
-from narxcal.flight_test.manoeuvres import Switched
+from narxcal.flight_test.manoeuvre_pieces import Switched
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -16,7 +16,14 @@ from narxcal.flight_test.lever import (
     rate_limited,
     set_apart,
 )
-from narxcal.flight_test.manoeuvres import Sweep, hold, impulse, step, switch, travel
+from narxcal.flight_test.manoeuvre_pieces import Sweep
+from narxcal.flight_test.manoeuvres import (
+    hold,
+    impulse,
+    step,
+    switch,
+    travel,
+)
 
 DT = 1 / 32
 RASTER = np.arange(0, 60 * 32) * DT

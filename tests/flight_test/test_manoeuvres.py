@@ -11,13 +11,10 @@ from hypothesis import strategies as st
 from scipy.signal import chirp
 
 from narxcal.errors import ConfigError
+from narxcal.flight_test.manoeuvre_pieces import Corners, Sequence, Sweep, Switched
 from narxcal.flight_test.manoeuvres import (
     HAND_DEG_S,
     SLAM_DEG_S,
-    Corners,
-    Sequence,
-    Sweep,
-    Switched,
     chop,
     doublet,
     hold,
