@@ -1,10 +1,14 @@
-"""The curves of an engine that never was: smooth, cheap, and with switches that merely add."""
+"""The curves of an engine that never was, a smaller one of two inputs, and calibrations of it."""
 
 import numpy as np
 import pytest
+import torch
 
 from narxcal.atmosphere import air_state
+from narxcal.calibration import DynamicCalibration, narx_features
+from narxcal.narx import NarxConfig, NarxModel, NarxNet, Scaling
 from narxcal.steady_callable import SteadyCallable
+from narxcal.steady_table import SteadyTable
 from narxcal.turbofan.virtual_engine import INPUT_NAMES
 
 
@@ -25,3 +29,31 @@ def curves(inputs):
 def maker():
     """The curves as a steady-state model with the inputs of the virtual engine."""
     return SteadyCallable(curves, (INPUT_NAMES, ("N1_pct", "N2_pct", "EGT_C")))
+
+
+@pytest.fixture(scope="session")
+def plane():
+    """A table of four points over lever and Mach: N1 = 20 + lever, EGT = 300 + Mach."""
+    points = np.array([[0.0, 0.0], [0.0, 0.8], [78.0, 0.0], [78.0, 0.8]])
+    settled = np.column_stack([20 + points[:, 0], 300 + points[:, 1]])
+    return SteadyTable((("TRA_deg", "Mach"), ("N1_pct", "EGT_C")), points, settled)
+
+
+@pytest.fixture(scope="session")
+def calibrated():
+    """Calibrate a steady-state model of lever and Mach by a network drawn at random."""
+
+    def calibrate(steady, log):
+        torch.manual_seed(0)
+        ss = steady.outputs(log)
+        features = narx_features(ss, log[:, 1:])
+        net = NarxNet(NarxConfig(lags=3, hidden=5, moving=2), features.shape[1], ss.shape[1])
+        with torch.no_grad():
+            for parameter in net.parameters():
+                parameter.copy_(0.1 * torch.randn_like(parameter))
+            net.low.fill_(-2.0)
+            net.high.fill_(2.0)
+        model = NarxModel(net.double(), Scaling.of(features), Scaling.of(ss, centred=False))
+        return DynamicCalibration(steady, model, 1 / 32, ("Mach",))
+
+    return calibrate

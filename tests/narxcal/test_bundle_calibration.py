@@ -6,11 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
-from narxcal import Bundle, DynamicCalibration, ModelError, load_bundle, save_bundle
-from narxcal.calibration import narx_features
-from narxcal.narx import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal import Bundle, ModelError, load_bundle, save_bundle
 from narxcal.steady_callable import SteadyCallable
 from narxcal.steady_fitted import FittedSteadyState, Layout
 from narxcal.steady_fmu import FmuOptions, SteadyFmu
@@ -62,23 +59,9 @@ def fitted(_):
     )
 
 
-def calibration(steady):
-    torch.manual_seed(0)
-    ss = steady.outputs(LOG)
-    features = narx_features(ss, LOG[:, 1:])
-    net = NarxNet(NarxConfig(lags=3, hidden=5, moving=2), features.shape[1], ss.shape[1])
-    with torch.no_grad():
-        for parameter in net.parameters():
-            parameter.copy_(0.1 * torch.randn_like(parameter))
-        net.low.fill_(-2.0)
-        net.high.fill_(2.0)
-    model = NarxModel(net.double(), Scaling.of(features), Scaling.of(ss, centred=False))
-    return DynamicCalibration(steady, model, 1 / 32, ("Mach",))
-
-
 @pytest.mark.parametrize("make", [table, scattered, function, fmu, fitted])
-def test_a_loaded_bundle_simulates_and_steps_as_the_saved_one(make, tmp_path):
-    saved = calibration(make(tmp_path))
+def test_a_loaded_bundle_simulates_and_steps_as_the_saved_one(calibrated, make, tmp_path):
+    saved = calibrated(make(tmp_path), LOG)
     save_bundle(tmp_path / "run", Bundle(saved, {"seed": 3}))
     bundle = load_bundle(tmp_path / "run")
     loaded = bundle.calibration
@@ -96,8 +79,8 @@ def test_a_loaded_bundle_simulates_and_steps_as_the_saved_one(make, tmp_path):
     np.testing.assert_allclose(steps, whole[1:], rtol=1e-9)
 
 
-def test_the_bundles_own_fmu_serves_when_the_former_is_gone(tmp_path):
-    saved = calibration(fmu(tmp_path))
+def test_the_bundles_own_fmu_serves_when_the_former_is_gone(calibrated, tmp_path):
+    saved = calibrated(fmu(tmp_path), LOG)
     save_bundle(tmp_path / "run", Bundle(saved))
     (tmp_path / "deck.fmu").unlink()
     (tmp_path / "run").rename(tmp_path / "moved")
@@ -113,9 +96,9 @@ def test_the_bundles_own_fmu_serves_when_the_former_is_gone(tmp_path):
         load_bundle(tmp_path / "moved")
 
 
-def test_a_bundle_may_be_saved_over_the_one_it_was_loaded_from(tmp_path):
+def test_a_bundle_may_be_saved_over_the_one_it_was_loaded_from(calibrated, tmp_path):
     run = tmp_path / "run"
-    save_bundle(run, Bundle(calibration(fmu(tmp_path))))
+    save_bundle(run, Bundle(calibrated(fmu(tmp_path), LOG)))
     loaded = load_bundle(run)
     save_bundle(run, Bundle(loaded.calibration, {"again": True}), replace=True)
     again = load_bundle(run)
