@@ -1,4 +1,7 @@
-"""Channels that a recorder lacks and others imply: temperature over ISA, weight on wheels."""
+"""Channels that a recorder lacks and others imply: temperature over ISA, weight on wheels.
+
+Channels are `(rows,)`, in canonical units.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Sensor faults that last: a channel that is frozen, spiking or out of physical range."""
+"""Sensor faults that last: a channel that is frozen, spiking or out of physical range.
+
+Signals and masks are `(time,)`, NaN where nothing was measured.
+"""
 
 from __future__ import annotations
 

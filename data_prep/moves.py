@@ -1,4 +1,7 @@
-"""Moves of the driving channel: where a push or a pull begins and where the lever comes to rest."""
+"""Moves of the driving channel: where a push or a pull begins and where the lever comes to rest.
+
+Signals are `(time,)`, NaN where nothing was measured.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Gross errors of single samples: 3-sigma and Grubbs on the residual to a running median."""
+"""Gross errors of single samples: 3-sigma and Grubbs on the residual to a running median.
+
+Signals and masks are `(time,)`, NaN where nothing was measured.
+"""
 
 from __future__ import annotations
 

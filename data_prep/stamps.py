@@ -1,4 +1,7 @@
-"""Time stamps of one recording: repaired, ordered, split at gaps, and rid of their rounding."""
+"""Time stamps of one recording: repaired, ordered, split at gaps, and rid of their rounding.
+
+Stamps are `(rows,)` in s.
+"""
 
 from __future__ import annotations
 

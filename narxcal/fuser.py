@@ -109,7 +109,11 @@ class Consistency:
 
 
 class Fuser(Protocol):
-    """What `KalmanFuser` and its compiled twin `narxcal.fuser_fast.FastFuser` both do."""
+    """What `KalmanFuser` and its compiled twin `narxcal.fuser_fast.FastFuser` both do.
+
+    A sample is `(outputs,)`, a record `(time, outputs)`, NaN where nothing was measured;
+    `gated_samples` `(outputs,)` counts the measurements that were left out.
+    """
 
     gated_samples: NDArray[np.int64]
 

@@ -1,4 +1,8 @@
-"""How far the gap really shrinks: the found effects on flights, in three measures."""
+"""How far the gap really shrinks: the found effects on flights, in three measures.
+
+`after` is (flights, time, outputs), what the simulator says with the effects; `before` and `left`
+are (flights,), the squared gap over its noise without and with them.
+"""
 
 from __future__ import annotations
 

@@ -8,6 +8,8 @@ wind, turbulence, turns, weight, and the effect of the levers on the altitude.
 A flight has a natural length (80 to 90 min in line operation, 110 to 130 min enriched). Asked
 for a shorter one, each leg shrinks towards its own least time: levers and switches keep their
 speed, and the air goes by in time lapse.
+
+Times and what there is at them are arrays `(time,)`.
 """
 
 from __future__ import annotations
