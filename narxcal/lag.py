@@ -31,8 +31,8 @@ class Drive(NamedTuple):
     """What the lags follow, row by row; row 0 is the sample before the first step.
 
     `ss` (T, o) are the steady-state values, `target` (T, o) the same, corrected and scaled to
-    [-1, 1], `per_unit` (T, o) the scaled speed per unit of the output, `air` (T,) the logarithm of
-    sqrt(theta2) / delta2.
+    [-1, 1], `per_unit` (T, o) the scaled speed per unit of the output, `air` (T, 2) the logarithms
+    of sqrt(theta2) / delta2 and of sqrt(theta2).
     """
 
     ss: FloatArray
@@ -66,7 +66,7 @@ class Wiring(NamedTuple):
 class LagModel:
     """The lags of all outputs.
 
-    `parameters` (n_out, 27) are named by `PARAMETERS`. `centre` and `half` (n_out,) scale the
+    `parameters` (n_out, 34) are named by `PARAMETERS`. `centre` and `half` (n_out,) scale the
     corrected outputs; `limit` (n_out,) bounds the magnitude of each deviation. The core spool is
     the last output that is a speed, or the first output of an engine without one.
     """
@@ -194,11 +194,14 @@ def core_first(names: Sequence[str]) -> IntArray:
 
 
 def thickness(inputs: FloatArray, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-    """Return sqrt(theta2) and log(sqrt(theta2) / delta2), both (T,); what is missing is zero."""
+    """Return sqrt(theta2) (T,) and logarithms (T, 2) of sqrt(theta2) / delta2 and sqrt(theta2).
+
+    What is missing is zero.
+    """
     zero = np.zeros(len(inputs))
     air = air_state(*(zero if k < 0 else inputs[:, k] for k in air_columns(names)))
     root = np.sqrt(air.theta2)
-    return root, np.log(root / air.delta2)
+    return root, np.log(np.stack([root / air.delta2, root], axis=1))
 
 
 def air_columns(names: Sequence[str]) -> IntArray:

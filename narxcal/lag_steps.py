@@ -6,10 +6,11 @@ With the deviation d = ss - y, the time constant tau and the increment D of ss o
     soak(k)   = b (soak(k-1) + share D),      casing(k) likewise, with its own share and time
     d(k)      = fast(k) + soak(k) + casing(k),       a = exp(-dt / tau),      b = exp(-dt / tau_s)
     tau       = tau0 sqrt(1 + ((w - v) / (tau0 r))^2)
-    log tau0  = p . [1, air, v, w, v^2, v w, w^2],             air = log(sqrt(theta2) / delta2)
-    log r     = q . [1, air, v, v^2, u]    one q to speed up, another to slow down
+    log tau0  = p . [1, thin, v, w, v^2, v w, w^2, hot]
+    log r     = q . [1, thin, v, v^2, u, v u, u^2, hot]    one q to speed up, another to slow down
+    thin      = log(sqrt(theta2) / delta2),      hot = log(sqrt(theta2))
     c         = core + core_speed (v_core + w_core)
-    e         = rate exp(rate_air air + rate_speed v_core)
+    e         = rate exp(rate_air thin + rate_speed v_core)
 
 where v and w are the spool's corrected speed as it is and as it would settle, scaled to [-1, 1]
 over what training has seen, and u is the v of the other spool. `lead` is the lag of the meter that
@@ -41,15 +42,17 @@ LAG_PARAMETERS = (
     "lead_s", "core", "slow_share", "log_slow_tau",
 )  # fmt: skip
 LIMIT_PARAMETERS = (
-    "log_up", "up_air", "up_speed", "up_speed_speed", "up_other",
-    "log_down", "down_air", "down_speed", "down_speed_speed", "down_other",
+    "log_up", "up_air", "up_speed", "up_speed_speed",
+    "up_other", "up_speed_other", "up_other_other", "up_hot",
+    "log_down", "down_air", "down_speed", "down_speed_speed",
+    "down_other", "down_speed_other", "down_other_other", "down_hot",
 )  # fmt: skip
 FUEL_PARAMETERS = ("core_speed", "rate", "rate_air", "rate_speed")
 CASING_PARAMETERS = ("casing_share", "log_casing_tau")
-PARAMETERS = (*LAG_PARAMETERS, *LIMIT_PARAMETERS, *FUEL_PARAMETERS, *CASING_PARAMETERS)
+PARAMETERS = (*LAG_PARAMETERS, *LIMIT_PARAMETERS, *FUEL_PARAMETERS, *CASING_PARAMETERS, "hot")
 UNLIMITED = 20.0  # `log_up` and `log_down` of a spool as fast as its time constant lets it be
-_UP, _DOWN, _FUEL, _CASING = (
-    PARAMETERS.index(name) for name in ("log_up", "log_down", "core_speed", "casing_share")
+_UP, _DOWN, _FUEL, _CASING, _HOT = (
+    PARAMETERS.index(name) for name in ("log_up", "log_down", "core_speed", "casing_share", "hot")
 )
 
 
@@ -61,19 +64,21 @@ def within(value: float, most: float) -> float:
 
 @compiled
 def time_constant(
-    p: FloatArray, air: float, speeds: tuple[float, float, float], limited: bool
+    p: FloatArray, air: tuple[float, float], speeds: tuple[float, float, float], limited: bool
 ) -> float:
     """Seconds; the longer the more of a step a `limited` spool still has before it.
 
-    `speeds` are v, w and u of the module.
+    `air` are thin and hot of the module, `speeds` v, w and u.
     """
-    v, w, other = speeds
-    log_tau = p[0] + p[1] * air + p[2] * v + p[3] * w
+    thin, hot = air
+    v, w, u = speeds
+    log_tau = p[0] + p[1] * thin + p[2] * v + p[3] * w + p[_HOT] * hot
     log_tau += p[4] * v * v + p[5] * v * w + p[6] * w * w
     tau = math.exp(min(max(log_tau, -2.5), 3.0))
     if limited:
         q = _UP if w > v else _DOWN
-        log_most = p[q] + p[q + 1] * air + p[q + 2] * v + p[q + 3] * v * v + p[q + 4] * other
+        log_most = p[q] + p[q + 1] * thin + p[q + 2] * v + p[q + 3] * v * v + p[q + 7] * hot
+        log_most += p[q + 4] * u + p[q + 5] * v * u + p[q + 6] * u * u
         ratio = (w - v) / (tau * math.exp(min(max(log_most, -5.0), UNLIMITED)))
         tau *= math.sqrt(1.0 + ratio * ratio)
     return tau
@@ -81,7 +86,7 @@ def time_constant(
 
 @compiled
 def drawn_by_core(
-    p: FloatArray, core: float, rate: float, air: float, speeds: tuple[float, float]
+    p: FloatArray, core: float, rate: float, thin: float, speeds: tuple[float, float]
 ) -> float:
     """What the core's deviation `core` and its speed's `rate` per second draw an output to.
 
@@ -90,7 +95,7 @@ def drawn_by_core(
     v, w = speeds
     drawn: float = (p[8] + p[_FUEL] * (v + w)) * core
     if p[_FUEL + 1] != 0.0:
-        strength = math.exp(within(p[_FUEL + 2] * air + p[_FUEL + 3] * v, 3.0))
+        strength = math.exp(within(p[_FUEL + 2] * thin + p[_FUEL + 3] * v, 3.0))
         drawn += p[_FUEL + 1] * strength * rate
     return drawn
 
@@ -154,11 +159,12 @@ def run_lags(
         for o in range(len(v)):
             p, step = parameters[o], ss[k, o] - ss[k - 1, o]
             w, other = within(target[k, o], 1.5), v[fan] if o == 0 else v[0]
-            tau = time_constant(p, air[k], (v[o], w, other), per_unit[k, o] > 0.0)
+            here = (air[k, 0], air[k, 1])
+            tau = time_constant(p, here, (v[o], w, other), per_unit[k, o] > 0.0)
             drawn = (tau - p[7]) * step / dt_s
             if o > 0:
                 speeds = (v[0], within(target[k, 0], 1.5))
-                drawn += drawn_by_core(p, core, rate, air[k], speeds)
+                drawn += drawn_by_core(p, core, rate, air[k, 0], speeds)
             a = math.exp(-dt_s / tau)
             state[1, o] = left[0, o] * (past[1, o] + p[9] * step)
             state[2, o] = left[1, o] * (past[2, o] + p[_CASING] * step)

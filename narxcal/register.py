@@ -121,7 +121,7 @@ class Register:
             return np.zeros_like(ss)
         # The air and the scale of the newest sample are behind it.
         unused = np.ones((1, ss.shape[1]))
-        newest = Drive(memory.ss[None], memory.target[None], unused, unused[:, 0])
+        newest = Drive(memory.ss[None], memory.target[None], unused, np.zeros((1, 2)))
         drive = lag.drive(given, self.parts.names, ss).after(newest)
         states = lag.run(drive, (AT_START, memory.lagged[None]), self.parts.dt_s)
         memory.lagged[:] = states[-1]

@@ -40,7 +40,7 @@ class Network(NamedTuple):
 
 
 class Lags(NamedTuple):
-    """The lags' arrays, core spool first; no rows of `parameters` (o, 27) where there are none.
+    """The lags' arrays, core spool first; no rows of `parameters` (o, 34) where there are none.
 
     `order`, `own` and `sign` are those of `narxcal.lag.Wiring`, and `air` its `air_columns`.
     """
@@ -94,7 +94,8 @@ def _lag(lags: Lags, memory: Memory, given: FloatArray, ss: FloatArray) -> None:
         target[0, j], target[1, j] = memory.target[o], (ss[q] / root - centre[q]) / half[q]
         per_unit[0, j] = per_unit[1, j] = lags.sign[o] / (root * half[q])
         parts[0, :, j] = memory.lagged[:, o]
-    air = np.full(2, math.log(root / delta2))
+    air = np.empty((2, 2))
+    air[:, 0], air[:, 1] = math.log(root / delta2), math.log(root)
     states = run_lags(
         (values, target, per_unit, air),
         (lags.parameters, lags.limit),

@@ -74,7 +74,9 @@ class TrainConfig(Section):
     without a better free run on the validation logs, where there are any. `local_trim` takes the
     static error out of the training deviations where `still` holds (see training.local_trim).
     `rest_s` is the length of the records that teach the return to rest (see training.rest); 0
-    means none.
+    means none; with `rest_far` there are more of them, they begin at large deviations, and the
+    second half of each is scored. With `emphasis = "motion"` motion counts more than rest, its
+    beginning most, and low power more than high (see training.emphasis).
     """
 
     optimiser: Literal["lm", "adam"] = "lm"
@@ -89,6 +91,8 @@ class TrainConfig(Section):
     threads: int = Field(default=2, ge=1)
     local_trim: bool = True
     rest_s: float = Field(default=20.0, ge=0)
+    rest_far: bool = False
+    emphasis: Literal["even", "motion"] = "even"
     still: QuasiSteadyConfig = QuasiSteadyConfig(window_s=4.0, speed_pct=0.4, driver_fraction=0.02)
 
     @model_validator(mode="after")

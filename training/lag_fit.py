@@ -22,43 +22,16 @@ from scipy.ndimage import binary_dilation, maximum_filter1d, minimum_filter1d
 from scipy.optimize import least_squares
 
 from narxcal.errors import DataError
-from narxcal.lag import Drive, LagModel, core_first, core_of, speeds_of, thickness
-from narxcal.lag_steps import (
-    CASING_PARAMETERS,
-    FUEL_PARAMETERS,
-    LAG_PARAMETERS,
-    LIMIT_PARAMETERS,
-    PARAMETERS,
-    UNLIMITED,
-)
+from narxcal.lag import Drive, LagModel, core_first, core_of, thickness
+from narxcal.lag_steps import PARAMETERS
+from training.lag_start import fans_of, free_parameters, prior_units, start_values
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
-_TAU, _LEAD, _CORE, _CORE_SPEED, _SLOW = (
-    PARAMETERS.index(name) for name in ("log_tau", "lead_s", "core", "core_speed", "log_slow_tau")
-)
-_OF_OTHER = [PARAMETERS.index(name) for name in ("up_other", "down_other")]
-_LIMITS = [PARAMETERS.index(name) for name in ("log_up", "log_down")]
-_SLOPES = [PARAMETERS.index(name) for name in ("core", "core_speed", "rate")]
-_THIN = [PARAMETERS.index(name) for name in ("up_air", "down_air")]
-# A temperature has one time constant, that of its probe; with limits it goes with the flow.
-_PROBE = ("log_tau", "lead_s", "core", "slow_share", "log_slow_tau")
-_PROBE_IN_FLOW = (
-    "log_tau", "air", "speed", "core", "slow_share", "log_slow_tau",
-    *FUEL_PARAMETERS, *CASING_PARAMETERS,
-)  # fmt: skip
-_START_TAU, _START_LEAD_S, _START_SLOW_TAU = -0.3, 0.3, 1.5
-# Half the corrected range in a second; a given power speeds a rotor up the less, the thinner the
-# air.
-_START_LIMIT, _START_THIN = 0.0, -1.0
-# A temperature follows the core over its own range; the fuel that speeds the core up adds what it
-# will be 0.8 s later, longer in thin air. Blades soak heat for 7 s, casings for more than a minute.
-_START_RATE_S = -0.8
-_START_HOT = {"rate_air": 1.0, "log_slow_tau": 2.0, "casing_share": 0.02, "log_casing_tau": 4.3}
 _ROBUST = 0.15  # of the deviations' spread: errors above this count less than squared
 _PRIOR = 2.0  # one unit of a parameter costs as much as this many _ROBUST once per 1000 samples
-_EVALUATIONS = {False: 15, True: 20}  # without and with limits
+_EVALUATIONS = {False: 15, True: 25}  # without and with limits
 _MOVING = 0.03  # of the core's range within some seconds: there the lags are scored
 _STRETCHES_S = {False: (10.0, 3.0), True: (5.0, 1.0)}  # of relative errors: within, and around
 _SWING_S = 15.0  # a response with its settling
@@ -144,8 +117,7 @@ def fit_lags(
     every = max(int(_RASTER_S / dt_s + 1e-6), 1)
     samples, dt_s = [one.thinned(every) for one in samples], every * dt_s
     model = _first_guess(samples, input_names, output_names)
-    if limited:
-        _guess_limits(model)
+    model = replace(model, parameters=start_values(model, limited=limited))
     core = core_of(output_names)
     scored = _Scored(core, dt_s, relative)
     parts = [_part(model, one, input_names, scored) for one in samples]
@@ -171,28 +143,13 @@ def _first_guess(
     )
     low, high = corrected.min(axis=0), corrected.max(axis=0)
     largest = np.nanmax(np.abs(np.concatenate([one.ss - one.measured for one in samples])), axis=0)
-    parameters = np.zeros((len(names), len(PARAMETERS)))
-    parameters[:, _TAU] = _START_TAU
-    parameters[:, _LEAD] = np.where(speeds_of(names), _START_LEAD_S, 0.0)
-    parameters[:, _SLOW] = _START_SLOW_TAU
-    parameters[:, _LIMITS] = UNLIMITED
     return LagModel(
         output_names=names,
-        parameters=parameters,
+        parameters=np.zeros((len(names), len(PARAMETERS))),
         centre=0.5 * (low + high),
         half=np.maximum(0.5 * (high - low), 1e-9),
         limit=_MARGIN * np.maximum(largest, 1e-9),
     )
-
-
-def _guess_limits(model: LagModel) -> None:
-    speeds = speeds_of(model.output_names)
-    for columns, start in ((_LIMITS, _START_LIMIT), (_THIN, _START_THIN)):
-        for column in columns:
-            model.parameters[speeds, column] = start
-    slope = model.half[~speeds] / model.half[model.core]
-    for name, start in {"core": slope, "rate": _START_RATE_S * slope, **_START_HOT}.items():
-        model.parameters[~speeds, PARAMETERS.index(name)] = start
 
 
 def _part(model: LagModel, one: LagSamples, input_names: Sequence[str], scored: _Scored) -> _Part:
@@ -234,10 +191,10 @@ def _swing(values: FloatArray, span_s: float, dt_s: float) -> FloatArray:
 
 def _fitted(model: LagModel, task: _Task) -> LagModel:
     """The model with the parameters of one output fitted."""
-    free = _free(model, task.column, limited=task.limited)
+    free = free_parameters(model, task.column, limited=task.limited)
     begin = model.parameters[task.column, free]
-    unit = _units(model, task)[free]
-    fans = _fans(model) if task.limited and task.column == model.core else []
+    unit = prior_units(model, task.column, limited=task.limited)[free]
+    fans = fans_of(model) if task.limited and task.column == model.core else []
     columns = np.unique([model.core, task.column, *fans[:1]])  # the others do not act on it
     small, column = model.of(columns), int(np.searchsorted(columns, task.column))
     parts = [part.of(columns) for part in task.parts]
@@ -253,32 +210,6 @@ def _fitted(model: LagModel, task: _Task) -> LagModel:
         residuals, begin, x_scale="jac", loss="soft_l1", f_scale=_ROBUST, max_nfev=most
     )
     return _with(model, int(columns[column]), free, found.x)
-
-
-def _fans(model: LagModel) -> list[int]:
-    """Columns of the speeds beside the core's."""
-    speeds = np.flatnonzero(speeds_of(model.output_names))
-    return [int(column) for column in speeds if column != model.core]
-
-
-def _units(model: LagModel, task: _Task) -> FloatArray:
-    """What counts as one unit of each parameter for the prior."""
-    unit = np.ones(len(PARAMETERS))
-    if task.limited:
-        unit[_SLOPES] = model.half[task.column] / model.half[model.core]
-    return unit
-
-
-def _free(model: LagModel, column: int, *, limited: bool) -> BoolArray:
-    names: tuple[str, ...] = _PROBE_IN_FLOW if limited else _PROBE
-    if speeds_of(model.output_names)[column]:
-        names = (*LAG_PARAMETERS, *LIMIT_PARAMETERS, "core_speed") if limited else LAG_PARAMETERS
-    free = np.array([name in names for name in PARAMETERS])
-    if column == model.core:
-        free[[_CORE, _CORE_SPEED]] = False
-    if column != model.core or not _fans(model):
-        free[_OF_OTHER] = False
-    return free
 
 
 def _with(model: LagModel, column: int, free: BoolArray, values: FloatArray) -> LagModel:

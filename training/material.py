@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from data_prep.log import Log
 from data_prep.quasi_steady import quasi_steady
 from narxcal.calibration import narx_features, steady_for_engine
@@ -13,6 +15,7 @@ from narxcal.narx import NarxConfig
 from narxcal.records import Record
 from narxcal.steady_state import SteadyStateModel
 from training.config import RunConfig
+from training.emphasis import largest, motion_weight
 from training.lag_fit import LagSamples, fit_lags
 from training.local_trim import locally_trimmed
 from training.rest import rest_records
@@ -29,6 +32,8 @@ def material(
     records, validation = (
         [deviation_record(log, steady, config, lag) for log in logs] for logs in sets
     )
+    if config.train.emphasis == "motion":
+        records = _emphasised(records, sets[0][0].dt_s, lagged=lag is not None)
     plain = Material(records, validation, sets[0][0].dt_s)
     return replace(plain, rest=_rest(config, plain, structure_of(config).moving))
 
@@ -48,6 +53,21 @@ def deviation_record(
         deviation = deviation - lagged
     columns = [steady.input_names.index(name) for name in config.narx.schedule]
     return Record(narx_features(one.ss, one.inputs[:, columns], lagged), deviation, log.name)
+
+
+def _emphasised(records: Sequence[Record], dt_s: float, *, lagged: bool) -> list[Record]:
+    """The records with their samples weighted by motion; features are those of `narx_features`."""
+    parts = []
+    for record in records:
+        count = record.y.shape[1]
+        before = record.u[:, count : 2 * count] if lagged else np.zeros_like(record.y)
+        ss = record.u[:, (1 + lagged) * count :][:, :count]
+        parts.append((ss, ss - before - record.y))
+    scale = largest([ss for ss, _ in parts])
+    return [
+        replace(record, weight=motion_weight(*part, scale, dt_s))
+        for record, part in zip(records, parts, strict=True)
+    ]
 
 
 def _samples(log: Log, steady: SteadyStateModel, config: RunConfig) -> LagSamples:
@@ -94,7 +114,8 @@ def _rest(config: RunConfig, material: Material, moving: int) -> list[Record]:
     steps = round(config.train.rest_s / material.dt_s)
     if not moving or steps < 2:
         return []
-    return rest_records(material.records, moving, steps, config.train.seed)
+    seed, far = config.train.seed, config.train.rest_far
+    return rest_records(material.records, moving, steps, seed, far=far)
 
 
 def speeds(config: RunConfig) -> tuple[str, ...]:

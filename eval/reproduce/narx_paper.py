@@ -128,7 +128,7 @@ def _widened(data: DataSets, bundle: Bundle, effort: Effort, tell: Watch) -> Bun
     """The calibration of all records, which is `bundle` where there are no further ones."""
     if not data.further:
         return bundle
-    config = goal_config(within(data.config, effort))
+    config = within(goal_config(data.config), effort)
     told = (tell, "Calibrating on all records")
     return _calibrated(data, (config, goal_training(data)), told)
 

@@ -62,12 +62,15 @@ def slowly(model, inputs, ss, start):
             q = 1 if o == 2 else o  # the EGT goes by the core
             w, v, other = settling[k, q], speeds[q], speeds[0 if o == 1 else 1]
             terms = np.array([1.0, thin[k], v, w, v * v, v * w, w * w])
-            tau = math.exp(np.clip(terms @ model.parameters[o, :7], -2.5, 3.0))
+            log_tau = terms @ model.parameters[o, :7] + p["hot"] * math.log(root[k])
+            tau = math.exp(np.clip(log_tau, -2.5, 3.0))
             if o != 2:
                 way = "up" if w > v else "down"
-                names = [f"{way}_{name}" for name in ("air", "speed", "speed_speed", "other")]
-                most = p[f"log_{way}"]
-                most += np.array([p[name] for name in names]) @ [thin[k], v, v * v, other]
+                of = {
+                    "air": thin[k], "speed": v, "speed_speed": v * v, "hot": math.log(root[k]),
+                    "other": other, "speed_other": v * other, "other_other": other * other,
+                }  # fmt: skip
+                most = p[f"log_{way}"] + sum(p[f"{way}_{name}"] * x for name, x in of.items())
                 tau = math.hypot(tau, (w - v) / math.exp(np.clip(most, -5.0, UNLIMITED)))
             a, step = math.exp(-DT_S / tau), ss[k, o] - ss[k - 1, o]
             drawn = (tau - p["lead_s"]) * step / DT_S
@@ -159,7 +162,8 @@ def test_the_order_of_the_outputs_does_not_matter(seed):
 def test_a_temperature_acts_on_no_spool_and_a_fan_on_the_core_by_its_limits_alone(coupled, kept):
     model, inputs, ss = wild(3)
     if not coupled:
-        model.parameters[1, [PARAMETERS.index(f"{way}_other") for way in ("up", "down")]] = 0.0
+        coupling = [k for k, name in enumerate(PARAMETERS) if name.endswith("_other")]
+        model.parameters[1, coupling] = 0.0
     alone = model.of(np.array(kept))
     both = model.deviations(model.drive(inputs, INPUTS, ss), np.zeros(3), DT_S)
     drive = alone.drive(inputs, INPUTS, ss[:, kept])
@@ -199,6 +203,7 @@ def test_measured_deviations_make_it_a_one_step_prediction():
 def test_missing_air_is_that_of_sea_level():
     root, thin = thickness(np.full((3, 1), 40.0), ("TRA_deg",))
     np.testing.assert_allclose(root, 1.0)
+    assert thin.shape == (3, 2)
     np.testing.assert_allclose(thin, 0.0, atol=1e-12)
 
 
@@ -243,6 +248,23 @@ def test_a_limited_spool_moves_no_faster_than_its_control_lets_it():
     down = lags(log_tau=math.log(0.2), log_down=math.log(0.25))
     free = ss - down.deviations(down.drive(np.zeros((300, 3)), INPUTS, ss), np.zeros(3), DT_S)
     assert np.diff(free[:, 0]).max() / DT_S > 60.0
+
+
+def test_a_hot_day_slows_a_limited_spool_by_its_own_power_of_theta():
+    ss = np.where(np.arange(80)[:, None] < 5, 60.0, 90.0) * np.ones(3)
+    values = {"log_tau": math.log(0.2), "log_up": math.log(0.5)}
+    cold, hot = np.zeros((80, 3)), np.tile([0.0, 0.0, 30.0], (80, 1))
+    root = math.sqrt(1.0 + 30.0 / 288.15)
+    rates = []
+    for power, inputs in ((0.0, hot), (-2.0, hot), (-2.0, cold)):
+        model = lags(**values, up_hot=power)
+        # The same corrected move, so that nothing differs but the day.
+        target = ss * (root if inputs is hot else 1.0)
+        deviation = model.deviations(model.drive(inputs, INPUTS, target), np.zeros(3), DT_S)
+        speed = (target - deviation)[:, 1] / (root if inputs is hot else 1.0)
+        rates.append(np.diff(speed)[np.argmin(np.abs(speed - 70.0))])
+    assert rates[1] / rates[0] == pytest.approx(root**-2.0, rel=0.02)
+    assert rates[2] == pytest.approx(rates[0], rel=0.02)
 
 
 def test_a_temperature_answers_to_the_acceleration_of_the_core():
