@@ -114,7 +114,7 @@ def _verdict(work: Work, claimed: Fit | None, offset: Offset | None) -> tuple[Ki
         return "effects", "explains flights that had no part in the fit"
     if heard < work.options.audible:
         return "none", "no gap beyond noise and build scatter"
-    if offset is None and _loudest(work) < work.options.quiet:
+    if offset is None and work.loudest < work.options.quiet:
         return "none", "what is left beyond build scatter is below what has to be explained"
     if claimed is not None:
         return "unknown", f"the best effect leaves {work.left(claimed):.0%} of the gap unexplained"
@@ -133,19 +133,8 @@ def bearable(work: Work, claimed: Fit) -> bool:
     if work.left(claimed) <= most or work.tells(claimed):
         return True
     # A part of what nobody would call a gap is no more worth naming than the rest of it.
-    distinct = work.gain(claimed) >= options.distinct and _loudest(work) >= options.quiet
+    distinct = work.gain(claimed) >= options.distinct and work.loudest >= options.quiet
     return distinct and work.aligned(claimed) >= options.aligned
-
-
-def _loudest(work: Work) -> float:
-    """Largest RMS of any channel's gap beyond noise, nuisances taken out, over its range."""
-    measure, signals = work.problem.misfit, work.problem.flights.signals
-    gap, known = measure.cleaned(measure.gap), measure.weights > 0.0
-    power = [
-        max(float(np.mean(gap[..., c][known[..., c]] ** 2)) - float(work.noise[c]) ** 2, 0.0)
-        for c in range(gap.shape[-1])
-    ]
-    return float(np.max(np.sqrt(power) / np.maximum(signals.high - signals.low, 1e-9)))
 
 
 def _rivals(work: Work, claimed: Fit, order: Sequence[Fit]) -> tuple[str, ...]:

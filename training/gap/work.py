@@ -26,11 +26,11 @@ class Options:
     `unexplained_together` that for two, which can follow more; more may be left,
     as build scatter and other misfit leave it, by an effect that takes `distinct` of the gap and
     explains `aligned` of it where it acts. One that takes `telling[0]` and explains `telling[1]` is
-    believed of the smallest gap. A rival is the leader's equal if it leaves no more than `close`
-    times what the leader leaves, or if flights differ on who is ahead. `audible` is the least gap,
-    as a share of the noise's energy, that is a gap at all; below `quiet`, as a share of a channel's
-    range, it is a misfit that nobody has to explain. `price` is what the windows of an unlogged
-    load are worth in noise, in Q of every flight; nothing where there are none.
+    believed of a smaller gap, from `faint` on. A rival is the leader's equal if it leaves no more
+    than `close` times what the leader leaves, or if flights differ on who is ahead. `audible` is
+    the least gap, as a share of the noise's energy, that is a gap at all; below `quiet`, as a share
+    of a channel's range, it is a misfit that nobody has to explain. `price` is what the windows of
+    an unlogged load are worth in noise, in Q of every flight; nothing where there are none.
     """
 
     quantile: float = 0.99
@@ -44,6 +44,7 @@ class Options:
     aligned: float = 0.70
     telling: tuple[float, float] = (0.40, 0.82)
     quiet: float = 0.005
+    faint: float = 0.003
     close: float = 1.2
     audible: float = 0.03
     most: int = 2
@@ -113,13 +114,26 @@ class Work:
         """
         return self.gain(tried) * self.aligned(tried)
 
-    def tells(self, tried: Fit) -> bool:
-        """Whether a fit takes so much of the gap, and so well where it acts, that size matters not.
+    @property
+    def loudest(self) -> float:
+        """Largest RMS of any channel's gap beyond noise, nuisances taken out, over its range."""
+        measure, signals = self.problem.misfit, self.problem.flights.signals
+        gap, known = measure.cleaned(measure.gap), measure.weights > 0.0
+        power = [
+            max(float(np.mean(gap[..., c][known[..., c]] ** 2)) - float(self.noise[c]) ** 2, 0.0)
+            for c in range(gap.shape[-1])
+        ]
+        return float(np.max(np.sqrt(power) / np.maximum(signals.high - signals.low, 1e-9)))
 
-        Of simulators that are wrong otherwise, none has made any effect do both.
+    def tells(self, tried: Fit) -> bool:
+        """Whether a fit takes so much of the gap, and so well where it acts, that it may be small.
+
+        Where simulators were wrong otherwise, no effect that was not there did both; what they are
+        wrong in may be an effect itself, a probe of 6 % more, and is not asked for below `faint`.
         """
         least, aligned = self.options.telling
-        return self.gain(tried) >= least and self.aligned(tried) >= aligned
+        large = self.loudest >= self.options.faint
+        return large and self.gain(tried) >= least and self.aligned(tried) >= aligned
 
     def unexplained(self, tried: Fit) -> float:
         """Share of what flights tell that is left; a load says nothing of flights without it."""
