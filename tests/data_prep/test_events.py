@@ -214,6 +214,13 @@ def test_events_never_overlap_and_lie_inside_the_log(seed):
         assert one.interrupted == (one.stop == two.start and not one.settled)
 
 
+def test_random_moves_give_the_properties_here_something_to_hold_for():
+    free = [find_events(moves_log(random_moves(seed), count=4000), FREE) for seed in range(20)]
+    assert sum(map(len, free)) > 60
+    assert sum(event.interrupted for events in free for event in events) > 10
+    assert sum(event.settled for events in free for event in events) > 10
+
+
 @given(seed=st.integers(0, 10_000), shift_s=st.floats(-1e4, 1e4))
 def test_later_clocks_only_shift_the_start_time(seed, shift_s):
     log = moves_log(random_moves(seed))

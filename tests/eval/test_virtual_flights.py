@@ -153,6 +153,7 @@ def test_the_truth_says_all_that_was_drawn(tmp_path):
 def test_lever_moves_are_where_the_log_shows_them(tmp_path):
     (log, _) = fly(scenario(sensors={"inputs": "exact"}), 1)
     time_s, lever = log.recorded["time_s"], log.recorded["TRA_deg"]
+    assert len(log.facts["lever_moves"]) > 10
     for move in log.facts["lever_moves"]:
         start, stop = np.searchsorted(time_s, [move["start_s"], move["stop_s"]])
         assert lever[start] == move["from_deg"]

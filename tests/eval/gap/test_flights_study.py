@@ -46,6 +46,7 @@ def test_the_windows_of_one_engine_tell_the_error_of_the_other(found):
 
 
 def test_the_spans_of_the_edges_hold_them(found):
+    assert {window.start_s < 450.0 for window in found.windows.found} == {True, False}
     for window in found.windows.found:
         start, stop = (200.0, 500.0) if window.start_s < 450.0 else (700.0, 900.0)
         assert window.start_span_s[0] - 1.0 <= start <= window.start_span_s[1] + 1.0
