@@ -19,11 +19,15 @@ from training.gap.quadratic import Misfit, misfit
 
 TIGHT = 1e-5  # of the priors of offsets and slopes: none, they would take the effect's place
 _ZERO_K = 273.15
-# Shifts that build scatter may make, in % of the level: of a speed by all that an engine may
-# have, of one alone, which no engine has; both where nearly nothing else is left to explain.
+# Shifts that build scatter may make, in % of the level: of a speed by all that an engine may have,
+# of one speed alone, and of those that go with the lever or the day, which hardly any engine has.
 _SCATTER_PCT = {"EGT_C": 2.4, "FF_kgph": 7.0}
-_SPEED_PCT, _ALONE_PCT, _UNGOVERNED_PCT = 1.2, 0.6, 1.5
+_SPEED_PCT, _UNGOVERNED_PCT = 1.2, 1.5
+_SHIFT_PCT = {"deterioration": _SPEED_PCT, "sensor_bias": 1.0}
+_TOGETHER_PCT = 0.6
+_SPEED_SENSORS = ("sensor_bias:N1_pct", "sensor_bias:N2_pct")
 _NEARLY_ALL, _AMONG_OTHERS = 0.85, 1.5  # share of what is left, and what is asked below it
+_ALL, _OF_ALL = 0.97, 0.6  # the same of a wrong sensor for speed beside which nothing else is
 _DAYS, _BETWEEN_DAYS = 3, 0.4  # flights that tell days apart; how far they do, in scatters
 _MOST = 0.5  # of what is left: an offset that takes less is not what is wrong
 _AS_GOOD, _LEVEL = 0.75, 0.35  # of what wear takes; of the shift, its growth with power
@@ -93,6 +97,8 @@ def beyond_scatter(tried: Fit, before: FloatArray, flights: Flights, noise: Floa
     """
     share = _share(before - tried.held_out, before - noise)
     asked = 1.0 if share > _NEARLY_ALL else _AMONG_OTHERS
+    if share > _ALL and tried.effects[0].name in _SPEED_SENSORS:
+        asked = _OF_ALL
     return share > _MOST and _in_scatters(tried, flights).max() > asked
 
 
@@ -104,12 +110,11 @@ def _share(gained: FloatArray, whole: FloatArray) -> float:
 def _in_scatters(tried: Fit, flights: Flights) -> FloatArray:
     """RMS shift of each output (outputs,) over what build scatter may make of it."""
     signals: Signals = flights.signals
-    alone = tried.effects[0].id != "deterioration"
     sizes = []
     for c, name in enumerate(signals.outputs):
         level = flights.y[..., c] + (_ZERO_K if name.endswith("_C") else 0.0)
         shift = 100.0 * float(np.sqrt(np.mean((tried.response[..., c] / level) ** 2)))
-        speed = _ALONE_PCT if alone else _SPEED_PCT
+        speed = _SHIFT_PCT.get(tried.effects[0].id, _TOGETHER_PCT)
         if name in signals.free and c == 0:
             speed = _UNGOVERNED_PCT
         sizes.append(shift / _SCATTER_PCT.get(name, speed))
