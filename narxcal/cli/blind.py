@@ -12,7 +12,8 @@ from eval.gap.blind.make import make_cases, write_key
 from eval.gap.blind.page import render, tables
 from eval.gap.blind.plasmode import Real, make_real_cases
 from eval.gap.blind.run import Limits, run_cases
-from eval.gap.blind.score import score_answers
+from eval.gap.blind.score import SCHEMA as SCORE_SCHEMA
+from eval.gap.blind.score import CaseSet, score_answers
 from eval.gap.blind.sim_logs import make_log_cases
 from narxcal.atomic import atomic_write_text
 from narxcal.cli.configured import read_config
@@ -79,12 +80,18 @@ def _run(options: Namespace, console: Console) -> None:
 
 
 def _score(options: Namespace, console: Console) -> None:
-    document = score_answers(options.folder, options.answers, options.secret, options.also)
-    atomic_write_text(options.answers / SCORE, to_json(document))
-    atomic_write_text(options.answers / PAGE, render(document))
+    results = Results(SCORE_SCHEMA, SCORE, (PAGE,))
+    if options.out is not None:
+        results.check(options.out)
+    sets = [CaseSet(options.folder, options.answers), *(CaseSet(*each) for each in options.also)]
+    document = score_answers(sets, options.secrets)
+    folder = options.out or options.answers
+    folder.mkdir(parents=True, exist_ok=True)
+    atomic_write_text(folder / SCORE, to_json(document))
+    atomic_write_text(folder / PAGE, render(document))
     for title, head, rows in tables(document):
         console.table(title, head, rows)
-    console.say(f"Page: {options.answers / PAGE}")
+    console.say(f"Page: {folder / PAGE}")
     console.document(document)
 
 

@@ -139,7 +139,14 @@ def _blind_score(actions: _Commands) -> argparse.ArgumentParser:
     )
     parser.add_argument("folder", metavar="CASES", type=Path, help="folder that make wrote")
     parser.add_argument("answers", metavar="ANSWERS", type=Path, help="folder that run wrote")
-    parser.add_argument("--secret", metavar="WORD", required=True, help="that of make, or its seed")
+    parser.add_argument(
+        "--secret",
+        metavar="WORD",
+        required=True,
+        action="append",
+        dest="secrets",
+        help="that of make, or its seed; again for every folder of --also that has another",
+    )
     parser.add_argument(
         "--also",
         metavar=("CASES", "ANSWERS"),
@@ -147,7 +154,10 @@ def _blind_score(actions: _Commands) -> argparse.ArgumentParser:
         type=Path,
         action="append",
         default=[],
-        help="further cases under the same secret, scored together with these",
+        help="further cases with their answers, scored together with these; as often as wanted",
+    )
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, help="folder of the score; ANSWERS if left out"
     )
     return parser
 

@@ -84,6 +84,31 @@ def test_make_run_score(narxcal, cases, monkeypatch, tmp_path):
     assert json.loads(again.out)["resumed"] == 2
 
 
+def test_a_score_over_two_seeds_and_where_it_is_put(narxcal, cases, monkeypatch, tmp_path):
+    monkeypatch.setattr(run, "diagnose_folders", answered)
+    assert make(narxcal, tmp_path / "more", "--secret", "word").code == 0
+    for name in ("cases", "more"):
+        words = ("--out", tmp_path / f"answers_{name}", "--jobs", 1)
+        assert narxcal("blind", "run", tmp_path / name, *words).code == 0
+    also = ("--also", tmp_path / "more", tmp_path / "answers_more", "--out", tmp_path / "score")
+    words = ("blind", "score", cases, tmp_path / "answers_cases", *also, "--secret", "3")
+    shut = narxcal(*words)
+    assert shut.code == 2
+    assert "more/key.json.sealed: the key does not open" in shut.err
+    assert not (tmp_path / "score").exists()
+    done = narxcal(*words, "--secret", "word")
+    assert (done.code, done.err) == (0, "")
+    assert "0 of 4" in done.out
+    assert max(map(len, done.out.splitlines()[:-1])) <= 80
+    document = json.loads((tmp_path / "score" / "score.json").read_text("utf-8"))
+    assert list(document["by_folder"]) == ["cases", "more"]
+    assert not (tmp_path / "answers_cases" / "score.json").exists()
+    # The score of before is replaced, anything else is not.
+    assert narxcal(*words, "--secret", "word").code == 0
+    (tmp_path / "score" / "thesis.txt").touch()
+    assert "holds other content ('thesis.txt')" in narxcal(*words, "--secret", "word").err
+
+
 def test_json_before_and_behind_the_action(narxcal, cases, tmp_path):
     for words in (("--json", "make"), ("make", "--json")):
         done = narxcal(

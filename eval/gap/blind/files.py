@@ -5,7 +5,8 @@ from __future__ import annotations
 import gzip
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from eval.gap.blind.seal import opened
 from eval.gap.blind.truth import Channels
-from narxcal.errors import DataError
+from narxcal.errors import ConfigError, DataError
 
 SCHEMA: Final = "narxcal.blind/1"
 KEY_SCHEMA: Final = "narxcal.blind_key/1"
@@ -65,21 +66,30 @@ def read_json(file: Path, schema: str) -> dict[str, Any]:
     return document
 
 
-def open_key(folder: Path, secret: str) -> dict[str, Any]:
+def open_key(folder: Path, *secrets: str) -> dict[str, Any]:
     """Open the key of a blind test and check that its logs are still those that were made.
 
-    Raises `DataError` for a missing key and changed logs, `ConfigError` where it does not open.
+    It opens by whichever of the `secrets` fits. Raises `DataError` for a missing key and changed
+    logs, `ConfigError` where no secret opens it.
     """
     cases, file = read_cases(folder), folder / KEY
     if not file.is_file():
         raise DataError("there is no key", file=file, hint="Put it back where `blind make` put it")
-    key = opened(file.read_bytes(), secret, salt_of(cases), file)
+    key = _first_that_opens(file, secrets, salt_of(cases))
     for case, logs in cases["logs"].items():
         for log, digest in logs.items():
             path = folder / case / log
             if hashlib.sha256(path.read_bytes()).hexdigest() != digest:
                 raise DataError("the log was changed since it was made", file=path)
     return key
+
+
+def _first_that_opens(file: Path, secrets: Sequence[str], salt: bytes) -> dict[str, Any]:
+    content = file.read_bytes()
+    for secret in secrets[:-1]:
+        with suppress(ConfigError):
+            return opened(content, secret, salt, file)
+    return opened(content, secrets[-1], salt, file)
 
 
 def salt_of(cases: Mapping[str, Any]) -> bytes:

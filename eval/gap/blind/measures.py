@@ -165,10 +165,9 @@ def _magnitude(outcomes: Cases) -> list[Measure]:
     """Sizes that mean the same in the engine as in the library, of effects rightly named."""
     sizes = [each for o in outcomes for each in o.magnitudes]
     errors = [abs(s.value / s.true - 1.0) for s in sizes]
-    inside = [s.low <= s.true <= s.high for s in sizes]
     return [
         Measure("magnitude", "relative error of the size, median", median(errors)),
-        Measure("magnitude", "true size within its interval", rate(inside)),
+        Measure("magnitude", "true size within its interval", rate([s.inside for s in sizes])),
     ]
 
 

@@ -25,12 +25,23 @@ SAME: Final = {
 
 
 class Magnitude(NamedTuple):
-    """A size that was put in, and what was found of it."""
+    """A size that was put in, and what was found of it: parameter `name` of an effect."""
 
+    effect: str
+    name: str
     true: float
     value: float
     low: float
     high: float
+
+    @property
+    def inside(self) -> bool:
+        """Whether the interval holds the truth."""
+        return self.low <= self.true <= self.high
+
+    def row(self) -> dict[str, Any]:
+        """Give it as plain values."""
+        return {**self._asdict(), "inside": self.inside}
 
 
 class Outcome(NamedTuple):
@@ -178,7 +189,8 @@ class Outcome(NamedTuple):
             said = rows.get(_name(true), {}).get("parameters", {}).get(theirs)
             size = true.get("parameters", {}).get(own)
             if said is not None and size and _name(true) in self.claimed:
-                found.append(Magnitude(size, said["value"], said["low"], said["high"]))
+                sizes = (float(size), *(float(said[each]) for each in ("value", "low", "high")))
+                found.append(Magnitude(_name(true), theirs, *sizes))
         return found
 
     @property

@@ -5,9 +5,10 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
+_COLUMNS: Final = 4  # of shares side by side, beside their names, in 80 columns of a terminal
 _STYLE = (
     "body{font:15px/1.45 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem}"
     "table{border-collapse:collapse;margin:.5rem 0 2rem}caption{text-align:left;font-weight:600}"
@@ -17,19 +18,16 @@ _STYLE = (
 
 
 def tables(document: Mapping[str, Any]) -> list[Table]:
-    """All tables of the score, the case by case one left out."""
-    engines = _split(document, "engine")
-    return [
-        _main(document),
-        _by_gap_share(document),
-        *([engines] if engines else []),
-        _confused(document),
-    ]
+    """Tables of the score for a terminal: by folder, or by engine where there is but one."""
+    split = _split(document, "folder") or _split(document, "engine")
+    return [_main(document), _by_gap_share(document), *split, _confused(document)]
 
 
 def render(document: Mapping[str, Any]) -> str:
     """The score as an HTML page that needs nothing else."""
-    parts = [_html_table(each) for each in (*tables(document), _case_by_case(document))]
+    engines = _split(document, "engine") if len(document["by_folder"]) > 1 else []
+    every = (*tables(document), *engines, _sizes(document), _case_by_case(document))
+    parts = [_html_table(each) for each in every]
     counts = ", ".join(f"{count} {kind}" for kind, count in document["cases"].items())
     return (
         "<!doctype html><html lang='en'><meta charset='utf-8'><title>Blind test</title>"
@@ -52,11 +50,12 @@ def shown(row: Mapping[str, Any]) -> str:
 
 def _main(document: Mapping[str, Any]) -> Table:
     styles = document["by_style"] if len(document["by_style"]) > 1 else {}
+    styles = dict(sorted(styles.items()))
     rows = [
         [
             row["name"],
             shown(row),
-            str(row.get("of", "")),
+            _counted(row) if "of" in row else "",
             *(_plain(rows[k]["value"]) for rows in styles.values()),
         ]
         for k, row in enumerate(document["table"])
@@ -64,16 +63,21 @@ def _main(document: Mapping[str, Any]) -> Table:
     return "Blind test", ("", "all [95 %]", "n", *styles), rows
 
 
-def _split(document: Mapping[str, Any], fact: str) -> Table | None:
-    """Every measure by engine, where there are several."""
+def _split(document: Mapping[str, Any], fact: str) -> list[Table]:
+    """Every measure by folder or engine where there are several, as wide as a terminal is."""
     by = document[f"by_{fact}"]
     if len(by) < 2:
-        return None
-    lines = [
-        [row["name"], *(_plain(rows[k]["value"]) for rows in by.values())]
-        for k, row in enumerate(document["table"])
-    ]
-    return f"By {fact}", ("", *by), lines
+        return []
+    names = list(by)
+    found: list[Table] = []
+    for start in range(0, len(names), _COLUMNS):
+        some = names[start : start + _COLUMNS]
+        lines = [
+            [row["name"], *(_counted(by[name][k]) for name in some)]
+            for k, row in enumerate(document["table"])
+        ]
+        found.append((f"By {fact}", ("", *some), lines))
+    return found
 
 
 def _by_gap_share(document: Mapping[str, Any]) -> Table:
@@ -119,6 +123,30 @@ def _case_by_case(document: Mapping[str, Any]) -> Table:
     ]
     head = ("case", "kind", "style", "g", "truth", "verdict", "claimed", "or", "shrinkage")
     return "Case by case", head, rows
+
+
+def _sizes(document: Mapping[str, Any]) -> Table:
+    """What was found of sizes of effects that were rightly named, and what was put in."""
+    rows = [
+        [
+            row["case"],
+            size["effect"],
+            size["name"],
+            f"{size['true']:.3g}",
+            f"{size['value']:.3g} [{size['low']:.3g}, {size['high']:.3g}]",
+            "yes" if size["inside"] else "no",
+        ]
+        for row in document["outcomes"]
+        for size in row["sizes"]
+    ]
+    return "Sizes", ("case", "effect", "parameter", "true", "found [90 %]", "true one inside"), rows
+
+
+def _counted(row: Mapping[str, Any]) -> str:
+    """A share as a count, a number as it is."""
+    if "of" not in row:
+        return _plain(row["value"])
+    return f"{row['hits']} of {row['of']}" if row["of"] else "-"
 
 
 def _plain(value: float | None) -> str:

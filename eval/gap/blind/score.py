@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -14,35 +14,53 @@ from eval.gap.blind.metrics import mean, overlap, rate
 from eval.gap.blind.outcome import Outcome
 from eval.gap.blind.run import ANSWERS, read_answer, read_reruns
 from eval.gap.blind.run import SCHEMA as ANSWERS_SCHEMA
-from narxcal.errors import DataError
+from narxcal.errors import ConfigError, DataError
 
 SCHEMA: Final = "narxcal.blind_score/1"
 EDGES: Final = (0.02, 0.05, 0.10, 0.25)
 GROUPS: Final = ("below 2 %", "2-5 %", "5-10 %", "10-25 %", "above 25 %")
 
 
-def score_answers(
-    folder: Path, answers: Path, secret: str, also: Sequence[tuple[Path, Path]] = ()
-) -> dict[str, Any]:
-    """Open the key of the cases in `folder` and score the answers; returns the document.
+class CaseSet(NamedTuple):
+    """A folder of cases that `blind make` wrote, and the folder of the answers to them."""
 
-    `also` are further folders of cases with their answers, whose keys the same secret opens.
-    Raises `DataError` for a case without an answer, and as `open_key`.
+    folder: Path
+    answers: Path
+
+
+def score_answers(sets: Sequence[CaseSet], secrets: Sequence[str]) -> dict[str, Any]:
+    """Open the keys of all sets and score the answers together; returns the document.
+
+    Each key opens by whichever of the `secrets` fits. Of several sets the cases are named
+    `folder/case`. Raises `DataError` for a case without an answer, `ConfigError` for a folder
+    that is given twice, and as `open_key`.
     """
-    outcomes, plan = _opened(folder, answers, secret)
-    if not also:
-        return scored(outcomes, plan)
-    outcomes = [each._replace(name=f"{folder.name}/{each.name}") for each in outcomes]
-    for other, theirs in also:
-        more = _opened(other, theirs, secret)[0]
-        outcomes += [each._replace(name=f"{other.name}/{each.name}") for each in more]
-    return scored(outcomes, plan)
+    names = _names(sets)
+    plans, outcomes = {}, []
+    for name, each in zip(names, sets, strict=True):
+        found, plans[name] = _opened(each, secrets)
+        lead = f"{name}/" if len(sets) > 1 else ""
+        outcomes += [outcome._replace(name=lead + outcome.name) for outcome in found]
+    return scored(outcomes, plans)
 
 
-def _opened(folder: Path, answers: Path, secret: str) -> tuple[list[Outcome], dict[str, Any]]:
+def _names(sets: Sequence[CaseSet]) -> list[str]:
+    """Names of the folders, or their paths where two have the same name."""
+    paths = [each.folder.resolve() for each in sets]
+    for number, path in enumerate(paths):
+        if path in paths[:number]:
+            raise ConfigError(
+                "these cases are given twice", file=sets[number].folder, hint="Give each once"
+            )
+    short = [path.name for path in paths]
+    return short if len({*short}) == len(sets) else [str(each.folder) for each in sets]
+
+
+def _opened(cases: CaseSet, secrets: Sequence[str]) -> tuple[list[Outcome], dict[str, Any]]:
     """All cases of a folder with their answers, and the plan that they were made by."""
+    folder, answers = cases
     read_json(answers / ANSWERS, ANSWERS_SCHEMA)
-    key = open_key(folder, secret)
+    key = open_key(folder, *secrets)
     outcomes = []
     for name, truth in key["cases"].items():
         answer = read_answer(answers, name)
@@ -56,16 +74,23 @@ def _opened(folder: Path, answers: Path, secret: str) -> tuple[list[Outcome], di
     return outcomes, dict(key["plan"])
 
 
-def scored(outcomes: Cases, plan: Mapping[str, Any]) -> dict[str, Any]:
-    """Put all that is measured over outcomes into a document of schema narxcal.blind_score/1."""
+def scored(outcomes: Cases, plans: Mapping[str, Any]) -> dict[str, Any]:
+    """Put all that is measured over outcomes into a document of schema narxcal.blind_score/1.
+
+    `plans` are those that the cases were made by, by the name of their folder.
+    """
+    groups = {
+        "by_style": [str(o.truth["style"]) for o in outcomes],
+        "by_engine": [str(o.truth["engine"]) for o in outcomes],
+        "by_folder": [o.name.rpartition("/")[0] for o in outcomes],
+    }
     return {
         "schema": SCHEMA,
-        "plan": dict(plan),
+        "plans": dict(plans),
         "cases": {kind: sum(o.kind == kind for o in outcomes) for kind in _kinds(outcomes)},
         "wrong_base": sum(bool(o.truth["base"]["differs"]) for o in outcomes),
         "table": [each.row() for each in table(outcomes)],
-        "by_style": _by(outcomes, "style"),
-        "by_engine": _by(outcomes, "engine"),
+        **{name: _by(outcomes, group) for name, group in groups.items()},
         "by_gap_share": by_gap_share(outcomes),
         "confusion": confusion(outcomes),
         "outcomes": [_outcome(each) for each in outcomes],
@@ -107,13 +132,12 @@ def confusion(outcomes: Cases) -> dict[str, dict[str, int]]:
     return found
 
 
-def _by(outcomes: Cases, fact: str) -> dict[str, list[dict[str, Any]]]:
-    """The whole table over the cases of each style, or engine."""
-    found = sorted({str(o.truth[fact]) for o in outcomes})
-    return {
-        each: [m.row() for m in table([o for o in outcomes if o.truth[fact] == each])]
-        for each in found
-    }
+def _by(outcomes: Cases, groups: Sequence[str]) -> dict[str, list[dict[str, Any]]]:
+    """The whole table over the cases of each group, in the order in which they come up."""
+    found: dict[str, list[Outcome]] = {}
+    for outcome, group in zip(outcomes, groups, strict=True):
+        found.setdefault(group, []).append(outcome)
+    return {name: [each.row() for each in table(cases)] for name, cases in found.items()}
 
 
 def _kinds(outcomes: Cases) -> list[str]:
@@ -139,6 +163,7 @@ def _outcome(outcome: Outcome) -> dict[str, Any]:
         "reason": outcome.answer.get("reason") or outcome.answer["verdict"]["reason"],
         "predicted": None if said is None else float(said[0]["value"]),
         "realised": None if said is None else said[1],
+        "sizes": [each.row() for each in outcome.magnitudes],
         "seconds": outcome.seconds,
         "labels": list(outcome.labels),
     }

@@ -8,8 +8,9 @@ from types import SimpleNamespace
 import pytest
 
 from eval.gap.blind import run
+from eval.gap.blind.make import make_cases
 from eval.gap.blind.run import Limits, read_answer, read_reruns, run_cases
-from eval.gap.blind.score import score_answers
+from eval.gap.blind.score import CaseSet, score_answers
 from narxcal.errors import ConfigError, DataError
 
 
@@ -66,21 +67,47 @@ def test_other_seeds_hand_over_the_same_flights_in_another_order(
     for each in firsts:
         assert firsts[0][1].index(each[1][0]) == firsts[0][0].index(each[0][0])
     assert [a["verdict"]["kind"] for a in read_reruns(out, "case_001")] == ["none"] * 3
-    table = score_answers(made, out, "4")["table"]
+    table = score_answers([CaseSet(made, out)], ["4"])["table"]
     changed = next(row for row in table if row["name"] == "cases whose answer changes")
     assert (changed["hits"], changed["of"]) == (3, 3)
 
 
-def test_several_folders_are_scored_together(made, asked, tmp_path):
-    out = tmp_path / "out"
+def test_several_folders_are_scored_together_each_under_its_own_secret(
+    quick, plan, made, asked, tmp_path
+):
+    other, out, theirs = tmp_path / "other", tmp_path / "out", tmp_path / "theirs"
+    other.mkdir()
+    make_cases(other, plan.model_copy(update={"cases": 2, "seed": 5}), "five")
     run_cases(made, out)
-    one = score_answers(made, out, "4")
-    both = score_answers(made, out, "4", [(made, out)])
-    assert len(both["outcomes"]) == 2 * len(one["outcomes"]) == 2 * len(asked)
+    run_cases(other, theirs)
+    sets = [CaseSet(made, out), CaseSet(other, theirs)]
+    one, more = (score_answers([each], ["4", "five"]) for each in sets)
+    both = score_answers(sets, ["4", "five"])
     assert both["outcomes"][0]["case"] == "cases/case_001"
-    for single, double in zip(one["table"], both["table"], strict=True):
-        if single.get("of"):
-            assert (double["hits"], double["of"]) == (2 * single["hits"], 2 * single["of"])
+    assert [row["case"] for row in both["outcomes"][3:]] == ["other/case_001", "other/case_002"]
+    assert (both["plans"]["cases"]["seed"], both["plans"]["other"]["seed"]) == (4, 5)
+    assert both["by_folder"] == {"cases": one["table"], "other": more["table"]}
+    for first, second, together in zip(one["table"], more["table"], both["table"], strict=True):
+        if "of" in together:
+            assert together["of"] == first["of"] + second["of"]
+            assert together["hits"] == first["hits"] + second["hits"]
+    for secrets in (["4"], ["five"]):
+        shut = "cases" if secrets == ["five"] else "other"
+        with pytest.raises(ConfigError, match=rf"{shut}/key.json.sealed: the key does not open"):
+            score_answers(sets, secrets)
+
+
+def test_folders_of_one_name_are_told_apart_and_none_counts_twice(quick, plan, asked, tmp_path):
+    sets = [CaseSet(tmp_path / seed / "L", tmp_path / f"answers_{seed}") for seed in "45"]
+    for (folder, answers), seed in zip(sets, "45", strict=True):
+        folder.mkdir(parents=True)
+        make_cases(folder, plan.model_copy(update={"cases": 1, "seed": int(seed)}), seed)
+        run_cases(folder, answers)
+    found = score_answers(sets, ["4", "5"])
+    assert list(found["by_folder"]) == [str(each.folder) for each in sets]
+    again = sets[0]._replace(folder=sets[0].folder / ".." / "L")
+    with pytest.raises(ConfigError, match=r"L: these cases are given twice. Give each once"):
+        score_answers([*sets, again], ["4", "5"])
 
 
 def test_it_goes_on_where_it_was_cut_short(made, asked, tmp_path):
@@ -150,13 +177,13 @@ def test_a_folder_of_something_else_is_not_written_to(made, tmp_path):
 def test_scoring_opens_the_key(made, asked, tmp_path):
     out = tmp_path / "out"
     with pytest.raises(DataError, match=r"answers.json: cannot be read"):
-        score_answers(made, out, "4")
+        score_answers([CaseSet(made, out)], ["4"])
     run_cases(made, out)
     with pytest.raises(ConfigError, match="the key does not open"):
-        score_answers(made, out, "5")
-    document = score_answers(made, out, "4")
+        score_answers([CaseSet(made, out)], ["5", "6"])
+    document = score_answers([CaseSet(made, out)], ["4"])
     assert len(document["outcomes"]) == 3
     json.dumps(document)
     (out / "case_002" / "gap.json").unlink()
     with pytest.raises(DataError, match=r"case_002: the case has no answer yet. Go on with"):
-        score_answers(made, out, "4")
+        score_answers([CaseSet(made, out)], ["4"])

@@ -151,6 +151,39 @@ def test_several_engines_stand_side_by_side(outcomes, outcome):
     assert found[2][1] == ("", "business_jet", "lumped_n1")
 
 
+def test_folders_stand_side_by_side_four_to_a_table(outcome):
+    engines = [f"lumped_n{k}" for k in range(5)]
+    rows = [outcome(name=f"{folder}/case_001") for folder in "ABCDE"]
+    rows = [o._replace(truth=o.truth | {"engine": e}) for o, e in zip(rows, engines, strict=True)]
+    document = scored(rows, {})
+    heads = [each[1] for each in tables(document) if each[0].startswith("By f")]
+    assert heads == [("", "A", "B", "C", "D"), ("", "E")]
+    # By engine as well on the page, where there is room.
+    assert not any("By engine" in each[0] for each in tables(document))
+    assert "lumped_n4" in render(document)
+
+
+def test_every_size_stands_beside_the_one_that_was_put_in(outcome, answer):
+    told = answer(effects=("sensor_lag:EGT_C",))
+    row = {"id": "sensor_lag", "channel": "EGT_C", "probability": 0.9}
+    row["parameters"] = {"tau_s": {"value": 1.8, "low": 1.5, "high": 1.9}}
+    told["effects"] = [row]
+    case = outcome({"effects": ("sensor_lag:EGT_C",)}, told)
+    cases = []
+    for true in (1.6, 2.0):
+        effects = [case.truth["effects"][0] | {"parameters": {"tau_s": true}}]
+        cases.append(case._replace(truth=case.truth | {"effects": effects}))
+    document = scored(cases, {})
+    assert [each["sizes"][0]["inside"] for each in document["outcomes"]] == [True, False]
+    assert document["outcomes"][0]["sizes"][0] == {
+        "effect": "sensor_lag:EGT_C", "name": "tau_s", "true": 1.6,
+        "value": 1.8, "low": 1.5, "high": 1.9, "inside": True,
+    }  # fmt: skip
+    main = {row[0]: row[2] for row in tables(document)[0][2]}
+    assert main["true size within its interval"] == "1 of 2"
+    assert "<td>1.8 [1.5, 1.9]</td><td>no</td>" in render(document)
+
+
 def test_groups_by_share_of_the_gap(outcomes):
     groups = by_gap_share(outcomes)
     assert [row["gap_share"] for row in groups] == [
@@ -178,7 +211,7 @@ def test_nothing_at_all_has_no_numbers():
 
 
 def test_document_and_page_show_it_all(outcomes):
-    document = scored(outcomes, {"seed": 1})
+    document = scored(outcomes, {"cases": {"seed": 1}})
     assert document["schema"] == "narxcal.blind_score/1"
     assert document["cases"] == {"null": 2, "outside": 1, "pair": 1, "single": 4}
     assert document["wrong_base"] == 8
@@ -189,8 +222,9 @@ def test_document_and_page_show_it_all(outcomes):
     page = render(document)
     for words in ("Blind test", "top-1, ranked first", "map_kink", "spool_lag", "10-25 %"):
         assert words in page
+    assert document["plans"] == {"cases": {"seed": 1}}
     main, shares, confused = tables(document)
-    assert ["top-2", "0.75 [0.30, 0.95]", "4"] in main[2]
+    assert ["top-2", "0.75 [0.30, 0.95]", "3 of 4"] in main[2]
     assert len(shares[2]) == 5
     assert ["spool_lag", "4", "2", "failed 1, none 1"] in confused[2]
 
