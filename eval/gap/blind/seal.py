@@ -49,8 +49,8 @@ def opened(content: bytes, secret: str, salt: bytes, file: Path | None = None) -
             "the key does not open: the secret is another one, or the key or the list of the "
             "cases was changed since they were made",
             file=file,
-            hint="Give the secret (or the seed) of `blind make` by --secret, and each if folders "
-            "have several",
+            hint="Give the secret (or the seed) of `blind make` by --secret, once more for every "
+            "folder that has another",
         )
     document: dict[str, Any] = json.loads(_mixed(body, cipher))
     return document
