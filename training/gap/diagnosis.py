@@ -19,6 +19,7 @@ import numpy as np
 from narxcal.effects.base import Effect, FloatArray
 from narxcal.effects.library import candidates
 from narxcal.effects.running import Flights
+from training.gap.allowance import Allowance
 from training.gap.emulator import GreyBoxEmulator
 from training.gap.finding import Finding
 from training.gap.fitting import Fit, Problem, fit, in_nearly_all
@@ -73,6 +74,7 @@ def diagnose(
 def _first(work: Work, moving: Sequence[Effect], watch: Watch | None) -> Fit | None:
     """The best effect if it earns a claim, or None."""
     work.fits = [_tried(work, [effect], (k, len(moving), watch)) for k, effect in enumerate(moving)]
+    work.allowance = Allowance(work.fits, work.problem)
     work.fits.sort(key=work.rank, reverse=True)
     residual = work.problem.misfit.cleaned(work.problem.misfit.gap - work.fits[0].response)
     gains = null_gains(

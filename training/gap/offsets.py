@@ -25,9 +25,8 @@ _SCATTER_PCT = {"EGT_C": 2.4, "FF_kgph": 7.0}
 _SPEED_PCT, _UNGOVERNED_PCT = 1.2, 1.5
 _SHIFT_PCT = {"deterioration": _SPEED_PCT, "sensor_bias": 1.0}
 _TOGETHER_PCT = 0.6
-_SPEED_SENSORS = ("sensor_bias:N1_pct", "sensor_bias:N2_pct")
-_NEARLY_ALL, _AMONG_OTHERS = 0.85, 1.5  # share of what is left, and what is asked below it
-_ALL, _OF_ALL = 0.97, 0.6  # the same of a wrong sensor for speed beside which nothing else is
+_NEARLY_ALL, _AMONG_OTHERS = 0.85, 1.5  # share of what is left; scatters asked for below it
+_ALL, _LONE = 0.97, 0.6  # the same above it, of one speed
 _DAYS, _BETWEEN_DAYS = 3, 0.4  # flights that tell days apart; how far they do, in scatters
 _MOST = 0.5  # of what is left: an offset that takes less is not what is wrong
 _AS_GOOD, _LEVEL = 0.75, 0.35  # of what wear takes; of the shift, its growth with power
@@ -96,10 +95,20 @@ def beyond_scatter(tried: Fit, before: FloatArray, flights: Flights, noise: Floa
     `before` and `noise` are Q per flight, of what is left for the offset to explain and of noise.
     """
     share = _share(before - tried.held_out, before - noise)
-    asked = 1.0 if share > _NEARLY_ALL else _AMONG_OTHERS
-    if share > _ALL and tried.effects[0].name in _SPEED_SENSORS:
-        asked = _OF_ALL
-    return share > _MOST and _in_scatters(tried, flights).max() > asked
+    return share > _MOST and _in_scatters(tried, flights).max() > _asked(tried.effects[0], share)
+
+
+def _asked(effect: Effect, share: float) -> float:
+    """Scatters that an offset has to exceed if it explains a `share` of what is left.
+
+    Scatter leaves something on every output, so the more one offset explains, the less it has to
+    be. A build that shifts one speed shifts temperature and fuel flow further: a speed
+    that is off while nothing else is hardly comes from there.
+    """
+    if share <= _NEARLY_ALL:
+        return _AMONG_OTHERS
+    speed = effect.channel is not None and effect.channel not in _SCATTER_PCT
+    return _LONE if speed and share > _ALL else 1.0
 
 
 def _share(gained: FloatArray, whole: FloatArray) -> float:

@@ -7,12 +7,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from narxcal.effects.base import FloatArray
+from training.gap.allowance import Allowance
 from training.gap.fitting import Fit, Problem
 from training.gap.quadratic import Misfit
 from training.gap.unlogged import witnesses
 
 _FAINT = 0.02  # of the peak of a response: where it counts half
 _LEAST = 0.01  # of the noise's energy: less of a gap is none to take shares of
+_WITHIN = 0.1  # what a gain counts that any simulator's misfit would explain, too
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,8 @@ class Work:
     tight: Misfit  # of the gap with its offsets, which `problem` counts as nuisances
     fits: list[Fit] = field(default_factory=list)
     threshold: float = 0.0
+    allowance: Allowance | None = None
+    _beyond: dict[Fit | None, FloatArray] = field(default_factory=dict)
 
     @property
     def whole(self) -> float:
@@ -106,13 +110,25 @@ class Work:
         after = float((acts * ((gap - response) ** 2 - self.noise**2)).sum())
         return 0.0 if before <= 0.0 else float(np.clip(1.0 - after / before, 0.0, 1.0))
 
+    def beyond(self, tried: Fit) -> FloatArray:
+        """Q per flight that a fit takes beyond the small misfit that any simulator may have."""
+        if self.allowance is None:
+            return self.before - tried.held_out
+        for one in (None, tried):
+            if one not in self._beyond:
+                self._beyond[one] = self.allowance.held_out(one)
+        return self._beyond[None] - self._beyond[tried]
+
     def rank(self, tried: Fit) -> float:
         """What candidates are ordered by: what one gains, times what it explains where it acts.
 
         Of two that gain much the same, one that explains what it touches is there; one that
-        explains it in part follows something else, of which it may gain as much by its size.
+        explains it in part follows something else, of which it may gain as much by its size. What
+        small misfit of any simulator would explain as well counts little.
         """
-        return self.gain(tried) * self.aligned(tried)
+        within = _WITHIN * self.gain(tried)
+        beyond = float(self.beyond(tried).sum()) / self.audible
+        return (within + beyond) * self.aligned(tried)
 
     @property
     def loudest(self) -> float:

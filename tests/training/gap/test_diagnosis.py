@@ -66,6 +66,23 @@ def test_one_wrong_sensor_is_no_wear(channel, flights, engine, recorded):
     assert (found.kind, found.effects) == ("effects", (f"sensor_bias:{channel}",)), found.reason
 
 
+@pytest.mark.parametrize(
+    ("shift", "named"),
+    [
+        ([0.0, 0.62, 0.0], ("sensor_bias:N2_pct",)),
+        ([0.0, 0.62, 6.0], ()),
+        ([0.0, 0.3, 0.0], ()),
+        ([0.0, 0.0, 14.0], ()),
+    ],
+)
+def test_a_speed_that_is_off_while_nothing_else_is_needs_less_than_scatter(
+    shift, named, flights, engine, recorded
+):
+    """Build scatter that shifts a speed shifts the temperature with it, and that by itself."""
+    found = answer(flights, engine, recorded({}) + np.array(shift))
+    assert found.effects == named, found.reason
+
+
 def test_shifts_of_several_outputs_that_grow_with_power_are_wear(flights, engine, recorded):
     real = recorded({"deterioration": [0.4, 1.2, 12.0, 25.0]})
     found = answer(flights, engine, real)

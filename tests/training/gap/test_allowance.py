@@ -1,0 +1,96 @@
+"""Small misfit that any simulator has is no evidence for the effect that it resembles."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+
+from narxcal.effects import candidates, effect
+from tests.training.gap.conftest import NOISE
+from training.gap.allowance import ALLOWED, Allowance, _within
+from training.gap.fitting import Problem, fit
+from training.gap.quadratic import misfit
+from training.gap.work import Options, Work
+
+LITTLE = {"throttle_backlash": [0.25], "sensor_lag:EGT_C": [0.06, 0.0]}
+QUIET = NOISE / 30.0
+
+
+@pytest.fixture(scope="module")
+def asked(flights, engine, recorded):
+    """Returns the work on a gap of `effects`, its allowance, and the fit of each effect by name."""
+
+    def ask(effects):
+        measure = misfit(flights, recorded(effects, noise=QUIET), QUIET)
+        problem = Problem(flights, engine, measure)
+        names = {*ALLOWED, *effects, "time_skew:N2_pct", "bleed_extraction"}
+        fits = {name: fit([effect(name)], problem) for name in sorted(names)}
+        work = Work(problem, Options(), measure.size(measure.gap), QUIET, measure)
+        work.fits = list(fits.values())
+        work.allowance = Allowance(work.fits, problem)
+        return work, fits
+
+    return ask
+
+
+def test_little_misfit_is_explained_under_no_hypothesis(asked):
+    work, fits = asked(LITTLE)
+    floor = work.problem.misfit.floor
+    assert work.allowance.held_out().sum() - floor.sum() < 0.1 * (work.before - floor).sum()
+    assert work.gain(fits["throttle_backlash"]) > 0.2
+    for one in fits.values():
+        assert work.beyond(one).sum() / work.audible < 0.05
+
+
+def test_an_effect_counts_by_what_it_takes_beyond_little_misfit(asked):
+    """The play gains more than the late channel, but any simulator may have that much play."""
+    work, fits = asked({"throttle_backlash": [0.25], "time_skew:N2_pct": [0.03]})
+    play, late = fits["throttle_backlash"], fits["time_skew:N2_pct"]
+    assert work.gain(play) > work.gain(late)
+    assert work.beyond(late).sum() > 5.0 * abs(work.beyond(play).sum())
+    assert work.rank(late) > work.rank(play)
+
+
+@pytest.mark.parametrize("name", ["throttle_backlash", "sensor_lag:EGT_C", "spool_coupling"])
+def test_more_than_little_of_an_effect_is_evidence_for_it(name, asked):
+    size = {"throttle_backlash": [2.0], "sensor_lag:EGT_C": [0.8, 0.0], "spool_coupling": [1.4]}
+    work, fits = asked({name: size[name]})
+    assert work.beyond(fits[name]).sum() / work.audible > 0.4
+    assert max(work.fits, key=work.rank) is fits[name]
+
+
+def test_what_gains_nothing_takes_nothing_beyond(asked):
+    work, fits = asked({"throttle_backlash": [2.0]})
+    assert abs(work.beyond(fits["bleed_extraction"]).sum()) < 0.02 * work.audible
+
+
+def test_without_shapes_nothing_is_allowed(flights, engine, recorded):
+    measure = misfit(flights, recorded({"throttle_delay": [0.4]}), NOISE)
+    problem = Problem(flights, engine, measure)
+    found = fit([effect("throttle_delay")], problem)
+    nothing = Allowance([found], problem)
+    np.testing.assert_allclose(nothing.held_out(), measure.size(measure.gap))
+    np.testing.assert_allclose(nothing.held_out(found), found.held_out, rtol=0.05)
+
+
+def test_all_that_is_allowed_is_an_effect_of_the_library(flights):
+    known = {one.name: one for one in candidates(flights.signals)}
+    for name, little in ALLOWED.items():
+        parameters = {p.name: p for p in known[name].parameters(flights.signals)}
+        assert little.parameter in parameters
+        assert little.low <= 0.0 < little.high
+
+
+@given(seed=st.integers(0, 10_000), width=st.floats(0.01, 3.0))
+def test_least_squares_within_bounds_is_what_a_general_minimiser_finds(seed, width):
+    random = np.random.default_rng(seed)
+    root = random.normal(size=(9, 4))
+    hessian, toward = root.T @ root, random.normal(size=4) * 5.0
+    bounds = np.stack([-width * np.ones(4), width * random.uniform(0.0, 2.0, 4)], axis=1)
+    found = _within(hessian, toward, bounds)
+    value = lambda x: x @ hessian @ x - 2.0 * x @ toward  # noqa: E731 - the formula itself
+    best = minimize(value, np.zeros(4), bounds=bounds, method="L-BFGS-B", tol=1e-14)
+    assert value(found) <= best.fun + 1e-3 * (1.0 + abs(best.fun))
+    assert (found >= bounds[:, 0] - 1e-6).all()
+    assert (found <= bounds[:, 1] + 1e-6).all()

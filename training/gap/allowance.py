@@ -1,0 +1,137 @@
+"""What any simulator may be wrong in by a little, refitted within bounds under every hypothesis.
+
+A linkage has some play, a probe is not quite the simulated one, metal takes up a little more heat:
+no simulator is free of it, and where nothing else is wrong the effect nearest to such misfit gains
+most of what there is to gain (GAP, section 5, "wrong base"). So small amounts of these effects are
+nuisances, of any size up to the bounds below, under every hypothesis and under none. What an effect
+takes beyond them is evidence for it; what it takes of them is hardly any.
+
+They are linear in their amounts, so that all is done with inner products: least squares within
+bounds (Stark & Parker, *Computational Statistics* 10, 1995), each flight by the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from narxcal.effects.base import FloatArray
+from training.gap.fitting import Fit, Problem
+
+_LEVER_DEG: Final = 85.0  # way of a lever of which the play below is a share
+_RIDGE: Final = 1e-6
+_THIN: Final = 1e-9  # least width of a bound
+
+
+class Little(NamedTuple):
+    """How far a parameter may be off without anyone calling it an effect."""
+
+    parameter: str
+    low: float
+    high: float
+
+
+# Tolerances of build and modelling: play of a new linkage, a valve and a probe known to hundredths
+# of a second, inertias to 2 %, 3 % of a step of temperature stored in metal.
+ALLOWED: Final = {
+    "throttle_backlash": Little("width_deg", 0.0, 0.3),
+    "actuator_lag": Little("tau_s", -0.03, 0.03),
+    "sensor_lag:EGT_C": Little("tau_s", -0.1, 0.1),
+    "spool_lag": Little("factor", -0.02, 0.02),
+    "accel_decel_asymmetry": Little("ratio", -0.02, 0.02),
+    "spool_coupling": Little("factor", -0.02, 0.02),
+    "heat_soak": Little("share_EGT_C", -0.03, 0.03),
+}
+
+
+class Allowance:
+    """Shapes of small misfit (k, flights, time, outputs) and how much of each may be there."""
+
+    def __init__(self, fits: Sequence[Fit], problem: Problem) -> None:
+        """Take the shapes from `fits` of one effect each."""
+        lever = problem.flights.signals.lever
+        scale = (lever[1] - lever[0]) / _LEVER_DEG
+        rows = [row for one in fits for row in _shapes(one, scale)]
+        self._misfit = problem.misfit
+        self._names = [name for name, *_ in rows]
+        empty = np.zeros((0, *problem.misfit.gap.shape))
+        self._shapes = np.stack([shape for _, shape, _ in rows]) if rows else empty
+        self._bounds = np.array([bounds for *_, bounds in rows]).reshape(-1, 2)
+
+    def held_out(self, tried: Fit | None = None) -> FloatArray:
+        """Q per flight (flights,) with what is allowed refitted, beside `tried` or by itself.
+
+        The parameters of `tried` are refitted with it, by a linear step within their bounds, and
+        each flight is predicted by the others.
+        """
+        own = set() if tried is None else {effect.name for effect in tried.effects}
+        use = [k for k, name in enumerate(self._names) if name not in own]
+        shapes, bounds, rest = self._shapes[use], self._bounds[use], self._misfit.gap
+        if tried is not None:
+            shapes = np.concatenate([shapes, tried.slopes])
+            bounds = np.concatenate([bounds, _room(tried)])
+            rest = rest - tried.response
+        return _left_out(*self._forms(shapes, rest), bounds)
+
+    def _forms(
+        self, shapes: FloatArray, rest: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Hessian (flights, p, p), gradient (flights, p) and Q (flights,) of what is left."""
+        every = self._misfit.inner(np.concatenate([shapes, rest[None]]), shapes)
+        return every[:, :-1], every[:, -1], self._misfit.size(rest)
+
+
+def _shapes(one: Fit, scale: float) -> Iterator[tuple[str, FloatArray, tuple[float, float]]]:
+    """The effect's name, the shape of a unit of what is allowed of it, and its bounds, if any is.
+
+    A play that is small beside the moves acts in proportion to its width, but its slope at no play
+    at all says nothing: shapes are responses over what is fitted.
+    """
+    little = ALLOWED.get(one.name)
+    if little is None:
+        return
+    at = [p.name for p in one.parameters].index(little.parameter) if _has(one, little) else None
+    if at is None:
+        return
+    parameter, away = one.parameters[at], float(one.theta[at]) - one.parameters[at].neutral
+    secant = not parameter.linear and abs(away) > _THIN
+    shape = one.response / away if secant else one.slopes[at]
+    by = scale if parameter.unit == "deg" else 1.0
+    yield one.name, shape, (by * little.low, by * little.high)
+
+
+def _has(one: Fit, little: Little) -> bool:
+    return any(p.name == little.parameter for p in one.parameters)
+
+
+def _room(tried: Fit) -> FloatArray:
+    """How far each parameter can still go, down and up: (p, 2)."""
+    low = np.array([p.low for p in tried.parameters]) - tried.theta
+    high = np.array([p.high for p in tried.parameters]) - tried.theta
+    return np.stack([low, high], axis=1)
+
+
+def _left_out(
+    hessian: FloatArray, toward: FloatArray, size: FloatArray, bounds: FloatArray
+) -> FloatArray:
+    """Q per flight at the best amounts within `bounds` (p, 2) for all other flights."""
+    left = size.copy()
+    if hessian.shape[1] == 0 or len(size) < 2:
+        return left
+    for f in range(len(size)):
+        step = _within(hessian.sum(axis=0) - hessian[f], toward.sum(axis=0) - toward[f], bounds)
+        left[f] = size[f] - 2.0 * step @ toward[f] + step @ hessian[f] @ step
+    return np.maximum(left, 0.0)
+
+
+def _within(hessian: FloatArray, toward: FloatArray, bounds: FloatArray) -> FloatArray:
+    """Least of `x' H x - 2 x' b` within bounds: `H = L L'`, so that it is `|L' x - L^-1 b|^2`."""
+    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
+    root = np.linalg.cholesky(hessian / np.outer(scale, scale) + _RIDGE * np.eye(len(scale)))
+    low, high = bounds[:, 0] * scale, bounds[:, 1] * scale
+    target = np.linalg.solve(root, toward / scale)
+    found = lsq_linear(root.T, target, (low, np.maximum(high, low + _THIN)), method="bvls")
+    return np.asarray(found.x / scale)
