@@ -22,7 +22,6 @@ from narxcal.flight_test.flown_engine import build_facts, flown_engine
 from narxcal.flight_test.measurement import FloatArray
 from narxcal.flight_test.scenario import SCHEMA, FlightScenario, canonical, lever_moves
 from narxcal.flight_test.sensors import Streams, record
-from narxcal.interrupt import held_interrupt
 
 TRUTH_SCHEMA: Final = "narxcal.flight_truth/1"
 # Beside the logs, where no pattern of log files finds them.
@@ -142,12 +141,7 @@ def _all_flights(scenario: FlightScenario, options: WriteOptions) -> Iterator[li
     """Fly and format every flight, in order, in parallel processes where there are several."""
     numbers = range(1, scenario.flight_count + 1)
     if min(options.jobs, scenario.flight_count) == 1:
-        for number in numbers:
-            # A signal that falls into the compiled engine can take the process with it.
-            with held_interrupt() as interrupt:
-                written = _write(scenario, number, options)
-            interrupt.stop_here()
-            yield written
+        yield from (_write(scenario, number, options) for number in numbers)
         return
     tasks = (delayed(_write)(scenario, number, options) for number in numbers)
     with parallel_config(backend="loky", inner_max_num_threads=1):

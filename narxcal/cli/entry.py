@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 from narxcal.cli.arguments import parse
 from narxcal.errors import NarxcalError
-from narxcal.interrupt import is_interrupt
+from narxcal.interrupt import is_interrupt, safe_interrupt
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -33,8 +33,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run `narxcal ARGUMENTS` (those of the process if None); returns the exit code."""
     wants_traceback = _wants_traceback(sys.argv[1:] if arguments is None else arguments)
     try:
-        code = _run(parse(arguments))
-        sys.stdout.flush()
+        with safe_interrupt():
+            code = _run(parse(arguments))
+            sys.stdout.flush()
     except BrokenPipeError:
         _drop_stdout()
         return PIPE_CLOSED

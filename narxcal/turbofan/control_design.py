@@ -12,11 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from narxcal.turbofan.compiled import compiled
 from narxcal.turbofan.cycle import POSITIONS
 from narxcal.turbofan.fadec import FadecParameters, governor, schedules
 from narxcal.turbofan.intake import intake
 from narxcal.turbofan.presets import Preset
 from narxcal.turbofan.rest import (
+    BLEED,
     CONDITIONS,
     MACH,
     N1,
@@ -120,16 +122,11 @@ def linearised(machine: Machine, body: Body, condition: FloatArray, x: FloatArra
 
     With `dn/dt = A n + b w` and `T = c n + d w` the final response to fuel is `d - c A^-1 b`.
     """
-    air = intake(condition[STATIC_K], condition[STATIC_PA], condition[MACH], machine.recovery)
     inertia = np.array([body.inertia1_J, body.inertia2_J])
-    engine = (machine.path, machine.health)
 
     def changes(at: FloatArray) -> FloatArray:
-        fuel = machine.fuel_unit_kgps * float(at[2])
-        run = Running(float(at[0]), float(at[1]), fuel, condition[4], condition[5], 0.0, 0.0)
-        stations, _ = solved(engine, air, run, x[:POSITIONS].copy(), np.zeros((5, 5)))
-        rates = np.array([stations.power1_W, stations.power2_W]) / (inertia * at[:2])
-        return np.array([*rates, stations.T45])
+        powers = _powers(machine, condition, x[:POSITIONS], at)
+        return np.array([*(powers[:2] / (inertia * at[:2])), powers[2]])
 
     at, step = np.array([condition[N1], *x[POSITIONS:]]), 1e-4
     columns = [(changes(at + step * e) - changes(at - step * e)) / (2 * step) for e in np.eye(3)]
@@ -138,3 +135,16 @@ def linearised(machine: Machine, body: Body, condition: FloatArray, x: FloatArra
     fast, slow = sorted(float(-1.0 / value.real) for value in values)
     final = slopes[2, 2] - slopes[2, :2] @ np.linalg.solve(slopes[:2, :2], slopes[:2, 2])
     return Linear((slow, fast), float(slopes[2, 2] / final))
+
+
+@compiled
+def _powers(
+    machine: Machine, condition: FloatArray, positions: FloatArray, at: FloatArray
+) -> FloatArray:
+    """Surplus powers of both rotors in W and T45 in K at speeds and fuel `at`, relative."""
+    air = intake(condition[STATIC_K], condition[STATIC_PA], condition[MACH], machine.recovery)
+    fuel = machine.fuel_unit_kgps * at[2]
+    run = Running(at[0], at[1], fuel, condition[BLEED], condition[OFFTAKE_W], 0.0, 0.0)
+    engine = (machine.path, machine.health)
+    stations, _ = solved(engine, air, run, positions.copy(), np.zeros((POSITIONS, POSITIONS)))
+    return np.array([stations.power1_W, stations.power2_W, stations.T45])

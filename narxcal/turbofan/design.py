@@ -18,9 +18,9 @@ from narxcal.turbofan.gas import (
     isentropic_temperature,
     temperature_at_enthalpy,
 )
-from narxcal.turbofan.intake import Air, intake
+from narxcal.turbofan.intake import Air, fan_face
 from narxcal.turbofan.maps import BACKBONE, CompressorMap, TurbineMap
-from narxcal.turbofan.nozzle import jet
+from narxcal.turbofan.nozzle import capacity
 from narxcal.turbofan.stations import GasPath
 
 
@@ -56,7 +56,8 @@ def close(point: DesignPoint, shape: GasPath) -> Closed:
 
     Raises `ValueError` if the turbines cannot drive the compressors.
     """
-    air = intake(288.15, 101325.0, 0.0, point.recovery)
+    still = (288.15, 101325.0, 0.0)
+    air = Air(*still, *fan_face(*still, point.recovery))
     re = float(reynolds_factor(shape.reynolds_loss, air))
     core = point.flow_kgps / (1.0 + point.bypass_ratio)
     maps, heat, (T21, T3) = _compressors(point, shape, air, re)
@@ -161,5 +162,5 @@ def _turbine(
 
 
 def _area(flow: float, temperature: float, far: float, pressure: float) -> float:
-    capacity = jet(temperature, far, pressure / 101325.0).capacity
-    return float(flow * temperature**0.5 / pressure / capacity)
+    per_area = capacity(temperature, far, pressure / 101325.0)
+    return float(flow * temperature**0.5 / pressure / per_area)

@@ -40,6 +40,15 @@ def intake(static_K: float, static_Pa: float, mach: float, recovery: float) -> A
 
 
 @compiled
+def fan_face(
+    static_K: float, static_Pa: float, mach: float, recovery: float
+) -> tuple[float, float]:
+    """Total temperature and pressure at the fan face of `intake`: K, Pa."""
+    air = intake(static_K, static_Pa, mach, recovery)
+    return air.T2_K, air.P2_Pa
+
+
+@compiled
 def theta(temperature_K: float) -> float:
     """Temperature over that of the standard day at sea level."""
     return temperature_K / SEA_LEVEL_K

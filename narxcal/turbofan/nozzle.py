@@ -44,3 +44,9 @@ def jet(total_K: float, far: float, pressure_ratio: float) -> Jet:
         capacity *= (pressure_ratio - 1.0) / (_KNEE - 1.0)
     surplus = 1.0 / expanded - 1.0 / max(pressure_ratio, _KNEE)
     return Jet(capacity, velocity, surplus)
+
+
+@compiled
+def capacity(total_K: float, far: float, pressure_ratio: float) -> float:
+    """The capacity of `jet`, for callers in Python."""
+    return jet(total_K, far, pressure_ratio).capacity

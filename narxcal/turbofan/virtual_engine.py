@@ -22,7 +22,7 @@ from narxcal.turbofan.cycle import POSITIONS
 from narxcal.turbofan.design import Closed, close
 from narxcal.turbofan.fadec import Sensed
 from narxcal.turbofan.fuel_valve import FuelValveParameters
-from narxcal.turbofan.intake import intake
+from narxcal.turbofan.intake import fan_face
 from narxcal.turbofan.lever import LeverParameters, resolver
 from narxcal.turbofan.presets import Preset, preset
 from narxcal.turbofan.ratings import n1_command
@@ -252,7 +252,8 @@ class VirtualEngine:
         command = float(condition[N1]) * self.preset.speed_pct[0]
         x, s = unknowns[0], Stations(*rows[0])
         fuel = float(self._machine.fuel_unit_kgps * x[-1])
-        T2, P2 = _face(condition, self._machine)
+        air = (condition[STATIC_K], condition[STATIC_PA], condition[MACH])
+        T2, P2 = fan_face(*air, self._machine.recovery)
         N2 = float(self.preset.speed_pct[1] * x[POSITIONS])
         sensed = Sensed(command, command, N2, s.T45, s.P3, P2, T2)
         return State(
@@ -271,12 +272,6 @@ def build_scatter(random: np.random.Generator, sigma_pct: float = 0.5) -> Health
     """Draw a build: every efficiency and flow off by a normal `sigma_pct` percent."""
     drawn = 1.0 + 0.01 * sigma_pct * random.standard_normal(len(Health._fields))
     return Health(*drawn.tolist())
-
-
-def _face(condition: FloatArray, machine: Machine) -> tuple[float, float]:
-    """Total temperature and pressure at the fan face."""
-    air = intake(condition[STATIC_K], condition[STATIC_PA], condition[MACH], machine.recovery)
-    return air.T2_K, air.P2_Pa
 
 
 def _where(u: FloatArray) -> str:

@@ -25,6 +25,7 @@ from eval.gap.blind.files import FOLDERS, read_cases
 from eval.gap.diagnose import Request, diagnose_folders
 from narxcal.atomic import atomic_write_text
 from narxcal.errors import ConfigError, NarxcalError
+from narxcal.interrupt import put_off
 
 SCHEMA: Final = "narxcal.blind_answers/1"
 FAILED_SCHEMA: Final = "narxcal.blind_failed/1"
@@ -190,7 +191,7 @@ def _at_most(seconds: float) -> Iterator[None]:
     if not (main and hasattr(signal, "setitimer")):
         yield
         return
-    before = signal.signal(signal.SIGALRM, _stop)
+    before = signal.signal(signal.SIGALRM, put_off(_stop))
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield

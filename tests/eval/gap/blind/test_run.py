@@ -1,17 +1,22 @@
 """Running the cases: without the key, on from where it stopped, never longer than allowed."""
 
+import ctypes
 import json
+import signal
 import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from numba import njit
 
 from eval.gap.blind import run
 from eval.gap.blind.make import make_cases
 from eval.gap.blind.run import Limits, read_answer, read_reruns, run_cases
 from eval.gap.blind.score import CaseSet, score_answers
 from narxcal.errors import ConfigError, DataError
+from narxcal.interrupt import safe_interrupt
 
 
 @pytest.fixture
@@ -130,6 +135,36 @@ def test_what_takes_too_long_is_stopped_and_counted(made, monkeypatch, tmp_path)
     failed = read_answer(tmp_path / "out", "case_001")
     assert failed["reason"] == "was stopped after 0.05 s"
     assert "verdict" not in failed
+
+
+send = getattr(ctypes.CDLL(None), "raise")
+send.argtypes, send.restype = [ctypes.c_int], ctypes.c_int
+
+
+@njit
+def signalled(values, number):
+    """What a compiled loop hands over when a signal has arrived meanwhile."""
+    send(number)
+    return 2.0 * values, values
+
+
+@pytest.mark.parametrize("number", [signal.SIGALRM, signal.SIGINT])
+def test_a_signal_that_falls_into_compiled_code_is_no_error_of_the_case(
+    made, monkeypatch, tmp_path, number
+):
+    def diagnose(_):
+        signalled(np.ones(3), int(number))
+        while True:
+            time.sleep(0.001)
+
+    monkeypatch.setattr(run, "diagnose_folders", diagnose)
+    out = tmp_path / "out"
+    if number == signal.SIGALRM:
+        assert run_cases(made, out, Limits(1, 60.0))["ends"] == {"timeout": 3}
+        return
+    with safe_interrupt(), pytest.raises(KeyboardInterrupt):
+        run_cases(made, out)
+    assert not list(out.glob("case_*/*"))
 
 
 def test_where_nothing_can_be_stopped_late_is_late(made, monkeypatch, answer, tmp_path):
