@@ -49,7 +49,19 @@ def _handing_over(frame: FrameType | None) -> bool:
     return frame is not None
 
 
-_raise_keyboard_interrupt = put_off(signal.default_int_handler)
+class _CtrlC:
+    """What Ctrl-C does: it raises `KeyboardInterrupt`, and is remembered."""
+
+    def __init__(self) -> None:
+        self.pressed = False
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.pressed = True
+        signal.default_int_handler(number, frame)
+
+
+_ctrl_c = _CtrlC()
+_raise_keyboard_interrupt = put_off(_ctrl_c)
 
 
 @contextmanager
@@ -61,6 +73,7 @@ def safe_interrupt() -> Iterator[None]:
     if not _is_ours():
         yield
         return
+    _ctrl_c.pressed = False
     before = signal.signal(signal.SIGINT, _raise_keyboard_interrupt)
     try:
         yield
@@ -115,7 +128,13 @@ def _is_ours() -> bool:
 
 
 def is_interrupt(error: BaseException | None) -> bool:
-    """Whether `error` is a Ctrl-C, or came of one that fell into a compiled function."""
+    """Whether `error` is a Ctrl-C, or came of one.
+
+    In the block of `safe_interrupt` all that is raised after the press came of it: C code may drop
+    what was raised in Python that it calls. Pandas then says that its file cannot be read.
+    """
+    if _ctrl_c.pressed and error is not None:
+        return True
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
             return True

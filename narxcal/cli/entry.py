@@ -41,21 +41,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return PIPE_CLOSED
     except KeyboardInterrupt as stop:
         return _end(f"interrupted; {str(stop) or 'nothing was written'}", INTERRUPTED)
-    except (NarxcalError, OSError) as error:
-        if wants_traceback:
-            traceback.print_exc()
-        if isinstance(error, OSError):
-            _drop_stdout()
-        return _end(f"error: {_one_line(error)}", BAD_INPUT)
     except Exception as error:  # noqa: BLE001 -- the roof: nothing above could still report it
-        if is_interrupt(error):  # it fell into a compiled loop
+        if is_interrupt(error):
             return _end("interrupted; nothing was written", INTERRUPTED)
         if wants_traceback:
             traceback.print_exc()
-        what = f"{type(error).__name__}: {_one_line(error)}"
-        hint = "Set NARXCAL_TRACEBACK=1 or add --traceback to see where, and report it"
-        return _end(f"internal error: {what}. {hint}", INTERNAL)
+        return _report(error)
     return code
+
+
+def _report(error: Exception) -> int:
+    if isinstance(error, OSError):
+        _drop_stdout()
+    if isinstance(error, (NarxcalError, OSError)):
+        return _end(f"error: {_one_line(error)}", BAD_INPUT)
+    what = f"{type(error).__name__}: {_one_line(error)}"
+    hint = "Set NARXCAL_TRACEBACK=1 or add --traceback to see where, and report it"
+    return _end(f"internal error: {what}. {hint}", INTERNAL)
 
 
 def _run(options: Namespace) -> int:

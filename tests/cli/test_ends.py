@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from data_prep import csv_source
 from narxcal.bundle import load_bundle
 from narxcal.cli import console, demo
 from narxcal.cli import train as training
@@ -108,6 +109,22 @@ def test_ctrl_c_before_anything_is_written_says_so(project, narxcal, monkeypatch
     assert (done.code, done.out) == (130, "")
     assert done.err == "narxcal: interrupted; nothing was written\n"
     assert not (tmp_path / "run").exists()
+
+
+def test_ctrl_c_that_the_reader_of_a_file_drops_is_no_error_of_the_file(
+    project, narxcal, monkeypatch, tmp_path
+):
+    read = csv_source._Prefixed.read
+
+    def pressed(self, size=-1):
+        """Pandas' parser calls it from C and drops what it raises."""
+        signal.raise_signal(signal.SIGINT)
+        return read(self, size)
+
+    monkeypatch.setattr(csv_source._Prefixed, "read", pressed)
+    done = narxcal("train", project / "tiny.toml", "--out", tmp_path / "run")
+    assert (done.code, done.out) == (130, "")
+    assert done.err == "narxcal: interrupted; nothing was written\n"
 
 
 def test_ctrl_c_after_the_last_step_names_the_way_on(project, narxcal, monkeypatch, tmp_path):

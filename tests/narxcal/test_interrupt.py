@@ -65,6 +65,16 @@ def test_a_safe_interrupt_is_one_and_its_handler_is_taken_back():
             press()
 
 
+def test_what_comes_of_a_press_that_c_code_swallowed_is_known_for_one():
+    with safe_interrupt():
+        with pytest.raises(KeyboardInterrupt):
+            press()
+        assert is_interrupt(ValueError("cannot be parsed"))
+        assert not is_interrupt(None)
+    with safe_interrupt():
+        assert not is_interrupt(ValueError("cannot be parsed"))
+
+
 def test_what_ignores_the_signal_goes_on_ignoring_it():
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:

@@ -25,7 +25,7 @@ from eval.gap.blind.files import FOLDERS, read_cases
 from eval.gap.diagnose import Request, diagnose_folders
 from narxcal.atomic import atomic_write_text
 from narxcal.errors import ConfigError, NarxcalError
-from narxcal.interrupt import put_off
+from narxcal.interrupt import is_interrupt, put_off, safe_interrupt
 
 SCHEMA: Final = "narxcal.blind_answers/1"
 FAILED_SCHEMA: Final = "narxcal.blind_failed/1"
@@ -133,17 +133,19 @@ def _run_case(folder: Path, out: Path, task: Task, timeout_s: float) -> str:
     name, seed = task
     began = time.perf_counter()
     try:
-        with _at_most(timeout_s), _shuffled(folder / name, seed) as case:
+        with safe_interrupt(), _at_most(timeout_s), _shuffled(folder / name, seed) as case:
             found = {**diagnose_folders(_request(case)).document}
         took = time.perf_counter() - began
         if took > timeout_s:
             found = _failure("timeout", f"took {took:.0f} s of {timeout_s:g} s")
     except _Late:
         found = _failure("timeout", f"was stopped after {timeout_s:g} s")
-    except NarxcalError as error:
-        found = _failure("refused", str(error))
-    except Exception as error:  # noqa: BLE001 - one case that breaks must not end all the others
-        found = _failure("error", f"{type(error).__name__}: {error}")
+    except Exception as error:  # one case that breaks must not end all the others
+        if is_interrupt(error):
+            raise KeyboardInterrupt from error
+        refused = isinstance(error, NarxcalError)
+        said = str(error) if refused else f"{type(error).__name__}: {error}"
+        found = _failure("refused" if refused else "error", said)
     found["seconds"] = round(time.perf_counter() - began, 2)
     answer, failed = _files(out / name, seed)
     text = json.dumps(_finite(found), indent=1, allow_nan=False) + "\n"

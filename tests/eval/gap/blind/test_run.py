@@ -4,6 +4,7 @@ import ctypes
 import json
 import signal
 import time
+from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -146,6 +147,19 @@ def signalled(values, number):
     """What a compiled loop hands over when a signal has arrived meanwhile."""
     send(number)
     return 2.0 * values, values
+
+
+def test_a_ctrl_c_that_c_code_drops_is_no_refused_case(made, monkeypatch, tmp_path):
+    def diagnose(_):
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        raise DataError("the rows cannot be parsed")
+
+    monkeypatch.setattr(run, "diagnose_folders", diagnose)
+    out = tmp_path / "out"
+    with pytest.raises(KeyboardInterrupt):
+        run_cases(made, out)
+    assert not list(out.glob("case_*/*"))
 
 
 @pytest.mark.parametrize("number", [signal.SIGALRM, signal.SIGINT])
