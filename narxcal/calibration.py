@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from narxcal.errors import DataError, ModelError
 from narxcal.lag import LagModel
-from narxcal.narx import NarxModel
+from narxcal.narx_model import NarxModel
 from narxcal.register import Parts, Register, Sample, stacked
 from narxcal.steady_state import SteadyStateModel, steady_from_json, steady_to_json
 

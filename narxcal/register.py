@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from narxcal import kernels, register_step
 from narxcal.lag import Drive, LagModel, air_columns
 from narxcal.lag_steps import FAST, STATES
-from narxcal.narx import AT_START, NarxModel, Weights
+from narxcal.narx import AT_START, Weights
+from narxcal.narx_model import NarxModel
 from narxcal.register_step import OVERSHOOT, Lags, Memory, Network
 
 FloatArray = NDArray[np.float64]

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator
 
 from narxcal.errors import ModelError
-from narxcal.narx import NarxConfig, NarxModel
+from narxcal.narx import NarxConfig
+from narxcal.narx_model import NarxModel
 from narxcal.records import Record
 from training.config import TrainConfig
 from training.trainer import FitResult, Material, Watch, fit_narx

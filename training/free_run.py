@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from narxcal import kernels
-from narxcal.narx import NarxModel, NarxNet, Weights, history_before, tap
+from narxcal.narx import NarxNet, Weights, history_before, tap
+from narxcal.narx_model import NarxModel
 from narxcal.records import Record
 
 FloatArray = NDArray[np.float64]

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from narxcal.narx import NarxModel, NarxNet, Scaling
+from narxcal.narx import NarxNet
+from narxcal.narx_model import NarxModel, Scaling
 from narxcal.records import Record
 
 

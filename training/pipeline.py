@@ -23,7 +23,8 @@ from narxcal.bundle import Bundle
 from narxcal.calibration import DynamicCalibration
 from narxcal.errors import ConfigError, DataError
 from narxcal.fuser_noise import estimate_noise
-from narxcal.narx import NarxConfig, NarxModel
+from narxcal.narx import NarxConfig
+from narxcal.narx_model import NarxModel
 from narxcal.records import Record
 from narxcal.steady_fitted import Layout
 from narxcal.steady_source import open_steady

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from narxcal.interrupt import Interrupt, held_interrupt
-from narxcal.narx import NarxConfig, NarxModel
+from narxcal.narx import NarxConfig
+from narxcal.narx_model import NarxModel
 from narxcal.records import Record, check_measured, check_records
 from training import adam, levenberg_marquardt
 from training.adam import Moments

@@ -16,7 +16,8 @@ import torch
 from numpy.typing import NDArray
 
 from eval.benchmarks.row import Row
-from narxcal.narx import NarxConfig, NarxModel, simulate_slowly
+from narxcal.narx import NarxConfig, simulate_slowly
+from narxcal.narx_model import NarxModel
 from narxcal.records import Record
 from training.free_run import FreeRunProblem, cut_windows
 from training.warm_start import new_model

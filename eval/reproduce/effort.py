@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 from joblib import Parallel, delayed, parallel_config
 
-from narxcal.narx import NarxConfig, NarxModel
+from narxcal.narx import NarxConfig
+from narxcal.narx_model import NarxModel
 from narxcal.records import Record
 from training.config import RunConfig, TrainConfig
 from training.rest import rest_records

@@ -18,7 +18,8 @@ from eval.report.tables import Cell, Table, figure
 from eval.reproduce.data_sets import DataSets
 from eval.reproduce.effort import Effort, Task, fit_all, within
 from eval.reproduce.pieces import cut
-from narxcal.narx import NarxConfig, NarxModel
+from narxcal.narx import NarxConfig
+from narxcal.narx_model import NarxModel
 from narxcal.records import Record
 
 CRITERION = 5.0  # mean square error in %^2, section 3.1

@@ -6,7 +6,8 @@ import torch
 
 from narxcal.atmosphere import air_state
 from narxcal.calibration import DynamicCalibration, narx_features
-from narxcal.narx import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.narx import NarxConfig, NarxNet
+from narxcal.narx_model import NarxModel, Scaling
 from narxcal.steady_callable import SteadyCallable
 from narxcal.steady_table import SteadyTable
 from narxcal.turbofan.virtual_engine import INPUT_NAMES

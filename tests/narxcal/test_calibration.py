@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from narxcal.calibration import DynamicCalibration, narx_features
 from narxcal.errors import DataError, ModelError
-from narxcal.narx import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.narx import NarxConfig, NarxNet
+from narxcal.narx_model import NarxModel, Scaling
 from narxcal.steady_fitted import FittedSteadyState, Layout
 from narxcal.steady_state import Envelope
 from narxcal.steady_table import SteadyTable

@@ -8,7 +8,8 @@ from narxcal.calibration import DynamicCalibration, narx_features
 from narxcal.errors import ModelError
 from narxcal.lag import LagModel
 from narxcal.lag_steps import PARAMETERS
-from narxcal.narx import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.narx import NarxConfig, NarxNet
+from narxcal.narx_model import NarxModel, Scaling
 from narxcal.steady_table import SteadyTable
 
 INPUTS, OUTPUTS = ("TRA_deg", "Mach"), ("N1_pct", "EGT_C")

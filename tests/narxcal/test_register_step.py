@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from narxcal.lag import LagModel
 from narxcal.lag_steps import PARAMETERS
-from narxcal.narx import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.narx import NarxConfig, NarxNet
+from narxcal.narx_model import NarxModel, Scaling
 from narxcal.register import Parts, Register, Sample
 
 INPUTS, OUTPUTS = ("ALT_ft", "Mach", "TRA_deg"), ("N1_pct", "N2_pct", "EGT_C")

@@ -6,15 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.narx import (
-    AT_START,
-    NarxConfig,
-    NarxModel,
-    NarxNet,
-    Scaling,
-    Weights,
-    simulate_slowly,
-)
+from narxcal.narx import AT_START, NarxConfig, NarxNet, Weights, simulate_slowly
+from narxcal.narx_model import NarxModel, Scaling
 from narxcal.records import Record
 from training.free_run import FreeRunProblem, cut_windows
 

@@ -6,7 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.narx import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.narx import NarxConfig, NarxNet
+from narxcal.narx_model import NarxModel, Scaling
 from narxcal.records import Record
 from training.merge import merge_models, single_output
 
