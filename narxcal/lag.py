@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 
 from narxcal.atmosphere import air_state
 from narxcal.errors import ModelError
-from narxcal.lag_steps import CASING, FAST, PARAMETERS, STATES, run_lags
+from narxcal.lag_steps import CASING, FAST, HEAT_PARAMETERS, PARAMETERS, STATES, run_lags
 from narxcal.narx import AT_START
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 _ARRAYS = ("parameters", "centre", "half", "limit")
+_COLD = list(PARAMETERS[: -len(HEAT_PARAMETERS)])  # of folders from before there was `heat`
 
 
 class Drive(NamedTuple):
@@ -66,7 +67,7 @@ class Wiring(NamedTuple):
 class LagModel:
     """The lags of all outputs.
 
-    `parameters` (n_out, 34) are named by `PARAMETERS`. `centre` and `half` (n_out,) scale the
+    `parameters` (n_out, 38) are named by `PARAMETERS`. `centre` and `half` (n_out,) scale the
     corrected outputs; `limit` (n_out,) bounds the magnitude of each deviation. The core spool is
     the last output that is a speed, or the first output of an engine without one.
     """
@@ -158,10 +159,14 @@ class LagModel:
 
     @classmethod
     def from_arrays(cls, meta: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> Self:
-        """Rebuild from `to_arrays`; `ModelError` where an array is missing or misshapen."""
+        """Rebuild from `to_arrays`; `ModelError` where an array is missing or misshapen.
+
+        Parameters of before there was `heat` are completed: they had none.
+        """
         names = tuple(meta["output_names"])
         shapes: dict[str, tuple[int, ...]] = dict.fromkeys(_ARRAYS, (len(names),))
-        shapes["parameters"] = (len(names), len(PARAMETERS))
+        cold = meta.get("parameter_names") == _COLD
+        shapes["parameters"] = (len(names), len(_COLD if cold else PARAMETERS))
         kept = {}
         for name, shape in shapes.items():
             found = arrays.get(name)
@@ -172,6 +177,8 @@ class LagModel:
                     hint="Train again if another version of narxcal wrote the folder",
                 )
             kept[name] = np.array(found, dtype=np.float64)
+        missing = len(PARAMETERS) - kept["parameters"].shape[1]
+        kept["parameters"] = np.pad(kept["parameters"], ((0, 0), (0, missing)))
         return cls(output_names=names, **kept)
 
 

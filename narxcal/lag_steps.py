@@ -22,6 +22,13 @@ fuel to the pressure behind the compressor, and that pressure goes by both spool
 is still slow the core accelerates less than in step with it. A temperature answers to the core's
 acceleration by e, for that takes fuel. Without `limits` (q of `UNLIMITED`; core_speed, rate and
 share of the casing zero) the equations are those of lags alone.
+
+With `heat` the metal's heat drives the spool instead of showing at once, and it counts the more the
+less fuel there is beside it, in a time that goes by the flow over the metal:
+
+    soak(k)   = b (s(k) / s(k-1) soak(k-1) + s(k) share D),      s = exp(heat_speed w)
+    fast      is also drawn to   -heat tau (soak(k) - soak(k-1)) / dt
+    log tau_s = p_s - heat_rate w + heat_air thin
 """
 
 from __future__ import annotations
@@ -49,10 +56,15 @@ LIMIT_PARAMETERS = (
 )  # fmt: skip
 FUEL_PARAMETERS = ("core_speed", "rate", "rate_air", "rate_speed")
 CASING_PARAMETERS = ("casing_share", "log_casing_tau")
-PARAMETERS = (*LAG_PARAMETERS, *LIMIT_PARAMETERS, *FUEL_PARAMETERS, *CASING_PARAMETERS, "hot")
+HEAT_PARAMETERS = ("heat", "heat_speed", "heat_rate", "heat_air")
+PARAMETERS = (
+    *LAG_PARAMETERS, *LIMIT_PARAMETERS, *FUEL_PARAMETERS, *CASING_PARAMETERS, "hot",
+    *HEAT_PARAMETERS,
+)  # fmt: skip
 UNLIMITED = 20.0  # `log_up` and `log_down` of a spool as fast as its time constant lets it be
-_UP, _DOWN, _FUEL, _CASING, _HOT = (
-    PARAMETERS.index(name) for name in ("log_up", "log_down", "core_speed", "casing_share", "hot")
+_UP, _DOWN, _FUEL, _CASING, _HOT, _HEAT = (
+    PARAMETERS.index(name)
+    for name in ("log_up", "log_down", "core_speed", "casing_share", "hot", "heat")
 )
 
 
@@ -113,6 +125,19 @@ def decays(parameters: FloatArray, dt_s: float) -> FloatArray:
 
 
 @compiled
+def heated(
+    p: FloatArray, soak: float, step: float, where: tuple[float, float, float], dt_s: float
+) -> float:
+    """Soak after a `step` of ss, from `soak` before it; `where` are w before, w and thin."""
+    before, w, thin = where
+    log_tau = p[10] - p[_HEAT + 2] * w + p[_HEAT + 3] * thin
+    left = math.exp(-dt_s / math.exp(min(max(log_tau, 0.0), 4.0)))
+    kept, taken = math.exp(p[_HEAT + 1] * (w - before)), math.exp(p[_HEAT + 1] * w)
+    after: float = left * (kept * soak + taken * p[9] * step)
+    return after
+
+
+@compiled
 def fan_of(per_unit: FloatArray) -> int:
     """Column of the first spool beside the core; 0 where there is none."""
     for o in range(1, per_unit.shape[1]):
@@ -167,6 +192,10 @@ def run_lags(
                 drawn += drawn_by_core(p, core, rate, air[k, 0], speeds)
             a = math.exp(-dt_s / tau)
             state[1, o] = left[0, o] * (past[1, o] + p[9] * step)
+            if p[_HEAT] != 0.0:
+                was = within(target[k - 1, o], 1.5)
+                state[1, o] = heated(p, past[1, o], step, (was, w, air[k, 0]), dt_s)
+                drawn -= p[_HEAT] * tau * (state[1, o] - past[1, o]) / dt_s
             state[2, o] = left[1, o] * (past[2, o] + p[_CASING] * step)
             slow = state[1, o] + state[2, o]
             state[0, o] = within(a * before[o] + (1.0 - a) * drawn + slow, limit[o]) - slow

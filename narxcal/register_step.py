@@ -40,7 +40,7 @@ class Network(NamedTuple):
 
 
 class Lags(NamedTuple):
-    """The lags' arrays, core spool first; no rows of `parameters` (o, 34) where there are none.
+    """The lags' arrays, core spool first; no rows of `parameters` (o, 38) where there are none.
 
     `order`, `own` and `sign` are those of `narxcal.lag.Wiring`, and `air` its `air_columns`.
     """

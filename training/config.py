@@ -35,7 +35,8 @@ class NarxSection(Section):
     `lag` puts state-dependent lags in front of an anchored network (see narxcal.lag), which then
     learns what they leave; they are fitted to errors in the outputs' units, or with
     `lag_errors = "relative"` as shares of the response that each belongs to. With `lag_limits`
-    they know how fast a control lets the spools move, and what fuel that takes.
+    they know how fast a control lets the spools move, and what fuel that takes; with `lag_heat`
+    that the metal's heat drives the spools, and a slow tail is not taken for static error.
     """
 
     outputs: tuple[str, ...] = Field(default=("N1_pct", "N2_pct", "EGT_C"), min_length=1)
@@ -50,6 +51,7 @@ class NarxSection(Section):
     lag: bool = False
     lag_errors: Literal["absolute", "relative"] = "absolute"
     lag_limits: bool = False
+    lag_heat: bool = False
 
     @model_validator(mode="after")
     def _lag_needs_an_anchor(self) -> NarxSection:

@@ -24,7 +24,7 @@ from scipy.optimize import least_squares
 from narxcal.errors import DataError
 from narxcal.lag import Drive, LagModel, core_first, core_of, thickness
 from narxcal.lag_steps import PARAMETERS
-from training.lag_start import fans_of, free_parameters, prior_units, start_values
+from training.lag_start import LagForm, fans_of, free_parameters, prior_units, start_values
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -103,23 +103,22 @@ def fit_lags(
     samples: Sequence[LagSamples],
     names: tuple[Sequence[str], tuple[str, ...]],
     dt_s: float,
-    *,
-    relative: bool = False,
-    limited: bool = False,
+    form: LagForm = LagForm(),  # noqa: B008 (it cannot be changed)
 ) -> LagModel:
     """Fit the lags of all outputs; `names` are those of the inputs and of the outputs.
 
     With `relative`, errors count as shares of the response that they belong to; with `limited`,
-    there are limits of acceleration and deceleration too, and temperatures answer to the core's.
+    there are limits of acceleration and deceleration too, and temperatures answer to the core's;
+    with `heat`, what the metal gives up drives the spools.
     Raises `DataError` where nothing ever moves.
     """
     input_names, output_names = names
     every = max(int(_RASTER_S / dt_s + 1e-6), 1)
     samples, dt_s = [one.thinned(every) for one in samples], every * dt_s
     model = _first_guess(samples, input_names, output_names)
-    model = replace(model, parameters=start_values(model, limited=limited))
+    model = replace(model, parameters=start_values(model, form))
     core = core_of(output_names)
-    scored = _Scored(core, dt_s, relative)
+    scored = _Scored(core, dt_s, form.relative)
     parts = [_part(model, one, input_names, scored) for one in samples]
     if not sum(len(part.deviation) for part in parts):
         raise DataError(
@@ -131,7 +130,7 @@ def fit_lags(
         deviations = np.concatenate([part.deviation[:, column] for part in parts])
         spread = float(np.nanstd(deviations))
         scale = spread if spread > 1e-9 else 1.0
-        model = _fitted(model, _Task(parts, int(column), scale, dt_s, limited))
+        model = _fitted(model, _Task(parts, int(column), scale, dt_s, form.limited))
     return model
 
 

@@ -7,6 +7,7 @@ air (virtual flights of seed 100); a fit from zero ends in poorer places.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,10 @@ _SPEED = {"lead_s": 0.3}
 # Half the corrected range in a second; a given power speeds a rotor up the less, the thinner the
 # air.
 _LIMITED = {"log_up": 0.0, "log_down": 0.0, "up_air": -1.0, "down_air": -1.0}
+# Heat goes between gas and metal as flow^0.8 (FACTS A4). Corrected flow grows to about three times
+# that of idle, flow^0.8 over w from -1 to 1 by exp(2 * 0.4); flow itself goes by the air. What heat
+# does falls with power, for speeds answer to shares of the fuel, which is seven times that of idle.
+_HEAT = {"heat": 1.0, "heat_speed": -0.5, "heat_rate": 0.4, "heat_air": 0.8}
 _LIMITED_CORE = {
     "log_up": -0.1, "up_hot": -1.0, "up_speed": -0.5, "up_speed_speed": -0.5,
     "up_other": 0.7, "up_speed_other": 0.5,
@@ -59,13 +64,22 @@ def fans_of(model: LagModel) -> list[int]:
     return [int(column) for column in speeds if column != model.core]
 
 
-def start_values(model: LagModel, *, limited: bool) -> FloatArray:
-    """Parameters (n_out, 34) that a fit of `model` starts from, without limits or with them."""
+class LagForm(NamedTuple):
+    """What lags are to be: fitted to `relative` errors, `limited` by a control, moved by `heat`."""
+
+    relative: bool = False
+    limited: bool = False
+    heat: bool = False
+
+
+def start_values(model: LagModel, form: LagForm) -> FloatArray:
+    """Parameters (n_out, 38) that a fit of `model` starts from; those of heat are not fitted."""
     parameters = np.zeros((len(model.output_names), len(PARAMETERS)))
     speeds = np.flatnonzero(speeds_of(model.output_names))
     _set(parameters, range(len(parameters)), _ALL)
     _set(parameters, speeds, _SPEED)
-    if not limited:
+    _set(parameters, speeds, _HEAT if form.heat else {})
+    if not form.limited:
         return parameters
     _set(parameters, speeds, _LIMITED)
     fans = fans_of(model)
@@ -81,7 +95,7 @@ def start_values(model: LagModel, *, limited: bool) -> FloatArray:
 
 
 def free_parameters(model: LagModel, column: int, *, limited: bool) -> BoolArray:
-    """Which parameters (34,) of an output are fitted; the others keep their starting values."""
+    """Which parameters (38,) of an output are fitted; the others keep their starting values."""
     names: set[str] = set(_PROBE_IN_FLOW if limited else _PROBE)
     if speeds_of(model.output_names)[column]:
         names = set(LAG_PARAMETERS)
@@ -95,7 +109,7 @@ def free_parameters(model: LagModel, column: int, *, limited: bool) -> BoolArray
 
 
 def prior_units(model: LagModel, column: int, *, limited: bool) -> FloatArray:
-    """What counts as one unit of each parameter (34,) for the prior."""
+    """What counts as one unit of each parameter (38,) for the prior."""
     unit = np.ones(len(PARAMETERS))
     if limited:
         unit[_at(_SLOPES)] = model.half[column] / model.half[model.core]

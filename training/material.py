@@ -17,9 +17,12 @@ from narxcal.steady_state import SteadyStateModel
 from training.config import RunConfig
 from training.emphasis import largest, motion_weight
 from training.lag_fit import LagSamples, fit_lags
+from training.lag_start import LagForm
 from training.local_trim import locally_trimmed
 from training.rest import rest_records
 from training.trainer import Material
+
+_ROUNDS = 3  # of lags and static error, each found with the other known; more change little
 
 
 def material(
@@ -45,7 +48,7 @@ def deviation_record(
 
     With lags in front of it, they are what the lags leave.
     """
-    one = _samples(log, steady, config)
+    one = _samples(log, steady, config, lag if config.narx.lag_heat else None)
     deviation, lagged = one.ss - one.measured, None
     if lag is not None:
         drive = lag.drive(one.inputs, steady.input_names, one.ss)
@@ -70,13 +73,20 @@ def _emphasised(records: Sequence[Record], dt_s: float, *, lagged: bool) -> list
     ]
 
 
-def _samples(log: Log, steady: SteadyStateModel, config: RunConfig) -> LagSamples:
+def _samples(
+    log: Log, steady: SteadyStateModel, config: RunConfig, lag: LagModel | None = None
+) -> LagSamples:
+    """What lags are fitted to; with `lag`, what it still has before it is no static error."""
     inputs = log.matrix(steady.input_names)
     ss = steady_for_engine(steady, log.source.engine).outputs(inputs)
     measured = log.matrix(steady.output_names)
     if config.train.local_trim:
         still = quasi_steady(log, config.events.driver, speeds(config), config.train.still)
-        ss = locally_trimmed(ss, measured, still)
+        settling = np.zeros_like(ss)
+        if lag is not None:
+            drive = lag.drive(inputs, steady.input_names, ss)
+            settling = lag.deviations(drive, settling[0], log.dt_s)
+        ss = locally_trimmed(ss, measured + settling, still)
     return LagSamples(inputs, ss, measured)
 
 
@@ -85,15 +95,13 @@ def lags(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> La
     if not config.narx.lag:
         return None
     names = (steady.input_names, tuple(steady.output_names))
-    samples = [_samples(log, steady, config) for log in logs]
     section = config.narx
-    return fit_lags(
-        samples,
-        names,
-        logs[0].dt_s,
-        relative=section.lag_errors == "relative",
-        limited=section.lag_limits,
-    )
+    form = LagForm(section.lag_errors == "relative", section.lag_limits, section.lag_heat)
+    lag = None
+    for _ in range(_ROUNDS if form.heat else 1):
+        samples = [_samples(log, steady, config, lag) for log in logs]
+        lag = fit_lags(samples, names, logs[0].dt_s, form)
+    return lag
 
 
 def structure_of(config: RunConfig) -> NarxConfig:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from narxcal.atmosphere import air_state
 from narxcal.errors import ModelError
 from narxcal.lag import LagModel, thickness
-from narxcal.lag_steps import PARAMETERS, UNLIMITED
+from narxcal.lag_steps import HEAT_PARAMETERS, PARAMETERS, UNLIMITED
 from narxcal.narx import AT_START
 
 NAMES, INPUTS = ("N1_pct", "N2_pct", "EGT_C"), ("ALT_ft", "Mach", "dT_C")
@@ -81,8 +81,11 @@ def slowly(model, inputs, ss, start):
                 strength = p["rate_air"] * thin[k] + p["rate_speed"] * speeds[1]
                 drawn += core * (p["core"] + p["core_speed"] * (speeds[1] + settling[k, 1]))
                 drawn += p["rate"] * math.exp(np.clip(strength, -3.0, 3.0)) * rate
-            b = math.exp(-DT_S / math.exp(np.clip(p["log_slow_tau"], 0.0, 4.0)))
-            soak[o] = b * (soaks[-1][o] + p["slow_share"] * step)
+            log_slow = p["log_slow_tau"] - p["heat_rate"] * w + p["heat_air"] * thin[k]
+            b = math.exp(-DT_S / math.exp(np.clip(log_slow, 0.0, 4.0)))
+            was, now = np.exp(p["heat_speed"] * settling[[k - 1, k], q])
+            soak[o] = b * (now / was * soaks[-1][o] + now * p["slow_share"] * step)
+            drawn -= p["heat"] * tau * (soak[o] - soaks[-1][o]) / DT_S
             b = math.exp(-DT_S / math.exp(np.clip(p["log_casing_tau"], 2.0, 5.0)))
             casing[o] = b * (casings[-1][o] + p["casing_share"] * step)
             heat = soak[o] + casing[o]
@@ -327,6 +330,50 @@ def test_the_metal_keeps_a_share_of_each_step_and_gives_it_up_in_its_own_time():
     since = DT_S * (np.arange(100, 400) - 4)
     expected = 10.0 * np.exp(-since / 5.0) + 5.0 * np.exp(-since / 90.0)
     np.testing.assert_allclose(got[100:, 2], expected, rtol=1e-6)
+
+
+def after_a_step(low, high, heat=1.0):
+    """Deviations (400, 3) after a step of all outputs between scaled values, and its size."""
+    values = {"slow_share": 0.1, "log_slow_tau": math.log(6.0), "log_tau": math.log(0.3)}
+    model = lags(limit=1e3, **values, heat=heat, heat_speed=-0.5, heat_rate=0.4)
+    scaled = np.where(np.arange(400)[:, None] < 5, low, high)
+    ss = model.centre + model.half * scaled
+    drive = model.drive(np.zeros((400, 3)), INPUTS, ss)
+    return model.deviations(drive, np.zeros(3), DT_S), model.half * (high - low)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.5, -1.0), (-1.0, 0.5)])
+def test_heat_counts_the_more_and_goes_the_slower_the_less_power_there_is(low, high):
+    got, size = after_a_step(low, high)
+    since, tau_s = DT_S * (np.arange(100, 400) - 4), 6.0 * math.exp(-0.4 * high)
+    soak = 0.1 * math.exp(-0.5 * high) * np.exp(-since / tau_s)
+    # A spool of 0.3 s is behind what falls with tau_s by one part in tau_s / 0.3 - 1.
+    np.testing.assert_allclose(
+        got[100:] / size, np.repeat(soak[:, None] / (1.0 - 0.3 / tau_s), 3, axis=1), rtol=0.02
+    )
+
+
+def test_heat_moves_a_spool_and_does_not_show_at_once():
+    driven, size = after_a_step(0.5, -1.0)
+    shown, _ = after_a_step(0.5, -1.0, heat=0.0)
+    assert (np.abs(driven[5]) < np.abs(size)).all()
+    assert (np.abs(shown[5] / driven[5]) > 1.05).all()
+
+
+def test_a_folder_from_before_there_was_heat_is_read_as_it_was():
+    model, inputs, ss = wild(11)
+    model.parameters[:, -len(HEAT_PARAMETERS) :] = 0.0
+    meta, arrays = model.to_arrays()
+    meta["parameter_names"] = meta["parameter_names"][: -len(HEAT_PARAMETERS)]
+    arrays["parameters"] = arrays["parameters"][:, : -len(HEAT_PARAMETERS)]
+    again = LagModel.from_arrays(meta, arrays)
+    drive = model.drive(inputs, INPUTS, ss)
+    np.testing.assert_array_equal(
+        again.deviations(drive, np.ones(3), DT_S), model.deviations(drive, np.ones(3), DT_S)
+    )
+    arrays["parameters"] = arrays["parameters"][:, :-1]
+    with pytest.raises(ModelError, match=r"of shape \(3, 34\), found \(3, 33\)"):
+        LagModel.from_arrays(meta, arrays)
 
 
 def test_a_folder_of_another_version_is_refused_with_what_to_do():

@@ -5,8 +5,9 @@ import pytest
 
 from narxcal.errors import DataError
 from narxcal.lag import LagModel
-from narxcal.lag_steps import PARAMETERS, UNLIMITED
+from narxcal.lag_steps import HEAT_PARAMETERS, PARAMETERS, UNLIMITED
 from training.lag_fit import LagSamples, fit_lags
+from training.lag_start import LagForm, start_values
 
 NAMES = (("ALT_ft",), ("N1_pct", "N2_pct", "EGT_C"))
 DT_S = 0.1
@@ -103,7 +104,7 @@ def small_moves_of_another_kind(relative):
     for k in range(1, len(ss)):
         slow[k] = np.exp(-DT_S / 2.5) * (slow[k - 1] + ss[k] - ss[k - 1])
     small = LagSamples(small.inputs, ss, ss - slow)
-    model = fit_lags([slams, small], NAMES, DT_S, relative=relative)
+    model = fit_lags([slams, small], NAMES, DT_S, LagForm(relative=relative))
     drive = model.drive(small.inputs, NAMES[0], ss)
     found = model.deviations(drive, np.zeros(3), DT_S)
     return np.sqrt(np.mean((found - slow)[:, 1] ** 2)) / slow[:, 1].std()
@@ -116,7 +117,7 @@ def test_relative_errors_let_small_moves_count_as_much_as_slams():
 
 
 def test_relative_errors_find_known_lags_as_well():
-    model = fit_lags([log(0), log(1)], NAMES, DT_S, relative=True)
+    model = fit_lags([log(0), log(1)], NAMES, DT_S, LagForm(relative=True))
     # So close to the moves, less is seen of the slow heat soak, which is most in the temperature.
     assert (follow(model) < [0.03, 0.03, 0.12]).all()
 
@@ -124,7 +125,7 @@ def test_relative_errors_find_known_lags_as_well():
 def test_limits_of_acceleration_and_deceleration_come_back():
     true = truth(log_up=-0.5, up_air=-1.0, up_speed=0.6, log_down=0.3, down_air=-0.7)
     logs = [log(seed, model=true) for seed in (0, 1)]
-    limited = fit_lags(logs, NAMES, DT_S, limited=True)
+    limited = fit_lags(logs, NAMES, DT_S, LagForm(limited=True))
     assert (follow(limited, true=true) < 0.05).all()
     plain = fit_lags(logs, NAMES, DT_S)
     assert (follow(limited, true=true)[:2] < 0.5 * follow(plain, true=true)[:2]).all()
@@ -134,7 +135,8 @@ def test_limits_of_acceleration_and_deceleration_come_back():
 def test_how_a_slow_fan_holds_the_core_back_comes_back():
     true = truth(log_up=-0.5, up_air=-1.0, log_down=0.3, down_air=-0.7)
     true.parameters[1, PARAMETERS.index("up_other")] = 0.8
-    fitted = fit_lags([log(seed, model=true) for seed in (0, 1)], NAMES, DT_S, limited=True)
+    logs = [log(seed, model=true) for seed in (0, 1)]
+    fitted = fit_lags(logs, NAMES, DT_S, LagForm(limited=True))
     assert (follow(fitted, true=true) < 0.05).all()
     found = fitted.parameters[:, PARAMETERS.index("up_other")]
     assert found[1] == pytest.approx(0.8, abs=0.3)
@@ -146,7 +148,23 @@ def test_the_heat_of_the_casing_comes_back_though_each_stretch_begins_with_some_
     hot = {"casing_share": 0.1, "log_casing_tau": 4.0, "core": 6.0, "rate": -4.0, "rate_air": 0.5}
     for name, value in hot.items():
         true.parameters[2, PARAMETERS.index(name)] = value
-    fitted = fit_lags([log(seed, model=true) for seed in (0, 1)], NAMES, DT_S, limited=True)
-    plain = fit_lags([log(seed, model=true) for seed in (0, 1)], NAMES, DT_S)
+    logs = [log(seed, model=true) for seed in (0, 1)]
+    fitted = fit_lags(logs, NAMES, DT_S, LagForm(limited=True))
+    plain = fit_lags(logs, NAMES, DT_S)
     assert follow(fitted, true=true)[2] < 0.03
     assert follow(plain, true=true)[2] > 0.06
+
+
+def test_heat_that_drives_the_spools_comes_back():
+    true = truth()
+    true.parameters[:2, PARAMETERS.index("slow_share")] = 0.15
+    hot = start_values(true, LagForm(heat=True))
+    given = [PARAMETERS.index(name) for name in HEAT_PARAMETERS]
+    true.parameters[:, given] = hot[:, given]
+    logs = [log(seed, model=true) for seed in (0, 1)]
+    fitted, plain = (fit_lags(logs, NAMES, DT_S, LagForm(heat=heat)) for heat in (True, False))
+    np.testing.assert_array_equal(fitted.parameters[:, given], hot[:, given])
+    assert (hot[:2, given[0]] == 1.0).all()
+    assert not hot[2, given].any()  # a temperature shows the metal's heat itself
+    assert (follow(fitted, true=true) < 0.03).all()
+    assert (follow(plain, true=true)[:2] > 2.0 * follow(fitted, true=true)[:2]).all()

@@ -1,6 +1,7 @@
 """From logs to a bundle: the split, the raster, the calibration, its checkpoints and its record."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ import pytest
 from data_prep.log import Log, Source
 from narxcal.bundle import Bundle, load_bundle, save_bundle
 from narxcal.errors import ConfigError, DataError, ModelError
+from narxcal.lag import LagModel
+from narxcal.lag_steps import PARAMETERS, UNLIMITED
 from training.config import RunConfig, SplitConfig
 from training.pipeline import (
     Split,
@@ -15,6 +18,7 @@ from training.pipeline import (
     calibrate,
     calibration_for,
     configured_files,
+    deviation_record,
     prepare_logs,
     split_logs,
 )
@@ -210,6 +214,44 @@ def test_lags_in_front_of_the_network_are_fitted_and_followed(tmp_path):
     measured = log.matrix(model.output_names)
     error = model.simulate(log.matrix(model.input_names), measured[0]) - measured
     assert (np.sqrt(np.mean(error**2, axis=0)) < [0.6, 2.5]).all()
+
+
+class Line:
+    """A steady-state model that reads 0.5 % and 2 K too high, for `with_tail`."""
+
+    input_names, output_names = ("TRA_deg", "Mach"), ("N1_pct", "EGT_C")
+
+    def outputs(self, inputs):
+        return np.column_stack([20.5 + inputs[:, 0], 302.0 + 4.0 * inputs[:, 0]])
+
+
+def with_tail():
+    """Lags whose slow part takes 20 s, and a log that follows them exactly."""
+    values = {"log_tau": np.log(TAU_S), "slow_share": 0.04, "log_slow_tau": np.log(20.0)}
+    free = {"log_up": UNLIMITED, "log_down": UNLIMITED, **values}
+    row = [free.get(name, 0.0) for name in PARAMETERS]
+    centre, half = np.array([60.0, 460.0]), np.array([40.0, 160.0])
+    lag = LagModel(
+        output_names=Line.output_names, parameters=np.array([row, row]),
+        centre=centre, half=half, limit=np.full(2, 1e3),
+    )  # fmt: skip
+    log = flight()
+    inputs = log.matrix(Line.input_names)
+    settled = Line().outputs(inputs) - [0.5, 2.0]
+    drive = lag.drive(inputs, Line.input_names, settled)
+    outputs = settled - lag.deviations(drive, np.zeros(2), DT_S)
+    channels = dict(zip(Line.output_names, outputs.T, strict=True))
+    return lag, replace(log, channels={**log.channels, **channels})
+
+
+@pytest.mark.parametrize(("heat", "low", "high"), [(True, 0.0, 0.1), (False, 0.2, 2.0)])
+def test_a_slow_tail_is_not_taken_for_static_error_where_heat_is_known(heat, low, high):
+    lag, log = with_tail()
+    narx = {**TABLE["narx"], "lag": True, "lag_heat": heat}
+    left = deviation_record(log, Line(), config(narx=narx), lag).y
+    still = np.arange(len(log)) % 150 > 100  # the last 5 s before each move
+    error = np.sqrt(np.mean(left[still, 0] ** 2))
+    assert low <= error < high
 
 
 def test_lags_need_an_anchored_network():
