@@ -15,11 +15,11 @@ from data_prep.faults import (
     beyond_usual,
     bursts,
     excursions,
-    frozen,
     is_sensed,
     out_of_range,
     role,
 )
+from data_prep.frozen import frozen
 from data_prep.log import Action, AuditEntry, Log
 from data_prep.moves import bridged, runs
 from data_prep.outliers import Method, gross_errors

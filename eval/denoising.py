@@ -7,7 +7,7 @@ with the model's free run, and the network is fed with either in turn (figure 13
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 import pandas as pd
@@ -26,6 +26,14 @@ if TYPE_CHECKING:
     from narxcal.bundle import Bundle
 
 Power = Literal["mean_square", "variance"]
+# Columns of the sweep that are errors, by what they are errors of.
+CURVES: Final = {
+    "raw": "raw measurement",
+    "fused": "fused",
+    "free_run": "free run",
+    "fed_raw": "one step from raw",
+    "fed_fused": "one step from fused",
+}
 
 
 class SweepConfig(Section):

@@ -18,11 +18,22 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     @classmethod
-    def parse(cls, table: Mapping[str, Any], file: str | PathLike[str] | None = None) -> Self:
-        """Validate `table`; the first thing wrong becomes a `ConfigError` that names the key."""
+    def parse(
+        cls,
+        table: Mapping[str, Any],
+        file: str | PathLike[str] | None = None,
+        options: Mapping[str, str] | None = None,
+    ) -> Self:
+        """Validate `table`; the first thing wrong becomes a `ConfigError` that names the key.
+
+        `options` are the keys whose values came from a command line, by what was typed there.
+        """
         try:
             return cls.model_validate(dict(table))
         except ValidationError as error:
+            typed = (options or {}).get(_key(error))
+            if typed is not None:
+                raise ConfigError(f"{typed}: {_said(error)}") from None
             raise _explain(cls, error, file) from None
         except ConfigError as error:  # from a validator, which does not know the file
             raise ConfigError(
@@ -33,9 +44,8 @@ class Section(BaseModel):
 def _explain(
     section: type[BaseModel], error: ValidationError, file: str | PathLike[str] | None
 ) -> ConfigError:
-    first = error.errors()[0]
-    path = [str(part) for part in first["loc"]]
-    key = ".".join(path)
+    first, key = error.errors()[0], _key(error)
+    path = key.split(".")
     if first["type"] == "extra_forbidden":
         known = _known_keys(section, path[:-1])
         near = difflib.get_close_matches(path[-1], known, n=1, cutoff=0.5)
@@ -43,12 +53,25 @@ def _explain(
         return ConfigError(f"unknown key '{key}'", file=file, hint=hint)
     if first["type"] == "missing":
         return ConfigError(f"key '{key}' is missing", file=file, hint="Add it")
-    said = first["msg"].removeprefix("Value error, ")
-    if first["type"] in ("model_type", "dict_type"):
-        said = "expected a table of keys"
     if not key:  # of the table as a whole
-        return ConfigError(said, file=file)
-    return ConfigError(f"key '{key}': {said}, found {_shown(first['input'])}", file=file)
+        return ConfigError(_problem(error), file=file)
+    return ConfigError(f"key '{key}': {_said(error)}", file=file)
+
+
+def _key(error: ValidationError) -> str:
+    """Path to what is wrong first."""
+    return ".".join(str(part) for part in error.errors()[0]["loc"])
+
+
+def _problem(error: ValidationError) -> str:
+    first = error.errors()[0]
+    if first["type"] in ("model_type", "dict_type"):
+        return "expected a table of keys"
+    return first["msg"].removeprefix("Value error, ")
+
+
+def _said(error: ValidationError) -> str:
+    return f"{_problem(error)}, found {_shown(error.errors()[0]['input'])}"
 
 
 def _shown(value: object) -> str:

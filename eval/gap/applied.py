@@ -23,7 +23,7 @@ from eval.gap.blocks import block_means
 from eval.gap.claimed import Values, claimed_in, settings, with_effects
 from eval.gap.data import FloatArray
 from eval.gap.document import SCHEMA
-from eval.gap.rerun import Simulate
+from eval.gap.simulators import Simulate
 from eval.gap.stored_emulator import read_emulator, signals_from_json
 from eval.gap.summary import EMULATOR
 from narxcal.channels import CHANNELS

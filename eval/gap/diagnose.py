@@ -22,8 +22,8 @@ from eval.gap.hidden_load import look_again, look_beside, look_for_load, spells
 from eval.gap.pairs import read_pairs
 from eval.gap.parts import enough
 from eval.gap.realised import channel_shrink, held_out, predicted, time_shrink
-from eval.gap.rerun import Rerun, Simulate
-from eval.gap.simulators import open_simulator
+from eval.gap.rerun import Rerun
+from eval.gap.simulators import Simulate, open_simulator
 from eval.gap.stored_emulator import signals_to_json
 from eval.gap.where import locate
 from narxcal.bundle import versions

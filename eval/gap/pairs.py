@@ -21,7 +21,7 @@ from eval.gap.data import Pair
 from eval.gap.log_folders import pair_up, read_folder
 from eval.gap.pair_inputs import inputs_of, is_input
 from eval.gap.pair_outputs import DIAGNOSED, check_recorded, complete, lone, outputs_of
-from eval.gap.rerun import Simulate
+from eval.gap.simulators import Simulate
 from narxcal.channels import CHANNELS
 from narxcal.errors import DataError
 from training.config import RunConfig

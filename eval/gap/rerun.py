@@ -7,7 +7,6 @@ which it cannot have, the emulator says.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,12 +14,11 @@ import numpy as np
 from data_prep.log import Log
 from eval.gap.blocks import block_means
 from eval.gap.data import FloatArray
+from eval.gap.simulators import Simulate
 from narxcal.channels import CHANNELS
 from narxcal.effects.pace import Pace
 from narxcal.effects.running import Emulator, Flights
 from narxcal.errors import ModelError
-
-Simulate = Callable[[Log], Mapping[str, FloatArray]]
 
 
 @dataclass(frozen=True, eq=False)

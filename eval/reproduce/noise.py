@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from data_prep.log import Log
-from eval.denoising import Flight, SweepConfig, flight_of, noisy, snr_sweep, summarise
+from eval.denoising import CURVES, Flight, SweepConfig, flight_of, noisy, snr_sweep, summarise
 from eval.report import paper_figures, study_figures, tables
 from eval.report.building import noise_curves
 from eval.report.claims import Claim, Study
@@ -24,13 +24,6 @@ PAPER_SETS = (2, 9, 10)
 SNR_DB = (25.0, 30.0, 35.0, 40.0, 44.0)  # all below the paper's 45 dB
 SHOWN_DB = 35.0
 _SHOWN_S = 20.0
-_CURVES = {
-    "raw": "raw measurement",
-    "fused": "fused",
-    "free_run": "free run",
-    "fed_raw": "one step from raw",
-    "fed_fused": "one step from fused",
-}
 
 
 def noise(
@@ -48,7 +41,7 @@ def noise(
             watch(count, len(logs))
         found[data.label(log.name)] = summarise(snr_sweep(flight_of(bundle, log), config))
     sweeps = [
-        noise_curves(f"Data set {name}", config.channel, table, _CURVES)
+        noise_curves(f"Data set {name}", config.channel, table, CURVES)
         for name, table in found.items()
     ]
     return Study(
@@ -122,7 +115,7 @@ def _lost(found: Mapping[str, pd.DataFrame], better: str, worse: str) -> str:
 
 
 def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:
-    kept = ["snr_db", "noise_sd", *_CURVES, "mean_nis"]
+    kept = ["snr_db", "noise_sd", *CURVES, "mean_nis"]
     rows: list[dict[str, Any]] = [
         {str(key): float(value) for key, value in row.items()}
         for row in table[kept].to_dict(orient="records")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from argparse import Namespace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from eval.gap.blind.cases import BlindPlan
 from eval.gap.blind.files import CASES, KEY, SCHEMA
@@ -22,6 +22,17 @@ from narxcal.cli.folders import Results
 from narxcal.errors import ConfigError
 
 SCORE, PAGE = "score.json", "score.html"
+# Keys of the plan, and what a person types for them.
+_PLANNED: Final = {
+    "cases": "--cases",
+    "flights": "--flights",
+    "held_out": "--held-out",
+    "duration_s": "--duration",
+    "rate_hz": "--rate",
+    "style": "--style",
+    "engine": "--engine",
+    "seed": "--seed",
+}
 
 
 def run(options: Namespace, console: Console) -> int:
@@ -31,14 +42,13 @@ def run(options: Namespace, console: Console) -> int:
 
 
 def _make(options: Namespace, console: Console) -> None:
-    names = ("cases", "flights", "held_out", "duration_s", "rate_hz", "style", "engine", "seed")
     if (options.real is None) != (options.sim is None):
         raise ConfigError("--real and --sim belong together", hint="Give both, or neither")
     if options.sim_logs is not None and options.real is not None:
         raise ConfigError("--sim-logs and --real exclude each other", hint="Give one of them")
     if options.config is not None and options.real is None:
         raise ConfigError("--config maps the columns of --real, which is missing", hint="Give it")
-    plan = BlindPlan.parse({name: getattr(options, name) for name in names})
+    plan = BlindPlan.parse({key: getattr(options, key) for key in _PLANNED}, options=_PLANNED)
     results = _results(options.out)
     results.check(options.out)
     secret = str(plan.seed) if options.secret is None else options.secret

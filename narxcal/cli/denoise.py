@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 
 from eval import terminal
-from eval.denoising import SweepConfig, flight_of, snr_sweep, summarise
+from eval.denoising import CURVES, SweepConfig, flight_of, snr_sweep, summarise
 from eval.evaluate import run_config
 from eval.report.building import noise_curves
 from eval.report.page import Outcome, noise_page
@@ -22,13 +22,6 @@ from narxcal.cli.held_out import logs_for
 SCHEMA = "narxcal.denoise/1"
 DOCUMENT, PAGE = "denoise.json", "denoise.html"
 RESULTS = Results(SCHEMA, DOCUMENT, (PAGE,))
-_CURVES = {
-    "raw": "raw measurement",
-    "fused": "fused",
-    "free_run": "free run",
-    "fed_raw": "one step from raw",
-    "fed_fused": "one step from fused",
-}
 
 
 def run(options: Namespace, console: Console) -> int:
@@ -48,7 +41,7 @@ def run(options: Namespace, console: Console) -> int:
     header = header_of(
         f"Denoising: {run_settings.name}", options.bundle, bundle, logs, settings.transients.rules
     )
-    figures = [noise_curves(name, sweep.channel, found, _CURVES) for name, found in sweeps.items()]
+    figures = [noise_curves(name, sweep.channel, found, CURVES) for name, found in sweeps.items()]
     with RESULTS.writing(options.out) as folder:
         (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
         html = noise_page(header, outcome, figures)
@@ -97,7 +90,7 @@ def _rows(found: pd.DataFrame) -> Sequence[Sequence[str]]:
     return [
         [
             f"{row['snr_db']:g}",
-            *(f"{row[name]:.3g}" for name in (*_CURVES, "mean_nis")),
+            *(f"{row[name]:.3g}" for name in (*CURVES, "mean_nis")),
             "yes" if row["beats_both"] else "no",
         ]
         for row in found.to_dict(orient="records")

@@ -26,6 +26,9 @@ from narxcal.flight_test.scenario import FlightScenario
 
 _LOG = re.compile(r"(flight_\d+_(left|right)|data_set_\d+)\.csv(\.gz)?")
 
+# Keys that the command line may set, and what a person types for them.
+_TYPED = {"seed": "--seed", "flights": "--flights", "sensors.preset": "--sensors"}
+
 
 def run(options: Namespace, console: Console) -> int:
     """Fly all flights of a scenario and write them as a whole or not at all."""
@@ -60,7 +63,8 @@ def read_scenario(options: Namespace) -> FlightScenario:
         return scenario
     # Checked anew: effects name flights, and an engine has only some of them.
     stored = scenario.model_dump(by_alias=True, exclude_unset=True)
-    return FlightScenario.parse({**stored, **changes}, options.config)
+    typed = {key: word for key, word in _TYPED.items() if key.partition(".")[0] in changes}
+    return FlightScenario.parse({**stored, **changes}, options.config, typed)
 
 
 def _results(folder: Path) -> Results:

@@ -20,8 +20,7 @@ from eval.gap.applied import FoundEffects, read_effects
 from eval.gap.data import FloatArray
 from eval.gap.log_folders import read_folder
 from eval.gap.pairs import match_simulated
-from eval.gap.rerun import Simulate
-from eval.gap.simulators import open_simulator
+from eval.gap.simulators import Simulate, open_simulator
 from narxcal.channels import CHANNELS
 from narxcal.cli.configured import read_config
 from narxcal.cli.console import Console, to_json

@@ -15,6 +15,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from narxcal.channels import channel
@@ -221,3 +222,17 @@ def _nearest(name: str, known: Iterable[str]) -> str:
     names = sorted(known)
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     return f"Did you mean '{near[0]}'?" if near else f"Known are {', '.join(names)}"
+
+
+def drawn_windows(
+    random: np.random.Generator, end_s: float, stretch_s: float
+) -> tuple[tuple[float, float], ...]:
+    """One window in each stretch of about `stretch_s`, long enough to tell from noise."""
+    count = max(1, round(end_s / stretch_s))
+    stretch = end_s / count
+    spans = []
+    for number in range(count):
+        length = stretch * random.uniform(0.2, 0.5)
+        start = stretch * number + random.uniform(0.1, 0.9) * (stretch - length)
+        spans.append((round(start, 3), round(start + length, 3)))
+    return tuple(spans)

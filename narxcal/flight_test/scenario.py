@@ -23,7 +23,7 @@ from narxcal.flight_test.data_sets import (
     throttle_rate_sets,
 )
 from narxcal.flight_test.envelope import DT_HIGH_C, DT_LOW_C, MACH_MAX
-from narxcal.flight_test.flown_effects import FlownEffect, Side, check_once
+from narxcal.flight_test.flown_effects import FlownEffect, Side, check_once, drawn_windows
 from narxcal.flight_test.measurement import FloatArray
 from narxcal.flight_test.profile import FlightPlan, plan_flight
 from narxcal.flight_test.sensors import SensorConfig
@@ -32,6 +32,7 @@ from narxcal.settings import Section
 SCHEMA: Final = "narxcal.fly/1"
 _OUTPUTS = tuple(name for name, each in CHANNELS.items() if each.role == "output")
 _FLIGHTS = 6
+_STRETCH_S = 300.0  # one drawn window of an unlogged switch in each
 _RECORDERS = {
     "fast_push": fast_push_sets,
     "throttle_rate": throttle_rate_sets,
@@ -149,7 +150,7 @@ class FlightScenario(Section):
         if effect.id != "unlogged_switch" or effect.windows_s:
             return effect
         random = np.random.default_rng(self.stream(flight, "unlogged_switch"))
-        return effect.model_copy(update={"windows_s": _drawn_windows(random, end_s)})
+        return effect.model_copy(update={"windows_s": drawn_windows(random, end_s, _STRETCH_S)})
 
 
 @lru_cache(maxsize=2)
@@ -165,18 +166,6 @@ def _inside(channels: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         "Mach": np.clip(channels["Mach"], 0.0, MACH_MAX),
         "dT_C": np.clip(channels["dT_C"], DT_LOW_C, DT_HIGH_C),
     }
-
-
-def _drawn_windows(random: np.random.Generator, end_s: float) -> tuple[tuple[float, float], ...]:
-    """One window in each stretch of about five minutes, long enough to tell from noise."""
-    count = max(1, round(end_s / 300.0))
-    stretch = end_s / count
-    spans = []
-    for number in range(count):
-        length = stretch * random.uniform(0.2, 0.5)
-        start = stretch * number + random.uniform(0.1, 0.9) * (stretch - length)
-        spans.append((round(start, 3), round(start + length, 3)))
-    return tuple(spans)
 
 
 class LeverMove(NamedTuple):

@@ -143,7 +143,9 @@ def test_earlier_cases_are_replaced_and_other_content_is_not(narxcal, cases, tmp
     ("words", "said"),
     [
         (("make",), "the following arguments are required: --out"),
-        (("make", "--out", "o", "--duration", "100"), "key 'duration_s': Input should be greater"),
+        (("make", "--out", "o", "--duration", "100"), "error: --duration: Input should be greater"),
+        (("make", "--out", "o", "--rate", "1000"), "error: --rate: Input should be less than"),
+        (("make", "--out", "o", "--held-out", "90"), "error: --held-out: Input should be less"),
         (("make", "--out", "o", "--style", "wild"), "invalid choice: 'wild'"),
         (("make", "--out", "o", "--jobs", "0"), "expected a whole number of 1 or more, found 0"),
         (("make", "--out", "o", "--engine", "steam"), "invalid choice: 'steam'"),

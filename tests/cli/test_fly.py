@@ -130,10 +130,11 @@ def test_a_folder_with_other_content_is_left_alone(narxcal, quick, tmp_path):
         (
             ["--sensors", "ideal"],
             (
-                "key 'sensors.preset': Input should be 'test_instrumentation', 'fdr' or "
+                "error: --sensors: Input should be 'test_instrumentation', 'fdr' or "
                 "'perfect', found 'ideal'"
             ),
         ),
+        (["--flights", "1000"], "error: --flights: Input should be less than or equal to 999"),
         (["--seed", "-1"], "argument --seed: expected a whole number of 0 or more, found -1"),
         (["--flights", "0"], "argument --flights: expected a whole number of 1 or more, found 0"),
     ],

@@ -13,6 +13,7 @@ from eval.gap.blind.cases import BlindPlan, Case
 from eval.gap.blind.catalogue import Dose, Windows
 from eval.gap.blind.lumped import KINDS, LumpedEngine
 from eval.gap.blind.outside import MISFIT, applied
+from narxcal.flight_test.flown_effects import drawn_windows
 from narxcal.flight_test.profile import FlightPlan, plan_flight
 from narxcal.flight_test.sensor_presets import ChannelSensor
 from narxcal.flight_test.sensors import SensorConfig, Streams, record
@@ -174,12 +175,5 @@ def _fuelled(inputs: Channels) -> Channels:
 
 
 def hidden_windows(random: np.random.Generator, end_s: float) -> Windows:
-    """One window in each stretch of about four minutes, long enough to tell from noise."""
-    count = max(1, round(end_s / _STRETCH_S))
-    stretch = end_s / count
-    spans = []
-    for number in range(count):
-        length = stretch * random.uniform(0.2, 0.5)
-        start = stretch * number + random.uniform(0.1, 0.9) * (stretch - length)
-        spans.append((round(start, 3), round(start + length, 3)))
-    return tuple(spans)
+    """Windows of a load that no channel records, in a flight of `end_s`."""
+    return drawn_windows(random, end_s, _STRETCH_S)
