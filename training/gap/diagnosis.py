@@ -36,8 +36,11 @@ _OFFSET = 0.25  # least share of the whole gap of an offset
 _OF_WHOLE, _IF_TELLING = 0.015, 0.005  # that of anything, and of what explains all that it touches
 Watch = Callable[[str, int, int], None]
 _SECOND = 0.25  # of what one effect leaves: less is no reason to name another
+_HALF = 0.5  # of it, where that is less than a further effect's share of the whole
+_BESIDE = 0.15  # of what one effect and small misfit leave
+_LIKELY = 10  # pairs that are asked what they take beyond small misfit
 _LEADING = 0.7  # of the first one's rank: as likely, if the first holds in too few flights
-_ENOUGH = 0.03  # share left of the gap that nobody asks about
+_ENOUGH = 0.03  # share of the gap that nobody asks about
 
 
 def diagnose(
@@ -83,7 +86,7 @@ def _first(work: Work, moving: Sequence[Effect], watch: Watch | None) -> Fit | N
     work.threshold = float(np.quantile(gains, work.options.quantile)) / work.audible
     heard = work.audible > work.options.audible * float(work.problem.misfit.floor.sum())
     leading = [one for one in work.fits if work.rank(one) >= _LEADING * work.rank(work.fits[0])]
-    earned = (one for one in leading if _earned(work, one, work.before, work.options.material))
+    earned = (one for one in leading if _earned(work, one, None, work.options.material))
     return next(earned, None) if heard else None
 
 
@@ -92,8 +95,9 @@ def _further(work: Work, best: Fit, offset: Offset | None, watch: Watch | None) 
     if len(best.effects) >= work.options.most or work.left(best) <= _ENOUGH:
         return None
     more = _best_pair(work, watch)
-    least = max(work.options.further, _SECOND * work.unexplained(best))
-    if more is None or not _earned(work, more, best.held_out, least):
+    unexplained = work.unexplained(best)
+    least = max(min(work.options.further, _HALF * unexplained), _SECOND * unexplained, _ENOUGH)
+    if more is None or not _earned(work, more, best, least):
         return None
     gained = float((best.held_out - more.held_out).sum())
     return more if offset is None or gained > _gained(offset) else None
@@ -106,41 +110,65 @@ def _tried(work: Work, effects: Sequence[Effect], place: tuple[int, int, Watch |
     return priced(fit(effects, work.problem), work.options.price)
 
 
-def _earned(work: Work, model: Fit, before: FloatArray, least: float) -> bool:
-    """Whether `model` is better than `before` (Q per flight, held out) in a way that counts.
+def _earned(work: Work, model: Fit, best: Fit | None, least: float) -> bool:
+    """Whether `model` is better than `best`, or than none, on held-out flights, in what counts.
 
     More than the pseudo-nulls, at least `least`, a part of the whole gap with its offsets, and in
-    all flights but one (all of them up to four). A load says nothing of flights without it, and a
-    step in mid-flight is no drift.
+    all flights but one (all of them up to four); and not by small misfit alone. A load says nothing
+    of flights without it, and a step in mid-flight is no drift.
     """
-    gained = before - model.held_out
+    gained = (work.before if best is None else best.held_out) - model.held_out
     share = float(gained.sum()) / work.audible
     told = gained[witnesses(model, work.options.price)]
-    heard = float(gained.sum()) > (_IF_TELLING if work.tells(model) else _OF_WHOLE) * work.whole
+    telling = work.tells(model) or work.stands_out(model)
+    heard = float(gained.sum()) > (_IF_TELLING if telling else _OF_WHOLE) * work.whole
     worth = share > max(work.threshold, least) and in_nearly_all(told) and heard
-    return worth and not is_a_step(model, work.problem.misfit)
+    return worth and _beyond(work, model, best) and not is_a_step(model, work.problem.misfit)
+
+
+def _beyond(work: Work, model: Fit, best: Fit | None) -> bool:
+    """Whether small misfit, refitted with either, leaves `model` enough to be better in."""
+    taken = float(work.beyond(model).sum())
+    if best is None:
+        return taken >= work.options.beyond * work.audible
+    return taken - float(work.beyond(best).sum()) >= _BESIDE * work.still(best)
 
 
 def _best_pair(work: Work, watch: Watch | None) -> Fit | None:
-    """The best of the pairs of a leading effect and another, by linear steps, then fitted."""
+    """The best of the pairs of a leading effect and another, by linear steps, then fitted.
+
+    What the two take together says which may be worth it, and what of that is beyond small misfit
+    which of these are.
+    """
     singles = list(work.fits)
-    scored = [
-        (_together(work, first, second), first, second)
-        for k, first in enumerate(singles[:3])
-        for second in singles[k + 1 :]
-    ]
-    if not scored:
+    pairs = [(first, second) for k, first in enumerate(singles[:3]) for second in singles[k + 1 :]]
+    if not pairs:
         return None
-    scored.sort(key=lambda row: row[0], reverse=True)
+    pairs.sort(key=lambda pair: _together(work, *pair), reverse=True)
+    likely = [_added(*pair) for pair in pairs[:_LIKELY]]
+    likely.sort(key=work.worth, reverse=True)
     found = []
-    for k, (_, first, second) in enumerate(scored[:3]):
-        effects = (*first.effects, *second.effects)
-        start = np.concatenate([first.theta, second.theta])
+    for k, pair in enumerate(likely[:3]):
         if watch is not None:
-            watch(" + ".join(effect.name for effect in effects), k, 3)
-        found.append(priced(fit(effects, work.problem, start), work.options.price))
+            watch(" + ".join(effect.name for effect in pair.effects), k, 3)
+        found.append(priced(fit(pair.effects, work.problem, pair.theta), work.options.price))
     work.fits += found
-    return max(found, key=work.gain)
+    return max(found, key=work.worth)
+
+
+def _added(first: Fit, second: Fit) -> Fit:
+    """Both effects as each was found by itself: their responses added up."""
+    return Fit(
+        effects=(*first.effects, *second.effects),
+        parameters=(*first.parameters, *second.parameters),
+        theta=np.concatenate([first.theta, second.theta]),
+        left=np.minimum(first.left, second.left),
+        held_out=np.minimum(first.held_out, second.held_out),
+        others=np.concatenate([first.others, second.others], axis=1),
+        response=first.response + second.response,
+        slopes=np.concatenate([first.slopes, second.slopes]),
+        sizes=(*first.sizes, *second.sizes),
+    )
 
 
 def _together(work: Work, first: Fit, second: Fit) -> float:

@@ -15,6 +15,7 @@ from training.gap.work import Work
 
 _LEFT = 0.01  # of the gap: nobody can tell two models that both leave less
 _KIN = 0.75  # of what the leader takes
+_HALF = 0.5  # of what the leader takes beyond small misfit: one that takes less is no rival
 _APART = 0.2  # in what two explain where they act: they are about different things
 _SMALL = 0.25  # of the mean gap of a flight: less is none to take shares of
 _AGREED = 0.95  # level at which flights agree on who is ahead
@@ -130,7 +131,7 @@ def bearable(work: Work, claimed: Fit) -> bool:
         most = options.unexplained_together
     elif isinstance(claimed.effects[0], RateEffect):
         most = options.unexplained_inside
-    if work.left(claimed) <= most or work.tells(claimed):
+    if work.left(claimed) <= most or work.tells(claimed) or work.stands_out(claimed):
         return True
     # A part of what nobody would call a gap is no more worth naming than the rest of it.
     distinct = work.gain(claimed) >= options.distinct and work.loudest >= options.quiet
@@ -159,6 +160,8 @@ def _rivals(work: Work, claimed: Fit, order: Sequence[Fit]) -> tuple[str, ...]:
 def _equal(work: Work, claimed: Fit, other: Fit) -> bool:
     """Whether held-out flights do not tell the two apart, nor what they explain where they act."""
     if work.aligned(other) < work.aligned(claimed) - _APART:
+        return False
+    if float(work.beyond(other).sum()) < _HALF * float(work.beyond(claimed).sum()):
         return False
     left = 1.0 - work.gain(claimed)
     if 1.0 - work.gain(other) <= work.options.close * left + _LEFT:

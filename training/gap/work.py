@@ -7,14 +7,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from narxcal.effects.base import FloatArray
+from narxcal.effects.steady import HeatSoak
 from training.gap.allowance import Allowance
-from training.gap.fitting import Fit, Problem
+from training.gap.fitting import Fit, Problem, in_nearly_all
 from training.gap.quadratic import Misfit
-from training.gap.unlogged import witnesses
+from training.gap.unlogged import has_load, witnesses
 
 _FAINT = 0.02  # of the peak of a response: where it counts half
 _LEAST = 0.01  # of the noise's energy: less of a gap is none to take shares of
-_WITHIN = 0.1  # what a gain counts that any simulator's misfit would explain, too
+_WITHIN = 0.05  # what a gain counts that any simulator's misfit would explain, too
 
 
 @dataclass(frozen=True)
@@ -28,8 +29,10 @@ class Options:
     `unexplained_together` that for two, which can follow more; more may be left,
     as build scatter and other misfit leave it, by an effect that takes `distinct` of the gap and
     explains `aligned` of it where it acts. One that takes `telling[0]` and explains `telling[1]` is
-    believed of a smaller gap, from `faint` on. A rival is the leader's equal if it leaves no more
-    than `close` times what the leader leaves, or if flights differ on who is ahead. `audible` is
+    believed of a smaller gap, from `faint` on. Beyond the small misfit that any simulator may have
+    an effect takes at least `beyond`; one that takes `apart[0]` there, times what it explains where
+    it acts, `apart[1]` at least, may leave anything. A rival is the leader's equal if it leaves no
+    more than `close` times what the leader leaves, or if flights differ on who leads. `audible` is
     the least gap, as a share of the noise's energy, that is a gap at all; below `quiet`, as a share
     of a channel's range, it is a misfit that nobody has to explain. `price` is what the windows of
     an unlogged load are worth in noise, in Q of every flight; nothing where there are none.
@@ -45,6 +48,8 @@ class Options:
     distinct: float = 0.15
     aligned: float = 0.70
     telling: tuple[float, float] = (0.40, 0.82)
+    beyond: float = 0.02
+    apart: tuple[float, float] = (0.04, 0.40)
     quiet: float = 0.005
     faint: float = 0.003
     close: float = 1.2
@@ -66,7 +71,7 @@ class Work:
     fits: list[Fit] = field(default_factory=list)
     threshold: float = 0.0
     allowance: Allowance | None = None
-    _beyond: dict[Fit | None, FloatArray] = field(default_factory=dict)
+    _beside: dict[Fit | None, FloatArray] = field(default_factory=dict)
 
     @property
     def whole(self) -> float:
@@ -112,23 +117,45 @@ class Work:
 
     def beyond(self, tried: Fit) -> FloatArray:
         """Q per flight that a fit takes beyond the small misfit that any simulator may have."""
+        return self._refitted(None) - self._refitted(tried)
+
+    def stands_out(self, tried: Fit) -> bool:
+        """Whether a fit takes so much beyond small misfit that whatever else is left may be.
+
+        Heat soak follows anything slow, kinks and errors over altitude as well, so that it has to
+        explain what `aligned` asks for where it acts.
+        """
+        taken, aligned = self.beyond(tried), self.aligned(tried)
+        share, least = float(taken.sum()) / self.audible, self.options.apart
+        slow = any(isinstance(effect, HeatSoak) for effect in tried.effects)
+        asked = self.options.aligned if slow else least[1]
+        return share * aligned >= least[0] and aligned >= asked and in_nearly_all(taken)
+
+    def still(self, tried: Fit) -> float:
+        """Q that a fit leaves beside small misfit, beyond noise."""
+        return float((self._refitted(tried) - self.problem.misfit.floor).sum())
+
+    def _refitted(self, tried: Fit | None) -> FloatArray:
+        """Q per flight of a fit, or of none, with small misfit; a load pays for its windows."""
         if self.allowance is None:
-            return self.before - tried.held_out
-        for one in (None, tried):
-            if one not in self._beyond:
-                self._beyond[one] = self.allowance.held_out(one)
-        return self._beyond[None] - self._beyond[tried]
+            return self.before if tried is None else tried.held_out
+        if tried not in self._beside:
+            left = self.allowance.held_out(tried)
+            dear = tried is not None and has_load(tried) and len(self.options.price) > 0
+            self._beside[tried] = left + np.array(self.options.price) if dear else left
+        return self._beside[tried]
+
+    def worth(self, tried: Fit) -> float:
+        """Share of the gap that a fit takes; what small misfit would take as well counts little."""
+        return _WITHIN * self.gain(tried) + float(self.beyond(tried).sum()) / self.audible
 
     def rank(self, tried: Fit) -> float:
-        """What candidates are ordered by: what one gains, times what it explains where it acts.
+        """What candidates are ordered by: what one is worth, times what it explains where it acts.
 
         Of two that gain much the same, one that explains what it touches is there; one that
-        explains it in part follows something else, of which it may gain as much by its size. What
-        small misfit of any simulator would explain as well counts little.
+        explains it in part follows something else, of which it may gain as much by its size.
         """
-        within = _WITHIN * self.gain(tried)
-        beyond = float(self.beyond(tried).sum()) / self.audible
-        return (within + beyond) * self.aligned(tried)
+        return self.worth(tried) * self.aligned(tried)
 
     @property
     def loudest(self) -> float:
