@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import hashlib
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -22,6 +21,7 @@ from narxcal.flight_test.flown_engine import build_facts, flown_engine
 from narxcal.flight_test.measurement import FloatArray
 from narxcal.flight_test.scenario import SCHEMA, FlightScenario, canonical, lever_moves
 from narxcal.flight_test.sensors import Streams, record
+from narxcal.settings import read_toml
 
 TRUTH_SCHEMA: Final = "narxcal.flight_truth/1"
 # Beside the logs, where no pattern of log files finds them.
@@ -70,19 +70,7 @@ def load_scenario(path: str | Path) -> FlightScenario:
     `ConfigError` for a missing file, bad TOML, an unknown key, effect, channel or value.
     """
     file = _file(Path(path))
-    try:
-        table = tomllib.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"cannot be read: {error.strerror}", file=file) from None
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"not TOML: {error}", file=file) from None
-    if table.get("schema") != SCHEMA:
-        raise ConfigError(
-            f"expected schema = '{SCHEMA}', found {table.get('schema')!r}",
-            file=file,
-            hint="Write it as the first line",
-        )
-    return FlightScenario.parse(table, file)
+    return FlightScenario.parse(read_toml(file, SCHEMA), file)
 
 
 def _file(path: Path) -> Path:

@@ -1,10 +1,12 @@
-"""Base class of all configuration sections, and the one place that turns bad ones into errors."""
+"""Base class of all configuration sections; their files, and what is wrong with them, in words."""
 
 from __future__ import annotations
 
 import difflib
+import tomllib
 from collections.abc import Mapping
 from os import PathLike
+from pathlib import Path
 from typing import Any, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -39,6 +41,23 @@ class Section(BaseModel):
             raise ConfigError(
                 error.problem, file=error.file or file, channel=error.channel, hint=error.hint
             ) from None
+
+
+def read_toml(file: Path, schema: str) -> dict[str, Any]:
+    """Read a TOML file whose key `schema` has to be this; raises `ConfigError`."""
+    try:
+        table = tomllib.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"cannot be read: {error.strerror}", file=file) from None
+    except (ValueError, RecursionError) as error:  # a number or a nesting beyond all reason too
+        raise ConfigError(f"not TOML: {error}", file=file) from None
+    if table.get("schema") != schema:
+        raise ConfigError(
+            f"expected schema = '{schema}', found {table.get('schema')!r}",
+            file=file,
+            hint="Write it as the first line",
+        )
+    return table
 
 
 def _explain(

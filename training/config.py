@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -18,7 +17,7 @@ from narxcal.channels import channel
 from narxcal.errors import ConfigError
 from narxcal.fuser import FuserConfig
 from narxcal.narx import Taps
-from narxcal.settings import Section
+from narxcal.settings import Section, read_toml
 from training.steady_fit import SteadyStateConfig
 
 SCHEMA: Final = "narxcal.config/1"
@@ -172,16 +171,4 @@ def load_config(path: str | Path) -> tuple[RunConfig, Path]:
                 hint=f"Name a file, or one of the shipped {', '.join(names)}",
             )
         file = shipped
-    try:
-        table = tomllib.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError(f"cannot be read: {error.strerror}", file=file) from None
-    except (ValueError, RecursionError) as error:  # a number or a nesting beyond all reason too
-        raise ConfigError(f"not TOML: {error}", file=file) from None
-    if table.get("schema") != SCHEMA:
-        raise ConfigError(
-            f"expected schema = '{SCHEMA}', found {table.get('schema')!r}",
-            file=file,
-            hint="Write it as the first line",
-        )
-    return RunConfig.parse(table, file), file.resolve().parent
+    return RunConfig.parse(read_toml(file, SCHEMA), file), file.resolve().parent
