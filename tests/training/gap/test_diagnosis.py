@@ -143,6 +143,39 @@ def test_what_is_in_no_library_is_not_named(flights, engine, recorded):
     assert "of it" in found.reason or "unexplained" in found.reason
 
 
+def test_small_misfit_that_any_simulator_has_is_not_named(flights, engine, recorded):
+    quiet = NOISE / 30.0
+    little = {"throttle_backlash": [0.25], "sensor_lag:EGT_C": [0.05, 0.0]}
+    found = diagnose(flights, (recorded(little, noise=quiet), quiet), engine, QUICK)
+    assert found.effects == (), found.reason
+    assert found.tried[0].gain > 0.2
+
+
+def test_an_effect_that_stands_out_is_named_whatever_else_is_wrong(flights, engine, recorded):
+    """Most of the gap is a swing of another channel, of no effect."""
+    time = np.arange(flights.y.shape[1])
+    random = np.random.default_rng(9)
+    swing = [np.sin(time / random.uniform(20, 50) + random.uniform(0, 6)) for _ in flights.y]
+    real = recorded({"time_skew:N2_pct": [0.25]})
+    real[..., 2] += 30.0 * np.array(swing)
+    found = answer(flights, engine, real)
+    assert found.tried[0].gain < 0.15
+    assert found.kind in ("effects", "ambiguous"), found.reason
+    assert found.effects == ("time_skew:N2_pct",)
+    assert set(found.ambiguous_with) <= {"sensor_lag:N2_pct"}
+
+
+def test_an_effect_that_leaves_little_may_be_followed_by_one_of_what_is_left(
+    flights, engine, recorded
+):
+    """A second effect of less than a tenth of the gap, but of most of what the first leaves."""
+    real = recorded({"sensor_lag:EGT_C": [3.0, 0.5], "time_skew:N2_pct": [0.3]})
+    found = answer(flights, engine, real)
+    alone = next(row for row in found.tried if row.effects == ("sensor_lag:EGT_C",))
+    assert alone.gain > 0.88
+    assert set(found.effects) == {"sensor_lag:EGT_C", "time_skew:N2_pct"}, found.reason
+
+
 def test_two_effects_are_both_named(flights, engine, recorded):
     real = recorded({"throttle_delay": [0.5], "sensor_lag:EGT_C": [2.5, 0.5]})
     found = answer(flights, engine, real)
