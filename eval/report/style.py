@@ -23,7 +23,7 @@ BAD = "#d55e00"
 MASK = "#d0d7de"
 CYCLE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 _INK, _GRID = "#24292f", "#e4e8ec"
-_UNITS = {"degC": "°C", "deg": "°", "-": ""}
+_UNITS = {"degC": "°C", "deg": "°", "-": "", "0/1": ""}
 
 
 def symbol(channel: str) -> str:

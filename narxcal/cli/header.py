@@ -29,7 +29,7 @@ def header_of(
         title=title,
         created=now(),
         run=str(run),
-        model=f"NARX, {narx.lags} lags, {narx.hidden} hidden units, over "
+        model=f"NARX, lags {narx.lags}, hidden units {narx.hidden}, over "
         f"{', '.join(bundle.calibration.input_names)}",
         rules=found.name,
         tolerances=f"Ti {words(found.Ti)}; Tt {words(found.Tt)} ({found.source})",

@@ -109,8 +109,8 @@ def _facts(document: dict[str, Any]) -> dict[str, str]:
         "Outputs": ", ".join(document["channels"]["outputs"]),
         "Schedule": ", ".join(document["schedule"]) or "none",
         "Raster": f"{document['dt_s']:.6g} s ({1.0 / document['dt_s']:.4g} Hz)",
-        "Network": f"{document['lags']} lags, {document['hidden']} hidden units, "
-        f"{document['weights']} weights",
+        "Network": f"lags {document['lags']}, hidden units {document['hidden']}, "
+        f"weights {document['weights']}",
         "Weights": f"sha256 {document['weights_sha256'][:16]}",
         **{f"{part.capitalize()} logs": ", ".join(logs) or "none" for part, logs in split.items()},
         "Seeds": ", ".join(map(str, document["seeds"] or [])),

@@ -118,7 +118,7 @@ def _header(found: Reproduction, options: Namespace) -> RunHeader:
         title="The calibration paper reproduced",
         created=now(),
         run=config.name,
-        model=f"NARX, {narx.lags} lags, {narx.hidden} hidden units",
+        model=f"NARX, lags {narx.lags}, hidden units {narx.hidden}",
         rules=rule_set.name,
         tolerances=f"Ti {words(rule_set.Ti)}; Tt {words(rule_set.Tt)} ({rule_set.source})",
         sources=data_files(found.data.logs),

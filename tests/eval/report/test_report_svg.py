@@ -126,7 +126,7 @@ def test_threads_may_draw_at_the_same_time():
 
 @pytest.mark.parametrize(
     ("channel", "label"),
-    [("N1_pct", "N1 [%]"), ("EGT_C", "EGT [°C]"), ("Mach", "Mach"), ("my_signal", "my_signal")],
+    [("N1_pct", "N1 [%]"), ("EGT_C", "EGT [°C]"), ("WOW", "WOW"), ("my_signal", "my_signal")],
 )
 def test_axes_carry_symbol_and_unit(channel, label):
     assert style.with_unit(channel) == label
