@@ -10,7 +10,7 @@ import numpy as np
 from data_prep.log import Log
 from data_prep.quasi_steady import quasi_steady
 from narxcal.calibration import narx_features, steady_for_engine
-from narxcal.lag import LagModel
+from narxcal.lag import LagModel, speeds_of
 from narxcal.narx import NarxConfig
 from narxcal.records import Record
 from narxcal.steady_state import SteadyStateModel
@@ -76,7 +76,11 @@ def _emphasised(records: Sequence[Record], dt_s: float, *, lagged: bool) -> list
 def _samples(
     log: Log, steady: SteadyStateModel, config: RunConfig, lag: LagModel | None = None
 ) -> LagSamples:
-    """What lags are fitted to; with `lag`, what it still has before it is no static error."""
+    """What lags are fitted to; what the spools of `lag` still have before them is no static error.
+
+    Nobody says so of a temperature: its slow part takes longer than the stretches that it is fitted
+    to, and what a switched load does to it would be taken for such a part.
+    """
     inputs = log.matrix(steady.input_names)
     ss = steady_for_engine(steady, log.source.engine).outputs(inputs)
     measured = log.matrix(steady.output_names)
@@ -85,7 +89,8 @@ def _samples(
         settling = np.zeros_like(ss)
         if lag is not None:
             drive = lag.drive(inputs, steady.input_names, ss)
-            settling = lag.deviations(drive, settling[0], log.dt_s)
+            before = lag.deviations(drive, settling[0], log.dt_s)
+            settling = np.where(speeds_of(lag.output_names), before, 0.0)
         ss = locally_trimmed(ss, measured + settling, still)
     return LagSamples(inputs, ss, measured)
 
