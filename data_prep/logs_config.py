@@ -93,7 +93,8 @@ class LogsConfig(Section):
         folder = (Path(base) / self.folder).resolve()
         if not folder.is_dir():
             what = "is a file" if folder.exists() else "does not exist"
-            raise DataError(f"the folder of the logs {what}", file=folder, hint="Set [logs] folder")
+            hint = "Set [logs] folder, or name another by --data"
+            raise DataError(f"the folder of the logs {what}", file=folder, hint=hint)
         found: dict[Path, None] = {}
         for pattern in self.files:
             found.update(dict.fromkeys(sorted(folder.glob(pattern))))

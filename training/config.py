@@ -156,12 +156,12 @@ class RunConfig(Section):
 def load_config(path: str | Path) -> tuple[RunConfig, Path]:
     """Read a TOML file; returns the configuration and the folder its paths are relative to.
 
-    A name that is no file is looked up among the shipped configurations. Raises `ConfigError`
-    for a missing file, bad TOML, an unknown key or a bad value.
+    A name that is no file is looked up among the shipped configurations, with or without `.toml`.
+    Raises `ConfigError` for a missing file, bad TOML, an unknown key or a bad value.
     """
     file = Path(path)
     if not file.is_file():
-        shipped = Path(str(files("configs"))) / file.name
+        shipped = Path(str(files("configs"))) / f"{file.name.removesuffix('.toml')}.toml"
         if not shipped.is_file():
             there = sorted(item.name for item in shipped.parent.glob("*.toml"))
             names = [name for name in there if not name.startswith(_SCENARIO)]

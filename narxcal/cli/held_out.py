@@ -47,7 +47,7 @@ def _held_out(bundle: Bundle, data: Path | None) -> list[Log]:
     try:
         return evaluation_logs(_moved(bundle, data) if data else bundle)
     except DataError as error:
-        if error.hint not in ("Set [logs] folder", "Set [logs] files"):
+        if not (error.hint or "").startswith(("Set [logs] folder", "Set [logs] files")):
             raise
         hint = "Say where the held-out logs are by --data, or name others by --logs"
         raise DataError(error.problem, file=error.file, hint=hint) from None

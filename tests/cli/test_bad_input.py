@@ -377,7 +377,7 @@ def test_a_file_where_a_folder_belongs_and_the_other_way_round(narxcal, project,
     )
     refused(
         narxcal("prepare", config, "--data", config, "--out", tmp_path / "out"),
-        f"{config}: the folder of the logs is a file. Set [logs] folder",
+        f"{config}: the folder of the logs is a file. Set [logs] folder, or name another by --data",
     )
     assert list(tmp_path.iterdir()) == []
 

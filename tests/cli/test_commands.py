@@ -329,7 +329,8 @@ def test_the_folder_of_the_logs_can_be_named_by_option_or_environment(
     without = narxcal("prepare", config, "--out", tmp_path / "a")
     assert without.code == 2
     assert without.err == (
-        f"narxcal: error: {missing}: the folder of the logs does not exist. Set [logs] folder\n"
+        f"narxcal: error: {missing}: the folder of the logs does not exist. "
+        "Set [logs] folder, or name another by --data\n"
     )
     data = project / "flights"
     given = narxcal("prepare", config, "--out", tmp_path / "a", "--data", data, "--quiet")

@@ -30,7 +30,8 @@ def refused(file, content=None):
 def test_shipped_configurations_load_by_path_and_by_name(name):
     config, base = load_config(ROOT / "configs" / name)
     assert base == ROOT / "configs"
-    assert load_config(name) == (config, base)
+    for alias in (name, name.removesuffix(".toml")):
+        assert load_config(alias) == (config, base)
     assert RunConfig.parse(config.model_dump(mode="json", by_alias=True)) == config
 
 
