@@ -38,6 +38,7 @@ Watch = Callable[[str, int, int], None]
 _SECOND = 0.25  # of what one effect leaves: less is no reason to name another
 _HALF = 0.5  # of it, where that is less than a further effect's share of the whole
 _BESIDE = 0.15  # of what one effect and small misfit leave
+_CLOSER, _LEAST = 0.03, 0.01  # or so much more explained where both act, and of the gap
 _LIKELY = 10  # pairs that are asked what they take beyond small misfit
 _LEADING = 0.7  # of the first one's rank: as likely, if the first holds in too few flights
 _ENOUGH = 0.03  # share of the gap that nobody asks about
@@ -127,11 +128,17 @@ def _earned(work: Work, model: Fit, best: Fit | None, least: float) -> bool:
 
 
 def _beyond(work: Work, model: Fit, best: Fit | None) -> bool:
-    """Whether small misfit, refitted with either, leaves `model` enough to be better in."""
+    """Whether small misfit, refitted with either, leaves `model` enough to be better in.
+
+    A second effect that is there makes more of what both touch explained. One that only follows
+    other misfit touches more than it explains.
+    """
     taken = float(work.beyond(model).sum())
     if best is None:
         return taken >= work.options.beyond * work.audible
-    return taken - float(work.beyond(best).sum()) >= _BESIDE * work.still(best)
+    more = taken - float(work.beyond(best).sum())
+    closer = work.aligned(model) - work.aligned(best) >= _CLOSER
+    return more >= _BESIDE * work.still(best) or (closer and more >= _LEAST * work.audible)
 
 
 def _best_pair(work: Work, watch: Watch | None) -> Fit | None:

@@ -1,10 +1,12 @@
 """The verdict: right effects are claimed, nulls and what is in no library are not."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from tests.training.gap.conftest import NOISE
-from training.gap.diagnosis import diagnose
+from training.gap.diagnosis import _beyond, diagnose
 from training.gap.work import Options
 
 QUICK = Options(draws=40)
@@ -174,6 +176,22 @@ def test_an_effect_that_leaves_little_may_be_followed_by_one_of_what_is_left(
     alone = next(row for row in found.tried if row.effects == ("sensor_lag:EGT_C",))
     assert alone.gain > 0.88
     assert set(found.effects) == {"sensor_lag:EGT_C", "time_skew:N2_pct"}, found.reason
+
+
+@pytest.mark.parametrize(
+    ("taken", "aligned", "enough"),
+    [(0.19, 0.80, True), (0.05, 0.86, True), (0.05, 0.81, False), (0.005, 0.95, False)],
+)
+def test_a_second_effect_takes_something_beyond_small_misfit(taken, aligned, enough):
+    """A good part of what is left beside it, or less if what both touch is explained better."""
+    first, both = object(), object()
+    work = SimpleNamespace(
+        beyond=lambda one: np.array([0.4 + (taken if one is both else 0.0)]),
+        aligned=lambda one: aligned if one is both else 0.80,
+        still=lambda one: 1.2 if one is first else np.nan,
+        audible=1.0,
+    )
+    assert _beyond(work, both, first) is enough
 
 
 def test_two_effects_are_both_named(flights, engine, recorded):
