@@ -87,26 +87,21 @@ class Allowance:
 
 
 def _shapes(one: Fit, scale: float) -> Iterator[tuple[str, FloatArray, tuple[float, float]]]:
-    """The effect's name, the shape of a unit of what is allowed of it, and its bounds, if any is.
+    """The effect's name, the shape of a unit of what is allowed of it, and its bounds, if any.
 
     A play that is small beside the moves acts in proportion to its width, but its slope at no play
     at all says nothing: shapes are responses over what is fitted.
     """
     little = ALLOWED.get(one.name)
-    if little is None:
+    places = {parameter.name: k for k, parameter in enumerate(one.parameters)}
+    if little is None or little.parameter not in places:
         return
-    at = [p.name for p in one.parameters].index(little.parameter) if _has(one, little) else None
-    if at is None:
-        return
+    at = places[little.parameter]
     parameter, away = one.parameters[at], float(one.theta[at]) - one.parameters[at].neutral
     secant = not parameter.linear and abs(away) > _THIN
     shape = one.response / away if secant else one.slopes[at]
     by = scale if parameter.unit == "deg" else 1.0
     yield one.name, shape, (by * little.low, by * little.high)
-
-
-def _has(one: Fit, little: Little) -> bool:
-    return any(p.name == little.parameter for p in one.parameters)
 
 
 def _room(tried: Fit) -> FloatArray:
