@@ -14,7 +14,9 @@ if TYPE_CHECKING:
     from narxcal.calibration import DynamicCalibration
     from narxcal.errors import ConfigError, DataError, ModelError, NarxcalError
     from narxcal.fuser import KalmanFuser
+    from narxcal.fuser_noise import NoiseModel
     from narxcal.narx import NarxConfig
+    from narxcal.records import Record
     from training.estimator import Narx
 
 __all__ = [
@@ -27,6 +29,8 @@ __all__ = [
     "Narx",
     "NarxConfig",
     "NarxcalError",
+    "NoiseModel",
+    "Record",
     "load_bundle",
     "save_bundle",
 ]
@@ -41,6 +45,8 @@ _MODULE_OF = {
     "Narx": "training.estimator",
     "NarxConfig": "narxcal.narx",
     "NarxcalError": "narxcal.errors",
+    "NoiseModel": "narxcal.fuser_noise",
+    "Record": "narxcal.records",
     "load_bundle": "narxcal.bundle",
     "save_bundle": "narxcal.bundle",
 }

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,6 +58,44 @@ class Record:
 def _columns(values: ArrayLike) -> FloatArray:
     array = np.ascontiguousarray(values, dtype=np.float64)
     return array[:, None] if array.ndim == 1 else array
+
+
+Pair: TypeAlias = tuple[ArrayLike, ArrayLike]
+RecordLike: TypeAlias = Record | Pair
+
+
+def as_records(given: RecordLike | Iterable[RecordLike]) -> list[Record]:
+    """Records as users have them: `Record`, pairs (u, y), one of these or several.
+
+    Raises `DataError` for anything else, and as `Record` does.
+    """
+    if isinstance(given, Record) or _is_pair(given):
+        return [_as_record(given, 1)]
+    if isinstance(given, np.ndarray) or not isinstance(given, Iterable):
+        raise _no_record(given)
+    return [_as_record(each, number) for number, each in enumerate(given, 1)]
+
+
+def _is_pair(given: object) -> TypeGuard[Pair]:
+    """Whether this is (u, y), and not two records in a tuple."""
+    return isinstance(given, tuple) and len(given) == 2 and not isinstance(given[0], tuple | Record)
+
+
+def _as_record(given: object, number: int) -> Record:
+    if isinstance(given, Record):
+        return given
+    if not _is_pair(given):
+        raise _no_record(given)
+    u, y = given
+    return Record(np.asarray(u, np.float64), np.asarray(y, np.float64), f"record {number}")
+
+
+def _no_record(given: object) -> DataError:
+    shape = f" of shape {given.shape}" if isinstance(given, np.ndarray) else ""
+    return DataError(
+        f"expected records of inputs and outputs, found {type(given).__name__}{shape}",
+        hint="Pass a list of pairs, [(u, y)], or of Record(u, y)",
+    )
 
 
 def check_measured(records: Sequence[Record], purpose: str) -> None:

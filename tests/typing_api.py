@@ -25,7 +25,9 @@ from narxcal import (
     DynamicCalibration,
     KalmanFuser,
     ModelError,
+    Narx,
     NarxcalError,
+    Record,
     load_bundle,
     save_bundle,
 )
@@ -77,6 +79,10 @@ free_run: Floats = model.simulate(inputs, start=measured[0])
 one_step: Floats = model.predict(inputs, measured)
 first: Floats = model.reset(inputs[0])
 following: Floats = model.step(inputs[1], correction=measured[0])
+network: Narx = Narx().fit(
+    [(inputs, measured), Record(inputs, measured)], validation=[(inputs, measured)]
+)
+fit: float = network.score([(inputs, measured)])
 
 
 def fuse(noise: NoiseModel) -> FusedRun:

@@ -2,37 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Self
+from collections.abc import Iterable, Mapping
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator
+from sklearn.exceptions import NotFittedError
 
 from narxcal.errors import ModelError
 from narxcal.narx import NarxConfig
 from narxcal.narx_model import NarxModel
-from narxcal.records import Record
+from narxcal.records import RecordLike, as_records
+from narxcal.settings import Section
 from training.config import TrainConfig
 from training.trainer import FitResult, Material, Watch, fit_narx
 
 FloatArray = NDArray[np.float64]
+Records: TypeAlias = RecordLike | Iterable[RecordLike]
+
+# For records whose unit of time is the sample.
+_TRAIN = TrainConfig(horizons_s=(20.0, 200.0, 0.0), iterations=(10, 20, 40), score_every_s=1.0)
 
 
-class Narx(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no types
+class NotTrainedError(ModelError, NotFittedError):  # type: ignore[misc]  # scikit-learn ships no types
+    """Asked for what only a trained network knows; scikit-learn knows it as `NotFittedError`."""
+
+
+class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
     """NARX network trained on its free run over one or several records.
 
     `structure` holds lags, input taps and width, `train` the optimiser and its horizons (in the
     unit of `dt_s`, which is 1 by default: then horizons count samples). Tap 0 is the input at
     the predicted sample itself; leave it out where that must not be used.
 
+    A record is a pair of arrays `(u, y)` (time, inputs) and (time, outputs), or a `Record`, which
+    also has a name; methods take one of these or several. Searches of scikit-learn reach into
+    both sections: `GridSearchCV(Narx(), {"structure__hidden": [4, 8]}).fit(records)`.
+
     >>> import numpy as np
     >>> u = np.sin(0.3 * np.arange(300)) + np.cos(0.05 * np.arange(300) ** 1.2)
     >>> y = np.zeros(300)
     >>> for k in range(1, 300):
     ...     y[k] = 0.8 * y[k - 1] + 0.2 * np.tanh(2.0 * u[k - 1])
-    >>> model = Narx(NarxConfig(lags=1, taps=(1,), hidden=4)).fit([Record(u, y)])
-    >>> bool(model.score([Record(u, y)]) > 0.999)
+    >>> model = Narx(NarxConfig(lags=1, taps=(1,), hidden=4)).fit([(u, y)])
+    >>> bool(model.score([(u, y)]) > 0.999)
     True
     """
 
@@ -48,26 +62,27 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no types
 
     def fit(
         self,
-        records: Sequence[Record],
-        validation: Sequence[Record] = (),
+        records: Records,
+        validation: Records | None = None,
         watch: Watch | None = None,
     ) -> Self:
         """Train on whole records; stop and select by `validation` records where given.
 
-        NaN outputs are masked. Raises `DataError` for records that do not fit each other.
+        NaN outputs are masked. Raises `DataError` for what is no record, and for records that do
+        not fit each other.
         """
-        train = self.train or TrainConfig(
-            horizons_s=(20.0, 200.0, 0.0), iterations=(10, 20, 40), score_every_s=1.0
-        )
-        material = Material(list(records), list(validation), self.dt_s)
-        self.result_: FitResult = fit_narx(material, self.structure or NarxConfig(), train, watch)
+        learned = as_records(records)
+        held_out = [] if validation is None else as_records(validation)
+        material = Material(learned, held_out, self.dt_s)
+        structure, train = self.structure or NarxConfig(), self.train or _TRAIN
+        self.result_: FitResult = fit_narx(material, structure, train, watch)
         return self
 
     @property
     def model(self) -> NarxModel:
-        """The trained network; raises `ModelError` before `fit`."""
+        """The trained network; raises `NotTrainedError` before `fit`."""
         if not hasattr(self, "result_"):
-            raise ModelError("the NARX network is not trained yet", hint="Call fit first")
+            raise NotTrainedError("the NARX network is not trained yet", hint="Call fit first")
         return self.result_.model
 
     def simulate(self, u: ArrayLike, start: ArrayLike) -> FloatArray:
@@ -78,25 +93,61 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # scikit-learn ships no types
         """One-step-ahead prediction (time, outputs) from measured outputs (time, outputs)."""
         return self.model.predict(_columns(u), _columns(y))
 
-    def score(self, records: Sequence[Record], start: int = 1) -> float:
+    def score(self, records: Records, start: int = 1) -> float:
         """Coefficient of determination of the free run, pooled over records and outputs.
 
-        The first `start` measured samples of each record initialise it and are not scored.
+        The first `start` measured samples of each record initialise it and are not scored; one
+        that is masked takes the channel's first known value.
         """
         error, spread = 0.0, 0.0
-        for record in records:
-            y = self.model.simulate(record.u, np.nan_to_num(record.y[:start]))
+        for record in as_records(records):
+            y = self.model.simulate(record.u, _known_start(record.y, start))
             scored = slice(start, None)
             centre = np.nanmean(record.y, axis=0)
             error += float(np.nansum((y[scored] - record.y[scored]) ** 2))
             spread += float(np.nansum((record.y[scored] - centre) ** 2))
         return 1.0 - error / spread
 
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """Settings by name; if `deep`, the keys of both sections too, as `structure__hidden`."""
+        params: dict[str, Any] = super().get_params(deep=False)
+        if deep:
+            for name, section in self._sections().items():
+                params |= {f"{name}__{key}": value for key, value in section}
+        return params
+
+    def set_params(self, **params: Any) -> Self:
+        """Set parameters by the names of `get_params`.
+
+        Raises `ConfigError` for a bad key or value of a section, `ValueError` for a strange name.
+        """
+        own: dict[str, Any] = {}
+        nested: dict[str, dict[str, Any]] = {name: {} for name in self._sections()}
+        for name, value in params.items():
+            head, _, key = name.partition("__")
+            if key and head in nested:
+                nested[head][key] = value
+            else:
+                own[name] = value
+        super().set_params(**own)
+        for name, section in self._sections().items():
+            if nested[name]:
+                setattr(self, name, type(section).parse(dict(section) | nested[name]))
+        return self
+
+    def _sections(self) -> Mapping[str, Section]:
+        return {"structure": self.structure or NarxConfig(), "train": self.train or _TRAIN}
+
     def __sklearn_tags__(self) -> Any:
         """Tell scikit-learn's displays what this is."""
         tags = super().__sklearn_tags__()
         tags.estimator_type = "regressor"
         return tags
+
+
+def _known_start(y: FloatArray, samples: int) -> FloatArray:
+    first = y[np.isfinite(y).argmax(axis=0), np.arange(y.shape[1])]
+    return np.where(np.isfinite(y[:samples]), y[:samples], first)
 
 
 def _columns(values: ArrayLike, *, one_row: bool = False) -> FloatArray:

@@ -5,11 +5,13 @@ import doctest
 import numpy as np
 import pytest
 from sklearn.base import clone, is_regressor
+from sklearn.exceptions import NotFittedError
+from sklearn.model_selection import GridSearchCV
+from sklearn.pipeline import make_pipeline
 
 import training.estimator
-from narxcal import Narx, NarxConfig
-from narxcal.errors import ModelError
-from narxcal.records import Record
+from narxcal import Narx, NarxConfig, Record
+from narxcal.errors import ConfigError, DataError, ModelError
 from training.config import TrainConfig
 
 QUICK = TrainConfig(horizons_s=(20.0, 0.0), iterations=(5, 10), score_every_s=1.0, threads=1)
@@ -37,6 +39,42 @@ def test_it_learns_simulates_predicts_and_scores(lag_record):
     np.testing.assert_allclose(steps[1:], unseen.y[1:], atol=0.05)
 
 
+def test_pairs_of_arrays_are_records(lag_record):
+    one, two = lag_record(0), lag_record(1)
+    records = Narx(STRUCTURE, QUICK).fit([one, two])
+    pairs = Narx(STRUCTURE, QUICK).fit([(one.u[:, 0], one.y[:, 0].tolist()), (two.u, two.y)])
+    expected = records.simulate(one.u, one.y[:1])
+    np.testing.assert_array_equal(pairs.simulate(one.u, one.y[:1]), expected)
+    assert pairs.score((one.u, one.y)) == records.score(one) == records.score([one])
+
+
+def test_a_masked_first_sample_starts_at_the_first_known_one(lag_record):
+    record = lag_record(0)
+    shifted = Record(record.u, record.y + 500.0)
+    model = Narx(STRUCTURE, QUICK).fit([shifted])
+    y = shifted.y.copy()
+    y[0] = np.nan
+    assert model.score([Record(record.u, y)]) > 0.99
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [
+        ((np.zeros((9, 2)), np.zeros(9)), "ndarray of shape (9, 2)"),
+        (([np.zeros(9), np.zeros(9)],), "ndarray of shape (9,)"),
+        ((None,), "NoneType"),
+        (([(np.zeros(9), np.zeros(9), "name")],), "tuple"),
+    ],
+)
+def test_what_is_no_record_is_told_how_to_become_one(given, found):
+    with pytest.raises(DataError) as error:
+        Narx().fit(*given)
+    assert str(error.value) == (
+        f"expected records of inputs and outputs, found {found}. "
+        "Pass a list of pairs, [(u, y)], or of Record(u, y)"
+    )
+
+
 def test_scores_leave_masked_samples_out(lag_record):
     record = lag_record(0)
     model = Narx(STRUCTURE, QUICK).fit([record])
@@ -49,6 +87,7 @@ def test_before_fit_it_says_so():
     with pytest.raises(ModelError) as error:
         Narx().simulate(np.zeros(5), [0.0])
     assert str(error.value) == "the NARX network is not trained yet. Call fit first"
+    assert isinstance(error.value, NotFittedError)
 
 
 def test_scikit_learn_can_clone_it_and_knows_what_it_is():
@@ -58,3 +97,28 @@ def test_scikit_learn_can_clone_it_and_knows_what_it_is():
     assert copy.get_params() == model.get_params()
     assert is_regressor(model)
     assert repr(model).startswith("Narx(")
+
+
+def test_nested_settings_are_read_and_set_by_name():
+    model = Narx(train=QUICK)
+    assert model.get_params()["structure__hidden"] == NarxConfig().hidden
+    model.set_params(structure__hidden=3, structure__taps=[1], train__seed=7, dt_s=0.5)
+    assert model.structure == NarxConfig(hidden=3, taps=(1,))
+    assert model.train == QUICK.model_copy(update={"seed": 7})
+    assert model.dt_s == 0.5
+    assert clone(model).get_params() == model.get_params()
+
+
+def test_a_nested_setting_that_is_wrong_is_named():
+    with pytest.raises(ConfigError, match=r"^unknown key 'hiden'. Did you mean 'hidden'\?$"):
+        Narx().set_params(structure__hiden=3)
+    with pytest.raises(ValueError, match="Invalid parameter 'bogus'"):
+        Narx().set_params(bogus__lags=3)
+
+
+def test_a_grid_search_over_records_and_a_pipeline_work(lag_record):
+    records = [lag_record(seed) for seed in range(4)]
+    search = GridSearchCV(Narx(STRUCTURE, QUICK), {"structure__hidden": [1, 3]}, cv=2)
+    search.fit(records)
+    assert set(search.best_params_) == {"structure__hidden"}
+    assert make_pipeline(search.best_estimator_).fit(records).score(records) > 0.99
