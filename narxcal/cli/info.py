@@ -9,6 +9,7 @@ from typing import Any
 
 from narxcal.bundle import Bundle, load_bundle, read_document
 from narxcal.cli.console import Console
+from narxcal.cli.origin import steady_words
 
 SCHEMA = "narxcal.info/1"
 _FIGURES = ("rmse", "one_step_rmse", "steady_state_rmse")
@@ -112,10 +113,11 @@ def _facts(document: dict[str, Any]) -> dict[str, str]:
         "Network": f"lags {document['lags']}, hidden units {document['hidden']}, "
         f"weights {document['weights']}",
         "Weights": f"sha256 {document['weights_sha256'][:16]}",
+        "Steady state": steady_words(document),
         **{f"{part.capitalize()} logs": ", ".join(logs) or "none" for part, logs in split.items()},
         "Seeds": ", ".join(map(str, document["seeds"] or [])),
         "Versions": ", ".join(f"{name} {text}" for name, text in document["versions"].items()),
     }
     if training:
         facts["Training"] = f"{training.get('status', '')} ({training.get('wall_s', 0.0):.1f} s)"
-    return facts
+    return {name: text for name, text in facts.items() if text}

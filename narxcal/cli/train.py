@@ -15,6 +15,7 @@ from typing import Any
 from narxcal.bundle import DOCUMENT, Bundle, read_document, write_bundle
 from narxcal.cli.configured import read_config
 from narxcal.cli.console import Advance, Console
+from narxcal.cli.origin import steady_words
 from narxcal.errors import ConfigError
 from training.config import RunConfig
 from training.pipeline import (
@@ -146,6 +147,7 @@ def _document(folder: Path, meta: dict[str, Any]) -> dict[str, Any]:
 
 def _show(console: Console, folder: Path, bundle: Bundle) -> None:
     training = bundle.meta["training"]
+    console.facts({"Steady state": steady_words(bundle.meta)})
     rows = [
         [str(row["start"]), f"{row['horizon_s']:g}", str(row["iteration"]), *_errors(row)]
         for history in training["history"]

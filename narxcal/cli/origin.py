@@ -1,0 +1,29 @@
+"""Where a model's steady state comes from, in words: for `train`, `info` and the pages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from narxcal.channels import CHANNELS
+
+_KINDS = {"fmu": "FMU", "callable": "function"}
+
+
+def steady_words(meta: Mapping[str, Any]) -> str:
+    """What the steady-state model of a bundle rests on; empty where the bundle does not say."""
+    found = meta.get("steady_state") or {}
+    if not found:
+        return ""
+    if not found["fitted"]:
+        section = meta.get("config", {}).get("steady_state", {})
+        kind = section.get("kind", "model")
+        return f"the maker's {_KINDS.get(kind, kind)} {section.get('source', '')}".strip()
+    left = ", ".join(
+        f"{name} {rms:.3g} {CHANNELS[name].unit}".removesuffix(" -")
+        for name, rms in found["rms"].items()
+    )
+    return (
+        f"fitted to {found['samples']} quasi-steady samples over {100 * found['coverage']:.0f} % "
+        f"of the driver's range; RMS left: {left}"
+    )
