@@ -18,6 +18,8 @@ FloatArray = NDArray[np.float64]
 
 # A lever is a command: smoothing would move the start of a slam to an earlier sample.
 _SMOOTHED_ROLES = frozenset({"ambient", "output", "auxiliary"})
+# Ti of a fast movement is a few tenths of a second; the paper's 11 samples at 32 Hz last 0.34 s.
+_USUAL_S, _LONGEST_S = 0.35, 0.5
 
 
 class SmoothConfig(Section):
@@ -36,6 +38,19 @@ class SmoothConfig(Section):
         if window % 2 == 0:
             raise ValueError("a centred window is an odd number of samples")
         return window
+
+
+def blurs(config: SmoothConfig, logs: Sequence[Log]) -> str:
+    """What to say of a window that blurs fast movements; empty for one that does not."""
+    interval_s = max(log.dt_s for log in logs)
+    if config.window == 1 or config.window * interval_s <= _LONGEST_S:
+        return ""
+    usual = int(_USUAL_S / interval_s + 1e-9)
+    fitting = max(1, usual - 1 + usual % 2)
+    return (
+        f"[smooth] window = {config.window} lasts {config.window * interval_s:.2g} s at "
+        f"{1.0 / interval_s:.3g} Hz, which blurs fast movements: take {fitting}"
+    )
 
 
 def smooth(log: Log, config: SmoothConfig | None = None) -> Log:

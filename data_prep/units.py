@@ -70,6 +70,12 @@ _ALIASES = {
     "°F": "degF",
     "F": "degF",
     "R": "degR",
+    "celsius": "degC",
+    "kelvin": "K",
+    "fahrenheit": "degF",
+    "metre": "m",
+    "meter": "m",
+    "feet": "ft",
     "kts": "kt",
     "knots": "kt",
     "kgph": "kg/h",
@@ -78,10 +84,12 @@ _ALIASES = {
     "kg/hr": "kg/h",
     "pps": "lb/s",
     "pct": "%",
+    "percent": "%",
     "1": "-",
     "": "-",
     "bool": "0/1",
 }
+_PER_MINUTE = ("rpm", "1/min", "r/min", "min-1", "u/min")
 
 
 def find_unit(name: str, canonical: str) -> Unit:
@@ -99,11 +107,10 @@ def find_unit(name: str, canonical: str) -> Unit:
     wanted = _UNITS[target.unit].dimension
     if known.dimension == wanted or (wanted, known.dimension) == ("switch", "number"):
         return known
-    fitting = [unit for unit, each in _UNITS.items() if each.dimension == wanted]
     raise ConfigError(
         f"unit '{name}' is a {known.dimension}, this channel is a {wanted}",
         channel=canonical,
-        hint=f"Units that fit: {', '.join(fitting)}",
+        hint=f"Units that fit: {', '.join(_fitting(canonical))}",
     )
 
 
@@ -111,12 +118,19 @@ def _lookup(name: str, canonical: str) -> Unit:
     name = _ALIASES.get(name, name)
     if name in _UNITS:
         return _UNITS[name]
-    everything = [*_UNITS, *_ALIASES]
-    near = difflib.get_close_matches(name, everything, n=1, cutoff=0.5) or [
-        unit for unit in everything if unit.lower() == name.lower()
-    ]
-    hint = f"Did you mean '{near[0]}'?" if near else f"Known units: {', '.join(_UNITS)}"
+    fitting = _fitting(canonical)
+    everything = [*fitting, *(alias for alias, unit in _ALIASES.items() if unit in fitting)]
+    near = [unit for unit in everything if unit.lower() == name.lower()]
+    near = near or difflib.get_close_matches(name, everything, n=1, cutoff=0.5)
+    hint = f"Did you mean '{near[0]}'?" if near else f"Units that fit: {', '.join(fitting)}"
+    if name.lower() in _PER_MINUTE and channel(canonical).unit == "%":
+        hint = "Leave it out and set scale to 100 / (rpm at 100 %)"
     raise ConfigError(f"unknown unit '{name}'", channel=canonical, hint=hint)
+
+
+def _fitting(canonical: str) -> list[str]:
+    wanted = _UNITS[channel(canonical).unit].dimension
+    return [unit for unit, each in _UNITS.items() if each.dimension == wanted]
 
 
 def to_canonical(values: FloatArray, unit: Unit) -> FloatArray:

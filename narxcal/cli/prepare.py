@@ -14,6 +14,7 @@ import pandas as pd
 
 from data_prep.log import Log
 from data_prep.reading import read_logs
+from data_prep.smooth import blurs
 from eval.preparation import Prepared, events_table, pearson_table, study, windows_table
 from eval.report.content import RunHeader
 from eval.report.page import prepare_page, write_page
@@ -44,6 +45,8 @@ def run(options: Namespace, console: Console) -> int:
         _write(folder, studies, names, document)
         write_page(folder / "prepare.html", _page(config, studies))
     _show(console, studies, options.out)
+    if warning := blurs(config.smooth, [one.log for one in studies]):
+        console.warn(warning)
     console.document(document)
     return 0
 

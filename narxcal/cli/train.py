@@ -12,6 +12,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
+from data_prep.smooth import blurs
 from narxcal.bundle import DOCUMENT, Bundle, read_document, write_bundle
 from narxcal.cli.configured import read_config
 from narxcal.cli.console import Advance, Console
@@ -61,6 +62,8 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
         for number, file in enumerate(files):
             advance(number, len(files), file.name)
             logs += prepare_logs(config, [file])
+    if warning := blurs(config.smooth, logs):
+        console.warn(warning)
     checkpoints = folder / CHECKPOINTS
     with console.progress("Training") as advance:
         options = TrainOptions(_watch(config, advance), checkpoints, resume)

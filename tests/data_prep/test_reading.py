@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from data_prep import units
 from data_prep.csv_source import CsvSource, open_csv
 from data_prep.reading import LogsConfig, read_logs
 from narxcal.errors import ConfigError, DataError, NarxcalError
@@ -268,6 +269,12 @@ def test_a_missing_column_and_a_wrong_prefix_name_what_is_there(tmp_path):
     )
 
 
+def test_every_unit_is_documented():
+    page = ROOT / "docs" / "configuration.md"
+    (listed,) = re.findall(r"^Units: (.*?)\n\n", page.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    assert set(re.findall("`([^`]+)`", listed)) - {"scale"} == set(units._UNITS)
+
+
 def test_configuration_errors_name_the_nearest():
     with pytest.raises(ConfigError, match=r"channel FF_kgph: unknown unit 'lb/hh'. Did you mean"):
         mapped(FF_kgph={"column": "f", "unit": "lb/hh"})
@@ -276,6 +283,16 @@ def test_configuration_errors_name_the_nearest():
     assert str(caught.value).startswith(
         "channel FF_kgph: unit 'kt' is a speed, this channel is a mass flow. Units that fit: kg/h"
     )
+    with pytest.raises(ConfigError) as caught:
+        mapped(N2_pct={"column": "f", "unit": "rpm"})
+    assert str(caught.value) == (
+        "channel N2_pct: unknown unit 'rpm'. Leave it out and set scale to 100 / (rpm at 100 %)"
+    )
+    with pytest.raises(ConfigError) as caught:
+        mapped(ALT_ft={"column": "f", "unit": "zzz"})
+    assert str(caught.value) == "channel ALT_ft: unknown unit 'zzz'. Units that fit: ft, m, km, FL"
+    with pytest.raises(ConfigError, match=r"unknown unit 'DEGC'. Did you mean 'degC'"):
+        mapped(EGT_C={"column": "f", "unit": "DEGC"})
     with pytest.raises(ConfigError, match=r"unknown channel 'N1_pc'. Did you mean 'N1_pct'"):
         mapped(N1_pc={"column": "f"})
     with pytest.raises(ConfigError, match="belong together"):

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from data_prep.log import Log
 from data_prep.smooth import (
     SmoothConfig,
+    blurs,
     compare_windows,
     cutoff_hz,
     frequency_response,
@@ -116,6 +117,24 @@ def test_named_channels_only_and_window_one_changes_nothing():
     one = smooth(log, SmoothConfig(channels=("N1_pct",)))
     assert one["N2_pct"] is log["N2_pct"]
     np.testing.assert_array_equal(smooth(log, SmoothConfig(window=1))["N1_pct"], values)
+
+
+@pytest.mark.parametrize(
+    ("window", "rate_hz", "message"),
+    [
+        (11, 32.0, ""),
+        (3, 10.0, ""),
+        (1, 0.5, ""),
+        (11, 10.0, "lasts 1.1 s at 10 Hz, which blurs fast movements: take 3"),
+        (5, 4.0, "lasts 1.2 s at 4 Hz, which blurs fast movements: take 1"),
+    ],
+)
+def test_a_window_that_blurs_fast_movements_is_told_with_one_that_does_not(
+    window, rate_hz, message
+):
+    log = Log("log.csv", np.arange(50) / rate_hz, {"N1_pct": np.zeros(50)})
+    said = blurs(SmoothConfig(window=window), [log])
+    assert said.removeprefix(f"[smooth] window = {window} ") == message
 
 
 def test_masked_samples_stay_masked():
