@@ -33,7 +33,8 @@ class SensorLag(SensorEffect):
     """The sensor's time constant is `tau_s` longer than the simulator has it.
 
     The simulator's channel may be behind a lag of its own, `own_s`, which is then replaced:
-    `(1 + own s) / (1 + (own + tau) s)`. With `own_s` = 0 it is one more lag in series.
+    `(1 + own s) / (1 + (own + tau) s)`. With `own_s` = 0 it is one more lag in series. A probe
+    takes 5 s at most, at idle and altitude (FACTS A3): what is slower is the metal round it.
     """
 
     id: ClassVar[str] = "sensor_lag"
@@ -41,7 +42,7 @@ class SensorLag(SensorEffect):
     meaning: ClassVar[str] = "lag of one sensor"
     manoeuvre: ClassVar[str] = "fast steps: a lag rounds one channel off, a delay only shifts it"
     fixed = (
-        Parameter("tau_s", "s", 0.0, 15.0, 0.0, (0.2, 0.8, 3.0)),
+        Parameter("tau_s", "s", 0.0, 6.0, 0.0, (0.2, 0.8, 3.0)),
         Parameter("own_s", "s", 0.0, 2.5, 0.0, (0.05, 0.6)),
     )
 

@@ -165,9 +165,10 @@ class IdleSchedule(OffsetEffect):
 class HeatSoak(OffsetEffect):
     """Temperature (and N2) trail power by a slow share: metal still cold, clearances still open.
 
-    The shape is the temperature behind a lag of `rise_s` less that behind one of `tau_s` (FACTS A4:
-    30 to 300 s). Blades and discs grow before the casing does: the share may take some time to
-    come, and takes longer to go.
+    The shape is the temperature behind a lag of `rise_s` less that behind one of `tau_s`: 30 to
+    300 s for discs and casing (FACTS A4), a third of that for blades and thin walls, which is where
+    the lags of probes end. Blades and discs grow before the casing does: the share may take some
+    time to come, and takes longer to go.
     """
 
     id: ClassVar[str] = "heat_soak"
@@ -175,7 +176,7 @@ class HeatSoak(OffsetEffect):
     meaning: ClassVar[str] = "slow drift after a change of power"
     manoeuvre: ClassVar[str] = "3 to 5 minutes of hold after a large step, from cold and from hot"
     fixed = (
-        Parameter("tau_s", "s", 20.0, 400.0, 20.0, (30.0, 80.0, 200.0)),
+        Parameter("tau_s", "s", 8.0, 400.0, 20.0, (12.0, 35.0, 80.0, 200.0)),
         Parameter("rise_s", "s", 0.0, 60.0, 0.0, (1.0, 10.0)),
     )
 

@@ -59,6 +59,15 @@ class Fit:
         """Names of the effects, joined by a plus."""
         return " + ".join(effect.name for effect in self.effects)
 
+    @property
+    def at_end(self) -> bool:
+        """Whether the time constant or delay that an effect begins with lies on a bound."""
+        first = np.cumsum((0, *self.sizes[:-1]))
+        times = (
+            (self.parameters[k], self.theta[k]) for k in first if self.parameters[k].unit == "s"
+        )
+        return any(value in (p.low, p.high) and value != p.neutral for p, value in times)
+
 
 def in_nearly_all(gained: FloatArray) -> bool:
     """Whether what is `gained` (flights,) is more than nothing in all but one; in all of a few."""

@@ -16,6 +16,7 @@ from training.gap.unlogged import has_load, witnesses
 _FAINT = 0.02  # of the peak of a response: where it counts half
 _LEAST = 0.01  # of the noise's energy: less of a gap is none to take shares of
 _WITHIN = 0.05  # what a gain counts that any simulator's misfit would explain, too
+_AT_END = 0.8  # what a fit counts whose time constant would go on past its bound
 
 
 @dataclass(frozen=True)
@@ -153,9 +154,11 @@ class Work:
         """What candidates are ordered by: what one is worth, times what it explains where it acts.
 
         Of two that gain much the same, one that explains what it touches is there; one that
-        explains it in part follows something else, of which it may gain as much by its size.
+        explains it in part follows something else, of which it may gain as much by its size. So
+        does one whose time constant ends on its bound: what it follows is slower or faster than the
+        effect can be.
         """
-        return self.worth(tried) * self.aligned(tried)
+        return self.worth(tried) * self.aligned(tried) * (_AT_END if tried.at_end else 1.0)
 
     @property
     def loudest(self) -> float:

@@ -50,3 +50,29 @@ def test_a_small_gap_that_an_effect_explains_wherever_it_acts_tells(
     assert work.aligned(right) > 0.95
     assert work.tells(right) is told
     assert not work.tells(other)
+
+
+@pytest.mark.parametrize(
+    ("name", "truth"),
+    [("heat_soak", [12.0, 0.0, 0.0, -0.6]), ("sensor_lag:EGT_C", [4.5, 0.5])],
+)
+def test_thin_metal_and_a_slow_probe_are_told_apart(name, truth, flights, engine, recorded):
+    """Both are a pole behind a zero; which has which is where the range of either ends."""
+    measure = misfit(flights, recorded({name: truth}), NOISE)
+    problem = Problem(flights, engine, measure)
+    work = Work(problem, Options(), measure.size(measure.gap), NOISE, measure)
+    fits = {n: fit([effect(n)], problem) for n in ("heat_soak", "sensor_lag:EGT_C")}
+    assert max(fits, key=lambda one: work.rank(fits[one])) == name
+    assert fits[name].theta[0] == pytest.approx(truth[0], rel=0.1)
+
+
+def test_a_time_constant_on_its_bound_counts_less(flights, engine, recorded):
+    """Metal twice as slow as any probe, for which only a probe is offered."""
+    measure = misfit(flights, recorded({"sensor_lag:EGT_C": [12.0, 0.5]}), NOISE)
+    problem = Problem(flights, engine, measure)
+    work = Work(problem, Options(), measure.size(measure.gap), NOISE, measure)
+    found = fit([effect("sensor_lag:EGT_C")], problem)
+    assert found.theta[0] == found.parameters[0].high
+    assert found.at_end
+    assert work.rank(found) == pytest.approx(0.8 * work.worth(found) * work.aligned(found))
+    assert not fit([effect("sensor_lag:N2_pct")], problem).at_end
