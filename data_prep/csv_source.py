@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, TextIO, cast
 import numpy as np
 import pandas as pd
 
+from data_prep.clock import clock_seconds
 from data_prep.dialect import COMMA_NUMBER, Dialect, next_header, open_text, sniff
 from narxcal.errors import DataError
 
@@ -46,9 +47,9 @@ class _Prefixed:
 class CsvSource:
     """One CSV file: its header, and on request some of its columns.
 
-    Only the requested columns are kept, as float64; the text is read in pieces of
-    `chunk_rows` rows. Row 1 is the first data row below the header; blank lines and comment
-    lines are not counted. A row shorter than the header ends in blanks.
+    Only the requested columns are kept, as float64, clock times as seconds; the text is read in
+    pieces of `chunk_rows` rows. Row 1 is the first data row below the header; blank lines and
+    comment lines are not counted. A row shorter than the header ends in blanks.
     """
 
     def __init__(self, path: Path, dialect: Dialect, chunk_rows: int = CHUNK_ROWS) -> None:
@@ -102,8 +103,9 @@ class CsvSource:
             # The first rows held whole numbers only, so the comma could not be seen there.
             self.dialect = replace(self.dialect, decimal=",", decimal_open=False)
             return
+        wanted = "a clock time or a date" if name == self.dialect.clock else "a number"
         raise DataError(
-            f"expected a number, found {text[:_SHOWN_CHARS]!r}",
+            f"expected {wanted}, found {text[:_SHOWN_CHARS]!r}",
             file=self.path,
             channel=name,
             row=row,
@@ -128,9 +130,16 @@ class CsvSource:
             row += len(chunk)
             if len(fresh):
                 yield {
-                    name: fresh[position].to_numpy(dtype=np.float64, copy=True)
+                    name: self._values(name, fresh[position])
                     for name, position in positions.items()
                 }
+
+    def _values(self, name: str, cells: pd.Series[Any]) -> FloatArray:
+        if name != self.dialect.clock:
+            return cells.to_numpy(dtype=np.float64, copy=True)
+        if self._unreadable(name, cells).any():
+            raise ValueError("neither a clock time nor a date")
+        return clock_seconds(cells)
 
     def _refuse_long_rows(self, extra: pd.Series[Any], row: int) -> None:
         if extra.notna().any():
@@ -152,6 +161,9 @@ class CsvSource:
         """Pieces of the table, plus the field after the last column to catch rows too long."""
         count = len(self.header)
         dialect = self.dialect
+        kinds = {**dict.fromkeys(positions, dtype), count: object}
+        if dialect.clock:
+            kinds[self._position(dialect.clock)] = object
         # pandas learns from the first row how many fields there may be.
         widest = dialect.delimiter.join(["0"] * (count + 1)) + "\n"
         with self._rows() as text, warnings.catch_warnings():
@@ -165,7 +177,7 @@ class CsvSource:
                 names=list(range(count + 1)),
                 usecols=sorted({*positions, count}),
                 index_col=False,
-                dtype={**dict.fromkeys(positions, dtype), count: object},
+                dtype=kinds,
                 skipinitialspace=True,
                 chunksize=self.chunk_rows,
                 engine="c",
@@ -182,7 +194,7 @@ class CsvSource:
                 found = [
                     (int(bad.argmax()), position, name)
                     for name, position in positions.items()
-                    if (bad := self._unreadable(chunk[position])).any()
+                    if (bad := self._unreadable(name, chunk[position])).any()
                 ]
                 if found:
                     at, position, name = min(found)
@@ -192,7 +204,9 @@ class CsvSource:
             return None
         return None
 
-    def _unreadable(self, texts: pd.Series[Any]) -> NDArray[np.bool_]:
+    def _unreadable(self, name: str, texts: pd.Series[Any]) -> NDArray[np.bool_]:
+        if name == self.dialect.clock:
+            return np.asarray(np.isnan(clock_seconds(texts)) & texts.notna())
         plain = texts.astype("str").str.strip()
         if self.dialect.decimal != ".":
             plain = plain.str.replace(".", "x").str.replace(self.dialect.decimal, ".")
@@ -214,11 +228,16 @@ def readable(path: Path) -> Iterator[None]:
         raise DataError(f"the file cannot be read ({error.strerror})", file=path) from error
 
 
-def open_csv(path: Path, delimiter: str, decimal: str, comment: str) -> CsvSource:
-    """Find out how `path` is written; raises `DataError` when it is empty or unreadable."""
+def open_csv(
+    path: Path, delimiter: str, decimal: str, comment: str, time: str = "time_s"
+) -> CsvSource:
+    """Find out how `path` is written; raises `DataError` when it is empty or unreadable.
+
+    Column `time` may hold clock times (see `data_prep.clock`).
+    """
     with readable(path), open_text(path) as text:
         try:
-            dialect = sniff(text, delimiter, decimal, comment)
+            dialect = sniff(text, delimiter, decimal, comment, time)
         except DataError as error:
             raise DataError(error.problem, file=path, hint=error.hint) from None
     return CsvSource(path, dialect)

@@ -11,6 +11,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TextIO
 
+from data_prep.clock import is_clock
 from narxcal.errors import DataError
 
 if TYPE_CHECKING:
@@ -36,7 +37,8 @@ _POINT_NUMBER = re.compile(r'"?\s*[+-]?\d*\.\d+([eE][+-]?\d+)?\s*"?')
 class Dialect:
     """What has to be known to parse the data rows; delimiter ` ` means any run of blanks.
 
-    `decimal_open`: no decimal mark was seen yet, so that a comma may still turn up.
+    `decimal_open`: no decimal mark was seen yet, so that a comma may still turn up. `clock` is the
+    column that holds clock times or dates, if there is one.
     """
 
     delimiter: str
@@ -44,6 +46,7 @@ class Dialect:
     decimal_open: bool
     comment: str
     header: tuple[str, ...]
+    clock: str = ""
 
 
 def open_text(path: Path) -> TextIO:
@@ -78,8 +81,10 @@ def next_header(text: TextIO, comment: str) -> str:
     raise DataError("the file is empty", hint="Expected a header line and data rows")
 
 
-def sniff(text: TextIO, delimiter: str, decimal: str, comment: str) -> Dialect:
+def sniff(text: TextIO, delimiter: str, decimal: str, comment: str, time: str) -> Dialect:
     """Read the header and the first rows; `auto` is decided from them.
+
+    Column `time` may hold clock times or dates instead of numbers, which its first cell decides.
 
     The delimiter is the one of `; TAB | ,` that the header and most rows hold equally often,
     else blanks; the decimal mark is a comma where numbers like `1,5` occur and none like `1.5`.
@@ -95,13 +100,24 @@ def sniff(text: TextIO, delimiter: str, decimal: str, comment: str) -> Dialect:
         delimiter = _delimiter(header, rows)
     if decimal == "auto":
         decimal = _decimal(rows, delimiter)
+    names = _fields(header, delimiter)
     return Dialect(
         delimiter=delimiter,
         decimal=decimal or ".",
         decimal_open=not decimal,
         comment=comment,
-        header=_fields(header, delimiter),
+        header=names,
+        clock=time if is_clock(_first_cell(rows, delimiter, names, time)) else "",
     )
+
+
+def _first_cell(rows: list[str], delimiter: str, header: tuple[str, ...], name: str) -> str:
+    """The first content of column `name`, empty where there is none."""
+    if name not in header:
+        return ""
+    position = header.index(name)
+    cells = (_fields(row, delimiter)[position : position + 1] for row in rows)
+    return next((cell[0] for cell in cells if cell and cell[0]), "")
 
 
 def _is_no_text(line: str) -> bool:

@@ -106,6 +106,11 @@ class LogsConfig(Section):
             )
         return list(found)
 
+    @property
+    def time_column(self) -> str:
+        """Header of the column that holds the time stamps."""
+        return self.columns["time_s"].column if self.columns else "time_s"
+
     def sources(self, header: tuple[str, ...]) -> dict[str, ColumnSource]:
         """Channel -> source; the canonical names found in `header` when none are configured."""
         if self.columns:

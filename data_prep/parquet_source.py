@@ -16,13 +16,18 @@ if TYPE_CHECKING:
 
 MAGIC = b"PAR1"
 BATCH_ROWS = 100_000
+_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 class ParquetSource:
-    """One Parquet file: its header, and on request some of its columns; row 1 is the first."""
+    """One Parquet file: its header, and on request some of its columns; row 1 is the first.
 
-    def __init__(self, path: Path) -> None:
+    Column `time` may be one of dates or durations, which become seconds (dates from 1970).
+    """
+
+    def __init__(self, path: Path, time: str = "time_s") -> None:
         self.path = path
+        self._time = time
         try:
             import pyarrow as pa  # noqa: PLC0415 - an extra, needed for such files only
             from pyarrow import parquet  # noqa: PLC0415 - likewise
@@ -34,7 +39,8 @@ class ParquetSource:
             ) from None
         self._broken = (pa.ArrowException, OSError)
         self._numeric = (pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean)
-        self._double = pa.float64()
+        self._temporal = (pa.types.is_timestamp, pa.types.is_duration)
+        self._integer, self._double = pa.int64(), pa.float64()
         try:
             self._file: Any = parquet.ParquetFile(path)
         except self._broken as error:
@@ -60,19 +66,26 @@ class ParquetSource:
         """The named columns in blocks of up to `BATCH_ROWS` rows; raises as `read`."""
         for name in names:
             kind = self._file.schema_arrow.field(name).type
-            if not any(fits(kind) for fits in self._numeric):
+            kinds = self._numeric + (self._temporal if name == self._time else ())
+            if not any(fits(kind) for fits in kinds):
                 raise DataError(
                     f"expected a column of numbers, found {kind}", file=self.path, channel=name
                 )
         try:
             for batch in self._file.iter_batches(BATCH_ROWS, columns=list(names)):
                 columns = {name: batch.column(name) for name in names}
-                yield {
-                    name: column.cast(self._double, safe=False).to_numpy(zero_copy_only=False)
-                    for name, column in columns.items()
-                }
+                yield {name: self._values(column) for name, column in columns.items()}
         except self._broken as error:
             raise self._damaged() from error
+
+    def _values(self, column: Any) -> FloatArray:
+        if not any(fits(column.type) for fits in self._temporal):
+            return self._doubles(column)
+        return self._doubles(column.cast(self._integer)) * _SECONDS[column.type.unit]
+
+    def _doubles(self, column: Any) -> FloatArray:
+        values: FloatArray = column.cast(self._double, safe=False).to_numpy(zero_copy_only=False)
+        return values
 
     def _damaged(self) -> DataError:
         return DataError("the Parquet file is damaged", file=self.path, hint="Copy it again")

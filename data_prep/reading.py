@@ -91,8 +91,8 @@ def open_table(path: Path, config: LogsConfig) -> Table:
     with readable(path), path.open("rb") as raw:
         magic = raw.read(len(MAGIC))
     if magic == MAGIC:
-        return ParquetSource(path)
-    return open_csv(path, config.delimiter, config.decimal, config.comment)
+        return ParquetSource(path, config.time_column)
+    return open_csv(path, config.delimiter, config.decimal, config.comment, config.time_column)
 
 
 def _sha256(path: Path) -> str:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 _MAX_DECIMALS = 7
 _BASELINES_ROWS = (256, 64, 16, 4)
 _LATEST_S = 1e11  # later than any clock that counts seconds
+# How stamps are printed: milliseconds of a date stay, and the last bits of a sum do not show.
+PRINTED = "%.15g"
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from data_prep.raster_stream import RasterStream
+from data_prep.stamps import PRINTED
 from eval.replay_engine import EngineReplay, Rows
 from eval.replay_setup import ReplayModel, ReplayOptions
 from eval.stream import CsvStream, Pace
@@ -235,7 +236,7 @@ def _lines(rows: Rows, engine: str | None) -> list[tuple[float, str]]:
     results = np.stack([rows.prediction, rows.fused, rows.innovation], axis=2)
     table = np.column_stack([rows.time_s, results.reshape(len(rows.time_s), 3 * n_out)]).tolist()
     flags = np.column_stack([rows.inside, rows.held, rows.gap]).astype(int).tolist()
-    form = ",".join(["%.10g", *([engine] if engine else []), *["%.10g"] * (3 * n_out)])
+    form = ",".join([PRINTED, *([engine] if engine else []), *["%.10g"] * (3 * n_out)])
     tail = ",%d,%d,%d\n"
     return [
         (row[0], (form % tuple(row)).replace("nan", "") + tail % tuple(flag))

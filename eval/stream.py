@@ -56,7 +56,11 @@ class CsvStream:
 
     def __post_init__(self) -> None:
         self._table = open_csv(
-            self.path, self.config.delimiter, self.config.decimal, self.config.comment
+            self.path,
+            self.config.delimiter,
+            self.config.decimal,
+            self.config.comment,
+            self.config.time_column,
         )
         self._columns = map_columns(self._table, self.config)
         self._sources = self.config.sources(self._table.header)

@@ -15,6 +15,7 @@ import pandas as pd
 from data_prep.log import Log
 from data_prep.reading import read_logs
 from data_prep.smooth import blurs
+from data_prep.stamps import PRINTED
 from eval.preparation import Prepared, events_table, pearson_table, study, windows_table
 from eval.report.content import RunHeader
 from eval.report.page import prepare_page, write_page
@@ -80,8 +81,10 @@ def _write(
 ) -> None:
     for one, name in zip(studies, names, strict=True):
         _write_log(folder / name, one.log)
+    events = events_table(studies)
+    events["start_s"] = events["start_s"].map(PRINTED.__mod__)
     for name, table in (
-        ("events.csv", events_table(studies)),
+        ("events.csv", events),
         ("pearson.csv", pearson_table(studies)),
         ("windows.csv", windows_table(studies)),
     ):
@@ -103,7 +106,8 @@ def file_names(logs: Sequence[Log]) -> list[str]:
 def _write_log(path: Path, log: Log) -> None:
     """Write a canonical log that `read_logs` reads back; no time stamp, so the bytes repeat."""
     path.parent.mkdir(exist_ok=True)
-    table = pd.DataFrame({"time_s": log.time_s, **log.channels})
+    stamps = [PRINTED % stamp for stamp in log.time_s.tolist()]
+    table = pd.DataFrame({"time_s": stamps, **log.channels})
     text = table.to_csv(index=False, float_format="%.9g", lineterminator="\n")
     path.write_bytes(gzip.compress(text.encode("utf-8"), compresslevel=6, mtime=0))
 

@@ -13,6 +13,7 @@ import pandas as pd
 from data_prep.log import Log
 from data_prep.logs_config import LogsConfig
 from data_prep.reading import open_table
+from data_prep.stamps import PRINTED
 from narxcal.atomic import atomic_write_text
 from narxcal.bundle import Bundle, load_bundle
 from narxcal.calibration import DynamicCalibration
@@ -52,6 +53,7 @@ def run(options: Namespace, console: Console) -> int:
     if len({one.log.source.engine for one in runs}) == 1:
         tables = [table.drop(columns="engine") for table in tables]
     joined = pd.concat(tables).sort_values("time_s", kind="stable")
+    joined["time_s"] = joined["time_s"].map(PRINTED.__mod__)
     atomic_write_text(
         options.out, joined.to_csv(index=False, float_format="%.9g", lineterminator="\n")
     )

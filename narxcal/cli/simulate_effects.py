@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from data_prep.log import Log
+from data_prep.stamps import PRINTED
 from eval.gap.applied import FoundEffects, read_effects
 from eval.gap.data import FloatArray
 from eval.gap.log_folders import read_folder
@@ -112,7 +113,7 @@ def _changed(
 
 
 def _csv(channels: Mapping[str, FloatArray]) -> bytes:
-    form = ",".join(["%.9g"] * len(channels)) + "\n"
+    form = ",".join([PRINTED, *["%.9g"] * (len(channels) - 1)]) + "\n"
     table = np.column_stack(list(channels.values())) + 0.0
     text = "".join([form % tuple(row) for row in table.tolist()]).replace("nan", "")
     return (",".join(channels) + "\n" + text).encode()

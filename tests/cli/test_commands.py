@@ -220,6 +220,19 @@ def test_simulate_gives_the_free_run_and_needs_no_outputs(project, narxcal, tmp_
     assert math.sqrt(np.mean((table["N1_pct"] - measured) ** 2)) < 6.0
 
 
+def test_stamps_of_a_clock_that_counts_since_1970_keep_their_fractions(project, narxcal, tmp_path):
+    flight = pd.read_csv(project / "flights" / "flight_3.csv").head(400)
+    inputs = tmp_path / "flight_1.csv"
+    flight.assign(time_s=1.7e9 + flight["time_s"]).round(4).to_csv(inputs, index=False)
+    assert narxcal("simulate", project / "run", inputs, "--out", tmp_path / "s.csv").code == 0
+    assert narxcal("replay", project / "run", inputs, "--out", tmp_path / "r.csv").code == 0
+    data = ("--data", tmp_path, "--out", tmp_path / "p")
+    assert narxcal("prepare", project / "tiny.toml", *data, "--quiet").code == 0
+    for file in ("s.csv", "r.csv", "p/logs/flight_1.csv.gz"):
+        stamps = pd.read_csv(tmp_path / file)["time_s"]
+        np.testing.assert_allclose(stamps.diff().dropna(), 0.125, rtol=0, atol=1e-4)
+
+
 def test_simulate_reads_the_recorder_s_columns_by_the_mapping_of_the_model(
     narxcal, write_pieces, tmp_path
 ):

@@ -34,6 +34,18 @@ def test_nulls_are_missing(tmp_path):
     assert log.audit.masked() == {"N1_pct": {"missing": 3}}
 
 
+def test_dates_and_durations_are_time_stamps_but_no_other_channel(tmp_path):
+    for kind, start_s in ((pa.timestamp("ms"), 1.7e9), (pa.duration("us"), 0.0)):
+        ticks = 1_000 if kind == pa.timestamp("ms") else 1_000_000
+        stamps = pa.array([round((start_s + k / 10) * ticks) for k in range(20)], "i8").cast(kind)
+        path = write(tmp_path / "a.parquet", time_s=stamps, N1_pct=np.arange(20.0))
+        (log,) = read_logs(path)
+        np.testing.assert_allclose(log.time_s, start_s + np.arange(20) / 10, rtol=0, atol=1e-6)
+        path = write(tmp_path / "b.parquet", time_s=np.arange(20.0), N1_pct=stamps)
+        with pytest.raises(DataError, match="N1_pct: expected a column of numbers, found"):
+            read_logs(path)
+
+
 def test_text_and_damage_are_refused(tmp_path):
     path = write(tmp_path / "a.parquet", time_s=[0.0, 0.1], N1_pct=["x", "y"])
     with pytest.raises(DataError) as caught:

@@ -1,0 +1,40 @@
+"""Time stamps as recorders print them: clock times and ISO 8601 dates, as seconds.
+
+A clock time `12:34:56.7`, with the day of the year before it where there is one
+(`123:12:34:56.7`), counts from midnight of day 0; a date, `2026-03-01T12:34:56.7`, from 1970, in
+UTC where it names no zone.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+if TYPE_CHECKING:
+    from data_prep.log import FloatArray
+
+_CLOCK = r"\s*(?:(\d{1,3}):)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d*)?)\s*"
+_DATE = r"\s*\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}.*"
+_UNIT_S = np.array([86400.0, 3600.0, 60.0, 1.0])
+
+
+def is_clock(text: str) -> bool:
+    """Whether `text` is a clock time or a date rather than a number."""
+    return re.fullmatch(f"{_CLOCK}|{_DATE}", text) is not None
+
+
+def clock_seconds(texts: pd.Series[Any]) -> FloatArray:
+    """Seconds `(rows,)`; NaN for a blank, and for what is neither a clock time nor a date."""
+    plain = texts.astype("str").where(texts.notna(), "").str.replace(",", ".")
+    parts = plain.str.extract(f"^{_CLOCK}$").astype(np.float64).to_numpy()
+    parts[:, 0] = np.nan_to_num(parts[:, 0])  # a day is not always told
+    seconds = np.asarray(parts @ _UNIT_S, dtype=np.float64)
+    dates = plain[np.isnan(seconds) & plain.str.fullmatch(_DATE).to_numpy(dtype=np.bool_)]
+    if len(dates):
+        stamps = pd.to_datetime(dates, format="ISO8601", utc=True, errors="coerce")
+        since = (stamps - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(1, "s")
+        seconds[plain.index.get_indexer(dates.index)] = since.to_numpy(dtype=np.float64)
+    return seconds

@@ -1,0 +1,82 @@
+"""Clock times and dates as time stamps: what they mean, and what is no such thing."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from data_prep.clock import clock_seconds, is_clock
+from data_prep.large import large_logs
+from data_prep.log import Source
+from data_prep.reading import LogsConfig, open_table, read_logs
+from eval.stream import CsvStream
+from narxcal.errors import DataError
+
+COLUMNS = {"columns": {"time_s": {"column": "UTC"}, "N1_pct": {"column": "fan"}}}
+CLOCK = [f"23:59:5{k // 10}.{k % 10}" for k in range(40)]
+DATES = [f"2026-03-01T12:00:0{k // 10}.{k % 10}Z" for k in range(40)]
+MIDDAY_S = 20513 * 86400.0 + 43200.0  # 1 March 2026 is day 20513 after 1 January 1970
+
+
+def write(folder, stamps, delimiter=",", decimal="."):
+    rows = [f"{stamp}{delimiter}{80 + k}{decimal}5" for k, stamp in enumerate(stamps)]
+    path = folder / "log.csv"
+    path.write_text("\n".join([f"UTC{delimiter}fan", *rows]) + "\n", "utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("12:34:56", 45296.0),
+        (" 1:02:03,25 ", 3723.25),
+        ("123:00:00:01.5", 123 * 86400.0 + 1.5),
+        ("1970-01-01T00:00:01.5", 1.5),
+        ("1970-01-02 01:00:00+01:00", 86400.0),
+        ("1970-01-01T00:01Z", 60.0),
+    ],
+)
+def test_a_clock_time_counts_from_midnight_and_a_date_from_1970(text, seconds):
+    assert is_clock(text)
+    np.testing.assert_allclose(clock_seconds(pd.Series([text, None])), [seconds, np.nan])
+
+
+@pytest.mark.parametrize("text", ["12", "12:30", "1.5e3", "", "noon", "2026-13-01T12:00:00"])
+def test_anything_else_is_neither(text):
+    assert np.isnan(clock_seconds(pd.Series([text]))).all()
+
+
+@pytest.mark.parametrize(("stamps", "start_s"), [(CLOCK, 86390.0), (DATES, MIDDAY_S)])
+def test_files_blocks_and_streams_agree_on_the_stamps(tmp_path, stamps, start_s):
+    config = LogsConfig.parse(COLUMNS)
+    path = write(tmp_path, stamps, ";", ",")
+    (log,) = read_logs(path, config)
+    np.testing.assert_allclose(log.time_s, start_s + np.arange(40) / 10, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(log["N1_pct"], 80.5 + np.arange(40))
+    (large,) = large_logs(open_table(path, config), config, {"": Source(str(path))})
+    np.testing.assert_allclose(large.time_s, log.time_s, rtol=0, atol=1e-6)
+    (block,) = CsvStream(path, config).blocks([""])
+    np.testing.assert_allclose(block[""]["time_s"], log.time_s, rtol=0, atol=1e-6)
+
+
+def test_a_stamp_that_is_none_is_told_by_row_and_a_blank_is_dropped(tmp_path):
+    config = LogsConfig.parse(COLUMNS)
+    (log,) = read_logs(write(tmp_path, [*CLOCK[:20], "", *CLOCK[21:]]), config)
+    assert ("*", "dropped", "no time stamp", 1) in [
+        (entry.channel, entry.action, entry.reason, entry.samples) for entry in log.audit.entries
+    ]
+    path = write(tmp_path, [*CLOCK[:20], "soon", *CLOCK[21:]])
+    with pytest.raises(DataError) as caught:
+        read_logs(path, config)
+    assert str(caught.value) == (
+        f"{path}, channel UTC, row 21: expected a clock time or a date, found 'soon'. "
+        "Row 1 is the first data row below the header"
+    )
+
+
+def test_other_columns_stay_numbers(tmp_path):
+    config = LogsConfig.parse(
+        {"columns": {"time_s": {"column": "fan"}, "N1_pct": {"column": "UTC"}}}
+    )
+    path = write(tmp_path, CLOCK)
+    with pytest.raises(DataError, match=r"UTC, row 1: expected a number, found '23:59:50\.0'"):
+        read_logs(path, config)
