@@ -174,9 +174,10 @@ class VirtualEngine:
         `narxcal.turbofan.transient` likewise. No sensor is between: EGT alone is behind its
         probe, whose lag depends on the engine.
 
-        Raises `ModelError` if a sample lies outside the envelope or does not converge.
+        Raises `ModelError` if an input is missing or of another length, or if a sample lies
+        outside the envelope or does not converge.
         """
-        u = np.column_stack([np.asarray(inputs[name], np.float64) for name in INPUT_NAMES])
+        u = _stacked(inputs)
         self._check(u, dt_s)
         u[:, 0] = resolver(u[:, 0], dt_s, self.fit.lever)
         commands = n1_command(self.fit.ratings, u)
@@ -272,6 +273,13 @@ def build_scatter(random: np.random.Generator, sigma_pct: float = 0.5) -> Health
     """Draw a build: every efficiency and flow off by a normal `sigma_pct` percent."""
     drawn = 1.0 + 0.01 * sigma_pct * random.standard_normal(len(Health._fields))
     return Health(*drawn.tolist())
+
+
+def _stacked(inputs: Mapping[str, FloatArray]) -> FloatArray:
+    found = [np.asarray(inputs[name], np.float64) for name in INPUT_NAMES if name in inputs]
+    if len(found) < len(INPUT_NAMES) or len({each.shape for each in found}) > 1:
+        raise ModelError(f"expected inputs of one length: {', '.join(INPUT_NAMES)}")
+    return np.column_stack(found)
 
 
 def _where(u: FloatArray) -> str:

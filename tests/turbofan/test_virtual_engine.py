@@ -214,6 +214,14 @@ def test_lost_flow_speeds_the_core_up_where_lost_efficiency_slows_it(bench):
     assert abs(found[0]) < 3.0
 
 
+def test_an_input_that_is_missing_or_of_another_length_is_refused(bench, log):
+    whole = log(4)
+    short = {name: values for name, values in whole.items() if name != "WAI"}
+    for inputs in (short, {**whole, "WAI": np.zeros(3)}):
+        with pytest.raises(ModelError, match="^expected inputs of one length: TRA_deg, ALT_ft, "):
+            bench.engine.simulate(inputs, 1.0 / HZ)
+
+
 def test_what_is_outside_the_envelope_is_named(bench, log):
     with pytest.raises(ModelError, match=r"sample 2: Mach is 0\.9 -, outside .* 0 \.\. 0\.85"):
         bench.engine.simulate(log(4, Mach=[0.1, 0.2, 0.9, 0.3]), 1.0 / HZ)
