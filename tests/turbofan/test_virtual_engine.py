@@ -218,7 +218,7 @@ def test_an_input_that_is_missing_or_of_another_length_is_refused(bench, log):
     whole = log(4)
     short = {name: values for name, values in whole.items() if name != "WAI"}
     for inputs in (short, {**whole, "WAI": np.zeros(3)}):
-        with pytest.raises(ModelError, match="^expected inputs of one length: TRA_deg, ALT_ft, "):
+        with pytest.raises(ModelError, match=r"^expected inputs of one length: TRA_deg, ALT_ft, "):
             bench.engine.simulate(inputs, 1.0 / HZ)
 
 
