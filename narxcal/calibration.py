@@ -8,7 +8,8 @@ Source: papers/narx calibration, section 2.1 and figure 1. With `ss` the steady-
 
 where the schedule holds the steady-state values themselves and the flight condition. The
 parameter register keeps the past deviations and inputs between steps. Where there are lags
-(`narxcal.lag`), the deviation is theirs plus the network's, which is shown theirs.
+(`narxcal.lag` or `narxcal.lag_governed`), the deviation is theirs plus the network's, which is
+shown theirs.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from narxcal.errors import DataError, ModelError
-from narxcal.lag import LagModel
+from narxcal.lag_governed import AnyLags, lags_from_arrays
 from narxcal.narx_model import NarxModel
 from narxcal.register import Parts, Register, Sample, stacked
 from narxcal.steady_state import SteadyStateModel, steady_from_json, steady_to_json
@@ -61,10 +62,10 @@ class DynamicCalibration:
         self.schedule = tuple(schedule)
         self.settle_s = settle_s
         self._columns = [steady.input_names.index(name) for name in schedule]
-        self.lag: LagModel | None = None
+        self.lag: AnyLags | None = None
         self._register: Register | None = None
 
-    def with_lag(self, lag: LagModel | None) -> DynamicCalibration:
+    def with_lag(self, lag: AnyLags | None) -> DynamicCalibration:
         """The calibration with `lag` in front of a network that was trained for that."""
         if lag is not None and lag.output_names != self.output_names:
             raise ModelError(
@@ -217,7 +218,7 @@ class DynamicCalibration:
             steady = steady_from_json(meta["steady"], part["steady"])
             plain = cls(steady, narx, float(meta["dt_s"]), meta["schedule"], meta["settle_s"])
             lag = meta.get("lag")
-            plain.lag = None if lag is None else LagModel.from_arrays(lag, part["lag"])
+            plain.lag = None if lag is None else lags_from_arrays(lag, part["lag"])
         except KeyError as error:
             raise ModelError(
                 f"the stored calibration has no {error}",

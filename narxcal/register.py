@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from narxcal import kernels, register_step
 from narxcal.lag import Drive, LagModel, air_columns
-from narxcal.lag_steps import FAST, STATES
+from narxcal.lag_governed import AnyLags, GovernedLags
+from narxcal.lag_steps import CASING, FAST, STATES
 from narxcal.narx import AT_START, Weights
 from narxcal.narx_model import NarxModel
 from narxcal.register_step import OVERSHOOT, Lags, Memory, Network
@@ -30,7 +31,7 @@ class Parts(NamedTuple):
     """
 
     narx: NarxModel
-    lag: LagModel | None
+    lag: AnyLags | None
     dt_s: float
     settle_s: float | None
     names: tuple[str, ...]
@@ -86,11 +87,14 @@ class Register:
             newest[:] = np.where(known, self.outputs.down(deviation), newest)
             fading[1] = np.maximum(fading[1], np.abs(self.outputs.up(newest)))
         else:
-            fast = deviation - lagged[FAST + 1 :].sum(axis=0) - self.outputs.up(newest)
+            fast = deviation - lagged[FAST + 1 : CASING + 1].sum(axis=0) - self.outputs.up(newest)
             lagged[FAST] = np.where(known, fast, lagged[FAST])
 
     def step(self, given: FloatArray, ss: FloatArray) -> FloatArray:
         """Deviation (n_out,) at inputs (n_in,) and steady state (n_out,) one sample on."""
+        if isinstance(self.parts.lag, GovernedLags):
+            governed: FloatArray = self.extend(given[None], ss[None])[0]
+            return governed
         deviation: FloatArray = register_step.step(*self._compiled, self.memory, given, ss)
         return deviation
 
@@ -114,20 +118,21 @@ class Register:
             schedule=np.array(self.parts.columns, dtype=np.int64),
             keep=-1.0 if self.keep is None else self.keep,
         )
-        return network, lags_of(lag, self.parts.names, self.parts.dt_s)
+        plain = lag if isinstance(lag, LagModel) else None  # the other form runs by `extend`
+        return network, lags_of(plain, self.parts.names, self.parts.dt_s)
 
     def _lags(self, given: FloatArray, ss: FloatArray) -> FloatArray:
         lag, memory = self.parts.lag, self.memory
         if lag is None:
             return np.zeros_like(ss)
+        drive = lag.drive(given, self.parts.names, ss)
         # The air and the scale of the newest sample are behind it.
-        unused = np.ones((1, ss.shape[1]))
-        newest = Drive(memory.ss[None], memory.target[None], unused, np.zeros((1, 2)))
-        drive = lag.drive(given, self.parts.names, ss).after(newest)
+        unused = np.ones((1, ss.shape[1])), np.zeros((1, drive.air.shape[1]))
+        drive = drive.after(Drive(memory.ss[None], memory.target[None], *unused))
         states = lag.run(drive, (AT_START, memory.lagged[None]), self.parts.dt_s)
         memory.lagged[:] = states[-1]
         memory.target[:] = drive.target[-1]
-        deviation: FloatArray = states.sum(axis=1)[1:]
+        deviation: FloatArray = states[1:, : CASING + 1].sum(axis=1)
         return deviation
 
     def _features(self, given: FloatArray, ss: FloatArray, lagged: FloatArray) -> FloatArray:

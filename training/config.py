@@ -35,7 +35,9 @@ class NarxSection(Section):
     learns what they leave; they are fitted to errors in the outputs' units, or with
     `lag_errors = "relative"` as shares of the response that each belongs to. With `lag_limits`
     they know how fast a control lets the spools move, and what fuel that takes; with `lag_heat`
-    that the metal's heat drives the spools, and a slow tail is not taken for static error.
+    that the metal's heat drives the spools, and a slow tail is not taken for static error. With
+    `lag_governed` a control holds N1, and N2 goes where that takes it (see narxcal.lag_governed);
+    the other settings of lags then say nothing.
     """
 
     outputs: tuple[str, ...] = Field(default=("N1_pct", "N2_pct", "EGT_C"), min_length=1)
@@ -51,11 +53,14 @@ class NarxSection(Section):
     lag_errors: Literal["absolute", "relative"] = "absolute"
     lag_limits: bool = False
     lag_heat: bool = False
+    lag_governed: bool = False
 
     @model_validator(mode="after")
     def _lag_needs_an_anchor(self) -> NarxSection:
         if self.lag and not self.anchored:
             raise ValueError("lag = true needs anchored = true")
+        if self.lag_governed and not self.lag:
+            raise ValueError("lag_governed = true needs lag = true")
         return self
 
     @field_validator("outputs", "schedule")

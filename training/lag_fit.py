@@ -113,8 +113,7 @@ def fit_lags(
     Raises `DataError` where nothing ever moves.
     """
     input_names, output_names = names
-    every = max(int(_RASTER_S / dt_s + 1e-6), 1)
-    samples, dt_s = [one.thinned(every) for one in samples], every * dt_s
+    samples, dt_s = thinned_for_lags(samples, dt_s)
     model = _first_guess(samples, input_names, output_names)
     model = replace(model, parameters=start_values(model, form))
     core = core_of(output_names)
@@ -134,21 +133,34 @@ def fit_lags(
     return model
 
 
-def _first_guess(
-    samples: Sequence[LagSamples], input_names: Sequence[str], names: tuple[str, ...]
-) -> LagModel:
+def thinned_for_lags(samples: Sequence[LagSamples], dt_s: float) -> tuple[list[LagSamples], float]:
+    """The logs on the raster that lags are fitted on, and that raster in s."""
+    every = max(int(_RASTER_S / dt_s + 1e-6), 1)
+    return [one.thinned(every) for one in samples], every * dt_s
+
+
+def output_scales(
+    samples: Sequence[LagSamples], input_names: Sequence[str]
+) -> dict[str, FloatArray]:
+    """Centre and half range of the corrected outputs, and the limit of deviations, (n_out,)."""
     corrected = np.concatenate(
         [one.ss / thickness(one.inputs, input_names)[0][:, None] for one in samples]
     )
     low, high = corrected.min(axis=0), corrected.max(axis=0)
     largest = np.nanmax(np.abs(np.concatenate([one.ss - one.measured for one in samples])), axis=0)
-    return LagModel(
-        output_names=names,
-        parameters=np.zeros((len(names), len(PARAMETERS))),
-        centre=0.5 * (low + high),
-        half=np.maximum(0.5 * (high - low), 1e-9),
-        limit=_MARGIN * np.maximum(largest, 1e-9),
-    )
+    return {
+        "centre": 0.5 * (low + high),
+        "half": np.maximum(0.5 * (high - low), 1e-9),
+        "limit": _MARGIN * np.maximum(largest, 1e-9),
+    }
+
+
+def _first_guess(
+    samples: Sequence[LagSamples], input_names: Sequence[str], names: tuple[str, ...]
+) -> LagModel:
+    parameters = np.zeros((len(names), len(PARAMETERS)))
+    scales = output_scales(samples, input_names)
+    return LagModel(output_names=names, parameters=parameters, **scales)
 
 
 def _part(model: LagModel, one: LagSamples, input_names: Sequence[str], scored: _Scored) -> _Part:

@@ -11,12 +11,14 @@ from data_prep.log import Log
 from data_prep.quasi_steady import quasi_steady
 from narxcal.calibration import narx_features, steady_for_engine
 from narxcal.lag import LagModel, speeds_of
+from narxcal.lag_governed import AnyLags
 from narxcal.narx import NarxConfig
 from narxcal.records import Record
 from narxcal.steady_state import SteadyStateModel
 from training.config import RunConfig
 from training.emphasis import largest, motion_weight
 from training.lag_fit import LagSamples, fit_lags
+from training.lag_governed_fit import fit_governed
 from training.lag_start import LagForm
 from training.local_trim import locally_trimmed
 from training.rest import rest_records
@@ -28,7 +30,7 @@ _ROUNDS = 3  # of lags and static error, each found with the other known; more c
 def material(
     config: RunConfig,
     steady: SteadyStateModel,
-    lag: LagModel | None,
+    lag: AnyLags | None,
     sets: tuple[Sequence[Log], Sequence[Log]],
 ) -> Material:
     """Records of the logs to fit to and of those to stop by, and rest records if wanted."""
@@ -42,13 +44,14 @@ def material(
 
 
 def deviation_record(
-    log: Log, steady: SteadyStateModel, config: RunConfig, lag: LagModel | None = None
+    log: Log, steady: SteadyStateModel, config: RunConfig, lag: AnyLags | None = None
 ) -> Record:
     """What the network learns from: features and deviations of one log (papers/narx, 2.1).
 
     With lags in front of it, they are what the lags leave.
     """
-    one = _samples(log, steady, config, lag if config.narx.lag_heat else None)
+    heat = lag if config.narx.lag_heat and isinstance(lag, LagModel) else None
+    one = _samples(log, steady, config, heat)
     deviation, lagged = one.ss - one.measured, None
     if lag is not None:
         drive = lag.drive(one.inputs, steady.input_names, one.ss)
@@ -95,12 +98,15 @@ def _samples(
     return LagSamples(inputs, ss, measured)
 
 
-def lags(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> LagModel | None:
+def lags(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> AnyLags | None:
     """Fit the lags in front of the network to training logs; None where none are wanted."""
     if not config.narx.lag:
         return None
     names = (steady.input_names, tuple(steady.output_names))
     section = config.narx
+    if section.lag_governed:
+        samples = [_samples(log, steady, config) for log in logs]
+        return fit_governed(samples, names, logs[0].dt_s)
     form = LagForm(section.lag_errors == "relative", section.lag_limits, section.lag_heat)
     lag = None
     for _ in range(_ROUNDS if form.heat else 1):

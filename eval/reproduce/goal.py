@@ -1,9 +1,10 @@
 """Our own goal, which takes in what the paper left open: take-off, approach, throttle rate.
 
-The paper's structure and segments do not reach it. Slams from ground idle ride on the control's
-schedule of acceleration, which a lag without limits does not know; and on whole circuits a switch
-moves the engine between two moves of the lever (wheels that touch the ground, the approach idle),
-which segments cut round the lever's moves leave out.
+The paper's structure and segments do not reach it. The control holds N1, so that after a pull N2
+and the temperature fall below where they settle; slams from ground idle ride on its schedule of
+acceleration: a lag to where each output settles knows neither. And on whole circuits a switch moves
+the engine between two moves of the lever (wheels that touch the ground, the approach idle), which
+segments cut round the lever's moves leave out.
 """
 
 from __future__ import annotations
@@ -41,8 +42,13 @@ _TRAIN = {
 
 
 def goal_config(config: RunConfig) -> RunConfig:
-    """What `goal` is calibrated with: lags that know limits, where there are lags; more steps."""
-    narx = config.narx.model_copy(update={"lag_limits": config.narx.lag})
+    """What `goal` is calibrated with: lags that know the control, where there are lags; more steps.
+
+    A control can only hold the fan of an engine whose two speeds are outputs.
+    """
+    spools = {"N1_pct", "N2_pct"} <= set(config.narx.outputs)
+    form = "lag_governed" if spools else "lag_limits"
+    narx = config.narx.model_copy(update={form: config.narx.lag})
     return config.model_copy(update={"narx": narx, "train": config.train.model_copy(update=_TRAIN)})
 
 

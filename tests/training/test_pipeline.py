@@ -259,6 +259,11 @@ def test_lags_need_an_anchored_network():
         config(narx={**TABLE["narx"], "lag": True, "anchored": False})
 
 
+def test_what_a_control_holds_is_a_matter_of_lags():
+    with pytest.raises(ConfigError, match="lag_governed = true needs lag = true"):
+        config(narx={**TABLE["narx"], "lag_governed": True})
+
+
 def test_curves_may_go_over_another_channel_than_events_do(tmp_path):
     logs = tuple(
         log.with_channels({"FF_kgph": 50.0 + 3.0 * log["TRA_deg"]}) for log in split(1, 0, 0).train

@@ -187,7 +187,17 @@ def test_the_goal_learns_circuits_whole_and_the_rest_in_segments_at_half_the_ras
     assert {log.name.partition("[")[0] for log in split.train} == {
         log.name for log in data.whole_split.train
     }
-    assert goal_config(data.config).narx.lag_limits == data.config.narx.lag
+
+
+@pytest.mark.parametrize("lag", [False, True])
+def test_the_goal_knows_what_the_control_holds_where_there_are_two_speeds(data, lag):
+    narx = data.config.narx.model_copy(update={"lag": lag, "outputs": ("N1_pct", "N2_pct")})
+    config = data.config.model_copy(update={"narx": narx})
+    found = goal_config(config).narx
+    assert (found.lag_governed, found.lag_limits) == (lag, False)
+    one = narx.model_copy(update={"outputs": ("N2_pct", "EGT_C")})
+    found = goal_config(config.model_copy(update={"narx": one})).narx
+    assert (found.lag_governed, found.lag_limits) == (False, lag)
 
 
 def test_every_so_many_samples_are_kept_on_their_times(data):

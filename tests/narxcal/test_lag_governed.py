@@ -1,0 +1,265 @@
+"""Lags behind a control that holds N1: a slow twin, what the control does, what must not matter."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from narxcal.atmosphere import air_state
+from narxcal.errors import ModelError
+from narxcal.lag import LagModel
+from narxcal.lag_governed import GovernedLags, governed_shapes, lags_from_arrays
+from narxcal.lag_governed_steps import LINES, inner_steps
+from narxcal.lag_steps import PARAMETERS
+from narxcal.narx import NarxConfig, NarxNet
+from narxcal.narx_model import NarxModel, Scaling
+from narxcal.register import Parts, Register, Sample
+from training.lag_governed_fit import governed_start
+
+NAMES, INPUTS = ("N1_pct", "N2_pct", "EGT_C"), ("ALT_ft", "Mach", "dT_C")
+CENTRE, HALF = np.array([62.0, 75.0, 520.0]), np.array([35.0, 20.0, 240.0])
+DT_S = 0.1
+
+
+def lags(seed=None, limit=1000.0):
+    """The lags that a fit starts from, or such that are drawn about them."""
+    arrays = governed_start(3)
+    if seed is not None:
+        rng = np.random.default_rng(seed)
+        arrays = {name: v + rng.normal(scale=0.2, size=v.shape) for name, v in arrays.items()}
+    scales = {"centre": CENTRE, "half": HALF, "limit": np.full(3, limit)}
+    return GovernedLags(output_names=NAMES, **arrays, **scales)
+
+
+def steps_of(levels, hold_s=20.0, dt_s=DT_S, air=(0.0, 0.0, 0.0)):
+    """Inputs and steady-state values that step from level to level, each held."""
+    part = np.repeat(np.asarray(levels, dtype=float), round(hold_s / dt_s))
+    return np.tile(air, (len(part), 1)), CENTRE + HALF * part[:, None]
+
+
+def run(model, inputs, ss, start=(0.0, 0.0, 0.0), dt_s=DT_S):
+    return model.deviations(model.drive(inputs, INPUTS, ss), np.array(start), dt_s)
+
+
+class Slowly:
+    """The module's equations one by one, in plain words, for N1, N2 and EGT in this order."""
+
+    def __init__(self, model, inputs, ss):
+        self.model, self.inputs, self.ss = model, inputs, ss
+        air = air_state(*inputs.T)
+        self.root = np.sqrt(air.theta2)
+        self.thin, self.hot = np.log(self.root / air.delta2), np.log(self.root)
+        self.target = (ss / self.root[:, None] - CENTRE) / HALF
+        self.named = dict(zip((*LINES, "probe_s", "push_T"), model.lines, strict=True))
+        self.soak, self.h = np.zeros(3), DT_S / inner_steps(DT_S)
+        self.fuel = self.reset = self.rate = 0.0
+
+    def line(self, name, z):
+        return math.exp(np.clip(self.named[name] @ z, -5.0, 5.0))
+
+    def slope(self, rank, k, v, w):
+        row, mach = self.model.slopes[rank], self.inputs[k, 1]
+        tilt = (row[3] + row[4] * mach) * (v + w)
+        bend = row[5] * (v * v + v * w + w * w)
+        return row[0] + row[1] * self.thin[k] + row[2] * mach + tilt + bend
+
+    def behind(self, tau, deviation, drawn, step):
+        a = math.exp(-self.h / tau)
+        return a * deviation + (1 - a) * (drawn + step * tau / self.h)
+
+    def core(self, x, z, asked):
+        """Control, valve and core: v, f and r after one step of them."""
+        v, u, f, r = x
+        core_s, valve_s = self.line("core_s", z), np.clip(self.model.extra[0], 0.01, 1.0)
+        error = asked - u - self.line("lead_s", z) * self.rate
+        wanted = (r + self.line("gain", z) * error - v) / core_s
+        demand = v + core_s * np.clip(wanted, -self.line("down", z), self.line("up", z))
+        r = demand + (r - demand) * math.exp(-self.h / self.line("reset_s", z))
+        after = demand + (f - demand) * math.exp(-self.h / valve_s)
+        held = (f + after) / 2
+        return held + (v - held) * math.exp(-self.h / core_s), after, r
+
+    def sample(self, k, fast):
+        """The fast deviations a sample on; what is remembered changes."""
+        unit, target, h = 1.0 / (self.root[k] * HALF), self.target, self.h
+        v, u = target[k - 1, 1] - fast[1] * unit[1], target[k - 1, 0] - fast[0] * unit[0]
+        f, r, fan = target[k - 1, 1] - self.fuel, target[k - 1, 1] - self.reset, fast[0] * unit[0]
+        move = (target[k] - target[k - 1]) / inner_steps(DT_S)
+        for s in range(inner_steps(DT_S)):
+            asked, w = (target[k - 1] + (s + 1) * move)[:2]
+            vc, uc, wc = np.clip([v, u, w], -1.5, 1.5)
+            z = [1, self.thin[k], self.hot[k], self.inputs[k, 1], vc, uc, vc * vc, vc * uc, uc * uc]
+            after, f, r = self.core((v, u, f, r), z, asked)
+            core, c = ((w - move[1] - v) + (w - after)) / 2, self.slope(0, k, vc, wc)
+            power, old = (after - v) / h, fan
+            drawn = c * core - self.line("push", z) * power
+            fan = self.behind(self.line("fan_s", z), fan, drawn, move[0])
+            self.rate, u, v = (asked - fan - u) / h, asked - fan, after
+            drawn = self.slope(1, k, vc, wc) * core - self.line("push_T", z) * power
+            drawn = (drawn + self.model.extra[1] * (old - c * core)) / unit[2]
+            step = (self.ss[k, 2] - self.ss[k - 1, 2]) / inner_steps(DT_S)
+            fast[2] = self.behind(self.line("probe_s", z), fast[2], drawn, step)
+        self.fuel, self.reset = np.clip([target[k, 1] - f, target[k, 1] - r], -5.0, 5.0)
+        self.rate = np.clip(self.rate, -20.0, 20.0)
+        return np.array([fan / unit[0], (target[k, 1] - v) / unit[1], fast[2]])
+
+    def heat(self, k, casing):
+        for o, rank in ((1, 0), (0, 1), (2, 2)):
+            p, step = self.model.heat[rank], self.ss[k, o] - self.ss[k - 1, o]
+            log_tau = p[1] + p[2] * np.clip(self.target[k, 1], -1.5, 1.5) + p[3] * self.thin[k]
+            left = math.exp(-DT_S / math.exp(np.clip(log_tau, -0.5, 4.5)))
+            self.soak[o] = left * (self.soak[o] + p[0] * step)
+            left = math.exp(-DT_S / math.exp(np.clip(p[5], 2.0, 5.0)))
+            casing[o] = left * (casing[o] + p[4] * step)
+        return self.soak + casing
+
+    def run(self, start):
+        fast, casing = np.array([start[0], 0.0, 0.0]), np.array([0.0, start[1], start[2]])
+        found = [fast + casing]
+        for k in range(1, len(self.ss)):
+            fast = self.sample(k, fast)
+            slow = self.heat(k, casing)
+            fast = np.clip(fast + slow, -self.model.limit, self.model.limit) - slow
+            found.append(fast + slow)
+        return np.array(found)
+
+
+@settings(deadline=None, max_examples=15)
+@given(seed=st.integers(0, 200))
+def test_the_kernel_is_the_equations(seed):
+    model, rng = lags(seed, limit=60.0), np.random.default_rng(seed)
+    ss = CENTRE + HALF * np.repeat(rng.uniform(-1.1, 1.1, (6, 1)), 15, axis=0)
+    inputs = np.repeat(rng.uniform([0.0, 0.0, -20.0], [39000.0, 0.8, 15.0], (6, 3)), 15, axis=0)
+    start = rng.normal(size=3)
+    got = run(model, inputs, ss, start)
+    np.testing.assert_allclose(got, Slowly(model, inputs, ss).run(start), rtol=1e-8, atol=1e-8)
+
+
+def test_an_engine_at_rest_stays_there_and_one_that_is_not_comes_to_rest():
+    inputs, ss = steps_of([0.3], hold_s=900.0)
+    assert not run(lags(), inputs, ss).any()
+    left = run(lags(), inputs, ss, (2.0, -1.0, 30.0))
+    assert np.abs(left[-1]).max() < 1e-3
+
+
+@pytest.mark.parametrize("air", [(0.0, 0.0, 0.0), (39000.0, 0.8, 0.0), (300.0, 0.2, -25.0)])
+@pytest.mark.parametrize("levels", [(-0.9, 0.9), (0.9, -0.9), (0.5, 0.4)])
+def test_it_comes_to_rest_behind_every_move(air, levels):
+    inputs, ss = steps_of(levels, hold_s=400.0, air=air)
+    left = run(lags(), inputs, ss)
+    assert np.abs(left[-1] / HALF).max() < 0.01
+
+
+def test_while_a_heavy_fan_comes_down_the_core_is_below_where_it_will_settle():
+    inputs, ss = steps_of([0.6, -0.8])
+    speeds = ss - run(lags(), inputs, ss)
+    pull = speeds[200:400]
+    assert pull[:, 1].min() < ss[-1, 1] - 0.5
+    assert pull[:, 0].min() > ss[-1, 0] - 0.5
+
+
+def test_the_core_is_never_faster_than_its_limits():
+    model = lags()
+    core_s, valve_s = 0.4, model.extra[0]
+    model.lines[[0, 4, 5]] = 0.0
+    # half ranges a second, up and down
+    model.lines[[0, 4, 5], 0] = math.log(core_s), math.log(0.2), math.log(0.1)
+    model.heat[:, [0, 4]] = 0.0
+    inputs, ss = steps_of([-0.9, 0.9, -0.9], hold_s=30.0)
+    pace = np.diff(ss - run(model, inputs, ss), axis=0)[:, 1] / (DT_S * HALF[1])
+    behind_valve = core_s / (core_s + valve_s)  # the fuel trails a demand that runs ahead of it
+    assert pace.max() == pytest.approx(0.2 * behind_valve, rel=0.05)
+    assert pace.min() == pytest.approx(-0.1 * behind_valve, rel=0.05)
+
+
+def test_a_deviation_is_bounded_whatever_the_parameters_are():
+    model = lags(7, limit=5.0)
+    model.lines[:] *= 10.0
+    inputs, ss = steps_of(np.random.default_rng(0).uniform(-1.0, 1.0, 10), hold_s=5.0)
+    assert np.abs(run(model, inputs, ss)).max() <= 5.0 + 1e-9
+
+
+def test_a_finer_raster_gives_nearly_the_same():
+    levels = [-0.8, 0.7, -0.2]
+    fine = run(lags(), *steps_of(levels, dt_s=1 / 32), dt_s=1 / 32)[::2]
+    coarse = run(lags(), *steps_of(levels, dt_s=1 / 16), dt_s=1 / 16)
+    assert np.abs((fine - coarse) / HALF).max() < 0.06
+
+
+def test_measured_deviations_replace_its_own():
+    model = lags()
+    inputs, ss = steps_of([-0.5, 0.5])
+    free = run(model, inputs, ss)
+    drive = model.drive(inputs, INPUTS, ss)
+    np.testing.assert_allclose(model.deviations(drive, free[0], DT_S, free), free, atol=1e-9)
+    unknown = np.full_like(free, np.nan)
+    np.testing.assert_allclose(model.deviations(drive, free[0], DT_S, unknown), free, atol=1e-9)
+    held = model.deviations(drive, free[0], DT_S, np.zeros_like(free))
+    assert np.abs(held[300]).max() < np.abs(free[202]).max()
+
+
+def test_without_a_mach_number_it_is_zero():
+    model = lags(3)
+    inputs, ss = steps_of([-0.5, 0.5])
+    some = model.deviations(model.drive(inputs[:, :1], ("ALT_ft",), ss), np.zeros(3), DT_S)
+    np.testing.assert_array_equal(some, run(model, inputs, ss))
+
+
+def register():
+    torch.manual_seed(0)
+    net = NarxNet(NarxConfig(lags=2, taps=(0,), hidden=2, moving=6), 9, 3)
+    net.low[:], net.high[:] = -2.0, 2.0
+    narx = NarxModel(net, Scaling(np.zeros(9), np.full(9, 50.0)), Scaling(np.zeros(3), HALF))
+    inputs, ss = steps_of([-0.5, 0.6, 0.1], hold_s=3.0, air=(20000.0, 0.6, 5.0))
+    parts = Parts(narx, lags(4), DT_S, None, INPUTS, [])
+    return Register(parts, Sample(inputs[0], ss[0], np.array([1.0, -1.0, 20.0]))), inputs, ss
+
+
+def test_in_a_register_steps_and_blocks_give_the_same():
+    (whole, inputs, ss), (single, *_), (halves, *_) = register(), register(), register()
+    expected = whole.extend(inputs[1:], ss[1:])
+    steps = np.array([single.step(*row) for row in zip(inputs[1:], ss[1:], strict=True)])
+    parts = [halves.extend(inputs[1:40], ss[1:40]), halves.extend(inputs[40:], ss[40:])]
+    np.testing.assert_allclose(steps, expected, atol=1e-9)
+    np.testing.assert_allclose(np.concatenate(parts), expected, atol=1e-9)
+
+
+def test_a_correction_counts_as_the_newest_output():
+    model, inputs, ss = register()
+    model.extend(inputs[1:40], ss[1:40])
+    model.correct(ss[39] - [2.0, np.nan, 10.0])
+    own = model.memory.lagged[:3].sum(axis=0) + model.outputs.up(model.memory.history[:3])
+    assert own[[0, 2]] == pytest.approx([2.0, 10.0])
+
+
+def test_arrays_bring_either_form_back():
+    model = lags(5)
+    meta, arrays = model.to_arrays()
+    back = lags_from_arrays(meta, arrays)
+    assert isinstance(back, GovernedLags)
+    inputs, ss = steps_of([-0.5, 0.5])
+    np.testing.assert_array_equal(run(back, inputs, ss), run(model, inputs, ss))
+    plain = LagModel(
+        output_names=NAMES,
+        parameters=np.zeros((3, len(PARAMETERS))),
+        centre=CENTRE,
+        half=HALF,
+        limit=np.ones(3),
+    )
+    assert isinstance(lags_from_arrays(*plain.to_arrays()), LagModel)
+
+
+@pytest.mark.parametrize("name", sorted(governed_shapes(3)))
+def test_an_array_that_does_not_fit_is_named(name):
+    meta, arrays = lags().to_arrays()
+    arrays = {**arrays, name: arrays[name][:-1]}
+    with pytest.raises(ModelError, match=f"lag array '{name}' has to be of shape"):
+        GovernedLags.from_arrays(meta, arrays)
+
+
+def test_an_engine_without_a_fan_is_refused():
+    with pytest.raises(ModelError, match="the speeds of a fan and a core, found N2_pct, EGT_C"):
+        _ = GovernedLags(output_names=("N2_pct", "EGT_C"), **lags().to_arrays()[1]).order

@@ -1,0 +1,78 @@
+"""Fitting lags behind a control that holds N1: what is known comes back."""
+
+import numpy as np
+import pytest
+
+from narxcal.errors import DataError, ModelError
+from narxcal.lag_governed import GovernedLags
+from training.lag_fit import LagSamples, output_scales
+from training.lag_governed_fit import fit_governed, governed_start
+
+NAMES = (("ALT_ft", "Mach"), ("N1_pct", "N2_pct", "EGT_C"))
+CENTRE, HALF = np.array([62.0, 75.0, 520.0]), np.array([35.0, 20.0, 240.0])
+DT_S = 0.1
+
+
+def steady(seed, moves=14):
+    """Inputs and steady-state values: the lever moves every 15 s, at all altitudes."""
+    rng = np.random.default_rng(seed)
+    part = np.repeat([-1.0, 1.0, *rng.uniform(-1.0, 1.0, moves)], 150)
+    part = np.convolve(np.pad(part, 4, "edge"), np.ones(9) / 9, "valid")[:, None]
+    height = np.repeat(rng.uniform(0.0, 1.0, moves + 2), 150)
+    return np.column_stack([36000.0 * height, 0.8 * height]), CENTRE + HALF * part
+
+
+def truth(**changed):
+    """An engine that is not the one the fit starts from."""
+    arrays = governed_start(3)
+    arrays["lines"][0, 0] += 0.3  # a slower core
+    arrays["lines"][4, 0] -= 0.4  # that may not accelerate as fast
+    arrays["lines"][6, 0] += 0.2  # a heavier fan
+    arrays["lines"][8, 0] -= 0.5  # a faster probe
+    arrays["heat"][2, 0] = 0.12
+    scales = {"centre": CENTRE, "half": HALF, "limit": np.full(3, 1e3)}
+    return GovernedLags(output_names=NAMES[1], **{**arrays, **changed}, **scales)
+
+
+def log(seed, noise=0.0):
+    inputs, ss = steady(seed)
+    model = truth()
+    lag = model.deviations(model.drive(inputs, NAMES[0], ss), np.zeros(3), DT_S)
+    rng = np.random.default_rng(seed)
+    return LagSamples(inputs, ss, ss - lag + noise * rng.normal(size=ss.shape) * [1.0, 1.0, 10.0])
+
+
+def off(model, seed=9):
+    """RMS error over a log that it has not seen, as a share of the half range."""
+    new = log(seed)
+    lag = model.deviations(model.drive(new.inputs, NAMES[0], new.ss), np.zeros(3), DT_S)
+    return np.sqrt(np.mean(((new.ss - lag - new.measured) / HALF) ** 2, axis=0))
+
+
+def test_an_unseen_log_is_followed():
+    samples = [log(seed, noise=0.02) for seed in (0, 1)]
+    scales = output_scales(samples, NAMES[0])
+    begun = GovernedLags(output_names=NAMES[1], **governed_start(3), **scales)
+    model = fit_governed(samples, NAMES, DT_S)
+    assert (off(begun) > 0.08).all()
+    assert (off(model) < 0.4 * off(begun)).all()
+
+
+def test_masked_samples_are_left_out():
+    holed = log(0)
+    holed.measured[500:700, 0] = np.nan
+    assert np.isfinite(fit_governed([holed], NAMES, DT_S).lines).all()
+
+
+def test_engines_that_never_move_are_refused():
+    one = log(0)
+    still = LagSamples(one.inputs[:300] * 0.0, one.ss[:1].repeat(300, 0), one.ss[:1].repeat(300, 0))
+    with pytest.raises(DataError, match="the outputs never move"):
+        fit_governed([still], NAMES, DT_S)
+
+
+def test_an_engine_without_a_fan_is_refused():
+    one = log(0)
+    one = LagSamples(one.inputs, one.ss[:, 1:], one.measured[:, 1:])
+    with pytest.raises(ModelError, match="the speeds of a fan and a core"):
+        fit_governed([one], (NAMES[0], NAMES[1][1:]), DT_S)
