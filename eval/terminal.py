@@ -58,6 +58,8 @@ def _figure(value: float, best: float) -> Text:
 def print_transients(console: Console, pages: Sequence[LogPage]) -> None:
     """Ti and Tt, one table per log: passed of assessed, worst errors, not assessable."""
     for page in pages:
+        if not _judged(page):
+            continue
         table = _table(page.name)
         table.add_column("Ti and Tt of", no_wrap=True)
         for head in ("passed", "worst Ti error", "worst Tt error", "not assessable"):

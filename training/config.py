@@ -89,7 +89,7 @@ class TrainConfig(Section):
     horizons_s: tuple[NonNegativeFloat, ...] = Field(default=(5.0, 60.0), min_length=1)
     iterations: tuple[NonNegativeInt, ...] = (8, 12)
     starts: int = Field(default=1, ge=1)
-    seed: int = 0
+    seed: int = Field(default=0, ge=0)
     decay: float = Field(default=1e-5, ge=0)
     rate: float = Field(default=0.01, gt=0)
     score_every_s: float = Field(default=0.3, gt=0)

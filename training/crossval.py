@@ -42,7 +42,7 @@ class CrossvalConfig(Section):
     leave_one_flight_out: bool = True
     random_splits: int = Field(default=10, ge=0)
     train_share: float = Field(default=0.7, gt=0.0, lt=1.0)
-    seed: int = 0
+    seed: int = Field(default=0, ge=0)
     lead_s: float = Field(default=3.0, gt=0.0)
 
 

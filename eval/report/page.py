@@ -85,8 +85,8 @@ def outcome(header: RunHeader, pages: Sequence[LogPage]) -> Outcome:
     if found.not_assessable:
         lines.insert(
             1,
-            f"{found.not_assessable} transients could not be assessed and count neither way; "
-            "the reason stands beside each.",
+            f"{found.not_assessable} {'transient' if found.not_assessable == 1 else 'transients'} "
+            "could not be assessed and count neither way; the reason stands beside each.",
         )
     return Outcome(found.passed == found.assessed, headline, tuple(lines))
 

@@ -66,7 +66,7 @@ def test_unit_typo(prepare, flight, tmp_path):
     done, _ = prepare(flight, (old, new))
     refused(
         done,
-        f"{tmp_path / 'run.toml'}, channel N1_pct: unknown unit 'prcent'. Did you mean 'pct'?",
+        f"{tmp_path / 'run.toml'}, channel N1_pct: unknown unit 'prcent'. Did you mean 'percent'?",
     )
 
 
@@ -167,6 +167,7 @@ def test_a_constant_lever_gives_no_events_and_no_false_pass(narxcal, project, fl
     done = narxcal("evaluate", project / "run", "--logs", file, "--out", tmp_path / "out")
     assert done.code == 0
     assert "NOT ASSESSED  No event could be assessed for Ti and Tt" in done.out
+    assert "Ti and Tt of" not in done.out  # a table without rows
     document = json.loads((tmp_path / "out" / "evaluate.json").read_text("utf-8"))
     assert document["logs"][0]["ti_tt"]["assessed"] == 0
 

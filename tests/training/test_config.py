@@ -69,6 +69,10 @@ def test_a_missing_file_names_the_shipped_ones(tmp_path):
             "key 'narx.lags': Input should be greater than or equal to 1, found 0",
         ),
         (
+            HEAD + "[train]\nseed = -1",
+            "key 'train.seed': Input should be greater than or equal to 0, found -1",
+        ),
+        (
             HEAD + "[narx]\ntaps = [1, 0]",
             (
                 "key 'narx.taps': has to list increasing delays >= 0, for example "
