@@ -109,7 +109,8 @@ class _Work:
         return self.log.with_channels({self.name: self.values})
 
     def _window(self) -> int:
-        return 2 * max(1, round(0.5 * self.config.median_s / self.log.dt_s)) + 1
+        half = min(round(0.5 * self.config.median_s / self.log.dt_s), len(self.log))
+        return 2 * max(1, half) + 1
 
     def _gross(self, sigmas: float) -> BoolArray:
         return gross_errors(self.values, self._window(), sigmas, self.config.method)

@@ -27,7 +27,8 @@ def quasi_steady(
     log: Log, driver: str, speeds: tuple[str, ...], config: QuasiSteadyConfig
 ) -> NDArray[np.bool_]:
     """Mark quasi-steady samples (time,); a sample with NaN in its window is not."""
-    size = 2 * round(0.5 * config.window_s / log.dt_s) + 1
+    # A window that reaches beyond the log sees no more than the log.
+    size = 2 * min(round(0.5 * config.window_s / log.dt_s), len(log)) + 1
     values = log[driver]
     low, high = np.nanpercentile(values, [1, 99]) if np.isfinite(values).any() else (0.0, 0.0)
     still = _range(values, size) <= config.driver_fraction * (high - low)

@@ -28,6 +28,12 @@ def test_a_slam_is_not_steady_and_what_is_far_from_it_is():
     assert np.flatnonzero(~found).tolist() == list(range(34, 46))
 
 
+def test_a_window_longer_than_the_log_is_as_long_as_the_log():
+    lever = np.r_[np.full(40, 10.0), np.full(40, 70.0)]
+    assert not still(log(lever, lever), window_s=1e12).any()
+    assert still(log(np.full(80, 10.0), np.full(80, 70.0)), window_s=1e12).all()
+
+
 def test_a_speed_that_still_moves_is_not_steady():
     lever = np.r_[np.full(20, 10.0), np.full(80, 70.0)]
     n1 = 70.0 - 50.0 * np.exp(-np.maximum(np.arange(100) - 20, 0) / 8.0)
