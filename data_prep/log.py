@@ -59,7 +59,7 @@ class Source:
     engine: str = ""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Log:
     """Canonical channels `(time,)` on a uniform raster; a masked or missing sample is NaN.
 
@@ -74,6 +74,10 @@ class Log:
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    def __repr__(self) -> str:
+        every = f" every {self.dt_s:.6g} s" if len(self) > 1 else ""
+        return f"<Log {self.name}: {len(self)} samples{every} of {', '.join(self.channels)}>"
 
     def __getitem__(self, channel: str) -> FloatArray:
         if channel not in self.channels:

@@ -63,7 +63,7 @@ class Bundle:
     """
 
     calibration: DynamicCalibration
-    meta: dict[str, Any] = field(default_factory=dict)
+    meta: dict[str, Any] = field(default_factory=dict, repr=False)
 
 
 def save_bundle(folder: str | PathLike[str], bundle: Bundle, replace: bool = False) -> None:

@@ -65,6 +65,10 @@ class DynamicCalibration:
         self.lag: AnyLags | None = None
         self._register: Register | None = None
 
+    def __repr__(self) -> str:
+        names = f"{', '.join(self.input_names)} -> {', '.join(self.output_names)}"
+        return f"<DynamicCalibration {names} every {self.dt_s:.6g} s>"
+
     def with_lag(self, lag: AnyLags | None) -> DynamicCalibration:
         """The calibration with `lag` in front of a network that was trained for that."""
         if lag is not None and lag.output_names != self.output_names:

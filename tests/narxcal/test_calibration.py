@@ -73,6 +73,12 @@ def test_steps_blocks_and_the_whole_are_one(config, seed, settled, cut):
     np.testing.assert_allclose(np.concatenate(blocks), whole, rtol=1e-10, atol=1e-10)
 
 
+def test_its_text_tells_inputs_outputs_and_step():
+    model = calibration()
+    names = f"{', '.join(model.input_names)} -> {', '.join(model.output_names)}"
+    assert repr(model) == f"<DynamicCalibration {names} every {model.dt_s:g} s>"
+
+
 def test_an_anchored_calibration_stays_at_the_steady_state_where_nothing_moves():
     model, still = calibration(), np.tile([40.0, 0.5], (500, 1))
     np.testing.assert_allclose(model.simulate(still), model.steady.outputs(still), rtol=1e-12)
