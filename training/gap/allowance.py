@@ -27,20 +27,25 @@ _THIN: Final = 1e-9  # least width of a bound
 
 
 class Little(NamedTuple):
-    """How far a parameter may be off without anyone calling it an effect."""
+    """How far a parameter may be off without anyone calling it an effect.
+
+    Where `of` names another parameter of the effect that is found above 1, it is that share of it.
+    """
 
     parameter: str
     low: float
     high: float
+    of: str = ""
 
 
 # Tolerances of build and modelling: play of a new linkage, a valve and a probe known to hundredths
-# of a second, inertias to 2 %, 3 % of a step of temperature stored in metal. What a limit leaves to
-# accelerate with is the small difference of two large torques, and scatters more than they do.
+# of a second (a slow probe to 6 %), inertias to 2 %, 3 % of a step of temperature stored in metal.
+# What a limit leaves to accelerate with is the small difference of two large torques, and scatters
+# more than they do.
 ALLOWED: Final = {
     "throttle_backlash": Little("width_deg", 0.0, 0.3),
     "actuator_lag": Little("tau_s", -0.03, 0.03),
-    "sensor_lag:EGT_C": Little("tau_s", -0.06, 0.06),
+    "sensor_lag:EGT_C": Little("tau_s", -0.06, 0.06, of="own_s"),
     "spool_lag": Little("factor", -0.02, 0.02),
     "accel_decel_asymmetry": Little("ratio", -0.02, 0.02),
     "accel_limit": Little("share", -0.05, 0.05),
@@ -101,6 +106,8 @@ def _shapes(one: Fit, scale: float) -> Iterator[tuple[str, FloatArray, tuple[flo
     secant = not parameter.linear and abs(away) > _THIN
     shape = one.response / away if secant else one.slopes[at]
     by = scale if parameter.unit == "deg" else 1.0
+    if little.of:
+        by *= max(1.0, float(one.theta[places[little.of]]))
     yield one.name, shape, (by * little.low, by * little.high)
 
 

@@ -22,7 +22,7 @@ _ZERO_K = 273.15
 # Shifts that build scatter may make, in % of the level: of a speed by all that an engine may have,
 # of one speed alone, and of those that go with the lever or the day, which hardly any engine has.
 _SCATTER_PCT = {"EGT_C": 2.4, "FF_kgph": 7.0}
-_SPEED_PCT, _UNGOVERNED_PCT = 1.2, 1.5
+_SPEED_PCT, _UNGOVERNED_PCT = 1.2, 2.0
 _SHIFT_PCT = {"deterioration": _SPEED_PCT, "sensor_bias": 1.0}
 _TOGETHER_PCT = 0.6
 _NEARLY_ALL, _AMONG_OTHERS = 0.85, 1.5  # share of what is left; scatters asked for below it

@@ -60,6 +60,14 @@ def test_more_than_little_of_an_effect_is_evidence_for_it(name, asked):
     assert max(work.fits, key=work.rank) is fits[name]
 
 
+@pytest.mark.parametrize(("own_s", "evidence"), [(0.5, True), (2.2, False)])
+def test_a_slow_probe_is_known_less_well(own_s, evidence, asked):
+    """A tenth of a second is a fifth of a fast probe's lag, and within 6 % of a slow one's."""
+    work, fits = asked({"sensor_lag:EGT_C": [0.1, own_s]})
+    beyond = work.beyond(fits["sensor_lag:EGT_C"]).sum() / work.audible
+    assert bool(beyond > work.options.beyond) is evidence
+
+
 def test_what_gains_nothing_takes_nothing_beyond(asked):
     work, fits = asked({"throttle_backlash": [2.0]})
     assert abs(work.beyond(fits["bleed_extraction"]).sum()) < 0.02 * work.audible

@@ -1,0 +1,50 @@
+"""How far build scatter shifts an output, and that an offset has to go beyond it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from narxcal.effects import Signals, effect
+from training.gap.offsets import beyond_scatter
+
+OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
+
+
+def offset(shift, driver, name="deterioration"):
+    """A fit that explains all of the gap by `shift` (outputs,) in percent of the level."""
+    level = np.full((4, 50, 3), [80.0, 90.0, 726.85])  # K of EGT: 1000
+    kelvin = level + np.array([0.0, 0.0, 273.15])
+    signals = Signals(("ALT_ft",), OUTPUTS, 0.25, driver, level[0, 0] - 50.0, level[0, 0] + 50.0)
+    flights = SimpleNamespace(signals=signals, y=level)
+    tried = SimpleNamespace(
+        effects=(effect(name),), response=kelvin * np.array(shift) / 100.0, held_out=np.zeros(4)
+    )
+    return tried, flights
+
+
+@pytest.mark.parametrize(
+    ("shift", "driver", "beyond"),
+    [
+        ([0.0, 1.3, 0.0], "TRA_deg", True),
+        ([0.0, 1.1, 0.0], "TRA_deg", False),
+        ([1.9, 0.0, 0.0], "FF_kgph", False),  # the same fuel turns another fan at another speed
+        ([2.1, 0.0, 0.0], "FF_kgph", True),
+        ([0.0, 1.3, 0.0], "FF_kgph", True),
+        ([0.0, 0.0, 2.3], "FF_kgph", False),
+        ([0.0, 0.0, 2.5], "FF_kgph", True),
+    ],
+)
+def test_wear_is_more_than_build_scatter_makes_it(shift, driver, beyond):
+    tried, flights = offset(shift, driver)
+    found = beyond_scatter(tried, np.full(4, 10.0), flights, np.full(4, 1.0))
+    assert bool(found) is beyond
+
+
+def test_an_offset_that_explains_less_of_it_has_to_be_larger():
+    tried, flights = offset([0.0, 1.3, 0.0], "TRA_deg")
+    tried.held_out = np.full(4, 4.0)
+    assert not beyond_scatter(tried, np.full(4, 10.0), flights, np.full(4, 1.0))
+    tried, flights = offset([0.0, 1.9, 0.0], "TRA_deg")
+    tried.held_out = np.full(4, 4.0)
+    assert beyond_scatter(tried, np.full(4, 10.0), flights, np.full(4, 1.0))
