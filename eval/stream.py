@@ -9,9 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, cast
 
-from data_prep.csv_source import CsvSource, open_csv, readable
+from data_prep.csv_source import CsvSource, readable
 from data_prep.dialect import next_header, open_text
 from data_prep.mapping import constants, map_columns, to_channel
+from data_prep.reading import open_table
 from narxcal.errors import DataError
 
 if TYPE_CHECKING:
@@ -55,13 +56,12 @@ class CsvStream:
     truncated: bool = False
 
     def __post_init__(self) -> None:
-        self._table = open_csv(
-            self.path,
-            self.config.delimiter,
-            self.config.decimal,
-            self.config.comment,
-            self.config.time_column,
-        )
+        table = open_table(self.path, self.config)
+        if not isinstance(table, CsvSource):
+            raise DataError(
+                "a Parquet file cannot be streamed", file=self.path, hint="Write it as CSV first"
+            )
+        self._table = table
         self._columns = map_columns(self._table, self.config)
         self._sources = self.config.sources(self._table.header)
 

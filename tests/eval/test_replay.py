@@ -387,6 +387,16 @@ def test_a_missing_input_column_is_named(tmp_path):
     assert not list(tmp_path.glob("out*"))
 
 
+def test_a_parquet_file_is_refused_as_no_stream(tmp_path):
+    pa = pytest.importorskip("pyarrow", reason="the extra 'parquet' is not installed")
+    parquet = pytest.importorskip("pyarrow.parquet", reason="the extra 'parquet' is not installed")
+    log = tmp_path / "log.parquet"
+    parquet.write_table(pa.table({"time_s": [0.0, 0.1]}), log)
+    with pytest.raises(DataError) as error:
+        replay(MODEL, log, tmp_path / "out.csv", STORED)
+    assert str(error.value) == f"{log}: a Parquet file cannot be streamed. Write it as CSV first"
+
+
 def test_text_in_a_number_is_refused_with_its_row_however_far_down(tmp_path):
     log = write(tmp_path / "log.csv", flight(samples=6000))
     lines = log.read_text(encoding="utf-8").splitlines()
