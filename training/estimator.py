@@ -86,8 +86,13 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         return self.result_.model
 
     def simulate(self, u: ArrayLike, start: ArrayLike) -> FloatArray:
-        """Free run (time, outputs) over `u` (time, inputs); `start` are its first n samples."""
-        return self.model.simulate(_columns(u), _columns(start, one_row=True))
+        """Free run (time, outputs) over `u` (time, inputs); `start` are its first n samples.
+
+        `start` is (n, outputs); of one dimension it is (n,) where there is one output, and one
+        sample (outputs,) where there are several.
+        """
+        single = self.model.net.outputs == 1
+        return self.model.simulate(_columns(u), _columns(start) if single else start)
 
     def predict(self, u: ArrayLike, y: ArrayLike) -> FloatArray:
         """One-step-ahead prediction (time, outputs) from measured outputs (time, outputs)."""
@@ -150,9 +155,7 @@ def _known_start(y: FloatArray, samples: int) -> FloatArray:
     return np.where(np.isfinite(y[:samples]), y[:samples], first)
 
 
-def _columns(values: ArrayLike, *, one_row: bool = False) -> FloatArray:
-    """1-D arrays as one channel over time, or (`one_row`) as one sample of all channels."""
+def _columns(values: ArrayLike) -> FloatArray:
+    """1-D arrays as one channel over time."""
     array = np.asarray(values, dtype=np.float64)
-    if array.ndim == 1:
-        return array[None] if one_row else array[:, None]
-    return array
+    return array[:, None] if array.ndim == 1 else array

@@ -75,6 +75,19 @@ def test_what_is_no_record_is_told_how_to_become_one(given, found):
     )
 
 
+def test_a_start_of_one_dimension_is_time_for_one_output_and_a_sample_for_several(lag_record):
+    record = lag_record(0)
+    one = Narx(STRUCTURE, QUICK).fit([record])
+    whole = one.simulate(record.u, record.y[:5])
+    np.testing.assert_array_equal(one.simulate(record.u[:, 0], record.y[:5, 0]), whole)
+    np.testing.assert_array_equal(whole[:5], record.y[:5])
+    two = Narx(STRUCTURE, QUICK).fit([(record.u, np.hstack([record.y, 2.0 * record.y]))])
+    start = [record.y[0, 0], 2.0 * record.y[0, 0]]
+    np.testing.assert_array_equal(
+        two.simulate(record.u, start), two.simulate(record.u, np.array([start]))
+    )
+
+
 def test_scores_leave_masked_samples_out(lag_record):
     record = lag_record(0)
     model = Narx(STRUCTURE, QUICK).fit([record])
