@@ -44,7 +44,9 @@ class NarxConfig(Section):
 
     `moving` > 0 says that the first so many inputs are increments, which vanish at rest, and
     makes the network *anchored*: it subtracts its own value at rest, so that outputs of zero
-    are an exact equilibrium wherever the other inputs stand still.
+    are an exact equilibrium wherever the other inputs stand still. With `linear_feedback` past
+    outputs reach the linear path alone: an anchored network with its poles inside the unit circle
+    then has no other place to rest.
     """
 
     lags: int = Field(default=2, ge=1)
@@ -52,6 +54,7 @@ class NarxConfig(Section):
     hidden: int = Field(default=8, ge=1)
     margin: float = Field(default=0.25, ge=0)
     moving: int = Field(default=0, ge=0)
+    linear_feedback: bool = False
 
 
 class NarxNet(nn.Module):
@@ -73,6 +76,9 @@ class NarxNet(nn.Module):
         self.hidden = nn.Linear(width, config.hidden, dtype=torch.float64)
         self.output = nn.Linear(config.hidden, outputs, dtype=torch.float64)
         self.linear = nn.Linear(width, outputs, bias=False, dtype=torch.float64)
+        if config.linear_feedback:
+            with torch.no_grad():
+                self.hidden.weight[:, : config.lags * outputs] = 0.0
         self.register_buffer("low", torch.full((outputs,), -torch.inf, dtype=torch.float64))
         self.register_buffer("high", torch.full((outputs,), torch.inf, dtype=torch.float64))
 
@@ -98,6 +104,13 @@ class NarxNet(nn.Module):
         weights = dict(self.named_parameters())
         flat = [weights[name].detach().numpy().ravel() for name in PARAMETER_ORDER]
         return np.concatenate(flat)
+
+    def trained(self) -> FloatArray:
+        """1 for each of `get_theta` that training may move (P,), 0 for the others."""
+        shares = {name: np.ones(weights.shape) for name, weights in self.named_parameters()}
+        if self.config.linear_feedback:
+            shares["hidden.weight"][:, : self.config.lags * self.outputs] = 0.0
+        return np.concatenate([shares[name].ravel() for name in PARAMETER_ORDER])
 
     def set_theta(self, theta: FloatArray) -> None:
         """Write the vector of `get_theta` back."""

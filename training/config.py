@@ -37,7 +37,8 @@ class NarxSection(Section):
     they know how fast a control lets the spools move, and what fuel that takes; with `lag_heat`
     that the metal's heat drives the spools, and a slow tail is not taken for static error. With
     `lag_governed` a control holds N1, and N2 goes where that takes it (see narxcal.lag_governed);
-    the other settings of lags then say nothing.
+    the other settings of lags then say nothing. With `linear_feedback` past deviations go round the
+    hidden layer: a free run has no wrong place to rest.
     """
 
     outputs: tuple[str, ...] = Field(default=("N1_pct", "N2_pct", "EGT_C"), min_length=1)
@@ -54,6 +55,7 @@ class NarxSection(Section):
     lag_limits: bool = False
     lag_heat: bool = False
     lag_governed: bool = False
+    linear_feedback: bool = False
 
     @model_validator(mode="after")
     def _lag_needs_an_anchor(self) -> NarxSection:

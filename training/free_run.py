@@ -143,7 +143,7 @@ class FreeRunProblem:
         """Loss and its gradient by back-propagation through time (for Adam)."""
         weights = self._weights(theta)
         parts = self._map(partial(_loss_and_gradient, weights=weights))
-        return sum(loss for loss, _ in parts), np.sum([g for _, g in parts], axis=0)
+        return sum(loss for loss, _ in parts), self._trained(np.sum([g for _, g in parts], axis=0))
 
     def normal_equations(self, theta: FloatArray) -> NormalEquations:
         """Loss, gradient and Gauss-Newton matrix by forward sensitivities (for LM)."""
@@ -151,9 +151,13 @@ class FreeRunProblem:
         parts = self._map(partial(_normal_equations, weights=weights))
         return NormalEquations(
             sum(part.loss for part in parts),
-            np.sum([part.gradient for part in parts], axis=0),
-            np.sum([part.hessian for part in parts], axis=0),
+            self._trained(np.sum([part.gradient for part in parts], axis=0)),
+            self._trained(self._trained(np.sum([part.hessian for part in parts], axis=0)).T),
         )
+
+    def _trained(self, slopes: FloatArray) -> FloatArray:
+        """Slopes (..., P) by weights, zero by those that training leaves alone."""
+        return slopes * self.net.trained() if self.net.config.linear_feedback else slopes
 
     def _weights(self, theta: FloatArray) -> Weights:
         self.net.set_theta(theta)

@@ -125,6 +125,7 @@ def structure_of(config: RunConfig) -> NarxConfig:
         hidden=section.hidden,
         margin=section.margin,
         moving=vanishing if section.anchored else 0,
+        linear_feedback=section.linear_feedback,
     )
 
 

@@ -34,7 +34,7 @@ _EVERY = 2  # samples: as good for seconds, and half the time
 # Many steps, over stretches so long that what does not come to rest by itself is seen to stay.
 _TRAIN = {
     "horizons_s": (5.0, 240.0),
-    "iterations": (8, 40),
+    "iterations": (8, 24),
     "score_every_s": 0.19,
     "rest_far": True,
     "emphasis": "motion",
@@ -47,8 +47,8 @@ def goal_config(config: RunConfig) -> RunConfig:
     A control can only hold the fan of an engine whose two speeds are outputs.
     """
     spools = {"N1_pct", "N2_pct"} <= set(config.narx.outputs)
-    form = "lag_governed" if spools else "lag_limits"
-    narx = config.narx.model_copy(update={form: config.narx.lag})
+    form = {"lag_governed": True, "linear_feedback": True} if spools else {"lag_limits": True}
+    narx = config.narx.model_copy(update=form if config.narx.lag else {})
     return config.model_copy(update={"narx": narx, "train": config.train.model_copy(update=_TRAIN)})
 
 

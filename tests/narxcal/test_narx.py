@@ -136,3 +136,15 @@ def test_an_impossible_structure_is_refused(table, message):
 def test_delays_have_to_increase_from_zero(taps):
     with pytest.raises(ConfigError, match="has to list increasing delays"):
         NarxConfig.parse({"taps": taps})
+
+
+def test_with_linear_feedback_past_outputs_reach_the_linear_path_alone():
+    net = NarxNet(NarxConfig(lags=2, taps=(0,), hidden=3, linear_feedback=True), 4, 2)
+    assert not net.hidden.weight[:, :4].any()
+    assert net.hidden.weight[:, 4:].all()
+    with torch.no_grad():
+        for parameter in net.parameters():
+            parameter.fill_(1.0)
+    free = net.get_theta()[net.trained() == 0.0]
+    assert len(free) == 3 * 4
+    assert NarxNet(NarxConfig(lags=2, taps=(0,), hidden=3), 4, 2).trained().all()

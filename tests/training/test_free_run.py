@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from narxcal.narx import AT_START, NarxConfig, NarxNet, Weights, simulate_slowly
 from narxcal.narx_model import NarxModel, Scaling
 from narxcal.records import Record
+from training import adam, levenberg_marquardt
 from training.free_run import FreeRunProblem, cut_windows
 
 
@@ -152,3 +153,21 @@ def test_windows_do_not_change_the_set_of_scored_samples():
     roots = np.concatenate([w.root_weight for w in cut])
     expected = whole[0].root_weight[lags - 1 :]
     np.testing.assert_array_equal(roots > 0, expected > 0)
+
+
+@pytest.mark.parametrize("how", ["lm", "adam"])
+def test_linear_feedback_stays_linear_whatever_trains_it(how):
+    config = NarxConfig(lags=2, taps=(0, 1), hidden=3, moving=1, linear_feedback=True)
+    model = make_model(config)
+    with torch.no_grad():
+        model.net.output.weight.fill_(0.1)
+    problem = FreeRunProblem(model.net, cut_windows(model, [make_record()], 20))
+    theta = model.net.get_theta()
+    lm = how == "lm"
+    steps = (
+        levenberg_marquardt.minimise(problem, theta) if lm else adam.minimise(problem, theta, 0.01)
+    )
+    for _, step in zip(range(5), steps, strict=False):
+        model.net.set_theta(step.theta)
+    assert not model.net.hidden.weight[:, :4].any()
+    assert (model.net.get_theta() != theta)[model.net.trained() == 1.0].mean() > 0.6
