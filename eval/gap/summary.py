@@ -19,7 +19,9 @@ def sentence(document: Mapping[str, Any]) -> str:
     if kind == "none":
         return f"{_NONE[0].upper()}{_NONE[1:]}." + _because(verdict)
     if kind == "unknown":
-        return "The gap is real, but no effect of the library accounts for it." + _because(verdict)
+        why = verdict["reason"].rstrip(".")
+        words = "The gap is real, but no effect of the library accounts for it"
+        return f"{words}: {why}." if why else f"{words}."
     names = " and ".join(named(document, name) for name in verdict["effects"])
     words = f"{names}: takes away {_percent(predicted)} of the gap"
     if shrink.get("realised") is not None:

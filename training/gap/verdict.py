@@ -118,9 +118,18 @@ def _verdict(work: Work, claimed: Fit | None, offset: Offset | None) -> tuple[Ki
     if offset is None and work.loudest < work.options.quiet:
         return "none", "what is left beyond build scatter is below what has to be explained"
     if claimed is not None:
-        return "unknown", f"the best effect leaves {work.left(claimed):.0%} of the gap unexplained"
-    best = work.gain(work.fits[0])
-    return "unknown", f"the gap is real, but the best effect takes only {best:.0%} of it"
+        left = 100.0 * work.left(claimed)
+        return "unknown", f"the best effect leaves {left:.0f} % of the gap unexplained"
+    return "unknown", _too_little(work, work.fits[0])
+
+
+def _too_little(work: Work, best: Fit) -> str:
+    """Why the best effect is no answer to a gap that is real."""
+    takes = f"the best one takes {100.0 * work.gain(best):.0f} % of it"
+    beyond = float(work.beyond(best).sum()) >= work.options.beyond * work.audible
+    if beyond or work.gain(best) <= work.options.material:
+        return takes
+    return f"{takes}, hardly more than small misfit of any simulator does"
 
 
 def bearable(work: Work, claimed: Fit) -> bool:

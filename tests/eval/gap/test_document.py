@@ -136,7 +136,7 @@ def test_gap_beyond_the_library_keeps_the_side_of_its_shape(evidence):
     ("kind", "words"),
     [
         ("none", "No gap beyond noise and build scatter. Because."),
-        ("unknown", "The gap is real, but no effect of the library accounts for it. Because."),
+        ("unknown", "The gap is real, but no effect of the library accounts for it: because."),
         (
             "effects",
             (

@@ -211,3 +211,14 @@ def test_the_model_at_work_is_reported(flights, engine, recorded):
     diagnose(flights, (real, NOISE), engine, QUICK, lambda name, k, n: seen.append((name, k, n)))
     assert seen[0][1] == 0
     assert all(k < n for _, k, n in seen)
+
+
+def test_what_small_misfit_explains_as_well_is_no_claim_and_said_so(flights, engine, recorded):
+    """A fifth of a degree of play gains most of a gap that any linkage makes."""
+    quiet = NOISE / 30.0
+    real = recorded({"throttle_backlash": [0.28]}, noise=quiet)
+    strict = Options(draws=40, quiet=1e-6)
+    found = diagnose(flights, (real, quiet), engine, strict)
+    assert (found.kind, found.effects) == ("unknown", ())
+    assert "hardly more than small misfit of any simulator does" in found.reason
+    assert found.tried[0].effects == ("throttle_backlash",)
