@@ -21,7 +21,10 @@ from training.trainer import FitResult, Material, Watch, fit_narx
 FloatArray = NDArray[np.float64]
 Records: TypeAlias = RecordLike | Iterable[RecordLike]
 
-# For records whose unit of time is the sample.
+# For records of which nothing is known. Eight lags left a half to nine tenths of the error of two
+# or four on what three public sets held back in their training ranges.
+_STRUCTURE = NarxConfig(lags=8, taps=tuple(range(9)), hidden=8)
+# Horizons in samples.
 _TRAIN = TrainConfig(horizons_s=(20.0, 200.0, 0.0), iterations=(10, 20, 40), score_every_s=1.0)
 
 
@@ -34,7 +37,8 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
 
     `structure` holds lags, input taps and width, `train` the optimiser and its horizons (in the
     unit of `dt_s`, which is 1 by default: then horizons count samples). Tap 0 is the input at
-    the predicted sample itself; leave it out where that must not be used.
+    the predicted sample itself; leave it out where that must not be used. Left out, they are
+    8 lags, taps 0 to 8 and 8 hidden units; fewer do for a system of low order.
 
     A record is a pair of arrays `(u, y)` (time, inputs) and (time, outputs), or a `Record`, which
     also has a name; methods take one of these or several. Searches of scikit-learn reach into
@@ -74,7 +78,7 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         learned = as_records(records)
         held_out = [] if validation is None else as_records(validation)
         material = Material(learned, held_out, self.dt_s)
-        structure, train = self.structure or NarxConfig(), self.train or _TRAIN
+        structure, train = self.structure or _STRUCTURE, self.train or _TRAIN
         self.result_: FitResult = fit_narx(material, structure, train, watch)
         return self
 
@@ -141,7 +145,7 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         return self
 
     def _sections(self) -> Mapping[str, Section]:
-        return {"structure": self.structure or NarxConfig(), "train": self.train or _TRAIN}
+        return {"structure": self.structure or _STRUCTURE, "train": self.train or _TRAIN}
 
     def __sklearn_tags__(self) -> Any:
         """Tell scikit-learn's displays what this is."""

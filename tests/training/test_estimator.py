@@ -114,9 +114,9 @@ def test_scikit_learn_can_clone_it_and_knows_what_it_is():
 
 def test_nested_settings_are_read_and_set_by_name():
     model = Narx(train=QUICK)
-    assert model.get_params()["structure__hidden"] == NarxConfig().hidden
+    assert model.get_params()["structure__lags"] == 8
     model.set_params(structure__hidden=3, structure__taps=[1], train__seed=7, dt_s=0.5)
-    assert model.structure == NarxConfig(hidden=3, taps=(1,))
+    assert model.structure == NarxConfig(lags=8, hidden=3, taps=(1,))
     assert model.train == QUICK.model_copy(update={"seed": 7})
     assert model.dt_s == 0.5
     assert clone(model).get_params() == model.get_params()
