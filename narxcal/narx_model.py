@@ -81,8 +81,13 @@ class NarxModel:
 
         Sample 0 has no past and is NaN, and so is every sample whose history holds a NaN.
         """
-        inputs = self._inputs(u)
-        scaled = self.output_scaling.down(np.asarray(y, dtype=np.float64))
+        inputs, measured = self._inputs(u), np.asarray(y, dtype=np.float64)
+        if measured.shape != (len(inputs), self.net.outputs):
+            raise DataError(
+                f"expected outputs of shape {(len(inputs), self.net.outputs)}, "
+                f"found {measured.shape}"
+            )
+        scaled = self.output_scaling.down(measured)
         lags = [history_before(scaled, k, self.config.lags) for k in range(1, len(scaled))]
         past = torch.from_numpy(np.array(lags).reshape(len(lags), self.config.lags, -1))
         tapped = tap(self.input_scaling.down(inputs), self.config.taps)[1:]
@@ -97,6 +102,13 @@ class NarxModel:
         if inputs.ndim != 2 or inputs.shape[1] != self.net.inputs:
             raise DataError(
                 f"expected inputs of shape (time, {self.net.inputs}), found {inputs.shape}"
+            )
+        unknown = np.flatnonzero(~np.isfinite(inputs).all(axis=1))
+        if len(unknown):
+            raise DataError(
+                "an input is not a finite number",
+                row=int(unknown[0]),
+                hint="A free run cannot step over a hole: fill it, or cut the record there",
             )
         return inputs
 

@@ -29,8 +29,8 @@ class Record:
     weight: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "u", _columns(self.u))
-        object.__setattr__(self, "y", _columns(self.y))
+        object.__setattr__(self, "u", _columns(self.u, self.name))
+        object.__setattr__(self, "y", _columns(self.y, self.name))
         if len(self.u) != len(self.y):
             raise DataError(
                 f"inputs and outputs have to be of one length, found {len(self.u)} "
@@ -45,6 +45,14 @@ class Record:
                 row=int(bad[0]),
                 hint="Fill or cut the record first; only outputs may be masked with NaN",
             )
+        infinite = np.flatnonzero(np.isinf(self.y).any(axis=1))
+        if len(infinite):
+            raise DataError(
+                "an output is infinite",
+                file=self.name,
+                row=int(infinite[0]),
+                hint="Mask what is not known with NaN",
+            )
         if self.weight is not None and self.weight.shape != (len(self.u),):
             raise DataError(
                 f"the weight has to be of shape ({len(self.u)},), found {self.weight.shape}",
@@ -55,8 +63,14 @@ class Record:
         return len(self.u)
 
 
-def _columns(values: ArrayLike) -> FloatArray:
+def _columns(values: ArrayLike, name: str) -> FloatArray:
     array = np.ascontiguousarray(values, dtype=np.float64)
+    if array.ndim > 2:
+        raise DataError(
+            f"expected (time, channels), found an array of shape {array.shape}",
+            file=name,
+            hint="Pass a batch as a list of records",
+        )
     return array[:, None] if array.ndim == 1 else array
 
 

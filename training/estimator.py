@@ -105,6 +105,8 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
     def score(self, records: Records, start: int = 1) -> float:
         """Coefficient of determination of the free run, pooled over records and outputs.
 
+        Where the outputs never vary it is 1 for a free run without error, else 0.
+
         The first `start` measured samples of each record initialise it and are not scored; one
         that is masked takes the channel's first known value.
         """
@@ -115,6 +117,8 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
             centre = np.nanmean(record.y, axis=0)
             error += float(np.nansum((y[scored] - record.y[scored]) ** 2))
             spread += float(np.nansum((record.y[scored] - centre) ** 2))
+        if spread == 0.0:  # as scikit-learn scores what never varies
+            return 1.0 if error == 0.0 else 0.0
         return 1.0 - error / spread
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:

@@ -113,6 +113,12 @@ def test_inputs_and_starts_of_another_shape_are_refused():
     assert str(error.value) == (
         "expected finite start values of shape (n, 2), found (1, 2) with 1 not finite"
     )
+    with pytest.raises(DataError, match=r"^expected outputs of shape \(5, 2\), found \(4, 2\)$"):
+        model().predict(np.zeros((5, 2)), np.zeros((4, 2)))
+    holed = np.zeros((5, 2))
+    holed[3, 1] = np.nan
+    with pytest.raises(DataError, match=r"^row 3: an input is not a finite number"):
+        model().simulate(holed, np.zeros(2))
 
 
 @pytest.mark.parametrize(

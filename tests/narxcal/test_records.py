@@ -43,6 +43,17 @@ def with_bad_input():
             lambda: Record(np.zeros(3), np.zeros(3), "flight", np.ones(2)),
             "flight: the weight has to be of shape (3,), found (2,)",
         ),
+        (
+            lambda: Record(np.zeros(3), [0.0, 1.0, -np.inf], "flight"),
+            "flight, row 2: an output is infinite. Mask what is not known with NaN",
+        ),
+        (
+            lambda: Record(np.zeros((2, 9, 1)), np.zeros((2, 9, 1)), "flight"),
+            (
+                "flight: expected (time, channels), found an array of shape (2, 9, 1). "
+                "Pass a batch as a list of records"
+            ),
+        ),
         (lambda: check_records([], 1), "at least one record is needed, found none"),
         (
             lambda: check_records([Record(np.zeros(3), np.zeros(3), "flight")], 3),

@@ -57,6 +57,12 @@ def test_a_masked_first_sample_starts_at_the_first_known_one(lag_record):
     assert model.score([Record(record.u, y)]) > 0.99
 
 
+def test_outputs_that_never_vary_score_nothing_and_not_an_error(lag_record):
+    record = lag_record(0)
+    model = Narx(STRUCTURE, QUICK).fit([record])
+    assert model.score([(record.u, np.full(len(record), 0.7))]) == 0.0
+
+
 @pytest.mark.parametrize(
     ("given", "found"),
     [
