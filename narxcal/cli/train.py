@@ -9,17 +9,21 @@ from __future__ import annotations
 import math
 import shutil
 from argparse import Namespace
+from collections.abc import Sequence
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
+from data_prep.log import Log
 from data_prep.smooth import blurs
 from narxcal.bundle import DOCUMENT, Bundle, read_document, write_bundle
 from narxcal.cli.configured import read_config
 from narxcal.cli.console import Advance, Console
 from narxcal.cli.origin import steady_words
 from narxcal.errors import ConfigError
-from training.config import RunConfig
+from training.config import RunConfig, SplitConfig
 from training.pipeline import (
+    Split,
     TrainOptions,
     calibrate,
     configured_files,
@@ -62,16 +66,33 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
         for number, file in enumerate(files):
             advance(number, len(files), file.name)
             logs += prepare_logs(config, [file])
-    if warning := blurs(config.smooth, logs):
+    split = split_logs(logs, config.split)
+    for warning in filter(None, [*left_out(logs, split, config.split), blurs(config.smooth, logs)]):
         console.warn(warning)
     checkpoints = folder / CHECKPOINTS
     with console.progress("Training") as advance:
         options = TrainOptions(_watch(config, advance), checkpoints, resume)
-        bundle = calibrate(config, base, split_logs(logs, config.split), options)
+        bundle = calibrate(config, base, split, options)
     write_bundle(folder, bundle)
     if not interrupted(bundle.meta):
         shutil.rmtree(checkpoints, ignore_errors=True)
     return bundle
+
+
+def left_out(logs: Sequence[Log], split: Split, config: SplitConfig) -> list[str]:
+    """What to say of patterns in [split] that name no log, and of logs that are in no set."""
+    patterns = {"train": config.train, "validate": config.validate_, "test": config.test}
+    said = [
+        f"[split] {part} = '{pattern}' matches no log"
+        for part, chosen in patterns.items()
+        for pattern in chosen
+        if not any(fnmatch(log.name, pattern) for log in logs)
+    ]
+    used = {log.name for log in (*split.train, *split.validate, *split.test)}
+    unused = [log.name for log in logs if log.name not in used]
+    if unused:
+        said.append(f"not used, for no pattern in [split] matches: {', '.join(unused)}")
+    return said
 
 
 def interrupted(meta: dict[str, Any]) -> bool:

@@ -159,6 +159,21 @@ def test_info_shows_the_last_evaluation_of_these_weights_only(project, narxcal, 
     assert strict(narxcal("info", run, "--json").out)["metrics"] is None
 
 
+def test_train_warns_of_patterns_that_name_no_log_and_of_logs_that_are_in_no_set(
+    project, narxcal, tmp_path
+):
+    text = (project / "tiny.toml").read_text("utf-8")
+    text = text.replace('folder = "flights"', f'folder = "{project / "flights"}"')
+    text = text.replace('test = ["flight_3.csv*"]', 'test = ["flight3*"]')
+    (tmp_path / "typo.toml").write_text(text, "utf-8")
+    done = narxcal("train", tmp_path / "typo.toml", "--out", tmp_path / "run", "--quiet")
+    assert done.code == 0
+    assert done.err == (
+        "narxcal: warning: [split] test = 'flight3*' matches no log\n"
+        "narxcal: warning: not used, for no pattern in [split] matches: flight_3.csv\n"
+    )
+
+
 def test_evaluate_says_that_no_log_was_held_out(project, narxcal, tmp_path):
     text = (project / "tiny.toml").read_text("utf-8")
     text = text.replace('flight_[1-2].csv*"]\ntest = ["flight_3.csv*', "*").replace(
