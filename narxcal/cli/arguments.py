@@ -73,7 +73,7 @@ def _command(commands: _Commands, name: str, text: str) -> argparse.ArgumentPars
 def _common(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("output")
     group.add_argument("--json", action="store_true", help="print one JSON document instead")
-    group.add_argument("--quiet", action="store_true", help="print nothing but errors")
+    group.add_argument("--quiet", action="store_true", help="print nothing but errors and warnings")
     group.add_argument("--traceback", action="store_true", help="show where an error arose")
 
 

@@ -173,7 +173,7 @@ def _output(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("output")
     for name, text in (
         ("--json", "print one JSON document instead"),
-        ("--quiet", "print nothing but errors"),
+        ("--quiet", "print nothing but errors and warnings"),
         ("--traceback", "show where an error arose"),
     ):
         group.add_argument(name, action="store_true", default=argparse.SUPPRESS, help=text)

@@ -22,13 +22,21 @@ def logs_for(
     """
     with console.progress("Reading the logs"):
         if files:
-            return evaluation_logs(bundle, files)
+            return evaluation_logs(bundle, _once(files, console))
         logs = _held_out(bundle, data)
     if not (bundle.meta.get("split") or {}).get("test"):
         console.warn("no log was held out: these are logs that the model was trained on")
     for text in changed(bundle, logs):
         console.warn(text)
     return logs
+
+
+def _once(files: Sequence[Path], console: Console) -> list[Path]:
+    """Each file once: a log that is judged twice would count twice in what is pooled."""
+    chosen = list({file.resolve(): file for file in files}.values())
+    if len(chosen) < len(files):
+        console.warn("a file that is named twice is read once")
+    return chosen
 
 
 def changed(bundle: Bundle, logs: Sequence[Log]) -> list[str]:

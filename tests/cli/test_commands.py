@@ -159,6 +159,15 @@ def test_info_shows_the_last_evaluation_of_these_weights_only(project, narxcal, 
     assert strict(narxcal("info", run, "--json").out)["metrics"] is None
 
 
+def test_a_log_that_is_named_twice_is_judged_once(project, narxcal, tmp_path):
+    file = project / "flights" / "flight_3.csv"
+    done = narxcal(
+        "evaluate", project / "run", "--logs", file, file, "--out", tmp_path / "out", "--json"
+    )
+    assert [log["log"] for log in strict(done.out)["logs"]] == ["flight_3.csv"]
+    assert done.err == "narxcal: warning: a file that is named twice is read once\n"
+
+
 def test_train_warns_of_patterns_that_name_no_log_and_of_logs_that_are_in_no_set(
     project, narxcal, tmp_path
 ):
