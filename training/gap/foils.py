@@ -1,19 +1,27 @@
-"""What is in no library but looks like an effect of it: a step of one channel is no drift.
+"""What looks like an effect of the library but is in none: a step is no drift, slow fuel no heat.
 
 A loose connector or a patched amplifier shifts a channel at once and for good. A ramp follows such
 a step well enough to gain as a drift would, so that a drift is only believed where steps, one in
 each flight at any time, would not explain more. Steps that may lie anywhere also follow whatever
 else is wrong: what they gain once the drift is taken out is no evidence for them.
+
+Metal that takes up heat is seen in the temperature. A share for every output also follows what is
+slow in one of the others, as a fuel flow that creeps where the control trims it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 
-from narxcal.effects.base import FloatArray
+from narxcal.effects.base import Effect, FloatArray
 from narxcal.effects.sensor_side import SensorDrift
+from narxcal.effects.steady import HeatSoak
 from training.gap.fitting import Fit
 from training.gap.quadratic import Misfit
+
+_SEEN = 0.5  # of what heat soak takes: so much at least of a temperature
 
 
 def is_a_step(tried: Fit, measure: Misfit) -> bool:
@@ -22,19 +30,42 @@ def is_a_step(tried: Fit, measure: Misfit) -> bool:
     Of a ramp the best step explains at most three quarters, and of a step the ramp. The ramp's rate
     is that of all flights.
     """
+    for own in _own(tried, SensorDrift):
+        gap = measure.cleaned(measure.gap - tried.response + own)
+        column = int(np.argmax(np.abs(own).sum(axis=(0, 1))))
+        every = (gap[..., column], own[..., column], measure.weights[..., column])
+        if sum(_step_beyond_ramp(*flight) for flight in zip(*every, strict=True)) > 0.0:
+            return True
+    return False
+
+
+def is_no_heat(tried: Fit, measure: Misfit, outputs: Sequence[str]) -> bool:
+    """Whether a heat soak in the fit takes most from other outputs than the temperature.
+
+    Of logs without a temperature nothing can be said.
+    """
+    if "EGT_C" not in outputs:
+        return False
+    left = measure.weights * measure.cleaned(measure.gap - tried.response) ** 2
+    for own in _own(tried, HeatSoak):
+        with_it = measure.weights * measure.cleaned(measure.gap - tried.response + own) ** 2
+        taken = (with_it - left).sum(axis=(0, 1))
+        if taken[outputs.index("EGT_C")] < _SEEN * taken.sum():
+            return True
+    return False
+
+
+def _own(tried: Fit, kind: type[Effect]) -> Iterator[FloatArray]:
+    """What each effect of a kind changes by itself, (flights, time, outputs).
+
+    By its linear parameters: all of a drift's, the shares of heat soak.
+    """
     at = 0
     for effect, count in zip(tried.effects, tried.sizes, strict=True):
-        if isinstance(effect, SensorDrift):
-            own = np.tensordot(tried.theta[at : at + count], tried.slopes[at : at + count], axes=1)
-            gap = measure.cleaned(measure.gap - tried.response + own)
-            column = int(np.argmax(np.abs(own).sum(axis=(0, 1))))
-            flights = zip(
-                gap[..., column], own[..., column], measure.weights[..., column], strict=True
-            )
-            if sum(_step_beyond_ramp(*flight) for flight in flights) > 0.0:
-                return True
+        if isinstance(effect, kind):
+            linear = [k for k in range(at, at + count) if tried.parameters[k].linear]
+            yield np.tensordot(tried.theta[linear], tried.slopes[linear], axes=1)
         at += count
-    return False
 
 
 def _step_beyond_ramp(gap: FloatArray, ramp: FloatArray, weights: FloatArray) -> float:

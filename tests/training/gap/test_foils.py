@@ -7,7 +7,7 @@ from narxcal.effects import effect
 from tests.training.gap.conftest import DT, NOISE
 from training.gap.diagnosis import diagnose
 from training.gap.fitting import Problem, fit
-from training.gap.foils import is_a_step
+from training.gap.foils import is_a_step, is_no_heat
 from training.gap.quadratic import misfit
 from training.gap.work import Options
 
@@ -69,3 +69,21 @@ def test_the_diagnosis_names_no_drift_where_a_channel_jumped(flights, engine, re
     real = with_steps(recorded({}), (0.5,) * 5)
     found = diagnose(flights, (real, NOISE), engine, Options(draws=40))
     assert "sensor_drift:EGT_C" not in found.effects
+
+
+@pytest.mark.parametrize(
+    ("shares", "foil"), [([-0.02, 0.0], True), ([0.0, -0.1], False), ([-0.002, -0.1], False)]
+)
+def test_heat_that_no_temperature_shows_is_none(shares, foil, flights, engine, recorded):
+    """Shares of N2 and of the temperature."""
+    real = recorded({"heat_soak": [60.0, 0.0, *shares]})
+    measure = misfit(flights, real, NOISE)
+    soak = fit([effect("heat_soak")], Problem(flights, engine, measure))
+    outputs = flights.signals.outputs
+    assert is_no_heat(soak, measure, outputs) is foil
+    assert not is_no_heat(soak, measure, ("N1_pct", "N2_pct", "FF_kgph"))
+    lag = fit([effect("sensor_lag:EGT_C")], Problem(flights, engine, measure))
+    assert not is_no_heat(lag, measure, outputs)
+    found = diagnose(flights, (real, NOISE), engine, Options(draws=40))
+    assert ("heat_soak" in found.effects) is not foil
+    assert ("but no temperature shows the heat" in found.reason) is foil
