@@ -60,23 +60,26 @@ class Found:
     explained: float
 
 
-def search_levels(levels: Levels, starts: int = 5, shift: FloatArray | None = None) -> Found | None:
-    """The best of several starts; None where none leads anywhere. A known `shift` stays."""
-    if shift is not None:
-        return _climb(levels, shift, levels.residual, fixed=True)
-    left = levels.residual - _own(levels, levels.residual, _trust(levels, levels.residual))
+def search_levels(levels: Levels, starts: int = 5) -> Found | None:
+    """The best of several starts; None where none leads anywhere."""
+    left = without_nuisances(levels)
     scale = _scale(left, levels.known)
     best: Found | None = None
     for start in _starts(left / scale, levels, starts):
-        found = _climb(levels, start * scale, left)
+        found = climb(levels, start * scale, left)
         if found is not None and (best is None or found.explained > best.explained):
             best = found
     return best
 
 
+def without_nuisances(levels: Levels) -> FloatArray:
+    """The residual less what its nuisances take up, if there are no windows."""
+    return levels.residual - _own(levels, levels.residual, _trust(levels, levels.residual))
+
+
 def of_paths(on: BoolArray, levels: Levels) -> Found:
     """Shift and nuisances for given paths (flights, blocks)."""
-    left = levels.residual - _own(levels, levels.residual, _trust(levels, levels.residual))
+    left = without_nuisances(levels)
     rest, shift = left, np.zeros(left.shape[2])
     for _ in range(_ROUNDS):
         shift, own = _fitted(levels, on, _trust(levels, rest))
@@ -84,15 +87,22 @@ def of_paths(on: BoolArray, levels: Levels) -> Found:
     return _found(levels, (shift, on, rest), left)
 
 
-def _climb(
-    levels: Levels, shift: FloatArray, left: FloatArray, *, fixed: bool = False
+def climb(
+    levels: Levels,
+    shift: FloatArray,
+    left: FloatArray,
+    *,
+    fixed: bool = False,
+    begin: BoolArray | None = None,
 ) -> Found | None:
-    """Paths, then shift and nuisances, in turn until the paths stay."""
-    if fixed:
-        left = left - _own(levels, left, _trust(levels, left))
+    """Paths, then shift (unless `fixed`) and nuisances, in turn until the paths stay.
+
+    From the paths `begin`, or those by what is `left` without windows.
+    """
     before, rest, on = left, left, np.zeros(levels.known.shape, dtype=np.bool_)
-    for _ in range(_ROUNDS):
-        again = paths(_share_there(left, shift, _inverse(rest, levels.known)), levels)
+    for k in range(_ROUNDS):
+        again = paths(share_there(left, shift, inverse_of(rest, levels.known)), levels)
+        again = begin if begin is not None and k == 0 else again
         share = float(again[levels.known].mean())
         if not _LEAST < share < _MOST:
             return None
@@ -115,9 +125,9 @@ def _found(
     levels: Levels, answer: tuple[FloatArray, BoolArray, FloatArray], before: FloatArray
 ) -> Found:
     shift, on, rest = answer
-    inverse = _inverse(rest, levels.known)
+    inverse = inverse_of(rest, levels.known)
     explained = 1.0 - _size(rest, levels.known, inverse) / _size(before, levels.known, inverse)
-    there = _share_there(rest + on[..., None] * shift, shift, inverse)
+    there = share_there(rest + on[..., None] * shift, shift, inverse)
     return Found(shift, on, rest, there, explained)
 
 
@@ -165,7 +175,7 @@ def _scale(rest: FloatArray, known: BoolArray) -> FloatArray:
     return np.asarray(np.maximum(1.4826 * np.median(np.abs(rest[known]), axis=0), 1e-9))
 
 
-def _inverse(rest: FloatArray, known: BoolArray) -> FloatArray:
+def inverse_of(rest: FloatArray, known: BoolArray) -> FloatArray:
     """Inverse of the robust covariance (channels, channels); half of the correlation counts."""
     scale = _scale(rest, known)
     bounded = np.clip(rest[known] / scale, -2.5, 2.5)
@@ -175,7 +185,7 @@ def _inverse(rest: FloatArray, known: BoolArray) -> FloatArray:
     return np.asarray(np.linalg.inv(half * np.outer(scale, scale)))
 
 
-def _share_there(left: FloatArray, shift: FloatArray, inverse: FloatArray) -> FloatArray:
+def share_there(left: FloatArray, shift: FloatArray, inverse: FloatArray) -> FloatArray:
     """Share of the shift at every block: 0 where off, 1 where on."""
     toward = inverse @ shift
     return np.asarray(left @ toward / max(float(shift @ toward), 1e-12))

@@ -21,6 +21,7 @@ from narxcal.effects.running import Flights
 from narxcal.effects.steady import FOLLOW_S, UNLOGGED, UnloggedSwitch
 from training.gap.blocks import drawn_anew
 from training.gap.fitting import Fit
+from training.gap.known_load import search_known
 from training.gap.levels import BoolArray, Found, Levels, of_paths, search_levels
 from training.gap.load_checks import against
 from training.gap.load_windows import told
@@ -89,7 +90,7 @@ def find_known_load(
     """Windows of other flights, in which a load of known `shift` (outputs,) was on."""
     asked = Asked(flights, measure, _all_groups(groups, len(flights.u)))
     levels = levels_of(asked, _BEFORE_S)
-    found = search_levels(levels, shift=shift)
+    found = search_known(levels, shift)
     none = Load(np.zeros(flights.u.shape[:2]), (), np.zeros(len(flights.u)))
     if found is None or found.explained <= 0.0:
         return none
