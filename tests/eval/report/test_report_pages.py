@@ -92,7 +92,7 @@ def test_a_page_is_the_same_bytes_each_time(evaluation, header, page):
 def test_the_page_says_in_words_how_many_transients_pass(evaluation):
     assert "✗ FAIL" in evaluation
     assert "1 of 2 assessable transients (50 %) meet the &#39;paper&#39; rules" in evaluation
-    assert "1 transients could not be assessed and count neither way" in evaluation
+    assert "1 transient could not be assessed and count neither way" in evaluation
 
 
 def test_counts_keep_events_that_are_not_assessable_out_of_both_sides(page):
