@@ -167,19 +167,27 @@ class LagModel:
         shapes: dict[str, tuple[int, ...]] = dict.fromkeys(_ARRAYS, (len(names),))
         cold = meta.get("parameter_names") == _COLD
         shapes["parameters"] = (len(names), len(_COLD if cold else PARAMETERS))
-        kept = {}
-        for name, shape in shapes.items():
-            found = arrays.get(name)
-            if found is None or found.shape != shape:
-                given = None if found is None else found.shape
-                raise ModelError(
-                    f"lag array '{name}' has to be of shape {shape}, found {given}",
-                    hint="Train again if another version of narxcal wrote the folder",
-                )
-            kept[name] = np.array(found, dtype=np.float64)
+        kept = arrays_of(shapes, arrays)
         missing = len(PARAMETERS) - kept["parameters"].shape[1]
         kept["parameters"] = np.pad(kept["parameters"], ((0, 0), (0, missing)))
         return cls(output_names=names, **kept)
+
+
+def arrays_of(
+    shapes: Mapping[str, tuple[int, ...]], arrays: Mapping[str, FloatArray]
+) -> dict[str, FloatArray]:
+    """Copies of the arrays named in `shapes`; `ModelError` where one is missing or misshapen."""
+    kept = {}
+    for name, shape in shapes.items():
+        found = arrays.get(name)
+        if found is None or found.shape != shape:
+            given = None if found is None else found.shape
+            raise ModelError(
+                f"lag array '{name}' has to be of shape {shape}, found {given}",
+                hint="Train again if another version of narxcal wrote the folder",
+            )
+        kept[name] = np.array(found, dtype=np.float64)
+    return kept
 
 
 def speeds_of(names: Sequence[str]) -> NDArray[np.bool_]:

@@ -17,7 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from narxcal.errors import ModelError
-from narxcal.lag import Drive, LagModel, air_columns, core_of, speeds_of, thickness
+from narxcal.lag import (
+    Drive,
+    LagModel,
+    air_columns,
+    arrays_of,
+    core_of,
+    speeds_of,
+    thickness,
+)
 from narxcal.lag_governed_steps import (
     HEAT,
     LINES,
@@ -127,17 +135,7 @@ class GovernedLags:
     def from_arrays(cls, meta: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> Self:
         """Rebuild from `to_arrays`; `ModelError` where an array is missing or misshapen."""
         names = tuple(meta["output_names"])
-        kept = {}
-        for name, shape in governed_shapes(len(names)).items():
-            found = arrays.get(name)
-            if found is None or found.shape != shape:
-                given = None if found is None else found.shape
-                raise ModelError(
-                    f"lag array '{name}' has to be of shape {shape}, found {given}",
-                    hint="Train again if another version of narxcal wrote the folder",
-                )
-            kept[name] = np.array(found, dtype=np.float64)
-        return cls(output_names=names, **kept)
+        return cls(output_names=names, **arrays_of(governed_shapes(len(names)), arrays))
 
 
 AnyLags = LagModel | GovernedLags

@@ -23,7 +23,7 @@ from training.gap.allowance import Allowance
 from training.gap.emulator import GreyBoxEmulator
 from training.gap.finding import Finding
 from training.gap.fitting import Fit, Problem, fit, in_nearly_all
-from training.gap.foils import is_a_step, is_no_heat
+from training.gap.foils import foil
 from training.gap.null import null_gains
 from training.gap.offsets import beyond_scatter, day_fit, offset_fits, unexplained, whole_gap
 from training.gap.quadratic import misfit
@@ -124,13 +124,9 @@ def _earned(work: Work, model: Fit, best: Fit | None, least: float) -> bool:
     telling = work.tells(model) or work.stands_out(model)
     heard = float(gained.sum()) > (_IF_TELLING if telling else _OF_WHOLE) * work.whole
     worth = share > max(work.threshold, least) and in_nearly_all(told) and heard
-    return worth and _beyond(work, model, best) and not _is_foil(work, model)
-
-
-def _is_foil(work: Work, model: Fit) -> bool:
-    """Whether an effect of the model only looks like what it is."""
-    measure, outputs = work.problem.misfit, work.problem.flights.signals.outputs
-    return is_a_step(model, measure) or is_no_heat(model, measure, outputs)
+    if not (worth and _beyond(work, model, best)):
+        return False
+    return not foil(model, work.problem.misfit, work.problem.flights.signals.outputs)
 
 
 def _beyond(work: Work, model: Fit, best: Fit | None) -> bool:

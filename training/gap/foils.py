@@ -24,6 +24,15 @@ from training.gap.quadratic import Misfit
 _SEEN = 0.5  # of what heat soak takes: so much at least of a temperature
 
 
+def foil(tried: Fit, measure: Misfit, outputs: Sequence[str]) -> str:
+    """What an effect of the fit is instead, in words; empty if it only is what it is."""
+    if is_no_heat(tried, measure, outputs):
+        return "but no temperature shows the heat"
+    if is_a_step(tried, measure):
+        return "but as a step in mid-flight, which is no drift"
+    return ""
+
+
 def is_a_step(tried: Fit, measure: Misfit) -> bool:
     """Whether a drift in the fit is rather a step in mid-flight.
 

@@ -101,8 +101,8 @@ def climb(
     """
     before, rest, on = left, left, np.zeros(levels.known.shape, dtype=np.bool_)
     for k in range(_ROUNDS):
-        again = paths(share_there(left, shift, inverse_of(rest, levels.known)), levels)
-        again = begin if begin is not None and k == 0 else again
+        there = share_there(left, shift, inverse_of(rest, levels.known))
+        again = paths(there, levels) if begin is None or k > 0 else begin
         share = float(again[levels.known].mean())
         if not _LEAST < share < _MOST:
             return None

@@ -11,7 +11,7 @@ from narxcal.effects.base import FloatArray, RateEffect
 from training.gap.answer import Worth, channels, probabilities, shrink, tried
 from training.gap.finding import Finding, Interval, Kind, Tried
 from training.gap.fitting import Fit
-from training.gap.foils import is_a_step, is_no_heat
+from training.gap.foils import foil
 from training.gap.work import Work
 
 _LEFT = 0.01  # of the gap: nobody can tell two models that both leave less
@@ -127,11 +127,9 @@ def _verdict(work: Work, claimed: Fit | None, offset: Offset | None) -> tuple[Ki
 def _too_little(work: Work, best: Fit) -> str:
     """Why the best effect is no answer to a gap that is real."""
     takes = f"the best one takes {100.0 * work.gain(best):.0f} % of it"
-    measure, outputs = work.problem.misfit, work.problem.flights.signals.outputs
-    if is_no_heat(best, measure, outputs):
-        return f"{takes}, but no temperature shows the heat"
-    if is_a_step(best, measure):
-        return f"{takes}, but as a step in mid-flight, which is no drift"
+    problem = work.problem
+    if instead := foil(best, problem.misfit, problem.flights.signals.outputs):
+        return f"{takes}, {instead}"
     beyond = float(work.beyond(best).sum()) >= work.options.beyond * work.audible
     if beyond or work.gain(best) <= work.options.material:
         return takes
