@@ -6,13 +6,13 @@ import gzip
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed, parallel_config
 
 from narxcal.channels import CHANNELS
 from narxcal.errors import ConfigError, ModelError
@@ -22,6 +22,7 @@ from narxcal.flight_test.measurement import FloatArray
 from narxcal.flight_test.scenario import SCHEMA, FlightScenario, canonical, lever_moves
 from narxcal.flight_test.sensors import Streams, record
 from narxcal.settings import read_toml
+from training.parallel import in_processes
 
 TRUTH_SCHEMA: Final = "narxcal.flight_truth/1"
 # Beside the logs, where no pattern of log files finds them.
@@ -128,15 +129,11 @@ def write_flights(
 def _all_flights(scenario: FlightScenario, options: WriteOptions) -> Iterator[list[_Written]]:
     """Fly and format every flight, in order, in parallel processes where there are several."""
     numbers = range(1, scenario.flight_count + 1)
-    if min(options.jobs, scenario.flight_count) == 1:
-        yield from (_write(scenario, number, options) for number in numbers)
-        return
-    tasks = (delayed(_write)(scenario, number, options) for number in numbers)
-    with parallel_config(backend="loky", inner_max_num_threads=1):
-        yield from Parallel(n_jobs=options.jobs, return_as="generator")(tasks)
+    jobs = min(options.jobs, scenario.flight_count)
+    return in_processes(partial(_write, scenario, options), numbers, jobs)
 
 
-def _write(scenario: FlightScenario, flight: int, options: WriteOptions) -> list[_Written]:
+def _write(scenario: FlightScenario, options: WriteOptions, flight: int) -> list[_Written]:
     """Fly one flight and put its logs into bytes; runs in a process of its own."""
     ending = ".csv.gz" if options.gzipped else ".csv"
     written = []

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from joblib import Parallel, delayed, parallel_config
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -27,6 +27,7 @@ from narxcal.bundle import Bundle
 from narxcal.errors import DataError
 from narxcal.settings import Section
 from training.config import RunConfig
+from training.parallel import in_processes
 from training.pipeline import Split, calibrate
 
 T = TypeVar("T")
@@ -197,9 +198,8 @@ def run_plans(
     """
     single = config.train.model_copy(update={"threads": 1})
     config = config.model_copy(update={"train": single})
-    tasks = (delayed(_run_plan)(plan, config, base, judge) for plan in plans)
-    with parallel_config(backend="loky", inner_max_num_threads=1):
-        yield from Parallel(n_jobs=jobs, return_as="generator")(tasks)
+    task = partial(_run_plan, config=config, base=base, judge=judge)
+    return in_processes(task, plans, jobs)
 
 
 def _run_plan(plan: Plan, config: RunConfig, base: Path, judge: Callable[[Bundle, Plan], T]) -> T:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
-
-from joblib import Parallel, delayed, parallel_config
 
 from narxcal.narx import NarxConfig
 from narxcal.narx_model import NarxModel
 from narxcal.records import Record
 from training.config import RunConfig, TrainConfig
+from training.parallel import in_processes
 from training.rest import rest_records
 from training.trainer import Material, fit_narx
 
@@ -51,8 +51,7 @@ def fit_all(tasks: Sequence[Task], config: RunConfig, jobs: int) -> list[NarxMod
     An anchored structure (`moving` > 0) is also shown how to come to rest, as `train` does.
     """
     train = config.train.model_copy(update={"threads": 1})
-    with parallel_config(backend="loky", inner_max_num_threads=1):
-        return list(Parallel(n_jobs=jobs)(delayed(_fit)(task, train) for task in tasks))
+    return list(in_processes(partial(_fit, train=train), tasks, jobs))
 
 
 def _fit(task: Task, train: TrainConfig) -> NarxModel:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
-
-from joblib import Parallel, delayed, parallel_config
 
 from eval.gap.blind.cases import BlindPlan, Case, draw_cases
 from eval.gap.blind.files import CASES, FOLDERS, KEY, KEY_SCHEMA, SCHEMA, salt_of, write_log
@@ -17,6 +16,7 @@ from eval.gap.blind.sizes import gap_share, sized
 from eval.gap.blind.truth import NOTHING, Channels, Content, Specimen
 from narxcal.atomic import atomic_write_bytes, atomic_write_text
 from narxcal.errors import ModelError
+from training.parallel import in_processes
 
 _SIZED_ON = 2  # flights: their days differ
 Watch = Callable[[str, int, int], None]  # name of the case that is done, its number, how many
@@ -60,12 +60,7 @@ def write_key(
 
 
 def _all_made(folder: Path, plan: BlindPlan, cases: Sequence[Case], jobs: int) -> Iterator[Made]:
-    if min(jobs, len(cases)) == 1:
-        yield from (make_case(folder, plan, case) for case in cases)
-        return
-    tasks = (delayed(make_case)(folder, plan, case) for case in cases)
-    with parallel_config(backend="loky", inner_max_num_threads=1):
-        yield from Parallel(n_jobs=jobs, return_as="generator")(tasks)
+    return in_processes(partial(make_case, folder, plan), cases, min(jobs, len(cases)))
 
 
 def make_case(folder: Path, plan: BlindPlan, case: Case) -> Made:

@@ -15,17 +15,18 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed, parallel_config
 
 from eval.gap.blind.files import FOLDERS, read_cases
 from eval.gap.diagnose import Request, diagnose_folders
 from narxcal.atomic import atomic_write_text
 from narxcal.errors import ConfigError, NarxcalError
 from narxcal.interrupt import is_interrupt, put_off, safe_interrupt
+from training.parallel import in_processes
 
 SCHEMA: Final = "narxcal.blind_answers/1"
 FAILED_SCHEMA: Final = "narxcal.blind_failed/1"
@@ -120,15 +121,11 @@ def _answered(folder: Path, seed: int) -> bool:
 
 
 def _all_run(folder: Path, out: Path, left: list[Task], limits: Limits) -> Iterator[str]:
-    if min(limits.jobs, len(left)) <= 1:
-        yield from (_run_case(folder, out, task, limits.timeout_s) for task in left)
-        return
-    tasks = (delayed(_run_case)(folder, out, task, limits.timeout_s) for task in left)
-    with parallel_config(backend="loky", inner_max_num_threads=1):
-        yield from Parallel(n_jobs=limits.jobs, return_as="generator_unordered")(tasks)
+    run = partial(_run_case, folder, out, limits.timeout_s)
+    return in_processes(run, left, max(1, min(limits.jobs, len(left))), ordered=False)
 
 
-def _run_case(folder: Path, out: Path, task: Task, timeout_s: float) -> str:
+def _run_case(folder: Path, out: Path, timeout_s: float, task: Task) -> str:
     """Diagnose one case and write what came of it; runs in a process of its own."""
     name, seed = task
     began = time.perf_counter()
