@@ -19,6 +19,7 @@ from narxcal.effects.memory import Lag
 from narxcal.effects.pace import Pace, as_simulated
 
 SPEEDS = ("N1_pct", "N2_pct")
+_EITHER = 0.5  # of a share that is all or nothing
 
 
 class _Transit(RateEffect):
@@ -124,8 +125,9 @@ class ActuatorLag(_Transit, OutputEffect):
 
     An accelerating engine needs ever more fuel, so that fuel which is late is fuel that is missing
     all along. How much, goes with the core's own time constant `core_s`, which is fitted with it.
-    Where fuel is the driver there is no control to close a loop over the lag: it commutes with the
-    engine, and all outputs follow the simulator's with the one lag.
+    So it is where the control closes a loop over the lag. Where it lies `outside` any loop (0 or 1:
+    a lever that asks for fuel), as where fuel is the driver, it commutes with the engine, and all
+    outputs follow the simulator's with the one lag.
     """
 
     id: ClassVar[str] = "actuator_lag"
@@ -135,25 +137,27 @@ class ActuatorLag(_Transit, OutputEffect):
     fixed = (
         Parameter("tau_s", "s", 0.0, 3.0, 0.0, (0.1, 0.3, 0.8)),
         Parameter("core_s", "s", 0.3, 5.0, 1.0, (0.7, 2.0)),
+        Parameter("outside", "-", 0.0, 1.0, 0.0, (0.0, 1.0)),
     )
 
     def parameters(self, signals: Signals) -> tuple[Parameter, ...]:
-        """The lag alone where fuel is the driver."""
+        """The lag alone where fuel is the driver: no loop is closed over it."""
         return self.fixed if signals.governed else self.fixed[:1]
 
     def pace(self, theta: FloatArray, signals: Signals) -> Pace:
-        """The valve's lag, and how the core answers fuel."""
+        """The valve's lag inside the loop, and how the core answers fuel."""
         same = as_simulated(len(theta))
         if not signals.governed:
             return same
-        return same._replace(valve_s=theta[:, 0], core_s=theta[:, 1])
+        inside = theta[:, 2] < _EITHER
+        return same._replace(valve_s=theta[:, 0] * inside, core_s=theta[:, 1])
 
     def on_output(self, run: Run, y: FloatArray) -> FloatArray:
-        """Without a control, all outputs behind one and the same lag."""
-        if run.signals.governed:
-            return y
+        """Outside a loop, all outputs behind one and the same lag."""
+        outside = run.theta[:, 2] >= _EITHER if run.signals.governed else 1.0
+        tau_s = run.theta[:, 0] * outside
         columns = [
-            run.memory.setdefault(f"lag {j}", Lag(run.theta[:, 0], run.signals.dt_s))(y[..., j])
+            run.memory.setdefault(f"lag {j}", Lag(tau_s, run.signals.dt_s))(y[..., j])
             for j in range(y.shape[-1])
         ]
         return np.stack(columns, axis=-1)

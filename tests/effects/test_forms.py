@@ -67,7 +67,8 @@ def test_a_delay_and_a_limit_and_a_bias_of_the_lever(flights):
         ("accel_decel_asymmetry", [2.0], {"fan_up": 0.5, "core_up": 0.5}),
         ("accel_limit", [0.4], {"limit": 0.4}),
         ("altitude_lag", [0.8], {"thin_air": 0.8}),
-        ("actuator_lag", [0.6, 2.0], {"valve_s": 0.6, "core_s": 2.0}),
+        ("actuator_lag", [0.6, 2.0, 0.0], {"valve_s": 0.6, "core_s": 2.0}),
+        ("actuator_lag", [0.6, 2.0, 1.0], {"core_s": 2.0}),
     ],
 )
 def test_what_an_effect_says_of_the_pace(name, theta, changed, flights):
@@ -86,6 +87,16 @@ def test_where_fuel_drives_a_slow_valve_is_one_lag_of_all_outputs(flights):
         np.testing.assert_array_equal(found[..., j], Lag(np.full(len(y), 0.6), DT)(y[..., j]))
 
 
+@pytest.mark.parametrize(("outside", "lag_s"), [(0.0, 0.0), (1.0, 0.6)])
+def test_outside_the_loop_a_slow_valve_is_one_lag_of_all_outputs(outside, lag_s, flights):
+    theta = np.repeat([[0.6, 2.0, outside]], len(flights.y), axis=0)
+    run = Run(flights.signals, theta, flights.u)
+    found = effect("actuator_lag").on_output(run, flights.y)
+    for j in range(flights.y.shape[-1]):
+        lagged = Lag(np.full(len(flights.y), lag_s), DT)(flights.y[..., j])
+        np.testing.assert_array_equal(found[..., j], lagged)
+
+
 def test_effects_on_the_pace_add_up(flights):
     paces = [effect(n).pace(np.array([t]), flights.signals) for n, t in PACES]
     found = together(paces)
@@ -102,7 +113,7 @@ PACES = [
     ("accel_limit", [0.4]),
     ("accel_limit", [0.5]),
     ("altitude_lag", [0.3]),
-    ("actuator_lag", [0.6, 1.0]),
+    ("actuator_lag", [0.6, 1.0, 0.0]),
 ]
 
 

@@ -7,7 +7,7 @@ nuisances, of any size up to the bounds below, under every hypothesis and under 
 takes beyond them is evidence for it; what it takes of them is hardly any.
 
 They are linear in their amounts, so that all is done with inner products: least squares within
-bounds (Stark & Parker, *Computational Statistics* 10, 1995), each flight by the others.
+bounds, each flight by the others.
 """
 
 from __future__ import annotations
@@ -16,26 +16,27 @@ from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from narxcal.effects.base import FloatArray
+from training.gap.bounded import least_within, room
 from training.gap.fitting import Fit, Problem
 
 _LEVER_DEG: Final = 85.0  # way of a lever of which the play below is a share
-_RIDGE: Final = 1e-6
-_THIN: Final = 1e-9  # least width of a bound
+_SMALL: Final = 1e-9  # way of a parameter that is none
 
 
 class Little(NamedTuple):
     """How far a parameter may be off without anyone calling it an effect.
 
-    Where `of` names another parameter of the effect that is found above 1, it is that share of it.
+    Where `of` names another parameter of the effect that is found above 1, it is that share of it;
+    of what `outside` names, a share, the rest is allowed.
     """
 
     parameter: str
     low: float
     high: float
     of: str = ""
+    outside: str = ""
 
 
 # Tolerances of build and modelling: play of a new linkage, a valve and a probe known to hundredths
@@ -44,7 +45,7 @@ class Little(NamedTuple):
 # more than they do.
 ALLOWED: Final = {
     "throttle_backlash": Little("width_deg", 0.0, 0.3),
-    "actuator_lag": Little("tau_s", -0.03, 0.03),
+    "actuator_lag": Little("tau_s", -0.03, 0.03, outside="outside"),
     "sensor_lag:EGT_C": Little("tau_s", -0.06, 0.06, of="own_s"),
     "spool_lag": Little("factor", -0.02, 0.02),
     "accel_decel_asymmetry": Little("ratio", -0.02, 0.02),
@@ -79,7 +80,7 @@ class Allowance:
         shapes, bounds, rest = self._shapes[use], self._bounds[use], self._misfit.gap
         if tried is not None:
             shapes = np.concatenate([shapes, tried.slopes])
-            bounds = np.concatenate([bounds, _room(tried)])
+            bounds = np.concatenate([bounds, room(tried.theta, tried.parameters)])
             rest = rest - tried.response
         return _left_out(*self._forms(shapes, rest), bounds)
 
@@ -103,19 +104,14 @@ def _shapes(one: Fit, scale: float) -> Iterator[tuple[str, FloatArray, tuple[flo
         return
     at = places[little.parameter]
     parameter, away = one.parameters[at], float(one.theta[at]) - one.parameters[at].neutral
-    secant = not parameter.linear and abs(away) > _THIN
+    secant = not parameter.linear and abs(away) > _SMALL
     shape = one.response / away if secant else one.slopes[at]
     by = scale if parameter.unit == "deg" else 1.0
     if little.of:
         by *= max(1.0, float(one.theta[places[little.of]]))
+    if little.outside in places:
+        by *= 1.0 - float(one.theta[places[little.outside]])
     yield one.name, shape, (by * little.low, by * little.high)
-
-
-def _room(tried: Fit) -> FloatArray:
-    """How far each parameter can still go, down and up: (p, 2)."""
-    low = np.array([p.low for p in tried.parameters]) - tried.theta
-    high = np.array([p.high for p in tried.parameters]) - tried.theta
-    return np.stack([low, high], axis=1)
 
 
 def _left_out(
@@ -126,16 +122,7 @@ def _left_out(
     if hessian.shape[1] == 0 or len(size) < 2:
         return left
     for f in range(len(size)):
-        step = _within(hessian.sum(axis=0) - hessian[f], toward.sum(axis=0) - toward[f], bounds)
+        rest = hessian.sum(axis=0) - hessian[f], toward.sum(axis=0) - toward[f]
+        step = least_within(*rest, bounds)
         left[f] = size[f] - 2.0 * step @ toward[f] + step @ hessian[f] @ step
     return np.maximum(left, 0.0)
-
-
-def _within(hessian: FloatArray, toward: FloatArray, bounds: FloatArray) -> FloatArray:
-    """Least of `x' H x - 2 x' b` within bounds: `H = L L'`, so that it is `|L' x - L^-1 b|^2`."""
-    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-    root = np.linalg.cholesky(hessian / np.outer(scale, scale) + _RIDGE * np.eye(len(scale)))
-    low, high = bounds[:, 0] * scale, bounds[:, 1] * scale
-    target = np.linalg.solve(root, toward / scale)
-    found = lsq_linear(root.T, target, (low, np.maximum(high, low + _THIN)), method="bvls")
-    return np.asarray(found.x / scale)

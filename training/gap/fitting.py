@@ -17,6 +17,7 @@ import numpy as np
 
 from narxcal.effects.base import Effect, FloatArray, Parameter
 from narxcal.effects.running import Emulator, Flights, respond
+from training.gap.bounded import least_within, room
 from training.gap.quadratic import Misfit
 
 _STEPS = 7
@@ -214,9 +215,10 @@ def _jackknife(
     held_out, others = left.copy(), np.repeat(theta[None], len(left), axis=0)
     if len(left) < 2:
         return held_out, others
+    bounds = room(theta, parameters)
     for f in range(len(left)):
-        step = _newton(hessian.sum(axis=0) - hessian[f], toward.sum(axis=0) - toward[f])
-        others[f] = _clipped(theta + step, parameters)
-        step = others[f] - theta
+        without = hessian.sum(axis=0) - hessian[f], toward.sum(axis=0) - toward[f]
+        step = least_within(*without, bounds)
+        others[f] = theta + step
         held_out[f] = left[f] - 2.0 * step @ toward[f] + step @ hessian[f] @ step
     return np.maximum(held_out, 0.0), others

@@ -26,7 +26,10 @@ _SPEED_PCT, _UNGOVERNED_PCT = 1.2, 2.0
 _SHIFT_PCT = {"deterioration": _SPEED_PCT, "sensor_bias": 1.0}
 _TOGETHER_PCT = 0.6
 _NEARLY_ALL, _AMONG_OTHERS = 0.85, 1.5  # share of what is left; scatters asked for below it
-_ALL, _LONE = 0.97, 0.6  # the same above it, of one speed
+# The same of one speed or temperature that explains all but so much: share, scatters.
+_LONE = {"_pct": (0.97, 0.6), "_C": (0.95, 0.65)}
+# Air whose middle nine tenths differ by less says nothing about the temperature.
+_MIDDLE, _ALIKE_K = (0.05, 0.95), 3.0
 _DAYS, _BETWEEN_DAYS = 3, 0.4  # flights that tell days apart; how far they do, in scatters
 _MOST = 0.5  # of what is left: an offset that takes less is not what is wrong
 _AS_GOOD, _LEVEL = 0.75, 0.35  # of what wear takes; of the shift, its growth with power
@@ -42,8 +45,29 @@ def offset_fits(problem: Problem, left: Misfit, effects: Sequence[Effect]) -> li
     own = replace(problem, misfit=left)
     fits = [fit([effect], own) for effect in effects]
     fits = [one for one in fits if not _better_than_new(one, problem.flights.signals)]
+    fits = [one for one in fits if not _of_all_days(one, own, effects)]
     fits.sort(key=lambda tried: float(tried.held_out.sum()))
     return _plainest(fits, problem.flights, left)
+
+
+def _of_all_days(tried: Fit, own: Problem, effects: Sequence[Effect]) -> bool:
+    """Whether an error of the day's temperature is as well an offset that all days share.
+
+    Where the days flown are alike, both say the same of every channel.
+    """
+    common = [one for one in effects if one.id == "sensor_bias"]
+    if tried.effects[0].id != "temperature_effect" or not common:
+        return False
+    if _alike(own.flights):
+        return True
+    return float(fit(common, own).held_out.sum()) <= float(tried.held_out.sum())
+
+
+def _alike(flights: Flights) -> bool:
+    """Whether the air was as warm all along, so that no error can be laid to it."""
+    dT_K = flights.u[..., flights.signals.u("dT_C")]
+    flown = np.arange(dT_K.shape[1]) < flights.lengths[:, None]
+    return bool(np.ptp(np.quantile(dT_K[flown], _MIDDLE)) < _ALIKE_K)
 
 
 def day_fit(problem: Problem, left: Misfit, effects: Sequence[Effect]) -> Fit | None:
@@ -56,7 +80,7 @@ def day_fit(problem: Problem, left: Misfit, effects: Sequence[Effect]) -> Fit | 
     """
     common = [one for one in effects if one.id == "sensor_bias"]
     days = [one for one in effects if one.id == "temperature_effect"]
-    if not (days and common) or len(left.gap) < _DAYS:
+    if not (days and common) or len(left.gap) < _DAYS or _alike(problem.flights):
         return None
     own = replace(problem, misfit=left)
     without, tried = fit(common, own), fit([*days, *common], own)
@@ -102,13 +126,16 @@ def _asked(effect: Effect, share: float) -> float:
     """Scatters that an offset has to exceed if it explains a `share` of what is left.
 
     Scatter leaves something on every output, so the more one offset explains, the less it has to
-    be. A build that shifts one speed shifts temperature and fuel flow further: a speed
-    that is off while nothing else is hardly comes from there.
+    be. A build that shifts a speed shifts temperature and fuel flow further, and one that shifts
+    the temperature by more than a percent shifts a speed or the fuel flow with it: what is off
+    while nothing else is hardly comes from there.
     """
     if share <= _NEARLY_ALL:
         return _AMONG_OTHERS
-    speed = effect.channel is not None and effect.channel not in _SCATTER_PCT
-    return _LONE if speed and share > _ALL else 1.0
+    for unit, (nearly_all, alone) in _LONE.items():
+        if effect.channel is not None and effect.channel.endswith(unit) and share > nearly_all:
+            return alone
+    return 1.0
 
 
 def _share(gained: FloatArray, whole: FloatArray) -> float:

@@ -1,5 +1,6 @@
 """The verdict: right effects are claimed, nulls and what is in no library are not."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -53,6 +54,18 @@ def test_an_error_that_follows_the_day_is_named_beside_build_scatter(flights, en
     assert rate.value == pytest.approx(0.6, abs=0.03)
 
 
+@pytest.mark.parametrize(("degrees", "kind"), [(0.1, "none"), (1.0, "effects")])
+def test_days_that_are_alike_say_nothing_of_the_temperature(
+    degrees, kind, flights, engine, recorded
+):
+    """An error of each day, as large in both; air of +-1.5 K is no cause of any of it."""
+    days = flights.u[..., [3]] * np.array([0.06, 0.03, 0.5])
+    u = flights.u * np.array([1.0, 1.0, 1.0, degrees, 1.0])
+    found = answer(replace(flights, u=u), engine, recorded({}) + days)
+    assert found.kind == kind, found.reason
+    assert found.effects == (("temperature_effect",) if kind == "effects" else ())
+
+
 def test_offsets_that_all_days_share_do_not_follow_them(flights, engine, recorded):
     found = answer(flights, engine, recorded({}) + np.array([0.2, -0.3, 8.0]))
     assert (found.kind, found.effects) == ("none", ())
@@ -74,13 +87,14 @@ def test_one_wrong_sensor_is_no_wear(channel, flights, engine, recorded):
         ([0.0, 0.62, 0.0], ("sensor_bias:N2_pct",)),
         ([0.0, 0.62, 6.0], ()),
         ([0.0, 0.3, 0.0], ()),
-        ([0.0, 0.0, 14.0], ()),
+        ([0.0, 0.0, 12.0], ()),
+        ([0.0, 0.0, 20.0], ("sensor_bias:EGT_C",)),
     ],
 )
-def test_a_speed_that_is_off_while_nothing_else_is_needs_less_than_scatter(
+def test_a_sensor_that_is_off_while_nothing_else_is_needs_less_than_scatter(
     shift, named, flights, engine, recorded
 ):
-    """Build scatter that shifts a speed shifts the temperature with it, and that by itself."""
+    """Build scatter that shifts a speed shifts the temperature, too; that alone by a percent."""
     found = answer(flights, engine, recorded({}) + np.array(shift))
     assert found.effects == named, found.reason
 

@@ -15,7 +15,7 @@ KNOWN = {
     "spool_lag": [1.4],
     "spool_coupling": [1.5],
     "accel_limit": [0.6],
-    "actuator_lag": [0.4, 1.6],
+    "actuator_lag": [0.4, 1.6, 0.0],
     "accel_decel_asymmetry": [1.5],
     "altitude_lag": [0.6],
     "sensor_lag:EGT_C": [1.3, 0.5],
@@ -28,6 +28,15 @@ def test_known_parameters_are_recovered(name, flights, engine, recorded):
     measure = misfit(flights, recorded({name: KNOWN[name]}), NOISE)
     found = fit([effect(name)], Problem(flights, engine, measure))
     np.testing.assert_allclose(found.theta, KNOWN[name], rtol=0.02)
+    assert found.left.sum() < 1.1 * measure.floor.sum()
+
+
+def test_a_valve_outside_any_loop_is_known_as_such(flights, engine, recorded):
+    measure = misfit(flights, recorded({"actuator_lag": [0.4, 1.0, 1.0]}), NOISE)
+    found = fit([effect("actuator_lag")], Problem(flights, engine, measure))
+    tau_s, _, outside = found.theta
+    assert outside == 1.0
+    np.testing.assert_allclose(tau_s, 0.4, rtol=0.02)
     assert found.left.sum() < 1.1 * measure.floor.sum()
 
 

@@ -41,6 +41,17 @@ def test_wear_is_more_than_build_scatter_makes_it(shift, driver, beyond):
     assert bool(found) is beyond
 
 
+@pytest.mark.parametrize(
+    ("percent", "left", "beyond"),
+    [(1.6, 1.2, True), (1.5, 1.2, False), (1.6, 1.6, False), (2.5, 1.6, True)],
+)
+def test_one_temperature_that_is_all_of_the_gap_may_be_off_by_less(percent, left, beyond):
+    """Of nine parts beyond noise it explains 0.98 or 0.93."""
+    tried, flights = offset([0.0, 0.0, percent], "TRA_deg", "sensor_bias:EGT_C")
+    tried.held_out = np.full(4, left)
+    assert bool(beyond_scatter(tried, np.full(4, 10.0), flights, np.full(4, 1.0))) is beyond
+
+
 def test_an_offset_that_explains_less_of_it_has_to_be_larger():
     tried, flights = offset([0.0, 1.3, 0.0], "TRA_deg")
     tried.held_out = np.full(4, 4.0)

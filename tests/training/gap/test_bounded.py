@@ -1,0 +1,39 @@
+"""Least squares within bounds against a general minimiser."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+
+from narxcal.effects.base import Parameter
+from training.gap.bounded import least_within, room
+
+
+@given(seed=st.integers(0, 10_000), width=st.floats(0.01, 3.0))
+def test_least_squares_within_bounds_is_what_a_general_minimiser_finds(seed, width):
+    random = np.random.default_rng(seed)
+    root = random.normal(size=(9, 4))
+    hessian, toward = root.T @ root, random.normal(size=4) * 5.0
+    bounds = np.stack([-width * np.ones(4), width * random.uniform(0.0, 2.0, 4)], axis=1)
+    found = least_within(hessian, toward, bounds)
+    value = lambda x: x @ hessian @ x - 2.0 * x @ toward  # noqa: E731 - the formula itself
+    best = minimize(value, np.zeros(4), bounds=bounds, method="L-BFGS-B", tol=1e-14)
+    assert value(found) <= best.fun + 1e-3 * (1.0 + abs(best.fun))
+    assert (found >= bounds[:, 0] - 1e-6).all()
+    assert (found <= bounds[:, 1] + 1e-6).all()
+
+
+def test_a_parameter_without_any_room_stays_and_the_others_make_up_for_it():
+    hessian, toward = np.array([[1.0, 0.9], [0.9, 1.0]]), np.array([1.0, 1.0])
+    found = least_within(hessian, toward, np.array([[0.0, 0.0], [-5.0, 5.0]]))
+    np.testing.assert_allclose(found, [0.0, 1.0], atol=1e-5)
+
+
+def test_what_changes_nothing_is_left_where_it_is():
+    found = least_within(np.diag([2.0, 0.0]), np.array([1.0, 0.0]), np.array([[-9.0, 9.0]] * 2))
+    np.testing.assert_allclose(found, [0.5, 0.0], atol=1e-5)
+
+
+def test_the_room_of_a_parameter_is_what_its_bounds_leave():
+    parameters = [Parameter("a", "s", 0.0, 3.0, 0.0, (1.0,)), Parameter("b", "-", -1.0, 1.0, 0.0)]
+    np.testing.assert_allclose(room(np.array([0.5, 1.0]), parameters), [[-0.5, 2.5], [-2.0, 0.0]])
