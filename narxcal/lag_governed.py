@@ -49,10 +49,10 @@ class GovernedLags:
 
     `lines` (8 + 2 k, 9) are logarithms over the `REGRESSORS`: those named `LINES` of core and fan,
     and `OTHER_LINES` of each of the k outputs that are neither. `slopes` (1 + k, 6) and `heat`
-    (2 + k, 6) are named by `SLOPES` and `HEAT`; `extra` (1 + k,) are the valve's lag in s and the
-    share that each other output has of the fan's deviation. Outputs come with the core first,
-    then the fan, then the others. `centre`, `half` and `limit` (n_out,) are as of `LagModel`, in
-    the order of `output_names`.
+    (2 + k, 6) are named by `SLOPES` and `HEAT`; `extra` (2 + k,) are the valve's lag in s, what
+    open clearances cost (0: nothing) and the share that each other output has of the fan's
+    deviation. Outputs come with the core first, then the fan, then the others. `centre`, `half`
+    and `limit` (n_out,) are as of `LagModel`, in the order of `output_names`.
     """
 
     output_names: tuple[str, ...]
@@ -87,7 +87,7 @@ class GovernedLags:
         dt_s: float,
         measured: FloatArray | None = None,
     ) -> FloatArray:
-        """States (T, 5, n_out), the first three of which add up to the deviation.
+        """States (T, 6, n_out), the first three of which add up to the deviation.
 
         Arguments are as of `LagModel.run`.
         """
@@ -114,7 +114,7 @@ class GovernedLags:
         return deviation
 
     def start(self, deviation: FloatArray) -> FloatArray:
-        """States (..., 5, n_out) where a run begins with `deviation` (..., n_out).
+        """States (..., 6, n_out) where a run begins with `deviation` (..., n_out).
 
         Engines are mostly found at rest, and what is left then is the metal's heat. The fan, which
         the control holds, has none.
@@ -170,7 +170,7 @@ def governed_shapes(count: int) -> dict[str, tuple[int, ...]]:
         "lines": (len(LINES) + len(OTHER_LINES) * others, len(REGRESSORS)),
         "slopes": (1 + others, len(SLOPES)),
         "heat": (count, len(HEAT)),
-        "extra": (1 + others,),
+        "extra": (2 + others,),
         "centre": (count,),
         "half": (count,),
         "limit": (count,),

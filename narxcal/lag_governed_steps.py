@@ -22,9 +22,10 @@ output changes with its core's speed, the mean slope of a cubic between v and w 
 air. What holds N1 makes N2 and the temperature fall below where they settle after a pull, and stay
 there until the heavy fan has come down.
 
-The metal's heat is added to the core's deviation and to those of temperatures, as blades and as
-casings take it up (soak and casing): d(k) = exp(-dt / tau) (d(k-1) + share D), D the increment of
-ss, log tau of the soak a line over w and the thin air.
+To the core's deviation and those of temperatures is added what open clearances move where the
+control holds N1, share max(m - n, 0) in half ranges, with what a run began with, which dies down
+(casing); and the heat that the metal gives up or takes (soak): d(k) = exp(-dt / tau) (d(k-1) +
+share D), D the increment of ss, log tau a line over w and the thin air.
 """
 
 from __future__ import annotations
@@ -46,13 +47,16 @@ LINES = ("core_s", "gain", "reset_s", "lead_s", "up", "down", "fan_s", "push")
 CORE_S, GAIN, RESET_S, LEAD_S, UP, DOWN, FAN_S, PUSH = range(8)
 OTHER_LINES = ("probe_s", "push")
 SLOPES = ("const", "thin", "Mach", "tilt", "tilt_Mach", "bend")
-HEAT = ("soak_share", "log_soak_tau", "soak_speed", "soak_air", "casing_share", "log_casing_tau")
+HEAT = ("soak_share", "log_soak_tau", "soak_speed", "soak_air", "open_share", "log_begun_tau")
+VALVE, CLEARANCE, SHARES = range(3)  # in `extra`; shares from there on
 # Rows of the states: what is added up to the deviation, and what is only remembered. The latter
-# are, for the core, fuel and reset as deviations from w, for the fan its rate.
-REMEMBERED, RESET, ROWS = 3, 4, 5
+# are fuel, reset, metal and (where the fan is) casing as deviations from w, and the fan's rate.
+REMEMBERED, RESET, METAL, ROWS = 3, 4, 5, 6
 _WIDEST = 5.0  # of any logarithm
 _STEP_S = 0.04  # at most, of the inner step
-_V, _U, _F, _R, _RATE, _POWER = range(6)
+_MIDDLE, _BY_SPEED, _BY_AIR, _CASING_S = 2.85, -0.5, 0.8, 80.0  # FACTS A4: 30 to 300 s
+_MOST_OPEN = 1.0
+_V, _U, _F, _R, _RATE, _POWER, _METAL, _COVER = range(8)
 
 
 @compiled
@@ -87,12 +91,34 @@ def _regressors(z: FloatArray, air: FloatArray, v: float, u: float) -> None:
 
 
 @compiled
-def _core(lines: FloatArray, z: FloatArray, x: FloatArray, asked: float, clock: FloatArray) -> None:
-    """Control, valve and core over a step; `clock` is its length and what the valve's lag keeps."""
+def _soak(x: FloatArray, z: FloatArray, h: float) -> None:
+    """Metal and casing a step of `h` s on."""
+    metal_s = math.exp(within(_MIDDLE + _BY_SPEED * z[4] + _BY_AIR * z[1], _WIDEST))
+    x[_METAL] = x[_F] + (x[_METAL] - x[_F]) * math.exp(-h / metal_s)
+    x[_COVER] = x[_METAL] + (x[_COVER] - x[_METAL]) * math.exp(-h / _CASING_S)
+
+
+@compiled
+def _core(
+    engine: tuple[FloatArray, float],
+    z: FloatArray,
+    x: FloatArray,
+    asked: float,
+    clock: FloatArray,
+) -> None:
+    """Control, valve and core over a step; `clock` is its length and what the valve's lag keeps.
+
+    `engine` are the lines and what open clearances cost.
+    """
+    lines, clearance = engine
     h, core_s = clock[0], line(lines[CORE_S], z)
+    cost = math.exp(within(clearance * max(x[_METAL] - x[_COVER], 0.0), _MOST_OPEN))
     error = asked - x[_U] - line(lines[LEAD_S], z) * x[_RATE]
     rate = (x[_R] + line(lines[GAIN], z) * error - x[_V]) / core_s
-    rate = min(rate, line(lines[UP], z)) if rate > 0.0 else max(rate, -line(lines[DOWN], z))
+    if rate > 0.0:
+        rate = min(rate, line(lines[UP], z) / cost)
+    else:
+        rate = max(rate, -line(lines[DOWN], z) * cost)
     demand = x[_V] + core_s * rate
     x[_R] = demand + (x[_R] - demand) * math.exp(-h / line(lines[RESET_S], z))
     before, v = x[_F], x[_V]
@@ -119,7 +145,7 @@ def _opened(
     targets: tuple[FloatArray, FloatArray],
     measured: FloatArray,
 ) -> None:
-    """Begin row `k` of `states` with the row before; `x` becomes v, u, f, r, du/dt, dv/dt there."""
+    """Begin row `k` of `states` with the row before; `x` becomes what it is there."""
     target, per_unit = targets
     past, state = states[k - 1], states[k]
     for o in range(past.shape[1]):
@@ -131,6 +157,25 @@ def _opened(
     x[_F] = target[k - 1, 0] - past[REMEMBERED, 0]
     x[_R] = target[k - 1, 0] - past[RESET, 0]
     x[_RATE], x[_POWER] = past[REMEMBERED, 1], 0.0
+    x[_METAL] = target[k - 1, 0] - past[METAL, 0]
+    x[_COVER] = target[k - 1, 0] - past[METAL, 1]
+
+
+@compiled
+def _remember(x: FloatArray, state: FloatArray, w: float) -> None:
+    """Keep in `state` what is only remembered, where the core would settle at `w`."""
+    state[REMEMBERED, 0] = within(w - x[_F], 5.0)
+    state[RESET, 0] = within(w - x[_R], 5.0)
+    state[METAL, 0] = within(w - x[_METAL], 5.0)
+    state[METAL, 1] = within(w - x[_COVER], 5.0)
+    state[REMEMBERED, 1] = within(x[_RATE], 20.0)
+
+
+@compiled
+def _open(state: FloatArray) -> float:
+    """How far the casing is behind the metal, which opens the clearances."""
+    found: float = max(state[METAL, 1] - state[METAL, 0], 0.0)
+    return found
 
 
 @compiled
@@ -139,15 +184,16 @@ def _heat(
     state: FloatArray,
     past: FloatArray,
     o: int,
-    at: tuple[float, float, float, float],
+    at: tuple[float, float, float, float, float],
 ) -> None:
-    """Soak and casing of output `o`; `at` are the increment of ss, w, thin and the step in s."""
-    step, w, thin, dt_s = at
+    """Soak and casing of output `o`; `at`: increment of ss, w, thin, step in s, half range."""
+    step, w, thin, dt_s, half = at
     log_tau = p[1] + p[2] * w + p[3] * thin
     left = math.exp(-dt_s / math.exp(min(max(log_tau, -0.5), 4.5)))
     state[SOAK, o] = left * (past[SOAK, o] + p[0] * step)
     left = math.exp(-dt_s / math.exp(min(max(p[5], 2.0), 5.0)))
-    state[CASING, o] = left * (past[CASING, o] + p[4] * step)
+    begun = past[CASING, o] - p[4] * half * _open(past)
+    state[CASING, o] = left * begun + p[4] * half * _open(state)
 
 
 @compiled
@@ -171,7 +217,8 @@ def _sample(
         asked = target[k - 1, 1] + now * (target[k, 1] - target[k - 1, 1])
         v, u = x[_V], x[_U]
         _regressors(z, here, v, u)
-        _core(lines, z, x, asked, clock)
+        _core((lines, extra[CLEARANCE]), z, x, asked, clock)
+        _soak(x, z, clock[0])
         v_in, w_in = within(v, 1.5), within(w, 1.5)
         core = 0.5 * (w_before - v + w - x[_V])
         c = slope(slopes[0], here, v_in, w_in)
@@ -185,7 +232,7 @@ def _sample(
             q = 2 * o + 4
             drawn = slope(slopes[o - 1], here, v_in, w_in) * core
             drawn -= line(lines[q + 1], z) * x[_POWER]
-            drawn += extra[o - 1] * (fan_before - c * core)
+            drawn += extra[SHARES + o - 2] * (fan_before - c * core)
             step = (ss[k, o] - ss[k - 1, o]) / count
             times = (clock[0], line(lines[q], z))
             state[FAST, o] = _follow(state[FAST, o], drawn / per_unit[k, o], step, times)
@@ -201,21 +248,21 @@ def run_governed(
     measured: FloatArray,
     dt_s: float,
 ) -> FloatArray:
-    """States (T, 5, o), see the module; the first three rows add up to the deviation.
+    """States (T, 6, o), see the module; the first three rows add up to the deviation.
 
     `drive` are ss (T, o), the same corrected and scaled, the scaled value per unit of the output,
     and the air (T, 3): thin, hot, Mach. Columns have the core first, then the fan. `engine` are
-    lines (8 + 2 (o - 2), 9), slopes (o - 1, 6), the valve's lag and the shares of the fan's
-    deviation (o - 1,), heat (o, 6) and the limit (o,) of deviations. `starts` and `measured` are
-    as of `narxcal.lag_steps.run_lags`.
+    lines (8 + 2 (o - 2), 9), slopes (o - 1, 6), the valve's lag, what clearances cost and the
+    shares of the fan's deviation (o,), heat (o, 6) and the limit (o,) of deviations. `starts` and
+    `measured` are as of `narxcal.lag_steps.run_lags`.
     """
     ss, target, per_unit, air = drive
     lines, slopes, extra, heat, limit = engine
     states = np.zeros((len(ss), ROWS, ss.shape[1]))
     count, window = inner_steps(dt_s), 0
     h = dt_s / count
-    clock = np.array([h, math.exp(-h / min(max(extra[0], 0.01), 1.0)), float(count)])
-    x, z = np.zeros(6), np.empty(len(REGRESSORS))
+    clock = np.array([h, math.exp(-h / min(max(extra[VALVE], 0.01), 1.0)), float(count)])
+    x, z = np.zeros(8), np.empty(len(REGRESSORS))
     for k in range(len(ss)):
         if window < len(starts[0]) and starts[0][window] == k:
             states[k] = starts[1][window]
@@ -223,12 +270,11 @@ def run_governed(
             continue
         _opened(states, x, k, (target, per_unit), measured)
         _sample((ss, target, per_unit, air), (lines, slopes, extra), states, (x, z, clock), k)
-        state = states[k]
-        state[REMEMBERED, 0] = within(target[k, 0] - x[_F], 5.0)
-        state[RESET, 0] = within(target[k, 0] - x[_R], 5.0)
-        state[REMEMBERED, 1] = within(x[_RATE], 20.0)
+        state, w = states[k], target[k, 0]
+        _remember(x, state, w)
         for o in range(ss.shape[1]):
-            at = (ss[k, o] - ss[k - 1, o], within(target[k, 0], 1.5), air[k, 0], dt_s)
+            step, half = ss[k, o] - ss[k - 1, o], 1.0 / per_unit[k, o]
+            at = (step, within(w, 1.5), air[k, 0], dt_s, half)
             _heat(heat[o], state, states[k - 1], o, at)
             slow = state[SOAK, o] + state[CASING, o]
             state[FAST, o] = within(state[FAST, o] + slow, limit[o]) - slow

@@ -55,7 +55,7 @@ class Slowly:
         self.target = (ss / self.root[:, None] - CENTRE) / HALF
         self.named = dict(zip((*LINES, "probe_s", "push_T"), model.lines, strict=True))
         self.soak, self.h = np.zeros(3), DT_S / inner_steps(DT_S)
-        self.fuel = self.reset = self.rate = 0.0
+        self.fuel = self.reset = self.rate = self.metal = self.casing = 0.0
 
     def line(self, name, z):
         return math.exp(np.clip(self.named[name] @ z, -5.0, 5.0))
@@ -70,13 +70,21 @@ class Slowly:
         a = math.exp(-self.h / tau)
         return a * deviation + (1 - a) * (drawn + step * tau / self.h)
 
+    def heated(self, f, z):
+        """Metal and casing a step on, which are kept as they are."""
+        keep = math.exp(-self.h / math.exp(np.clip(2.85 - 0.5 * z[4] + 0.8 * z[1], -5.0, 5.0)))
+        self.metal = f + (self.metal - f) * keep
+        self.casing = self.metal + (self.casing - self.metal) * math.exp(-self.h / 80.0)
+
     def core(self, x, z, asked):
         """Control, valve and core: v, f and r after one step of them."""
         v, u, f, r = x
+        opened = np.clip(self.model.extra[1] * self.opened(), -1.0, 1.0)
         core_s, valve_s = self.line("core_s", z), np.clip(self.model.extra[0], 0.01, 1.0)
         error = asked - u - self.line("lead_s", z) * self.rate
         wanted = (r + self.line("gain", z) * error - v) / core_s
-        demand = v + core_s * np.clip(wanted, -self.line("down", z), self.line("up", z))
+        up, down = self.line("up", z) * math.exp(-opened), self.line("down", z) * math.exp(opened)
+        demand = v + core_s * np.clip(wanted, -down, up)
         r = demand + (r - demand) * math.exp(-self.h / self.line("reset_s", z))
         after = demand + (f - demand) * math.exp(-self.h / valve_s)
         held = (f + after) / 2
@@ -86,6 +94,7 @@ class Slowly:
         """The fast deviations a sample on; what is remembered changes."""
         unit, target, h = 1.0 / (self.root[k] * HALF), self.target, self.h
         v, u = target[k - 1, 1] - fast[1] * unit[1], target[k - 1, 0] - fast[0] * unit[0]
+        self.metal, self.casing = self.metal + target[k - 1, 1], self.casing + target[k - 1, 1]
         f, r, fan = target[k - 1, 1] - self.fuel, target[k - 1, 1] - self.reset, fast[0] * unit[0]
         move = (target[k] - target[k - 1]) / inner_steps(DT_S)
         for s in range(inner_steps(DT_S)):
@@ -93,35 +102,43 @@ class Slowly:
             vc, uc, wc = np.clip([v, u, w], -1.5, 1.5)
             z = [1, self.thin[k], self.hot[k], self.inputs[k, 1], vc, uc, vc * vc, vc * uc, uc * uc]
             after, f, r = self.core((v, u, f, r), z, asked)
+            self.heated(f, z)
             core, c = ((w - move[1] - v) + (w - after)) / 2, self.slope(0, k, vc, wc)
             power, old = (after - v) / h, fan
             drawn = c * core - self.line("push", z) * power
             fan = self.behind(self.line("fan_s", z), fan, drawn, move[0])
             self.rate, u, v = (asked - fan - u) / h, asked - fan, after
             drawn = self.slope(1, k, vc, wc) * core - self.line("push_T", z) * power
-            drawn = (drawn + self.model.extra[1] * (old - c * core)) / unit[2]
+            drawn = (drawn + self.model.extra[2] * (old - c * core)) / unit[2]
             step = (self.ss[k, 2] - self.ss[k - 1, 2]) / inner_steps(DT_S)
             fast[2] = self.behind(self.line("probe_s", z), fast[2], drawn, step)
         self.fuel, self.reset = np.clip([target[k, 1] - f, target[k, 1] - r], -5.0, 5.0)
+        self.metal, self.casing = np.clip(
+            np.array([self.metal, self.casing]) - target[k, 1], -5.0, 5.0
+        )
         self.rate = np.clip(self.rate, -20.0, 20.0)
         return np.array([fan / unit[0], (target[k, 1] - v) / unit[1], fast[2]])
 
-    def heat(self, k, casing):
+    def opened(self):
+        return max(self.metal - self.casing, 0.0)
+
+    def heat(self, k, casing, was):
         for o, rank in ((1, 0), (0, 1), (2, 2)):
             p, step = self.model.heat[rank], self.ss[k, o] - self.ss[k - 1, o]
             log_tau = p[1] + p[2] * np.clip(self.target[k, 1], -1.5, 1.5) + p[3] * self.thin[k]
             left = math.exp(-DT_S / math.exp(np.clip(log_tau, -0.5, 4.5)))
             self.soak[o] = left * (self.soak[o] + p[0] * step)
-            left = math.exp(-DT_S / math.exp(np.clip(p[5], 2.0, 5.0)))
-            casing[o] = left * (casing[o] + p[4] * step)
+            left, unit = math.exp(-DT_S / math.exp(np.clip(p[5], 2.0, 5.0))), self.root[k] * HALF[o]
+            casing[o] = left * (casing[o] - p[4] * unit * was) + p[4] * unit * self.opened()
         return self.soak + casing
 
     def run(self, start):
         fast, casing = np.array([start[0], 0.0, 0.0]), np.array([0.0, start[1], start[2]])
         found = [fast + casing]
         for k in range(1, len(self.ss)):
+            was = self.opened()
             fast = self.sample(k, fast)
-            slow = self.heat(k, casing)
+            slow = self.heat(k, casing, was)
             fast = np.clip(fast + slow, -self.model.limit, self.model.limit) - slow
             found.append(fast + slow)
         return np.array(found)
@@ -164,7 +181,7 @@ def test_while_a_heavy_fan_comes_down_the_core_is_below_where_it_will_settle():
 def test_the_core_is_never_faster_than_its_limits():
     model = lags()
     core_s, valve_s = 0.4, model.extra[0]
-    model.lines[[0, 4, 5]] = 0.0
+    model.extra[1] = model.lines[[0, 4, 5]] = 0.0
     # half ranges a second, up and down
     model.lines[[0, 4, 5], 0] = math.log(core_s), math.log(0.2), math.log(0.1)
     model.heat[:, [0, 4]] = 0.0

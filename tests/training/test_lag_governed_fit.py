@@ -30,6 +30,7 @@ def truth(**changed):
     arrays["lines"][6, 0] += 0.2  # a heavier fan
     arrays["lines"][8, 0] -= 0.5  # a faster probe
     arrays["heat"][2, 0] = 0.12
+    arrays["extra"][1] = 0.5  # where open clearances cost more
     scales = {"centre": CENTRE, "half": HALF, "limit": np.full(3, 1e3)}
     return GovernedLags(output_names=NAMES[1], **{**arrays, **changed}, **scales)
 
@@ -56,6 +57,7 @@ def test_an_unseen_log_is_followed():
     model = fit_governed(samples, NAMES, DT_S)
     assert (off(begun) > 0.08).all()
     assert (off(model) < 0.4 * off(begun)).all()
+    assert model.extra[1] == pytest.approx(0.5, abs=0.2)
 
 
 def test_masked_samples_are_left_out():
