@@ -93,7 +93,9 @@ class Register:
     def step(self, given: FloatArray, ss: FloatArray) -> FloatArray:
         """Deviation (n_out,) at inputs (n_in,) and steady state (n_out,) one sample on."""
         if isinstance(self.parts.lag, GovernedLags):
-            governed: FloatArray = self.extend(given[None], ss[None])[0]
+            self._lags(given[None], ss[None])
+            network, memory = self._compiled[0], self.memory
+            governed: FloatArray = register_step.behind(network, memory, (given, ss), True)  # noqa: FBT003
             return governed
         deviation: FloatArray = register_step.step(*self._compiled, self.memory, given, ss)
         return deviation
@@ -118,7 +120,7 @@ class Register:
             schedule=np.array(self.parts.columns, dtype=np.int64),
             keep=-1.0 if self.keep is None else self.keep,
         )
-        plain = lag if isinstance(lag, LagModel) else None  # the other form runs by `extend`
+        plain = lag if isinstance(lag, LagModel) else None  # the other form runs before it
         return network, lags_of(plain, self.parts.names, self.parts.dt_s)
 
     def _lags(self, given: FloatArray, ss: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from narxcal.atmosphere import total_ratios
 from narxcal.kernels import compiled, fading, free_run
-from narxcal.lag_steps import run_lags
+from narxcal.lag_steps import CASING, run_lags
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -123,7 +123,7 @@ def _remember(
     for o in range(count):
         increments[0, o] = newest[o] = ss[o] - memory.ss[o]
         if lagged:
-            newest[count + o] = memory.lagged[:, o].sum()
+            newest[count + o] = memory.lagged[: CASING + 1, o].sum()
         newest[behind + o] = memory.ss[o] = ss[o]
     for j in range(len(network.schedule)):
         newest[behind + count + j] = given[network.schedule[j]]
@@ -166,9 +166,19 @@ def step(
     network: Network, lags: Lags, memory: Memory, given: FloatArray, ss: FloatArray
 ) -> FloatArray:
     """Deviation (o,) at the next sample, of inputs `given` (n_in,) and steady state `ss` (o,)."""
-    count, lagged = len(ss), len(lags.parameters) > 0
+    lagged = len(lags.parameters) > 0
     if lagged:
         _lag(lags, memory, given, ss)
+    return behind(network, memory, (given, ss), lagged)
+
+
+@compiled
+def behind(
+    network: Network, memory: Memory, sample: tuple[FloatArray, FloatArray], lagged: bool
+) -> FloatArray:
+    """What `step` does behind lags that are there already; `sample` are `given` and `ss`."""
+    given, ss = sample
+    count = len(ss)
     increments = _remember(network, memory, given, ss, lagged)
     hidden, linear = _driven(network, memory.past)
     centre, scale = network.outputs
@@ -192,5 +202,5 @@ def step(
         history[o] = scaled[0, o]
         deviation[o] = scaled[0, o] * scale[o] + centre[o]
         if lagged:
-            deviation[o] += memory.lagged[:, o].sum()
+            deviation[o] += memory.lagged[: CASING + 1, o].sum()
     return deviation
