@@ -12,6 +12,7 @@ not named there stay out.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -87,9 +88,14 @@ class _Logs:
 
 
 def fit_governed(
-    samples: Sequence[LagSamples], names: tuple[Sequence[str], tuple[str, ...]], dt_s: float
+    samples: Sequence[LagSamples],
+    names: tuple[Sequence[str], tuple[str, ...]],
+    dt_s: float,
+    threads: int = 1,
 ) -> GovernedLags:
     """Fit the lags of all outputs; `names` are those of the inputs and of the outputs.
+
+    The numbers do not depend on the `threads` that share the work.
 
     Raises `ModelError` without the speeds of a fan and a core, `DataError` where nothing moves.
     """
@@ -99,9 +105,8 @@ def fit_governed(
     model = GovernedLags(output_names=output_names, **governed_start(len(output_names)), **scales)
     logs = _joined(model, samples, input_names, dt_s)
     _check_motion(logs, model)
-    model = _fitted(model, logs, None)
-    for other in range(2, len(output_names)):
-        model = _fitted(model, logs, other)
+    for other in (None, *range(2, len(output_names))):
+        model = _fitted(model, logs, other, threads)
     return model
 
 
@@ -168,7 +173,7 @@ def _check_motion(logs: _Logs, model: GovernedLags) -> None:
         )
 
 
-def _fitted(model: GovernedLags, logs: _Logs, other: int | None) -> GovernedLags:
+def _fitted(model: GovernedLags, logs: _Logs, other: int | None, threads: int) -> GovernedLags:
     """The model with core and fan fitted, or one `other` output behind them."""
     count = len(model.output_names)
     free = _free(count, other)
@@ -184,9 +189,16 @@ def _fitted(model: GovernedLags, logs: _Logs, other: int | None) -> GovernedLags
         trial = _of(_with(model, free, values), ranks, columns)
         return task.residuals(trial, values - begin)
 
-    found = least_squares(
-        residuals, begin, x_scale="jac", loss="soft_l1", f_scale=_ROBUST, max_nfev=_EVALUATIONS
-    )
+    with ThreadPoolExecutor(threads) as pool:  # the compiled run leaves Python's lock alone
+        found = least_squares(
+            residuals,
+            begin,
+            x_scale="jac",
+            loss="soft_l1",
+            f_scale=_ROBUST,
+            max_nfev=_EVALUATIONS,
+            workers=pool.map,
+        )
     return _with(model, free, found.x)
 
 

@@ -106,7 +106,7 @@ def lags(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> An
     section = config.narx
     if section.lag_governed:
         samples = [_samples(log, steady, config) for log in logs]
-        return fit_governed(samples, names, logs[0].dt_s)
+        return fit_governed(samples, names, logs[0].dt_s, config.train.threads)
     form = LagForm(section.lag_errors == "relative", section.lag_limits, section.lag_heat)
     lag = None
     for _ in range(_ROUNDS if form.heat else 1):

@@ -60,6 +60,12 @@ def test_an_unseen_log_is_followed():
     assert model.extra[1] == pytest.approx(0.5, abs=0.2)
 
 
+def test_threads_change_no_number():
+    one, two = (fit_governed([log(1)], NAMES, DT_S, threads) for threads in (1, 2))
+    for name, array in one.to_arrays()[1].items():
+        np.testing.assert_array_equal(array, two.to_arrays()[1][name])
+
+
 def test_masked_samples_are_left_out():
     holed = log(0)
     holed.measured[500:700, 0] = np.nan
