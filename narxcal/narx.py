@@ -160,13 +160,13 @@ class Weights:
         m = net.config.lags * net.outputs
         w1, a = (layer.weight.detach().numpy() for layer in (net.hidden, net.linear))
         return cls(
-            np.ascontiguousarray(w1[:, :m]),
-            np.ascontiguousarray(w1[:, m:]),
+            w1[:, :m].copy(),
+            w1[:, m:].copy(),
             net.hidden.bias.detach().numpy().copy(),
             net.output.weight.detach().numpy().copy(),
             net.output.bias.detach().numpy().copy(),
-            np.ascontiguousarray(a[:, :m]),
-            np.ascontiguousarray(a[:, m:]),
+            a[:, :m].copy(),
+            a[:, m:].copy(),
             net.low.numpy().copy(),
             net.high.numpy().copy(),
             _fixed_at_rest(net.config, net.inputs),

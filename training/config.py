@@ -76,6 +76,8 @@ class NarxSection(Section):
 class TrainConfig(Section):
     """Table [train]: free-run training by horizons that grow.
 
+    `optimiser` is Levenberg-Marquardt ("lm"), the same with bent steps ("geodesic", see
+    training.geodesic), which goes further down where there is much to learn, or "adam".
     `horizons_s` are the lengths of the windows in seconds, 0 for whole logs, and `iterations`
     the steps at each. `starts` networks are drawn from `seed` on and the best is kept. One
     sample in every `score_every_s` is scored. Training stops early after `patience` steps
@@ -87,7 +89,7 @@ class TrainConfig(Section):
     beginning most, and low power more than high (see training.emphasis).
     """
 
-    optimiser: Literal["lm", "adam"] = "lm"
+    optimiser: Literal["lm", "geodesic", "adam"] = "lm"
     horizons_s: tuple[NonNegativeFloat, ...] = Field(default=(5.0, 60.0), min_length=1)
     iterations: tuple[NonNegativeInt, ...] = (8, 12)
     starts: int = Field(default=1, ge=1)

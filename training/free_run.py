@@ -24,6 +24,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 T = TypeVar("T")
 _BLOCK = 1024  # steps whose Jacobian is held at one time
+_PROBE = 0.1  # share of a step at which its curvature is taken by central differences
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +156,13 @@ class FreeRunProblem:
             self._trained(self._trained(np.sum([part.hessian for part in parts], axis=0)).T),
         )
 
+    def curvature(self, theta: FloatArray, step: FloatArray) -> FloatArray:
+        """J' r'' (P,), r'' the second derivative of the errors along `step` (for bent steps)."""
+        probes = (theta, theta + _PROBE * step, theta - _PROBE * step)
+        here, ahead, behind = (self._weights(probe) for probe in probes)
+        parts = self._map(partial(_curvature, along=(here, ahead, behind)))
+        return self._trained(np.sum(parts, axis=0))
+
     def _trained(self, slopes: FloatArray) -> FloatArray:
         """Slopes (..., P) by weights, zero by those that training leaves alone."""
         return slopes * self.net.trained() if self.net.config.linear_feedback else slopes
@@ -198,10 +206,23 @@ def _features(
 
 def _loss_and_gradient(batch: _Batch, weights: Weights) -> tuple[float, FloatArray]:
     run = _run(batch, weights)
-    y, active, fed = run
-    error = (y - batch.target) * batch.root_weight**2
-    loss = 0.5 * float((error * (y - batch.target)).sum())
-    total, hidden = kernels.adjoint(error, run, weights.feedback, batch.positions, weights.bounds)
+    error = (run[0] - batch.target) * batch.root_weight**2
+    loss = 0.5 * float((error * (run[0] - batch.target)).sum())
+    return loss, _pulled_back(batch, run, weights, error)
+
+
+def _curvature(batch: _Batch, along: tuple[Weights, Weights, Weights]) -> FloatArray:
+    run, ahead, behind = (_run(batch, weights) for weights in along)
+    bend = (ahead[0] - 2.0 * run[0] + behind[0]) / _PROBE**2
+    return _pulled_back(batch, run, along[0], bend * batch.root_weight**2)
+
+
+def _pulled_back(
+    batch: _Batch, run: kernels.Run, weights: Weights, outer: FloatArray
+) -> FloatArray:
+    """J' `outer` (P,), from what the outputs (T, o) count to what the weights do."""
+    _, active, fed = run
+    total, hidden = kernels.adjoint(outer, run, weights.feedback, batch.positions, weights.bounds)
     phi, rest, rest_active = _features(batch, fed, weights)
     parts = [hidden.T @ phi, hidden.sum(0), total.T @ active, total.sum(0), total.T @ phi]
     if len(rest):
@@ -211,7 +232,7 @@ def _loss_and_gradient(batch: _Batch, weights: Weights) -> tuple[float, FloatArr
         parts[2] = parts[2] - total.T @ rest_active
         parts[3] = np.zeros_like(parts[3])
         parts[4] = parts[4] - total.T @ rest
-    return loss, np.concatenate([part.ravel() for part in parts])
+    return np.concatenate([part.ravel() for part in parts])
 
 
 def _normal_equations(batch: _Batch, weights: Weights) -> NormalEquations:

@@ -61,14 +61,30 @@ class Damping:
         return Damping(max(self.value * shrink, 1e-12))
 
 
+class Proposal(Protocol):
+    """The step v that solves the damped equations, and the step to take (see training.geodesic).
+
+    Given are theta, (gradient, hessian) there and the damping.
+    """
+
+    def __call__(  # noqa: D102
+        self, theta: FloatArray, slopes: tuple[FloatArray, FloatArray], damping: float
+    ) -> tuple[FloatArray, FloatArray]: ...
+
+
 def minimise(
-    problem: Problem, theta: FloatArray, decay: float = 0.0, damping: Damping | None = None
+    problem: Problem,
+    theta: FloatArray,
+    decay: float = 0.0,
+    damping: Damping | None = None,
+    propose: Proposal | None = None,
 ) -> Iterator[Step]:
     """Yield accepted steps downhill from `theta` until none is found any more.
 
     `decay` adds decay/2 * |theta|^2 to the loss. The caller decides when to stop, and can go
     on from any step by giving its theta and damping back: the path is the same.
     """
+    propose = propose or _straight
     damping = damping or Damping()
     while True:
         equations = problem.normal_equations(theta)
@@ -76,10 +92,10 @@ def minimise(
         hessian = equations.hessian + decay * np.eye(len(theta))
         loss = equations.loss + 0.5 * decay * float(theta @ theta)
         while True:
-            step = _solve(hessian, gradient, damping.value)
+            straight, step = propose(theta, (gradient, hessian), damping.value)
             trial = theta + step
             after = problem.loss(trial) + 0.5 * decay * float(trial @ trial)
-            promised = -float(step @ gradient) - 0.5 * float(step @ hessian @ step)
+            promised = -float(straight @ gradient) - 0.5 * float(straight @ hessian @ straight)
             if after < loss and promised > 0:
                 damping = damping.better((loss - after) / promised)
                 break
@@ -90,12 +106,16 @@ def minimise(
         yield Step(theta, after, damping)
 
 
-def _solve(hessian: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:
+def _straight(
+    theta: FloatArray, slopes: tuple[FloatArray, FloatArray], damping: float
+) -> tuple[FloatArray, FloatArray]:
+    del theta
+    gradient, hessian = slopes
     diagonal = np.diag(hessian)
     scale = np.maximum(diagonal, 1e-9 * diagonal.max() + 1e-30)
     try:
         factor = cho_factor(hessian + damping * np.diag(scale))
     except LinAlgError:
-        return np.zeros_like(gradient)
+        return np.zeros_like(gradient), np.zeros_like(gradient)
     solution: FloatArray = cho_solve(factor, -gradient)
-    return solution
+    return solution, solution

@@ -18,7 +18,7 @@ from narxcal.interrupt import Interrupt, held_interrupt
 from narxcal.narx import NarxConfig
 from narxcal.narx_model import NarxModel
 from narxcal.records import Record, check_measured, check_records
-from training import adam, levenberg_marquardt
+from training import adam, geodesic, levenberg_marquardt
 from training.adam import Moments
 from training.config import TrainConfig
 from training.free_run import FreeRunProblem, cut_windows
@@ -201,13 +201,15 @@ class _Run:
     ) -> Iterator[tuple[Progress, float]]:
         """Yield (`progress` with new theta and optimiser's state, loss) for any optimiser."""
         theta, decay = progress.theta, self.config.decay
-        if self.config.optimiser == "lm":
-            for step in levenberg_marquardt.minimise(problem, theta, decay, progress.damping):
-                yield replace(progress, theta=step.theta, damping=step.damping), step.loss
-        else:
+        if self.config.optimiser == "adam":
             rate = self.config.rate
             for move in adam.minimise(problem, theta, rate, decay, progress.moments):
                 yield replace(progress, theta=move.theta, moments=move.moments), move.loss
+            return
+        bent = self.config.optimiser == "geodesic"
+        descend = geodesic.minimise if bent else levenberg_marquardt.minimise
+        for step in descend(problem, theta, decay, progress.damping):
+            yield replace(progress, theta=step.theta, damping=step.damping), step.loss
 
     def _scored(self, progress: Progress, loss: float, horizon_s: float) -> Progress:
         """Add the history row; with validation records, keep the best step by them."""

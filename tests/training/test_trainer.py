@@ -16,7 +16,7 @@ STRUCTURE = NarxConfig(lags=1, taps=(0,), hidden=3)
 SHORT = TrainConfig(
     horizons_s=(20.0, 0.0), iterations=(4, 5), starts=2, score_every_s=1.0, threads=1
 )
-OPTIMISERS = ("lm", "adam")
+OPTIMISERS = ("lm", "geodesic", "adam")
 DARK = (
     "dark: output 1 of 1 has no known sample in any {} record. "
     "Leave the output out, or add records that hold it"
