@@ -103,8 +103,15 @@ def test_rows_of_a_set_name_peer_and_choice(tmp_path):
     assert all(math.isfinite(row.value) for row in rows)
     assert rows[0].note == (
         "chosen of 2 by cross-validation in the training range: "
-        "lags 2, taps 0..1, hidden 3, decay 1e-05"
+        "lags 2, taps 0..1, hidden 3, decay 1e-05, margin 0.25, lm"
     )
+
+
+def test_candidates_of_a_set_are_told_from_each_other():
+    for one in public_sets.SETS:
+        assert len({candidate.text for candidate in one.candidates}) == len(one.candidates)
+    texts = [candidate.text for candidate in public_sets.SETS[1].candidates]
+    assert any("linear feedback" in text for text in texts)
 
 
 def test_a_set_that_is_missing_becomes_a_row_that_says_so(tmp_path):
