@@ -26,6 +26,7 @@ from narxcal.lag import (
     speeds_of,
     thickness,
 )
+from narxcal.lag_governed_sensitivity import run_sensitivities
 from narxcal.lag_governed_steps import (
     HEAT,
     LINES,
@@ -40,7 +41,11 @@ from narxcal.narx import AT_START
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+_Columns = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+_Engine = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 _FORM = "governed"
+FITTED = ("lines", "slopes", "heat", "extra")  # arrays of what a fit can change
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,17 +97,49 @@ class GovernedLags:
         Arguments are as of `LagModel.run`.
         """
         order = self.order
-        columns = [np.ascontiguousarray(part[:, order]) for part in drive[:3]]
         forced = np.empty((0, len(order))) if measured is None else measured[:, order]
         states = run_governed(
-            (columns[0], columns[1], columns[2], np.ascontiguousarray(drive.air)),
-            (self.lines, self.slopes, self.extra, self.heat, self.limit[order]),
+            *self._arrays(drive),
             (starts[0], np.ascontiguousarray(starts[1][:, :, order])),
             np.ascontiguousarray(forced),
             dt_s,
         )
         back: FloatArray = states[:, :, np.argsort(order)]
         return back
+
+    def sensitivities(
+        self,
+        drive: Drive,
+        run: tuple[FloatArray, float],
+        wanted: Mapping[str, BoolArray],
+        scored: tuple[Sequence[int] | IntArray, int],
+    ) -> FloatArray:
+        """Slopes (n, c, P) of deviations by P parameters: forward sensitivities along a free run.
+
+        `run` are the states that `run` gave from a start at the first sample on, and the raster in
+        s; `wanted` says by masks which numbers of the arrays `FITTED`, in that order. `scored` are
+        c columns, and of how many samples one is scored: n = ceil(T / every).
+        """
+        order, (states, dt_s) = self.order, run
+        where = [
+            [array, *index, *[0] * (2 - len(index))]
+            for array, name in enumerate(FITTED)
+            for index in np.argwhere(wanted[name]).tolist()
+        ]
+        return run_sensitivities(
+            *self._arrays(drive),
+            (np.ascontiguousarray(states[:, :, order]), dt_s),
+            np.array(where, dtype=np.int64).reshape(-1, 3),
+            (np.argsort(order)[np.asarray(scored[0])], scored[1]),
+        )
+
+    def _arrays(self, drive: Drive) -> tuple[_Columns, _Engine]:
+        """What the compiled functions take: what drives them and the engine, core first."""
+        order = self.order
+        columns = [np.ascontiguousarray(part[:, order]) for part in drive[:3]]
+        air = np.ascontiguousarray(drive.air)
+        engine = (self.lines, self.slopes, self.extra, self.heat, self.limit[order])
+        return (columns[0], columns[1], columns[2], air), engine
 
     def deviations(
         self, drive: Drive, start: FloatArray, dt_s: float, measured: FloatArray | None = None

@@ -48,14 +48,17 @@ CORE_S, GAIN, RESET_S, LEAD_S, UP, DOWN, FAN_S, PUSH = range(8)
 OTHER_LINES = ("probe_s", "push")
 SLOPES = ("const", "thin", "Mach", "tilt", "tilt_Mach", "bend")
 HEAT = ("soak_share", "log_soak_tau", "soak_speed", "soak_air", "open_share", "log_begun_tau")
+OPEN_SHARE = HEAT.index("open_share")
 VALVE, CLEARANCE, SHARES = range(3)  # in `extra`; shares from there on
 # Rows of the states: what is added up to the deviation, and what is only remembered. The latter
 # are fuel, reset, metal and (where the fan is) casing as deviations from w, and the fan's rate.
 REMEMBERED, RESET, METAL, ROWS = 3, 4, 5, 6
-_WIDEST = 5.0  # of any logarithm
 _STEP_S = 0.04  # at most, of the inner step
-_MIDDLE, _BY_SPEED, _BY_AIR, _CASING_S = 2.85, -0.5, 0.8, 80.0  # FACTS A4: 30 to 300 s
-_MOST_OPEN = 1.0
+_MIDDLE, METAL_BY_SPEED, _BY_AIR, CASING_S = 2.85, -0.5, 0.8, 80.0  # FACTS A4: 30 to 300 s
+# Bounds: of any logarithm, of speeds and of what open clearances cost where they count, of what is
+# remembered, of the valve's lag, of log tau of soak and casing. A bound that holds has slope zero.
+MOST_LOG, MOST_SPEED, MOST_OPEN, MOST_LEFT, MOST_RATE = 5.0, 1.5, 1.0, 5.0, 20.0
+VALVE_S, LOG_SOAK_TAU, LOG_BEGUN_TAU = (0.01, 1.0), (-0.5, 4.5), (2.0, 5.0)
 _V, _U, _F, _R, _RATE, _POWER, _METAL, _COVER = range(8)
 
 
@@ -66,12 +69,18 @@ def inner_steps(dt_s: float) -> int:
 
 
 @compiled
+def bounded(value: float, bounds: tuple[float, float]) -> float:
+    """`value` within `bounds`."""
+    return min(max(value, bounds[0]), bounds[1])
+
+
+@compiled
 def line(q: FloatArray, z: FloatArray) -> float:
     """exp(q . z), no further than e to the fifth power."""
     found = 0.0
     for j in range(len(z)):
         found += q[j] * z[j]
-    return math.exp(within(found, _WIDEST))
+    return math.exp(within(found, MOST_LOG))
 
 
 @compiled
@@ -84,18 +93,24 @@ def slope(row: FloatArray, air: FloatArray, v: float, w: float) -> float:
 
 
 @compiled
-def _regressors(z: FloatArray, air: FloatArray, v: float, u: float) -> None:
-    v, u = within(v, 1.5), within(u, 1.5)
+def regressors(z: FloatArray, air: FloatArray, v: float, u: float) -> None:
+    """Fill `z` with the `REGRESSORS`."""
+    v, u = within(v, MOST_SPEED), within(u, MOST_SPEED)
     z[0], z[1], z[2], z[3], z[4], z[5] = 1.0, air[0], air[1], air[2], v, u
     z[6], z[7], z[8] = v * v, v * u, u * u
 
 
 @compiled
+def metal_time(z: FloatArray) -> float:
+    """How long the metal takes to heat up, in s."""
+    return math.exp(within(_MIDDLE + METAL_BY_SPEED * z[4] + _BY_AIR * z[1], MOST_LOG))
+
+
+@compiled
 def _soak(x: FloatArray, z: FloatArray, h: float) -> None:
     """Metal and casing a step of `h` s on."""
-    metal_s = math.exp(within(_MIDDLE + _BY_SPEED * z[4] + _BY_AIR * z[1], _WIDEST))
-    x[_METAL] = x[_F] + (x[_METAL] - x[_F]) * math.exp(-h / metal_s)
-    x[_COVER] = x[_METAL] + (x[_COVER] - x[_METAL]) * math.exp(-h / _CASING_S)
+    x[_METAL] = x[_F] + (x[_METAL] - x[_F]) * math.exp(-h / metal_time(z))
+    x[_COVER] = x[_METAL] + (x[_COVER] - x[_METAL]) * math.exp(-h / CASING_S)
 
 
 @compiled
@@ -112,7 +127,7 @@ def _core(
     """
     lines, clearance = engine
     h, core_s = clock[0], line(lines[CORE_S], z)
-    cost = math.exp(within(clearance * max(x[_METAL] - x[_COVER], 0.0), _MOST_OPEN))
+    cost = math.exp(within(clearance * max(x[_METAL] - x[_COVER], 0.0), MOST_OPEN))
     error = asked - x[_U] - line(lines[LEAD_S], z) * x[_RATE]
     rate = (x[_R] + line(lines[GAIN], z) * error - x[_V]) / core_s
     if rate > 0.0:
@@ -164,15 +179,15 @@ def _opened(
 @compiled
 def _remember(x: FloatArray, state: FloatArray, w: float) -> None:
     """Keep in `state` what is only remembered, where the core would settle at `w`."""
-    state[REMEMBERED, 0] = within(w - x[_F], 5.0)
-    state[RESET, 0] = within(w - x[_R], 5.0)
-    state[METAL, 0] = within(w - x[_METAL], 5.0)
-    state[METAL, 1] = within(w - x[_COVER], 5.0)
-    state[REMEMBERED, 1] = within(x[_RATE], 20.0)
+    state[REMEMBERED, 0] = within(w - x[_F], MOST_LEFT)
+    state[RESET, 0] = within(w - x[_R], MOST_LEFT)
+    state[METAL, 0] = within(w - x[_METAL], MOST_LEFT)
+    state[METAL, 1] = within(w - x[_COVER], MOST_LEFT)
+    state[REMEMBERED, 1] = within(x[_RATE], MOST_RATE)
 
 
 @compiled
-def _open(state: FloatArray) -> float:
+def openness(state: FloatArray) -> float:
     """How far the casing is behind the metal, which opens the clearances."""
     found: float = max(state[METAL, 1] - state[METAL, 0], 0.0)
     return found
@@ -189,11 +204,11 @@ def _heat(
     """Soak and casing of output `o`; `at`: increment of ss, w, thin, step in s, half range."""
     step, w, thin, dt_s, half = at
     log_tau = p[1] + p[2] * w + p[3] * thin
-    left = math.exp(-dt_s / math.exp(min(max(log_tau, -0.5), 4.5)))
+    left = math.exp(-dt_s / math.exp(bounded(log_tau, LOG_SOAK_TAU)))
     state[SOAK, o] = left * (past[SOAK, o] + p[0] * step)
-    left = math.exp(-dt_s / math.exp(min(max(p[5], 2.0), 5.0)))
-    begun = past[CASING, o] - p[4] * half * _open(past)
-    state[CASING, o] = left * begun + p[4] * half * _open(state)
+    left = math.exp(-dt_s / math.exp(bounded(p[5], LOG_BEGUN_TAU)))
+    begun = past[CASING, o] - p[4] * half * openness(past)
+    state[CASING, o] = left * begun + p[4] * half * openness(state)
 
 
 @compiled
@@ -216,10 +231,10 @@ def _sample(
         w_before = target[k - 1, 0] + was * (target[k, 0] - target[k - 1, 0])
         asked = target[k - 1, 1] + now * (target[k, 1] - target[k - 1, 1])
         v, u = x[_V], x[_U]
-        _regressors(z, here, v, u)
+        regressors(z, here, v, u)
         _core((lines, extra[CLEARANCE]), z, x, asked, clock)
         _soak(x, z, clock[0])
-        v_in, w_in = within(v, 1.5), within(w, 1.5)
+        v_in, w_in = within(v, MOST_SPEED), within(w, MOST_SPEED)
         core = 0.5 * (w_before - v + w - x[_V])
         c = slope(slopes[0], here, v_in, w_in)
         fan_before = fan
@@ -261,7 +276,7 @@ def run_governed(
     states = np.zeros((len(ss), ROWS, ss.shape[1]))
     count, window = inner_steps(dt_s), 0
     h = dt_s / count
-    clock = np.array([h, math.exp(-h / min(max(extra[VALVE], 0.01), 1.0)), float(count)])
+    clock = np.array([h, math.exp(-h / bounded(extra[VALVE], VALVE_S)), float(count)])
     x, z = np.zeros(8), np.empty(len(REGRESSORS))
     for k in range(len(ss)):
         if window < len(starts[0]) and starts[0][window] == k:
@@ -274,7 +289,7 @@ def run_governed(
         _remember(x, state, w)
         for o in range(ss.shape[1]):
             step, half = ss[k, o] - ss[k - 1, o], 1.0 / per_unit[k, o]
-            at = (step, within(w, 1.5), air[k, 0], dt_s, half)
+            at = (step, within(w, MOST_SPEED), air[k, 0], dt_s, half)
             _heat(heat[o], state, states[k - 1], o, at)
             slow = state[SOAK, o] + state[CASING, o]
             state[FAST, o] = within(state[FAST, o] + slow, limit[o]) - slow

@@ -3,17 +3,18 @@
 Output error by least squares with a robust loss, as in `training.lag_fit`, but over whole logs: the
 metal's heat and the clearances show long after the lever has come to rest. Core and fan are fitted
 together, for the control closes a loop through both, and every other output behind them. Errors
-count the more the lower the output, for it is relative ones that are judged.
-
-The starting values are those of a fit to virtual flights of seed 100; regressors that are
-not named there stay out.
+count the more the lower the output, for it is relative ones that are judged. Slopes are forward
+sensitivities (`narxcal.lag_governed_sensitivity`): with some sixty parameters, differences of runs
+cost ten times as much.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +22,12 @@ from scipy.optimize import least_squares
 
 from narxcal.errors import DataError
 from narxcal.lag import Drive
-from narxcal.lag_governed import GovernedLags, governed_shapes
-from narxcal.lag_governed_steps import LINES, OTHER_LINES, REGRESSORS, SHARES
+from narxcal.lag_governed import FITTED, GovernedLags
+from narxcal.lag_governed_steps import LINES, OTHER_LINES, SHARES
 from narxcal.lag_steps import CASING
+from narxcal.narx import AT_START
 from training.lag_fit import LagSamples, output_scales, thinned_for_lags
+from training.lag_governed_start import free_numbers, governed_start
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -35,56 +38,20 @@ _EVALUATIONS = 10
 _EVERY_S = 0.19  # one sample in this time is scored
 _LEVEL = (0.4, 1.0)  # shares of the largest value; below, errors count no more
 _LEAST_MOTION = 1e-6  # of the core, scaled
-_FITTED = ("lines", "slopes", "heat", "extra")
-
-_START_LINES = {
-    "core_s": {"one": -1.13, "thin": 0.53, "Mach": 0.24, "v": -0.03, "u": -0.33, "vv": 0.4},
-    "gain": {"one": 0.51, "thin": 0.04, "v": -0.67, "u": 0.45, "uu": 0.27},
-    "reset_s": {"one": 0.26, "thin": 0.75, "Mach": -0.37, "v": -0.58, "u": 0.2},
-    "lead_s": {"one": -0.7, "thin": 0.61, "u": 0.37},
-    "up": {"one": 0.39, "thin": -1.17, "hot": -1.14, "Mach": 0.15, "v": -0.66, "u": 0.93,
-           "vv": -0.41, "vu": 0.41, "uu": -0.32},
-    "down": {"one": 0.29, "thin": -0.82, "hot": 0.12, "Mach": -0.17, "v": 1.48, "u": -0.21,
-             "vv": -0.55, "vu": 1.46, "uu": -0.97},
-    "fan_s": {"one": 0.24, "thin": 0.92, "hot": -0.17, "Mach": -0.61, "v": -0.23, "vv": -0.26,
-              "vu": 0.75, "uu": -0.41},
-    "push": {"one": -1.88, "thin": 1.17, "hot": 0.14, "Mach": -1.17, "v": -0.13, "vv": 1.11},
-}  # fmt: skip
-_START_OTHER = {
-    "probe_s": {"one": 0.1, "thin": 0.65, "hot": -0.58, "Mach": 0.1, "v": 0.22, "u": -0.33,
-                "vv": 0.31},
-    "push": {"one": -0.49, "thin": 0.94, "hot": -0.73, "Mach": 0.25, "v": 0.67, "u": -0.88,
-             "vv": 0.58},
-}  # fmt: skip
-_START_SLOPES = ((0.96, 0.0, -0.55, 0.17, 0.07, 0.0), (0.79, 0.0, 0.5, 0.37, -0.3, 0.04))
-_START_HEAT = (
-    (0.0, 2.85, -0.5, 0.8, 0.05, 2.5),  # of the core
-    (0.0, 2.85, -0.5, 0.8, 0.0, 2.5),  # of the fan, which the control holds
-    (0.0, 2.85, -0.5, 0.8, -0.07, 2.6),  # of others
-)
-_FITTED_HEAT = [0, 4, 5]  # the times that metal takes to heat up are not
-_START_VALVE_S, _START_CLEARANCE, _START_SHARE = 0.3, 0.2, -0.2
 
 
-_Arrays = dict[str, FloatArray]
-
-
-@dataclass(frozen=True, eq=False)
-class _Logs:
-    """All logs end to end: what drives them, their deviations (T, o), and where each begins."""
+class _Log(NamedTuple):
+    """What drives one log, its deviations (T, o), and how much errors count there (T, o)."""
 
     drive: Drive
     deviation: FloatArray
     weight: FloatArray
-    begins: IntArray
-    dt_s: float
 
-    def of(self, columns: IntArray) -> _Logs:
+    def of(self, columns: IntArray) -> _Log:
         """Some of the outputs."""
         ss, target, per_unit = (np.ascontiguousarray(part[:, columns]) for part in self.drive[:3])
         drive = Drive(ss, target, per_unit, self.drive.air)
-        deviation, weight = self.deviation[:, columns], self.weight[:, columns]
-        return _Logs(drive, deviation, weight, self.begins, self.dt_s)
+        return _Log(drive, self.deviation[:, columns], self.weight[:, columns])
 
 
 def fit_governed(
@@ -103,68 +70,29 @@ def fit_governed(
     samples, dt_s = thinned_for_lags(samples, dt_s)
     scales = output_scales(samples, input_names)
     model = GovernedLags(output_names=output_names, **governed_start(len(output_names)), **scales)
-    logs = _joined(model, samples, input_names, dt_s)
+    logs = _logs(model, samples, input_names)
     _check_motion(logs, model)
-    for other in (None, *range(2, len(output_names))):
-        model = _fitted(model, logs, other, threads)
+    with ThreadPoolExecutor(threads) as pool:  # compiled runs leave Python's lock alone
+        for other in (None, *range(2, len(output_names))):
+            model = _fitted(model, (logs, dt_s), other, pool)
     return model
 
 
-def governed_start(count: int) -> _Arrays:
-    """Lines, slopes, heat and extra of `count` outputs that a fit starts from."""
-    others = count - 2
-    lines = [_row(_START_LINES[name]) for name in LINES]
-    lines += [_row(_START_OTHER[name]) for _ in range(others) for name in OTHER_LINES]
-    core, fan, other = _START_HEAT
-    return {
-        "lines": np.array(lines),
-        "slopes": np.array([_START_SLOPES[0], *[_START_SLOPES[1]] * others]),
-        "heat": np.array([core, fan, *[other] * others]),
-        "extra": np.array([_START_VALVE_S, _START_CLEARANCE, *[_START_SHARE] * others]),
-    }
+def _logs(model: GovernedLags, samples: Sequence[LagSamples], names: Sequence[str]) -> list[_Log]:
+    known = [np.where(np.isfinite(one.measured), one.measured, one.ss) for one in samples]
+    largest = np.maximum(np.max([np.abs(values).max(axis=0) for values in known], axis=0), 1e-9)
+    return [
+        _Log(
+            drive=model.drive(one.inputs, names, one.ss),
+            deviation=one.ss - one.measured,
+            weight=1.0 / np.clip(np.abs(values) / largest, *_LEVEL),
+        )
+        for one, values in zip(samples, known, strict=True)
+    ]
 
 
-def _row(named: dict[str, float]) -> list[float]:
-    return [named.get(name, 0.0) for name in REGRESSORS]
-
-
-def _free(count: int, other: int | None) -> dict[str, BoolArray]:
-    """Which numbers are fitted: those of core and fan, or those of one `other` output."""
-    free = {name: np.zeros(governed_shapes(count)[name], dtype=bool) for name in _FITTED}
-    if other is None:
-        named = [[name in _START_LINES[line] for name in REGRESSORS] for line in LINES]
-        free["lines"][: len(LINES)] = named
-        free["slopes"][0] = free["heat"][0, _FITTED_HEAT] = free["extra"][:SHARES] = True
-        return free
-    first = len(LINES) + len(OTHER_LINES) * (other - 2)
-    for k, line in enumerate(OTHER_LINES):
-        free["lines"][first + k] = [name in _START_OTHER[line] for name in REGRESSORS]
-    free["slopes"][other - 1] = free["heat"][other, _FITTED_HEAT] = True
-    free["extra"][SHARES + other - 2] = True
-    return free
-
-
-def _joined(
-    model: GovernedLags, samples: Sequence[LagSamples], names: Sequence[str], dt_s: float
-) -> _Logs:
-    inputs, ss, measured = (
-        np.concatenate([getattr(one, part) for one in samples])
-        for part in ("inputs", "ss", "measured")
-    )
-    known = np.abs(np.where(np.isfinite(measured), measured, ss))
-    share = known / np.maximum(known.max(axis=0), 1e-9)
-    lengths = [len(one.ss) for one in samples[:-1]]
-    return _Logs(
-        drive=model.drive(inputs, names, ss),
-        deviation=ss - measured,
-        weight=1.0 / np.clip(share, *_LEVEL),
-        begins=np.cumsum([0, *lengths]).astype(np.int64),
-        dt_s=dt_s,
-    )
-
-
-def _check_motion(logs: _Logs, model: GovernedLags) -> None:
-    core = logs.drive.target[:, model.order[0]]
+def _check_motion(logs: Sequence[_Log], model: GovernedLags) -> None:
+    core = np.concatenate([log.drive.target[:, model.order[0]] for log in logs])
     if np.ptp(core) < _LEAST_MOTION:
         raise DataError(
             "the outputs never move, so no lag can be fitted",
@@ -173,58 +101,113 @@ def _check_motion(logs: _Logs, model: GovernedLags) -> None:
         )
 
 
-def _fitted(model: GovernedLags, logs: _Logs, other: int | None, threads: int) -> GovernedLags:
+def _fitted(
+    model: GovernedLags,
+    data: tuple[Sequence[_Log], float],
+    other: int | None,
+    pool: ThreadPoolExecutor,
+) -> GovernedLags:
     """The model with core and fan fitted, or one `other` output behind them."""
-    count = len(model.output_names)
-    free = _free(count, other)
+    logs, dt_s = data
+    free = free_numbers(len(model.output_names), other)
     ranks = [0, 1] if other is None else [0, 1, other]
     columns = np.sort(model.order[ranks])  # no other acts on them
-    part = logs.of(columns)
-    scored = [0, 1] if other is None else [2]
-    kept = {name: getattr(model, name) for name in _FITTED}
-    begin = np.concatenate([kept[name][free[name]] for name in _FITTED])
-    task = _Task(part, np.searchsorted(columns, model.order[ranks])[scored])
+    scored = np.searchsorted(columns, model.order[ranks[-1:] if other else ranks])
+    begin = np.concatenate([getattr(model, name)[free[name]] for name in FITTED])
+    task = _Task([log.of(columns) for log in logs], scored, dt_s, pool)
+    own = free_numbers(len(ranks), None if other is None else 2)  # the same of `_of` the model
+
+    def trial(values: FloatArray) -> GovernedLags:
+        return _of(_with(model, free, values), ranks, columns)
 
     def residuals(values: FloatArray) -> FloatArray:
-        trial = _of(_with(model, free, values), ranks, columns)
-        return task.residuals(trial, values - begin)
+        return task.residuals(trial(values), values - begin)
 
-    with ThreadPoolExecutor(threads) as pool:  # the compiled run leaves Python's lock alone
-        found = least_squares(
-            residuals,
-            begin,
-            x_scale="jac",
-            loss="soft_l1",
-            f_scale=_ROBUST,
-            max_nfev=_EVALUATIONS,
-            workers=pool.map,
-        )
+    def slopes(values: FloatArray) -> FloatArray:
+        return task.slopes(trial(values), own)
+
+    found = least_squares(
+        residuals,
+        begin,
+        slopes,
+        x_scale="jac",
+        loss="soft_l1",
+        f_scale=_ROBUST,
+        max_nfev=_EVALUATIONS,
+    )
     return _with(model, free, found.x)
 
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What is fitted to: logs and the columns whose errors count."""
+    """What is fitted to: logs, the columns whose errors count, the raster, and who runs the logs.
 
-    logs: _Logs
+    Errors are counted over the deviations' spread.
+    """
+
+    logs: Sequence[_Log]
     columns: IntArray
+    dt_s: float
+    pool: ThreadPoolExecutor
+
+    @cached_property
+    def every(self) -> int:
+        """Of how many samples one is scored."""
+        return max(round(_EVERY_S / self.dt_s), 1)
+
+    @cached_property
+    def scored(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Deviations (n, c) of each log and what errors count, which is nothing where masked."""
+        every, columns = self.every, self.columns
+        deviations = [log.deviation[:, columns] for log in self.logs]
+        spread = np.maximum(np.nanstd(np.concatenate(deviations), axis=0), 1e-9)
+        weights = [log.weight[:, columns] / spread for log in self.logs]
+        return [
+            (np.nan_to_num(value[::every]), np.where(np.isfinite(value), weight, 0.0)[::every])
+            for value, weight in zip(deviations, weights, strict=True)
+        ]
+
+    @cached_property
+    def prior(self) -> float:
+        """What a parameter counts that has moved by one unit."""
+        errors = sum(weight.size for _, weight in self.scored)
+        return float(_PRIOR * _ROBUST * np.sqrt(errors / 3000.0))
 
     def residuals(self, model: GovernedLags, moved: FloatArray) -> FloatArray:
-        """Errors over the deviations' spread, and how far parameters were `moved`."""
-        logs, every = self.logs, max(round(_EVERY_S / self.logs.dt_s), 1)
-        deviation = logs.deviation[:, self.columns]
-        start = model.start(np.nan_to_num(logs.deviation[logs.begins]))
-        states = model.run(logs.drive, (logs.begins, start), logs.dt_s)
-        error = states[:, : CASING + 1].sum(axis=1)[:, self.columns] - deviation
-        spread = np.maximum(np.nanstd(deviation, axis=0), 1e-9)
-        error = np.nan_to_num(error * logs.weight[:, self.columns] / spread)[::every].ravel()
-        prior = _PRIOR * _ROBUST * np.sqrt(len(error) / 3000.0) * moved
-        return np.concatenate([error, prior])
+        """Errors of all logs, and how far parameters were `moved`."""
+        errors = []
+        for states, (known, weight) in zip(self._runs(model), self.scored, strict=True):
+            found = states[:: self.every, : CASING + 1].sum(axis=1)[:, self.columns]
+            errors.append(((found - known) * weight).ravel())
+        return np.concatenate([*errors, self.prior * moved])
+
+    def slopes(self, model: GovernedLags, free: Mapping[str, BoolArray]) -> FloatArray:
+        """Slopes of `residuals` by the parameters that are `free`."""
+
+        def of(log: _Log, states: FloatArray) -> FloatArray:
+            scored = (self.columns, self.every)
+            return model.sensitivities(log.drive, (states, self.dt_s), free, scored)
+
+        found = self.pool.map(of, self.logs, self._runs(model))
+        rows = [
+            (slopes * weight[:, :, None]).reshape(-1, slopes.shape[2])
+            for slopes, (_, weight) in zip(found, self.scored, strict=True)
+        ]
+        return np.concatenate([*rows, self.prior * np.eye(rows[0].shape[1])])
+
+    def _runs(self, model: GovernedLags) -> Iterator[FloatArray]:
+        """States (T, 6, o) of free runs over all logs."""
+
+        def of(log: _Log) -> FloatArray:
+            start = model.start(np.nan_to_num(log.deviation[:1]))
+            return model.run(log.drive, (AT_START, start), self.dt_s)
+
+        return self.pool.map(of, self.logs)
 
 
 def _with(model: GovernedLags, free: dict[str, BoolArray], values: FloatArray) -> GovernedLags:
     changed, at = {}, 0
-    for name in _FITTED:
+    for name in FITTED:
         size = int(free[name].sum())
         array = getattr(model, name).copy()
         array[free[name]] = values[at : at + size]

@@ -11,7 +11,7 @@ from narxcal.lag_governed import GovernedLags
 from narxcal.narx import NarxConfig, NarxNet
 from narxcal.narx_model import NarxModel, Scaling
 from narxcal.steady_table import SteadyTable
-from training.lag_governed_fit import governed_start
+from training.lag_governed_start import governed_start
 
 NAMES, INPUTS = ("N1_pct", "N2_pct", "EGT_C"), ("TRA_deg", "ALT_ft", "Mach", "dT_C")
 CENTRE, HALF = np.array([62.0, 75.0, 520.0]), np.array([35.0, 20.0, 240.0])
