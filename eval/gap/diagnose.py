@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -37,10 +37,10 @@ from training.gap.diagnosis import diagnose
 from training.gap.emulator import GreyBoxEmulator, fit_emulators
 from training.gap.finding import Finding, Interval
 from training.gap.unlogged import Load
-from training.gap.work import Options
+from training.gap.work import Options, Watch
 
 _SAME = 1e-9  # of a channel's range
-Watch = Callable[[str, int, int], None]  # what is at work, its number, how many there are
+Engine = tuple[GreyBoxEmulator, Rerun | None]  # what stands in for the simulator, and it itself
 
 
 class Request(NamedTuple):
@@ -96,14 +96,13 @@ def diagnose_pairs(
     watch("emulator", 0, 1)
     emulator = suited(fit_emulators(data.flights), data.flights, (data.real, data.noise))
     own = emulator.errors(data.flights).tolist()
-    data, load, found = _found(data, emulator, watch)
+    itself = None if again is None else Rerun(emulator, again, block_size(parts[0].dt_s))
+    data, load, found = _found(data, (emulator, itself), watch)
     errors = dict(zip(data.flights.signals.outputs, own, strict=True))
     finding = _bounded(replace(found, emulator_rmse=errors), pairs)
     watch("where", 0, 1)
     values = claimed(finding)
-    stand_in: Emulator = emulator
-    if again is not None:
-        stand_in = Rerun(emulator, again, block_size(parts[0].dt_s))
+    stand_in: Emulator = itself or emulator
     evidence = _evidence(data, finding, values, stand_in)
     evidence = replace(evidence, windows=spells(load, data, parts))
     if other is not None:
@@ -114,7 +113,7 @@ def diagnose_pairs(
     return Diagnosis(document(evidence), evidence, emulator)
 
 
-def _found(data: GapData, emulator: GreyBoxEmulator, watch: Watch) -> tuple[GapData, Load, Finding]:
+def _found(data: GapData, engine: Engine, watch: Watch) -> tuple[GapData, Load, Finding]:
     """The finding, with an unlogged load among the candidates if there are windows of one.
 
     Where the gap shows none, what the best model leaves of it is searched, and with windows there
@@ -124,13 +123,13 @@ def _found(data: GapData, emulator: GreyBoxEmulator, watch: Watch) -> tuple[GapD
         return data, *_nothing(data)
     watch("windows of an unlogged load", 0, 1)
     told, load = look_for_load(data)
-    finding = _asked(told, load, emulator, watch)
+    finding = _asked(told, load, engine, watch)
     if load.windows:
         return told, load, finding
-    told, beside = look_beside(finding, data, emulator)
+    told, beside = look_beside(finding, data, engine[0])
     if not beside.windows:
         return data, load, finding
-    return told, beside, _asked(told, beside, emulator, watch)
+    return told, beside, _asked(told, beside, engine, watch)
 
 
 def _nothing(data: GapData) -> tuple[Load, Finding]:
@@ -141,8 +140,9 @@ def _nothing(data: GapData) -> tuple[Load, Finding]:
     return Load(np.zeros((count, steps)), (), np.zeros(count), reason), finding
 
 
-def _asked(data: GapData, load: Load, emulator: GreyBoxEmulator, watch: Watch) -> Finding:
-    options = Options(price=tuple(load.price.tolist()) if load.windows else ())
+def _asked(data: GapData, load: Load, engine: Engine, watch: Watch) -> Finding:
+    emulator, itself = engine
+    options = Options(price=tuple(load.price.tolist()) if load.windows else (), again=itself)
     return diagnose(data.flights, (data.real, data.noise), emulator, options, watch)
 
 

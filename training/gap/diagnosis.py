@@ -12,7 +12,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -28,14 +28,14 @@ from training.gap.foils import foil
 from training.gap.null import null_gains
 from training.gap.offsets import beyond_scatter, day_fit, offset_fits, unexplained, whole_gap
 from training.gap.quadratic import misfit
+from training.gap.rerun_fit import told_anew
 from training.gap.unlogged import priced, witnesses
 from training.gap.verdict import Offset, bearable, finding
-from training.gap.work import Options, Work
+from training.gap.work import Options, Watch, Work
 
 OFFSETS = ("deterioration", "sensor_bias", "throttle_bias", "temperature_effect")
 _OFFSET = 0.25  # least share of the whole gap of an offset
 _OF_WHOLE, _IF_TELLING = 0.015, 0.005  # that of anything, and of what explains all that it touches
-Watch = Callable[[str, int, int], None]
 _SECOND = 0.25  # of what one effect leaves: less is no reason to name another
 _HALF = 0.5  # of it, where that is less than a further effect's share of the whole
 _BESIDE = 0.15  # of what one effect and small misfit leave
@@ -73,6 +73,7 @@ def diagnose(
         # An offset that needs no help from an effect that explains little is the answer by itself.
         alone = _offset(work, still, None)
         claimed, offset = (claimed, offset) if alone is None else (None, alone)
+    claimed, offset = told_anew(work, claimed, offset, watch)
     return finding(work, claimed, offset, noise)
 
 

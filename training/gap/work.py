@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from narxcal.effects.base import FloatArray
+from narxcal.effects.running import Emulator
 from narxcal.effects.steady import HeatSoak
 from training.gap.allowance import Allowance
 from training.gap.fitting import Fit, Problem, in_nearly_all
@@ -16,6 +18,7 @@ from training.gap.unlogged import has_load, witnesses
 _FAINT = 0.02  # of the peak of a response: where it counts half
 _LEAST = 0.01  # of the noise's energy: less of a gap is none to take shares of
 _WITHIN = 0.05  # what a gain counts that any simulator's misfit would explain, too
+Watch = Callable[[str, int, int], None]  # what is at work, its number, how many there are
 _AT_END = 0.8  # what a fit counts whose time constant would go on past its bound
 
 
@@ -37,6 +40,7 @@ class Options:
     the least gap, as a share of the noise's energy, that is a gap at all; below `quiet`, as a share
     of a channel's range, it is a misfit that nobody has to explain. `price` is what the windows of
     an unlogged load are worth in noise, in Q of every flight; nothing where there are none.
+    `again` is the simulator itself, where it can be run again.
     """
 
     quantile: float = 0.99
@@ -58,6 +62,7 @@ class Options:
     most: int = 2
     seed: int = 0
     price: tuple[float, ...] = ()
+    again: Emulator | None = None
 
 
 @dataclass

@@ -1,5 +1,7 @@
 """A simulator that can be run again says itself what an effect on its inputs does."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -50,6 +52,18 @@ def test_an_effect_on_inputs_is_the_simulator_told_so(flights):
     found = respond([setting], flights, rerun)[0] - flights.y
     np.testing.assert_allclose(found[:, 400:, 0], 75.0 * 3.0 / 70.0, atol=1e-6)
     np.testing.assert_allclose(found[:, 400:, 2], 350.0 * 3.0 / 70.0, atol=1e-6)
+
+
+def test_what_was_flown_is_asked_once(flights):
+    """And anew for other flights."""
+    asked = []
+    rerun = Rerun(Guess(), lambda log: asked.append(log) or simulate(log), BLOCK)
+    for width in (1.0, 2.0):
+        respond([(effect("throttle_backlash"), np.array([[width]]))], flights, rerun)
+    assert len(asked) == 3 * len(flights.u)
+    other = replace(flights, u=flights.u + 0.0)
+    np.testing.assert_array_equal(rerun.run(other, other.u), rerun.run(flights, flights.u))
+    assert len(asked) == 5 * len(flights.u)
 
 
 def test_an_effect_inside_is_the_emulators(flights):
