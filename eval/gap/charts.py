@@ -62,14 +62,15 @@ def model_chart(document: Mapping[str, Any]) -> Picture | None:
         axes.plot([100 * _clipped(row["gain"])], [place], "|", ms=10, mew=2.2, color=style.MODEL)
     threshold = _finite(document["quality"].get("threshold"))
     axes.axvline(100 * threshold, color=style.BAD, lw=1.0, ls=":")
-    axes.set_xlabel("gain [%]")
+    axes.set_xlabel("gain: share of the gap taken away [%]")
+    lost = any(_finite(gain) < -1.0 for row in rows for gain in (*row["flights"], row["gain"]))
     _share_axis(axes)
     return picture(
         drawn,
         f"Gain of {len(names)} models, best: {names[0]} {100 * _clipped(rows[0]['gain']):.0f} %",
         "Dots: single flights, each with the parameters that the others give; bar: all together. "
         f"Dotted: what the best model gains where there is nothing to find "
-        f"({100 * threshold:.1f} %). Less than nothing is drawn at -100 % at most.",
+        f"({100 * threshold:.1f} %).{' Gains below -100 % are drawn there.' if lost else ''}",
     )
 
 
@@ -98,13 +99,16 @@ def prediction(document: Mapping[str, Any]) -> Picture | None:
 
 
 def channel_bars(document: Mapping[str, Any]) -> Picture | None:
-    """RMSE of every channel before and after, and its floor, over that before; None without any."""
+    """RMSE of every channel before and after, and its floor, over that before.
+
+    None without any gap, and where no effect is claimed, so that nothing changes it.
+    """
     channels = {
         name: row
         for name, row in document["shrink"]["channels"].items()
         if _finite(row["before"]) > 0.0
     }
-    if not channels:
+    if not channels or not document["verdict"]["effects"]:
         return None
     drawn = style.figure(max(3.0, 0.9 + 0.95 * len(channels)), 2.7)
     axes = drawn.subplots()
@@ -134,7 +138,7 @@ def sides(document: Mapping[str, Any]) -> Picture | None:
     found = {name: _finite(document["side"].get(name)) for name in _SIDES}
     if sum(found.values()) <= 0.0:
         return None
-    return _stacked({"side": found}, _SIDES, "Side of the engine")
+    return _stacked({"": found}, _SIDES, "Side of the engine")
 
 
 def theil(document: Mapping[str, Any]) -> Picture | None:
@@ -143,7 +147,9 @@ def theil(document: Mapping[str, Any]) -> Picture | None:
         style.symbol(name): {key: _finite(row.get(key)) for key in _THEIL}
         for name, row in document["theil"].items()
     }
-    return _stacked(found, _THEIL, "Theil's split of the squared gap") if found else None
+    if not any(sum(parts.values()) > 0.0 for parts in found.values()):
+        return None
+    return _stacked(found, _THEIL, "Theil's split of the squared gap")
 
 
 def _stacked(
@@ -163,7 +169,8 @@ def _stacked(
     axes.set(xlim=(0, 100), xlabel="share [%]")
     style.legend(axes)
     texts = [
-        f"{name}: " + ", ".join(f"{key} {100 * share:.0f} %" for key, share in parts.items())
+        f"{name}: ".removeprefix(": ")
+        + ", ".join(f"{key} {100 * share:.0f} %" for key, share in parts.items())
         for name, parts in rows.items()
     ]
     return picture(drawn, f"{what}; {'; '.join(texts)}", "")
@@ -173,7 +180,7 @@ def _rows(
     names: Sequence[str], *, width: float = _WIDTH, left: float = 3.2, top: float = 0.06
 ) -> tuple[Figure, Axes]:
     """Axes with one row of fixed height per name."""
-    height = top + _ROW * max(len(names), 2) + 0.42
+    height = top + _ROW * len(names) + 0.42
     drawn = Figure(figsize=(width, height), facecolor="white")
     place = (left / width, 0.42 / height)
     axes = drawn.add_axes((*place, (width - left - 0.15) / width, 1 - (0.42 + top) / height))
@@ -182,7 +189,7 @@ def _rows(
 
 
 def _side_by_side(names: Sequence[str]) -> tuple[Figure, Axes, Axes]:
-    height = 0.06 + _ROW * max(len(names), 2) + 0.42
+    height = 0.06 + _ROW * len(names) + 0.42
     drawn = Figure(figsize=(_WIDTH, height), facecolor="white")
     wide, tall = (_WIDTH - _LEFT - 0.4) / 2 / _WIDTH, 1 - 0.48 / height
     left = drawn.add_axes((_LEFT / _WIDTH, 0.42 / height, 0.8 * wide, tall))
@@ -196,7 +203,7 @@ def _side_by_side(names: Sequence[str]) -> tuple[Figure, Axes, Axes]:
 
 def _name_rows(axes: Axes, names: Sequence[str]) -> None:
     axes.set_yticks(range(len(names)), names)
-    axes.set_ylim(max(len(names), 2) - 0.5, -0.5)
+    axes.set_ylim(len(names) - 0.5, -0.5)
     style.dress(axes)
 
 

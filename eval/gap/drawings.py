@@ -7,14 +7,15 @@ effect that was found and no sketch of it. Shaded or thin: the ends of the param
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 
 from matplotlib.figure import Figure
 
+from eval.gap.effect_words import surest_words
 from eval.gap.lever_drawings import hysteresis, lever_bias, lever_in_time
-from eval.gap.page_cells import printed
 from eval.gap.response_drawings import over_altitude, step_response, time_constants
 from eval.gap.shift_drawings import sensor_error, shift_bars, soak, wear
-from eval.gap.sketch import Sketch, number
+from eval.gap.sketch import Sketch
 from eval.report.svg import Picture, picture
 from narxcal.effects.base import Effect, Parameter, Signals
 from training.gap.finding import Interval
@@ -34,16 +35,11 @@ def drawing(acting: Effect, sizes: Mapping[str, Interval], signals: Signals) -> 
 
 
 def _caption(acting: Effect, parameters: Sequence[Parameter], sizes: Mapping[str, Interval]) -> str:
-    """What it is, and its sizes with their intervals, largest share of their range first."""
-    order = sorted(parameters, key=lambda p: -abs(sizes[p.name].value) / (p.high - p.low))
-    kept = [p for p in parameters if p in order[:4]]
-    texts = [
-        f"{p.name} {number(sizes[p.name].value)} {printed(p.unit)}".rstrip()
-        + f" ({number(sizes[p.name].low)} to {number(sizes[p.name].high)})"
-        for p in kept
-    ]
-    more = "" if len(kept) == len(parameters) else f"; {len(parameters) - len(kept)} smaller ones"
-    return f"{acting.meaning[:1].upper()}{acting.meaning[1:]}: {', '.join(texts)}{more}."
+    """What it is, its sizes with their intervals, and how those are drawn."""
+    told = {p.name: {**asdict(sizes[p.name]), "unit": p.unit} for p in parameters}
+    meaning = f"{acting.meaning[:1].upper()}{acting.meaning[1:]}"
+    words = surest_words({"parameters": told})
+    return f"{meaning}: {words}. Shaded, or a thin black line: 90 % interval."
 
 
 _DRAWN: dict[str, Callable[[Sketch], Figure]] = {

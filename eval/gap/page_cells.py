@@ -38,7 +38,10 @@ def span(row: Mapping[str, float | None]) -> str:
     low, high = row["low"], row["high"]
     if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
         return NOTHING
-    return f"{whole(100 * low)} to {whole(100 * high)}"
+    small = max(abs(low), abs(high)) < 0.0995
+    return " to ".join(
+        whole(100 * each, 1 if small and abs(each) >= 0.0005 else 0) for each in (low, high)
+    )
 
 
 def printed(name: str) -> str:

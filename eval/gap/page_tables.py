@@ -6,10 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from eval.gap.page_cells import count, percent, printed, seconds, span, whole
+from eval.gap.effect_words import sizes_words, spread_words
+from eval.gap.page_cells import count, percent, seconds, span, whole
 from eval.gap.summary import effect_name, seconds_within, windows_named
 from eval.report.style import symbol, unit, with_unit
-from eval.report.tables import NOTHING, Cell, Mark, Table, figure, number
+from eval.report.tables import NOTHING, Cell, Mark, Table, figure
 
 _TOO_COARSE = 0.5  # of the gap: an emulator with more error than this says little about it
 
@@ -77,7 +78,8 @@ def _effect(row: Mapping[str, Any], claimed: set[str]) -> tuple[Cell, ...]:
     remarks = ["claimed"] if name in claimed else []
     if row.get("with"):
         remarks.append(f"fitted with {', '.join(row['with'])}")
-    remarks += [f"{each} is at its bound" for each in row.get("at_bound", ())]
+    bounds = [each.removeprefix(f"{name} ") for each in row.get("at_bound", ())]
+    remarks += [f"{each} is at the bound of its range" for each in bounds]
     return (
         Cell(name, "head"),
         Cell(row["family"]),
@@ -85,17 +87,8 @@ def _effect(row: Mapping[str, Any], claimed: set[str]) -> tuple[Cell, ...]:
         percent(row["probability"], "best" if name in claimed else ""),
         percent(row["gain"]["value"]),
         Cell(span(row["gain"]), number=True),
-        Cell(sizes(row)),
+        Cell(sizes_words(row)),
         Cell("; ".join(remarks)),
-    )
-
-
-def sizes(row: Mapping[str, Any]) -> str:
-    """Parameters of an effect in words: `tau_s 1.8 s (1.6 to 2.0)`."""
-    return "; ".join(
-        f"{name} {number(each['value'])} {printed(each.get('unit', '-'))}".rstrip()
-        + f" ({number(each['low'])} to {number(each['high'])})"
-        for name, each in row["parameters"].items()
     )
 
 
@@ -110,17 +103,13 @@ def windows(document: Mapping[str, Any]) -> Table:
                 Cell(seconds_within(spell[f"{end}_s"], spell[f"{end}_span_s"]), number=True)
                 for end in ("start", "end")
             ),
-            *(Cell(_plus_minus(spell["shift"][name]), number=True) for name in names),
-            Cell("took no part" if spell["held_out"] else ""),
+            *(Cell(spread_words(spell["shift"][name]), number=True) for name in names),
+            Cell("held out" if spell["held_out"] else "diagnosed"),
         )
         for spell in found
     )
-    head = ("log", "from [s]", "to [s]", *(f"Δ{with_unit(name)}" for name in names), "remark")
+    head = ("log", "from [s]", "to [s]", *(f"Δ{with_unit(name)}" for name in names), "flight")
     return Table("Windows, and the shift in each, with 90 % intervals", head, rows)
-
-
-def _plus_minus(size: Mapping[str, float]) -> str:
-    return f"{number(size['value'])} ± {number(0.5 * (size['high'] - size['low']))}"
 
 
 def models(document: Mapping[str, Any]) -> Table:
@@ -146,20 +135,29 @@ def _reach(values: Sequence[float | None]) -> str:
 
 
 def shrinkage(document: Mapping[str, Any]) -> Table:
-    """Per channel: RMSE before, after and floor, and what that is of the squared gap."""
-    shrink = document["shrink"]
+    """Per channel: RMSE before, after and floor, and what that is of the squared gap.
+
+    Without a claim nothing is added, so that there is no after.
+    """
+    shrink, claims = document["shrink"], bool(document["verdict"]["effects"])
     rows = tuple(
         (
             Cell(with_unit(name), "head"),
             figure(row["before"]),
-            figure(row["after"], _better(row["before"], row["after"])),
+            *((figure(row["after"], _better(row["before"], row["after"])),) if claims else ()),
             figure(row["floor"]),
-            percent(_taken(row)),
+            *((percent(_taken(row)),) if claims else ()),
         )
         for name, row in shrink["channels"].items()
     )
     head = ("RMSE of", "before", "after", "noise floor", "off the squared gap [%]")
-    return Table(f"On {shrink.get('on', 'the flights of the diagnosis')}", head, rows)
+    shown = head if claims else ("channel", "RMSE of the gap", "noise floor")
+    return Table(_on(document), shown, rows)
+
+
+def _on(document: Mapping[str, Any]) -> str:
+    on = document["shrink"].get("on", "the flights of the diagnosis")
+    return f"On {on}; root mean square of recorded less simulated"
 
 
 def _taken(row: Mapping[str, float | None]) -> float | None:
@@ -168,21 +166,24 @@ def _taken(row: Mapping[str, float | None]) -> float | None:
 
 
 def times(document: Mapping[str, Any]) -> Table:
-    """Errors of Ti and Tt before and after, per channel."""
-    found = document["shrink"].get("times", {})
+    """Errors of Ti and Tt before and after, per channel; without a claim there is no after."""
+    found, claims = document["shrink"].get("times", {}), bool(document["verdict"]["effects"])
     rows = tuple(
         (
             Cell(symbol(name), "head"),
             count(row["events"]),
-            seconds(row["Ti_before_s"]),
-            seconds(row["Ti_after_s"], _better(row["Ti_before_s"], row["Ti_after_s"])),
-            seconds(row["Tt_before_s"]),
-            seconds(row["Tt_after_s"], _better(row["Tt_before_s"], row["Tt_after_s"])),
+            *(cell for time in ("Ti", "Tt") for cell in _time(row, time, after=claims)),
         )
         for name, row in found.items()
     )
-    head = ("channel", "events", "Ti before [s]", "Ti after [s]", "Tt before [s]", "Tt after [s]")
-    return Table("Mean absolute errors of Ti and Tt", head, rows)
+    head = [f"{time} {when} [s]" for time in ("Ti", "Tt") for when in ("before", "after")]
+    shown = head if claims else ["Ti [s]", "Tt [s]"]
+    return Table("Mean absolute errors of Ti and Tt", ("channel", "events", *shown), rows)
+
+
+def _time(row: Mapping[str, Any], name: str, *, after: bool) -> list[Cell]:
+    before, then = row[f"{name}_before_s"], row[f"{name}_after_s"]
+    return [seconds(before), *([seconds(then, _better(before, then))] if after else [])]
 
 
 def late(document: Mapping[str, Any]) -> Table:

@@ -3,41 +3,51 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-_NONE = "no gap beyond noise and build scatter"
+from eval.gap.effect_words import in_words, listed
+
+_NONE, _REAL = "no gap beyond noise and build scatter", "the gap is real, but "
 EMULATOR = "emulator"  # folder beside gap.json
 _MOST_EFFECTS, _MOST_BINS = 5, 6
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 
 
 def sentence(document: Mapping[str, Any]) -> str:
-    """The verdict in one sentence."""
-    verdict, shrink = document["verdict"], document["shrink"]
-    kind, predicted = verdict["kind"], shrink["predicted"]
+    """The verdict in one sentence: what it is, and how far the gap shrinks."""
+    verdict = document["verdict"]
+    kind, claimed, rivals = verdict["kind"], verdict["effects"], verdict["ambiguous_with"]
     if kind == "none":
         return f"{_NONE[0].upper()}{_NONE[1:]}." + _because(verdict)
     if kind == "unknown":
-        why = verdict["reason"].rstrip(".")
-        words = "The gap is real, but no effect of the library accounts for it"
-        return f"{words}: {why}." if why else f"{words}."
-    names = " and ".join(named(document, name) for name in verdict["effects"])
-    words = f"{names}: takes away {_percent(predicted)} of the gap"
-    if shrink.get("realised") is not None:
-        words += f" (realised on held-out flights: {100 * shrink['realised']:.0f} %)"
+        why = verdict["reason"].rstrip(".").removeprefix(_REAL)
+        words = f"{_REAL[0].upper()}{_REAL[1:]}no effect of the library accounts for it"
+        return _spaced(f"{words}: {why}." if why else f"{words}.")
+    words = f"What differs: {listed([in_words(name) for name in claimed])}"
+    added = "it" if len(claimed) == 1 else "them"
     if kind == "ambiguous":
-        words += f"; cannot be told from {', '.join(verdict['ambiguous_with'])}"
-        words += f". To tell: {verdict['separating_manoeuvre']}"
-    return words + "."
+        words += f", or just as well {listed([in_words(name) for name in rivals], 'or')}"
+        added = "the first" if len(claimed) == 1 else f"the first {len(claimed)}"
+    return f"{words}; adding {added} to the simulator takes away {_taken(document['shrink'])}."
 
 
-def named(document: Mapping[str, Any], name: str) -> str:
-    """An effect with its parameters, as 'sensor_lag:EGT_C (tau_s 1.8 [1.6, 2.0] s)'."""
-    for row in document["effects"]:
-        if effect_name(row) == name:
-            return f"{name} ({parameters(row)})" if row["parameters"] else name
-    return name
+def _taken(shrink: Mapping[str, Any]) -> str:
+    """How far the gap shrinks: predicted with its interval, and what came true."""
+    value, low, high = (100.0 * shrink["predicted"][key] for key in ("value", "low", "high"))
+    words = f"{value:.0f} % of the gap (90 % interval {low:.0f} to {high:.0f} %"
+    if shrink.get("realised") is not None:
+        words += f"; {100 * shrink['realised']:.0f} % on held-out flights"
+    return words + ")"
+
+
+def to_tell(document: Mapping[str, Any]) -> str:
+    """What to fly where effects cannot be told apart; empty where they can."""
+    verdict = document["verdict"]
+    if verdict["kind"] != "ambiguous" or not verdict["separating_manoeuvre"]:
+        return ""
+    return f"To tell them apart, fly: {verdict['separating_manoeuvre']}."
 
 
 def effect_name(row: Mapping[str, Any]) -> str:
@@ -166,4 +176,9 @@ def _because(verdict: Mapping[str, Any]) -> str:
     reason = verdict["reason"].rstrip(".")
     if not reason or reason == _NONE:
         return ""
-    return f" {reason[0].upper()}{reason[1:]}."
+    return _spaced(f" {reason[0].upper()}{reason[1:]}.")
+
+
+def _spaced(text: str) -> str:
+    """Percentages with a space before their sign."""
+    return re.sub(r"(?<=\d)%", " %", text)

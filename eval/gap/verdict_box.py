@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from eval.gap.page_tables import sizes
-from eval.gap.summary import effect_name, sentence
+from eval.gap.effect_words import in_words, listed, surest_words
+from eval.gap.summary import effect_name, sentence, to_tell
 from narxcal.effects.library import effect
 
 _WORDS = {
@@ -34,25 +34,23 @@ def verdict_box(document: Mapping[str, Any]) -> VerdictBox:
     """Verdict of a document of schema narxcal.gap/1."""
     kind = document["verdict"]["kind"]
     state, word = _WORDS[kind]
-    lines = [*_claimed(document), *_measured(document)]
+    lines = [*_claimed(document), *filter(None, (to_tell(document),)), *_measured(document)]
     if kind == "unknown":
         lines += _candidate(document)
     return VerdictBox(state, word, sentence(document), tuple(lines))
 
 
 def _claimed(document: Mapping[str, Any]) -> list[str]:
-    wanted = document["verdict"]["effects"]
+    """Probability and sizes of what is claimed, one line each."""
     rows = {effect_name(row): row for row in document["effects"]}
     lines = []
-    for name in wanted:
+    for name in document["verdict"]["effects"]:
         row = rows.get(name)
         if row is None:
             continue
-        meaning = row.get("meaning") or effect(name).meaning
-        lines.append(
-            f"{name}: {meaning}. Probability {_percent(row['probability'])}, {sizes(row)}."
-        )
-        lines += [f"{each} is at the bound of its range." for each in row.get("at_bound", ())]
+        lines.append(f"{name}: probability {_percent(row['probability'])}; {surest_words(row)}.")
+        bounds = [each.removeprefix(f"{name} ") for each in row.get("at_bound", ())]
+        lines += [f"{name}: {each} is at the bound of its range." for each in bounds]
     return lines
 
 
@@ -62,7 +60,8 @@ def _measured(document: Mapping[str, Any]) -> list[str]:
     lines = []
     share, left = _number(quality.get("gap_share")), _number(quality.get("left_share"))
     if share is not None:
-        text = f"{_percent(share)} of the squared residual is gap, the rest is noise"
+        text = f"{_gap(share)} of the squared difference of recorded and simulated is gap"
+        text += ", the rest is noise" if share < 0.995 else ""
         if document["verdict"]["effects"] and left is not None:
             text += f"; {_percent(max(left, 0.0))} of the gap stays unexplained"
         lines.append(f"{text}.")
@@ -70,9 +69,13 @@ def _measured(document: Mapping[str, Any]) -> list[str]:
     if tried and threshold is not None:
         lines.append(
             f"{len(tried)} models were tried. Where there is nothing to find, the best of them "
-            f"takes away {_percent(threshold)}: a claim has to exceed that."
+            f"takes away {_percent(threshold)} by chance: a claim has to exceed that."
         )
     return lines
+
+
+def _gap(share: float) -> str:
+    return "Nearly all" if share >= 0.995 else _percent(share)
 
 
 def _candidate(document: Mapping[str, Any]) -> list[str]:
@@ -80,7 +83,8 @@ def _candidate(document: Mapping[str, Any]) -> list[str]:
         return []
     row = document["effects"][0]
     gain = _percent(_number(row["gain"]["value"]) or 0.0)
-    return [f"The best candidate, {effect_name(row)}, takes away {gain}, and is not claimed."]
+    name = in_words(effect_name(row))
+    return [f"The best candidate, {name}, takes away {gain} of the gap and is not claimed."]
 
 
 def tiles(document: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -89,7 +93,7 @@ def tiles(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     flights = quality.get("flights", ())
     minutes = (_number(quality.get("duration_s")) or 0.0) / 60.0
     found = [(str(len(flights)), f"flights, {minutes:.0f} minutes")] if flights else []
-    found.append((_percent(_number(quality.get("gap_share"))), "of the squared residual is gap"))
+    found.append((_percent(_number(quality.get("gap_share"))), "of the squared difference is gap"))
     if document["verdict"]["effects"]:
         found.append(
             (_percent(_number(shrink["predicted"]["value"])), "of it taken away, predicted")
@@ -105,8 +109,8 @@ def next_flights(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Manoeuvres worth flying next, each with what it would tell."""
     verdict, found = document["verdict"], []
     if verdict["separating_manoeuvre"] and verdict["effects"]:
-        rivals = ", ".join(verdict["ambiguous_with"]) or "its family"
-        what = f"separates {', '.join(verdict['effects'])} from {rivals}"
+        rivals = listed(verdict["ambiguous_with"]) or "effects that look alike"
+        what = f"separates {listed(verdict['effects'])} from {rivals}"
         found.append((verdict["separating_manoeuvre"], what))
     known = {text for text, _ in found}
     for name in _open_questions(document):

@@ -159,7 +159,7 @@ def heat_map(table: pd.DataFrame, log: str, strong: float = 0.8) -> Picture:
     bar = figure.colorbar(image, ax=axes, shrink=0.9, ticks=[-1, -0.5, 0, 0.5, 1])
     bar.ax.tick_params(labelsize=7)
     bar.outline.set_visible(False)
-    bar.set_label("Pearson coefficient", size=8)
+    bar.set_label("\N{GREEK SMALL LETTER RHO}", size=9)
     return picture(figure, f"Pearson coefficients of inputs and outputs in {log}", "")
 
 

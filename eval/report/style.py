@@ -53,7 +53,7 @@ def stack(width: float, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
 
     Margins are fixed: finding them by trial, as a layout engine does, takes half of the time.
     """
-    left, right, top, bottom, gap, legend_gap = 0.62, 0.05, 0.06, 0.42, 0.11, 0.22
+    left, right, top, bottom, gap, legend_gap = 0.62, 0.12, 0.06, 0.42, 0.11, 0.22
     total = top + sum(heights) + gap * (len(heights) - 1) + legend_gap + bottom
     drawn = Figure(figsize=(width, total), facecolor="white")
     rows: list[Axes] = []
@@ -71,7 +71,7 @@ def pair(width: float, height: float) -> tuple[Figure, Axes, Axes]:
     """Two axes side by side with room for a legend above, margins fixed as in `stack`."""
     drawn = Figure(figsize=(width, height), facecolor="white")
     low, tall = 0.42 / height, (height - 0.42 - 0.24) / height
-    wide = (width - 1.3) / 2
+    wide = (width - 1.4) / 2  # and room for the half of the last tick's label
     left = drawn.add_axes((0.62 / width, low, wide / width, tall))
     right = drawn.add_axes((1.25 / width + wide / width, low, wide / width, tall))
     return drawn, left, right

@@ -89,11 +89,13 @@ def _shrink(svg: str, alt: str) -> str:
     body = _private_ids(body, alt)
     box = re.search(r'width="([\d.]+)pt" height="[\d.]+pt" (viewBox="[^"]+")', body)
     width, view = (float(box[1]), box[2]) if box else (720.0, "")
-    # Small drawings keep their size; wide ones take the width of the page.
-    limit = "" if width > 700.0 else f' style="max-width:{width * 4 / 3:.0f}px"'
+    # Small drawings keep their size; wide ones take the width of the page. None gets so small that
+    # its letters cannot be read: the page scrolls it instead.
+    natural = f"{width * 4 / 3:.0f}px"
+    limit = "" if width > 700.0 else f";max-width:{natural}"
     head = (
         f'<svg class="plot" role="img" aria-label={quoteattr(alt)} {view} '
-        f'{limit} xmlns="http://www.w3.org/2000/svg" '
+        f'style="--natural:{natural}{limit}" xmlns="http://www.w3.org/2000/svg" '
         f'xmlns:xlink="http://www.w3.org/1999/xlink">\n<title>{escape(alt)}</title>'
     )
     return head + body[body.index(">") + 1 :]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import pandas as pd
 
-from data_prep.log import Audit, Source
+from data_prep.log import Audit, AuditEntry, Source
 from eval.report.content import LogPage, NoiseSweep, Offsets, Scheme, Score, WindowTrial
 from eval.report.style import symbol, unit, with_unit
 
@@ -49,7 +49,8 @@ def number(value: float | None, digits: int = 3) -> str:
         return NOTHING
     if value == 0.0:
         return "0"
-    decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+    # The exponent after rounding: 0.9997 is 1.00, as 1.0004 is.
+    decimals = max(0, digits - 1 - int(f"{value:.{digits - 1}e}".partition("e")[2]))
     return f"{value:.{min(decimals, 6)}f}"
 
 
@@ -142,7 +143,7 @@ def pearson(table: pd.DataFrame, caption: str, strong: float = 0.8) -> Table:
 def audit(record: Audit, caption: str) -> Table:
     """Everything that cleaning changed, per channel."""
     rows = []
-    for entry in record.entries:
+    for entry in _together(record.entries):
         longest = "; ".join(f"{start:.1f} to {end:.1f}" for start, end in entry.spans_s[:6])
         more = f"; and {len(entry.spans_s) - 6} more" if len(entry.spans_s) > 6 else ""
         channel = "all channels" if entry.channel == "*" else entry.channel
@@ -156,6 +157,24 @@ def audit(record: Audit, caption: str) -> Table:
             )
         )
     return Table(caption, ("channel", "what", "why", "samples", "longer spans [s]"), tuple(rows))
+
+
+def _together(entries: Iterable[AuditEntry]) -> list[AuditEntry]:
+    """Entries of one channel, action and reason as one."""
+    found: dict[tuple[str, str, str], AuditEntry] = {}
+    for entry in entries:
+        key = entry.channel, entry.action, entry.reason
+        last = found.get(key)
+        found[key] = (
+            entry
+            if last is None
+            else replace(
+                entry,
+                samples=last.samples + entry.samples,
+                spans_s=(*last.spans_s, *entry.spans_s),
+            )
+        )
+    return list(found.values())
 
 
 def sources(files: Sequence[Source]) -> Table:

@@ -19,6 +19,7 @@ from eval.gap.summary import (
     effect_table,
     sentence,
     shrink_table,
+    to_tell,
     where_table,
     window_table,
 )
@@ -62,6 +63,8 @@ def write(folder: Path, found: Diagnosis) -> None:
 def show(console: Console, document: Mapping[str, Any]) -> None:
     """Print the answer on one screen: sentence, effects, where, how far."""
     console.say(sentence(document))
+    if advice := to_tell(document):
+        console.say(advice)
     for title, head, rows in (
         effect_table(document),
         window_table(document),

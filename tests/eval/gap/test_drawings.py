@@ -40,14 +40,17 @@ def test_an_effect_of_no_size_can_be_drawn(name):
 
 def test_the_caption_says_how_large_and_how_sure():
     found = drawing(effect("throttle_backlash"), {"width_deg": Interval(2.0, 1.5, 2.6)}, SIGNALS)
-    assert found.caption == "Play in the throttle linkage: width_deg 2 ° (1.5 to 2.6)."
+    assert found.caption == (
+        "Play in the throttle linkage: width_deg 2.00 ° (1.50 to 2.60). "
+        "Shaded, or a thin black line: 90 % interval."
+    )
 
 
-def test_of_many_sizes_the_largest_are_told_and_the_others_counted():
-    given = {"NAI_EGT_C": Interval(30.0, 25.0, 35.0), "WAI_N1_pct": Interval(0.1, 0.0, 0.2)}
+def test_of_many_sizes_those_that_are_not_nil_are_told_and_the_others_counted():
+    given = {"NAI_EGT_C": Interval(30.0, 25.0, 35.0), "WAI_N1_pct": Interval(0.1, -0.1, 0.3)}
     caption = drawing(effect("bleed_extraction"), given, SIGNALS).caption
-    assert "NAI_EGT_C 30 °C (25 to 35)" in caption
-    assert caption.endswith("; 8 smaller ones.")
+    assert "NAI_EGT_C 30.0 °C (25.0 to 35.0)" in caption
+    assert "; 11 others not distinct from 0." in caption
 
 
 def test_the_same_effect_gives_the_same_bytes():

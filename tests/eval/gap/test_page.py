@@ -102,10 +102,10 @@ def test_a_diagnosis_with_nothing_in_it_still_makes_a_page(evidence, sound_page)
     for text in (
         "NO GAP",
         "No part of the flights stands out of the noise",
-        "Nothing is claimed, so nothing is added",
+        "No effect is claimed, so nothing is added",
         "No emulator was used",
-        "nothing to show",
-        "All 0 models",
+        "No effect was fitted",
+        "No model was fitted",
     ):
         assert text in html
 
@@ -123,12 +123,12 @@ def test_the_verdict_leads_and_says_why(evidence, kind, state, word):
     box = verdict_box(document(with_verdict(evidence, kind)))
     assert (box.state, box.word) == (state, word)
     said = " ".join(box.lines)
-    assert "50 % of the squared residual is gap" in said
-    assert "takes away 5.0 %: a claim has to exceed that" in said
+    assert "50 % of the squared difference of recorded and simulated is gap" in said
+    assert "takes away 5.0 % by chance: a claim has to exceed that" in said
     sure = 89 if kind == "effects" else 82  # where rivals are named none is nearly certain
-    assert (f"Probability {sure} %, tau_s 1.00 s (0.900 to 1.10)" in said) == (state == "found")
+    assert (f"probability {sure} %; tau_s 1.00 s (0.90 to 1.10)." in said) == (state == "found")
     assert ("10 % of the gap stays unexplained" in said) == (state == "found")
-    assert ("and is not claimed" in said) == (kind == "unknown")
+    assert ("of the gap and is not claimed" in said) == (kind == "unknown")
     assert "because" in box.headline.lower() or kind in ("effects", "ambiguous")
 
 
@@ -260,7 +260,7 @@ def test_tables_hold_every_bin_effect_and_model(evidence):
     assert len(page_tables.bins(found).rows) == len(found["where"])
     effects = texts(page_tables.effects(found))
     assert effects[0][:3] == [NAME, "channel lag", "sensor"]
-    assert effects[0][6:] == ["tau_s 1.00 s (0.900 to 1.10)", "claimed"]
+    assert effects[0][6:] == ["tau_s 1.00 s (0.90 to 1.10)", "claimed"]
     assert any(row[7] == f"fitted with {NAME}" for row in effects)
     models = texts(page_tables.models(found))
     assert [row[0] for row in models] == [f"{NAME} + spool_lag", NAME, "time_skew:EGT_C"]

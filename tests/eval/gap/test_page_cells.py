@@ -17,7 +17,13 @@ def test_shares_in_percent(share, text):
 
 @pytest.mark.parametrize(
     ("low", "high", "text"),
-    [(0.1, 0.25, "10 to 25"), (-0.001, 0.001, "0 to 0"), (-math.inf, 1.0, "–"), (None, 0.1, "–")],  # noqa: RUF001
+    [
+        (0.1, 0.25, "10 to 25"),
+        (-0.001, 0.001, "-0.1 to 0.1"),
+        (0.0, 0.0002, "0 to 0"),
+        (-math.inf, 1.0, "–"),  # noqa: RUF001
+        (None, 0.1, "–"),  # noqa: RUF001
+    ],
 )
 def test_intervals_in_percent(low, high, text):
     assert span({"low": low, "high": high}) == text

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_prep.log import Audit
+from data_prep.log import Audit, AuditEntry
+from eval.report import tables
 from eval.report.content import (
     Fold,
     Measure,
@@ -93,6 +94,25 @@ def test_the_page_says_in_words_how_many_transients_pass(evaluation):
     assert "✗ FAIL" in evaluation
     assert "1 of 2 assessable transients (50 %) meet the &#39;paper&#39; rules" in evaluation
     assert "1 transient could not be assessed and count neither way" in evaluation
+
+
+def test_equal_repairs_of_a_channel_stand_in_one_row():
+    entry = AuditEntry("N1_pct", "repaired", "spiking", 2, ((1.0, 2.0),))
+    other = replace(entry, channel="N2_pct", samples=5, spans_s=())
+    rows = tables.audit(Audit((entry, other, entry)), "").rows
+    shown = [[cell.text for cell in row] for row in rows]
+    assert shown == [
+        ["N1_pct", "repaired", "spiking", "4", "1.0 to 2.0; 1.0 to 2.0"],
+        ["N2_pct", "repaired", "spiking", "5", "–"],  # noqa: RUF001 - the dash of the page
+    ]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.9997, "1.00"), (1.0004, "1.00"), (0.09996, "0.100"), (99.96, "100"), (7.125, "7.12")],
+)
+def test_numbers_have_three_digits_after_rounding(value, text):
+    assert tables.number(value) == text
 
 
 def test_counts_keep_events_that_are_not_assessable_out_of_both_sides(page):
