@@ -8,6 +8,7 @@ TEST_WORKERS ?= 2
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+BROWSER := $(VENV)/.browser
 PIP := $(BIN)/python -m pip install --disable-pip-version-check --quiet -c constraints.txt
 
 .PHONY: demo test lint ruff types floors bench map clean
@@ -15,7 +16,7 @@ PIP := $(BIN)/python -m pip install --disable-pip-version-check --quiet -c const
 demo: $(STAMP)
 	$(BIN)/narxcal demo
 
-test: $(STAMP)
+test: $(STAMP) $(BROWSER)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
 		$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile
 
@@ -53,3 +54,8 @@ $(STAMP): $(VENV)/.made pyproject.toml constraints.txt
 	$(PIP) --upgrade pip
 	$(PIP) --build-constraint constraints.txt -e '.[parquet,fmu]' --group dev
 	@touch $@
+
+# Opens the pages in the tests, and only there; where it cannot be had, those tests are skipped.
+$(BROWSER): $(STAMP)
+	@$(PIP) --retries 1 --group browser && touch $@ \
+		|| echo "No browser engine could be installed: tests that open pages in one are skipped."

@@ -1,8 +1,12 @@
 """Short pieces of virtual flights, and what every page of ours has to be."""
 
+import json
 import re
+import subprocess
+import sys
 from functools import lru_cache
 from html.parser import HTMLParser
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -144,3 +148,60 @@ def sound_page():
         return page
 
     return read
+
+
+BROWSER = Path(__file__).with_name("browser.py")
+LEAST_LETTER_PX = 6.0  # of a figure on a phone, whose pixels are a third of a millimetre
+
+
+@pytest.fixture(scope="session")
+def browse(tmp_path_factory):
+    """Open pages (name -> HTML) in a browser engine and give what it found, one dict per page.
+
+    Skips where the engine is not installed or does not start; a fault after that is one.
+    """
+
+    def opened(pages):
+        folder = tmp_path_factory.mktemp("pages")
+        paths = [folder / f"{name}.html" for name in pages]
+        for path, html in zip(paths, pages.values(), strict=True):
+            path.write_text(html, encoding="utf-8")
+        out, err = folder / "out", folder / "err"
+        with out.open("w") as told, err.open("w") as complained:
+            command = [sys.executable, str(BROWSER), *map(str, paths)]
+            running = subprocess.Popen(command, stdout=told, stderr=complained)
+            try:
+                code = running.wait(60 + 20 * len(pages))
+            except subprocess.TimeoutExpired:
+                running.kill()
+                code = running.wait()
+        found = [json.loads(line) for line in out.read_text().splitlines()]
+        last = [line for line in err.read_text().splitlines() if line.strip()][-1:]
+        if found[:1] != [{"works": True}]:
+            pytest.skip(f"no browser engine (ended with {code}): {' '.join(last)}")
+        assert code == 0, f"the engine ended with {code}: {' '.join(last)}"
+        return found[1:]
+
+    return opened
+
+
+@pytest.fixture(scope="session")
+def sound_in_a_browser(browse):
+    """Open pages (name -> HTML): nothing complains, is empty, cut, tiny or leads nowhere."""
+
+    def look(pages):
+        seen = browse(pages)
+        assert [one["page"] for one in seen] == list(pages)
+        for one in seen:
+            assert one["loaded"], one["page"]
+            assert one["said"] == [], one["page"]
+            for window in (one["phone"], one["desk"]):
+                assert window["wide"] == [], one["page"]
+                assert window["width"] <= window["window"], one["page"]
+                assert window["empty"] == [], one["page"]
+                assert window["broken"] == [], one["page"]
+                assert window["text"] > 100, one["page"]
+            smallest = one["phone"]["smallest"]
+            assert smallest is None or smallest >= LEAST_LETTER_PX, one["page"]
+
+    return look

@@ -105,7 +105,7 @@ def test_everything_tested_is_pinned():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
     wanted = [
         *project["project"]["dependencies"],
-        *project["dependency-groups"]["dev"],
+        *chain.from_iterable(project["dependency-groups"].values()),
         *chain.from_iterable(project["project"]["optional-dependencies"].values()),
     ]
     lines = (ROOT / "constraints.txt").read_text("utf-8").splitlines()

@@ -295,3 +295,10 @@ def test_a_simulator_that_is_run_again_is_said_to_be(evidence, kind, said):
     evidence = replace(bare(evidence), finding=evidence.finding, facts=facts)
     html = gap_page(document(evidence), evidence)
     assert ("This simulator can be run again" in html) == said
+
+
+def test_a_browser_shows_the_page_without_complaint(evidence, sound_in_a_browser):
+    told = {kind: with_verdict(evidence, kind) for kind in ("ambiguous", "unknown")}
+    told["bare"] = bare(evidence)
+    pages = {kind: gap_page(document(each), each, "now") for kind, each in told.items()}
+    sound_in_a_browser(pages)

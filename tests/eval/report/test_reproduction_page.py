@@ -1,5 +1,7 @@
 """Claims are held to their bounds, counted, and shown as they are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -80,3 +82,9 @@ def test_figures_name_what_they_show():
     grouped = bars(["No. 5"], {"one": np.array([3.0])}, "MSE", 5.0)
     assert ">No. 5<" in grouped.svg
     assert ">MSE<" in grouped.svg
+
+
+def test_a_browser_shows_the_page_without_complaint(header, page, sound_in_a_browser):
+    drawn = bars(["No. 5", "No. 6"], {"one": np.array([3.0, 4.0])}, "MSE", 5.0)
+    told = replace(study(claim(1.0), claim(9.0)), pictures=(drawn,), sheets=(page(),))
+    sound_in_a_browser({"reproduce": reproduction_page(header, [told])})
