@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import html
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from eval.report import page
+from eval.report import tables as tables_of_pages
+from eval.report.content import RunHeader
+
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 _COLUMNS: Final = 4  # of shares side by side, beside their names, in 80 columns of a terminal
-_STYLE = (
-    "body{font:15px/1.45 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem}"
-    "table{border-collapse:collapse;margin:.5rem 0 2rem}caption{text-align:left;font-weight:600}"
-    "td,th{padding:.15rem .6rem;text-align:right;border-bottom:1px solid #ddd}"
-    "td:first-child,th:first-child{text-align:left}"
-)
+_NUMBER: Final = re.compile(r"[-+]?[\d.]+( ?%| s)?( ?[\[/] ?[-\d., ]+\]?)?( of \d+)?|-|")
 
 
 def tables(document: Mapping[str, Any]) -> list[Table]:
@@ -27,14 +26,13 @@ def render(document: Mapping[str, Any]) -> str:
     """The score as an HTML page that needs nothing else."""
     engines = _split(document, "engine") if len(document["by_folder"]) > 1 else []
     every = (*tables(document), *engines, _sizes(document), _case_by_case(document))
-    parts = [_html_table(each) for each in every]
     counts = ", ".join(f"{count} {kind}" for kind, count in document["cases"].items())
-    return (
-        "<!doctype html><html lang='en'><meta charset='utf-8'><title>Blind test</title>"
-        f"<style>{_STYLE}</style><h1>Blind test of the gap diagnosis</h1>"
-        f"<p>{html.escape(counts)} cases; in {document['wrong_base']} the simulator has other "
-        f"parameters or another structure than the real engine. Intervals: 95 %, Wilson.</p>"
-        f"{''.join(parts)}</html>\n"
+    return page.render(
+        "score.html.j2",
+        header=RunHeader(title="Blind test of the gap diagnosis", created=""),
+        words=f"{counts} cases; in {document['wrong_base']} the simulator has other parameters or "
+        "another structure than the real engine. Intervals are 95 %, Wilson's.",
+        parts=[{"caption": each[0], "table": _cells(each)} for each in every if each[2]],
     )
 
 
@@ -153,10 +151,20 @@ def _plain(value: float | None) -> str:
     return "-" if value is None or not math.isfinite(value) else f"{value:.2f}"
 
 
-def _html_table(table: Table) -> str:
-    title, head, rows = table
-    top = "".join(f"<th>{html.escape(name)}</th>" for name in head)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
+def _cells(table: Table) -> tables_of_pages.Table:
+    """A table as pages have it: numbers flush right, the first column a head."""
+    _, head, rows = table
+    cells = tuple(
+        (
+            tables_of_pages.Cell(row[0], "head"),
+            *(
+                tables_of_pages.Cell(
+                    tables_of_pages.NOTHING if text == "-" else text,
+                    number=bool(_NUMBER.fullmatch(text)),
+                )
+                for text in row[1:]
+            ),
+        )
+        for row in rows
     )
-    return f"<table><caption>{html.escape(title)}</caption><tr>{top}</tr>{body}</table>"
+    return tables_of_pages.Table("", tuple(head), cells)

@@ -181,7 +181,7 @@ def test_every_size_stands_beside_the_one_that_was_put_in(outcome, answer):
     }  # fmt: skip
     main = {row[0]: row[2] for row in tables(document)[0][2]}
     assert main["true size within its interval"] == "1 of 2"
-    assert "<td>1.8 [1.5, 1.9]</td><td>no</td>" in render(document)
+    assert '<td class=" num">1.8 [1.5, 1.9]</td><td class="">no</td>' in render(document)
 
 
 def test_groups_by_share_of_the_gap(outcomes):
@@ -210,7 +210,7 @@ def test_nothing_at_all_has_no_numbers():
         assert math.isnan(number)
 
 
-def test_document_and_page_show_it_all(outcomes):
+def test_document_and_page_show_it_all(outcomes, sound_page):
     document = scored(outcomes, {"cases": {"seed": 1}})
     assert document["schema"] == "narxcal.blind_score/1"
     assert document["cases"] == {"null": 2, "outside": 1, "pair": 1, "single": 4}
@@ -222,6 +222,7 @@ def test_document_and_page_show_it_all(outcomes):
     page = render(document)
     for words in ("Blind test", "top-1, ranked first", "map_kink", "spool_lag", "10-25 %"):
         assert words in page
+    sound_page(page)
     assert document["plans"] == {"cases": {"seed": 1}}
     main, shares, confused = tables(document)
     assert ["top-2", "0.75 [0.30, 0.95]", "3 of 4"] in main[2]
@@ -242,3 +243,7 @@ def test_how_numbers_are_shown():
     assert shown({"value": 0.12345, "unit": ""}) == "0.123"
     assert shown({"value": 12.0, "unit": "s"}) == "12 s"
     assert shown({"value": 0.5, "of": 2, "low": 0.1, "high": 0.9}) == "0.50 [0.10, 0.90]"
+
+
+def test_a_browser_shows_the_page_without_complaint(outcomes, sound_in_a_browser):
+    sound_in_a_browser({"score": render(scored(outcomes, {}))})
