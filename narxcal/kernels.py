@@ -48,7 +48,7 @@ def compiled(function: Function) -> Function:
 
 @compiled
 def _push(register: FloatArray, newest: FloatArray) -> None:
-    """Shift `newest` in at the front of `register`; both are rows, or rows of vectors."""
+    """Shift `newest` in at the front of `register`."""
     count = len(newest)
     for j in range(len(register) - 1, count - 1, -1):
         register[j] = register[j - count]
@@ -214,12 +214,20 @@ def _direct(
 
 
 @compiled
-def _recall(row: FloatArray, gain: FloatArray, memory: FloatArray) -> None:
-    """Add what the history passes on, sum_j gain_j memory_j, to `row` (P,)."""
-    for j in range(len(gain)):
-        if gain[j] != 0.0:
-            for p in range(len(row)):
-                row[p] += gain[j] * memory[j, p]
+def _recall(row: FloatArray, gain: FloatArray, ring: FloatArray, slot: int) -> None:
+    """Add what the history passes on, the gains (m,) times its sensitivities, to `row` (P,).
+
+    `ring` is (lags + 1, o, P) in the order of steps, `slot` the place of the step in hand.
+    """
+    lags, outputs = len(ring) - 1, ring.shape[1]
+    for lag in range(lags):
+        slot = slot - 1 if slot > 0 else lags
+        for o in range(outputs):
+            g = gain[lag * outputs + o]
+            if g != 0.0:
+                past = ring[slot, o]
+                for p in range(len(row)):
+                    row[p] += g * past[p]
 
 
 @compiled
@@ -228,35 +236,47 @@ def jacobian(
     run: Run,
     feedback: tuple[FloatArray, FloatArray, FloatArray],
     restarts: tuple[IntArray, FloatArray],
-    bounds: tuple[FloatArray, FloatArray],
+    scored: tuple[FloatArray, FloatArray, FloatArray],
 ) -> FloatArray:
-    """Forward sensitivities dy/dtheta (T, o, P) along a free run, for Gauss-Newton steps.
+    """Weighted forward sensitivities root dy/dtheta (rows, P) along a free run, for Gauss-Newton.
 
     `features` is phi (T, f), rest (T, f) and the tanh activations at rest (T, h); the latter two
-    have no rows if the network is not anchored. `restarts` is (positions (n,), memory (m, P)):
-    dhistory/dtheta at the start, left at its value at the end, so that a long run can be done
-    in blocks.
+    have no rows if the network is not anchored. `restarts` is (positions (n,), memory (lags, o,
+    P)): dhistory/dtheta at the start, newest first, left at its value at the end, so that a long
+    run can be done in blocks. `scored` is low (o,), high (o,) and root (T, o), the roots of the
+    weights: where one is zero there is no row.
+
+    Only the last `lags` steps are held beside what is returned, each at a place of its own in a
+    ring, so that nothing is shifted and the work stays in the processor's cache.
     """
     phi, rest, rest_active = features
     y, active, _ = run
     positions, memory = restarts
-    low, high = bounds
-    steps, outputs = y.shape
-    m, size = memory.shape
-    gain = np.empty((outputs, m))
-    result = np.zeros((steps, outputs, size))
-    window = 0
-    for k in range(steps):
+    low, high, root = scored
+    lags, outputs, size = memory.shape
+    gain = np.empty((outputs, lags * outputs))
+    result = np.empty((np.count_nonzero(root > 0.0), size))
+    ring = np.empty((lags + 1, outputs, size))
+    ring[:lags] = memory[::-1]
+    slot, window, n = lags, 0, 0
+    for k in range(len(y)):
         if window < len(positions) and positions[window] == k:
-            memory[:] = 0.0
+            ring[:] = 0.0
             window += 1
         _gain(active[k], feedback, gain)
         for o in range(outputs):
-            row = result[k, o]
+            row = ring[slot, o]
+            row[:] = 0.0
             if low[o] < y[k, o] < high[o]:
                 _direct(row, (k, o, 1.0), (phi, active), feedback[1])
                 if len(rest):
                     _direct(row, (k, o, -1.0), (rest, rest_active), feedback[1])
-                _recall(row, gain[o], memory)
-        _push(memory, result[k])
+                _recall(row, gain[o], ring, slot)
+            if root[k, o] > 0.0:
+                result[n] = root[k, o] * row
+                n += 1
+        slot = slot + 1 if slot < lags else 0
+    for lag in range(lags):
+        slot = slot - 1 if slot > 0 else lags
+        memory[lag] = ring[slot]
     return result

@@ -242,21 +242,19 @@ def _normal_equations(batch: _Batch, weights: Weights) -> NormalEquations:
     width = features[0].shape[1]
     size = (units + outputs) * width + units + outputs * units + outputs
     gradient, hessian = np.zeros(size), np.zeros((size, size))
-    loss, memory = 0.0, np.zeros((run[2].shape[1], size))
+    loss, memory = 0.0, np.zeros((run[2].shape[1] // outputs, outputs, size))
     for first in range(0, len(run[0]), _BLOCK):
         part = slice(first, first + _BLOCK)
         inside = (batch.positions >= first) & (batch.positions < first + _BLOCK)
-        jacobian = kernels.jacobian(
+        root = batch.root_weight[part]
+        j = kernels.jacobian(
             _rows(features, part),
             _rows(run, part),
             weights.feedback,
             (batch.positions[inside] - first, memory),
-            weights.bounds,
+            (*weights.bounds, root),
         )
-        root = batch.root_weight[part].ravel()
-        scored = root > 0
-        j = jacobian.reshape(-1, size)[scored] * root[scored, None]
-        e = (run[0][part] - batch.target[part]).ravel()[scored] * root[scored]
+        e = ((run[0][part] - batch.target[part]) * root)[root > 0]
         loss += 0.5 * float(e @ e)
         gradient += j.T @ e
         hessian += j.T @ j

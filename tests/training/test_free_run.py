@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from narxcal.narx import AT_START, NarxConfig, NarxNet, Weights, simulate_slowly
 from narxcal.narx_model import NarxModel, Scaling
 from narxcal.records import Record
-from training import adam, levenberg_marquardt
+from training import adam, free_run, levenberg_marquardt
 from training.free_run import FreeRunProblem, cut_windows
 
 
@@ -102,6 +102,20 @@ def test_both_gradients_equal_autograd(config, horizon, seed):
     assert by_adjoint[0] == pytest.approx(loss)
     np.testing.assert_allclose(by_adjoint[1], gradient, rtol=1e-7, atol=1e-10)
     np.testing.assert_allclose(by_sensitivity.gradient, gradient, rtol=1e-7, atol=1e-10)
+
+
+@pytest.mark.parametrize("block", [1, 2, 7, 40])
+@pytest.mark.parametrize("horizon", [None, 9])
+def test_sensitivities_in_blocks_are_those_in_one(block, horizon, monkeypatch):
+    """Also where a block is shorter than the history, and where windows begin within one."""
+    model = make_model(NarxConfig(hidden=3, lags=4))
+    windows = cut_windows(model, [make_record(time=40)], horizon)
+    theta = model.net.get_theta()
+    whole = FreeRunProblem(model.net, windows).normal_equations(theta)
+    monkeypatch.setattr(free_run, "_BLOCK", block)
+    found = FreeRunProblem(model.net, windows).normal_equations(theta)
+    np.testing.assert_allclose(found.gradient, whole.gradient, rtol=1e-9)
+    np.testing.assert_allclose(found.hessian, whole.hessian, rtol=1e-9)
 
 
 def test_gauss_newton_matrix_is_the_jacobian_squared():
