@@ -13,19 +13,23 @@ from eval.report.content import RunHeader
 
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 _COLUMNS: Final = 4  # of shares side by side, beside their names, in 80 columns of a terminal
+_WIDE: Final = 10  # of them on the page
 _NUMBER: Final = re.compile(r"[-+]?[\d.]+( ?%| s)?( ?[\[/] ?[-\d., ]+\]?)?( of \d+)?|-|")
 
 
-def tables(document: Mapping[str, Any]) -> list[Table]:
-    """Tables of the score for a terminal: by folder, or by engine where there is but one."""
-    split = _split(document, "folder") or _split(document, "engine")
+def tables(document: Mapping[str, Any], columns: int = _COLUMNS) -> list[Table]:
+    """Tables of the score: by folder, or by engine where there is but one.
+
+    At most `columns` folders or engines stand side by side, by default as many as a terminal holds.
+    """
+    split = _split(document, "folder", columns) or _split(document, "engine", columns)
     return [_main(document), _by_gap_share(document), *split, _confused(document)]
 
 
 def render(document: Mapping[str, Any]) -> str:
     """The score as an HTML page that needs nothing else."""
-    engines = _split(document, "engine") if len(document["by_folder"]) > 1 else []
-    every = (*tables(document), *engines, _sizes(document), _case_by_case(document))
+    engines = _split(document, "engine", _WIDE) if len(document["by_folder"]) > 1 else []
+    every = (*tables(document, _WIDE), *engines, _sizes(document), _case_by_case(document))
     counts = ", ".join(f"{count} {kind}" for kind, count in document["cases"].items())
     return page.render(
         "score.html.j2",
@@ -51,8 +55,8 @@ def _main(document: Mapping[str, Any]) -> Table:
     styles = dict(sorted(styles.items()))
     rows = [
         [
-            row["name"],
-            shown(row),
+            _named(row),
+            shown({**row, "unit": ""}),
             _counted(row) if "of" in row else "",
             *(_plain(rows[k]["value"]) for rows in styles.values()),
         ]
@@ -61,17 +65,17 @@ def _main(document: Mapping[str, Any]) -> Table:
     return "Blind test", ("", "all [95 %]", "n", *styles), rows
 
 
-def _split(document: Mapping[str, Any], fact: str) -> list[Table]:
-    """Every measure by folder or engine where there are several, as wide as a terminal is."""
+def _split(document: Mapping[str, Any], fact: str, columns: int) -> list[Table]:
+    """Every measure by folder or engine where there are several."""
     by = document[f"by_{fact}"]
     if len(by) < 2:
         return []
     names = list(by)
     found: list[Table] = []
-    for start in range(0, len(names), _COLUMNS):
-        some = names[start : start + _COLUMNS]
+    for start in range(0, len(names), columns):
+        some = names[start : start + columns]
         lines = [
-            [row["name"], *(_counted(by[name][k]) for name in some)]
+            [_named(row), *(_counted(by[name][k]) for name in some)]
             for k, row in enumerate(document["table"])
         ]
         found.append((f"By {fact}", ("", *some), lines))
@@ -140,6 +144,11 @@ def _sizes(document: Mapping[str, Any]) -> Table:
     return "Sizes", ("case", "effect", "parameter", "true", "found [90 %]", "true one inside"), rows
 
 
+def _named(row: Mapping[str, Any]) -> str:
+    unit = row.get("unit", "")
+    return f"{row['name']} [{unit}]" if unit else row["name"]
+
+
 def _counted(row: Mapping[str, Any]) -> str:
     """A share as a count, a number as it is."""
     if "of" not in row:
@@ -154,17 +163,19 @@ def _plain(value: float | None) -> str:
 def _cells(table: Table) -> tables_of_pages.Table:
     """A table as pages have it: numbers flush right, the first column a head."""
     _, head, rows = table
+    flush = [all(map(_is_number, column)) for column in zip(*rows, strict=True)]
     cells = tuple(
         (
             tables_of_pages.Cell(row[0], "head"),
             *(
-                tables_of_pages.Cell(
-                    tables_of_pages.NOTHING if text == "-" else text,
-                    number=bool(_NUMBER.fullmatch(text)),
-                )
-                for text in row[1:]
+                tables_of_pages.Cell(tables_of_pages.NOTHING if text == "-" else text, number=right)
+                for text, right in zip(row[1:], flush[1:], strict=True)
             ),
         )
         for row in rows
     )
-    return tables_of_pages.Table("", tuple(head), cells)
+    return tables_of_pages.Table("", (head[0] or "measure", *head[1:]), cells)
+
+
+def _is_number(text: str) -> bool:
+    return not text or _NUMBER.fullmatch(text) is not None
