@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from narxcal.errors import ConfigError, ModelError
+from narxcal.remembered import Remembered
 from narxcal.steady_state import Arrays, Envelope, Floats, checked_inputs, register_steady, stored
 
 if TYPE_CHECKING:
@@ -31,7 +32,8 @@ class SteadyCallable:
 
     `names` are the input and the output names, `ranges` the envelope `{input: (low, high)}`;
     an input without a range is unbounded. Inputs are clamped to the envelope before the
-    function sees them.
+    function sees them. It has to be a function of them alone: what it answered to whole logs is
+    remembered.
 
     Raises `ModelError` if the function returns another shape or no numbers.
     """
@@ -51,6 +53,7 @@ class SteadyCallable:
         self.file = file
         self._function = function
         self._box = Envelope.from_ranges(self.input_names, ranges)
+        self._answer = Remembered(self._evaluate)
 
     @classmethod
     def load(
@@ -90,7 +93,7 @@ class SteadyCallable:
         known = np.isfinite(flat).all(axis=1)
         result = np.full((len(flat), len(self.output_names)), np.nan)
         if known.any():
-            result[known] = self._evaluate(flat[known])
+            result[known] = self._answer(flat[known])
         return result.reshape(*array.shape[:-1], len(self.output_names))
 
     def _evaluate(self, inputs: Floats) -> Floats:
