@@ -40,7 +40,8 @@ class Claim:
     @property
     def ours(self) -> str:
         """The value in words."""
-        text = number(self.value)
+        whole = math.isfinite(self.value) and float(self.value).is_integer()
+        text = f"{self.value:.0f}" if whole else number(self.value)
         return f"{text} {self.unit}" if self.unit and text != NOTHING else text
 
     def row(self) -> dict[str, Any]:
@@ -93,7 +94,8 @@ def or_nan(value: float | None) -> float:
 
 def claim_table(claims: Sequence[Claim], caption: str = "") -> Table:
     """Each claim with our figure beside it and, where ours falls short, a mark."""
-    head = ("claim", "made by", "claimed", "ours", "outcome", "remark")
+    remarks = any(claim.remark for claim in claims)
+    head = ("claim", "made by", "claimed", "ours", "outcome", *(("remark",) if remarks else ()))
     rows = tuple(
         (
             Cell(claim.what, "head"),
@@ -101,7 +103,7 @@ def claim_table(claims: Sequence[Claim], caption: str = "") -> Table:
             Cell(claim.claimed),
             Cell(claim.ours, number=True),
             _outcome(claim),
-            Cell(claim.remark),
+            *((Cell(claim.remark),) if remarks else ()),
         )
         for claim in claims
     )

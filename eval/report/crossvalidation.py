@@ -50,7 +50,10 @@ def _listed(names: Sequence[str]) -> str:
         whole = name.partition("[")[0]
         counts[whole] = counts.get(whole, 0) + 1
     cut = any("[" in name for name in names)
-    return ", ".join(f"{name} ({n} parts)" if cut else name for name, n in counts.items())
+    return ", ".join(
+        f"{name} ({n} {'part' if n == 1 else 'parts'})" if cut else name
+        for name, n in counts.items()
+    )
 
 
 def _measures(folds: Sequence[FoldResult], result: CrossValidation) -> list[Measure]:

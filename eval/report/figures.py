@@ -119,6 +119,9 @@ def _band(axes: Axes, part: Correlation, dt_s: float, label: str | None = "95 % 
     axes.fill_between(lags, -half, half, color=style.MASK, alpha=0.6, lw=0, label=label)
 
 
+_CHANCE = "no input correlates more than chance allows (1 % over all lags)"
+
+
 def _judgement(part: ResidualTests) -> str:
     """Say in words what the bands show, as far as it can be judged."""
     name = style.symbol(part.channel)
@@ -126,14 +129,13 @@ def _judgement(part: ResidualTests) -> str:
     texts = []
     if white.outside_95 is not None:
         texts.append(
-            f"{100 * white.outside_95:.0f} % of the lags lie outside the band of white noise"
+            f"{100 * white.outside_95:.0f} % of the lags lie outside the band of white noise "
+            "(5 % expected)"
         )
     found = {key: independence(cross) for key, cross in part.cross.items()}
     left = [style.symbol(key) for key, test in found.items() if test.ok is False]
     if found:
-        texts.append(
-            f"an effect of {', '.join(left)} is left" if left else "no effect of an input is left"
-        )
+        texts.append(f"an effect of {', '.join(left)} is left" if left else _CHANCE)
     return f"{name}: {'; '.join(texts)}." if texts else f"{name}: too few samples to judge."
 
 
@@ -159,7 +161,7 @@ def heat_map(table: pd.DataFrame, log: str, strong: float = 0.8) -> Picture:
     bar = figure.colorbar(image, ax=axes, shrink=0.9, ticks=[-1, -0.5, 0, 0.5, 1])
     bar.ax.tick_params(labelsize=7)
     bar.outline.set_visible(False)
-    bar.set_label("\N{GREEK SMALL LETTER RHO}", size=9)
+    bar.set_label("\N{GREEK SMALL LETTER RHO}", size=9, rotation=0, labelpad=8)
     return picture(figure, f"Pearson coefficients of inputs and outputs in {log}", "")
 
 

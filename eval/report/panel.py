@@ -20,7 +20,7 @@ from eval.report.svg import AnyFloats, Picture, envelope, spans
 from eval.report.windows import allowed_times
 
 _POINTS = 160
-_WIDTH, _HEIGHT, _LEFT, _RIGHT = 290.0, 196.0, 44.0, 286.0
+_WIDTH, _HEIGHT, _LEFT, _RIGHT = 290.0, 196.0, 44.0, 280.0
 
 
 @dataclass(frozen=True)

@@ -107,7 +107,8 @@ def _strip(axes: Axes, schemes: Sequence[Scheme], measure: Measure) -> None:
     for position, (_, values) in enumerate(kept, start=1):
         # A fixed fan instead of random jitter: the same folds give the same drawing.
         aside = np.linspace(-0.16, 0.16, len(values)) if len(values) > 1 else np.zeros(1)
-        axes.plot(position + aside, values, "o", ms=3.2, color=style.MEASURED, alpha=0.75, mew=0)
+        axes.plot(position + aside, values, "o", ms=3.2, color=style.MEASURED, alpha=0.75, mew=0,
+                  clip_on=False)  # fmt: skip
     if measure.limit is not None:
         axes.axhline(measure.limit, color=style.BAD, lw=1.0, ls=":")
     axes.set_ylim(bottom=0.0)

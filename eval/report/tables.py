@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -16,6 +17,7 @@ from eval.report.style import symbol, unit, with_unit
 Mark = Literal["", "best", "good", "bad", "none", "strong", "head", "group"]
 _OPTIONAL = {"untrimmed_rmse": "before trim", "bias": "bias"}
 NOTHING = "\N{EN DASH}"
+_MOST_NAMED = 2  # logs of a fold
 
 
 @dataclass(frozen=True)
@@ -218,7 +220,7 @@ def folds(scheme: Scheme) -> Table:
             for part, value in zip(scheme.measures, values, strict=True)
         ]
         cells = [figure(value, mark) for value, mark in zip(values, marks, strict=True)]
-        rows.append((Cell(fold.name, "head"), Cell(fold.test), *cells))
+        rows.append((Cell(fold.name, "head"), Cell(_brief(fold.test)), *cells))
     for name, spread in summary(scheme).items():
         rows.append(
             (
@@ -228,6 +230,15 @@ def folds(scheme: Scheme) -> Table:
             )
         )
     return Table("", head, tuple(rows))
+
+
+def _brief(data: str) -> str:
+    """Test data of a fold, counted where they are too many to name in a cell."""
+    names = data.split(", ")
+    if len(names) <= _MOST_NAMED:
+        return data
+    parts = sum(int(found) for found in re.findall(r"\((\d+) parts?\)", data))
+    return f"{len(names)} logs" + (f" ({parts} parts)" if parts else "")
 
 
 def summary(scheme: Scheme) -> Mapping[str, list[float]]:

@@ -100,7 +100,7 @@ def _claim(rows: list[dict[str, Any]], name: str) -> Claim:
     best = best_window(rows, name)
     lost = f"{best} samples leave {own[best]:.3g} {unit(name)} and {CHOSEN} leave {own[CHOSEN]:.3g}"
     return Claim(
-        what=f"RMS error of {symbol(name)} that {CHOSEN} samples leave, over the best window's",
+        what=f"RMS error of {symbol(name)} with {CHOSEN} samples, over that with the best window",
         claimed="1 (11 is the best of 3, 11 and 21)",
         value=own[CHOSEN] / own[best],
         bound=1.0 + 1e-9,

@@ -197,6 +197,22 @@ def test_the_prepare_page_shows_no_model_and_no_verdict(header, page):
     assert '<td class="best num">0.0525</td>' in html
 
 
+@pytest.mark.parametrize(
+    ("data", "shown"),
+    [
+        ("a.csv", "a.csv"),
+        ("a.csv (1 part), b.csv", "a.csv (1 part), b.csv"),
+        ("a.csv (12 parts), b.csv (3 parts), c.csv (1 part)", "3 logs (16 parts)"),
+        ("a.csv, b.csv, c.csv", "3 logs"),
+    ],
+)
+def test_many_logs_of_a_fold_are_counted_in_the_table_and_named_below(header, data, shown):
+    made = scheme([1.0])
+    made = replace(made, folds=[replace(made.folds[0], test=data)])
+    assert tables.folds(made).rows[0][1].text == shown
+    assert f"tested on {data}" in crossval_page(header, [made])
+
+
 def test_crossval_shows_the_spread_and_marks_what_is_over_the_limit(header):
     html = crossval_page(header, [scheme([1.0, 2.0, 6.0])])
     assert '<td class="bad num">6.00</td>' in html

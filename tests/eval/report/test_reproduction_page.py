@@ -35,6 +35,8 @@ def test_a_row_holds_what_json_can_and_no_more():
     assert (row["ours"], row["met"], row["unit"]) == (None, None, "%")
     assert claim(1.25, unit="%").ours == "1.25 %"
     assert claim(float("nan"), unit="%").ours == "\N{EN DASH}"
+    assert claim(10.0).ours == "10"
+    assert claim(9.96).ours == "9.96"
     assert or_nan(None) != or_nan(None)
     assert or_nan(2) == 2.0
 
@@ -44,6 +46,7 @@ def test_the_table_says_what_was_reached():
     assert [row[4].text for row in table.rows] == ["✓ reached", "✗ not reached", "not measured"]
     assert [row[4].mark for row in table.rows] == ["good", "bad", "none"]
     assert table.rows[1][5].text == "why"
+    assert claim_table([claim(1.0)]).head[-1] == "outcome"
 
 
 def test_the_outcome_counts_paper_and_goals_apart_and_names_what_is_missed():
@@ -55,7 +58,7 @@ def test_the_outcome_counts_paper_and_goals_apart_and_names_what_is_missed():
     assert found.lines == (
         "1 of 2 of the paper's claims are reached.",
         "1 of 1 of our own goals are reached.",
-        "w: 9.00, not < 5 %.",
+        "w: 9, not < 5 %.",
     )
     assert outcome_of([study(claim(1.0))]).passed is True
     assert outcome_of([study(claim(float("nan")))]).passed is None
