@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -82,6 +83,13 @@ def test_every_page_is_sound_escaped_and_self_contained(evaluation, header, page
     ]
     for html in pages:
         assert HOSTILE in "".join(sound_page(html).text)
+
+
+def test_drawings_do_not_take_the_colours_of_the_page(evaluation):
+    """In the dark they are inverted as a whole; a colour that is dark already would vanish."""
+    rules = re.findall(r"([^{}]*(?:svg|\.panel|\.plot)[^{}]*)\{([^}]*)\}", evaluation)
+    assert len(rules) > 10
+    assert [rule for rule, body in rules if re.search(r"(fill|stroke): var", body)] == []
 
 
 def test_a_page_is_the_same_bytes_each_time(evaluation, header, page):
