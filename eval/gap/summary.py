@@ -146,25 +146,31 @@ def where_table(document: Mapping[str, Any]) -> Table:
 
 
 def shrink_table(document: Mapping[str, Any]) -> Table:
-    """Root mean squares of the gap before and after, and errors of Ti and Tt."""
-    shrink = document["shrink"]
+    """Root mean squares of the gap before and after, and errors of Ti and Tt.
+
+    Without a claim nothing is added to the simulator, so that there is no after.
+    """
+    shrink, claims = document["shrink"], bool(document["verdict"]["effects"])
     times = shrink.get("times", {})
+    keys = ("before", "after", "floor") if claims else ("before", "floor")
     rows = [
         [
             name,
-            *(number(found[key]) for key in ("before", "after", "floor")),
-            _arrow(times.get(name, {}), "Ti"),
-            _arrow(times.get(name, {}), "Tt"),
+            *(number(found[key]) for key in keys),
+            *(_times(times.get(name, {}), each, claims=claims) for each in ("Ti", "Tt")),
         ]
         for name, found in shrink["channels"].items()
     ]
-    head = ("RMSE of", "before", "after", "floor", "Ti error [s]", "Tt error [s]")
-    return f"How far it shrinks, on {shrink['on']}", head, rows
+    if claims:
+        head = ("RMSE of", *keys, "Ti error [s]", "Tt error [s]")
+        return f"How far it shrinks, on {shrink['on']}", head, rows
+    head = ("channel", "RMSE", "floor", "Ti error [s]", "Tt error [s]")
+    return f"How large the gap is, on {shrink['on']}", head, rows
 
 
-def _arrow(found: Mapping[str, Any], name: str) -> str:
-    before, after = found.get(f"{name}_before_s"), found.get(f"{name}_after_s")
-    return f"{number(before)} -> {number(after)}"
+def _times(found: Mapping[str, Any], name: str, *, claims: bool) -> str:
+    before = number(found.get(f"{name}_before_s"))
+    return f"{before} -> {number(found.get(f'{name}_after_s'))}" if claims else before
 
 
 def _percent(found: Mapping[str, float]) -> str:

@@ -183,6 +183,16 @@ def test_tables_fit_on_one_screen(evidence):
     assert tables[2][2][-1][-1] == "- -> -"
 
 
+def test_without_a_claim_there_is_no_after(evidence):
+    found = document(evidence)
+    found["verdict"] |= {"kind": "unknown", "effects": []}
+    title, head, rows = shrink_table(found)
+    assert title == "How large the gap is, on 2 flights that took no part"
+    assert head == ("channel", "RMSE", "floor", "Ti error [s]", "Tt error [s]")
+    assert all(len(row) == len(head) for row in rows)
+    assert not any("->" in cell for row in rows for cell in row)
+
+
 def test_an_effect_that_is_not_claimed_shows_what_it_is_worth_alone(make_finding, make_model):
     pair = make_model(NAME, "spool_lag", gain=0.95)
     alone = make_model("spool_lag", gain=0.1)
