@@ -1,4 +1,4 @@
-"""From raw logs to prepared ones: cleaned, then smoothed."""
+"""From raw logs to prepared ones: the running engine's, cleaned, then smoothed."""
 
 from __future__ import annotations
 
@@ -8,11 +8,16 @@ from typing import Protocol
 
 from data_prep.clean import CleanConfig, clean
 from data_prep.log import Log
+from data_prep.running import RunningConfig, while_running
 from data_prep.smooth import SmoothConfig, smooth
 
 
 class Sections(Protocol):
-    """Whatever holds the two tables: the whole run configuration, or `Preparation`."""
+    """Whatever holds the three tables: the whole run configuration, or `Preparation`."""
+
+    @property
+    def running(self) -> RunningConfig:
+        """Table `[running]`."""
 
     @property
     def clean(self) -> CleanConfig:
@@ -25,13 +30,15 @@ class Sections(Protocol):
 
 @dataclass(frozen=True)
 class Preparation:
-    """The two tables alone, for use without a run configuration."""
+    """The three tables alone, for use without a run configuration."""
 
     clean: CleanConfig = field(default_factory=CleanConfig)
     smooth: SmoothConfig = field(default_factory=SmoothConfig)
+    running: RunningConfig = field(default_factory=RunningConfig)
 
 
 def prepare(logs: Sequence[Log], sections: Sections | None = None) -> list[Log]:
-    """Clean, then smooth each log; what cleaning changed is in its audit."""
+    """Leave out where the engine stands, then clean and smooth; the audit says what changed."""
     wanted = sections or Preparation()
-    return [smooth(clean(log, wanted.clean), wanted.smooth) for log in logs]
+    runs = while_running(logs, wanted.running)
+    return [smooth(clean(log, wanted.clean), wanted.smooth) for log in runs]

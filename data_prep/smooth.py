@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated, Literal
 
 import numpy as np
 import pandas as pd
@@ -25,31 +26,41 @@ _USUAL_S, _LONGEST_S = 0.35, 0.5
 class SmoothConfig(Section):
     """TOML table `[smooth]`: the window, an odd number of samples (1 leaves the log as it is).
 
+    "auto" is 0.35 s at the raster of the log: 11 samples at 32 Hz, 3 at 10 Hz, 1 below 9 Hz.
+
     channels: what to smooth; absent, every output and ambient channel. Levers are left alone
     unless named here, switches always.
     """
 
-    window: int = Field(default=11, ge=1)
+    window: Annotated[int, Field(ge=1)] | Literal["auto"] = "auto"
     channels: tuple[str, ...] | None = None
 
     @field_validator("window")
     @classmethod
-    def _odd(cls, window: int) -> int:
-        if window % 2 == 0:
+    def _odd(cls, window: int | Literal["auto"]) -> int | Literal["auto"]:
+        if window != "auto" and window % 2 == 0:
             raise ValueError("a centred window is an odd number of samples")
         return window
+
+    def window_at(self, interval_s: float) -> int:
+        """The window in samples for a log of this raster."""
+        return _usual(interval_s) if self.window == "auto" else self.window
+
+
+def _usual(interval_s: float) -> int:
+    fitting = int(_USUAL_S / interval_s + 1e-9)
+    return max(1, fitting - 1 + fitting % 2)
 
 
 def blurs(config: SmoothConfig, logs: Sequence[Log]) -> str:
     """What to say of a window that blurs fast movements; empty for one that does not."""
     interval_s = max(log.dt_s for log in logs)
-    if config.window == 1 or config.window * interval_s <= _LONGEST_S:
+    window = config.window_at(interval_s)
+    if window == 1 or config.window == "auto" or window * interval_s <= _LONGEST_S:
         return ""
-    usual = int(_USUAL_S / interval_s + 1e-9)
-    fitting = max(1, usual - 1 + usual % 2)
     return (
-        f"[smooth] window = {config.window} lasts {config.window * interval_s:.2g} s at "
-        f"{1.0 / interval_s:.3g} Hz, which blurs fast movements: take {fitting}"
+        f"[smooth] window = {window} lasts {window * interval_s:.2g} s at "
+        f"{1.0 / interval_s:.3g} Hz, which blurs fast movements: take {_usual(interval_s)}"
     )
 
 
@@ -57,7 +68,8 @@ def smooth(log: Log, config: SmoothConfig | None = None) -> Log:
     """Smooth a cleaned log; a masked sample stays masked and takes part in no average."""
     config = config or SmoothConfig()
     names = _names(log, config.channels)
-    return log.with_channels({name: moving_average(log[name], config.window) for name in names})
+    window = config.window_at(log.dt_s)
+    return log.with_channels({name: moving_average(log[name], window) for name in names})
 
 
 def _names(log: Log, wanted: Sequence[str] | None) -> list[str]:

@@ -95,14 +95,15 @@ def study(raw: Log, config: RunConfig) -> Prepared:
             file=log.name,
             hint="Map them under [logs.columns], or name others in [narx] outputs",
         )
-    sizes = sorted({*WINDOWS, config.smooth.window})
+    window = config.smooth.window_at(log.dt_s)
+    sizes = sorted({*WINDOWS, window})
     windows = compare_windows(cleaned, outputs, sizes)
     return Prepared(
         log=log,
         events=events,
         ranking=pearson(log, _candidates(log, config), outputs),
         windows=windows,
-        trial=_trial(cleaned, events, windows, config.smooth.window),
+        trial=_trial(cleaned, events, windows, window),
         driver=config.events.driver,
     )
 

@@ -9,13 +9,13 @@ blended linearly between the corners of the flight envelope:
 with I_j the monotone I-splines of degree 2 (Ramsay 1988, Statistical Science 3(4)) over the
 driver z, and x the blending channels scaled to [0, 1]. Non-negative b make every output
 monotone in the driver everywhere inside the envelope. Each engine adds a small straight line
-over z, its build scatter.
+over z, its build scatter; so does each switch while it is on: a bleed, another idle.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from typing import Any, ClassVar, Self
@@ -30,6 +30,7 @@ from narxcal.steady_state import Arrays, Envelope, checked_inputs, register_stea
 Floats = NDArray[np.float64]
 KELVIN = 273.15
 _ARRAYS = ("low", "high", "seen", "knots", "curve", "engine_lines")
+_NO_LINES: Floats = np.zeros((0, 0, 2))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +39,8 @@ class Layout:
 
     `corrected` refers speeds to sqrt(theta2), temperatures to theta2 and fuel flow to
     delta2 sqrt(theta2); it needs ALT_ft among the inputs (Mach and dT_C are taken as zero
-    where they are missing). `blend` names the inputs between whose extremes the curves blend.
+    where they are missing). `blend` names the inputs between whose extremes the curves blend,
+    `switches` those that add a line of their own while they are on.
     """
 
     input_names: tuple[str, ...]
@@ -46,6 +48,7 @@ class Layout:
     driver: str
     blend: tuple[str, ...] = ()
     corrected: bool = True
+    switches: tuple[str, ...] = ()
 
     def column(self, inputs: Floats, name: str) -> Floats:
         """One named column of `inputs` (..., n_in), zero where the model has none."""
@@ -104,9 +107,10 @@ class FittedSteadyState:
     """Monotone spline curves in corrected parameters (see the module).
 
     `curve` (n_out, corners, 1 + splines) holds a_v and b_vj; `engine_lines` (engines, n_out, 2)
-    value at mid-range and slope per full range of the driver. `engine` picks the scatter in
-    force; an unknown engine gets none. The envelope is the box it is vouched for,
-    `seen` (2,) their range of the driver as the curves see it; the knots reach beyond it.
+    value at mid-range and slope per full range of the driver, and so does `switch_lines`
+    (switches, n_out, 2). `engine` picks the scatter in force; an unknown engine gets none. The
+    envelope is the box it is vouched for, `seen` (2,) their range of the driver as the curves see
+    it; the knots reach beyond it.
     """
 
     kind: ClassVar[str] = "fitted"
@@ -118,6 +122,7 @@ class FittedSteadyState:
     curve: Floats
     engines: tuple[str, ...] = ()
     engine_lines: Floats
+    switch_lines: Floats = field(default_factory=_NO_LINES.copy)
     engine: str = ""
 
     @property
@@ -152,6 +157,9 @@ class FittedSteadyState:
         if self.engine in self.engines:
             line = self.engine_lines[self.engines.index(self.engine)]
             referred = referred + line[:, 0] + line[:, 1] * self._middle(z)[..., None]
+        for name, line in zip(self.layout.switches, self.switch_lines, strict=True):
+            on = self.layout.column(given, name)[..., None]
+            referred = referred + on * (line[:, 0] + line[:, 1] * self._middle(z)[..., None])
         return self.layout.actual(given, referred, air)
 
     def _basis(self, z: Floats) -> Floats:
@@ -172,6 +180,7 @@ class FittedSteadyState:
             "driver": self.layout.driver,
             "blend": list(self.layout.blend),
             "corrected": self.layout.corrected,
+            "switches": list(self.layout.switches),
         }
         arrays = {
             "low": self.envelope.low,
@@ -180,6 +189,7 @@ class FittedSteadyState:
             "knots": self.knots,
             "curve": self.curve,
             "engine_lines": self.engine_lines,
+            "switch_lines": self.switch_lines,
         }
         return {"layout": layout, "engines": list(self.engines), "engine": self.engine}, arrays
 
@@ -195,6 +205,7 @@ class FittedSteadyState:
                 driver=layout["driver"],
                 blend=tuple(layout["blend"]),
                 corrected=layout["corrected"],
+                switches=tuple(layout.get("switches", ())),
             ),
             envelope=Envelope(kept["low"], kept["high"]),
             seen=kept["seen"],
@@ -202,6 +213,7 @@ class FittedSteadyState:
             curve=kept["curve"],
             engines=tuple(meta.get("engines", ())),
             engine_lines=kept["engine_lines"],
+            switch_lines=np.asarray(arrays.get("switch_lines", _NO_LINES)),
             engine=str(meta.get("engine", "")),
         )
 

@@ -12,15 +12,19 @@ from data_prep.clean import CleanConfig
 from data_prep.events import EventsConfig
 from data_prep.logs_config import LogsConfig
 from data_prep.quasi_steady import QuasiSteadyConfig
+from data_prep.running import RunningConfig
 from data_prep.smooth import SmoothConfig
 from narxcal.channels import channel
 from narxcal.errors import ConfigError
 from narxcal.fuser import FuserConfig
 from narxcal.narx import Taps
 from narxcal.settings import Section, read_toml
-from training.steady_fit import SteadyStateConfig
+from training.steady_config import SteadyStateConfig
 
 SCHEMA: Final = "narxcal.config/1"
+_DECAY_BEHIND_LAGS: Final = 0.03
+_SCHEDULE: Final = ("ALT_ft", "Mach")
+_LINKED: Final = ("narx", "train", "steady_state")
 _SCENARIO: Final = "fly_"  # begins the names of scenarios of virtual flights, shipped beside
 
 
@@ -42,20 +46,30 @@ class NarxSection(Section):
     """
 
     outputs: tuple[str, ...] = Field(default=("N1_pct", "N2_pct", "EGT_C"), min_length=1)
-    schedule: tuple[str, ...] = ("ALT_ft", "Mach")
-    lags: int = Field(default=2, ge=1)
+    schedule: tuple[str, ...] = _SCHEDULE
+    lags: int = Field(default=1, ge=1)
     taps: Taps = (0,)
     hidden: int = Field(default=6, ge=1)
     margin: float = Field(default=0.25, ge=0)
     anchored: bool = True
     settle_s: float = Field(default=60.0, ge=0)
     joint: bool = True
-    lag: bool = False
+    lag: bool = True
     lag_errors: Literal["absolute", "relative"] = "absolute"
     lag_limits: bool = False
     lag_heat: bool = False
     lag_governed: bool = False
-    linear_feedback: bool = False
+    linear_feedback: bool = True
+
+    @model_validator(mode="before")
+    @classmethod
+    def _network_alone(cls, table: Any) -> Any:
+        """Without lags the network has to do all by itself: its defaults are others."""
+        if not isinstance(table, dict):
+            return table
+        lag = table.get("lag", table.get("anchored", True))
+        own = {} if lag else {"lags": 2, "linear_feedback": False}
+        return {"lag": lag, **own, **table}
 
     @model_validator(mode="after")
     def _lag_needs_an_anchor(self) -> NarxSection:
@@ -133,6 +147,7 @@ class RunConfig(Section):
     schema_: Literal["narxcal.config/1"] = Field(default=SCHEMA, alias="schema")
     name: str = "narxcal"
     logs: LogsConfig = LogsConfig()
+    running: RunningConfig = RunningConfig()
     clean: CleanConfig = CleanConfig()
     smooth: SmoothConfig = SmoothConfig()
     events: EventsConfig = EventsConfig()
@@ -143,6 +158,24 @@ class RunConfig(Section):
     split: SplitConfig = SplitConfig()
     fuser: FuserConfig = FuserConfig()
     evaluate: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _defaults_that_hang_together(cls, table: Any) -> Any:
+        """Weight decay goes by whether there are lags, the usual schedule by what inputs there are.
+
+        A network behind lags corrects them, the less the better; alone it has all to learn.
+        """
+        parts = [table.get(name, {}) for name in _LINKED] if isinstance(table, dict) else []
+        if not parts or not all(isinstance(part, dict) for part in parts):
+            return table  # pydantic says what is wrong
+        narx, train, steady = (dict(part) for part in parts if isinstance(part, dict))
+        if narx.get("lag", narx.get("anchored", True)):
+            train = {"decay": _DECAY_BEHIND_LAGS, **train}
+        inputs = steady.get("inputs", _SCHEDULE)
+        if isinstance(inputs, list | tuple):
+            narx = {"schedule": [name for name in _SCHEDULE if name in inputs], **narx}
+        return {**table, "narx": narx, "train": train}
 
     @model_validator(mode="after")
     def _inputs_serve(self) -> RunConfig:

@@ -17,7 +17,6 @@ import numpy as np
 from data_prep.hold import hold_inputs
 from data_prep.log import Log
 from data_prep.prepare import prepare
-from data_prep.quasi_steady import quasi_steady
 from data_prep.reading import read_logs
 from narxcal.bundle import Bundle
 from narxcal.calibration import DynamicCalibration
@@ -26,15 +25,15 @@ from narxcal.fuser_noise import estimate_noise
 from narxcal.narx import NarxConfig
 from narxcal.narx_model import NarxModel
 from narxcal.records import Record
-from narxcal.steady_fitted import Layout
-from narxcal.steady_source import open_steady
+from narxcal.steady_fitted import FittedSteadyState
 from narxcal.steady_state import SteadyStateModel
 from training.baselines import fit_baselines
 from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import RunConfig, SplitConfig
-from training.material import deviation_record, lags, material, speeds, structure_of
+from training.material import deviation_record, lags, material, structure_of
 from training.merge import merge_models, single_output
-from training.steady_fit import SteadyQuality, SteadySamples, fit_steady_state
+from training.steady_choice import steady_state
+from training.steady_fit import SteadyQuality
 from training.trainer import FitResult, HistoryRow, Material, Progress, fit_narx
 
 __all__ = [
@@ -60,6 +59,12 @@ class Split:
     train: tuple[Log, ...]
     validate: tuple[Log, ...]
     test: tuple[Log, ...]
+
+    def held(self, names: Sequence[str]) -> Split:
+        """The logs to learn from with these inputs completed."""
+        parts = (self.train, self.validate)
+        train, validate = (tuple(hold_inputs(log, names) for log in part) for part in parts)
+        return Split(train, validate, self.test)
 
 
 @dataclass(frozen=True)
@@ -116,6 +121,7 @@ def calibrate(
     began = time.perf_counter()
     dt_s = _common_raster([*split.train, *split.validate])
     steady, quality = steady_state(config, base, split.train)
+    split = split.held(steady.input_names)
     lag = lags(config, steady, split.train)
     structure = structure_of(config)
     learned = material(config, steady, lag, (split.train, split.validate))
@@ -125,7 +131,7 @@ def calibrate(
     plain = DynamicCalibration(steady, network, dt_s, config.narx.schedule, settle_s)
     calibration = plain.with_lag(lag)
     meta = _meta(config, base, split)
-    meta["steady_state"] = _quality_row(quality)
+    meta["steady_state"] = _quality_row(quality, steady)
     meta["training"] = _training_row(results, time.perf_counter() - began)
     meta["fuser_noise"] = _noise(calibration, split).to_dict()
     meta["baselines"] = fit_baselines(calibration, split.train)
@@ -135,30 +141,6 @@ def calibrate(
 def calibration_for(calibration: DynamicCalibration, log: Log) -> DynamicCalibration:
     """The calibration as it holds for the engine of `log`."""
     return calibration.for_engine(log.source.engine)
-
-
-def steady_state(
-    config: RunConfig, base: Path, logs: Sequence[Log]
-) -> tuple[SteadyStateModel, SteadyQuality | None]:
-    """Fit the steady-state model to the logs' quasi-steady samples, or open the maker's."""
-    section = config.steady_state
-    outputs = config.narx.outputs
-    if section.kind != "fitted":
-        names = (section.inputs, outputs)
-        return open_steady(section.kind, section.source, names, base, section.options), None
-    layout = Layout(
-        input_names=section.inputs,
-        output_names=outputs,
-        driver=section.driver or config.events.driver,
-        blend=section.blend,
-        corrected=section.corrected,
-    )
-    samples = []
-    for log in logs:
-        still = quasi_steady(log, layout.driver, speeds(config), config.quasi_steady)
-        inputs, measured = log.matrix(section.inputs)[still], log.matrix(outputs)[still]
-        samples.append(SteadySamples(inputs, measured, log.source.engine))
-    return fit_steady_state(samples, layout, section.fit)
 
 
 def _common_raster(logs: Sequence[Log]) -> float:
@@ -256,14 +238,18 @@ def _meta(config: RunConfig, base: Path, split: Split) -> dict[str, Any]:
     }
 
 
-def _quality_row(quality: SteadyQuality | None) -> dict[str, Any]:
-    if quality is None:
+def _quality_row(quality: SteadyQuality | None, steady: SteadyStateModel) -> dict[str, Any]:
+    if quality is None or not isinstance(steady, FittedSteadyState):
         return {"fitted": False}
+    layout = steady.layout
     return {
         "fitted": True,
         "samples": quality.samples,
         "rms": quality.rms,
         "coverage": quality.coverage,
+        "corrected": layout.corrected,
+        "blend": list(layout.blend),
+        "switches": list(layout.switches),
     }
 
 

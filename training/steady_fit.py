@@ -9,15 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
 from scipy.optimize import lsq_linear
 
 from narxcal.errors import ConfigError, DataError
-from narxcal.settings import Section
 from narxcal.steady_fitted import (
     FittedSteadyState,
     Layout,
@@ -25,29 +22,13 @@ from narxcal.steady_fitted import (
     i_splines,
     middle,
 )
-from narxcal.steady_source import SteadySourceOptions
 from narxcal.steady_state import Envelope
+from training.steady_config import SteadyFitConfig
 
 FloatArray = NDArray[np.float64]
+_TURNS = 0.8  # of the residual that a monotone curve leaves
+_USUAL = SteadyFitConfig()
 _ROWS = 20000  # more quasi-steady samples than this tell nothing new
-
-
-class SteadyFitConfig(Section):
-    """How stiff the curves are.
-
-    `knots` of the spline over the driver; `bend`, `spread` and `scatter` are the penalties on
-    curvature, on differences between envelope corners and on engine lines, as shares of the
-    mean squared error. `huber` is the residual, in robust standard deviations, beyond which a
-    sample loses weight; 0 turns that off. The curves go on straight for `reach` of the driver's
-    range beyond the samples, and are held from there on; both count as outside the envelope.
-    """
-
-    knots: int = Field(default=8, ge=2)
-    bend: float = Field(default=1e-3, ge=0)
-    spread: float = Field(default=3e-4, ge=0)
-    scatter: float = Field(default=1e-4, ge=0)
-    huber: float = Field(default=0.0, ge=0)
-    reach: float = Field(default=0.15, ge=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +50,7 @@ class SteadyQuality:
 
 
 def fit_steady_state(
-    samples: Sequence[SteadySamples], layout: Layout, config: SteadyFitConfig
+    samples: Sequence[SteadySamples], layout: Layout, config: SteadyFitConfig = _USUAL
 ) -> tuple[FittedSteadyState, SteadyQuality]:
     """Fit all outputs; raises `DataError` where there is too little to fit to.
 
@@ -89,7 +70,11 @@ def fit_steady_state(
     design = _Design(layout, envelope, seen, knots, engines, config)
     matrix = design.matrix(inputs, names)
     referred = layout.referred(inputs, outputs)
-    coefficients = np.stack([design.solve(matrix, column) for column in referred.T])
+    curves = [
+        _curve(design, matrix, column, turns=name.endswith("_C"))
+        for name, column in zip(layout.output_names, referred.T, strict=True)
+    ]
+    coefficients = np.stack(curves)
     model = design.model(coefficients)
     return model, _quality(model, (inputs, outputs, names))
 
@@ -149,6 +134,16 @@ def _told_apart(samples: Sequence[SteadySamples]) -> tuple[str, ...]:
     return tuple(engines) if len(engines) > 1 else ()
 
 
+def _curve(design: _Design, matrix: FloatArray, target: FloatArray, *, turns: bool) -> FloatArray:
+    """Coefficients of one output: monotone, unless it may turn and the samples clearly say so."""
+    monotone = design.solve(matrix, target, monotone=True)
+    if not turns:
+        return monotone
+    free = design.solve(matrix, target, monotone=False)
+    left = [float(np.nansum((matrix @ each - target) ** 2)) for each in (free, monotone)]
+    return free if left[0] < _TURNS**2 * left[1] else monotone
+
+
 @dataclass(frozen=True)
 class _Design:
     layout: Layout
@@ -167,22 +162,23 @@ class _Design:
         return len(self.knots)
 
     def matrix(self, inputs: FloatArray, names: NDArray[np.str_]) -> FloatArray:
-        """Columns: corner by corner 1 and the splines, then engine by engine 1 and slope."""
+        """Columns: by corner 1 and the splines, then by engine and by switch 1 and slope."""
         drive = self.layout.drive(inputs)
         basis = np.concatenate([np.ones((len(drive), 1)), i_splines(self.knots)(drive)], axis=1)
         weights = corner_weights(self.layout, self.envelope, inputs)
         curve = (weights[:, :, None] * basis[:, None, :]).reshape(len(drive), -1)
         line = np.stack([np.ones_like(drive), middle(drive, self.knots)], axis=1)
         lines = [line * (names == engine)[:, None] for engine in self.engines]
+        lines += [line * self.layout.column(inputs, name)[:, None] for name in self.layout.switches]
         return np.concatenate([curve, *lines], axis=1)
 
-    def solve(self, matrix: FloatArray, target: FloatArray) -> FloatArray:
-        """Huber-weighted penalised least squares with b >= 0, for one output."""
+    def solve(self, matrix: FloatArray, target: FloatArray, *, monotone: bool) -> FloatArray:
+        """Huber-weighted penalised least squares, with b >= 0 if `monotone`, for one output."""
         known = np.isfinite(target)
         matrix, target = matrix[known], target[known]
         lower = np.full(matrix.shape[1], -np.inf)
         width = 1 + self.splines
-        for corner in range(self.corners):
+        for corner in range(self.corners if monotone else 0):
             lower[corner * width + 1 : (corner + 1) * width] = 0.0
         penalty = self._penalty(matrix.shape[1])
         weight = np.full(len(target), 1.0 / len(target))
@@ -226,6 +222,7 @@ class _Design:
         at = self.corners * (1 + self.splines)
         curve = coefficients[:, :at].reshape(len(coefficients), self.corners, -1)
         lines = coefficients[:, at:].reshape(len(coefficients), -1, 2).transpose(1, 0, 2)
+        engines = len(self.engines)
         return FittedSteadyState(
             layout=self.layout,
             envelope=self.envelope,
@@ -233,7 +230,8 @@ class _Design:
             knots=self.knots,
             curve=curve,
             engines=self.engines,
-            engine_lines=lines,
+            engine_lines=lines[:engines],
+            switch_lines=lines[engines:],
         )
 
 
@@ -260,34 +258,3 @@ def _quality(
         rms={name: float(value) for name, value in zip(model.output_names, rms, strict=True)},
         coverage=float((bins > 0).mean()),
     )
-
-
-Kind = Literal["fitted", "table", "callable", "fmu"]
-
-
-class SteadyStateConfig(Section):
-    """Table [steady_state]: fit a model to the logs, or load the maker's.
-
-    `kind` "fitted" uses `inputs` (which must hold ALT_ft, Mach and dT_C if `corrected`) and
-    blends curves over `driver` (that of [events] where it is empty) between the extremes of
-    `blend`. The other kinds load `source`: a CSV table,
-    `module:function` or an FMU file.
-    """
-
-    kind: Kind = "fitted"
-    source: str = ""
-    inputs: tuple[str, ...] = ("TRA_deg", "ALT_ft", "Mach", "dT_C")
-    driver: str = ""
-    blend: tuple[str, ...] = ("Mach",)
-    corrected: bool = True
-    fit: SteadyFitConfig = SteadyFitConfig()
-    options: SteadySourceOptions = SteadySourceOptions()
-
-    @model_validator(mode="after")
-    def _consistent(self) -> SteadyStateConfig:
-        if self.kind != "fitted" and not self.source:
-            raise ValueError(f"kind '{self.kind}' needs a source")
-        missing = [name for name in self.blend if name not in self.inputs]
-        if missing:
-            raise ValueError(f"blend names '{missing[0]}', which is no input")
-        return self

@@ -25,5 +25,17 @@ def steady_words(meta: Mapping[str, Any]) -> str:
     )
     return (
         f"fitted to {found['samples']} quasi-steady samples over {100 * found['coverage']:.0f} % "
-        f"of the driver's range; RMS left: {left}"
+        f"of the driver's range{_form(found)}; RMS left: {left}"
     )
+
+
+def _form(found: Mapping[str, Any]) -> str:
+    """How the curves were chosen to be; empty for a bundle of before there was a choice."""
+    if "corrected" not in found:
+        return ""
+    words = ["corrected parameters" if found["corrected"] else "parameters as they are"]
+    if found["blend"]:
+        words.append(f"blended over {' and '.join(found['blend'])}")
+    if found["switches"]:
+        words.append(f"shifted by {', '.join(found['switches'])}")
+    return f"; {', '.join(words)}"

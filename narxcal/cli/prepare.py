@@ -14,6 +14,7 @@ import pandas as pd
 
 from data_prep.log import Log
 from data_prep.reading import read_logs
+from data_prep.running import while_running
 from data_prep.smooth import blurs
 from data_prep.stamps import PRINTED
 from eval.preparation import Prepared, events_table, pearson_table, study, windows_table
@@ -57,7 +58,8 @@ def _studies(files: Sequence[Path], config: RunConfig, console: Console) -> list
     with console.progress("Preparing") as advance:
         for number, file in enumerate(files):
             advance(number, len(files), file.name)
-            studies += [study(raw, config) for raw in read_logs(file, config.logs)]
+            runs = while_running(read_logs(file, config.logs), config.running)
+            studies += [study(raw, config) for raw in runs]
     return studies
 
 
@@ -72,7 +74,7 @@ def _document(
         "logs": [{**one.to_dict(), "prepared": name} for one, name in prepared],
         "pearson": pearson_table(studies).to_dict(orient="records"),
         "windows": windows_table(studies).to_dict(orient="records"),
-        "window": config.smooth.window,
+        "window": config.smooth.window_at(studies[0].log.dt_s),
     }
 
 

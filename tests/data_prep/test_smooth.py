@@ -137,6 +137,14 @@ def test_a_window_that_blurs_fast_movements_is_told_with_one_that_does_not(
     assert said.removeprefix(f"[smooth] window = {window} ") == message
 
 
+@pytest.mark.parametrize(
+    ("hz", "window"), [(100, 35), (32, 11), (16, 5), (10, 3), (9, 3), (8, 1), (1, 1)]
+)
+def test_the_usual_window_goes_by_the_raster(hz, window):
+    assert SmoothConfig().window_at(1 / hz) == window
+    assert SmoothConfig(window=7).window_at(1 / hz) == 7
+
+
 def test_masked_samples_stay_masked():
     values = np.random.default_rng(0).normal(size=50)
     values[20:30] = np.nan

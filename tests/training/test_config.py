@@ -41,6 +41,24 @@ def test_a_file_of_the_schema_alone_is_enough(tmp_path):
     assert load_config(str(file)) == (RunConfig(), tmp_path.resolve())
 
 
+def test_defaults_go_by_whether_there_are_lags_in_front_of_the_network():
+    behind, alone = RunConfig(), RunConfig.parse({"narx": {"lag": False}})
+    assert (behind.narx.lag, behind.narx.lags, behind.narx.linear_feedback) == (True, 1, True)
+    assert (alone.narx.lag, alone.narx.lags, alone.narx.linear_feedback) == (False, 2, False)
+    assert (behind.train.decay, alone.train.decay) == (0.03, 1e-5)
+    assert RunConfig.parse({"narx": {"anchored": False}}).narx == alone.narx.model_copy(
+        update={"anchored": False}
+    )
+    own = RunConfig.parse({"narx": {"lags": 3}, "train": {"decay": 0.5}})
+    assert (own.narx.lags, own.train.decay) == (3, 0.5)
+
+
+def test_the_usual_schedule_is_of_what_the_inputs_have():
+    bench = RunConfig.parse({"steady_state": {"inputs": ["TRA_deg"]}})
+    assert bench.narx.schedule == ()
+    assert RunConfig().narx.schedule == ("ALT_ft", "Mach")
+
+
 def test_a_missing_file_names_the_shipped_ones(tmp_path):
     assert refused(tmp_path / "no.toml") == (
         f"{tmp_path / 'no.toml'}: the configuration does not exist. "

@@ -261,7 +261,7 @@ def test_lags_need_an_anchored_network():
 
 def test_what_a_control_holds_is_a_matter_of_lags():
     with pytest.raises(ConfigError, match="lag_governed = true needs lag = true"):
-        config(narx={**TABLE["narx"], "lag_governed": True})
+        config(narx={**TABLE["narx"], "lag": False, "lag_governed": True})
 
 
 def test_curves_may_go_over_another_channel_than_events_do(tmp_path):

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from narxcal.errors import ConfigError, DataError
 from narxcal.steady_fitted import Layout
-from training.steady_fit import SteadyFitConfig, SteadySamples, SteadyStateConfig, fit_steady_state
+from training.steady_config import SteadyFitConfig, SteadyStateConfig
+from training.steady_fit import SteadySamples, fit_steady_state
 
 LAYOUT = Layout(
     input_names=("TRA_deg", "ALT_ft", "Mach", "dT_C"),
@@ -200,7 +201,10 @@ def test_corrections_need_an_altitude():
     ("table", "message"),
     [
         ({"kind": "table"}, "kind 'table' needs a source"),
-        ({"inputs": ["TRA_deg", "ALT_ft"]}, "blend names 'Mach', which is no input"),
+        (
+            {"inputs": ["TRA_deg", "ALT_ft"], "blend": ["Mach"]},
+            "blend names 'Mach', which is no input",
+        ),
     ],
 )
 def test_a_section_that_contradicts_itself_is_refused(table, message):

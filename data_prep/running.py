@@ -1,0 +1,88 @@
+"""Leaves out what no model here describes: the engine while it starts, stands or runs down."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator
+from scipy.ndimage import binary_dilation, binary_opening
+
+from data_prep.log import Audit, AuditEntry, Log
+from narxcal.channels import channel
+from narxcal.settings import Section
+
+BoolArray = NDArray[np.bool_]
+
+# Below any idle, and about where starters let go.
+USUAL: Mapping[str, float] = MappingProxyType({"N1_pct": 12.0, "N2_pct": 40.0})
+
+
+class RunningConfig(Section):
+    """TOML table `[running]`: when an engine counts as running.
+
+    It stands where each of the channels of `above` that the log has is below its value for at
+    least `least_s`. That, and `margin_s` before and after, is left out of the log, which is split
+    there. An empty `above` keeps everything; so does a log in which the engine never runs.
+    """
+
+    above: Mapping[str, float] = Field(default_factory=lambda: dict(USUAL))
+    least_s: float = Field(default=5.0, ge=0.0)
+    margin_s: float = Field(default=20.0, ge=0.0)
+
+    @field_validator("above")
+    @classmethod
+    def _known(cls, above: Mapping[str, float]) -> Mapping[str, float]:
+        for name in above:
+            channel(name)
+        return above
+
+
+def while_running(logs: Sequence[Log], config: RunningConfig) -> list[Log]:
+    """The stretches of logs in which the engine runs; the audit says how much went.
+
+    The first stretch keeps the log's name, the next ones are `NAME#2` and so on: numbers go on
+    where a recording was split before.
+    """
+    taken: dict[str, int] = {}
+    kept = []
+    for part in (part for log in logs for part in _parts(log, config)):
+        name = part.name.partition("#")[0]
+        taken[name] = taken.get(name, 0) + 1
+        number = taken[name]
+        kept.append(replace(part, name=f"{name}#{number}" if number > 1 else name))
+    return kept
+
+
+def _parts(log: Log, config: RunningConfig) -> list[Log]:
+    out = _standing(log, config)
+    if not out.any() or out.all():
+        return [log]
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], out, [True]]).astype(np.int8)))
+    least = max(2, round(config.margin_s / log.dt_s))
+    spans = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]
+    if not spans:
+        return [log]
+    lost = len(log) - sum(int(b - a) for a, b in spans)
+    entry = AuditEntry("*", "dropped", "engine not running", lost)
+    parts = [replace(log.part(int(a), int(b)), audit=Audit()) for a, b in spans]
+    parts[0] = replace(parts[0], audit=log.audit.add(entry))
+    return parts
+
+
+def _standing(log: Log, config: RunningConfig) -> BoolArray:
+    """Samples to leave out; a missing reading does not say that the engine stands."""
+    there = [name for name in config.above if name in log.channels]
+    if not there:
+        return np.zeros(len(log), dtype=np.bool_)
+    below = np.all([log[name] < config.above[name] for name in there], axis=0)
+    least, margin = (round(time / log.dt_s) for time in (config.least_s, config.margin_s))
+    # What stands at an end of the log stood before or goes on standing.
+    padded = np.pad(below, least, mode="edge")
+    standing = binary_opening(padded, np.ones(max(least, 1), np.bool_))[least : least + len(log)]
+    if margin and standing.any():
+        standing = binary_dilation(standing, np.ones(3, np.bool_), iterations=margin)
+    return np.asarray(standing)

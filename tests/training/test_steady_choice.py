@@ -1,0 +1,117 @@
+"""What [steady_state] leaves to "auto" is chosen by what the logs say, and by nothing else."""
+
+import numpy as np
+import pytest
+
+from data_prep.log import Log, Source
+from narxcal.atmosphere import air_state
+from narxcal.errors import ConfigError
+from training.config import RunConfig
+from training.steady_choice import chosen_layout, steady_state
+
+HOLD = 40  # samples, 1 s apart
+NAMES = ("N1_pct", "EGT_C")
+
+
+def flight(number, engine, switches=()):
+    """A staircase of lever, altitude and Mach, all drawn; outputs settle at once."""
+    rng = np.random.default_rng(number)
+
+    def stairs(low, high):
+        return np.repeat(rng.uniform(low, high, 60), HOLD)
+
+    channels = {
+        "TRA_deg": stairs(0, 80),
+        "ALT_ft": stairs(0, 35000),
+        "Mach": stairs(0.1, 0.8),
+        "dT_C": np.full(60 * HOLD, rng.uniform(-20, 20)),
+    }
+    for name in switches:
+        channels[name] = np.repeat((rng.random(60) < 0.4) * 1.0, HOLD)
+    outputs = engine(channels)
+    noise = rng.normal(0.0, 0.05, (2, 60 * HOLD))
+    measured = {name: outputs[k] + noise[k] for k, name in enumerate(NAMES)}
+    time = np.arange(60.0 * HOLD)
+    return Log(f"{number}", time, {**channels, **measured}, source=Source(f"{number}.csv"))
+
+
+def as_asked(channels):
+    """A control that holds the speed that the lever asks for, whatever the air."""
+    x = channels["TRA_deg"] / 80
+    return 25 + 70 * x**0.9 + 2 * channels["Mach"], 400 + 300 * x
+
+
+def similar(channels):
+    """An engine that follows the similarity laws."""
+    air = air_state(channels["ALT_ft"], channels["Mach"], channels["dT_C"])
+    n1, egt = as_asked({**channels, "Mach": channels["Mach"] * 5})
+    return n1 * np.sqrt(air.theta2), (egt + 273.15) * air.theta2 - 273.15
+
+
+def bled(channels):
+    n1, egt = similar(channels)
+    return n1 - 1.5 * channels["NAI"], egt + 15 * channels["NAI"]
+
+
+def config(**section):
+    table = {"steady_state": section, "narx": {"outputs": list(NAMES)}}
+    return RunConfig.parse(table)
+
+
+def logs(engine, switches=(), count=3):
+    return [flight(number, engine, switches) for number in range(count)]
+
+
+@pytest.mark.parametrize(("engine", "corrected"), [(as_asked, False), (similar, True)])
+def test_similarity_laws_are_used_where_the_engine_follows_them(engine, corrected):
+    assert chosen_layout(config(), logs(engine)).corrected is corrected
+
+
+def test_a_switch_that_shifts_outputs_becomes_an_input_and_one_that_does_not_stays_away():
+    flights = logs(bled, ("ECS", "NAI"))
+    model, quality = steady_state(config(), None, flights)
+    assert model.layout.switches == ("NAI",)
+    assert model.input_names == ("TRA_deg", "ALT_ft", "Mach", "dT_C", "NAI")
+    assert quality.rms["EGT_C"] < 3.0
+    at = np.array([[40.0, 0.0, 0.3, 0.0, 0.0], [40.0, 0.0, 0.3, 0.0, 1.0]])
+    off, on = model.outputs(at)
+    np.testing.assert_allclose(on - off, [-1.5, 15.0], atol=0.4, rtol=0.1)
+
+
+def test_one_recording_is_judged_on_stretches_of_itself():
+    layout = chosen_layout(config(), logs(bled, ("NAI",), count=1))
+    assert (layout.corrected, layout.switches) == (True, ("NAI",))
+
+
+def test_a_switch_that_one_flight_does_not_record_is_not_used():
+    flights = [flight(0, similar), flight(1, bled, ("NAI",))]
+    assert chosen_layout(config(), flights).switches == ()
+
+
+def test_what_is_configured_is_not_asked_of_the_logs():
+    asked = {"corrected": False, "blend": ["ALT_ft"], "switches": ["ECS"]}
+    layout = chosen_layout(config(**asked), logs(bled, ("ECS", "NAI")))
+    assert (layout.corrected, layout.blend, layout.switches) == (False, ("ALT_ft",), ("ECS",))
+    assert layout.input_names[-1] == "ECS"
+
+
+def test_corrected_parameters_are_no_choice_without_altitude():
+    asked = config(inputs=["TRA_deg", "Mach"], switches=[])
+    assert chosen_layout(asked, logs(as_asked)).corrected is False
+
+
+def test_what_is_no_switch_is_refused():
+    with pytest.raises(ConfigError, match="'Mach' is no switch; switches are WOW, Approach, ECS"):
+        config(switches=["Mach"])
+
+
+def test_a_temperature_may_turn_where_speeds_may_not():
+    def turbojet(channels):
+        x = channels["TRA_deg"] / 80
+        return 33 + 67 * x, 560 - 300 * x + 350 * x**2
+
+    model, _ = steady_state(config(corrected=False, blend=[]), None, logs(turbojet))
+    lever = np.linspace(5, 75, 15)
+    n1, egt = model.outputs(np.column_stack([lever, *np.zeros((3, 15))])).T
+    assert (np.diff(n1) > 0).all()
+    np.testing.assert_allclose(egt, 560 - 300 * lever / 80 + 350 * (lever / 80) ** 2, atol=4)

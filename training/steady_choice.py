@@ -1,0 +1,224 @@
+"""The steady-state model of a run: the maker's opened, or one fitted as the logs suggest.
+
+What [steady_state] leaves to "auto" is chosen from quasi-steady samples of the training logs alone:
+
+* `corrected`: whether the curves leave less in the samples that they are fitted to with the
+  similarity laws, or without, as where a lever asks for a speed whatever the air. Both have as many
+  parameters, so that this is a fair question.
+* `blend` and `switches`: which altitude and Mach corners, and whether the switches that the logs
+  record shift the outputs. More of them always leave less, so the curves are judged on recordings
+  that they were not fitted to, one after another (on stretches of it, where there is one).
+
+Residuals are compared by their geometric mean over the outputs. The simplest usual answer stands
+unless another is better by a tenth: corrected, blended over Mach. A switch has to take a few
+percent away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data_prep.hold import hold_inputs
+from data_prep.log import Log
+from data_prep.quasi_steady import quasi_steady
+from narxcal.channels import CHANNELS
+from narxcal.errors import DataError
+from narxcal.steady_fitted import Layout
+from narxcal.steady_source import open_steady
+from narxcal.steady_state import SteadyStateModel
+from training.config import RunConfig
+from training.material import speeds
+from training.steady_fit import SteadyQuality, SteadySamples, fit_steady_state
+
+FloatArray = NDArray[np.float64]
+_BETTER = 0.9  # of the usual answer's residual
+_BETTER_SWITCH = 0.97  # of the residual without it
+_ROWS = 2000  # of a log; enough to choose by
+_FOLDS = 5
+_ON_S = 30.0  # quasi-steady time for which a switch has to be on, and off
+
+
+@dataclass(frozen=True, eq=False)
+class _Taken:
+    """Quasi-steady samples of one log, and the recording that they are of."""
+
+    samples: SteadySamples
+    recording: str
+
+
+_Folds = Sequence[tuple[Sequence[_Taken], Sequence[_Taken]]]
+
+
+def steady_state(
+    config: RunConfig, base: Path, logs: Sequence[Log]
+) -> tuple[SteadyStateModel, SteadyQuality | None]:
+    """Fit the steady-state model to the logs' quasi-steady samples, or open the maker's."""
+    section = config.steady_state
+    if section.kind != "fitted":
+        names = (section.inputs, config.narx.outputs)
+        return open_steady(section.kind, section.source, names, base, section.options), None
+    layout = chosen_layout(config, logs)
+    return fit_steady_state([_samples(config, layout, log) for log in logs], layout, section.fit)
+
+
+def chosen_layout(config: RunConfig, logs: Sequence[Log]) -> Layout:
+    """What the fitted model is to be: as configured, and by the logs where that says "auto"."""
+    section = config.steady_state
+    switches = _switches(config, logs) if section.switches == "auto" else section.switches
+    names = tuple(dict.fromkeys((*section.inputs, *switches)))
+    blend = tuple(name for name in ("Mach",) if name in names)
+    layout = Layout(
+        input_names=names,
+        output_names=config.narx.outputs,
+        driver=section.driver or config.events.driver,
+        blend=blend if section.blend == "auto" else section.blend,
+        corrected="ALT_ft" in names if section.corrected == "auto" else section.corrected,
+        switches=() if section.switches == "auto" else section.switches,
+    )
+    if "auto" not in (section.blend, section.switches, section.corrected):
+        return layout
+    taken = [_Taken(_thinned(_samples(config, layout, log)), log.source.file) for log in logs]
+    known = np.concatenate([one.samples.inputs for one in taken])
+    varying = {name for name, width in zip(names, np.ptp(known, axis=0), strict=True) if width > 0}
+    blends = _subsets([name for name in ("Mach", "ALT_ft") if name in varying])
+    if section.corrected == "auto" and layout.corrected:
+        layout = _corrected(layout, blends[-1] if section.blend == "auto" else layout.blend, taken)
+    layout = _refined(config, layout, (blends, switches), taken)
+    used = tuple(name for name in names if name in section.inputs or name in layout.switches)
+    return replace(layout, input_names=used)
+
+
+def _corrected(layout: Layout, blend: tuple[str, ...], taken: Sequence[_Taken]) -> Layout:
+    """The layout with or without the similarity laws, by what each leaves in its own samples."""
+    left = {}
+    for corrected in (True, False):
+        trial = replace(layout, blend=blend, corrected=corrected)
+        left[corrected] = _left(trial, [(taken, taken)])
+    return replace(layout, corrected=not left[False] < _BETTER * left[True])
+
+
+def _refined(
+    config: RunConfig,
+    layout: Layout,
+    offered: tuple[Sequence[tuple[str, ...]], tuple[str, ...]],
+    taken: Sequence[_Taken],
+) -> Layout:
+    """The layout with the corners and switches that do best on recordings not fitted to."""
+    section = config.steady_state
+    folds = _folds(taken)
+    usual = _left(layout, folds)
+    if section.blend == "auto":
+        trials = [(_left(replace(layout, blend=blend), folds), blend) for blend in offered[0]]
+        left, blend = min(trials)
+        if left < _BETTER * usual:
+            layout, usual = replace(layout, blend=blend), left
+    if section.switches == "auto":
+        layout = _switched(layout, offered[1], folds, usual)
+    return layout
+
+
+def _switched(layout: Layout, offered: tuple[str, ...], folds: _Folds, left: float) -> Layout:
+    """The layout with those switches that help one after another, the best alone first."""
+    alone = sorted((_left(replace(layout, switches=(name,)), folds), name) for name in offered)
+    for _, name in alone:
+        trial = replace(layout, switches=(*layout.switches, name))
+        less = _left(trial, folds)
+        if less < _BETTER_SWITCH * left:
+            layout, left = trial, less
+    return layout
+
+
+def _folds(taken: Sequence[_Taken]) -> list[tuple[list[_Taken], list[_Taken]]]:
+    """Fit to all recordings but some, judge on these; stretches of it where there is but one."""
+    names = list(dict.fromkeys(one.recording for one in taken))
+    if len(names) == 1:
+        taken = [
+            _Taken(SteadySamples(inputs, outputs, one.samples.engine), str(part))
+            for one in taken
+            for part, (inputs, outputs) in enumerate(
+                zip(
+                    np.array_split(one.samples.inputs, _FOLDS),
+                    np.array_split(one.samples.outputs, _FOLDS),
+                    strict=True,
+                )
+            )
+        ]
+        names = [str(part) for part in range(_FOLDS)]
+    fold = {name: number % _FOLDS for number, name in enumerate(names)}
+    return [
+        (
+            [one for one in taken if fold[one.recording] != number],
+            [one for one in taken if fold[one.recording] == number],
+        )
+        for number in sorted(set(fold.values()))
+    ]
+
+
+def _left(layout: Layout, folds: _Folds) -> float:
+    """Geometric mean over the outputs of the RMS left in the judged part of each fold."""
+    errors = []
+    for fitted, judged in folds:
+        try:
+            model, _ = fit_steady_state([one.samples for one in fitted], layout)
+        except DataError:  # too little without the part that is judged
+            continue
+        errors += [
+            model.for_engine(one.samples.engine).outputs(one.samples.inputs) - one.samples.outputs
+            for one in judged
+        ]
+    square = np.concatenate([error**2 for error in errors]) if errors else np.empty((0, 1))
+    known = np.isfinite(square)
+    counts = known.sum(axis=0)
+    if not counts.all():
+        return np.inf
+    mean = np.where(known, square, 0.0).sum(axis=0) / counts
+    return float(np.exp(0.5 * np.mean(np.log(np.maximum(mean, 1e-18)))))
+
+
+def _samples(config: RunConfig, layout: Layout, log: Log) -> SteadySamples:
+    log = hold_inputs(log, layout.input_names)
+    still = quasi_steady(log, layout.driver, speeds(config), config.quasi_steady)
+    return SteadySamples(
+        log.matrix(layout.input_names)[still],
+        log.matrix(layout.output_names)[still],
+        log.source.engine,
+    )
+
+
+def _thinned(samples: SteadySamples) -> SteadySamples:
+    step = max(len(samples.inputs) // _ROWS, 1)
+    return replace(samples, inputs=samples.inputs[::step], outputs=samples.outputs[::step])
+
+
+def _switches(config: RunConfig, logs: Sequence[Log]) -> tuple[str, ...]:
+    """Switches that every log records, on and off for some time of quasi-steady flight."""
+    driver = config.steady_state.driver or config.events.driver
+    found = []
+    for name, channel in CHANNELS.items():
+        if channel.role != "switch":
+            continue
+        if not all(name in log.channels and np.isfinite(log[name]).any() for log in logs):
+            continue
+        on, off = 0.0, 0.0
+        for log in logs:
+            still = quasi_steady(log, driver, speeds(config), config.quasi_steady)
+            on += log.dt_s * int((log[name][still] > 0.5).sum())
+            off += log.dt_s * int((log[name][still] <= 0.5).sum())
+        if min(on, off) >= _ON_S:
+            found.append(name)
+    return tuple(found)
+
+
+def _subsets(names: Sequence[str]) -> list[tuple[str, ...]]:
+    """All subsets in the order of `names`, smallest first."""
+    sets = [
+        tuple(n for n, k in zip(names, kept, strict=True) if k)
+        for kept in product((0, 1), repeat=len(names))
+    ]
+    return sorted(sets, key=len)
