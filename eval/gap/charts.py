@@ -69,8 +69,8 @@ def model_chart(document: Mapping[str, Any]) -> Picture | None:
         drawn,
         f"Gain of {len(names)} models, best: {names[0]} {100 * _clipped(rows[0]['gain']):.0f} %",
         "Dots: single flights, each with the parameters that the others give; bar: all together. "
-        f"Dotted: what the best model gains where there is nothing to find "
-        f"({100 * threshold:.1f} %).{' Gains below -100 % are drawn there.' if lost else ''}",
+        f"Dotted: what the best model gains where there is nothing to find ({_small(threshold)})."
+        + (" Gains below -100 % are drawn there." if lost else ""),
     )
 
 
@@ -238,6 +238,10 @@ def _clipped(value: float | None, otherwise: float = 0.0) -> float:
 
 def _finite(value: float | None) -> float:
     return float(value) if value is not None and math.isfinite(value) else 0.0
+
+
+def _small(share: float) -> str:
+    return "less than 0.1 %" if 0.0 < share < 0.0005 else f"{100 * share:.1f} %"
 
 
 def _percent(value: float | None) -> str:

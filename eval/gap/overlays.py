@@ -167,7 +167,9 @@ def _gap_strip(axes: Axes, view: View, place: tuple[int, int, slice], name: str)
     axes.axhline(0.0, color="#8c959f", lw=0.6)
     style.shade_missing(axes, time_s, real, "unknown")
     before = real - view.data.flights.y[f, rows, k]
-    style.curve(axes, time_s, before, style.STEADY, lw=1.1, label="gap before")
+    style.curve(
+        axes, time_s, before, style.STEADY, lw=1.1, label="gap before" if view.changed else "gap"
+    )
     if view.changed:
         style.curve(
             axes, time_s, real - view.after[f, rows, k], REPAIRED, lw=0.8, label="gap after"

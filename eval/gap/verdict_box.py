@@ -59,7 +59,7 @@ def _measured(document: Mapping[str, Any]) -> list[str]:
     quality, tried = document["quality"], document["tried"]
     lines = []
     share, left = _number(quality.get("gap_share")), _number(quality.get("left_share"))
-    if share is not None:
+    if share is not None and (share > 0.0 or tried):
         text = f"{_gap(share)} of the squared difference of recorded and simulated is gap"
         text += ", the rest is noise" if share < 0.995 else ""
         if document["verdict"]["effects"] and left is not None:
@@ -154,4 +154,6 @@ def _number(value: float | None) -> float | None:
 def _percent(share: float | None) -> str:
     if share is None:
         return "–"  # noqa: RUF001 - a dash for what does not exist
+    if 0.0 < share < 0.0005:
+        return "less than 0.1 %"
     return f"{100 * share:.1f} %" if 0.0 < share < 0.0995 else f"{100 * share:.0f} %"

@@ -132,6 +132,18 @@ def test_the_verdict_leads_and_says_why(evidence, kind, state, word):
     assert "because" in box.headline.lower() or kind in ("effects", "ambiguous")
 
 
+def test_small_shares_are_not_said_to_be_nothing(evidence):
+    found = document(evidence)
+    found["quality"]["threshold"] = 0.0002
+    assert "takes away less than 0.1 % by chance" in " ".join(verdict_box(found).lines)
+    assert "nothing to find (less than 0.1 %)" in charts.model_chart(found).caption
+    found["quality"]["gap_share"] = 0.999
+    assert "Nearly all of the squared difference" in " ".join(verdict_box(found).lines)
+    found |= {"tried": [], "verdict": found["verdict"] | {"kind": "none", "effects": []}}
+    found["quality"]["gap_share"] = 0.0
+    assert verdict_box(found).lines == ()
+
+
 def test_the_figures_shown_large_are_those_of_the_document(evidence):
     found = document(evidence)
     shown = {what: figure for figure, what in tiles(found)}
