@@ -23,6 +23,9 @@ SCHEMA = "narxcal.gap/1"
 # that it is nearly certain. So a weight of 0 to 1 is a probability from here to there.
 _FIRM, _DOUBTED = (0.80, 0.90), (0.60, 0.85)
 _LEFT = {"none": 0.02, "unknown": 0.3}  # of the probability, for what was not claimed
+# An offset that explains so much of the whole gap comes before all that moves where nothing is
+# claimed: within build scatter, but there. The leading group has so much of the probability.
+_MOST_OF_ALL, _LEADING = 0.9, 0.9
 _DOMINANT = 0.6  # of a bin's energy in one level: the level that stands for the bin
 
 
@@ -98,9 +101,10 @@ def probabilities(finding: Finding) -> dict[str, float]:
         size = len([n for n in finding.effects if (n.partition(":")[0] in OFFSETS) == group])
         same = [one for one in models if len(one.effects) == max(size, 1)]
         whole = sum(one.probability for one in same) or 1.0
+        part = left * _part(finding, offsets=group)
         for one in models:
             for name in one.effects:
-                chance = left * one.probability / whole if one in same else 0.0
+                chance = part * one.probability / whole if one in same else 0.0
                 found[name] = min(1.0, found.get(name, 0.0) + chance)
     return _relied_on(found, finding)
 
@@ -113,6 +117,14 @@ def _relied_on(found: dict[str, float], finding: Finding) -> dict[str, float]:
     sure = {name: low + (high - low) * min(found[name], 1.0) for name in finding.effects}
     rest = 1.0 - min(sure.values())
     return {**{n: min(p, rest) for n, p in found.items() if n not in sure}, **sure}
+
+
+def _part(finding: Finding, *, offsets: bool) -> float:
+    """How much of the probability goes to offsets, or to what moves, where neither is claimed."""
+    gains = [one.gain for one in finding.tried if _is_offset(one)]
+    if finding.effects or not gains:
+        return 1.0
+    return _LEADING if offsets == (gains[0] > _MOST_OF_ALL) else 1.0 - _LEADING
 
 
 def _is_offset(model: Tried) -> bool:

@@ -43,6 +43,7 @@ _CLOSER, _LEAST = 0.03, 0.01  # or so much more explained where both act, and of
 _LIKELY = 10  # pairs that are asked what they take beyond small misfit
 _LEADING = 0.7  # of the first one's rank: as likely, if the first holds in too few flights
 _ENOUGH = 0.03  # share of the gap that nobody asks about
+_OFFERED = 3  # offsets that are told of where nothing is claimed
 
 
 def diagnose(
@@ -218,6 +219,8 @@ def _offset(work: Work, effects: Sequence[Effect], claimed: Fit | None) -> Offse
     explained = np.zeros_like(work.problem.flights.y) if claimed is None else claimed.response
     left = unexplained(work.tight, explained)
     fits, before = offset_fits(work.problem, left, effects), left.size(left.gap)
+    if claimed is None:
+        work.offered = fits[:_OFFERED]
     by_days = day_fit(work.problem, left, effects)
     offered = [(fits, before, work.whole)] if fits and _stands(work, fits[0], before) else []
     if by_days is not None:

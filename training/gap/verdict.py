@@ -40,6 +40,9 @@ def finding(
     ]
     if offset is not None:
         rows = _with_offsets(rows, offset, claimed)
+    elif claimed is None and work.offered:
+        whole = work.tight.size(work.tight.gap)
+        rows += _offsets((work.offered, whole, work.whole))
     response = np.zeros_like(work.problem.flights.y) if claimed is None else claimed.response
     if offset is not None:
         response = response + offset[0][0].response
@@ -86,6 +89,12 @@ def _with_offsets(
     claimed: Fit | None,
 ) -> list[Tried]:
     """Rows with the offsets among them: first where nothing else was claimed, else second."""
+    own = _offsets(offset)
+    return [rows[0], *own, *rows[1:]] if claimed is not None else [*own, *rows]
+
+
+def _offsets(offset: Offset) -> list[Tried]:
+    """Offsets as rows; what they gain is a share of the whole gap."""
     fits, before, audible = offset
     odds = probabilities([one.held_out for one in fits])
     own = []
@@ -93,7 +102,7 @@ def _with_offsets(
         gain = float((before - one.held_out).sum()) / audible
         worth = Worth(gain, 1.0 - one.held_out / before, 1.0 - gain)
         own.append(tried(one, worth, float(p)))
-    return [rows[0], *own, *rows[1:]] if claimed is not None else [*own, *rows]
+    return own
 
 
 def _names(work: Work, claimed: Fit | None, offset: Offset | None) -> tuple[str, ...]:

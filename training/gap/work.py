@@ -77,6 +77,7 @@ class Work:
     fits: list[Fit] = field(default_factory=list)
     threshold: float = 0.0
     allowance: Allowance | None = None
+    offered: list[Fit] = field(default_factory=list)  # offsets of the whole gap, best first
     _beside: dict[Fit | None, FloatArray] = field(default_factory=dict)
 
     @property

@@ -123,6 +123,18 @@ def test_where_nothing_is_claimed_little_probability_is_left(make_finding, make_
     assert effect_rows(none)[0]["gain"]["value"] == 1.0
 
 
+@pytest.mark.parametrize(("gain", "leads"), [(0.95, True), (0.85, False)])
+def test_an_offset_that_is_nearly_all_of_a_gap_is_ranked_first(
+    gain, leads, make_finding, make_model
+):
+    """Within build scatter, so that nothing is claimed; but what there is."""
+    tried = (make_model("heat_soak"), make_model("deterioration", gain=gain))
+    rows = effect_rows(make_finding("none", (), tried))
+    order = ["deterioration", "heat_soak"] if leads else ["heat_soak", "deterioration"]
+    assert [row["id"] for row in rows] == order
+    assert rows[0]["probability"] < 0.05
+
+
 def test_gap_beyond_the_library_keeps_the_side_of_its_shape(evidence):
     unknown = replace(evidence.finding, kind="unknown", effects=())
     found = document(replace(evidence, finding=unknown, held_out=None))

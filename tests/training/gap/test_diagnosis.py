@@ -66,6 +66,17 @@ def test_days_that_are_alike_say_nothing_of_the_temperature(
     assert found.effects == (("temperature_effect",) if kind == "effects" else ())
 
 
+def test_offsets_within_build_scatter_are_told_of(flights, engine, recorded):
+    """Nothing is claimed, but who reads on sees what there is, after all that moves."""
+    found = answer(flights, engine, recorded({}) + np.array([0.0, 0.0, 9.0]))
+    assert (found.kind, found.effects) == ("none", ())
+    offsets = [one for one in found.tried if one.effects == ("sensor_bias:EGT_C",)]
+    assert [one in found.tried[-3:] for one in offsets] == [True]
+    assert offsets[0].gain > 0.9
+    bias = offsets[0].parameters["sensor_bias:EGT_C"]["bias"]
+    assert bias.low < 9.0 < bias.high
+
+
 def test_offsets_that_all_days_share_do_not_follow_them(flights, engine, recorded):
     found = answer(flights, engine, recorded({}) + np.array([0.2, -0.3, 8.0]))
     assert (found.kind, found.effects) == ("none", ())
