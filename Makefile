@@ -8,12 +8,14 @@ TEST_WORKERS ?= 2
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+DEMO := $(VENV)/.demo
 BROWSER := $(VENV)/.browser
-PIP := $(BIN)/python -m pip install --disable-pip-version-check --quiet -c constraints.txt
+# Most of what is installed is never imported: Python compiles what is, at its first import.
+PIP := $(BIN)/python -m pip install --disable-pip-version-check --no-compile --quiet -c constraints.txt
 
 .PHONY: demo test lint ruff types floors bench map clean
 
-demo: $(STAMP)
+demo: $(DEMO)
 	$(BIN)/narxcal demo
 
 test: $(STAMP) $(BROWSER)
@@ -49,11 +51,19 @@ $(VENV)/.made:
 	$(PYTHON) -m venv --clear $(VENV)
 	@touch $@
 
-# pip first: before 25.1 it knows no --group.
-$(STAMP): $(VENV)/.made pyproject.toml constraints.txt
+# pip first: before 25.3 it knows no --build-constraint.
+$(VENV)/.pip: $(VENV)/.made constraints.txt
 	$(PIP) --upgrade pip
-	$(PIP) --build-constraint constraints.txt -e '.[parquet,fmu]' --group dev
 	@touch $@
+
+# What a demonstration needs, without the tools of tests and linters.
+$(DEMO): $(VENV)/.pip pyproject.toml
+	$(PIP) --build-constraint constraints.txt -e .
+	@touch $@
+
+$(STAMP): $(VENV)/.pip pyproject.toml
+	$(PIP) --build-constraint constraints.txt -e '.[parquet,fmu]' --group dev
+	@touch $(DEMO) $@
 
 # Opens the pages in the tests, and only there; where it cannot be had, those tests are skipped.
 $(BROWSER): $(STAMP)

@@ -61,7 +61,12 @@ def _report(error: Exception) -> int:
 
 
 def _run(options: Namespace) -> int:
-    """Import the command's module only now: `--help` must not wait for PyTorch."""
+    """Import the command's module only now: `--help` must not wait for PyTorch.
+
+    Our matrices are small: threads of the numerical libraries, which are counted at their import,
+    would only wait for each other and for our own.
+    """
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
     console = import_module("narxcal.cli.console").Console(json=options.json, quiet=options.quiet)
     code: int = import_module(f"narxcal.cli.{options.command}").run(options, console)
     return code

@@ -1,0 +1,8 @@
+"""`python -m narxcal`, the command where no script is installed."""
+
+import sys
+
+from narxcal.cli.entry import main
+
+if __name__ == "__main__":
+    sys.exit(main())

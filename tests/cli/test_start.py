@@ -1,0 +1,32 @@
+"""How the command is started: as a module, and with one thread for the numerical libraries."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from narxcal.cli.entry import main
+
+
+@pytest.mark.parametrize("module", ["narxcal", "narxcal.cli"])
+def test_it_runs_as_a_module_where_no_script_is_installed(module, tmp_path):
+    def run(*arguments):
+        command = [sys.executable, "-m", module, *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+
+    told = run("--version")
+    assert (told.returncode, told.stdout.split()[0]) == (0, "narxcal")
+    assert run("info", "nowhere").returncode == 2
+
+
+@pytest.mark.parametrize(("asked", "given"), [(None, "1"), ("4", "4")])
+def test_numerical_libraries_get_one_thread_unless_more_are_asked_for(
+    asked, given, monkeypatch, tmp_path, capsys
+):
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    if asked is not None:
+        monkeypatch.setenv("OMP_NUM_THREADS", asked)
+    assert main(["info", str(tmp_path / "nowhere")]) == 2
+    assert "nowhere" in capsys.readouterr().err
+    assert os.environ["OMP_NUM_THREADS"] == given
