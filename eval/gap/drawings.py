@@ -39,7 +39,7 @@ def _caption(acting: Effect, parameters: Sequence[Parameter], sizes: Mapping[str
     told = {p.name: {**asdict(sizes[p.name]), "unit": p.unit} for p in parameters}
     meaning = f"{acting.meaning[:1].upper()}{acting.meaning[1:]}"
     words = surest_words({"parameters": told})
-    return f"{meaning}: {words}. Shaded, or a thin black line: 90 % interval."
+    return f"{meaning}: {words}. Shaded, or a thin line in a bar: 90 % interval."
 
 
 _DRAWN: dict[str, Callable[[Sketch], Figure]] = {

@@ -42,7 +42,7 @@ def _overlay_caption(page: LogPage) -> str:
     if all(trace.model is None for trace in page.channels):
         return "Thin lines in the driver strip: pushes (orange) and pulls (blue). Grey: masked."
     text = (
-        "Measured in black on top of the free run in blue; below each, model minus measured. "
+        "Measured: the thin line on top of the free run in blue; below each, model minus measured. "
         "Grey: masked by cleaning, not scored."
     )
     trim = " Left of the dotted line trim offsets are estimated; only what follows is scored."

@@ -49,7 +49,9 @@ def free_runs(
     style.legend(lower, columns=5)
     names = ", ".join(runs)
     alt = f"{style.symbol(channel)} measured and in free run: {names}"
-    return picture(figure, alt, "Measured in black; below, each model minus measured.")
+    return picture(
+        figure, alt, "Measured: the line without a colour; below, each model minus measured."
+    )
 
 
 def fused(

@@ -42,7 +42,7 @@ def test_the_caption_says_how_large_and_how_sure():
     found = drawing(effect("throttle_backlash"), {"width_deg": Interval(2.0, 1.5, 2.6)}, SIGNALS)
     assert found.caption == (
         "Play in the throttle linkage: width_deg 2.00 ° (1.50 to 2.60). "
-        "Shaded, or a thin black line: 90 % interval."
+        "Shaded, or a thin line in a bar: 90 % interval."
     )
 
 
