@@ -122,6 +122,7 @@ def test_imports_go_down_the_floors():
         ("data_prep/a.py", "import narxcal.b", "Data preparation shares only words"),
         ("narxcal/cli.py", "import eval.b, training.b, data_prep.b, narxcal.b", None),
         ("data_prep/a.py", "import narxcal.channels, narxcal.errors, narxcal.settings", None),
+        ("narxcal/__main__.py", "import narxcal.cli", None),
     ],
 )
 def test_an_import_up_the_floors_is_caught(tmp_path, module, planted, contract):
@@ -129,7 +130,7 @@ def test_an_import_up_the_floors_is_caught(tmp_path, module, planted, contract):
     for file in [f"{package}/{name}.py" for package in PACKAGES for name in names]:
         (tmp_path / file).parent.mkdir(exist_ok=True)
         (tmp_path / file).touch()
-    for name in ("cli", "channels", "errors", "settings"):
+    for name in ("__main__", "cli", "channels", "errors", "settings"):
         (tmp_path / "narxcal" / f"{name}.py").touch()
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     (tmp_path / module).write_text(f"{planted}\n", "utf-8")
