@@ -79,7 +79,7 @@ class CrossValidation:
             least = self.settings.least_passed_pct
             if assessed and 100.0 * passed / assessed < least:
                 texts.append(
-                    f"{name}: {passed} of {assessed} events pass "
+                    f"{name}: {passed} of {assessed} transients pass "
                     f"({100.0 * passed / assessed:.1f} %), at least {least:g} % have to"
                 )
             for channel, bound in self.settings.largest_rmse.items():

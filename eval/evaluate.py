@@ -56,7 +56,7 @@ class Evaluation:
         least = self.config.least_passed_pct
         if found.passed_pct is not None and found.passed_pct < least:
             texts.append(
-                f"Ti/Tt: {found.passed} of {found.assessed} events pass "
+                f"Ti/Tt: {found.passed} of {found.assessed} transients pass "
                 f"({found.passed_pct:.1f} %), at least {least:g} % have to"
             )
         pooled = self.pooled

@@ -25,8 +25,8 @@ def large(trace: EventTrace, driver_name: str) -> Picture:
     place = f"{trace.event.start_s:.1f} s of {trace.event.log}"
     alt = f"Overlay of {symbols}, flight and model, {_kind(trace)} at {place}"
     caption = (
-        "Flight: the line without a colour; model in blue. Shaded: where the model may reach 10 % (green) and "
-        "90 % (pink) of its own response; dots: where flight and model do."
+        "Flight: the line without a colour; model in blue. Shaded: where the model may reach "
+        "10 % (green) and 90 % (pink) of its own response; dots: where flight and model do."
     )
     return picture(figure, alt, caption)
 

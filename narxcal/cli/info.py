@@ -50,7 +50,7 @@ def _show_metrics(console: Console, metrics: dict[str, Any], units: dict[str, st
     head = ["channel", "unit", "free run RMSE", "one step RMSE", "steady state RMSE"]
     console.table(f"Last evaluation{trim}: {', '.join(metrics['logs'])}", head, rows)
     found = metrics["ti_tt"]
-    console.say(f"Ti/Tt: {found['passed']} of {found['assessed']} assessed events pass")
+    console.say(f"Ti/Tt: {found['passed']} of {found['assessed']} assessed transients pass")
 
 
 def _number(value: float | None) -> str:

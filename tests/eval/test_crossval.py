@@ -116,7 +116,7 @@ def test_what_is_missed_names_scheme_and_fold():
     )
     found = CrossValidation(folds, EvaluateConfig(largest_rmse={"N1_pct": 5.0}))
     assert found.missed() == [
-        "leave one flight out: 18 of 20 events pass (90.0 %), at least 95 % have to",
+        "leave one flight out: 18 of 20 transients pass (90.0 %), at least 95 % have to",
         "leave one flight out, 1: N1_pct RMSE 6, at most 5 allowed",
     ]
     (scheme,) = schemes_of(found)

@@ -69,7 +69,9 @@ def test_a_slow_model_is_a_dynamic_error_and_fails_its_events(make_bundle, make_
         found["baselines"]["first_order"]["passed"] == found["baselines"]["first_order"]["assessed"]
     )
     (missed,) = evaluation.missed()
-    assert re.fullmatch(r"Ti/Tt: \d+ of \d+ events pass \(50\.0 %\), at least 95 % have to", missed)
+    assert re.fullmatch(
+        r"Ti/Tt: \d+ of \d+ transients pass \(50\.0 %\), at least 95 % have to", missed
+    )
 
 
 def test_parts_add_up_to_the_whole(make_bundle, make_log):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eval.evaluate import EvaluateConfig, evaluate
-from eval.report.evaluation import _said, evaluation_page, page_of, verdict_of
+from eval.report.evaluation import evaluation_page, page_of, verdict_of
 from eval.report.page import count
 from eval.report.tables import number
 from narxcal.errors import DataError
@@ -53,13 +53,6 @@ def test_a_missed_tolerance_leads_the_verdict(slow, header):
     verdict = verdict_of(header, slow, [page])
     assert verdict.passed is False
     assert verdict.lines[0] == f"{slow.missed()[0]}."
-
-
-def test_a_count_that_a_miss_gives_already_is_not_said_again():
-    line = "1 of 5 events pass in every channel."
-    assert _said(line, ["Ti/Tt: 1 of 5 events pass (20.0 %), at least 95 % have to."])
-    assert not _said(line, ["N1: RMSE 0.5, at most 0.2."])
-    assert not _said("flight: no baselines were run.", ["1 of 5 events pass"])
 
 
 def test_nothing_to_assess_and_nothing_missed_is_no_verdict(make_bundle, make_log, header):
