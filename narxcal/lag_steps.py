@@ -147,6 +147,49 @@ def fan_of(per_unit: FloatArray) -> int:
 
 
 @compiled
+def _begin(
+    k: int,
+    past: FloatArray,
+    measured: FloatArray,
+    settled: tuple[FloatArray, FloatArray],
+    found: tuple[FloatArray, FloatArray],
+) -> None:
+    """Fill `found` with the fast deviations (o,) before row `k`, and the scaled speeds (o,) there.
+
+    `past` (3, o) are the states then and `settled` the columns `target` and `per_unit` (T, o);
+    `measured` is as of `run_lags`.
+    """
+    target, per_unit = settled
+    before, v = found
+    for o in range(len(v)):
+        before[o] = past[0, o]
+        if len(measured) > 0 and math.isfinite(measured[k - 1, o]):
+            before[o] = measured[k - 1, o] - past[1, o] - past[2, o]
+        mine = before[o] if per_unit[k, o] > 0.0 else before[0]
+        v[o] = within(target[k - 1, o] - mine * abs(per_unit[k, o]), 1.5)
+
+
+@compiled
+def _metal(
+    p: FloatArray,
+    states: tuple[FloatArray, FloatArray],
+    step: float,
+    at: tuple[FloatArray, tuple[float, float, float]],
+    dt_s: float,
+) -> None:
+    """Soak and casing of one output after a `step` of ss; `states` (3,) are those before and now.
+
+    `at` are what a step leaves of both, see `decays`, and w before, w and thin, see `heated`.
+    """
+    past, state = states
+    left, where = at
+    state[1] = left[0] * (past[1] + p[9] * step)
+    if p[_HEAT] != 0.0:
+        state[1] = heated(p, past[1], step, where, dt_s)
+    state[2] = left[1] * (past[2] + p[_CASING] * step)
+
+
+@compiled
 def run_lags(
     drive: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     lags: tuple[FloatArray, FloatArray],
@@ -174,12 +217,7 @@ def run_lags(
             window += 1
             continue
         past, state = states[k - 1], states[k]
-        for o in range(len(v)):
-            before[o] = past[0, o]
-            if len(measured) > 0 and math.isfinite(measured[k - 1, o]):
-                before[o] = measured[k - 1, o] - past[1, o] - past[2, o]
-            mine = before[o] if per_unit[k, o] > 0.0 else before[0]
-            v[o] = within(target[k - 1, o] - mine * abs(per_unit[k, o]), 1.5)
+        _begin(k, past, measured, (target, per_unit), (before, v))
         core, rate = 0.0, 0.0
         for o in range(len(v)):
             p, step = parameters[o], ss[k, o] - ss[k - 1, o]
@@ -191,12 +229,10 @@ def run_lags(
                 speeds = (v[0], within(target[k, 0], 1.5))
                 drawn += drawn_by_core(p, core, rate, air[k, 0], speeds)
             a = math.exp(-dt_s / tau)
-            state[1, o] = left[0, o] * (past[1, o] + p[9] * step)
+            where = (within(target[k - 1, o], 1.5), w, air[k, 0])
+            _metal(p, (past[:, o], state[:, o]), step, (left[:, o], where), dt_s)
             if p[_HEAT] != 0.0:
-                was = within(target[k - 1, o], 1.5)
-                state[1, o] = heated(p, past[1, o], step, (was, w, air[k, 0]), dt_s)
                 drawn -= p[_HEAT] * tau * (state[1, o] - past[1, o]) / dt_s
-            state[2, o] = left[1, o] * (past[2, o] + p[_CASING] * step)
             slow = state[1, o] + state[2, o]
             state[0, o] = within(a * before[o] + (1.0 - a) * drawn + slow, limit[o]) - slow
             if o == 0:
