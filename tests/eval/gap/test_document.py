@@ -79,7 +79,7 @@ def test_an_effect_without_a_channel_has_none(make_finding, make_model):
 
 def test_further_effects_that_did_not_earn_their_place_have_no_probability(evidence):
     chances = probabilities(evidence.finding)
-    assert chances[NAME] == pytest.approx(0.8 + 0.1 * 0.6 / 0.7)
+    assert chances[NAME] == pytest.approx(0.85 + 0.09 * 0.6 / 0.7)
     assert chances["spool_lag"] == 0.0
     assert chances["time_skew:EGT_C"] == pytest.approx(1.0 - chances[NAME])
     assert document(evidence)["side"] == {
@@ -92,17 +92,17 @@ def test_further_effects_that_did_not_earn_their_place_have_no_probability(evide
 def test_offsets_are_judged_beside_what_moves(make_finding, make_model):
     tried = (make_model(NAME), make_model("sensor_bias:N1_pct"), make_model("spool_lag"))
     finding = make_finding("effects", (NAME, "sensor_bias:N1_pct"), tried)
-    assert probabilities(finding)["sensor_bias:N1_pct"] == pytest.approx(0.9)
+    assert probabilities(finding)["sensor_bias:N1_pct"] == pytest.approx(0.94)
     assert [row["id"] for row in effect_rows(finding)][:2] == ["sensor_lag", "sensor_bias"]
 
 
 def test_a_firm_claim_is_worth_what_firm_claims_have_been(make_finding, make_model):
     tried = (make_model(NAME, probability=0.5), make_model("spool_lag", probability=0.5))
     chances = probabilities(make_finding("effects", (NAME,), tried))
-    assert chances[NAME] == pytest.approx(0.85)
-    assert chances["spool_lag"] == pytest.approx(0.15)
+    assert chances[NAME] == pytest.approx(0.895)
+    assert chances["spool_lag"] == pytest.approx(0.105)
     alone = probabilities(make_finding("effects", (NAME,), tried[:1]))
-    assert alone[NAME] == pytest.approx(0.9)
+    assert alone[NAME] == pytest.approx(0.94)
 
 
 def test_where_rivals_are_named_none_is_nearly_certain(make_finding, make_model):
