@@ -18,6 +18,14 @@ def hold_inputs(log: Log, names: Sequence[str]) -> Log:
     """
     held, entries = {}, []
     for name in names:
+        if name not in log.channels:
+            raise DataError(
+                "an input of the model is not in the log",
+                file=log.name,
+                channel=name,
+                hint=f"Map it under [logs.columns], if need be as {name} = {{ constant = ... }}, "
+                f"or take it out of [steady_state] inputs. The log has {', '.join(log.channels)}",
+            )
         values = log[name]
         known = np.flatnonzero(np.isfinite(values))
         if len(known) == len(values):

@@ -213,7 +213,7 @@ def _denoise(commands: _Commands) -> argparse.ArgumentParser:
     _bundle(parser)
     _logs(parser)
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="folder")
-    parser.add_argument("--channel", metavar="NAME", default="N2_pct", help="default N2_pct")
+    parser.add_argument("--channel", metavar="NAME", help="default N2_pct, or the first output")
     _data(parser, "folder of the held-out logs, if they have moved")
     return parser
 

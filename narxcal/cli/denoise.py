@@ -30,7 +30,8 @@ def run(options: Namespace, console: Console) -> int:
     bundle = load_bundle(options.bundle)
     run_settings, settings = run_config(bundle)
     logs = logs_for(bundle, options.logs, options.data, console)
-    sweep = SweepConfig(channel=options.channel, fuser=run_settings.fuser)
+    channel = options.channel or usual_channel(bundle.calibration.output_names)
+    sweep = SweepConfig(channel=channel, fuser=run_settings.fuser)
     sweeps: dict[str, pd.DataFrame] = {}
     with console.progress("Adding noise") as advance:
         for number, log in enumerate(logs):
@@ -51,6 +52,11 @@ def run(options: Namespace, console: Console) -> int:
     console.say(f"Page: {options.out / PAGE}")
     console.document(document)
     return 0 if outcome.passed else 1
+
+
+def usual_channel(outputs: Sequence[str]) -> str:
+    """The paper's N2, or the speed of an engine of one spool."""
+    return "N2_pct" if "N2_pct" in outputs else outputs[0]
 
 
 def _outcome(sweeps: Mapping[str, pd.DataFrame]) -> Outcome:

@@ -16,6 +16,7 @@ from data_prep.log import Log
 from data_prep.reading import read_logs
 from narxcal.bundle import load_bundle
 from narxcal.cli import main
+from narxcal.cli.denoise import usual_channel
 from narxcal.cli.prepare import file_names
 
 ROOT = Path(__file__).parents[2]
@@ -344,6 +345,11 @@ def test_crossval_writes_folds_and_page(project, narxcal, tmp_path):
     assert document == strict((out / "crossval.json").read_text("utf-8"))
     assert [len(scheme["folds"]) for scheme in document["schemes"]] == [3, 1]
     assert "<html" in (out / "crossval.html").read_text("utf-8")
+
+
+def test_noise_goes_onto_n2_or_the_only_spool():
+    assert usual_channel(("N1_pct", "N2_pct", "EGT_C")) == "N2_pct"
+    assert usual_channel(("N1_pct", "EGT_C")) == "N1_pct"
 
 
 def test_denoise_reports_raw_fused_and_free_run_at_each_ratio(project, narxcal, tmp_path):

@@ -57,5 +57,7 @@ def test_a_channel_that_is_not_there_is_refused():
     with pytest.raises(DataError) as error:
         hold_inputs(log(Mach=[0.1, 0.2]), ["TRA_deg"])
     assert str(error.value) == (
-        "flight.csv:left, channel TRA_deg: the log has no such channel. It has Mach"
+        "flight.csv:left, channel TRA_deg: an input of the model is not in the log. Map it under "
+        "[logs.columns], if need be as TRA_deg = { constant = ... }, or take it out of "
+        "[steady_state] inputs. The log has Mach"
     )
