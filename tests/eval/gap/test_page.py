@@ -125,7 +125,7 @@ def test_the_verdict_leads_and_says_why(evidence, kind, state, word):
     said = " ".join(box.lines)
     assert "50 % of the squared difference of recorded and simulated is gap" in said
     assert "takes away 5.0 % by chance: a claim has to exceed that" in said
-    sure = 89 if kind == "effects" else 82  # where rivals are named none is nearly certain
+    sure = 93 if kind == "effects" else 82  # where rivals are named none is nearly certain
     assert (f"probability {sure} %; tau_s 1.00 s (0.90 to 1.10)." in said) == (state == "found")
     assert ("10 % of the gap stays unexplained" in said) == (state == "found")
     assert ("of the gap and is not claimed" in said) == (kind == "unknown")
@@ -258,7 +258,7 @@ def test_charts_without_anything_to_show_are_left_out(evidence):
 
 def test_ranking_and_models_name_what_leads(evidence):
     found = document(evidence)
-    assert f"{NAME} 89 %" in charts.effect_ranking(found).alt
+    assert f"{NAME} 93 %" in charts.effect_ranking(found).alt
     assert charts.model_chart(found).alt.endswith(f"best: {NAME} + spool_lag 91 %")
     assert "5.0 %" in charts.model_chart(found).caption
 
