@@ -37,6 +37,17 @@ class Record:
                 f"and {len(self.y)} samples",
                 file=self.name,
             )
+        self._check_values()
+        if self.weight is not None and self.weight.shape != (len(self.u),):
+            raise DataError(
+                f"the weight has to be of shape ({len(self.u)},), found {self.weight.shape}",
+                file=self.name,
+            )
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+    def _check_values(self) -> None:
         bad = np.flatnonzero(~np.isfinite(self.u).all(axis=1))
         if len(bad):
             raise DataError(
@@ -53,14 +64,6 @@ class Record:
                 row=int(infinite[0]),
                 hint="Mask what is not known with NaN",
             )
-        if self.weight is not None and self.weight.shape != (len(self.u),):
-            raise DataError(
-                f"the weight has to be of shape ({len(self.u)},), found {self.weight.shape}",
-                file=self.name,
-            )
-
-    def __len__(self) -> int:
-        return len(self.u)
 
 
 def _columns(values: ArrayLike, name: str) -> FloatArray:

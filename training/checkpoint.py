@@ -9,6 +9,7 @@ import hashlib
 import json
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError
@@ -53,18 +54,12 @@ def write_checkpoint(file: Path, progress: Progress, key: str) -> None:
 
 
 def read_checkpoint(file: Path, key: str) -> Progress:
-    """Read what `write_checkpoint` wrote; raises `ModelError` if it is of another training."""
-    data = file.read_bytes()
-    try:
-        arrays = load(data)
-        length = int.from_bytes(data[:8], "little")
-        header = json.loads(data[8 : 8 + length])["__metadata__"]
-        state = json.loads(header["state"])
-    except (SafetensorError, ValueError, KeyError) as error:
-        raise ModelError(
-            f"the checkpoint cannot be read: {error}", file=file, hint="Train without --resume"
-        ) from None
-    if header.get("key") != key:
+    """Read what `write_checkpoint` wrote.
+
+    Raises `ModelError` if it cannot be read, or if it is of another training.
+    """
+    arrays, state, found = _read(file)
+    if found != key:
         raise ModelError(
             "the checkpoint belongs to a training with another configuration or other data",
             file=file,
@@ -85,3 +80,18 @@ def read_checkpoint(file: Path, key: str) -> Progress:
         since_best=state["since_best"],
         history=tuple(HistoryRow(**row) for row in state["history"]),
     )
+
+
+def _read(file: Path) -> tuple[dict[str, Any], dict[str, Any], str | None]:
+    """Arrays and state of a checkpoint, and the key of its training."""
+    data = file.read_bytes()
+    try:
+        arrays = load(data)
+        # A safetensors file begins with the length of its JSON header (8 bytes), then the header.
+        length = int.from_bytes(data[:8], "little")
+        header = json.loads(data[8 : 8 + length])["__metadata__"]
+        return arrays, json.loads(header["state"]), header.get("key")
+    except (SafetensorError, ValueError, KeyError) as error:
+        raise ModelError(
+            f"the checkpoint cannot be read: {error}", file=file, hint="Train without --resume"
+        ) from None

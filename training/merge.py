@@ -26,28 +26,32 @@ def merge_models(models: Sequence[NarxModel]) -> NarxModel:
     if len(models) == 1:
         return models[0]
     first = models[0]
-    count, units = len(models), first.config.hidden
-    width = models[0].net.inputs * len(first.config.taps)
-    config = first.config.model_copy(update={"hidden": units * count})
+    count = len(models)
+    config = first.config.model_copy(update={"hidden": first.config.hidden * count})
     net = NarxNet(config, first.net.inputs, count)
-    lags = first.config.lags
     with torch.no_grad():
         for parameter in net.parameters():
             parameter.zero_()
         for k, model in enumerate(models):
-            rows = slice(k * units, (k + 1) * units)
-            fed = torch.arange(lags) * count + k
-            net.hidden.weight[rows, fed] = model.net.hidden.weight[:, :lags]
-            net.hidden.weight[rows, -width:] = model.net.hidden.weight[:, -width:]
-            net.hidden.bias[rows] = model.net.hidden.bias
-            net.output.weight[k, rows] = model.net.output.weight[0]
-            net.output.bias[k] = model.net.output.bias[0]
-            net.linear.weight[k, fed] = model.net.linear.weight[0, :lags]
-            net.linear.weight[k, -width:] = model.net.linear.weight[0, -width:]
-            net.low[k], net.high[k] = model.net.low[0], model.net.high[0]
+            _place(model.net, net, k)
     scales = [model.output_scaling for model in models]
     outputs = Scaling(
         np.concatenate([scale.centre for scale in scales]),
         np.concatenate([scale.scale for scale in scales]),
     )
     return NarxModel(net, first.input_scaling, outputs)
+
+
+def _place(part: NarxNet, whole: NarxNet, k: int) -> None:
+    """Copy a single-output network into `whole` as the one of output `k`."""
+    lags, units = part.config.lags, part.config.hidden
+    tapped = part.inputs * len(part.config.taps)  # features behind those that are fed back
+    rows, fed = slice(k * units, (k + 1) * units), torch.arange(lags) * whole.outputs + k
+    whole.hidden.weight[rows, fed] = part.hidden.weight[:, :lags]
+    whole.hidden.weight[rows, -tapped:] = part.hidden.weight[:, -tapped:]
+    whole.hidden.bias[rows] = part.hidden.bias
+    whole.output.weight[k, rows] = part.output.weight[0]
+    whole.output.bias[k] = part.output.bias[0]
+    whole.linear.weight[k, fed] = part.linear.weight[0, :lags]
+    whole.linear.weight[k, -tapped:] = part.linear.weight[0, -tapped:]
+    whole.low[k], whole.high[k] = part.low[0], part.high[0]

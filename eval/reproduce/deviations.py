@@ -86,13 +86,7 @@ def fed_variants(data: DataSets, bundle: Bundle, effort: Effort) -> list[Fed]:
     tasks = [
         Task(
             [fed_record(log, steady, config, plan) for log in data.training.train],
-            NarxConfig(
-                lags=config.narx.lags,
-                taps=config.narx.taps,
-                hidden=config.narx.hidden,
-                margin=config.narx.margin,
-                moving=len(outputs) + len(plan),
-            ),
+            _structure(config, moving=len(outputs) + len(plan)),
             bundle.calibration.dt_s,
         )
         for plan in plans
@@ -109,6 +103,18 @@ def fed_variants(data: DataSets, bundle: Bundle, effort: Effort) -> list[Fed]:
     ]
     own = _judged(tests, outputs[0], (_own_name(outputs), ()), _own_runs(tests, bundle))
     return [*fed, own]
+
+
+def _structure(config: RunConfig, moving: int) -> NarxConfig:
+    """The network of `config` alone, without lags in front of it or a path round it."""
+    section = config.narx
+    return NarxConfig(
+        lags=section.lags,
+        taps=section.taps,
+        hidden=section.hidden,
+        margin=section.margin,
+        moving=moving,
+    )
 
 
 def fed_record(

@@ -143,29 +143,8 @@ def _shown(source: str) -> str:
 
 
 def _show(console: Console, report: ExportReport) -> None:
-    console.table(
-        f"Interpolation error at {report.measured.inside} random conditions",
-        ["output", "unit", "range", "largest", "RMS", "largest %"],
-        [
-            [
-                one.name,
-                one.unit,
-                f"{one.range:.4g}",
-                f"{one.max:.3g}",
-                f"{one.rms:.3g}",
-                f"{one.max_pct:.3g}",
-            ]
-            for one in report.measured.outputs
-        ],
-    )
-    console.table(
-        f"Nodes ({report.rows} rows; {report.why})",
-        ["input", "low", "high", "nodes"],
-        [
-            [name, f"{axis[0]:g}", f"{axis[-1]:g}", str(len(axis))]
-            for name, axis in report.axes.items()
-        ],
-    )
+    _show_errors(console, report)
+    _show_nodes(console, report)
     for name, value in report.fixed.items():
         console.say(f"{name} is fixed at {value:g} and left out")
     if report.additive:
@@ -176,3 +155,22 @@ def _show(console: Console, report: ExportReport) -> None:
             f"tolerance of {report.tolerance_pct:g} %: {report.why}. {ADVICE}"
         )
     console.say(f"Exported: {report.file} ({report.bytes / 1e6:.2f} MB)")
+
+
+def _show_errors(console: Console, report: ExportReport) -> None:
+    title = f"Interpolation error at {report.measured.inside} random conditions"
+    rows = [
+        [one.name, one.unit, f"{one.range:.4g}"]
+        + [f"{error:.3g}" for error in (one.max, one.rms, one.max_pct)]
+        for one in report.measured.outputs
+    ]
+    console.table(title, ["output", "unit", "range", "largest", "RMS", "largest %"], rows)
+
+
+def _show_nodes(console: Console, report: ExportReport) -> None:
+    title = f"Nodes ({report.rows} rows; {report.why})"
+    rows = [
+        [name, f"{axis[0]:g}", f"{axis[-1]:g}", str(len(axis))]
+        for name, axis in report.axes.items()
+    ]
+    console.table(title, ["input", "low", "high", "nodes"], rows)
