@@ -18,9 +18,10 @@ from training.gap.finding import ChannelShrink, Finding, Interval, Tried
 
 HIDDEN = UnloggedSwitch.id
 SCHEMA = "narxcal.gap/1"
-# Blind cases of five seeds (docs/blind.md) say how far a claim can be relied on: firm ones were right
-# 68 times in 73, and the first of several 39 times in 53, hardly more often where the weights of the
-# models say that it is nearly certain. So a weight of 0 to 1 is a probability from here to there.
+# Blind cases of five seeds (docs/blind.md) say how far a claim can be relied on: firm ones were
+# right 68 times in 73, and the first of several 39 times in 53, hardly more often where the weights
+# of the models say that it is nearly certain. So a weight of 0 to 1 is a probability from here to
+# there.
 _FIRM, _DOUBTED = (0.85, 0.94), (0.60, 0.85)
 _LEFT = {"none": 0.02, "unknown": 0.3}  # of the probability, for what was not claimed
 # An offset that explains so much of the whole gap comes before all that moves where nothing is
