@@ -36,7 +36,7 @@ floors: $(STAMP)
 	$(BIN)/lint-imports --no-logo
 
 bench: $(STAMP)
-	$(BIN)/python -m eval.bench
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m eval.bench
 
 map: $(STAMP)
 	$(BIN)/python docs/make_map.py

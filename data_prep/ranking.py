@@ -3,35 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from data_prep.log import Log
-from narxcal.errors import DataError
 
 FloatArray = NDArray[np.float64]
 
 # The calibration paper's rule, section 2.5: |rho| in [0.8, 1] is a strong correlation.
 STRONG = 0.8
-
-
-@dataclass(frozen=True)
-class DriverChoice:
-    """The candidate that goes with the outputs best.
-
-    `strength` is the mean |rho| over the outputs, `strong` whether |rho| reaches 0.8 for each
-    of them, `ranking` every candidate that varies with its strength, best first, and
-    `reasons` says why the others are not in it.
-    """
-
-    channel: str
-    strength: float
-    strong: bool
-    ranking: tuple[tuple[str, float], ...]
-    reasons: dict[str, str]
 
 
 def pearson(log: Log, inputs: Sequence[str], outputs: Sequence[str]) -> pd.DataFrame:
@@ -85,38 +67,13 @@ def is_strong(table: pd.DataFrame) -> pd.DataFrame:
     return table.abs() >= STRONG
 
 
-def ranked(table: pd.DataFrame) -> pd.Series:
-    """Order the inputs of a `pearson` table by their mean |rho| over the outputs, best first.
+def ranked(table: pd.DataFrame) -> pd.DataFrame:
+    """Order the inputs (rows) of a `pearson` table by their mean |rho|, best first.
 
-    An input that has no defined rho with one of the outputs is left out.
+    Inputs that have no defined rho with one of the outputs come last.
     """
-    strength = table.abs().mean(axis=1, skipna=False).dropna()
-    return strength.sort_values(ascending=False, kind="stable")
-
-
-def select_driver(log: Log, candidates: Sequence[str], outputs: Sequence[str]) -> DriverChoice:
-    """Choose the channel whose changes define the events: the strongest of the candidates.
-
-    Candidates that the log does not have, or that do not vary, are passed over with a reason.
-    Raises `DataError` when none is left.
-    """
-    present = [name for name in candidates if name in log.channels]
-    table = pearson(log, present, outputs)
-    order = ranked(table)
-    reasons = {name: "not in the log" for name in candidates if name not in present}
-    for pair, why in table.attrs["reasons"].items():
-        reasons.setdefault(pair.split(", ")[0], why)
-    if order.empty:
-        raise DataError(
-            f"none of {', '.join(candidates)} varies together with {', '.join(outputs)}",
-            file=log.name,
-            hint="Use a log in which the lever moves, or name the driver in [events]",
-        )
-    best = str(order.index[0])
-    return DriverChoice(
-        channel=best,
-        strength=float(order.iloc[0]),
-        strong=bool(is_strong(table.loc[[best]]).all(axis=None)),
-        ranking=tuple((str(name), float(value)) for name, value in order.items()),
-        reasons=reasons,
-    )
+    strength = table.abs().mean(axis=1, skipna=False)
+    order = strength.sort_values(ascending=False, kind="stable", na_position="last").index
+    found = table.loc[order]
+    found.attrs["reasons"] = table.attrs["reasons"]
+    return found

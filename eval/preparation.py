@@ -12,7 +12,7 @@ import pandas as pd
 from data_prep.clean import clean
 from data_prep.events import PUSH, Event, find_events
 from data_prep.log import Log
-from data_prep.ranking import STRONG, pearson
+from data_prep.ranking import STRONG, pearson, ranked
 from data_prep.smooth import compare_windows, frequency_response, moving_average, smooth
 from eval.report.building import log_page, traces_of
 from eval.report.content import LogPage, WindowTrial
@@ -29,7 +29,7 @@ _LEAD_S = 3.0
 class Prepared:
     """One prepared log and what was found in it.
 
-    `ranking` has inputs as rows and outputs as columns; `windows` is that of
+    `ranking` has inputs as rows, strongest first, and outputs as columns; `windows` is that of
     `data_prep.smooth.compare_windows` on the cleaned log, and `trial` its figure.
     """
 
@@ -101,7 +101,7 @@ def study(raw: Log, config: RunConfig) -> Prepared:
     return Prepared(
         log=log,
         events=events,
-        ranking=pearson(log, _candidates(log, config), outputs),
+        ranking=ranked(pearson(log, _candidates(log, config), outputs)),
         windows=windows,
         trial=_trial(cleaned, events, windows, window),
         driver=config.events.driver,

@@ -112,11 +112,6 @@ def independence(correlation: Correlation) -> Dependence:
     return _judge(correlation, correlation.lags >= 0)
 
 
-def no_feedback(correlation: Correlation) -> Dependence:
-    """Judge negative lags: the input reacting to the residual, as under an autothrottle."""
-    return _judge(correlation, correlation.lags < 0)
-
-
 def _judge(correlation: Correlation, chosen: NDArray[np.bool_]) -> Dependence:
     known = chosen & np.isfinite(correlation.values) & np.isfinite(correlation.deviation)
     if not known.any():

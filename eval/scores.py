@@ -27,6 +27,7 @@ class ChannelScores:
     samples: float
     rmse: float
     nrmse: float
+    fit_pct: float
     max_rel_pct: float
     max_error: float
     bias: float
@@ -77,6 +78,7 @@ def _columns(runs: Sequence[Runs]) -> Mapping[str, FloatArray]:
         "samples": metrics.counted(measured, model, scored).astype(np.float64),
         "rmse": metrics.rmse(measured, model, scored),
         "nrmse": metrics.nrmse(measured, model, scored),
+        "fit_pct": metrics.fit_percent(measured, model, scored),
         "max_rel_pct": metrics.max_relative_percent(measured, model, scored),
         "max_error": _reduced(np.abs(wrong), "max"),
         "bias": _reduced(wrong, "mean"),

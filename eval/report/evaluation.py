@@ -10,26 +10,14 @@ import numpy as np
 from data_prep.ranking import pearson
 from eval.evaluate import Evaluation, LogEvaluation
 from eval.report.building import log_page, residual_tests, traces_of
-from eval.report.content import LogPage, NoiseSweep, Offsets, RunHeader, Score
-from eval.report.page import Outcome, evaluate_page, outcome
+from eval.report.content import LogPage, Offsets, RunHeader, Score
+from eval.report.page import Outcome, outcome
 from eval.runs import ARX, FIRST_ORDER, MODEL, STEADY_STATE
 from eval.scores import ChannelScores
 from eval.tally import Tally, tally
 from narxcal.errors import DataError
 
 _NAMES = {STEADY_STATE: "steady state", FIRST_ORDER: "first order", ARX: "ARX"}
-
-
-def evaluation_page(
-    header: RunHeader,
-    evaluation: Evaluation,
-    driver: str,
-    inputs: Sequence[str],
-    sweeps: Sequence[NoiseSweep] = (),
-) -> str:
-    """Build the page of an evaluation; `driver` moves the events, `inputs` feed the model."""
-    pages = [page_of(one, driver, inputs) for one in evaluation.logs]
-    return evaluate_page(header, pages, verdict_of(header, evaluation, pages), sweeps)
 
 
 def verdict_of(header: RunHeader, evaluation: Evaluation, pages: Sequence[LogPage]) -> Outcome:

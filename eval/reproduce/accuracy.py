@@ -12,13 +12,11 @@ from eval.report.evaluation import page_of
 from eval.report.style import symbol
 from eval.report.svg import Picture
 from eval.report.tables import Cell, Table, figure
-from eval.reproduce.calibrated import Classed, by, worst_relative_pct
+from eval.reproduce.calibrated import PAPER_PCT, Classed, by, worst_relative_pct
 from eval.reproduce.data_sets import DataSets
 from eval.reproduce.phases import PHASES, SPEEDS
 from eval.scores import score
 from narxcal.bundle import Bundle
-
-PAPER_PCT = 5.0
 
 
 def accuracy(

@@ -12,14 +12,12 @@ from eval.report.evaluation import page_of
 from eval.report.page import worst_events
 from eval.report.svg import Picture
 from eval.report.tables import NOTHING, Cell, Table, figure
-from eval.reproduce.calibrated import Classed, by
+from eval.reproduce.calibrated import PAPER_PCT, Classed, by
 from eval.reproduce.data_sets import DataSets
 from eval.reproduce.phases import PHASES, SPEEDS
 from eval.tally import Tally, tally
 from eval.transients import Assessment
 from narxcal.bundle import Bundle
-
-PAPER_PCT = 5.0
 
 
 def response_times(

@@ -13,12 +13,12 @@ from eval.report.content import Scheme
 from eval.report.crossvalidation import schemes_of
 from eval.report.style import symbol, unit
 from eval.report.svg import Picture
+from eval.reproduce.calibrated import PAPER_PCT
 from eval.reproduce.data_sets import DataSets
 from eval.reproduce.effort import Effort, within
 from eval.reproduce.pieces import pieces
 from training.crossval import divide, run_plans
 
-PAPER_PCT = 5.0  # below which the paper finds its largest errors
 TIMES_PCT = 5.0
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from data_prep.log import Log
-from data_prep.ranking import flight_table, is_strong, pearson, ranked, select_driver
+from data_prep.ranking import flight_table, is_strong, pearson, ranked
 from narxcal.errors import DataError
 
 # A busy machine is no failure.
@@ -82,39 +82,18 @@ def test_strong_rule_starts_at_zero_point_eight():
     assert is_strong(table).iloc[:, 0].tolist() == [True, False]
 
 
-def test_ranking_orders_by_strength_and_chooses_the_lever():
-    log = flight()
-    candidates = ["ALT_ft", "Mach", "TRA_deg"]
-    order = ranked(pearson(log, candidates, ["N1_pct", "N2_pct"]))
+def test_ranking_orders_by_strength():
+    table = pearson(flight(), ["ALT_ft", "Mach", "TRA_deg"], ["N1_pct", "N2_pct"])
+    order = ranked(table)
     assert list(order.index) == ["TRA_deg", "Mach", "ALT_ft"]
-    choice = select_driver(log, candidates, ["N1_pct", "N2_pct"])
-    assert choice.channel == "TRA_deg"
-    assert choice.strong
-    assert choice.strength == pytest.approx(order.iloc[0])
-    assert [name for name, _ in choice.ranking] == ["TRA_deg", "Mach", "ALT_ft"]
+    assert (order.loc["Mach"] == table.loc["Mach"]).all()
 
 
-def test_candidates_without_a_say_are_passed_over_with_a_reason():
+def test_what_has_no_correlation_comes_last_with_its_reason():
     log = flight(dT_C=np.zeros(500))
-    choice = select_driver(log, ["dT_C", "FF_kgph", "TRA_deg"], ["N1_pct"])
-    assert choice.reasons == {"FF_kgph": "not in the log", "dT_C": "dT_C is constant"}
-    assert choice.ranking == (("TRA_deg", choice.strength),)
-
-
-def test_a_weak_best_is_not_called_strong():
-    choice = select_driver(flight(), ["ALT_ft"], ["N1_pct"])
-    assert choice.channel == "ALT_ft"
-    assert not choice.strong
-
-
-def test_constant_lever_has_no_driver():
-    log = flight(TRA_deg=np.full(500, 30.0))
-    with pytest.raises(DataError) as error:
-        select_driver(log, ["TRA_deg", "FF_kgph"], ["N1_pct", "N2_pct"])
-    assert str(error.value) == (
-        "flight_0: none of TRA_deg, FF_kgph varies together with N1_pct, N2_pct. "
-        "Use a log in which the lever moves, or name the driver in [events]"
-    )
+    order = ranked(pearson(log, ["dT_C", "ALT_ft", "TRA_deg"], ["N1_pct"]))
+    assert list(order.index) == ["TRA_deg", "ALT_ft", "dT_C"]
+    assert order.attrs["reasons"] == {"dT_C, N1_pct": "dT_C is constant"}
 
 
 def test_flight_table_has_the_layout_of_the_papers_tables():

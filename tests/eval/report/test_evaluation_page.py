@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from eval.evaluate import EvaluateConfig, evaluate
-from eval.report.evaluation import evaluation_page, page_of, verdict_of
-from eval.report.page import count
+from eval.report.evaluation import page_of, verdict_of
+from eval.report.page import count, evaluate_page
 from eval.report.tables import number
 from narxcal.errors import DataError
 
@@ -33,7 +33,7 @@ def test_page_and_document_agree(slow, header):
     found = count([page])
     assert (found.assessed, found.passed) == (row["ti_tt"]["assessed"], row["ti_tt"]["passed"])
     assert page.scored_from_s == row["trim"]["scored_from_s"]
-    html = evaluation_page(header, slow, "TRA_deg", INPUTS)
+    html = evaluate_page(header, [page], verdict_of(header, slow, [page]))
     assert number(row["channels"]["N1_pct"]["rmse"]) in html
     assert "before trim" in html
     assert "flight.csv:left (new)" in html
