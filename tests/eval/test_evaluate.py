@@ -39,7 +39,9 @@ def test_the_document_has_the_agreed_layout_and_is_json(make_bundle, make_log):
     agreed = {
         "rmse", "nrmse", "max_rel_pct", "one_step_rmse", "steady_state_rmse", "first_order_rmse",
     }  # fmt: skip
-    assert agreed <= set(log["channels"]["N1_pct"])
+    figures = log["channels"]["N1_pct"]
+    assert agreed <= set(figures)
+    assert figures["fit_pct"] == pytest.approx(100.0 * (1.0 - figures["nrmse"]))
     event = log["events"][0]
     assert event["label"] in ("push", "pull")
     assert {"flight", "model", "ok"} <= set(event["Ti"])
