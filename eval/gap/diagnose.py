@@ -37,10 +37,9 @@ from training.gap.diagnosis import diagnose
 from training.gap.emulator import GreyBoxEmulator, fit_emulators
 from training.gap.finding import Finding, Interval
 from training.gap.unlogged import Load
-from training.gap.work import Options, Watch
+from training.gap.work import Options, Simulators, Watch
 
 _SAME = 1e-9  # of a channel's range
-Engine = tuple[GreyBoxEmulator, Rerun | None]  # what stands in for the simulator, and it itself
 
 
 class Request(NamedTuple):
@@ -97,7 +96,7 @@ def diagnose_pairs(
     emulator = suited(fit_emulators(data.flights), data.flights, (data.real, data.noise))
     own = emulator.errors(data.flights).tolist()
     itself = None if again is None else Rerun(emulator, again, block_size(parts[0].dt_s))
-    data, load, found = _found(data, (emulator, itself), watch)
+    data, load, found = _found(data, Simulators(emulator, itself), watch)
     errors = dict(zip(data.flights.signals.outputs, own, strict=True))
     finding = _bounded(replace(found, emulator_rmse=errors), pairs)
     watch("where", 0, 1)
@@ -113,7 +112,7 @@ def diagnose_pairs(
     return Diagnosis(document(evidence), evidence, emulator)
 
 
-def _found(data: GapData, engine: Engine, watch: Watch) -> tuple[GapData, Load, Finding]:
+def _found(data: GapData, simulators: Simulators, watch: Watch) -> tuple[GapData, Load, Finding]:
     """The finding, with an unlogged load among the candidates if there are windows of one.
 
     Where the gap shows none, what the best model leaves of it is searched, and with windows there
@@ -123,13 +122,13 @@ def _found(data: GapData, engine: Engine, watch: Watch) -> tuple[GapData, Load, 
         return data, *_nothing(data)
     watch("windows of an unlogged load", 0, 1)
     told, load = look_for_load(data)
-    finding = _asked(told, load, engine, watch)
+    finding = _asked(told, load, simulators, watch)
     if load.windows:
         return told, load, finding
-    told, beside = look_beside(finding, data, engine[0])
+    told, beside = look_beside(finding, data, simulators.emulator)
     if not beside.windows:
         return data, load, finding
-    return told, beside, _asked(told, beside, engine, watch)
+    return told, beside, _asked(told, beside, simulators, watch)
 
 
 def _nothing(data: GapData) -> tuple[Load, Finding]:
@@ -140,10 +139,9 @@ def _nothing(data: GapData) -> tuple[Load, Finding]:
     return Load(np.zeros((count, steps)), (), np.zeros(count), reason), finding
 
 
-def _asked(data: GapData, load: Load, engine: Engine, watch: Watch) -> Finding:
-    emulator, itself = engine
-    options = Options(price=tuple(load.price.tolist()) if load.windows else (), again=itself)
-    return diagnose(data.flights, (data.real, data.noise), emulator, options, watch)
+def _asked(data: GapData, load: Load, simulators: Simulators, watch: Watch) -> Finding:
+    options = Options(price=tuple(load.price.tolist()) if load.windows else ())
+    return diagnose(data.flights, (data.real, data.noise), simulators, options, watch)
 
 
 def _evidence(data: GapData, finding: Finding, values: Values, emulator: Emulator) -> Evidence:

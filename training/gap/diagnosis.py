@@ -21,7 +21,6 @@ from narxcal.effects.library import candidates
 from narxcal.effects.running import Flights
 from narxcal.effects.steady import HeatSoak
 from training.gap.allowance import Allowance
-from training.gap.emulator import GreyBoxEmulator
 from training.gap.finding import Finding
 from training.gap.fitting import Fit, Problem, fit, in_nearly_all
 from training.gap.foils import foil
@@ -31,7 +30,7 @@ from training.gap.quadratic import misfit
 from training.gap.rerun_fit import told_anew
 from training.gap.unlogged import priced, witnesses
 from training.gap.verdict import Offset, bearable, finding
-from training.gap.work import Options, Watch, Work
+from training.gap.work import Options, Simulators, Watch, Work
 
 OFFSETS = ("deterioration", "sensor_bias", "throttle_bias", "temperature_effect")
 _OFFSET = 0.25  # least share of the whole gap of an offset
@@ -49,21 +48,22 @@ _OFFERED = 3  # offsets that are told of where nothing is claimed
 def diagnose(
     flights: Flights,
     measured: tuple[FloatArray, FloatArray],
-    emulator: GreyBoxEmulator | None,
+    simulators: Simulators,
     options: Options | None = None,
     watch: Watch | None = None,
 ) -> Finding:
     """Say which effects make the recorded outputs depart from the simulated ones.
 
     `measured` are the recorded outputs (flights, time, outputs), NaN where unknown, and the
-    standard deviation of their noise (outputs,) on the raster. `watch` is told the model at work,
-    its number and how many there are.
+    standard deviation of their noise (outputs,) on the raster. `simulators` say what an effect on
+    inputs or rates does. `watch` is told the model at work, its number and how many there are.
     """
     chosen = options or Options()
     real, noise = measured
-    problem = Problem(flights, emulator, misfit(flights, real, noise))
+    problem = Problem(flights, simulators.emulator, misfit(flights, real, noise))
     tight = whole_gap(flights, measured)
-    work = Work(problem, chosen, problem.misfit.size(problem.misfit.gap), noise, tight)
+    before = problem.misfit.size(problem.misfit.gap)
+    work = Work(problem, chosen, before, noise, tight, itself=simulators.itself)
     moving = [c for c in candidates(flights.signals) if c.id not in OFFSETS]
     still = [c for c in candidates(flights.signals) if c.id in OFFSETS]
     claimed = _first(work, moving, watch)

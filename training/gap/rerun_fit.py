@@ -30,10 +30,9 @@ def told_anew(
     offset that then leaves nothing to explain is the answer by itself: what else was claimed made
     up for the emulator.
     """
-    again = work.options.again
-    if again is None:
+    if work.itself is None:
         return claimed, offset
-    own = replace(work.problem, emulator=again)
+    own = replace(work.problem, emulator=work.itself)
     if claimed is not None and offset is not None and on_inputs(offset[0][0].effects[0]):
         alone = _offset_anew(work, None, offset, watch)
         left = float((alone[0][0].held_out - work.tight.floor).sum())
@@ -75,6 +74,6 @@ def _offset_anew(work: Work, claimed: Fit | None, offset: Offset, watch: Watch |
         return offset
     explained = np.zeros_like(work.problem.flights.y) if claimed is None else claimed.response
     left = unexplained(work.tight, explained)
-    own = replace(work.problem, emulator=work.options.again, misfit=left)
+    own = replace(work.problem, emulator=work.itself, misfit=left)
     found = _anew(fits[:1], own, watch)
     return [found[fits[0]], *fits[1:]], left.size(left.gap), audible

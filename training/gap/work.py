@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,7 +41,6 @@ class Options:
     the least gap, as a share of the noise's energy, that is a gap at all; below `quiet`, as a share
     of a channel's range, it is a misfit that nobody has to explain. `price` is what the windows of
     an unlogged load are worth in noise, in Q of every flight; nothing where there are none.
-    `again` is the simulator itself, where it can be run again.
     """
 
     quantile: float = 0.99
@@ -62,7 +62,16 @@ class Options:
     most: int = 2
     seed: int = 0
     price: tuple[float, ...] = ()
-    again: Emulator | None = None
+
+
+class Simulators(NamedTuple):
+    """What answers for the simulator: an emulator, and itself where it can be run again.
+
+    Effects that act on readings alone need neither.
+    """
+
+    emulator: Emulator | None
+    itself: Emulator | None = None
 
 
 @dataclass
@@ -74,6 +83,7 @@ class Work:
     before: FloatArray  # Q per flight without any effect
     noise: FloatArray
     tight: Misfit  # of the gap with its offsets, which `problem` counts as nuisances
+    itself: Emulator | None = None  # the simulator, where it can be run again
     fits: list[Fit] = field(default_factory=list)
     threshold: float = 0.0
     allowance: Allowance | None = None

@@ -8,13 +8,13 @@ import pytest
 
 from tests.training.gap.conftest import NOISE
 from training.gap.diagnosis import _beyond, diagnose
-from training.gap.work import Options
+from training.gap.work import Options, Simulators
 
 QUICK = Options(draws=40)
 
 
 def answer(flights, engine, real):
-    return diagnose(flights, (real, NOISE), engine, QUICK)
+    return diagnose(flights, (real, NOISE), Simulators(engine), QUICK)
 
 
 @pytest.mark.parametrize(
@@ -181,7 +181,7 @@ def test_what_is_in_no_library_is_not_named(flights, engine, recorded):
 def test_small_misfit_that_any_simulator_has_is_not_named(flights, engine, recorded):
     quiet = NOISE / 30.0
     little = {"throttle_backlash": [0.25], "sensor_lag:EGT_C": [0.05, 0.0]}
-    found = diagnose(flights, (recorded(little, noise=quiet), quiet), engine, QUICK)
+    found = diagnose(flights, (recorded(little, noise=quiet), quiet), Simulators(engine), QUICK)
     assert found.effects == (), found.reason
     assert found.tried[0].gain > 0.2
 
@@ -241,7 +241,13 @@ def test_the_same_logs_give_the_same_answer(flights, engine, recorded):
 def test_the_model_at_work_is_reported(flights, engine, recorded):
     seen = []
     real = recorded({"sensor_lag:EGT_C": [1.2, 0.5]})
-    diagnose(flights, (real, NOISE), engine, QUICK, lambda name, k, n: seen.append((name, k, n)))
+    diagnose(
+        flights,
+        (real, NOISE),
+        Simulators(engine),
+        QUICK,
+        lambda name, k, n: seen.append((name, k, n)),
+    )
     assert seen[0][1] == 0
     assert all(k < n for _, k, n in seen)
 
@@ -251,7 +257,7 @@ def test_what_small_misfit_explains_as_well_is_no_claim_and_said_so(flights, eng
     quiet = NOISE / 30.0
     real = recorded({"throttle_backlash": [0.28]}, noise=quiet)
     strict = Options(draws=40, quiet=1e-6)
-    found = diagnose(flights, (real, quiet), engine, strict)
+    found = diagnose(flights, (real, quiet), Simulators(engine), strict)
     assert (found.kind, found.effects) == ("unknown", ())
     assert "hardly more than small misfit of any simulator does" in found.reason
     assert found.tried[0].effects == ("throttle_backlash",)

@@ -9,7 +9,7 @@ from training.gap.diagnosis import diagnose
 from training.gap.fitting import Problem, fit
 from training.gap.foils import is_a_step, is_no_heat
 from training.gap.quadratic import misfit
-from training.gap.work import Options
+from training.gap.work import Options, Simulators
 
 
 def with_steps(real, at):
@@ -67,7 +67,7 @@ def test_what_steps_would_gain_anyway_is_no_evidence_for_them(flights, engine, r
 
 def test_the_diagnosis_names_no_drift_where_a_channel_jumped(flights, engine, recorded):
     real = with_steps(recorded({}), (0.5,) * 5)
-    found = diagnose(flights, (real, NOISE), engine, Options(draws=40))
+    found = diagnose(flights, (real, NOISE), Simulators(engine), Options(draws=40))
     assert "sensor_drift:EGT_C" not in found.effects
 
 
@@ -84,6 +84,6 @@ def test_heat_that_no_temperature_shows_is_none(shares, foil, flights, engine, r
     assert not is_no_heat(soak, measure, ("N1_pct", "N2_pct", "FF_kgph"))
     lag = fit([effect("sensor_lag:EGT_C")], Problem(flights, engine, measure))
     assert not is_no_heat(lag, measure, outputs)
-    found = diagnose(flights, (real, NOISE), engine, Options(draws=40))
+    found = diagnose(flights, (real, NOISE), Simulators(engine), Options(draws=40))
     assert ("heat_soak" in found.effects) is not foil
     assert ("but no temperature shows the heat" in found.reason) is foil

@@ -13,7 +13,7 @@ from training.gap.fitting import Problem, fit
 from training.gap.offsets import offset_fits, unexplained, whole_gap
 from training.gap.quadratic import misfit
 from training.gap.rerun_fit import on_inputs, told_anew
-from training.gap.work import Options, Work
+from training.gap.work import Options, Simulators, Work
 
 QUICK = Options(draws=40)
 
@@ -43,8 +43,8 @@ class Asked:
 def test_sizes_are_the_simulators_own(lever, flights, engine, coarse, recorded):
     name, size = lever
     real = recorded({name: [size]})
-    guessed = diagnose(flights, (real, NOISE), coarse, QUICK)
-    found = diagnose(flights, (real, NOISE), coarse, replace(QUICK, again=engine))
+    guessed = diagnose(flights, (real, NOISE), Simulators(coarse), QUICK)
+    found = diagnose(flights, (real, NOISE), Simulators(coarse, engine), QUICK)
     assert guessed.effects == found.effects == (name,)
     before, after = (next(iter(f.tried[0].parameters[name].values())) for f in (guessed, found))
     assert abs(after.value - size) < 0.01 * size < abs(before.value - size)
@@ -59,8 +59,8 @@ def test_an_offset_that_says_all_needs_no_help(lag, flights, engine, coarse, rec
     real = recorded({"throttle_bias": [3.0], **beside})
     measured = misfit(flights, real, NOISE)
     problem = Problem(flights, coarse, measured)
-    options, before = replace(QUICK, again=engine), measured.size(measured.gap)
-    work = Work(problem, options, before, NOISE, whole_gap(flights, (real, NOISE)))
+    before, tight = measured.size(measured.gap), whole_gap(flights, (real, NOISE))
+    work = Work(problem, QUICK, before, NOISE, tight, itself=engine)
     claimed = fit([effect("sensor_lag:N1_pct")], problem)
     left = unexplained(work.tight, claimed.response)
     offset = offset_fits(problem, left, [effect("throttle_bias")])
@@ -73,8 +73,8 @@ def test_an_offset_that_says_all_needs_no_help(lag, flights, engine, coarse, rec
 def test_nothing_is_run_again_for_what_acts_on_readings(flights, engine, coarse, recorded):
     again = Asked(engine)
     real = recorded({"sensor_lag:EGT_C": [1.2, 0.5]})
-    guessed = diagnose(flights, (real, NOISE), coarse, QUICK)
-    found = diagnose(flights, (real, NOISE), coarse, replace(QUICK, again=again))
+    guessed = diagnose(flights, (real, NOISE), Simulators(coarse), QUICK)
+    found = diagnose(flights, (real, NOISE), Simulators(coarse, again), QUICK)
     assert again.told == 0
     assert found == guessed
 

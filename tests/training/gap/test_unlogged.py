@@ -22,7 +22,7 @@ from training.gap.unlogged import (
     with_load,
     witnesses,
 )
-from training.gap.work import Options
+from training.gap.work import Options, Simulators
 
 DT_S, STEPS = 0.25, 1400
 INPUTS, OUTPUTS = ("TRA_deg", "ALT_ft", "NAI"), ("N1_pct", "N2_pct", "EGT_C")
@@ -188,7 +188,7 @@ def test_the_diagnosis_names_the_load_with_its_size(monkeypatch):
     real = recorded(shifted(on_in(WINDOWS)))
     found = load_in(real)
     options = Options(draws=40, price=tuple(found.price.tolist()))
-    answer = diagnose(with_load(FLIGHTS, found.on), (real, NOISE), None, options)
+    answer = diagnose(with_load(FLIGHTS, found.on), (real, NOISE), Simulators(None), options)
     assert answer.effects == ("unlogged_switch",), answer.reason
     size = answer.tried[0].parameters["unlogged_switch"]["on_EGT_C"]
     assert size.low < SHIFT[2] < size.high
@@ -252,6 +252,6 @@ def test_what_a_flight_without_the_load_has_does_not_speak_against_it(monkeypatc
     real[3, :, 2] += 9.0 * np.sin(TIME / 15.0)
     found = load_in(real)
     options = Options(unexplained=0.3, draws=40, price=tuple(found.price.tolist()))
-    answer = diagnose(with_load(FLIGHTS, found.on), (real, NOISE), None, options)
+    answer = diagnose(with_load(FLIGHTS, found.on), (real, NOISE), Simulators(None), options)
     assert (answer.kind, answer.effects) == ("effects", ("unlogged_switch",)), answer.reason
     assert answer.left_share > options.unexplained
