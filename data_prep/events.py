@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,6 +22,9 @@ BoolArray = NDArray[np.bool_]
 Speed = Literal["fast", "slow", "small"]
 
 PUSH, PULL = 0, 1
+AUTO = "auto"
+_USUAL = "WOW"
+_MOST_NAMED = 3
 
 # A lever at rest may toggle by its resolution; smaller changes than this part of the
 # channel's physical range are none. Outputs used as driver are judged by their own noise.
@@ -33,7 +37,8 @@ class EventsConfig(Section):
     """TOML table `[events]`: what counts as a push or a pull, and where it ends.
 
     driver, response: the channel that is moved, and those that have to settle.
-    condition, condition_value: only samples where this channel has this value; "" for all.
+    condition, condition_value: only samples where this channel has this value; "" for all. "auto"
+        is WOW in a log that has it, and all samples in one that has none.
     window_s, min_change, min_fraction: a move changes the driver within `window_s` by
         `min_change` (its unit) or, where that is absent, by `min_fraction` of its range.
     small_fraction, fast_s: a move below `small_fraction` of the driver's range is small; any
@@ -44,7 +49,7 @@ class EventsConfig(Section):
 
     driver: str = "TRA_deg"
     response: tuple[str, ...] = ("N1_pct",)
-    condition: str = "WOW"
+    condition: str = AUTO
     condition_value: float = 0.0
     window_s: float = Field(default=2.0, gt=0)
     min_change: float | None = Field(default=None, gt=0)
@@ -81,8 +86,8 @@ def find_events(log: Log, config: EventsConfig | None = None) -> list[Event]:
     """Pushes and pulls in order of time (calibration paper, section 2.5).
 
     A driver that never moves gives an empty list. Events do not overlap and hold no sample
-    that violates the condition. Raises `DataError` where the driver, a response or the
-    condition channel is missing.
+    that violates the condition. Raises `DataError` where the driver, a response or a
+    condition channel that was asked for is missing.
     """
     config = config or EventsConfig()
     allowed = _allowed(log, config)
@@ -101,16 +106,36 @@ def find_events(log: Log, config: EventsConfig | None = None) -> list[Event]:
 
 def _allowed(log: Log, config: EventsConfig) -> BoolArray:
     """Mark the samples that meet the condition; NaN does not."""
-    if not config.condition:
+    channel = _condition(log, config)
+    if not channel:
         return np.ones(len(log), dtype=np.bool_)
-    if config.condition not in log.channels:
+    if channel not in log.channels:
         raise DataError(
             "events need their condition channel, and the log has none",
             file=log.name,
-            channel=config.condition,
+            channel=channel,
             hint='Derive it in [logs], or set condition = "" in [events]',
         )
-    return np.asarray(log[config.condition] == config.condition_value)
+    return np.asarray(log[channel] == config.condition_value)
+
+
+def _condition(log: Log, config: EventsConfig) -> str:
+    """The channel that says where events may be; empty for everywhere."""
+    if config.condition != AUTO:
+        return config.condition
+    return _USUAL if _USUAL in log.channels else ""
+
+
+def unconditional(logs: Sequence[Log], config: EventsConfig) -> str:
+    """What to say of logs in which nothing tells the ground from flight; empty if none is so."""
+    lacking = [log.name for log in logs if config.condition == AUTO and _USUAL not in log.channels]
+    if not lacking:
+        return ""
+    more = f" and {len(lacking) - _MOST_NAMED} more" if len(lacking) > _MOST_NAMED else ""
+    return (
+        f"no {_USUAL} channel in {', '.join(lacking[:_MOST_NAMED])}{more}: events on the ground "
+        "count like those in flight"
+    )
 
 
 def _least(driver: Driver, config: EventsConfig) -> float:

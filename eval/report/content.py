@@ -23,7 +23,8 @@ class RunHeader:
 
     `created` is a text such as `2026-11-21 02:05 UTC`; `rules` names the Ti/Tt rule set and
     `tolerances` spells it out; `facts` are further label -> text pairs (split, seeds, hardware,
-    command line); `config` is the resolved configuration as text.
+    command line); `config` is the resolved configuration as text; `cautions` are what a reader has
+    to know before the figures.
     """
 
     title: str
@@ -36,6 +37,7 @@ class RunHeader:
     versions: Mapping[str, str] = field(default_factory=dict)
     facts: Mapping[str, str] = field(default_factory=dict)
     config: str = ""
+    cautions: Sequence[str] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

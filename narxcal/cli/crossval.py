@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from argparse import Namespace
 from collections.abc import Sequence
+from dataclasses import replace
 
+from data_prep.events import unconditional
 from data_prep.log import Log
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs
@@ -41,11 +43,15 @@ def run(options: Namespace, console: Console) -> int:
 
         found = cross_validate(config, base, logs, options.jobs, watch)
     document = found.document()
-    html = crossvalidation_page(_header(config, logs), found)
+    caution = unconditional(logs, config.events)
+    header = replace(_header(config, logs), cautions=[caution] if caution else [])
+    html = crossvalidation_page(header, found)
     with RESULTS.writing(options.out) as folder:
         (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
         (folder / PAGE).write_text(html, encoding="utf-8")
     _show(console, found)
+    if caution:
+        console.warn(caution)
     console.say(f"Page: {options.out / PAGE}")
     console.document(document)
     return 1 if document["missed"] else 0

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from argparse import Namespace
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from data_prep.events import unconditional
 from data_prep.log import Log
 from eval import terminal
 from eval.evaluate import SCHEMA, Evaluation, evaluate, run_config
@@ -71,7 +72,9 @@ def judge(
             pages.append(page_of(parts[-1], config.events.driver, bundle.calibration.input_names))
     evaluation = Evaluation(tuple(parts), settings, trim or None)
     title = f"Evaluation: {config.name}"
+    cautions = list(filter(None, [unconditional(logs, config.events)]))
     header = header_of(title, run_folder, bundle, logs, settings.transients.rules)
+    header = replace(header, cautions=cautions)
     outcome = verdict_of(header, evaluation, pages)
     with console.progress("Drawing the page"):
         html = evaluate_page(header, pages, outcome)
@@ -80,6 +83,7 @@ def judge(
         "run": str(run_folder),
         "weights_sha256": weights_hash(run_folder),
         "changed": changed(bundle, logs),
+        "cautions": cautions,
     }
     return Judgement(evaluation, document, html, pages, outcome)
 
@@ -100,3 +104,5 @@ def show(console: Console, found: Judgement) -> None:
     terminal.print_scores(console.page, found.pages)
     terminal.print_transients(console.page, found.pages)
     terminal.print_outcome(console.page, found.outcome)
+    for caution in found.document["cautions"]:
+        console.warn(caution)

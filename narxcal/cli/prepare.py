@@ -12,6 +12,7 @@ from typing import Any
 
 import pandas as pd
 
+from data_prep.events import unconditional
 from data_prep.log import Log
 from data_prep.reading import read_logs
 from data_prep.running import while_running
@@ -47,8 +48,8 @@ def run(options: Namespace, console: Console) -> int:
         _write(folder, studies, names, document)
         write_page(folder / "prepare.html", _page(config, studies))
     _show(console, studies, options.out)
-    if warning := blurs(config.smooth, [one.log for one in studies]):
-        console.warn(warning)
+    for caution in document["cautions"]:
+        console.warn(caution)
     console.document(document)
     return 0
 
@@ -71,6 +72,7 @@ def _document(
         "schema": SCHEMA,
         "config": config.model_dump(mode="json", by_alias=True),
         "versions": versions(),
+        "cautions": _cautions(config, studies),
         "logs": [{**one.to_dict(), "prepared": name} for one, name in prepared],
         "pearson": pearson_table(studies).to_dict(orient="records"),
         "windows": windows_table(studies).to_dict(orient="records"),
@@ -121,8 +123,14 @@ def _page(config: RunConfig, studies: Sequence[Prepared]) -> str:
         sources=data_files([one.log for one in studies]),
         versions=versions(),
         config=config.model_dump_json(by_alias=True, indent=1),
+        cautions=_cautions(config, studies),
     )
     return prepare_page(header, [one.page() for one in studies], [one.trial for one in studies])
+
+
+def _cautions(config: RunConfig, studies: Sequence[Prepared]) -> list[str]:
+    logs = [one.log for one in studies]
+    return list(filter(None, (unconditional(logs, config.events), blurs(config.smooth, logs))))
 
 
 def _show(console: Console, studies: Sequence[Prepared], out: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_prep.events import Event, EventsConfig, find_events
+from data_prep.events import Event, EventsConfig, find_events, unconditional
 from data_prep.log import Log
 from narxcal.errors import ConfigError, DataError
 
@@ -286,11 +286,23 @@ def test_condition_can_be_another_channel_another_value_or_none():
 
 def test_missing_condition_channel_says_what_to_do():
     with pytest.raises(DataError) as error:
-        find_events(moves_log(PUSH_PULL))
+        find_events(moves_log(PUSH_PULL), EventsConfig(condition="WOW"))
     assert str(error.value) == (
         "flight:left, channel WOW: events need their condition channel, and the log has none. "
         'Derive it in [logs], or set condition = "" in [events]'
     )
+
+
+def test_what_no_channel_tells_bars_no_event_and_is_said():
+    bare, told = moves_log(PUSH_PULL), moves_log(PUSH_PULL, WOW=np.ones(4000))
+    assert find_events(bare) == find_events(bare, FREE)
+    assert find_events(told) == []
+    said = "events on the ground count like those in flight"
+    logs = [replace(bare, name=name) for name in "abcd"]
+    assert unconditional([told, bare], EventsConfig()) == f"no WOW channel in flight:left: {said}"
+    assert unconditional(logs, EventsConfig()) == f"no WOW channel in a, b, c and 1 more: {said}"
+    assert unconditional([told], EventsConfig()) == ""
+    assert unconditional([bare], FREE) == ""
 
 
 @pytest.mark.parametrize(("key", "name"), [("driver", "FF_kgph"), ("response", ("N2_pct",))])
