@@ -1,7 +1,8 @@
 """Time stamps as recorders print them: clock times and ISO 8601 dates, as seconds.
 
 A clock time `12:34:56.7`, with the day of the year before it where there is one
-(`123:12:34:56.7`), counts from midnight of day 0; a date, `2026-03-01T12:34:56.7`, from 1970, in
+(`123:12:34:56.7`), counts from midnight of day 0; one of minutes and seconds alone is told by its
+decimals (`34:56.7`); a date, `2026-03-01T12:34:56.7`, from 1970, in
 UTC where it names no zone.
 """
 
@@ -17,13 +18,14 @@ if TYPE_CHECKING:
     from data_prep.log import FloatArray
 
 _CLOCK = r"\s*(?:(\d{1,3}):)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d*)?)\s*"
+_MINUTES = r"\s*(\d{1,3}):(\d{2}[.,]\d+)\s*"
 _DATE = r"\s*\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}.*"
 _UNIT_S = np.array([86400.0, 3600.0, 60.0, 1.0])
 
 
 def is_clock(text: str) -> bool:
     """Whether `text` is a clock time or a date rather than a number."""
-    return re.fullmatch(f"{_CLOCK}|{_DATE}", text) is not None
+    return re.fullmatch(f"{_CLOCK}|{_MINUTES}|{_DATE}", text) is not None
 
 
 def clock_seconds(texts: pd.Series[Any]) -> FloatArray:
@@ -32,6 +34,8 @@ def clock_seconds(texts: pd.Series[Any]) -> FloatArray:
     parts = plain.str.extract(f"^{_CLOCK}$").astype(np.float64).to_numpy()
     parts[:, 0] = np.nan_to_num(parts[:, 0])  # a day is not always told
     seconds = np.asarray(parts @ _UNIT_S, dtype=np.float64)
+    short = plain.str.extract(f"^{_MINUTES}$").astype(np.float64).to_numpy() @ _UNIT_S[2:]
+    seconds = np.where(np.isnan(seconds), short, seconds)
     dates = plain[np.isnan(seconds) & plain.str.fullmatch(_DATE).to_numpy(dtype=np.bool_)]
     if len(dates):
         stamps = pd.to_datetime(dates, format="ISO8601", utc=True, errors="coerce")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import re
 import warnings
 import zlib
 from contextlib import contextmanager
@@ -13,7 +14,8 @@ import numpy as np
 import pandas as pd
 
 from data_prep.clock import clock_seconds
-from data_prep.dialect import COMMA_NUMBER, Dialect, next_header, open_text, sniff
+from data_prep.dialect import Dialect, decimal_comma, open_text, sniff
+from data_prep.head import DELIMITERS, skip
 from narxcal.errors import DataError
 
 if TYPE_CHECKING:
@@ -22,22 +24,37 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from data_prep.head import Head
     from data_prep.log import FloatArray
 
 CHUNK_ROWS = 50_000
 _SHOWN_CHARS = 40
+# Beside those that pandas knows, `N/A` and the like: what recorders and worksheets print for none.
+_NO_VALUE = ("-", "--", "---", "----", "#DIV/0!", "#VALUE!", "#REF!", "#NUM!", "#NAME?")
+_DATE = re.compile(r"\d+([-/.:])\d+\1\d.*|\d+:\d+(\.\d+)?.*")
+_THOUSANDS = re.compile(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d*)?")
 
 
 class _Prefixed:
-    """A text stream with a line put before it; what pandas needs of a file, and no more."""
+    """A text with a line put before it and without comments: what pandas needs of a file.
 
-    def __init__(self, line: str, text: TextIO) -> None:
-        self._line = line
+    Its own rule for comments would take a cell like `#N/A`, and all that follows it, for one.
+    """
+
+    def __init__(self, line: str, text: TextIO, comment: str) -> None:
+        self._lines = [line]
         self._text = text
+        self._comment = comment
 
     def read(self, size: int = -1) -> str:
-        line, self._line = self._line, ""
-        return line or self._text.read(size)
+        while lines := self._lines or self._text.readlines(size):
+            self._lines = []
+            block = "".join(lines)
+            if not self._comment or self._comment not in block:
+                return block
+            if kept := [line for line in lines if not line.lstrip().startswith(self._comment)]:
+                return "".join(kept)
+        return ""
 
     def __iter__(self) -> Iterator[str]:
         """Lines; pandas asks for the method but reads in blocks."""
@@ -45,10 +62,10 @@ class _Prefixed:
 
 
 class CsvSource:
-    """One CSV file: its header, and on request some of its columns.
+    """One CSV file: its header and row of units, and on request some of its columns.
 
     Only the requested columns are kept, as float64, clock times as seconds; the text is read in
-    pieces of `chunk_rows` rows. Row 1 is the first data row below the header; blank lines and
+    pieces of `chunk_rows` rows. Row 1 is the first row of data below the header; blank lines and
     comment lines are not counted. A row shorter than the header ends in blanks.
     """
 
@@ -61,6 +78,16 @@ class CsvSource:
     def header(self) -> tuple[str, ...]:
         """Column names in file order."""
         return self.dialect.header
+
+    @property
+    def clock(self) -> str:
+        """The column that holds clock times or dates; empty for none."""
+        return self.dialect.clock
+
+    @property
+    def head(self) -> Head:
+        """What stands above the first row."""
+        return self.dialect.head
 
     def read(self, names: Sequence[str]) -> dict[str, FloatArray]:
         """Read the named columns, each `(rows,)`; a blank is NaN.
@@ -99,7 +126,7 @@ class CsvSource:
                 file=self.path,
                 hint="Look for a quote that is never closed",
             ) from cause
-        if self.dialect.decimal_open and COMMA_NUMBER.fullmatch(text):
+        if self.dialect.decimal_open and decimal_comma(text, self.dialect.delimiter):
             # The first rows held whole numbers only, so the comma could not be seen there.
             self.dialect = replace(self.dialect, decimal=",", decimal_open=False)
             return
@@ -109,7 +136,7 @@ class CsvSource:
             file=self.path,
             channel=name,
             row=row,
-            hint="Row 1 is the first data row below the header",
+            hint=_what_to_do(text, self.dialect.delimiter),
         ) from cause
 
     def _position(self, name: str) -> int:
@@ -154,7 +181,7 @@ class CsvSource:
     def _rows(self) -> Iterator[TextIO]:
         """Open the text below the header."""
         with readable(self.path), open_text(self.path) as text:
-            next_header(text, self.dialect.comment)
+            skip(text, self.dialect.head.lines)
             yield text
 
     def _chunks(self, positions: list[int], dtype: Any) -> Iterator[pd.DataFrame]:
@@ -169,14 +196,14 @@ class CsvSource:
         with self._rows() as text, warnings.catch_warnings():
             warnings.simplefilter("ignore", pd.errors.ParserWarning)
             reader = pd.read_csv(
-                cast("TextIO", _Prefixed(widest, text)),
+                cast("TextIO", _Prefixed(widest, text, dialect.comment)),
                 sep=r"\s+" if dialect.delimiter == " " else dialect.delimiter,
                 decimal=dialect.decimal,
-                comment=dialect.comment or None,
                 header=None,
                 names=list(range(count + 1)),
                 usecols=sorted({*positions, count}),
                 index_col=False,
+                na_values=list(_NO_VALUE),
                 dtype=kinds,
                 skipinitialspace=True,
                 chunksize=self.chunk_rows,
@@ -211,6 +238,19 @@ class CsvSource:
         if self.dialect.decimal != ".":
             plain = plain.str.replace(".", "x").str.replace(self.dialect.decimal, ".")
         return np.asarray(pd.to_numeric(plain, errors="coerce").isna() & texts.notna())
+
+
+def _what_to_do(text: str, delimiter: str) -> str:
+    """What to do about `text` in a number's place."""
+    other = [each for each in DELIMITERS if each != delimiter and text.count(each) > 1]
+    if other:
+        own = " " if delimiter == " " else delimiter
+        return f"The header is separated by {own!r}, this row by {other[0]!r}: use one in all"
+    if _THOUSANDS.fullmatch(text):
+        return "Write numbers without a separator of thousands"
+    if _DATE.fullmatch(text):
+        return "Stamps are seconds, clock times HH:MM:SS or dates like 2026-03-01T12:00:00"
+    return "Correct it or leave it blank; row 1 is the first data row below the header"
 
 
 @contextmanager

@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import codecs
-import csv
 import gzip
 import io
 import re
+import zlib
 from collections import Counter
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, TextIO
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
 
 from data_prep.clock import is_clock
+from data_prep.head import (
+    DELIMITERS,
+    Head,
+    fields,
+    first_lines,
+    has_content,
+    header_at,
+    units_row,
+)
 from narxcal.errors import DataError
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-DELIMITERS = (";", "\t", "|", ",")
 SAMPLE_LINES = 200
-MAX_LINE_CHARS = 1_000_000
+_HEAD_BYTES = 65_536
 _GZIP_MAGIC = b"\x1f\x8b"
 _BOMS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
@@ -28,6 +36,10 @@ _BOMS = (
     (codecs.BOM_UTF16_LE, "utf-16"),
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
+# What no text in a code page of one byte holds, and other files begin with.
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
+_ZIP_MAGIC = "PK\x03\x04"
+_GROUPED = re.compile(r'"?\s*[+-]?[1-9]\d{0,2},\d{3}\s*"?')
 _QUOTED = re.compile(r'"[^"]*"')
 COMMA_NUMBER = re.compile(r'"?\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*"?')
 _POINT_NUMBER = re.compile(r'"?\s*[+-]?\d*\.\d+([eE][+-]?\d+)?\s*"?')
@@ -38,7 +50,7 @@ class Dialect:
     """What has to be known to parse the data rows; delimiter ` ` means any run of blanks.
 
     `decimal_open`: no decimal mark was seen yet, so that a comma may still turn up. `clock` is the
-    column that holds clock times or dates, if there is one.
+    column that holds clock times or dates, if there is one. `head` is what stands above the rows.
     """
 
     delimiter: str
@@ -47,38 +59,45 @@ class Dialect:
     comment: str
     header: tuple[str, ...]
     clock: str = ""
+    head: Head = field(default_factory=lambda: Head(lines=1))
 
 
 def open_text(path: Path) -> TextIO:
     """Open `path` as text: gzip and encoding are told by the first bytes, not by the name.
 
-    Bytes that are no text become the replacement character, so a stray degree sign in a
-    header does no harm, while in a number it is reported as text.
+    Text without a mark is UTF-8, or Windows-1252 (which Latin-1 is a part of) where it cannot be.
+    Bytes that are neither become the replacement character: in a number they are reported as text.
     """
     with path.open("rb") as raw:
         zipped = raw.read(2) == _GZIP_MAGIC
-    binary = gzip.GzipFile(path, "rb") if zipped else path.open("rb")
+    binary = cast("BinaryIO", gzip.GzipFile(path, "rb") if zipped else path.open("rb"))
     try:
-        head = binary.read(4)
-        binary.seek(0)
+        head = _first_bytes(binary)
     except BaseException:
         binary.close()
         raise
-    encoding = next((name for bom, name in _BOMS if head.startswith(bom)), "utf-8")
-    return io.TextIOWrapper(
-        binary,
-        encoding=encoding,
-        errors="replace",
-    )
+    marked = next((name for bom, name in _BOMS if head.startswith(bom)), "")
+    return io.TextIOWrapper(binary, encoding=marked or _unmarked(head), errors="replace")
 
 
-def next_header(text: TextIO, comment: str) -> str:
-    """Read up to the header, the first line that is neither blank nor a comment."""
-    while line := text.readline(MAX_LINE_CHARS):
-        stripped = line.strip()
-        if stripped and not (comment and stripped.startswith(comment)):
-            return line.rstrip("\r\n")
-    raise DataError("the file is empty", hint="Expected a header line and data rows")
+def _first_bytes(binary: BinaryIO) -> bytes:
+    """Some bytes of the beginning, to which the file is wound back."""
+    try:
+        return binary.read(_HEAD_BYTES)
+    except (EOFError, zlib.error):  # damaged further down, which the reader will say
+        binary.seek(0)
+        return binary.read(4)
+    finally:
+        binary.seek(0)
+
+
+def _unmarked(head: bytes) -> str:
+    """Encoding of a text that begins with `head`, which may end amid a letter."""
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return "utf-8" if _CONTROL.search(head) else "cp1252"
+    return "utf-8"
 
 
 def sniff(text: TextIO, delimiter: str, decimal: str, comment: str, time: str) -> Dialect:
@@ -88,26 +107,33 @@ def sniff(text: TextIO, delimiter: str, decimal: str, comment: str, time: str) -
 
     The delimiter is the one of `; TAB | ,` that the header and most rows hold equally often,
     else blanks; the decimal mark is a comma where numbers like `1,5` occur and none like `1.5`.
-    Raises `DataError` for a file that is empty or no text.
+    Raises `DataError` for a file that is empty or no text, and for numbers like `1,250` alone in a
+    file that is separated by commas.
     """
-    header = next_header(text, comment)
-    if _is_no_text(header):
-        raise DataError(
-            "the file is no text", hint="Expected a CSV file, plain or gzipped, or Parquet"
-        )
-    rows = _sample(text, comment)
+    lines = first_lines(text, SAMPLE_LINES)
+    place = header_at(lines, comment, time)
+    if place is None:
+        raise DataError("the file is empty", hint="Expected a header line and data rows")
+    at, above = place
+    header = lines[at].rstrip("\r\n")
+    _refuse_no_text(header)
+    rows = [k for k in range(at + 1, len(lines)) if has_content(lines[k], comment)][:SAMPLE_LINES]
+    told = [lines[k].strip() for k in rows]
     if delimiter == "auto":
-        delimiter = _delimiter(header, rows)
+        delimiter = _delimiter(header, told)
+    names = fields(header, delimiter)
+    units = units_row(fields(told[0], delimiter), names) if told else ()
+    told = told[1:] if units else told
     if decimal == "auto":
-        decimal = _decimal(rows, delimiter)
-    names = _fields(header, delimiter)
+        decimal = _decimal(told, delimiter)
     return Dialect(
         delimiter=delimiter,
         decimal=decimal or ".",
         decimal_open=not decimal,
         comment=comment,
         header=names,
-        clock=time if is_clock(_first_cell(rows, delimiter, names, time)) else "",
+        clock=time if is_clock(_first_cell(told, delimiter, names, time)) else "",
+        head=Head((rows[0] if units else at) + 1, above, units),
     )
 
 
@@ -116,20 +142,22 @@ def _first_cell(rows: list[str], delimiter: str, header: tuple[str, ...], name: 
     if name not in header:
         return ""
     position = header.index(name)
-    cells = (_fields(row, delimiter)[position : position + 1] for row in rows)
+    cells = (fields(row, delimiter)[position : position + 1] for row in rows)
     return next((cell[0] for cell in cells if cell and cell[0]), "")
 
 
-def _is_no_text(line: str) -> bool:
-    """Whether more of a header than stray signs of another encoding is unprintable."""
+def _refuse_no_text(line: str) -> None:
+    """Refuse a header of which more than stray signs of another encoding is unprintable."""
+    if line.startswith(_ZIP_MAGIC):
+        raise DataError(
+            "the file is a workbook of Excel or another archive", hint="Save the sheet as CSV"
+        )
     shown = line.replace("\t", " ").replace("\0", "")
     wrong = sum(not sign.isprintable() or sign == "\N{REPLACEMENT CHARACTER}" for sign in shown)
-    return 5 * wrong > len(shown)
-
-
-def _sample(text: TextIO, comment: str) -> list[str]:
-    lines = (text.readline(MAX_LINE_CHARS).strip() for _ in range(SAMPLE_LINES))
-    return [line for line in lines if line and not (comment and line.startswith(comment))]
+    if 5 * wrong > len(shown):
+        raise DataError(
+            "the file is no text", hint="Expected a CSV file, plain or gzipped, or Parquet"
+        )
 
 
 def _delimiter(header: str, rows: list[str]) -> str:
@@ -150,21 +178,21 @@ def _delimiter(header: str, rows: list[str]) -> str:
     return best
 
 
+def decimal_comma(cell: str, delimiter: str) -> bool:
+    """Whether the comma in a cell is a decimal mark, and no separator of thousands."""
+    if COMMA_NUMBER.fullmatch(cell) is None:
+        return False
+    return delimiter != "," or _GROUPED.fullmatch(cell) is None
+
+
 def _decimal(rows: list[str], delimiter: str) -> str:
-    fields = [field for row in rows for field in _fields(row, delimiter)]
-    commas = any(COMMA_NUMBER.fullmatch(field) for field in fields)
-    points = any(_POINT_NUMBER.fullmatch(field) for field in fields)
-    if points or commas:
-        return "." if points else ","
-    return ""
-
-
-def _fields(line: str, delimiter: str) -> tuple[str, ...]:
-    line = line.replace("\0", "")
-    if delimiter == " ":
-        return tuple(line.split())
-    try:
-        fields = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
-    except csv.Error:
-        fields = line.split(delimiter)
-    return tuple(field.strip() for field in fields)
+    cells = [cell for row in rows for cell in fields(row, delimiter)]
+    commas = [cell for cell in cells if COMMA_NUMBER.fullmatch(cell)]
+    if any(_POINT_NUMBER.fullmatch(cell) for cell in cells):
+        return "."
+    if delimiter == "," and commas and all(map(_GROUPED.fullmatch, commas)):
+        raise DataError(
+            f"the comma in {commas[0]!r} may be a decimal mark or one of thousands",
+            hint='Set [logs] decimal = "," if it is the former, else write numbers without it',
+        )
+    return "," if commas else ""

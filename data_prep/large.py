@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from data_prep.file_units import head_entries, sources_of
 from data_prep.log import Log
 from data_prep.mapping import constants, map_columns, to_channel
 from data_prep.raster_stream import RasterStream
-from data_prep.stamps import native_interval, ordered_rows
+from data_prep.stamps import ordered_rows, usual_interval
 from narxcal.errors import DataError
 
 if TYPE_CHECKING:
@@ -46,19 +47,24 @@ def large_logs(table: Table, config: LogsConfig, origins: Mapping[str, Source]) 
     Raises `DataError` as `data_prep.read_logs` does.
     """
     columns = map_columns(table, config)
-    sources = config.sources(table.header)
+    sources = sources_of(table, config)
     names = list({name: None for each in columns.values() for name in each.values()})
     engines: dict[str, _Engine] = {}
     for cells in table.blocks(names):
         for engine, mapped in columns.items():
             rows = _channels(cells, mapped, sources)
-            if engine not in engines:
+            first = engine not in engines
+            if first:
                 dt_s = _interval(rows["time_s"], config, str(table.path))
                 stream = RasterStream(
                     config, dt_s, LONGEST_BRIDGE_S, str(table.path), constants(sources)
                 )
                 engines[engine] = _Engine(stream, origins[engine], table.path.name)
-            engines[engine].take(engines[engine].stream.push(rows))
+            stream = engines[engine].stream
+            for entry in head_entries(table, config, len(rows["time_s"])):
+                if first or entry.channel != "*":
+                    stream.audit.count(entry.channel, entry.action, entry.reason, entry.samples)
+            engines[engine].take(stream.push(rows))
     if not engines:
         raise DataError("no rows follow the header", file=table.path)
     return [log for engine in engines.values() for log in engine.finished()]
@@ -71,7 +77,7 @@ def _channels(
 
 
 def _interval(stamps: FloatArray, config: LogsConfig, file: str) -> float:
-    native = native_interval(ordered_rows(stamps, config.max_gap_s, file).time_s)
+    native = usual_interval(ordered_rows(stamps, config.max_gap_s, file).time_s, file)
     interval = 1.0 / config.raster_hz if config.raster_hz else native
     if native > _MOST_SAMPLES * interval:
         raise DataError(

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
+    from data_prep.head import Head
     from data_prep.log import FloatArray
 
 _SHOWN = 12
@@ -29,6 +30,14 @@ class Table(Protocol):
     @property
     def header(self) -> tuple[str, ...]:
         """Column names in file order."""
+
+    @property
+    def head(self) -> Head:
+        """What stands above the first row."""
+
+    @property
+    def clock(self) -> str:
+        """The column that holds clock times or dates; empty for none."""
 
     def read(self, names: Sequence[str]) -> dict[str, FloatArray]:
         """Columns as float64 `(rows,)`, NaN where blank."""
@@ -44,7 +53,9 @@ def map_columns(table: Table, config: LogsConfig) -> dict[str, dict[str, str]]:
     """
     sources = config.sources(table.header)
     if "time_s" not in sources:
-        hint = f"{_near('time_s', table.header)}; or map the columns under [logs.columns]"
+        near = _near("time_s", table.header)
+        end = "" if near.endswith("?") else "."
+        hint = f"{near}{end} Or map the columns under [logs.columns]"
         raise DataError("column 'time_s' is missing", file=table.path, hint=hint)
     engines = config.engines or {"": ""}
     return {

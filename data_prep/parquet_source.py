@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from data_prep.head import Head
 from narxcal.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
@@ -50,6 +51,16 @@ class ParquetSource:
     def header(self) -> tuple[str, ...]:
         """Column names in file order."""
         return tuple(self._file.schema_arrow.names)
+
+    @property
+    def head(self) -> Head:
+        """Nothing stands above the first row."""
+        return Head(lines=0)
+
+    @property
+    def clock(self) -> str:
+        """The column that may hold dates, whose unit the file knows."""
+        return self._time
 
     def read(self, names: Sequence[str]) -> dict[str, FloatArray]:
         """Read the named columns, each `(rows,)`; null is NaN.

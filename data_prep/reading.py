@@ -11,13 +11,14 @@ import numpy as np
 
 from data_prep.csv_source import open_csv, readable
 from data_prep.derive import derive
+from data_prep.file_units import head_entries, sources_of
 from data_prep.large import is_large, large_logs
 from data_prep.log import Audit, AuditEntry, Log, Source
 from data_prep.logs_config import LogsConfig
 from data_prep.mapping import Table, constants, map_columns, to_channel
 from data_prep.parquet_source import MAGIC, ParquetSource
 from data_prep.raster import Raster, lay, resample
-from data_prep.stamps import Rows, native_interval, ordered_rows, split_at_gaps, undo_rounding
+from data_prep.stamps import Rows, ordered_rows, split_at_gaps, undo_rounding, usual_interval
 from narxcal.channels import CHANNELS
 from narxcal.errors import DataError
 
@@ -37,6 +38,7 @@ class _Recording:
     source: Source
     rows: Mapping[str, FloatArray]
     constants: Mapping[str, float]
+    entries: tuple[AuditEntry, ...] = ()  # of what stands above the rows
 
 
 def read_logs(
@@ -72,15 +74,17 @@ def _file_logs(path: Path, config: LogsConfig) -> list[Log]:
 
 def _recordings(path: Path, table: Table, config: LogsConfig) -> list[_Recording]:
     columns = map_columns(table, config)
-    sources = config.sources(table.header)
+    sources = sources_of(table, config)
     cells = table.read(list({name: None for each in columns.values() for name in each.values()}))
     digest = _sha256(path)
+    entries = head_entries(table, config, len(next(iter(cells.values()))))
     return [
         _Recording(
             f"{path.name}:{engine}" if engine else path.name,
             Source(str(path), digest, engine),
             {name: to_channel(name, cells[each], sources[name]) for name, each in mapped.items()},
             constants(sources),
+            entries,
         )
         for engine, mapped in columns.items()
     ]
@@ -112,7 +116,7 @@ def _logs(recording: _Recording, config: LogsConfig) -> list[Log]:
             channel="time_s",
             hint="Raise [logs] max_gap_s or check the unit of time_s",
         )
-    first = Audit().add(*rows.entries, *lost)
+    first = Audit().add(*recording.entries, *rows.entries, *lost)
     logs[0] = replace(logs[0], audit=Audit(first.entries + logs[0].audit.entries))
     return [log.with_channels(derive(log.channels, config.derive, file)) for log in logs]
 
@@ -135,7 +139,7 @@ def _parts(
     recording: _Recording, rows: Rows, config: LogsConfig
 ) -> tuple[list[Log], list[AuditEntry]]:
     """Logs between the gaps, and what was too short to be one."""
-    native = native_interval(rows.time_s)
+    native = usual_interval(rows.time_s, recording.source.file)
     interval = 1.0 / config.raster_hz if config.raster_hz else native
     logs: list[Log] = []
     lost: list[AuditEntry] = []

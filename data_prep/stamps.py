@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 _MAX_DECIMALS = 7
 _BASELINES_ROWS = (256, 64, 16, 4)
+_SHORTEST_S = 1e-4
+_DAY_S, _NEAR_MIDNIGHT_S = 86400.0, 60.0
 _LATEST_S = 1e11  # later than any clock that counts seconds
 # How stamps are printed: milliseconds of a date stay, and the last bits of a sum do not show.
 PRINTED = "%.15g"
@@ -60,7 +62,7 @@ def ordered_rows(stamps: FloatArray, max_gap_s: float, file: str) -> Rows:
             file=file,
             channel="time_s",
             row=int(kept[at]) + 1,
-            hint="Split the file there: it holds more than one recording",
+            hint=_where_it_goes_back(float(time[:at].max()), float(time[at])),
         )
     sorting = np.argsort(time, kind="stable")
     entries = (
@@ -69,6 +71,12 @@ def ordered_rows(stamps: FloatArray, max_gap_s: float, file: str) -> Rows:
         AuditEntry("*", "repaired", "out of order", int((lateness > 0.0).sum())),
     )
     return Rows(kept[sorting], time[sorting], entries)
+
+
+def _where_it_goes_back(before_s: float, after_s: float) -> str:
+    if before_s > _DAY_S - _NEAR_MIDNIGHT_S and before_s <= _DAY_S and after_s < _NEAR_MIDNIGHT_S:
+        return "A clock that passes midnight needs the date with it; or split the file there"
+    return "Split the file there: it holds more than one recording"
 
 
 def _lone_spikes(time: FloatArray, max_gap_s: float) -> NDArray[np.bool_]:
@@ -85,6 +93,19 @@ def split_at_gaps(time: FloatArray, max_gap_s: float) -> list[slice]:
     cuts = np.flatnonzero(np.diff(time) > max_gap_s) + 1
     edges = [0, *cuts.tolist(), len(time)]
     return [slice(start, stop) for start, stop in pairwise(edges)]
+
+
+def usual_interval(time: FloatArray, file: str) -> float:
+    """`native_interval`, refused where no recorder is so fast: the stamps are no seconds."""
+    interval = native_interval(time)
+    if interval < _SHORTEST_S:
+        raise DataError(
+            f"the rows are {interval:.3g} s apart, which no recorder of flights does",
+            file=file,
+            channel="time_s",
+            hint="Set the unit of time_s: days (of a worksheet) are 'd', hours 'h', minutes 'min'",
+        )
+    return interval
 
 
 def native_interval(time: FloatArray) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -34,6 +35,7 @@ _UNITS: dict[str, Unit] = {
     "ns": Unit("time", 1e-9),
     "min": Unit("time", 60.0),
     "h": Unit("time", 3600.0),
+    "d": Unit("time", 86400.0),
     "deg": Unit("angle", 1.0),
     "rad": Unit("angle", 57.29577951308232),
     "ft": Unit("length", 1.0),
@@ -89,7 +91,23 @@ _ALIASES = {
     "": "-",
     "bool": "0/1",
 }
+# Units of columns that are no channels: they show that a row is one of units, and no more.
+_OTHER = (
+    *("psi", "psia", "psig", "bar", "mbar", "hPa", "kPa", "Pa", "inHg", "V", "mV", "A", "mA", "Hz"),
+    *("g", "lb", "lbs", "kg", "gal", "gph", "nm", "mi", "ft/min", "fpm", "deg/s", "m/s2", "utc"),
+    *("hh:mm:ss", "hh:mm:ss.sss", "text", "bool", "n/a", "none", "count", "counts", "bit", "bits"),
+)
+_BRACKETS = re.compile(r"\s*[\[({<]?\s*(.*?)\s*[\])}>]?\s*")
 _PER_MINUTE = ("rpm", "1/min", "r/min", "min-1", "u/min")
+
+
+def _texts() -> dict[str, str]:
+    """Plain text -> unit, for all texts that name one unit alone, whatever their case."""
+    found: dict[str, set[str]] = {}
+    for text, unit in [*((unit, unit) for unit in _UNITS), *_ALIASES.items()]:
+        if text:
+            found.setdefault(_plain(text), set()).add(unit)
+    return {text: next(iter(units)) for text, units in found.items() if len(units) == 1}
 
 
 def find_unit(name: str, canonical: str) -> Unit:
@@ -112,6 +130,22 @@ def find_unit(name: str, canonical: str) -> Unit:
         channel=canonical,
         hint=f"Units that fit: {', '.join(_fitting(canonical))}",
     )
+
+
+def named_unit(cell: str) -> str:
+    """The unit that a cell such as `[deg C]` or `KG/H` of a row of units names; empty if none."""
+    return _BY_TEXT.get(_plain(cell), "")
+
+
+def is_unit_text(cell: str) -> bool:
+    """Whether a cell names any unit, be it one of a channel or not."""
+    plain = _plain(cell)
+    return plain in _BY_TEXT or plain in _FOREIGN
+
+
+def _plain(cell: str) -> str:
+    found = _BRACKETS.fullmatch(cell)
+    return "".join((found[1] if found else cell).split()).casefold()
 
 
 def _lookup(name: str, canonical: str) -> Unit:
@@ -138,3 +172,7 @@ def to_canonical(values: FloatArray, unit: Unit) -> FloatArray:
     if unit.scale == 1.0 and unit.offset == 0.0:
         return values
     return values * unit.scale + unit.offset
+
+
+_BY_TEXT = _texts()
+_FOREIGN = {_plain(text) for text in (*_OTHER, *_PER_MINUTE)}

@@ -6,11 +6,13 @@ import io
 import time
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, cast
 
 from data_prep.csv_source import CsvSource, readable
-from data_prep.dialect import next_header, open_text
+from data_prep.dialect import open_text
+from data_prep.file_units import sources_of
+from data_prep.head import Head, skip
 from data_prep.mapping import constants, map_columns, to_channel
 from data_prep.reading import open_table
 from narxcal.errors import DataError
@@ -63,7 +65,7 @@ class CsvStream:
             )
         self._table = table
         self._columns = map_columns(self._table, self.config)
-        self._sources = self.config.sources(self._table.header)
+        self._sources = sources_of(self._table, self.config)
 
     @property
     def engines(self) -> tuple[str, ...]:
@@ -98,7 +100,7 @@ class CsvStream:
         """Blocks of whole lines."""
         rest = ""
         with readable(self.path), open_text(self.path) as text:
-            next_header(text, self._table.dialect.comment)
+            skip(text, self._table.head.lines)
             for lines in self._lines(text):
                 lines[0] = rest + lines[0]
                 rest = "" if lines[-1].endswith("\n") else lines.pop()
@@ -146,10 +148,10 @@ class _Lines:
     text: str
 
     def open(self, mode: str) -> BinaryIO:
-        """Give the lines behind one in the place of the header, which readers skip."""
+        """Give the lines as a file without a head."""
         if mode != "rb":
             raise ValueError(f"lines are read as bytes, not in mode {mode!r}")
-        return io.BytesIO(b"header\n" + self.text.encode("utf-8"))
+        return io.BytesIO(self.text.encode("utf-8"))
 
     def __fspath__(self) -> str:
         return str(self.path)
@@ -160,7 +162,8 @@ class _Lines:
 
 def _read(table: CsvSource, text: str, names: Sequence[str], row: int) -> dict[str, FloatArray]:
     """Read lines by the rules of their whole file, of which `row` rows went before."""
-    block = CsvSource(cast("Path", _Lines(table.path, text)), table.dialect)
+    headless = replace(table.dialect, head=Head(lines=0))
+    block = CsvSource(cast("Path", _Lines(table.path, text)), headless)
     try:
         cells = block.read(names)
     except DataError as error:
@@ -174,5 +177,5 @@ def _read(table: CsvSource, text: str, names: Sequence[str], row: int) -> dict[s
             hint=error.hint,
         ) from None
     # Which decimal mark is in use may have shown only now.
-    table.dialect = block.dialect
+    table.dialect = replace(block.dialect, head=table.dialect.head)
     return cells

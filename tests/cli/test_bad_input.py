@@ -77,7 +77,7 @@ def test_text_in_a_numeric_column(prepare, flight):
     refused(
         done,
         f"{file}, channel N1_pct, row 7: expected a number, found 'n/a!'. "
-        "Row 1 is the first data row below the header",
+        "Correct it or leave it blank; row 1 is the first data row below the header",
     )
 
 
@@ -407,7 +407,7 @@ def test_a_file_that_is_no_text_is_not_shown(narxcal, project, tmp_path):
     done = narxcal("evaluate", project / "run", "--logs", file, "--out", tmp_path / "out")
     refused(
         done,
-        f"{file}: the file is no text. Expected a CSV file, plain or gzipped, or Parquet",
+        f"{file}: the file is a workbook of Excel or another archive. Save the sheet as CSV",
     )
 
 

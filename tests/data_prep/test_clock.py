@@ -69,7 +69,7 @@ def test_a_stamp_that_is_none_is_told_by_row_and_a_blank_is_dropped(tmp_path):
         read_logs(path, config)
     assert str(caught.value) == (
         f"{path}, channel UTC, row 21: expected a clock time or a date, found 'soon'. "
-        "Row 1 is the first data row below the header"
+        "Correct it or leave it blank; row 1 is the first data row below the header"
     )
 
 

@@ -103,7 +103,7 @@ def test_text_far_down_is_named_with_its_row(tmp_path, in_blocks):
         in_blocks(path)
     assert str(error.value) == (
         f"{path}, channel N2_pct, row 401: expected a number, found 'off'. "
-        "Row 1 is the first data row below the header"
+        "Correct it or leave it blank; row 1 is the first data row below the header"
     )
 
 

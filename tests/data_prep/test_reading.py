@@ -199,7 +199,7 @@ HEAD = "time_s,N1_pct\n"
             HEAD + "0,50\n0.1,fifty\n",
             (
                 "FILE, channel N1_pct, row 2: expected a number, found 'fifty'. "
-                "Row 1 is the first data row below the header"
+                "Correct it or leave it blank; row 1 is the first data row below the header"
             ),
         ),
         (
@@ -223,8 +223,8 @@ HEAD = "time_s,N1_pct\n"
         (
             "times,N1_pct\n0,1\n",
             (
-                "FILE: column 'time_s' is missing. Did you mean 'times'?; "
-                "or map the columns under [logs.columns]"
+                "FILE: column 'time_s' is missing. Did you mean 'times'? "
+                "Or map the columns under [logs.columns]"
             ),
         ),
         (
@@ -353,8 +353,21 @@ def test_a_broken_off_archive_is_refused(tmp_path):
 
 
 def test_a_wrong_time_unit_does_not_fill_the_memory(tmp_path):
-    text = table([0.0, 1e-9, 2e-9, 3e-9, 1.0], N1_pct=np.zeros(5))
-    assert "5 rows would become" in error_of(write(tmp_path, text))
+    path = write(tmp_path, table(np.arange(5.0), N1_pct=np.zeros(5)))
+    assert error_of(path, LogsConfig(raster_hz=1e6)) == (
+        "FILE, channel time_s: 5 rows would become 4000001 samples at 1e+06 Hz. "
+        "Check the unit of time_s and set [logs] raster_hz"
+    )
+    path = write(tmp_path, table(45000.0 + np.arange(500.0) / 864000, N1_pct=np.zeros(500)))
+    assert error_of(path) == (
+        "FILE, channel time_s: the rows are 1.16e-06 s apart, which no recorder of flights does. "
+        "Set the unit of time_s: days (of a worksheet) are 'd', hours 'h', minutes 'min'"
+    )
+    days = LogsConfig.parse(
+        {"columns": {"time_s": {"column": "time_s", "unit": "d"}, "N1_pct": {"column": "N1_pct"}}}
+    )
+    (log,) = read_logs(path, days)
+    assert log.dt_s == pytest.approx(0.1)
 
 
 def test_a_comma_seen_late_is_still_a_decimal_mark(tmp_path):

@@ -1,0 +1,222 @@
+"""What recorders and worksheets put above the rows, and how they write what they do not know."""
+
+import codecs
+
+import numpy as np
+import pytest
+
+from data_prep.large import large_logs
+from data_prep.log import Source
+from data_prep.reading import LogsConfig, open_table, read_logs
+from data_prep.units import is_unit_text, named_unit
+from eval.stream import CsvStream
+from narxcal.errors import NarxcalError
+
+COLUMNS = {"time_s": {"column": "t"}, "N1_pct": {"column": "fan"}, "EGT_C": {"column": "itt"}}
+ROWS = "".join(f"{k / 10},{80 + k},{500 + k}\n" for k in range(40))
+
+
+def config(**changed):
+    """COLUMNS, with more said of some of them."""
+    columns = {name: {**source, **changed.get(name, {})} for name, source in COLUMNS.items()}
+    return LogsConfig.parse({"columns": columns})
+
+
+def write(folder, text, encoding="utf-8"):
+    path = folder / "log.csv"
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+def changes(log):
+    return [(one.channel, one.action, one.reason, one.samples) for one in log.audit.entries]
+
+
+def error_of(path, wanted):
+    with pytest.raises(NarxcalError) as caught:
+        read_logs(path, wanted)
+    return str(caught.value).replace(str(path), "FILE")
+
+
+@pytest.mark.parametrize(
+    ("above", "lines"),
+    [
+        ("", 0),
+        ("Recorder 7\nflown 2026-03-01, by, all\n\n", 2),
+        ("# a comment\n", 0),
+        ("sep=,\n", 0),
+    ],
+)
+@pytest.mark.parametrize("units", ["", "s,%,degC\n", "[sec],[PCT],(deg C)\n", ",,°C\n"])
+def test_files_blocks_and_streams_find_the_rows_below_any_head(tmp_path, above, lines, units):
+    path = write(tmp_path, f"{above}t,fan,itt\n\n{units}{ROWS}")
+    (log,) = read_logs(path, config())
+    np.testing.assert_array_equal(log["EGT_C"], 500.0 + np.arange(40))
+    told = [("*", "dropped", "line above the header", lines)] if lines else []
+    told += [("*", "dropped", "row of units", 1)] if units else []
+    assert changes(log) == told
+    (large,) = large_logs(open_table(path, config()), config(), {"": Source(str(path))})
+    np.testing.assert_array_equal(large["EGT_C"], log["EGT_C"])
+    assert changes(large) == told
+    (block,) = CsvStream(path, config()).blocks([""])
+    np.testing.assert_array_equal(block[""]["EGT_C"], log["EGT_C"])
+
+
+def test_the_row_of_units_says_what_the_configuration_leaves_open(tmp_path):
+    path = write(tmp_path, f"t,fan,itt\ns,-,K\n{ROWS}")
+    (log,) = read_logs(path, config())
+    np.testing.assert_allclose(log["EGT_C"], 500.0 + np.arange(40) - 273.15)
+    np.testing.assert_array_equal(log["N1_pct"], 80.0 + np.arange(40))
+    assert changes(log)[1] == ("EGT_C", "repaired", "K, as its row of units says", 40)
+    (large,) = large_logs(open_table(path, config()), config(), {"": Source(str(path))})
+    np.testing.assert_array_equal(large["EGT_C"], log["EGT_C"])
+    assert changes(large) == changes(log)
+    (block,) = CsvStream(path, config()).blocks([""])
+    np.testing.assert_array_equal(block[""]["EGT_C"], log["EGT_C"])
+
+
+def test_the_configuration_stands_against_the_row_of_units(tmp_path):
+    path = write(tmp_path, f"t,fan,itt\ns,rpm,K\n{ROWS}")
+    (log,) = read_logs(path, config(EGT_C={"unit": "degC"}, N1_pct={"scale": 0.5}))
+    np.testing.assert_array_equal(log["EGT_C"], 500.0 + np.arange(40))
+    np.testing.assert_array_equal(log["N1_pct"], 40.0 + 0.5 * np.arange(40))
+    reason = "unit of the configuration, where the row of units says K"
+    assert changes(log)[1:] == [("EGT_C", "repaired", reason, 40)]
+
+
+@pytest.mark.parametrize(
+    ("units", "channel", "why"),
+    [
+        ("s,rpm,degC", "N1_pct", "'rpm', which is not known"),
+        ("s,%,deg", "EGT_C", "'deg', which does not fit degC"),
+        ("s,shaft,degC", "N1_pct", "'shaft', which is not known"),
+    ],
+)
+def test_a_unit_that_cannot_be_is_not_guessed(tmp_path, units, channel, why):
+    assert error_of(write(tmp_path, f"t,fan,itt\n{units}\n{ROWS}"), config()) == (
+        f"FILE, channel {channel}: the row of units below the header says {why}. "
+        f"Say what it is in [logs.columns]: unit of {channel}, or scale and offset"
+    )
+
+
+def test_engines_whose_units_differ_are_refused(tmp_path):
+    path = write(tmp_path, f"t,l_itt,r_itt\ns,degC,K\n{ROWS}")
+    both = LogsConfig.parse(
+        {
+            "columns": {"time_s": {"column": "t"}, "EGT_C": {"column": "{engine}itt"}},
+            "engines": {"left": "l_", "right": "r_"},
+        }
+    )
+    assert error_of(path, both) == (
+        "FILE: the row of units says 'degC' and 'K' of the engines' columns. "
+        "Set the unit of column '{engine}itt' in [logs.columns]"
+    )
+
+
+@pytest.mark.parametrize("cell", ["[kg/h]", "( KG/H )", "kg/hr", " kgph"])
+def test_a_unit_is_known_in_brackets_and_any_case(cell):
+    assert named_unit(cell) == "kg/h"
+    assert is_unit_text(cell)
+
+
+def test_names_of_columns_are_no_units(tmp_path):
+    assert not is_unit_text("fan speed")
+    assert error_of(write(tmp_path, f"t,fan,itt\ntime,fan speed,gas\n{ROWS}"), config()) == (
+        "FILE, channel t, row 1: expected a number, found 'time'. "
+        "Correct it or leave it blank; row 1 is the first data row below the header"
+    )
+
+
+@pytest.mark.parametrize("text", ["N/A", "n/a", "-", "---", "NULL", "#DIV/0!", "NaN", ""])
+def test_what_stands_for_no_value_is_none(tmp_path, text):
+    rows = ROWS.replace("1.0,90,510", f"1.0,90,{text}").replace("3.0,110,530", f"3.0,{text},530")
+    (log,) = read_logs(write(tmp_path, f"t,fan,itt\n{rows}"), config())
+    assert changes(log) == [("N1_pct", "filled", "blank", 1), ("EGT_C", "filled", "blank", 1)]
+
+
+def test_lines_of_comments_are_skipped_wherever_they_stand(tmp_path):
+    rows = ROWS.replace("1.0,90", "# paused, 1\n  # and resumed\n1.0,90")
+    (log,) = read_logs(write(tmp_path, f"t,fan,itt\n{rows}# the end"), config())
+    np.testing.assert_array_equal(log["EGT_C"], 500.0 + np.arange(40))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1", "cp1252", "utf-16"])
+def test_a_degree_sign_in_the_header_is_one_in_any_encoding(tmp_path, encoding):
+    path = write(tmp_path, f"t,fan,itt °C\n{ROWS}", encoding)
+    named = config(EGT_C={"column": "itt °C"})
+    (log,) = read_logs(path, named)
+    np.testing.assert_array_equal(log["EGT_C"], 500.0 + np.arange(40))
+    (block,) = CsvStream(path, named).blocks([""])
+    np.testing.assert_array_equal(block[""]["EGT_C"], log["EGT_C"])
+
+
+def test_a_sign_that_ends_beyond_the_first_bytes_is_utf_8(tmp_path):
+    path = tmp_path / "log.csv"
+    head = b"t,fan,itt\n# " + b"x" * (65_536 - 13)
+    path.write_bytes(head + "°".encode() + b"\n" + ROWS.encode())
+    assert path.read_bytes()[65_535:65_537] == "°".encode()
+    assert read_logs(path, config())[0]["EGT_C"][0] == 500.0
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [
+        (
+            "0.1;81;501",
+            "0.1;81;501'. The header is separated by ',', this row by ';': use one in all",
+        ),
+        ('"1,000.5",81,501', "1,000.5'. Write numbers without a separator of thousands"),
+        (
+            "03/01/2026 12:00:00,81,501",
+            (
+                "03/01/2026 12:00:00'. Stamps are seconds, clock times HH:MM:SS or dates like "
+                "2026-03-01T12:00:00"
+            ),
+        ),
+    ],
+)
+def test_what_cannot_be_read_is_told_with_what_to_do(tmp_path, row, message):
+    path = write(tmp_path, f"t,fan,itt\n0,80,500\n{row}\n")
+    assert error_of(path, config()) == (
+        f"FILE, channel t, row 2: expected a number, found '{message}"
+    )
+
+
+def test_thousands_are_not_taken_for_decimals(tmp_path):
+    rows = ROWS.replace(".", "").replace("509", '"34,984"')
+    path = write(tmp_path, f"t,fan,itt\n{rows}")
+    assert error_of(path, config()) == (
+        "FILE: the comma in '34,984' may be a decimal mark or one of thousands. "
+        'Set [logs] decimal = "," if it is the former, else write numbers without it'
+    )
+    comma = LogsConfig.parse({"columns": COLUMNS, "decimal": ","})
+    assert read_logs(path, comma)[0]["EGT_C"][9] == 34.984
+
+
+def test_a_workbook_is_told_by_its_first_bytes(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"PK\x03\x04" + bytes(range(256)))
+    assert error_of(path, config()) == (
+        "FILE: the file is a workbook of Excel or another archive. Save the sheet as CSV"
+    )
+    path.write_bytes(codecs.BOM_UTF8 + bytes(range(1, 9)) + bytes(range(128, 256)))
+    assert error_of(path, config()) == (
+        "FILE: the file is no text. Expected a CSV file, plain or gzipped, or Parquet"
+    )
+
+
+def test_minutes_and_seconds_are_a_clock_time_too(tmp_path):
+    rows = "".join(f"{k // 600:02d}:{k / 10 % 60:04.1f},{80 + k},500\n" for k in range(580, 640))
+    (log,) = read_logs(write(tmp_path, f"t,fan,itt\n{rows}"), config())
+    np.testing.assert_allclose(log.time_s, 58.0 + np.arange(60) / 10)
+
+
+def test_a_clock_that_passes_midnight_is_told_what_it_needs(tmp_path):
+    stamps = [f"23:59:{58 + k / 10:04.1f}" for k in range(20)] + [
+        f"00:00:0{k / 10}" for k in range(40)
+    ]
+    rows = "".join(f"{stamp},80,500\n" for stamp in stamps)
+    assert error_of(write(tmp_path, f"t,fan,itt\n{rows}"), config()) == (
+        "FILE, channel time_s, row 21: time goes back from 86399.9 s to 0 s. "
+        "A clock that passes midnight needs the date with it; or split the file there"
+    )
