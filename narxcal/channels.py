@@ -55,10 +55,35 @@ _TABLE = (
 CHANNELS: dict[str, Channel] = {channel.name: channel for channel in _TABLE}
 
 
+# What other houses call them, so that who writes it is told our name.
+_ELSEWHERE = {
+    "EGT_C": ("ITT", "TGT", "TOT", "MGT", "T45", "T5", "TIT"),
+    "FF_kgph": ("WF", "FMF", "FUELFLOW", "FF"),
+    "TRA_deg": ("PLA", "TLA", "THROTTLE", "LEVER", "POWERLEVER"),
+    "N1_pct": ("NL", "NF", "FAN", "N1"),
+    "N2_pct": ("NH", "NG", "NGG", "CORE", "N2"),
+    "ALT_ft": ("HP", "ALTITUDE", "PALT", "ALT"),
+    "CAS_kt": ("IAS", "KIAS", "KCAS", "VCAS", "CAS"),
+    "dT_C": ("DISA", "DELTAISA", "ISADEV", "DTISA"),
+    "SAT_C": ("OAT", "SAT", "TAMB"),
+    "Mach": ("MN", "MACHNO"),
+    "WOW": ("AIRGROUND", "GROUND", "SQUAT"),
+    "time_s": ("TIME", "TIMESTAMP", "UTC"),
+}
+
+
+def _likely(name: str) -> list[str]:
+    """The channel that is meant by `name`, if any is."""
+    written = (name, name.partition("_")[0])  # a unit may follow: ITT_C
+    plain = {"".join(filter(str.isalnum, text)).upper() for text in written}
+    known = [own for own, others in _ELSEWHERE.items() if plain & {*others}]
+    return known or difflib.get_close_matches(name, CHANNELS, n=1, cutoff=0.4)
+
+
 def channel(name: str) -> Channel:
     """Look a canonical channel up; raises `ConfigError` naming the nearest known one."""
     if name in CHANNELS:
         return CHANNELS[name]
-    near = difflib.get_close_matches(name, CHANNELS, n=1, cutoff=0.4)
+    near = _likely(name)
     hint = f"Did you mean '{near[0]}'?" if near else f"Known channels: {', '.join(CHANNELS)}"
     raise ConfigError(f"unknown channel '{name}'", hint=hint)

@@ -46,14 +46,15 @@ class Section(BaseModel):
 def read_toml(file: Path, schema: str) -> dict[str, Any]:
     """Read a TOML file whose key `schema` has to be this; raises `ConfigError`."""
     try:
-        table = tomllib.loads(file.read_text(encoding="utf-8"))
+        table = tomllib.loads(file.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ConfigError(f"cannot be read: {error.strerror}", file=file) from None
     except (ValueError, RecursionError) as error:  # a number or a nesting beyond all reason too
         raise ConfigError(f"not TOML: {error}", file=file) from None
     if table.get("schema") != schema:
+        found = repr(table["schema"]) if "schema" in table else "nothing"
         raise ConfigError(
-            f"expected schema = '{schema}', found {table.get('schema')!r}",
+            f"expected schema = '{schema}', found {found}",
             file=file,
             hint="Write it as the first line",
         )

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from argparse import Namespace
 from collections.abc import Sequence
-from dataclasses import replace
 
-from data_prep.events import unconditional
+from data_prep.cautions import cautions
 from data_prep.log import Log
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs
@@ -43,14 +42,12 @@ def run(options: Namespace, console: Console) -> int:
 
         found = cross_validate(config, base, logs, options.jobs, watch)
     document = found.document()
-    caution = unconditional(logs, config.events)
-    header = replace(_header(config, logs), cautions=[caution] if caution else [])
-    html = crossvalidation_page(header, found)
+    html = crossvalidation_page(_header(config, logs), found)
     with RESULTS.writing(options.out) as folder:
         (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
         (folder / PAGE).write_text(html, encoding="utf-8")
     _show(console, found)
-    if caution:
+    for caution in cautions(logs, config.events):
         console.warn(caution)
     console.say(f"Page: {options.out / PAGE}")
     console.document(document)
@@ -64,6 +61,7 @@ def _header(config: RunConfig, logs: Sequence[Log]) -> RunHeader:
         sources=data_files(logs),
         versions=versions(),
         config=config.model_dump_json(by_alias=True, indent=1),
+        cautions=cautions(logs, config.events),
     )
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from data_prep.events import unconditional
+from data_prep.cautions import cautions
 from data_prep.log import Log
 from eval import terminal
 from eval.evaluate import SCHEMA, Evaluation, evaluate, run_config
@@ -72,9 +72,9 @@ def judge(
             pages.append(page_of(parts[-1], config.events.driver, bundle.calibration.input_names))
     evaluation = Evaluation(tuple(parts), settings, trim or None)
     title = f"Evaluation: {config.name}"
-    cautions = list(filter(None, [unconditional(logs, config.events)]))
+    told = cautions(logs, config.events)
     header = header_of(title, run_folder, bundle, logs, settings.transients.rules)
-    header = replace(header, cautions=cautions)
+    header = replace(header, cautions=told)
     outcome = verdict_of(header, evaluation, pages)
     with console.progress("Drawing the page"):
         html = evaluate_page(header, pages, outcome)
@@ -83,7 +83,7 @@ def judge(
         "run": str(run_folder),
         "weights_sha256": weights_hash(run_folder),
         "changed": changed(bundle, logs),
-        "cautions": cautions,
+        "cautions": told,
     }
     return Judgement(evaluation, document, html, pages, outcome)
 

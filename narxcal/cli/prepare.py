@@ -12,7 +12,7 @@ from typing import Any
 
 import pandas as pd
 
-from data_prep.events import unconditional
+from data_prep.cautions import cautions
 from data_prep.log import Log
 from data_prep.reading import read_logs
 from data_prep.running import while_running
@@ -130,7 +130,7 @@ def _page(config: RunConfig, studies: Sequence[Prepared]) -> str:
 
 def _cautions(config: RunConfig, studies: Sequence[Prepared]) -> list[str]:
     logs = [one.log for one in studies]
-    return list(filter(None, (unconditional(logs, config.events), blurs(config.smooth, logs))))
+    return list(filter(None, (*cautions(logs, config.events), blurs(config.smooth, logs))))
 
 
 def _show(console: Console, studies: Sequence[Prepared], out: Path) -> None:

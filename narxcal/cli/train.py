@@ -14,7 +14,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
-from data_prep.events import unconditional
+from data_prep.cautions import cautions
 from data_prep.log import Log
 from data_prep.smooth import blurs
 from narxcal.bundle import DOCUMENT, Bundle, read_document, write_bundle
@@ -68,7 +68,7 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
             advance(number, len(files), file.name)
             logs += prepare_logs(config, [file])
     split = split_logs(logs, config.split)
-    said = [*left_out(logs, split, config.split), unconditional(logs, config.events)]
+    said = [*left_out(logs, split, config.split), *cautions(logs, config.events)]
     for warning in filter(None, [*said, blurs(config.smooth, logs)]):
         console.warn(warning)
     checkpoints = folder / CHECKPOINTS

@@ -30,7 +30,7 @@ def folder(slow_probe, tmp_path):
     (tmp_path / "flights").mkdir()
     for seed in (1, 2, 3):
         slow_probe(seed)[0].to_csv(tmp_path / "flights" / f"flight_{seed}.csv", index=False)
-    (tmp_path / "mine.toml").write_text(CONFIG, "utf-8")
+    (tmp_path / "mine.toml").write_text(CONFIG, "utf-8-sig")  # as Notepad does
     return tmp_path
 
 

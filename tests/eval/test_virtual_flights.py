@@ -233,7 +233,7 @@ def test_a_local_file_wins_over_a_shipped_one(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", "expected schema = 'narxcal.fly/1', found None. Write it as the first line"),
+        ("", "expected schema = 'narxcal.fly/1', found nothing. Write it as the first line"),
         (
             "schema = 'narxcal.config/1'",
             (

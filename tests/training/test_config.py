@@ -69,7 +69,7 @@ def test_a_missing_file_names_the_shipped_ones(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("", "expected schema = 'narxcal.config/1', found None. Write it as the first line"),
+        ("", "expected schema = 'narxcal.config/1', found nothing. Write it as the first line"),
         (
             "schema = 'narxcal.config/2'",
             (
