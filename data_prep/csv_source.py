@@ -260,6 +260,10 @@ def readable(path: Path) -> Iterator[None]:
         yield
     except FileNotFoundError:
         raise DataError("the file does not exist", file=path) from None
+    except IsADirectoryError:
+        raise DataError(
+            "a log is a file, and this is a folder", file=path, hint="Name the files in it"
+        ) from None
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise DataError(
             "the compressed file is truncated or damaged", file=path, hint="Copy it again"

@@ -57,6 +57,12 @@ def map_columns(table: Table, config: LogsConfig) -> dict[str, dict[str, str]]:
         end = "" if near.endswith("?") else "."
         hint = f"{near}{end} Or map the columns under [logs.columns]"
         raise DataError("column 'time_s' is missing", file=table.path, hint=hint)
+    if set(sources) == {"time_s"} and not config.columns:
+        raise DataError(
+            "no column but 'time_s' is named as a channel",
+            file=table.path,
+            hint=f"Map the columns under [logs.columns]. {_listed(table.header)}",
+        )
     engines = config.engines or {"": ""}
     return {
         engine: {
@@ -93,6 +99,10 @@ def _near(column: str, header: tuple[str, ...]) -> str:
     near = difflib.get_close_matches(column, header, n=3, cutoff=0.5)
     if near:
         return f"Did you mean {' or '.join(repr(name) for name in near)}?"
+    return _listed(header)
+
+
+def _listed(header: tuple[str, ...]) -> str:
     more = ", ..." if len(header) > _SHOWN else ""
     return f"The file has {', '.join(header[:_SHOWN])}{more}"
 

@@ -84,12 +84,13 @@ def atomic_folder(path: str | PathLike[str], replace: bool = False) -> Iterator[
 
 
 def check_output_folder(path: str | PathLike[str], replace: bool = False) -> None:
-    """Refuse, before any work is done, a folder that must not be written to.
+    """Refuse, before any work is done, a folder that must not or cannot be written to.
 
-    Raises `ConfigError` for a file, for a folder with content, and, under `replace`, for a
-    folder in which narxcal wrote nothing.
+    Raises `ConfigError` as `check_writable`, for a file, for a folder with content, and, under
+    `replace`, for a folder in which narxcal wrote nothing.
     """
     target = Path(path)
+    check_writable(target)
     if not target.exists() and not target.is_symlink():
         return
     if not target.is_dir():
@@ -106,6 +107,21 @@ def check_output_folder(path: str | PathLike[str], replace: bool = False) -> Non
             f"output folder {target} holds other content and is not overwritten",
             hint="Choose another name, or empty it yourself",
         )
+
+
+def check_writable(path: str | PathLike[str]) -> None:
+    """Refuse, before any work is done, a place whose disk takes nothing; leaves nothing there.
+
+    Raises `ConfigError` as the writing itself would.
+    """
+    target = Path(path).absolute()
+    ground = next(folder for folder in target.parents if folder.exists())
+    probe = _beside(ground / target.name, "part")
+    try:
+        probe.mkdir()
+        probe.rmdir()
+    except OSError as error:
+        raise cannot_write(Path(path), error) from None
 
 
 def _is_ours(folder: Path) -> bool:

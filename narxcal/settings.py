@@ -49,6 +49,8 @@ def read_toml(file: Path, schema: str) -> dict[str, Any]:
         table = tomllib.loads(file.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ConfigError(f"cannot be read: {error.strerror}", file=file) from None
+    except UnicodeDecodeError:
+        raise ConfigError("expected a TOML file, found no text in UTF-8", file=file) from None
     except (ValueError, RecursionError) as error:  # a number or a nesting beyond all reason too
         raise ConfigError(f"not TOML: {error}", file=file) from None
     if table.get("schema") != schema:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from narxcal.atomic import atomic_folder
+from narxcal.atomic import atomic_folder, check_writable
 from narxcal.errors import ConfigError
 
 
@@ -23,6 +23,7 @@ def check_file(out: Path, *inputs: Path) -> None:
         )
     if any(out.exists() and each.exists() and out.samefile(each) for each in inputs):
         raise ConfigError(f"output file {out} is the input itself", hint="Choose another name")
+    check_writable(out)
 
 
 @dataclass(frozen=True)
@@ -39,8 +40,9 @@ class Results:
     def check(self, folder: Path) -> None:
         """Refuse, before any work is done, a folder with content that this command never wrote.
 
-        Raises `ConfigError`.
+        Raises `ConfigError`, also for one that cannot be written.
         """
+        check_writable(folder)
         if not folder.exists():
             return
         if not folder.is_dir():

@@ -96,7 +96,8 @@ def _check(options: Namespace) -> None:
     lost = [word for word, name in needed.items() if getattr(options, name) is None]
     if lost:
         raise ConfigError(
-            f"expected --sim, --effects and --inputs together, but {' and '.join(lost)} is missing"
+            "expected --sim, --effects and --inputs together, but "
+            f"{' and '.join(lost)} {'is' if len(lost) == 1 else 'are'} missing"
         )
     if options.bundle is not None:
         raise ConfigError("expected either RUN and INPUTS.csv or --sim, --effects and --inputs")

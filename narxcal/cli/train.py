@@ -17,6 +17,7 @@ from typing import Any
 from data_prep.cautions import cautions
 from data_prep.log import Log
 from data_prep.smooth import blurs
+from narxcal.atomic import check_writable
 from narxcal.bundle import DOCUMENT, Bundle, read_document, write_bundle
 from narxcal.cli.configured import read_config
 from narxcal.cli.console import Advance, Console
@@ -46,6 +47,8 @@ def run(options: Namespace, console: Console) -> int:
         console.say(f"{run_folder} is complete; nothing is left to do.")
         console.document(_document(run_folder, read_document(run_folder)))
         return 0
+    if options.resume and not (run_folder / CHECKPOINTS).is_dir():
+        console.warn(f"nothing to resume in {run_folder}: the training begins anew")
     try:
         bundle = train(config, base, run_folder, (options.resume, console))
     except KeyboardInterrupt:
@@ -103,7 +106,8 @@ def interrupted(meta: dict[str, Any]) -> bool:
 
 
 def _check(folder: Path, *, resume: bool) -> None:
-    """Refuse a folder that holds anything but, when resuming, a training of ours."""
+    """Refuse a folder that cannot be written or, but for a training to resume, holds anything."""
+    check_writable(folder)
     if not folder.exists():
         return
     if not folder.is_dir():

@@ -133,7 +133,7 @@ def refused(done, words):
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
-        (("--sim", "x"), "--effects and --inputs is missing"),
+        (("--sim", "x"), "--effects and --inputs are missing"),
         (("--sim", "x", "--effects", "g", "--inputs", "d", "run"), "expected either RUN"),
         ((), "expected RUN and INPUTS.csv, or --sim, --effects and --inputs"),
     ],

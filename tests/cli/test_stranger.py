@@ -66,3 +66,61 @@ def test_weight_on_wheels_that_was_asked_for_has_to_be_there(folder, narxcal):
         "narxcal: error: flight_1.csv, channel WOW: events need their condition channel, and the "
         'log has none. Derive it in [logs], or set condition = "" in [events]\n'
     )
+
+
+def refused(done, message):
+    """Exit code 2 and one line."""
+    assert (done.code, done.out) == (2, "")
+    assert done.err == f"narxcal: error: {message}\n"
+
+
+@pytest.mark.parametrize("command", ["prepare", "train", "crossval"])
+def test_a_place_that_cannot_be_written_is_refused_before_any_work(folder, narxcal, command):
+    (folder / "flights/flight_1.csv").write_text("what is worked on first", "utf-8")
+    out = folder / "mine.toml" / "out"
+    refused(
+        narxcal(command, folder / "mine.toml", "--out", out),
+        f"{out}: cannot write: Not a directory. Nothing was changed; choose another place",
+    )
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_any_work(project, narxcal):
+    out = project / "tiny.toml" / "out.csv"
+    refused(
+        narxcal("replay", project / "nothing", project / "nothing.csv", "--out", out),
+        f"{out}: cannot write: Not a directory. Nothing was changed; choose another place",
+    )
+
+
+def test_headers_that_are_no_channels_are_told_with_what_to_do(folder, project, narxcal):
+    file = folder / "rig.csv"
+    file.write_text("time_s,rpm,egt\n0,1,2\n1,1,2\n", "utf-8")
+    refused(
+        narxcal("evaluate", project / "run", "--logs", file, "--out", folder / "ev"),
+        f"{file}: no column but 'time_s' is named as a channel. Map the columns under "
+        "[logs.columns]. The file has time_s, rpm, egt",
+    )
+
+
+def test_a_folder_in_the_place_of_a_log(folder, project, narxcal):
+    logs = folder / "flights"
+    message = f"{logs}: a log is a file, and this is a folder. Name the files in it"
+    refused(narxcal("evaluate", project / "run", "--logs", logs, "--out", folder / "ev"), message)
+    refused(narxcal("replay", project / "run", logs, "--out", folder / "out.csv"), message)
+
+
+def test_a_log_in_the_place_of_a_configuration(folder, narxcal):
+    file = folder / "log.csv.gz"
+    file.write_bytes(b"\x1f\x8b\x08\x00" + bytes(range(256)))
+    refused(
+        narxcal("prepare", file, "--out", folder / "out"),
+        f"{file}: expected a TOML file, found no text in UTF-8",
+    )
+
+
+def test_resuming_what_never_began_is_said(folder, narxcal):
+    run = folder / "run"
+    done = narxcal("train", folder / "mine.toml", "--out", run, "--resume", "--quiet")
+    assert done.code == 0
+    said = f"narxcal: warning: nothing to resume in {run}: the training begins anew\n"
+    assert done.err.startswith(said)

@@ -121,7 +121,7 @@ def test_a_missing_file_names_the_shipped_ones(tmp_path):
         ),
         (HEAD + "seed = " + "9" * 5000, None),
         (HEAD + "name = " + "[" * 5000, None),
-        (b"\xff\xfe", None),
+        (b"\xff\xfe", "expected a TOML file, found no text in UTF-8"),
         (HEAD + "name = 0x" + "f" * 5000, TOO_LONG),
         ("name = ", None),
     ],
