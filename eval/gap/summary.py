@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from eval.gap.effect_words import in_words, listed
+from eval.gap.effect_words import in_words, listed, spread_words, surest_words
+from eval.report.tables import number
 
 _NONE, _REAL = "no gap beyond noise and build scatter", "the gap is real, but "
 EMULATOR = "emulator"  # folder beside gap.json
@@ -55,34 +55,6 @@ def effect_name(row: Mapping[str, Any]) -> str:
     return row["id"] if row.get("channel") is None else f"{row['id']}:{row['channel']}"
 
 
-def parameters(row: Mapping[str, Any], most: int = 3) -> str:
-    """Parameters of an effect with their intervals and units; of many those that are surest."""
-    found = row["parameters"]
-    surest = sorted(found, key=lambda key: -_sureness(found[key]))[:most]
-    words = [
-        f"{key} {number(each['value'])} [{number(each['low'])}, {number(each['high'])}]"
-        f" {each.get('unit', '')}".rstrip(" -")
-        for key, each in found.items()
-        if key in surest
-    ]
-    if len(found) > most:
-        words.append(f"and {len(found) - most} more")
-    return ", ".join(words)
-
-
-def _sureness(found: Mapping[str, float | None]) -> float:
-    """Size of a parameter in widths of its interval."""
-    value, low, high = (found.get(key) or 0.0 for key in ("value", "low", "high"))
-    return abs(value) / max(high - low, 1e-3 * abs(value), 1e-12)
-
-
-def number(value: float | None) -> str:
-    """Three digits, or a dash where there is none."""
-    if value is None or not math.isfinite(value):
-        return "-"
-    return f"{value:.3g}"
-
-
 def effect_table(document: Mapping[str, Any]) -> Table:
     """Ranked effects: probability, gain on flights that had no part in the fit, parameters."""
     claimed = document["verdict"]["effects"]
@@ -92,7 +64,7 @@ def effect_table(document: Mapping[str, Any]) -> Table:
             effect_name(row) + (" *" if effect_name(row) in claimed else ""),
             f"{100 * row['probability']:.0f} %",
             f"{100 * row['gain']['value']:.0f} %",
-            parameters(row),
+            surest_words(row),
         ]
         for row in shown[:_MOST_EFFECTS]
     ]
@@ -118,7 +90,7 @@ def window_table(document: Mapping[str, Any]) -> Table:
             spell["log"] + (" (held out)" if spell["held_out"] else ""),
             seconds_within(spell["start_s"], spell["start_span_s"]),
             seconds_within(spell["end_s"], spell["end_span_s"]),
-            *(f"{spell['shift'][name]['value']:.2g}" for name in names),
+            *(spread_words(spell["shift"][name]) for name in names),
         ]
         for spell in found
     ]

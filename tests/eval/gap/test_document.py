@@ -7,9 +7,10 @@ from dataclasses import replace
 import pytest
 
 from eval.gap.document import document, effect_rows, probabilities
+from eval.gap.effect_words import surest_words
 from eval.gap.evidence import Evidence
 from eval.gap.realised import channel_shrink, held_out, time_shrink
-from eval.gap.summary import effect_table, parameters, sentence, shrink_table, where_table
+from eval.gap.summary import effect_table, sentence, shrink_table, where_table
 from eval.gap.where import locate
 from training.gap.finding import Interval
 
@@ -192,7 +193,7 @@ def test_tables_fit_on_one_screen(evidence):
         assert rows
         assert all(len(row) == len(head) for row in rows)
     assert tables[0][2][0][0] == "sensor_lag:EGT_C *"
-    assert tables[2][2][-1][-1] == "- -> -"
+    assert tables[2][2][-1][-1] == "– -> –"  # noqa: RUF001 - the dash of the page
 
 
 def test_without_a_claim_there_is_no_after(evidence):
@@ -216,12 +217,11 @@ def test_an_effect_that_is_not_claimed_shows_what_it_is_worth_alone(make_finding
     assert [row["gain"]["value"] for row in rows] == [0.95, 0.95]
 
 
-def test_of_many_parameters_the_surest_are_shown():
-    sure, unsure = (
-        {"value": 2.0, "low": 2.0 - w, "high": 2.0 + w, "unit": "%"} for w in (0.1, 5.0)
-    )
-    row = {"parameters": {"a": unsure, "b": sure, "c": sure, "d": unsure, "e": sure}}
-    assert parameters(row) == "b 2 [1.9, 2.1] %, c 2 [1.9, 2.1] %, e 2 [1.9, 2.1] %, and 2 more"
+def test_the_terminal_tells_sizes_as_the_page_does(evidence):
+    found = document(evidence)
+    _, _, rows = effect_table(found)
+    (first,) = (row for row in found["effects"] if row["id"] == "sensor_lag")
+    assert rows[0][3] == surest_words(first) == "tau_s 1.00 s (0.90 to 1.10)"
 
 
 @pytest.mark.parametrize(

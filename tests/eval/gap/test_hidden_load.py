@@ -94,6 +94,7 @@ def test_terminal_and_page_tell_the_windows(found):
     assert head[:3] == ("log", "from [s]", "to [s]")
     assert len(rows) == 5
     assert rows[3][0] == "flight_3 (held out)"
+    assert all(" ± " in cell for row in rows for cell in row[1:])
     html = gap_page(found.document, found.evidence)
     assert "When the load was on" in html
     assert "held out" in html
