@@ -19,8 +19,8 @@ import numpy as np
 from narxcal.effects.base import Effect, FloatArray
 from narxcal.effects.library import candidates
 from narxcal.effects.running import Flights
-from narxcal.effects.steady import HeatSoak
 from training.gap.allowance import Allowance
+from training.gap.beside import beside_heat, stands
 from training.gap.finding import Finding
 from training.gap.fitting import Fit, Problem, fit, in_nearly_all
 from training.gap.foils import foil
@@ -28,6 +28,7 @@ from training.gap.null import null_gains
 from training.gap.offsets import beyond_scatter, day_fit, offset_fits, unexplained, whole_gap
 from training.gap.quadratic import misfit
 from training.gap.rerun_fit import told_anew
+from training.gap.together import added, in_order, is_heat, taken
 from training.gap.unlogged import priced, witnesses
 from training.gap.verdict import Offset, bearable, finding
 from training.gap.work import Options, Simulators, Watch, Work
@@ -67,6 +68,7 @@ def diagnose(
     moving = [c for c in candidates(flights.signals) if c.id not in OFFSETS]
     still = [c for c in candidates(flights.signals) if c.id in OFFSETS]
     claimed = _first(work, moving, watch)
+    work.beside = beside_heat(work, watch)
     offset = _offset(work, still, claimed)
     while claimed is not None and (more := _further(work, claimed, offset, watch)) is not None:
         claimed, offset = more, _offset(work, still, more)
@@ -98,10 +100,12 @@ def _further(work: Work, best: Fit, offset: Offset | None, watch: Watch | None) 
     """A model of one effect more that earns its place, and takes more than an offset would."""
     if len(best.effects) >= work.options.most or work.left(best) <= _ENOUGH:
         return None
-    more = _best_pair(work, watch)
     unexplained = work.unexplained(best)
     least = max(min(work.options.further, _HALF * unexplained), _SECOND * unexplained, _ENOUGH)
-    if more is None or not _earned(work, more, best, least):
+    pairs = _pairs(work, watch)
+    more = next((pair for pair in pairs if _earned(work, pair, best, least)), None)
+    more = more or _stands_beside(work, best)
+    if more is None:
         return None
     gained = float((best.held_out - more.held_out).sum())
     return more if offset is None or gained > _gained(offset) else None
@@ -146,63 +150,38 @@ def _beyond(work: Work, model: Fit, best: Fit | None) -> bool:
     return more >= _BESIDE * work.still(best) or (closer and more >= _LEAST * work.audible)
 
 
-def _best_pair(work: Work, watch: Watch | None) -> Fit | None:
-    """The best of the pairs of a leading effect and another, by linear steps, then fitted.
+def _stands_beside(work: Work, best: Fit) -> Fit | None:
+    """What stands beside a heat soak that is the best, if it may be named."""
+    pair = work.beside
+    return pair if pair is not None and is_heat(best) and stands(work, pair, best) else None
+
+
+def _pairs(work: Work, watch: Watch | None) -> list[Fit]:
+    """Pairs of a leading effect and another, best first: by linear steps, then fitted.
 
     What the two take together says which may be worth it, and what of that is beyond small misfit
     which of these are.
     """
-    singles = list(work.fits)
+    singles = [one for one in work.fits if len(one.effects) == 1]
     pairs = [(first, second) for k, first in enumerate(singles[:3]) for second in singles[k + 1 :]]
-    if not pairs:
-        return None
-    pairs.sort(key=lambda pair: _together(work, *pair), reverse=True)
-    likely = [_added(*in_order(*pair)) for pair in pairs[:_LIKELY]]
+    pairs.sort(key=lambda pair: taken(work.problem.misfit, *pair), reverse=True)
+    likely = [added(*in_order(*pair)) for pair in pairs[:_LIKELY]]
     likely.sort(key=work.worth, reverse=True)
     found = []
     for k, pair in enumerate(likely[:3]):
         if watch is not None:
             watch(" + ".join(effect.name for effect in pair.effects), k, 3)
-        found.append(priced(fit(pair.effects, work.problem, pair.theta), work.options.price))
-    work.fits += found
-    return max(found, key=work.worth)
+        found.append(_fitted(work, pair))
+    return sorted(found, key=work.worth, reverse=True)
 
 
-def in_order(first: Fit, second: Fit) -> tuple[Fit, Fit]:
-    """Two fits as they are named: a heat soak last.
-
-    It follows anything slow, so that beside an effect of moves it is the one that may only be what
-    else is wrong: of 15 such pairs in blind cases where one of the two was there, it was once.
-    """
-    soaks = isinstance(first.effects[0], HeatSoak)
-    return (second, first) if soaks else (first, second)
-
-
-def _added(first: Fit, second: Fit) -> Fit:
-    """Both effects as each was found by itself: their responses added up."""
-    return Fit(
-        effects=(*first.effects, *second.effects),
-        parameters=(*first.parameters, *second.parameters),
-        theta=np.concatenate([first.theta, second.theta]),
-        left=np.minimum(first.left, second.left),
-        held_out=np.minimum(first.held_out, second.held_out),
-        others=np.concatenate([first.others, second.others], axis=1),
-        response=first.response + second.response,
-        slopes=np.concatenate([first.slopes, second.slopes]),
-        sizes=(*first.sizes, *second.sizes),
-    )
-
-
-def _together(work: Work, first: Fit, second: Fit) -> float:
-    """Q that two effects take off together, if their responses add up and scale."""
-    measure = work.problem.misfit
-    both = np.stack([first.response, second.response])
-    slopes = np.concatenate([both, first.slopes, second.slopes])
-    hessian = measure.inner(slopes, slopes).sum(axis=0)
-    toward = measure.inner(slopes, measure.gap[None]).sum(axis=0)[:, 0]
-    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-    ridge = hessian / np.outer(scale, scale) + 1e-3 * np.eye(len(scale))
-    return float(toward / scale @ np.linalg.solve(ridge, toward / scale))
+def _fitted(work: Work, pair: Fit) -> Fit:
+    """The pair fitted together: among the models of `work` already, or one of them from now on."""
+    known = next((one for one in work.fits if one.effects == pair.effects), None)
+    if known is None:
+        known = priced(fit(pair.effects, work.problem, pair.theta), work.options.price)
+        work.fits.append(known)
+    return known
 
 
 def _gained(offset: Offset) -> float:

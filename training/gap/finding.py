@@ -50,8 +50,9 @@ class Finding:
     """The answer: what kind, which effects, how sure, and what the evidence was.
 
     `tried` holds every model, best first; the first is the claimed one where `kind` is `effects`
-    or `ambiguous`. `gap_share` is the share of the squared residual that is no noise, `left_share`
-    what is left of it unexplained.
+    or `ambiguous`. Where nothing is claimed, `leading` may name effects that come first all the
+    same: one of moves, and the heat soak beside which it was seen. `gap_share` is the share of the
+    squared residual that is no noise, `left_share` what is left of it unexplained.
     """
 
     kind: Kind
@@ -67,3 +68,4 @@ class Finding:
     threshold: float
     emulator_rmse: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    leading: tuple[str, ...] = ()

@@ -64,6 +64,11 @@ def is_no_heat(tried: Fit, measure: Misfit, outputs: Sequence[str]) -> bool:
     return False
 
 
+def heat_of(tried: Fit) -> FloatArray:
+    """What the heat soaks of a fit change, (flights, time, outputs)."""
+    return sum(_own(tried, HeatSoak), np.zeros_like(tried.response))
+
+
 def _own(tried: Fit, kind: type[Effect]) -> Iterator[FloatArray]:
     """What each effect of a kind changes by itself, (flights, time, outputs).
 

@@ -12,6 +12,7 @@ from training.gap.answer import Worth, channels, probabilities, shrink, tried
 from training.gap.finding import Finding, Interval, Kind, Tried
 from training.gap.fitting import Fit
 from training.gap.foils import foil
+from training.gap.together import is_heat
 from training.gap.work import Work
 
 _LEFT = 0.01  # of the gap: nobody can tell two models that both leave less
@@ -50,7 +51,8 @@ def finding(
     rivals = _rivals(work, claimed, order) if claimed is not None else ()
     if kind == "effects" and rivals:
         kind, reason = "ambiguous", "other effects explain held-out flights as well"
-    names = () if kind in ("none", "unknown") else _names(work, claimed, offset)
+    silent = kind in ("none", "unknown")
+    names = () if silent else _names(work, claimed, offset)
     leader = claimed or (offset[0][0] if offset else None)
     signals = work.problem.flights.signals
     return Finding(
@@ -65,7 +67,16 @@ def finding(
         gap_share=work.audible / float(work.before.sum()),
         left_share=1.0 if claimed is None else work.left(claimed),
         threshold=work.threshold,
+        leading=_leading(work, claimed) if silent else (),
     )
+
+
+def _leading(work: Work, claimed: Fit | None) -> tuple[str, ...]:
+    """What comes first where nothing is claimed: what was seen beside a heat soak that leads."""
+    pair = work.beside
+    if pair is None or not (claimed is None or is_heat(claimed) or claimed is pair):
+        return ()
+    return tuple(effect.name for effect in pair.effects)
 
 
 def _predicted(
@@ -183,7 +194,9 @@ def _equal(work: Work, claimed: Fit, other: Fit) -> bool:
     """Whether held-out flights do not tell the two apart, nor what they explain where they act."""
     if work.aligned(other) < work.aligned(claimed) - _APART:
         return False
-    if float(work.beyond(other).sum()) < _HALF * float(work.beyond(claimed).sum()):
+    shared = _heat_of_both(work, claimed, other)
+    mine, theirs = (float(work.beyond(one).sum()) - shared for one in (claimed, other))
+    if theirs < _HALF * mine:
         return False
     left = 1.0 - work.gain(claimed)
     if 1.0 - work.gain(other) <= work.options.close * left + _LEFT:
@@ -195,3 +208,19 @@ def _equal(work: Work, claimed: Fit, other: Fit) -> bool:
         return False
     error = worse.std(ddof=1) / np.sqrt(count)
     return bool(worse.mean() < t.ppf(_AGREED, count - 1) * error)
+
+
+def _heat_of_both(work: Work, claimed: Fit, other: Fit) -> float:
+    """Q that the heat soak in both of two pairs takes beyond small misfit by itself, or nothing.
+
+    What both have says nothing about which of them it is.
+    """
+    alone = next((one for one in work.fits if is_heat(one)), None)
+    pairs = min(len(claimed.effects), len(other.effects)) > 1
+    if (
+        alone is None
+        or not pairs
+        or any(alone.effects[0] not in one.effects for one in (claimed, other))
+    ):
+        return 0.0
+    return max(float(work.beyond(alone).sum()), 0.0)

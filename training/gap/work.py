@@ -88,6 +88,7 @@ class Work:
     threshold: float = 0.0
     allowance: Allowance | None = None
     offered: list[Fit] = field(default_factory=list)  # offsets of the whole gap, best first
+    beside: Fit | None = None  # an effect of moves with the heat soak that leads
     _beside: dict[Fit | None, FloatArray] = field(default_factory=dict)
 
     @property
@@ -121,8 +122,12 @@ class Work:
         Every sample counts by the energy of the response there, up to a fiftieth of its peak:
         whatever else is wrong elsewhere says nothing about the effect.
         """
+        return self.explained(tried.response, self.problem.misfit.gap)
+
+    def explained(self, response: FloatArray, gap: FloatArray) -> float:
+        """The same for any response to any gap, (flights, time, outputs) each."""
         measure = self.problem.misfit
-        gap, response = measure.cleaned(measure.gap), measure.cleaned(tried.response)
+        gap, response = measure.cleaned(gap), measure.cleaned(response)
         energy = measure.weights * response**2
         peak = float(energy.max())
         if peak <= 0.0:

@@ -116,6 +116,35 @@ def test_where_rivals_are_named_none_is_nearly_certain(make_finding, make_model)
     assert chances["spool_lag"] == pytest.approx(0.275)
 
 
+def test_the_first_of_many_is_as_often_wrong_as_right(make_finding, make_model):
+    tried = (make_model(NAME, probability=0.5), make_model("spool_lag", probability=0.5))
+    many = make_finding("ambiguous", (NAME,), tried, ambiguous_with=("spool_lag", "heat_soak"))
+    chances = probabilities(many)
+    assert chances[NAME] == pytest.approx(0.45)
+    assert chances["spool_lag"] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("share", [0.95, 0.85])
+def test_what_was_seen_beside_heat_leads_where_nothing_is_claimed(share, make_finding, make_model):
+    """With its sizes beside the heat; but after an offset that is nearly all of the gap."""
+    tried = (
+        make_model("heat_soak", probability=0.9),
+        make_model("spool_lag", probability=0.1, gain=0.1),
+        make_model("spool_lag", "heat_soak", gain=0.95),
+        make_model("deterioration", gain=share),
+    )
+    finding = make_finding("unknown", (), tried, leading=("spool_lag", "heat_soak"))
+    rows = effect_rows(finding)
+    first = ["deterioration"] if share > 0.9 else ["spool_lag", "heat_soak"]
+    assert [row["id"] for row in rows][: len(first)] == first
+    chances = [row["probability"] for row in rows]
+    assert chances == sorted(chances, reverse=True)
+    assert max(chances) < 0.5
+    if share < 0.9:
+        assert rows[0]["with"] == ["heat_soak"]
+        assert rows[0]["gain"]["value"] == 0.95
+
+
 def test_where_nothing_is_claimed_little_probability_is_left(make_finding, make_model):
     tried = (make_model(NAME, gain=1e9),)
     none = make_finding("none", (), tried)
