@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +15,7 @@ from data_prep.stamps import PRINTED
 from eval.replay_engine import EngineReplay, Rows
 from eval.replay_setup import ReplayModel, ReplayOptions
 from eval.stream import CsvStream, Pace
-from narxcal.atomic import cannot_write
+from narxcal.atomic import atomic_stream
 from narxcal.errors import ConfigError, DataError
 from narxcal.interrupt import held_interrupt
 
@@ -89,8 +87,8 @@ def replay(
     predictions, where it could not run). Samples are those of `data_prep.read_logs` on the
     model's raster; the prediction at a sample uses the inputs up to and including it.
 
-    Rows go to `OUT.part` as they come, and `OUT` appears when all are there. Ctrl-C ends a
-    `follow` well and any other replay with nothing left behind.
+    `OUT` appears when all rows are there; live, they can be read in `OUT.part` as they come. Ctrl-C
+    ends a `follow` well and any other replay with nothing left behind.
 
     Raises `DataError` for the log, `ConfigError` for options or an output that cannot be written.
     """
@@ -137,19 +135,8 @@ class _Replay:
         return (self.options.engine,)
 
     def write(self, out: Path) -> ReplaySummary:
-        part = out.with_name(out.name + ".part")
-        try:
-            out.parent.mkdir(parents=True, exist_ok=True)
-            with part.open("w", encoding="utf-8", newline="") as file:
-                self._write_all(file)
-                file.flush()
-                os.fsync(file.fileno())
-            part.replace(out)
-        except OSError as error:
-            raise cannot_write(out, error) from None
-        finally:
-            with suppress(OSError):
-                part.unlink()
+        with atomic_stream(out, live=self.options.live) as file:
+            self._write_all(file)
         return self._summary()
 
     def _write_all(self, file: TextIO) -> None:

@@ -3,7 +3,7 @@
 Everything is written under a temporary name in the target's own folder and renamed once it
 is complete and on the disk, so that a full disk or a killed run never leaves half a file
 under a name that is taken for good. A run killed outright can leave a temporary
-(`.NAME.*.part`) behind; nothing ever reads one.
+(`.NAME.*.part`, or `NAME.part` of a live one) behind; nothing ever reads one.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from narxcal.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from os import PathLike
+    from typing import TextIO
 
 
 _DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
@@ -51,6 +52,40 @@ def atomic_write_bytes(path: str | PathLike[str], data: bytes) -> None:
 def atomic_write_text(path: str | PathLike[str], text: str) -> None:
     """Write `text` as UTF-8 to `path` like `atomic_write_bytes`."""
     atomic_write_bytes(path, text.encode("utf-8"))
+
+
+@contextmanager
+def atomic_stream(path: str | PathLike[str], *, live: bool = False) -> Iterator[TextIO]:
+    """Yield a UTF-8 text file that becomes `path` when the block ends well.
+
+    On any error, Ctrl-C included, it is removed and `path` stays as it was. A `live` one is
+    named `NAME.part` until then, so that others can read it while it grows.
+
+    Raises `ConfigError` if it cannot be written, and for a `NAME.part` that is there already.
+    """
+    target = Path(path)
+    part = target.with_name(f"{target.name}.part") if live else _beside(target, "part")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        stream = part.open("x", encoding="utf-8", newline="")
+    except FileExistsError as error:
+        if not live or not part.exists():
+            raise cannot_write(target, error) from None
+        hint = "Another run writes it, or one was killed: remove it, or choose another name"
+        raise ConfigError("the file exists", file=part, hint=hint) from None
+    except OSError as error:
+        raise cannot_write(target, error) from None
+    try:
+        with stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        part.replace(target)
+    except OSError as error:
+        raise cannot_write(target, error) from None
+    finally:
+        with suppress(OSError):
+            part.unlink()
 
 
 @contextmanager

@@ -144,7 +144,7 @@ def test_prediction_and_fused_value_are_those_of_the_batch_without_a_shift(tmp_p
     assert not found["gap"].any()
     assert not found["held"].any()
     assert found["inside_envelope"].all()
-    assert not (tmp_path / "out.csv.part").exists()
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["log.csv", "out.csv"]
 
 
 @pytest.mark.parametrize("rate", [4.0, 10.0, 13.7, 50.0])
@@ -437,6 +437,26 @@ def test_a_lone_wrong_stamp_costs_its_row_and_no_more(tmp_path):
     for options in (ReplayOptions(), ReplayOptions(follow=True, idle_s=0.01)):
         summary = replay(MODEL, log, tmp_path / "out.csv", options)
         assert (summary.rows, summary.dropped, summary.restarts) == (600, 1, {"": 0})
+
+
+def test_live_rows_can_be_read_while_they_come_and_belong_to_one_replay(tmp_path):
+    log, out = write(tmp_path / "log.csv", flight()), tmp_path / "out.csv"
+    part, seen = tmp_path / "out.csv.part", []
+
+    def wait(_):
+        if not seen:
+            seen.append(part.read_text(encoding="utf-8").count("\n"))
+            with pytest.raises(ConfigError) as error:
+                replay(MODEL, log, out, ReplayOptions(realtime=True))
+            assert str(error.value) == (
+                f"{part}: the file exists. Another run writes it, or one was killed: remove it, or "
+                "choose another name"
+            )
+
+    replay(MODEL, log, out, ReplayOptions(realtime=True), Clock(sleep=wait))
+    assert seen[0] >= 1
+    assert out.read_text(encoding="utf-8").count("\n") == 601
+    assert not part.exists()
 
 
 def test_an_output_that_cannot_be_written_is_refused(tmp_path):

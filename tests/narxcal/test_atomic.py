@@ -13,6 +13,7 @@ import pytest
 
 from narxcal.atomic import (
     atomic_folder,
+    atomic_stream,
     atomic_write_bytes,
     atomic_write_text,
     check_output_folder,
@@ -92,6 +93,30 @@ def test_an_empty_folder_may_be_filled(tmp_path):
     with atomic_folder(tmp_path / "run") as part:
         (part / "a").touch()
     assert names(tmp_path / "run") == ["a"]
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_a_stream_appears_only_when_the_block_ends_well(tmp_path, live):
+    target = tmp_path / "deep" / "rows.csv"
+    with atomic_stream(target, live=live) as stream:
+        stream.write("a\n")
+        assert not target.exists()
+        assert (tmp_path / "deep" / "rows.csv.part").exists() == live
+    assert target.read_bytes() == b"a\n"
+    for error in (ValueError("bad"), KeyboardInterrupt()):
+
+        def fail(error=error):
+            with atomic_stream(target, live=live) as stream:
+                stream.write("half")
+                raise error
+
+        with pytest.raises(type(error)):
+            fail()
+    message = r"rows\.csv: cannot write: No space left on device"
+    with pytest.raises(ConfigError, match=message), atomic_stream(target, live=live):
+        disk_full()
+    assert target.read_bytes() == b"a\n"
+    assert names(target.parent) == ["rows.csv"]
 
 
 @pytest.mark.parametrize("error", [ValueError("bad"), KeyboardInterrupt()])
