@@ -11,6 +11,7 @@ from narxcal.effects.base import FloatArray, OutputEffect, Parameter, Run, Side,
 from narxcal.effects.memory import Clock, SmoothDelay, SmoothLag
 
 LONGEST_S = 2.0
+_COUNTED = Parameter("own_s", "s", 0.0, 0.5, 0.0, (0.05, 0.3))  # of a speed
 
 
 class SensorEffect(OutputEffect):
@@ -34,7 +35,9 @@ class SensorLag(SensorEffect):
 
     The simulator's channel may be behind a lag of its own, `own_s`, which is then replaced:
     `(1 + own s) / (1 + (own + tau) s)`. With `own_s` = 0 it is one more lag in series. A probe
-    takes 5 s at most, at idle and altitude (FACTS A3): what is slower is the metal round it.
+    takes 5 s at most, at idle and altitude (FACTS A3): what is slower is the metal round it. A
+    speed is counted from pulses, in a fraction of a second: where a lag of seconds is replaced by a
+    longer one, that is a rotor which follows the other more slowly, and no sensor.
     """
 
     id: ClassVar[str] = "sensor_lag"
@@ -45,6 +48,11 @@ class SensorLag(SensorEffect):
         Parameter("tau_s", "s", 0.0, 6.0, 0.0, (0.2, 0.8, 3.0)),
         Parameter("own_s", "s", 0.0, 2.5, 0.0, (0.05, 0.6)),
     )
+
+    def parameters(self, signals: Signals) -> tuple[Parameter, ...]:  # noqa: ARG002 - the channel says it
+        """How much longer, and the simulator's own lag, which of a speed is short."""
+        counted = (self.channel or "").endswith("_pct")
+        return (self.fixed[0], _COUNTED) if counted else self.fixed
 
     def reading(self, run: Run, value: FloatArray) -> FloatArray:
         """The lagged channel, settled at its first value."""

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from narxcal.effects import effect
+from narxcal.effects.base import Run
 from tests.training.gap.conftest import NOISE
 from training.gap.fitting import Problem, fit
 from training.gap.quadratic import misfit
@@ -75,3 +76,17 @@ def test_a_flight_does_not_gain_from_its_own_noise(flights, engine, recorded):
     found = fit([effect("bleed_extraction")], Problem(flights, engine, measure))
     assert found.held_out.sum() > measure.size(measure.gap).sum() - 1e-6
     assert found.left.sum() < measure.size(measure.gap).sum()
+
+
+@pytest.mark.parametrize(("channel", "explained"), [("EGT_C", True), ("N1_pct", False)])
+def test_a_lag_of_seconds_that_gets_longer_is_a_probe_or_a_rotor(
+    channel, explained, flights, engine
+):
+    """`(1 + 2 s) / (1 + 4 s)`: a probe may be so; a speed is counted, and its rotor is heavier."""
+    lag = effect(f"sensor_lag:{channel}")
+    slower = lag.on_output(Run(flights.signals, np.array([[2.0, 2.0]] * 5), flights.u), flights.y)
+    measure = misfit(flights, slower, NOISE)
+    found = fit([lag], Problem(flights, engine, measure))
+    left = float(found.left.sum() / measure.size(measure.gap).sum())
+    assert (left < 0.01) is explained
+    assert (left > 0.05) is not explained
