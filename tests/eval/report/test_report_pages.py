@@ -92,6 +92,24 @@ def test_drawings_do_not_take_the_colours_of_the_page(evaluation):
     assert [rule for rule, body in rules if re.search(r"(fill|stroke): var", body)] == []
 
 
+def test_on_paper_two_drawings_fit_under_each_other(evaluation):
+    """A drawing of more than half of A4 leaves what is before it half empty."""
+    printed = evaluation[evaluation.index("@media print") :]
+    height = re.search(r"svg\.plot { max-height: (\d+)mm", printed)
+    margin = re.search(r"@page { size: A4; margin: (\d+)mm", printed)
+    assert height is not None
+    assert margin is not None
+    assert int(height[1]) < (297 - 2 * int(margin[1])) / 2
+    assert "figure, .verdict, .tile, tr { break-inside: avoid; }" in printed
+
+
+def test_cautions_stand_at_the_head_of_a_page(header, page):
+    cautioned = replace(header, cautions=[HOSTILE])
+    html = prepare_page(cautioned, [page()])
+    assert '<ul class="warnings"><li>&lt;script&gt;' in html[: html.index("</header>")]
+    assert '<ul class="warnings">' not in prepare_page(header, [page()])
+
+
 def test_a_page_is_the_same_bytes_each_time(evaluation, header, page):
     again = evaluate_page(header, [page()])
     assert again == evaluate_page(header, [page()])
