@@ -11,6 +11,7 @@ from typing import Any
 from data_prep.cautions import cautions
 from data_prep.log import Log
 from eval import terminal
+from eval.envelope import outside_envelope
 from eval.evaluate import SCHEMA, Evaluation, evaluate, run_config
 from eval.judged import LogEvaluation
 from eval.report.content import LogPage
@@ -72,7 +73,7 @@ def judge(
             pages.append(page_of(parts[-1], config.events.driver, bundle.calibration.input_names))
     evaluation = Evaluation(tuple(parts), settings, trim or None)
     title = f"Evaluation: {config.name}"
-    told = cautions(logs, config.events)
+    told = [*cautions(logs, config.events), *_unknown(bundle, parts)]
     header = header_of(title, run_folder, bundle, logs, settings.transients.rules)
     header = replace(header, cautions=told)
     outcome = verdict_of(header, evaluation, pages)
@@ -86,6 +87,13 @@ def judge(
         "cautions": told,
     }
     return Judgement(evaluation, document, html, pages, outcome)
+
+
+def _unknown(bundle: Bundle, parts: Sequence[LogEvaluation]) -> list[str]:
+    """What to say of logs outside the envelope of the steady-state model."""
+    own = [bundle.calibration.for_engine(part.log.source.engine).steady for part in parts]
+    found = (outside_envelope(part.runs, one) for part, one in zip(parts, own, strict=True))
+    return [text for text in found if text]
 
 
 def weights_hash(run_folder: Path) -> str:
