@@ -14,10 +14,12 @@ from narxcal.errors import DataError
 from narxcal.steady_table import Method, SteadyTable
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from os import PathLike
 
     from narxcal.steady_state import Floats
+
+_DELIMITERS = (",", ";", "\t")
 
 
 def read_steady_table(
@@ -28,7 +30,8 @@ def read_steady_table(
 ) -> SteadyTable:
     """Read a CSV (or .csv.gz) whose header holds canonical channels in canonical units.
 
-    Lines that start with `#` are comments. By default the channels with the role of an output
+    Lines that start with `#` are comments. Where the header is separated by `;` or tabs, numbers
+    may have decimal commas. By default the channels with the role of an output
     are the outputs and the others the inputs; name them where one is otherwise (fuel flow as
     the driver). Further columns are ignored.
 
@@ -79,17 +82,29 @@ def _read_rows(file: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
     opener = gzip.open if file.suffix == ".gz" else open
     try:
         with opener(file, "rt", encoding="utf-8-sig", newline="") as stream:
-            reader = csv.reader(stream)
-            lines = [
-                (reader.line_num, [cell.strip() for cell in row])
-                for row in reader
-                if any(row) and not row[0].startswith("#")
-            ]
+            lines = _cells(stream)
     except (OSError, EOFError, UnicodeDecodeError, csv.Error) as error:
         raise DataError(f"the table cannot be read: {error}", file=file) from None
     if len(lines) < 2:
         raise DataError("the table has no rows", file=file)
     return lines[0][1], lines[1:]
+
+
+def _cells(stream: Iterable[str]) -> list[tuple[int, list[str]]]:
+    """Lines with content, each with its number in the file, in points whatever the decimal mark."""
+    text = list(stream)
+    header = next((line for line in text if line.strip() and not line.startswith("#")), "")
+    delimiter = next((each for each in _DELIMITERS if each in header), ",")
+    reader = csv.reader(text, delimiter=delimiter)
+    return [
+        (reader.line_num, [_in_points(cell.strip(), delimiter) for cell in row])
+        for row in reader
+        if any(row) and not row[0].startswith("#")
+    ]
+
+
+def _in_points(cell: str, delimiter: str) -> str:
+    return cell if delimiter == "," else cell.replace(",", ".")
 
 
 def _numbers(file: Path, rows: list[tuple[int, list[str]]], columns: Mapping[str, int]) -> Floats:

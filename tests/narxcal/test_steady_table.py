@@ -231,6 +231,18 @@ def test_a_csv_is_read_by_the_role_of_its_columns(tmp_path):
     np.testing.assert_allclose(table.outputs([39.0, 4500.0]), [59.25, 445.0])
 
 
+@pytest.mark.parametrize(("delimiter", "mark"), [(";", ","), (";", "."), ("\t", ",")])
+def test_a_table_of_a_worksheet_reads_as_any_other(tmp_path, delimiter, mark):
+    plain = CSV.replace("97,", "97.25,")
+    comment, rows = plain.split("\n", 1)
+    sheet = rows.replace(",", delimiter).replace(".", mark)
+    (tmp_path / "sheet.csv").write_text(f"{comment}\n{sheet}", encoding="utf-8")
+    (tmp_path / "plain.csv").write_text(plain, encoding="utf-8")
+    found, known = (read_steady_table(tmp_path / f"{name}.csv") for name in ("sheet", "plain"))
+    np.testing.assert_array_equal(found.points, known.points)
+    np.testing.assert_array_equal(found.values, known.values)
+
+
 def test_fuel_flow_may_be_the_driver_and_other_columns_are_ignored(tmp_path):
     with gzip.open(tmp_path / "t.csv.gz", "wt", encoding="utf-8") as stream:
         stream.write("FF_kgph,remark,N1_pct,EGT_C\n100,idle,20,400\n900,max,95,650\n")
