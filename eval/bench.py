@@ -1,4 +1,4 @@
-"""Our own figures beside their targets: `make bench`, or `python -m eval.bench [--flights]`.
+"""Our own figures beside their targets: `make bench`, or `python -m eval.bench`.
 
 Speed is given as ratios measured in one run, since a busy machine slows both sides. Nothing is
 taken from a file: every figure is measured when the command runs.
@@ -20,7 +20,14 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from eval.benchmarks import flights, kernel_speed, public_sets, replay_speed, virtual_engine
+from eval.benchmarks import (
+    flights,
+    kernel_speed,
+    public_sets,
+    replay_speed,
+    untuned,
+    virtual_engine,
+)
 from eval.benchmarks.row import Row
 from narxcal.bundle import versions
 
@@ -32,14 +39,24 @@ _VERDICTS = {True: ("yes", "green"), False: ("no", "red"), None: ("", "")}
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print a table or JSON; always 0, since a missed target is a figure, no failure."""
     parser = argparse.ArgumentParser(prog="python -m eval.bench", description=__doc__)
-    parser.add_argument("--flights", action="store_true", help="leave one flight out instead")
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--flights", action="store_true", help="leave one flight out instead")
+    which.add_argument(
+        "--untuned",
+        action="store_true",
+        help="instead, configurations of columns and split alone on many engines and recorders",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the flights of --untuned")
     parser.add_argument(
         "--data", type=Path, default=_SHARED, help="folder that holds bench, flights, agtf30"
     )
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     options = parser.parse_args(arguments)
     began = time.perf_counter()
-    found = _flights(options.data) if options.flights else _short(options.data)
+    if options.untuned:
+        found = list(untuned.rows(options.data, options.seed))
+    else:
+        found = _flights(options.data) if options.flights else _short(options.data)
     document = describe(found, time.perf_counter() - began)
     if options.json:
         sys.stdout.write(json.dumps(document, indent=1, allow_nan=False) + "\n")

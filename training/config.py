@@ -19,7 +19,7 @@ from narxcal.errors import ConfigError
 from narxcal.fuser import FuserConfig
 from narxcal.narx import Taps
 from narxcal.settings import Section, read_toml
-from training.steady_config import SteadyStateConfig
+from training.steady_config import Auto, SteadyStateConfig
 
 SCHEMA: Final = "narxcal.config/1"
 _DECAY_BEHIND_LAGS: Final = 0.03
@@ -41,8 +41,9 @@ class NarxSection(Section):
     they know how fast a control lets the spools move, and what fuel that takes; with `lag_heat`
     that the metal's heat drives the spools, and a slow tail is not taken for static error. With
     `lag_governed` a control holds N1, and N2 goes where that takes it (see narxcal.lag_governed);
-    the other settings of lags then say nothing. With `linear_feedback` past deviations go round the
-    hidden layer: a free run has no wrong place to rest.
+    the other settings of lags then say nothing. What is "auto" of these is chosen by the training
+    logs (see training.lag_choice). With `linear_feedback` past deviations go round the hidden
+    layer: a free run has no wrong place to rest.
     """
 
     outputs: tuple[str, ...] = Field(default=("N1_pct", "N2_pct", "EGT_C"), min_length=1)
@@ -56,9 +57,9 @@ class NarxSection(Section):
     joint: bool = True
     lag: bool = True
     lag_errors: Literal["absolute", "relative"] = "absolute"
-    lag_limits: bool = False
+    lag_limits: Auto | bool = "auto"
     lag_heat: bool = False
-    lag_governed: bool = False
+    lag_governed: Auto | bool = "auto"
     linear_feedback: bool = True
 
     @model_validator(mode="before")
@@ -75,7 +76,7 @@ class NarxSection(Section):
     def _lag_needs_an_anchor(self) -> NarxSection:
         if self.lag and not self.anchored:
             raise ValueError("lag = true needs anchored = true")
-        if self.lag_governed and not self.lag:
+        if self.lag_governed is True and not self.lag:
             raise ValueError("lag_governed = true needs lag = true")
         return self
 

@@ -49,9 +49,9 @@ class LagSamples:
     ss: FloatArray
     measured: FloatArray
 
-    def thinned(self, every: int) -> LagSamples:
-        """Every so many-th sample."""
-        return LagSamples(self.inputs[::every], self.ss[::every], self.measured[::every])
+    def rows(self, part: slice) -> LagSamples:
+        """Some of the samples."""
+        return LagSamples(self.inputs[part], self.ss[part], self.measured[part])
 
 
 class _Part(NamedTuple):
@@ -133,10 +133,12 @@ def fit_lags(
     return model
 
 
-def thinned_for_lags(samples: Sequence[LagSamples], dt_s: float) -> tuple[list[LagSamples], float]:
-    """The logs on the raster that lags are fitted on, and that raster in s."""
-    every = max(int(_RASTER_S / dt_s + 1e-6), 1)
-    return [one.thinned(every) for one in samples], every * dt_s
+def thinned_for_lags(
+    samples: Sequence[LagSamples], dt_s: float, raster_s: float = _RASTER_S
+) -> tuple[list[LagSamples], float]:
+    """The logs on the raster that lags are fitted on, at most `raster_s`, and that raster in s."""
+    every = max(int(raster_s / dt_s + 1e-6), 1)
+    return [one.rows(slice(None, None, every)) for one in samples], every * dt_s
 
 
 def output_scales(
@@ -164,7 +166,9 @@ def _first_guess(
 
 
 def _part(model: LagModel, one: LagSamples, input_names: Sequence[str], scored: _Scored) -> _Part:
-    rows = np.flatnonzero(_moving(one.ss[:, scored.core], 2.0 * model.half[scored.core], scored))
+    full = 2.0 * model.half[scored.core]
+    ss = one.ss[:, scored.core]
+    rows = np.flatnonzero(moving(ss, full, scored.dt_s, relative=scored.relative))
     begins = np.flatnonzero(np.diff(rows, prepend=-2) > 1)
     deviation = one.ss[rows] - one.measured[rows]
     starts = (begins.astype(np.int64), model.start(np.nan_to_num(deviation[begins])))
@@ -173,13 +177,12 @@ def _part(model: LagModel, one: LagSamples, input_names: Sequence[str], scored: 
     return _Part(drive, deviation, starts, _weight(model, one, scored)[rows], none)
 
 
-def _moving(ss: FloatArray, full: float, scored: _Scored) -> BoolArray:
-    span_s, around_s = _STRETCHES_S[scored.relative]
-    around = max(round(around_s / scored.dt_s), 1)
-    moving: BoolArray = binary_dilation(
-        _swing(ss, span_s, scored.dt_s) > _MOVING * full, iterations=around
-    )
-    return moving
+def moving(ss: FloatArray, full: float, dt_s: float, *, relative: bool = False) -> BoolArray:
+    """Rows (time,) in and around the moves of a steady-state value `ss` whose range is `full`."""
+    span_s, around_s = _STRETCHES_S[relative]
+    around = max(round(around_s / dt_s), 1)
+    rows: BoolArray = binary_dilation(_swing(ss, span_s, dt_s) > _MOVING * full, iterations=around)
+    return rows
 
 
 def _weight(model: LagModel, one: LagSamples, scored: _Scored) -> FloatArray:

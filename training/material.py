@@ -51,7 +51,7 @@ def deviation_record(
     With lags in front of it, they are what the lags leave.
     """
     heat = lag if config.narx.lag_heat and isinstance(lag, LagModel) else None
-    one = _samples(log, steady, config, heat)
+    one = lag_samples(log, steady, config, heat)
     deviation, lagged = one.ss - one.measured, None
     if lag is not None:
         drive = lag.drive(one.inputs, steady.input_names, one.ss)
@@ -76,7 +76,7 @@ def _emphasised(records: Sequence[Record], dt_s: float, *, lagged: bool) -> list
     ]
 
 
-def _samples(
+def lag_samples(
     log: Log, steady: SteadyStateModel, config: RunConfig, lag: LagModel | None = None
 ) -> LagSamples:
     """What lags are fitted to; what the spools of `lag` still have before them is no static error.
@@ -99,20 +99,30 @@ def _samples(
 
 
 def lags(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> AnyLags | None:
-    """Fit the lags in front of the network to training logs; None where none are wanted."""
+    """Fit the lags in front of the network to training logs; None where none are wanted.
+
+    Nothing in [narx] may be "auto" any more (see training.lag_choice).
+    """
     if not config.narx.lag:
         return None
-    names = (steady.input_names, tuple(steady.output_names))
-    section = config.narx
-    if section.lag_governed:
-        samples = [_samples(log, steady, config) for log in logs]
-        return fit_governed(samples, names, logs[0].dt_s, config.train.threads)
-    form = LagForm(section.lag_errors == "relative", section.lag_limits, section.lag_heat)
-    lag = None
-    for _ in range(_ROUNDS if form.heat else 1):
-        samples = [_samples(log, steady, config, lag) for log in logs]
-        lag = fit_lags(samples, names, logs[0].dt_s, form)
+    lag: AnyLags | None = None
+    for _ in range(_ROUNDS if config.narx.lag_heat and not config.narx.lag_governed else 1):
+        heat = lag if isinstance(lag, LagModel) else None
+        samples = [lag_samples(log, steady, config, heat) for log in logs]
+        lag = fitted_lags(config, samples, steady, logs[0].dt_s)
     return lag
+
+
+def fitted_lags(
+    config: RunConfig, samples: Sequence[LagSamples], steady: SteadyStateModel, dt_s: float
+) -> AnyLags:
+    """Lags of the form that [narx] says, fitted once; errors as of `fit_lags`, `fit_governed`."""
+    names, section = (steady.input_names, tuple(steady.output_names)), config.narx
+    if section.lag_governed:
+        return fit_governed(samples, names, dt_s, config.train.threads)
+    limited = section.lag_limits is True
+    form = LagForm(section.lag_errors == "relative", limited, section.lag_heat)
+    return fit_lags(samples, names, dt_s, form)
 
 
 def structure_of(config: RunConfig) -> NarxConfig:

@@ -6,7 +6,7 @@ import hashlib
 import os
 import platform
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
@@ -30,6 +30,7 @@ from narxcal.steady_state import SteadyStateModel
 from training.baselines import fit_baselines
 from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import RunConfig, SplitConfig
+from training.lag_choice import chosen_lags
 from training.material import deviation_record, lags, material, structure_of
 from training.merge import merge_models, single_output
 from training.steady_choice import steady_state
@@ -69,9 +70,13 @@ class Split:
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """How to run a training: who watches, where checkpoints go, whether to go on from them."""
+    """How to run a training: who watches, where checkpoints go, whether to go on from them.
+
+    `stage` is told in words what goes on before the network is trained.
+    """
 
     watch: Any = None
+    stage: Callable[[str], None] = lambda _: None
     checkpoints: Path | None = None
     resume: bool = False
 
@@ -118,20 +123,23 @@ def calibrate(
     Raises `DataError` for logs of different rasters or with too little in them, `ConfigError`
     for a configuration that does not fit the logs.
     """
-    began = time.perf_counter()
+    began, options = time.perf_counter(), options or TrainOptions()
     dt_s = _common_raster([*split.train, *split.validate])
     steady, quality = steady_state(config, base, split.train)
     split = split.held(steady.input_names)
+    meta = _meta(config, base, split)
+    options.stage("choosing and fitting the lags")
+    config, choice = chosen_lags(config, steady, split.train)
     lag = lags(config, steady, split.train)
     structure = structure_of(config)
     learned = material(config, steady, lag, (split.train, split.validate))
-    results = _fit(config, learned, structure, options or TrainOptions())
+    results = _fit(config, learned, structure, options)
     network = merge_models(_models(results))
     settle_s = config.narx.settle_s if config.narx.anchored and config.narx.settle_s > 0 else None
     plain = DynamicCalibration(steady, network, dt_s, config.narx.schedule, settle_s)
     calibration = plain.with_lag(lag)
-    meta = _meta(config, base, split)
     meta["steady_state"] = _quality_row(quality, steady)
+    meta["lag_form"] = choice.row()
     meta["training"] = _training_row(results, time.perf_counter() - began)
     meta["fuser_noise"] = _noise(calibration, split).to_dict()
     meta["baselines"] = fit_baselines(calibration, split.train)

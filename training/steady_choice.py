@@ -35,6 +35,7 @@ from narxcal.steady_state import SteadyStateModel
 from training.config import RunConfig
 from training.material import speeds
 from training.steady_fit import SteadyQuality, SteadySamples, fit_steady_state
+from training.turns import left_over, turns
 
 FloatArray = NDArray[np.float64]
 _BETTER = 0.9  # of the usual answer's residual
@@ -136,8 +137,7 @@ def _switched(layout: Layout, offered: tuple[str, ...], folds: _Folds, left: flo
 
 def _folds(taken: Sequence[_Taken]) -> list[tuple[list[_Taken], list[_Taken]]]:
     """Fit to all recordings but some, judge on these; stretches of it where there is but one."""
-    names = list(dict.fromkeys(one.recording for one in taken))
-    if len(names) == 1:
+    if len({one.recording for one in taken}) == 1:
         taken = [
             _Taken(SteadySamples(inputs, outputs, one.samples.engine), str(part))
             for one in taken
@@ -149,20 +149,12 @@ def _folds(taken: Sequence[_Taken]) -> list[tuple[list[_Taken], list[_Taken]]]:
                 )
             )
         ]
-        names = [str(part) for part in range(_FOLDS)]
-    fold = {name: number % _FOLDS for number, name in enumerate(names)}
-    return [
-        (
-            [one for one in taken if fold[one.recording] != number],
-            [one for one in taken if fold[one.recording] == number],
-        )
-        for number in sorted(set(fold.values()))
-    ]
+    return [turn.of(taken) for turn in turns([one.recording for one in taken], _FOLDS)]
 
 
 def _left(layout: Layout, folds: _Folds) -> float:
     """Geometric mean over the outputs of the RMS left in the judged part of each fold."""
-    errors = []
+    errors: list[FloatArray] = []
     for fitted, judged in folds:
         try:
             model, _ = fit_steady_state([one.samples for one in fitted], layout)
@@ -172,13 +164,7 @@ def _left(layout: Layout, folds: _Folds) -> float:
             model.for_engine(one.samples.engine).outputs(one.samples.inputs) - one.samples.outputs
             for one in judged
         ]
-    square = np.concatenate([error**2 for error in errors]) if errors else np.empty((0, 1))
-    known = np.isfinite(square)
-    counts = known.sum(axis=0)
-    if not counts.all():
-        return np.inf
-    mean = np.where(known, square, 0.0).sum(axis=0) / counts
-    return float(np.exp(0.5 * np.mean(np.log(np.maximum(mean, 1e-18)))))
+    return left_over(errors)
 
 
 def _samples(config: RunConfig, layout: Layout, log: Log) -> SteadySamples:

@@ -12,7 +12,7 @@ from data_prep.log import Log, Source
 from eval.report.content import RunHeader
 from eval.rules import Tolerance, rules
 from narxcal.bundle import Bundle
-from narxcal.cli.origin import steady_words
+from narxcal.cli.origin import lag_words, steady_words
 
 
 def now() -> str:
@@ -57,6 +57,7 @@ def _facts(meta: dict[str, Any]) -> dict[str, str]:
     training = meta.get("training") or {}
     facts = {f"{part.capitalize()} logs": ", ".join(logs) for part, logs in split.items() if logs}
     facts["Steady state"] = steady_words(meta)
+    facts["Lags"] = lag_words(meta)
     facts["Seeds"] = ", ".join(map(str, meta.get("seeds") or []))
     if training:
         facts["Training"] = f"{training.get('status', '')}, {training.get('wall_s', 0.0):.0f} s"

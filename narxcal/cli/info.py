@@ -9,9 +9,10 @@ from typing import Any
 
 from narxcal.bundle import Bundle, load_bundle, read_document
 from narxcal.cli.console import Console
-from narxcal.cli.origin import steady_words
+from narxcal.cli.origin import lag_words, steady_words
 
 SCHEMA = "narxcal.info/1"
+_KEPT = ("split", "seeds", "steady_state", "lag_form", "training")
 _FIGURES = ("rmse", "one_step_rmse", "steady_state_rmse")
 
 
@@ -77,7 +78,7 @@ def _document(run: str, bundle: Bundle, stored: dict[str, Any]) -> dict[str, Any
         "deviation_bounds": {
             name: [float(low[k]), float(high[k])] for k, name in enumerate(calibration.output_names)
         },
-        **{key: meta.get(key) for key in ("split", "seeds", "steady_state", "training")},
+        **{key: meta.get(key) for key in _KEPT},
         "metrics": _metrics(Path(run), stored["weights"]["sha256"]),
         "data": meta.get("data", {}),
         "hardware": meta.get("hardware", {}),
@@ -114,6 +115,7 @@ def _facts(document: dict[str, Any]) -> dict[str, str]:
         f"weights {document['weights']}",
         "Weights": f"sha256 {document['weights_sha256'][:16]}",
         "Steady state": steady_words(document),
+        "Lags": lag_words(document),
         **{f"{part.capitalize()} logs": ", ".join(logs) or "none" for part, logs in split.items()},
         "Seeds": ", ".join(map(str, document["seeds"] or [])),
         "Versions": ", ".join(f"{name} {text}" for name, text in document["versions"].items()),

@@ -1,4 +1,4 @@
-"""Where a model's steady state comes from, in words: for `train`, `info` and the pages."""
+"""Where a model's steady state and its lags come from, in words: for `train`, `info`, the pages."""
 
 from __future__ import annotations
 
@@ -7,6 +7,11 @@ from typing import Any
 
 from narxcal.channels import CHANNELS
 
+_LAGS = {
+    "plain": "without limits of acceleration",
+    "limits": "with limits of acceleration and deceleration",
+    "governed": "behind a control that holds N1",
+}
 _KINDS = {"fmu": "FMU", "callable": "function"}
 
 
@@ -39,3 +44,13 @@ def _form(found: Mapping[str, Any]) -> str:
     if found["switches"]:
         words.append(f"shifted by {', '.join(found['switches'])}")
     return f"; {', '.join(words)}"
+
+
+def lag_words(meta: Mapping[str, Any]) -> str:
+    """Which lags stand in front of the network, and what spoke for them; empty without any."""
+    found = meta.get("lag_form") or {}
+    if not found.get("form"):
+        return ""
+    left = ", ".join(f"{form} {100.0 * share:.2g} %" for form, share in found["left"].items())
+    chosen = f"; chosen by what is left of logs not fitted to: {left}" if left else ""
+    return f"{_LAGS[found['form']]}{chosen}"

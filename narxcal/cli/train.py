@@ -21,7 +21,7 @@ from narxcal.atomic import check_writable
 from narxcal.bundle import DOCUMENT, Bundle, read_document, write_bundle
 from narxcal.cli.configured import read_config
 from narxcal.cli.console import Advance, Console
-from narxcal.cli.origin import steady_words
+from narxcal.cli.origin import lag_words, steady_words
 from narxcal.errors import ConfigError
 from training.config import RunConfig, SplitConfig
 from training.pipeline import (
@@ -76,7 +76,12 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
         console.warn(warning)
     checkpoints = folder / CHECKPOINTS
     with console.progress("Training") as advance:
-        options = TrainOptions(_watch(config, advance), checkpoints, resume)
+        options = TrainOptions(
+            watch=_watch(config, advance),
+            stage=lambda words: advance(0, 1, f"({words})"),
+            checkpoints=checkpoints,
+            resume=resume,
+        )
         bundle = calibrate(config, base, split, options)
     write_bundle(folder, bundle)
     if not interrupted(bundle.meta):
@@ -166,18 +171,19 @@ def _where_it_stands(folder: Path) -> str:
 
 
 def _document(folder: Path, meta: dict[str, Any]) -> dict[str, Any]:
-    kept = ("training", "steady_state", "split", "seeds", "data", "metrics", "config", "hardware")
+    kept = ("training", "steady_state", "lag_form", "split", "seeds", "data", "metrics", "config")
     return {
         "schema": SCHEMA,
         "run": str(folder),
         "interrupted": interrupted(meta),
-        **{key: meta.get(key) for key in kept},
+        **{key: meta.get(key) for key in (*kept, "hardware")},
     }
 
 
 def _show(console: Console, folder: Path, bundle: Bundle) -> None:
     training = bundle.meta["training"]
-    console.facts({"Steady state": steady_words(bundle.meta)})
+    facts = {"Steady state": steady_words(bundle.meta), "Lags": lag_words(bundle.meta)}
+    console.facts({name: words for name, words in facts.items() if words})
     rows = [
         [str(row["start"]), f"{row['horizon_s']:g}", str(row["iteration"]), *_errors(row)]
         for history in training["history"]

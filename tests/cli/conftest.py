@@ -32,6 +32,9 @@ window = 3
 train = ["flight_[1-2].csv*"]
 test = ["flight_3.csv*"]
 
+[narx]
+lag_limits = false
+
 [train]
 horizons_s = [5.0, 30.0]
 iterations = [2, 2]

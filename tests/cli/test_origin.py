@@ -1,6 +1,8 @@
-"""What a run says of its steady-state model."""
+"""What a run says of its steady-state model and its lags."""
 
-from narxcal.cli.origin import steady_words
+import pytest
+
+from narxcal.cli.origin import lag_words, steady_words
 
 
 def test_a_fitted_one_tells_samples_coverage_and_what_is_left():
@@ -21,3 +23,24 @@ def test_the_makers_tells_its_kind_and_name():
 
 def test_a_bundle_that_does_not_say_is_passed_over():
     assert steady_words({}) == ""
+    assert lag_words({}) == ""
+
+
+def test_lags_that_the_logs_chose_tell_what_each_form_left():
+    left = {"plain": 0.0381, "limits": 0.02655}
+    assert lag_words({"lag_form": {"form": "limits", "left": left}}) == (
+        "with limits of acceleration and deceleration; "
+        "chosen by what is left of logs not fitted to: plain 3.8 %, limits 2.7 %"
+    )
+
+
+@pytest.mark.parametrize(
+    ("form", "words"),
+    [
+        ("", ""),
+        ("plain", "without limits of acceleration"),
+        ("governed", "behind a control that holds N1"),
+    ],
+)
+def test_lags_that_the_configuration_says_are_named(form, words):
+    assert lag_words({"lag_form": {"form": form, "left": {}}}) == words

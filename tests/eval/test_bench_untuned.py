@@ -1,0 +1,109 @@
+"""Configurations of columns and split alone: what is flown, what is said of it."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from data_prep.reading import read_logs
+from eval.benchmarks import untuned
+from eval.benchmarks.untuned_sets import SETS
+from training.config import SCHEMA, RunConfig
+
+NAMES = [one.name for one in SETS]
+
+
+def parsed(one, folder):
+    logs = {**one.tables.get("logs", {}), "folder": str(folder)}
+    return RunConfig.parse({**one.tables, "schema": SCHEMA, "logs": logs}, one.name)
+
+
+@pytest.mark.parametrize("one", SETS, ids=NAMES)
+def test_a_set_says_nothing_of_the_model(one, tmp_path):
+    config = parsed(one, tmp_path)
+    usual = RunConfig.parse({"narx": {"outputs": config.narx.outputs}})
+    inputs = {"schedule": config.narx.schedule}  # goes by what inputs there are
+    assert config.narx == usual.narx.model_copy(update=inputs)
+    assert config.train == usual.train
+    own = config.steady_state
+    assert own == usual.steady_state.model_copy(update={"inputs": own.inputs})
+    assert config.smooth == usual.smooth
+    assert config.split.test
+
+
+def flown(one, folder, seed=5, rate_hz=8.0):
+    """One flight of eight minutes of a set that is flown."""
+    scenario, engine = one.logs.args
+    plan = {**scenario["plan"], "duration_s": 480.0, "rate_hz": rate_hz}
+    one.logs.func({**scenario, "flights": 1, "plan": plan}, engine, folder, seed, folder)
+
+
+def test_an_airline_recorder_keeps_some_rows_in_imperial_units_and_no_fuel_flow(tmp_path):
+    [one] = [one for one in SETS if one.name.startswith("airline")]
+    flown(one, tmp_path, rate_hz=16.0)
+    table = pd.read_csv(tmp_path / "flight_1.csv")
+    assert "FF_kgph" not in table
+    assert np.allclose(np.diff(table["time_s"]), 0.25)
+    assert (table["EGT_C"] == table["EGT_C"].round()).all()
+    [log] = read_logs([tmp_path / "flight_1.csv"], parsed(one, tmp_path).logs)
+    assert 200.0 < np.nanmedian(log["EGT_C"]) < 1000.0  # degC again
+
+
+def test_the_same_seed_flies_the_same_logs_and_another_seed_others(tmp_path):
+    [one] = [one for one in SETS if one.name.startswith("lumped, N2")]
+    tables = []
+    for name, seed in (("a", 5), ("b", 5), ("c", 6)):
+        (tmp_path / name).mkdir()
+        flown(one, tmp_path / name, seed)
+        tables.append((tmp_path / name / "flight_1.csv").read_bytes())
+    assert tables[0] == tables[1] != tables[2]
+    assert set(pd.read_csv(tmp_path / "a" / "flight_1.csv")) >= {"TRA_deg", "WOW", "FF_kgph"}
+
+
+def test_missing_logs_become_a_row_that_says_so(tmp_path):
+    [one] = [one for one in SETS if one.name.startswith("Citation")]
+    [row] = untuned.rows(tmp_path, 0, [one])
+    assert math.isnan(row.value)
+    assert row.note.startswith("not measured: ")
+    assert "the folder of the logs does not exist" in row.note
+
+
+def test_figures_stand_beside_the_better_baseline():
+    def channel(rmse, lag, arx):
+        return SimpleNamespace(rmse=rmse, first_order_rmse=lag, arx_rmse=arx)
+
+    def rival(passed):
+        return SimpleNamespace(passed=passed)
+
+    log = SimpleNamespace(rivals={"first_order": rival(1), "arx": rival(2)})
+    found = SimpleNamespace(
+        pooled={"N1_pct": channel(0.5, 2.0, math.nan), "EGT_C": channel(9.0, 8.0, 7.0)},
+        tally=SimpleNamespace(passed=6, assessed=8, passed_pct=75.0),
+        logs=[log, log],
+    )
+    n1, egt, times = untuned.rows_of("set", found)
+    assert (n1.value, n1.target, n1.reached) == (0.5, 2.0, True)
+    assert (egt.target, egt.unit, egt.reached) == (7.0, "degC", False)
+    assert (times.value, times.target) == (75.0, 50.0)
+    assert times.note == "6 of 8; best baseline 4"
+
+
+def test_a_set_is_trained_and_judged_on_what_took_no_part(tmp_path, monkeypatch):
+    seen = {}
+
+    def calibrate(config, folder, split):
+        seen["train"] = [log.name for log in split.train]
+        return "bundle"
+
+    monkeypatch.setattr(untuned, "calibrate", calibrate)
+    monkeypatch.setattr(untuned, "evaluate", lambda _, logs: [log.name for log in logs])
+    [one] = [one for one in SETS if one.name.startswith("lumped, N2")]
+    for number in (1, 2, 3, 4):
+        (tmp_path / str(number)).mkdir()
+        flown(one, tmp_path / str(number), seed=number)
+        (tmp_path / str(number) / "flight_1.csv").rename(tmp_path / f"flight_{number}.csv")
+    judged = untuned.judged(one, tmp_path)
+    assert [name.partition(".")[0] for name in judged] == ["flight_4"]
+    assert [name.partition(".")[0] for name in seen["train"]] == [f"flight_{n}" for n in (1, 2, 3)]

@@ -1,0 +1,31 @@
+"""Recordings left out in turn, and what is left over."""
+
+import numpy as np
+import pytest
+
+from training.turns import left_over, turns
+
+
+def test_each_recording_is_judged_once_and_stays_whole():
+    recordings = ["a", "a", "b", "c", "c", "d"]
+    found = turns(recordings, 3)
+    assert [turn.judged for turn in found] == [[0, 1, 5], [2], [3, 4]]
+    for turn in found:
+        assert sorted(turn.fitted + turn.judged) == list(range(6))
+    assert found[1].of("ABCDEF") == (list("ABDEF"), ["C"])
+
+
+def test_fewer_recordings_than_turns_take_a_turn_each():
+    assert [turn.judged for turn in turns(["a", "b"], 5)] == [[0], [1]]
+
+
+def test_outputs_of_different_size_count_alike():
+    errors = np.array([[3.0, 0.5], [-4.0, np.nan]])
+    expected = np.sqrt(np.sqrt(12.5) * 0.5)
+    assert left_over([errors[:1], errors[1:]]) == pytest.approx(expected)
+    assert left_over([errors * [1.0, 10.0]]) == pytest.approx(np.sqrt(10.0) * expected)
+
+
+@pytest.mark.parametrize("errors", [[], [np.full((3, 2), np.nan)], [np.array([[1.0, np.nan]])]])
+def test_without_a_number_there_is_no_judgement(errors):
+    assert left_over(errors) == np.inf
