@@ -4,15 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from data_prep.events import EventsConfig, unconditional
 from data_prep.log import Log
+from data_prep.running import USUAL
 
 _MANY = 0.1  # share of a recording's rows
 
 
 def cautions(logs: Sequence[Log], events: EventsConfig) -> list[str]:
     """Sentences without a full stop; none where there is nothing to say."""
-    return [text for text in (*map(crowded, logs), unconditional(logs, events)) if text]
+    said = (
+        *map(crowded, logs),
+        *map(never_runs, logs),
+        *map(all_masked, logs),
+        unconditional(logs, events),
+    )
+    return [text for text in said if text]
+
+
+def never_runs(log: Log) -> str:
+    """What to say of a log whose speeds stay below any idle: they may be ratios, not percent."""
+    highest = {
+        name: float(np.nanmax(log[name]))
+        for name in USUAL
+        if name in log.channels and np.isfinite(log[name]).any()
+    }
+    if not highest or any(value >= USUAL[name] for name, value in highest.items()):
+        return ""
+    told = " and ".join(f"{name} {value:.3g} %" for name, value in highest.items())
+    return f"{log.name}: the engine never runs, at most {told}: is the unit right?"
+
+
+def all_masked(log: Log) -> str:
+    """What to say of channels of which cleaning left nothing; empty if it left some of each."""
+    masked = log.audit.masked()
+    empty = [name for name, values in log.channels.items() if not np.isfinite(values).any()]
+    told = [f"{name} ({', '.join(masked[name])})" for name in empty if name in masked]
+    if not told:
+        return ""
+    return f"{log.name}: no sample is left of {', '.join(told)}: check column and unit"
 
 
 def crowded(log: Log) -> str:

@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from data_prep.cautions import cautions, crowded
+from data_prep.cautions import all_masked, cautions, crowded, never_runs
+from data_prep.clean import clean
 from data_prep.events import EventsConfig
+from data_prep.log import Log
 from data_prep.reading import read_logs
 
 EVENTS = EventsConfig(condition="")
@@ -33,3 +35,22 @@ def test_a_few_equal_stamps_are_no_caution(tmp_path):
     log = written(tmp_path, stamps)
     assert any(entry.reason == "duplicate time stamp" for entry in log.audit.entries)
     assert cautions([log], EVENTS) == []
+
+
+def test_speeds_in_the_wrong_unit_are_told():
+    time, ratio = np.arange(40) / 8, np.linspace(0.3, 1.04, 40)
+    log = Log("rig.csv", time, {"N1_pct": ratio, "N2_pct": 0.9 * ratio})
+    highest = "N1_pct 1.04 % and N2_pct 0.936 %"
+    said = f"rig.csv: the engine never runs, at most {highest}: is the unit right?"
+    assert cautions([log], EVENTS) == [said]
+    assert never_runs(log.with_channels({"N2_pct": 90.0 * ratio})) == ""
+    assert never_runs(Log("none.csv", time, {"EGT_C": ratio})) == ""
+    assert never_runs(Log("lost.csv", time, {"N1_pct": np.full(40, np.nan)})) == ""
+
+
+def test_a_channel_of_which_nothing_is_left_is_told_with_why():
+    speeds = {"N1_pct": np.linspace(5000.0, 7000.0, 400), "N2_pct": np.linspace(80.0, 90.0, 400)}
+    log = clean(Log("rpm.csv", np.arange(400) / 8, speeds))
+    said = "rpm.csv: no sample is left of N1_pct (out of range): check column and unit"
+    assert cautions([log], EVENTS) == [said]
+    assert all_masked(log.with_channels({"N1_pct": speeds["N2_pct"]})) == ""
