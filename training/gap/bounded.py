@@ -16,6 +16,7 @@ from narxcal.effects.base import FloatArray, Parameter
 
 _RIDGE: Final = 1e-6
 _THIN: Final = 1e-9  # least width of a bound
+_ALIKE: Final = 1.0 + 1e-6  # cosine of two directions, at most
 
 
 def room(theta: FloatArray, parameters: Sequence[Parameter]) -> FloatArray:
@@ -25,10 +26,28 @@ def room(theta: FloatArray, parameters: Sequence[Parameter]) -> FloatArray:
 
 
 def least_within(hessian: FloatArray, toward: FloatArray, bounds: FloatArray) -> FloatArray:
-    """Least of `x' H x - 2 x' b` (p,) within bounds (p, 2): `H = L L'`, `|L' x - L^-1 b|^2`."""
-    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-    root = np.linalg.cholesky(hessian / np.outer(scale, scale) + _RIDGE * np.eye(len(scale)))
+    """Least of `x' H x - 2 x' b` (p,) within bounds (p, 2): `H = L L'`, `|L' x - L^-1 b|^2`.
+
+    A direction in which nothing moves, as of an effect that some flight alone shows where that one
+    is left out, is not gone.
+    """
+    moves = np.diag(hessian) > 0.0
+    scale = np.sqrt(np.where(moves, np.diag(hessian), 1.0))
+    root = _root(np.where(np.outer(moves, moves), hessian / np.outer(scale, scale), 0.0))
     low, high = bounds[:, 0] * scale, bounds[:, 1] * scale
-    target = np.linalg.solve(root, toward / scale)
+    target = np.linalg.solve(root, np.where(moves, toward / scale, 0.0))
     found = lsq_linear(root.T, target, (low, np.maximum(high, low + _THIN)), method="bvls")
-    return np.asarray(found.x / scale)
+    return np.clip(np.where(moves, found.x / scale, 0.0), bounds[:, 0], bounds[:, 1])
+
+
+def _root(scaled: FloatArray) -> FloatArray:
+    """Give L with `L L' = H + ridge`, (p, p); of an H that is indefinite by rounding, the nearest.
+
+    Differences of large sums may leave more off the diagonal than on it, which nothing that moves
+    can (Cauchy and Schwarz): that is rounding alone.
+    """
+    try:
+        return np.asarray(np.linalg.cholesky(scaled + _RIDGE * np.eye(len(scaled))))
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(np.where(np.abs(scaled) > _ALIKE, 0.0, scaled))
+        return np.asarray(vectors * np.sqrt(np.maximum(values, _RIDGE)))

@@ -1,6 +1,7 @@
 """Least squares within bounds against a general minimiser."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
@@ -37,3 +38,16 @@ def test_what_changes_nothing_is_left_where_it_is():
 def test_the_room_of_a_parameter_is_what_its_bounds_leave():
     parameters = [Parameter("a", "s", 0.0, 3.0, 0.0, (1.0,)), Parameter("b", "-", -1.0, 1.0, 0.0)]
     np.testing.assert_allclose(room(np.array([0.5, 1.0]), parameters), [[-0.5, 2.5], [-2.0, 0.0]])
+
+
+@pytest.mark.parametrize("nothing", [0.0, -1e-11, 1e-25])
+def test_a_direction_in_which_nothing_moves_is_not_gone(nothing):
+    """Rounding leaves more off its diagonal than on it, and something to go toward."""
+    hessian = np.array([[4.0, 1e-9, 1.0], [1e-9, nothing, 1e-9], [1.0, 1e-9, 9.0]])
+    wide = np.array([[-9.0, 9.0]] * 3)
+    found = least_within(hessian, np.array([4.0, 1e-12, 9.0]), wide)
+    others = np.linalg.solve(hessian[::2, ::2], [4.0, 9.0])
+    assert found[::2] == pytest.approx(others, rel=1e-4)
+    if nothing <= 0.0:
+        assert found[1] == 0.0
+    assert np.all(np.abs(found) <= 9.0)
