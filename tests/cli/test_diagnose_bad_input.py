@@ -141,7 +141,7 @@ CASES = {
         of_one(1, real=lambda table: table.drop(columns="time_s")),
         (
             "real/f1.csv: column 'time_s' is missing. The file has TRA_deg, ALT_ft, N1_pct, "
-            "N2_pct, EGT_C; or map the columns under [logs.columns]"
+            "N2_pct, EGT_C. Or map the columns under [logs.columns]"
         ),
     ),
 }
