@@ -5,7 +5,7 @@ matters (`narxcal.lag`), limits of acceleration and deceleration (the same with 
 hold N1 (`narxcal.lag_governed`). The richer form always fits better, so each is fitted to some of
 the recordings and judged by its free run over the others, where the core moves; of a single
 recording stretches take turns. Errors are compared by the geometric mean over the outputs, and the
-plainer form stands unless a richer one is better by a percent.
+plainer form stands unless a richer one is better by two percent.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from training.material import fitted_lags, lag_samples
 from training.turns import Turn, left_over, turns
 
 FloatArray = NDArray[np.float64]
-_BETTER = 0.99  # of the plainer form's error; fewer logs than in the end hold richer forms back
+_BETTER = 0.98  # of the plainer form's error; fewer logs than in the end hold richer forms back
 _TURNS = 3
 _STRETCH_S, _STRETCHES = 30.0, 15  # at least so long, at most so many, of a single recording
 _RASTER_S = 0.2  # twice that of the fit; forms compare alike

@@ -42,7 +42,7 @@ _BETTER = 0.9  # of the usual answer's residual
 _BETTER_SWITCH = 0.97  # of the residual without it
 _ROWS = 2000  # of a log; enough to choose by
 _FOLDS = 5
-_ON_S = 30.0  # quasi-steady time for which a switch has to be on, and off
+_ON_S = 6.0  # quasi-steady time for which a switch has to be on, and off; the rest is judged
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,14 +125,23 @@ def _refined(
 
 
 def _switched(layout: Layout, offered: tuple[str, ...], folds: _Folds, left: float) -> Layout:
-    """The layout with those switches that help one after another, the best alone first."""
+    """The layout with those switches that help one after another, the best alone first, or all.
+
+    One alone may not help where another that comes with it is unknown.
+    """
     alone = sorted((_left(replace(layout, switches=(name,)), folds), name) for name in offered)
     for _, name in alone:
         trial = replace(layout, switches=(*layout.switches, name))
-        less = _left(trial, folds)
-        if less < _BETTER_SWITCH * left:
-            layout, left = trial, less
-    return layout
+        layout, left = _better((layout, left), trial, folds)
+    return _better((layout, left), replace(layout, switches=offered), folds)[0]
+
+
+def _better(known: tuple[Layout, float], trial: Layout, folds: _Folds) -> tuple[Layout, float]:
+    """A layout and what it leaves: the trial, if more switches are worth it."""
+    if trial == known[0]:
+        return known
+    less = _left(trial, folds)
+    return (trial, less) if less < _BETTER_SWITCH * known[1] else known
 
 
 def _folds(taken: Sequence[_Taken]) -> list[tuple[list[_Taken], list[_Taken]]]:

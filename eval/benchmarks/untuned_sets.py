@@ -103,19 +103,8 @@ def _columns(config: str) -> dict[str, Any]:
     return section.model_dump(mode="json", include=keep, exclude_defaults=True)
 
 
-def _sets() -> tuple[UntunedSet, ...]:
+def _virtual_sets() -> tuple[UntunedSet, ...]:
     lumped = _enriched("business_jet", 4, 8.0, 32.0)
-    line: dict[str, Any] = {"engine": "single_aisle", "flights": 5}
-    line["plan"] = {"style": "line", "duration_s": 1800.0, "rate_hz": 16.0}
-    airline = _last_of(5)
-    names = ("time_s", "TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "N1_pct", "N2_pct")
-    columns = {name: {"column": name} for name in names}
-    airline["logs"] |= {"columns": columns | {"EGT_C": {"column": "EGT_C", "unit": "degF"}}}
-    slow: dict[str, Any] = {"raster_hz": 4.0, "files": ["flight_*.csv.gz"]}
-    jet: dict[str, Any] = {
-        "running": {"above": {"N1_pct": 30.0}},
-        "steady_state": {"inputs": ["TRA_deg"]},
-    }
     return (
         UntunedSet(
             "virtual single-aisle, 3 flights of 15 min at 16 Hz, switches recorded",
@@ -142,47 +131,48 @@ def _sets() -> tuple[UntunedSet, ...]:
             {**_last_of(4), **_FUEL},
             partial(_flown, lumped, partial(_lumped, "lumped_n2")),
         ),
-        UntunedSet(
-            "airline recorder at 4 Hz, 4 line flights of 30 min, no fuel flow",
-            airline,
-            partial(_flown, line, _coarse),
-        ),
-        UntunedSet(
-            "AGTF30 at 4 Hz from the lever, 2 flights",
-            {
-                "logs": slow,
-                "events": {"condition": ""},
-                **_split(["flight_1*", "flight_2*"], ["flight_3*"]),
-            },
-            partial(_there, "agtf30"),
-        ),
-        UntunedSet(
-            "AGTF30 at 32 Hz from fuel flow, 2 flights",
-            {
-                "logs": {**slow, "raster_hz": 32.0},
-                "events": {"condition": "", "driver": "FF_kgph"},
-                "steady_state": _FUEL["steady_state"],
-                **_split(["flight_1*", "flight_2*"], ["flight_3*"]),
-            },
-            partial(_there, "agtf30"),
-        ),
-        UntunedSet(
-            "Citation II, 1 flight",
-            {"logs": _columns("citation2"), **_FUEL, **_split(["*flight1*"], ["*flight2*"])},
-            partial(_there, "flights"),
-        ),
-        UntunedSet(
-            "JetCat turbojet, 1 recording",
-            {
-                "logs": _columns("jetcat"),
-                **jet,
-                "events": {"condition": ""},
-                "narx": {"outputs": ["N1_pct", "EGT_C"]},
-                **_split(["*20230222*"], ["*20230109*"]),
-            },
-            partial(_there, "flights"),
-        ),
     )
 
 
-SETS: Final = _sets()
+def _airline() -> UntunedSet:
+    plan = {"style": "line", "duration_s": 1800.0, "rate_hz": 16.0}
+    line = {"engine": "single_aisle", "flights": 5, "plan": plan}
+    names = ("time_s", "TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "N1_pct", "N2_pct")
+    columns = {name: {"column": name} for name in names}
+    columns["EGT_C"] = {"column": "EGT_C", "unit": "degF"}
+    tables = _last_of(5)
+    tables["logs"] |= {"columns": columns}
+    name = "airline recorder at 4 Hz, 4 line flights of 30 min, no fuel flow"
+    return UntunedSet(name, tables, partial(_flown, line, _coarse))
+
+
+def _agtf30(raster_hz: float, tables: Tables) -> dict[str, Any]:
+    logs = {"raster_hz": raster_hz, "files": ["flight_*.csv.gz"]}
+    return {"logs": logs, **tables, **_split(["flight_1*", "flight_2*"], ["flight_3*"])}
+
+
+def _others() -> tuple[UntunedSet, ...]:
+    """Real engines, and one simulated by others."""
+    jet = {
+        "logs": _columns("jetcat"),
+        "running": {"above": {"N1_pct": 30.0}},
+        "steady_state": {"inputs": ["TRA_deg"]},
+        "narx": {"outputs": ["N1_pct", "EGT_C"]},
+        **_split(["*20230222*"], ["*20230109*"]),
+    }
+    citation = {"logs": _columns("citation2"), **_FUEL, **_split(["*flight1*"], ["*flight2*"])}
+    return (
+        UntunedSet(
+            "AGTF30 at 4 Hz from the lever, 2 flights", _agtf30(4.0, {}), partial(_there, "agtf30")
+        ),
+        UntunedSet(
+            "AGTF30 at 32 Hz from fuel flow, 2 flights",
+            _agtf30(32.0, _FUEL),
+            partial(_there, "agtf30"),
+        ),
+        UntunedSet("Citation II, 1 flight", citation, partial(_there, "flights")),
+        UntunedSet("JetCat turbojet, 1 recording", jet, partial(_there, "flights")),
+    )
+
+
+SETS: Final = (*_virtual_sets(), _airline(), *_others())

@@ -78,6 +78,35 @@ def test_a_switch_that_shifts_outputs_becomes_an_input_and_one_that_does_not_sta
     np.testing.assert_allclose(on - off, [-1.5, 15.0], atol=0.4, rtol=0.1)
 
 
+def test_a_switch_that_is_on_for_seconds_is_used_where_left_out_recordings_say_so():
+    flights = logs(bled, ("NAI",))
+    for number, log in enumerate(flights):
+        on = np.zeros(len(log))
+        on[(20 + number) * HOLD :][:HOLD] = 1.0
+        change = {"N1_pct": -1.5, "EGT_C": 15.0}
+        moved = {name: log[name] + by * (on - log["NAI"]) for name, by in change.items()}
+        flights[number] = log.with_channels({"NAI": on, **moved})
+    assert chosen_layout(config(), flights).switches == ("NAI",)
+
+
+def test_switches_that_hide_each_other_are_used_together():
+    def hidden(channels):
+        n1, egt = similar(channels)
+        both = channels["NAI"] - channels["WAI"]
+        return n1 + 3 * both, egt + 30 * both
+
+    flights = []
+    for log in logs(similar, ("NAI",)):
+        other = log["NAI"].copy()
+        for stair in range(0, 60, 30):  # elsewhere they go together
+            rows = slice(stair * HOLD, (stair + 1) * HOLD)
+            other[rows] = 1.0 - other[rows]
+        channels = {**log.channels, "WAI": other}
+        outputs = dict(zip(NAMES, hidden(channels), strict=True))
+        flights.append(log.with_channels({"WAI": other, **outputs}))
+    assert chosen_layout(config(), flights).switches == ("NAI", "WAI")
+
+
 def test_one_recording_is_judged_on_stretches_of_itself():
     layout = chosen_layout(config(), logs(bled, ("NAI",), count=1))
     assert (layout.corrected, layout.switches) == (True, ("NAI",))
