@@ -58,7 +58,8 @@ def test_the_corners_of_a_control_are_followed(model):
 def test_outputs_are_features_times_weights(model):
     u, _ = flown(seed=3)
     np.testing.assert_allclose(model.outputs(u), model.features(u) @ model.weights, atol=1e-9)
-    np.testing.assert_array_equal(model.outputs(u[2, 7]), model.outputs(u)[2, 7])
+    # Products of one row and of many may be summed in another order.
+    np.testing.assert_allclose(model.outputs(u[2, 7]), model.outputs(u)[2, 7], rtol=1e-12)
 
 
 def test_beyond_what_was_flown_it_holds(model):
