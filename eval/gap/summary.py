@@ -50,6 +50,13 @@ def to_tell(document: Mapping[str, Any]) -> str:
     return f"To tell them apart, fly: {verdict['separating_manoeuvre']}."
 
 
+def no_load(document: Mapping[str, Any]) -> str:
+    """Why windows of the gap are no unlogged load, where nothing else is found; else empty."""
+    reason = document["quality"].get("unlogged_load", "")
+    told = document["verdict"]["kind"] == "unknown" and reason not in ("", "found")
+    return f"No unlogged load: {reason}." if told else ""
+
+
 def effect_name(row: Mapping[str, Any]) -> str:
     """`id`, or `id:channel`."""
     return row["id"] if row.get("channel") is None else f"{row['id']}:{row['channel']}"

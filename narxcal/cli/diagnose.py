@@ -17,6 +17,7 @@ from eval.gap.stored_emulator import write_emulator
 from eval.gap.summary import (
     EMULATOR,
     effect_table,
+    no_load,
     sentence,
     shrink_table,
     to_tell,
@@ -63,6 +64,8 @@ def write(folder: Path, found: Diagnosis) -> None:
 def show(console: Console, document: Mapping[str, Any]) -> None:
     """Print the answer on one screen: sentence, effects, where, how far."""
     console.say(sentence(document))
+    if reason := no_load(document):
+        console.say(reason)
     if advice := to_tell(document):
         console.say(advice)
     for title, head, rows in (

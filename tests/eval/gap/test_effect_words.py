@@ -14,7 +14,7 @@ from eval.gap.effect_words import (
     spread_words,
     surest_words,
 )
-from eval.gap.summary import to_tell
+from eval.gap.summary import no_load, to_tell
 
 
 @pytest.mark.parametrize(
@@ -78,3 +78,12 @@ def test_what_to_fly_is_said_where_effects_look_alike():
     assert to_tell({"verdict": verdict}) == "To tell them apart, fly: fast steps."
     assert to_tell({"verdict": verdict | {"kind": "effects"}}) == ""
     assert to_tell({"verdict": verdict | {"separating_manoeuvre": ""}}) == ""
+
+
+def test_why_windows_are_no_load_is_told_where_nothing_is_found():
+    reason = "one channel alone is shifted: a sensor or its wiring, no load"
+    document = {"verdict": {"kind": "unknown"}, "quality": {"unlogged_load": reason}}
+    assert no_load(document) == f"No unlogged load: {reason}."
+    assert no_load(document | {"quality": {"unlogged_load": "found"}}) == ""
+    assert no_load(document | {"quality": {}}) == ""
+    assert no_load(document | {"verdict": {"kind": "effects"}}) == ""
