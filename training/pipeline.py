@@ -76,9 +76,9 @@ class TrainOptions:
     """
 
     watch: Any = None
-    stage: Callable[[str], None] = lambda _: None
     checkpoints: Path | None = None
     resume: bool = False
+    stage: Callable[[str], None] = lambda _: None
 
 
 def configured_files(config: RunConfig, base: Path) -> list[Path]:
