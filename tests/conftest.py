@@ -2,6 +2,7 @@
 
 import json
 import re
+import signal
 import subprocess
 import sys
 from functools import lru_cache
@@ -26,6 +27,12 @@ NODES = {
     "Mach": (0.0, 0.3, 0.6, 0.85),
     "dT_C": (-30.0, 20.0),
 }
+
+
+@pytest.fixture(scope="session", autouse=True)
+def ctrl_c():
+    """Ctrl-C as at a terminal: a shell starts its background jobs deaf to it."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 class Piece(NamedTuple):

@@ -1,7 +1,6 @@
 """Flights, one model trained on them, and two ways to run commands."""
 
 import os
-import signal
 import subprocess
 import sys
 from contextlib import ExitStack
@@ -115,10 +114,6 @@ def shell():
     return run
 
 
-def hearing():
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
 @pytest.fixture
 def start():
     """Start the command and leave it running; it is gone when the test is over."""
@@ -127,10 +122,7 @@ def start():
         def run(*arguments):
             command = [sys.executable, "-m", "narxcal.cli", *map(str, arguments)]
             pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "env": environment()}
-            # A shell starts its background jobs deaf to Ctrl-C, and theirs inherit that.
-            process = stack.enter_context(
-                subprocess.Popen(command, text=True, preexec_fn=hearing, **pipes)  # noqa: PLW1509 - no threads here
-            )
+            process = stack.enter_context(subprocess.Popen(command, text=True, **pipes))
             stack.callback(process.kill)
             return process
 
