@@ -14,8 +14,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
-from scipy.stats import binom
+from scipy.stats import binom, t
 
+from narxcal.effects.base import FloatArray
 from training.gap.levels import Found, Levels, contrast, runs
 
 WITNESSES = 2  # flights in which the load was on
@@ -27,17 +28,24 @@ _SPREAD = 0.28  # of the shift: how far from on and off the levels may scatter
 _BY_CHANCE, _WITH_LEVER = 0.1, 0.9  # edges at moves: how rarely by chance, how often if of them
 _SWITCHED = 4.0  # blocks between a logged switch and what follows it
 _TURNS, _PHASE, _ALIKE = 3, 0.08, 0.3  # periods that make a clock, and how exact it is
-_BESIDE = 0.02  # of what the strongest channel tells: the least of a second one
+_BESIDE = 0.02  # of what the strongest channel tells: a second one that tells as much is shifted
+_EDGES, _CHANCE = 4, 0.002  # edges that tell less than that, and how rarely they do by chance
 
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """One change of a flight at a `block`; `clear` if all around is known; `jump` as shares."""
+    """One change of a flight at a `block`; `clear` if all around is known; `jump` as shares.
+
+    `sign` is 1 where windows begin and -1 where they end, `seen` the block at which the jump is
+    largest.
+    """
 
     flight: int
     block: int
     clear: bool
     jump: float
+    sign: float
+    seen: int
 
 
 def against(found: Found, levels: Levels, switched: Sequence[NDArray[np.float64]]) -> str:
@@ -52,7 +60,7 @@ def against(found: Found, levels: Levels, switched: Sequence[NDArray[np.float64]
         return "the windows follow a logged switch"
     if _by_the_clock(found, levels):
         return "the windows come by the clock: a cycle, no switch"
-    if _one_channel(found, levels):
+    if _one_channel(found, levels, edges):
         return "one channel alone is shifted: a sensor or its wiring, no load"
     if _spread(found, levels) > _SPREAD:
         return "the levels scatter too much to be on or off"
@@ -97,10 +105,18 @@ def edges_of(found: Found, levels: Levels) -> tuple[list[Edge], float]:
                 if _AFTER < block < last - 2 * _AFTER:
                     near = np.arange(max(0, block - _REACH), block + _REACH + 1)
                     seen = sign * step[near[clear[near]]]
-                    known_here = seen[np.isfinite(seen)]
-                    jump = float(known_here.max()) if len(known_here) else np.nan
-                    edges.append(Edge(rows[0], block, bool(clear[near].any()), jump))
+                    edges.append(_edge((rows[0], block, sign), near[clear[near]], seen))
     return edges, float(np.mean(np.concatenate(unclear)))
+
+
+def _edge(where: tuple[int, int, float], near: NDArray[np.int_], seen: FloatArray) -> Edge:
+    """The edge, as what is `seen` at the clear blocks `near` it tells."""
+    flight, block, sign = where
+    known = np.isfinite(seen)
+    if not known.any():
+        return Edge(flight, block, len(near) > 0, np.nan, sign, block)
+    best = int(np.argmax(np.where(known, seen, -np.inf)))
+    return Edge(flight, block, clear=True, jump=float(seen[best]), sign=sign, seen=int(near[best]))
 
 
 def _follow(edges: Sequence[Edge], switched: Sequence[NDArray[np.float64]]) -> bool:
@@ -128,14 +144,37 @@ def _by_the_clock(found: Found, levels: Levels) -> bool:
     return False
 
 
-def _one_channel(found: Found, levels: Levels) -> bool:
-    """Whether a second channel tells hardly anything of the windows."""
+def _one_channel(found: Found, levels: Levels, edges: Sequence[Edge]) -> bool:
+    """Whether no second channel answers: none tells much of the windows, or jumps at their edges.
+
+    Where the control holds one speed, a load moves the temperature far and the other speed hardly:
+    that little is told from nothing by its coming and going with the windows, edge by edge.
+    """
     if len(found.shift) < 2:
         return False
     known = found.left[levels.known]
     scale = np.maximum(1.4826 * np.median(np.abs(known), axis=0), 1e-9)
-    told = np.sort((found.shift / scale) ** 2)[::-1]
-    return bool(told[1] < _BESIDE * told[0])
+    told = (found.shift / scale) ** 2
+    order = np.argsort(told)[::-1]
+    if told[order[1]] >= _BESIDE * told[order[0]]:
+        return False
+    jumps = _jumps(found, levels, edges)[:, order[1:]]
+    if len(jumps) < _EDGES:
+        return True
+    error = jumps.std(axis=0, ddof=1) / np.sqrt(len(jumps))
+    surely = t.ppf(1.0 - _CHANCE / jumps.shape[1], len(jumps) - 1)
+    return not bool((np.sign(found.shift[order[1:]]) * jumps.mean(axis=0) > surely * error).any())
+
+
+def _jumps(found: Found, levels: Levels, edges: Sequence[Edge]) -> FloatArray:
+    """Change of every channel at each edge seen at rest, on less off: (edges, channels)."""
+    rest, rows = found.left + found.on[..., None] * found.shift, []
+    for edge in edges:
+        (group,) = (own for own in levels.groups if own[0] == edge.flight)
+        steps = [contrast(rest[f], levels.known[f], _BEFORE, _AFTER)[edge.seen] for f in group]
+        rows.append(edge.sign * np.mean(steps, axis=0))
+    jumps = np.array(rows).reshape(len(rows), len(found.shift))
+    return np.asarray(jumps[np.isfinite(jumps).all(axis=1)])
 
 
 def _spread(found: Found, levels: Levels) -> float:

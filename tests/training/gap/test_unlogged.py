@@ -146,6 +146,17 @@ def test_what_comes_otherwise_is_no_unlogged_load(windows, shift, reason):
     assert reason in found.reason
 
 
+def test_a_second_channel_that_hardly_answers_is_heard_at_the_edges():
+    """A control that holds N1: the load is a thousand squares of noise in EGT, and few in N2."""
+    on, reasons = on_in(WINDOWS), []
+    for n2_pct in (0.1, 0.0):
+        shift = np.array([0.0, n2_pct, 9.0])
+        reasons.append([load_in(recorded(shifted(on, shift), seed)).reason for seed in range(8)])
+    held, alone = reasons
+    assert held == [""] * 8
+    assert sum("one channel alone" in reason for reason in alone) >= 7
+
+
 def test_a_drift_is_no_load():
     found = load_in(recorded(0.1 * SHIFT * TIME[:, None] / 10.0))
     assert found.windows == ()
