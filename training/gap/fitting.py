@@ -23,6 +23,7 @@ from training.gap.quadratic import Misfit
 _STEPS = 7
 _GOOD = 2e-3  # relative progress of Q below which a fit has converged
 _RIDGE = 1e-9
+_OUTSIDE = 0.5  # of 0 and 1
 _FEW = 4  # flights of which none may speak against an effect; of more, one
 
 
@@ -68,6 +69,12 @@ class Fit:
             (self.parameters[k], self.theta[k]) for k in first if self.parameters[k].unit == "s"
         )
         return any(value in (p.low, p.high) and value != p.neutral for p, value in times)
+
+    @property
+    def loopless(self) -> bool:
+        """Whether an effect in a loop that the engine has was fitted outside of it."""
+        pairs = zip(self.parameters, self.theta, strict=True)
+        return any(p.name == "outside" and value >= _OUTSIDE for p, value in pairs)
 
 
 def in_nearly_all(gained: FloatArray) -> bool:

@@ -21,6 +21,7 @@ _LEAST = 0.01  # of the noise's energy: less of a gap is none to take shares of
 _WITHIN = 0.05  # what a gain counts that any simulator's misfit would explain, too
 Watch = Callable[[str, int, int], None]  # what is at work, its number, how many there are
 _AT_END = 0.8  # what a fit counts whose time constant would go on past its bound
+_LOOPLESS = 0.9  # and one that takes a valve out of the loop of an engine that is under control
 
 
 @dataclass(frozen=True)
@@ -168,8 +169,13 @@ class Work:
         return self._beside[tried]
 
     def worth(self, tried: Fit) -> float:
-        """Share of the gap that a fit takes; what small misfit would take as well counts little."""
-        return _WITHIN * self.gain(tried) + float(self.beyond(tried).sum()) / self.audible
+        """Share of the gap that a fit takes; what small misfit would take as well counts little.
+
+        A valve outside any loop makes all outputs late alike, as any delay does, and an engine
+        under control has its valve in the loop: where both say the same, it is the delay.
+        """
+        taken = _WITHIN * self.gain(tried) + float(self.beyond(tried).sum()) / self.audible
+        return taken * (_LOOPLESS if tried.loopless else 1.0)
 
     def rank(self, tried: Fit) -> float:
         """What candidates are ordered by: what one is worth, times what it explains where it acts.

@@ -76,3 +76,20 @@ def test_a_time_constant_on_its_bound_counts_less(flights, engine, recorded):
     assert found.at_end
     assert work.rank(found) == pytest.approx(0.8 * work.worth(found) * work.aligned(found))
     assert not fit([effect("sensor_lag:N2_pct")], problem).at_end
+
+
+def test_where_a_delay_and_a_valve_outside_the_loop_say_the_same_it_is_the_delay(
+    flights, engine, recorded
+):
+    measure = misfit(flights, recorded({"throttle_delay": [0.03]}), NOISE)
+    problem = Problem(flights, engine, measure)
+    work = Work(problem, Options(), measure.size(measure.gap), NOISE, measure)
+    delay = fit([effect("throttle_delay")], problem)
+    tau_s = delay.theta[0]
+    valve = fit([effect("actuator_lag")], problem, np.array([tau_s, 1.0, 1.0]))
+    assert valve.loopless
+    assert not delay.loopless
+    assert work.gain(valve) == pytest.approx(work.gain(delay), abs=0.02)
+    assert work.rank(delay) > work.rank(valve)
+    inside = fit([effect("actuator_lag")], problem, np.array([tau_s, 1.0, 0.0]))
+    assert not inside.loopless
