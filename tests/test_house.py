@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import tokenize
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,7 @@ NO_CODE = {
 FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 
 
+@cache
 def code_lines(text):
     """Numbers of the lines that hold code: no blanks, no comments, no docstrings."""
     lines = set()
@@ -41,8 +43,13 @@ def code_lines(text):
     return lines
 
 
+@cache
 def functions(text):
     """Name, size in code lines and number of parameters (but `self`) of every function."""
+    return tuple(measured(text))
+
+
+def measured(text):
     lines, source = code_lines(text), text.splitlines()
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, FUNCTIONS):
@@ -63,7 +70,7 @@ def test_the_ruler_measures_what_it_should():
         '"""Doc."""\n\n# why\ndef f(self, a, *, b):\n    """Doc\n    more."""\n'
         '    x = """two\nlines"""\n\n    return x\n'
     )
-    assert list(functions(text)) == [("f", 4, 2)]
+    assert functions(text) == (("f", 4, 2),)
     assert len(code_lines(text)) == 4
 
 

@@ -98,6 +98,13 @@ def narxcal(capsys):
     return run
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Pages without their drawings, which take most of the time, where only figures are read."""
+    monkeypatch.setattr("narxcal.cli.evaluate.evaluate_page", lambda *_: "")
+    monkeypatch.setattr("narxcal.cli.prepare.prepare_page", lambda *_: "")
+
+
 def environment(**more):
     return {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", **more}
 

@@ -154,6 +154,7 @@ def test_logs_of_mixed_rates(narxcal, project, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_log_of_another_rate_is_put_on_the_model_s_raster(narxcal, project, flight, tmp_path):
     file = tmp_path / "slow.csv"
     flight.iloc[::2].to_csv(file, index=False)

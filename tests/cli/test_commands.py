@@ -90,6 +90,7 @@ def test_prepare_writes_logs_that_can_be_read_again_with_their_tables(project, n
     assert "<html" in (out / "prepare.html").read_text("utf-8")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_prepare_again_replaces_its_own_results_with_the_same_bytes(project, narxcal, tmp_path):
     out = tmp_path / "prepared"
     assert narxcal("prepare", project / "tiny.toml", "--out", out, "--quiet").out == ""
@@ -145,6 +146,7 @@ def test_evaluate_judges_the_held_out_log_and_says_that_a_tolerance_was_missed(p
     assert document["logs"][0]["ti_tt"]["assessed"] > 0
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_info_shows_the_last_evaluation_of_these_weights_only(project, narxcal, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(project / "run", run, ignore=shutil.ignore_patterns("evaluate"))
@@ -160,6 +162,7 @@ def test_info_shows_the_last_evaluation_of_these_weights_only(project, narxcal, 
     assert strict(narxcal("info", run, "--json").out)["metrics"] is None
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_log_that_is_named_twice_is_judged_once(project, narxcal, tmp_path):
     file = project / "flights" / "flight_3.csv"
     done = narxcal(
@@ -184,6 +187,7 @@ def test_train_warns_of_patterns_that_name_no_log_and_of_logs_that_are_in_no_set
     )
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_evaluate_says_that_no_log_was_held_out(project, narxcal, tmp_path):
     text = (project / "tiny.toml").read_text("utf-8")
     text = text.replace('flight_[1-2].csv*"]\ntest = ["flight_3.csv*', "*").replace(
@@ -198,6 +202,7 @@ def test_evaluate_says_that_no_log_was_held_out(project, narxcal, tmp_path):
     assert done.out == ""
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_evaluate_takes_several_files_after_one_option_or_several(project, narxcal, tmp_path):
     one, two = (project / "flights" / f"flight_{n}.csv" for n in (1, 2))
     ways = [("--logs", one, two, "--trim", "0.2"), ("--logs", one, "--trim", "0.2", "--logs", two)]
@@ -213,6 +218,7 @@ def test_evaluate_takes_several_files_after_one_option_or_several(project, narxc
     assert [log["role"] for log in found[0]] == ["train", "train"]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_evaluate_warns_of_a_held_out_file_that_has_changed(project, narxcal, tmp_path):
     folder = tmp_path / "moved"
     folder.mkdir()
@@ -245,6 +251,7 @@ def test_simulate_gives_the_free_run_and_needs_no_outputs(project, narxcal, tmp_
     assert math.sqrt(np.mean((table["N1_pct"] - measured) ** 2)) < 6.0
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_stamps_of_a_clock_that_counts_since_1970_keep_their_fractions(project, narxcal, tmp_path):
     flight = pd.read_csv(project / "flights" / "flight_3.csv").head(400)
     inputs = tmp_path / "flight_1.csv"
@@ -259,10 +266,10 @@ def test_stamps_of_a_clock_that_counts_since_1970_keep_their_fractions(project, 
 
 
 def test_simulate_reads_the_recorder_s_columns_by_the_mapping_of_the_model(
-    narxcal, write_pieces, tmp_path
+    narxcal, write_pieces, maker_table, tmp_path
 ):
     """Train on a recorder with two engines and its own names, then simulate its inputs alone."""
-    recorded(write_pieces(tmp_path / "flights", seed=5, flights=2), tmp_path)
+    recorded(write_pieces(tmp_path / "flights", seed=5, flights=2), tmp_path, maker_table)
     assert narxcal("train", tmp_path / "two.toml", "--out", tmp_path / "run", "--quiet").code == 0
     flight = pd.read_csv(tmp_path / "flights" / "flight_2.csv")
     inputs = tmp_path / "inputs.csv"
@@ -274,7 +281,7 @@ def test_simulate_reads_the_recorder_s_columns_by_the_mapping_of_the_model(
     assert table["time_s"].is_monotonic_increasing
 
 
-def recorded(paths, folder, engines=("lh", "rh")):
+def recorded(paths, folder, maker_table, engines=("lh", "rh")):
     """Flights as a recorder with names of its own would write them, both engines alike."""
     shared = ["ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "NAI", "WAI"]
     own = {"TRA_deg": "lever", "N1_pct": "fan", "N2_pct": "core", "EGT_C": "itt"}
@@ -286,7 +293,8 @@ def recorded(paths, folder, engines=("lh", "rh")):
                 table[f"{engine}_{column}"] = log[name]
         table.to_csv(path, index=False)
     names = "\n".join(f'{name} = {{ column = "{name}" }}' for name in shared)
-    (folder / "two.toml").write_text(TWO_ENGINES.replace("COLUMNS", names), "utf-8")
+    text = TWO_ENGINES.replace("COLUMNS", names).replace("MAKER", maker_table["source"])
+    (folder / "two.toml").write_text(text, "utf-8")
 
 
 TWO_ENGINES = """\
@@ -312,15 +320,18 @@ COLUMNS
 [split]
 train = ["flight_1.csv*"]
 
+[narx]
+lag = false
+
 [train]
 horizons_s = [5.0]
 iterations = [1]
 threads = 1
 
 [steady_state]
-kind = "callable"
-source = "narxcal.turbofan:maker_model"
-inputs = ["TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "NAI", "WAI"]
+kind = "table"
+source = "MAKER"
+inputs = ["TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach"]
 """
 
 
@@ -364,6 +375,7 @@ def test_denoise_reports_raw_fused_and_free_run_at_each_ratio(project, narxcal, 
     assert "SNR [dB]" in narxcal("denoise", project / "run", "--out", out).out
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_folder_of_the_logs_can_be_named_by_option_or_environment(
     project, narxcal, tmp_path, monkeypatch
 ):

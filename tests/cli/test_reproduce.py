@@ -28,6 +28,7 @@ test = ["data_set_3*"]
 [narx]
 hidden = 2
 lags = 1
+lag_limits = false
 
 [steady_state]
 kind = "table"

@@ -121,14 +121,16 @@ def test_a_log_in_the_place_of_a_configuration(folder, narxcal):
 
 def test_resuming_what_never_began_is_said(folder, narxcal):
     run = folder / "run"
+    (folder / "mine.toml").write_text(CONFIG + "[narx]\nlag = false\n", "utf-8")
     done = narxcal("train", folder / "mine.toml", "--out", run, "--resume", "--quiet")
     assert done.code == 0
     said = f"narxcal: warning: nothing to resume in {run}: the training begins anew\n"
     assert done.err.startswith(said)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_log_from_another_air_is_told_by_what_is_unknown(folder, narxcal):
-    config = CONFIG + '[events]\ncondition = ""\n'
+    config = CONFIG + '[events]\ncondition = ""\n[narx]\nlag = false\n'
     (folder / "mine.toml").write_text(config, "utf-8")
     run = folder / "run"
     assert narxcal("train", folder / "mine.toml", "--out", run, "--quiet").code == 0
@@ -144,6 +146,7 @@ def test_a_log_from_another_air_is_told_by_what_is_unknown(folder, narxcal):
     assert done.err == f"narxcal: warning: {said}\n"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_envelope_that_is_no_box_is_told_without_its_inputs(project, narxcal, tmp_path):
     flight = pd.read_csv(project / "flights/flight_3.csv")
     file = tmp_path / "high.csv"

@@ -29,6 +29,7 @@ def config():
             },
             "narx": {
                 "outputs": ["N1_pct", "N2_pct"], "schedule": [], "hidden": 1, "lags": 1,
+                "lag_limits": False,
             },
             "train": {"horizons_s": [5.0], "iterations": [2]},
             "evaluate": {"crossval": {"random_splits": 2}, "largest_rmse": {"N1_pct": 5.0}},

@@ -14,7 +14,7 @@ from training.lag_governed_start import governed_start
 INPUTS, OUTPUTS = ("TRA_deg", "ALT_ft", "Mach"), ("N1_pct", "N2_pct", "EGT_C")
 CENTRE, HALF = np.array([62.0, 75.0, 520.0]), np.array([35.0, 20.0, 240.0])
 SCALES = {"centre": CENTRE, "half": HALF, "limit": np.full(3, 1e3)}
-DT_S, HOLD, MOVES = 0.2, 75, 16
+DT_S, HOLD, MOVES = 0.2, 75, 10
 
 
 class Line:
@@ -101,7 +101,7 @@ def test_the_form_that_made_the_logs_is_found(true):
 
 
 def test_stretches_of_a_single_recording_take_turns():
-    log = flight(1, TRUTHS["limits"], moves=2 * MOVES)
+    log = flight(1, TRUTHS["limits"], moves=32)
     _, choice = chosen_lags(config(lag_governed=False), Line(), [log])
     assert choice.form == "limits"
     assert choice.left["limits"] < 0.5 * choice.left["plain"]

@@ -43,7 +43,7 @@ def plain(folder):
         "logs": {"folder": str(folder), "files": ["data_set_*.csv"], "raster_hz": RATE_HZ},
         "smooth": {"window": 3},
         "split": {"train": ["*"], "test": ["data_set_04*", "take_off_approach/*_02*"]},
-        "narx": {"hidden": 2, "lags": 1},
+        "narx": {"hidden": 2, "lags": 1, "lag_limits": False},
         "train": {"horizons_s": [5.0, 30.0], "iterations": [1, 1], "local_trim": False},
     }  # fmt: skip
 

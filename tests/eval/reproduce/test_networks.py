@@ -18,7 +18,7 @@ from eval.reproduce.goal import family_of, goal, goal_config, goal_training, thi
 from eval.reproduce.inputs import inputs, record, variants
 from eval.reproduce.noise import noise, share_better
 from eval.reproduce.response_times import figures_of, passed_claim, response_times
-from eval.reproduce.splits import divided, splits, worst_of
+from eval.reproduce.splits import splits, worst_of
 from narxcal.calibration import narx_features
 from training.pipeline import calibrate
 
@@ -226,15 +226,15 @@ def test_the_worst_of_all_divisions_is_told():
 
 def test_divisions_hold_back_three_tenths_of_the_events(data, effort):
     seen = []
-    found = divided(data, effort, lambda *told: seen.append(told[1:]))
-    assert seen == [(1, 2), (2, 2)]
-    for one in found.folds:
+    study = splits(data, effort, lambda *told: seen.append(told))
+    folds = tuple(told[0] for told in seen)
+    assert [told[1:] for told in seen] == [(1, 2), (2, 2)]
+    for one in folds:
         count = len(one.train) + len(one.test)
         assert len(one.train) == round(0.7 * count)
         assert not set(one.train) & set(one.test)
-    study = splits(data, effort)
     assert study.title == "2 random 7:3 divisions"
-    assert study.results["worst"] == worst_of(found)
+    assert study.results["worst"] == worst_of(CrossValidation(folds, EvaluateConfig()))
     json.dumps(study.results)
 
 

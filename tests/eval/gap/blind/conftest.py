@@ -1,5 +1,6 @@
 """An engine of three lags in the place of the virtual one: a case in a blink."""
 
+import shutil
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -63,17 +64,24 @@ def quick(monkeypatch):
     monkeypatch.setattr(truth, "VirtualEngine", LagEngine)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def plan():
     return BlindPlan(cases=3, flights=2, held_out=1, rate_hz=8.0, seed=4)
 
 
-@pytest.fixture
-def made(quick, plan, tmp_path):
-    folder = tmp_path / "cases"
-    folder.mkdir()
-    make_cases(folder, plan, "4")
+@pytest.fixture(scope="session")
+def made_once(plan, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(truth, "VirtualEngine", LagEngine)
+        make_cases(folder, plan, "4")
     return folder
+
+
+@pytest.fixture
+def made(quick, made_once, tmp_path):
+    """A copy of the cases, to do with as a test likes."""
+    return shutil.copytree(made_once, tmp_path / "cases")
 
 
 def truth_row(kind="single", effects=("spool_lag",), gap_share=0.2, where=None, like=()):

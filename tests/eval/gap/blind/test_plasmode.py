@@ -23,10 +23,11 @@ def lags(inputs, dt_s):
     return {"N1_pct": 25.0 + 70.0 * power, "EGT_C": 400.0 + 350.0 * power}
 
 
-@pytest.fixture
-def simulator(monkeypatch, tmp_path):
+@pytest.fixture(scope="module")
+def simulator(tmp_path_factory):
     """The function above as a module of the folder that the command runs in."""
-    (tmp_path / "real_lags.py").write_text(
+    folder = tmp_path_factory.mktemp("simulator")
+    (folder / "real_lags.py").write_text(
         "import numpy as np\n"
         "from narxcal.flight_test.measurement import first_order\n"
         "def lags(inputs, dt_s):\n"
@@ -35,8 +36,9 @@ def simulator(monkeypatch, tmp_path):
         "    return {'N1_pct': 25 + 70 * power, 'EGT_C': 400 + 350 * power}\n",
         "utf-8",
     )
-    monkeypatch.chdir(tmp_path)
-    return "real_lags:lags"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        yield "real_lags:lags"
 
 
 def write_flights(folder, *, driver="TRA_deg", duration_s=2000.0, still=False):
@@ -56,10 +58,12 @@ def write_flights(folder, *, driver="TRA_deg", duration_s=2000.0, still=False):
     return folder
 
 
-@pytest.fixture(params=["TRA_deg", "FF_kgph"])
-def cases(request, simulator, tmp_path):
-    flights = write_flights(tmp_path / "flights", driver=request.param)
-    folder = tmp_path / "cases"
+@pytest.fixture(scope="module", params=["TRA_deg", "FF_kgph"])
+def cases(request, simulator, tmp_path_factory):
+    """Cases in a folder beside the flights that they were made from."""
+    place = tmp_path_factory.mktemp("plasmode")
+    flights = write_flights(place / "flights", driver=request.param)
+    folder = place / "cases"
     folder.mkdir()
     write_key(folder, PLAN, "1", make_real_cases(folder, PLAN, Real(flights, simulator)))
     return folder
@@ -69,7 +73,7 @@ def read(file):
     return pd.read_csv(file)
 
 
-def test_only_the_effect_is_added(cases, tmp_path):
+def test_only_the_effect_is_added(cases):
     key = open_key(cases, "1")["cases"]
     names = {row["effects"][0]["id"] for row in key.values()}
     assert "throttle_delay" in names
@@ -80,7 +84,7 @@ def test_only_the_effect_is_added(cases, tmp_path):
     for name, row in key.items():
         effect = row["effects"][0]
         log, start, stop = row["pieces"][0]
-        was = read(tmp_path / "flights" / f"{log}.csv").iloc[start:stop].reset_index(drop=True)
+        was = read(cases.parent / "flights" / f"{log}.csv").iloc[start:stop].reset_index(drop=True)
         real = read(cases / name / "real" / "flight_0.csv.gz")
         sim = read(cases / name / "sim" / "flight_0.csv.gz")
         driver = "TRA_deg" if "TRA_deg" in was else "FF_kgph"
@@ -140,7 +144,7 @@ def test_what_acts_inside_is_the_difference_that_it_makes_in_a_lumped_engine(dri
 def test_the_same_plan_gives_the_same_bytes(cases, simulator, tmp_path):
     again = tmp_path / "again"
     again.mkdir()
-    real = Real(tmp_path / "flights", simulator)
+    real = Real(cases.parent / "flights", simulator)
     write_key(again, PLAN, "1", make_real_cases(again, PLAN, real))
     for file in cases.rglob("*"):
         if file.is_file():

@@ -34,19 +34,19 @@ def channels(number, days=True):
     }
 
 
-@pytest.fixture
-def logs(tmp_path):
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory):
+    given = tmp_path_factory.mktemp("given")
     for number in range(6):
-        folder = tmp_path / "given" / "case_X" / ("sim" if number < 4 else "sim_heldout")
+        folder = given / "case_X" / ("sim" if number < 4 else "sim_heldout")
         folder.mkdir(parents=True, exist_ok=True)
         pd.DataFrame(channels(number)).to_csv(folder / f"flight_{number}.csv", index=False)
-    return tmp_path / "given"
+    return given
 
 
-@pytest.fixture
-def cases(logs, tmp_path):
-    folder = tmp_path / "cases"
-    folder.mkdir()
+@pytest.fixture(scope="module")
+def cases(logs, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cases")
     write_key(folder, PLAN, "3", make_log_cases(folder, PLAN, logs))
     return folder
 
