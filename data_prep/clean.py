@@ -20,8 +20,9 @@ from data_prep.faults import (
     role,
 )
 from data_prep.frozen import frozen
+from data_prep.hold import held
 from data_prep.log import Action, AuditEntry, Log
-from data_prep.moves import bridged, runs
+from data_prep.moves import bridged, spans
 from data_prep.outliers import Method, gross_errors
 from narxcal.settings import Section
 
@@ -93,7 +94,7 @@ class _Work:
         self._drop(out_of_range(self.name, self.values), "out of range")
         if role(self.name) == "switch":
             return
-        for start, stop in runs_of(frozen(self._current(), self.name, self.config.faults)):
+        for start, stop in spans(frozen(self._current(), self.name, self.config.faults)):
             self._plateau(start, stop, "frozen")
         self._bursts()
         for start, stop in excursions(self._current(), self.name, self.config.faults):
@@ -134,7 +135,7 @@ class _Work:
         """Repair the short runs of `mask`, mask the longer ones unless `repair_only`."""
         short = np.zeros(len(mask), dtype=np.bool_)
         long = np.zeros(len(mask), dtype=np.bool_)
-        for start, stop in runs_of(mask):
+        for start, stop in spans(mask):
             span_s = (stop - start) * self.log.dt_s
             if span_s <= self.config.repair_s + _ROUNDING:
                 short[start:stop] = True
@@ -146,30 +147,17 @@ class _Work:
         self._note(short, "repaired", reason)
 
     def _bridge(self) -> FloatArray:
-        if role(self.name) != "switch":
-            return bridged(self.values)
-        index = np.arange(len(self.values))
-        known = index[np.isfinite(self.values)]
-        if not len(known):
-            return self.values
         # A switch has no values in between: it keeps the last one, at the start takes the next.
-        last = np.maximum(np.searchsorted(known, index, side="right") - 1, 0)
-        return self.values[known[last]]
+        return held(self.values) if role(self.name) == "switch" else bridged(self.values)
 
     def _note(self, mask: BoolArray, action: Action, reason: Reason) -> None:
         if not mask.any():
             return
         time_s, half = self.log.time_s, 0.5 * self.log.dt_s
-        spans = tuple(
+        long = tuple(
             (float(time_s[start]) - half, float(time_s[stop - 1]) + half)
-            for start, stop in runs_of(mask)
+            for start, stop in spans(mask)
             if (stop - start) * self.log.dt_s >= _SPAN_S
         )
         count = int(mask.sum())
-        self.entries.append(AuditEntry(self.name, action, reason, count, spans))
-
-
-def runs_of(mask: BoolArray) -> list[tuple[int, int]]:
-    """List the runs of True as (start, stop)."""
-    starts, stops = runs(mask)
-    return list(zip(starts.tolist(), stops.tolist(), strict=True))
+        self.entries.append(AuditEntry(self.name, action, reason, count, long))

@@ -1,8 +1,8 @@
 """Time stamps as recorders print them: clock times and ISO 8601 dates, as seconds.
 
 A clock time `12:34:56.7`, with the day of the year before it where there is one
-(`123:12:34:56.7`), counts from midnight of day 0; one of minutes and seconds alone is told by its
-decimals (`34:56.7`); a date, `2026-03-01T12:34:56.7`, from 1970, in
+(`123:12:34:56.7`) or `AM` or `PM` behind it, counts from midnight of day 0; one of minutes and
+seconds alone is told by its decimals (`34:56.7`); a date, `2026-03-01T12:34:56.7`, from 1970, in
 UTC where it names no zone.
 """
 
@@ -17,10 +17,11 @@ import pandas as pd
 if TYPE_CHECKING:
     from data_prep.log import FloatArray
 
-_CLOCK = r"\s*(?:(\d{1,3}):)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d*)?)\s*"
+_CLOCK = r"\s*(?:(\d{1,3}):)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d*)?)\s*(?:([AaPp])\.?[Mm]\.?)?\s*"
 _MINUTES = r"\s*(\d{1,3}):(\d{2}[.,]\d+)\s*"
 _DATE = r"\s*\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}.*"
 _UNIT_S = np.array([86400.0, 3600.0, 60.0, 1.0])
+_HALF_DAY = 12.0  # hours: 12 AM is midnight, and 12 PM is noon
 
 
 def is_clock(text: str) -> bool:
@@ -31,9 +32,7 @@ def is_clock(text: str) -> bool:
 def clock_seconds(texts: pd.Series[Any]) -> FloatArray:
     """Seconds `(rows,)`; NaN for a blank, and for what is neither a clock time nor a date."""
     plain = texts.astype("str").where(texts.notna(), "").str.replace(",", ".")
-    parts = plain.str.extract(f"^{_CLOCK}$").astype(np.float64).to_numpy()
-    parts[:, 0] = np.nan_to_num(parts[:, 0])  # a day is not always told
-    seconds = np.asarray(parts @ _UNIT_S, dtype=np.float64)
+    seconds = _of_clock(plain.str.extract(f"^{_CLOCK}$"))
     short = plain.str.extract(f"^{_MINUTES}$").astype(np.float64).to_numpy() @ _UNIT_S[2:]
     seconds = np.where(np.isnan(seconds), short, seconds)
     dates = plain[np.isnan(seconds) & plain.str.fullmatch(_DATE).to_numpy(dtype=np.bool_)]
@@ -42,3 +41,14 @@ def clock_seconds(texts: pd.Series[Any]) -> FloatArray:
         since = (stamps - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(1, "s")
         seconds[plain.index.get_indexer(dates.index)] = since.to_numpy(dtype=np.float64)
     return seconds
+
+
+def _of_clock(found: pd.DataFrame) -> FloatArray:
+    """Seconds of day, hours, minutes, seconds and half of the day `(rows, 5)`, each as text."""
+    parts = found.iloc[:, :4].astype(np.float64).to_numpy()
+    parts[:, 0] = np.nan_to_num(parts[:, 0])  # a day is not always told
+    half = found[4].str.upper()
+    told, hours = half.notna().to_numpy(), parts[:, 1]
+    of_twelve = np.where((hours >= 1.0) & (hours <= _HALF_DAY), hours % _HALF_DAY, np.nan)
+    parts[:, 1] = np.where(told, of_twelve + _HALF_DAY * (half == "P").to_numpy(), hours)
+    return np.asarray(parts @ _UNIT_S, dtype=np.float64)

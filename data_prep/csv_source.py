@@ -89,21 +89,12 @@ class CsvSource:
         """What stands above the first row."""
         return self.dialect.head
 
-    def read(self, names: Sequence[str]) -> dict[str, FloatArray]:
-        """Read the named columns, each `(rows,)`; a blank is NaN.
+    def blocks(self, names: Sequence[str]) -> Iterator[dict[str, FloatArray]]:
+        """The named columns in blocks of `chunk_rows` rows; a blank is NaN.
 
         Raises `DataError` for text in a number's place (naming row and value), a row longer
         than the header, a column that occurs twice, and a file that cannot be parsed.
         """
-        pieces: dict[str, list[FloatArray]] = {name: [np.empty(0)] for name in names}
-        for block in self.blocks(names):
-            for name, values in block.items():
-                pieces[name].append(values)
-        # Popped one by one, so that pieces and whole columns never all exist at once.
-        return {name: np.concatenate(pieces.pop(name)) for name in names}
-
-    def blocks(self, names: Sequence[str]) -> Iterator[dict[str, FloatArray]]:
-        """The named columns in blocks of `chunk_rows` rows; raises as `read`."""
         positions = {name: self._position(name) for name in names}
         done = 0
         while True:

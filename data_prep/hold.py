@@ -6,8 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from data_prep.log import AuditEntry, Log
+from data_prep.log import AuditEntry, FloatArray, Log
 from narxcal.errors import DataError
+
+
+def held(values: FloatArray) -> FloatArray:
+    """Carry the last known value (time,) over NaN, and the first one back to the start."""
+    known = np.flatnonzero(np.isfinite(values))
+    if not len(known):
+        return values
+    last = np.searchsorted(known, np.arange(len(values)), side="right") - 1
+    return values[known[np.maximum(last, 0)]]
 
 
 def hold_inputs(log: Log, names: Sequence[str]) -> Log:
@@ -16,7 +25,7 @@ def hold_inputs(log: Log, names: Sequence[str]) -> Log:
     Samples before the first known one take that one. Raises `DataError` for a channel with no
     known sample at all.
     """
-    held, entries = {}, []
+    completed, entries = {}, []
     for name in names:
         if name not in log.channels:
             raise DataError(
@@ -27,17 +36,16 @@ def hold_inputs(log: Log, names: Sequence[str]) -> Log:
                 f"or take it out of [steady_state] inputs. The log has {', '.join(log.channels)}",
             )
         values = log[name]
-        known = np.flatnonzero(np.isfinite(values))
-        if len(known) == len(values):
+        missing = int((~np.isfinite(values)).sum())
+        if not missing:
             continue
-        if not len(known):
+        if missing == len(values):
             raise DataError(
                 "an input of the model has no valid sample",
                 file=log.name,
                 channel=name,
                 hint="Map another column to it, or leave the log out",
             )
-        last = np.searchsorted(known, np.arange(len(values)), side="right") - 1
-        held[name] = values[known[np.maximum(last, 0)]]
-        entries.append(AuditEntry(name, "filled", "held for the model", len(values) - len(known)))
-    return log.with_channels(held, *entries) if held else log
+        completed[name] = held(values)
+        entries.append(AuditEntry(name, "filled", "held for the model", missing))
+    return log.with_channels(completed, *entries) if completed else log

@@ -15,7 +15,8 @@ from data_prep.file_units import head_entries, sources_of
 from data_prep.log import Log
 from data_prep.mapping import constants, map_columns, to_channel
 from data_prep.raster_stream import RasterStream
-from data_prep.stamps import ordered_rows, usual_interval
+from data_prep.shared_stamps import shared_interval
+from data_prep.stamps import all_apart, ordered_rows, past_midnight, usual_interval
 from narxcal.errors import DataError
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def large_logs(table: Table, config: LogsConfig, origins: Mapping[str, Source]) 
             rows = _channels(cells, mapped, sources)
             first = engine not in engines
             if first:
-                dt_s = _interval(rows["time_s"], config, str(table.path))
+                dt_s = _interval(rows, config, str(table.path))
                 stream = RasterStream(
                     config, dt_s, LONGEST_BRIDGE_S, str(table.path), constants(sources)
                 )
@@ -76,8 +77,10 @@ def _channels(
     return {name: to_channel(name, cells[column], sources[name]) for name, column in mapped.items()}
 
 
-def _interval(stamps: FloatArray, config: LogsConfig, file: str) -> float:
-    native = usual_interval(ordered_rows(stamps, config.max_gap_s, file).time_s, file)
+def _interval(rows: Mapping[str, FloatArray], config: LogsConfig, file: str) -> float:
+    found = ordered_rows(past_midnight(rows["time_s"])[0], config.max_gap_s, file)
+    channels = {name: values[found.order] for name, values in rows.items() if name != "time_s"}
+    native = shared_interval(found.time_s, channels) or usual_interval(found.time_s, file)
     interval = 1.0 / config.raster_hz if config.raster_hz else native
     if native > _MOST_SAMPLES * interval:
         raise DataError(
@@ -134,12 +137,7 @@ class _Engine:
         self.take(self.stream.push({}, last=True))
         self._finish(self.stream.audit.taken())
         if not self.logs:
-            raise DataError(
-                f"no two samples are closer than max_gap_s = {self.stream.config.max_gap_s:g} s",
-                file=self.source.file,
-                channel="time_s",
-                hint="Raise [logs] max_gap_s or check the unit of time_s",
-            )
+            raise all_apart(self.stream.config.max_gap_s, self.source.file)
         yield from self.logs
 
     def _finish(self, audit: Audit) -> None:

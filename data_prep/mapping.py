@@ -39,11 +39,18 @@ class Table(Protocol):
     def clock(self) -> str:
         """The column that holds clock times or dates; empty for none."""
 
-    def read(self, names: Sequence[str]) -> dict[str, FloatArray]:
-        """Columns as float64 `(rows,)`, NaN where blank."""
-
     def blocks(self, names: Sequence[str]) -> Iterator[dict[str, FloatArray]]:
-        """The same in blocks of rows, for files that are larger than memory."""
+        """Columns as float64 `(rows,)`, NaN where blank, in blocks of rows."""
+
+
+def read_columns(table: Table, names: Sequence[str]) -> dict[str, FloatArray]:
+    """Whole columns `(rows,)` of a table that memory can hold; raises as its `blocks` do."""
+    pieces: dict[str, list[FloatArray]] = {name: [np.empty(0)] for name in names}
+    for block in table.blocks(names):
+        for name, values in block.items():
+            pieces[name].append(values)
+    # Popped one by one, so that pieces and whole columns never all exist at once.
+    return {name: np.concatenate(pieces.pop(name)) for name in names}
 
 
 def map_columns(table: Table, config: LogsConfig) -> dict[str, dict[str, str]]:

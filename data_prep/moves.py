@@ -86,6 +86,12 @@ def runs(flags: BoolArray) -> tuple[IntArray, IntArray]:
     return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
 
 
+def spans(flags: BoolArray) -> list[tuple[int, int]]:
+    """List the runs of True as (start, stop)."""
+    starts, stops = runs(flags)
+    return list(zip(starts.tolist(), stops.tolist(), strict=True))
+
+
 def long_runs(flags: BoolArray, longest: int) -> BoolArray:
     """Keep only the runs of True that are longer than `longest` samples."""
     starts, stops = runs(flags)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from data_prep.head import Head
 from narxcal.errors import ConfigError, DataError
 
@@ -62,19 +60,11 @@ class ParquetSource:
         """The column that may hold dates, whose unit the file knows."""
         return self._time
 
-    def read(self, names: Sequence[str]) -> dict[str, FloatArray]:
-        """Read the named columns, each `(rows,)`; null is NaN.
+    def blocks(self, names: Sequence[str]) -> Iterator[dict[str, FloatArray]]:
+        """The named columns in blocks of up to `BATCH_ROWS` rows; null is NaN.
 
         Raises `DataError` for a column that holds no numbers and for a damaged file.
         """
-        pieces: dict[str, list[FloatArray]] = {name: [np.empty(0)] for name in names}
-        for block in self.blocks(names):
-            for name, values in block.items():
-                pieces[name].append(values)
-        return {name: np.concatenate(pieces.pop(name)) for name in names}
-
-    def blocks(self, names: Sequence[str]) -> Iterator[dict[str, FloatArray]]:
-        """The named columns in blocks of up to `BATCH_ROWS` rows; raises as `read`."""
         for name in names:
             kind = self._file.schema_arrow.field(name).type
             kinds = self._numeric + (self._temporal if name == self._time else ())

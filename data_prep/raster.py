@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from data_prep.log import AuditEntry
+from data_prep.moves import runs
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -142,8 +143,7 @@ def _account(
 
 def _spans(flags: NDArray[np.bool_], raster: Raster) -> tuple[tuple[float, float], ...]:
     """Find runs of true of at least a second, as (first, last) times."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    starts, stops = edges[::2], edges[1::2]
+    starts, stops = runs(flags)
     long = (stops - starts) * raster.interval_s >= LONG_SPAN_S
     time = raster.time_s
     return tuple(

@@ -10,9 +10,12 @@ import numpy as np
 from data_prep.derive import derive
 from data_prep.log import Audit
 from data_prep.raster import ON_RASTER, Raster, resample
+from data_prep.shared_stamps import shared_interval
 from data_prep.stamps import (
+    MIDNIGHT,
     native_interval,
     ordered_rows,
+    past_midnight,
     printed_step,
     split_at_gaps,
     undo_rounding,
@@ -80,6 +83,7 @@ class RasterStream:
         self._next = 0  # sample of that raster to come next
         self._before: dict[str, float] = {}  # channels of the sample that came last
         self._late = 0  # number of the last row whose lateness was counted
+        self._days = 0  # midnights that a clock has passed
 
     def push(self, rows: Mapping[str, FloatArray], *, last: bool = False) -> Iterator[Piece]:
         """Take further rows `(rows,)` in file order, and give the samples that are now certain.
@@ -98,12 +102,21 @@ class RasterStream:
     def _take(self, rows: Mapping[str, FloatArray]) -> None:
         count = len(rows["time_s"]) if rows else 0
         if count:
+            rows = {**rows, "time_s": self._going_on(rows["time_s"])}
             old = self._rows or {name: values[:0] for name, values in rows.items()}
             self._rows = {name: np.concatenate([old[name], rows[name]]) for name in rows}
             new = np.arange(self._seen + 1, self._seen + count + 1)
             self._numbers = np.concatenate([self._numbers, new])
             self._exact = np.concatenate([self._exact, np.full(count, np.nan)])
             self._seen += count
+
+    def _going_on(self, stamps: FloatArray) -> FloatArray:
+        """Stamps of new rows, with the days that a clock has counted before them."""
+        sound = self._rows.get("time_s", stamps[:0])
+        before_s = float(sound[-1]) if len(sound) else np.nan
+        going_on, self._days = past_midnight(stamps, before_s, self._days)
+        self.audit.count("*", "repaired", MIDNIGHT, int((going_on > stamps).sum()))
+        return going_on
 
     def _ordered(self, last: bool) -> tuple[NDArray[np.intp], FloatArray]:
         """Rows in hand whose stamps are sound, in order of time, and their times."""
@@ -146,6 +159,11 @@ class RasterStream:
             self.audit.count("*", "dropped", "lone row between gaps", lone)
             return
         new = np.isnan(self._exact[order])
+        rows = {name: values[order] for name, values in self._rows.items()}
+        if self._native[1] < _BASELINE_ROWS:
+            channels = {name: values for name, values in rows.items() if name != "time_s"}
+            found = shared_interval(stamps, channels) or native_interval(stamps)
+            self._native = found, len(stamps)
         time = self._exact[order] = self._without_rounding(self._exact[order], stamps)
         if starts:
             if self.samples:
@@ -155,7 +173,6 @@ class RasterStream:
         self.audit.count("*", "repaired", "rounded time stamp", int(rounded.sum()))
         limit = time[-1] - (0.0 if over else self.look_ahead_s)
         samples = int(np.floor((limit - self._origin) / self.dt_s + ON_RASTER)) + 1 - self._next
-        rows = {name: values[order] for name, values in self._rows.items()}
         self.audit.rows(time, rows, new, Raster(self._origin, self.dt_s, 0, 0.0))
         if samples > 0:
             yield self._sampled(time, rows, samples)
@@ -166,8 +183,6 @@ class RasterStream:
 
         Where no whole numbers of intervals explain the stamps, they count as they are.
         """
-        if self._native[1] < _BASELINE_ROWS:
-            self._native = native_interval(stamps), len(stamps)
         interval, step = self._native[0], printed_step(stamps)
         if np.isnan(self._origin):
             self._first_step = float(step[0])

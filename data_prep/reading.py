@@ -15,10 +15,20 @@ from data_prep.file_units import head_entries, sources_of
 from data_prep.large import is_large, large_logs
 from data_prep.log import Audit, AuditEntry, Log, Source
 from data_prep.logs_config import LogsConfig
-from data_prep.mapping import Table, constants, map_columns, to_channel
+from data_prep.mapping import Table, constants, map_columns, read_columns, to_channel
 from data_prep.parquet_source import MAGIC, ParquetSource
 from data_prep.raster import Raster, lay, resample
-from data_prep.stamps import Rows, ordered_rows, split_at_gaps, undo_rounding, usual_interval
+from data_prep.shared_stamps import shared_interval
+from data_prep.stamps import (
+    MIDNIGHT,
+    Rows,
+    all_apart,
+    ordered_rows,
+    past_midnight,
+    split_at_gaps,
+    undo_rounding,
+    usual_interval,
+)
 from narxcal.channels import CHANNELS
 from narxcal.errors import DataError
 
@@ -75,7 +85,8 @@ def _file_logs(path: Path, config: LogsConfig) -> list[Log]:
 def _recordings(path: Path, table: Table, config: LogsConfig) -> list[_Recording]:
     columns = map_columns(table, config)
     sources = sources_of(table, config)
-    cells = table.read(list({name: None for each in columns.values() for name in each.values()}))
+    names = list({name: None for each in columns.values() for name in each.values()})
+    cells = read_columns(table, names)
     digest = _sha256(path)
     entries = head_entries(table, config, len(next(iter(cells.values()))))
     return [
@@ -110,12 +121,7 @@ def _logs(recording: _Recording, config: LogsConfig) -> list[Log]:
     rows = _in_order(recording, config.max_gap_s)
     logs, lost = _parts(recording, rows, config)
     if not logs:
-        raise DataError(
-            f"no two samples are closer than max_gap_s = {config.max_gap_s:g} s",
-            file=file,
-            channel="time_s",
-            hint="Raise [logs] max_gap_s or check the unit of time_s",
-        )
+        raise all_apart(config.max_gap_s, file)
     first = Audit().add(*recording.entries, *rows.entries, *lost)
     logs[0] = replace(logs[0], audit=Audit(first.entries + logs[0].audit.entries))
     return [log.with_channels(derive(log.channels, config.derive, file)) for log in logs]
@@ -125,21 +131,28 @@ def _in_order(recording: _Recording, max_gap_s: float) -> Rows:
     file, stamps = recording.source.file, recording.rows["time_s"]
     if not len(stamps):
         raise DataError("no rows follow the header", file=file)
-    rows = ordered_rows(stamps, max_gap_s, file)
+    going_on, _ = past_midnight(stamps)
+    rows = ordered_rows(going_on, max_gap_s, file)
     if len(rows.time_s) < 2 or rows.time_s[0] == rows.time_s[-1]:
         raise DataError(
             f"expected samples at two or more times, found {min(1, len(rows.time_s))}",
             file=file,
             channel="time_s",
         )
-    return rows
+    past = AuditEntry("*", "repaired", MIDNIGHT, int((going_on > stamps).sum()))
+    return replace(rows, entries=(*rows.entries, past))
 
 
 def _parts(
     recording: _Recording, rows: Rows, config: LogsConfig
 ) -> tuple[list[Log], list[AuditEntry]]:
     """Logs between the gaps, and what was too short to be one."""
-    native = usual_interval(rows.time_s, recording.source.file)
+    channels = {
+        name: values[rows.order] for name, values in recording.rows.items() if name != "time_s"
+    }
+    native = shared_interval(rows.time_s, channels) or usual_interval(
+        rows.time_s, recording.source.file
+    )
     interval = 1.0 / config.raster_hz if config.raster_hz else native
     logs: list[Log] = []
     lost: list[AuditEntry] = []

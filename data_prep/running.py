@@ -12,6 +12,7 @@ from pydantic import Field, field_validator
 from scipy.ndimage import binary_dilation, binary_opening
 
 from data_prep.log import Audit, AuditEntry, Log
+from data_prep.moves import spans
 from narxcal.channels import channel
 from narxcal.settings import Section
 
@@ -61,14 +62,13 @@ def _parts(log: Log, config: RunningConfig) -> list[Log]:
     out = _standing(log, config)
     if not out.any() or out.all():
         return [log]
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], out, [True]]).astype(np.int8)))
     least = max(2, round(config.margin_s / log.dt_s))
-    spans = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]
-    if not spans:
+    kept = [(start, stop) for start, stop in spans(~out) if stop - start >= least]
+    if not kept:
         return [log]
-    lost = len(log) - sum(int(b - a) for a, b in spans)
+    lost = len(log) - sum(stop - start for start, stop in kept)
     entry = AuditEntry("*", "dropped", "engine not running", lost)
-    parts = [replace(log.part(int(a), int(b)), audit=Audit()) for a, b in spans]
+    parts = [replace(log.part(start, stop), audit=Audit()) for start, stop in kept]
     parts[0] = replace(parts[0], audit=log.audit.add(entry))
     return parts
 

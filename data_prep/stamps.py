@@ -26,6 +26,7 @@ _BASELINES_ROWS = (256, 64, 16, 4)
 _SHORTEST_S = 1e-4
 _DAY_S, _NEAR_MIDNIGHT_S = 86400.0, 60.0
 _LATEST_S = 1e11  # later than any clock that counts seconds
+MIDNIGHT = "clock starts anew at midnight"  # why stamps are moved by whole days
 # How stamps are printed: milliseconds of a date stay, and the last bits of a sum do not show.
 PRINTED = "%.15g"
 
@@ -40,6 +41,29 @@ class Rows:
     order: NDArray[np.intp]
     time_s: FloatArray
     entries: tuple[AuditEntry, ...]
+
+
+def past_midnight(
+    stamps: FloatArray, before_s: float = np.nan, days: int = 0
+) -> tuple[FloatArray, int]:
+    """Let a clock of the day's seconds go on where it starts anew at midnight.
+
+    From `before_s`, the last stamp before these, `days` after the first. Returns the stamps with
+    the days that have passed, and how many these are at the end. Other stamps stay as they are:
+    only from the last minute of a day to the first of one does a clock pass midnight, and back
+    for a row that comes late.
+    """
+    known = (stamps >= 0.0) & (stamps <= _DAY_S)
+    clock = np.concatenate([[before_s - days * _DAY_S], stamps[known]])
+    late = (clock > _DAY_S - _NEAR_MIDNIGHT_S) & (clock <= _DAY_S)
+    early = (clock >= 0.0) & (clock < _NEAR_MIDNIGHT_S)
+    begun = (late[:-1] & early[1:]).astype(np.intp) - (early[:-1] & late[1:])
+    passed = np.maximum(days + np.cumsum(begun), 0)
+    if not passed.any():
+        return stamps, days
+    going_on = stamps.copy()
+    going_on[known] += _DAY_S * passed
+    return going_on, int(passed[-1])
 
 
 def ordered_rows(stamps: FloatArray, max_gap_s: float, file: str) -> Rows:
@@ -62,7 +86,7 @@ def ordered_rows(stamps: FloatArray, max_gap_s: float, file: str) -> Rows:
             file=file,
             channel="time_s",
             row=int(kept[at]) + 1,
-            hint=_where_it_goes_back(float(time[:at].max()), float(time[at])),
+            hint="Split the file there: it holds more than one recording",
         )
     sorting = np.argsort(time, kind="stable")
     entries = (
@@ -71,12 +95,6 @@ def ordered_rows(stamps: FloatArray, max_gap_s: float, file: str) -> Rows:
         AuditEntry("*", "repaired", "out of order", int((lateness > 0.0).sum())),
     )
     return Rows(kept[sorting], time[sorting], entries)
-
-
-def _where_it_goes_back(before_s: float, after_s: float) -> str:
-    if before_s > _DAY_S - _NEAR_MIDNIGHT_S and before_s <= _DAY_S and after_s < _NEAR_MIDNIGHT_S:
-        return "A clock that passes midnight needs the date with it; or split the file there"
-    return "Split the file there: it holds more than one recording"
 
 
 def _lone_spikes(time: FloatArray, max_gap_s: float) -> NDArray[np.bool_]:
@@ -93,6 +111,16 @@ def split_at_gaps(time: FloatArray, max_gap_s: float) -> list[slice]:
     cuts = np.flatnonzero(np.diff(time) > max_gap_s) + 1
     edges = [0, *cuts.tolist(), len(time)]
     return [slice(start, stop) for start, stop in pairwise(edges)]
+
+
+def all_apart(max_gap_s: float, file: str) -> DataError:
+    """What to tell whose recording falls into single rows at its gaps."""
+    return DataError(
+        f"no two samples are closer than max_gap_s = {max_gap_s:g} s",
+        file=file,
+        channel="time_s",
+        hint="Raise [logs] max_gap_s or check the unit of time_s",
+    )
 
 
 def usual_interval(time: FloatArray, file: str) -> float:

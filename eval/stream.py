@@ -13,7 +13,7 @@ from data_prep.csv_source import CsvSource, readable
 from data_prep.dialect import open_text
 from data_prep.file_units import sources_of
 from data_prep.head import Head, skip
-from data_prep.mapping import constants, map_columns, to_channel
+from data_prep.mapping import constants, map_columns, read_columns, to_channel
 from data_prep.reading import open_table
 from narxcal.errors import DataError
 
@@ -165,7 +165,7 @@ def _read(table: CsvSource, text: str, names: Sequence[str], row: int) -> dict[s
     headless = replace(table.dialect, head=Head(lines=0))
     block = CsvSource(cast("Path", _Lines(table.path, text)), headless)
     try:
-        cells = block.read(names)
+        cells = read_columns(block, names)
     except DataError as error:
         if error.row is None:
             raise

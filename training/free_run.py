@@ -15,6 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from data_prep.hold import held
 from narxcal import kernels
 from narxcal.narx import NarxNet, Weights, history_before, tap
 from narxcal.narx_model import NarxModel
@@ -52,7 +53,9 @@ def cut_windows(
     windows: list[Window] = []
     for record in records:
         u, y = model.input_scaling.down(record.u), model.output_scaling.down(record.y)
-        tapped, known = tap(u, model.config.taps), _hold(y)
+        # A window may start at a masked sample, even of an output that is never known.
+        known = np.nan_to_num(np.column_stack([held(column) for column in y.T]))
+        tapped = tap(u, model.config.taps)
         root = _root_weight(record, y, stride)
         target = np.where(root > 0, y, 0.0)
         length = horizon or len(y)
@@ -71,19 +74,6 @@ def _root_weight(record: Record, y: FloatArray, stride: int) -> FloatArray:
     if stride > 1:
         root[np.arange(len(y)) % stride != 0] = 0.0
     return root
-
-
-def _hold(y: FloatArray) -> FloatArray:
-    """Carry the last known output over masked samples, so that a window can start there."""
-    held = y.copy()
-    for column in held.T:
-        known = np.flatnonzero(np.isfinite(column))
-        if len(known) == 0:
-            column[:] = 0.0
-            continue
-        last = np.searchsorted(known, np.arange(len(column)), side="right") - 1
-        column[:] = column[known[np.maximum(last, 0)]]
-    return held
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,62 @@
+"""Stamps that several rows share because the clock shows whole seconds: how far apart the rows are.
+
+A recorder of ten rows a second whose clock shows seconds writes the same stamp ten times. Counted
+per stamp the rows say their own rate, and `data_prep.stamps.undo_rounding` puts them in between.
+Where each row of a stamp holds other channels, or the same values again, nothing lies in between.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from data_prep.stamps import on_raster, undo_rounding
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from data_prep.log import FloatArray
+
+_FEW = 3  # whole stamps, at least
+_REGULAR = 0.9  # of the stamps hold as many rows as the others, or one more or less
+_FILLED, _CHANGES = 0.9, 0.02  # of the rows of a channel that is sampled row by row
+_WHOLE_HZ = 0.005
+
+
+def shared_interval(time: FloatArray, channels: Mapping[str, FloatArray]) -> float:
+    """Interval of ordered rows `(rows,)` of which several share each stamp, in s; 0 if none do.
+
+    `channels` are the other columns of the same rows. A whole number of Hz is taken where it is
+    within 0.5 % and keeps time over all rows.
+    """
+    stamps, counts = np.unique(time, return_counts=True)
+    if len(stamps) < _FEW or np.median(counts) < 2.0 or not _row_by_row(time, channels):
+        return 0.0
+    steps = np.diff(stamps)
+    step = float(np.median(steps))
+    if not on_raster(stamps, step):
+        return 0.0
+    whole = np.isclose(steps[1:], step) & np.isclose(steps[:-1], step)
+    rows = counts[1:-1][whole]  # the first and the last stamp may be cut
+    if len(rows) < _FEW or np.mean(np.abs(rows - rows.mean()) <= 1.0) < _REGULAR:
+        return 0.0
+    measured = step / float(rows.mean())
+    rate = round(1.0 / measured)
+    near = rate and abs(rate * measured - 1.0) <= _WHOLE_HZ
+    for interval in (1.0 / rate, measured) if near else (measured,):
+        if not np.array_equal(undo_rounding(time, interval), time):
+            return float(interval)
+    return 0.0
+
+
+def _row_by_row(time: FloatArray, channels: Mapping[str, FloatArray]) -> bool:
+    """Whether rows that share a stamp are samples of their own, in one channel at least."""
+    same = np.diff(time) == 0.0
+    for values in channels.values():
+        known = np.isfinite(values)
+        both = known[1:] & known[:-1] & same
+        changes = (values[1:] != values[:-1])[both]
+        if known.mean() >= _FILLED and len(changes) and changes.mean() >= _CHANGES:
+            return True
+    return False
