@@ -22,7 +22,7 @@ from narxcal.errors import ConfigError
 if TYPE_CHECKING:
     from collections.abc import Iterator
     from os import PathLike
-    from typing import TextIO
+    from typing import IO, Any, TextIO
 
 
 _DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
@@ -35,18 +35,11 @@ def atomic_write_bytes(path: str | PathLike[str], data: bytes) -> None:
     """
     target = Path(path)
     part = _beside(target, "part")
-    try:
+    with _becoming(target, part):
         target.parent.mkdir(parents=True, exist_ok=True)
         with part.open("xb") as stream:
             stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        part.replace(target)
-    except OSError as error:
-        raise cannot_write(target, error) from None
-    finally:
-        with suppress(OSError):
-            part.unlink()
+            _flush(stream)
 
 
 def atomic_write_text(path: str | PathLike[str], text: str) -> None:
@@ -75,17 +68,27 @@ def atomic_stream(path: str | PathLike[str], *, live: bool = False) -> Iterator[
         raise ConfigError("the file exists", file=part, hint=hint) from None
     except OSError as error:
         raise cannot_write(target, error) from None
+    with _becoming(target, part), stream:
+        yield stream
+        _flush(stream)
+
+
+@contextmanager
+def _becoming(target: Path, part: Path) -> Iterator[None]:
+    """Rename `part` to `target` when the block ends well; either way it is gone then."""
     try:
-        with stream:
-            yield stream
-            stream.flush()
-            os.fsync(stream.fileno())
+        yield
         part.replace(target)
     except OSError as error:
         raise cannot_write(target, error) from None
     finally:
         with suppress(OSError):
             part.unlink()
+
+
+def _flush(stream: IO[Any]) -> None:
+    stream.flush()
+    os.fsync(stream.fileno())
 
 
 @contextmanager

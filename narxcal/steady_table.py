@@ -173,7 +173,6 @@ class _Scatter:
         self._normals, self._offsets = hull.equations[:, :-1], hull.equations[:, -1]
         self._centre = scaled.mean(axis=0)
         self._depth = -(self._normals @ self._centre + self._offsets)
-        self._corners, self._corner_values = scaled, values
 
     def values(self, inputs: Floats) -> Floats:
         chunks = np.array_split(inputs, max(1, -(-len(inputs) // _CHUNK)))

@@ -114,7 +114,9 @@ def fit_lags(
     """
     input_names, output_names = names
     samples, dt_s = thinned_for_lags(samples, dt_s)
-    model = _first_guess(samples, input_names, output_names)
+    none = np.zeros((len(output_names), len(PARAMETERS)))
+    scales = output_scales(samples, input_names)
+    model = LagModel(output_names=output_names, parameters=none, **scales)
     model = replace(model, parameters=start_values(model, form))
     core = core_of(output_names)
     scored = _Scored(core, dt_s, form.relative)
@@ -155,14 +157,6 @@ def output_scales(
         "half": np.maximum(0.5 * (high - low), 1e-9),
         "limit": _MARGIN * np.maximum(largest, 1e-9),
     }
-
-
-def _first_guess(
-    samples: Sequence[LagSamples], input_names: Sequence[str], names: tuple[str, ...]
-) -> LagModel:
-    parameters = np.zeros((len(names), len(PARAMETERS)))
-    scales = output_scales(samples, input_names)
-    return LagModel(output_names=names, parameters=parameters, **scales)
 
 
 def _part(model: LagModel, one: LagSamples, input_names: Sequence[str], scored: _Scored) -> _Part:

@@ -23,7 +23,6 @@ from narxcal.calibration import DynamicCalibration
 from narxcal.errors import ConfigError, DataError
 from narxcal.fuser_noise import estimate_noise
 from narxcal.narx import NarxConfig
-from narxcal.narx_model import NarxModel
 from narxcal.records import Record
 from narxcal.steady_fitted import FittedSteadyState
 from narxcal.steady_state import SteadyStateModel
@@ -134,7 +133,7 @@ def calibrate(
     structure = structure_of(config)
     learned = material(config, steady, lag, (split.train, split.validate))
     results = _fit(config, learned, structure, options)
-    network = merge_models(_models(results))
+    network = merge_models([result.model for result in results])
     settle_s = config.narx.settle_s if config.narx.anchored and config.narx.settle_s > 0 else None
     plain = DynamicCalibration(steady, network, dt_s, config.narx.schedule, settle_s)
     calibration = plain.with_lag(lag)
@@ -212,10 +211,6 @@ def _record_hash(record: Record) -> str:
     """Of shapes and numbers; the name is left out, for a file may move."""
     shapes = f"{record.u.shape} {record.y.shape}".encode()
     return hashlib.sha256(shapes + record.u.tobytes() + record.y.tobytes()).hexdigest()
-
-
-def _models(results: Sequence[FitResult]) -> list[NarxModel]:
-    return [result.model for result in results]
 
 
 def _noise(calibration: DynamicCalibration, split: Split) -> Any:
