@@ -26,7 +26,7 @@ from training.gap.fitting import Fit, Problem, fit, in_nearly_all
 from training.gap.foils import foil
 from training.gap.null import null_gains
 from training.gap.offsets import beyond_scatter, day_fit, offset_fits, unexplained, whole_gap
-from training.gap.quadratic import misfit
+from training.gap.quadratic import Misfit, misfit
 from training.gap.rerun_fit import told_anew
 from training.gap.together import added, in_order, is_heat, taken
 from training.gap.unlogged import priced, witnesses
@@ -201,15 +201,15 @@ def _offset(work: Work, effects: Sequence[Effect], claimed: Fit | None) -> Offse
     if claimed is None:
         work.offered = fits[:_OFFERED]
     by_days = day_fit(work.problem, left, effects)
-    offered = [(fits, before, work.whole)] if fits and _stands(work, fits[0], before) else []
+    offered = [(fits, before, work.whole)] if fits and _stands(work, fits[0], left) else []
     if by_days is not None:
         others = [one for one in fits if one.effects != by_days.effects]
         offered.append(([by_days, *others], before, work.whole))
     return max(offered, key=_gained, default=None)
 
 
-def _stands(work: Work, best: Fit, before: FloatArray) -> bool:
+def _stands(work: Work, best: Fit, left: Misfit) -> bool:
     """Whether an offset is beyond build scatter, a part of the gap, and in (nearly) all flights."""
-    gained = before - best.held_out
-    large = beyond_scatter(best, before, work.problem.flights, work.tight.floor)
+    gained = left.size(left.gap) - best.held_out
+    large = beyond_scatter(best, left, work.problem.flights)
     return in_nearly_all(gained) and large and float(gained.sum()) / work.whole > _OFFSET

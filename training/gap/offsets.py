@@ -113,13 +113,24 @@ def whole_gap(flights: Flights, measured: tuple[FloatArray, FloatArray]) -> Misf
     return misfit(flights, measured[0], measured[1], TIGHT)
 
 
-def beyond_scatter(tried: Fit, before: FloatArray, flights: Flights, noise: FloatArray) -> bool:
-    """Whether an offset takes most of Q `before` beyond noise, and more than scatter would shift.
+def beyond_scatter(tried: Fit, left: Misfit, flights: Flights) -> bool:
+    """Whether an offset takes most of what is `left` beyond noise, and more than scatter shifts."""
+    before = left.size(left.gap)
+    share = _share(before - tried.held_out, before - left.floor)
+    together = _TOGETHER_PCT if _agreed(tried, left) else _SPEED_PCT
+    sizes = _in_scatters(tried, flights, together)
+    return share > _MOST and bool(sizes.max() > _asked(tried.effects[0], share))
 
-    `before` and `noise` are Q per flight, of what is left for the offset to explain and of noise.
+
+def _agreed(tried: Fit, left: Misfit) -> bool:
+    """Whether no output is further off with the offset than without.
+
+    A lever that is read wrong shifts all outputs in one proportion, as hardly any build does. Where
+    an output contradicts it, the others are shifted as scatter shifts them.
     """
-    share = _share(before - tried.held_out, before - noise)
-    return share > _MOST and _in_scatters(tried, flights).max() > _asked(tried.effects[0], share)
+    after = left.gap - tried.response
+    gained = (left.weights * (left.gap**2 - after**2)).sum(axis=(0, 1))
+    return bool((gained >= 0.0).all())
 
 
 def _asked(effect: Effect, share: float) -> float:
@@ -143,14 +154,17 @@ def _share(gained: FloatArray, whole: FloatArray) -> float:
     return float(gained.sum()) / max(float(whole.sum()), 1e-9)
 
 
-def _in_scatters(tried: Fit, flights: Flights) -> FloatArray:
-    """RMS shift of each output (outputs,) over what build scatter may make of it."""
+def _in_scatters(tried: Fit, flights: Flights, together: float = _TOGETHER_PCT) -> FloatArray:
+    """RMS shift of each output (outputs,) over what build scatter may make of it.
+
+    `together` is the scatter of speeds that go with the lever or the day, in %.
+    """
     signals: Signals = flights.signals
     sizes = []
     for c, name in enumerate(signals.outputs):
         level = flights.y[..., c] + (_ZERO_K if name.endswith("_C") else 0.0)
         shift = 100.0 * float(np.sqrt(np.mean((tried.response[..., c] / level) ** 2)))
-        speed = _SHIFT_PCT.get(tried.effects[0].id, _TOGETHER_PCT)
+        speed = _SHIFT_PCT.get(tried.effects[0].id, together)
         if name in signals.free and c == 0:
             speed = _UNGOVERNED_PCT
         sizes.append(shift / _SCATTER_PCT.get(name, speed))

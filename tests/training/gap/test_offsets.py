@@ -23,6 +23,17 @@ def offset(shift, driver, name="deterioration"):
     return tried, flights
 
 
+def left(shift=(0.0, 0.0, 0.0)):
+    """A gap of `shift` (outputs,) throughout, of Q 10 in each flight, 1 of them noise."""
+    gap = np.full((4, 50, 3), shift)
+    return SimpleNamespace(
+        gap=gap,
+        weights=np.ones_like(gap),
+        floor=np.full(4, 1.0),
+        size=lambda _: np.full(4, 10.0),
+    )
+
+
 @pytest.mark.parametrize(
     ("shift", "driver", "beyond"),
     [
@@ -37,25 +48,38 @@ def offset(shift, driver, name="deterioration"):
 )
 def test_wear_is_more_than_build_scatter_makes_it(shift, driver, beyond):
     tried, flights = offset(shift, driver)
-    found = beyond_scatter(tried, np.full(4, 10.0), flights, np.full(4, 1.0))
+    found = beyond_scatter(tried, left(), flights)
     assert bool(found) is beyond
 
 
 @pytest.mark.parametrize(
-    ("percent", "left", "beyond"),
+    ("percent", "rest", "beyond"),
     [(1.6, 1.2, True), (1.5, 1.2, False), (1.6, 1.6, False), (2.5, 1.6, True)],
 )
-def test_one_temperature_that_is_all_of_the_gap_may_be_off_by_less(percent, left, beyond):
+def test_one_temperature_that_is_all_of_the_gap_may_be_off_by_less(percent, rest, beyond):
     """Of nine parts beyond noise it explains 0.98 or 0.93."""
     tried, flights = offset([0.0, 0.0, percent], "TRA_deg", "sensor_bias:EGT_C")
-    tried.held_out = np.full(4, left)
-    assert bool(beyond_scatter(tried, np.full(4, 10.0), flights, np.full(4, 1.0))) is beyond
+    tried.held_out = np.full(4, rest)
+    assert bool(beyond_scatter(tried, left(), flights)) is beyond
 
 
 def test_an_offset_that_explains_less_of_it_has_to_be_larger():
     tried, flights = offset([0.0, 1.3, 0.0], "TRA_deg")
     tried.held_out = np.full(4, 4.0)
-    assert not beyond_scatter(tried, np.full(4, 10.0), flights, np.full(4, 1.0))
+    assert not beyond_scatter(tried, left(), flights)
     tried, flights = offset([0.0, 1.9, 0.0], "TRA_deg")
     tried.held_out = np.full(4, 4.0)
-    assert beyond_scatter(tried, np.full(4, 10.0), flights, np.full(4, 1.0))
+    assert beyond_scatter(tried, left(), flights)
+
+
+@pytest.mark.parametrize(
+    ("percent", "fan", "beyond"),
+    [(0.8, 1.0, True), (0.8, -1.0, False), (1.1, -1.0, False), (1.3, -1.0, True)],
+)
+def test_a_lever_that_one_output_contradicts_is_as_far_off_as_scatter_shifts_any(
+    percent, fan, beyond
+):
+    """The core is as far off as the lever says, of the fan `fan` times that."""
+    tried, flights = offset([percent, percent, 0.0], "TRA_deg", "throttle_bias")
+    shift = tried.response[0, 0] * np.array([fan, 1.0, 0.0])
+    assert beyond_scatter(tried, left(shift), flights) is beyond
