@@ -31,8 +31,6 @@ from narxcal.flight_test.record import PAPER_RECORDS, Record, Window, circuits
 
 FloatArray = NDArray[np.float64]
 
-TEST_SETS = (5, 7, 8)
-PUSHES = 152
 _JITTER_DEG = 0.7
 # Of the circuits: pressure altitude of the field in ft, temperature deviation in degC.
 _FIELDS = ((300.0, -12.0), (1500.0, 3.0), (2500.0, 16.0), (4500.0, 19.0), (100.0, -27.0))

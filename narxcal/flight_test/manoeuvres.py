@@ -19,6 +19,7 @@ from narxcal.flight_test.manoeuvre_pieces import Corners, Switched
 
 # What a hand does at most: the whole travel in half a second.
 HAND_DEG_S = 170.0
+# Slam: as fast as pilots move it when asked to.
 SLAM_DEG_S, FAST_DEG_S, SLOW_DEG_S = 120.0, 40.0, 4.0
 
 
@@ -30,16 +31,6 @@ def hold(seconds: float) -> Corners:
 def travel(by_deg: float, rate_deg_s: float) -> Corners:
     """Move the lever by `by_deg` (negative: back) at a steady rate."""
     return Corners(((0.0, 0.0), (abs(by_deg) / _rate(rate_deg_s), by_deg)))
-
-
-def slam(by_deg: float) -> Corners:
-    """Push as fast as pilots do when asked to."""
-    return travel(abs(by_deg), SLAM_DEG_S)
-
-
-def chop(by_deg: float) -> Corners:
-    """Pull as fast as pilots do when asked to."""
-    return travel(-abs(by_deg), SLAM_DEG_S)
 
 
 def step(by_deg: float, after_s: float = 1.0, then_s: float = 30.0) -> Corners:

@@ -19,7 +19,8 @@ def bundle():
     config, base = load_config("citation2.toml")
     short = config.train.model_copy(update={"horizons_s": (5.0,), "iterations": (3,)})
     sets = config.split.model_copy(update={"train": ("*flight1*",), "test": ("*flight2*",)})
-    config = config.model_copy(update={"train": short, "split": sets})
+    narx = config.narx.model_copy(update={"lag": False})
+    config = config.model_copy(update={"train": short, "split": sets, "narx": narx})
     logs = prepare_logs(config, configured_files(config, base))
     return calibrate(config, base, split_logs(logs, config.split))
 

@@ -8,8 +8,6 @@ from data_prep.log import Log
 from narxcal.channels import CHANNELS
 from narxcal.errors import ConfigError
 from narxcal.flight_test.data_sets import (
-    PUSHES,
-    TEST_SETS,
     fast_push_sets,
     take_off_approach_sets,
     throttle_rate_sets,
@@ -19,6 +17,8 @@ from narxcal.flight_test.manoeuvres import HAND_DEG_S
 from narxcal.flight_test.record import PAPER_RECORDS
 from narxcal.turbofan.virtual_engine import INPUT_NAMES, VirtualEngine
 
+PUSHES = 152
+TEST_SETS = (5, 7, 8)
 RANGED = ("TRA_deg", "ALT_ft", "Mach", "dT_C")
 
 
@@ -46,7 +46,7 @@ def span(data_sets, name):
 
 def test_ten_sets_hold_exactly_152_fast_pushes(sets):
     assert [one.number for one in sets] == list(range(1, 11))
-    assert sum(len(fast(events(one), PUSH)) for one in sets) == PUSHES == 152
+    assert sum(len(fast(events(one), PUSH)) for one in sets) == PUSHES
     assert sum(len(one.pushes) for one in sets) == 152
 
 

@@ -15,7 +15,6 @@ from narxcal.flight_test.manoeuvre_pieces import Corners, Sequence, Sweep, Switc
 from narxcal.flight_test.manoeuvres import (
     HAND_DEG_S,
     SLAM_DEG_S,
-    chop,
     doublet,
     hold,
     impulse,
@@ -24,7 +23,6 @@ from narxcal.flight_test.manoeuvres import (
     ramp,
     reslam,
     reversals,
-    slam,
     step,
     switch,
     three_two_one_one,
@@ -69,11 +67,12 @@ def test_a_ramp_is_equation_3():
     np.testing.assert_allclose(moved, 10.0 * np.clip((RASTER - 1.0) / 5.0, 0.0, 1.0), atol=1e-12)
 
 
-def test_slam_and_chop_go_opposite_ways_at_the_stated_rate():
-    for piece, sign in ((slam(60.0), 1), (chop(60.0), -1)):
-        assert piece.net_deg == sign * 60.0
-        assert piece.duration_s == 60.0 / SLAM_DEG_S
-        assert piece.fastest_deg_s == pytest.approx(SLAM_DEG_S)
+@pytest.mark.parametrize("by_deg", [60.0, -60.0])
+def test_a_push_and_a_pull_go_at_the_stated_rate(by_deg):
+    piece = travel(by_deg, SLAM_DEG_S)
+    assert piece.net_deg == by_deg
+    assert piece.duration_s == 60.0 / SLAM_DEG_S
+    assert piece.fastest_deg_s == pytest.approx(SLAM_DEG_S)
 
 
 def test_a_three_two_one_one_stands_for_its_units():
