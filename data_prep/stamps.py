@@ -26,6 +26,7 @@ _BASELINES_ROWS = (256, 64, 16, 4)
 _SHORTEST_S = 1e-4
 _DAY_S, _NEAR_MIDNIGHT_S = 86400.0, 60.0
 _LATEST_S = 1e11  # later than any clock that counts seconds
+_SHARED = 1.5  # rows per stamp: then most are no accident
 MIDNIGHT = "clock starts anew at midnight"  # why stamps are moved by whole days
 # How stamps are printed: milliseconds of a date stay, and the last bits of a sum do not show.
 PRINTED = "%.15g"
@@ -186,7 +187,8 @@ def undo_rounding(time: FloatArray, interval: float) -> FloatArray:
     `n_k = k + max_{j<=k}(low_j - j)`.
     """
     rounding = printed_step(time)
-    if on_raster(time, interval):
+    shared = len(time) > _SHARED * len(np.unique(time))  # whole seconds lie on any raster of Hz
+    if on_raster(time, interval) and not shared:
         return time
     slack = 0.5001 * (rounding + rounding[0]) + ON_RASTER * interval
     steps = (time - time[0]) / interval
@@ -196,6 +198,10 @@ def undo_rounding(time: FloatArray, interval: float) -> FloatArray:
     number = count + np.maximum.accumulate(low - count)
     if (number > high).any():
         return time
+    if shared and time[-1] > time[0]:
+        # A recording begins within a second: its first rows lie at the end of that.
+        first = int(np.count_nonzero(time == time[0]))
+        number[:first] = np.minimum(number[first] - first, high[0]) + count[:first]
     return np.asarray(time[0] + (number - number[0]) * interval)
 
 

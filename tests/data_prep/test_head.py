@@ -211,12 +211,12 @@ def test_minutes_and_seconds_are_a_clock_time_too(tmp_path):
     np.testing.assert_allclose(log.time_s, 58.0 + np.arange(60) / 10)
 
 
-def test_a_clock_that_passes_midnight_is_told_what_it_needs(tmp_path):
-    stamps = [f"23:59:{58 + k / 10:04.1f}" for k in range(20)] + [
+def test_time_that_goes_back_is_a_second_recording(tmp_path):
+    stamps = [f"23:58:{38 + k / 10:04.1f}" for k in range(20)] + [
         f"00:00:0{k / 10}" for k in range(40)
     ]
     rows = "".join(f"{stamp},80,500\n" for stamp in stamps)
     assert error_of(write(tmp_path, f"t,fan,itt\n{rows}"), config()) == (
-        "FILE, channel time_s, row 21: time goes back from 86399.9 s to 0 s. "
-        "A clock that passes midnight needs the date with it; or split the file there"
+        "FILE, channel time_s, row 21: time goes back from 86319.9 s to 0 s. "
+        "Split the file there: it holds more than one recording"
     )
