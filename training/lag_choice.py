@@ -10,9 +10,9 @@ plainer form stands unless a richer one is better by two percent.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import count, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,11 +53,15 @@ class LagChoice:
 
 
 def chosen_lags(
-    config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]
+    config: RunConfig,
+    steady: SteadyStateModel,
+    logs: Sequence[Log],
+    watch: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> tuple[RunConfig, LagChoice]:
     """The configuration without "auto" in [narx], and what was chosen; raises nothing of its own.
 
-    Where no form can be judged (nothing moves in some recording), the plainest stands.
+    Where no form can be judged (nothing moves in some recording), the plainest stands. `watch` is
+    told how many of all fits are done.
     """
     forms = _offered(config, steady)
     if len(forms) < 2:
@@ -67,7 +71,12 @@ def chosen_lags(
     samples, dt_s = thinned_for_lags(samples, logs[0].dt_s, _RASTER_S)
     samples, recordings = _stretches(samples, [log.source.file for log in logs], dt_s)
     task = _Task(steady, samples, turns(recordings, _TURNS), dt_s)
-    left, best = {form: task.left(_with(config, form)) for form in forms}, forms[0]
+    total, done = len(forms) * len(task.turns), count()
+
+    def begins() -> None:
+        watch(next(done), total)
+
+    left, best = {form: task.left(_with(config, form), begins) for form in forms}, forms[0]
     for form in forms[1:]:
         if left[form] < _BETTER * left[best]:
             best = form
@@ -125,8 +134,8 @@ def _stretches(
         return list(samples), list(recordings)
     parts, names = [], []
     for one in samples:
-        count = int(np.clip(len(one.ss) * dt_s / _STRETCH_S, _TURNS, _STRETCHES))
-        edges = np.linspace(0, len(one.ss), count + 1).astype(int).tolist()
+        many = int(np.clip(len(one.ss) * dt_s / _STRETCH_S, _TURNS, _STRETCHES))
+        edges = np.linspace(0, len(one.ss), many + 1).astype(int).tolist()
         for number, (start, stop) in enumerate(pairwise(edges)):
             parts.append(one.rows(slice(start, stop)))
             names.append(str(number % _TURNS))
@@ -142,10 +151,14 @@ class _Task:
     turns: Sequence[Turn]
     dt_s: float
 
-    def left(self, config: RunConfig) -> float:
-        """What the lags of a form leave in free run, as a share of the outputs' range."""
+    def left(self, config: RunConfig, begins: Callable[[], None]) -> float:
+        """What the lags of a form leave in free run, as a share of the outputs' range.
+
+        `begins` is called as each fit begins.
+        """
         errors: list[FloatArray] = []
         for turn in self.turns:
+            begins()
             fitted, judged = turn.of(self.samples)
             try:
                 lag = fitted_lags(config, fitted, self.steady, self.dt_s)

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -71,13 +72,14 @@ class Split:
 class TrainOptions:
     """How to run a training: who watches, where checkpoints go, whether to go on from them.
 
-    `stage` is told in words what goes on before the network is trained.
+    `stage` is told in words what goes on before the network is trained, how much of it is done and
+    how much there is.
     """
 
     watch: Any = None
     checkpoints: Path | None = None
     resume: bool = False
-    stage: Callable[[str], None] = lambda _: None
+    stage: Callable[[str, int, int], None] = lambda _words, _done, _total: None
 
 
 def configured_files(config: RunConfig, base: Path) -> list[Path]:
@@ -124,11 +126,13 @@ def calibrate(
     """
     began, options = time.perf_counter(), options or TrainOptions()
     dt_s = _common_raster([*split.train, *split.validate])
+    options.stage("fitting the steady state", 0, 1)
     steady, quality = steady_state(config, base, split.train)
     split = split.held(steady.input_names)
     meta = _meta(config, base, split)
-    options.stage("choosing and fitting the lags")
-    config, choice = chosen_lags(config, steady, split.train)
+    told = partial(options.stage, "choosing the lags")
+    config, choice = chosen_lags(config, steady, split.train, told)
+    options.stage("fitting the lags", 0, 1)
     lag = lags(config, steady, split.train)
     structure = structure_of(config)
     learned = material(config, steady, lag, (split.train, split.validate))

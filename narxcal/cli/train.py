@@ -78,7 +78,7 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
     with console.progress("Training") as advance:
         options = TrainOptions(
             watch=_watch(config, advance),
-            stage=lambda words: advance(0, 1, f"({words})"),
+            stage=lambda words, done, total: advance(done, total, f"({words})"),
             checkpoints=checkpoints,
             resume=resume,
         )

@@ -157,5 +157,7 @@ def test_of_many_hours_every_so_many_th_recording_is_asked(monkeypatch, asked):
     monkeypatch.setattr("training.lag_choice._ENOUGH_S", 2.0 * MOVES * HOLD * DT_S)
     logs = [flight(number, TRUTHS["plain"]) for number in range(6)]
     both = [log for log in logs for _ in range(2)]  # two engines of each flight
-    chosen_lags(config(lag_governed=False), Line(), both)
+    told = []
+    chosen_lags(config(lag_governed=False), Line(), both, lambda *row: told.append(row))
+    assert told == [(k, 6) for k in range(6)]
     assert asked == [4, 4, 4] * 2  # of three recordings, two are fitted to in each turn
