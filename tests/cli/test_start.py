@@ -17,7 +17,7 @@ def test_it_runs_as_a_module_where_no_script_is_installed(module, tmp_path):
 
     told = run("--version")
     assert (told.returncode, told.stdout.split()[0]) == (0, "narxcal")
-    assert run("info", "nowhere").returncode == 2
+    assert run("info").returncode == 2
 
 
 @pytest.mark.parametrize(("asked", "given"), [(None, "1"), ("4", "4")])

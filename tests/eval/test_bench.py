@@ -16,7 +16,7 @@ from eval.benchmarks.row import Row
 from narxcal.errors import DataError
 from narxcal.narx import NarxConfig
 from narxcal.records import Record
-from training.config import TrainConfig
+from training.config import TrainConfig, load_config
 from training.free_run import FreeRunProblem, cut_windows
 from training.warm_start import new_model
 
@@ -143,7 +143,12 @@ def test_the_slow_training_step_has_the_loss_and_gradient_of_the_fast_one():
     np.testing.assert_allclose(slow, gradient, atol=1e-9)
 
 
-def test_replay_rows_are_finite():
+def test_replay_rows_are_finite(monkeypatch):
+    """Without lags, whose fit takes longer than all else."""
+    config, base = load_config("demo.toml")
+    narx = config.narx.model_copy(update={"lag": False, "lag_governed": False})
+    plain = config.model_copy(update={"narx": narx}), base
+    monkeypatch.setattr(replay_speed, "load_config", lambda _: plain)
     rows = replay_speed.rows(duration_s=480.0, steps=50)
     assert [row.unit for row in rows] == ["x real time", "ms"]
     assert all(math.isfinite(row.value) and row.value > 0.0 for row in rows)

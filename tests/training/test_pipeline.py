@@ -27,10 +27,12 @@ DT_S, TAU_S = 0.1, 1.5
 TABLE = {
     "schema": "narxcal.config/1",
     "steady_state": {"inputs": ["TRA_deg", "Mach"], "blend": [], "corrected": False},
-    "narx": {"outputs": ["N1_pct", "EGT_C"], "schedule": ["Mach"], "hidden": 2},
+    "narx": {
+        "outputs": ["N1_pct", "EGT_C"], "schedule": ["Mach"], "hidden": 2, "lag_limits": False,
+    },
     "train": {"horizons_s": [5.0, 20.0], "iterations": [3, 4], "threads": 1},
     "smooth": {"window": 1},
-}
+}  # fmt: skip
 
 
 def config(**sections):
