@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _MAX_DECIMALS = 7
 _BASELINES_ROWS = (256, 64, 16, 4)
 _SHORTEST_S = 1e-4
-_DAY_S, _NEAR_MIDNIGHT_S = 86400.0, 60.0
+_DAY_S, _HOUR_S, _MINUTE_S = 86400.0, 3600.0, 60.0
 _LATEST_S = 1e11  # later than any clock that counts seconds
 _SHARED = 1.5  # rows per stamp: then most are no accident
 MIDNIGHT = "clock starts anew at midnight"  # why stamps are moved by whole days
@@ -56,8 +56,8 @@ def past_midnight(
     """
     known = (stamps >= 0.0) & (stamps <= _DAY_S)
     clock = np.concatenate([[before_s - days * _DAY_S], stamps[known]])
-    late = (clock > _DAY_S - _NEAR_MIDNIGHT_S) & (clock <= _DAY_S)
-    early = (clock >= 0.0) & (clock < _NEAR_MIDNIGHT_S)
+    late = (clock > _DAY_S - _MINUTE_S) & (clock <= _DAY_S)
+    early = (clock >= 0.0) & (clock < _MINUTE_S)
     begun = (late[:-1] & early[1:]).astype(np.intp) - (early[:-1] & late[1:])
     passed = np.maximum(days + np.cumsum(begun), 0)
     if not passed.any():
@@ -87,7 +87,7 @@ def ordered_rows(stamps: FloatArray, max_gap_s: float, file: str) -> Rows:
             file=file,
             channel="time_s",
             row=int(kept[at]) + 1,
-            hint="Split the file there: it holds more than one recording",
+            hint=_where_it_goes_back(float(time[:at].max()), float(time[at])),
         )
     sorting = np.argsort(time, kind="stable")
     entries = (
@@ -96,6 +96,15 @@ def ordered_rows(stamps: FloatArray, max_gap_s: float, file: str) -> Rows:
         AuditEntry("*", "repaired", "out of order", int((lateness > 0.0).sum())),
     )
     return Rows(kept[sorting], time[sorting], entries)
+
+
+def _where_it_goes_back(before_s: float, after_s: float) -> str:
+    if _HOUR_S - _MINUTE_S < before_s <= _HOUR_S and after_s < _MINUTE_S:
+        return (
+            "A worksheet that shows MM:SS.0 leaves the hours out: write HH:MM:SS.0; or, if it holds "
+            "more than one recording, split the file there"
+        )
+    return "Split the file there: it holds more than one recording"
 
 
 def _lone_spikes(time: FloatArray, max_gap_s: float) -> NDArray[np.bool_]:

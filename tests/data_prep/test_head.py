@@ -211,6 +211,16 @@ def test_minutes_and_seconds_are_a_clock_time_too(tmp_path):
     np.testing.assert_allclose(log.time_s, 58.0 + np.arange(60) / 10)
 
 
+def test_a_worksheet_s_clock_without_hours_is_told_what_it_needs(tmp_path):
+    stamps = [f"{k // 600:02d}:{k / 10 % 60:04.1f}" for k in (*range(35_980, 36_000), *range(40))]
+    rows = "".join(f"{stamp},80,500\n" for stamp in stamps)
+    assert error_of(write(tmp_path, f"t,fan,itt\n{rows}"), config()) == (
+        "FILE, channel time_s, row 21: time goes back from 3599.9 s to 0 s. "
+        "A worksheet that shows MM:SS.0 leaves the hours out: write HH:MM:SS.0; or, if it holds "
+        "more than one recording, split the file there"
+    )
+
+
 def test_time_that_goes_back_is_a_second_recording(tmp_path):
     stamps = [f"23:58:{38 + k / 10:04.1f}" for k in range(20)] + [
         f"00:00:0{k / 10}" for k in range(40)
