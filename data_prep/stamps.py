@@ -101,8 +101,8 @@ def ordered_rows(stamps: FloatArray, max_gap_s: float, file: str) -> Rows:
 def _where_it_goes_back(before_s: float, after_s: float) -> str:
     if _HOUR_S - _MINUTE_S < before_s <= _HOUR_S and after_s < _MINUTE_S:
         return (
-            "A worksheet that shows MM:SS.0 leaves the hours out: write HH:MM:SS.0; or, if it holds "
-            "more than one recording, split the file there"
+            "A worksheet that shows MM:SS.0 leaves the hours out: write HH:MM:SS.0; "
+            "or, if it holds more than one recording, split the file there"
         )
     return "Split the file there: it holds more than one recording"
 
