@@ -98,15 +98,6 @@ class DynamicCalibration:
         chosen._register = None  # noqa: SLF001 (a copy of ourselves)
         return chosen
 
-    def features(
-        self, inputs: FloatArray, ss: FloatArray, lagged: FloatArray | None = None
-    ) -> FloatArray:
-        """What the network is driven by, (time, features): increments, values, schedule.
-
-        With lags in front of it, it is shown their deviation `lagged` (time, n_out) too.
-        """
-        return narx_features(ss, inputs[:, self._columns], lagged)
-
     def simulate(self, inputs: ArrayLike, start: ArrayLike | None = None) -> FloatArray:
         """Free run over `inputs` (time, n_in); returns (time, n_out).
 
@@ -133,7 +124,8 @@ class DynamicCalibration:
         ss = self.steady.outputs(given)
         deviation = ss - np.asarray(measured, dtype=np.float64)
         if self.lag is None:
-            return ss - self.narx.predict(self.features(given, ss), deviation)
+            features = narx_features(ss, given[:, self._columns])
+            return ss - self.narx.predict(features, deviation)
         drive = self.lag.drive(given, self.input_names, ss)
         free = self.lag.deviations(drive, deviation[0], self.dt_s)
         share = ss - free - self.simulate(given, ss[0] - deviation[0])
