@@ -14,7 +14,15 @@ import numpy as np
 
 from narxcal.errors import ConfigError, ModelError
 from narxcal.remembered import Remembered
-from narxcal.steady_state import Arrays, Envelope, Floats, checked_inputs, register_steady, stored
+from narxcal.steady_state import (
+    Arrays,
+    Envelope,
+    Floats,
+    at_known,
+    checked_inputs,
+    register_steady,
+    stored,
+)
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -88,13 +96,8 @@ class SteadyCallable:
 
     def outputs(self, inputs: ArrayLike) -> Floats:
         """Settled outputs `(..., n_out)` at `inputs` `(..., n_in)`; NaN where an input is."""
-        array = checked_inputs(inputs, self.input_names)
-        flat = self._box.clamp(array.reshape(-1, len(self.input_names)))
-        known = np.isfinite(flat).all(axis=1)
-        result = np.full((len(flat), len(self.output_names)), np.nan)
-        if known.any():
-            result[known] = self._answer(flat[known])
-        return result.reshape(*array.shape[:-1], len(self.output_names))
+        held = self._box.clamp(checked_inputs(inputs, self.input_names))
+        return at_known(self._answer, held, len(self.output_names))
 
     def _evaluate(self, inputs: Floats) -> Floats:
         expected = (len(inputs), len(self.output_names))

@@ -22,7 +22,15 @@ from pydantic import Field
 
 from narxcal.errors import ModelError
 from narxcal.settings import Section
-from narxcal.steady_state import Arrays, Envelope, Floats, checked_inputs, register_steady, stored
+from narxcal.steady_state import (
+    Arrays,
+    Envelope,
+    Floats,
+    at_known,
+    checked_inputs,
+    register_steady,
+    stored,
+)
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -75,12 +83,8 @@ class SteadyFmu:
 
     def outputs(self, inputs: ArrayLike) -> Floats:
         """Settled outputs `(..., n_out)` at `inputs` `(..., n_in)`; NaN where an input is."""
-        array = checked_inputs(inputs, self.input_names)
-        flat = self._box.clamp(array.reshape(-1, len(self.input_names)))
-        result = np.full((len(flat), len(self.output_names)), np.nan)
-        for index in np.flatnonzero(np.isfinite(flat).all(axis=1)):
-            result[index] = self._point(flat[index].tolist())
-        return result.reshape(*array.shape[:-1], len(self.output_names))
+        held = self._box.clamp(checked_inputs(inputs, self.input_names))
+        return at_known(self._points, held, len(self.output_names))
 
     def inside(self, inputs: ArrayLike) -> NDArray[np.bool_]:
         """Whether each sample lies within the ranges: `(...,)`."""
@@ -142,6 +146,9 @@ class SteadyFmu:
                 channel=name,
             )
         return int(known[wanted].valueReference)
+
+    def _points(self, inputs: Floats) -> Floats:
+        return np.array([self._point(row) for row in inputs.tolist()])
 
     def _point(self, inputs: list[float]) -> list[float]:
         try:

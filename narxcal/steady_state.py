@@ -7,7 +7,7 @@ callables, FMUs and models fitted from flights all meet the same `Protocol`.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, Self, TypeVar, runtime_checkable
 
@@ -121,6 +121,16 @@ def checked_inputs(inputs: ArrayLike, names: Sequence[str]) -> Floats:
             f"the steady-state model expects {len(names)} inputs ({', '.join(names)}), got {found}"
         )
     return array
+
+
+def at_known(function: Callable[[Floats], Floats], inputs: Floats, count: int) -> Floats:
+    """`function((n, n_in)) -> (n, count)` at `inputs` `(..., n_in)`, NaN where not finite."""
+    flat = inputs.reshape(-1, inputs.shape[-1])
+    known = np.isfinite(flat).all(axis=1)
+    result = np.full((len(flat), count), np.nan)
+    if known.any():
+        result[known] = function(flat[known])
+    return result.reshape(*inputs.shape[:-1], count)
 
 
 # Importing the module registers its class, so that a bundle opens without the caller

@@ -14,7 +14,15 @@ from scipy.spatial import ConvexHull, QhullError
 
 from narxcal.errors import ConfigError, DataError
 from narxcal.multilinear import Multilinear
-from narxcal.steady_state import Arrays, Envelope, Floats, checked_inputs, register_steady, stored
+from narxcal.steady_state import (
+    Arrays,
+    Envelope,
+    Floats,
+    at_known,
+    checked_inputs,
+    register_steady,
+    stored,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -104,12 +112,7 @@ class SteadyTable:
     def outputs(self, inputs: ArrayLike) -> Floats:
         """Settled outputs `(..., n_out)` at `inputs` `(..., n_in)`; NaN where an input is."""
         array = checked_inputs(inputs, self.input_names)
-        flat = array.reshape(-1, len(self.input_names))
-        known = np.isfinite(flat).all(axis=1)
-        result = np.full((len(flat), len(self.output_names)), np.nan)
-        if known.any():
-            result[known] = self._interpolant.values(flat[known])
-        return result.reshape(*array.shape[:-1], len(self.output_names))
+        return at_known(self._interpolant.values, array, len(self.output_names))
 
     def inside(self, inputs: ArrayLike) -> NDArray[np.bool_]:
         """Whether each sample lies in the grid's box or the points' convex hull: `(...,)`."""

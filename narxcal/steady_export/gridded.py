@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from narxcal.errors import ModelError
 from narxcal.multilinear import Multilinear
-from narxcal.steady_state import Envelope, Floats, SteadyStateModel, checked_inputs
+from narxcal.steady_state import Envelope, Floats, SteadyStateModel, at_known, checked_inputs
 
 # Sampled so many at a time: a model may need much more memory than its inputs.
 _CHUNK = 20_000
@@ -74,14 +74,13 @@ class GriddedModel:
     def outputs(self, inputs: ArrayLike) -> Floats:
         """Settled outputs `(..., n_out)` at `inputs` `(..., n_in)`; NaN where an input is."""
         array = checked_inputs(inputs, self.input_names)
-        flat = array.reshape(-1, len(self.input_names))
-        finite = np.isfinite(flat).all(axis=1)
-        result = np.full((len(flat), len(self.output_names)), np.nan)
-        result[finite] = sum(
-            interpolate(flat[finite][:, block.columns])
-            for interpolate, block in zip(self._interpolants, self.blocks, strict=True)
-        )
-        return result.reshape(*array.shape[:-1], len(self.output_names))
+        return at_known(self._added, array, len(self.output_names))
+
+    def _added(self, inputs: Floats) -> Floats:
+        total = np.zeros((len(inputs), len(self.output_names)))
+        for interpolate, block in zip(self._interpolants, self.blocks, strict=True):
+            total += interpolate(inputs[:, block.columns])
+        return total
 
     def inside(self, inputs: ArrayLike) -> NDArray[np.bool_]:
         """Whether each sample lies between nodes at which the model holds: `(...,)`."""
