@@ -29,7 +29,7 @@ from training.gap.offsets import beyond_scatter, day_fit, offset_fits, unexplain
 from training.gap.quadratic import Misfit, misfit
 from training.gap.rerun_fit import told_anew
 from training.gap.together import added, in_order, is_heat, taken
-from training.gap.unlogged import priced, witnesses
+from training.gap.unlogged import priced
 from training.gap.verdict import Offset, bearable, finding
 from training.gap.work import Options, Simulators, Watch, Work
 
@@ -127,10 +127,9 @@ def _earned(work: Work, model: Fit, best: Fit | None, least: float) -> bool:
     """
     gained = (work.before if best is None else best.held_out) - model.held_out
     share = float(gained.sum()) / work.audible
-    told = gained[witnesses(model, work.options.price)]
     telling = work.tells(model) or work.stands_out(model)
     heard = float(gained.sum()) > (_IF_TELLING if telling else _OF_WHOLE) * work.whole
-    worth = share > max(work.threshold, least) and in_nearly_all(told) and heard
+    worth = share > max(work.threshold, least) and work.holds(gained, model, best) and heard
     if not (worth and _beyond(work, model, best)):
         return False
     return not foil(model, work.problem.misfit, work.problem.flights.signals.outputs)

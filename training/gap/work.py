@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from narxcal.effects.base import FloatArray
 from narxcal.effects.running import Emulator
@@ -18,6 +19,7 @@ from training.gap.unlogged import has_load, witnesses
 
 _FAINT = 0.02  # of the peak of a response: where it counts half
 _LEAST = 0.01  # of the noise's energy: less of a gap is none to take shares of
+_SILENT, _WITNESSES = 0.01, 3  # of what the average flight tells; flights that have to tell
 _WITHIN = 0.05  # what a gain counts that any simulator's misfit would explain, too
 Watch = Callable[[str, int, int], None]  # what is at work, its number, how many there are
 _AT_END = 0.8  # what a fit counts whose time constant would go on past its bound
@@ -142,6 +144,31 @@ class Work:
         """Q per flight that a fit takes beyond the small misfit that any simulator may have."""
         return self._refitted(None) - self._refitted(tried)
 
+    def witnesses(self, tried: Fit, best: Fit | None = None) -> NDArray[np.bool_]:
+        """Flights (flights,) that tell for or against what a fit has more than `best`, or none.
+
+        A flight in which no switch of an effect moves, or no load was on, says nothing about it:
+        of the parameters it tells less than a hundredth of what the average flight does.
+        """
+        if has_load(tried):
+            return witnesses(tried, self.options.price)
+        known = () if best is None else best.effects
+        owners = [
+            effect for effect, n in zip(tried.effects, tried.sizes, strict=True) for _ in range(n)
+        ]
+        slopes = tried.slopes[[owner not in known for owner in owners]]
+        told = np.einsum("fpp->fp", self.problem.misfit.inner(slopes, slopes))
+        return np.asarray((told > _SILENT * told.mean(axis=0)).any(axis=1))
+
+    def holds(self, gained: FloatArray, tried: Fit, best: Fit | None = None) -> bool:
+        """Whether what is `gained` (flights,) is so in nearly all flights that tell, three or more.
+
+        How many have to tell of an unlogged load is asked where its windows are found.
+        """
+        rows = self.witnesses(tried, best)
+        enough = has_load(tried) or int(rows.sum()) >= min(_WITNESSES, len(rows))
+        return enough and in_nearly_all(gained[rows])
+
     def stands_out(self, tried: Fit) -> bool:
         """Whether a fit takes so much beyond small misfit that whatever else is left may be.
 
@@ -152,7 +179,7 @@ class Work:
         share, least = float(taken.sum()) / self.audible, self.options.apart
         slow = any(isinstance(effect, HeatSoak) for effect in tried.effects)
         asked = self.options.aligned if slow else least[1]
-        return share * aligned >= least[0] and aligned >= asked and in_nearly_all(taken)
+        return share * aligned >= least[0] and aligned >= asked and self.holds(taken, tried)
 
     def still(self, tried: Fit) -> float:
         """Q that a fit leaves beside small misfit, beyond noise."""

@@ -6,7 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.training.gap.conftest import NOISE
+from narxcal.effects import effect
+from narxcal.effects.running import respond
+from tests.training.gap.conftest import INPUTS, NOISE
 from training.gap.diagnosis import _beyond, diagnose
 from training.gap.work import Options, Simulators
 
@@ -37,6 +39,21 @@ def test_a_single_effect_is_named_with_its_size(name, theta, flights, engine, re
     assert found.predicted.value > 0.9
     assert found.left_share < 0.1
     assert row.probability >= found.tried[-1].probability
+
+
+@pytest.mark.parametrize(("switched", "kind"), [(3, "effects"), (2, "unknown")])
+def test_what_a_switch_does_is_named_if_it_moves_in_three_of_the_flights(
+    switched, kind, flights, engine
+):
+    """Flights in which it does not move say nothing against it."""
+    u = flights.u.copy()
+    u[switched:, :, INPUTS.index("NAI")] = 0.0
+    own = replace(flights, u=u)
+    setting = (effect("bleed_extraction"), np.array([[0.0, -0.6, 15.0]]))
+    real = respond([setting], own, engine)[0]
+    found = answer(own, engine, real + NOISE * np.random.default_rng(4).normal(size=real.shape))
+    assert found.kind == kind, found.reason
+    assert found.tried[0].effects == ("bleed_extraction",)
 
 
 def test_an_offset_larger_than_build_scatter_is_named(flights, engine, recorded):

@@ -1,9 +1,12 @@
 """What an effect explains where it acts is not lessened by what is wrong elsewhere."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from narxcal.effects import effect
+from narxcal.effects.running import respond
 from tests.training.gap.conftest import NOISE
 from training.gap.fitting import Problem, fit
 from training.gap.offsets import whole_gap
@@ -93,3 +96,26 @@ def test_where_a_delay_and_a_valve_outside_the_loop_say_the_same_it_is_the_delay
     assert work.rank(delay) > work.rank(valve)
     inside = fit([effect("actuator_lag")], problem, np.array([tau_s, 1.0, 0.0]))
     assert not inside.loopless
+
+
+@pytest.mark.parametrize(("switched", "told"), [(3, True), (2, False), (5, True)])
+def test_flights_in_which_no_switch_moves_say_nothing_of_what_it_does(
+    switched, told, flights, engine
+):
+    """It holds in those in which one does, if these are three."""
+    u = flights.u.copy()
+    u[switched:, :, 4] = 0.0
+    own = replace(flights, u=u)
+    named, shift = effect("bleed_extraction"), np.array([[0.0, -0.3, 9.0]])
+    real = respond([(named, shift)], own, engine)[0]
+    real = real + NOISE * np.random.default_rng(4).standard_normal(real.shape)
+    measure = misfit(own, real, NOISE)
+    problem = Problem(own, engine, measure)
+    work = Work(problem, Options(), measure.size(measure.gap), NOISE, measure)
+    found = fit([named], problem)
+    np.testing.assert_array_equal(work.witnesses(found), np.arange(5) < switched)
+    assert work.holds(work.before - found.held_out, found) is told
+    beside = fit([effect("sensor_lag:EGT_C"), named], problem)
+    assert work.witnesses(beside).all()
+    lag = fit([effect("sensor_lag:EGT_C")], problem)
+    np.testing.assert_array_equal(work.witnesses(beside, lag), np.arange(5) < switched)
