@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from narxcal.errors import ModelError
@@ -74,7 +74,9 @@ def test_a_damaged_file_is_refused_in_words(kept, junk, tmp_path_factory):
     file = tmp_path_factory.mktemp("damaged") / "c"
     write_checkpoint(file, FULL, "key")
     data = file.read_bytes()
-    file.write_bytes(data[: int(kept * len(data))] + junk)
+    damaged = data[: int(kept * len(data))] + junk
+    assume(len(damaged) != len(data))  # the format has no checksum: these would be other weights
+    file.write_bytes(damaged)
     with pytest.raises(ModelError) as error:
         read_checkpoint(file, "key")
     assert str(error.value).startswith(f"{file}: the checkpoint cannot be read: ")
