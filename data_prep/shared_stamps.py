@@ -2,7 +2,8 @@
 
 A recorder of ten rows a second whose clock shows seconds writes the same stamp ten times. Counted
 per stamp the rows say their own rate, and `data_prep.stamps.undo_rounding` puts them in between.
-Where each row of a stamp holds other channels, or the same values again, nothing lies in between.
+Where each row of a stamp holds other channels, another engine, or the same values again, nothing
+lies in between.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ _FEW = 3  # whole stamps, at least
 _REGULAR = 0.9  # of the stamps hold as many rows as the others, or one more or less
 _FILLED, _CHANGES = 0.9, 0.02  # of the rows of a channel that is sampled row by row
 _WHOLE_HZ = 0.005
+_ORDINARY = 0.95  # of the steps between rows are no large move
+_SURELY, _NOTHING = 5.0, 0.1  # standard errors, and of a step: so far apart means may be by chance
 
 
 def shared_interval(time: FloatArray, channels: Mapping[str, FloatArray]) -> float:
@@ -51,12 +54,27 @@ def shared_interval(time: FloatArray, channels: Mapping[str, FloatArray]) -> flo
 
 
 def _row_by_row(time: FloatArray, channels: Mapping[str, FloatArray]) -> bool:
-    """Whether rows that share a stamp are samples of their own, in one channel at least."""
+    """Whether rows that share a stamp follow each other in time, by every channel that tells."""
     same = np.diff(time) == 0.0
+    told = []
     for values in channels.values():
-        known = np.isfinite(values)
-        both = known[1:] & known[:-1] & same
-        changes = (values[1:] != values[:-1])[both]
-        if known.mean() >= _FILLED and len(changes) and changes.mean() >= _CHANGES:
-            return True
-    return False
+        steps = np.diff(values)
+        known = np.isfinite(steps)
+        within, between = steps[same & known], steps[~same & known]
+        if np.isfinite(values).mean() < _FILLED or np.mean(within != 0.0) < _CHANGES:
+            continue
+        told.append(_alike(within, between))
+    return bool(told) and all(told)
+
+
+def _alike(within: FloatArray, between: FloatArray) -> bool:
+    """Whether rows step from each other within a stamp as they do from one to the next.
+
+    Rows of two engines in turn step up within each and down between them, and further within.
+    """
+    every = np.concatenate([within, between])
+    low, high = np.quantile(every, [1.0 - _ORDINARY, _ORDINARY])
+    within, between = np.clip(within, low, high), np.clip(between, low, high)
+    error = np.hypot(within.std() / np.sqrt(len(within)), between.std() / np.sqrt(len(between)))
+    apart = abs(float(within.mean() - between.mean()))
+    return apart <= max(_SURELY * float(error), _NOTHING * float(np.abs(within).mean()))

@@ -68,6 +68,28 @@ def test_rows_of_other_channels_or_of_the_same_values_are_no_samples_between():
     assert shared_interval(np.arange(200) / 2.0, {"N1_pct": own}) == 0.0
 
 
+@pytest.mark.parametrize("step_s", [1.0, 0.1])
+def test_rows_of_two_engines_in_turn_do_not_follow_each_other(step_s):
+    stamps = np.repeat(np.arange(300) * step_s, 2)
+    random = np.random.default_rng(2)
+    speed = wave(stamps) + 0.05 * random.standard_normal(600)
+    engines = speed + np.tile([0.0, 0.8], 300)
+    assert shared_interval(stamps, {"N1_pct": engines}) == 0.0
+    assert shared_interval(stamps, {"N1_pct": engines, "TRA_deg": np.full(600, 30.0)}) == 0.0
+
+
+@pytest.mark.parametrize("last_digit", [0.1, 1.0])
+def test_readings_of_few_digits_follow_each_other_all_the_same(last_digit):
+    random = np.random.default_rng(3)
+    time = np.arange(3000) / 8.0
+    speed = 80.0 + np.cumsum(0.02 * random.standard_normal(3000))
+    shown = np.round(speed / last_digit) * last_digit
+    exact = {"N1_pct": shown, "ALT_ft": 9000.0 + 0.0 * time}
+    changes = float(np.mean(np.diff(shown) != 0.0))
+    expected = 0.125 if changes > 0.03 else 0.0
+    assert shared_interval(np.floor(time), exact) == pytest.approx(expected)
+
+
 def test_rows_that_share_stamps_irregularly_are_left_where_they_are():
     stamps = np.sort(np.random.default_rng(0).integers(0, 60, 400)).astype(float)
     assert shared_interval(stamps, {"N1_pct": wave(np.arange(400.0))}) == 0.0
