@@ -58,7 +58,7 @@ def finding(
     return Finding(
         kind=kind,
         effects=names,
-        ambiguous_with=rivals,
+        ambiguous_with=() if silent else rivals,
         reason=reason,
         separating_manoeuvre="" if leader is None else leader.effects[0].manoeuvre,
         tried=tuple(rows),

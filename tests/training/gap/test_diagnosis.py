@@ -179,7 +179,9 @@ def test_noise_alone_is_no_gap(seed, flights, engine, recorded):
 def test_build_scatter_is_no_effect(flights, engine, recorded):
     real = recorded({}) + np.array([0.0, 0.3, 5.0])
     real[..., 2] += 4.0 * flights.signals.power(flights.y)
-    assert answer(flights, engine, real).kind == "none"
+    found = answer(flights, engine, real)
+    assert found.kind == "none"
+    assert found.effects == found.ambiguous_with == ()
 
 
 def test_what_is_in_no_library_is_not_named(flights, engine, recorded):
