@@ -87,6 +87,9 @@ class NarxModel:
                 f"expected outputs of shape {(len(inputs), self.net.outputs)}, "
                 f"found {measured.shape}"
             )
+        unknown = np.full((1, self.net.outputs), np.nan)
+        if len(measured) < 2:
+            return unknown[: len(measured)]
         scaled = self.output_scaling.down(measured)
         lags = [history_before(scaled, k, self.config.lags) for k in range(1, len(scaled))]
         past = torch.from_numpy(np.array(lags).reshape(len(lags), self.config.lags, -1))
@@ -94,7 +97,6 @@ class NarxModel:
         past_u = torch.from_numpy(tapped.reshape(len(lags), len(self.config.taps), -1))
         with torch.no_grad():
             steps = self.net(past, past_u).numpy()
-        unknown = np.full((1, self.net.outputs), np.nan)
         return np.concatenate([unknown, self.output_scaling.up(steps)])
 
     def _inputs(self, u: ArrayLike) -> FloatArray:
@@ -114,6 +116,8 @@ class NarxModel:
 
     def _start(self, start: ArrayLike) -> FloatArray:
         first = np.atleast_2d(np.asarray(start, dtype=np.float64))
+        if not len(first):
+            raise DataError("a free run needs at least one start sample, found none")
         if first.shape[1] != self.net.outputs or not np.isfinite(first).all():
             raise DataError(
                 f"expected finite start values of shape (n, {self.net.outputs}), "

@@ -29,8 +29,8 @@ class Record:
     weight: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "u", _columns(self.u, self.name))
-        object.__setattr__(self, "y", _columns(self.y, self.name))
+        object.__setattr__(self, "u", columns(self.u, self.name))
+        object.__setattr__(self, "y", columns(self.y, self.name))
         if len(self.u) != len(self.y):
             raise DataError(
                 f"inputs and outputs have to be of one length, found {len(self.u)} "
@@ -38,11 +38,8 @@ class Record:
                 file=self.name,
             )
         self._check_values()
-        if self.weight is not None and self.weight.shape != (len(self.u),):
-            raise DataError(
-                f"the weight has to be of shape ({len(self.u)},), found {self.weight.shape}",
-                file=self.name,
-            )
+        if self.weight is not None:
+            object.__setattr__(self, "weight", self._checked_weight(self.weight))
 
     def __len__(self) -> int:
         return len(self.u)
@@ -65,9 +62,31 @@ class Record:
                 hint="Mask what is not known with NaN",
             )
 
+    def _checked_weight(self, given: ArrayLike) -> FloatArray:
+        weight = _numbers(given, self.name)
+        if weight.shape != (len(self.u),):
+            raise DataError(
+                f"the weight has to be of shape ({len(self.u)},), found {weight.shape}",
+                file=self.name,
+            )
+        bad = np.flatnonzero(~(np.isfinite(weight) & (weight >= 0.0)))
+        if len(bad):
+            raise DataError(
+                f"expected a weight of at least 0, found {weight[bad[0]]:g}",
+                file=self.name,
+                row=int(bad[0]),
+                hint="0 leaves a sample out",
+            )
+        return weight
 
-def _columns(values: ArrayLike, name: str) -> FloatArray:
-    array = np.ascontiguousarray(values, dtype=np.float64)
+
+def columns(values: ArrayLike, name: str | None = None) -> FloatArray:
+    """`values` as float64 (time, channels); of one dimension they are one channel over time.
+
+    What a masked array hides is NaN. Raises `DataError` for anything but real numbers, and for
+    more than two dimensions.
+    """
+    array = _numbers(values, name)
     if array.ndim > 2:
         raise DataError(
             f"expected (time, channels), found an array of shape {array.shape}",
@@ -77,20 +96,36 @@ def _columns(values: ArrayLike, name: str) -> FloatArray:
     return array[:, None] if array.ndim == 1 else array
 
 
+def _numbers(values: ArrayLike, name: str | None) -> FloatArray:
+    # NumPy itself would drop a mask without a word, and an imaginary part with a mere warning.
+    if isinstance(values, np.ma.MaskedArray):
+        values = np.ma.filled(values.astype(np.float64), np.nan)
+    if np.iscomplexobj(values):
+        raise DataError("expected an array of real numbers, found complex ones", file=name)
+    try:
+        return np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise DataError(
+            f"expected an array of real numbers, found {type(values).__name__} ({error})", file=name
+        ) from None
+
+
 Pair: TypeAlias = tuple[ArrayLike, ArrayLike]
 RecordLike: TypeAlias = Record | Pair
 
 
-def as_records(given: RecordLike | Iterable[RecordLike]) -> list[Record]:
+def as_records(given: RecordLike | Iterable[RecordLike], name: str = "record") -> list[Record]:
     """Records as users have them: `Record`, pairs (u, y), one of these or several.
 
-    Raises `DataError` for anything else, and as `Record` does.
+    A pair is called `name` and its number. Raises `DataError` for anything else, and as `Record`
+    does.
     """
     if isinstance(given, Record) or _is_pair(given):
-        return [_as_record(given, 1)]
-    if isinstance(given, np.ndarray) or not isinstance(given, Iterable):
+        return [_as_record(given, f"{name} 1")]
+    # One array, table or tensor can be iterated over, too, but what comes of it is no record.
+    if hasattr(given, "__array__") or not isinstance(given, Iterable):
         raise _no_record(given)
-    return [_as_record(each, number) for number, each in enumerate(given, 1)]
+    return [_as_record(each, f"{name} {number}") for number, each in enumerate(given, 1)]
 
 
 def _is_pair(given: object) -> TypeGuard[Pair]:
@@ -98,17 +133,17 @@ def _is_pair(given: object) -> TypeGuard[Pair]:
     return isinstance(given, tuple) and len(given) == 2 and not isinstance(given[0], tuple | Record)
 
 
-def _as_record(given: object, number: int) -> Record:
+def _as_record(given: object, name: str) -> Record:
     if isinstance(given, Record):
         return given
     if not _is_pair(given):
         raise _no_record(given)
     u, y = given
-    return Record(np.asarray(u, np.float64), np.asarray(y, np.float64), f"record {number}")
+    return Record(columns(u, name), columns(y, name), name)
 
 
 def _no_record(given: object) -> DataError:
-    shape = f" of shape {given.shape}" if isinstance(given, np.ndarray) else ""
+    shape = f" of shape {tuple(given.shape)}" if hasattr(given, "shape") else ""
     return DataError(
         f"expected records of inputs and outputs, found {type(given).__name__}{shape}",
         hint="Pass a list of pairs, [(u, y)], or of Record(u, y)",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any, Self, TypeAlias
 
 import numpy as np
@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.base import BaseEstimator
 from sklearn.exceptions import NotFittedError
 
-from narxcal.errors import ModelError
+from narxcal.errors import ConfigError, DataError, ModelError
 from narxcal.narx import NarxConfig
 from narxcal.narx_model import NarxModel
-from narxcal.records import RecordLike, as_records
-from narxcal.settings import Section
+from narxcal.records import Record, RecordLike, as_records, check_records, columns
 from training.config import TrainConfig
 from training.trainer import FitResult, Material, Watch, fit_narx
 
@@ -26,6 +25,7 @@ Records: TypeAlias = RecordLike | Iterable[RecordLike]
 _STRUCTURE = NarxConfig(lags=8, taps=tuple(range(9)), hidden=8)
 # Horizons in samples.
 _TRAIN = TrainConfig(horizons_s=(20.0, 200.0, 0.0), iterations=(10, 20, 40), score_every_s=1.0)
+_SECTIONS = ("structure", "train")
 
 
 class NotTrainedError(ModelError, NotFittedError):  # type: ignore[misc]  # scikit-learn ships no types
@@ -73,12 +73,14 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         """Train on whole records; stop and select by `validation` records where given.
 
         NaN outputs are masked. Raises `DataError` for what is no record, and for records that do
-        not fit each other.
+        not fit each other, `ConfigError` for parameters that are none.
         """
+        structure, train = self._sections()
+        if not self.dt_s > 0.0 or not np.isfinite(self.dt_s):
+            raise ConfigError(f"key 'dt_s': expected a time above 0, found {self.dt_s}")
         learned = as_records(records)
-        held_out = [] if validation is None else as_records(validation)
+        held_out = [] if validation is None else as_records(validation, "validation record")
         material = Material(learned, held_out, self.dt_s)
-        structure, train = self.structure or _STRUCTURE, self.train or _TRAIN
         self.result_: FitResult = fit_narx(material, structure, train, watch)
         return self
 
@@ -96,36 +98,61 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         sample (outputs,) where there are several.
         """
         single = self.model.net.outputs == 1
-        return self.model.simulate(_columns(u), _columns(start) if single else start)
+        return self.model.simulate(columns(u), columns(start) if single else start)
 
     def predict(self, u: ArrayLike, y: ArrayLike) -> FloatArray:
         """One-step-ahead prediction (time, outputs) from measured outputs (time, outputs)."""
-        return self.model.predict(_columns(u), _columns(y))
+        return self.model.predict(columns(u), columns(y))
 
-    def score(self, records: Records, start: int = 1) -> float:
+    def score(self, records: Records, y: None = None, *, start: int = 1) -> float:
         """Coefficient of determination of the free run, pooled over records and outputs.
 
-        Where the outputs never vary it is 1 for a free run without error, else 0.
+        Where the outputs never vary it is 1 for a free run without error, else 0. `y` is nothing:
+        scikit-learn's pipelines pass targets beside the records.
 
         The first `start` measured samples of each record initialise it and are not scored; one
-        that is masked takes the channel's first known value.
+        that is masked takes the channel's first known value. Raises `DataError` for records that
+        the model or `start` does not fit, and for one in which an output is masked throughout.
         """
+        del y
         error, spread = 0.0, 0.0
-        for record in as_records(records):
-            y = self.model.simulate(record.u, _known_start(record.y, start))
+        for record in self._scorable(records, start):
+            free_run = self.model.simulate(record.u, _known_start(record.y, start))
             scored = slice(start, None)
             centre = np.nanmean(record.y, axis=0)
-            error += float(np.nansum((y[scored] - record.y[scored]) ** 2))
+            error += float(np.nansum((free_run[scored] - record.y[scored]) ** 2))
             spread += float(np.nansum((record.y[scored] - centre) ** 2))
         if spread == 0.0:  # as scikit-learn scores what never varies
             return 1.0 if error == 0.0 else 0.0
         return 1.0 - error / spread
 
+    def _scorable(self, given: Records, start: int) -> list[Record]:
+        if start < 1:
+            raise DataError(f"expected at least one start sample, found start = {start}")
+        records, net = as_records(given), self.model.net
+        found = check_records(records, start)
+        if found != (net.inputs, net.outputs):
+            raise DataError(
+                f"expected {net.inputs} inputs and {net.outputs} outputs as in training, "
+                f"found {found[0]} and {found[1]}",
+                file=records[0].name,
+            )
+        for record in records:
+            known = np.isfinite(record.y).any(axis=0)
+            if not np.all(known):
+                raise DataError(
+                    f"output {int(np.argmin(known)) + 1} of {net.outputs} has no known sample that "
+                    "a free run could start from",
+                    file=record.name,
+                    hint="Leave this record out, or fill its first sample",
+                )
+        return records
+
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Settings by name; if `deep`, the keys of both sections too, as `structure__hidden`."""
         params: dict[str, Any] = super().get_params(deep=False)
         if deep:
-            for name, section in self._sections().items():
+            for name, section in zip(_SECTIONS, self._sections(), strict=True):
                 params |= {f"{name}__{key}": value for key, value in section}
         return params
 
@@ -135,7 +162,7 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         Raises `ConfigError` for a bad key or value of a section, `ValueError` for a strange name.
         """
         own: dict[str, Any] = {}
-        nested: dict[str, dict[str, Any]] = {name: {} for name in self._sections()}
+        nested: dict[str, dict[str, Any]] = {name: {} for name in _SECTIONS}
         for name, value in params.items():
             head, _, key = name.partition("__")
             if key and head in nested:
@@ -143,13 +170,24 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
             else:
                 own[name] = value
         super().set_params(**own)
-        for name, section in self._sections().items():
+        for name, section in zip(_SECTIONS, self._sections(), strict=True):
             if nested[name]:
                 setattr(self, name, type(section).parse(dict(section) | nested[name]))
         return self
 
-    def _sections(self) -> Mapping[str, Section]:
-        return {"structure": self.structure or _STRUCTURE, "train": self.train or _TRAIN}
+    def _sections(self) -> tuple[NarxConfig, TrainConfig]:
+        structure = _STRUCTURE if self.structure is None else self.structure
+        train = _TRAIN if self.train is None else self.train
+        for name, given, kind in (
+            ("structure", structure, NarxConfig),
+            ("train", train, TrainConfig),
+        ):
+            if not isinstance(given, kind):
+                raise ConfigError(
+                    f"key '{name}': expected {kind.__name__}, found {type(given).__name__}",
+                    hint=f"Pass {kind.__name__}(...)",
+                )
+        return structure, train
 
     def __sklearn_tags__(self) -> Any:
         """Tell scikit-learn's displays what this is."""
@@ -161,9 +199,3 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
 def _known_start(y: FloatArray, samples: int) -> FloatArray:
     first = y[np.isfinite(y).argmax(axis=0), np.arange(y.shape[1])]
     return np.where(np.isfinite(y[:samples]), y[:samples], first)
-
-
-def _columns(values: ArrayLike) -> FloatArray:
-    """1-D arrays as one channel over time."""
-    array = np.asarray(values, dtype=np.float64)
-    return array[:, None] if array.ndim == 1 else array

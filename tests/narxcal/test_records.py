@@ -19,6 +19,12 @@ def test_records_agree_on_their_channels():
     assert check_records(records, 4) == (3, 2)
 
 
+def test_a_weight_is_an_array_of_numbers():
+    weight = Record(np.zeros(3), np.zeros(3), "flight", [1, 0, 2]).weight
+    assert weight.dtype == np.float64
+    assert weight.tolist() == [1.0, 0.0, 2.0]
+
+
 def with_bad_input():
     u = np.zeros((6, 2))
     u[4, 1] = np.inf
@@ -42,6 +48,25 @@ def with_bad_input():
         (
             lambda: Record(np.zeros(3), np.zeros(3), "flight", np.ones(2)),
             "flight: the weight has to be of shape (3,), found (2,)",
+        ),
+        (
+            lambda: Record(np.zeros(3), np.zeros(3), "flight", [1, -2, 0]),
+            "flight, row 1: expected a weight of at least 0, found -2. 0 leaves a sample out",
+        ),
+        (
+            lambda: Record(np.zeros(3), np.zeros(3), "flight", [1, 0, np.nan]),
+            "flight, row 2: expected a weight of at least 0, found nan. 0 leaves a sample out",
+        ),
+        (
+            lambda: Record(np.zeros(2), ["1", "idle"], "flight"),
+            (
+                "flight: expected an array of real numbers, found list "
+                "(could not convert string to float: 'idle')"
+            ),
+        ),
+        (
+            lambda: Record(np.zeros(2) + 1j, np.zeros(2), "flight"),
+            "flight: expected an array of real numbers, found complex ones",
         ),
         (
             lambda: Record(np.zeros(3), [0.0, 1.0, -np.inf], "flight"),
