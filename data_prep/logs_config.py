@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Literal, Self
 
 from pydantic import Field, PositiveFloat, field_validator, model_validator
@@ -64,6 +64,14 @@ class LogsConfig(Section):
         if value != "auto" and (len(value) != 1 or not (value.isprintable() or value == "\t")):
             raise ValueError("expected 'auto' or a single character")
         return value
+
+    @field_validator("files")
+    @classmethod
+    def _in_the_folder(cls, patterns: tuple[str, ...]) -> tuple[str, ...]:
+        for pattern in patterns:
+            if not pattern or PurePath(pattern).anchor:
+                raise ValueError("expected patterns of files in [logs] folder, without its path")
+        return patterns
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

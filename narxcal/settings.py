@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from os import PathLike
 from pathlib import Path
 from typing import Any, Self, get_args
@@ -69,15 +69,32 @@ def _explain(
     first, key = error.errors()[0], _key(error)
     path = key.split(".")
     if first["type"] == "extra_forbidden":
-        known = _known_keys(section, path[:-1])
-        near = difflib.get_close_matches(path[-1], known, n=1, cutoff=0.5)
-        hint = f"Did you mean '{near[0]}'?" if near else f"Known keys: {', '.join(known)}"
-        return ConfigError(f"unknown key '{key}'", file=file, hint=hint)
+        return ConfigError(f"unknown key '{key}'", file=file, hint=_meant(section, path))
     if first["type"] == "missing":
         return ConfigError(f"key '{key}' is missing", file=file, hint="Add it")
     if not key:  # of the table as a whole
         return ConfigError(_problem(error), file=file)
     return ConfigError(f"key '{key}': {_said(error)}", file=file)
+
+
+def _meant(section: type[BaseModel], path: list[str]) -> str:
+    """Where the last key of `path` belongs, or what it may be a slip of the pen for."""
+    tables = [f"[{table}]" for table in _tables_with(path[-1], section) if table]
+    if tables:
+        return f"It is a key of {' and of '.join(tables)}"
+    known = _known_keys(section, path[:-1])
+    near = difflib.get_close_matches(path[-1], known, n=1, cutoff=0.5)
+    return f"Did you mean '{near[0]}'?" if near else f"Known keys: {', '.join(known)}"
+
+
+def _tables_with(key: str, section: type[BaseModel], at: str = "") -> Iterator[str]:
+    """Tables of a configuration, as `logs.derive`, that know `key`."""
+    if key in _keys(section):
+        yield at
+    for name, field in section.model_fields.items():
+        nested = _section_in(field.annotation)
+        if nested:
+            yield from _tables_with(key, nested, f"{at}.{name}" if at else name)
 
 
 def _key(error: ValidationError) -> str:
@@ -89,11 +106,18 @@ def _problem(error: ValidationError) -> str:
     first = error.errors()[0]
     if first["type"] in ("model_type", "dict_type"):
         return "expected a table of keys"
+    if first["type"] in ("tuple_type", "list_type"):
+        return "expected a list"
+    if first["type"] == "too_short":
+        return f"expected a list of at least {first['ctx']['min_length']}"
     return first["msg"].removeprefix("Value error, ")
 
 
 def _said(error: ValidationError) -> str:
-    return f"{_problem(error)}, found {_shown(error.errors()[0]['input'])}"
+    first = error.errors()[0]
+    if first["type"] == "value_error" and isinstance(first["input"], dict):
+        return _problem(error)  # of several keys of a table, and it names them
+    return f"{_problem(error)}, found {_shown(first['input'])}"
 
 
 def _shown(value: object) -> str:
@@ -110,7 +134,11 @@ def _known_keys(section: type[BaseModel], path: list[str]) -> list[str]:
         nested = field and _section_in(field.annotation)
         if nested:
             section = nested
-    return sorted(section.model_fields)
+    return sorted(_keys(section))
+
+
+def _keys(section: type[BaseModel]) -> list[str]:
+    return [field.alias or name for name, field in section.model_fields.items()]
 
 
 def _section_in(annotation: Any) -> type[BaseModel] | None:

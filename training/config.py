@@ -14,12 +14,11 @@ from data_prep.logs_config import LogsConfig
 from data_prep.quasi_steady import QuasiSteadyConfig
 from data_prep.running import RunningConfig
 from data_prep.smooth import SmoothConfig
-from narxcal.channels import channel
 from narxcal.errors import ConfigError
 from narxcal.fuser import FuserConfig
 from narxcal.narx import Taps
 from narxcal.settings import Section, read_toml
-from training.steady_config import Auto, SteadyStateConfig
+from training.steady_config import Auto, SteadyStateConfig, known_once
 
 SCHEMA: Final = "narxcal.config/1"
 _DECAY_BEHIND_LAGS: Final = 0.03
@@ -83,9 +82,7 @@ class NarxSection(Section):
     @field_validator("outputs", "schedule")
     @classmethod
     def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        for name in names:
-            channel(name)
-        return names
+        return known_once(names)
 
 
 class TrainConfig(Section):
@@ -192,6 +189,12 @@ class RunConfig(Section):
                 raise ConfigError(
                     f"{key} names '{name}', which is not in [steady_state] inputs",
                     hint=f"Inputs are {', '.join(inputs)}",
+                )
+        for name in self.narx.outputs:
+            if name in inputs:
+                raise ConfigError(
+                    f"[narx] outputs names '{name}', which is one of [steady_state] inputs",
+                    hint="A model cannot be told what it has to say: take it out of one of them",
                 )
         return self
 

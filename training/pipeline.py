@@ -109,11 +109,19 @@ def split_logs(logs: Sequence[Log], config: SplitConfig) -> Split:
             if not config.test:
                 parts["test"].append(log)
     if not parts["train"]:
-        raise ConfigError(
-            f"no log matches [split] train = {list(config.train)}",
-            hint=f"Logs are {', '.join(log.name for log in logs)}",
-        )
+        raise _nothing_to_train_on([log.name for log in logs], config)
     return Split(tuple(parts["train"]), tuple(parts["validate"]), tuple(parts["test"]))
+
+
+def _nothing_to_train_on(names: Sequence[str], config: SplitConfig) -> ConfigError:
+    meant = [name for name in names if any(fnmatch(name, each) for each in config.train)]
+    wanted = f"[split] train = {list(config.train)}"
+    if not meant:
+        return ConfigError(f"no log matches {wanted}", hint=f"Logs are {', '.join(names)}")
+    return ConfigError(
+        f"{', '.join(meant)} would match {wanted}, but test or validate came first",
+        hint="Leave logs for training there",
+    )
 
 
 def calibrate(

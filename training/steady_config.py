@@ -6,12 +6,21 @@ from typing import Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from narxcal.channels import CHANNELS
+from narxcal.channels import CHANNELS, channel
 from narxcal.settings import Section
 from narxcal.steady_source import SteadySourceOptions
 
 Kind = Literal["fitted", "table", "callable", "fmu"]
 Auto = Literal["auto"]
+
+
+def known_once(names: tuple[str, ...]) -> tuple[str, ...]:
+    """`names`, if all are channels and none stands there twice; for validators of fields."""
+    for name in names:
+        channel(name)
+        if names.count(name) > 1:
+            raise ValueError(f"'{name}' is named twice")
+    return names
 
 
 class SteadyFitConfig(Section):
@@ -44,7 +53,7 @@ class SteadyStateConfig(Section):
 
     kind: Kind = "fitted"
     source: str = ""
-    inputs: tuple[str, ...] = ("TRA_deg", "ALT_ft", "Mach", "dT_C")
+    inputs: tuple[str, ...] = Field(default=("TRA_deg", "ALT_ft", "Mach", "dT_C"), min_length=1)
     driver: str = ""
     blend: Auto | tuple[str, ...] = "auto"
     switches: Auto | tuple[str, ...] = "auto"
@@ -61,6 +70,11 @@ class SteadyStateConfig(Section):
         if missing:
             raise ValueError(f"blend names '{missing[0]}', which is no input")
         return self
+
+    @field_validator("inputs")
+    @classmethod
+    def _are_channels(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return known_once(names)
 
     @field_validator("switches")
     @classmethod

@@ -82,6 +82,62 @@ def test_a_missing_file_names_the_shipped_ones(tmp_path):
             "unknown key 'train.horizon_s'. Did you mean 'horizons_s'?",
         ),
         (HEAD + "[trian]", "unknown key 'trian'. Did you mean 'train'?"),
+        (HEAD + "[logs]\nwindow = 5", "unknown key 'logs.window'. It is a key of [smooth]"),
+        (HEAD + "folder = 'logs'", "unknown key 'folder'. It is a key of [logs]"),
+        (
+            HEAD + "[logs]\nrecovery = 0.9",
+            "unknown key 'logs.recovery'. It is a key of [logs.derive]",
+        ),
+        (
+            HEAD + "[narx]\nseed = 1\nwindow_s = 1.0",
+            "unknown key 'narx.seed'. It is a key of [train]",
+        ),
+        (
+            HEAD + "[split]\nwindow_s = 2.0",
+            (
+                "unknown key 'split.window_s'. It is a key of [events] and of [quasi_steady] "
+                "and of [train.still]"
+            ),
+        ),
+        (
+            HEAD + "[split]\nfoo = 2.0",
+            "unknown key 'split.foo'. Known keys: test, train, validate",
+        ),
+        (HEAD + "[logs]\nfiles = '*.csv'", "key 'logs.files': expected a list, found '*.csv'"),
+        (
+            HEAD + "[logs]\nfiles = ['/data/*.csv']",
+            (
+                "key 'logs.files': expected patterns of files in [logs] folder, without its path, "
+                "found ['/data/*.csv']"
+            ),
+        ),
+        (
+            HEAD + "[narx]\noutputs = []",
+            "key 'narx.outputs': expected a list of at least 1, found []",
+        ),
+        (
+            HEAD + "[narx]\noutputs = ['N1_pct', 'N1_pct']",
+            "key 'narx.outputs': 'N1_pct' is named twice, found ['N1_pct', 'N1_pct']",
+        ),
+        (
+            HEAD + "[narx]\noutputs = ['N1_pct', 'Mach']",
+            (
+                "[narx] outputs names 'Mach', which is one of [steady_state] inputs. "
+                "A model cannot be told what it has to say: take it out of one of them"
+            ),
+        ),
+        (
+            HEAD + "[steady_state]\ninputs = ['TRA']",
+            "unknown channel 'TRA'. Did you mean 'TRA_deg'?",
+        ),
+        (
+            HEAD + "[steady_state]\ninputs = []",
+            "key 'steady_state.inputs': expected a list of at least 1, found []",
+        ),
+        (
+            HEAD + "[train]\niterations = [1]",
+            "key 'train': horizons_s and iterations have to be of one length, found 2 and 1",
+        ),
         (
             HEAD + "[narx]\nlags = 0",
             "key 'narx.lags': Input should be greater than or equal to 1, found 0",
@@ -133,11 +189,6 @@ def test_what_is_wrong_is_said(content, message, tmp_path):
         assert found.startswith(f"{file}: not TOML: ")
     else:
         assert found == f"{file}: {message}"
-
-
-def test_horizons_and_iterations_belong_together(tmp_path):
-    found = refused(tmp_path / "run.toml", HEAD + "[train]\niterations = [1]")
-    assert "horizons_s and iterations have to be of one length, found 2 and 1" in found
 
 
 SECTIONS = ("train", "narx", "steady_state", "split", "smooth", "clean", "fuser", "quasi_steady")

@@ -97,6 +97,12 @@ def test_a_split_without_training_logs_is_refused():
     with pytest.raises(ConfigError) as error:
         split_logs([flight("a:l", samples=10)], SplitConfig(train=("x*",)))
     assert str(error.value) == "no log matches [split] train = ['x*']. Logs are a:l"
+    with pytest.raises(ConfigError) as error:
+        split_logs([flight("a:l", samples=10)], SplitConfig(test=("*",)))
+    assert str(error.value) == (
+        "a:l would match [split] train = ['*'], but test or validate came first. "
+        "Leave logs for training there"
+    )
 
 
 def test_logs_of_different_rasters_are_refused(tmp_path):
