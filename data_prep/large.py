@@ -15,8 +15,8 @@ from data_prep.file_units import head_entries, sources_of
 from data_prep.log import Log
 from data_prep.mapping import constants, map_columns, to_channel
 from data_prep.raster_stream import RasterStream
-from data_prep.shared_stamps import shared_interval
-from data_prep.stamps import all_apart, ordered_rows, past_midnight, usual_interval
+from data_prep.shared_stamps import usual_interval
+from data_prep.stamps import all_apart, ordered_rows, past_midnight
 from narxcal.errors import DataError
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def _channels(
 def _interval(rows: Mapping[str, FloatArray], config: LogsConfig, file: str) -> float:
     found = ordered_rows(past_midnight(rows["time_s"])[0], config.max_gap_s, file)
     channels = {name: values[found.order] for name, values in rows.items() if name != "time_s"}
-    native = shared_interval(found.time_s, channels) or usual_interval(found.time_s, file)
+    native = usual_interval(found.time_s, channels, file)
     interval = 1.0 / config.raster_hz if config.raster_hz else native
     if native > _MOST_SAMPLES * interval:
         raise DataError(

@@ -10,10 +10,9 @@ import numpy as np
 from data_prep.derive import derive
 from data_prep.log import Audit
 from data_prep.raster import ON_RASTER, Raster, resample
-from data_prep.shared_stamps import shared_interval
+from data_prep.shared_stamps import row_interval
 from data_prep.stamps import (
     MIDNIGHT,
-    native_interval,
     ordered_rows,
     past_midnight,
     printed_step,
@@ -162,8 +161,7 @@ class RasterStream:
         rows = {name: values[order] for name, values in self._rows.items()}
         if self._native[1] < _BASELINE_ROWS:
             channels = {name: values for name, values in rows.items() if name != "time_s"}
-            found = shared_interval(stamps, channels) or native_interval(stamps)
-            self._native = found, len(stamps)
+            self._native = row_interval(stamps, channels), len(stamps)
         time = self._exact[order] = self._without_rounding(self._exact[order], stamps)
         if starts:
             if self.samples:

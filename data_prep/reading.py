@@ -18,7 +18,7 @@ from data_prep.logs_config import LogsConfig
 from data_prep.mapping import Table, constants, map_columns, read_columns, to_channel
 from data_prep.parquet_source import MAGIC, ParquetSource
 from data_prep.raster import Raster, lay, resample
-from data_prep.shared_stamps import shared_interval
+from data_prep.shared_stamps import usual_interval
 from data_prep.stamps import (
     MIDNIGHT,
     Rows,
@@ -27,7 +27,6 @@ from data_prep.stamps import (
     past_midnight,
     split_at_gaps,
     undo_rounding,
-    usual_interval,
 )
 from narxcal.channels import CHANNELS
 from narxcal.errors import DataError
@@ -150,9 +149,7 @@ def _parts(
     channels = {
         name: values[rows.order] for name, values in recording.rows.items() if name != "time_s"
     }
-    native = shared_interval(rows.time_s, channels) or usual_interval(
-        rows.time_s, recording.source.file
-    )
+    native = usual_interval(rows.time_s, channels, recording.source.file)
     interval = 1.0 / config.raster_hz if config.raster_hz else native
     logs: list[Log] = []
     lost: list[AuditEntry] = []

@@ -12,19 +12,39 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from data_prep.stamps import on_raster, undo_rounding
+from data_prep.stamps import native_interval, on_raster, undo_rounding
+from narxcal.errors import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from data_prep.log import FloatArray
 
+_SHORTEST_S = 1e-4
 _FEW = 3  # whole stamps, at least
 _REGULAR = 0.9  # of the stamps hold as many rows as the others, or one more or less
 _FILLED, _CHANGES = 0.9, 0.02  # of the rows of a channel that is sampled row by row
 _WHOLE_HZ = 0.005
 _ORDINARY = 0.95  # of the steps between rows are no large move
 _SURELY, _NOTHING = 5.0, 0.1  # standard errors, and of a step: so far apart means may be by chance
+
+
+def usual_interval(time: FloatArray, channels: Mapping[str, FloatArray], file: str) -> float:
+    """`row_interval`, refused where no recorder is so fast: the stamps are no seconds."""
+    interval = row_interval(time, channels)
+    if interval < _SHORTEST_S:
+        raise DataError(
+            f"the rows are {interval:.3g} s apart, which no recorder of flights does",
+            file=file,
+            channel="time_s",
+            hint="Set the unit of time_s: days (of a worksheet) are 'd', hours 'h', minutes 'min'",
+        )
+    return interval
+
+
+def row_interval(time: FloatArray, channels: Mapping[str, FloatArray]) -> float:
+    """Interval of ordered rows `(rows,)` in s, be there one row to a stamp or several."""
+    return shared_interval(time, channels) or native_interval(time)
 
 
 def shared_interval(time: FloatArray, channels: Mapping[str, FloatArray]) -> float:

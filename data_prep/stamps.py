@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 _MAX_DECIMALS = 7
 _BASELINES_ROWS = (256, 64, 16, 4)
-_SHORTEST_S = 1e-4
 _DAY_S, _HOUR_S, _MINUTE_S = 86400.0, 3600.0, 60.0
 _LATEST_S = 1e11  # later than any clock that counts seconds
 _SHARED = 1.5  # rows per stamp: then most are no accident
@@ -131,19 +130,6 @@ def all_apart(max_gap_s: float, file: str) -> DataError:
         channel="time_s",
         hint="Raise [logs] max_gap_s or check the unit of time_s",
     )
-
-
-def usual_interval(time: FloatArray, file: str) -> float:
-    """`native_interval`, refused where no recorder is so fast: the stamps are no seconds."""
-    interval = native_interval(time)
-    if interval < _SHORTEST_S:
-        raise DataError(
-            f"the rows are {interval:.3g} s apart, which no recorder of flights does",
-            file=file,
-            channel="time_s",
-            hint="Set the unit of time_s: days (of a worksheet) are 'd', hours 'h', minutes 'min'",
-        )
-    return interval
 
 
 def native_interval(time: FloatArray) -> float:

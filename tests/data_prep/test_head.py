@@ -230,3 +230,68 @@ def test_time_that_goes_back_is_a_second_recording(tmp_path):
         "FILE, channel time_s, row 21: time goes back from 86319.9 s to 0 s. "
         "Split the file there: it holds more than one recording"
     )
+
+
+def bracketed(**columns):
+    named = {"time_s": "t [ms]", "N1_pct": "fan (%)", "EGT_C": "itt [degF]"}
+    each = {name: {"column": column} | columns.get(name, {}) for name, column in named.items()}
+    return LogsConfig.parse({"columns": each})
+
+
+def in_brackets(tmp_path):
+    rows = "".join(f"{25 * k},{80 + k},{500 + k}\n" for k in range(40))
+    return write(tmp_path, f"t [ms],fan (%),itt [degF]\n{rows}")
+
+
+def test_brackets_that_end_a_name_say_what_the_configuration_leaves_open(tmp_path):
+    path, found = in_brackets(tmp_path), bracketed()
+    (log,) = read_logs(path, found)
+    assert log.dt_s == pytest.approx(0.025)
+    np.testing.assert_allclose(log["EGT_C"], (500.0 + np.arange(40) - 32.0) * 5.0 / 9.0)
+    np.testing.assert_array_equal(log["N1_pct"], 80.0 + np.arange(40))
+    assert changes(log) == [
+        ("time_s", "repaired", "ms, as its header says", 40),
+        ("EGT_C", "repaired", "degF, as its header says", 40),
+    ]
+    (large,) = large_logs(open_table(path, found), found, {"": Source(str(path))})
+    np.testing.assert_array_equal(large["EGT_C"], log["EGT_C"])
+    assert changes(large) == changes(log)
+    (block,) = CsvStream(path, found).blocks([""])
+    np.testing.assert_array_equal(block[""]["EGT_C"], log["EGT_C"])
+
+
+def test_the_configuration_stands_against_brackets(tmp_path):
+    own = {"time_s": {"unit": "ms"}, "EGT_C": {"unit": "degC"}}
+    (log,) = read_logs(in_brackets(tmp_path), bracketed(**own))
+    np.testing.assert_array_equal(log["EGT_C"], 500.0 + np.arange(40))
+    reason = "unit of the configuration, where the header says degF"
+    assert changes(log) == [("EGT_C", "repaired", reason, 40)]
+
+
+@pytest.mark.parametrize("end", ["[R]", "(1)", "[rpm]", "(m)", "(probe 2)", "[-]", "{L}", "[]"])
+def test_brackets_that_are_no_unit_of_the_channel_are_part_of_the_name(tmp_path, end):
+    path = write(tmp_path, f"t,fan {end},itt {end}\n{ROWS}")
+    named = {"time_s": "t", "N1_pct": f"fan {end}", "EGT_C": f"itt {end}"}
+    each = {name: {"column": column} for name, column in named.items()}
+    (log,) = read_logs(path, LogsConfig.parse({"columns": each}))
+    np.testing.assert_array_equal(log["EGT_C"], 500.0 + np.arange(40))
+    np.testing.assert_array_equal(log["N1_pct"], 80.0 + np.arange(40))
+    assert changes(log) == []
+
+
+def test_a_row_of_units_speaks_for_all_columns(tmp_path):
+    rows = "".join(f"{k / 10},{80 + k},{500 + k}\n" for k in range(40))
+    path = write(tmp_path, f"t [ms],fan (%),itt [degF]\ns,%,K\n{rows}")
+    (log,) = read_logs(path, bracketed())
+    assert log.dt_s == pytest.approx(0.1)
+    np.testing.assert_allclose(log["EGT_C"], 500.0 + np.arange(40) - 273.15)
+
+
+def test_engines_whose_brackets_differ_are_refused(tmp_path):
+    path = write(tmp_path, f"t,itt 1 [degF],itt 2 [K]\n{ROWS}")
+    source = {"time_s": {"column": "t"}, "EGT_C": {"column": "itt {engine}"}}
+    both = {"columns": source, "engines": {"left": "1 [degF]", "right": "2 [K]"}}
+    assert error_of(path, LogsConfig.parse(both)) == (
+        "FILE: the header says 'degF' and 'K' of the engines' columns. "
+        "Set the unit of column 'itt {engine}' in [logs.columns]"
+    )
