@@ -13,6 +13,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -72,7 +73,7 @@ def diagnose(
     offset = _offset(work, still, claimed)
     while claimed is not None and (more := _further(work, claimed, offset, watch)) is not None:
         claimed, offset = more, _offset(work, still, more)
-    if claimed is not None and not bearable(work, claimed):
+    if claimed is not None and (not bearable(work, claimed) or made_up(work, claimed, offset)):
         # An offset that needs no help from an effect that explains little is the answer by itself.
         alone = _offset(work, still, None)
         claimed, offset = (claimed, offset) if alone is None else (None, alone)
@@ -181,6 +182,22 @@ def _fitted(work: Work, pair: Fit) -> Fit:
         known = priced(fit(pair.effects, work.problem, pair.theta), work.options.price)
         work.fits.append(known)
     return known
+
+
+def made_up(work: Work, claimed: Fit, offset: Offset | None) -> bool:
+    """Whether an effect only makes up for what an offset does while the engine moves.
+
+    A lever that is read wrong starts and ends every move elsewhere, and does nothing at the idle
+    stop: once that is taken out of the gap, such an effect has nothing to explain.
+    """
+    if offset is None:
+        return False
+    beside = unexplained(work.problem.misfit, offset[0][0].response)
+    anew = fit(claimed.effects, replace(work.problem, misfit=beside))
+    before = beside.size(beside.gap)
+    gained = before - anew.held_out
+    asked = work.options.material * float((before - beside.floor).sum())
+    return float(gained.sum()) <= asked or not work.holds(gained, anew)
 
 
 def _gained(offset: Offset) -> float:

@@ -47,7 +47,7 @@ def offset_fits(problem: Problem, left: Misfit, effects: Sequence[Effect]) -> li
     fits = [one for one in fits if not _better_than_new(one, problem.flights.signals)]
     fits = [one for one in fits if not _of_all_days(one, own, effects)]
     fits.sort(key=lambda tried: float(tried.held_out.sum()))
-    return _plainest(fits, problem.flights, left)
+    return plainest(fits, problem.flights, left)
 
 
 def _of_all_days(tried: Fit, own: Problem, effects: Sequence[Effect]) -> bool:
@@ -171,12 +171,30 @@ def _in_scatters(tried: Fit, flights: Flights, together: float = _TOGETHER_PCT) 
     return np.array(sizes)
 
 
-def _plainest(fits: list[Fit], flights: Flights, left: Misfit) -> list[Fit]:
+def alike(offset: tuple[Sequence[Fit], FloatArray, float], flights: Flights) -> list[Fit]:
+    """Offsets that may be meant instead of the first: no richer, and scatter makes the difference.
+
+    Of an offset that shifts many outputs, one that shifts fewer may be all that is there, if it
+    takes nearly as much and each output is no further from it than build scatter brings it.
+    """
+    (best, *others), before, _ = offset
+    most = float((before - best.held_out).sum())
+
+    def may_be_meant(one: Fit) -> bool:
+        apart = replace(best, response=best.response - one.response)
+        as_good = float((before - one.held_out).sum()) >= _AS_GOOD * most
+        return as_good and bool(_in_scatters(apart, flights).max() < 1.0)
+
+    return [one for one in others if len(one.theta) <= len(best.theta) and may_be_meant(one)]
+
+
+def plainest(fits: list[Fit], flights: Flights, left: Misfit) -> list[Fit]:
     """The fits with a wrong sensor before wear, where wear would say no more than that.
 
     Wear can shift every output, so that it follows whatever one sensor does and the scatter of
     the others with it. It is no wear if one channel alone is shifted beyond scatter, no more at
-    full power than at idle, and that channel's offset takes nearly as much.
+    full power than at idle, and that channel's offset takes nearly as much. Where its shift falls
+    with power, which wear does the other way round, all that scatter may do to the others is none.
     """
     if not fits or fits[0].effects[0].id != "deterioration":
         return fits
@@ -186,9 +204,11 @@ def _plainest(fits: list[Fit], flights: Flights, left: Misfit) -> list[Fit]:
     alone = [one for one in fits if one.effects[0].channel == outputs[most]]
     shift, power = worn.response[..., most], flights.signals.power(flights.y)
     slope = float(np.cov(shift.ravel(), power.ravel())[0, 1] / max(float(np.var(power)), 1e-12))
-    level = slope * np.sign(shift.mean()) < _LEVEL * abs(float(shift.mean()))
+    growth = slope * float(np.sign(shift.mean()))
+    level = growth < _LEVEL * abs(float(shift.mean()))
     others = float(np.delete(sizes, most).max(initial=0.0))
-    if not (alone and level and others < min(1.0, 0.5 * sizes[most])):
+    silent = 1.0 if growth < 0.0 else min(1.0, 0.5 * sizes[most])
+    if not (alone and level and others < silent):
         return fits
     if before - float(alone[0].held_out.sum()) < _AS_GOOD * (before - float(worn.held_out.sum())):
         return fits

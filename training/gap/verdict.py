@@ -12,6 +12,7 @@ from training.gap.answer import Worth, channels, probabilities, shrink, tried
 from training.gap.finding import Finding, Interval, Kind, Tried
 from training.gap.fitting import Fit
 from training.gap.foils import foil
+from training.gap.offsets import alike
 from training.gap.together import is_heat
 from training.gap.work import Work
 
@@ -49,6 +50,8 @@ def finding(
         response = response + offset[0][0].response
     kind, reason = _verdict(work, claimed, offset)
     rivals = _rivals(work, claimed, order) if claimed is not None else ()
+    if offset is not None:
+        rivals += tuple(one.name for one in alike(offset, work.problem.flights))
     if kind == "effects" and rivals:
         kind, reason = "ambiguous", "other effects explain held-out flights as well"
     silent = kind in ("none", "unknown")

@@ -1,14 +1,30 @@
 """How far build scatter shifts an output, and that an offset has to go beyond it."""
 
+from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from narxcal.effects import Signals, effect
-from training.gap.offsets import beyond_scatter
+from training.gap.offsets import alike, beyond_scatter, plainest
 
 OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
+
+
+@dataclass(frozen=True, eq=False)
+class Offset:
+    """What is asked of the fit of one offset."""
+
+    effects: Any
+    theta: Any
+    response: Any
+    held_out: Any
+
+    @property
+    def name(self):
+        return self.effects[0].name
 
 
 def offset(shift, driver, name="deterioration"):
@@ -83,3 +99,38 @@ def test_a_lever_that_one_output_contradicts_is_as_far_off_as_scatter_shifts_any
     tried, flights = offset([percent, percent, 0.0], "TRA_deg", "throttle_bias")
     shift = tried.response[0, 0] * np.array([fan, 1.0, 0.0])
     assert beyond_scatter(tried, left(shift), flights) is beyond
+
+
+def wear_and_bias(shift, share, growth=0.0):
+    """Wear of `shift` (outputs,) in percent, and the bias of EGT that takes `share` of the gap.
+
+    The shift of EGT falls by `growth` of itself from idle to full power.
+    """
+    wear, flights = offset(shift, "TRA_deg")
+    speed = np.linspace(50.0, 100.0, 50)
+    flights.y[..., 0] = speed
+    wear.response[..., 2] *= 1.0 - growth * (speed - 75.0) / 50.0
+    bias, _ = offset([0.0, 0.0, shift[2]], "TRA_deg", "sensor_bias:EGT_C")
+    fits = [
+        Offset(wear.effects, np.zeros(6), wear.response, np.full(4, 1.0)),
+        Offset(bias.effects, np.zeros(1), bias.response, np.full(4, 10.0 - 9.0 * share)),
+    ]
+    return fits, flights
+
+
+@pytest.mark.parametrize(
+    ("core", "share", "meant"),
+    [(0.9, 0.8, ["sensor_bias:EGT_C"]), (1.3, 0.8, []), (0.9, 0.7, [])],
+)
+def test_a_sensor_is_named_beside_wear_if_scatter_makes_the_difference(core, share, meant):
+    fits, flights = wear_and_bias([0.0, core, 3.0], share)
+    before = np.full(4, 10.0)
+    assert [one.name for one in alike((fits, before, 40.0), flights)] == meant
+    assert alike((fits[::-1], before, 40.0), flights) == []  # wear can follow any sensor
+
+
+@pytest.mark.parametrize(("growth", "first"), [(0.2, 1), (-0.2, 0)])
+def test_a_shift_that_falls_with_power_is_no_wear(growth, first):
+    """Beside a core that is off by what scatter may be, more than half as much."""
+    fits, flights = wear_and_bias([0.0, 0.9, 3.0], 0.8, growth)
+    assert plainest(fits, flights, left())[0] is fits[first]

@@ -1,0 +1,69 @@
+"""What is said of a claim: its rivals, none where nothing is named, and none that is made up."""
+
+import numpy as np
+import pytest
+
+from narxcal.effects import effect
+from tests.training.gap.conftest import NOISE
+from training.gap.diagnosis import made_up
+from training.gap.fitting import Problem, fit
+from training.gap.offsets import offset_fits, unexplained, whole_gap
+from training.gap.quadratic import misfit
+from training.gap.verdict import finding
+from training.gap.work import Options, Work
+
+LOOSE = Options(close=100.0)  # nearly anything is a rival
+# As much as nothing explains, of a gap of more than all of every range.
+UNBEARABLE = Options(
+    close=100.0, unexplained=-1.0, telling=(2.0, 1.0), apart=(2.0, 1.0), distinct=2.0, quiet=2.0
+)
+
+
+def work_on(real, flights, engine, options):
+    measured = misfit(flights, real, NOISE)
+    problem = Problem(flights, engine, measured)
+    tight = whole_gap(flights, (real, NOISE))
+    return Work(problem, options, measured.size(measured.gap), NOISE, tight)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (LOOSE, ("ambiguous", ("sensor_lag:N2_pct",), ("time_skew:N2_pct",))),
+        (UNBEARABLE, ("none", (), ())),
+    ],
+)
+def test_where_nothing_is_named_nothing_is_a_rival(options, said, flights, engine, recorded):
+    effects = {"sensor_lag:N2_pct": [0.6, 0.5], "sensor_lag:EGT_C": [0.1, 0.5]}
+    work = work_on(recorded(effects), flights, engine, options)
+    lag, skew = (
+        fit([effect(name)], work.problem) for name in ("sensor_lag:N2_pct", "time_skew:N2_pct")
+    )
+    work.fits = [lag, skew]
+    found = finding(work, lag, None, NOISE)
+    assert (found.kind, found.effects, found.ambiguous_with) == said, found.reason
+
+
+@pytest.mark.parametrize(("play", "needless"), [(0.0, True), (3.0, False)])
+def test_what_only_follows_a_lever_that_is_read_wrong_is_made_up(
+    play, needless, flights, engine, recorded
+):
+    beside = {"throttle_backlash": [play]} if play else {}
+    work = work_on(recorded({"throttle_bias": [4.0], **beside}), flights, engine, Options())
+    claimed = fit([effect("throttle_backlash")], work.problem)
+    left = unexplained(work.tight, claimed.response)
+    fits = offset_fits(work.problem, left, [effect("throttle_bias")])
+    offset = fits, left.size(left.gap), work.whole
+    assert made_up(work, claimed, offset) is needless
+    assert not made_up(work, claimed, None)
+
+
+def test_sizes_of_gaps_stay_as_they_were(flights, engine, recorded):
+    """An offset that does nothing while the engine moves takes nothing from any effect."""
+    shift = np.array([0.0, 0.0, 60.0])
+    real = recorded({"sensor_lag:N2_pct": [0.8, 0.5]}) + shift
+    work = work_on(real, flights, engine, Options())
+    claimed = fit([effect("sensor_lag:N2_pct")], work.problem)
+    left = unexplained(work.tight, claimed.response)
+    fits = offset_fits(work.problem, left, [effect("sensor_bias:EGT_C")])
+    assert not made_up(work, claimed, (fits, left.size(left.gap), work.whole))
