@@ -25,6 +25,7 @@ from training.gap.beside import beside_heat, stands
 from training.gap.finding import Finding
 from training.gap.fitting import Fit, Problem, fit, in_nearly_all
 from training.gap.foils import foil
+from training.gap.kin import standings
 from training.gap.null import null_gains
 from training.gap.offsets import beyond_scatter, day_fit, offset_fits, unexplained, whole_gap
 from training.gap.quadratic import Misfit, misfit
@@ -85,6 +86,7 @@ def _first(work: Work, moving: Sequence[Effect], watch: Watch | None) -> Fit | N
     """The best effect if it earns a claim, or None."""
     work.fits = [_tried(work, [effect], (k, len(moving), watch)) for k, effect in enumerate(moving)]
     work.allowance = Allowance(work.fits, work.problem)
+    work.standing = standings(work)
     work.fits.sort(key=work.rank, reverse=True)
     residual = work.problem.misfit.cleaned(work.problem.misfit.gap - work.fits[0].response)
     gains = null_gains(

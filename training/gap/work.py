@@ -92,6 +92,7 @@ class Work:
     allowance: Allowance | None = None
     offered: list[Fit] = field(default_factory=list)  # offsets of the whole gap, best first
     beside: Fit | None = None  # an effect of moves with the heat soak that leads
+    standing: dict[str, float] = field(default_factory=dict)  # of neighbours on a channel (`kin`)
     _beside: dict[Fit | None, FloatArray] = field(default_factory=dict)
 
     @property
@@ -210,9 +211,10 @@ class Work:
         Of two that gain much the same, one that explains what it touches is there; one that
         explains it in part follows something else, of which it may gain as much by its size. So
         does one whose time constant ends on its bound: what it follows is slower or faster than the
-        effect can be.
+        effect can be. Neighbours on one channel take their places by the quick moves (`standing`).
         """
-        return self.worth(tried) * self.aligned(tried) * (_AT_END if tried.at_end else 1.0)
+        place = (_AT_END if tried.at_end else 1.0) * self.standing.get(tried.name, 1.0)
+        return self.worth(tried) * self.aligned(tried) * place
 
     @property
     def loudest(self) -> float:
