@@ -8,9 +8,11 @@ import numpy as np
 
 from data_prep.events import EventsConfig, unconditional
 from data_prep.log import Log
+from data_prep.raster import SLOW
 from data_prep.running import USUAL
 
 _MANY = 0.1  # share of a recording's rows
+_TOLERANCE_S = 0.25  # what the rules for Ti and Tt allow (FAA 14 CFR part 60)
 
 
 def cautions(logs: Sequence[Log], events: EventsConfig) -> list[str]:
@@ -19,6 +21,7 @@ def cautions(logs: Sequence[Log], events: EventsConfig) -> list[str]:
         *map(crowded, logs),
         *map(never_runs, logs),
         *map(all_masked, logs),
+        *(seldom(log, events) for log in logs),
         unconditional(logs, events),
     )
     return [text for text in said if text]
@@ -35,6 +38,25 @@ def never_runs(log: Log) -> str:
         return ""
     told = " and ".join(f"{name} {value:.3g} %" for name, value in highest.items())
     return f"{log.name}: the engine never runs, at most {told}: is the unit right?"
+
+
+def seldom(log: Log, events: EventsConfig) -> str:
+    """What to say of a log whose events can be read no better than the rules ask; else empty."""
+    filled = {entry.channel: entry.samples for entry in log.audit.entries if entry.reason == SLOW}
+    told = []
+    for name in dict.fromkeys((events.driver, *events.response)):
+        if name not in log.channels:
+            continue
+        known = max(int(np.isfinite(log[name]).sum()), 1)
+        every_s = log.dt_s * known / max(known - filled.get(name, 0), 1)
+        if every_s > _TOLERANCE_S:
+            told.append(f"{name} about every {every_s:.1g} s")
+    if not told:
+        return ""
+    return (
+        f"{log.name}: recorded are {' and '.join(told)}, while Ti and Tt have to agree within "
+        f"{_TOLERANCE_S} s: what they say rests on interpolation"
+    )
 
 
 def all_masked(log: Log) -> str:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 ON_RASTER = 0.01  # of the interval: samples closer than this to a raster time are on it
 OWN_INTERVALS = 2.5  # a slower channel may miss one of its own samples
 LONG_SPAN_S = 1.0
+SLOW = "slower than the raster"  # why a sample lies between two of its channel's own
 LARGEST = 1e30  # beyond it a number is a fault, and its arithmetic would overflow
 
 
@@ -76,6 +77,8 @@ def resample(
         result = _held(grid, steps, values)
     else:
         result = _bridged(grid, steps, values, raster)
+        means = int(np.isfinite(result).sum()) if _fast(steps) else 0
+        entries.append(AuditEntry(name, "repaired", "averaged: faster than the raster", means))
     return result, (*entries, *_account(name, result, steps, raster))
 
 
@@ -96,14 +99,18 @@ def _bridged(grid: FloatArray, steps: FloatArray, values: FloatArray, raster: Ra
         return np.where(grid == steps[0], values[0], np.nan)
     apart = np.diff(steps)
     own = float(np.median(apart))
-    fast = own * 1.5 < 1.0
-    result = _averaged(grid, steps, values) if fast else np.interp(grid, steps, values)
+    result = _averaged(grid, steps, values) if _fast(steps) else np.interp(grid, steps, values)
     limit = max(raster.bridge_s / raster.interval_s, OWN_INTERVALS * own) + 1e-9
     before = np.clip(np.searchsorted(steps, grid, side="right") - 1, 0, len(apart) - 1)
     inside = (grid > steps[before]) & (grid < steps[before + 1])
     result[inside & (apart[before] > limit)] = np.nan
     result[(grid < steps[0]) | (grid > steps[-1])] = np.nan
     return result
+
+
+def _fast(steps: FloatArray) -> bool:
+    """Whether samples at `steps` come so often that they are averaged, against aliasing."""
+    return len(steps) > 1 and float(np.median(np.diff(steps))) * 1.5 < 1.0
 
 
 def _averaged(grid: FloatArray, steps: FloatArray, values: FloatArray) -> FloatArray:
@@ -134,7 +141,7 @@ def _account(
         touched[index[(index >= 0) & (index < raster.samples)]] = True
     filled = ~missing & ~touched
     slow = len(steps) > 1 and float(np.median(np.diff(steps))) > 1.5
-    reason = "slower than the raster" if slow else "blank"
+    reason = SLOW if slow else "blank"
     return (
         AuditEntry(name, "filled", reason, int(filled.sum()), _spans(filled, raster)),
         AuditEntry(name, "masked", "missing", int(missing.sum()), _spans(missing, raster)),

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from data_prep.cautions import all_masked, cautions, crowded, never_runs
+from data_prep.cautions import all_masked, cautions, crowded, never_runs, seldom
 from data_prep.clean import clean
 from data_prep.events import EventsConfig
 from data_prep.log import Log
@@ -26,8 +26,8 @@ def test_stamps_coarser_than_the_rows_are_told(tmp_path):
         "coarser than its rows"
     )
     assert crowded(log) == said
-    assert cautions([log], EVENTS) == [said]
-    assert len(cautions([log], EventsConfig())) == 2
+    assert cautions([log], EVENTS) == [said, seldom(log, EVENTS)]
+    assert len(cautions([log], EventsConfig())) == 3
 
 
 def test_a_few_equal_stamps_are_no_caution(tmp_path):
@@ -55,3 +55,21 @@ def test_a_channel_of_which_nothing_is_left_is_told_with_why():
     said = "rpm.csv: no sample is left of N1_pct (out of range): check column and unit"
     assert cautions([log], EVENTS) == [said]
     assert all_masked(log.with_channels({"N1_pct": speeds["N2_pct"]})) == ""
+
+
+def test_recordings_too_slow_for_ti_and_tt_are_told(tmp_path):
+    path = tmp_path / "qar.csv"
+    lever = [f"{k / 8:g},{30 + k % 40},{80 + k % 9 if k % 8 == 0 else ''}" for k in range(400)]
+    path.write_text("\n".join(["time_s,TRA_deg,N1_pct", *lever]) + "\n", encoding="utf-8")
+    (log,) = read_logs(path)
+    said = (
+        "qar.csv: recorded are N1_pct about every 1 s, while Ti and Tt have to agree within "
+        "0.25 s: what they say rests on interpolation"
+    )
+    assert cautions([log], EVENTS) == [said]
+    assert seldom(log, EventsConfig(response=("TRA_deg",))) == ""
+    time = 0.5 * np.arange(40)
+    slow = Log("slow.csv", time, {"TRA_deg": time, "N1_pct": 80.0 + time})
+    assert seldom(slow, EVENTS).startswith(
+        "slow.csv: recorded are TRA_deg about every 0.5 s and N1_pct about every 0.5 s, while"
+    )

@@ -95,6 +95,7 @@ def test_a_fast_recording_is_averaged_onto_a_slower_raster_without_shift(tmp_pat
     path = write(tmp_path, table(time, N1_pct=80 + time))
     (log,) = read_logs(path, LogsConfig(raster_hz=32.0))
     np.testing.assert_allclose(log["N1_pct"], 80 + log.time_s, rtol=1e-12)
+    assert counts(log, "N1_pct") == {("repaired", "averaged: faster than the raster"): len(log)}
 
 
 def test_a_slower_channel_is_bridged_between_its_own_samples(tmp_path):
