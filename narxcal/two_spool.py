@@ -1,22 +1,31 @@
 r"""A grey-box two-spool engine under its control, in rate form: what lies between two logs of it.
 
 State: fan speed n1 and core speed n2 (%), the power p (in %/s of core speed) that the core has to
-spare, and temperatures and flows y behind lags of their own. With the settled values s that the
-inputs ask for, x the core's speed as a share of its range and L = ln(delta / sqrt(theta)),
+spare, the governor's reset r, and temperatures and flows y behind lags of their own. With the
+settled values s that the inputs ask for, x the core's speed and z the settled one as shares of its
+range R, and L = ln(delta / sqrt(theta)),
 
-    dn1/dt = (s1 + m (n2 - s2) + c p - n1) / tau1        the fan follows the core's gas
-    dn2/dt = p                                           and the core what power it has to spare
-    dp/dt  = (v - p) / tau_f                             behind the fuel valve,
-    q      = soft(g (s - n) - d dn1/dt; up, down)        which the control opens and limits
-    dy/dt  = (s_y + a (n2 - s2) + b p - y) / tau_y
+    w      = s1 + F(n2) - F(s2) + c p - n1        what the core's gas would make of the fan
+    dn1/dt = w exp(k w / R) / tau1                which follows it, faster from far below
+    dn2/dt = p                                    the core what power it has to spare
+    dp/dt  = (v - p) / tau_f,                     behind the fuel valve,
+    q      = g exp(l (z - x)) (s - n + r) - d dn1/dt
+    v      = soft(q; up, down)                    which the control opens and limits
+    dr/dt  = reset^2 (s - n) / (1 + (q / limit)^4)
+    dy/dt  = (s_y + Y(n2) - Y(s2) + b p - y) / tau_y
 
-A further lag tau of the valve acts on fuel, of which the core needs n2 / core_s more as it speeds
-up: dv/dt = (q - v) / tau - (dn2/dt) / core_s; without it v = q. The governor acts on the error of
-the speed it holds, n1 or n2, and is damped by the fan's rate; `soft` passes small demands and
-saturates at the limits of acceleration and deceleration. All coefficients are lines in x and L, the
-positive ones as logarithms. Sources: rotor equations and min-max control in Walsh & Fletcher, *Gas
-Turbine Performance*, ch. 8; Jaw & Mattingly, *Aircraft Engine Controls*, ch. 5-6; state-variable
-form in Sugiyama, *J. Propulsion* 10 (1994).
+F and Y are cubics in the core's speed, for engines settle on curves: between idle and full power
+chords count, not slopes. The governor acts on the error of the speed it holds, n1 or n2, is damped
+by the fan's rate, and its reset waits while a limit holds. A turbine's torque goes with the square
+of speeds, which makes the k and the l. Limits of acceleration and deceleration are parabolas in x
+and go with the fan's lag behind its settled match: the pressure to which a control schedules fuel
+is that of both spools. A further lag tau of the valve acts on fuel, of which the core needs
+n2 / core_s more as it speeds up: dv/dt = (soft - v) / tau - (dn2/dt) / core_s. A control that holds
+the core's acceleration itself makes up for rotors that answer differently: v is then so many times
+the fuel as they are slower. Other coefficients are lines in x and L, the positive ones as
+logarithms. Sources: rotor equations and min-max control in Walsh & Fletcher, *Gas Turbine
+Performance*, ch. 8; Jaw & Mattingly, *Aircraft Engine Controls*, ch. 5-6; state-variable form in
+Sugiyama, *J. Propulsion* 10 (1994).
 """
 
 from __future__ import annotations
@@ -31,17 +40,20 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# Where each coefficient begins in theta: a constant, a slope over x and one over L each, but for
-# the last two, which are constants.
-GAIN: Final = 0  # ln g
-DAMP: Final = 3  # d
-UP: Final = 6  # ln of the limit of acceleration, %/s
-DOWN: Final = 9  # ln of the limit of deceleration, %/s
-FAN: Final = 12  # ln tau1
-LINE: Final = 15  # m
-VALVE: Final = 18  # ln tau_f
-PUSH: Final = 19  # c
-SIZE: Final = 20
+# Where each coefficient begins in theta: a constant, a slope over x and one over L each, then what
+# is said; the last three are constants.
+GAIN: Final = 0  # ln g; and l
+DAMP: Final = 4  # d
+UP: Final = 7  # ln of the limit of acceleration, %/s; and a slope over x^2, one over the fan's lag
+DOWN: Final = 12  # ln of the limit of deceleration, %/s; likewise
+FAN: Final = 17  # ln tau1; and k
+LINE: Final = 21  # dF/dn2; and a slope over x^2
+VALVE: Final = 25  # ln tau_f
+PUSH: Final = 26  # c
+RESET: Final = 27  # root of the rate of the reset, 1/s
+SIZE: Final = 28
+FLOW: Final = 9  # dY/dn2: a constant, slopes over x, x^2 and L; b: likewise; tau_y
+HOLDS_RATE: Final = 2  # added to the speed that is governed
 _STEP_S: Final = 0.0625  # integration step, at most
 _WIDEST: Final = 4.0  # of any logarithm
 _FASTEST_S: Final = 0.05  # shortest lag that a step resolves
@@ -54,9 +66,15 @@ def _line(theta: FloatArray, at: int, x: float, air: float) -> float:
 
 
 @njit(cache=True, inline="always")
-def _positive(theta: FloatArray, at: int, x: float, air: float) -> float:
-    found: float = np.exp(min(max(_line(theta, at, x, air), -_WIDEST), _WIDEST))
+def _positive(logarithm: float) -> float:
+    found: float = np.exp(min(max(logarithm, -_WIDEST), _WIDEST))
     return found
+
+
+@njit(cache=True, inline="always")
+def _chord(flat: float, slope: float, bend: float, x: float, z: float) -> float:
+    """Mean of `flat + slope x + bend x^2` between x and z."""
+    return flat + 0.5 * slope * (x + z) + bend / 3.0 * (x * x + x * z + z * z)
 
 
 @njit(cache=True, inline="always")
@@ -77,10 +95,10 @@ def run(
 ) -> FloatArray:
     """Free runs of many rows, `(rows, time, 2 + flows)`.
 
-    `theta` (rows, SIZE + 8) holds the coefficients and the row's `Pace`; `thermal` (flows, 7) those
-    of a, b and tau_y. `flown` are the settled values (blocks, time, 2 + flows), L (blocks, time)
-    and the first row (rows, 2 + flows); `which` (rows,) the block of each row. `setting` is the
-    raster in s, the bottom and the range of core speed, and the speed that is governed (0 or 1).
+    `theta` (rows, SIZE + 8) holds the coefficients and the row's `Pace`; `thermal` (flows, FLOW)
+    those of Y, b and tau_y. `flown` are the settled values (blocks, time, 2 + flows), L (blocks,
+    time) and the first row (rows, 2 + flows); `which` (rows,) the block of each row. `setting` is
+    the raster in s, the bottom and the range of core speed, and the speed that is governed.
     """
     steady, air, start = flown
     dt_s, low, span, governed = setting
@@ -88,9 +106,9 @@ def run(
     inner = (dt_s / steps, low, span, governed)
     count = steady.shape[2]
     out = np.empty((len(theta), steady.shape[1], count))
-    wanted, state, kept = np.empty(count), np.empty(count + 2), np.empty(count + 2)
+    wanted, state, kept = np.empty(count), np.empty(count + 3), np.empty(count + 2)
     for r in range(len(theta)):
-        state[:count], state[count:] = start[r], 0.0  # n1, n2, flows; p and what the valve is told
+        state[:count], state[count:] = start[r], 0.0  # n1, n2, flows; p, v, r
         _keep(theta[r], thermal, inner[0], kept)
         out[r, 0] = start[r]
         at = steady[which[r]]
@@ -109,7 +127,7 @@ def _keep(theta: FloatArray, thermal: FloatArray, h: float, kept: FloatArray) ->
     """What each lag keeps of its state over a step: of the flows, the valve, a further lag."""
     flows = len(thermal)
     for j in range(flows):
-        kept[2 + j] = np.exp(-h / max(thermal[j, 6], _FASTEST_S))
+        kept[2 + j] = np.exp(-h / max(thermal[j, FLOW - 1], _FASTEST_S))
     kept[2 + flows] = np.exp(-h / max(np.exp(theta[VALVE]), _FASTEST_S))
     kept[3 + flows] = np.exp(-h / max(theta[SIZE + 6], 1e-9))
 
@@ -129,17 +147,23 @@ def _advance(
     n1, n2, p = state[0], state[1], state[flows]
     thin = 1.0 if theta[SIZE + 4] == 0.0 else np.exp(air * theta[SIZE + 4])
     x = min(max((n2 - low) / span, -0.2), 1.2)
-    follow = _line(theta, LINE, x, air) * (n2 - wanted[1]) + theta[PUSH] * p
-    fan = (wanted[0] + follow - n1) / _positive(theta, FAN, x, air)
+    z = min(max((wanted[1] - low) / span, -0.2), 1.2)
+    match = _chord(theta[LINE] + theta[LINE + 2] * air, theta[LINE + 1], theta[LINE + 3], x, z)
+    behind = (wanted[0] + match * (n2 - wanted[1]) - n1) / span
+    way = behind + theta[PUSH] * p / span
+    fan = way * span / _positive(_line(theta, FAN, x, air) - theta[FAN + 3] * way)
     fan *= thin * (theta[SIZE] if fan > 0.0 else theta[SIZE + 1])
     core = p * thin * (theta[SIZE + 2] if p > 0.0 else theta[SIZE + 3])
-    error = wanted[0] - n1 if governed == 0 else wanted[1] - n2
-    asked = _positive(theta, GAIN, x, air) * error - _line(theta, DAMP, x, air) * fan
+    error = wanted[0] - n1 if governed % 2 == 0 else wanted[1] - n2
+    gain = _positive(_line(theta, GAIN, x, air) + theta[GAIN + 3] * (z - x))
+    asked = gain * (error + state[flows + 2]) - _line(theta, DAMP, x, air) * fan
+    limit = _limit(theta, UP if asked > 0.0 else DOWN, (x, air, behind))
     if asked > 0.0:
-        limit = _positive(theta, UP, x, air) * theta[SIZE + 5]
-    else:
-        limit = _positive(theta, DOWN, x, air)
+        limit *= theta[SIZE + 5]
+    state[flows + 2] += h * theta[RESET] ** 2 * error / (1.0 + (asked / limit) ** 4)
     asked = soft(asked, limit)
+    if governed >= HOLDS_RATE:
+        asked /= thin * (theta[SIZE + 2] if asked > 0.0 else theta[SIZE + 3])
     asked -= theta[SIZE + 6] * core / theta[SIZE + 7]
     state[flows + 1] = asked + kept[flows + 1] * (state[flows + 1] - asked)
     state[flows] = state[flows + 1] + kept[flows] * (p - state[flows + 1])
@@ -147,16 +171,25 @@ def _advance(
     state[1] = min(max(n2 + h * core, -50.0), 200.0)
     for j in range(2, flows):
         own = thermal[j - 2]
-        to = wanted[j] + _line(own, 0, x, air) * (n2 - wanted[1]) + _line(own, 3, x, air) * p
+        to = wanted[j] + _chord(own[0] + own[3] * air, own[1], own[2], x, z) * (n2 - wanted[1])
+        to += (own[4] + own[5] * x + own[6] * x * x + own[7] * air) * p
         state[j] = to + kept[j] * (state[j] - to)
+
+
+@njit(cache=True, inline="always")
+def _limit(theta: FloatArray, at: int, place: tuple[float, float, float]) -> float:
+    """A limit, positive, in %/s, at x, L and what the fan is behind its match, over R."""
+    x, air, behind = place
+    return _positive(_line(theta, at, x, air) + theta[at + 3] * x * x + theta[at + 4] * behind)
 
 
 @dataclass(frozen=True, eq=False)
 class TwoSpool:
-    """Coefficients of one engine: `theta` (SIZE,), `thermal` (flows, 7).
+    """Coefficients of one engine: `theta` (SIZE,), `thermal` (flows, FLOW).
 
     `low` and `span` are the bottom and the range of core speed in %, `governed` the speed that the
-    control holds: 0 the fan's, 1 the core's (or that which the fuel asks for).
+    control holds: 0 the fan's, 1 the core's (or that which the fuel asks for); 2 more if it holds
+    the core's acceleration on the way there.
     """
 
     theta: FloatArray

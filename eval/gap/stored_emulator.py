@@ -24,7 +24,7 @@ from narxcal.two_spool import TwoSpool
 from training.gap.emulator import GreyBoxEmulator
 from training.gap.settled import SettledModel
 
-SCHEMA = "narxcal.emulator/2"
+SCHEMA = "narxcal.emulator/3"
 DOCUMENT, WEIGHTS = "emulator.json", "weights.safetensors"
 _AGAIN = "Diagnose again, or copy the folder again"
 

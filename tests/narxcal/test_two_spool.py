@@ -2,12 +2,26 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from narxcal import two_spool
 from narxcal.effects.pace import Pace, as_simulated
-from narxcal.two_spool import DAMP, DOWN, FAN, GAIN, LINE, PUSH, SIZE, UP, VALVE, TwoSpool, soft
+from narxcal.two_spool import (
+    DAMP,
+    DOWN,
+    FAN,
+    GAIN,
+    HOLDS_RATE,
+    LINE,
+    PUSH,
+    RESET,
+    SIZE,
+    UP,
+    VALVE,
+    TwoSpool,
+    soft,
+)
 
 DT = 0.125
 STEPS = 2  # inside one raster interval of 0.125 s
@@ -15,17 +29,22 @@ STEPS = 2  # inside one raster interval of 0.125 s
 
 def coefficients():
     theta = np.zeros(SIZE)
-    theta[GAIN : GAIN + 3] = np.log(1.5), 0.3, 0.2
+    theta[GAIN : GAIN + 4] = np.log(1.5), 0.3, 0.2, 0.4
     theta[DAMP : DAMP + 3] = 0.8, -0.2, 0.1
-    theta[UP : UP + 3] = np.log(4.0), 0.5, 1.0
-    theta[DOWN : DOWN + 3] = np.log(6.0), 0.2, 0.8
-    theta[FAN : FAN + 3] = np.log(0.9), -0.3, -0.4
-    theta[LINE : LINE + 3] = 1.8, 0.4, 0.0
-    theta[VALVE], theta[PUSH] = np.log(0.2), 0.4
+    theta[UP : UP + 5] = np.log(4.0), 0.5, 1.0, -0.3, -0.8
+    theta[DOWN : DOWN + 5] = np.log(6.0), 0.2, 0.8, 0.2, 0.5
+    theta[FAN : FAN + 4] = np.log(0.9), -0.3, -0.4, 0.5
+    theta[LINE : LINE + 4] = 1.4, 0.8, 0.1, -0.2
+    theta[VALVE], theta[PUSH], theta[RESET] = np.log(0.2), 0.4, 0.3
     return theta
 
 
-THERMAL = np.array([[8.0, -2.0, 1.0, 12.0, 3.0, 0.5, 0.9], [10.0, 5.0, 0.0, 20.0, 0.0, 0.0, 0.3]])
+THERMAL = np.array(
+    [
+        [8.0, -2.0, 0.7, 1.0, 12.0, 3.0, -1.0, 0.5, 0.9],
+        [10.0, 5.0, 0.0, 0.0, 20.0, 0.0, 0.0, 0.0, 0.3],
+    ]
+)
 
 
 def engine(governed=0, theta=None):
@@ -50,38 +69,55 @@ def line(values, x, air):
     return values[0] + values[1] * x + values[2] * air
 
 
+def cubic(flat, slope, bend, n2):
+    """A curve over core speed whose slope at its share x of the range is a parabola in x."""
+    x = np.clip((n2 - 50.0) / 45.0, -0.2, 1.2)
+    return 45.0 * (flat * x + slope * x**2 / 2.0 + bend * x**3 / 3.0)
+
+
 def written_out(steady, air, pace, governed):
     """The equations of the module's docstring, one state at a time."""
     t, h = coefficients(), DT / STEPS
     n1, n2, *flows = steady[0]
-    p = v = 0.0
+    p = v = r = 0.0
     found = [[n1, n2, *flows]]
     for k in range(len(steady) - 1):
         for i in range(STEPS):
             s = steady[k] + i / STEPS * (steady[k + 1] - steady[k])
             x = min(max((n2 - 50.0) / 45.0, -0.2), 1.2)
             thin = np.exp(air) ** pace.thin_air[0]
-            m = line(t[LINE : LINE + 3], x, air)
-            dn1 = (s[0] + m * (n2 - s[1]) + t[PUSH] * p - n1) / np.exp(line(t[FAN:15], x, air))
+            z = min(max((s[1] - 50.0) / 45.0, -0.2), 1.2)
+            fan = t[LINE] + t[LINE + 2] * air, t[LINE + 1], t[LINE + 3]
+            behind = s[0] + cubic(*fan, n2) - cubic(*fan, s[1]) - n1
+            w = behind + t[PUSH] * p
+            dn1 = w * np.exp(t[FAN + 3] * w / 45.0) / np.exp(line(t[FAN:], x, air))
             dn1 *= thin * (pace.fan_up[0] if dn1 > 0 else pace.fan_down[0])
             dn2 = p * thin * (pace.core_up[0] if p > 0 else pace.core_down[0])
-            error = s[governed] - (n1, n2)[governed]
-            q = np.exp(line(t[GAIN : GAIN + 3], x, air)) * error - line(t[DAMP:6], x, air) * dn1
-            up = np.exp(line(t[UP:9], x, air)) * pace.limit[0]
-            down = np.exp(line(t[DOWN:12], x, air))
-            q = q / (1.0 + (q / (up if q > 0 else down)) ** 4) ** 0.25
+            error = s[governed % 2] - (n1, n2)[governed % 2]
+            gain = np.exp(line(t[GAIN:], x, air) + t[GAIN + 3] * (z - x))
+            q = gain * (error + r) - line(t[DAMP:], x, air) * dn1
+            up, down = (
+                np.exp(line(t[at:], x, air) + t[at + 3] * x**2 + t[at + 4] * behind / 45.0)
+                for at in (UP, DOWN)
+            )
+            held = 1.0 + (q / (up * pace.limit[0] if q > 0 else down)) ** 4
+            r, q = r + h * t[RESET] ** 2 * error / held, q / held**0.25
+            if governed >= HOLDS_RATE:
+                q /= thin * (pace.core_up[0] if q > 0 else pace.core_down[0])
             q -= pace.valve_s[0] * dn2 / pace.core_s[0]
             v = q + np.exp(-h / max(pace.valve_s[0], 1e-9)) * (v - q)
             for j, own in enumerate(THERMAL):
-                to = s[2 + j] + line(own[:3], x, air) * (n2 - s[1]) + line(own[3:6], x, air) * p
-                flows[j] = to + np.exp(-h / own[6]) * (flows[j] - to)
+                curve = own[0] + own[3] * air, own[1], own[2]
+                to = s[2 + j] + cubic(*curve, n2) - cubic(*curve, s[1])
+                to += (own[4] + own[5] * x + own[6] * x**2 + own[7] * air) * p
+                flows[j] = to + np.exp(-h / own[8]) * (flows[j] - to)
             p = v + np.exp(-h / 0.2) * (p - v)
             n1, n2 = n1 + h * dn1, n2 + h * dn2
         found.append([n1, n2, *flows])
     return np.array(found)
 
 
-@pytest.mark.parametrize("governed", [0, 1])
+@pytest.mark.parametrize("governed", [0, 1, HOLDS_RATE, HOLDS_RATE + 1])
 @pytest.mark.parametrize(
     "changed",
     [
@@ -112,6 +148,7 @@ def test_at_rest_it_stays_at_rest():
     np.testing.assert_allclose(found, steady, atol=1e-12)
 
 
+@settings(deadline=None)  # the first example compiles
 @given(st.floats(0.5, 3.0), st.floats(-1.0, 0.0))
 def test_it_comes_to_rest_where_it_is_asked_whatever_its_rotors_weigh(factor, air):
     steady = np.repeat(flown()[0][:, 30:31], 800, axis=1)
@@ -121,6 +158,41 @@ def test_it_comes_to_rest_where_it_is_asked_whatever_its_rotors_weigh(factor, ai
         (steady, np.full((1, 800), air), start), np.zeros(1, dtype=int), pace_of(**slower)
     )
     np.testing.assert_allclose(found[0, -1], steady[0, -1], atol=0.3)
+
+
+def test_a_control_that_holds_acceleration_makes_up_for_a_heavier_core():
+    """The core comes as simulated, on so much more fuel; the fan trails as it would anyway."""
+    given_ = flown()
+    heavier = pace_of(core_up=0.5, core_down=0.5)
+    one = np.zeros(1, dtype=int)
+    quick = coefficients()
+    quick[VALVE], quick[PUSH] = np.log(0.05), 0.0
+    alike, held, free = (
+        engine(kind, quick).free_run(given_, one, pace)[0]
+        for kind, pace in ((1, pace_of()), (HOLDS_RATE + 1, heavier), (1, heavier))
+    )
+    np.testing.assert_allclose(held[:, 1], alike[:, 1], atol=0.05)
+    assert np.abs(free[:, 1] - alike[:, 1]).max() > 2.0
+    fuel = [np.abs(np.gradient(run[:, 3], DT)).max() for run in (alike, held)]
+    assert fuel[1] > 1.1 * fuel[0]
+
+
+def test_the_reset_waits_while_a_limit_holds():
+    """Behind a limit the whole way, a slam is as far with a reset as without one."""
+    steady = np.repeat(flown()[0][:, 30:31], 60, axis=1)
+    start = steady[:, 0] - np.array([[60.0, 30.0, 300.0, 600.0]])
+    low = coefficients()
+    low[UP], low[RESET] = np.log(1.0), 0.0
+    high = low.copy()
+    high[RESET] = 0.5
+    far = [
+        engine(1, theta).free_run(
+            (steady, np.zeros((1, 60)), start), np.zeros(1, dtype=int), pace_of()
+        )
+        for theta in (low, high)
+    ]
+    np.testing.assert_allclose(far[1], far[0], atol=0.05)
+    assert (far[0][0, -1, :2] < steady[0, -1, :2] - 10.0).all()
 
 
 def test_many_rows_are_each_alone():
@@ -135,6 +207,7 @@ def test_many_rows_are_each_alone():
         np.testing.assert_array_equal(found[row], alone[0])
 
 
+@settings(deadline=None)
 @given(st.floats(-100, 100), st.floats(0.1, 20))
 def test_a_soft_limit_passes_what_is_small_and_never_more_than_the_limit(demand, limit):
     found = soft(demand, limit)

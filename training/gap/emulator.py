@@ -8,7 +8,7 @@ the difference between its run with an effect and its run without is added to th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,8 +16,8 @@ from narxcal.effects.base import FloatArray, Signals
 from narxcal.effects.pace import Pace, as_simulated
 from narxcal.effects.running import Flights
 from narxcal.errors import DataError
-from narxcal.two_spool import TwoSpool
-from training.gap.settled import SettledModel, fit_settled
+from narxcal.two_spool import HOLDS_RATE, TwoSpool
+from training.gap.settled import SettledModel, corrected, fit_settled
 from training.gap.two_spool_fit import GOVERNED_CORE, GOVERNED_FAN, Course, fit_two_spool
 
 FAN, CORE = "N1_pct", "N2_pct"
@@ -61,28 +61,58 @@ class GreyBoxEmulator:
 
 
 def fit_emulators(flights: Flights) -> tuple[GreyBoxEmulator, ...]:
-    """Fit to the simulated flights under either kind of control; the better one first.
+    """Fit to the simulated flights under every kind of control; the better one first.
 
-    The other is left out where its cost is more than twice as high, or where nothing is governed.
+    A control holds the fan's speed or the core's; of these the other is left out where its cost is
+    more than twice as high, or where nothing is governed. On the way it holds fuel or, of which no
+    log of the simulator tells anything, the core's acceleration: those are the last.
     Raises `DataError` where no spool speed is among the outputs.
     """
     signals = flights.signals
     order = _order(signals)
     settled = fit_settled(flights)
-    course = Course(
+    course = _course(flights, settled)
+    two = order[0] != order[1]
+    kinds = (GOVERNED_FAN, GOVERNED_CORE) if signals.governed and two else (GOVERNED_CORE,)
+    begun = [fit_two_spool(course, kind) for kind in kinds]
+    least = min(cost for _, cost in begun)
+    # Both follow the logs of a governed engine about equally well; most controls hold the fan.
+    fits = [
+        _finished(flights, GreyBoxEmulator(settled, engine))
+        for engine, cost in begun
+        if cost <= _POSSIBLE * least
+    ]
+    first = fits[-1] if fits[-1][1] < _CLEARLY * fits[0][1] else fits[0]
+    others = [each for each in fits if each is not first and each[1] <= _POSSIBLE * first[1]]
+    left = [each for each, _ in (first, *others)]
+    return (*left, *(_holding(each) for each in left if len(kinds) > 1))
+
+
+def _holding(one: GreyBoxEmulator) -> GreyBoxEmulator:
+    """The same under a control that holds the core's acceleration: the simulator's own logs are."""
+    return replace(one, engine=replace(one.engine, governed=one.engine.governed + HOLDS_RATE))
+
+
+def _finished(flights: Flights, begun: GreyBoxEmulator) -> tuple[GreyBoxEmulator, float]:
+    """Settled values without what the rotors say is still to come, and the rotors over these.
+
+    With the robust cost of the speeds.
+    """
+    settled = corrected(begun.settled, flights, flights.y - begun.free_run(flights))
+    course = _course(flights, settled)
+    engine, cost = fit_two_spool(course, begun.engine.governed, begun.engine)
+    return GreyBoxEmulator(settled, engine), cost
+
+
+def _course(flights: Flights, settled: SettledModel) -> Course:
+    order, signals = _order(flights.signals), flights.signals
+    return Course(
         y=_picked(flights.y, order),
         steady=_picked(settled.outputs(flights.u), order),
         air=np.log(signals.thin_air(flights.u)),
         inside=(np.arange(flights.y.shape[1]) < flights.lengths[:, None]).astype(float),
         dt_s=signals.dt_s,
     )
-    two = order[0] != order[1]
-    kinds = (GOVERNED_FAN, GOVERNED_CORE) if signals.governed and two else (GOVERNED_CORE,)
-    fits = [fit_two_spool(course, kind) for kind in kinds]
-    # Both follow the logs of a governed engine about equally well; most controls hold the fan.
-    first = fits[-1] if fits[-1][1] < _CLEARLY * fits[0][1] else fits[0]
-    others = [each for each in fits if each is not first and each[1] <= _POSSIBLE * first[1]]
-    return tuple(GreyBoxEmulator(settled, engine) for engine, _ in (first, *others))
 
 
 def _order(signals: Signals) -> list[int]:

@@ -10,10 +10,11 @@ Science* 11, 1996), so that where nothing was flown the neighbours are followed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from scipy.signal import lfilter
 
 from narxcal.effects.base import FloatArray, Signals
 from narxcal.effects.running import Flights
@@ -23,6 +24,7 @@ SWITCHES: Final = ("WOW", "Approach", "ECS", "NAI", "WAI")
 _KNOTS: Final = np.concatenate([[0.0, 0.03, 0.06, 0.1, 0.15], np.linspace(0.22, 1.0, 9)])
 _SWITCHED: Final = np.array([0.0, 0.05, 0.12, 0.25, 0.5, 1.0])
 _STILL: Final = 0.003  # of a channel's range per s: what moves slower counts fully
+_FOLLOWS_S: Final = 1.0  # an engine follows where it is asked to settle within a second or so
 _BEND, _SIZE = 1e-6, 1e-5  # penalties on bends over the lever, and on how conditions change them
 
 
@@ -89,6 +91,24 @@ def fit_settled(flights: Flights) -> SettledModel:
     penalty = float((root**2).sum()) * _penalty(rows.shape[-1], len(conditions))
     weights = np.asarray(np.linalg.solve(a.T @ a + penalty, a.T @ b), dtype=np.float64)
     return SettledModel(signals, conditions, switches, low, high, weights)
+
+
+def corrected(model: SettledModel, flights: Flights, missed: FloatArray) -> SettledModel:
+    """Settled values that also give what a run over `model` missed where little moves.
+
+    An engine that creeps up to where it settles is not there yet, and holds of a few seconds are
+    all that some flights have. What a run with its lags and resets still misses of the logs,
+    `missed` (flights, time, outputs), is no dynamics, seen a second late.
+    """
+    kept = np.exp(-flights.signals.dt_s / _FOLLOWS_S)
+    shown = model.features(flights.u)
+    rows, _ = lfilter([1.0 - kept], [1.0, -kept], shown, axis=1, zi=kept * shown[:, :1])
+    root = np.sqrt(_stillness(flights))[..., None]
+    a = (rows * root).reshape(-1, rows.shape[-1])
+    b = (missed * root).reshape(-1, missed.shape[-1])
+    penalty = float((root**2).sum()) * _penalty(rows.shape[-1], len(model.conditions))
+    more = np.linalg.solve(a.T @ a + penalty, a.T @ b - penalty @ model.weights)
+    return replace(model, weights=model.weights + np.asarray(more))
 
 
 def _stillness(flights: Flights) -> FloatArray:

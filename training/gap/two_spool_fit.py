@@ -16,7 +16,20 @@ from scipy.signal import lfilter
 from narxcal import two_spool
 from narxcal.effects.base import FloatArray
 from narxcal.effects.pace import as_simulated
-from narxcal.two_spool import DAMP, DOWN, FAN, GAIN, LINE, PUSH, SIZE, UP, VALVE, TwoSpool
+from narxcal.two_spool import (
+    DAMP,
+    DOWN,
+    FAN,
+    FLOW,
+    GAIN,
+    LINE,
+    PUSH,
+    RESET,
+    SIZE,
+    UP,
+    VALVE,
+    TwoSpool,
+)
 
 GOVERNED_FAN, GOVERNED_CORE = 0, 1
 _TOLERANCE: Final = 0.01  # share of the range that counts as one standard error
@@ -24,6 +37,8 @@ _ROBUST: Final = 2.0  # standard errors beyond which an error counts linearly
 _EVERY_S: Final = 0.25  # errors nearer in time tell nothing new
 _INDEPENDENT_S: Final = 1.0  # and those within this are one observation
 _RIDGE: Final = 1e-3
+_FAR, _INSIDE = 3.0, 2.99  # standard deviations that a coefficient may be off, and begin with
+_FINE: Final = 1e-3  # change of the cost, and of coefficients, at which a fit ends
 _LAGS_S: Final = (0.05, 6.0)
 
 
@@ -50,28 +65,39 @@ class Course(NamedTuple):
         return np.asarray(np.maximum(np.ptp(self.y, axis=(0, 1)), 1e-9))
 
 
-def fit_two_spool(course: Course, governed: int) -> tuple[TwoSpool, float]:
-    """Fit under one kind of control; returns the engine and the robust cost of its speeds."""
+def fit_two_spool(
+    course: Course, governed: int, begin: TwoSpool | None = None
+) -> tuple[TwoSpool, float]:
+    """Fit under one kind of control; returns the engine and the robust cost of its speeds.
+
+    The search starts from an engine to `begin` with, if there is one.
+    """
     rotors = Course(course.y[..., :2], course.steady[..., :2], *course[2:])
     prior, spread = _prior(rotors, governed)
     blank = TwoSpool(
-        prior, np.zeros((0, 7)), float(course.low[1]), float(course.span[1]), governed, course.dt_s
+        prior,
+        np.zeros((0, FLOW)),
+        float(course.low[1]),
+        float(course.span[1]),
+        governed,
+        course.dt_s,
     )
     problem = _Rotors(rotors, blank, prior, spread)
+    start = np.zeros(SIZE) if begin is None else (begin.theta - prior) / spread
     found = least_squares(
         problem.errors,
-        np.zeros(SIZE),
+        np.clip(start, -_INSIDE, _INSIDE),
         problem.slopes,
-        bounds=(-3.0, 3.0),
+        bounds=(-_FAR, _FAR),
         loss="soft_l1",
         f_scale=_ROBUST * problem.root,
         x_scale=1.0,
-        ftol=1e-3,
-        xtol=1e-3,
-        max_nfev=30,
+        ftol=_FINE,
+        xtol=_FINE,
+        max_nfev=30 if begin is None else 8,
     )
     theta = prior + spread * found.x
-    thermal = np.array([_flow(course, j) for j in range(2, course.y.shape[-1])]).reshape(-1, 7)
+    thermal = np.array([_flow(course, j) for j in range(2, course.y.shape[-1])]).reshape(-1, FLOW)
     engine = TwoSpool(theta, thermal, blank.low, blank.span, governed, course.dt_s)
     return engine, float(found.cost)
 
@@ -85,9 +111,10 @@ def _prior(rotors: Course, governed: int) -> tuple[FloatArray, FloatArray]:
     prior[DOWN] = np.log(max(-float(np.quantile(rate, 0.002)), 0.5))
     prior[UP + 2] = prior[DOWN + 2] = 1.0  # power to spare goes with the density of the air
     prior[FAN], prior[VALVE] = np.log(0.8), np.log(0.3)
+    prior[RESET] = 0.15
     prior[LINE] = np.polyfit(rotors.y[..., 1].ravel(), rotors.y[..., 0].ravel(), 1)[0]
     spread[[GAIN, DAMP, UP, DOWN, FAN, LINE]] = 2.0
-    spread[VALVE], spread[PUSH] = 1.0, 1.0
+    spread[VALVE], spread[PUSH], spread[RESET] = 1.0, 1.0, 0.2
     if governed == GOVERNED_CORE:
         spread[DAMP : DAMP + 3] = 1e-6
     return prior, spread
@@ -134,12 +161,17 @@ class _Rotors:
 
 
 def _flow(course: Course, j: int) -> FloatArray:
-    """Coefficients (7,) of one temperature or flow: a and b with their slopes, and its lag in s."""
+    """Coefficients (FLOW,) of one temperature or flow: Y and b with their slopes, its lag in s."""
     power = np.gradient(course.y[..., 1], course.dt_s, axis=1)
-    x = np.clip((course.y[..., 1] - course.low[1]) / course.span[1], -0.2, 1.2)
-    shapes = [np.ones_like(x), x, course.air]
-    causes = [course.y[..., 1] - course.steady[..., 1], power]
-    columns = [cause * shape for cause in causes for shape in shapes]
+    away = course.y[..., 1] - course.steady[..., 1]
+    x, z = (
+        np.clip((speed[..., 1] - course.low[1]) / course.span[1], -0.2, 1.2)
+        for speed in (course.y, course.steady)
+    )
+    one, air = np.ones_like(x), course.air
+    chords = [one, 0.5 * (x + z), (x * x + x * z + z * z) / 3.0, air]
+    columns = [away * shape for shape in chords]
+    columns += [power * shape for shape in (one, x, x * x, air)]
 
     def solved(log_lag: float) -> tuple[float, FloatArray]:
         tau_s = float(np.exp(log_lag))

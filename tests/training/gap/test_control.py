@@ -1,4 +1,4 @@
-"""A fan that trails tells which of its speeds an engine's control holds."""
+"""Heavier rotors tell which speed an engine's control holds, and what it holds on the way."""
 
 from dataclasses import replace
 
@@ -7,6 +7,7 @@ import pytest
 
 from narxcal.effects import effect
 from narxcal.effects.running import respond
+from narxcal.two_spool import HOLDS_RATE
 from tests.training.gap.conftest import NOISE
 from training.gap.control import suited
 from training.gap.emulator import fit_emulators
@@ -35,6 +36,19 @@ def test_a_heavier_fan_tells_the_control(true, first, kinds, flights):
     assert suited(offered, flights, measured) is kinds[true]
 
 
+@pytest.mark.parametrize("true", [GOVERNED_FAN, GOVERNED_CORE])
+@pytest.mark.parametrize("effects", [{"spool_lag": [1.5]}, {"spool_coupling": [1.5]}])
+def test_a_heavier_core_tells_a_control_of_acceleration(true, effects, kinds, flights):
+    """A heavier fan alone does not: either control answers it alike, and the first stays."""
+    plain = kinds[true]
+    holding = replace(plain, engine=replace(plain.engine, governed=true + HOLDS_RATE))
+    measured = flown(holding, flights, effects)
+    heavy_core = "spool_lag" in effects
+    assert suited((plain, holding), flights, measured) is (holding if heavy_core else plain)
+    measured = flown(plain, flights, effects)
+    assert suited((plain, holding), flights, measured) is plain
+
+
 def test_what_says_nothing_of_the_control_leaves_the_better_emulator(kinds, flights):
     measured = flown(kinds[0], flights, {"sensor_lag:EGT_C": [1.0, 0.5]})
     for offered in (kinds, kinds[::-1]):
@@ -51,3 +65,10 @@ def test_where_fuel_is_the_driver_there_is_one_kind(flights):
     inputs = ("FF_kgph", *flights.signals.inputs[1:])
     driven = replace(flights.signals, inputs=inputs, driver="FF_kgph")
     assert len(fit_emulators(replace(flights, signals=driven))) == 1
+
+
+def test_every_control_of_a_lever_is_offered_with_either_schedule(flights):
+    found = [each.engine.governed for each in fit_emulators(flights)]
+    plain = [kind for kind in found if kind < HOLDS_RATE]
+    assert plain[0] == GOVERNED_FAN
+    assert found == [*plain, *(kind + HOLDS_RATE for kind in plain)]

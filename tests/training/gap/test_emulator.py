@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from narxcal import two_spool
 from narxcal.effects import Flights, effect
 from narxcal.effects.running import respond
 from narxcal.errors import DataError
@@ -41,6 +42,25 @@ def test_what_an_effect_does_to_the_engine_it_does_to_its_emulator(
     span = flights.signals.high - flights.signals.low
     left = np.sum(((found - true) / span) ** 2) / np.sum((true / span) ** 2)
     assert left < 0.15
+
+
+def test_a_schedule_of_fuel_a_reset_and_curves_are_found(engine, flights):
+    """An engine whose limits bend and go with the fan, whose governor resets: its own twin."""
+    theta = engine.engine.theta.copy()
+    theta[two_spool.UP + 3 : two_spool.UP + 5] = -1.0, -0.8
+    theta[two_spool.DOWN + 3] = 0.8
+    theta[two_spool.GAIN + 3], theta[two_spool.FAN + 3] = 0.4, 0.6
+    theta[two_spool.LINE + 1], theta[two_spool.LINE + 3] = 0.6, -0.4
+    theta[two_spool.RESET] = 0.4
+    twin = replace(engine, engine=replace(engine.engine, theta=theta))
+    flown = replace(flights, y=twin.free_run(flights))
+    span = flown.y.max(axis=(0, 1)) - flown.y.min(axis=(0, 1))
+    found = fit_emulators(flown)[0]
+    assert (found.errors(flown) < 0.012 * span).all()
+    assert found.engine.theta[two_spool.RESET] == pytest.approx(0.4, abs=0.12)
+    setting = (effect("accel_limit"), np.array([[0.6]]))
+    true, said = (respond([setting], flown, e)[0] - flown.y for e in (twin, found))
+    assert np.sum(((said - true) / span) ** 2) < 0.1 * np.sum((true / span) ** 2)
 
 
 def test_a_row_does_not_know_the_others(fitted, flights):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from narxcal.effects import Flights, Signals
-from training.gap.settled import fit_settled
+from training.gap.settled import corrected, fit_settled
 
 INPUTS = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "Approach", "NAI")
 OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
@@ -53,6 +53,24 @@ def test_the_corners_of_a_control_are_followed(model):
     wrong = model.outputs(u) - rest(u)
     assert np.sqrt(np.mean(wrong**2, axis=(0, 1)))[0] < 0.6
     assert np.median(np.abs(wrong[..., 0])) < 0.15
+
+
+def test_what_a_run_misses_at_rest_is_taken_into_the_settled_values(model):
+    """Holds that end before the engine has settled: the run knows what is still to come."""
+    u, y = flown()
+    flights = Flights(signals(y), u, y, np.full(len(u), u.shape[1]))
+    off = np.array([0.4, -0.2, 3.0]) * (1.0 + u[..., :1] / 80.0)
+    short = replace(model, weights=model.weights - _weights_of(off, model, u))
+    run = y - off
+    found = corrected(short, flights, y - run)
+    before, after = (np.abs(m.outputs(u) - model.outputs(u)).mean((0, 1)) for m in (short, found))
+    assert (after < 0.1 * before).all()
+
+
+def _weights_of(values, model, u):
+    features = model.features(u)
+    rows = features.reshape(-1, features.shape[-1])
+    return np.linalg.lstsq(rows, values.reshape(len(rows), -1), rcond=None)[0]
 
 
 def test_outputs_are_features_times_weights(model):
