@@ -175,7 +175,11 @@ def _replay(commands: _Commands) -> argparse.ArgumentParser:
     parser.add_argument("--out", metavar="OUT.csv", type=Path, required=True, help="CSV file")
     parser.add_argument("--engine", metavar="NAME", help="replay this engine only")
     parser.add_argument("--realtime", action="store_true", help="no faster than the clock")
-    parser.add_argument("--follow", action="store_true", help="wait for growth; rows in OUT.part")
+    parser.add_argument(
+        "--follow",
+        action="store_true",
+        help="wait for growth until none came for 10 s; rows in OUT.part",
+    )
     return parser
 
 
