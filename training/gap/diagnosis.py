@@ -33,6 +33,7 @@ from training.gap.rerun_fit import told_anew
 from training.gap.together import added, in_order, is_heat, taken
 from training.gap.unlogged import priced
 from training.gap.verdict import Offset, bearable, finding
+from training.gap.whitened import sized_by_moves
 from training.gap.work import Options, Simulators, Watch, Work
 
 OFFSETS = ("deterioration", "sensor_bias", "throttle_bias", "temperature_effect")
@@ -79,6 +80,7 @@ def diagnose(
         alone = _offset(work, still, None)
         claimed, offset = (claimed, offset) if alone is None else (None, alone)
     claimed, offset = told_anew(work, claimed, offset, watch)
+    claimed = claimed if offset is not None else sized_by_moves(work, claimed)
     return finding(work, claimed, offset, noise)
 
 
