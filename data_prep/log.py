@@ -64,6 +64,7 @@ class Log:
     """Canonical channels `(time,)` on a uniform raster; a masked or missing sample is NaN.
 
     `name` is `FILE:engine` (`FILE:engine#2` for the second part of a log split at a gap).
+    `noise` is the variance of the white noise that was on each channel before it was smoothed.
     """
 
     name: str
@@ -71,6 +72,7 @@ class Log:
     channels: Mapping[str, FloatArray]
     audit: Audit = field(default_factory=Audit)
     source: Source = field(default_factory=Source)
+    noise: Mapping[str, float] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.time_s)

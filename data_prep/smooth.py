@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -65,11 +66,33 @@ def blurs(config: SmoothConfig, logs: Sequence[Log]) -> str:
 
 
 def smooth(log: Log, config: SmoothConfig | None = None) -> Log:
-    """Smooth a cleaned log; a masked sample stays masked and takes part in no average."""
+    """Smooth a cleaned log; a masked sample stays masked and takes part in no average.
+
+    The log that comes out remembers the noise that was taken away.
+    """
     config = config or SmoothConfig()
     names = _names(log, config.channels)
     window = config.window_at(log.dt_s)
-    return log.with_channels({name: moving_average(log[name], window) for name in names})
+    averaged = {name: moving_average(log[name], window) for name in names}
+    noise = {name: white_noise(log[name], averaged[name], (window, log.dt_s)) for name in names}
+    return replace(log.with_channels(averaged), noise=noise)
+
+
+def white_noise(raw: FloatArray, averaged: FloatArray, over: tuple[int, float]) -> float:
+    """Variance of the white noise on `raw` `(time,)`, by what its average over a window leaves.
+
+    `over` is the window and the raster interval in s. An average of n samples leaves 1 - 1/n of the
+    variance behind; where the channel moves it leaves signal as well, so that the half that moves
+    least is asked. Zero where nothing is averaged or nothing known.
+    """
+    window, dt_s = over
+    pace = _pace(raw, max(_quarter_second(dt_s), window // 2 + 1))
+    full = _sliding(np.isfinite(raw).astype(np.float64), np.ones(window)) == window
+    known = np.isfinite(pace) & full
+    if window == 1 or not known.any():
+        return 0.0
+    error = (raw - averaged)[known & (pace <= np.median(pace[known]))]
+    return float(np.mean(error**2)) / (1.0 - 1.0 / window)
 
 
 def _names(log: Log, wanted: Sequence[str] | None) -> list[str]:
@@ -167,10 +190,7 @@ def compare_windows(
 
 def _judged(raw: FloatArray, window: int, dt_s: float) -> dict[str, float]:
     error = raw - moving_average(raw, window)
-    # The pace over half a second is the same yardstick for every window.
-    span = max(1, round(0.25 / dt_s))
-    padded = np.concatenate((np.full(span, np.nan), raw, np.full(span, np.nan)))
-    pace = np.abs(padded[2 * span :] - padded[: -2 * span])
+    pace = _pace(raw, _quarter_second(dt_s))
     known = np.isfinite(pace)
     rest, fast = np.percentile(pace[known], (50, 95)) if known.any() else (np.nan, np.nan)
     gain = frequency_response(window, np.array([1.0]), dt_s)[0]
@@ -184,6 +204,21 @@ def _judged(raw: FloatArray, window: int, dt_s: float) -> dict[str, float]:
         "cutoff_hz": cutoff_hz(window, dt_s),
         "gain_1_hz": float(gain),
     }
+
+
+def _quarter_second(dt_s: float) -> int:
+    """In samples: the same yardstick for every window."""
+    return max(1, round(0.25 / dt_s))
+
+
+def _pace(raw: FloatArray, span: int) -> FloatArray:
+    """How far `raw` `(time,)` moves from `span` samples before each to as many after it.
+
+    NaN at the ends and beside missing samples.
+    """
+    padded = np.concatenate((np.full(span, np.nan), raw, np.full(span, np.nan)))
+    moved: FloatArray = np.abs(padded[2 * span :] - padded[: -2 * span])
+    return moved
 
 
 def _rms(error: FloatArray) -> float:

@@ -7,7 +7,7 @@ import os
 import platform
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from data_prep.reading import read_logs
 from narxcal.bundle import Bundle
 from narxcal.calibration import DynamicCalibration
 from narxcal.errors import ConfigError, DataError
-from narxcal.fuser_noise import estimate_noise
+from narxcal.fuser_noise import NoiseModel, estimate_noise
 from narxcal.narx import NarxConfig
 from narxcal.records import Record
 from narxcal.steady_fitted import FittedSteadyState
@@ -152,7 +152,7 @@ def calibrate(
     meta["steady_state"] = _quality_row(quality, steady)
     meta["lag_form"] = choice.row()
     meta["training"] = _training_row(results, time.perf_counter() - began)
-    meta["fuser_noise"] = _noise(calibration, split).to_dict()
+    meta["fuser_noise"] = sensor_and_model_noise(calibration, split).to_dict()
     meta["baselines"] = fit_baselines(calibration, split.train)
     return Bundle(calibration, meta)
 
@@ -225,15 +225,22 @@ def _record_hash(record: Record) -> str:
     return hashlib.sha256(shapes + record.u.tobytes() + record.y.tobytes()).hexdigest()
 
 
-def _noise(calibration: DynamicCalibration, split: Split) -> Any:
-    """Fuser noise from logs the network was not fitted to, where there are any."""
+def sensor_and_model_noise(calibration: DynamicCalibration, split: Split) -> NoiseModel:
+    """Fuser noise from logs the network was not fitted to, where there are any.
+
+    They are smoothed, and what a fuser is given online is not: of the sensors' noise the
+    likelihood only sees what smoothing left, so that what it took away is the least there is.
+    """
+    logs = split.validate or split.train
     measured, predicted = [], []
-    for log in split.validate or split.train:
+    for log in logs:
         own = calibration_for(calibration, log)
         outputs = log.matrix(own.output_names)
         predicted.append(own.simulate(log.matrix(own.input_names), outputs[0]))
         measured.append(outputs)
-    return estimate_noise(measured, predicted, calibration.dt_s)
+    found = estimate_noise(measured, predicted, calibration.dt_s)
+    taken = [[log.noise.get(name, 0.0) for name in calibration.output_names] for log in logs]
+    return replace(found, measurement=np.maximum(found.measurement, np.mean(taken, axis=0)))
 
 
 def _meta(config: RunConfig, base: Path, split: Split) -> dict[str, Any]:

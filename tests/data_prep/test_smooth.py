@@ -16,6 +16,7 @@ from data_prep.smooth import (
     frequency_response,
     moving_average,
     smooth,
+    white_noise,
 )
 from narxcal.errors import ConfigError, DataError
 
@@ -199,3 +200,20 @@ def test_comparison_shows_noise_falling_and_transients_suffering_with_the_window
 def test_comparison_of_a_masked_channel_is_undefined_not_an_error():
     table = compare_windows(example(N1_pct=np.full(99, np.nan)), ["N1_pct"], [3])
     assert table[["rms", "rms_rest", "rms_moving"]].isna().all(axis=None)
+
+
+@pytest.mark.parametrize("window", [3, 11, 21])
+def test_the_noise_that_smoothing_takes_is_known(window):
+    """Of samples beside slams and gaps; nothing is known of what is masked or not averaged."""
+    rng = np.random.default_rng(window)
+    speed = np.repeat(rng.uniform(60.0, 90.0, 20), 800) + np.tile(np.linspace(0.0, 2.0, 800), 20)
+    raw = speed + 0.05 * rng.normal(size=speed.size)
+    raw[rng.random(raw.size) < 0.02] = np.nan
+    log = Log(
+        "log.csv", np.arange(raw.size) / 32, {"N1_pct": raw, "N2_pct": np.full(raw.size, np.nan)}
+    )
+    smoothed = smooth(log, SmoothConfig(window=window))
+    assert smoothed.noise["N1_pct"] == pytest.approx(0.05**2, rel=0.08)
+    assert smoothed.noise["N2_pct"] == 0.0
+    assert smooth(log, SmoothConfig(window=1)).noise["N1_pct"] == 0.0
+    assert white_noise(speed, moving_average(speed, window), (window, 1 / 32)) < 1e-6

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from data_prep.log import Log, Source
+from data_prep.smooth import SmoothConfig, smooth
 from narxcal.bundle import Bundle, load_bundle, save_bundle
 from narxcal.errors import ConfigError, DataError, ModelError
+from narxcal.fuser_fast import FastFuser
 from narxcal.lag import LagModel
 from narxcal.lag_steps import PARAMETERS, UNLIMITED
 from training.config import RunConfig, SplitConfig
@@ -20,6 +22,7 @@ from training.pipeline import (
     configured_files,
     deviation_record,
     prepare_logs,
+    sensor_and_model_noise,
     split_logs,
 )
 
@@ -39,7 +42,7 @@ def config(**sections):
     return RunConfig.parse({**TABLE, **sections})
 
 
-def flight(name="a.csv:left", seed=0, samples=1200, dt_s=DT_S):
+def flight(name="a.csv:left", seed=0, samples=1200, dt_s=DT_S, noise=(0.05, 0.5)):
     """Slams every 15 s; both outputs settle on lines over the lever, first-order lags behind."""
     rng = np.random.default_rng(seed)
     hold = round(15.0 / dt_s)
@@ -49,7 +52,7 @@ def flight(name="a.csv:left", seed=0, samples=1200, dt_s=DT_S):
     decay = np.exp(-dt_s / TAU_S)
     for k in range(1, samples):
         outputs[k] = settled[k] + decay * (outputs[k - 1] - settled[k])
-    outputs += rng.normal(size=outputs.shape) * [0.05, 0.5]
+    outputs += rng.normal(size=outputs.shape) * noise
     channels = {"TRA_deg": lever, "Mach": np.full(samples, 0.3) + 1e-3 * rng.random(samples)}
     channels |= {"N1_pct": outputs[:, 0], "EGT_C": outputs[:, 1]}
     file, _, engine = name.partition(":")
@@ -138,6 +141,22 @@ def test_the_bundle_says_where_it_comes_from(bundle):
     assert meta["steady_state"]["fitted"]
     assert meta["steady_state"]["rms"]["N1_pct"] < 0.5
     assert {"fuser_noise", "baselines", "seeds", "hardware", "base"} <= set(meta)
+
+
+def test_the_stored_noise_is_that_of_rows_as_they_are_recorded(bundle):
+    """Logs are smoothed for training; a fuser that believed them would follow its sensors."""
+    model, log = bundle.calibration, flight(seed=7, samples=4000)
+    logs = [smooth(log, SmoothConfig(window=window)) for window in (1, 5)]
+    noises = [sensor_and_model_noise(model, Split((), (each,), ())) for each in logs]
+    for noise in noises:
+        np.testing.assert_allclose(noise.measurement, [0.05**2, 0.5**2], rtol=0.1)
+    measured = log.matrix(model.output_names)
+    predicted = model.simulate(log.matrix(model.input_names), measured[0])
+    fused = FastFuser(noises[1]).run(predicted, measured)
+    assert (fused.gated.mean(axis=0) < 0.02).all()
+    truth = flight(seed=7, samples=4000, noise=(0.0, 0.0)).matrix(model.output_names)
+    wrong = np.sqrt(np.mean((fused.values - truth) ** 2, axis=0))
+    assert (wrong < [0.04, 0.4]).all()
 
 
 def test_a_saved_bundle_simulates_the_same_numbers(bundle, tmp_path):
