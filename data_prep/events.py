@@ -87,8 +87,13 @@ def find_events(log: Log, config: EventsConfig | None = None) -> list[Event]:
 
     A driver that never moves gives an empty list. Events do not overlap and hold no sample
     that violates the condition. Raises `DataError` where the driver, a response or a
-    condition channel that was asked for is missing.
+    condition channel that was asked for is missing, and for several logs at once.
     """
+    if not isinstance(log, Log):
+        raise DataError(
+            f"events are those of one log, found a {type(log).__name__}",
+            hint="Ask for each: [find_events(log) for log in logs]",
+        )
     config = config or EventsConfig()
     allowed = _allowed(log, config)
     if len(log) < 3:

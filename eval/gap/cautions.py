@@ -16,11 +16,12 @@ from narxcal.effects.library import effect
 _UNKNOWN = 0.01  # of the samples
 _COARSE, _LOUD = 0.5, 0.1  # an emulator's error against the gap, a channel's share of the gap
 _KELVIN, _NEAR_K = 273.15, 15.0
+_FAR = 0.08  # of a speed: no wear and no sensor is that far off
 
 
 def cautions(pairs: Sequence[Pair], data: GapData) -> list[str]:
     """What the logs give reason to be careful about."""
-    return [*_few(pairs, data), *_left_out(pairs), *_unknown(pairs), *_kelvin(data)]
+    return [*_few(pairs, data), *_left_out(pairs), *_unknown(pairs), *_kelvin(data), *_far(data)]
 
 
 def coarse_emulator(evidence: Evidence, *, again: bool) -> list[str]:
@@ -83,6 +84,17 @@ def _kelvin(data: GapData) -> Iterator[str]:
             yield (
                 f"recorded {name} stands {apart:.0f} off the simulated one throughout: one of them "
                 "looks like kelvin"
+            )
+
+
+def _far(data: GapData) -> Iterator[str]:
+    for k, name in enumerate(data.flights.signals.outputs):
+        level = _middle(np.where(np.isfinite(data.gap[..., k]), data.flights.y[..., k], np.nan))
+        apart = _middle(data.gap[..., k]) / level if level > 0.0 else 0.0
+        if name.endswith("_pct") and abs(apart) > _FAR:
+            yield (
+                f"recorded {name} stands {100.0 * apart:+.0f} % of its level off the simulated one "
+                "throughout: another engine, or another speed for 100 %?"
             )
 
 

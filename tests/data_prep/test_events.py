@@ -365,6 +365,15 @@ def test_a_response_that_was_never_recorded_leaves_the_driver_to_decide():
     assert event.settled
 
 
+def test_several_logs_at_once_are_no_log():
+    with pytest.raises(DataError) as error:
+        find_events([moves_log(PUSH_PULL)])
+    assert str(error.value) == (
+        "events are those of one log, found a list. "
+        "Ask for each: [find_events(log) for log in logs]"
+    )
+
+
 def test_ten_minutes_at_32_hz_are_no_loop_over_samples():
     moves = [(400 + 900 * k, 16, 65.0 if k % 2 == 0 else 20.0) for k in range(20)]
     log = moves_log(moves, count=19_200)

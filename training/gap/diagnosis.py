@@ -229,7 +229,10 @@ def _offset(work: Work, effects: Sequence[Effect], claimed: Fit | None) -> Offse
 
 
 def _stands(work: Work, best: Fit, left: Misfit) -> bool:
-    """Whether an offset is beyond build scatter, a part of the gap, and in (nearly) all flights."""
+    """Whether an offset is beyond build scatter, a part of the gap, and in (nearly) all flights.
+
+    One that is as large as the library lets it be is none: the simulator is of another engine.
+    """
     gained = left.size(left.gap) - best.held_out
-    large = beyond_scatter(best, left, work.problem.flights)
+    large = beyond_scatter(best, left, work.problem.flights) and not best.at_bound
     return in_nearly_all(gained) and large and float(gained.sum()) / work.whole > _OFFSET

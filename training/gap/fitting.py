@@ -71,6 +71,12 @@ class Fit:
         return any(value in (p.low, p.high) and value != p.neutral for p, value in times)
 
     @property
+    def at_bound(self) -> bool:
+        """Whether a size lies on its bound: what it follows is larger than the effect can be."""
+        pairs = zip(self.parameters, self.theta, strict=True)
+        return any(p.linear and value in (p.low, p.high) for p, value in pairs)
+
+    @property
     def loopless(self) -> bool:
         """Whether an effect in a loop that the engine has was fitted outside of it."""
         pairs = zip(self.parameters, self.theta, strict=True)

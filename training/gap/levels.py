@@ -12,7 +12,6 @@ shortest ones through `p[k]`, the share of the shift that is there at k, for giv
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -292,9 +291,3 @@ def _shortest(away: FloatArray, switch: float) -> tuple[float, BoolArray]:
         if came[s, k]:
             s = 1 - s
     return least, path
-
-
-def runs(row: BoolArray) -> Sequence[tuple[int, int]]:
-    """First and last but one block of each run of on."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], row, [0]])))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 from scipy.stats import binom, t
 
+from data_prep.moves import spans
 from narxcal.effects.base import FloatArray
-from training.gap.levels import Found, Levels, contrast, runs
+from training.gap.levels import Found, Levels, contrast
 
 WITNESSES = 2  # flights in which the load was on
 _BEFORE, _AFTER = 4, 3  # blocks that tell a level next to a change, and how long it may take
@@ -100,7 +101,7 @@ def edges_of(found: Found, levels: Levels) -> tuple[list[Edge], float]:
         step = np.mean(
             [contrast(found.there[f], levels.known[f], _BEFORE, _AFTER) for f in rows], axis=0
         )
-        for first, stop in runs(found.on[rows[0]]):
+        for first, stop in spans(found.on[rows[0]]):
             for block, sign in ((first, 1.0), (stop, -1.0)):
                 if _AFTER < block < last - 2 * _AFTER:
                     near = np.arange(max(0, block - _REACH), block + _REACH + 1)
@@ -130,7 +131,7 @@ def _by_the_clock(found: Found, levels: Levels) -> bool:
 
     Two windows of a flight are no clock.
     """
-    rows = [own for group in levels.groups for own in [runs(found.on[group[0]])] if len(own) > 2]
+    rows = [own for group in levels.groups for own in [spans(found.on[group[0]])] if len(own) > 2]
     steps = np.array([b[0] - a[0] for own in rows for a, b in pairwise(own)], dtype=np.float64)
     if len(steps) < _TURNS:
         return False

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from data_prep.moves import spans
 from narxcal.effects.base import FloatArray
 from narxcal.effects.steady import FOLLOW_S
 from training.gap.finding import Interval
-from training.gap.levels import BoolArray, Found, Levels, runs
+from training.gap.levels import BoolArray, Found, Levels
 from training.gap.path_windows import Window
 from training.gap.quadratic import Misfit
 
@@ -32,9 +33,8 @@ def told(
     scale = _scale(found, levels)
     for group in levels.groups:
         flights = list(group)
-        spans = runs(found.on[flights[0]])
         parts = gap[flights], known[flights]
-        for first, stop in spans:
+        for first, stop in spans(found.on[flights[0]]):
             start = _edge(parts, found.shift / scale, scale, (first * size, 1.0, dt_s))
             end = _edge(parts, found.shift / scale, scale, (stop * size, -1.0, dt_s))
             if end[1] <= start[1]:

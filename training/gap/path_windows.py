@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from data_prep.moves import spans
 from training.gap.blocks import Blocks, centred, common_shift, moment, whitened
 from training.gap.coloured_noise import FOLLOW, FloatArray, Noise, gains, whiten
 from training.gap.finding import Interval
-from training.gap.levels import runs
 from training.gap.switching import cost
 from training.gap.window_search import Options, Search
 
@@ -79,7 +79,7 @@ def told(residual: FloatArray, known: FloatArray, dt_s: float, found: Searched) 
     on, windows = np.zeros(residual.shape[:2]), []
     size = options.samples(dt_s)
     for group in blocks.groups:
-        for first, last in runs(best.paths[group[0]] == 1):
+        for first, last in spans(best.paths[group[0]] == 1):
             rows = list(group)
             half = round(_HALF_S / dt_s)
             start = moment(residual[rows], known[rows], (first - FOLLOW, size, half))
@@ -91,9 +91,9 @@ def told(residual: FloatArray, known: FloatArray, dt_s: float, found: Searched) 
             model = (shift, noise.of(rows))
             where = [_span(blocks, best.paths, (rows, edge), model) for edge in (first, last)]
             ends = [(low * options.block_s, high * options.block_s) for low, high in where]
-            spans = _around(ends[0], start * dt_s), _around(ends[1], stop * dt_s)
+            edges_s = _around(ends[0], start * dt_s), _around(ends[1], stop * dt_s)
             windows += [
-                Window(f, start * dt_s, stop * dt_s, own, score, *spans)
+                Window(f, start * dt_s, stop * dt_s, own, score, *edges_s)
                 for f, (own, score) in zip(rows, each, strict=True)
             ]
     if not windows:

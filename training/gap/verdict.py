@@ -133,10 +133,11 @@ def _names(work: Work, claimed: Fit | None, offset: Offset | None) -> tuple[str,
 def _verdict(work: Work, claimed: Fit | None, offset: Offset | None) -> tuple[Kind, str]:
     """Kind of the answer and the reason for it, rivals aside."""
     heard = work.audible / float(work.problem.misfit.floor.sum())
-    if claimed is not None and bearable(work, claimed):
+    if (offset is not None) if claimed is None else bearable(work, claimed):
         return "effects", "explains flights that had no part in the fit"
-    if claimed is None and offset is not None:
-        return "effects", "explains flights that had no part in the fit"
+    if offset is None and work.offered and work.offered[0].at_bound:
+        name = work.offered[0].name
+        return "unknown", f"no {name} is as large as this: is the simulator one of this engine?"
     if heard < work.options.audible:
         return "none", "no gap beyond noise and build scatter"
     if offset is None and work.loudest < work.options.quiet:

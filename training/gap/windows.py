@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 from scipy.stats import binom
 
+from data_prep.moves import spans
 from narxcal.errors import DataError
 from training.gap.blocks import EDGE, Blocks, blocks_of
 from training.gap.coloured_noise import FOLLOW, FloatArray
-from training.gap.levels import runs
 from training.gap.path_windows import Searched, Windows, no_windows, told
 from training.gap.window_search import Options, gains_in_noise, rarely_reached, refined
 
@@ -83,7 +83,7 @@ def _merged(paths: NDArray[np.int8], options: Options) -> NDArray[np.int8]:
     """On throughout where it is off between two windows for less than the shortest one."""
     merged = paths.copy()
     for row in merged:
-        for (_, stop), (start, _) in pairwise(runs(row == 1)):
+        for (_, stop), (start, _) in pairwise(spans(row == 1)):
             off = np.count_nonzero(row[stop:start] == 0)
             if off * options.block_s < options.shortest_s:
                 row[stop:start] = 1
@@ -101,7 +101,7 @@ def _with_the_lever(paths: NDArray[np.int8], blocks: Blocks) -> bool:
         path = paths[group[0]]
         heard: NDArray[np.bool_] = np.all(blocks.share[list(group)] > 0.0, axis=(0, 2))
         clear = minimum_filter1d(heard, 3 * FOLLOW, origin=FOLLOW - 3 * FOLLOW // 2)
-        for start, stop in runs(path == 1):
+        for start, stop in spans(path == 1):
             zones = [k for k in (start - FOLLOW, stop) if 0 < k < len(path) - FOLLOW]
             edges += len(zones)
             hidden += sum(not clear[k] for k in zones)

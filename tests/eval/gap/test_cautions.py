@@ -64,6 +64,18 @@ def test_kelvin_on_one_side_is_suspected(fly, record, log_of):
     )
 
 
+def test_another_hundred_per_cent_is_suspected(fly, record, log_of):
+    sim = fly(0)
+    real = record(sim)
+    real["N2_pct"] = 1.12 * real["N2_pct"]
+    words = said([pair_logs("f", log_of(real), log_of(sim))])
+    assert len(words) == 2
+    assert words[1] == (
+        "recorded N2_pct stands +12 % of its level off the simulated one throughout: another "
+        "engine, or another speed for 100 %?"
+    )
+
+
 @pytest.fixture
 def evidence(make_data, make_finding, make_model, probe):
     """Build the evidence of a claimed effect, its emulator's error on EGT of a size."""

@@ -94,6 +94,16 @@ def test_offsets_within_build_scatter_are_told_of(flights, engine, recorded):
     assert bias.low < 9.0 < bias.high
 
 
+@pytest.mark.parametrize("channel", [1, 2])
+def test_an_offset_larger_than_any_is_another_engine(channel, flights, engine, recorded):
+    off = np.zeros(3)
+    off[channel] = 0.6 * (flights.signals.high - flights.signals.low)[channel]
+    found = answer(flights, engine, recorded({}) + off)
+    name = f"sensor_bias:{flights.signals.outputs[channel]}"
+    assert (found.kind, found.effects) == ("unknown", ())
+    assert found.reason == f"no {name} is as large as this: is the simulator one of this engine?"
+
+
 def test_offsets_that_all_days_share_do_not_follow_them(flights, engine, recorded):
     found = answer(flights, engine, recorded({}) + np.array([0.2, -0.3, 8.0]))
     assert (found.kind, found.effects) == ("none", ())
