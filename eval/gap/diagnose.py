@@ -37,7 +37,7 @@ from training.gap.diagnosis import diagnose
 from training.gap.emulator import GreyBoxEmulator, fit_emulators
 from training.gap.finding import Finding, Interval
 from training.gap.unlogged import Load
-from training.gap.work import Options, Simulators, Watch
+from training.gap.work import Simulators, Watch
 
 _SAME = 1e-9  # of a channel's range
 
@@ -122,13 +122,13 @@ def _found(data: GapData, simulators: Simulators, watch: Watch) -> tuple[GapData
         return data, *_nothing(data)
     watch("windows of an unlogged load", 0, 1)
     told, load = look_for_load(data)
-    finding = _asked(told, load, simulators, watch)
+    finding = _asked(told, simulators, watch)
     if load.windows:
         return told, load, finding
     told, beside = look_beside(finding, data, simulators.emulator)
     if not beside.windows:
         return data, load, finding
-    return told, beside, _asked(told, beside, simulators, watch)
+    return told, beside, _asked(told, simulators, watch)
 
 
 def _nothing(data: GapData) -> tuple[Load, Finding]:
@@ -139,9 +139,8 @@ def _nothing(data: GapData) -> tuple[Load, Finding]:
     return Load(np.zeros((count, steps)), (), np.zeros(count), reason), finding
 
 
-def _asked(data: GapData, load: Load, simulators: Simulators, watch: Watch) -> Finding:
-    options = Options(price=tuple(load.price.tolist()) if load.windows else ())
-    return diagnose(data.flights, (data.real, data.noise), simulators, options, watch)
+def _asked(data: GapData, simulators: Simulators, watch: Watch) -> Finding:
+    return diagnose(data.flights, (data.real, data.noise), simulators, watch=watch)
 
 
 def _evidence(data: GapData, finding: Finding, values: Values, emulator: Emulator) -> Evidence:

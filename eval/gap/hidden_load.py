@@ -51,7 +51,7 @@ class Spell(NamedTuple):
 def look_for_load(data: GapData) -> tuple[GapData, Load]:
     """The data with the windows of an unlogged load as one more input, if there are any."""
     load = _search(data, data.flights)
-    return replace(data, flights=with_load(data.flights, load.on)), load
+    return replace(data, flights=with_load(data.flights, load.on, load.price)), load
 
 
 def look_beside(finding: Finding, data: GapData, emulator: Emulator | None) -> tuple[GapData, Load]:
@@ -68,7 +68,7 @@ def look_beside(finding: Finding, data: GapData, emulator: Emulator | None) -> t
         return data, _no_load(data)
     beside = replace(data.flights, y=with_effects(values, data.flights, emulator))
     load = _search(data, beside)
-    return replace(data, flights=with_load(data.flights, load.on)), load
+    return replace(data, flights=with_load(data.flights, load.on, load.price)), load
 
 
 def _search(data: GapData, flights: Flights) -> Load:

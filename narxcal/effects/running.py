@@ -39,12 +39,15 @@ class Flights:
     """Inputs `u` (flights, time, inputs) and simulated outputs `y` (flights, time, outputs).
 
     Shorter flights are filled up with their last row; `lengths` (flights,) say where they end.
+    Where one of the inputs is an unlogged load, `price` (flights,) is what its windows, found in
+    the gap, are worth in noise: as much of the squared gap as any windows would take.
     """
 
     signals: Signals
     u: FloatArray
     y: FloatArray
     lengths: NDArray[np.int64]
+    price: FloatArray | None = None
 
 
 class Emulator(Protocol):

@@ -42,7 +42,9 @@ def beside_heat(work: Work, watch: Watch | None = None) -> Fit | None:
     for k, pair in enumerate(pairs[:_ASKED]):
         if watch is not None:
             watch(" + ".join(effect.name for effect in pair.effects), k, _ASKED)
-        found.append(priced(fit(pair.effects, work.problem, pair.theta), work.options.price))
+        found.append(
+            priced(fit(pair.effects, work.problem, pair.theta), work.problem.flights.price)
+        )
     work.fits += found
     rarely = _threshold(work, movers, heat)
     seen = [pair for pair in found if _seen(work, pair, heat, rarely)]

@@ -120,7 +120,7 @@ def _tried(work: Work, effects: Sequence[Effect], place: tuple[int, int, Watch |
     k, count, watch = place
     if watch is not None:
         watch(" + ".join(effect.name for effect in effects), k, count)
-    return priced(fit(effects, work.problem), work.options.price)
+    return priced(fit(effects, work.problem), work.problem.flights.price)
 
 
 def _earned(work: Work, model: Fit, best: Fit | None, least: float) -> bool:
@@ -183,7 +183,7 @@ def _fitted(work: Work, pair: Fit) -> Fit:
     """The pair fitted together: among the models of `work` already, or one of them from now on."""
     known = next((one for one in work.fits if one.effects == pair.effects), None)
     if known is None:
-        known = priced(fit(pair.effects, work.problem, pair.theta), work.options.price)
+        known = priced(fit(pair.effects, work.problem, pair.theta), work.problem.flights.price)
         work.fits.append(known)
     return known
 

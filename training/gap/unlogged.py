@@ -98,8 +98,10 @@ def find_known_load(
     return replace(none, on=on, windows=windows)
 
 
-def with_load(flights: Flights, on: FloatArray, *, always: bool = False) -> Flights:
-    """Flights with one more input, `on` (flights, time).
+def with_load(
+    flights: Flights, on: FloatArray, price: FloatArray | None = None, *, always: bool = False
+) -> Flights:
+    """Flights with one more input, `on` (flights, time), and the `price` (flights,) of its windows.
 
     As they were where it is on nowhere, unless `always`.
     """
@@ -108,7 +110,8 @@ def with_load(flights: Flights, on: FloatArray, *, always: bool = False) -> Flig
     signals = flights.signals
     names = (*signals.inputs, UNLOGGED), (*signals.active, UNLOGGED)
     more = replace(signals, inputs=names[0], active=names[1])
-    return replace(flights, signals=more, u=np.concatenate([flights.u, on[..., None]], axis=2))
+    u = np.concatenate([flights.u, on[..., None]], axis=2)
+    return replace(flights, signals=more, u=u, price=price)
 
 
 def has_load(tried: Fit) -> bool:
@@ -116,18 +119,18 @@ def has_load(tried: Fit) -> bool:
     return any(isinstance(effect, UnloggedSwitch) for effect in tried.effects)
 
 
-def priced(tried: Fit, price: Sequence[float]) -> Fit:
+def priced(tried: Fit, price: FloatArray | None) -> Fit:
     """The fit with the windows' price on what it leaves of flights, if it has a load in it."""
-    if not (price and has_load(tried)):
+    if price is None or not has_load(tried):
         return tried
-    return replace(tried, held_out=tried.held_out + np.array(price))
+    return replace(tried, held_out=tried.held_out + price)
 
 
-def witnesses(tried: Fit, price: Sequence[float]) -> BoolArray:
+def witnesses(tried: Fit, price: FloatArray | None) -> BoolArray:
     """Flights (flights,) that can tell for or against: those in which the load was on, or all."""
-    if not (price and has_load(tried)):
+    if price is None or not has_load(tried):
         return np.ones(len(tried.left), dtype=np.bool_)
-    return np.asarray(np.array(price) > 0.0)
+    return np.asarray(price > 0.0)
 
 
 def settled_samples(flights: Flights, before_s: float) -> BoolArray:

@@ -42,8 +42,7 @@ class Options:
     it acts, `apart[1]` at least, may leave anything. A rival is the leader's equal if it leaves no
     more than `close` times what the leader leaves, or if flights differ on who leads. `audible` is
     the least gap, as a share of the noise's energy, that is a gap at all; below `quiet`, as a share
-    of a channel's range, it is a misfit that nobody has to explain. `price` is what the windows of
-    an unlogged load are worth in noise, in Q of every flight; nothing where there are none.
+    of a channel's range, it is a misfit that nobody has to explain.
     """
 
     quantile: float = 0.99
@@ -64,7 +63,6 @@ class Options:
     audible: float = 0.03
     most: int = 2
     seed: int = 0
-    price: tuple[float, ...] = ()
 
 
 class Simulators(NamedTuple):
@@ -152,7 +150,7 @@ class Work:
         of the parameters it tells less than a hundredth of what the average flight does.
         """
         if has_load(tried):
-            return witnesses(tried, self.options.price)
+            return witnesses(tried, self.problem.flights.price)
         known = () if best is None else best.effects
         owners = [
             effect for effect, n in zip(tried.effects, tried.sizes, strict=True) for _ in range(n)
@@ -192,8 +190,8 @@ class Work:
             return self.before if tried is None else tried.held_out
         if tried not in self._beside:
             left = self.allowance.held_out(tried)
-            dear = tried is not None and has_load(tried) and len(self.options.price) > 0
-            self._beside[tried] = left + np.array(self.options.price) if dear else left
+            price = self.problem.flights.price if tried is not None and has_load(tried) else None
+            self._beside[tried] = left if price is None else left + price
         return self._beside[tried]
 
     def worth(self, tried: Fit) -> float:
@@ -239,6 +237,6 @@ class Work:
 
     def unexplained(self, tried: Fit) -> float:
         """Share of what flights tell that is left; a load says nothing of flights without it."""
-        rows, floor = witnesses(tried, self.options.price), self.problem.misfit.floor
+        rows, floor = witnesses(tried, self.problem.flights.price), self.problem.misfit.floor
         gap = max(float((self.before - floor)[rows].sum()), _LEAST * float(floor[rows].sum()))
         return float((tried.left - floor)[rows].sum()) / gap

@@ -183,7 +183,7 @@ def test_the_price_is_paid_by_the_load_alone_and_flights_without_it_are_no_witne
     flights = with_load(FLIGHTS, on_in(WINDOWS))
     real = recorded(shifted(on_in(WINDOWS)))
     tried = fit([UnloggedSwitch()], Problem(flights, None, misfit(flights, real, NOISE)))
-    price = (3.0, 1.0, 2.0, 0.0)
+    price = np.array([3.0, 1.0, 2.0, 0.0])
     paid = priced(tried, price)
     assert has_load(tried)
     np.testing.assert_allclose(paid.held_out - tried.held_out, price)
@@ -198,8 +198,8 @@ def test_the_diagnosis_names_the_load_with_its_size(monkeypatch):
     monkeypatch.setattr(module, "candidates", lambda _signals: rivals)
     real = recorded(shifted(on_in(WINDOWS)))
     found = load_in(real)
-    options = Options(draws=40, price=tuple(found.price.tolist()))
-    answer = diagnose(with_load(FLIGHTS, found.on), (real, NOISE), Simulators(None), options)
+    told = with_load(FLIGHTS, found.on, found.price)
+    answer = diagnose(told, (real, NOISE), Simulators(None), Options(draws=40))
     assert answer.effects == ("unlogged_switch",), answer.reason
     size = answer.tried[0].parameters["unlogged_switch"]["on_EGT_C"]
     assert size.low < SHIFT[2] < size.high
@@ -262,7 +262,8 @@ def test_what_a_flight_without_the_load_has_does_not_speak_against_it(monkeypatc
     real = recorded(shifted(on_in(WINDOWS)))
     real[3, :, 2] += 9.0 * np.sin(TIME / 15.0)
     found = load_in(real)
-    options = Options(unexplained=0.3, draws=40, price=tuple(found.price.tolist()))
-    answer = diagnose(with_load(FLIGHTS, found.on), (real, NOISE), Simulators(None), options)
+    options = Options(unexplained=0.3, draws=40)
+    told = with_load(FLIGHTS, found.on, found.price)
+    answer = diagnose(told, (real, NOISE), Simulators(None), options)
     assert (answer.kind, answer.effects) == ("effects", ("unlogged_switch",)), answer.reason
     assert answer.left_share > options.unexplained
