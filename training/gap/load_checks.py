@@ -18,6 +18,7 @@ from scipy.stats import binom, t
 
 from data_prep.moves import spans
 from narxcal.effects.base import FloatArray
+from narxcal.effects.running import Flights
 from training.gap.levels import Found, Levels, contrast
 
 WITNESSES = 2  # flights in which the load was on
@@ -30,6 +31,7 @@ _BY_CHANCE, _WITH_LEVER = 0.1, 0.9  # edges at moves: how rarely by chance, how 
 _SWITCHED = 4.0  # blocks between a logged switch and what follows it
 _TURNS, _PHASE, _ALIKE = 3, 0.08, 0.3  # periods that make a clock, and how exact it is
 _BESIDE = 0.02  # of what the strongest channel tells: a second one that tells as much is shifted
+_PROPORTION = 0.85  # cosine from which on a shift goes as the driver's; of loads it is below 0.75
 _EDGES, _CHANCE = 4, 0.002  # edges that tell less than that, and how rarely they do by chance
 
 
@@ -66,6 +68,23 @@ def against(found: Found, levels: Levels, switched: Sequence[NDArray[np.float64]
     if _spread(found, levels) > _SPREAD:
         return "the levels scatter too much to be on or off"
     return _edges_against(edges, by_chance)
+
+
+def as_the_lever(shift: FloatArray, flights: Flights) -> bool:
+    """Whether a `shift` (outputs,) is in the proportion in which the driver moves the outputs.
+
+    That is a lever that arrives elsewhere, or a fuel meter, and no load: what takes air or power
+    off a spool shifts outputs against one another, and those that a control holds hardly at all.
+    Only both spools' speeds tell.
+    """
+    signals = flights.signals
+    if not {"N1_pct", "N2_pct"} <= set(signals.outputs):
+        return False
+    flown = np.arange(flights.u.shape[1]) < flights.lengths[:, None]
+    driver, y = flights.u[..., signals.u(signals.driver)][flown], flights.y[flown]
+    slope = (driver - driver.mean()) @ (y - y.mean(axis=0))
+    mine, own = (each / (signals.high - signals.low) for each in (shift, slope))
+    return bool(mine @ own > _PROPORTION * np.linalg.norm(mine) * np.linalg.norm(own))
 
 
 def _edges_against(edges: Sequence[Edge], by_chance: float) -> str:

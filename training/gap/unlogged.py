@@ -23,7 +23,7 @@ from training.gap.blocks import drawn_anew
 from training.gap.fitting import Fit
 from training.gap.known_load import search_known
 from training.gap.levels import BoolArray, Found, Levels, of_paths, search_levels
-from training.gap.load_checks import against
+from training.gap.load_checks import against, as_the_lever
 from training.gap.load_windows import told
 from training.gap.path_windows import Window
 from training.gap.quadratic import Misfit
@@ -218,6 +218,8 @@ def _judged(found: Found | None, levels: Levels, asked: Asked, seed: int) -> tup
     if found is None:
         return "no windows stand out of the gap", 0.0
     reason = against(found, levels, _switched(asked.flights))
+    if not reason and as_the_lever(found.shift, asked.flights):
+        reason = "all outputs are shifted as by a move of the driver: it arrives elsewhere, no load"
     if reason:
         return reason, 0.0
     price, rarely = _price(found, levels, asked, seed)

@@ -13,6 +13,7 @@ from narxcal.turbofan import Unmodelled, VirtualEngine
 from training.gap import diagnosis as module
 from training.gap.diagnosis import diagnose
 from training.gap.fitting import Problem, fit
+from training.gap.load_checks import as_the_lever
 from training.gap.quadratic import misfit
 from training.gap.unlogged import (
     find_known_load,
@@ -107,6 +108,26 @@ def test_noise_and_build_scatter_hold_no_load(seed):
     assert found.reason
     assert not found.on.any()
     assert not found.price.any()
+
+
+@pytest.mark.parametrize(("fan", "load"), [(1.0, False), (-0.3, True), (0.0, True)])
+def test_what_shifts_all_outputs_as_the_lever_does_is_no_load(fan, load):
+    """A lever that sticks for a minute arrives a degree higher; N1 that is held tells a load."""
+    shift = np.array([75.0 * fan, 45.0, 350.0]) / 60.0
+    found = load_in(recorded(shifted(on_in(WINDOWS), shift)))
+    assert len(found.windows) == (5 if load else 0)
+    assert found.reason == (
+        ""
+        if load
+        else "all outputs are shifted as by a move of the driver: it arrives elsewhere, no load"
+    )
+
+
+def test_only_both_speeds_tell_a_lever_from_a_load():
+    signals = replace(FLIGHTS.signals, outputs=("Nf_pct", "N2_pct", "EGT_C"))
+    shift = np.array([75.0, 45.0, 350.0])
+    assert as_the_lever(shift, FLIGHTS)
+    assert not as_the_lever(shift, replace(FLIGHTS, signals=signals))
 
 
 def test_engines_of_one_aircraft_share_their_windows():
