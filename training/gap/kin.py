@@ -17,13 +17,12 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.fft import dct
 
-from narxcal.effects.base import FloatArray
 from narxcal.effects.sensor_side import SensorLag, TimeSkew
 from training.gap.fitting import Fit
 from training.gap.together import is_heat
+from training.gap.whitened import QUICKEST_HZ, by_octave
 from training.gap.work import Work
 
-_QUICKEST_HZ = 1.0  # above are noise, and the jitter of a fuel flow, which any lag takes away
 _COMPARABLE = 0.5  # of the rank of the first: one that explains less is no other name for it
 
 
@@ -57,19 +56,11 @@ def _surprise(work: Work, tried: Fit) -> float:
     """Negative logarithm of the likelihood of what is left, and half a logarithm per parameter."""
     measure, lengths = work.problem.misfit, work.problem.flights.lengths
     rest = measure.cleaned(measure.gap - tried.response) * (measure.weights > 0.0)
-    halves = 2.0 * _QUICKEST_HZ * work.problem.flights.signals.dt_s  # half cycles per sample
+    halves = 2.0 * QUICKEST_HZ * work.problem.flights.signals.dt_s  # half cycles per sample
     surprise, count = 0.0, 0
     for values, length in zip(rest, lengths, strict=True):
         last = int(halves * length) + 1
         power = dct(values[:length], axis=0, norm="ortho")[1:last] ** 2
-        surprise += 0.5 * _log_power(power, work.noise)
+        surprise += 0.5 * float(np.log(by_octave(power) + work.noise**2).sum())
         count += power.size
     return surprise + 0.5 * len(tried.theta) * float(np.log(max(count, 1)))
-
-
-def _log_power(power: FloatArray, noise: FloatArray) -> float:
-    """Sum of the logarithms of `power` (k, outputs), which is one in each octave, and noise's."""
-    starts = 2 ** np.arange(int(np.log2(len(power))) + 1) - 1
-    count = np.diff(np.append(starts, len(power)))[:, None]
-    mean = np.add.reduceat(power, starts, axis=0) / count + noise**2
-    return float((count * np.log(mean)).sum())

@@ -21,7 +21,7 @@ from training.gap.quadratic import Misfit
 from training.gap.together import is_heat
 from training.gap.work import Work
 
-_QUICKEST_HZ = 1.0  # above are noise, and the jitter of a fuel flow, which any lag takes away
+QUICKEST_HZ = 1.0  # above are noise, and the jitter of a fuel flow, which any lag takes away
 _TURNS = 3  # of weights by what is left, and a fit by these
 
 
@@ -48,7 +48,7 @@ class Whitened(Misfit):
 def whitened(work: Work, response: FloatArray) -> Whitened:
     """The measure of a diagnosis, weighed by what a response leaves, the same in all flights."""
     measure, dt_s = work.problem.misfit, work.problem.flights.signals.dt_s
-    count = int(2.0 * _QUICKEST_HZ * dt_s * measure.gap.shape[1])  # half cycles over a flight
+    count = int(2.0 * QUICKEST_HZ * dt_s * measure.gap.shape[1])  # half cycles over a flight
     left = _spectra(measure, measure.gap - response, count) ** 2
     power = by_octave(left.mean(axis=0)) + work.noise**2
     plain = (measure.gap, measure.weights, measure.nuisances, measure.solved, measure.floor)
