@@ -95,7 +95,7 @@ def run(
 ) -> FloatArray:
     """Free runs of many rows, `(rows, time, 2 + flows)`.
 
-    `theta` (rows, SIZE + 8) holds the coefficients and the row's `Pace`; `thermal` (flows, FLOW)
+    `theta` (rows, SIZE + 9) holds the coefficients and the row's `Pace`; `thermal` (flows, FLOW)
     those of Y, b and tau_y. `flown` are the settled values (blocks, time, 2 + flows), L (blocks,
     time) and the first row (rows, 2 + flows); `which` (rows,) the block of each row. `setting` is
     the raster in s, the bottom and the range of core speed, and the speed that is governed.
@@ -158,8 +158,7 @@ def _advance(
     gain = _positive(_line(theta, GAIN, x, air) + theta[GAIN + 3] * (z - x))
     asked = gain * (error + state[flows + 2]) - _line(theta, DAMP, x, air) * fan
     limit = _limit(theta, UP if asked > 0.0 else DOWN, (x, air, behind))
-    if asked > 0.0:
-        limit *= theta[SIZE + 5]
+    limit *= theta[SIZE + 5 if asked > 0.0 else SIZE + 8]
     state[flows + 2] += h * theta[RESET] ** 2 * error / (1.0 + (asked / limit) ** 4)
     asked = soft(asked, limit)
     if governed >= HOLDS_RATE:
@@ -202,7 +201,7 @@ class TwoSpool:
     def free_run(
         self, flown: tuple[FloatArray, FloatArray, FloatArray], which: IntArray, pace: FloatArray
     ) -> FloatArray:
-        """Runs (rows, time, 2 + flows) of `flown` and `which` (see `run`) at `pace` (rows, 8)."""
+        """Runs (rows, time, 2 + flows) of `flown` and `which` (see `run`) at `pace` (rows, 9)."""
         theta = np.concatenate([np.tile(self.theta, (len(pace), 1)), pace], axis=1)
         setting = (self.dt_s, self.low, self.span, self.governed)
         return np.asarray(run(theta, self.thermal, flown, which, setting))

@@ -11,6 +11,8 @@ from narxcal.effects.base import Signals
 from narxcal.effects.memory import Lag
 from training.gap.finding import Interval
 
+_EITHER = 0.5  # of a share that is all or nothing
+
 
 def step_response(sketch: Sketch) -> Figure:
     """Answer to a unit step, 63 % of it marked where a lag has that.
@@ -41,16 +43,22 @@ def step_response(sketch: Sketch) -> Figure:
 
 
 def time_constants(sketch: Sketch) -> Figure:
-    """Time constants of both spools, up and down, in those of the simulator."""
+    """Time constants of both spools, up and down, in those of the simulator.
+
+    Where the control makes pushes and pulls differ, the time that its limit lets a pull take.
+    """
     names = [name for name in ("N1_pct", "N2_pct") if name in sketch.signals.outputs]
     rows = [(name, way) for name in names for way in ("up", "down")]
-    drawn, axes = panel("", "time constant, simulator = 1")
+    control = "by_control" in sketch.sizes and sketch.sizes["by_control"].value > _EITHER
+    as_it_was = {"accel_decel_asymmetry": "up" if control else "down"}.get(sketch.effect.id)
+    changed = sketch.first
+    if control:  # what may go twice as fast takes half the time
+        changed = Interval(1.0 / changed.value, 1.0 / changed.high, 1.0 / changed.low)
+    drawn, axes = panel("", f"{'limited transit' if control else 'time constant'}, simulator = 1")
     axes.axhline(1.0, color=style.STEADY, ls="--", lw=0.8, label="simulator")
     for place, (name, way) in enumerate(rows):
-        free = (sketch.effect.id == "spool_coupling" and name == "N2_pct") or (
-            sketch.effect.id == "accel_decel_asymmetry" and way == "down"
-        )
-        size = Interval(1.0, 1.0, 1.0) if free else sketch.first
+        free = way == as_it_was or (sketch.effect.id == "spool_coupling" and name == "N2_pct")
+        size = Interval(1.0, 1.0, 1.0) if free else changed
         bar(axes, place, size, style.MODEL if way == "up" else style.CYCLE[5])
     axes.set_xticks(range(len(rows)), [f"{style.symbol(name)} {way}" for name, way in rows])
     finish(axes)

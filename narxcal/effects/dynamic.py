@@ -70,17 +70,30 @@ class SpoolCoupling(_Transit):
 
 
 class AccelDecelAsymmetry(_Transit):
-    """Time constants are `ratio` times as long while the spools speed up."""
+    """Pushes take `ratio` times as long, against pulls, as they do in the simulator.
+
+    Time constants are longer while the spools speed up; or (`by_control`, 0 or 1) the control lets
+    the core slow down `ratio` times as fast, where its schedule of deceleration holds.
+    """
 
     id: ClassVar[str] = "accel_decel_asymmetry"
     meaning: ClassVar[str] = "pushes slower (or faster) than pulls"
     manoeuvre: ClassVar[str] = "pushes and pulls of one size, at low and at high altitude"
-    fixed = (Parameter("ratio", "-", 0.4, 4.0, 1.0, (0.8, 1.3, 2.0)),)
+    fixed = (
+        Parameter("ratio", "-", 0.4, 4.0, 1.0, (0.8, 1.3, 2.0)),
+        Parameter("by_control", "-", 0.0, 1.0, 0.0, (0.0, 1.0)),
+    )
 
-    def pace(self, theta: FloatArray, signals: Signals) -> Pace:  # noqa: ARG002 - of any engine
-        """`1 / ratio` of every rising rate."""
-        slower = 1.0 / theta[:, 0]
-        return as_simulated(len(theta))._replace(fan_up=slower, core_up=slower)
+    def parameters(self, signals: Signals) -> tuple[Parameter, ...]:
+        """The ratio alone where fuel is the driver: no control schedules it."""
+        return self.fixed if signals.governed else self.fixed[:1]
+
+    def pace(self, theta: FloatArray, signals: Signals) -> Pace:
+        """`1 / ratio` of every rising rate, or `ratio` of the limit of deceleration."""
+        ratio, same = theta[:, 0], as_simulated(len(theta))
+        control = theta[:, 1] >= _EITHER if signals.governed else np.zeros(len(theta), bool)
+        slower = np.where(control, 1.0, 1.0 / ratio)
+        return same._replace(fan_up=slower, core_up=slower, fall=np.where(control, ratio, 1.0))
 
 
 class AccelLimit(_Transit):

@@ -21,9 +21,10 @@ class Pace(NamedTuple):
 
     Rates of the fan and of the core are so many times as fast while they speed up and while they
     slow down, and go with `thin_air` as a further power of `delta / sqrt(theta)`. `limit` is the
-    greatest acceleration that the control asks for over the simulator's own; `valve_s` is a further
-    lag between what it asks for and the fuel. What fuel does to the core depends on the core's own
-    time constant `core_s` at constant fuel, which no log of a governed engine shows.
+    greatest acceleration that the control asks for over the simulator's own, `fall` the greatest
+    deceleration; `valve_s` is a further lag between what it asks for and the fuel. What fuel does
+    to the core depends on the core's own time constant `core_s` at constant fuel, which no log of a
+    governed engine shows.
     """
 
     fan_up: FloatArray
@@ -34,12 +35,13 @@ class Pace(NamedTuple):
     limit: FloatArray
     valve_s: FloatArray
     core_s: FloatArray
+    fall: FloatArray
 
 
 def as_simulated(batch: int) -> Pace:
     """The simulator's own pace."""
     one, none = np.ones(batch), np.zeros(batch)
-    return Pace(one, one, one, one, none, one, none, one)
+    return Pace(one, one, one, one, none, one, none, one, one)
 
 
 def together(paces: Sequence[Pace]) -> Pace:

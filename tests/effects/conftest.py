@@ -58,6 +58,8 @@ class Engine:
             rate[:, 1] *= thin * np.where(rate[:, 1] > 0.0, pace.core_up, pace.core_down)
             room = FASTEST * pace.limit / np.maximum(rate[:, 1], 1e-9)
             rate *= np.where(pace.limit == 1.0, 1.0, np.minimum(room, 1.0))[:, None]
+            fall = FASTEST * pace.fall / np.maximum(-rate[:, 1], 1e-9)
+            rate *= np.where(pace.fall == 1.0, 1.0, np.minimum(fall, 1.0))[:, None]
             y.append(y[-1] + DT * rate)
         return np.stack(y, axis=1)
 
@@ -173,10 +175,17 @@ def neutral():
 
 @pytest.fixture
 def sized():
-    """A row of parameters of a clear size: the last start, or a share of the upper bound."""
+    """A row of parameters of a clear size: the last start, or a share of the upper bound.
+
+    What is all or nothing is nothing.
+    """
+
+    def size(p, share):
+        if p.starts == (p.low, p.high):
+            return p.neutral
+        return p.starts[-1] if p.starts else share * p.high
 
     def row(effect, share=0.1):
-        parameters = effect.parameters(SIGNALS)
-        return np.array([[p.starts[-1] if p.starts else share * p.high for p in parameters]])
+        return np.array([[size(p, share) for p in effect.parameters(SIGNALS)]])
 
     return row

@@ -104,7 +104,8 @@ def changed(name, theta, rate, air):
     ],
 )
 def test_on_an_exact_emulator_a_rate_effect_is_the_engine_so_changed(name, theta, flights, engine):
-    found = respond([(effect(name), np.array([[theta]]))], flights, engine)[0]
+    others = [p.neutral for p in effect(name).parameters(flights.signals)[1:]]
+    found = respond([(effect(name), np.array([[theta, *others]]))], flights, engine)[0]
     air = flights.signals.thin_air(flights.u)
     for f in range(3):
         y = flights.y[f, 0]

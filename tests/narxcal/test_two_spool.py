@@ -100,7 +100,7 @@ def written_out(steady, air, pace, governed):
                 np.exp(line(t[at:], x, air) + t[at + 3] * x**2 + t[at + 4] * behind / 45.0)
                 for at in (UP, DOWN)
             )
-            held = 1.0 + (q / (up * pace.limit[0] if q > 0 else down)) ** 4
+            held = 1.0 + (q / (up * pace.limit[0] if q > 0 else down * pace.fall[0])) ** 4
             r, q = r + h * t[RESET] ** 2 * error / held, q / held**0.25
             if governed >= HOLDS_RATE:
                 q /= thin * (pace.core_up[0] if q > 0 else pace.core_down[0])
@@ -124,6 +124,7 @@ def written_out(steady, air, pace, governed):
         {},
         {"fan_up": 0.7, "fan_down": 1.2, "core_up": 0.8, "core_down": 0.9},
         {"thin_air": 0.6, "limit": 0.5},
+        {"fall": 0.6},
         {"valve_s": 0.7, "core_s": 1.5},
     ],
 )

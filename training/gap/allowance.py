@@ -22,6 +22,8 @@ from training.gap.bounded import least_within, room
 from training.gap.fitting import Fit, Problem
 
 _LEVER_DEG: Final = 85.0  # way of a lever of which the play below is a share
+_LIMIT: Final = 0.05  # of what a control's schedule leaves to accelerate with
+_EITHER: Final = 0.5  # of a share that is all or nothing
 _SMALL: Final = 1e-9  # way of a parameter that is none
 
 
@@ -29,7 +31,8 @@ class Little(NamedTuple):
     """How far a parameter may be off without anyone calling it an effect.
 
     Where `of` names another parameter of the effect that is found above 1, it is that share of it;
-    of what `outside` names, a share, the rest is allowed.
+    of what `outside` names, a share, the rest is allowed; where `limit` names a parameter that says
+    so, it is a limit of the control and as far off as those are.
     """
 
     parameter: str
@@ -37,6 +40,7 @@ class Little(NamedTuple):
     high: float
     of: str = ""
     outside: str = ""
+    limit: str = ""
 
 
 # Tolerances of build and modelling: play of a new linkage, a valve and a probe known to hundredths
@@ -48,8 +52,8 @@ ALLOWED: Final = {
     "actuator_lag": Little("tau_s", -0.03, 0.03, outside="outside"),
     "sensor_lag:EGT_C": Little("tau_s", -0.06, 0.06, of="own_s"),
     "spool_lag": Little("factor", -0.02, 0.02),
-    "accel_decel_asymmetry": Little("ratio", -0.02, 0.02),
-    "accel_limit": Little("share", -0.05, 0.05),
+    "accel_decel_asymmetry": Little("ratio", -0.02, 0.02, limit="by_control"),
+    "accel_limit": Little("share", -_LIMIT, _LIMIT),
     "spool_coupling": Little("factor", -0.02, 0.02),
     "heat_soak": Little("share_EGT_C", -0.03, 0.03),
 }
@@ -111,6 +115,8 @@ def _shapes(one: Fit, scale: float) -> Iterator[tuple[str, FloatArray, tuple[flo
         by *= max(1.0, float(one.theta[places[little.of]]))
     if little.outside in places:
         by *= 1.0 - float(one.theta[places[little.outside]])
+    if little.limit in places and float(one.theta[places[little.limit]]) > _EITHER:
+        by *= _LIMIT / little.high
     yield one.name, shape, (by * little.low, by * little.high)
 
 

@@ -71,3 +71,11 @@ def test_a_slower_probe_starts_from_that_of_the_simulator():
     assert ">1.5 s<" in drawn.svg
     alone = drawing(effect("sensor_lag:EGT_C"), {"tau_s": own["tau_s"]}, SIGNALS)
     assert ">0.9 s<" in alone.svg
+
+
+def test_a_limit_of_the_control_is_drawn_as_the_time_that_a_pull_takes():
+    own = {"ratio": Interval(0.5, 0.4, 0.8), "by_control": Interval(1.0, 1.0, 1.0)}
+    by_control = drawing(effect("accel_decel_asymmetry"), own, SIGNALS)
+    assert "limited transit, simulator = 1" in by_control.svg
+    by_rotors = drawing(effect("accel_decel_asymmetry"), {"ratio": own["ratio"]}, SIGNALS)
+    assert "time constant, simulator = 1" in by_rotors.svg

@@ -37,7 +37,8 @@ def test_its_free_run_follows_the_logs(fitted, flights):
 def test_what_an_effect_does_to_the_engine_it_does_to_its_emulator(
     name, size, fitted, flights, engine
 ):
-    setting = (effect(name), np.array([[size]]))
+    others = [p.neutral for p in effect(name).parameters(flights.signals)[1:]]
+    setting = (effect(name), np.array([[size, *others]]))
     true, found = (respond([setting], flights, e)[0] - flights.y for e in (engine, fitted))
     span = flights.signals.high - flights.signals.low
     left = np.sum(((found - true) / span) ** 2) / np.sum((true / span) ** 2)

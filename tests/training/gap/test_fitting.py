@@ -17,7 +17,7 @@ KNOWN = {
     "spool_coupling": [1.5],
     "accel_limit": [0.6],
     "actuator_lag": [0.4, 1.6, 0.0],
-    "accel_decel_asymmetry": [1.5],
+    "accel_decel_asymmetry": [1.5, 0.0],
     "altitude_lag": [0.6],
     "sensor_lag:EGT_C": [1.3, 0.5],
     "time_skew:N1_pct": [0.35],
@@ -38,6 +38,13 @@ def test_a_valve_outside_any_loop_is_known_as_such(flights, engine, recorded):
     tau_s, _, outside = found.theta
     assert outside == 1.0
     np.testing.assert_allclose(tau_s, 0.4, rtol=0.02)
+    assert found.left.sum() < 1.1 * measure.floor.sum()
+
+
+def test_a_control_that_holds_pulls_back_is_known_as_such(flights, engine, recorded):
+    measure = misfit(flights, recorded({"accel_decel_asymmetry": [0.7, 1.0]}), NOISE)
+    found = fit([effect("accel_decel_asymmetry")], Problem(flights, engine, measure))
+    np.testing.assert_allclose(found.theta, [0.7, 1.0], rtol=0.02)
     assert found.left.sum() < 1.1 * measure.floor.sum()
 
 
