@@ -6,19 +6,18 @@ Each becomes a function from a log, whose inputs are complete, to its outputs `(
 from __future__ import annotations
 
 import importlib
-import importlib.util
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from data_prep.log import Log
 from eval.gap.data import FloatArray
+from eval.gap.own_function import open_function
 from narxcal.bundle import DOCUMENT, load_bundle
 from narxcal.channels import CHANNELS
-from narxcal.errors import ConfigError, ModelError, NarxcalError
+from narxcal.errors import ConfigError, ModelError
 from training.pipeline import calibration_for
 
 ENGINES = ("business_jet", "single_aisle")
@@ -50,7 +49,7 @@ def open_simulator(source: str) -> Simulator:
     if path.suffix == ".fmu" and path.is_file():
         return Simulator("FMU", _fmu(path))
     if all(source.partition(":")) and not path.exists():
-        return Simulator("function", _called(_function(source), source))
+        return Simulator("function", open_function(source))
     raise ConfigError(
         f"simulator '{source}' is no folder of logs, run folder, FMU, module:function or "
         "virtual engine",
@@ -164,61 +163,3 @@ def _fmpy(path: Path) -> Any:
         raise ModelError(
             "FMUs need the package FMPy", file=path, hint="pip install narxcal[fmu]"
         ) from None
-
-
-def _function(reference: str) -> Callable[..., Any]:
-    module_name, _, name = reference.partition(":")
-    try:
-        module = _module(module_name)
-    except ImportError as error:
-        raise ConfigError(
-            f"simulator '{reference}': {error}",
-            hint=f"Install it, or put {module_name.replace('.', '/')}.py into {Path.cwd()}",
-        ) from None
-    except Exception as error:  # whatever a user's own file does
-        raise ConfigError(
-            f"simulator '{reference}' cannot be imported: {type(error).__name__}: {error}"
-        ) from error
-    function = getattr(module, name, None)
-    if not callable(function):
-        raise ConfigError(f"simulator '{reference}': the module has no function '{name}'")
-    return function  # type: ignore[no-any-return]
-
-
-def _module(name: str) -> ModuleType:
-    """Import an installed module, or one that lies in the current folder."""
-    file = Path(*name.split(".")).with_suffix(".py")
-    if importlib.util.find_spec(name.partition(".")[0]) or not file.is_file():
-        return importlib.import_module(name)
-    spec = importlib.util.spec_from_file_location(name, file)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"cannot import {file}")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def _called(function: Callable[..., Any], reference: str) -> Simulate:
-    def simulate(log: Log) -> Mapping[str, FloatArray]:
-        inputs = {name: values for name, values in log.channels.items() if name in CHANNELS}
-        try:
-            found = dict(function(inputs, log.dt_s))
-            arrays = {name: np.asarray(v, dtype=np.float64) for name, v in found.items()}
-        except NarxcalError:
-            raise
-        except Exception as error:  # whatever a user's own function does
-            raise ModelError(
-                f"simulator '{reference}' failed: {type(error).__name__}: {error}",
-                file=log.name,
-                hint="It takes ({channel: (time,)}, dt_s) and returns {channel: (time,)}",
-            ) from error
-        for name, values in arrays.items():
-            if values.shape != (len(log),):
-                raise ModelError(
-                    f"simulator '{reference}' returned {values.shape}, expected ({len(log)},)",
-                    file=log.name,
-                    channel=name,
-                )
-        return arrays
-
-    return simulate

@@ -1,6 +1,7 @@
 """A simulator is what the user names, and what is none is refused in a sentence."""
 
 import importlib.util
+import sys
 import zipfile
 from pathlib import Path
 
@@ -26,15 +27,31 @@ def text(inputs, dt_s):
 def divides(inputs, dt_s):
     return {"N1_pct": inputs["TRA_deg"] * (1 / 0)}
 
+def leaves(inputs, dt_s):
+    raise SystemExit(0)
+
+def talks(inputs, dt_s):
+    print("iteration 1")
+    return {"N1_pct": inputs["TRA_deg"]}
+
+def spoils(inputs, dt_s):
+    inputs["TRA_deg"] *= 0.5
+    return {"N1_pct": inputs["TRA_deg"]}
+
 number = 3
 """
 
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
+    """A folder of a user's own modules, forgotten afterwards."""
     (tmp_path / "own_engine.py").write_text(OWN, "utf-8")
     monkeypatch.chdir(tmp_path)
-    return tmp_path
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    known = set(sys.modules)
+    yield tmp_path
+    for name in {file.stem for file in tmp_path.rglob("*.py")} - known:
+        sys.modules.pop(name, None)
 
 
 def test_a_function_beside_the_user_is_called_with_inputs_and_interval(here, fly, log_of):
@@ -99,8 +116,58 @@ def test_a_module_that_needs_another_one_is_told_where_to_get_it(here):
         open_simulator("halves:f")
     assert str(caught.value) == (
         "simulator 'halves:f': No module named 'nowhere_at_all'. "
-        f"Install it, or put halves.py into {here}"
+        f"Install it, or put nowhere_at_all.py into {here}"
     )
+
+
+DECK = """\
+from __future__ import annotations
+from dataclasses import dataclass
+from deck_tables import GAIN
+
+@dataclass
+class Deck:
+    gain: float
+
+def run(inputs, dt_s):
+    from deck_later import ADDED
+    return {"N1_pct": Deck(GAIN).gain * inputs["TRA_deg"] + ADDED}
+"""
+
+
+def test_a_simulator_of_several_files_is_one_as_python_knows_it(here, fly, log_of):
+    (here / "deck.py").write_text(DECK, "utf-8")
+    (here / "deck_tables.py").write_text("GAIN = 2.0", "utf-8")
+    (here / "deck_later.py").write_text("ADDED = 1.0", "utf-8")
+    log = log_of(fly(0, 4.0))
+    found = open_simulator("deck:run").how(log)
+    np.testing.assert_array_equal(found["N1_pct"], 2.0 * log["TRA_deg"] + 1.0)
+
+
+def test_an_exit_in_a_users_function_is_its_failure_and_not_our_end(here, fly, log_of):
+    with pytest.raises(ModelError) as caught:
+        open_simulator("own_engine:leaves").how(log_of(fly(0, 4.0)))
+    assert str(caught.value) == (
+        "flight: simulator 'own_engine:leaves' failed: SystemExit: 0. "
+        "It takes ({channel: (time,)}, dt_s) and returns {channel: (time,)}"
+    )
+    (here / "halves.py").write_text("import sys\nsys.exit('no licence')", "utf-8")
+    with pytest.raises(ConfigError) as caught:
+        open_simulator("halves:f")
+    assert str(caught.value) == ("simulator 'halves:f' cannot be imported: SystemExit: no licence")
+
+
+def test_what_a_users_function_prints_is_not_on_stdout(here, fly, log_of, capsys):
+    (here / "loud.py").write_text(f"print('hello')\n{OWN}", "utf-8")
+    open_simulator("loud:talks").how(log_of(fly(0, 4.0)))
+    assert capsys.readouterr() == ("", "hello\niteration 1\n")
+
+
+def test_a_function_that_writes_into_its_inputs_changes_no_log(here, fly, log_of):
+    log, again = log_of(fly(0, 4.0)), log_of(fly(0, 4.0))
+    found = open_simulator("own_engine:spoils").how(log)
+    np.testing.assert_array_equal(log["TRA_deg"], again["TRA_deg"])
+    np.testing.assert_array_equal(found["N1_pct"], 0.5 * again["TRA_deg"])
 
 
 def test_a_file_that_is_no_fmu_is_named(tmp_path):
