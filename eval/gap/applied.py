@@ -19,6 +19,7 @@ import numpy as np
 
 from data_prep.hold import hold_inputs
 from data_prep.log import Log
+from data_prep.moves import bridged
 from eval.gap.blocks import block_means
 from eval.gap.claimed import Values, claimed_in, settings, with_effects
 from eval.gap.data import FloatArray
@@ -35,7 +36,7 @@ from narxcal.errors import ConfigError, DataError, ModelError
 from training.gap.emulator import GreyBoxEmulator
 
 INPUTS = "on its inputs, and the simulator run again"
-SHIFTED = "its outputs that much later"
+SHIFTED = "by its outputs coming that much later"
 EMULATED = "by what it changes in the stored emulator's run"
 OUTPUTS = "on its outputs"
 _ONE_RASTER = 0.01
@@ -70,11 +71,14 @@ class FoundEffects:
         """Outputs `(time,)` of a simulated log with the effects in place.
 
         A load that no channel records is on where it was found in the log called `name`, and off
-        in others. Raises `DataError` for a log that lacks one of the signals.
+        in others. A sample of which the simulator says nothing stays NaN, and spoils no other one.
+        Raises `DataError` for a log that lacks one of the signals.
         """
         held = self._complete(log, name or log.name, self.signals.outputs)
-        u, y = held.matrix(self.signals.inputs), held.matrix(self.signals.outputs)
+        said = held.matrix(self.signals.outputs)
+        u, y = held.matrix(self.signals.inputs), self._bridged(said, log)
         changed = y + (self._change(u, y, log) if self.values else 0.0)
+        changed[~np.isfinite(said)] = np.nan
         return dict(zip(self.signals.outputs, changed.T, strict=True))
 
     def run_again(
@@ -94,9 +98,10 @@ class FoundEffects:
         told = arrived(found, signals, u)
         changed = {n: v for n, v in zip(names, told[0].T, strict=True) if n in log.channels}
         outputs = dict(simulate(self._told(log.with_channels(changed))))
-        y = self._diagnosed(outputs, log)
+        said = self._diagnosed(outputs, log)
+        y = self._bridged(said, log)
         y += self._pace_change(found, told[0], y, log)
-        y = read(found, signals, told, y[None])[0]
+        y = np.where(np.isfinite(said), read(found, signals, told, y[None])[0], np.nan)
         return {**outputs, **dict(zip(signals.outputs, y.T, strict=True))}
 
     def check(self, *, again: bool) -> None:
@@ -172,6 +177,18 @@ class FoundEffects:
                     hint=f"It gives {', '.join(outputs)}",
                 )
         return np.column_stack([outputs[name] for name in self.signals.outputs])
+
+    def _bridged(self, said: FloatArray, log: Log) -> FloatArray:
+        """Outputs (time, outputs) without holes, for an effect that remembers what it heard."""
+        for name, column in zip(self.signals.outputs, said.T, strict=True):
+            if not np.isfinite(column).any():
+                raise DataError(
+                    "no simulated sample is known",
+                    file=log.name,
+                    channel=name,
+                    hint="Simulate the flight anew, or leave the log out",
+                )
+        return np.column_stack([bridged(column) for column in said.T])
 
     def _pace_change(
         self, found: list[Setting], told: FloatArray, y: FloatArray, log: Log

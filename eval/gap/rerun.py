@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from data_prep.log import Log
+from data_prep.moves import bridged
 from eval.gap.blocks import block_means
 from eval.gap.data import FloatArray
 from eval.gap.simulators import Simulate
@@ -34,6 +35,7 @@ class Rerun:
         """Outputs (rows, time, outputs) for `told` (blocks, time, inputs).
 
         With a pace it is the emulator's run, anchored to what the simulator says of these inputs.
+        Samples of which it says nothing are bridged, as in its logs.
         Raises `ModelError` where the simulator leaves out one of the outputs.
         """
         if pace is None:
@@ -72,8 +74,8 @@ class Rerun:
         found = self.simulate(
             Log("flight run again", np.asarray(rows * dt_s, dtype=np.float64), channels)
         )
-        lost = [name for name in signals.outputs if name not in found]
-        if lost:
-            raise ModelError("the simulator no longer gives it", channel=lost[0])
-        y = np.column_stack([found[name] for name in signals.outputs])
+        for name in signals.outputs:
+            if name not in found or not np.isfinite(found[name]).any():
+                raise ModelError("the simulator no longer gives it", channel=name)
+        y = np.column_stack([bridged(found[name]) for name in signals.outputs])
         return block_means(y, self.block)

@@ -78,7 +78,14 @@ def _added(
     channels["time_s"] = given.time_s[: len(sim)]
     (folder / f"{name}.csv").write_bytes(_csv(channels))
     load = found.knows(name) if found.has_load else None
-    return {"log": name, "samples": len(sim), "rms_change": change, "load_known": load}
+    unknown = {n: int(np.isnan(outputs[n]).sum()) for n in found.signals.outputs}
+    return {
+        "log": name,
+        "samples": len(sim),
+        "rms_change": change,
+        "load_known": load,
+        "blank": {n: count for n, count in unknown.items() if count},
+    }
 
 
 def _results(folder: Path) -> Results:
@@ -107,7 +114,7 @@ def _changed(
     sim: Log, outputs: Mapping[str, FloatArray], diagnosed: Sequence[str]
 ) -> tuple[dict[str, FloatArray], dict[str, float]]:
     """Canonical channels in their order, and by how much each diagnosed output was changed."""
-    rms = {n: float(np.sqrt(np.mean((outputs[n] - sim[n]) ** 2))) for n in diagnosed}
+    rms = {n: float(np.sqrt(np.nanmean((outputs[n] - sim[n]) ** 2))) for n in diagnosed}
     both = {**sim.channels, **outputs}
     names = [n for n, row in CHANNELS.items() if n in both and row.role != "auxiliary"]
     return {"time_s": sim.time_s, **{name: both[name] for name in names}}, rms
@@ -127,6 +134,12 @@ def _show(console: Console, document: Mapping[str, Any], out: Path) -> None:
         ["log", *names],
         [[r["log"], *(f"{r['rms_change'][n]:.3g}" for n in names)] for r in document["logs"]],
     )
+    for row in document["logs"]:
+        for channel, count in row["blank"].items():
+            console.warn(
+                f"{row['log']}: the simulator says nothing of {channel} in {count} of "
+                f"{row['samples']} samples: they are left blank"
+            )
     blind = [row["log"] for row in document["logs"] if row["load_known"] is False]
     if blind:
         console.warn(

@@ -91,6 +91,25 @@ def test_logs_take_effects_on_readings_and_the_clock_of_the_inputs(here, narxcal
     np.testing.assert_allclose(made["EGT_C"], sim["EGT_C"] + 3.0, rtol=1e-8)
 
 
+def test_samples_of_which_the_simulator_says_nothing_are_told_and_left_blank(here, narxcal):
+    verdict = {**GAP, "verdict": {"kind": "effects", "effects": ["sensor_bias:EGT_C"]}}
+    (here / "gap.json").write_text(json.dumps(verdict), "utf-8")
+    sim = pd.read_csv(here / "sim" / "f.csv")
+    sim.loc[50:119, "EGT_C"] = np.nan
+    sim.to_csv(here / "sim" / "f.csv", index=False)
+    words = ("--sim", "sim", "--effects", "gap.json", "--inputs", "inputs", "--out", "out")
+    done = narxcal("simulate", *words, "--json")
+    assert done.code == 0
+    assert done.err == (
+        "narxcal: warning: f: the simulator says nothing of EGT_C in 70 of 200 samples: they are "
+        "left blank\n"
+    )
+    row = json.loads(done.out)["logs"][0]
+    assert row["blank"] == {"EGT_C": 70}
+    assert row["rms_change"]["EGT_C"] == pytest.approx(3.0)
+    assert pd.read_csv(here / "out" / "f.csv")["EGT_C"].isna().sum() == 70
+
+
 def test_a_run_works_on_its_own_raster(project, narxcal, tmp_path):
     """The model runs at 8 Hz, the flights are at 32 Hz."""
     quality = {"signals": {**SIGNALS, "active": []}}

@@ -86,6 +86,38 @@ def test_no_effect_changes_nothing(signals, fly, log_of):
     np.testing.assert_array_equal(outputs["EGT_C"], sim["EGT_C"])
 
 
+def test_a_hole_in_what_the_simulator_says_stays_a_hole_and_spoils_nothing_else(
+    signals, fly, log_of
+):
+    """A lag that hears NaN once would say NaN to the end of the log."""
+    whole, holed = fly(3), fly(3)
+    hole = slice(100, 140)
+    # Bridged on a straight line in both logs, so that all else has to be the same.
+    line = np.linspace(whole["EGT_C"][99], whole["EGT_C"][140], 42)[1:-1]
+    whole["EGT_C"][hole], holed["EGT_C"][hole] = line, np.nan
+    for name in ("sensor_lag:EGT_C", "throttle_delay"):
+        values = {name: {"tau_s": 1.0} if ":" in name else {"delay_s": 0.5}}
+        found = FoundEffects(values, signals, None)
+        expected, got = found.added_to(log_of(whole)), found.added_to(log_of(holed))
+        again = found.run_again(log_of(fly(3)), lambda _: {n: holed[n] for n in signals.outputs})
+        for made in (got, again):
+            assert np.isnan(made["EGT_C"][hole]).all()
+            assert np.isfinite(np.delete(made["EGT_C"], hole)).all()
+        known = np.isfinite(got["EGT_C"])
+        np.testing.assert_allclose(got["EGT_C"][known], expected["EGT_C"][known])
+
+
+def test_an_output_of_which_the_simulator_says_nothing_is_refused(signals, fly, log_of):
+    mute = fly(3)
+    mute["EGT_C"][:] = np.nan
+    with pytest.raises(DataError) as caught:
+        FoundEffects({"throttle_delay": {"delay_s": 0.5}}, signals, None).added_to(log_of(mute))
+    assert str(caught.value) == (
+        "flight, channel EGT_C: no simulated sample is known. Simulate the flight anew, or leave "
+        "the log out"
+    )
+
+
 def test_logs_that_do_not_fit_are_refused(signals, fly, log_of):
     found = FoundEffects({"throttle_delay": {"delay_s": 0.5}}, signals, object())
     bare = fly(3)

@@ -72,6 +72,21 @@ def test_an_effect_inside_is_the_emulators(flights):
     np.testing.assert_array_equal(found, flights.y)
 
 
+def test_samples_of_which_it_says_nothing_are_bridged(flights):
+    def gaps(log):
+        found = simulate(log)
+        found["EGT_C"][60:80] = np.nan
+        return found
+
+    told = flights.u + 0.0
+    found, whole = (Rerun(Guess(), each, BLOCK).run(flights, told) for each in (gaps, simulate))
+    assert np.isfinite(found).all()
+    np.testing.assert_array_equal(found[:, 41:], whole[:, 41:])
+    mute = Rerun(Guess(), lambda log: {**simulate(log), "EGT_C": np.full(len(log), np.nan)}, BLOCK)
+    with pytest.raises(ModelError, match="channel EGT_C: the simulator no longer gives it"):
+        mute.run(flights, told)
+
+
 class Slower:
     """An emulator whose every run is 10, and 1 more at another pace."""
 
