@@ -8,19 +8,30 @@ import numpy as np
 
 from data_prep.events import EventsConfig, unconditional
 from data_prep.log import Log
+from data_prep.logs_config import LogsConfig
 from data_prep.raster import SLOW
+from data_prep.recorded import NOT_RECORDED, unrecorded
 from data_prep.running import USUAL
 
 _MANY = 0.1  # share of a recording's rows
 _TOLERANCE_S = 0.25  # what the rules for Ti and Tt allow (FAA 14 CFR part 60)
 
 
-def cautions(logs: Sequence[Log], events: EventsConfig) -> list[str]:
-    """Sentences without a full stop; none where there is nothing to say."""
+def cautions(
+    logs: Sequence[Log],
+    events: EventsConfig,
+    outputs: Sequence[str] = (),
+    mapping: LogsConfig = LogsConfig(),  # noqa: B008 (it cannot be changed)
+) -> list[str]:
+    """Sentences without a full stop; none where there is nothing to say.
+
+    `outputs` are those of the model, and `mapping` says in which columns they were looked for.
+    """
     said = (
         *map(crowded, logs),
         *map(never_runs, logs),
         *map(all_masked, logs),
+        *(unrecorded(log, outputs, mapping) for log in logs),
         *(seldom(log, events) for log in logs),
         unconditional(logs, events),
     )
@@ -61,7 +72,7 @@ def seldom(log: Log, events: EventsConfig) -> str:
 
 def all_masked(log: Log) -> str:
     """What to say of channels of which cleaning left nothing; empty if it left some of each."""
-    masked = log.audit.masked()
+    masked = {name: why for name, why in log.audit.masked().items() if NOT_RECORDED not in why}
     empty = [name for name, values in log.channels.items() if not np.isfinite(values).any()]
     told = [f"{name} ({', '.join(masked[name])})" for name in empty if name in masked]
     if not told:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path, PurePath
 from typing import Literal, Self
 
@@ -118,6 +119,14 @@ class LogsConfig(Section):
     def time_column(self) -> str:
         """Header of the column that holds the time stamps."""
         return self.columns["time_s"].column if self.columns else "time_s"
+
+    def sparing(self, names: Collection[str]) -> Self:
+        """The same with the columns of `names` optional: a model runs without its outputs."""
+        columns = {
+            name: source.model_copy(update={"optional": source.optional or name in names})
+            for name, source in self.columns.items()
+        }
+        return self.model_copy(update={"columns": columns})
 
     def sources(self, header: tuple[str, ...]) -> dict[str, ColumnSource]:
         """Channel -> source; the canonical names found in `header` when none are configured."""

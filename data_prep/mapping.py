@@ -60,9 +60,7 @@ def map_columns(table: Table, config: LogsConfig) -> dict[str, dict[str, str]]:
     """
     sources = config.sources(table.header)
     if "time_s" not in sources:
-        near = _near("time_s", table.header)
-        end = "" if near.endswith("?") else "."
-        hint = f"{near}{end} Or map the columns under [logs.columns]"
+        hint = f"{_sentence(_near('time_s', table.header))} Or map the columns under [logs.columns]"
         raise DataError("column 'time_s' is missing", file=table.path, hint=hint)
     if set(sources) == {"time_s"} and not config.columns:
         raise DataError(
@@ -98,8 +96,12 @@ def _column(table: Table, name: str, source: ColumnSource, engine: tuple[str, st
         f"column '{column}' is missing",
         file=table.path,
         channel=name,
-        hint=_near(column, table.header),
+        hint=f"{_sentence(_near(column, table.header))} Where a file may lack it: optional = true",
     )
+
+
+def _sentence(hint: str) -> str:
+    return hint if hint.endswith("?") else f"{hint}."
 
 
 def _near(column: str, header: tuple[str, ...]) -> str:

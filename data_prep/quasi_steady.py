@@ -8,6 +8,7 @@ from pydantic import Field
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from data_prep.log import FloatArray, Log
+from data_prep.recorded import recorded
 from narxcal.settings import Section
 
 
@@ -26,13 +27,16 @@ class QuasiSteadyConfig(Section):
 def quasi_steady(
     log: Log, driver: str, speeds: tuple[str, ...], config: QuasiSteadyConfig
 ) -> NDArray[np.bool_]:
-    """Mark quasi-steady samples (time,); a sample with NaN in its window is not."""
+    """Mark quasi-steady samples (time,); a sample with NaN in its window is not.
+
+    A speed of which the log has no sample at all says nothing.
+    """
     # A window that reaches beyond the log sees no more than the log.
     size = 2 * min(round(0.5 * config.window_s / log.dt_s), len(log)) + 1
     values = log[driver]
     low, high = np.nanpercentile(values, [1, 99]) if np.isfinite(values).any() else (0.0, 0.0)
     still = _range(values, size) <= config.driver_fraction * (high - low)
-    for name in speeds:
+    for name in recorded(log, speeds):
         still &= _range(log[name], size) <= config.speed_pct
     return still
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from data_prep.log import Log
+from data_prep.recorded import recorded, with_outputs
 from eval.evaluate import run_config
 from eval.judged import EvaluateConfig, LogEvaluation, Task, judge_log
 from eval.scores import score
@@ -124,6 +125,7 @@ def cross_validate(
     plays no part. Raises `DataError` where no scheme can be run.
     """
     settings = EvaluateConfig.parse(config.evaluate, "[evaluate]")
+    logs = [with_outputs(log, config.narx.outputs) for log in logs]
     plans, skipped = _plans(config, settings, logs)
     folds = []
     for result in run_plans(plans, config, base, judge_fold, jobs):
@@ -176,21 +178,37 @@ def spread(folds: Sequence[FoldResult]) -> dict[str, dict[str, float | None]]:
 def _plans(
     config: RunConfig, settings: EvaluateConfig, logs: Sequence[Log]
 ) -> tuple[list[Plan], dict[str, str]]:
-    wanted, plans, skipped = settings.crossval, [], {}
+    wanted, outputs = settings.crossval, config.narx.outputs
+    plans: list[Plan] = []
+    skipped: dict[str, str] = {}
     if wanted.leave_one_flight_out:
         try:
-            plans += leave_one_flight_out(logs, config.events)
+            plans += _learnable(leave_one_flight_out(logs, config.events, outputs), outputs)
         except DataError as error:
             skipped[LEAVE_ONE_OUT] = str(error)
     if wanted.random_splits:
         try:
-            plans += random_splits(logs, config.events, wanted)
+            plans += _learnable(random_splits(logs, config.events, wanted, outputs), outputs)
         except DataError as error:
             skipped[RANDOM] = str(error)
     if not plans:
         why = "; ".join(skipped.values()) or "[evaluate.crossval] asks for none"
         raise DataError(f"no division of the logs is possible: {why}")
     return plans, skipped
+
+
+def _learnable(plans: Sequence[Plan], outputs: Sequence[str]) -> Sequence[Plan]:
+    """The plans; `DataError` where one holds back every sample of an output."""
+    for plan in plans:
+        known = {name for part in plan.train for name in recorded(part.log, outputs)}
+        for name in outputs:
+            if name not in known:
+                raise DataError(
+                    f"{plan.name}, no sample of this output is left to learn from",
+                    channel=name,
+                    hint="Take it out of [narx] outputs, or add logs that hold it",
+                )
+    return plans
 
 
 def _has_inputs(part: Segment, names: Sequence[str]) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 from data_prep.log import Log
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs
+from data_prep.recorded import with_outputs
 from eval.judged import EvaluateConfig, LogEvaluation, Task, judge_log
 from eval.rows import log_row, tally_rows
 from eval.rules import rules as rules_of
@@ -67,7 +69,9 @@ class Evaluation:
                     channel=name,
                     hint=f"It gives {', '.join(pooled)}",
                 )
-            if not pooled[name].rmse <= bound:
+            if math.isnan(pooled[name].rmse):
+                texts.append(f"{name}: no sample to judge by, at most RMSE {bound:g} allowed")
+            elif not pooled[name].rmse <= bound:
                 texts.append(f"{name}: RMSE {pooled[name].rmse:.3g}, at most {bound:g} allowed")
         return texts
 
@@ -104,14 +108,20 @@ def evaluation_logs(bundle: Bundle, files: Sequence[Path] | None = None) -> list
     """Read `files` with the column mapping of the bundle, cleaned and smoothed as for training.
 
     Without `files`, the configured test logs (all configured ones where the split leaves none).
-    Masked inputs stay NaN here, so that the evaluation knows them.
+    Masked inputs stay NaN here, so that the evaluation knows them; so are outputs that a file
+    lacks. Raises `DataError` for a file without any output.
     """
     config, _ = run_config(bundle)
-    reading = config.logs.model_copy(update={"raster_hz": 1.0 / bundle.calibration.dt_s})
+    outputs = bundle.calibration.output_names
+    lacking_some = config.logs.sparing(set(outputs) - set(bundle.calibration.input_names))
+    reading = lacking_some.model_copy(update={"raster_hz": 1.0 / bundle.calibration.dt_s})
+    chosen: Sequence[Log]
     if files is not None:
-        return prepare(read_logs(list(files), reading), config)
-    logs = read_logs(config.logs.resolve(Path(str(bundle.meta.get("base", ".")))), reading)
-    return prepare(split_logs(logs, config.split).test or logs, config)
+        chosen = read_logs(list(files), reading)
+    else:
+        logs = read_logs(config.logs.resolve(Path(str(bundle.meta.get("base", ".")))), reading)
+        chosen = split_logs(logs, config.split).test or logs
+    return [with_outputs(log, outputs) for log in prepare(chosen, config)]
 
 
 def evaluate(

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from data_prep.events import Event, find_events
 from data_prep.log import Log
+from data_prep.recorded import events_config, with_outputs
 from eval.runs import BASELINES, MODEL, Runs, run_log, trimmed
 from eval.scores import ChannelScores, score
 from eval.tally import Tally, tally
@@ -71,10 +72,15 @@ class Task:
 
 
 def judge_log(bundle: Bundle, config: RunConfig, log: Log, task: Task) -> LogEvaluation:
-    """Run and score one prepared log; raises `DataError` as `eval.runs.run_log`."""
-    settings = task.settings
+    """Run and score one prepared log; raises `DataError` as `eval.runs.run_log`.
+
+    An output that the log lacks has no figures, and no event waits for it to settle.
+    """
+    settings, outputs = task.settings, bundle.calibration.output_names
+    log = with_outputs(log, outputs)
     runs, untrimmed = run_log(bundle, config, log), {}
-    events = find_events(log, config.events) if task.events is None else task.events
+    responses = events_config(log, config.events, outputs)
+    events = find_events(log, responses) if task.events is None else task.events
     if task.trim is not None:
         until = rows_for_trim(task.trim, len(log))
         runs, as_is = trimmed(runs, until, settings.trim), runs

@@ -13,6 +13,7 @@ from data_prep.clean import clean
 from data_prep.events import PUSH, Event, find_events
 from data_prep.log import Log
 from data_prep.ranking import STRONG, pearson, ranked
+from data_prep.recorded import events_config
 from data_prep.smooth import compare_windows, frequency_response, moving_average, smooth
 from eval.report.building import log_page, traces_of
 from eval.report.content import LogPage, WindowTrial
@@ -87,7 +88,7 @@ def study(raw: Log, config: RunConfig) -> Prepared:
     """
     cleaned = clean(raw, config.clean)
     log = smooth(cleaned, config.smooth)
-    events = tuple(find_events(log, config.events))
+    events = tuple(find_events(log, events_config(log, config.events, config.narx.outputs)))
     outputs = [name for name in config.narx.outputs if name in log.channels]
     if not outputs:
         raise DataError(

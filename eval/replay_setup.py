@@ -63,9 +63,10 @@ class ReplayModel:
         """Read `meta["config"]` (tables `logs` and `fuser`) and `meta["fuser_noise"]`."""
         config = bundle.meta.get("config", {})
         noise = bundle.meta.get("fuser_noise")
+        outputs = set(bundle.calibration.output_names) - set(bundle.calibration.input_names)
         return cls(
             bundle.calibration,
-            LogsConfig.parse(config.get("logs", {})),
+            LogsConfig.parse(config.get("logs", {})).sparing(outputs),
             FuserConfig.parse(config.get("fuser", {})),
             None if noise is None else NoiseModel.from_dict(noise),
         )

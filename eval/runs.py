@@ -69,9 +69,9 @@ def run_log(bundle: Bundle, config: RunConfig, log: Log) -> Runs:
     steady = np.asarray(own.steady.outputs(inputs), dtype=np.float64)
     outputs = {
         MODEL: own.simulate(inputs, measured[0]),
-        ONE_STEP: own.predict(inputs, measured),
         STEADY_STATE: steady,
     }
+    outputs[ONE_STEP] = _one_step(own, inputs, measured, outputs[MODEL])
     level = np.zeros(len(log))
     if "baselines" in bundle.meta:
         fitted = Baselines.from_json(bundle.meta["baselines"])
@@ -82,6 +82,17 @@ def run_log(bundle: Bundle, config: RunConfig, log: Log) -> Runs:
     still = quasi_steady(log, config.events.driver, speeds, config.quasi_steady)
     inside = np.asarray(own.steady.inside(inputs))
     return Runs(log, own.output_names, measured, outputs, known, still, inside, level)
+
+
+def _one_step(
+    own: DynamicCalibration, inputs: FloatArray, measured: FloatArray, free: FloatArray
+) -> FloatArray:
+    """Prediction (time, n_out) from measured outputs; what has no sample stays that of `free`.
+
+    Otherwise a flight without a probe would have no one-step figure of its spools either.
+    """
+    there = np.isfinite(measured).any(axis=0)
+    return np.where(there, own.predict(inputs, np.where(there, measured, free)), np.nan)
 
 
 def trimmed(runs: Runs, until: int, config: TrimConfig) -> Runs:

@@ -43,12 +43,16 @@ def _score_cells(score: Score, names: Sequence[str]) -> list[Text]:
     return [
         Text(with_unit(score.channel)),
         _figure(score.rmse, best),
-        Text(f"{number(score.max_rel_pct, 2)} %"),
+        Text(_measure(score.max_rel_pct, "%")),
         Text(number(score.one_step_rmse)),
         Text(number(score.static_rmse)),
         Text(number(score.dynamic_rmse)),
         *(_figure(score.baselines.get(name, math.nan), best) for name in names),
     ]
+
+
+def _measure(value: float, unit: str) -> str:
+    return f"{number(value, 2)} {unit}" if math.isfinite(value) else number(None)
 
 
 def _figure(value: float, best: float) -> Text:
@@ -86,10 +90,7 @@ def _transient_cells(page: LogPage, channel: str) -> list[Text]:
     return [
         Text(symbol(channel)),
         Text(f"{passed}/{len(assessed)}", style=colour if assessed else ""),
-        *(
-            Text(f"{number(value, 2)} s" if math.isfinite(value) else number(None))
-            for value in worst
-        ),
+        *(Text(_measure(value, "s")) for value in worst),
         Text(str(len(verdicts) - len(assessed))),
     ]
 

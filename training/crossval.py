@@ -23,6 +23,7 @@ from pydantic import Field
 from data_prep.events import Event, EventsConfig, find_events
 from data_prep.hold import hold_inputs
 from data_prep.log import Log
+from data_prep.recorded import events_config
 from narxcal.bundle import Bundle
 from narxcal.errors import DataError
 from narxcal.settings import Section
@@ -96,8 +97,13 @@ class Plan:
 LEAVE_ONE_OUT, RANDOM = "leave one flight out", "random splits by event"
 
 
-def leave_one_flight_out(logs: Sequence[Log], events: EventsConfig) -> list[Plan]:
-    """One plan per file; `DataError` where there is only one flight."""
+def leave_one_flight_out(
+    logs: Sequence[Log], events: EventsConfig, outputs: Sequence[str] = ()
+) -> list[Plan]:
+    """One plan per file; `DataError` where there is only one flight.
+
+    `outputs` settle where a log records none of the responses of `events`.
+    """
     flights = list(dict.fromkeys(log.source.file for log in logs))
     if len(flights) < 2:
         raise DataError(
@@ -105,7 +111,10 @@ def leave_one_flight_out(logs: Sequence[Log], events: EventsConfig) -> list[Plan
             file=flights[0] if flights else None,
             hint="Add flights to [logs] files, or set leave_one_flight_out = false",
         )
-    whole = {log.name: Segment(log, 0, len(log), tuple(find_events(log, events))) for log in logs}
+    whole = {}
+    for log in logs:
+        found = tuple(find_events(log, events_config(log, events, outputs)))
+        whole[log.name] = Segment(log, 0, len(log), found)
     return [
         Plan(
             LEAVE_ONE_OUT,
@@ -117,13 +126,20 @@ def leave_one_flight_out(logs: Sequence[Log], events: EventsConfig) -> list[Plan
     ]
 
 
-def random_splits(logs: Sequence[Log], events: EventsConfig, config: CrossvalConfig) -> list[Plan]:
+def random_splits(
+    logs: Sequence[Log], events: EventsConfig, config: CrossvalConfig, outputs: Sequence[str] = ()
+) -> list[Plan]:
     """Draw `config.random_splits` divisions of all segments; `DataError` with too few events.
+
+    `outputs` as in `leave_one_flight_out`.
 
     Training segments that follow each other are joined, which spares the network starts from
     an unknown history; test segments stay one event each.
     """
-    segments = [part for log in logs for part in cut_segments(log, events, config.lead_s)]
+    responses = {log.name: events_config(log, events, outputs) for log in logs}
+    segments = [
+        part for log in logs for part in cut_segments(log, responses[log.name], config.lead_s)
+    ]
     return divide(segments, config)
 
 

@@ -154,7 +154,7 @@ class _Task:
     def left(self, config: RunConfig, begins: Callable[[], None]) -> float:
         """What the lags of a form leave in free run, as a share of the outputs' range.
 
-        `begins` is called as each fit begins.
+        `begins` is called as each fit begins. An output that nothing was fitted to is not judged.
         """
         errors: list[FloatArray] = []
         for turn in self.turns:
@@ -164,7 +164,8 @@ class _Task:
                 lag = fitted_lags(config, fitted, self.steady, self.dt_s)
             except DataError:  # nothing moves without what is judged
                 return np.inf
-            errors += [self._error(lag, one) for one in judged]
+            known = np.concatenate([np.isfinite(one.measured) for one in fitted]).any(axis=0)
+            errors += [np.where(known, self._error(lag, one), np.nan) for one in judged]
         return left_over(errors)
 
     def _error(self, lag: AnyLags, one: LagSamples) -> FloatArray:

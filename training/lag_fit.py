@@ -129,7 +129,7 @@ def fit_lags(
         )
     for column in core_first(output_names):
         deviations = np.concatenate([part.deviation[:, column] for part in parts])
-        spread = float(np.nanstd(deviations))
+        spread = float(np.nanstd(zero_where_never(deviations)))
         scale = spread if spread > 1e-9 else 1.0
         model = _fitted(model, _Task(parts, int(column), scale, dt_s, form.limited))
     return model
@@ -151,12 +151,18 @@ def output_scales(
         [one.ss / thickness(one.inputs, input_names)[0][:, None] for one in samples]
     )
     low, high = corrected.min(axis=0), corrected.max(axis=0)
-    largest = np.nanmax(np.abs(np.concatenate([one.ss - one.measured for one in samples])), axis=0)
+    deviations = np.concatenate([one.ss - one.measured for one in samples])
+    largest = np.nanmax(np.abs(zero_where_never(deviations)), axis=0)
     return {
         "centre": 0.5 * (low + high),
         "half": np.maximum(0.5 * (high - low), 1e-9),
         "limit": _MARGIN * np.maximum(largest, 1e-9),
     }
+
+
+def zero_where_never(deviations: FloatArray) -> FloatArray:
+    """`deviations` (time, ...), 0 for an output of which no sample is known."""
+    return np.where(np.isfinite(deviations).any(axis=0), deviations, 0.0)
 
 
 def _part(model: LagModel, one: LagSamples, input_names: Sequence[str], scored: _Scored) -> _Part:

@@ -26,7 +26,7 @@ from narxcal.lag_governed import FITTED, GovernedLags
 from narxcal.lag_governed_steps import LINES, OTHER_LINES, SHARES
 from narxcal.lag_steps import CASING
 from narxcal.narx import AT_START
-from training.lag_fit import LagSamples, output_scales, thinned_for_lags
+from training.lag_fit import LagSamples, output_scales, thinned_for_lags, zero_where_never
 from training.lag_governed_start import free_numbers, governed_start
 
 FloatArray = NDArray[np.float64]
@@ -160,7 +160,8 @@ class _Task:
         """Deviations (n, c) of each log and what errors count, which is nothing where masked."""
         every, columns = self.every, self.columns
         deviations = [log.deviation[:, columns] for log in self.logs]
-        spread = np.maximum(np.nanstd(np.concatenate(deviations), axis=0), 1e-9)
+        known = zero_where_never(np.concatenate(deviations))
+        spread = np.maximum(np.nanstd(known, axis=0), 1e-9)
         weights = [log.weight[:, columns] / spread for log in self.logs]
         return [
             (np.nan_to_num(value[::every]), np.where(np.isfinite(value), weight, 0.0)[::every])

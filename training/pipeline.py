@@ -8,7 +8,6 @@ import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,9 +18,10 @@ from data_prep.hold import hold_inputs
 from data_prep.log import Log
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs
+from data_prep.recorded import recorded
 from narxcal.bundle import Bundle
 from narxcal.calibration import DynamicCalibration
-from narxcal.errors import ConfigError, DataError
+from narxcal.errors import DataError
 from narxcal.fuser_noise import NoiseModel, estimate_noise
 from narxcal.narx import NarxConfig
 from narxcal.records import Record
@@ -29,10 +29,11 @@ from narxcal.steady_fitted import FittedSteadyState
 from narxcal.steady_state import SteadyStateModel
 from training.baselines import fit_baselines
 from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
-from training.config import RunConfig, SplitConfig
+from training.config import RunConfig
 from training.lag_choice import chosen_lags
 from training.material import deviation_record, lags, material, structure_of
 from training.merge import merge_models, single_output
+from training.split import Split, split_logs
 from training.steady_choice import steady_state
 from training.steady_fit import SteadyQuality
 from training.trainer import FitResult, HistoryRow, Material, Progress, fit_narx
@@ -51,21 +52,6 @@ __all__ = [
 ]
 
 CHECKPOINT = "checkpoint-{}.safetensors"
-
-
-@dataclass(frozen=True)
-class Split:
-    """Whole logs: to fit to, to stop by, and those that took no part."""
-
-    train: tuple[Log, ...]
-    validate: tuple[Log, ...]
-    test: tuple[Log, ...]
-
-    def held(self, names: Sequence[str]) -> Split:
-        """The logs to learn from with these inputs completed."""
-        parts = (self.train, self.validate)
-        train, validate = (tuple(hold_inputs(log, names) for log in part) for part in parts)
-        return Split(train, validate, self.test)
 
 
 @dataclass(frozen=True)
@@ -96,34 +82,6 @@ def prepare_logs(config: RunConfig, files: Sequence[Path], dt_s: float | None = 
     return [hold_inputs(log, config.steady_state.inputs) for log in logs]
 
 
-def split_logs(logs: Sequence[Log], config: SplitConfig) -> Split:
-    """Sort logs into sets by their names; `ConfigError` where nothing is left to train on."""
-    parts: dict[str, list[Log]] = {"test": [], "validate": [], "train": []}
-    patterns = {"test": config.test, "validate": config.validate_, "train": config.train}
-    for log in logs:
-        for part, chosen in parts.items():
-            if any(fnmatch(log.name, pattern) for pattern in patterns[part]):
-                chosen.append(log)
-                break
-        else:
-            if not config.test:
-                parts["test"].append(log)
-    if not parts["train"]:
-        raise _nothing_to_train_on([log.name for log in logs], config)
-    return Split(tuple(parts["train"]), tuple(parts["validate"]), tuple(parts["test"]))
-
-
-def _nothing_to_train_on(names: Sequence[str], config: SplitConfig) -> ConfigError:
-    meant = [name for name in names if any(fnmatch(name, each) for each in config.train)]
-    wanted = f"[split] train = {list(config.train)}"
-    if not meant:
-        return ConfigError(f"no log matches {wanted}", hint=f"Logs are {', '.join(names)}")
-    return ConfigError(
-        f"{', '.join(meant)} would match {wanted}, but test or validate came first",
-        hint="Leave logs for training there",
-    )
-
-
 def calibrate(
     config: RunConfig, base: Path, split: Split, options: TrainOptions | None = None
 ) -> Bundle:
@@ -134,6 +92,7 @@ def calibrate(
     """
     began, options = time.perf_counter(), options or TrainOptions()
     dt_s = _common_raster([*split.train, *split.validate])
+    split = split.with_outputs(config.narx.outputs)
     options.stage("fitting the steady state", 0, 1)
     steady, quality = steady_state(config, base, split.train)
     split = split.held(steady.input_names)
@@ -231,16 +190,24 @@ def sensor_and_model_noise(calibration: DynamicCalibration, split: Split) -> Noi
     They are smoothed, and what a fuser is given online is not: of the sensors' noise the
     likelihood only sees what smoothing left, so that what it took away is the least there is.
     """
+    outputs = calibration.output_names
     logs = split.validate or split.train
+    if any(not any(recorded(log, [name]) for log in logs) for name in outputs):
+        logs = (*split.validate, *split.train)
     measured, predicted = [], []
     for log in logs:
         own = calibration_for(calibration, log)
-        outputs = log.matrix(own.output_names)
-        predicted.append(own.simulate(log.matrix(own.input_names), outputs[0]))
-        measured.append(outputs)
+        measured.append(log.matrix(own.output_names))
+        predicted.append(own.simulate(log.matrix(own.input_names), measured[-1][0]))
     found = estimate_noise(measured, predicted, calibration.dt_s)
-    taken = [[log.noise.get(name, 0.0) for name in calibration.output_names] for log in logs]
-    return replace(found, measurement=np.maximum(found.measurement, np.mean(taken, axis=0)))
+    taken = [_taken(name, logs) for name in outputs]
+    return replace(found, measurement=np.maximum(found.measurement, taken))
+
+
+def _taken(name: str, logs: Sequence[Log]) -> float:
+    """Variance of the noise that smoothing took away, over the logs that record the channel."""
+    found = [log.noise.get(name, 0.0) for log in logs if recorded(log, [name])]
+    return float(np.mean(found))
 
 
 def _meta(config: RunConfig, base: Path, split: Split) -> dict[str, Any]:

@@ -97,8 +97,9 @@ def _events(number: int) -> str:
 
 def _ranking(page: LogPage) -> str:
     """Say in which channels the model beats every baseline, and in which it does not."""
-    won = [symbol(part.channel) for part in page.scores if part.rmse == tables.best_of(part)]
-    lost = [symbol(part.channel) for part in page.scores if part.rmse != tables.best_of(part)]
+    best = {part.channel: (part.rmse, tables.best_of(part)) for part in page.scores}
+    won = [symbol(name) for name, (own, least) in best.items() if own == least]
+    lost = [symbol(name) for name, (own, least) in best.items() if own > least]
     if not any(part.baselines for part in page.scores):
         return f"{page.name}: no baselines were run."
     text = f"{page.name}: lowest free-run RMSE of all models in {', '.join(won) or 'no channel'}"

@@ -47,7 +47,7 @@ def run(options: Namespace, console: Console) -> int:
         (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
         (folder / PAGE).write_text(html, encoding="utf-8")
     _show(console, found)
-    for caution in cautions(logs, config.events):
+    for caution in cautions(logs, config.events, config.narx.outputs, config.logs):
         console.warn(caution)
     console.say(f"Page: {options.out / PAGE}")
     console.document(document)
@@ -61,7 +61,7 @@ def _header(config: RunConfig, logs: Sequence[Log]) -> RunHeader:
         sources=data_files(logs),
         versions=versions(),
         config=config.model_dump_json(by_alias=True, indent=1),
-        cautions=cautions(logs, config.events),
+        cautions=cautions(logs, config.events, config.narx.outputs, config.logs),
     )
 
 

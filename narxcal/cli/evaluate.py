@@ -73,7 +73,10 @@ def judge(
             pages.append(page_of(parts[-1], config.events.driver, bundle.calibration.input_names))
     evaluation = Evaluation(tuple(parts), settings, trim or None)
     title = f"Evaluation: {config.name}"
-    told = [*cautions(logs, config.events), *_unknown(bundle, parts)]
+    told = [
+        *cautions(logs, config.events, config.narx.outputs, config.logs),
+        *_unknown(bundle, parts),
+    ]
     header = header_of(title, run_folder, bundle, logs, settings.transients.rules)
     header = replace(header, cautions=told)
     outcome = verdict_of(header, evaluation, pages)

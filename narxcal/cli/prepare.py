@@ -130,7 +130,15 @@ def _page(config: RunConfig, studies: Sequence[Prepared]) -> str:
 
 def _cautions(config: RunConfig, studies: Sequence[Prepared]) -> list[str]:
     logs = [one.log for one in studies]
-    return list(filter(None, (*cautions(logs, config.events), blurs(config.smooth, logs))))
+    return list(
+        filter(
+            None,
+            (
+                *cautions(logs, config.events, config.narx.outputs, config.logs),
+                blurs(config.smooth, logs),
+            ),
+        )
+    )
 
 
 def _show(console: Console, studies: Sequence[Prepared], out: Path) -> None:

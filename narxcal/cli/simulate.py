@@ -79,12 +79,7 @@ def read_inputs(bundle: Bundle, file: Path) -> list[Log]:
     if {"time_s", *names} <= set(header):
         logs = LogsConfig(max_gap_s=logs.max_gap_s, bridge_s=logs.bridge_s)
     else:
-        outputs = set(bundle.calibration.output_names) - set(names)
-        columns = {
-            name: source.model_copy(update={"optional": source.optional or name in outputs})
-            for name, source in logs.columns.items()
-        }
-        logs = logs.model_copy(update={"columns": columns})
+        logs = logs.sparing(set(bundle.calibration.output_names) - set(names))
     reading = config.model_copy(update={"logs": logs})
     return prepare_logs(reading, [file], bundle.calibration.dt_s)
 

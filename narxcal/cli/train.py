@@ -71,7 +71,10 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
             advance(number, len(files), file.name)
             logs += prepare_logs(config, [file])
     split = split_logs(logs, config.split)
-    said = [*left_out(logs, split, config.split), *cautions(logs, config.events)]
+    said = [
+        *left_out(logs, split, config.split),
+        *cautions(logs, config.events, config.narx.outputs, config.logs),
+    ]
     for warning in filter(None, [*said, blurs(config.smooth, logs)]):
         console.warn(warning)
     checkpoints = folder / CHECKPOINTS

@@ -55,7 +55,8 @@ def test_missing_column(prepare, flight, tmp_path):
     done, file = prepare(flight, mapped(N2_pct="N2_prc"))
     refused(
         done,
-        f"{file}, channel N2_pct: column 'N2_prc' is missing. Did you mean 'N2_pct' or 'N1_pct'?",
+        f"{file}, channel N2_pct: column 'N2_prc' is missing. Did you mean 'N2_pct' or 'N1_pct'? "
+        "Where a file may lack it: optional = true",
     )
     assert not (tmp_path / "out").exists()
 

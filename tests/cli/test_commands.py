@@ -3,6 +3,7 @@
 import gzip
 import json
 import math
+import re
 import shutil
 import subprocess
 import sys
@@ -403,3 +404,18 @@ def test_the_demonstration_needs_no_files_and_ends_with_a_page(narxcal, tmp_path
     assert done.code == 0
     assert done.out.endswith(f"Page: {out / 'evaluate' / 'evaluate.html'}\n")
     assert strict((out / "demo.json").read_text("utf-8"))["complete"] is True
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_log_without_a_probe_is_judged_by_its_spools(project, narxcal, tmp_path):
+    log = tmp_path / "noegt.csv"
+    pd.read_csv(project / "flights" / "flight_3.csv").drop(columns="EGT_C").to_csv(log, index=False)
+    done = narxcal("evaluate", project / "run", "--logs", log, "--out", tmp_path / "ev")
+    assert done.code in {0, 1}
+    said = "noegt.csv: EGT_C is not recorded: nothing is learned or judged by it"
+    assert done.err == f"narxcal: warning: {said}\n"
+    assert re.search(r"EGT \[°C\] +–( +–){7}", done.out)
+    document = strict((tmp_path / "ev" / "evaluate.json").read_text("utf-8"))
+    assert document["cautions"] == [said]
+    assert document["logs"][0]["channels"]["EGT_C"]["rmse"] is None
+    assert document["logs"][0]["channels"]["N1_pct"]["rmse"] > 0.0

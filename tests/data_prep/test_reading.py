@@ -257,7 +257,8 @@ def mapped(**columns):
 def test_a_missing_column_and_a_wrong_prefix_name_what_is_there(tmp_path):
     path = write(tmp_path, "t,lh_fan,rh_fan\n0,1,2\n1,1,2\n")
     assert error_of(path, mapped(N1_pct={"column": "lh_fam"})) == (
-        "FILE, channel N1_pct: column 'lh_fam' is missing. Did you mean 'lh_fan' or 'rh_fan'?"
+        "FILE, channel N1_pct: column 'lh_fam' is missing. Did you mean 'lh_fan' or 'rh_fan'? "
+        "Where a file may lack it: optional = true"
     )
     config = LogsConfig.parse(
         {

@@ -64,7 +64,7 @@ def test_folds_are_judged_and_do_not_depend_on_the_number_of_processes(config, f
             assert values["worst_rmse.N1_pct"] >= values["rmse.N1_pct"]
         assert set(scheme["spread"]["rmse.N1_pct"]) == {"mean", "std", "min", "max"}
     page = crossvalidation_page(RunHeader(title="Folds", created="today"), one)
-    assert "without a.csv" in page
+    assert "without a.csv:left" in page
     assert "split 2, seed 1" in page
 
 
@@ -129,3 +129,29 @@ def test_a_configuration_that_asks_for_no_division_is_refused(config, flights):
     expected = "no division of the logs is possible: [evaluate.crossval] asks for none"
     with pytest.raises(DataError, match=f"^{re.escape(expected)}$"):
         cross_validate(config.model_copy(update={"evaluate": none}), Path(), flights, 1)
+
+
+def without(log, name):
+    return replace(log, channels={k: v for k, v in log.channels.items() if k != name})
+
+
+def test_an_output_that_a_flight_lacks_is_learned_from_the_others(config, make_log):
+    flights = [make_log(f"{name}.csv:left", 200.0) for name in ("a", "b", "c")]
+    flights[0] = without(flights[0], "N1_pct")
+    whole_flights = config.model_copy(update={"evaluate": {"crossval": {"random_splits": 0}}})
+    folds = cross_validate(whole_flights, Path(), flights, 1).folds
+    values = {fold.name: fold.values for fold in folds}
+    assert values["without a.csv:left"]["rmse.N1_pct"] is None
+    assert values["without a.csv:left"]["assessed"] > 0
+    assert values["without b.csv:left"]["rmse.N1_pct"] < 1.0
+
+
+def test_a_division_that_holds_back_all_of_an_output_is_told_before_the_work(config, flights):
+    flights[0] = without(flights[0], "N1_pct")
+    whole_flights = config.model_copy(update={"evaluate": {"crossval": {"random_splits": 0}}})
+    with pytest.raises(DataError) as caught:
+        cross_validate(whole_flights, Path(), flights, 1)
+    assert str(caught.value) == (
+        "no division of the logs is possible: channel N1_pct: without b.csv:left, no sample of "
+        "this output is left to learn from. Take it out of [narx] outputs, or add logs that hold it"
+    )

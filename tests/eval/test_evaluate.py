@@ -203,16 +203,6 @@ def test_a_log_on_another_raster_is_refused(make_bundle, make_log):
         evaluate(make_bundle(), [log])
 
 
-def test_a_log_without_an_output_is_refused(make_bundle, make_log):
-    log = make_log()
-    channels = {name: values for name, values in log.channels.items() if name != "N2_pct"}
-    expected = (
-        "flight.csv:left, channel N2_pct: the log has no such channel. It has TRA_deg, Mach, N1_pct"
-    )
-    with pytest.raises(DataError, match=f"^{re.escape(expected)}$"):
-        evaluate(make_bundle(), [replace(log, channels=channels)])
-
-
 def test_a_bundle_without_its_configuration_is_refused(make_bundle):
     bare = Bundle(make_bundle().calibration, {})
     expected = "the bundle does not say how its logs were prepared. Train it with narxcal train"
@@ -258,3 +248,46 @@ def test_logs_of_different_channels_are_not_pooled(make_bundle, make_log):
     expected = "flight.csv:left: expected the channels N1_pct, N2_pct, found N1_pct, EGT_C"
     with pytest.raises(DataError, match=f"^{re.escape(expected)}$"):
         score([found.runs, other])
+
+
+def without(log, *names):
+    return replace(log, channels={k: v for k, v in log.channels.items() if k not in names})
+
+
+def test_a_log_that_lacks_an_output_is_judged_by_the_others(make_bundle, make_log):
+    bundle, whole = make_bundle(tau_s=(1.5, 0.9)), make_log()
+    lacking, usual = (evaluate(bundle, [log]) for log in (without(whole, "N1_pct"), whole))
+    (found,), (known,) = lacking.document()["logs"], usual.document()["logs"]
+    figures = found["channels"]["N1_pct"]
+    assert figures.pop("samples") == figures.pop("static_samples") == 0
+    assert set(figures.values()) == {None}
+    assert found["masked"]["N1_pct"] == {"samples": 2400, "reasons": {"not recorded": 2400}}
+    for name in ("rmse", "one_step_rmse", "first_order_rmse", "arx_rmse"):
+        assert found["channels"]["N2_pct"][name] == known["channels"]["N2_pct"][name]
+    assert found["ti_tt"]["channels"]["N2_pct"]["assessed"] >= 5
+    assert found["ti_tt"]["channels"]["N1_pct"]["assessed"] == 0
+    # Without a measured start the engine begins settled, as this log does.
+    free = [one.logs[0].runs.outputs["model"] for one in (lacking, usual)]
+    assert free[0] == pytest.approx(free[1])
+
+
+def test_an_output_that_a_log_lacks_is_not_trimmed(make_bundle, make_log):
+    lacking = without(make_log(offset=(1.0, 1.0)), "N1_pct")
+    (found,) = evaluate(make_bundle(), [lacking], trim=0.2).document()["logs"]
+    assert found["trim"]["samples"]["N1_pct"] == 0
+    assert not any(found["trim"]["offsets"]["N1_pct"])
+    n2 = found["channels"]["N2_pct"]
+    assert n2["rmse"] < n2["untrimmed_rmse"]
+
+
+def test_a_log_without_any_output_is_refused(make_bundle, make_log):
+    with pytest.raises(DataError) as caught:
+        evaluate(make_bundle(), [without(make_log(), "N1_pct", "N2_pct")])
+    assert caught.value.problem == "the log has none of the outputs N1_pct, N2_pct"
+
+
+def test_a_bound_on_an_output_that_nobody_recorded_is_not_met(make_bundle, make_log):
+    bundle = make_bundle(evaluate={"largest_rmse": {"N1_pct": 1.0}})
+    evaluation = evaluate(bundle, [without(make_log(), "N1_pct")])
+    assert evaluation.missed() == ["N1_pct: no sample to judge by, at most RMSE 1 allowed"]
+    assert evaluate(bundle, [make_log(), without(make_log(), "N1_pct")]).missed() == []

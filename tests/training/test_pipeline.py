@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -306,3 +307,41 @@ def test_a_driver_of_the_curves_that_is_no_input_is_refused():
         ConfigError, match=r"\[steady_state\] driver names 'FF_kgph', which is not in"
     ):
         config(steady_state={**TABLE["steady_state"], "driver": "FF_kgph"})
+
+
+def without(log, name):
+    return replace(log, channels={k: v for k, v in log.channels.items() if k != name})
+
+
+@pytest.mark.parametrize("joint", [True, False])
+def test_an_output_that_one_log_lacks_is_learned_from_the_others(joint):
+    logs = [flight("a.csv:left", 0), without(flight("b.csv:left", 1), "EGT_C")]
+    wanted = config(narx={**TABLE["narx"], "joint": joint, "lag_limits": "auto"})
+    bundle = calibrate(wanted, Path(), Split(tuple(logs), (), ()))
+    own, judged = bundle.calibration, flight("c.csv:left", 2)
+    error = own.simulate(judged.matrix(own.input_names)) - judged.matrix(own.output_names)
+    assert np.sqrt(np.mean(error[300:] ** 2, axis=0)) == pytest.approx((0.0, 0.0), abs=3.0)
+
+
+def test_what_smoothing_took_is_that_of_the_logs_that_record_the_channel():
+    usual = [
+        smooth(flight(f"{name}.csv", seed), SmoothConfig(window=5))
+        for seed, name in enumerate("ab")
+    ]
+    bundle = calibrate(config(), Path(), Split(tuple(usual), (), ()))
+    lacking = Split((usual[0], without(usual[1], "EGT_C")), (), ()).with_outputs(
+        ("N1_pct", "EGT_C")
+    )
+    found = sensor_and_model_noise(bundle.calibration, lacking)
+    assert found.measurement[1] >= usual[0].noise["EGT_C"]
+    stopped_by = Split(lacking.train, lacking.train[1:], ())
+    assert sensor_and_model_noise(bundle.calibration, stopped_by).measurement[1] > 0.0
+
+
+def test_an_output_that_no_training_log_records_is_refused():
+    with pytest.raises(DataError) as caught:
+        calibrate(config(), Path(), Split((without(flight(), "EGT_C"),), (), (flight("t.csv"),)))
+    assert str(caught.value) == (
+        "channel EGT_C: no log to train on has a sample of this output. Take it out of [narx] "
+        "outputs, or add logs that hold it to [split] train"
+    )
