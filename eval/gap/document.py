@@ -9,6 +9,7 @@ from typing import Any
 
 from eval.gap.claimed import claimed
 from eval.gap.evidence import Evidence, HeldOut
+from eval.gap.rivals import contested
 from eval.gap.side import Sides
 from eval.gap.where import Row, Where
 from narxcal.effects.library import LIBRARY, effect
@@ -56,8 +57,17 @@ def _verdict(finding: Finding) -> dict[str, Any]:
         "effects": list(finding.effects),
         "ambiguous_with": list(finding.ambiguous_with),
         "reason": finding.reason,
-        "separating_manoeuvre": finding.separating_manoeuvre,
+        "separating_manoeuvre": _separating(finding),
     }
+
+
+def _separating(finding: Finding) -> str:
+    """What to fly; of two claimed effects for the one that rivals would take the place of."""
+    models = [one.effects for one in finding.tried]
+    doubted = contested(finding.effects, finding.ambiguous_with, models)
+    if len(finding.effects) < 2 or not doubted:
+        return finding.separating_manoeuvre
+    return effect(doubted[0]).manoeuvre
 
 
 def effect_rows(finding: Finding) -> list[dict[str, Any]]:
@@ -241,7 +251,8 @@ def _taken(found: ChannelShrink) -> float:
 
 
 def _flown(held: HeldOut) -> str:
-    return f"{len(held.data.names)} flights that took no part"
+    count = len(held.data.names)
+    return f"{count} flight{'' if count == 1 else 's'} that took no part"
 
 
 def _measured(finding: Finding, where: Where) -> dict[str, Any]:

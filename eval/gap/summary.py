@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from eval.gap.effect_words import in_words, listed, spread_words, surest_words
+from eval.gap.rivals import places_in
 from eval.report.tables import number
 
 _NONE, _REAL = "no gap beyond noise and build scatter", "the gap is real, but "
@@ -18,7 +19,7 @@ Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 def sentence(document: Mapping[str, Any]) -> str:
     """The verdict in one sentence: what it is, and how far the gap shrinks."""
     verdict = document["verdict"]
-    kind, claimed, rivals = verdict["kind"], verdict["effects"], verdict["ambiguous_with"]
+    kind, claimed = verdict["kind"], verdict["effects"]
     if kind == "none":
         return f"{_NONE[0].upper()}{_NONE[1:]}." + _because(verdict)
     if kind == "unknown":
@@ -28,9 +29,21 @@ def sentence(document: Mapping[str, Any]) -> str:
     words = f"What differs: {listed([in_words(name) for name in claimed])}"
     added = "it" if len(claimed) == 1 else "them"
     if kind == "ambiguous":
-        words += f", or just as well {listed([in_words(name) for name in rivals], 'or')}"
+        words += _just_as_well(document)
         added = "the first" if len(claimed) == 1 else f"the first {len(claimed)}"
     return f"{words}; adding {added} to the simulator takes away {_taken(document['shrink'])}."
+
+
+def _just_as_well(document: Mapping[str, Any]) -> str:
+    """The rivals, and of two claimed effects whose place they would take."""
+    claimed, told = document["verdict"]["effects"], ""
+    for place, rivals in places_in(document).items():
+        names = listed([in_words(name) for name in rivals], "or")
+        if len(claimed) == 1:
+            told += f", or just as well {names}"
+        else:
+            told += f"; in the place of {place} just as well {names}"
+    return told
 
 
 def _taken(shrink: Mapping[str, Any]) -> str:
@@ -94,14 +107,22 @@ def window_table(document: Mapping[str, Any]) -> Table:
     names = list(found[0]["shift"]) if found else []
     rows = [
         [
-            spell["log"] + (" (held out)" if spell["held_out"] else ""),
-            seconds_within(spell["start_s"], spell["start_span_s"]),
-            seconds_within(spell["end_s"], spell["end_span_s"]),
-            *(spread_words(spell["shift"][name]) for name in names),
+            spell["log"] + (" *" if spell["held_out"] else ""),
+            *(
+                _narrow(seconds_within(spell[f"{end}_s"], spell[f"{end}_span_s"]))
+                for end in ("start", "end")
+            ),
+            *(_narrow(spread_words(spell["shift"][name])) for name in names),
         ]
         for spell in found
     ]
-    return "When the load was on", ("log", "from [s]", "to [s]", *names), rows
+    told = " (* held out)" if any(spell["held_out"] for spell in found) else ""
+    return f"When the load was on{told}", ("log", "from [s]", "to [s]", *names), rows
+
+
+def _narrow(text: str) -> str:
+    """Without blanks about its sign: a log, two times and four channels fit into 80 columns."""
+    return text.replace(" ± ", "±")
 
 
 def seconds_within(value: float, span: Sequence[float]) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from eval.gap.effect_words import in_words, listed, surest_words
+from eval.gap.rivals import places_in
 from eval.gap.summary import effect_name, sentence, to_tell
 from narxcal.effects.library import effect
 
@@ -109,9 +110,7 @@ def next_flights(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Manoeuvres worth flying next, each with what it would tell."""
     verdict, found = document["verdict"], []
     if verdict["separating_manoeuvre"] and verdict["effects"]:
-        rivals = listed(verdict["ambiguous_with"]) or "effects that look alike"
-        what = f"separates {listed(verdict['effects'])} from {rivals}"
-        found.append((verdict["separating_manoeuvre"], what))
+        found.append((verdict["separating_manoeuvre"], _separates(document)))
     known = {text for text, _ in found}
     for name in _open_questions(document):
         manoeuvre = effect(name).manoeuvre
@@ -124,6 +123,14 @@ def next_flights(document: Mapping[str, Any]) -> list[tuple[str, str]]:
         reason = "gives the shrinkage on flights that took no part (--heldout-real, --heldout-sim)"
         found.append(("two more flights of the same kind", reason))
     return found
+
+
+def _separates(document: Mapping[str, Any]) -> str:
+    """Which claimed effect the separating manoeuvre tells from which."""
+    found = places_in(document) or {
+        listed(document["verdict"]["effects"]): ["effects that look alike"]
+    }
+    return "; ".join(f"separates {place} from {listed(names)}" for place, names in found.items())
 
 
 def _open_questions(document: Mapping[str, Any]) -> list[str]:

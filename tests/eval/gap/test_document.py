@@ -10,8 +10,11 @@ from eval.gap.document import document, effect_rows, probabilities
 from eval.gap.effect_words import surest_words
 from eval.gap.evidence import Evidence
 from eval.gap.realised import channel_shrink, held_out, time_shrink
+from eval.gap.rivals import contested, places
 from eval.gap.summary import effect_table, sentence, shrink_table, where_table
+from eval.gap.verdict_box import next_flights
 from eval.gap.where import locate
+from narxcal.effects.library import effect
 from training.gap.finding import Interval
 
 NAME = "sensor_lag:EGT_C"
@@ -202,6 +205,61 @@ def test_the_verdict_in_one_sentence(evidence, kind, words):
     found["verdict"] |= {"kind": kind, "ambiguous_with": ["spool_lag"]}
     found["shrink"]["realised"] = 0.99
     assert sentence(found) == words
+
+
+PAIR = ("bleed_extraction", "flowmeter_dynamics:FF_kgph")
+
+
+def of_two(make_finding, make_model, rivals, *models):
+    """A finding of two effects with rivals, that of best models first."""
+    tried = tuple(make_model(*names) for names in (PAIR, *models))
+    return make_finding("ambiguous", PAIR, tried, ambiguous_with=rivals)
+
+
+def test_rivals_of_one_of_two_effects_are_told_as_such(evidence, make_finding, make_model):
+    """They take the place of the flow meter, and its manoeuvre is the one that separates them."""
+    rivals = ("sensor_lag:FF_kgph", "time_skew:FF_kgph")
+    models = [("bleed_extraction", name) for name in rivals]
+    finding = of_two(make_finding, make_model, rivals, *models)
+    found = document(replace(evidence, finding=finding))
+    assert sentence(found).startswith(
+        "What differs: bleed that follows the logged switches (bleed_extraction) and lag of the "
+        "fuel flowmeter (flowmeter_dynamics:FF_kgph); in the place of flowmeter_dynamics:FF_kgph "
+        "just as well lag of the FF sensor (sensor_lag:FF_kgph) or FF recorded late "
+        "(time_skew:FF_kgph); adding the first 2 to the simulator takes away "
+    )
+    assert found["verdict"]["separating_manoeuvre"] == effect(PAIR[1]).manoeuvre
+    assert next_flights(found)[0] == (
+        effect(PAIR[1]).manoeuvre,
+        "separates flowmeter_dynamics:FF_kgph from sensor_lag:FF_kgph and time_skew:FF_kgph",
+    )
+
+
+@pytest.mark.parametrize(
+    ("claimed", "rivals", "models", "expected"),
+    [
+        (("a",), ("b", "c"), [("a",), ("b",)], {"a": ["b", "c"]}),
+        (("a", "b"), ("c", "d"), [("a", "c"), ("d", "b")], {"b": ["c"], "a": ["d"]}),
+        (("a", "b"), ("c", "d"), [("c", "d")], {"a and b": ["c", "d"]}),
+        (
+            ("throttle_bias", "actuator_lag"),
+            ("throttle_delay", "deterioration"),
+            [("throttle_delay",), ("deterioration",)],
+            {"actuator_lag": ["throttle_delay"], "throttle_bias": ["deterioration"]},
+        ),
+        (("a", "b"), (), [], {}),
+    ],
+)
+def test_a_rival_takes_the_place_of_what_its_model_leaves_out(claimed, rivals, models, expected):
+    assert places(claimed, rivals, models) == expected
+    lost = {name for place in expected for name in place.split(" and ")}
+    assert contested(claimed, rivals, models) == [name for name in claimed if name in lost]
+
+
+def test_one_flight_is_one_flight(evidence):
+    held = replace(evidence.held_out, data=replace(evidence.held_out.data, names=("f",)))
+    shrink = document(replace(evidence, held_out=held))["shrink"]
+    assert shrink["on"] == "1 flight that took no part"
 
 
 def test_a_reason_is_not_said_twice(evidence):

@@ -90,11 +90,12 @@ def test_held_out_flights_are_told_by_sizes_from_elsewhere(found):
 
 
 def test_terminal_and_page_tell_the_windows(found):
-    _, head, rows = window_table(found.document)
+    title, head, rows = window_table(found.document)
+    assert title == "When the load was on (* held out)"
     assert head[:3] == ("log", "from [s]", "to [s]")
     assert len(rows) == 5
-    assert rows[3][0] == "flight_3 (held out)"
-    assert all(" ± " in cell for row in rows for cell in row[1:])
+    assert rows[3][0] == "flight_3 *"
+    assert all("±" in cell and " " not in cell for row in rows for cell in row[1:])
     html = gap_page(found.document, found.evidence)
     assert "When the load was on" in html
     assert "held out" in html
