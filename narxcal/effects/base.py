@@ -41,6 +41,11 @@ class Parameter:
     starts: tuple[float, ...] = ()
     linear: bool = False
 
+    @property
+    def all_or_nothing(self) -> bool:
+        """Whether it says which of two mechanisms it is, by its low or its high end."""
+        return self.starts == (self.low, self.high)
+
 
 @dataclass(frozen=True)
 class Signals:

@@ -181,7 +181,7 @@ def sized():
     """
 
     def size(p, share):
-        if p.starts == (p.low, p.high):
+        if p.all_or_nothing:
             return p.neutral
         return p.starts[-1] if p.starts else share * p.high
 

@@ -20,8 +20,7 @@ def test_at_a_size_it_is_seen_and_finite(acting, sized, flights, engine):
 def test_its_parameters_are_in_order(acting, flights):
     for p in acting.parameters(flights.signals):
         assert p.low <= p.neutral <= p.high
-        all_or_nothing = p.starts == (p.low, p.high)
-        assert all_or_nothing or all(p.low < start < p.high for start in p.starts)
+        assert p.all_or_nothing or all(p.low < start < p.high for start in p.starts)
         assert (p.neutral == 0.0 and not p.starts) if p.linear else p.starts
         assert p.unit
 

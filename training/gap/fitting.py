@@ -89,12 +89,18 @@ def in_nearly_all(gained: FloatArray) -> bool:
 
 
 def fit(effects: Sequence[Effect], problem: Problem, start: FloatArray | None = None) -> Fit:
-    """Fit `effects` together, from `start` (p,) or from the best of their own starts."""
+    """Fit `effects` together, from `start` (p,) or from the best of their own starts.
+
+    Where an effect may be one of two mechanisms, both are fitted and the better one is taken: far
+    from the answer, where starts are, one says little of the other.
+    """
     parameters = tuple(p for effect in effects for p in effect.parameters(problem.flights.signals))
-    theta = _best_start(effects, parameters, problem) if start is None else start
-    theta, response, slopes = _refine(effects, parameters, problem, theta)
+    starts = _best_starts(effects, parameters, problem) if start is None else [start]
+    ends = [_refine(effects, parameters, problem, begin) for begin in starts]
+    sizes_left = [problem.misfit.size(problem.misfit.gap - response) for _, response, _ in ends]
+    best = min(range(len(ends)), key=lambda k: float(sizes_left[k].sum()))
+    (theta, response, slopes), left = ends[best], sizes_left[best]
     rest = problem.misfit.gap - response
-    left = problem.misfit.size(rest)
     held_out, others = _jackknife(problem.misfit, (rest, slopes, left), theta, parameters)
     sizes = tuple(len(e.parameters(problem.flights.signals)) for e in effects)
     return Fit(tuple(effects), parameters, theta, left, held_out, others, response, slopes, sizes)
@@ -111,15 +117,16 @@ def _run(effects: Sequence[Effect], thetas: FloatArray, problem: Problem) -> Flo
     return np.where(np.isfinite(moved), moved, 1e6)
 
 
-def _best_start(
+def _best_starts(
     effects: Sequence[Effect], parameters: Sequence[Parameter], problem: Problem
-) -> FloatArray:
-    """Best of all combinations of starts, with the linear parameters solved at each."""
+) -> list[FloatArray]:
+    """Best of all combinations of starts, of each mechanism; linear parameters solved at each."""
     choices = [(0.0,) if p.linear else p.starts for p in parameters]
     thetas = np.array(list(product(*choices)))
     linear = [j for j, p in enumerate(parameters) if p.linear]
     base = _run(effects, thetas, problem)
-    found, sizes = [], []
+    mechanism = [j for j, p in enumerate(parameters) if p.all_or_nothing]
+    found: dict[tuple[float, ...], tuple[float, FloatArray]] = {}
     for start, response in zip(thetas, base, strict=True):
         theta, rest = start, problem.misfit.gap - response
         if linear:
@@ -129,10 +136,10 @@ def _best_start(
             step = _solve(problem.misfit, slopes, rest, 0.0)
             theta = _clipped(_added(start, linear, step), parameters)
             rest = rest - np.tensordot(theta[linear], slopes, axes=1)
-        found.append(theta)
-        sizes.append(float(problem.misfit.size(rest).sum()))
-    best: FloatArray = found[int(np.argmin(sizes))]
-    return best
+        size, which = float(problem.misfit.size(rest).sum()), tuple(start[mechanism])
+        if which not in found or size < found[which][0]:
+            found[which] = size, theta
+    return [theta for _, theta in found.values()]
 
 
 def _added(theta: FloatArray, places: Sequence[int], values: FloatArray) -> FloatArray:
