@@ -19,7 +19,6 @@ bundle that refers to a callable or an FMU runs those, and only if they are unch
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import platform
@@ -31,28 +30,29 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from safetensors import SafetensorError
-from safetensors.numpy import load as load_arrays
-from safetensors.numpy import save as save_arrays
 
 from narxcal.atomic import atomic_folder, atomic_write_bytes, atomic_write_text
 from narxcal.calibration import DynamicCalibration
 from narxcal.channels import CHANNELS
 from narxcal.errors import ModelError
+from narxcal.model_folder import WEIGHTS, ModelFolder, packed, seal
 from narxcal.steady_state import CarriesFiles
 
 if TYPE_CHECKING:
     from os import PathLike
 
-    from numpy.typing import NDArray
-
 SCHEMA = "narxcal.bundle/1"
 DOCUMENT = "bundle.json"
-WEIGHTS = "weights.safetensors"
 STEADY_FILES = "steady"
 _OURS = ("schema", "dt_s", "channels", "units", "weights", "calibration", "calibration_sha256")
 _PACKAGES = ("narxcal", "numpy", "scipy", "torch", "safetensors")
-_AGAIN = "Copy the bundle again, or train it anew"
+_FORM = ModelFolder(
+    what="bundle",
+    document=DOCUMENT,
+    schema=SCHEMA,
+    made_by="narxcal train",
+    again="Copy the bundle again, or train it anew",
+)
 
 
 @dataclass(frozen=True)
@@ -84,19 +84,15 @@ def write_bundle(folder: str | PathLike[str], bundle: Bundle) -> None:
     """
     target = Path(folder)
     meta, arrays = bundle.calibration.to_arrays()
-    weights = _pack(arrays)
+    weights, entry = packed(arrays)
     calibration = _plain(meta, "bundle.calibration")
     document = {
         "schema": SCHEMA,
         "dt_s": float(bundle.calibration.dt_s),
         **_channels(bundle.calibration),
-        "weights": {
-            "file": WEIGHTS,
-            "sha256": hashlib.sha256(weights).hexdigest(),
-            "arrays": _shapes(arrays),
-        },
+        "weights": entry,
         "calibration": calibration,
-        "calibration_sha256": _seal(calibration),
+        "calibration_sha256": seal(calibration),
         "versions": versions(),
         **_checked_meta(bundle.meta),
     }
@@ -114,7 +110,7 @@ def load_bundle(folder: str | PathLike[str]) -> Bundle:
     """
     source = Path(folder)
     document = read_document(source)
-    arrays = _read_weights(source, _part(source, document, "weights"))
+    arrays = _FORM.read_arrays(source, document)
     meta = _with_own_files(source, _sealed_calibration(source, document))
     calibration = DynamicCalibration.from_arrays(meta, arrays)
     return Bundle(calibration, {key: document[key] for key in document if key not in _OURS})
@@ -122,34 +118,7 @@ def load_bundle(folder: str | PathLike[str]) -> Bundle:
 
 def read_document(folder: str | PathLike[str]) -> dict[str, Any]:
     """Read `bundle.json` alone, without the model; raises `ModelError` as `load_bundle`."""
-    source = Path(folder)
-    if not source.is_dir():
-        if source.exists():
-            raise ModelError(
-                "a bundle is a folder, and this is a file",
-                file=source,
-                hint="Name the folder that narxcal train wrote",
-            )
-        raise ModelError("the bundle folder does not exist", file=source, hint="Train one first")
-    file = source / DOCUMENT
-    if not file.is_file():
-        raise ModelError(
-            f"the folder holds no {DOCUMENT}, so it is no bundle",
-            file=source,
-            hint="Name the folder that narxcal train wrote",
-        )
-    try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ModelError(f"not JSON: {error}", file=file, hint=_AGAIN) from None
-    found = document.get("schema") if isinstance(document, dict) else None
-    if found != SCHEMA:
-        raise ModelError(
-            f"unknown schema {found!r}, expected {SCHEMA!r}",
-            file=file,
-            hint="Read it with the version of narxcal that wrote it",
-        )
-    return dict(document)
+    return _FORM.read_document(Path(folder))
 
 
 def versions() -> dict[str, str]:
@@ -176,80 +145,13 @@ def _checked_meta(meta: Mapping[str, Any]) -> Mapping[str, Any]:
     return meta
 
 
-def _pack(arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    for name, array in arrays.items():
-        if name == "__metadata__":
-            raise ModelError(f"array name '{name}' is the format's own")
-        if array.dtype.kind not in "biuf":
-            raise ModelError(f"array '{name}' of type {array.dtype} cannot be stored in a bundle")
-    return save_arrays({name: np.array(array, order="C") for name, array in arrays.items()})
-
-
-def _shapes(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    return {
-        name: {"dtype": str(array.dtype), "shape": list(array.shape)}
-        for name, array in sorted(arrays.items())
-    }
-
-
-def _read_weights(source: Path, entry: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    file = source / WEIGHTS
-    if not file.is_file():
-        raise ModelError("the weights are missing", file=file, hint=_AGAIN)
-    data = file.read_bytes()
-    found, expected = hashlib.sha256(data).hexdigest(), str(entry.get("sha256"))
-    if found != expected:
-        raise ModelError(
-            f"the weights were altered or cut off: sha256 is {found[:12]}, "
-            f"bundle.json says {expected[:12]}",
-            file=file,
-            hint=_AGAIN,
-        )
-    try:
-        arrays = load_arrays(data)
-    except (SafetensorError, ValueError, KeyError) as error:
-        raise ModelError(f"not safetensors: {error}", file=file, hint=_AGAIN) from None
-    _check_shapes(source / DOCUMENT, _shapes(arrays), entry.get("arrays"))
-    return arrays
-
-
-def _check_shapes(file: Path, found: Mapping[str, Any], expected: Any) -> None:
-    if found == expected:
-        return
-    listed = expected if isinstance(expected, Mapping) else {}
-    for name in sorted({*found, *listed}):
-        if found.get(name) != listed.get(name):
-            raise ModelError(
-                f"array '{name}' is {_shape_text(found.get(name))} in {WEIGHTS}, "
-                f"and {_shape_text(listed.get(name))} here",
-                file=file,
-                hint=_AGAIN,
-            )
-    raise ModelError("the list of arrays is missing", file=file, hint=_AGAIN)
-
-
-def _shape_text(entry: Any) -> str:
-    if not isinstance(entry, Mapping):
-        return "missing"
-    return f"{entry.get('dtype')} {tuple(entry.get('shape') or ())}"
-
-
-def _part(source: Path, document: Mapping[str, Any], key: str) -> dict[str, Any]:
-    part = document.get(key)
-    if not isinstance(part, dict):
-        raise ModelError(f"'{key}' is missing", file=source / DOCUMENT, hint=_AGAIN)
-    return part
-
-
 def _sealed_calibration(source: Path, document: Mapping[str, Any]) -> dict[str, Any]:
-    calibration = _part(source, document, "calibration")
-    if _seal(calibration) != document.get("calibration_sha256"):
-        raise ModelError("the part 'calibration' was altered", file=source / DOCUMENT, hint=_AGAIN)
+    calibration = _FORM.part(source, document, "calibration")
+    if seal(calibration) != document.get("calibration_sha256"):
+        raise ModelError(
+            "the part 'calibration' was altered", file=source / DOCUMENT, hint=_FORM.again
+        )
     return calibration
-
-
-def _seal(calibration: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(calibration, sort_keys=True).encode()).hexdigest()
 
 
 def _copy_files(target: Path, steady: object) -> None:

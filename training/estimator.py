@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from os import PathLike
 from typing import Any, Self, TypeAlias
 
 import numpy as np
@@ -14,6 +15,7 @@ from narxcal.errors import ConfigError, DataError, ModelError
 from narxcal.narx import NarxConfig
 from narxcal.narx_model import NarxModel
 from narxcal.records import Record, RecordLike, as_records, check_records, columns
+from training import estimator_folder
 from training.config import TrainConfig
 from training.trainer import FitResult, Material, Watch, fit_narx
 
@@ -42,7 +44,8 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
 
     A record is a pair of arrays `(u, y)` (time, inputs) and (time, outputs), or a `Record`, which
     also has a name; methods take one of these or several. Searches of scikit-learn reach into
-    both sections: `GridSearchCV(Narx(), {"structure__hidden": [4, 8]}).fit(records)`.
+    both sections: `GridSearchCV(Narx(), {"structure__hidden": [4, 8]}).fit(records)`. `save` and
+    `Narx.load` keep a trained one in a folder.
 
     >>> import numpy as np
     >>> u = np.sin(0.3 * np.arange(300)) + np.cos(0.05 * np.arange(300) ** 1.2)
@@ -88,8 +91,31 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
     def model(self) -> NarxModel:
         """The trained network; raises `NotTrainedError` before `fit`."""
         if not hasattr(self, "result_"):
-            raise NotTrainedError("the NARX network is not trained yet", hint="Call fit first")
+            raise _not_trained()
         return self.result_.model
+
+    def save(self, folder: str | PathLike[str], *, replace: bool = False) -> None:
+        """Write the trained network and all parameters to a new folder, without pickle.
+
+        Raises `NotTrainedError` before `fit`, and `ConfigError` for a folder that has content (with
+        `replace`, other than narxcal's) or cannot be written.
+        """
+        self._sections()
+        if not hasattr(self, "result_"):
+            raise _not_trained()
+        stored = estimator_folder.Stored(self.structure, self.train, self.dt_s, self.result_)
+        estimator_folder.save(folder, stored, replace=replace)
+
+    @classmethod
+    def load(cls, folder: str | PathLike[str]) -> Self:
+        """Read what `save` wrote: the same parameters, and a network that computes the same.
+
+        Raises `ModelError` for a folder that is another, damaged or altered.
+        """
+        stored = estimator_folder.load(folder)
+        loaded = cls(stored.structure, stored.train, stored.dt_s)
+        loaded.result_ = stored.result
+        return loaded
 
     def simulate(self, u: ArrayLike, start: ArrayLike) -> FloatArray:
         """Free run (time, outputs) over `u` (time, inputs); `start` are its first n samples.
@@ -194,6 +220,10 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         tags = super().__sklearn_tags__()
         tags.estimator_type = "regressor"
         return tags
+
+
+def _not_trained() -> NotTrainedError:
+    return NotTrainedError("the NARX network is not trained yet", hint="Call fit first")
 
 
 def _known_start(y: FloatArray, samples: int) -> FloatArray:

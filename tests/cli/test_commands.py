@@ -414,7 +414,7 @@ def test_a_log_without_a_probe_is_judged_by_its_spools(project, narxcal, tmp_pat
     assert done.code in {0, 1}
     said = "noegt.csv: EGT_C is not recorded: nothing is learned or judged by it"
     assert done.err == f"narxcal: warning: {said}\n"
-    assert re.search(r"EGT \[°C\] +–( +–){7}", done.out)
+    assert re.search("EGT \\[°C\\] +\u2013( +\u2013){7}", done.out)
     document = strict((tmp_path / "ev" / "evaluate.json").read_text("utf-8"))
     assert document["cautions"] == [said]
     assert document["logs"][0]["channels"]["EGT_C"]["rmse"] is None
