@@ -15,13 +15,14 @@ from eval.gap.cautions import cautions, coarse_emulator
 from eval.gap.claimed import Values, claimed, with_effects
 from eval.gap.data import GapData, Pair
 from eval.gap.document import document
-from eval.gap.evidence import Evidence
+from eval.gap.evidence import Evidence, HeldOut
 from eval.gap.excitation import check_excitation, events_of
+from eval.gap.expected import expected, seen, unseen
 from eval.gap.held_flights import in_terms_of
 from eval.gap.hidden_load import look_again, look_beside, look_for_load, spells
 from eval.gap.pairs import read_pairs
 from eval.gap.parts import enough
-from eval.gap.realised import channel_shrink, held_out, predicted, time_shrink
+from eval.gap.realised import channel_shrink, held_out, time_shrink
 from eval.gap.rerun import Rerun
 from eval.gap.simulators import Simulate, open_simulator
 from eval.gap.stored_emulator import signals_to_json
@@ -40,6 +41,7 @@ from training.gap.unlogged import Load
 from training.gap.work import Simulators, Watch
 
 _SAME = 1e-9  # of a channel's range
+_NOTHING = Interval(0.0, 0.0, 0.0)
 
 
 class Request(NamedTuple):
@@ -132,7 +134,7 @@ def _found(data: GapData, simulators: Simulators, watch: Watch) -> tuple[GapData
 
 
 def _nothing(data: GapData) -> tuple[Load, Finding]:
-    reason, none = "recorded and simulated logs are the same", Interval(0.0, 0.0, 0.0)
+    reason, none = "recorded and simulated logs are the same", _NOTHING
     count, steps = data.gap.shape[:2]
     channels = channel_shrink(data, data.flights.y)
     finding = Finding("none", (), (), reason, "", (), none, channels, 0.0, 0.0, 0.0)
@@ -152,20 +154,9 @@ def _evidence(data: GapData, finding: Finding, values: Values, emulator: Emulato
         where=where,
         after=after,
         times=time_shrink(data, after, where.events),
-        predicted=predicted(data, after, _optimism(finding)) if values else Interval(0.0, 0.0, 0.0),
+        predicted=expected(seen(data, after, finding.by_others)) if values else _NOTHING,
         channels=channel_shrink(data, after),
     )
-
-
-def _optimism(finding: Finding) -> float:
-    """What the leading model gains on held-out flights, of what it gains on those it was fitted to.
-
-    Where only offsets are claimed, what is left says nothing of them.
-    """
-    leader, fitted = finding.tried[0], 1.0 - finding.left_share
-    if fitted <= 0.0 or leader.effects[0] not in finding.effects:
-        return 1.0
-    return min(1.0, max(0.0, leader.gain / fitted))
 
 
 def _with_held_out(
@@ -179,7 +170,16 @@ def _with_held_out(
         windows += spells(load, data, pairs, held_out=True)
     found = held_out(values, data, emulator)
     times = time_shrink(data, found.after, events_of(data))
-    return replace(evidence, held_out=found, times=times, windows=windows)
+    evidence = replace(evidence, held_out=found, times=times, windows=windows)
+    # When a load is on there is told by what was recorded alone.
+    told = values and UnloggedSwitch.id not in values
+    return replace(evidence, predicted=_on_these(evidence, found)) if told else evidence
+
+
+def _on_these(evidence: Evidence, held: HeldOut) -> Interval:
+    """How far the gap of held-out flights is expected to shrink, by what the effects do there."""
+    here = seen(evidence.data, evidence.after, evidence.finding.by_others)
+    return expected(here, unseen(held.data, held.after))
 
 
 def _held_pairs(request: Request) -> list[Pair]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import t
 
 from data_prep.events import Event
 from eval.gap.claimed import Values, with_effects
@@ -17,7 +16,7 @@ from eval.gap.data import FloatArray, GapData
 from eval.gap.evidence import HeldOut, TimeShrink
 from eval.gap.times import TimeErrors, time_errors
 from narxcal.effects.running import Emulator
-from training.gap.finding import ChannelShrink, Interval
+from training.gap.finding import ChannelShrink
 from training.gap.quadratic import TOLERANCE
 
 
@@ -48,24 +47,6 @@ def pooled_share(before: FloatArray, left: FloatArray) -> float:
     """
     whole = float(before.sum())
     return min(1.0, 1.0 - float(left.sum()) / whole) if whole > 0.0 else 0.0
-
-
-def predicted(data: GapData, after: FloatArray, optimism: float) -> Interval:
-    """What the effects will take off the squared gap of other flights, with a 90 % interval.
-
-    The share over the flights at hand times `optimism`, what held-out flights gained of what
-    fitted ones did; the interval is Student's over flights, for the mean of two more of them.
-    """
-    before, left = squares(data, after)
-    value = optimism * pooled_share(before, left)
-    count = len(before)
-    if count < 2:
-        return Interval(value, -1.0, 1.0)
-    # Of flights with a gap: a share of nothing has no size.
-    own = np.maximum(before, 0.1 * max(float(before.mean()), 1e-9))
-    spread = float(((before - left) / own).std(ddof=1)) * np.sqrt(0.5 + 1.0 / count)
-    reach = float(t.ppf(0.95, count - 1)) * spread
-    return Interval(value, max(-1.0, value - reach), min(1.0, value + reach))
 
 
 def channel_shrink(data: GapData, after: FloatArray) -> dict[str, ChannelShrink]:

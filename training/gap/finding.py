@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from narxcal.effects.base import FloatArray
+
 Kind = Literal["none", "effects", "ambiguous", "unknown"]
 
 
@@ -52,7 +54,9 @@ class Finding:
     `tried` holds every model, best first; the first is the claimed one where `kind` is `effects`
     or `ambiguous`. Where nothing is claimed, `leading` may name effects that come first all the
     same: one of moves, and the heat soak beside which it was seen. `gap_share` is the share of the
-    squared residual that is no noise, `left_share` what is left of it unexplained.
+    squared residual that is no noise, `left_share` what is left of it unexplained. `by_others`
+    (flights, time, outputs) is what the claim does in each flight by the parameters that the other
+    flights give, less what it does by those of all; nothing where nothing is claimed.
     """
 
     kind: Kind
@@ -69,3 +73,4 @@ class Finding:
     emulator_rmse: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     leading: tuple[str, ...] = ()
+    by_others: FloatArray | None = field(default=None, compare=False, repr=False)

@@ -45,9 +45,8 @@ def finding(
     elif claimed is None and work.offered:
         whole = work.tight.size(work.tight.gap)
         rows += _offsets((work.offered, whole, work.whole))
-    response = np.zeros_like(work.problem.flights.y) if claimed is None else claimed.response
-    if offset is not None:
-        response = response + offset[0][0].response
+    models = ([] if claimed is None else [claimed]) + ([] if offset is None else offset[0][:1])
+    response = sum((one.response for one in models), start=np.zeros_like(work.problem.flights.y))
     kind, reason = _verdict(work, claimed, offset)
     rivals = _rivals(work, claimed, order) if claimed is not None else ()
     if offset is not None:
@@ -71,7 +70,14 @@ def finding(
         left_share=1.0 if claimed is None else work.left(claimed),
         threshold=work.threshold,
         leading=_leading(work, claimed) if silent else (),
+        by_others=None if silent else _by_others(models, response),
     )
+
+
+def _by_others(models: Sequence[Fit], response: FloatArray) -> FloatArray:
+    """What the parameters that the other flights give change of the response in each flight."""
+    steps = (np.einsum("fp,pftn->ftn", one.others - one.theta, one.slopes) for one in models)
+    return sum(steps, start=np.zeros_like(response))
 
 
 def _leading(work: Work, claimed: Fit | None) -> tuple[str, ...]:

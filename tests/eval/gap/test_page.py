@@ -11,9 +11,10 @@ import pytest
 from eval.gap import charts, heat_maps, page_tables
 from eval.gap.document import document
 from eval.gap.evidence import Evidence
+from eval.gap.expected import expected, seen
 from eval.gap.overlays import event_picture, views, worst_event, worst_flight
 from eval.gap.page import drawn_effects, gap_page
-from eval.gap.realised import channel_shrink, held_out, predicted, time_shrink
+from eval.gap.realised import channel_shrink, held_out, time_shrink
 from eval.gap.verdict_box import next_flights, tiles, verdict_box
 from eval.gap.where import locate
 from training.gap.finding import Interval
@@ -44,7 +45,7 @@ def evidence(make_data, probe, make_finding, make_model):
         where=where,
         after=after,
         times=time_shrink(data, after, where.events),
-        predicted=predicted(data, after, 1.0),
+        predicted=expected(seen(data, after, None)),
         channels=channel_shrink(data, after),
         held_out=held,
         facts={"warnings": [f"few flights {HOSTILE}"], "flights": list(data.names)},

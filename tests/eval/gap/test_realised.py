@@ -1,4 +1,4 @@
-"""Shrinkage is the plain share of squares above the noise, and its prediction is honest."""
+"""Shrinkage is the plain share of squares above the noise."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,6 @@ from eval.gap.realised import (
     channel_shrink,
     held_out,
     pooled_share,
-    predicted,
     squares,
     time_shrink,
 )
@@ -36,23 +35,6 @@ def test_the_true_effect_takes_all_and_none_takes_nothing(make_data, probe):
     assert held_out(VALUES, data, None).share == pytest.approx(1.0, abs=0.01)
     assert held_out({}, data, None).share == 0.0
     assert pooled_share(np.array([-1.0]), np.array([0.0])) == 0.0
-
-
-def test_the_prediction_holds_on_other_flights(make_data, probe):
-    wrong = {"sensor_lag:EGT_C": {"tau_s": 0.6}}
-    data = make_data(probe, flights=6)
-    other = held_out(wrong, make_data(probe, flights=9), None).share
-    after = held_out(wrong, data, None).after
-    found = predicted(data, after, 1.0)
-    assert found.low < other < found.high
-    assert found.value == pytest.approx(other, abs=0.04)
-    assert predicted(data, after, 0.9).value == pytest.approx(0.9 * found.value)
-
-
-def test_one_flight_predicts_with_no_certainty(make_data, probe):
-    data = make_data(probe, flights=1)
-    found = predicted(data, held_out(VALUES, data, None).after, 1.0)
-    assert (found.low, found.high) == (-1.0, 1.0)
 
 
 def test_rms_and_times_shrink_on_the_channel_of_the_effect(make_data, probe):

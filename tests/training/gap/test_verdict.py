@@ -44,6 +44,20 @@ def test_where_nothing_is_named_nothing_is_a_rival(options, said, flights, engin
     assert (found.kind, found.effects, found.ambiguous_with) == said, found.reason
 
 
+def test_a_claim_tells_what_each_flight_would_be_given_by_the_others(flights, engine, recorded):
+    work = work_on(recorded({"sensor_lag:N2_pct": [0.6, 0.5]}), flights, engine, LOOSE)
+    work.fits = [lag] = [fit([effect("sensor_lag:N2_pct")], work.problem)]
+    found = finding(work, lag, None, NOISE).by_others
+    measured = work.problem.misfit
+    for f in range(len(lag.others)):
+        step = np.tensordot(lag.others[f] - lag.theta, lag.slopes[:, f], axes=1)
+        np.testing.assert_allclose(found[f], step, rtol=1e-12)
+    left = measured.size(measured.gap - lag.response - found)
+    np.testing.assert_allclose(left, lag.held_out, rtol=1e-6)
+    work.options = UNBEARABLE
+    assert finding(work, lag, None, NOISE).by_others is None
+
+
 @pytest.mark.parametrize(("play", "needless"), [(0.0, True), (3.0, False)])
 def test_what_only_follows_a_lever_that_is_read_wrong_is_made_up(
     play, needless, flights, engine, recorded
