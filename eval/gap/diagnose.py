@@ -20,7 +20,7 @@ from eval.gap.excitation import check_excitation, events_of
 from eval.gap.expected import expected, seen, unseen
 from eval.gap.held_flights import in_terms_of
 from eval.gap.hidden_load import look_again, look_beside, look_for_load, spells
-from eval.gap.pairs import read_pairs
+from eval.gap.pairs import check_apart, read_pairs
 from eval.gap.parts import enough
 from eval.gap.realised import channel_shrink, held_out, time_shrink
 from eval.gap.rerun import Rerun
@@ -71,6 +71,7 @@ def diagnose_folders(request: Request, watch: Watch | None = None) -> Diagnosis:
     simulator = open_simulator(request.sim)
     pairs = read_pairs(request.real, simulator.how, request.config)
     held = _held_pairs(request)
+    check_apart(pairs, held)
     again = None if isinstance(simulator.how, Path) else simulator.how
     found = diagnose_pairs(pairs, held, watch, again)
     facts = {"simulator": simulator.kind, "wall_s": round(time.perf_counter() - began, 1)}

@@ -26,7 +26,7 @@ from narxcal.channels import CHANNELS
 from narxcal.errors import DataError
 from training.config import RunConfig
 
-__all__ = ["DIAGNOSED", "match_simulated", "pair_logs", "read_folder", "read_pairs"]
+__all__ = ["DIAGNOSED", "check_apart", "match_simulated", "pair_logs", "read_folder", "read_pairs"]
 
 COMPARED = ("FN_kN", "FPR", "EPR")
 _RATE = 1e-3
@@ -90,6 +90,25 @@ def pair_logs(name: str, real: Log, sim: Log) -> Pair:
     others = {each: np.column_stack([real[each], sim[each]]) for each in both}
     alone = lone(real, sim, [each for each in DIAGNOSED if each not in inputs])
     return Pair(name, real.time_s, inputs, measured, modelled, others, counts, alone)
+
+
+def check_apart(pairs: Sequence[Pair], held: Sequence[Pair]) -> None:
+    """Raise `DataError` for a held-out flight that is one of the diagnosis under any name."""
+    for other in held:
+        for pair in pairs:
+            if _same_record(pair, other):
+                raise DataError(
+                    f"the held-out flight is '{pair.name}' of the diagnosis: nothing could be "
+                    "checked on it",
+                    file=other.name,
+                    hint="Hold flights out that are not among those of --real",
+                )
+
+
+def _same_record(one: Pair, other: Pair) -> bool:
+    if len(one.time_s) != len(other.time_s) or set(one.real) != set(other.real):
+        return False
+    return all(np.array_equal(v, other.real[k], equal_nan=True) for k, v in one.real.items())
 
 
 def _plausible(log: Log) -> Log:

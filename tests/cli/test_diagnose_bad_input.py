@@ -165,6 +165,11 @@ def test_held_out_flights_are_checked_before_any_work(flights, slow_probe, refus
         "narxcal: error: f9: the held-out flights are worked at 4 Hz, those of the diagnosis at "
         "8 Hz. Record and simulate them with the channels and at the rate of the others"
     )
+    again = ("--heldout-real", tmp_path / "real", "--heldout-sim", tmp_path / "sim")
+    assert refused(words, *again) == (
+        "narxcal: error: f0: the held-out flight is 'f0' of the diagnosis: nothing could be "
+        "checked on it. Hold flights out that are not among those of --real"
+    )
     assert refused(words, *late[0]) == (
         "narxcal: error: held-out flights need their simulated logs. Name them by --heldout-sim"
     )

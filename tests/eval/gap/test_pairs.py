@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eval.gap.log_folders import read_folder
-from eval.gap.pairs import match_simulated, pair_logs, read_pairs
+from eval.gap.pairs import check_apart, match_simulated, pair_logs, read_pairs
 from narxcal.errors import DataError
 from training.config import RunConfig
 
@@ -233,3 +233,18 @@ def test_endings_may_be_capital_and_hidden_files_are_no_logs(folders):
     (real / "a_0.csv").rename(real / "a_0.CSV")
     (real / "._a_0.csv").write_bytes(b"\x00\x05\x16\x07")
     assert [pair.name for pair in read_pairs(*folders)] == ["a_0", "a_1"]
+
+
+def test_a_held_out_flight_is_none_of_the_diagnosis_under_any_name(fly, record, log_of):
+    def pair(name, seed):
+        sim = fly(seed, 60.0)
+        return pair_logs(name, log_of(record(sim, seed)), log_of(sim))
+
+    pairs = [pair("a", 0), pair("b", 1)]
+    check_apart(pairs, [pair("a", 2), pair("c", 3)])
+    with pytest.raises(DataError) as caught:
+        check_apart(pairs, [pair("c", 3), pair("d", 1)])
+    assert str(caught.value) == (
+        "d: the held-out flight is 'b' of the diagnosis: nothing could be checked on it. Hold "
+        "flights out that are not among those of --real"
+    )
