@@ -255,8 +255,11 @@ def read_effects(file: Path) -> FoundEffects:
 def _found(document: Mapping[str, Any], emulator: GreyBoxEmulator | None) -> FoundEffects:
     values, quality = claimed_in(document), document["quality"]
     signals = signals_from_json(quality["signals"])
-    searched = frozenset((*quality.get("flights", ()), *quality.get("held_out", ())))
-    return FoundEffects(values, signals, emulator, _windows(document), searched)
+    flights, held = (frozenset(quality.get(key, ())) for key in ("flights", "held_out"))
+    # Of two flights of one name nobody can say which one is meant.
+    searched = flights ^ held
+    windows = {name: on for name, on in _windows(document).items() if name in searched}
+    return FoundEffects(values, signals, emulator, windows, searched)
 
 
 def _windows(document: Mapping[str, Any]) -> Windows:

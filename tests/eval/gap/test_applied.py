@@ -10,6 +10,7 @@ import pytest
 
 from eval.gap.applied import EMULATED, INPUTS, OUTPUTS, SHIFTED, FoundEffects, read_effects
 from eval.gap.simulators import open_simulator
+from eval.gap.stored_emulator import signals_to_json
 from narxcal.effects.memory import Delay, Lag, Play
 from narxcal.errors import ConfigError, DataError, ModelError
 
@@ -181,6 +182,32 @@ def test_what_diagnose_stored_comes_back(tmp_path, signals):
     np.testing.assert_array_equal(found.signals.high, signals.high)
     assert found.emulator is None
     assert read_effects(tmp_path).values == found.values
+
+
+def test_of_two_flights_of_one_name_no_window_is_known(tmp_path, signals):
+    """One was diagnosed, the other held out: nobody can say which of them is meant."""
+
+    def window(log, start_s, *, held_out):
+        times = {"log_start_s": 10.0, "start_s": start_s, "end_s": start_s + 5.0}
+        return {"log": log, **times, "held_out": held_out}
+
+    spells = [window("f1", 20.0, held_out=False), window("f1", 70.0, held_out=True)]
+    spells.append(window("f2", 30.0, held_out=True))
+    load = {"id": "unlogged_switch", "parameters": {}, "windows": spells}
+    stored = {
+        "schema": "narxcal.gap/1",
+        "verdict": {"effects": ["unlogged_switch"]},
+        "effects": [load],
+        "quality": {
+            "signals": signals_to_json(signals),
+            "flights": ["f0", "f1"],
+            "held_out": ["f1", "f2"],
+        },
+    }
+    (tmp_path / "gap.json").write_text(json.dumps(stored), "utf-8")
+    found = read_effects(tmp_path)
+    assert found.windows == {"f2": ((20.0, 25.0),)}
+    assert [found.knows(name) for name in ("f0", "f1", "f2", "f3")] == [True, False, True, False]
 
 
 def simulate(log):
