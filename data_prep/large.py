@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
-    from data_prep.log import Audit, FloatArray, Source
+    from data_prep.log import Audit, BoolArray, FloatArray, Source
     from data_prep.logs_config import ColumnSource, LogsConfig
     from data_prep.mapping import Table
     from data_prep.raster_stream import Piece
@@ -123,6 +123,7 @@ class _Engine:
     file: str
     logs: list[Log] = field(default_factory=list)
     columns: dict[str, _Grown] = field(default_factory=dict)
+    drawn: dict[str, list[BoolArray]] = field(default_factory=dict)
 
     def take(self, pieces: Iterable[Piece]) -> None:
         """Add samples; one that begins a recording ends the one before."""
@@ -131,6 +132,8 @@ class _Engine:
                 self._finish(self.stream.ended)
             for name, block in {"time_s": piece.time_s, **piece.channels}.items():
                 self.columns.setdefault(name, _Grown()).add(block)
+            for name, flags in piece.drawn.items():
+                self.drawn.setdefault(name, []).append(flags)
 
     def finished(self) -> Iterator[Log]:
         """All logs, after the last row."""
@@ -142,10 +145,14 @@ class _Engine:
 
     def _finish(self, audit: Audit) -> None:
         columns, self.columns = self.columns, {}
+        drawn, self.drawn = self.drawn, {}
         if not columns:
             return
         number = f"#{len(self.logs) + 1}" if self.logs else ""
         engine = f":{self.source.engine}" if self.source.engine else ""
         channels = {name: column.taken() for name, column in columns.items()}
         time_s = channels.pop("time_s")
-        self.logs.append(Log(f"{self.file}{engine}{number}", time_s, channels, audit, self.source))
+        joined = {name: np.concatenate(parts) for name, parts in drawn.items()}
+        between = {name: flags for name, flags in joined.items() if flags.any()}
+        name = f"{self.file}{engine}{number}"
+        self.logs.append(Log(name, time_s, channels, audit, self.source, drawn=between))

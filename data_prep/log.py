@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from narxcal.errors import DataError
 
 FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 Action = Literal["masked", "repaired", "filled", "dropped"]
 
 
@@ -65,6 +66,8 @@ class Log:
 
     `name` is `FILE:engine` (`FILE:engine#2` for the second part of a log split at a gap).
     `noise` is the variance of the white noise that was on each channel before it was smoothed.
+    `drawn` (channel -> `(time,)`) is true where a channel slower than the raster is on the line
+    between two of its samples; channels that keep up are not in it.
     """
 
     name: str
@@ -73,6 +76,7 @@ class Log:
     audit: Audit = field(default_factory=Audit)
     source: Source = field(default_factory=Source)
     noise: Mapping[str, float] = field(default_factory=dict)
+    drawn: Mapping[str, BoolArray] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -111,4 +115,11 @@ class Log:
             self,
             time_s=self.time_s[rows],
             channels={name: values[rows] for name, values in self.channels.items()},
+            drawn={name: flags[rows] for name, flags in self.drawn.items()},
         )
+
+    def measured(self, names: Sequence[str]) -> FloatArray:
+        """As `matrix`, NaN where a channel is `drawn`: a line between measurements is none."""
+        never = np.zeros(len(self), dtype=np.bool_)
+        between = np.column_stack([self.drawn.get(name, never) for name in names])
+        return np.where(between, np.nan, self.matrix(names))

@@ -82,6 +82,20 @@ def resample(
     return result, (*entries, *_account(name, result, steps, raster))
 
 
+def drawn(time: FloatArray, values: FloatArray, raster: Raster) -> NDArray[np.bool_]:
+    """Samples `(samples,)` of a channel slower than the raster that are nearest to none of its own.
+
+    What `resample` gives there is on the line between two measurements and is none itself.
+    """
+    steps = np.unique(raster.steps(time[np.abs(values) < LARGEST]))
+    if not _slow(steps):
+        return np.zeros(raster.samples, dtype=np.bool_)
+    flags = np.ones(raster.samples, dtype=np.bool_)
+    own = np.floor(steps + 0.5).astype(np.intp)
+    flags[own[(own >= 0) & (own < raster.samples)]] = False
+    return flags
+
+
 def _last_of_equal(steps: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, int]:
     last = np.append(np.diff(steps) > 0.0, True)[: len(steps)]
     if last.all():
@@ -113,6 +127,11 @@ def _fast(steps: FloatArray) -> bool:
     return len(steps) > 1 and float(np.median(np.diff(steps))) * 1.5 < 1.0
 
 
+def _slow(steps: FloatArray) -> bool:
+    """Whether samples at `steps` come so seldom that the raster lies between them."""
+    return len(steps) > 1 and float(np.median(np.diff(steps))) > 1.5
+
+
 def _averaged(grid: FloatArray, steps: FloatArray, values: FloatArray) -> FloatArray:
     """Mean over `[k - 1/2, k + 1/2]` of the straight lines between samples."""
     area = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(steps))])
@@ -140,8 +159,7 @@ def _account(
         index = side.astype(np.intp)
         touched[index[(index >= 0) & (index < raster.samples)]] = True
     filled = ~missing & ~touched
-    slow = len(steps) > 1 and float(np.median(np.diff(steps))) > 1.5
-    reason = SLOW if slow else "blank"
+    reason = SLOW if _slow(steps) else "blank"
     return (
         AuditEntry(name, "filled", reason, int(filled.sum()), _spans(filled, raster)),
         AuditEntry(name, "masked", "missing", int(missing.sum()), _spans(missing, raster)),

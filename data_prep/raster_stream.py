@@ -9,7 +9,7 @@ import numpy as np
 
 from data_prep.derive import derive
 from data_prep.log import Audit
-from data_prep.raster import ON_RASTER, Raster, resample
+from data_prep.raster import ON_RASTER, Raster, drawn, resample
 from data_prep.shared_stamps import row_interval
 from data_prep.stamps import (
     MIDNIGHT,
@@ -41,12 +41,15 @@ _BASELINE_ROWS = 300
 class Piece:
     """Consecutive raster samples: `time_s` `(time,)`, canonical `channels` `(time,)`.
 
+    `drawn` says of each recorded channel where a sample lies between two measurements
+    (`data_prep.raster.drawn`).
     `starts`: the first sample begins a recording, at the start of the file or after a gap.
     """
 
     time_s: FloatArray
     channels: dict[str, FloatArray]
     starts: bool
+    drawn: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
 
 
 @dataclass
@@ -200,18 +203,22 @@ class RasterStream:
         start = self._origin + self._next * self.dt_s
         raster = Raster(start, self.dt_s, samples, self.config.bridge_s)
         channels: dict[str, FloatArray] = {}
+        between: dict[str, NDArray[np.bool_]] = {}
         for name, values in rows.items():
             if name != "time_s":
                 hold = CHANNELS[name].role == "switch"
                 channels[name], entries = resample(name, time, values, raster, hold=hold)
                 self.audit.add(entries, self.dt_s)
+                if not hold:
+                    between[name] = drawn(time, values, raster)
         for name, value in self.constants.items():
             channels[name] = np.full(samples, value)
             self.audit.count(name, "filled", "constant of the config", samples)
         channels |= self._derived(channels)
         self._before = {name: float(values[-1]) for name, values in channels.items()}
         grid = self._origin + np.arange(self._next, self._next + samples) * self.dt_s
-        piece = Piece(np.asarray(grid, dtype=np.float64), channels, starts=self._next == 0)
+        grid_s = np.asarray(grid, dtype=np.float64)
+        piece = Piece(grid_s, channels, starts=self._next == 0, drawn=between)
         self._next += samples
         self.samples += samples
         return piece

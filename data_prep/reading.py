@@ -17,7 +17,7 @@ from data_prep.log import Audit, AuditEntry, Log, Source
 from data_prep.logs_config import LogsConfig
 from data_prep.mapping import Table, constants, map_columns, read_columns, to_channel
 from data_prep.parquet_source import MAGIC, ParquetSource
-from data_prep.raster import Raster, lay, resample
+from data_prep.raster import Raster, drawn, lay, resample
 from data_prep.shared_stamps import usual_interval
 from data_prep.stamps import (
     MIDNIGHT,
@@ -34,7 +34,7 @@ from narxcal.errors import DataError
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from data_prep.log import FloatArray
+    from data_prep.log import BoolArray, FloatArray
 
 __all__ = ["LogsConfig", "open_table", "read_logs"]
 
@@ -179,6 +179,7 @@ def _refuse_endless(raster: Raster, rows: int, file: str) -> None:
 
 def _part(recording: _Recording, name: str, rows: Rows, raster: Raster) -> Log:
     channels: dict[str, FloatArray] = {}
+    between: dict[str, BoolArray] = {}
     steps = raster.steps(rows.time_s)
     uneven = int((steps != np.round(steps)).sum())
     audit = Audit().add(
@@ -190,7 +191,10 @@ def _part(recording: _Recording, name: str, rows: Rows, raster: Raster) -> Log:
             picked = values[rows.order]
             channels[channel], entries = resample(channel, rows.time_s, picked, raster, hold=hold)
             audit = audit.add(*entries)
+            flags = drawn(rows.time_s, picked, raster)
+            if not hold and flags.any():
+                between[channel] = flags
     for channel, value in recording.constants.items():
         channels[channel] = np.full(raster.samples, value)
         audit = audit.add(AuditEntry(channel, "filled", "constant of the config", raster.samples))
-    return Log(name, raster.time_s, channels, audit, recording.source)
+    return Log(name, raster.time_s, channels, audit, recording.source, drawn=between)

@@ -16,6 +16,7 @@ from eval.replay_engine import EngineReplay, Rows
 from eval.replay_setup import ReplayModel, ReplayOptions
 from eval.stream import CsvStream, Pace
 from narxcal.atomic import atomic_stream
+from narxcal.channels import CHANNELS
 from narxcal.errors import ConfigError, DataError
 from narxcal.interrupt import held_interrupt
 
@@ -37,7 +38,9 @@ class ReplaySummary:
     `held` counts, per engine and input, samples at which its last value stood in; `restarts`
     the gaps after which the model began anew; `outside` samples outside the envelope; `gated`,
     per engine and output, measurements that the fuser refused; `unfused` outputs that were never
-    measured well enough to fuse. `dropped` rows had no usable stamp; `truncated` says that
+    measured well enough to fuse. `slow` is, per engine and channel, the time in s between
+    two measurements of a channel slower than the raster: an input is on the straight line there,
+    an output is not fused. `dropped` rows had no usable stamp; `truncated` says that
     the file broke off in mid-line, which was left out.
     """
 
@@ -50,6 +53,7 @@ class ReplaySummary:
     outside: dict[str, int]
     gated: dict[str, dict[str, int]]
     unfused: dict[str, tuple[str, ...]]
+    slow: dict[str, dict[str, float]]
     dropped: int
     truncated: bool
 
@@ -58,9 +62,32 @@ class ReplaySummary:
         """Seconds of log per second of replay, all engines together."""
         return self.log_s / self.wall_s if self.wall_s > 0.0 else float("inf")
 
+    @property
+    def cautions(self) -> list[str]:
+        """Sentences without a full stop on what the model was not told."""
+        said = [_too_slow(name, slow) for name, slow in self.slow.items()]
+        return [text for text in said if text]
+
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {**asdict(self), "times_real_time": self.times_real_time}
+        own = asdict(self)
+        return {**own, "times_real_time": self.times_real_time, "cautions": self.cautions}
+
+
+def _too_slow(engine: str, slow: dict[str, float]) -> str:
+    """What to say of slow channels; the air changes slowly, and nothing is lost there."""
+    told = [
+        f"{name} about every {every_s:.2g} s"
+        for name, every_s in slow.items()
+        if CHANNELS[name].role != "ambient"
+    ]
+    if not told:
+        return ""
+    whose = f"{engine}: " if engine else ""
+    return (
+        f"{whose}slower than the model's raster are recorded {', '.join(told)}: outputs are fused "
+        "only where they were measured, inputs are on straight lines between"
+    )
 
 
 @dataclass(frozen=True)
@@ -82,9 +109,10 @@ def replay(
 
     Columns: `time_s`; `engine`, where several are replayed; per output channel
     `X_prediction` (free run), `X_fused` and `X_innovation` (measured minus expected, blank where
-    not measured); `inside_envelope` (1 inside that of the steady-state model); `held` (1 where a
-    missing input's last value stood in); `gap` (1 where the model started anew, or, with blank
-    predictions, where it could not run). Samples are those of `data_prep.read_logs` on the
+    not measured, as between two measurements of a channel slower than the raster);
+    `inside_envelope` (1 inside that of the steady-state model); `held` (1 where a missing input's
+    last value stood in); `gap` (1 where the model started anew, or, with blank predictions, where
+    it could not run). Samples are those of `data_prep.read_logs` on the
     model's raster; the prediction at a sample uses the inputs up to and including it.
 
     `OUT` appears when all rows are there; live, they can be read in `OUT.part` as they come. Ctrl-C
@@ -213,6 +241,7 @@ class _Replay:
             outside={name: engine.outside for name, engine in engines.items()},
             gated={name: engine.gated for name, engine in engines.items()},
             unfused={name: engine.unfused for name, engine in engines.items()},
+            slow={name: engine.slow for name, engine in engines.items()},
             dropped=sum(raster.dropped for raster in self.rasters.values()),
             truncated=self.stream.truncated,
         )

@@ -76,12 +76,23 @@ class EngineReplay:
         self.fuser = None if stored is None else FastFuser(stored, model.fuser)
         self._fusable = np.ones(len(self.outputs), dtype=np.bool_)
         self._held = np.zeros(len(self._inputs), dtype=np.int64)
+        self._drawn: dict[str, int] = {}
+        self._samples = 0
         self.restarts = self.outside = 0
 
     @property
     def held(self) -> dict[str, int]:
         """Samples at which an input's last value stood in."""
         return {name: int(n) for name, n in zip(self._inputs, self._held, strict=True) if n}
+
+    @property
+    def slow(self) -> dict[str, float]:
+        """Mean time in s between two measurements of a channel slower than the model's raster."""
+        return {
+            name: self._calibration.dt_s * self._samples / (self._samples - drawn)
+            for name, drawn in self._drawn.items()
+            if drawn
+        }
 
     @property
     def gated(self) -> dict[str, int]:
@@ -110,6 +121,15 @@ class EngineReplay:
         missing = np.full(len(piece.time_s), np.nan)
         return np.column_stack([piece.channels.get(name, missing) for name in names])
 
+    def _measured(self, piece: Piece) -> FloatArray:
+        """Outputs (time, n_out), NaN where nothing was measured: a straight line tells no news."""
+        never = np.zeros(len(piece.time_s), dtype=np.bool_)
+        self._samples += len(never)
+        for name in (*self._inputs, *self.outputs):
+            self._drawn[name] = self._drawn.get(name, 0) + int(piece.drawn.get(name, never).sum())
+        between = np.column_stack([piece.drawn.get(name, never) for name in self.outputs])
+        return np.where(between, np.nan, self._matrix(piece, self.outputs))
+
     def _predict(self, piece: Piece) -> _Predicted:
         for name in self._inputs:
             if name not in piece.channels:
@@ -122,7 +142,7 @@ class EngineReplay:
         if piece.starts:
             self._carried[:], self._running = np.nan, False
         inputs, held, alive = self._hold(self._matrix(piece, self._inputs))
-        measured = self._matrix(piece, self.outputs)
+        measured = self._measured(piece)
         prediction = np.full(measured.shape, np.nan)
         gap = ~alive
         runs = list(self._runs(alive))
@@ -187,7 +207,21 @@ class EngineReplay:
             getattr(found, name)[fit] = getattr(part, name)
         if self._model.noise is None:
             return found
-        return replace(self._model.noise, measurement=found.measurement)
+        return self._with_stored(self._model.noise, found)
+
+    def _with_stored(self, stored: NoiseModel, found: NoiseModel) -> NoiseModel:
+        """The log's own sensors beside the model's errors as the bundle knows them.
+
+        Those are of steps of the raster. Errors of a model go on in one direction for a while, so
+        that over the longer way to the next measurement of a slow channel they grow by more than
+        such steps add up to: what its own measurements say holds there.
+        """
+        slow = np.array([name in self.slow for name in self.outputs])
+        parts = {
+            name: np.where(slow, getattr(found, name), getattr(stored, name))
+            for name in ("retention", "process", "motion", "linger", "spread")
+        }
+        return replace(stored, measurement=found.measurement, **parts)
 
     def _fuse(self, each: _Predicted, fuser: FastFuser) -> Rows:
         measured = np.where(self._fusable, each.measured, np.nan)

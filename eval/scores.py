@@ -49,6 +49,8 @@ class ChannelScores:
 def score(runs: Sequence[Runs]) -> dict[str, ChannelScores]:
     """Score one log, or several as if they were one long recording.
 
+    Of a channel slower than the raster the samples that were measured count, not those between.
+
     Raises `DataError` without runs, or where they are of different channels.
     """
     if not runs:
@@ -69,7 +71,7 @@ def score(runs: Sequence[Runs]) -> dict[str, ChannelScores]:
 
 def _columns(runs: Sequence[Runs]) -> Mapping[str, FloatArray]:
     """Every figure as (channel,)."""
-    measured = np.concatenate([one.measured for one in runs])
+    measured = np.concatenate([one.log.measured(one.channels) for one in runs])
     scored = np.concatenate([one.scored for one in runs])
     still = np.concatenate([one.still for one in runs]) & scored
     model = _joined(runs, MODEL)

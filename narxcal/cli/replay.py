@@ -43,6 +43,8 @@ def _show(console: Console, summary: ReplaySummary) -> None:
     console.say(
         f"{summary.rows} rows, {summary.log_s:.0f} s of log in {summary.wall_s:.1f} s: {pace}"
     )
+    for caution in summary.cautions:
+        console.warn(caution)
     if summary.dropped:
         console.warn(f"{summary.dropped} rows had no usable stamp and were dropped")
     if summary.truncated:

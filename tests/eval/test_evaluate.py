@@ -291,3 +291,17 @@ def test_a_bound_on_an_output_that_nobody_recorded_is_not_met(make_bundle, make_
     evaluation = evaluate(bundle, [without(make_log(), "N1_pct")])
     assert evaluation.missed() == ["N1_pct: no sample to judge by, at most RMSE 1 allowed"]
     assert evaluate(bundle, [make_log(), without(make_log(), "N1_pct")]).missed() == []
+
+
+def test_what_lies_between_two_measurements_is_not_scored(make_bundle, make_log):
+    whole = make_log()
+    seldom = np.arange(len(whole)) % 10 > 0
+    line = np.interp(whole.time_s, whole.time_s[~seldom], whole["N1_pct"][~seldom])
+    slow = replace(whole.with_channels({"N1_pct": line}), drawn={"N1_pct": seldom})
+    (found,) = evaluate(make_bundle(), [slow]).document()["logs"]
+    assert found["channels"]["N1_pct"]["samples"] == 240
+    assert found["channels"]["N1_pct"]["rmse"] < 1e-9
+    assert found["channels"]["N2_pct"]["samples"] == 2400
+    assert slow.part(5, 25).measured(["N1_pct"])[:, 0] == pytest.approx(
+        np.where(seldom[5:25], np.nan, line[5:25]), nan_ok=True
+    )

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from data_prep.logs_config import LogsConfig
+from data_prep.raster_stream import RasterStream
 from data_prep.reading import read_logs
 from eval.replay import Clock, ReplayModel, ReplayOptions, replay
 from narxcal.errors import ConfigError, DataError, ModelError
@@ -486,3 +487,68 @@ def test_times_real_time_are_the_log_s_seconds_over_those_of_the_clock(tmp_path)
     log = write(tmp_path / "log.csv", flight(samples=600))
     summary = replay(MODEL, log, tmp_path / "out.csv", STORED)
     assert summary.times_real_time == pytest.approx(summary.rows * DT / summary.wall_s)
+
+
+def thinned(columns, every, names=None):
+    """A log in which `names`, or all channels, are recorded at each `every`-th sample only."""
+    if names is None:
+        return {name: values[::every] for name, values in columns.items()}
+    seldom = np.arange(len(columns["time_s"])) % every > 0
+    return {
+        name: np.where(seldom & (name in names), np.nan, values) for name, values in columns.items()
+    }
+
+
+def test_a_channel_slower_than_the_raster_is_fused_where_it_was_measured(tmp_path):
+    log = write(tmp_path / "log.csv", thinned(flight(), 10, {"N2_pct"}))
+    summary = replay(MODEL, log, tmp_path / "out.csv", STORED)
+    found, _ = read(tmp_path / "out.csv")
+    [batch] = read_logs(log)
+    predicted = FirstOrder().simulate(batch.matrix(FirstOrder.input_names))
+    measured = batch.matrix(FirstOrder.output_names)
+    assert np.isfinite(measured[:-9]).all()  # a log holds the line between measurements, too
+    measured[np.arange(len(measured)) % 10 > 0, 1] = np.nan
+    np.testing.assert_array_equal(batch.measured(FirstOrder.output_names), measured)
+    fused = KalmanFuser(noise_model()).run(predicted, measured)
+    np.testing.assert_allclose(found["N2_pct_fused"], fused.values[:, 1], rtol=1e-9)
+    assert np.isfinite(found["N2_pct_innovation"]).sum() == 60
+    assert np.isfinite(found["N1_pct_innovation"]).sum() == 600
+    assert summary.slow == {"": {"N2_pct": pytest.approx(1.0)}}
+    (said,) = summary.cautions
+    assert said == (
+        "slower than the model's raster are recorded N2_pct about every 1 s: outputs are fused "
+        "only where they were measured, inputs are on straight lines between"
+    )
+    assert summary.to_dict()["cautions"] == summary.cautions
+
+
+def test_slow_rows_off_the_raster_are_each_fused_once_and_hardly_refused(tmp_path):
+    columns = thinned(flight(samples=3000), 10)
+    columns["time_s"] = columns["time_s"] + np.random.default_rng(1).uniform(-0.04, 0.04, 300)
+    log = write(tmp_path / "log.csv", columns)
+    config = LogsConfig(raster_hz=10.0)
+    # Errors of a real model go on in one direction: steps of the raster say little of a second.
+    timid = replace(noise_model(), process=np.full(2, 1e-6), motion=np.zeros(2))
+    summary = replay(ReplayModel(FirstOrder(), config, noise=timid), log, tmp_path / "out.csv")
+    found, _ = read(tmp_path / "out.csv")
+    assert np.isfinite(found["N1_pct_innovation"]).sum() in {299, 300}
+    assert sum(summary.gated[""].values()) <= 3
+    assert set(summary.slow[""]) == {"TRA_deg", "Mach", "N1_pct", "N2_pct"}
+    (said,) = summary.cautions
+    assert "TRA_deg about every 1 s" in said
+    assert "Mach" not in said  # the air changes slowly
+
+
+def test_in_blocks_slow_channels_are_drawn_where_a_whole_file_says(tmp_path):
+    columns = thinned(flight(samples=900), 7, {"N1_pct"})
+    log = write(tmp_path / "log.csv", columns)
+    [batch] = read_logs(log)
+    stream = RasterStream(LogsConfig(), DT, 5.0)
+    pieces = []
+    for start in range(0, 900, 50):
+        block = {name: values[start : start + 50] for name, values in columns.items()}
+        pieces += stream.push(block)
+    pieces += stream.push({}, last=True)
+    joined = np.concatenate([piece.drawn["N1_pct"] for piece in pieces])
+    np.testing.assert_array_equal(joined, batch.drawn["N1_pct"])
+    assert set(batch.drawn) == {"N1_pct"}
