@@ -12,8 +12,10 @@ from narxcal.effects.base import Signals
 from narxcal.effects.library import effect
 from narxcal.effects.running import Emulator, Flights, Setting, respond
 from narxcal.errors import ConfigError
-from training.gap.finding import Finding
+from training.gap.diagnosis import OFFSETS
+from training.gap.finding import Finding, Tried
 
+_MOST_OF_ALL = 0.9  # of the whole gap
 Values = Mapping[str, Mapping[str, float]]  # effect -> parameter -> value
 
 
@@ -29,6 +31,20 @@ def claimed(finding: Finding) -> Values:
         for name in finding.effects
         for model in [next(one for one in finding.tried if name in one.effects)]
     }
+
+
+def is_offset(model: Tried) -> bool:
+    """Whether a model is of offsets alone."""
+    return all(name.partition(":")[0] in OFFSETS for name in model.effects)
+
+
+def offset_leads(finding: Finding) -> bool:
+    """Whether an offset is most of the gap though nothing is claimed: within scatter, but there.
+
+    It comes before all that moves then.
+    """
+    gains = [one.gain for one in finding.tried if is_offset(one)]
+    return not finding.effects and bool(gains) and gains[0] > _MOST_OF_ALL
 
 
 def claimed_in(document: Mapping[str, Any]) -> Values:

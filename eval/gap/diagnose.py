@@ -12,7 +12,7 @@ import numpy as np
 
 from eval.gap.blocks import batch, block_size
 from eval.gap.cautions import cautions, coarse_emulator
-from eval.gap.claimed import Values, claimed, with_effects
+from eval.gap.claimed import Values, claimed, offset_leads, with_effects
 from eval.gap.data import GapData, Pair
 from eval.gap.document import document
 from eval.gap.evidence import Evidence, HeldOut
@@ -148,7 +148,8 @@ def _asked(data: GapData, simulators: Simulators, watch: Watch) -> Finding:
 
 def _evidence(data: GapData, finding: Finding, values: Values, emulator: Emulator) -> Evidence:
     after = with_effects(values, data.flights, emulator)
-    where = locate(data, after - data.flights.y)
+    # An offset within build scatter that is most of the gap is no claim, but it is the gap.
+    where = locate(data, None if offset_leads(finding) else after - data.flights.y)
     return Evidence(
         data=data,
         finding=finding,

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from eval.gap.claimed import claimed
+from eval.gap.claimed import claimed, is_offset, offset_leads
 from eval.gap.evidence import Evidence, HeldOut
 from eval.gap.rivals import contested
 from eval.gap.side import Sides
@@ -25,9 +25,7 @@ SCHEMA = "narxcal.gap/1"
 # 0 to 1 is a probability from here to there.
 _FIRM, _DOUBTED, _ONE_OF_MANY = (0.80, 0.98), (0.52, 0.96), (0.50, 0.90)
 _LEFT = {"none": 0.02, "unknown": 0.3}  # of the probability, for what was not claimed
-# An offset that explains so much of the whole gap comes before all that moves where nothing is
-# claimed: within build scatter, but there. The leading group has so much of the probability.
-_MOST_OF_ALL, _LEADING = 0.9, 0.9
+_LEADING = 0.9  # of it, for the leading one of offsets and what moves
 _DOMINANT = 0.6  # of a bin's energy in one level: the level that stands for the bin
 
 
@@ -119,7 +117,7 @@ def probabilities(finding: Finding) -> dict[str, float]:
     left = _LEFT.get(finding.kind, 1.0)
     found: dict[str, float] = {}
     for group in (True, False):
-        models = [one for one in finding.tried if _is_offset(one) == group]
+        models = [one for one in finding.tried if is_offset(one) == group]
         size = len([n for n in finding.effects if (n.partition(":")[0] in OFFSETS) == group])
         same = [one for one in models if len(one.effects) == max(size, 1)]
         whole = sum(one.probability for one in same) or 1.0
@@ -147,14 +145,9 @@ def _relied_on(found: dict[str, float], finding: Finding) -> dict[str, float]:
 
 def _part(finding: Finding, *, offsets: bool) -> float:
     """How much of the probability goes to offsets, or to what moves, where neither is claimed."""
-    gains = [one.gain for one in finding.tried if _is_offset(one)]
-    if finding.effects or not gains:
+    if finding.effects or not any(map(is_offset, finding.tried)):
         return 1.0
-    return _LEADING if offsets == (gains[0] > _MOST_OF_ALL) else 1.0 - _LEADING
-
-
-def _is_offset(model: Tried) -> bool:
-    return all(name.partition(":")[0] in OFFSETS for name in model.effects)
+    return _LEADING if offsets == offset_leads(finding) else 1.0 - _LEADING
 
 
 def _effect(name: str, model: Tried, probability: float) -> dict[str, Any]:
@@ -208,6 +201,7 @@ def _bin(row: Row) -> dict[str, Any]:
         **_ends("share", row.share),
         "core": row.core,
         "regime_shares": {name: dict(levels) for name, levels in row.regimes.items()},
+        "explained": row.explained,
     }
 
 

@@ -16,7 +16,11 @@ _TOO_COARSE = 0.5  # of the gap: an emulator with more error than this says litt
 
 
 def bins(document: Mapping[str, Any]) -> Table:
-    """Every bin of the gap's energy, largest first; the core is marked."""
+    """Every bin of the gap's energy, largest first; the core is marked.
+
+    With a claim also how what the effects do divides over the bins.
+    """
+    claims = any(row.get("explained") is not None for row in document["where"])
     rows = tuple(
         (
             Cell(symbol(row["channel"]), "head"),
@@ -24,11 +28,13 @@ def bins(document: Mapping[str, Any]) -> Table:
             Cell(row["phase"]),
             percent(row["share"], "best" if row.get("core") else ""),
             Cell(span(row), number=True),
+            *((percent(row["explained"]),) if claims else ()),
             Cell(_regime(row["regime"])),
         )
         for row in document["where"]
     )
-    head = ("channel", "direction", "phase", "share [%]", "90 % interval [%]", "mostly at")
+    named = ("channel", "direction", "phase", "share [%]", "90 % interval [%]")
+    head = (*named, *(("of what the effects do [%]",) if claims else ()), "mostly at")
     return Table("Marked: the fewest bins that hold 70 % of the energy", head, rows)
 
 

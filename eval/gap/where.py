@@ -27,6 +27,7 @@ CORE = 0.7  # the smallest set of bins that holds this share
 _DRAWS = 300
 _SIGMAS = 3.0  # a bin's energy has to stand out of white noise's by this much
 _PARTS = 6  # of a flight, where there are too few flights to draw from
+_TOLD = 0.005  # of what effects do: a bin that has so much of it is told of without a gap there
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,8 @@ class Row:
     """One bin: its share of all energy above the floor, with a 90 % interval.
 
     `regimes` is how that share divides: altitude, Mach, power, bleed -> level -> part. `core`
-    marks the smallest set of bins that holds 70 %.
+    marks the smallest set of bins that holds 70 %. `explained` is the bin's share of the energy of
+    what the claimed effects do, whatever else the gap holds; None without a claim.
     """
 
     channel: str
@@ -43,6 +45,7 @@ class Row:
     share: Interval
     core: bool
     regimes: Mapping[str, Mapping[str, float]]
+    explained: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +83,7 @@ def locate(data: GapData, explained: FloatArray | None = None, seed: int = 0) ->
     outputs = data.flights.signals.outputs
     totals = shares.sum(axis=2)
     return Where(
-        rows=_rows(energy, shares, outputs),
+        rows=_rows(energy, shares, outputs, _explained(data, bins, explained)),
         channels={name: _interval(totals[:, k]) for k, name in enumerate(outputs)},
         excess=dict(zip(outputs, energy.excess_share().tolist(), strict=True)),
         theil=theil_of(data),
@@ -90,6 +93,17 @@ def locate(data: GapData, explained: FloatArray | None = None, seed: int = 0) ->
         events=events,
         regimes=energy.drawn_regimes(np.random.default_rng(seed)),
     )
+
+
+def _explained(data: GapData, bins: Bins, change: FloatArray | None) -> FloatArray | None:
+    """Share (outputs, moves) of the energy of a `change` of the outputs; None where it is none."""
+    if change is None:
+        return None
+    energy = change**2 / (data.noise**2 + (TOLERANCE * data.span) ** 2)
+    known = np.where(np.isfinite(data.gap), energy, 0.0)
+    parts = np.stack([known[bins.move == k].sum(axis=0) for k in range(len(MOVES))], axis=1)
+    whole = float(parts.sum())
+    return np.asarray(parts / whole) if whole > 0.0 else None
 
 
 def without_nuisances(data: GapData, explained: FloatArray) -> FloatArray:
@@ -187,7 +201,9 @@ def _interval(draws: FloatArray) -> Interval:
     return Interval(value, min(float(low), value), max(float(high), value))
 
 
-def _rows(energy: _Energy, shares: FloatArray, outputs: Sequence[str]) -> tuple[Row, ...]:
+def _rows(
+    energy: _Energy, shares: FloatArray, outputs: Sequence[str], explained: FloatArray | None
+) -> tuple[Row, ...]:
     found = shares[0]
     order = np.argsort(-found, axis=None, kind="stable")
     before = np.cumsum(found.ravel()[order]) - found.ravel()[order]
@@ -195,9 +211,10 @@ def _rows(energy: _Energy, shares: FloatArray, outputs: Sequence[str]) -> tuple[
     for place, held in zip(order.tolist(), before.tolist(), strict=True):
         output, move = divmod(place, found.shape[1])
         share = _interval(shares[:, output, move])
-        if share.high > 0.0:
+        part = None if explained is None else float(explained[output, move])
+        if share.high > 0.0 or (part or 0.0) > _TOLD:
             core = held < CORE and share.value > 0.0
             regimes = energy.regimes(output, move)
             direction, phase = MOVES[move]
-            rows.append(Row(outputs[output], direction, phase, share, core, regimes))
+            rows.append(Row(outputs[output], direction, phase, share, core, regimes, part))
     return tuple(rows)

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from eval.gap.claimed import changes, claimed, claimed_in, settings, with_effects
+from eval.gap.claimed import (
+    changes,
+    claimed,
+    claimed_in,
+    offset_leads,
+    settings,
+    with_effects,
+)
 from narxcal.errors import ConfigError
 from training.gap.finding import Interval
 
@@ -59,3 +66,20 @@ def test_the_planted_lag_closes_the_gap(make_data, probe):
     left = np.sqrt(np.nanmean((data.real - after)[..., 2] ** 2))
     assert left < 0.05 * np.sqrt(np.nanmean(data.gap[..., 2] ** 2))
     np.testing.assert_array_equal(changes({}, data, None), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("said", "gain", "leads"),
+    [
+        (("none",), 0.95, True),
+        (("unknown",), 0.95, True),
+        (("none",), 0.85, False),
+        (("effects", ("sensor_bias:EGT_C",)), 0.95, False),
+    ],
+)
+def test_an_offset_leads_where_nothing_is_claimed_and_it_is_most_of_the_gap(
+    said, gain, leads, make_finding, make_model
+):
+    tried = make_model("sensor_lag:EGT_C", gain=0.99), make_model("sensor_bias:EGT_C", gain=gain)
+    assert offset_leads(make_finding(*said, tried=tried)) is leads
+    assert not offset_leads(make_finding(*said, tried=tried[:1]))

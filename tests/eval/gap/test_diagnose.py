@@ -1,6 +1,7 @@
 """The whole diagnosis on made-up flights, with the search for effects replaced by its answer."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -60,6 +61,22 @@ def test_nothing_claimed_changes_nothing(answer, pair, probe):
     assert found.document["shrink"]["realised"] == 0.0
     assert found.document["where"][0]["channel"] == "EGT_C"
     np.testing.assert_array_equal(found.evidence.after, found.evidence.data.flights.y)
+
+
+def test_an_offset_that_is_the_gap_is_where_the_gap_is(
+    answer, pair, make_finding, make_model, monkeypatch
+):
+    pairs = [pair(seed, lambda sim: {"N1_pct": sim["N1_pct"] + 0.4}) for seed in range(3)]
+    tried = make_model(NAME, gain=0.1), make_model("sensor_bias:N1_pct", gain=0.97)
+    shares = {}
+    for gain in (0.97, 0.5):
+        models = tried[0], replace(tried[1], gain=gain)
+        found = make_finding("none", (), models)
+        monkeypatch.setattr(module, "diagnose", lambda *_args, found=found, **_more: found)
+        rows = diagnose_pairs(pairs).document["where"]
+        shares[gain] = sum(row["share"] for row in rows if row["channel"] == "N1_pct")
+    assert shares[0.97] > 0.95
+    assert shares[0.5] < 0.5
 
 
 def test_one_short_flight_is_no_evidence(answer, pair, probe):

@@ -60,6 +60,8 @@ def test_the_keys_are_those_that_others_rely_on(evidence):
     assert first["gain"] == {"value": 0.9, "low": 0.8, "high": 0.9}
     assert found["where"][0].items() >= {"channel": "EGT_C", "phase": "transit"}.items()
     assert {"share", "low", "high", "regime", "direction"} <= set(found["where"][0])
+    assert found["where"][0]["explained"] > 0.2
+    assert sum(row["explained"] for row in found["where"]) == pytest.approx(1.0, abs=0.01)
     assert set(found["side"]) == {"input", "process", "sensor"}
     assert found["shrink"]["predicted"] == {"value": 0.9, "low": 0.8, "high": 1.0}
     assert found["shrink"]["realised"] > 0.98

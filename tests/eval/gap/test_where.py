@@ -7,6 +7,7 @@ from eval.gap.bins import MOVES, sort_samples
 from eval.gap.excitation import events_of
 from eval.gap.side import side_of
 from eval.gap.where import locate, without_nuisances
+from training.gap.quadratic import TOLERANCE
 
 
 def test_a_lagging_probe_is_on_its_channel_while_things_move(make_data, probe):
@@ -61,6 +62,38 @@ def test_noise_alone_is_nowhere(make_data):
     assert sum(row.share.value for row in where.rows) < 1e-9
     assert where.side == (0.0, 0.0, 0.0)
     assert max(where.excess.values()) < 0.1
+
+
+def test_what_an_effect_does_is_told_apart_from_the_rest_of_the_gap(make_data):
+    data = planted(make_data(), "steady", "steady", 0.05)
+    explained = np.zeros_like(data.flights.y)
+    move = sort_samples(data, events_of(data)).move
+    explained[..., 0] = np.where(move == MOVES.index(("push", "transit")), 1.0, 0.0)
+    explained[..., 2] = np.where(move == MOVES.index(("pull", "transit")), 1.0, 0.0)
+    rows = {(row.channel, row.direction, row.phase): row for row in locate(data, explained).rows}
+    first = rows["N2_pct", "steady", "steady"]
+    assert (first.core, first.explained) == (True, 0.0)
+    fan, hot = rows["N1_pct", "push", "transit"], rows["EGT_C", "pull", "transit"]
+    assert not fan.core
+    assert fan.explained + hot.explained == pytest.approx(1.0)
+    scale = data.noise**2 + (TOLERANCE * data.span) ** 2
+    pushed, pulled = ((explained[..., k] > 0.0).sum() / scale[k] for k in (0, 2))
+    assert fan.explained == pytest.approx(pushed / (pushed + pulled))
+
+
+def test_without_a_claim_nothing_is_told_of_what_effects_do(make_data, probe):
+    data = make_data(probe)
+    for explained in (None, np.zeros_like(data.flights.y)):
+        assert {row.explained for row in locate(data, explained).rows} == {None}
+
+
+def test_what_was_not_recorded_is_not_told_of(make_data, probe):
+    data = make_data(probe)
+    explained = data.gap.copy()
+    data.real[..., 0] = np.nan
+    explained[..., 0] = 100.0
+    rows = locate(data, explained).rows
+    assert sum(row.explained for row in rows if row.channel == "EGT_C") > 0.95
 
 
 def test_offsets_of_flights_are_no_gap_beside_an_effect(make_data, probe):
