@@ -85,16 +85,19 @@ def expected(found: Sums, other: Other | None = None) -> Interval:
     if count < 2:
         return Interval(alike, -1.0, 1.0)
     tried, out = _by_others(found)
-    first, second, true = tried.T
-    part = 0.0 if other is None else _part(first - true, second - true)
-    value = alike if other is None else (1.0 - part) * alike + part * _by_change(found, other)
+    true = _log_left(tried[:, 2])
+    part = 0.0 if other is None else _part(*(tried[:, :2] - tried[:, 2:]).T)
+    ways = np.array([alike, alike if other is None else _by_change(found, other)])
     many = _AT_ONCE if other is None else len(other.change)
-    # Errors vary as the mean of the flights predicted, and as that of those that predict them.
-    scatter = np.sqrt((1.0 / many + 1.0 / count) / (1.0 / out + 1.0 / (count - out)))
-    # The mixture is chosen by these errors, so that its own are too small: its parts' count.
-    squared = [np.mean((_log_left(one) - _log_left(true)) ** 2) for one in (first, second)]
-    spread = np.sqrt((1.0 - part) * squared[0] + part * squared[1])
-    return _within(value, float(t.ppf(_LEVEL, count - 1) * scatter * spread))
+    # Errors vary as the mean of the flights predicted, and as that of those that predict them; and
+    # as the two ways do from their mixture.
+    scatter = (1.0 / many + 1.0 / count) / (1.0 / out + 1.0 / (count - out))
+    squared = [np.mean((_log_left(tried[:, way]) - true) ** 2) for way in (0, 1)]
+    apart = float(np.ptp(_log_left(ways)))
+    spread = scatter * ((1.0 - part) * squared[0] + part * squared[1])
+    spread += part * (1.0 - part) * apart**2
+    value = float((1.0 - part) * ways[0] + part * ways[1])
+    return _within(value, float(t.ppf(_LEVEL, count - 1) * np.sqrt(spread)))
 
 
 def _by_others(found: Sums) -> tuple[FloatArray, int]:
