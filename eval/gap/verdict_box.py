@@ -65,6 +65,7 @@ def _measured(document: Mapping[str, Any]) -> list[str]:
         text += ", the rest is noise" if share < 0.995 else ""
         if document["verdict"]["effects"] and left is not None:
             text += f"; {_percent(max(left, 0.0))} of the gap stays unexplained"
+            text += ", each flight's own small offsets taken out"
         lines.append(f"{text}.")
     threshold = _number(quality.get("threshold"))
     if tried and threshold is not None:
