@@ -40,6 +40,7 @@ OFFSETS = ("deterioration", "sensor_bias", "throttle_bias", "temperature_effect"
 _OFFSET = 0.25  # least share of the whole gap of an offset
 _OF_WHOLE, _IF_TELLING = 0.015, 0.005  # that of anything, and of what explains all that it touches
 _SECOND = 0.25  # of what one effect leaves: less is no reason to name another
+_THIRD = 0.2  # of the gap: an effect beside another and an offset
 _HALF = 0.5  # of it, where that is less than a further effect's share of the whole
 _BESIDE = 0.15  # of what one effect and small misfit leave
 _CLOSER, _LEAST = 0.03, 0.01  # or so much more explained where both act, and of the gap
@@ -102,7 +103,11 @@ def _first(work: Work, moving: Sequence[Effect], watch: Watch | None) -> Fit | N
 
 
 def _further(work: Work, best: Fit, offset: Offset | None, watch: Watch | None) -> Fit | None:
-    """A model of one effect more that earns its place, and takes more than an offset would."""
+    """A model of one effect more that earns its place.
+
+    Beside an offset it would be a third: then it has to take more than that, or a clear part of
+    the gap that moves, in which offsets are nuisances already.
+    """
     if len(best.effects) >= work.options.most or work.left(best) <= _ENOUGH:
         return None
     unexplained = work.unexplained(best)
@@ -113,7 +118,8 @@ def _further(work: Work, best: Fit, offset: Offset | None, watch: Watch | None) 
     if more is None:
         return None
     gained = float((best.held_out - more.held_out).sum())
-    return more if offset is None or gained > _gained(offset) else None
+    beside = offset is not None and gained <= _gained(offset)
+    return None if beside and gained < _THIRD * work.audible else more
 
 
 def _tried(work: Work, effects: Sequence[Effect], place: tuple[int, int, Watch | None]) -> Fit:

@@ -168,6 +168,14 @@ def test_an_offset_comes_before_a_second_effect_that_takes_less(flights, engine,
     assert set(found.effects) == {"sensor_lag:EGT_C", "sensor_bias:N2_pct"}, found.reason
 
 
+def test_two_effects_that_each_take_much_are_named_beside_an_offset(flights, engine, recorded):
+    real = recorded({"sensor_lag:EGT_C": [2.5, 0.5], "throttle_delay": [0.5]})
+    real[..., 1] += 6.0
+    found = answer(flights, engine, real)
+    assert found.effects[0] == "sensor_bias:N2_pct"
+    assert set(found.effects[1:]) == {"sensor_lag:EGT_C", "throttle_delay"}, found.reason
+
+
 @pytest.mark.parametrize(
     ("shift", "first"), [(1.2, "sensor_lag:EGT_C"), (6.0, "sensor_bias:N2_pct")]
 )
