@@ -126,7 +126,7 @@ def test_the_verdict_leads_and_says_why(evidence, kind, state, word):
     said = " ".join(box.lines)
     assert "50 % of the squared difference of recorded and simulated is gap" in said
     assert "takes away 5.0 % by chance: a claim has to exceed that" in said
-    sure = 93 if kind == "effects" else 82  # where rivals are named none is nearly certain
+    sure = 96 if kind == "effects" else 90  # where rivals are named none is nearly certain
     assert (f"probability {sure} %; tau_s 1.00 s (0.90 to 1.10)." in said) == (state == "found")
     left = "10 % of the gap stays unexplained, each flight's own small offsets taken out."
     assert (left in said) == (state == "found")
@@ -260,7 +260,7 @@ def test_charts_without_anything_to_show_are_left_out(evidence):
 
 def test_ranking_and_models_name_what_leads(evidence):
     found = document(evidence)
-    assert f"{NAME} 93 %" in charts.effect_ranking(found).alt
+    assert f"{NAME} 96 %" in charts.effect_ranking(found).alt
     assert charts.model_chart(found).alt.endswith(f"best: {NAME} + spool_lag 91 %")
     assert "5.0 %" in charts.model_chart(found).caption
 
