@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 
 from training.gap.levels import (
@@ -11,7 +14,9 @@ from training.gap.levels import (
     Levels,
     climb,
     inverse_of,
+    of_paths,
     paths,
+    search_levels,
     share_there,
     without_nuisances,
 )
@@ -32,6 +37,47 @@ def search_known(levels: Levels, shift: FloatArray) -> Found | None:
     if plain is None or plain.explained < max(_PLAIN, 0.0 if found is None else found.explained):
         return found
     return plain
+
+
+def search_any_size(
+    levels: Levels,
+    shift: FloatArray,
+    found: Found | None,
+    taken: Callable[[BoolArray], FloatArray],
+) -> Found | None:
+    """Add windows of flights in which none is of the known size, but levels come and go.
+
+    At idle a load shifts an engine otherwise than at power, and no path is that of the known
+    `shift`. Windows of any size count if this shift explains `_PLAIN` of all there is in these
+    flights: `taken` says for paths (flights, blocks) what share it takes off each (flights,).
+    """
+    on = np.zeros_like(levels.known) if found is None else found.on.copy()
+    for group in levels.groups:
+        rows = list(group)
+        if on[rows].any() or not levels.known[rows].any():
+            continue
+        there = search_levels(_of_group(levels, rows))
+        if there is None:
+            continue
+        tried = np.zeros_like(on)
+        tried[rows] = there.on
+        if float(taken(tried)[rows].min()) >= _PLAIN:
+            on |= tried
+    before = None if found is None else found.on
+    if not on.any() or (before is not None and np.array_equal(on, before)):
+        return found
+    return of_paths(on, levels, shift)
+
+
+def _of_group(levels: Levels, rows: list[int]) -> Levels:
+    """The levels of the flights of one group alone."""
+    return replace(
+        levels,
+        residual=levels.residual[rows],
+        known=levels.known[rows],
+        nuisances=levels.nuisances[rows],
+        groups=(tuple(range(len(rows))),),
+    )
 
 
 def _as_they_are(levels: Levels, shift: FloatArray) -> BoolArray:

@@ -76,13 +76,16 @@ def without_nuisances(levels: Levels) -> FloatArray:
     return levels.residual - _own(levels, levels.residual, _trust(levels, levels.residual))
 
 
-def of_paths(on: BoolArray, levels: Levels) -> Found:
-    """Shift and nuisances for given paths (flights, blocks)."""
+def of_paths(on: BoolArray, levels: Levels, known: FloatArray | None = None) -> Found:
+    """Shift, unless it is `known` (channels,), and nuisances for given paths (flights, blocks)."""
     left = without_nuisances(levels)
-    rest, shift = left, np.zeros(left.shape[2])
+    rest, shift = left, np.zeros(left.shape[2]) if known is None else known
     for _ in range(_ROUNDS):
-        shift, own = _fitted(levels, on, _trust(levels, rest))
-        rest = levels.residual - own - on[..., None] * shift
+        trust = _trust(levels, rest)
+        if known is None:
+            shift = _fitted(levels, on, trust)[0]
+        unshifted = levels.residual - on[..., None] * shift
+        rest = unshifted - _own(levels, unshifted, trust)
     return _found(levels, (shift, on, rest), left)
 
 

@@ -21,7 +21,7 @@ from narxcal.effects.running import Flights
 from narxcal.effects.steady import FOLLOW_S, UNLOGGED, UnloggedSwitch
 from training.gap.blocks import drawn_anew
 from training.gap.fitting import Fit
-from training.gap.known_load import search_known
+from training.gap.known_load import search_any_size, search_known
 from training.gap.levels import BoolArray, Found, Levels, of_paths, search_levels
 from training.gap.load_checks import against, as_the_lever
 from training.gap.load_windows import told
@@ -90,7 +90,9 @@ def find_known_load(
     """Windows of other flights, in which a load of known `shift` (outputs,) was on."""
     asked = Asked(flights, measure, _all_groups(groups, len(flights.u)))
     levels = levels_of(asked, _BEFORE_S)
-    found = search_known(levels, shift)
+    found = search_any_size(
+        levels, shift, search_known(levels, shift), lambda on: _taken(on, shift, asked)
+    )
     none = Load(np.zeros(flights.u.shape[:2]), (), np.zeros(len(flights.u)))
     if found is None or found.explained <= 0.0:
         return none
@@ -258,12 +260,8 @@ def _gain(on: BoolArray, gap: FloatArray, asked: Asked, part: float) -> float:
 
     `part` is the share of the gap that is known; what it gains is scaled up to the whole.
     """
-    flights, measure = asked.flights, asked.measure
-    size, steps, channels = _block(flights.signals), flights.u.shape[1], gap.shape[2]
-    rows = np.minimum(np.arange(steps) // size, on.shape[1] - 1)
-    lag = Lag(np.full(len(on), FOLLOW_S), flights.signals.dt_s)
-    shapes = lag(on[:, rows].astype(np.float64))
-    slopes = shapes[None, ..., None] * np.eye(channels)[:, None, None]
+    measure, channels = asked.measure, gap.shape[2]
+    slopes = _followed(on, asked.flights)[None, ..., None] * np.eye(channels)[:, None, None]
     hessian = measure.inner(slopes, slopes)
     toward = measure.inner(slopes, gap[None])[..., 0]
     ridge = 1e-9 * (1.0 + np.trace(hessian.sum(axis=0))) * np.eye(channels)
@@ -273,3 +271,18 @@ def _gain(on: BoolArray, gap: FloatArray, asked: Asked, part: float) -> float:
         step = np.linalg.solve(others, toward.sum(axis=0) - toward[f])
         gain += 2.0 * float(step @ toward[f]) - float(step @ hessian[f] @ step)
     return gain / max(part, 1e-9)
+
+
+def _taken(on: BoolArray, shift: FloatArray, asked: Asked) -> FloatArray:
+    """Share (flights,) of Q that a shift (channels,) in windows (flights, blocks) takes off."""
+    measure = asked.measure
+    left = measure.size(measure.gap - _followed(on, asked.flights)[..., None] * shift)
+    before = measure.size(measure.gap)
+    return np.asarray(1.0 - left / np.maximum(before, measure.floor))
+
+
+def _followed(on: BoolArray, flights: Flights) -> FloatArray:
+    """Windows (flights, blocks) as the engine follows them, (flights, time)."""
+    rows = np.minimum(np.arange(flights.u.shape[1]) // _block(flights.signals), on.shape[1] - 1)
+    lag = Lag(np.full(len(on), FOLLOW_S), flights.signals.dt_s)
+    return np.asarray(lag(on[:, rows].astype(np.float64)))

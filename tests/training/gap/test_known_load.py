@@ -52,6 +52,27 @@ def test_long_windows_are_not_taken_for_wandering(on):
     assert (found.on != on).mean() < 0.05
 
 
+def at_idle(on, share):
+    """A load that leaves N1 as it is and shifts the others by `share` of their known shift."""
+    noise = np.random.default_rng(5).standard_normal(LONG.y.shape) * NOISE
+    form = np.array([0.0, share, share])
+    return misfit(LONG, LONG.y + noise + shifted(on, 5.0 * SHIFT) * form, NOISE)
+
+
+def test_at_idle_a_load_is_found_that_shifts_an_engine_otherwise(on):
+    measure = at_idle(on, 2.5)
+    levels = levels_of(Asked(LONG, measure, tuple((f,) for f in range(4))), 10.0)
+    known = search_known(levels, 5.0 * SHIFT)
+    assert known is None or not known.on.any(axis=1).all()
+    found = find_known_load(LONG, measure, 5.0 * SHIFT)
+    assert (found.on != on).mean() < 0.05
+    assert {window.flight for window in found.windows} == {0, 1, 2, 3}
+
+
+def test_windows_that_the_known_shift_does_not_explain_are_none_of_it(on):
+    assert not find_known_load(LONG, at_idle(on, 0.2), 5.0 * SHIFT).on.any()
+
+
 def test_flights_without_it_hold_none(on):
     noise = np.random.default_rng(4).standard_normal(LONG.y.shape) * NOISE
     slow = np.sin(np.arange(2 * STEPS) * DT_S / 90.0)[:, None] * np.array([0.2, 0.2, 6.0])
