@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from data_prep.moves import bridged
 
@@ -118,6 +118,6 @@ def _grubbs(residual: FloatArray, block: int) -> BoolArray:
 def _critical(count: NDArray[np.intp]) -> FloatArray:
     """Tabulate the critical G per block size; a block below three samples rejects nothing."""
     number = np.maximum(count, 3).astype(np.float64)
-    quantile = student.ppf(1.0 - _ALPHA / (2.0 * number), number - 2.0)
+    quantile = stdtrit(number - 2.0, 1.0 - _ALPHA / (2.0 * number))
     limit = (number - 1) / np.sqrt(number) * np.sqrt(quantile**2 / (number - 2 + quantile**2))
     return np.where(count < 3, np.inf, limit)

@@ -29,7 +29,7 @@ from eval.benchmarks import (
     virtual_engine,
 )
 from eval.benchmarks.row import Row
-from narxcal.bundle import versions
+from narxcal.versions import versions
 
 SCHEMA = "narxcal.bench/1"
 _SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"

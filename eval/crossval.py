@@ -16,8 +16,9 @@ from eval.evaluate import run_config
 from eval.judged import EvaluateConfig, LogEvaluation, Task, judge_log
 from eval.scores import score
 from eval.tally import tally
-from narxcal.bundle import Bundle, versions
+from narxcal.bundle import Bundle
 from narxcal.errors import DataError
+from narxcal.versions import versions
 from training.config import RunConfig
 from training.crossval import (
     LEAVE_ONE_OUT,

@@ -15,8 +15,9 @@ from pydantic import Field
 
 from data_prep.hold import hold_inputs
 from narxcal.errors import DataError
-from narxcal.fuser import FuserConfig, estimate_noise
+from narxcal.fuser_config import FuserConfig
 from narxcal.fuser_fast import FastFuser
+from narxcal.fuser_noise import estimate_noise
 from narxcal.settings import Section
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Literal, Self
 from pydantic import Field
 
 from data_prep.logs_config import LogsConfig
-from narxcal.fuser import FuserConfig, NoiseModel
+from narxcal.fuser_config import FuserConfig
+from narxcal.fuser_noise import NoiseModel
 from narxcal.settings import Section
 
 if TYPE_CHECKING:

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate
-from scipy.stats import norm
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.special import ndtri
 
 from narxcal.errors import DataError
 
@@ -119,7 +119,7 @@ def _judge(correlation: Correlation, chosen: NDArray[np.bool_]) -> Dependence:
     size = np.abs(correlation.values[known])
     score = size / correlation.deviation[known]
     worst = int(np.argmax(score))
-    bound = float(norm.isf(FALSE_ALARM / (2 * len(score))))
+    bound = -float(ndtri(FALSE_ALARM / (2 * len(score))))
     return Dependence(
         ok=bool(score[worst] <= bound),
         outside_95=float(np.mean(size > correlation.band_95[known])),
@@ -168,7 +168,10 @@ def _lagged_sums(first: FloatArray, second: FloatArray, lags: int) -> FloatArray
         return np.zeros(2 * lags + 1)
     margin = np.zeros(lags)
     first, second = (np.concatenate((margin, values, margin)) for values in (first, second))
-    full = correlate(second, first, mode="full", method="fft")
+    # scipy.signal.correlate would do it, at a second of importing it.
+    whole = len(first) + len(second) - 1
+    size = next_fast_len(whole, real=True)
+    full = irfft(rfft(second, size) * rfft(first[::-1], size), size)[:whole]
     middle = len(first) - 1
     return np.asarray(full[middle - lags : middle + lags + 1])
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from narxcal.errors import ConfigError, DataError, ModelError, NarxcalError
     from narxcal.fuser import KalmanFuser
     from narxcal.fuser_noise import NoiseModel
-    from narxcal.narx import NarxConfig
+    from narxcal.narx_config import NarxConfig
     from narxcal.records import Record
     from training.estimator import Narx
 
@@ -43,7 +43,7 @@ _MODULE_OF = {
     "KalmanFuser": "narxcal.fuser",
     "ModelError": "narxcal.errors",
     "Narx": "training.estimator",
-    "NarxConfig": "narxcal.narx",
+    "NarxConfig": "narxcal.narx_config",
     "NarxcalError": "narxcal.errors",
     "NoiseModel": "narxcal.fuser_noise",
     "Record": "narxcal.records",

@@ -21,11 +21,9 @@ from __future__ import annotations
 
 import json
 import math
-import platform
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,6 +35,7 @@ from narxcal.channels import CHANNELS
 from narxcal.errors import ModelError
 from narxcal.model_folder import WEIGHTS, ModelFolder, packed, seal
 from narxcal.steady_state import CarriesFiles
+from narxcal.versions import versions
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -45,7 +44,6 @@ SCHEMA = "narxcal.bundle/1"
 DOCUMENT = "bundle.json"
 STEADY_FILES = "steady"
 _OURS = ("schema", "dt_s", "channels", "units", "weights", "calibration", "calibration_sha256")
-_PACKAGES = ("narxcal", "numpy", "scipy", "torch", "safetensors")
 _FORM = ModelFolder(
     what="bundle",
     document=DOCUMENT,
@@ -119,17 +117,6 @@ def load_bundle(folder: str | PathLike[str]) -> Bundle:
 def read_document(folder: str | PathLike[str]) -> dict[str, Any]:
     """Read `bundle.json` alone, without the model; raises `ModelError` as `load_bundle`."""
     return _FORM.read_document(Path(folder))
-
-
-def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that decide what a model computes."""
-    found = {"python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:  # run from a checkout that is not installed
-            found[package] = "unknown"
-    return found
 
 
 def _channels(calibration: DynamicCalibration) -> dict[str, Any]:

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
-from pydantic import Field
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from narxcal.errors import DataError, ModelError
+from narxcal.fuser_config import FuserConfig
 from narxcal.fuser_noise import NoiseModel, estimate_noise
-from narxcal.settings import Section
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,16 +32,9 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 
-class FuserConfig(Section):
-    """Table `[fuser]`.
-
-    A measurement whose innovation a correct filter would show less often than
-    `1 - gate_probability` is left out; innovations that stay outside, on one side, for `relock_s`
-    are a real change and the channel starts again from its measurement.
-    """
-
-    gate_probability: float = Field(default=1.0 - 1e-6, gt=0.5, lt=1.0)
-    relock_s: float = Field(default=0.3, gt=0.0)
+def chi2_quantile(probability: float, dof: float) -> float:
+    """Quantile of the chi-squared distribution with `dof` degrees of freedom."""
+    return 2.0 * float(gammaincinv(0.5 * dof, probability))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +79,7 @@ class FusedRun:
         if dof == 0:
             raise DataError("the consistency of a fuser cannot be checked: nothing was measured")
         tail = 0.5 * (1.0 - probability)
-        low, high = (float(chi2.ppf(part, dof)) / dof for part in (tail, 1.0 - tail))
+        low, high = (chi2_quantile(part, dof) / dof for part in (tail, 1.0 - tail))
         mean = float(np.nansum(self.nis[1:])) / dof
         return Consistency(mean, low, high, dof, int(self.gated.sum()))
 
@@ -152,7 +144,7 @@ class KalmanFuser:
         self.noise = noise
         self.n_out = len(noise.retention)
         self.gated_samples = np.zeros(self.n_out, dtype=np.int64)
-        self._gate = float(chi2.ppf(config.gate_probability, 1))
+        self._gate = chi2_quantile(config.gate_probability, 1)
         self._patience = max(1, round(config.relock_s / noise.dt_s))
         self._eye = np.eye(self.n_out)
         self._R = np.diag(noise.measurement)

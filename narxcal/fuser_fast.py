@@ -8,10 +8,10 @@ from typing import NamedTuple, TypeVar, cast
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from narxcal.errors import ModelError
-from narxcal.fuser import FusedRun, FusedStep, FuserConfig, check_record, check_sample
+from narxcal.fuser import FusedRun, FusedStep, check_record, check_sample, chi2_quantile
+from narxcal.fuser_config import FuserConfig
 from narxcal.fuser_noise import NoiseModel
 
 FloatArray = NDArray[np.float64]
@@ -77,7 +77,7 @@ class FastFuser:
             noise.linger,
             noise.measurement,
             noise.correlation,
-            float(chi2.ppf(config.gate_probability, 1)),
+            chi2_quantile(config.gate_probability, 1),
             float(max(1, round(config.relock_s / noise.dt_s))),
         )
         self._state: _State | None = None

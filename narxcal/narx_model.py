@@ -11,7 +11,8 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from narxcal.errors import DataError, ModelError
-from narxcal.narx import AT_START, NarxConfig, NarxNet, Weights, history_before, tap
+from narxcal.narx import AT_START, NarxNet, Weights, history_before, tap
+from narxcal.narx_config import NarxConfig
 
 FloatArray = NDArray[np.float64]
 

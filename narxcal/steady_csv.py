@@ -11,7 +11,8 @@ import numpy as np
 
 from narxcal.channels import channel
 from narxcal.errors import DataError
-from narxcal.steady_table import Method, SteadyTable
+from narxcal.steady_options import Method
+from narxcal.steady_table import SteadyTable
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

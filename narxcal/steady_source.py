@@ -6,29 +6,14 @@ from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 
-from pydantic import Field
-
 from narxcal.errors import ConfigError
-from narxcal.settings import Section
 from narxcal.steady_callable import SteadyCallable
 from narxcal.steady_csv import read_steady_table
 from narxcal.steady_fmu import FmuOptions, SteadyFmu
+from narxcal.steady_options import SteadySourceOptions
 from narxcal.steady_state import SteadyStateModel
-from narxcal.steady_table import Method
 
-
-class SteadySourceOptions(Section):
-    """What differs between the kinds, all optional.
-
-    `method` of a table's interpolation; `ranges` `{input: (low, high)}`, the envelope of a
-    callable or an FMU; `variables` `{channel: name in the FMU}`; `settle_s`, how long an FMU
-    is run before it is read.
-    """
-
-    method: Method = "linear"
-    ranges: dict[str, tuple[float, float]] = Field(default_factory=dict)
-    variables: dict[str, str] = Field(default_factory=dict)
-    settle_s: float = Field(default=1.0, gt=0.0)
+__all__ = ["SteadySourceOptions", "open_steady"]
 
 
 def open_steady(

@@ -6,7 +6,7 @@ scattered points linearly over a Delaunay triangulation (scipy.spatial, Qhull).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, Self, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, get_args
 
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator, PchipInterpolator
@@ -14,6 +14,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from narxcal.errors import ConfigError, DataError
 from narxcal.multilinear import Multilinear
+from narxcal.steady_options import Method
 from narxcal.steady_state import (
     Arrays,
     Envelope,
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import ArrayLike, NDArray
 
-Method = Literal["linear", "pchip"]
 _REFINE = 16
 _CHUNK = 4096
 

@@ -15,8 +15,8 @@ from data_prep.quasi_steady import QuasiSteadyConfig
 from data_prep.running import RunningConfig
 from data_prep.smooth import SmoothConfig
 from narxcal.errors import ConfigError
-from narxcal.fuser import FuserConfig
-from narxcal.narx import Taps
+from narxcal.fuser_config import FuserConfig
+from narxcal.narx_config import Taps
 from narxcal.settings import Section, read_toml
 from training.steady_config import Auto, SteadyStateConfig, known_once
 

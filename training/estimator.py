@@ -12,7 +12,7 @@ from sklearn.base import BaseEstimator
 from sklearn.exceptions import NotFittedError
 
 from narxcal.errors import ConfigError, DataError, ModelError
-from narxcal.narx import NarxConfig
+from narxcal.narx_config import NarxConfig
 from narxcal.narx_model import NarxModel
 from narxcal.records import Record, RecordLike, as_records, check_records, columns
 from training import estimator_folder

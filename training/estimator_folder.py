@@ -22,11 +22,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from narxcal.atomic import atomic_folder, atomic_write_bytes, atomic_write_text
-from narxcal.bundle import versions
 from narxcal.errors import ConfigError, ModelError
 from narxcal.model_folder import WEIGHTS, ModelFolder, packed, seal
-from narxcal.narx import NarxConfig
+from narxcal.narx_config import NarxConfig
 from narxcal.narx_model import NarxModel
+from narxcal.versions import versions
 from training.config import TrainConfig
 from training.trainer import FitResult, HistoryRow
 

@@ -12,7 +12,7 @@ from data_prep.quasi_steady import quasi_steady
 from narxcal.calibration import narx_features, steady_for_engine
 from narxcal.lag import LagModel, speeds_of
 from narxcal.lag_governed import AnyLags
-from narxcal.narx import NarxConfig
+from narxcal.narx_config import NarxConfig
 from narxcal.records import Record
 from narxcal.steady_state import SteadyStateModel
 from training.config import RunConfig

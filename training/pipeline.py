@@ -23,7 +23,7 @@ from narxcal.bundle import Bundle
 from narxcal.calibration import DynamicCalibration
 from narxcal.errors import DataError
 from narxcal.fuser_noise import NoiseModel, estimate_noise
-from narxcal.narx import NarxConfig
+from narxcal.narx_config import NarxConfig
 from narxcal.records import Record
 from narxcal.steady_fitted import FittedSteadyState
 from narxcal.steady_state import SteadyStateModel

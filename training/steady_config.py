@@ -8,7 +8,7 @@ from pydantic import Field, field_validator, model_validator
 
 from narxcal.channels import CHANNELS, channel
 from narxcal.settings import Section
-from narxcal.steady_source import SteadySourceOptions
+from narxcal.steady_options import SteadySourceOptions
 
 Kind = Literal["fitted", "table", "callable", "fmu"]
 Auto = Literal["auto"]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from narxcal.interrupt import Interrupt, held_interrupt
-from narxcal.narx import NarxConfig
+from narxcal.narx_config import NarxConfig
 from narxcal.narx_model import NarxModel
 from narxcal.records import Record, check_measured, check_records
 from training import adam, geodesic, levenberg_marquardt

@@ -12,7 +12,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from narxcal.narx import NarxConfig, NarxNet, history_before, tap
+from narxcal.narx import NarxNet, history_before, tap
+from narxcal.narx_config import NarxConfig
 from narxcal.narx_model import NarxModel, Scaling
 from narxcal.records import Record
 from training.free_run import FreeRunProblem

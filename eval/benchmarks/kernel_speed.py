@@ -16,7 +16,8 @@ import torch
 from numpy.typing import NDArray
 
 from eval.benchmarks.row import Row
-from narxcal.narx import NarxConfig, simulate_slowly
+from narxcal.narx import simulate_slowly
+from narxcal.narx_config import NarxConfig
 from narxcal.narx_model import NarxModel
 from narxcal.records import Record
 from training.free_run import FreeRunProblem, cut_windows

@@ -20,7 +20,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from eval.benchmarks.row import Row
-from narxcal.narx import NarxConfig
+from narxcal.narx_config import NarxConfig
 from narxcal.records import Record
 from training.config import TrainConfig
 from training.estimator import Narx

@@ -23,7 +23,7 @@ from eval.reproduce.data_sets import DataSets
 from eval.reproduce.effort import Effort, Task, fit_all, within
 from narxcal.bundle import Bundle
 from narxcal.calibration import steady_for_engine
-from narxcal.narx import NarxConfig
+from narxcal.narx_config import NarxConfig
 from narxcal.narx_model import NarxModel
 from narxcal.records import Record
 from narxcal.steady_state import SteadyStateModel

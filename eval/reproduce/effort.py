@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
-from narxcal.narx import NarxConfig
+from narxcal.narx_config import NarxConfig
 from narxcal.narx_model import NarxModel
 from narxcal.records import Record
 from training.config import RunConfig, TrainConfig

@@ -18,7 +18,7 @@ from eval.report.tables import Cell, Table, figure
 from eval.reproduce.data_sets import DataSets
 from eval.reproduce.effort import Effort, Task, fit_all, within
 from eval.reproduce.pieces import cut
-from narxcal.narx import NarxConfig
+from narxcal.narx_config import NarxConfig
 from narxcal.narx_model import NarxModel
 from narxcal.records import Record
 

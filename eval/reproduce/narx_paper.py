@@ -20,7 +20,8 @@ from eval.reproduce.response_times import response_times
 from eval.reproduce.segments import segments
 from eval.reproduce.smoothing import smoothing
 from eval.reproduce.splits import splits
-from narxcal.bundle import Bundle, versions
+from narxcal.bundle import Bundle
+from narxcal.versions import versions
 from training.config import RunConfig
 from training.pipeline import Split, TrainOptions, calibrate
 from training.trainer import Progress

@@ -13,11 +13,11 @@ from eval import terminal
 from eval.crossval import SCHEMA, CrossValidation, FoldResult, cross_validate
 from eval.report.content import RunHeader
 from eval.report.crossvalidation import crossvalidation_page, schemes_of
-from narxcal.bundle import versions
 from narxcal.cli.configured import read_config
 from narxcal.cli.console import Console, to_json
 from narxcal.cli.folders import Results
 from narxcal.cli.header import data_files, now
+from narxcal.versions import versions
 from training.config import RunConfig
 from training.pipeline import configured_files
 

@@ -6,13 +6,15 @@ import json
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from data_prep.log import Log, Source
 from eval.report.content import RunHeader
 from eval.rules import Tolerance, rules
-from narxcal.bundle import Bundle
 from narxcal.cli.origin import lag_words, steady_words
+
+if TYPE_CHECKING:
+    from narxcal.bundle import Bundle
 
 
 def now() -> str:

@@ -21,13 +21,12 @@ from data_prep.stamps import PRINTED
 from eval.preparation import Prepared, events_table, pearson_table, study, windows_table
 from eval.report.content import RunHeader
 from eval.report.page import prepare_page, write_page
-from narxcal.bundle import versions
 from narxcal.cli.configured import read_config
 from narxcal.cli.console import Console, to_json
 from narxcal.cli.folders import Results
 from narxcal.cli.header import data_files, now
+from narxcal.versions import versions
 from training.config import RunConfig
-from training.pipeline import configured_files
 
 SCHEMA = "narxcal.prepare/1"
 RESULTS = Results(
@@ -41,7 +40,7 @@ def run(options: Namespace, console: Console) -> int:
     """Prepare the logs of a configuration; writes tables, prepared logs, JSON and HTML."""
     RESULTS.check(options.out)
     config, base = read_config(options.config, options.data)
-    studies = _studies(configured_files(config, base), config, console)
+    studies = _studies(config.logs.resolve(base), config, console)
     names = file_names([one.log for one in studies])
     document = _document(config, studies, names)
     with RESULTS.writing(options.out) as folder:

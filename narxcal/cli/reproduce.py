@@ -21,11 +21,12 @@ from eval.reproduce.flights import TABLE, flown, paper_scenario, with_table, wri
 from eval.reproduce.narx_paper import SCHEMA, Reproduction, Watch, reproduce
 from eval.rules import rules
 from narxcal.atomic import atomic_write_text
-from narxcal.bundle import versions, write_bundle
+from narxcal.bundle import write_bundle
 from narxcal.cli.configured import read_config
 from narxcal.cli.console import Console, to_json
 from narxcal.cli.folders import Results
 from narxcal.cli.header import data_files, now, words
+from narxcal.versions import versions
 from training.config import RunConfig
 
 DOCUMENT, PAGE, FLIGHTS, MODEL = "reproduce.json", "reproduce.html", "flights", "model"
