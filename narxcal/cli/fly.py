@@ -79,7 +79,25 @@ def _show(console: Console, document: Mapping[str, Any], out: Path) -> None:
     console.table(document["name"], head, [_row(log) for log in document["logs"]])
     facts = {_name(effect): _size(effect, document["logs"]) for effect in document["effects"]}
     console.facts(facts or {"Effects": "none"})
+    for text in _unflown(document):
+        console.warn(text)
     console.say(f"Logs: {out}. Truth: {out / TRUTH}")
+
+
+def _unflown(document: Mapping[str, Any]) -> list[str]:
+    """Windows that begin when every log with the effect is over, in words: they do nothing."""
+    ends: dict[tuple[str, float, float], list[float]] = {}
+    for log in document["logs"]:
+        for effect in log["effects"]:
+            for start_s, end_s in effect["windows_s"]:
+                key = _name(effect), start_s, end_s
+                ends.setdefault(key, []).append(log["duration_s"])
+    return [
+        f"{name}: the window {start_s:g}-{end_s:g} s begins when every log with it is over, by "
+        f"{max(logs):g} s: it changes nothing"
+        for (name, start_s, end_s), logs in ends.items()
+        if start_s >= max(logs)
+    ]
 
 
 def _row(log: Mapping[str, Any]) -> list[str]:

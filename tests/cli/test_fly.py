@@ -51,6 +51,17 @@ def test_fly_writes_logs_and_truth_and_shows_a_table(narxcal, quick, tmp_path):
     assert max(map(len, lines[:7])) <= 80
 
 
+def test_a_window_after_the_end_of_every_flight_is_told(narxcal, quick, tmp_path):
+    effects = "unlogged_switch:bleed=0.01,window=100-200,window=600-700"
+    words = ("--flights", "1", "--effects", effects, "--quiet")
+    done = narxcal("fly", quick, "--out", tmp_path / "out", *words, *ALONE)
+    assert (done.code, done.out) == (0, "")
+    assert done.err == (
+        "narxcal: warning: unlogged_switch: the window 600-700 s begins when every log with it is "
+        "over, by 480 s: it changes nothing\n"
+    )
+
+
 def test_the_document_is_the_truth_file(narxcal, quick, tmp_path):
     out = tmp_path / "out"
     done = narxcal("fly", quick, "--out", out, "--json", "--seed", "3", "--flights", "1", *ALONE)
