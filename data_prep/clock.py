@@ -29,6 +29,11 @@ def is_clock(text: str) -> bool:
     return re.fullmatch(f"{_CLOCK}|{_MINUTES}|{_DATE}", text) is not None
 
 
+def lacks_hours(text: str) -> bool:
+    """Whether `text` is a clock time of minutes and seconds alone, which starts anew each hour."""
+    return re.fullmatch(_MINUTES, text) is not None
+
+
 def clock_seconds(texts: pd.Series[Any]) -> FloatArray:
     """Seconds `(rows,)`; NaN for a blank, and for what is neither a clock time nor a date."""
     plain = texts.astype("str").where(texts.notna(), "").str.replace(",", ".")

@@ -85,6 +85,11 @@ class CsvSource:
         return self.dialect.clock
 
     @property
+    def hourly(self) -> bool:
+        """Whether the clock holds minutes and seconds alone."""
+        return self.dialect.hourly
+
+    @property
     def head(self) -> Head:
         """What stands above the first row."""
         return self.dialect.head

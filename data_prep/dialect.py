@@ -11,7 +11,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
 
-from data_prep.clock import is_clock
+from data_prep.clock import is_clock, lacks_hours
 from data_prep.head import (
     DELIMITERS,
     Head,
@@ -50,7 +50,8 @@ class Dialect:
     """What has to be known to parse the data rows; delimiter ` ` means any run of blanks.
 
     `decimal_open`: no decimal mark was seen yet, so that a comma may still turn up. `clock` is the
-    column that holds clock times or dates, if there is one. `head` is what stands above the rows.
+    column that holds clock times or dates, if there is one; `hourly` says that it holds no hours.
+    `head` is what stands above the rows.
     """
 
     delimiter: str
@@ -59,6 +60,7 @@ class Dialect:
     comment: str
     header: tuple[str, ...]
     clock: str = ""
+    hourly: bool = False
     head: Head = field(default_factory=lambda: Head(lines=1))
 
 
@@ -126,13 +128,15 @@ def sniff(text: TextIO, delimiter: str, decimal: str, comment: str, time: str) -
     told = told[1:] if units else told
     if decimal == "auto":
         decimal = _decimal(told, delimiter)
+    first = _first_cell(told, delimiter, names, time)
     return Dialect(
         delimiter=delimiter,
         decimal=decimal or ".",
         decimal_open=not decimal,
         comment=comment,
         header=names,
-        clock=time if is_clock(_first_cell(told, delimiter, names, time)) else "",
+        clock=time if is_clock(first) else "",
+        hourly=lacks_hours(first),
         head=Head((rows[0] if units else at) + 1, above, units),
     )
 

@@ -16,7 +16,7 @@ from data_prep.log import Log
 from data_prep.mapping import constants, map_columns, to_channel
 from data_prep.raster_stream import RasterStream
 from data_prep.shared_stamps import usual_interval
-from data_prep.stamps import all_apart, ordered_rows, past_midnight
+from data_prep.stamps import Passed, all_apart, clock_goes_on, ordered_rows
 from narxcal.errors import DataError
 
 if TYPE_CHECKING:
@@ -56,9 +56,14 @@ def large_logs(table: Table, config: LogsConfig, origins: Mapping[str, Source]) 
             rows = _channels(cells, mapped, sources)
             first = engine not in engines
             if first:
-                dt_s = _interval(rows, config, str(table.path))
+                dt_s = _interval(rows, config, table)
                 stream = RasterStream(
-                    config, dt_s, LONGEST_BRIDGE_S, str(table.path), constants(sources)
+                    config,
+                    dt_s,
+                    LONGEST_BRIDGE_S,
+                    str(table.path),
+                    constants(sources),
+                    hourly=table.hourly,
                 )
                 engines[engine] = _Engine(stream, origins[engine], table.path.name)
             stream = engines[engine].stream
@@ -77,8 +82,10 @@ def _channels(
     return {name: to_channel(name, cells[column], sources[name]) for name, column in mapped.items()}
 
 
-def _interval(rows: Mapping[str, FloatArray], config: LogsConfig, file: str) -> float:
-    found = ordered_rows(past_midnight(rows["time_s"])[0], config.max_gap_s, file)
+def _interval(rows: Mapping[str, FloatArray], config: LogsConfig, table: Table) -> float:
+    file, passed = str(table.path), Passed(hourly=table.hourly)
+    stamps, _, _ = clock_goes_on(rows["time_s"], config.max_gap_s, passed=passed)
+    found = ordered_rows(stamps, config.max_gap_s, file)
     channels = {name: values[found.order] for name, values in rows.items() if name != "time_s"}
     native = usual_interval(found.time_s, channels, file)
     interval = 1.0 / config.raster_hz if config.raster_hz else native

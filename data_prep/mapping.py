@@ -39,6 +39,10 @@ class Table(Protocol):
     def clock(self) -> str:
         """The column that holds clock times or dates; empty for none."""
 
+    @property
+    def hourly(self) -> bool:
+        """Whether the clock holds minutes and seconds alone, so that it starts anew each hour."""
+
     def blocks(self, names: Sequence[str]) -> Iterator[dict[str, FloatArray]]:
         """Columns as float64 `(rows,)`, NaN where blank, in blocks of rows."""
 

@@ -56,6 +56,11 @@ class ParquetSource:
         return Head(lines=0)
 
     @property
+    def hourly(self) -> bool:
+        """Never, in Parquet."""
+        return False
+
+    @property
     def clock(self) -> str:
         """The column that may hold dates, whose unit the file knows."""
         return self._time

@@ -12,9 +12,9 @@ from data_prep.log import Audit
 from data_prep.raster import ON_RASTER, Raster, drawn, resample
 from data_prep.shared_stamps import row_interval
 from data_prep.stamps import (
-    MIDNIGHT,
+    Passed,
+    clock_goes_on,
     ordered_rows,
-    past_midnight,
     printed_step,
     split_at_gaps,
     undo_rounding,
@@ -61,7 +61,7 @@ class RasterStream:
     channels are bridged as in a whole file; with 0 such a blank is missing until it is over.
     `dropped` counts rows without a usable stamp, and lone rows between gaps; `samples` what
     was given. `audit` adds up what was done to the recording in hand; `ended` is that of the one
-    before it.
+    before it. `hourly` says that the clock shows no hours.
     """
 
     config: LogsConfig
@@ -69,6 +69,7 @@ class RasterStream:
     look_ahead_s: float
     file: str = ""
     constants: Mapping[str, float] = field(default_factory=dict)
+    hourly: bool = False
     dropped: int = 0
     samples: int = 0
     audit: StreamAudit = field(default_factory=StreamAudit)
@@ -85,7 +86,7 @@ class RasterStream:
         self._next = 0  # sample of that raster to come next
         self._before: dict[str, float] = {}  # channels of the sample that came last
         self._late = 0  # number of the last row whose lateness was counted
-        self._days = 0  # midnights that a clock has passed
+        self._passed = Passed(hourly=self.hourly)  # midnights and full hours
 
     def push(self, rows: Mapping[str, FloatArray], *, last: bool = False) -> Iterator[Piece]:
         """Take further rows `(rows,)` in file order, and give the samples that are now certain.
@@ -113,11 +114,14 @@ class RasterStream:
             self._seen += count
 
     def _going_on(self, stamps: FloatArray) -> FloatArray:
-        """Stamps of new rows, with the days that a clock has counted before them."""
+        """Stamps of new rows, with the days and hours that a clock has counted before them."""
         sound = self._rows.get("time_s", stamps[:0])
         before_s = float(sound[-1]) if len(sound) else np.nan
-        going_on, self._days = past_midnight(stamps, before_s, self._days)
-        self.audit.count("*", "repaired", MIDNIGHT, int((going_on > stamps).sum()))
+        going_on, self._passed, moved = clock_goes_on(
+            stamps, self.config.max_gap_s, before_s, self._passed
+        )
+        for entry in moved:
+            self.audit.count("*", entry.action, entry.reason, entry.samples)
         return going_on
 
     def _ordered(self, last: bool) -> tuple[NDArray[np.intp], FloatArray]:

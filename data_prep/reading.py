@@ -20,11 +20,11 @@ from data_prep.parquet_source import MAGIC, ParquetSource
 from data_prep.raster import Raster, drawn, lay, resample
 from data_prep.shared_stamps import usual_interval
 from data_prep.stamps import (
-    MIDNIGHT,
+    Passed,
     Rows,
     all_apart,
+    clock_goes_on,
     ordered_rows,
-    past_midnight,
     split_at_gaps,
     undo_rounding,
 )
@@ -48,6 +48,7 @@ class _Recording:
     rows: Mapping[str, FloatArray]
     constants: Mapping[str, float]
     entries: tuple[AuditEntry, ...] = ()  # of what stands above the rows
+    hourly: bool = False  # whether its clock shows no hours
 
 
 def read_logs(
@@ -95,6 +96,7 @@ def _recordings(path: Path, table: Table, config: LogsConfig) -> list[_Recording
             {name: to_channel(name, cells[each], sources[name]) for name, each in mapped.items()},
             constants(sources),
             entries,
+            table.hourly,
         )
         for engine, mapped in columns.items()
     ]
@@ -130,7 +132,7 @@ def _in_order(recording: _Recording, max_gap_s: float) -> Rows:
     file, stamps = recording.source.file, recording.rows["time_s"]
     if not len(stamps):
         raise DataError("no rows follow the header", file=file)
-    going_on, _ = past_midnight(stamps)
+    going_on, _, moved = clock_goes_on(stamps, max_gap_s, passed=Passed(hourly=recording.hourly))
     rows = ordered_rows(going_on, max_gap_s, file)
     if len(rows.time_s) < 2 or rows.time_s[0] == rows.time_s[-1]:
         raise DataError(
@@ -138,8 +140,7 @@ def _in_order(recording: _Recording, max_gap_s: float) -> Rows:
             file=file,
             channel="time_s",
         )
-    past = AuditEntry("*", "repaired", MIDNIGHT, int((going_on > stamps).sum()))
-    return replace(rows, entries=(*rows.entries, past))
+    return replace(rows, entries=(*rows.entries, *moved))
 
 
 def _parts(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
@@ -27,6 +27,7 @@ _DAY_S, _HOUR_S, _MINUTE_S = 86400.0, 3600.0, 60.0
 _LATEST_S = 1e11  # later than any clock that counts seconds
 _SHARED = 1.5  # rows per stamp: then most are no accident
 MIDNIGHT = "clock starts anew at midnight"  # why stamps are moved by whole days
+FULL_HOUR = "clock of minutes starts anew each hour"  # and by whole hours
 # How stamps are printed: milliseconds of a date stay, and the last bits of a sum do not show.
 PRINTED = "%.15g"
 
@@ -41,6 +42,17 @@ class Rows:
     order: NDArray[np.intp]
     time_s: FloatArray
     entries: tuple[AuditEntry, ...]
+
+
+class Passed(NamedTuple):
+    """What a clock has left out so far."""
+
+    days: int = 0
+    hours: int = 0
+    hourly: bool = False  # whether it shows minutes and seconds alone
+
+
+_NOTHING = Passed()
 
 
 def past_midnight(
@@ -64,6 +76,49 @@ def past_midnight(
     going_on = stamps.copy()
     going_on[known] += _DAY_S * passed
     return going_on, int(passed[-1])
+
+
+def past_full_hour(
+    stamps: FloatArray, max_gap_s: float, before_s: float = np.nan, hours: int = 0
+) -> tuple[FloatArray, int]:
+    """Let a clock of minutes and seconds go on where it starts anew each hour.
+
+    As `past_midnight`, with hours for days. Such a clock says so only where nothing is missing: it
+    jumps from the last minute of an hour to the first of one, and the step that this would be is
+    forward and no gap, at most `max_gap_s`. Any other way back is another recording.
+    """
+    known = (stamps >= 0.0) & (stamps <= _HOUR_S)
+    clock = np.concatenate([[before_s - hours * _HOUR_S], stamps[known]])
+    late = (clock > _HOUR_S - _MINUTE_S) & (clock <= _HOUR_S)
+    early = (clock >= 0.0) & (clock < _MINUTE_S)
+    on, back = (np.abs(np.diff(clock) + sign * _HOUR_S) <= max_gap_s for sign in (1.0, -1.0))
+    begun = (late[:-1] & early[1:] & on).astype(np.intp) - (early[:-1] & late[1:] & back)
+    passed = np.maximum(hours + np.cumsum(begun), 0)
+    if not passed.any():
+        return stamps, hours
+    going_on = stamps.copy()
+    going_on[known] += _HOUR_S * passed
+    return going_on, int(passed[-1])
+
+
+def clock_goes_on(
+    stamps: FloatArray, max_gap_s: float, before_s: float = np.nan, passed: Passed = _NOTHING
+) -> tuple[FloatArray, Passed, tuple[AuditEntry, AuditEntry]]:
+    """Both: the stamps, what has passed at their end, and the account of the rows moved.
+
+    Only a clock that shows no hours can have left out some: a column of seconds that goes back to
+    0 is another recording.
+    """
+    going_on, hours = stamps, passed.hours
+    if passed.hourly:
+        since = before_s - passed.days * _DAY_S
+        going_on, hours = past_full_hour(stamps, max_gap_s, since, hours)
+    daily, days = past_midnight(going_on, before_s, passed.days)
+    entries = (
+        AuditEntry("*", "repaired", FULL_HOUR, int((going_on > stamps).sum())),
+        AuditEntry("*", "repaired", MIDNIGHT, int((daily > going_on).sum())),
+    )
+    return daily, Passed(days, hours, passed.hourly), entries
 
 
 def ordered_rows(stamps: FloatArray, max_gap_s: float, file: str) -> Rows:

@@ -140,7 +140,12 @@ class _Replay:
         ahead = 0.0 if options.live else _LOOK_AHEAD_S
         self.rasters = {
             name: RasterStream(
-                model.logs, model.calibration.dt_s, ahead, str(log), self.stream.constants
+                model.logs,
+                model.calibration.dt_s,
+                ahead,
+                str(log),
+                self.stream.constants,
+                hourly=self.stream.hourly,
             )
             for name in names
         }

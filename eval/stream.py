@@ -73,6 +73,11 @@ class CsvStream:
         return tuple(self._columns)
 
     @property
+    def hourly(self) -> bool:
+        """Whether the clock shows no hours."""
+        return self._table.hourly
+
+    @property
     def constants(self) -> dict[str, float]:
         """Channels that the configuration gives a value instead of a column."""
         return constants(self._sources)

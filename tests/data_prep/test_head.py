@@ -7,9 +7,10 @@ import pytest
 
 from data_prep.large import large_logs
 from data_prep.log import Source
+from data_prep.raster_stream import RasterStream
 from data_prep.reading import LogsConfig, open_table, read_logs
 from data_prep.units import is_unit_text, named_unit
-from eval.stream import CsvStream
+from eval.stream import CsvStream, Pace
 from narxcal.errors import NarxcalError
 
 COLUMNS = {"time_s": {"column": "t"}, "N1_pct": {"column": "fan"}, "EGT_C": {"column": "itt"}}
@@ -211,13 +212,51 @@ def test_minutes_and_seconds_are_a_clock_time_too(tmp_path):
     np.testing.assert_allclose(log.time_s, 58.0 + np.arange(60) / 10)
 
 
-def test_a_worksheet_s_clock_without_hours_is_told_what_it_needs(tmp_path):
-    stamps = [f"{k // 600:02d}:{k / 10 % 60:04.1f}" for k in (*range(35_980, 36_000), *range(40))]
+def minutes(tenths):
+    return f"{tenths // 600 % 60:02d}:{tenths / 10 % 60:04.1f}"
+
+
+def test_a_worksheet_s_clock_without_hours_goes_on_each_hour(tmp_path):
+    stamps = [minutes(k) for k in range(35_900, 72_100)]
+    stamps[99], stamps[100] = stamps[100], stamps[99]  # a row that comes late, just there
+    rows = "".join(f"{stamp},{80 + k % 7},500\n" for k, stamp in enumerate(stamps))
+    path = write(tmp_path, f"t,fan,itt\n{rows}")
+    (log,) = read_logs(path, config())
+    np.testing.assert_allclose(log.time_s, 3590.0 + np.arange(36_200) / 10, atol=1e-6)
+    (large,) = large_logs(open_table(path, config()), config(), {"": Source(str(path))})
+    np.testing.assert_array_equal(large.time_s, log.time_s)
+    np.testing.assert_array_equal(large["N1_pct"], log["N1_pct"])
+    for each in (log, large):
+        moved = {entry.reason: entry.samples for entry in each.audit.entries}
+        assert moved["clock of minutes starts anew each hour"] == 36_100
+    stream = CsvStream(path, config(), Pace(lines=50))
+    raster = RasterStream(config(), 0.1, 0.0, str(path), hourly=stream.hourly)
+    pieces = [piece for block in stream.blocks([""]) for piece in raster.push(block[""])]
+    pieces += raster.push({}, last=True)
+    live = np.concatenate([piece.time_s for piece in pieces])
+    np.testing.assert_allclose(live, log.time_s, atol=1e-6)
+
+
+@pytest.mark.parametrize("lost", [21, 600])
+def test_a_clock_without_hours_that_stood_at_the_hour_is_told_what_it_needs(tmp_path, lost):
+    stamps = [minutes(k) for k in (*range(35_980, 36_000), *range(lost, lost + 40))]
     rows = "".join(f"{stamp},80,500\n" for stamp in stamps)
     assert error_of(write(tmp_path, f"t,fan,itt\n{rows}"), config()) == (
-        "FILE, channel time_s, row 21: time goes back from 3599.9 s to 0 s. "
-        "A worksheet that shows MM:SS.0 leaves the hours out: write HH:MM:SS.0; or, if it holds "
-        "more than one recording, split the file there"
+        f"FILE, channel time_s, row 21: time goes back from 3599.9 s to {lost / 10:g} s. "
+        + (
+            "A worksheet that shows MM:SS.0 leaves the hours out: write HH:MM:SS.0; or, if it "
+            "holds more than one recording, split the file there"
+            if lost < 600
+            else "Split the file there: it holds more than one recording"
+        )
+    )
+
+
+def test_seconds_that_begin_anew_after_an_hour_are_a_second_recording(tmp_path):
+    stamps = [*np.arange(3595.0, 3600.0, 0.1), *np.arange(0.0, 5.0, 0.1)]
+    rows = "".join(f"{stamp:.1f},80,500\n" for stamp in stamps)
+    assert error_of(write(tmp_path, f"t,fan,itt\n{rows}"), config()).startswith(
+        "FILE, channel time_s, row 51: time goes back from 3599.9 s to 0 s. "
     )
 
 
