@@ -89,7 +89,7 @@ def prediction(document: Mapping[str, Any]) -> Picture | None:
         text += f", realised {_percent(realised)}"
     axes.set_xlabel("share of the gap that is taken away [%]")
     _share_axis(axes)
-    caption = "Line: the 90 % interval of the prediction, which leaves flights out one by one. "
+    caption = "Line: the 90 % interval of the prediction, by flights that the others predict. "
     caption += (
         "Diamond: what came true on flights that took no part."
         if realised is not None

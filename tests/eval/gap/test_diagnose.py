@@ -8,6 +8,7 @@ import pytest
 
 from eval.gap import diagnose as module
 from eval.gap.diagnose import Request, diagnose_folders, diagnose_pairs
+from eval.gap.expected import expected, seen, unseen
 from eval.gap.pairs import pair_logs
 from narxcal.errors import ConfigError, DataError
 
@@ -47,6 +48,14 @@ def test_found_effects_are_checked_on_flights_that_took_no_part(answer, pair, pr
     assert found.document["quality"]["held_out"] == ["flight_3", "flight_4"]
     assert steps == ["emulator", "windows of an unlogged load", "where"]
     json.dumps(found.document)
+
+
+def test_the_prediction_is_about_the_flights_that_are_held_out(answer, pair, probe):
+    pairs = [pair(seed, probe) for seed in range(5)]
+    told, alone = (diagnose_pairs(pairs[:3], held).evidence for held in (pairs[3:], ()))
+    here, held = seen(told.data, told.after, None), told.held_out
+    assert told.predicted == expected(here, unseen(held.data, held.after))
+    assert alone.predicted == expected(here)
 
 
 def test_a_wrong_claim_does_not_shrink_the_gap(answer, pair):

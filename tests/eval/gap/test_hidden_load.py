@@ -10,6 +10,7 @@ from eval.gap import diagnose as module
 from eval.gap.applied import read_effects
 from eval.gap.blocks import batch
 from eval.gap.diagnose import diagnose_pairs
+from eval.gap.expected import expected, seen
 from eval.gap.hidden_load import aircraft, look_for_load
 from eval.gap.page import gap_page
 from eval.gap.pairs import pair_logs
@@ -87,6 +88,13 @@ def test_held_out_flights_are_told_by_sizes_from_elsewhere(found):
     shrink = found.document["shrink"]
     assert shrink["realised"] > 0.9
     assert shrink["channels"]["EGT_C"]["after"] < 0.4 * shrink["channels"]["EGT_C"]["before"]
+
+
+def test_of_a_load_no_input_tells_how_much_there_is_in_other_flights(found):
+    told = found.evidence
+    here = seen(told.data, told.after, told.finding.by_others)
+    assert told.held_out is not None
+    assert told.predicted == expected(here)
 
 
 def test_terminal_and_page_tell_the_windows(found):
