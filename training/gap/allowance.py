@@ -22,7 +22,7 @@ from training.gap.bounded import least_within, room
 from training.gap.fitting import Fit, Problem
 
 _LEVER_DEG: Final = 85.0  # way of a lever of which the play below is a share
-_FALL: Final = 0.03  # of a control's schedule of deceleration
+_LIMIT: Final = 0.1  # of the acceleration and the deceleration that a control allows
 _EITHER: Final = 0.5  # of a share that is all or nothing
 _SMALL: Final = 1e-9  # way of a parameter that is none
 
@@ -32,7 +32,7 @@ class Little(NamedTuple):
 
     Where `of` names another parameter of the effect that is found above 1, it is that share of it;
     of what `outside` names, a share, the rest is allowed. Where `limit` names a parameter that says
-    so, it is the control's limit of deceleration, and may be off as that may.
+    so, it is the control's limit of deceleration, and may be off as limits may.
     """
 
     parameter: str
@@ -45,15 +45,15 @@ class Little(NamedTuple):
 
 # Tolerances of build and modelling: play of a new linkage, a valve and a probe known to hundredths
 # of a second (a slow probe to 6 %), inertias to 2 %, 3 % of a step of temperature stored in metal.
-# What a limit leaves to accelerate with is the small difference of two large torques, and scatters
-# more than they do; a cut of fuel that leaves half of it is a larger difference.
+# What a limit leaves to accelerate with is the difference of two large torques, about a third of
+# either: where components scatter by half a percent to one, it does by ten times as much.
 ALLOWED: Final = {
     "throttle_backlash": Little("width_deg", 0.0, 0.3),
     "actuator_lag": Little("tau_s", -0.03, 0.03, outside="outside"),
     "sensor_lag:EGT_C": Little("tau_s", -0.06, 0.06, of="own_s"),
     "spool_lag": Little("factor", -0.02, 0.02),
     "accel_decel_asymmetry": Little("ratio", -0.02, 0.02, limit="by_control"),
-    "accel_limit": Little("share", -0.05, 0.05),
+    "accel_limit": Little("share", -_LIMIT, _LIMIT),
     "spool_coupling": Little("factor", -0.02, 0.02),
     "heat_soak": Little("share_EGT_C", -0.03, 0.03),
 }
@@ -116,7 +116,7 @@ def _shapes(one: Fit, scale: float) -> Iterator[tuple[str, FloatArray, tuple[flo
     if little.outside in places:
         by *= 1.0 - float(one.theta[places[little.outside]])
     if little.limit in places and float(one.theta[places[little.limit]]) > _EITHER:
-        by *= _FALL / little.high
+        by *= _LIMIT / little.high
     yield one.name, shape, (by * little.low, by * little.high)
 
 

@@ -98,7 +98,8 @@ def test_further_effects_that_did_not_earn_their_place_have_no_probability(evide
 def test_offsets_are_judged_beside_what_moves(make_finding, make_model):
     tried = (make_model(NAME), make_model("sensor_bias:N1_pct"), make_model("spool_lag"))
     finding = make_finding("effects", (NAME, "sensor_bias:N1_pct"), tried)
-    assert probabilities(finding)["sensor_bias:N1_pct"] == pytest.approx(0.98)
+    assert probabilities(finding)["sensor_bias:N1_pct"] == pytest.approx(0.75 * 0.98)
+    assert probabilities(finding)[NAME] == pytest.approx(0.80 + 0.18 * 0.5)
     assert [row["id"] for row in effect_rows(finding)][:2] == ["sensor_lag", "sensor_bias"]
 
 
