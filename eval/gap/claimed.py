@@ -33,9 +33,14 @@ def claimed(finding: Finding) -> Values:
     }
 
 
-def is_offset(model: Tried) -> bool:
+def is_offset(name: str) -> bool:
+    """Whether an effect, `id` or `id:channel`, only shifts where the engine settles."""
+    return name.partition(":")[0] in OFFSETS
+
+
+def of_offsets(model: Tried) -> bool:
     """Whether a model is of offsets alone."""
-    return all(name.partition(":")[0] in OFFSETS for name in model.effects)
+    return all(map(is_offset, model.effects))
 
 
 def offset_leads(finding: Finding) -> bool:
@@ -43,7 +48,7 @@ def offset_leads(finding: Finding) -> bool:
 
     It comes before all that moves then.
     """
-    gains = [one.gain for one in finding.tried if is_offset(one)]
+    gains = [one.gain for one in finding.tried if of_offsets(one)]
     return not finding.effects and bool(gains) and gains[0] > _MOST_OF_ALL
 
 

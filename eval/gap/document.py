@@ -7,14 +7,13 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from eval.gap.claimed import claimed, is_offset, offset_leads
+from eval.gap.claimed import claimed, is_offset, of_offsets, offset_leads
 from eval.gap.evidence import Evidence, HeldOut
 from eval.gap.rivals import contested
 from eval.gap.side import Sides
 from eval.gap.where import Row, Where
 from narxcal.effects.library import LIBRARY, effect
 from narxcal.effects.steady import UnloggedSwitch
-from training.gap.diagnosis import OFFSETS
 from training.gap.finding import ChannelShrink, Finding, Interval, Tried
 
 HIDDEN = UnloggedSwitch.id
@@ -118,8 +117,8 @@ def probabilities(finding: Finding) -> dict[str, float]:
     left = _LEFT.get(finding.kind, 1.0)
     found: dict[str, float] = {}
     for group in (True, False):
-        models = [one for one in finding.tried if is_offset(one) == group]
-        size = len([n for n in finding.effects if (n.partition(":")[0] in OFFSETS) == group])
+        models = [one for one in finding.tried if of_offsets(one) == group]
+        size = len([name for name in finding.effects if is_offset(name) == group])
         same = [one for one in models if len(one.effects) == max(size, 1)]
         whole = sum(one.probability for one in same) or 1.0
         part = left * _part(finding, offsets=group)
@@ -147,7 +146,7 @@ def _relied_on(found: dict[str, float], finding: Finding) -> dict[str, float]:
 
 def _part(finding: Finding, *, offsets: bool) -> float:
     """How much of the probability goes to offsets, or to what moves, where neither is claimed."""
-    if finding.effects or not any(map(is_offset, finding.tried)):
+    if finding.effects or not any(map(of_offsets, finding.tried)):
         return 1.0
     return _LEADING if offsets == offset_leads(finding) else 1.0 - _LEADING
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from training.gap.diagnosis import OFFSETS
+from eval.gap.claimed import is_offset
 
 Models = Sequence[Sequence[str]]  # names of the effects of each model, best first
 
@@ -41,9 +41,5 @@ def _place(claimed: Sequence[str], rival: str, models: Models) -> list[str]:
             out = [name for name in claimed if name not in model]
             if len(out) == 1:
                 return out
-    own = [name for name in claimed if _is_offset(name) == _is_offset(rival)]
+    own = [name for name in claimed if is_offset(name) == is_offset(rival)]
     return own or list(claimed)
-
-
-def _is_offset(name: str) -> bool:
-    return name.partition(":")[0] in OFFSETS
