@@ -157,13 +157,15 @@ def _share(gained: FloatArray, whole: FloatArray) -> float:
 def _in_scatters(tried: Fit, flights: Flights, together: float = _TOGETHER_PCT) -> FloatArray:
     """RMS shift of each output (outputs,) over what build scatter may make of it.
 
-    `together` is the scatter of speeds that go with the lever or the day, in %.
+    `together` is the scatter of speeds that go with the lever or the day, in %. Both are taken over
+    all that was flown: at idle a fan turns so slowly that any shift is much of its speed.
     """
     signals: Signals = flights.signals
     sizes = []
     for c, name in enumerate(signals.outputs):
         level = flights.y[..., c] + (_ZERO_K if name.endswith("_C") else 0.0)
-        shift = 100.0 * float(np.sqrt(np.mean((tried.response[..., c] / level) ** 2)))
+        of_level = np.mean(tried.response[..., c] ** 2) / np.mean(level**2)
+        shift = 100.0 * float(np.sqrt(of_level))
         speed = _SHIFT_PCT.get(tried.effects[0].id, together)
         if name in signals.free and c == 0:
             speed = _UNGOVERNED_PCT

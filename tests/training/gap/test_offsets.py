@@ -79,6 +79,16 @@ def test_one_temperature_that_is_all_of_the_gap_may_be_off_by_less(percent, rest
     assert bool(beyond_scatter(tried, left(), flights)) is beyond
 
 
+@pytest.mark.parametrize(("points", "beyond"), [(0.5, False), (0.7, True)])
+def test_a_slow_fan_at_idle_makes_no_offset_large(points, beyond):
+    """Half of the time at 20 %: 0.5 is 2 % of most speeds, but 0.9 % of all that was flown."""
+    tried, flights = offset([0.0, 0.0, 0.0], "TRA_deg", "sensor_bias:N1_pct")
+    flights.y[:, :25, 0] = 20.0
+    tried.response[..., 0] = points
+    tried.held_out = np.full(4, 2.0)
+    assert bool(beyond_scatter(tried, left(), flights)) is beyond
+
+
 def test_an_offset_that_explains_less_of_it_has_to_be_larger():
     tried, flights = offset([0.0, 1.3, 0.0], "TRA_deg")
     tried.held_out = np.full(4, 4.0)
