@@ -2,54 +2,148 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
 import numpy as np
 
 from data_prep.moves import spans
 from narxcal.effects.base import FloatArray
-from narxcal.effects.steady import FOLLOW_S
+from narxcal.effects.running import Flights
 from training.gap.finding import Interval
-from training.gap.levels import BoolArray, Found, Levels
+from training.gap.levels import BoolArray, Found, Levels, of_paths
+from training.gap.load_edges import Change, Heard, Moment, moments
+from training.gap.load_noise import restless
 from training.gap.path_windows import Window
 from training.gap.quadratic import Misfit
 
-_NEAR_S, _ROUND_S = 6.0, 15.0  # how far off an edge may be, and what tells where it is
-_Z90, _CHI90 = 1.645, 2.71
+_BLOCK_S, _APART_S, _SEEN_S = 0.5, 3.0, 150.0  # between edges of a path, how far one may be off
+_Z90 = 1.645
 _MEMORY = 10.0  # blocks after which a level wanders anew
-_MOST = 9.0  # variances of a channel: more tells no more
+_ROUNDS = 2  # edges, then levels and shift by them
 
 
-def told(
-    found: Found, levels: Levels, measure: Misfit, dt_s: float
-) -> tuple[tuple[Window, ...], FloatArray]:
+@dataclass(frozen=True, eq=False)
+class Searched:
+    """What windows were found in: flights, their gap, and its levels.
+
+    `shift` (channels,) is given where it is known from other flights.
+    """
+
+    flights: Flights
+    measure: Misfit
+    levels: Levels
+    shift: FloatArray | None = None
+
+
+class _Span(NamedTuple):
+    """A window of the flights in `rows`, from `start` to `stop`."""
+
+    rows: tuple[int, ...]
+    start: Moment
+    stop: Moment
+
+
+def told(found: Found, searched: Searched) -> tuple[tuple[Window, ...], FloatArray]:
     """Windows of every flight, and `on` (flights, time)."""
-    steps, count = measure.gap.shape[1], levels.known.shape[1]
-    size = max(1, steps // count)
-    rows = np.minimum(np.arange(steps) // size, count - 1)
-    # What is left with the load in it, on the raster: less each flight's own nuisances.
-    own = levels.residual - found.left - found.on[..., None] * found.shift
-    known = measure.weights > 0.0
-    gap = np.where(known, measure.gap - own[:, rows], 0.0)
-    on, windows = np.zeros((len(gap), steps)), []
-    scale = _scale(found, levels)
-    for group in levels.groups:
-        flights = list(group)
-        parts = gap[flights], known[flights]
-        for first, stop in spans(found.on[flights[0]]):
-            start = _edge(parts, found.shift / scale, scale, (first * size, 1.0, dt_s))
-            end = _edge(parts, found.shift / scale, scale, (stop * size, -1.0, dt_s))
-            if end[1] <= start[1]:
-                continue
-            on[flights, start[1] : end[1]] = 1.0
-            seconds = [tuple(k * dt_s for k in each) for each in (start, end)]
-            for f in flights:
-                shift = _sizes(found, levels, (f, first, stop), scale)
-                windows.append(_window(f, seconds, shift))
+    levels, placed = searched.levels, _of_path(found, searched)
+    for _ in range(_ROUNDS):
+        placed = _placed(placed, found, searched)
+        on = _on(placed, searched.flights)
+        found = of_paths(_in_blocks(on, levels), levels, searched.shift)
+    windows = []
+    for rows, start, stop in placed:
+        times, size = (start.at_s, stop.at_s), _block_s(searched)
+        first, last = (round(each / size) for each in times)
+        where = (start.low_s, start.high_s), (stop.low_s, stop.high_s)
+        windows += [
+            Window(f, *times, _sizes(found, levels, (f, first, last)), 0.0, *where) for f in rows
+        ]
     return tuple(windows), on
 
 
-def _window(flight: int, seconds: list[tuple[float, ...]], shift: tuple[Interval, ...]) -> Window:
-    (begin, start, late), (early, stop, end) = seconds
-    return Window(flight, start, stop, shift, 0.0, (begin, late), (early, end))
+def _block_s(searched: Searched) -> float:
+    """Seconds of a block of the levels."""
+    steps, count = searched.measure.gap.shape[1], searched.levels.known.shape[1]
+    return float(max(1, steps // count) * searched.flights.signals.dt_s)
+
+
+def _of_path(found: Found, searched: Searched) -> list[_Span]:
+    """Windows as the path of blocks has them; what reaches an end of a flight stays there."""
+    size, placed = _block_s(searched), []
+    for group in searched.levels.groups:
+        for first, stop in spans(found.on[group[0]]):
+            start, end = (Moment(k * size, k * size, k * size) for k in (first, stop))
+            placed.append(_Span(tuple(group), start, end))
+    return placed
+
+
+def _on(placed: Sequence[_Span], flights: Flights) -> FloatArray:
+    """1 in the windows, (flights, time)."""
+    on, dt_s = np.zeros(flights.u.shape[:2]), flights.signals.dt_s
+    for rows, start, stop in placed:
+        on[list(rows), round(start.at_s / dt_s) : round(stop.at_s / dt_s)] = 1.0
+    return on
+
+
+def _in_blocks(on: FloatArray, levels: Levels) -> BoolArray:
+    count = levels.known.shape[1]
+    size = max(1, on.shape[1] // count)
+    return np.asarray(on[:, : count * size].reshape(len(on), count, size).mean(axis=2) > 0.5)
+
+
+def _placed(placed: Sequence[_Span], found: Found, searched: Searched) -> list[_Span]:
+    """The windows with their edges where the gap says."""
+    changes = _changes(placed, searched.flights)
+    heard = _heard(placed, found, searched)
+    size = round(heard.block_s / searched.flights.signals.dt_s)
+    at = moments(heard, list(changes.values()), restless(searched.flights, size))
+    moved = dict(zip(changes, at, strict=True))
+    again = [
+        _Span(one.rows, moved.get((j, 1.0), one.start), moved.get((j, -1.0), one.stop))
+        for j, one in enumerate(placed)
+    ]
+    return [each for each in again if each.start.at_s < each.stop.at_s]
+
+
+def _changes(placed: Sequence[_Span], flights: Flights) -> dict[tuple[int, float], Change]:
+    """Edges by window and sign; none where a window reaches an end of its flight.
+
+    An edge is at most half-way to the next one, lest a window go where another one is.
+    """
+    changes = {}
+    for rows in dict.fromkeys(each.rows for each in placed):
+        own = [j for j, each in enumerate(placed) if each.rows == rows]
+        ends = [(j, sign) for j in own for sign in (1.0, -1.0)]
+        last = float(flights.lengths[list(rows)].max()) * flights.signals.dt_s
+        times = [placed[j].start.at_s if sign > 0.0 else placed[j].stop.at_s for j, sign in ends]
+        for k, (key, at) in enumerate(zip(ends, times, strict=True)):
+            if _APART_S < at < last - _APART_S:
+                near = 0.5 * (at - (times[k - 1] if k else 0.0)), 0.5 * ((*times, last)[k + 1] - at)
+                low, high = at - min(near[0], _SEEN_S), at + min(near[1], _SEEN_S)
+                changes[key] = Change(rows, at, key[1], low, high)
+    return changes
+
+
+def _heard(placed: Sequence[_Span], found: Found, searched: Searched) -> Heard:
+    """The gap with the load in it, less each flight's own nuisances, in short blocks."""
+    measure, levels, dt_s = searched.measure, searched.levels, searched.flights.signals.dt_s
+    flights, steps, channels = measure.gap.shape
+    rows = np.arange(steps) // max(1, steps // levels.known.shape[1])
+    own = levels.residual - found.left - found.on[..., None] * found.shift
+    known = measure.weights > 0.0
+    gap = np.where(known, measure.gap - own[:, np.minimum(rows, own.shape[1] - 1)], 0.0)
+    size = max(1, round(_BLOCK_S / dt_s))
+    count = steps // size
+    shape = (flights, count, size, channels)
+    share = known[:, : count * size].reshape(shape).mean(axis=2)
+    mean = gap[:, : count * size].reshape(shape).mean(axis=2) / np.maximum(share, 1e-9)
+    begin = np.zeros(flights)
+    for each in placed:
+        if each.start.at_s <= _APART_S < each.stop.at_s:
+            begin[list(each.rows)] = 1.0
+    return Heard(mean, share, begin, found.shift, size * dt_s)
 
 
 def _scale(found: Found, levels: Levels) -> FloatArray:
@@ -57,37 +151,9 @@ def _scale(found: Found, levels: Levels) -> FloatArray:
     return np.asarray(np.maximum(1.4826 * np.median(np.abs(known), axis=0), 1e-9))
 
 
-def _edge(
-    parts: tuple[FloatArray, BoolArray],
-    shift: FloatArray,
-    scale: FloatArray,
-    where: tuple[int, float, float],
-) -> tuple[int, int, int]:
-    """Earliest, likeliest and latest sample of a change near one, up (1) or down (-1)."""
-    (gap, known), (middle, sign, dt_s) = parts, where
-    steps = gap.shape[1]
-    if middle <= 0 or middle >= steps - 1:
-        edge = 0 if middle <= 0 else steps
-        return edge, edge, edge
-    near, wide = round(_NEAR_S / dt_s), round(_ROUND_S / dt_s)
-    low, high = max(0, middle - near - wide), min(steps, middle + near + wide)
-    tried = np.arange(max(1, middle - near), min(steps - 1, middle + near) + 1)
-    since = (np.arange(low, high)[None] - tried[:, None]) * dt_s
-    taken = np.where(since > 0.0, 1.0 - np.exp(-np.maximum(since, 0.0) / FOLLOW_S), 0.0)
-    there = taken if sign > 0.0 else 1.0 - taken
-    z = gap[:, low:high] / scale
-    away = (z[None] - there[:, None, :, None] * shift) ** 2
-    cost = (np.minimum(away, _MOST) * known[None, :, low:high]).sum(axis=(1, 2, 3)) * dt_s
-    best = int(np.argmin(cost))
-    close = np.flatnonzero(cost <= cost[best] + _CHI90)
-    return int(tried[close[0]]), int(tried[best]), int(tried[close[-1]])
-
-
-def _sizes(
-    found: Found, levels: Levels, where: tuple[int, int, int], scale: FloatArray
-) -> tuple[Interval, ...]:
+def _sizes(found: Found, levels: Levels, where: tuple[int, int, int]) -> tuple[Interval, ...]:
     """Shift in one window of one flight, with 90 % intervals."""
-    f, first, stop = where
+    (f, first, stop), scale = where, _scale(found, levels)
     inside = levels.known[f].copy()
     inside[:first], inside[stop:] = False, False
     off = levels.known[f] & ~found.on[f]

@@ -24,7 +24,7 @@ FREEDOM = 4.0  # of Student's t
 def cost(innovations: FloatArray, noise: Noise) -> FloatArray:
     """What Student's t says (flights, blocks) of innovations (flights, blocks, channels)."""
     inverse = np.linalg.inv(noise.correlation)
-    square = np.einsum("fbc,cd,fbd->fb", innovations, inverse, innovations)
+    square = ((innovations @ inverse) * innovations).sum(axis=2)
     return np.asarray((FREEDOM + innovations.shape[2]) * np.log1p(square / FREEDOM))
 
 

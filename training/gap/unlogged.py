@@ -24,7 +24,7 @@ from training.gap.fitting import Fit
 from training.gap.known_load import search_any_size, search_known
 from training.gap.levels import BoolArray, Found, Levels, of_paths, search_levels
 from training.gap.load_checks import against, as_the_lever
-from training.gap.load_windows import told
+from training.gap.load_windows import Searched, told
 from training.gap.path_windows import Window
 from training.gap.quadratic import Misfit
 from training.gap.window_search import Options, rarely_reached
@@ -79,7 +79,7 @@ def find_load(flights: Flights, measure: Misfit, groups: Groups = (), seed: int 
         reason = again and reason
     if found is None or reason:
         return Load(np.zeros(flights.u.shape[:2]), (), np.zeros(len(flights.u)), reason)
-    windows, on = told(found, levels, measure, flights.signals.dt_s)
+    windows, on = told(found, Searched(flights, measure, levels))
     count = np.bincount([window.flight for window in windows], minlength=len(flights.u))
     return Load(on, windows, price * count / max(count.sum(), 1))
 
@@ -96,7 +96,7 @@ def find_known_load(
     none = Load(np.zeros(flights.u.shape[:2]), (), np.zeros(len(flights.u)))
     if found is None or found.explained <= 0.0:
         return none
-    windows, on = told(found, levels, measure, flights.signals.dt_s)
+    windows, on = told(found, Searched(flights, measure, levels, shift))
     return replace(none, on=on, windows=windows)
 
 
