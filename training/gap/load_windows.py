@@ -19,6 +19,7 @@ from training.gap.path_windows import Window
 from training.gap.quadratic import Misfit
 
 _BLOCK_S, _APART_S, _SEEN_S = 0.5, 3.0, 150.0  # between edges of a path, how far one may be off
+_SURE_S = 15.0  # of levels at rest that an edge may be wrong by, where the path has them
 _Z90 = 1.645
 _MEMORY = 10.0  # blocks after which a level wanders anew
 _ROUNDS = 2  # edges, then levels and shift by them
@@ -95,7 +96,7 @@ def _in_blocks(on: FloatArray, levels: Levels) -> BoolArray:
 
 def _placed(placed: Sequence[_Span], found: Found, searched: Searched) -> list[_Span]:
     """The windows with their edges where the gap says."""
-    changes = _changes(placed, searched.flights)
+    changes = _changes(placed, searched)
     heard = _heard(placed, found, searched)
     size = round(heard.block_s / searched.flights.signals.dt_s)
     at = moments(heard, list(changes.values()), restless(searched.flights, size))
@@ -107,12 +108,13 @@ def _placed(placed: Sequence[_Span], found: Found, searched: Searched) -> list[_
     return [each for each in again if each.start.at_s < each.stop.at_s]
 
 
-def _changes(placed: Sequence[_Span], flights: Flights) -> dict[tuple[int, float], Change]:
+def _changes(placed: Sequence[_Span], searched: Searched) -> dict[tuple[int, float], Change]:
     """Edges by window and sign; none where a window reaches an end of its flight.
 
-    An edge is at most half-way to the next one, lest a window go where another one is.
+    An edge is at most half-way to the next one, lest a window go where another one is, and not far
+    beyond the rest on either side of it: what the levels there say, a move farther off does not.
     """
-    changes = {}
+    changes, flights = {}, searched.flights
     for rows in dict.fromkeys(each.rows for each in placed):
         own = [j for j, each in enumerate(placed) if each.rows == rows]
         ends = [(j, sign) for j in own for sign in (1.0, -1.0)]
@@ -121,9 +123,25 @@ def _changes(placed: Sequence[_Span], flights: Flights) -> dict[tuple[int, float
         for k, (key, at) in enumerate(zip(ends, times, strict=True)):
             if _APART_S < at < last - _APART_S:
                 near = 0.5 * (at - (times[k - 1] if k else 0.0)), 0.5 * ((*times, last)[k + 1] - at)
-                low, high = at - min(near[0], _SEEN_S), at + min(near[1], _SEEN_S)
+                before, after = _rest_beside(at, rows, searched)
+                low = max(at - min(near[0], _SEEN_S), before - _SURE_S)
+                high = min(at + min(near[1], _SEEN_S), after + _SURE_S)
                 changes[key] = Change(rows, at, key[1], low, high)
     return changes
+
+
+def _rest_beside(at_s: float, rows: tuple[int, ...], searched: Searched) -> tuple[float, float]:
+    """End of the last block before `at_s` in which a level is known, begin of the first one after.
+
+    In seconds; the flight's own begin and end where there is none.
+    """
+    size = _block_s(searched)
+    known = np.atleast_1d(searched.levels.known[list(rows)].any(axis=0))
+    edge = round(at_s / size)
+    before, after = np.flatnonzero(known[:edge]), np.flatnonzero(known[edge:])
+    last = size * float(before[-1] + 1) if len(before) else 0.0
+    first = size * float(edge + after[0]) if len(after) else size * len(known)
+    return last, first
 
 
 def _heard(placed: Sequence[_Span], found: Found, searched: Searched) -> Heard:

@@ -1,12 +1,15 @@
 """Edges of a load's windows: where the gap says, and no surer than it can be."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from narxcal.effects import Flights, Signals
-from training.gap.load_edges import Change, Heard, moments, taken
+from training.gap.load_edges import Change, Heard, Moment, moments, taken
 from training.gap.load_noise import noise_at_moves, restless
+from training.gap.load_windows import _changes, _Span
 from training.gap.quadratic import misfit
 from training.gap.unlogged import find_load
 
@@ -100,6 +103,23 @@ def test_what_nothing_is_known_of_may_hold_the_edge_anywhere():
     assert wide.low_s < 43.0
     assert wide.high_s > 55.0
     assert moments(heard(), [], still) == []
+
+
+def test_an_edge_lies_between_the_rests_that_the_path_knows():
+    """A move 90 s before it, to another power, has another level, and is no switch."""
+    known = np.ones((1, 400), dtype=bool)
+    known[:, 80:110] = False
+    searched = SimpleNamespace(
+        flights=SimpleNamespace(signals=SimpleNamespace(dt_s=0.5), lengths=np.array([800])),
+        measure=SimpleNamespace(gap=np.zeros((1, 800, 2))),
+        levels=SimpleNamespace(known=known),
+    )
+    window = _Span((0,), Moment(100.0, 100.0, 100.0), Moment(200.0, 200.0, 200.0))
+    found = _changes([window], searched)
+    assert found[0, 1.0] == Change((0,), 100.0, 1.0, 65.0, 125.0)
+    assert found[0, -1.0] == Change((0,), 200.0, -1.0, 185.0, 215.0)
+    known[:] = False
+    assert _changes([window], searched)[0, 1.0] == Change((0,), 100.0, 1.0, 50.0, 150.0)
 
 
 def test_a_change_is_taken_up_by_two_lags_in_a_row():
