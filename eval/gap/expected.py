@@ -28,7 +28,7 @@ from training.gap.quadratic import TOLERANCE
 
 _AT_ONCE = 2  # flights that are predicted by the others
 _LEVEL = 0.95  # of Student's distribution: a 90 % interval
-_FINE = 0.01  # of the gap: less of it left is as good as nothing
+_FINE = 0.1  # of the gap: a share that is added to what is left, so that little is as good as none
 _NONE = 1e-9
 
 

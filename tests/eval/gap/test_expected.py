@@ -70,6 +70,14 @@ def test_ends_are_shares_whatever_is_left():
     assert (worse.low, worse.value) == pytest.approx((-1.0, -1.0))
 
 
+def test_of_flights_in_which_nearly_all_is_explained_one_does_not_widen_it_beyond_them():
+    """A flight that leaves a tenth, and two that leave next to nothing, say no more than that."""
+    found = expected(flights_of([998.0, 999.0, 910.0], [2.0, 1.0, 90.0]), others_of(900.0, 900.0))
+    assert found.value == pytest.approx(0.97, abs=0.01)
+    assert 0.7 < found.low < 0.9
+    assert found.high == 1.0
+
+
 def test_flights_that_are_all_alike_leave_no_doubt():
     found = expected(flights_of([30.0] * 4, [10.0] * 4), others_of(30.0, 30.0))
     assert (found.low, found.value, found.high) == pytest.approx((0.75, 0.75, 0.75))
