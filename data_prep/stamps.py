@@ -65,17 +65,7 @@ def past_midnight(
     only from the last minute of a day to the first of one does a clock pass midnight, and back
     for a row that comes late.
     """
-    known = (stamps >= 0.0) & (stamps <= _DAY_S)
-    clock = np.concatenate([[before_s - days * _DAY_S], stamps[known]])
-    late = (clock > _DAY_S - _MINUTE_S) & (clock <= _DAY_S)
-    early = (clock >= 0.0) & (clock < _MINUTE_S)
-    begun = (late[:-1] & early[1:]).astype(np.intp) - (early[:-1] & late[1:])
-    passed = np.maximum(days + np.cumsum(begun), 0)
-    if not passed.any():
-        return stamps, days
-    going_on = stamps.copy()
-    going_on[known] += _DAY_S * passed
-    return going_on, int(passed[-1])
+    return _past(_DAY_S, np.inf, stamps, (before_s, days))
 
 
 def past_full_hour(
@@ -87,17 +77,28 @@ def past_full_hour(
     jumps from the last minute of an hour to the first of one, and the step that this would be is
     forward and no gap, at most `max_gap_s`. Any other way back is another recording.
     """
-    known = (stamps >= 0.0) & (stamps <= _HOUR_S)
-    clock = np.concatenate([[before_s - hours * _HOUR_S], stamps[known]])
-    late = (clock > _HOUR_S - _MINUTE_S) & (clock <= _HOUR_S)
+    return _past(_HOUR_S, max_gap_s, stamps, (before_s, hours))
+
+
+def _past(
+    period_s: float, max_gap_s: float, stamps: FloatArray, so_far: tuple[float, int]
+) -> tuple[FloatArray, int]:
+    """Stamps of a clock that starts anew each period, with the periods that have passed.
+
+    `so_far` is the last stamp before these, and how many periods had passed then.
+    """
+    before_s, times = so_far
+    known = (stamps >= 0.0) & (stamps <= period_s)
+    clock = np.concatenate([[before_s - times * period_s], stamps[known]])
+    late = (clock > period_s - _MINUTE_S) & (clock <= period_s)
     early = (clock >= 0.0) & (clock < _MINUTE_S)
-    on, back = (np.abs(np.diff(clock) + sign * _HOUR_S) <= max_gap_s for sign in (1.0, -1.0))
+    on, back = (np.abs(np.diff(clock) + sign * period_s) <= max_gap_s for sign in (1.0, -1.0))
     begun = (late[:-1] & early[1:] & on).astype(np.intp) - (early[:-1] & late[1:] & back)
-    passed = np.maximum(hours + np.cumsum(begun), 0)
+    passed = np.maximum(times + np.cumsum(begun), 0)
     if not passed.any():
-        return stamps, hours
+        return stamps, times
     going_on = stamps.copy()
-    going_on[known] += _HOUR_S * passed
+    going_on[known] += period_s * passed
     return going_on, int(passed[-1])
 
 
