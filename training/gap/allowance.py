@@ -20,19 +20,25 @@ import numpy as np
 from narxcal.effects.base import FloatArray
 from training.gap.bounded import least_within, room
 from training.gap.fitting import Fit, Problem
+from training.gap.scatter import build_scatter
 
 _LEVER_DEG: Final = 85.0  # way of a lever of which the play below is a share
-_LIMIT: Final = 0.1  # of the acceleration and the deceleration that a control allows
+# What a control's limit leaves to accelerate with is the difference of two large torques, about a
+# third of either: where components scatter by half a percent to one, it does by five to twenty
+# times as much.
+_BY_SCATTER, _LIMIT = 15.0, (0.03, 0.25)  # of acceleration and deceleration: least, most
 _EITHER: Final = 0.5  # of a share that is all or nothing
 _SMALL: Final = 1e-9  # way of a parameter that is none
+_ALWAYS: Final = "always"
 
 
 class Little(NamedTuple):
     """How far a parameter may be off without anyone calling it an effect.
 
     Where `of` names another parameter of the effect that is found above 1, it is that share of it;
-    of what `outside` names, a share, the rest is allowed. Where `limit` names a parameter that says
-    so, it is the control's limit of deceleration, and may be off as limits may.
+    of what `outside` names, a share, the rest is allowed. A control's limit (`limit` names the
+    parameter that says whether it is one, unless it always is) may be off by fifteen times as much
+    as components scatter, and `low` and `high` do not count.
     """
 
     parameter: str
@@ -45,15 +51,13 @@ class Little(NamedTuple):
 
 # Tolerances of build and modelling: play of a new linkage, a valve and a probe known to hundredths
 # of a second (a slow probe to 6 %), inertias to 2 %, 3 % of a step of temperature stored in metal.
-# What a limit leaves to accelerate with is the difference of two large torques, about a third of
-# either: where components scatter by half a percent to one, it does by ten times as much.
 ALLOWED: Final = {
     "throttle_backlash": Little("width_deg", 0.0, 0.3),
     "actuator_lag": Little("tau_s", -0.03, 0.03, outside="outside"),
     "sensor_lag:EGT_C": Little("tau_s", -0.06, 0.06, of="own_s"),
     "spool_lag": Little("factor", -0.02, 0.02),
     "accel_decel_asymmetry": Little("ratio", -0.02, 0.02, limit="by_control"),
-    "accel_limit": Little("share", -_LIMIT, _LIMIT),
+    "accel_limit": Little("share", 0.0, 0.0, limit=_ALWAYS),
     "spool_coupling": Little("factor", -0.02, 0.02),
     "heat_soak": Little("share_EGT_C", -0.03, 0.03),
 }
@@ -66,7 +70,8 @@ class Allowance:
         """Take the shapes from `fits` of one effect each."""
         lever = problem.flights.signals.lever
         scale = (lever[1] - lever[0]) / _LEVER_DEG
-        rows = [row for one in fits for row in _shapes(one, scale)]
+        limit = float(np.clip(_BY_SCATTER * build_scatter(problem), *_LIMIT))
+        rows = [row for one in fits for row in _shapes(one, scale, limit)]
         self._misfit = problem.misfit
         self._names = [name for name, *_ in rows]
         empty = np.zeros((0, *problem.misfit.gap.shape))
@@ -96,7 +101,9 @@ class Allowance:
         return every[:, :-1], every[:, -1], self._misfit.size(rest)
 
 
-def _shapes(one: Fit, scale: float) -> Iterator[tuple[str, FloatArray, tuple[float, float]]]:
+def _shapes(
+    one: Fit, scale: float, limit: float
+) -> Iterator[tuple[str, FloatArray, tuple[float, float]]]:
     """The effect's name, the shape of a unit of what is allowed of it, and its bounds, if any.
 
     A play that is small beside the moves acts in proportion to its width, but its slope at no play
@@ -115,9 +122,12 @@ def _shapes(one: Fit, scale: float) -> Iterator[tuple[str, FloatArray, tuple[flo
         by *= max(1.0, float(one.theta[places[little.of]]))
     if little.outside in places:
         by *= 1.0 - float(one.theta[places[little.outside]])
-    if little.limit in places and float(one.theta[places[little.limit]]) > _EITHER:
-        by *= _LIMIT / little.high
-    yield one.name, shape, (by * little.low, by * little.high)
+    if little.limit == _ALWAYS or (
+        little.limit in places and float(one.theta[places[little.limit]]) > _EITHER
+    ):
+        yield one.name, shape, (-limit, limit)
+    else:
+        yield one.name, shape, (by * little.low, by * little.high)
 
 
 def _left_out(

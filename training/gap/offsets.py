@@ -33,6 +33,9 @@ _MIDDLE, _ALIKE_K = (0.05, 0.95), 3.0
 _DAYS, _BETWEEN_DAYS = 3, 0.4  # flights that tell days apart; how far they do, in scatters
 _MOST = 0.5  # of what is left: an offset that takes less is not what is wrong
 _AS_GOOD, _LEVEL = 0.75, 0.35  # of what wear takes; of the shift, its growth with power
+# How far the fuel flow is up with wear: of how far the temperature is, both in % of their levels,
+# and at least. The first is no scatter of builds, the second may be.
+_SURELY, _MAYBE = (0.8, 2.5), (0.4, 1.0)
 
 
 def unexplained(tight: Misfit, explained: FloatArray) -> Misfit:
@@ -177,7 +180,8 @@ def alike(offset: tuple[Sequence[Fit], FloatArray, float], flights: Flights) -> 
     """Offsets that may be meant instead of the first: no richer, and scatter makes the difference.
 
     Of an offset that shifts many outputs, one that shifts fewer may be all that is there, if it
-    takes nearly as much and each output is no further from it than build scatter brings it.
+    takes nearly as much and each output is no further from it than build scatter brings it. Wear
+    may be meant instead of a wrong temperature where the fuel flow is up with it.
     """
     (best, *others), before, _ = offset
     most = float((before - best.held_out).sum())
@@ -187,7 +191,12 @@ def alike(offset: tuple[Sequence[Fit], FloatArray, float], flights: Flights) -> 
         as_good = float((before - one.held_out).sum()) >= _AS_GOOD * most
         return as_good and bool(_in_scatters(apart, flights).max() < 1.0)
 
-    return [one for one in others if len(one.theta) <= len(best.theta) and may_be_meant(one)]
+    def may_be_worn(one: Fit) -> bool:
+        hot = best.effects[0].channel == "EGT_C" and one.effects[0].id == "deterioration"
+        return hot and _burns_more(one, flights, _MAYBE)
+
+    plain = [len(one.theta) <= len(best.theta) and may_be_meant(one) for one in others]
+    return [one for one, so in zip(others, plain, strict=True) if so or may_be_worn(one)]
 
 
 def plainest(fits: list[Fit], flights: Flights, left: Misfit) -> list[Fit]:
@@ -197,6 +206,7 @@ def plainest(fits: list[Fit], flights: Flights, left: Misfit) -> list[Fit]:
     the others with it. It is no wear if one channel alone is shifted beyond scatter, no more at
     full power than at idle, and that channel's offset takes nearly as much. Where its shift falls
     with power, which wear does the other way round, all that scatter may do to the others is none.
+    Where the fuel flow is up about as far as the temperature, it is wear.
     """
     if not fits or fits[0].effects[0].id != "deterioration":
         return fits
@@ -210,11 +220,26 @@ def plainest(fits: list[Fit], flights: Flights, left: Misfit) -> list[Fit]:
     level = growth < _LEVEL * abs(float(shift.mean()))
     others = float(np.delete(sizes, most).max(initial=0.0))
     silent = 1.0 if growth < 0.0 else min(1.0, 0.5 * sizes[most])
-    if not (alone and level and others < silent):
+    if not (alone and level and others < silent) or _burns_more(worn, flights, _SURELY):
         return fits
     if before - float(alone[0].held_out.sum()) < _AS_GOOD * (before - float(worn.held_out.sum())):
         return fits
     return [alone[0], *(one for one in fits if one is not alone[0])]
+
+
+def _burns_more(worn: Fit, flights: Flights, much: tuple[float, float]) -> bool:
+    """Whether the fuel flow is up with the temperature, by so `much` of it and in % of its level.
+
+    A worn engine is hotter because it needs more fuel. A wrong probe leaves the fuel as it was, and
+    scatter of builds moves it by a percent or two.
+    """
+    outputs, shifts = flights.signals.outputs, {}
+    for c, name in enumerate(outputs):
+        level = flights.y[..., c] + (_ZERO_K if name.endswith("_C") else 0.0)
+        shifts[name] = 100.0 * float(np.mean(worn.response[..., c])) / float(np.mean(level))
+    if not {"EGT_C", "FF_kgph"} <= set(outputs):
+        return False
+    return shifts["FF_kgph"] > max(much[0] * shifts["EGT_C"], much[1])
 
 
 def _better_than_new(tried: Fit, signals: Signals) -> bool:

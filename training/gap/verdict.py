@@ -161,6 +161,9 @@ def _too_little(work: Work, best: Fit) -> str:
     if instead := foil(best, problem.misfit, problem.flights.signals.outputs):
         return f"{takes}, {instead}"
     beyond = float(work.beyond(best).sum()) >= work.options.beyond * work.audible
+    if beyond and not work.holds(work.before - best.held_out, best):
+        rows = work.witnesses(best)
+        return f"{takes}, but not in nearly all flights: {rows.sum()} of {len(rows)} tell of it"
     if beyond or work.gain(best) <= work.options.material:
         return takes
     return f"{takes}, hardly more than small misfit of any simulator does"

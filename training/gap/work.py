@@ -20,6 +20,7 @@ from training.gap.unlogged import has_load, witnesses
 _FAINT = 0.02  # of the peak of a response: where it counts half
 _LEAST = 0.01  # of the noise's energy: less of a gap is none to take shares of
 _SILENT, _WITNESSES = 0.01, 3  # of what the average flight tells; flights that have to tell
+_PAIR, _MOST = 2, 0.5  # flights that are enough where each loses so much of its gap
 _WITHIN = 0.05  # what a gain counts that any simulator's misfit would explain, too
 Watch = Callable[[str, int, int], None]  # what is at work, its number, how many there are
 _AT_END = 0.8  # what a fit counts whose time constant would go on past its bound
@@ -162,10 +163,13 @@ class Work:
     def holds(self, gained: FloatArray, tried: Fit, best: Fit | None = None) -> bool:
         """Whether what is `gained` (flights,) is so in nearly all flights that tell, three or more.
 
-        How many have to tell of an unlogged load is asked where its windows are found.
+        Two are enough if each loses most of its gap by what the other says. How many have to tell
+        of an unlogged load is asked where its windows are found.
         """
         rows = self.witnesses(tried, best)
-        enough = has_load(tried) or int(rows.sum()) >= min(_WITNESSES, len(rows))
+        whole = (self.before - self.problem.misfit.floor)[rows]
+        most = int(rows.sum()) == _PAIR and bool((gained[rows] > _MOST * whole).all())
+        enough = has_load(tried) or most or int(rows.sum()) >= min(_WITNESSES, len(rows))
         return enough and in_nearly_all(gained[rows])
 
     def stands_out(self, tried: Fit) -> bool:

@@ -16,10 +16,15 @@ QUIET = NOISE / 30.0
 
 @pytest.fixture(scope="module")
 def asked(flights, engine, recorded):
-    """Returns the work on a gap of `effects`, its allowance, and the fit of each effect by name."""
+    """Returns the work on a gap of `effects`, its allowance, and the fit of each effect by name.
 
-    def ask(effects):
-        measure = misfit(flights, recorded(effects, noise=QUIET), QUIET)
+    Core speed and temperature are off by a `scatter` of their levels.
+    """
+
+    def ask(effects, scatter=0.0):
+        levels = np.array([0.0, 75.0, 800.0])
+        real = recorded(effects, noise=QUIET) + scatter * levels
+        measure = misfit(flights, real, QUIET)
         problem = Problem(flights, engine, measure)
         names = {*ALLOWED, *effects, "time_skew:N2_pct", "bleed_extraction"}
         fits = {name: fit([effect(name)], problem) for name in sorted(names)}
@@ -73,10 +78,15 @@ def test_only_a_valve_inside_the_loop_is_known_by_little(outside, evidence, aske
     assert bool(beyond > work.options.beyond) is evidence
 
 
-@pytest.mark.parametrize(("ratio", "evidence"), [(0.93, False), (0.75, True)])
-def test_a_schedule_of_deceleration_is_known_to_a_tenth(ratio, evidence, asked):
-    work, fits = asked({"accel_decel_asymmetry": [ratio, 1.0]})
-    beyond = work.beyond(fits["accel_decel_asymmetry"]).sum() / work.audible
+@pytest.mark.parametrize("name", ["accel_decel_asymmetry", "accel_limit"])
+@pytest.mark.parametrize(("scatter", "evidence"), [(0.0, True), (0.003, True), (0.009, False)])
+def test_limits_may_be_off_by_as_much_as_components_that_scatter_make_them(
+    name, scatter, evidence, asked
+):
+    """By a tenth where the engine settles just where it was simulated, or a percent off."""
+    size = {"accel_decel_asymmetry": [0.9, 1.0], "accel_limit": [0.9]}[name]
+    work, fits = asked({name: size}, scatter)
+    beyond = work.beyond(fits[name]).sum() / work.audible
     assert bool(beyond > work.options.beyond) is evidence
 
 
@@ -99,4 +109,4 @@ def test_all_that_is_allowed_is_an_effect_of_the_library(flights):
     for name, little in ALLOWED.items():
         parameters = {p.name: p for p in known[name].parameters(flights.signals)}
         assert little.parameter in parameters
-        assert little.low <= 0.0 < little.high
+        assert little.low <= 0.0 < little.high or (little.limit and little.low == little.high)

@@ -298,3 +298,18 @@ def test_what_small_misfit_explains_as_well_is_no_claim_and_said_so(flights, eng
     assert (found.kind, found.effects) == ("unknown", ())
     assert "hardly more than small misfit of any simulator does" in found.reason
     assert found.tried[0].effects == ("throttle_backlash",)
+
+
+def test_one_flight_that_tells_is_no_claim_and_said_so(flights, engine, recorded):
+    """Anti-ice is on in one flight of five: whatever is off there is of that flight alone."""
+    u = flights.u.copy()
+    u[1:, :, INPUTS.index("NAI")] = 0.0
+    own = replace(flights, u=u)
+    shift = [(effect("bleed_extraction"), np.array([[0.0, -1.5, 45.0]]))]
+    noise = NOISE * np.random.default_rng(4).standard_normal(flights.y.shape)
+    found = diagnose(
+        own, (respond(shift, own, engine)[0] + noise, NOISE), Simulators(engine), QUICK
+    )
+    assert (found.kind, found.effects) == ("unknown", ())
+    assert found.tried[0].effects == ("bleed_extraction",)
+    assert found.reason.endswith("% of it, but not in nearly all flights: 1 of 5 tell of it")

@@ -1,6 +1,6 @@
 """How far build scatter shifts an output, and that an offset has to go beyond it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -144,3 +144,24 @@ def test_a_shift_that_falls_with_power_is_no_wear(growth, first):
     """Beside a core that is off by what scatter may be, more than half as much."""
     fits, flights = wear_and_bias([0.0, 0.9, 3.0], 0.8, growth)
     assert plainest(fits, flights, left())[0] is fits[first]
+
+
+@pytest.mark.parametrize(
+    ("fuel", "first", "meant"), [(0.0, 1, 0), (-4.0, 1, 0), (1.5, 1, 1), (4.0, 0, 1)]
+)
+def test_what_needs_more_fuel_as_well_may_be_worn(fuel, first, meant):
+    """The temperature is 3 % up: a wrong probe, unless the fuel flow is up with it."""
+    fits, flights = wear_and_bias([0.0, 0.2, 3.0], 0.8, 0.2)
+    flow = np.full((4, 50, 1), 2000.0)
+    names = (*OUTPUTS, "FF_kgph")
+    low, high = (np.append(edge, 2000.0) for edge in (flights.signals.low, flights.signals.high))
+    signals = Signals(("ALT_ft",), names, 0.25, "TRA_deg", low, high)
+    own = SimpleNamespace(signals=signals, y=np.concatenate([flights.y, flow], axis=-1))
+    shifts = (fuel / 100.0 * flow, 0.0 * flow)
+    wider = [
+        replace(one, response=np.concatenate([one.response, shift], axis=-1))
+        for one, shift in zip(fits, shifts, strict=True)
+    ]
+    order = plainest(wider, own, left())
+    assert order[0] is wider[first]
+    assert len(alike((order, np.full(4, 10.0), 40.0), own)) == meant

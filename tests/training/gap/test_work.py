@@ -98,15 +98,18 @@ def test_where_a_delay_and_a_valve_outside_the_loop_say_the_same_it_is_the_delay
     assert not inside.loopless
 
 
-@pytest.mark.parametrize(("switched", "told"), [(3, True), (2, False), (5, True)])
+@pytest.mark.parametrize(
+    ("switched", "much", "told"),
+    [(3, 1.0, True), (2, 1.0, True), (2, 0.01, False), (1, 1.0, False), (5, 1.0, True)],
+)
 def test_flights_in_which_no_switch_moves_say_nothing_of_what_it_does(
-    switched, told, flights, engine
+    switched, much, told, flights, engine
 ):
-    """It holds in those in which one does, if these are three."""
+    """It holds in those in which one does, if these are three, or two of which it takes most."""
     u = flights.u.copy()
     u[switched:, :, 4] = 0.0
     own = replace(flights, u=u)
-    named, shift = effect("bleed_extraction"), np.array([[0.0, -0.3, 9.0]])
+    named, shift = effect("bleed_extraction"), much * np.array([[0.0, -0.3, 9.0]])
     real = respond([(named, shift)], own, engine)[0]
     real = real + NOISE * np.random.default_rng(4).standard_normal(real.shape)
     measure = misfit(own, real, NOISE)

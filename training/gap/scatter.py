@@ -1,0 +1,27 @@
+"""How far apart two builds of one engine are, by where the recorded one settles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from training.gap.fitting import Problem
+
+_ZERO_K = 273.15
+
+
+def build_scatter(problem: Problem) -> float:
+    """Share of its level by which the second most shifted output is off, in the median.
+
+    Components that differ shift several outputs at once. The most shifted one may be a wrong
+    sensor's, so that it counts only where there is no other.
+    """
+    flights, measure = problem.flights, problem.misfit
+    shifts = []
+    for c, name in enumerate(flights.signals.outputs):
+        known = measure.weights[..., c] > 0.0
+        if not known.any():
+            continue
+        level = flights.y[..., c][known] + (_ZERO_K if name.endswith("_C") else 0.0)
+        shift = abs(float(np.median(measure.gap[..., c][known])))
+        shifts.append(shift / max(float(np.sqrt(np.mean(level**2))), 1e-9))
+    return sorted(shifts)[-2:][0] if shifts else 0.0
