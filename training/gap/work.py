@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from narxcal.effects.base import FloatArray
+from narxcal.effects.input_side import ThrottleBacklash
 from narxcal.effects.running import Emulator
 from narxcal.effects.steady import HeatSoak
 from training.gap.allowance import Allowance
@@ -22,6 +23,7 @@ _LEAST = 0.01  # of the noise's energy: less of a gap is none to take shares of
 _SILENT, _WITNESSES = 0.01, 3  # of what the average flight tells; flights that have to tell
 _PAIR, _MOST = 2, 0.5  # flights that are enough where each loses so much of its gap
 _WITHIN = 0.05  # what a gain counts that any simulator's misfit would explain, too
+_PLIANT = (HeatSoak, ThrottleBacklash)  # what follows anything slow, or at small moves
 Watch = Callable[[str, int, int], None]  # what is at work, its number, how many there are
 _AT_END = 0.8  # what a fit counts whose time constant would go on past its bound
 _LOOPLESS = 0.9  # and one that takes a valve out of the loop of an engine that is under control
@@ -175,13 +177,14 @@ class Work:
     def stands_out(self, tried: Fit) -> bool:
         """Whether a fit takes so much beyond small misfit that whatever else is left may be.
 
-        Heat soak follows anything slow, kinks and errors over altitude as well, so that it has to
-        explain what `aligned` asks for where it acts.
+        Heat soak follows anything slow, kinks and errors over altitude as well, and play anything
+        at small moves, a dead band too, so that they have to explain what `aligned` asks for where
+        they act.
         """
         taken, aligned = self.beyond(tried), self.aligned(tried)
         share, least = float(taken.sum()) / self.audible, self.options.apart
-        slow = any(isinstance(effect, HeatSoak) for effect in tried.effects)
-        asked = self.options.aligned if slow else least[1]
+        pliant = any(isinstance(effect, _PLIANT) for effect in tried.effects)
+        asked = self.options.aligned if pliant else least[1]
         return share * aligned >= least[0] and aligned >= asked and self.holds(taken, tried)
 
     def still(self, tried: Fit) -> float:

@@ -41,11 +41,11 @@ def test_a_single_effect_is_named_with_its_size(name, theta, flights, engine, re
     assert row.probability >= found.tried[-1].probability
 
 
-@pytest.mark.parametrize(("switched", "kind"), [(3, "effects"), (2, "unknown")])
-def test_what_a_switch_does_is_named_if_it_moves_in_three_of_the_flights(
+@pytest.mark.parametrize(("switched", "kind"), [(3, "effects"), (2, "effects"), (1, "unknown")])
+def test_what_a_switch_does_is_named_if_it_moves_in_two_of_the_flights(
     switched, kind, flights, engine
 ):
-    """Flights in which it does not move say nothing against it."""
+    """Flights in which it does not move say nothing against it; one alone is no evidence."""
     u = flights.u.copy()
     u[switched:, :, INPUTS.index("NAI")] = 0.0
     own = replace(flights, u=u)
@@ -54,6 +54,8 @@ def test_what_a_switch_does_is_named_if_it_moves_in_three_of_the_flights(
     found = answer(own, engine, real + NOISE * np.random.default_rng(4).normal(size=real.shape))
     assert found.kind == kind, found.reason
     assert found.tried[0].effects == ("bleed_extraction",)
+    few = "% of it, but not in nearly all flights: 1 of 5 tell of it"
+    assert found.reason.endswith(few) is (kind == "unknown")
 
 
 def test_an_offset_larger_than_build_scatter_is_named(flights, engine, recorded):
@@ -215,6 +217,17 @@ def test_what_is_in_no_library_is_not_named(flights, engine, recorded):
     assert "of it" in found.reason or "unexplained" in found.reason
 
 
+def test_a_dead_band_of_the_lever_is_no_play(flights, engine, recorded):
+    """The lever is heard only once it is 3 degrees from where it was last heard."""
+    u = flights.u.copy()
+    for f, heard in np.ndindex(u.shape[0], u.shape[1] - 1):
+        if abs(u[f, heard + 1, 0] - u[f, heard, 0]) <= 3.0:
+            u[f, heard + 1, 0] = u[f, heard, 0]
+    moved = engine.run(flights, u) - engine.run(flights, flights.u)
+    found = answer(flights, engine, recorded({}) + moved)
+    assert (found.kind, found.effects) == ("unknown", ()), found.reason
+
+
 def test_small_misfit_that_any_simulator_has_is_not_named(flights, engine, recorded):
     quiet = NOISE / 30.0
     little = {"throttle_backlash": [0.25], "sensor_lag:EGT_C": [0.05, 0.0]}
@@ -298,18 +311,3 @@ def test_what_small_misfit_explains_as_well_is_no_claim_and_said_so(flights, eng
     assert (found.kind, found.effects) == ("unknown", ())
     assert "hardly more than small misfit of any simulator does" in found.reason
     assert found.tried[0].effects == ("throttle_backlash",)
-
-
-def test_one_flight_that_tells_is_no_claim_and_said_so(flights, engine, recorded):
-    """Anti-ice is on in one flight of five: whatever is off there is of that flight alone."""
-    u = flights.u.copy()
-    u[1:, :, INPUTS.index("NAI")] = 0.0
-    own = replace(flights, u=u)
-    shift = [(effect("bleed_extraction"), np.array([[0.0, -1.5, 45.0]]))]
-    noise = NOISE * np.random.default_rng(4).standard_normal(flights.y.shape)
-    found = diagnose(
-        own, (respond(shift, own, engine)[0] + noise, NOISE), Simulators(engine), QUICK
-    )
-    assert (found.kind, found.effects) == ("unknown", ())
-    assert found.tried[0].effects == ("bleed_extraction",)
-    assert found.reason.endswith("% of it, but not in nearly all flights: 1 of 5 tell of it")

@@ -1,6 +1,7 @@
 """What an effect explains where it acts is not lessened by what is wrong elsewhere."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -122,3 +123,25 @@ def test_flights_in_which_no_switch_moves_say_nothing_of_what_it_does(
     assert work.witnesses(beside).all()
     lag = fit([effect("sensor_lag:EGT_C")], problem)
     np.testing.assert_array_equal(work.witnesses(beside, lag), np.arange(5) < switched)
+
+
+@pytest.mark.parametrize(
+    ("name", "aligned", "out"),
+    [
+        ("throttle_delay", 0.5, True),
+        ("throttle_delay", 0.3, False),
+        ("throttle_backlash", 0.5, False),
+        ("throttle_backlash", 0.75, True),
+        ("heat_soak", 0.5, False),
+    ],
+)
+def test_what_follows_anything_slow_or_small_has_to_explain_more_where_it_acts(name, aligned, out):
+    """A dead band of the lever is half explained by a play."""
+    work = SimpleNamespace(
+        beyond=lambda _: np.full(4, 0.05),
+        aligned=lambda _: aligned,
+        audible=1.0,
+        options=Options(),
+        holds=lambda _taken, _tried: True,
+    )
+    assert Work.stands_out(work, SimpleNamespace(effects=(effect(name),))) is out
