@@ -70,7 +70,9 @@ class Allowance:
         """Take the shapes from `fits` of one effect each."""
         lever = problem.flights.signals.lever
         scale = (lever[1] - lever[0]) / _LEVER_DEG
-        limit = float(np.clip(_BY_SCATTER * build_scatter(problem), *_LIMIT))
+        limit = float(
+            np.clip(_BY_SCATTER * build_scatter(problem.flights, problem.misfit), *_LIMIT)
+        )
         rows = [row for one in fits for row in _shapes(one, scale, limit)]
         self._misfit = problem.misfit
         self._names = [name for name, *_ in rows]

@@ -16,6 +16,7 @@ from narxcal.effects.base import Effect, FloatArray, Signals
 from narxcal.effects.running import Flights
 from training.gap.fitting import Fit, Problem, fit, in_nearly_all
 from training.gap.quadratic import Misfit, misfit
+from training.gap.scatter import build_scatter
 
 TIGHT = 1e-5  # of the priors of offsets and slopes: none, they would take the effect's place
 _ZERO_K = 273.15
@@ -26,6 +27,9 @@ _SPEED_PCT, _UNGOVERNED_PCT = 1.2, 2.0
 _SHIFT_PCT = {"deterioration": _SPEED_PCT, "sensor_bias": 1.0}
 _TOGETHER_PCT = 0.6
 _NEARLY_ALL, _AMONG_OTHERS = 0.85, 1.5  # share of what is left; scatters asked for below it
+# Where no second output is off by so much of its level, both are one build: a sensor may be off by
+# less.
+_ONE_BUILD, _OF_ONE_BUILD = 0.0002, 0.25
 # The same of one speed or temperature that explains all but so much: share, scatters.
 _LONE = {"_pct": (0.97, 0.6), "_C": (0.95, 0.65)}
 # Air whose middle nine tenths differ by less says nothing about the temperature.
@@ -121,8 +125,10 @@ def beyond_scatter(tried: Fit, left: Misfit, flights: Flights) -> bool:
     before = left.size(left.gap)
     share = _share(before - tried.held_out, before - left.floor)
     together = _TOGETHER_PCT if _agreed(tried, left) else _SPEED_PCT
-    sizes = _in_scatters(tried, flights, together)
-    return share > _MOST and bool(sizes.max() > _asked(tried.effects[0], share))
+    sizes, asked = _in_scatters(tried, flights, together), _asked(tried.effects[0], share)
+    if tried.effects[0].channel is not None and build_scatter(flights, left) < _ONE_BUILD:
+        asked *= _OF_ONE_BUILD
+    return share > _MOST and bool(sizes.max() > asked)
 
 
 def _agreed(tried: Fit, left: Misfit) -> bool:

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from training.gap.fitting import Problem
+from narxcal.effects.running import Flights
+from training.gap.quadratic import Misfit
 
 _ZERO_K = 273.15
 
 
-def build_scatter(problem: Problem) -> float:
+def build_scatter(flights: Flights, measure: Misfit) -> float:
     """Share of its level by which the second most shifted output is off, in the median.
 
     Components that differ shift several outputs at once. The most shifted one may be a wrong
     sensor's, so that it counts only where there is no other.
     """
-    flights, measure = problem.flights, problem.misfit
     shifts = []
     for c, name in enumerate(flights.signals.outputs):
         known = measure.weights[..., c] > 0.0

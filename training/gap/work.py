@@ -40,7 +40,8 @@ class Options:
     `unexplained_together` that for two, which can follow more; more may be left,
     as build scatter and other misfit leave it, by an effect that takes `distinct` of the gap and
     explains `aligned` of it where it acts. One that takes `telling[0]` and explains `telling[1]` is
-    believed of a smaller gap, from `faint` on. Beyond the small misfit that any simulator may have
+    believed of a smaller gap, from `faint[0]` on, and from `faint[1]` if it takes `wholly` of it,
+    which nothing did that was not there. Beyond the small misfit that any simulator may have
     an effect takes at least `beyond`; one that takes `apart[0]` there, times what it explains where
     it acts, `apart[1]` at least, may leave anything. A rival is the leader's equal if it leaves no
     more than `close` times what the leader leaves, or if flights differ on who leads. `audible` is
@@ -61,7 +62,8 @@ class Options:
     beyond: float = 0.02
     apart: tuple[float, float] = (0.04, 0.40)
     quiet: float = 0.005
-    faint: float = 0.003
+    faint: tuple[float, float] = (0.003, 0.001)
+    wholly: float = 0.9
     close: float = 1.2
     audible: float = 0.03
     most: int = 2
@@ -239,8 +241,9 @@ class Work:
         wrong in may be an effect itself, a probe of 6 % more, and is not asked for below `faint`.
         """
         least, aligned = self.options.telling
-        large = self.loudest >= self.options.faint
-        return large and self.gain(tried) >= least and self.aligned(tried) >= aligned
+        gain, (faint, fainter) = self.gain(tried), self.options.faint
+        large = self.loudest >= (fainter if gain >= self.options.wholly else faint)
+        return large and gain >= least and self.aligned(tried) >= aligned
 
     def unexplained(self, tried: Fit) -> float:
         """Share of what flights tell that is left; a load says nothing of flights without it."""

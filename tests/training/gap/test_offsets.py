@@ -39,8 +39,11 @@ def offset(shift, driver, name="deterioration"):
     return tried, flights
 
 
-def left(shift=(0.0, 0.0, 0.0)):
-    """A gap of `shift` (outputs,) throughout, of Q 10 in each flight, 1 of them noise."""
+def left(shift=(0.0, 0.1, 1.0)):
+    """A gap of `shift` (outputs,) throughout, of Q 10 in each flight, 1 of them noise.
+
+    Unless said otherwise two outputs are off by a thousandth, as of two builds.
+    """
     gap = np.full((4, 50, 3), shift)
     return SimpleNamespace(
         gap=gap,
@@ -87,6 +90,18 @@ def test_a_slow_fan_at_idle_makes_no_offset_large(points, beyond):
     tried.response[..., 0] = points
     tried.held_out = np.full(4, 2.0)
     assert bool(beyond_scatter(tried, left(), flights)) is beyond
+
+
+@pytest.mark.parametrize(
+    ("percent", "others", "beyond"),
+    [(0.7, 0.01, True), (0.5, 0.01, False), (0.7, 0.03, False)],
+)
+def test_where_nothing_else_is_off_at_all_a_sensor_may_be_off_by_less(percent, others, beyond):
+    """Both are one build where no second output is off by a fifth of a thousandth."""
+    tried, flights = offset([0.0, 0.0, percent], "TRA_deg", "sensor_bias:EGT_C")
+    tried.held_out = np.full(4, 1.8)
+    gap = left((80.0 * others / 100.0, 0.0, 10.0 * percent))
+    assert bool(beyond_scatter(tried, gap, flights)) is beyond
 
 
 def test_an_offset_that_explains_less_of_it_has_to_be_larger():
