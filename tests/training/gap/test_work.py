@@ -41,7 +41,7 @@ def test_what_does_next_to_nothing_ranks_last(flights, engine, recorded):
     assert work.rank(other) < 0.1
 
 
-@pytest.mark.parametrize(("tau_s", "told"), [(0.3, True), (0.05, True), (0.01, False)])
+@pytest.mark.parametrize(("tau_s", "told"), [(0.3, True), (0.02, True), (0.01, False)])
 def test_a_small_gap_that_an_effect_explains_wherever_it_acts_tells(
     tau_s, told, flights, engine, recorded
 ):
