@@ -24,9 +24,8 @@ from training.gap.scatter import build_scatter
 
 _LEVER_DEG: Final = 85.0  # way of a lever of which the play below is a share
 # What a control's limit leaves to accelerate with is the difference of two large torques, about a
-# third of either: where components scatter by half a percent to one, it does by five to twenty
-# times as much.
-_BY_SCATTER, _LIMIT = 15.0, (0.03, 0.25)  # of acceleration and deceleration: least, most
+# third of either: where components scatter by a percent, it does by up to ten times as much.
+_BY_SCATTER, _LIMIT = 10.0, (0.03, 0.10)  # of acceleration and deceleration: least, most
 _EITHER: Final = 0.5  # of a share that is all or nothing
 _SMALL: Final = 1e-9  # way of a parameter that is none
 _ALWAYS: Final = "always"
@@ -37,8 +36,8 @@ class Little(NamedTuple):
 
     Where `of` names another parameter of the effect that is found above 1, it is that share of it;
     of what `outside` names, a share, the rest is allowed. A control's limit (`limit` names the
-    parameter that says whether it is one, unless it always is) may be off by fifteen times as much
-    as components scatter, and `low` and `high` do not count.
+    parameter that says whether it is one, unless it always is) may be off by ten times as much as
+    components scatter, and `low` and `high` do not count.
     """
 
     parameter: str
