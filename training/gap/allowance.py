@@ -28,16 +28,15 @@ _LEVER_DEG: Final = 85.0  # way of a lever of which the play below is a share
 _BY_SCATTER, _LIMIT = 10.0, (0.03, 0.10)  # of acceleration and deceleration: least, most
 _EITHER: Final = 0.5  # of a share that is all or nothing
 _SMALL: Final = 1e-9  # way of a parameter that is none
-_ALWAYS: Final = "always"
 
 
 class Little(NamedTuple):
     """How far a parameter may be off without anyone calling it an effect.
 
     Where `of` names another parameter of the effect that is found above 1, it is that share of it;
-    of what `outside` names, a share, the rest is allowed. A control's limit (`limit` names the
-    parameter that says whether it is one, unless it always is) may be off by ten times as much as
-    components scatter, and `low` and `high` do not count.
+    of what `outside` names, a share, the rest is allowed. A control's `limit` may be off by ten
+    times as much as components scatter, and `low` and `high` do not count; where `only_if` names a
+    parameter, it is one if that is 1.
     """
 
     parameter: str
@@ -45,7 +44,8 @@ class Little(NamedTuple):
     high: float
     of: str = ""
     outside: str = ""
-    limit: str = ""
+    limit: bool = False
+    only_if: str = ""
 
 
 # Tolerances of build and modelling: play of a new linkage, a valve and a probe known to hundredths
@@ -55,8 +55,8 @@ ALLOWED: Final = {
     "actuator_lag": Little("tau_s", -0.03, 0.03, outside="outside"),
     "sensor_lag:EGT_C": Little("tau_s", -0.06, 0.06, of="own_s"),
     "spool_lag": Little("factor", -0.02, 0.02),
-    "accel_decel_asymmetry": Little("ratio", -0.02, 0.02, limit="by_control"),
-    "accel_limit": Little("share", 0.0, 0.0, limit=_ALWAYS),
+    "accel_decel_asymmetry": Little("ratio", -0.02, 0.02, limit=True, only_if="by_control"),
+    "accel_limit": Little("share", 0.0, 0.0, limit=True),
     "spool_coupling": Little("factor", -0.02, 0.02),
     "heat_soak": Little("share_EGT_C", -0.03, 0.03),
 }
@@ -123,9 +123,8 @@ def _shapes(
         by *= max(1.0, float(one.theta[places[little.of]]))
     if little.outside in places:
         by *= 1.0 - float(one.theta[places[little.outside]])
-    if little.limit == _ALWAYS or (
-        little.limit in places and float(one.theta[places[little.limit]]) > _EITHER
-    ):
+    by_control = little.only_if in places and float(one.theta[places[little.only_if]]) > _EITHER
+    if little.limit and (by_control or not little.only_if):
         yield one.name, shape, (-limit, limit)
     else:
         yield one.name, shape, (by * little.low, by * little.high)

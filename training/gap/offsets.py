@@ -16,10 +16,9 @@ from narxcal.effects.base import Effect, FloatArray, Signals
 from narxcal.effects.running import Flights
 from training.gap.fitting import Fit, Problem, fit, in_nearly_all
 from training.gap.quadratic import Misfit, misfit
-from training.gap.scatter import build_scatter
+from training.gap.scatter import build_scatter, levels
 
 TIGHT = 1e-5  # of the priors of offsets and slopes: none, they would take the effect's place
-_ZERO_K = 273.15
 # Shifts that build scatter may make, in % of the level: of a speed by all that an engine may have,
 # of one speed alone, and of those that go with the lever or the day, which hardly any engine has.
 _SCATTER_PCT = {"EGT_C": 2.4, "FF_kgph": 7.0}
@@ -170,10 +169,9 @@ def _in_scatters(tried: Fit, flights: Flights, together: float = _TOGETHER_PCT) 
     all that was flown: at idle a fan turns so slowly that any shift is much of its speed.
     """
     signals: Signals = flights.signals
-    sizes = []
+    sizes, absolute = [], levels(flights.y, signals.outputs)
     for c, name in enumerate(signals.outputs):
-        level = flights.y[..., c] + (_ZERO_K if name.endswith("_C") else 0.0)
-        of_level = np.mean(tried.response[..., c] ** 2) / np.mean(level**2)
+        of_level = np.mean(tried.response[..., c] ** 2) / np.mean(absolute[..., c] ** 2)
         shift = 100.0 * float(np.sqrt(of_level))
         speed = _SHIFT_PCT.get(tried.effects[0].id, together)
         if name in signals.free and c == 0:
@@ -239,13 +237,13 @@ def _burns_more(worn: Fit, flights: Flights, much: tuple[float, float]) -> bool:
     A worn engine is hotter because it needs more fuel. A wrong probe leaves the fuel as it was, and
     scatter of builds moves it by a percent or two.
     """
-    outputs, shifts = flights.signals.outputs, {}
-    for c, name in enumerate(outputs):
-        level = flights.y[..., c] + (_ZERO_K if name.endswith("_C") else 0.0)
-        shifts[name] = 100.0 * float(np.mean(worn.response[..., c])) / float(np.mean(level))
+    outputs = flights.signals.outputs
     if not {"EGT_C", "FF_kgph"} <= set(outputs):
         return False
-    return shifts["FF_kgph"] > max(much[0] * shifts["EGT_C"], much[1])
+    means = levels(flights.y, outputs).mean(axis=(0, 1))
+    percent = 100.0 * worn.response.mean(axis=(0, 1)) / means
+    shifts = dict(zip(outputs, percent.tolist(), strict=True))
+    return bool(shifts["FF_kgph"] > max(much[0] * shifts["EGT_C"], much[1]))
 
 
 def _better_than_new(tried: Fit, signals: Signals) -> bool:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from narxcal.effects import Flights, Signals
-from training.gap.scatter import build_scatter
+from training.gap.scatter import build_scatter, levels
 
 LEVEL = np.array([80.0, 90.0, 726.85])  # K of EGT: 1000
 
@@ -41,3 +41,11 @@ def test_what_is_not_recorded_tells_nothing():
     assert 100.0 * build_scatter(*problem([1.0, 0.5, 2.0], (1.0, 1.0, 0.0))) == pytest.approx(0.5)
     assert 100.0 * build_scatter(*problem([1.0, 0.5, 2.0], (0.0, 1.0, 0.0))) == pytest.approx(0.5)
     assert build_scatter(*problem([1.0, 0.5, 2.0], (0.0, 0.0, 0.0))) == 0.0
+
+
+def test_percents_of_a_temperature_are_of_kelvin():
+    y = np.array([[80.0, 26.85, -273.15], [20.0, 726.85, 0.0]])
+    names = ("N1_pct", "EGT_C", "T5_C")
+    found = levels(y, names)
+    np.testing.assert_allclose(found, [[80.0, 300.0, 0.0], [20.0, 1000.0, 273.15]])
+    np.testing.assert_array_equal(levels(y[:, :1], names[:1]), y[:, :1])
