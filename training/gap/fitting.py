@@ -25,6 +25,7 @@ _GOOD = 2e-3  # relative progress of Q below which a fit has converged
 _RIDGE = 1e-9
 _OUTSIDE = 0.5  # of 0 and 1
 _FEW = 4  # flights of which none may speak against an effect; of more, one
+_End = tuple[FloatArray, FloatArray, FloatArray]  # theta, the response there, its slopes
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,18 +93,32 @@ def fit(effects: Sequence[Effect], problem: Problem, start: FloatArray | None = 
     """Fit `effects` together, from `start` (p,) or from the best of their own starts.
 
     Where an effect may be one of two mechanisms, both are fitted and the better one is taken: far
-    from the answer, where starts are, one says little of the other.
+    from the answer, where starts are, one says little of the other. Where all end farther from the
+    flights than no effect at all, the fit begins there.
     """
     parameters = tuple(p for effect in effects for p in effect.parameters(problem.flights.signals))
     starts = _best_starts(effects, parameters, problem) if start is None else [start]
-    ends = [_refine(effects, parameters, problem, begin) for begin in starts]
-    sizes_left = [problem.misfit.size(problem.misfit.gap - response) for _, response, _ in ends]
-    best = min(range(len(ends)), key=lambda k: float(sizes_left[k].sum()))
-    (theta, response, slopes), left = ends[best], sizes_left[best]
+    (theta, response, slopes), left = _best_end(effects, parameters, problem, starts)
+    if float(left.sum()) > float(problem.misfit.size(problem.misfit.gap).sum()):
+        none = np.array([p.neutral for p in parameters])
+        (theta, response, slopes), left = _best_end(effects, parameters, problem, [none])
     rest = problem.misfit.gap - response
     held_out, others = _jackknife(problem.misfit, (rest, slopes, left), theta, parameters)
     sizes = tuple(len(e.parameters(problem.flights.signals)) for e in effects)
     return Fit(tuple(effects), parameters, theta, left, held_out, others, response, slopes, sizes)
+
+
+def _best_end(
+    effects: Sequence[Effect],
+    parameters: Sequence[Parameter],
+    problem: Problem,
+    starts: Sequence[FloatArray],
+) -> tuple[_End, FloatArray]:
+    """Theta, response and slopes that leave least of those that the starts lead to; Q left."""
+    ends = [_refine(effects, parameters, problem, begin) for begin in starts]
+    sizes_left = [problem.misfit.size(problem.misfit.gap - response) for _, response, _ in ends]
+    best = min(range(len(ends)), key=lambda k: float(sizes_left[k].sum()))
+    return ends[best], sizes_left[best]
 
 
 def _run(effects: Sequence[Effect], thetas: FloatArray, problem: Problem) -> FloatArray:
@@ -153,7 +168,7 @@ def _refine(
     parameters: Sequence[Parameter],
     problem: Problem,
     theta: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> _End:
     """Damped Gauss-Newton; returns theta, the response there and its slopes."""
     damping, error = 1e-3, np.inf
     response, slopes = _linearised(effects, parameters, problem, theta)

@@ -48,6 +48,14 @@ def test_a_control_that_holds_pulls_back_is_known_as_such(flights, engine, recor
     assert found.left.sum() < 1.1 * measure.floor.sum()
 
 
+def test_a_fit_never_ends_farther_away_than_no_effect(flights, engine, recorded, monkeypatch):
+    monkeypatch.setattr("training.gap.fitting._STEPS", 0)
+    measure = misfit(flights, recorded({"spool_lag": [1.02]}), NOISE)
+    found = fit([effect("spool_lag")], Problem(flights, engine, measure))
+    np.testing.assert_allclose(found.theta, 1.0)
+    np.testing.assert_allclose(found.left, measure.size(measure.gap))
+
+
 def test_linear_parameters_need_no_start(flights, engine, recorded):
     truth = [0.0, 0.0, 9.0]
     measure = misfit(flights, recorded({"bleed_extraction": truth}), NOISE)
