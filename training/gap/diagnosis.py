@@ -21,7 +21,7 @@ from narxcal.effects.base import Effect, FloatArray
 from narxcal.effects.library import candidates
 from narxcal.effects.running import Flights
 from training.gap.allowance import Allowance
-from training.gap.beside import beside_heat, stands
+from training.gap.beside import beside, stands
 from training.gap.finding import Finding
 from training.gap.fitting import Fit, Problem, fit, in_nearly_all
 from training.gap.foils import foil
@@ -30,7 +30,7 @@ from training.gap.null import null_gains
 from training.gap.offsets import beyond_scatter, day_fit, offset_fits, unexplained, whole_gap
 from training.gap.quadratic import Misfit, misfit
 from training.gap.rerun_fit import told_anew
-from training.gap.together import added, in_order, is_heat, taken
+from training.gap.together import added, in_order, is_expected, taken
 from training.gap.unlogged import priced
 from training.gap.verdict import Offset, bearable, finding
 from training.gap.whitened import sized_by_moves
@@ -72,7 +72,7 @@ def diagnose(
     moving = [c for c in candidates(flights.signals) if c.id not in OFFSETS]
     still = [c for c in candidates(flights.signals) if c.id in OFFSETS]
     claimed = _first(work, moving, watch)
-    work.beside = beside_heat(work, watch)
+    work.beside = beside(work, watch)
     offset = _offset(work, still, claimed)
     while claimed is not None and (more := _further(work, claimed, offset, watch)) is not None:
         claimed, offset = more, _offset(work, still, more)
@@ -161,9 +161,9 @@ def _beyond(work: Work, model: Fit, best: Fit | None) -> bool:
 
 
 def _stands_beside(work: Work, best: Fit) -> Fit | None:
-    """What stands beside a heat soak that is the best, if it may be named."""
+    """What stands beside the best where that is to be expected, if it may be named."""
     pair = work.beside
-    return pair if pair is not None and is_heat(best) and stands(work, pair, best) else None
+    return pair if pair is not None and is_expected(best) and stands(work, pair, best) else None
 
 
 def _pairs(work: Work, watch: Watch | None) -> list[Fit]:

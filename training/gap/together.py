@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from narxcal.effects.base import FloatArray
+from narxcal.effects.dynamic import AccelLimit
 from narxcal.effects.steady import HeatSoak
 from training.gap.fitting import Fit
 from training.gap.quadratic import Misfit
+
+_OWN_LIMIT = 0.25  # of the simulator's acceleration that a build may have more or less
 
 
 def is_heat(one: Fit) -> bool:
@@ -15,13 +18,28 @@ def is_heat(one: Fit) -> bool:
     return len(one.effects) == 1 and isinstance(one.effects[0], HeatSoak)
 
 
-def in_order(first: Fit, second: Fit) -> tuple[Fit, Fit]:
-    """Two fits as they are named: a heat soak last.
+def is_expected(one: Fit) -> bool:
+    """Whether a fit is what most engines have against a simulator: heat, or a limit of their own.
 
-    It follows anything slow, so that beside an effect of moves it is the one that may only be what
+    What a control's limit leaves to accelerate with is the difference of two large torques, so that
+    builds of one type, and a worn one, differ in it by up to a quarter.
+    """
+    return is_heat(one) or _is_near_limit(one)
+
+
+def _is_near_limit(one: Fit) -> bool:
+    alone = len(one.effects) == 1 and isinstance(one.effects[0], AccelLimit)
+    return alone and abs(float(one.theta[0]) - 1.0) <= _OWN_LIMIT
+
+
+def in_order(first: Fit, second: Fit) -> tuple[Fit, Fit]:
+    """Two fits as they are named: what is to be expected last, and a heat soak at the very end.
+
+    Heat follows anything slow, so that beside an effect of moves it is the one that may only be what
     else is wrong: of 15 such pairs in blind cases where one of the two was there, it was once.
     """
-    return (second, first) if is_heat(first) else (first, second)
+    swapped = is_heat(first) or (is_expected(first) and not is_expected(second))
+    return (second, first) if swapped else (first, second)
 
 
 def added(first: Fit, second: Fit) -> Fit:

@@ -13,7 +13,7 @@ from training.gap.finding import Finding, Interval, Kind, Tried
 from training.gap.fitting import Fit
 from training.gap.foils import foil
 from training.gap.offsets import alike
-from training.gap.together import is_heat
+from training.gap.together import is_expected, is_heat
 from training.gap.work import Work
 
 _LEFT = 0.01  # of the gap: nobody can tell two models that both leave less
@@ -81,9 +81,9 @@ def _by_others(models: Sequence[Fit], response: FloatArray) -> FloatArray:
 
 
 def _leading(work: Work, claimed: Fit | None) -> tuple[str, ...]:
-    """What comes first where nothing is claimed: what was seen beside a heat soak that leads."""
+    """What comes first where nothing is claimed: what was seen beside what leads as expected."""
     pair = work.beside
-    if pair is None or not (claimed is None or is_heat(claimed) or claimed is pair):
+    if pair is None or not (claimed is None or is_expected(claimed) or claimed is pair):
         return ()
     return tuple(effect.name for effect in pair.effects)
 

@@ -94,7 +94,7 @@ class Work:
     threshold: float = 0.0
     allowance: Allowance | None = None
     offered: list[Fit] = field(default_factory=list)  # offsets of the whole gap, best first
-    beside: Fit | None = None  # an effect of moves with the heat soak that leads
+    beside: Fit | None = None  # an effect of moves with what is expected and leads
     standing: dict[str, float] = field(default_factory=dict)  # of neighbours on a channel (`kin`)
     _beside: dict[Fit | None, FloatArray] = field(default_factory=dict)
 

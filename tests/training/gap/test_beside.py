@@ -6,7 +6,7 @@ import pytest
 from narxcal.effects import effect
 from tests.training.gap.conftest import NOISE
 from training.gap.allowance import Allowance
-from training.gap.beside import beside_heat, stands
+from training.gap.beside import beside, stands
 from training.gap.diagnosis import diagnose
 from training.gap.fitting import Problem, fit
 from training.gap.quadratic import misfit
@@ -48,7 +48,7 @@ def test_what_is_small_against_the_heat_is_seen_beside_it(name, theta, worked, r
     work = worked(recorded({**HEAT, name: theta}))
     heat = work.fits[len(MOVERS)]
     assert max(work.fits, key=work.rank) is heat
-    pair = beside_heat(work)
+    pair = beside(work)
     assert pair is not None
     assert [one.name for one in pair.effects] == [name, "heat_soak"]
     assert pair.theta[0] == pytest.approx(theta[0], rel=0.15)
@@ -56,31 +56,31 @@ def test_what_is_small_against_the_heat_is_seen_beside_it(name, theta, worked, r
 
 
 def test_heat_alone_has_nothing_beside_it(worked, recorded):
-    assert beside_heat(worked(wandering(recorded(HEAT)))) is None
+    assert beside(worked(wandering(recorded(HEAT)))) is None
 
 
 def test_where_something_else_leads_nothing_is_asked(worked, recorded):
     work = worked(recorded({**HEAT, "throttle_delay": [1.5]}))
-    assert beside_heat(work) is None
+    assert beside(work) is None
     assert len(work.fits) == len(MOVERS) + len(SLOW)
 
 
 def test_a_drift_is_no_effect_of_moves(worked, recorded):
     work = worked(recorded({**HEAT, "sensor_drift:EGT_C": [150.0]}), SLOW)
-    assert beside_heat(work) is None
+    assert beside(work) is None
 
 
 @pytest.mark.parametrize(("tau_s", "named"), [(0.3, False), (1.0, True)])
 def test_what_is_seen_is_named_if_it_is_large_enough(tau_s, named, worked, recorded):
     work = worked(wandering(recorded({**HEAT, "sensor_lag:N2_pct": [tau_s, 0.5]})))
-    pair = beside_heat(work)
+    pair = beside(work)
     assert pair is not None
     assert stands(work, pair, work.fits[len(MOVERS)]) is named
 
 
 def test_heat_that_two_pairs_share_makes_no_rivals_of_them(worked, recorded):
     work = worked(wandering(recorded({**HEAT, "sensor_lag:N2_pct": [0.6, 0.5]})))
-    claimed = beside_heat(work)
+    claimed = beside(work)
     pairs = [one for one in work.fits if len(one.effects) == 2 and one is not claimed]
     assert pairs
     for other in pairs:
@@ -99,6 +99,6 @@ def test_it_leads_where_nothing_can_be_claimed(flights, engine, recorded):
 
 def test_watched_it_tells_what_it_fits(worked, recorded):
     told = []
-    beside_heat(worked(recorded(HEAT)), lambda *step: told.append(step))
+    beside(worked(recorded(HEAT)), lambda *step: told.append(step))
     assert [step[1:] for step in told] == [(k, 4) for k in range(4)]
     assert all(step[0].endswith(" + heat_soak") for step in told)
