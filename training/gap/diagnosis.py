@@ -27,12 +27,19 @@ from training.gap.fitting import Fit, Problem, fit, in_nearly_all
 from training.gap.foils import foil
 from training.gap.kin import standings
 from training.gap.null import null_gains
-from training.gap.offsets import beyond_scatter, day_fit, offset_fits, unexplained, whole_gap
+from training.gap.offsets import (
+    Offset,
+    beyond_scatter,
+    day_fit,
+    offset_fits,
+    unexplained,
+    whole_gap,
+)
 from training.gap.quadratic import Misfit, misfit
 from training.gap.rerun_fit import told_anew
 from training.gap.together import added, in_order, is_expected, taken
 from training.gap.unlogged import priced
-from training.gap.verdict import Offset, bearable, finding
+from training.gap.verdict import bearable, finding
 from training.gap.whitened import sized_by_moves
 from training.gap.work import Options, Simulators, Watch, Work
 

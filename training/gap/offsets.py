@@ -14,6 +14,7 @@ import numpy as np
 
 from narxcal.effects.base import Effect, FloatArray, Signals
 from narxcal.effects.running import Flights
+from training.gap.at_speed import at_one_speed, burns_more
 from training.gap.fitting import Fit, Problem, fit, in_nearly_all
 from training.gap.quadratic import Misfit, misfit
 from training.gap.scatter import build_scatter, levels
@@ -36,9 +37,10 @@ _MIDDLE, _ALIKE_K = (0.05, 0.95), 3.0
 _DAYS, _BETWEEN_DAYS = 3, 0.4  # flights that tell days apart; how far they do, in scatters
 _MOST = 0.5  # of what is left: an offset that takes less is not what is wrong
 _AS_GOOD, _LEVEL = 0.75, 0.35  # of what wear takes; of the shift, its growth with power
-# How far the fuel flow is up with wear: of how far the temperature is, both in % of their levels,
-# and at least. The first is no scatter of builds, the second may be.
-_SURELY, _MAYBE = (0.8, 2.5), (0.4, 1.0)
+# How far the fuel flow is up with wear at one fan speed: of how far the temperature is, and in % at
+# least. The first is hardly any scatter of builds, the second may be.
+SURELY, MAYBE = (0.8, 2.5), (0.4, 1.0)
+Offset = tuple[list[Fit], FloatArray, float]  # offsets, best first; Q before; Q that is audible
 
 
 def unexplained(tight: Misfit, explained: FloatArray) -> Misfit:
@@ -180,12 +182,12 @@ def _in_scatters(tried: Fit, flights: Flights, together: float = _TOGETHER_PCT) 
     return np.array(sizes)
 
 
-def alike(offset: tuple[Sequence[Fit], FloatArray, float], flights: Flights) -> list[Fit]:
+def alike(offset: Offset, flights: Flights, tight: Misfit) -> list[Fit]:
     """Offsets that may be meant instead of the first: no richer, and scatter makes the difference.
 
     Of an offset that shifts many outputs, one that shifts fewer may be all that is there, if it
     takes nearly as much and each output is no further from it than build scatter brings it. Wear
-    may be meant instead of a wrong temperature where the fuel flow is up with it.
+    may be meant instead of a wrong temperature where the fuel flow of the whole gap is up with it.
     """
     (best, *others), before, _ = offset
     most = float((before - best.held_out).sum())
@@ -197,7 +199,7 @@ def alike(offset: tuple[Sequence[Fit], FloatArray, float], flights: Flights) -> 
 
     def may_be_worn(one: Fit) -> bool:
         hot = best.effects[0].channel == "EGT_C" and one.effects[0].id == "deterioration"
-        return hot and _burns_more(one, flights, _MAYBE)
+        return hot and burns_more(at_one_speed(flights, tight), MAYBE)
 
     plain = [len(one.theta) <= len(best.theta) and may_be_meant(one) for one in others]
     return [one for one, so in zip(others, plain, strict=True) if so or may_be_worn(one)]
@@ -224,26 +226,11 @@ def plainest(fits: list[Fit], flights: Flights, left: Misfit) -> list[Fit]:
     level = growth < _LEVEL * abs(float(shift.mean()))
     others = float(np.delete(sizes, most).max(initial=0.0))
     silent = 1.0 if growth < 0.0 else min(1.0, 0.5 * sizes[most])
-    if not (alone and level and others < silent) or _burns_more(worn, flights, _SURELY):
+    if not (alone and level and others < silent) or burns_more(at_one_speed(flights, left), SURELY):
         return fits
     if before - float(alone[0].held_out.sum()) < _AS_GOOD * (before - float(worn.held_out.sum())):
         return fits
     return [alone[0], *(one for one in fits if one is not alone[0])]
-
-
-def _burns_more(worn: Fit, flights: Flights, much: tuple[float, float]) -> bool:
-    """Whether the fuel flow is up with the temperature, by so `much` of it and in % of its level.
-
-    A worn engine is hotter because it needs more fuel. A wrong probe leaves the fuel as it was, and
-    scatter of builds moves it by a percent or two.
-    """
-    outputs = flights.signals.outputs
-    if not {"EGT_C", "FF_kgph"} <= set(outputs):
-        return False
-    means = levels(flights.y, outputs).mean(axis=(0, 1))
-    percent = 100.0 * worn.response.mean(axis=(0, 1)) / means
-    shifts = dict(zip(outputs, percent.tolist(), strict=True))
-    return bool(shifts["FF_kgph"] > max(much[0] * shifts["EGT_C"], much[1]))
 
 
 def _better_than_new(tried: Fit, signals: Signals) -> bool:

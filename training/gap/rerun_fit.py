@@ -13,8 +13,7 @@ import numpy as np
 
 from narxcal.effects.base import Effect, InputEffect, ShiftEffect
 from training.gap.fitting import Fit, Problem, fit
-from training.gap.offsets import unexplained
-from training.gap.verdict import Offset
+from training.gap.offsets import Offset, unexplained
 from training.gap.work import Watch, Work
 
 _NOTHING = 0.03  # of the whole gap: nobody asks for what takes that

@@ -12,8 +12,9 @@ from training.gap.answer import Worth, channels, probabilities, shrink, tried
 from training.gap.finding import Finding, Interval, Kind, Tried
 from training.gap.fitting import Fit
 from training.gap.foils import foil
-from training.gap.offsets import alike
+from training.gap.offsets import Offset, alike
 from training.gap.together import is_expected, is_heat
+from training.gap.wear import Answer, with_its_limit
 from training.gap.work import Work
 
 _LEFT = 0.01  # of the gap: nobody can tell two models that both leave less
@@ -22,7 +23,6 @@ _HALF = 0.5  # of what the leader takes beyond small misfit: one that takes less
 _APART = 0.2  # in what two explain where they act: they are about different things
 _SMALL = 0.25  # of the mean gap of a flight: less is none to take shares of
 _AGREED = 0.95  # level at which flights agree on who is ahead
-Offset = tuple[list[Fit], FloatArray, float]  # offsets, best first; Q before; Q that is audible
 
 
 def finding(
@@ -32,27 +32,24 @@ def finding(
     noise: FloatArray,
 ) -> Finding:
     """The verdict over all that was tried."""
+    own = claimed is not None and bearable(work, claimed)
+    answer = with_its_limit(work, claimed, offset) if own else Answer(claimed, offset)
+    claimed, offset = answer.claimed, answer.offset
     order = sorted(work.fits, key=work.rank, reverse=True)
     if claimed is not None:
         order = [claimed, *(one for one in order if one is not claimed)]
-    odds = probabilities([one.held_out for one in order])
-    rows = [
-        tried(model, Worth(work.gain(model), work.gains(model), work.left(model)), float(p))
-        for model, p in zip(order, odds, strict=True)
-    ]
-    if offset is not None:
-        rows = _with_offsets(rows, offset, claimed)
-    elif claimed is None and work.offered:
-        whole = work.tight.size(work.tight.gap)
-        rows += _offsets((work.offered, whole, work.whole))
+    rows = _rows(work, claimed, offset, order)
     models = ([] if claimed is None else [claimed]) + ([] if offset is None else offset[0][:1])
     response = sum((one.response for one in models), start=np.zeros_like(work.problem.flights.y))
     kind, reason = _verdict(work, claimed, offset)
-    rivals = _rivals(work, claimed, order) if claimed is not None else ()
+    rivals = answer.rivals
+    if claimed is not None:
+        rivals += _rivals(work, claimed, order)
     if offset is not None:
-        rivals += tuple(one.name for one in alike(offset, work.problem.flights))
+        rivals += tuple(one.name for one in alike(offset, work.problem.flights, work.tight))
     if kind == "effects" and rivals:
         kind, reason = "ambiguous", "other effects explain held-out flights as well"
+    reason = "; ".join(filter(None, (reason, answer.why)))
     silent = kind in ("none", "unknown")
     names = () if silent else _names(work, claimed, offset)
     leader = claimed or (offset[0][0] if offset else None)
@@ -72,6 +69,23 @@ def finding(
         leading=_leading(work, claimed) if silent else (),
         by_others=None if silent else _by_others(models, response),
     )
+
+
+def _rows(
+    work: Work, claimed: Fit | None, offset: Offset | None, order: Sequence[Fit]
+) -> list[Tried]:
+    """All that was tried, best first; offsets where one is claimed, or nothing is."""
+    odds = probabilities([one.held_out for one in order])
+    rows = [
+        tried(model, Worth(work.gain(model), work.gains(model), work.left(model)), float(p))
+        for model, p in zip(order, odds, strict=True)
+    ]
+    if offset is not None:
+        rows = _with_offsets(rows, offset, claimed)
+    elif claimed is None and work.offered:
+        whole = work.tight.size(work.tight.gap)
+        rows += _offsets((work.offered, whole, work.whole))
+    return rows
 
 
 def _by_others(models: Sequence[Fit], response: FloatArray) -> FloatArray:

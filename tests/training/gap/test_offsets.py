@@ -32,7 +32,8 @@ def offset(shift, driver, name="deterioration"):
     level = np.full((4, 50, 3), [80.0, 90.0, 726.85])  # K of EGT: 1000
     kelvin = level + np.array([0.0, 0.0, 273.15])
     signals = Signals(("ALT_ft",), OUTPUTS, 0.25, driver, level[0, 0] - 50.0, level[0, 0] + 50.0)
-    flights = SimpleNamespace(signals=signals, y=level)
+    u, lengths = np.zeros((4, 50, 1)), np.full(4, 50)
+    flights = SimpleNamespace(signals=signals, y=level, u=u, lengths=lengths)
     tried = SimpleNamespace(
         effects=(effect(name),), response=kelvin * np.array(shift) / 100.0, held_out=np.zeros(4)
     )
@@ -44,7 +45,7 @@ def left(shift=(0.0, 0.1, 1.0)):
 
     Unless said otherwise two outputs are off by a thousandth, as of two builds.
     """
-    gap = np.full((4, 50, 3), shift)
+    gap = np.full((4, 50, len(shift)), shift)
     return SimpleNamespace(
         gap=gap,
         weights=np.ones_like(gap),
@@ -132,7 +133,7 @@ def wear_and_bias(shift, share, growth=0.0):
     The shift of EGT falls by `growth` of itself from idle to full power.
     """
     wear, flights = offset(shift, "TRA_deg")
-    speed = np.linspace(50.0, 100.0, 50)
+    speed = np.linspace(50.0, 100.0, 4)[:, None]  # each flight at one
     flights.y[..., 0] = speed
     wear.response[..., 2] *= 1.0 - growth * (speed - 75.0) / 50.0
     bias, _ = offset([0.0, 0.0, shift[2]], "TRA_deg", "sensor_bias:EGT_C")
@@ -150,8 +151,8 @@ def wear_and_bias(shift, share, growth=0.0):
 def test_a_sensor_is_named_beside_wear_if_scatter_makes_the_difference(core, share, meant):
     fits, flights = wear_and_bias([0.0, core, 3.0], share)
     before = np.full(4, 10.0)
-    assert [one.name for one in alike((fits, before, 40.0), flights)] == meant
-    assert alike((fits[::-1], before, 40.0), flights) == []  # wear can follow any sensor
+    assert [one.name for one in alike((fits, before, 40.0), flights, left())] == meant
+    assert alike((fits[::-1], before, 40.0), flights, left()) == []  # wear can follow any sensor
 
 
 @pytest.mark.parametrize(("growth", "first"), [(0.2, 1), (-0.2, 0)])
@@ -171,12 +172,14 @@ def test_what_needs_more_fuel_as_well_may_be_worn(fuel, first, meant):
     names = (*OUTPUTS, "FF_kgph")
     low, high = (np.append(edge, 2000.0) for edge in (flights.signals.low, flights.signals.high))
     signals = Signals(("ALT_ft",), names, 0.25, "TRA_deg", low, high)
-    own = SimpleNamespace(signals=signals, y=np.concatenate([flights.y, flow], axis=-1))
+    own = SimpleNamespace(**vars(flights))
+    own.signals, own.y = signals, np.concatenate([flights.y, flow], axis=-1)
     shifts = (fuel / 100.0 * flow, 0.0 * flow)
     wider = [
         replace(one, response=np.concatenate([one.response, shift], axis=-1))
         for one, shift in zip(fits, shifts, strict=True)
     ]
-    order = plainest(wider, own, left())
+    gap = left((0.0, 0.2, 30.0, 20.0 * fuel))
+    order = plainest(wider, own, gap)
     assert order[0] is wider[first]
-    assert len(alike((order, np.full(4, 10.0), 40.0), own)) == meant
+    assert len(alike((order, np.full(4, 10.0), 40.0), own, gap)) == meant
