@@ -27,6 +27,7 @@ _LEVER_DEG: Final = 85.0  # way of a lever of which the play below is a share
 # third of either: where components scatter by a percent, it does by up to ten times as much.
 _BY_SCATTER, _LIMIT = 10.0, (0.03, 0.10)  # of acceleration and deceleration: least, most
 _EITHER: Final = 0.5  # of a share that is all or nothing
+_SOUND: Final = 2.0  # of the gap: a shape that leaves more, by the other flights, is none
 _SMALL: Final = 1e-9  # way of a parameter that is none
 
 
@@ -72,8 +73,8 @@ class Allowance:
         limit = float(
             np.clip(_BY_SCATTER * build_scatter(problem.flights, problem.misfit), *_LIMIT)
         )
-        rows = [row for one in fits for row in _shapes(one, scale, limit)]
         self._misfit = problem.misfit
+        rows = [row for one in fits for row in _shapes(one, scale, limit) if self._is_sound(*row)]
         self._names = [name for name, *_ in rows]
         empty = np.zeros((0, *problem.misfit.gap.shape))
         self._shapes = np.stack([shape for _, shape, _ in rows]) if rows else empty
@@ -93,6 +94,15 @@ class Allowance:
             bounds = np.concatenate([bounds, room(tried.theta, tried.parameters)])
             rest = rest - tried.response
         return _left_out(*self._forms(shapes, rest), bounds)
+
+    def _is_sound(self, _: str, shape: FloatArray, bounds: tuple[float, float]) -> bool:
+        """Whether a shape is a simulator's misfit, and not what running the emulator made of it.
+
+        A step so small that an emulated engine only flutters has a slope of its own in one flight,
+        which the others cannot know.
+        """
+        left = _left_out(*self._forms(shape[None], self._misfit.gap), np.array([bounds]))
+        return float(left.sum()) <= _SOUND * float(self._misfit.size(self._misfit.gap).sum())
 
     def _forms(
         self, shapes: FloatArray, rest: FloatArray

@@ -1,5 +1,7 @@
 """Small misfit that any simulator has is no evidence for the effect that it resembles."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -93,6 +95,17 @@ def test_limits_may_be_off_by_as_much_as_components_that_scatter_make_them(
 def test_what_gains_nothing_takes_nothing_beyond(asked):
     work, fits = asked({"throttle_backlash": [2.0]})
     assert abs(work.beyond(fits["bleed_extraction"]).sum()) < 0.02 * work.audible
+
+
+def test_a_slope_that_fluttered_in_one_flight_is_no_misfit(asked):
+    work, fits = asked({"time_skew:N2_pct": [0.03], "actuator_lag": [0.05, 1.0, 0.0]})
+    lag = fits["actuator_lag"]
+    slopes = lag.slopes.copy()
+    slopes[0, 0] *= 3e3
+    wild = replace(lag, slopes=slopes, theta=np.array([0.0, 1.0, 0.0]))
+    others = [one for one in fits.values() if one is not lag]
+    found, known = (Allowance(rows, work.problem) for rows in ([*others, wild], others))
+    np.testing.assert_allclose(found.held_out(), known.held_out())
 
 
 def test_without_shapes_nothing_is_allowed(flights, engine, recorded):
