@@ -35,8 +35,8 @@ def _is_near_limit(one: Fit) -> bool:
 def in_order(first: Fit, second: Fit) -> tuple[Fit, Fit]:
     """Two fits as they are named: what is to be expected last, and a heat soak at the very end.
 
-    Heat follows anything slow, so that beside an effect of moves it is the one that may only be what
-    else is wrong: of 15 such pairs in blind cases where one of the two was there, it was once.
+    Heat follows anything slow, so that beside an effect of moves it is the one that may only be
+    what else is wrong: of 15 such pairs in blind cases where one of the two was there, it was once.
     """
     swapped = is_heat(first) or (is_expected(first) and not is_expected(second))
     return (second, first) if swapped else (first, second)

@@ -1,4 +1,4 @@
-"""Where slow heat leads, what is wrong besides comes first; alone it stays where it is."""
+"""Where slow heat or a limit leads, what is wrong besides comes first; alone it stays."""
 
 import numpy as np
 import pytest
@@ -53,6 +53,27 @@ def test_what_is_small_against_the_heat_is_seen_beside_it(name, theta, worked, r
     assert [one.name for one in pair.effects] == [name, "heat_soak"]
     assert pair.theta[0] == pytest.approx(theta[0], rel=0.15)
     assert pair in work.fits
+
+
+@pytest.mark.parametrize("share", [0.8, 1.2])
+def test_what_is_small_against_a_limit_of_its_own_is_named_beside_it(share, worked, recorded):
+    work = worked(recorded({"accel_limit": [share], "sensor_lag:N2_pct": [0.1, 0.5]}), MOVERS)
+    limit = work.fits[MOVERS.index("accel_limit")]
+    assert max(work.fits, key=work.rank) is limit
+    pair = beside(work)
+    assert pair is not None
+    assert [one.name for one in pair.effects] == ["sensor_lag:N2_pct", "accel_limit"]
+    assert stands(work, pair, limit)
+
+
+def test_a_limit_that_no_build_has_hides_nothing(worked, recorded):
+    work = worked(recorded({"accel_limit": [0.6], "sensor_lag:N2_pct": [0.1, 0.5]}), MOVERS)
+    assert max(work.fits, key=work.rank).name == "accel_limit"
+    assert beside(work) is None
+
+
+def test_a_limit_alone_has_nothing_beside_it(worked, recorded):
+    assert beside(worked(recorded({"accel_limit": [0.8]}), MOVERS)) is None
 
 
 def test_heat_alone_has_nothing_beside_it(worked, recorded):
