@@ -117,16 +117,27 @@ def _further(work: Work, best: Fit, offset: Offset | None, watch: Watch | None) 
     """
     if len(best.effects) >= work.options.most or work.left(best) <= _ENOUGH:
         return None
-    unexplained = work.unexplained(best)
-    least = max(min(work.options.further, _HALF * unexplained), _SECOND * unexplained, _ENOUGH)
     pairs = _pairs(work, watch)
-    more = next((pair for pair in pairs if _earned(work, pair, best, least)), None)
+    more = next((p for p in pairs if _earned(work, p, best, _least(work, p, best))), None)
     more = more or _stands_beside(work, best)
     if more is None:
         return None
     gained = float((best.held_out - more.held_out).sum())
     beside = offset is not None and gained <= _gained(offset)
     return None if beside and gained < _THIRD * work.audible else more
+
+
+def _least(work: Work, pair: Fit, best: Fit) -> float:
+    """Share of the gap that a pair has to take of what is left beside the best, to be worth naming.
+
+    A part of what is left is enough if it is explained where the second effect acts: a slow flow
+    meter is little of a gap of all channels.
+    """
+    unexplained, options = work.unexplained(best), work.options
+    least = max(min(options.further, _HALF * unexplained), _ENOUGH)
+    rest, own = work.problem.misfit.gap - best.response, pair.response - best.response
+    clear = work.explained(own, rest) >= options.aligned
+    return least if clear else max(least, _SECOND * unexplained)
 
 
 def _tried(work: Work, effects: Sequence[Effect], place: tuple[int, int, Watch | None]) -> Fit:

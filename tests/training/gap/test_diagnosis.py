@@ -9,7 +9,7 @@ import pytest
 from narxcal.effects import effect
 from narxcal.effects.running import respond
 from tests.training.gap.conftest import INPUTS, NOISE
-from training.gap.diagnosis import _beyond, diagnose
+from training.gap.diagnosis import _beyond, _least, diagnose
 from training.gap.work import Options, Simulators
 
 QUICK = Options(draws=40)
@@ -281,6 +281,18 @@ def test_a_second_effect_takes_something_beyond_small_misfit(taken, aligned, eno
         audible=1.0,
     )
     assert _beyond(work, both, first) is enough
+
+
+@pytest.mark.parametrize(("explained", "asked"), [(0.75, 0.10), (0.65, 0.15)])
+def test_less_of_what_is_left_is_enough_if_it_is_explained_where_it_acts(explained, asked):
+    work = SimpleNamespace(
+        unexplained=lambda _: 0.6,
+        explained=lambda own, rest: explained if (own, rest) == (1.0, 5.0) else np.nan,
+        options=Options(),
+        problem=SimpleNamespace(misfit=SimpleNamespace(gap=7.0)),
+    )
+    first, both = SimpleNamespace(response=2.0), SimpleNamespace(response=3.0)
+    assert _least(work, both, first) == pytest.approx(asked)
 
 
 def test_two_effects_are_both_named(flights, engine, recorded):
