@@ -57,8 +57,14 @@ def burns_more(shifts: Mapping[str, FloatArray], much: tuple[float, float]) -> b
     """
     if not {"EGT_C", "FF_kgph"} <= set(shifts):
         return False
-    hotter, more = (float(np.median(shifts[name])) for name in ("EGT_C", "FF_kgph"))
+    hotter, more = (typical(shifts[name]) for name in ("EGT_C", "FF_kgph"))
     return more > max(much[0] * hotter, much[1])
+
+
+def typical(shift: FloatArray) -> float:
+    """The median of the flights that tell; NaN unless half of them do."""
+    told = shift[np.isfinite(shift)]
+    return float(np.median(told)) if 2 * len(told) >= len(shift) else np.nan
 
 
 def _at_rest(flights: Flights) -> NDArray[np.bool_]:

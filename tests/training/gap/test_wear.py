@@ -54,7 +54,8 @@ def offset_of(work, name):
         (4.0, 1.0, ["accel_limit"]),
         (2.0, 4.0, ["accel_limit"]),  # five times as much is less than the limit has lost
         ([-0.1, 4.0, 4.0, 4.0, 4.0], 4.0, ["accel_limit"]),
-        ([np.nan, 4.0, 4.0, 4.0, 4.0], 4.0, ["accel_limit"]),
+        ([np.nan, np.nan, 4.0, 4.0, 4.0], 4.0, ["deterioration", "accel_limit"]),
+        ([np.nan, np.nan, np.nan, 4.0, 4.0], 4.0, ["accel_limit"]),
     ],
 )
 def test_a_limit_may_be_a_part_of_wear_that_is_not_claimed(hotter, more, said, work, at_one_speed):
