@@ -7,12 +7,13 @@ range R, and L = ln(delta / sqrt(theta)),
 
     w      = s1 + F(n2) - F(s2) + c p - n1        what the core's gas would make of the fan
     dn1/dt = w exp(k w / R) / tau1                which follows it, faster from far below
-    dn2/dt = p                                    the core what power it has to spare
+    dn2/dt = p - m                                the core what power it has to spare
     dp/dt  = (v - p) / tau_f,                     behind the fuel valve,
     q      = g exp(l (z - x)) (s - n + r) - d dn1/dt
     v      = soft(q; up, down)                    which the control opens and limits
     dr/dt  = reset^2 (s - n) / (1 + (q / limit)^4)
     dy/dt  = (s_y + Y(n2) - Y(s2) + b p - y) / tau_y
+    m      = loss exp(L) (1 + x) / 2 (T_blades - T_metal)
 
 F and Y are cubics in the core's speed, for engines settle on curves: between idle and full power
 chords count, not slopes. The governor acts on the error of the speed it holds, n1 or n2, is damped
@@ -20,12 +21,14 @@ by the fan's rate, and its reset waits while a limit holds. A turbine's torque g
 of speeds, which makes the k and the l. Limits of acceleration and deceleration are parabolas in x
 and go with the fan's lag behind its settled match: the pressure to which a control schedules fuel
 is that of both spools. A further lag tau of the valve acts on fuel, of which the core needs
-n2 / core_s more as it speeds up: dv/dt = (soft - v) / tau - (dn2/dt) / core_s. A control that holds
-the core's acceleration itself makes up for rotors that answer differently: v is then so many times
-the fuel as they are slower. Other coefficients are lines in x and L, the positive ones as
-logarithms. Sources: rotor equations and min-max control in Walsh & Fletcher, *Gas Turbine
-Performance*, ch. 8; Jaw & Mattingly, *Aircraft Engine Controls*, ch. 5-6; state-variable form in
-Sugiyama, *J. Propulsion* 10 (1994).
+n2 / core_s more as it speeds up: dv/dt = (soft - v) / tau - (dn2/dt) / core_s. Metal that trails
+the gas takes heat from it and keeps clearances open: T_blades and T_metal are one temperature of y
+behind a lag each, and what the core lacks goes with power and with the density of the air; the fan
+follows p - m. A control that holds the core's acceleration itself makes up for rotors that answer
+differently, and for heat: v is then so many times the fuel as they are slower, and m more. Other
+coefficients are lines in x and L, the positive ones as logarithms. Sources: rotor equations and
+min-max control in Walsh & Fletcher, *Gas Turbine Performance*, ch. 8; Jaw & Mattingly, *Aircraft
+Engine Controls*, ch. 5-6; state-variable form in Sugiyama, *J. Propulsion* 10 (1994).
 """
 
 from __future__ import annotations
@@ -91,24 +94,26 @@ def run(
     thermal: FloatArray,
     flown: tuple[FloatArray, FloatArray, FloatArray],
     which: IntArray,
-    setting: tuple[float, float, float, int],
+    setting: tuple[float, float, float, int, int],
 ) -> FloatArray:
     """Free runs of many rows, `(rows, time, 2 + flows)`.
 
-    `theta` (rows, SIZE + 9) holds the coefficients and the row's `Pace`; `thermal` (flows, FLOW)
+    `theta` (rows, SIZE + 12) holds the coefficients and the row's `Pace`; `thermal` (flows, FLOW)
     those of Y, b and tau_y. `flown` are the settled values (blocks, time, 2 + flows), L (blocks,
     time) and the first row (rows, 2 + flows); `which` (rows,) the block of each row. `setting` is
-    the raster in s, the bottom and the range of core speed, and the speed that is governed.
+    the raster in s, the bottom and the range of core speed, the speed that is governed, and the
+    column of the temperature that metal follows.
     """
     steady, air, start = flown
-    dt_s, low, span, governed = setting
+    dt_s, low, span, governed, hot = setting
     steps = max(1, int(np.ceil(dt_s / _STEP_S - 1e-9)))
-    inner = (dt_s / steps, low, span, governed)
+    inner = (dt_s / steps, low, span, governed, hot)
     count = steady.shape[2]
     out = np.empty((len(theta), steady.shape[1], count))
-    wanted, state, kept = np.empty(count), np.empty(count + 3), np.empty(count + 2)
+    wanted, state, kept = np.empty(count), np.empty(count + 5), np.empty(count + 4)
     for r in range(len(theta)):
-        state[:count], state[count:] = start[r], 0.0  # n1, n2, flows; p, v, r
+        state[:count], state[count:] = start[r], 0.0  # n1, n2, flows; p, v, r; blades, metal
+        state[count + 3 :] = start[r, hot]
         _keep(theta[r], thermal, inner[0], kept)
         out[r, 0] = start[r]
         at = steady[which[r]]
@@ -124,12 +129,14 @@ def run(
 
 @njit(cache=True)
 def _keep(theta: FloatArray, thermal: FloatArray, h: float, kept: FloatArray) -> None:
-    """What each lag keeps of its state over a step: of the flows, the valve, a further lag."""
+    """What each lag keeps of its state over a step: flows, valve, a further lag, blades, metal."""
     flows = len(thermal)
     for j in range(flows):
         kept[2 + j] = np.exp(-h / max(thermal[j, FLOW - 1], _FASTEST_S))
     kept[2 + flows] = np.exp(-h / max(np.exp(theta[VALVE]), _FASTEST_S))
     kept[3 + flows] = np.exp(-h / max(theta[SIZE + 6], 1e-9))
+    kept[4 + flows] = np.exp(-h / max(theta[SIZE + 11], 1e-9))
+    kept[5 + flows] = np.exp(-h / max(theta[SIZE + 10], 1e-9))
 
 
 @njit(cache=True, inline="always")
@@ -138,11 +145,11 @@ def _advance(
     wanted: FloatArray,
     air: float,
     coefficients: tuple[FloatArray, FloatArray, FloatArray],
-    setting: tuple[float, float, float, int],
+    setting: tuple[float, float, float, int, int],
 ) -> None:
     """One explicit step of the speeds, and an exact one of every lag for a constant input."""
     theta, thermal, kept = coefficients
-    h, low, span, governed = setting
+    h, low, span, governed, hot = setting
     flows = len(wanted)
     n1, n2, p = state[0], state[1], state[flows]
     thin = 1.0 if theta[SIZE + 4] == 0.0 else np.exp(air * theta[SIZE + 4])
@@ -150,10 +157,12 @@ def _advance(
     z = min(max((wanted[1] - low) / span, -0.2), 1.2)
     match = _chord(theta[LINE] + theta[LINE + 2] * air, theta[LINE + 1], theta[LINE + 3], x, z)
     behind = (wanted[0] + match * (n2 - wanted[1]) - n1) / span
-    way = behind + theta[PUSH] * p / span
+    taken = theta[SIZE + 9] * np.exp(air) * 0.5 * (1.0 + x) * (state[flows + 3] - state[flows + 4])
+    spare = p - taken
+    way = behind + theta[PUSH] * spare / span
     fan = way * span / _positive(_line(theta, FAN, x, air) - theta[FAN + 3] * way)
     fan *= thin * (theta[SIZE] if fan > 0.0 else theta[SIZE + 1])
-    core = p * thin * (theta[SIZE + 2] if p > 0.0 else theta[SIZE + 3])
+    core = spare * thin * (theta[SIZE + 2] if spare > 0.0 else theta[SIZE + 3])
     error = wanted[0] - n1 if governed % 2 == 0 else wanted[1] - n2
     gain = _positive(_line(theta, GAIN, x, air) + theta[GAIN + 3] * (z - x))
     asked = gain * (error + state[flows + 2]) - _line(theta, DAMP, x, air) * fan
@@ -162,7 +171,7 @@ def _advance(
     state[flows + 2] += h * theta[RESET] ** 2 * error / (1.0 + (asked / limit) ** 4)
     asked = soft(asked, limit)
     if governed >= HOLDS_RATE:
-        asked /= thin * (theta[SIZE + 2] if asked > 0.0 else theta[SIZE + 3])
+        asked = asked / (thin * (theta[SIZE + 2] if asked > 0.0 else theta[SIZE + 3])) + taken
     asked -= theta[SIZE + 6] * core / theta[SIZE + 7]
     state[flows + 1] = asked + kept[flows + 1] * (state[flows + 1] - asked)
     state[flows] = state[flows + 1] + kept[flows] * (p - state[flows + 1])
@@ -173,6 +182,8 @@ def _advance(
         to = wanted[j] + _chord(own[0] + own[3] * air, own[1], own[2], x, z) * (n2 - wanted[1])
         to += (own[4] + own[5] * x + own[6] * x * x + own[7] * air) * p
         state[j] = to + kept[j] * (state[j] - to)
+    for j in range(flows + 3, flows + 5):
+        state[j] = state[hot] + kept[j - 1] * (state[j] - state[hot])
 
 
 @njit(cache=True, inline="always")
@@ -199,9 +210,17 @@ class TwoSpool:
     dt_s: float
 
     def free_run(
-        self, flown: tuple[FloatArray, FloatArray, FloatArray], which: IntArray, pace: FloatArray
+        self,
+        flown: tuple[FloatArray, FloatArray, FloatArray],
+        which: IntArray,
+        pace: FloatArray,
+        hot: int = -1,
     ) -> FloatArray:
-        """Runs (rows, time, 2 + flows) of `flown` and `which` (see `run`) at `pace` (rows, 9)."""
+        """Runs (rows, time, 2 + flows) of `flown` and `which` (see `run`) at `pace` (rows, 12).
+
+        Metal follows the temperature in column `hot`.
+        """
         theta = np.concatenate([np.tile(self.theta, (len(pace), 1)), pace], axis=1)
-        setting = (self.dt_s, self.low, self.span, self.governed)
+        columns = flown[0].shape[-1]
+        setting = (self.dt_s, self.low, self.span, self.governed, hot % columns)
         return np.asarray(run(theta, self.thermal, flown, which, setting))

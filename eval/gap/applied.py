@@ -28,9 +28,8 @@ from eval.gap.simulators import Simulate
 from eval.gap.stored_emulator import read_emulator, signals_from_json
 from eval.gap.summary import EMULATOR
 from narxcal.channels import CHANNELS
-from narxcal.effects.base import InputEffect, RateEffect, ShiftEffect, Signals
-from narxcal.effects.pace import as_simulated
-from narxcal.effects.running import Flights, Setting, arrived, read
+from narxcal.effects.base import InputEffect, ShiftEffect, Signals
+from narxcal.effects.running import Flights, Setting, arrived, changes_pace, read
 from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
 from narxcal.errors import ConfigError, DataError, ModelError
 from training.gap.emulator import GreyBoxEmulator
@@ -126,15 +125,8 @@ class FoundEffects:
             return INPUTS
         if isinstance(effect, ShiftEffect):
             return SHIFTED
-        inside = isinstance(effect, InputEffect) or self._changes_pace(setting)
+        inside = isinstance(effect, InputEffect) or changes_pace(setting, self.signals)
         return EMULATED if inside else OUTPUTS
-
-    def _changes_pace(self, setting: Setting) -> bool:
-        effect, theta = setting
-        if not isinstance(effect, RateEffect):
-            return False
-        both = zip(effect.pace(theta, self.signals), as_simulated(len(theta)), strict=True)
-        return not all(np.array_equal(here, there) for here, there in both)
 
     def _complete(self, log: Log, name: str, outputs: tuple[str, ...] = ()) -> Log:
         """The log with all inputs, an unlogged load's included, and without holes in them.
@@ -193,8 +185,19 @@ class FoundEffects:
     def _pace_change(
         self, found: list[Setting], told: FloatArray, y: FloatArray, log: Log
     ) -> FloatArray | float:
-        """What effects on the pace change in the emulator's run of an engine told `told`."""
-        inside = {e.name: self.values[e.name] for e, t in found if self._changes_pace((e, t))}
+        """What effects on the pace change in the emulator's run of an engine told `told`.
+
+        What is linear in them is no pace: it is added with the readings.
+        """
+        inside = {
+            effect.name: {
+                p.name: self.values[effect.name].get(p.name, p.neutral)
+                for p in effect.parameters(self.signals)
+                if not p.linear
+            }
+            for effect, theta in found
+            if changes_pace((effect, theta), self.signals)
+        }
         return self._in_blocks(inside, told, y, log) if inside else 0.0
 
     def _on(self, log: Log, name: str) -> FloatArray:

@@ -87,6 +87,12 @@ class Signals:
         column = self.y(output)
         return float(self.high[column] - self.low[column])
 
+    @property
+    def hot(self) -> int:
+        """Column of the temperature that metal follows; of the last output where there is none."""
+        last = len(self.outputs) - 1
+        return self.outputs.index("EGT_C") if "EGT_C" in self.outputs else last
+
     def power(self, y: FloatArray) -> FloatArray:
         """Share of the range of the first output, 0 at idle and 1 at full power: `(...,)`."""
         return np.asarray((y[..., 0] - self.low[0]) / (self.high[0] - self.low[0]))
@@ -179,12 +185,16 @@ class ShiftEffect(InputEffect):
         """Outputs (batch, time, outputs) of the engine so told, for its outputs `y` without."""
 
 
-class RateEffect(Effect):
-    """An effect on how fast the engine moves."""
+class PacedEffect(Effect):
+    """An effect that sets the engine to another pace, whatever else it does."""
 
     @abstractmethod
     def pace(self, theta: FloatArray, signals: Signals) -> Pace:
         """Pace of the engine against the simulator, for `theta` (batch, parameters)."""
+
+
+class RateEffect(PacedEffect):
+    """An effect on how fast the engine moves."""
 
 
 class OutputEffect(Effect):

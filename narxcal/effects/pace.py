@@ -2,7 +2,8 @@
 
 A two-spool engine moves by the power its core has to spare. What can be different is how fast
 either spool turns that into speed, up or down; what thin air makes of it; how much acceleration the
-control allows; and how late the fuel valve follows what the control asks for.
+control allows; how late the fuel valve follows what the control asks for; and what metal that is
+colder than the gas, or warmer, takes of the power or gives to it.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ class Pace(NamedTuple):
     greatest acceleration that the control asks for over the simulator's own, `fall` the greatest
     deceleration; `valve_s` is a further lag between what it asks for and the fuel. What fuel does
     to the core depends on the core's own time constant `core_s` at constant fuel, which no log of a
-    governed engine shows.
+    governed engine shows. The core lacks `loss` (%/s) per unit of a temperature by which the
+    metal, behind a lag of `metal_s`, trails the blades, behind one of `rise_s`.
     """
 
     fan_up: FloatArray
@@ -36,20 +38,28 @@ class Pace(NamedTuple):
     valve_s: FloatArray
     core_s: FloatArray
     fall: FloatArray
+    loss: FloatArray
+    metal_s: FloatArray
+    rise_s: FloatArray
 
 
 def as_simulated(batch: int) -> Pace:
     """The simulator's own pace."""
     one, none = np.ones(batch), np.zeros(batch)
-    return Pace(one, one, one, one, none, one, none, one, one)
+    return Pace(one, one, one, one, none, one, none, one, one, none, one, one)
 
 
 def together(paces: Sequence[Pace]) -> Pace:
-    """Several at once: factors multiply, powers and lags add up; one alone has a `core_s`."""
+    """Several at once: factors multiply, powers, lags and losses add up.
+
+    One alone has a `core_s`, and one alone has metal.
+    """
     found = paces[0]
     for other in paces[1:]:
         products = [a * b for a, b in zip(found, other, strict=True)]
         found = Pace(*products)._replace(
-            thin_air=found.thin_air + other.thin_air, valve_s=found.valve_s + other.valve_s
+            thin_air=found.thin_air + other.thin_air,
+            valve_s=found.valve_s + other.valve_s,
+            loss=found.loss + other.loss,
         )
     return found

@@ -23,7 +23,7 @@ from narxcal.effects.base import (
     FloatArray,
     InputEffect,
     OutputEffect,
-    RateEffect,
+    PacedEffect,
     Run,
     ShiftEffect,
     Signals,
@@ -71,7 +71,7 @@ def respond(settings: Sequence[Setting], flights: Flights, emulator: Emulator | 
     rows = np.tile(np.arange(count), batch)
     spread = [(effect, np.repeat(theta, count, axis=0)) for effect, theta in settings]
     y = flights.y[rows]
-    inner = [setting for setting in spread if _inside(setting[0])]
+    inner = [setting for setting in spread if _inside(setting, flights.signals)]
     if inner:
         if emulator is None:
             name = inner[0][0].name
@@ -84,9 +84,19 @@ def respond(settings: Sequence[Setting], flights: Flights, emulator: Emulator | 
     return read(spread, flights.signals, told, y).reshape(batch, count, steps, -1)
 
 
-def _inside(effect: Effect) -> bool:
+def _inside(setting: Setting, signals: Signals) -> bool:
     """Whether an engine with the effect has to be emulated."""
-    return isinstance(effect, (InputEffect, RateEffect)) and not isinstance(effect, ShiftEffect)
+    told = isinstance(setting[0], InputEffect) and not isinstance(setting[0], ShiftEffect)
+    return told or changes_pace(setting, signals)
+
+
+def changes_pace(setting: Setting, signals: Signals) -> bool:
+    """Whether an engine with the effect moves at any other pace than the simulator."""
+    effect, theta = setting
+    if not isinstance(effect, PacedEffect):
+        return False
+    both = zip(effect.pace(theta, signals), as_simulated(len(theta)), strict=True)
+    return any(bool((here != there).any()) for here, there in both)
 
 
 def arrived(settings: Sequence[Setting], signals: Signals, u: FloatArray) -> FloatArray:
@@ -115,7 +125,7 @@ def _moved(
     paces = [
         effect.pace(theta, flights.signals)
         for effect, theta in settings
-        if isinstance(effect, RateEffect)
+        if isinstance(effect, PacedEffect)
     ]
     changed = emulator.run(flights, told, together(paces) if paces else None)
     same = emulator.run(flights, flights.u, as_simulated(len(flights.u)) if paces else None)

@@ -11,8 +11,18 @@ from typing import ClassVar
 
 import numpy as np
 
-from narxcal.effects.base import FloatArray, OutputEffect, Parameter, Run, Side, Signals, unit
+from narxcal.effects.base import (
+    FloatArray,
+    OutputEffect,
+    PacedEffect,
+    Parameter,
+    Run,
+    Side,
+    Signals,
+    unit,
+)
 from narxcal.effects.memory import Lag
+from narxcal.effects.pace import Pace, as_simulated
 
 UNLOGGED = "unlogged"  # input column that holds the windows found by their change points
 FOLLOW_S = 1.0  # how an engine takes up a bleed
@@ -162,13 +172,18 @@ class IdleSchedule(OffsetEffect):
         return {"idle": _followed(run, "idle", wanted, SPOOL_S)}
 
 
-class HeatSoak(OffsetEffect):
+class HeatSoak(OffsetEffect, PacedEffect):
     """Temperature (and N2) trail power by a slow share: metal still cold, clearances still open.
 
     The shape is the temperature behind a lag of `rise_s` less that behind one of `tau_s`: 30 to
     300 s for discs and casing (FACTS A4), a third of that for blades and thin walls, which is where
     the lags of probes end. Blades and discs grow before the casing does: the share may take some
     time to come, and takes longer to go.
+
+    What metal takes from the gas the turbines lack: under a control the core loses `loss` of
+    acceleration where the metal trails by the whole range of the temperature, so that slams are
+    slower, and fuel makes up for it afterwards. Where fuel is the driver the shares of the speeds
+    say so.
     """
 
     id: ClassVar[str] = "heat_soak"
@@ -179,19 +194,34 @@ class HeatSoak(OffsetEffect):
         Parameter("tau_s", "s", 8.0, 400.0, 20.0, (12.0, 35.0, 80.0, 200.0)),
         Parameter("rise_s", "s", 0.0, 60.0, 0.0, (1.0, 10.0)),
     )
+    taken: ClassVar[Parameter] = Parameter("loss", "%/s", 0.0, 30.0, 0.0, (0.5, 3.0))
 
     def terms(self, signals: Signals) -> tuple[tuple[str, str], ...]:
         """Every output that no control holds."""
         return tuple(("share", to) for to in signals.free)
 
     def parameters(self, signals: Signals) -> tuple[Parameter, ...]:
-        """The time constants, and shares of the shape."""
-        shares = (f"{shape}_{to}" for shape, to in self.terms(signals))
-        return (*self.fixed, *(Parameter(s, "-", -2.0, 2.0, 0.0, linear=True) for s in shares))
+        """The time constants, shares of the shape, and what the core loses under a control."""
+        names = (f"{shape}_{to}" for shape, to in self.terms(signals))
+        shares = (Parameter(name, "-", -2.0, 2.0, 0.0, linear=True) for name in names)
+        return (*self.fixed, *shares, *((self.taken,) if signals.governed else ()))
+
+    def pace(self, theta: FloatArray, signals: Signals) -> Pace:
+        """The core's loss per degree (or unit of the last output), and the lags of the shape."""
+        same = as_simulated(len(theta))
+        if not signals.governed:
+            return same
+        width = float(signals.high[signals.hot] - signals.low[signals.hot])
+        there = theta[:, -1] != 0.0
+        return same._replace(
+            loss=theta[:, -1] / width,
+            metal_s=np.where(there, theta[:, 0], same.metal_s),
+            rise_s=np.where(there, theta[:, 1], same.rise_s),
+        )
 
     def shapes(self, run: Run, y: FloatArray) -> dict[str, FloatArray]:
         """What the metal lacks, in the unit of the temperature (or of the last output)."""
-        hot = run.signals.outputs.index("EGT_C") if "EGT_C" in run.signals.outputs else -1
-        blades = _followed(run, "blades", y[..., hot], run.theta[:, 1])
-        trail = blades - _followed(run, "metal", y[..., hot], run.theta[:, 0])
+        hot = y[..., run.signals.hot]
+        blades = _followed(run, "blades", hot, run.theta[:, 1])
+        trail = blades - _followed(run, "metal", hot, run.theta[:, 0])
         return {"share": trail * (0.5 + 0.5 * np.clip(run.signals.power(y), 0.0, 1.0))}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from narxcal.effects import Flights, Signals, candidates
-from narxcal.effects.base import OutputEffect, RateEffect
+from narxcal.effects.base import OutputEffect, PacedEffect, RateEffect
 from narxcal.effects.pace import as_simulated
 from narxcal.effects.sensor_side import SensorEffect
 
@@ -51,6 +51,7 @@ class Engine:
             late = np.exp(-DT / np.maximum(pace.valve_s, 1e-9))
             drive[:, k, 0] += late * (drive[:, k - 1, 0] - drive[:, k, 0])
         y = [flights.y[rows, 0] + settled(told[which, 0]) - settled(flights.u[rows, 0])]
+        metal = y[0][:, 2]
         for k in range(drive.shape[1] - 1):
             rate = self.rate(y[-1], drive[:, k])
             thin = air[:, k] ** pace.thin_air
@@ -60,6 +61,8 @@ class Engine:
             rate *= np.where(pace.limit == 1.0, 1.0, np.minimum(room, 1.0))[:, None]
             fall = FASTEST * pace.fall / np.maximum(-rate[:, 1], 1e-9)
             rate *= np.where(pace.fall == 1.0, 1.0, np.minimum(fall, 1.0))[:, None]
+            rate[:, 1] -= pace.loss * (y[-1][:, 2] - metal)
+            metal = metal + DT / pace.metal_s * (y[-1][:, 2] - metal)
             y.append(y[-1] + DT * rate)
         return np.stack(y, axis=1)
 
@@ -127,13 +130,13 @@ def linear(request):
 
 @each([e for e in ALL if isinstance(e, RateEffect)])
 def moving(request):
-    """Every effect on rates."""
+    """Every effect on rates alone."""
     return request.param
 
 
-@each([e for e in ALL if isinstance(e, OutputEffect) and not isinstance(e, RateEffect)])
+@each([e for e in ALL if isinstance(e, OutputEffect) and not isinstance(e, PacedEffect)])
 def reading(request):
-    """Every effect on outputs."""
+    """Every effect on outputs alone."""
     return request.param
 
 

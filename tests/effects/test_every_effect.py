@@ -25,12 +25,13 @@ def test_its_parameters_are_in_order(acting, flights):
         assert p.unit
 
 
-def test_what_is_called_linear_is_linear(linear, sized, flights):
+def test_what_is_called_linear_is_linear(linear, sized, flights, engine):
     lines = [p.linear for p in linear.parameters(flights.signals)]
-    thetas = np.repeat(sized(linear, 0.0), 3, axis=0)
+    thetas = np.repeat(sized(linear, 0.0), 4, axis=0)
     thetas[:2, lines] = np.random.default_rng(1).normal(size=(2, sum(lines)))
     thetas[2, lines] = 0.3 * thetas[0, lines] - 2.0 * thetas[1, lines]
-    moved = respond([(linear, thetas)], flights, None) - flights.y
+    *moved, without = respond([(linear, thetas)], flights, engine)
+    moved = np.array(moved) - without
     np.testing.assert_allclose(moved[2], 0.3 * moved[0] - 2.0 * moved[1], atol=1e-9)
 
 

@@ -88,6 +88,30 @@ def test_where_fuel_drives_a_slow_valve_is_one_lag_of_all_outputs(flights):
         np.testing.assert_array_equal(found[..., j], Lag(np.full(len(y), 0.6), DT)(y[..., j]))
 
 
+def test_heat_that_metal_takes_is_acceleration_that_the_core_lacks(flights):
+    """`loss` %/s where the metal trails by the temperature's whole range; none, none at all."""
+    theta = [40.0, 2.0, 0.0, -0.3, 0.1, 6.0]
+    width = flights.signals.width("EGT_C")
+    changed = {"loss": pytest.approx(6.0 / width), "metal_s": 40.0, "rise_s": 2.0}
+    assert paced("heat_soak", flights.signals, *theta) == changed
+    assert paced("heat_soak", flights.signals, *theta[:-1], 0.0) == {}
+
+
+def test_where_fuel_drives_the_shares_of_the_speeds_say_what_metal_takes(flights):
+    s = flights.signals
+    signals = replace(s, inputs=("FF_kgph", *s.inputs[1:]), driver="FF_kgph")
+    names = [p.name for p in effect("heat_soak").parameters(signals)]
+    assert "loss" not in names
+    assert "share_N1_pct" in names
+    assert paced("heat_soak", signals, *[5.0] * len(names)) == {}
+
+
+def test_metal_follows_the_exhaust_or_what_comes_last(flights):
+    assert flights.signals.hot == 2
+    without = replace(flights.signals, outputs=("N1_pct", "N2_pct", "FF_kgph", "P3_bar"))
+    assert without.hot == 3
+
+
 @pytest.mark.parametrize(("outside", "lag_s"), [(0.0, 0.0), (1.0, 0.6)])
 def test_outside_the_loop_a_slow_valve_is_one_lag_of_all_outputs(outside, lag_s, flights):
     theta = np.repeat([[0.6, 2.0, outside]], len(flights.y), axis=0)

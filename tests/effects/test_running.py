@@ -132,7 +132,7 @@ def test_effects_act_in_the_order_of_their_places(flights, engine):
 @pytest.mark.parametrize("name", ["throttle_bias", "spool_lag"])
 def test_an_effect_inside_the_engine_needs_an_emulator(name, flights):
     with pytest.raises(ConfigError, match=f"'{name}' acts inside the engine: it needs an emulator"):
-        respond([(effect(name), np.array([[1.0]]))], flights, None)
+        respond([(effect(name), np.array([[1.5]]))], flights, None)
 
 
 def test_the_shape_is_batch_flights_time_outputs(flights, engine):

@@ -80,6 +80,7 @@ def written_out(steady, air, pace, governed):
     t, h = coefficients(), DT / STEPS
     n1, n2, *flows = steady[0]
     p = v = r = 0.0
+    blades = metal = flows[0]
     found = [[n1, n2, *flows]]
     for k in range(len(steady) - 1):
         for i in range(STEPS):
@@ -89,10 +90,12 @@ def written_out(steady, air, pace, governed):
             z = min(max((s[1] - 50.0) / 45.0, -0.2), 1.2)
             fan = t[LINE] + t[LINE + 2] * air, t[LINE + 1], t[LINE + 3]
             behind = s[0] + cubic(*fan, n2) - cubic(*fan, s[1]) - n1
-            w = behind + t[PUSH] * p
+            taken = pace.loss[0] * np.exp(air) * (1.0 + x) / 2.0 * (blades - metal)
+            w = behind + t[PUSH] * (p - taken)
             dn1 = w * np.exp(t[FAN + 3] * w / 45.0) / np.exp(line(t[FAN:], x, air))
             dn1 *= thin * (pace.fan_up[0] if dn1 > 0 else pace.fan_down[0])
-            dn2 = p * thin * (pace.core_up[0] if p > 0 else pace.core_down[0])
+            spare = p - taken
+            dn2 = spare * thin * (pace.core_up[0] if spare > 0 else pace.core_down[0])
             error = s[governed % 2] - (n1, n2)[governed % 2]
             gain = np.exp(line(t[GAIN:], x, air) + t[GAIN + 3] * (z - x))
             q = gain * (error + r) - line(t[DAMP:], x, air) * dn1
@@ -104,6 +107,7 @@ def written_out(steady, air, pace, governed):
             r, q = r + h * t[RESET] ** 2 * error / held, q / held**0.25
             if governed >= HOLDS_RATE:
                 q /= thin * (pace.core_up[0] if q > 0 else pace.core_down[0])
+                q += taken
             q -= pace.valve_s[0] * dn2 / pace.core_s[0]
             v = q + np.exp(-h / max(pace.valve_s[0], 1e-9)) * (v - q)
             for j, own in enumerate(THERMAL):
@@ -111,6 +115,8 @@ def written_out(steady, air, pace, governed):
                 to = s[2 + j] + cubic(*curve, n2) - cubic(*curve, s[1])
                 to += (own[4] + own[5] * x + own[6] * x**2 + own[7] * air) * p
                 flows[j] = to + np.exp(-h / own[8]) * (flows[j] - to)
+            blades = flows[0] + np.exp(-h / pace.rise_s[0]) * (blades - flows[0])
+            metal = flows[0] + np.exp(-h / pace.metal_s[0]) * (metal - flows[0])
             p = v + np.exp(-h / 0.2) * (p - v)
             n1, n2 = n1 + h * dn1, n2 + h * dn2
         found.append([n1, n2, *flows])
@@ -126,6 +132,7 @@ def written_out(steady, air, pace, governed):
         {"thin_air": 0.6, "limit": 0.5},
         {"fall": 0.6},
         {"valve_s": 0.7, "core_s": 1.5},
+        {"loss": 0.02, "metal_s": 6.0, "rise_s": 0.4},
     ],
 )
 def test_it_is_its_equations(governed, changed):
@@ -137,7 +144,7 @@ def test_it_is_its_equations(governed, changed):
         )
     )
     found = engine(governed).free_run(
-        (steady, air, start), np.zeros(1, dtype=int), np.stack(pace, axis=1)
+        (steady, air, start), np.zeros(1, dtype=int), np.stack(pace, axis=1), 2
     )
     np.testing.assert_allclose(found[0], written_out(steady[0], -0.4, pace, governed), atol=1e-9)
 
@@ -176,6 +183,38 @@ def test_a_control_that_holds_acceleration_makes_up_for_a_heavier_core():
     assert np.abs(free[:, 1] - alike[:, 1]).max() > 2.0
     fuel = [np.abs(np.gradient(run[:, 3], DT)).max() for run in (alike, held)]
     assert fuel[1] > 1.1 * fuel[0]
+
+
+HEATED = {"loss": 0.02, "metal_s": 8.0, "rise_s": 0.0}
+
+
+def test_heat_that_metal_takes_slows_a_slam_and_costs_fuel_until_it_is_warm():
+    """Once the core has come, fuel brings what the metal takes; in the end there is no trace."""
+    steady = np.repeat(flown()[0][:, 30:31], 1200, axis=1)
+    start = steady[:, 0] - np.array([[40.0, 25.0, 250.0, 600.0]])
+    given_ = (steady, np.zeros((1, 1200)), start)
+    dry, heated = (
+        engine(1).free_run(given_, np.zeros(1, dtype=int), pace, 2)[0]
+        for pace in (pace_of(), pace_of(**HEATED))
+    )
+    assert (heated[8:40, 1] < dry[8:40, 1] - 0.2).all()
+    assert (heated[80:160, 3] > dry[80:160, 3] + 1.0).all()
+    np.testing.assert_allclose(heated[-1], dry[-1], atol=0.02)
+
+
+def test_a_control_that_holds_acceleration_brings_what_the_metal_takes():
+    given_, one = flown(), np.zeros(1, dtype=int)
+    quick = coefficients()
+    quick[VALVE], quick[PUSH] = np.log(0.05), 0.0
+    alike, held, free = (
+        engine(kind, quick).free_run(given_, one, pace, 2)[0]
+        for kind, pace in (
+            (1, pace_of()),
+            (HOLDS_RATE + 1, pace_of(**HEATED)),
+            (1, pace_of(**HEATED)),
+        )
+    )
+    assert np.abs(held[:, 1] - alike[:, 1]).max() < 0.1 * np.abs(free[:, 1] - alike[:, 1]).max()
 
 
 def test_the_reset_waits_while_a_limit_holds():
@@ -224,5 +263,5 @@ def test_the_compiled_run_is_the_same_from_python():
     given_ = (steady, air, start)
     theta = np.concatenate([coefficients()[None], pace_of()], axis=1)
     which = np.zeros(1, dtype=int)
-    plain = two_spool.run.py_func(theta, THERMAL, given_, which, (DT, 50.0, 45.0, 0))
+    plain = two_spool.run.py_func(theta, THERMAL, given_, which, (DT, 50.0, 45.0, 0, 3))
     np.testing.assert_allclose(engine().free_run(given_, which, pace_of()), plain, atol=1e-9)

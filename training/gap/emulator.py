@@ -46,7 +46,7 @@ class GreyBoxEmulator:
         start = flights.y[rows, 0] + steady[which, 0] - asked[rows]
         air = np.log(flights.signals.thin_air(told))
         flown = (_picked(steady, order), air, _picked(start, order))
-        found = self.engine.free_run(flown, which, paces)
+        found = self.engine.free_run(flown, which, paces, order.index(flights.signals.hot))
         return _back(found, order, len(flights.signals.outputs))
 
     def free_run(self, flights: Flights) -> FloatArray:

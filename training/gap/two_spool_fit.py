@@ -153,7 +153,7 @@ class _Rotors:
             blank.thermal,
             flown,
             which,
-            (blank.dt_s, blank.low, blank.span, blank.governed),
+            (blank.dt_s, blank.low, blank.span, blank.governed, 1),
         )
         wrong = (y - rotors.y[which]) * rotors.inside[which][..., None] / rotors.span
         scaled = wrong[:, :: self._every] * (self.root / _TOLERANCE)

@@ -278,6 +278,30 @@ def test_only_what_changes_the_pace_is_asked_of_the_emulator(signals, fly, log_o
     assert lever.max() == pytest.approx(log["TRA_deg"].max() + 3.0)  # of the engine as it is told
 
 
+class Losing:
+    """An emulator in which heat that metal takes is 3 less."""
+
+    def run(self, _flights, told, pace=None):
+        lost = np.zeros(len(told)) if pace is None else np.where(pace.loss > 0.0, 3.0, 0.0)
+        return np.zeros((*told.shape[:2], 3)) - lost[:, None, None]
+
+
+def test_what_an_effect_does_to_pace_and_to_readings_is_added_once_each(signals, fly, log_of):
+    log = log_of(fly(3, rate_hz=16.0))
+    shares = {"tau_s": 20.0, "rise_s": 0.0, "share_EGT_C": -0.4}
+    dry, soaked = (
+        FoundEffects({"heat_soak": {**shares, "loss": loss}}, signals, Losing()).run_again(
+            log, simulate
+        )
+        for loss in (0.0, 5.0)
+    )
+    np.testing.assert_allclose(soaked["N1_pct"], dry["N1_pct"] - 3.0)
+    assert np.abs(dry["EGT_C"] - simulate(log)["EGT_C"]).max() > 20.0
+    np.testing.assert_allclose(
+        soaked["EGT_C"], dry["EGT_C"] - 3.0, atol=4.0
+    )  # shares go with power
+
+
 def test_a_pace_needs_the_stored_emulator(signals, fly, log_of):
     found = FoundEffects({"spool_lag": {"factor": 1.5}}, signals, None)
     with pytest.raises(ConfigError, match="'spool_lag' acts inside the engine: it needs an emul"):

@@ -13,7 +13,7 @@ from training.gap.quadratic import misfit
 from training.gap.verdict import _equal
 from training.gap.work import Options, Simulators, Work
 
-HEAT = {"heat_soak": [60.0, 0.0, 0.0, -1.0]}
+HEAT = {"heat_soak": [60.0, 0.0, 0.0, -1.0, 0.0]}
 MOVERS = ("throttle_delay", "sensor_lag:N2_pct", "sensor_lag:EGT_C", "accel_limit")
 SLOW = ("heat_soak", "sensor_drift:EGT_C")
 

@@ -76,7 +76,7 @@ def test_the_diagnosis_names_no_drift_where_a_channel_jumped(flights, engine, re
 )
 def test_heat_that_no_temperature_shows_is_none(shares, foil, flights, engine, recorded):
     """Shares of N2 and of the temperature."""
-    real = recorded({"heat_soak": [60.0, 0.0, *shares]})
+    real = recorded({"heat_soak": [60.0, 0.0, *shares, 0.0]})
     measure = misfit(flights, real, NOISE)
     soak = fit([effect("heat_soak")], Problem(flights, engine, measure))
     outputs = flights.signals.outputs

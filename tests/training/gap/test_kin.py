@@ -11,7 +11,7 @@ from training.gap.kin import standings
 from training.gap.quadratic import misfit
 from training.gap.work import Options, Work
 
-HEAT = [60.0, 0.0, 0.0, -0.6]
+HEAT = [60.0, 0.0, 0.0, -0.6, 0.0]
 NAMES = ("sensor_lag:EGT_C", "time_skew:EGT_C", "heat_soak", "sensor_lag:N2_pct")
 
 
@@ -50,7 +50,7 @@ def test_a_probe_beside_the_heat_that_is_there_anyway_comes_first(worked, record
 @pytest.mark.parametrize(
     ("name", "theta"),
     [
-        ("heat_soak", [14.0, 0.0, 0.0, -0.5]),
+        ("heat_soak", [14.0, 0.0, 0.0, -0.5, 0.0]),
         ("sensor_lag:EGT_C", [1.0, 0.5]),
         ("time_skew:EGT_C", [0.8]),
     ],

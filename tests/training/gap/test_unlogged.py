@@ -214,13 +214,21 @@ def test_the_price_is_paid_by_the_load_alone_and_flights_without_it_are_no_witne
     assert witnesses(other, price).all()
 
 
+class Unmoved:
+    """An emulator of an engine that is the same at any pace."""
+
+    def run(self, flights, told, pace=None):
+        rows = np.arange(len(told if pace is None else pace[0])) % len(flights.y)
+        return flights.y[rows]
+
+
 def test_the_diagnosis_names_the_load_with_its_size(monkeypatch):
     rivals = (UnloggedSwitch(), BleedExtraction(), HeatSoak(), SensorDrift("EGT_C"))
     monkeypatch.setattr(module, "candidates", lambda _signals: rivals)
     real = recorded(shifted(on_in(WINDOWS)))
     found = load_in(real)
     told = with_load(FLIGHTS, found.on, found.price)
-    answer = diagnose(told, (real, NOISE), Simulators(None), Options(draws=40))
+    answer = diagnose(told, (real, NOISE), Simulators(Unmoved()), Options(draws=40))
     assert answer.effects == ("unlogged_switch",), answer.reason
     size = answer.tried[0].parameters["unlogged_switch"]["on_EGT_C"]
     assert size.low < SHIFT[2] < size.high
@@ -285,6 +293,6 @@ def test_what_a_flight_without_the_load_has_does_not_speak_against_it(monkeypatc
     found = load_in(real)
     options = Options(unexplained=0.3, draws=40)
     told = with_load(FLIGHTS, found.on, found.price)
-    answer = diagnose(told, (real, NOISE), Simulators(None), options)
+    answer = diagnose(told, (real, NOISE), Simulators(Unmoved()), options)
     assert (answer.kind, answer.effects) == ("effects", ("unlogged_switch",)), answer.reason
     assert answer.left_share > options.unexplained

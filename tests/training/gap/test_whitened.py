@@ -8,7 +8,7 @@ from training.gap.kin import standings
 from training.gap.whitened import by_octave, sized_by_moves, whitened
 
 TRUE = 1.0
-BOTH = {"sensor_lag:EGT_C": [TRUE, 0.5], "heat_soak": [30.0, 0.0, 0.0, -0.4]}
+BOTH = {"sensor_lag:EGT_C": [TRUE, 0.5], "heat_soak": [30.0, 0.0, 0.0, -0.4, 0.0]}
 
 
 def test_a_lag_that_had_grown_to_follow_the_heat_gets_its_own_size(worked, recorded):  # noqa: F811
@@ -33,7 +33,7 @@ def test_what_no_heat_could_be_keeps_its_size(worked, recorded):  # noqa: F811
 
 
 def test_heat_that_leads_keeps_its_size(worked, recorded):  # noqa: F811
-    work = worked(wandering(recorded({"heat_soak": [14.0, 0.0, 0.0, -0.5]})))
+    work = worked(wandering(recorded({"heat_soak": [14.0, 0.0, 0.0, -0.5, 0.0]})))
     work.standing = standings(work)
     claimed = max(work.fits, key=work.rank)
     assert claimed.name == "heat_soak"

@@ -58,7 +58,7 @@ def test_a_small_gap_that_an_effect_explains_wherever_it_acts_tells(
 
 @pytest.mark.parametrize(
     ("name", "truth"),
-    [("heat_soak", [12.0, 0.0, 0.0, -0.6]), ("sensor_lag:EGT_C", [4.5, 0.5])],
+    [("heat_soak", [12.0, 0.0, 0.0, -0.6, 0.0]), ("sensor_lag:EGT_C", [4.5, 0.5])],
 )
 def test_thin_metal_and_a_slow_probe_are_told_apart(name, truth, flights, engine, recorded):
     """Both are a pole behind a zero; which has which is where the range of either ends."""
