@@ -31,7 +31,14 @@ def sentence(document: Mapping[str, Any]) -> str:
     if kind == "ambiguous":
         words += _just_as_well(document)
         added = "the first" if len(claimed) == 1 else f"the first {len(claimed)}"
-    return f"{words}; adding {added} to the simulator takes away {_taken(document['shrink'])}."
+    taken = f"adding {added} to the simulator takes away {_taken(document['shrink'])}"
+    return f"{words}; {taken}." + _told_beside(verdict)
+
+
+def _told_beside(verdict: Mapping[str, Any]) -> str:
+    """What the reason tells beside why the effects are claimed, as a sentence of its own."""
+    told = str(verdict["reason"]).partition("; ")[2]
+    return f" {told[0].upper()}{told[1:]}." if told else ""
 
 
 def _just_as_well(document: Mapping[str, Any]) -> str:

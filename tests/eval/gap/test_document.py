@@ -210,6 +210,15 @@ def test_the_verdict_in_one_sentence(evidence, kind, words):
     assert sentence(found) == words
 
 
+def test_what_the_reason_tells_beside_is_a_sentence_of_its_own(evidence):
+    found = document(evidence)
+    reason = "explains flights; 12 % less acceleration beside it may be the wear's own"
+    found["verdict"] |= {"kind": "effects", "reason": reason}
+    said = sentence(found)
+    assert said.endswith("). 12 % less acceleration beside it may be the wear's own.")
+    assert sentence(document(evidence)) + said.removeprefix(sentence(document(evidence))) == said
+
+
 PAIR = ("bleed_extraction", "flowmeter_dynamics:FF_kgph")
 
 
