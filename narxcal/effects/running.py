@@ -120,13 +120,26 @@ def _moved(
 ) -> FloatArray:
     """Add to the logs what the effects change in the emulator's free run."""
     rows = np.arange(len(settings[0][1])) % len(flights.u)
-    if all(not isinstance(effect, InputEffect) for effect, _ in settings):
-        told = flights.u
     paces = [
         effect.pace(theta, flights.signals)
         for effect, theta in settings
         if isinstance(effect, PacedEffect)
     ]
+    if all(not isinstance(effect, InputEffect) for effect, _ in settings):
+        return np.asarray(flights.y[rows] + _paced(flights, emulator, together(paces)))
     changed = emulator.run(flights, told, together(paces) if paces else None)
     same = emulator.run(flights, flights.u, as_simulated(len(flights.u)) if paces else None)
     return np.asarray(flights.y[rows] + (changed - same[rows]))
+
+
+def _paced(flights: Flights, emulator: Emulator, pace: Pace) -> FloatArray:
+    """What each pace of a batch changes in the runs of all flights, like paces run once.
+
+    What is linear in an effect is no pace, so that most runs of a fit may be alike.
+    """
+    count = len(flights.u)
+    paces = np.concatenate([np.stack(as_simulated(1), axis=1), np.stack(pace, axis=1)[::count]])
+    own, places = np.unique(paces, axis=0, return_inverse=True)
+    runs = emulator.run(flights, flights.u, Pace(*np.repeat(own, count, axis=0).T))
+    same, *changed = runs.reshape(len(own), count, *runs.shape[1:])[places.reshape(-1)]
+    return np.asarray(np.concatenate(changed) - np.tile(same, (len(changed), 1, 1)))

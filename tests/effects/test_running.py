@@ -139,3 +139,27 @@ def test_the_shape_is_batch_flights_time_outputs(flights, engine):
     thetas = np.linspace(0.0, 1.0, 5)[:, None]
     found = respond([(effect("spool_lag"), 1.0 + thetas)], flights, engine)
     assert found.shape == (5, *flights.y.shape)
+
+
+class Counting:
+    """An engine that says how many rows it was run for."""
+
+    def __init__(self, engine):
+        self.engine, self.rows = engine, []
+
+    def run(self, flights, told, pace=None):
+        found = self.engine.run(flights, told, pace)
+        self.rows.append(len(found))
+        return found
+
+
+def test_runs_at_one_and_the_same_pace_are_made_once(flights, engine):
+    """Three heat soaks of two paces: the shares of the readings are none of the emulator's."""
+    soak, counting = effect("heat_soak"), Counting(engine)
+    sizes = len(soak.parameters(flights.signals)) - 3
+    thetas = [[30.0, 1.0, *np.full(sizes, share), loss] for share, loss in ((0, 2), (1, 2), (1, 4))]
+    together = respond([(soak, np.array(thetas, np.float64))], flights, counting)
+    assert counting.rows == [3 * len(flights.u)]
+    for theta, found in zip(thetas, together, strict=True):
+        alone = respond([(soak, np.array([theta], np.float64))], flights, engine)[0]
+        np.testing.assert_array_equal(found, alone)

@@ -139,18 +139,20 @@ def _best_starts(
     choices = [(0.0,) if p.linear else p.starts for p in parameters]
     thetas = np.array(list(product(*choices)))
     linear = [j for j, p in enumerate(parameters) if p.linear]
-    base = _run(effects, thetas, problem)
+    base = () if linear else _run(effects, thetas, problem)
     mechanism = [j for j, p in enumerate(parameters) if p.all_or_nothing]
     found: dict[tuple[float, ...], tuple[float, FloatArray]] = {}
-    for start, response in zip(thetas, base, strict=True):
-        theta, rest = start, problem.misfit.gap - response
+    for k, start in enumerate(thetas):
         if linear:
-            units = np.repeat(start[None], len(linear), axis=0)
-            units[np.arange(len(linear)), linear] = 1.0
-            slopes = _run(effects, units, problem) - response
+            units = np.repeat(start[None], 1 + len(linear), axis=0)
+            units[1 + np.arange(len(linear)), linear] = 1.0
+            response, *moved = _run(effects, units, problem)
+            slopes, rest = np.stack(moved) - response, problem.misfit.gap - response
             step = _solve(problem.misfit, slopes, rest, 0.0)
             theta = _clipped(_added(start, linear, step), parameters)
             rest = rest - np.tensordot(theta[linear], slopes, axes=1)
+        else:
+            theta, rest = start, problem.misfit.gap - base[k]
         size, which = float(problem.misfit.size(rest).sum()), tuple(start[mechanism])
         if which not in found or size < found[which][0]:
             found[which] = size, theta
