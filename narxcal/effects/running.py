@@ -126,20 +126,20 @@ def _moved(
         if isinstance(effect, PacedEffect)
     ]
     if all(not isinstance(effect, InputEffect) for effect, _ in settings):
-        return np.asarray(flights.y[rows] + _paced(flights, emulator, together(paces)))
-    changed = emulator.run(flights, told, together(paces) if paces else None)
+        changed = _each_once(flights, emulator, together(paces))
+    else:
+        changed = emulator.run(flights, told, together(paces) if paces else None)
     same = emulator.run(flights, flights.u, as_simulated(len(flights.u)) if paces else None)
     return np.asarray(flights.y[rows] + (changed - same[rows]))
 
 
-def _paced(flights: Flights, emulator: Emulator, pace: Pace) -> FloatArray:
-    """What each pace of a batch changes in the runs of all flights, like paces run once.
+def _each_once(flights: Flights, emulator: Emulator, pace: Pace) -> FloatArray:
+    """Runs of all flights at every pace of a batch, like paces run once.
 
     What is linear in an effect is no pace, so that most runs of a fit may be alike.
     """
     count = len(flights.u)
-    paces = np.concatenate([np.stack(as_simulated(1), axis=1), np.stack(pace, axis=1)[::count]])
-    own, places = np.unique(paces, axis=0, return_inverse=True)
+    own, places = np.unique(np.stack(pace, axis=1)[::count], axis=0, return_inverse=True)
     runs = emulator.run(flights, flights.u, Pace(*np.repeat(own, count, axis=0).T))
-    same, *changed = runs.reshape(len(own), count, *runs.shape[1:])[places.reshape(-1)]
-    return np.asarray(np.concatenate(changed) - np.tile(same, (len(changed), 1, 1)))
+    every = runs.reshape(len(own), count, *runs.shape[1:])[places.reshape(-1)]
+    return np.asarray(every.reshape(-1, *runs.shape[1:]))
