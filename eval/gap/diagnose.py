@@ -204,7 +204,8 @@ def _bounded(finding: Finding, pairs: Sequence[Pair]) -> Finding:
         "one flight is no evidence: an effect has to hold in others too; the best candidate is "
         f"{' and '.join(finding.tried[0].effects) if finding.tried else 'none'}"
     )
-    return replace(finding, kind="unknown", effects=(), ambiguous_with=(), reason=reason)
+    silent = replace(finding, kind="unknown", effects=(), ambiguous_with=())
+    return replace(silent, reason=reason, besides="")
 
 
 def _facts(pairs: Sequence[Pair], data: GapData, held: Sequence[Pair]) -> dict[str, Any]:

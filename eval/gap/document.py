@@ -54,7 +54,8 @@ def _verdict(finding: Finding) -> dict[str, Any]:
         "kind": finding.kind,
         "effects": list(finding.effects),
         "ambiguous_with": list(finding.ambiguous_with),
-        "reason": finding.reason,
+        "reason": "; ".join(filter(None, (finding.reason, finding.besides))),
+        "besides": finding.besides,
         "separating_manoeuvre": _separating(finding),
     }
 

@@ -74,7 +74,8 @@ class Allowance:
             np.clip(_BY_SCATTER * build_scatter(problem.flights, problem.misfit), *_LIMIT)
         )
         self._misfit = problem.misfit
-        rows = [row for one in fits for row in _shapes(one, scale, limit) if self._is_sound(*row)]
+        every = [row for one in fits for row in _shapes(one, scale, limit)]
+        rows = [row for row in every if self._is_sound(*row[1:])]
         self._names = [name for name, *_ in rows]
         empty = np.zeros((0, *problem.misfit.gap.shape))
         self._shapes = np.stack([shape for _, shape, _ in rows]) if rows else empty
@@ -95,7 +96,7 @@ class Allowance:
             rest = rest - tried.response
         return _left_out(*self._forms(shapes, rest), bounds)
 
-    def _is_sound(self, _: str, shape: FloatArray, bounds: tuple[float, float]) -> bool:
+    def _is_sound(self, shape: FloatArray, bounds: tuple[float, float]) -> bool:
         """Whether a shape is a simulator's misfit, and not what running the emulator made of it.
 
         A step so small that an emulated engine only flutters has a slope of its own in one flight,

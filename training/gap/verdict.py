@@ -49,7 +49,6 @@ def finding(
         rivals += tuple(one.name for one in alike(offset, work.problem.flights, work.tight))
     if kind == "effects" and rivals:
         kind, reason = "ambiguous", "other effects explain held-out flights as well"
-    reason = "; ".join(filter(None, (reason, answer.why)))
     silent = kind in ("none", "unknown")
     names = () if silent else _names(work, claimed, offset)
     leader = claimed or (offset[0][0] if offset else None)
@@ -68,6 +67,7 @@ def finding(
         threshold=work.threshold,
         leading=_leading(work, claimed) if silent else (),
         by_others=None if silent else _by_others(models, response),
+        besides=answer.why,
     )
 
 

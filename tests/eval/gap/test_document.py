@@ -48,6 +48,7 @@ def test_the_keys_are_those_that_others_rely_on(evidence):
         "effects": [NAME],
         "ambiguous_with": [],
         "reason": "because",
+        "besides": "",
         "separating_manoeuvre": "fly",
     }
     first = found["effects"][0]
@@ -210,10 +211,11 @@ def test_the_verdict_in_one_sentence(evidence, kind, words):
     assert sentence(found) == words
 
 
-def test_what_the_reason_tells_beside_is_a_sentence_of_its_own(evidence):
-    found = document(evidence)
-    reason = "explains flights; 12 % less acceleration beside it may be the wear's own"
-    found["verdict"] |= {"kind": "effects", "reason": reason}
+def test_what_has_to_be_told_besides_is_a_part_of_the_reason_and_a_sentence_of_its_own(evidence):
+    own = "12 % less acceleration beside it may be the wear's own"
+    found = document(replace(evidence, finding=replace(evidence.finding, besides=own)))
+    assert found["verdict"]["reason"] == f"because; {own}"
+    assert found["verdict"]["besides"] == own
     said = sentence(found)
     assert said.endswith("). 12 % less acceleration beside it may be the wear's own.")
     assert sentence(document(evidence)) + said.removeprefix(sentence(document(evidence))) == said
