@@ -28,8 +28,8 @@ from eval.gap.simulators import Simulate
 from eval.gap.stored_emulator import read_emulator, signals_from_json
 from eval.gap.summary import EMULATOR
 from narxcal.channels import CHANNELS
-from narxcal.effects.base import InputEffect, ShiftEffect, Signals
-from narxcal.effects.running import Flights, Setting, arrived, changes_pace, read
+from narxcal.effects.base import InputEffect, SettledEffect, ShiftEffect, Signals
+from narxcal.effects.running import Flights, Setting, acts_inside, arrived, read
 from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
 from narxcal.errors import ConfigError, DataError, ModelError
 from training.gap.emulator import GreyBoxEmulator
@@ -85,8 +85,9 @@ class FoundEffects:
     ) -> dict[str, FloatArray]:
         """Outputs `(time,)` of the simulator itself for the inputs of a log, with the effects.
 
-        With inputs u' as they arrive, `y = simulate(u') + run(u', pace) - run(u', 1)`, the two runs
-        being the emulator's, and only needed for effects on the engine's pace; then y is read.
+        With inputs u' as they arrive, `y = simulate(u') + run(u', pace, s) - run(u', 1, 0)`, the
+        two runs being the emulator's, and only needed for effects on the engine's pace or on where
+        it settles; then y is read.
         Outputs that no effect is known for are given as the simulator has them. Raises `DataError`
         as `added_to`, and `ModelError` where an output is missing.
         """
@@ -99,7 +100,7 @@ class FoundEffects:
         outputs = dict(simulate(self._told(log.with_channels(changed))))
         said = self._diagnosed(outputs, log)
         y = self._bridged(said, log)
-        y += self._pace_change(found, told[0], y, log)
+        y += self._change_inside(found, told[0], y, log)
         y = np.where(np.isfinite(said), read(found, signals, told, y[None])[0], np.nan)
         return {**outputs, **dict(zip(signals.outputs, y.T, strict=True))}
 
@@ -125,7 +126,7 @@ class FoundEffects:
             return INPUTS
         if isinstance(effect, ShiftEffect):
             return SHIFTED
-        inside = isinstance(effect, InputEffect) or changes_pace(setting, self.signals)
+        inside = isinstance(effect, InputEffect) or acts_inside(setting, self.signals)
         return EMULATED if inside else OUTPUTS
 
     def _complete(self, log: Log, name: str, outputs: tuple[str, ...] = ()) -> Log:
@@ -182,21 +183,21 @@ class FoundEffects:
                 )
         return np.column_stack([bridged(column) for column in said.T])
 
-    def _pace_change(
+    def _change_inside(
         self, found: list[Setting], told: FloatArray, y: FloatArray, log: Log
     ) -> FloatArray | float:
-        """What effects on the pace change in the emulator's run of an engine told `told`.
+        """What effects inside change in the emulator's run of an engine told `told`.
 
-        What is linear in them is no pace: it is added with the readings.
+        What is linear in an effect on the pace is none: it is added with the readings.
         """
         inside = {
             effect.name: {
                 p.name: self.values[effect.name].get(p.name, p.neutral)
                 for p in effect.parameters(self.signals)
-                if not p.linear
+                if not p.linear or isinstance(effect, SettledEffect)
             }
             for effect, theta in found
-            if changes_pace((effect, theta), self.signals)
+            if acts_inside((effect, theta), self.signals)
         }
         return self._in_blocks(inside, told, y, log) if inside else 0.0
 

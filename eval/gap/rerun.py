@@ -31,16 +31,22 @@ class Rerun:
     block: int
     _as_flown: list[tuple[Flights, FloatArray]] = field(default_factory=list)
 
-    def run(self, flights: Flights, told: FloatArray, pace: Pace | None = None) -> FloatArray:
+    def run(
+        self,
+        flights: Flights,
+        told: FloatArray,
+        pace: Pace | None = None,
+        shift: FloatArray | None = None,
+    ) -> FloatArray:
         """Outputs (rows, time, outputs) for `told` (blocks, time, inputs).
 
-        With a pace it is the emulator's run, anchored to what the simulator says of these inputs.
-        Samples of which it says nothing are bridged, as in its logs.
-        Raises `ModelError` where the simulator leaves out one of the outputs.
+        With a pace, and a shift of where it settles, it is the emulator's run, anchored to what the
+        simulator says of these inputs. Samples of which it says nothing are bridged, as in its
+        logs. Raises `ModelError` where the simulator leaves out one of the outputs.
         """
         if pace is None:
             return self._flown(flights) if told is flights.u else self._told(flights, told)
-        found = self.emulator.run(flights, told, pace)
+        found = self.emulator.run(flights, told, pace, shift)
         if told is flights.u:
             return found
         blocks, rows = len(told), np.arange(len(found))

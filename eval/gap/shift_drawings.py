@@ -8,12 +8,12 @@ from matplotlib.figure import Figure
 
 from eval.gap.sketch import HEIGHT, Sketch, band, bar, finish, panel
 from eval.report import style
-from narxcal.effects.steady import OffsetEffect
+from narxcal.effects.steady import ShapedEffect
 
 
 def _columns(sketch: Sketch, x: str) -> tuple[Figure, dict[str, Axes]]:
     """One panel per output that the effect moves."""
-    parts = sketch.effect.terms(sketch.signals) if isinstance(sketch.effect, OffsetEffect) else ()
+    parts = sketch.effect.terms(sketch.signals) if isinstance(sketch.effect, ShapedEffect) else ()
     outputs = list(dict.fromkeys(output for _, output in parts))
     drawn = style.figure(2.3 * len(outputs), HEIGHT)
     panels = np.atleast_1d(drawn.subplots(1, len(outputs)))

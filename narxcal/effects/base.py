@@ -1,8 +1,9 @@
 """What an effect is: a small, bounded departure of the real engine from its simulator.
 
-An effect has named parameters and acts on the *input* (what the engine is told), on the *rate*
-(how fast it moves) or on the *output* (what the sensor reports). Any simulator that can be told
-other inputs and set to another pace takes any effect without knowing it (see `effects.running`).
+An effect has named parameters and acts on the *input* (what the engine is told), on *where it
+settles*, on the *rate* (how fast it moves) or on the *output* (what the sensor reports). Any
+simulator that can be told other inputs, made to settle elsewhere and set to another pace takes any
+effect without knowing it (see `effects.running`).
 """
 
 from __future__ import annotations
@@ -183,6 +184,17 @@ class ShiftEffect(InputEffect):
     @abstractmethod
     def on_log(self, run: Run, y: FloatArray) -> FloatArray:
         """Outputs (batch, time, outputs) of the engine so told, for its outputs `y` without."""
+
+
+class SettledEffect(Effect):
+    """An effect on where the engine settles: it goes there as it goes anywhere."""
+
+    @abstractmethod
+    def settles(self, run: Run, y: FloatArray) -> FloatArray:
+        """Shift (batch, time, outputs) of where it settles, for the simulator's own outputs `y`.
+
+        It is asked once, for the whole log.
+        """
 
 
 class PacedEffect(Effect):

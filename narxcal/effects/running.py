@@ -1,10 +1,10 @@
 """Runs effects on a batch of flights: what the simulator would have said with them.
 
-The simulator is known by its logs and, in between, by an emulator that can be told other inputs and
-set to another pace. The emulator is *anchored*: what an effect does is the difference between its
-free run with the effect and its free run without,
+The simulator is known by its logs and, in between, by an emulator that can be told other inputs,
+made to settle elsewhere by a shift s, and set to another pace. The emulator is *anchored*: what an
+effect does is the difference between its free run with the effect and its free run without,
 
-    y = y_sim + run(u', pace) - run(u, 1)
+    y = y_sim + run(u', pace, s) - run(u, 1, 0)
 
 so that no effect means no difference at all, and what the emulator gets wrong in both cancels.
 """
@@ -25,6 +25,7 @@ from narxcal.effects.base import (
     OutputEffect,
     PacedEffect,
     Run,
+    SettledEffect,
     ShiftEffect,
     Signals,
 )
@@ -51,13 +52,21 @@ class Flights:
 
 
 class Emulator(Protocol):
-    """Stands in for a simulator under other inputs, and at another pace."""
+    """Stands in for a simulator under other inputs, settling elsewhere, and at another pace."""
 
-    def run(self, flights: Flights, told: FloatArray, pace: Pace | None = None) -> FloatArray:
+    def run(
+        self,
+        flights: Flights,
+        told: FloatArray,
+        pace: Pace | None = None,
+        shift: FloatArray | None = None,
+    ) -> FloatArray:
         """Free runs (rows, time, outputs) of an engine told `told` (blocks, time, inputs).
 
         There are as many rows as `pace` has, or blocks: without one it is the simulator's own.
-        Row r is told block `r % blocks` and begins where flight `r % flights` does.
+        Row r is told block `r % blocks`, settles elsewhere by row r of `shift` (rows, time,
+        outputs), which comes with a pace, and begins where flight `r % flights` does, or as far
+        from there as it settles.
         """
 
 
@@ -87,7 +96,12 @@ def respond(settings: Sequence[Setting], flights: Flights, emulator: Emulator | 
 def _inside(setting: Setting, signals: Signals) -> bool:
     """Whether an engine with the effect has to be emulated."""
     told = isinstance(setting[0], InputEffect) and not isinstance(setting[0], ShiftEffect)
-    return told or changes_pace(setting, signals)
+    return told or acts_inside(setting, signals)
+
+
+def acts_inside(setting: Setting, signals: Signals) -> bool:
+    """Whether an engine with the effect settles or moves otherwise, whatever it is told."""
+    return isinstance(setting[0], SettledEffect) or changes_pace(setting, signals)
 
 
 def changes_pace(setting: Setting, signals: Signals) -> bool:
@@ -125,12 +139,29 @@ def _moved(
         for effect, theta in settings
         if isinstance(effect, PacedEffect)
     ]
-    if all(not isinstance(effect, InputEffect) for effect, _ in settings):
+    shift = _shift(settings, flights, told)
+    as_flown = all(not isinstance(effect, InputEffect) for effect, _ in settings)
+    if shift is not None:
+        paces = paces or [as_simulated(len(rows))]
+        told = flights.u if as_flown else told
+        changed = emulator.run(flights, told, together(paces), shift)
+    elif as_flown:
         changed = _each_once(flights, emulator, together(paces))
     else:
         changed = emulator.run(flights, told, together(paces) if paces else None)
     same = emulator.run(flights, flights.u, as_simulated(len(flights.u)) if paces else None)
     return np.asarray(flights.y[rows] + (changed - same[rows]))
+
+
+def _shift(settings: Sequence[Setting], flights: Flights, told: FloatArray) -> FloatArray | None:
+    """By how much the engine settles elsewhere (rows, time, outputs); None if no effect says so."""
+    rows = np.arange(len(told)) % len(flights.u)
+    shifts = [
+        effect.settles(Run(flights.signals, theta, told), flights.y[rows])
+        for effect, theta in settings
+        if isinstance(effect, SettledEffect)
+    ]
+    return np.asarray(sum(shifts)) if shifts else None
 
 
 def _each_once(flights: Flights, emulator: Emulator, pace: Pace) -> FloatArray:

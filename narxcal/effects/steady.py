@@ -12,11 +12,13 @@ from typing import ClassVar
 import numpy as np
 
 from narxcal.effects.base import (
+    Effect,
     FloatArray,
     OutputEffect,
     PacedEffect,
     Parameter,
     Run,
+    SettledEffect,
     Side,
     Signals,
     unit,
@@ -26,12 +28,11 @@ from narxcal.effects.pace import Pace, as_simulated
 
 UNLOGGED = "unlogged"  # input column that holds the windows found by their change points
 FOLLOW_S = 1.0  # how an engine takes up a bleed
-SPOOL_S = 1.5  # and another idle speed
 SWITCHES = ("ECS", "NAI", "WAI")
 
 
-class OffsetEffect(OutputEffect):
-    """Adds shapes, each times its amplitude, to outputs: one amplitude per pair of `terms`."""
+class ShapedEffect(Effect):
+    """Shapes, each times its amplitude, added up: one amplitude per pair of `terms`."""
 
     side: ClassVar[Side] = "process"
 
@@ -51,13 +52,21 @@ class OffsetEffect(OutputEffect):
         """Where there is anything to move."""
         return len(self.terms(signals)) > 0
 
-    def on_output(self, run: Run, y: FloatArray) -> FloatArray:
-        """Outputs plus amplitudes times shapes."""
-        shapes, moved = self.shapes(run, y), y.copy()
+    def total(self, run: Run, y: FloatArray) -> FloatArray:
+        """Amplitudes times shapes, (batch, time, outputs)."""
+        shapes, found = self.shapes(run, y), np.zeros_like(y)
         amplitudes = run.theta[:, len(self.fixed) :]
         for j, (shape, output) in enumerate(self.terms(run.signals)):
-            moved[..., run.signals.y(output)] += amplitudes[:, j, None] * shapes[shape]
-        return moved
+            found[..., run.signals.y(output)] += amplitudes[:, j, None] * shapes[shape]
+        return found
+
+
+class OffsetEffect(ShapedEffect, OutputEffect):
+    """Shifts what is read of the outputs by its shapes."""
+
+    def on_output(self, run: Run, y: FloatArray) -> FloatArray:
+        """Outputs plus amplitudes times shapes."""
+        return y + self.total(run, y)
 
 
 def _amplitude(signals: Signals, shape: str, output: str) -> Parameter:
@@ -145,11 +154,12 @@ class TemperatureEffect(OffsetEffect):
         return {"per_10K": 0.1 * run.u[..., run.signals.u("dT_C")]}
 
 
-class IdleSchedule(OffsetEffect):
+class IdleSchedule(ShapedEffect, SettledEffect):
     """Another idle while `Approach` is set: full with the lever at its stop, gone well above it.
 
     An idle is a floor under what the lever asks for, so that the shift falls with the lever until
-    the two meet, at the share `meets` of its way.
+    the two meet, at the share `meets` of its way. From a higher idle a slam is shorter: where the
+    engine settles is shifted, and it moves from there as it does.
     """
 
     id: ClassVar[str] = "idle_schedule"
@@ -163,13 +173,16 @@ class IdleSchedule(OffsetEffect):
         present = "Approach" in signals.active and signals.governed
         return tuple(("idle", to) for to in signals.outputs) if present else ()
 
+    def settles(self, run: Run, y: FloatArray) -> FloatArray:
+        """Amplitudes times how near to its stop the lever is."""
+        return self.total(run, y)
+
     def shapes(self, run: Run, y: FloatArray) -> dict[str, FloatArray]:  # noqa: ARG002 - the lever says it all
-        """The followed switch, falling with the lever to where the floor is met."""
+        """The switch, falling with the lever to where the floor is met."""
         signals, (low, high) = run.signals, run.signals.lever
         lever = (run.u[..., signals.u(signals.driver)] - low) / (high - low)
         above = np.clip(1.0 - lever / run.theta[:, :1], 0.0, 1.0)
-        wanted = run.u[..., signals.u("Approach")] * above
-        return {"idle": _followed(run, "idle", wanted, SPOOL_S)}
+        return {"idle": run.u[..., signals.u("Approach")] * above}
 
 
 class HeatSoak(OffsetEffect, PacedEffect):

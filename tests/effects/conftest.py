@@ -42,18 +42,22 @@ class Engine:
             y.append(y[-1] + DT * self.rate(y[-1], self.drive(u[..., k, :])))
         return np.stack(y, axis=-2)
 
-    def run(self, flights, told, pace=None):
-        """Explicit steps at a pace: lags of the speeds scaled, the lever behind the valve's."""
+    def run(self, flights, told, pace=None, shift=None):
+        """Explicit steps at a pace: lags of the speeds scaled, the lever behind the valve's.
+
+        An engine that settles elsewhere moves as it would, so far from there.
+        """
         pace = pace or as_simulated(len(told))
         rows, which = np.arange(len(pace[0])) % len(flights.u), np.arange(len(pace[0])) % len(told)
         drive, air = self.drive(told[which]).copy(), flights.signals.thin_air(told)[which]
         for k in range(1, drive.shape[1]):
             late = np.exp(-DT / np.maximum(pace.valve_s, 1e-9))
             drive[:, k, 0] += late * (drive[:, k - 1, 0] - drive[:, k, 0])
-        y = [flights.y[rows, 0] + settled(told[which, 0]) - settled(flights.u[rows, 0])]
+        off = np.zeros((*drive.shape[:2], len(OUTPUTS))) if shift is None else shift
+        y = [flights.y[rows, 0] + settled(told[which, 0]) - settled(flights.u[rows, 0]) + off[:, 0]]
         metal = y[0][:, 2]
         for k in range(drive.shape[1] - 1):
-            rate = self.rate(y[-1], drive[:, k])
+            rate = self.rate(y[-1] - off[:, k], drive[:, k])
             thin = air[:, k] ** pace.thin_air
             rate[:, 0] *= thin * np.where(rate[:, 0] > 0.0, pace.fan_up, pace.fan_down)
             rate[:, 1] *= thin * np.where(rate[:, 1] > 0.0, pace.core_up, pace.core_down)

@@ -15,8 +15,8 @@ class Drifting:
     def __init__(self, engine):
         self.engine = engine
 
-    def run(self, flights, told, pace=None):
-        right = self.engine.run(flights, told, pace)
+    def run(self, flights, told, pace=None, shift=None):
+        right = self.engine.run(flights, told, pace, shift)
         return 0.8 * right + np.sin(np.arange(right.shape[1]))[:, None]
 
 
@@ -78,6 +78,47 @@ def test_an_engine_that_is_told_late_does_the_same_late(flights, fly, engine):
     found = respond([(effect("throttle_delay"), np.array([[3 * DT]]))], of, None)[0]
     exact = np.stack([engine.simulate(row, y[0]) for row, y in zip(told, of.y, strict=True)])
     np.testing.assert_allclose(found, exact, atol=1e-9)
+
+
+def test_an_idle_is_taken_up_as_the_engine_moves(flights, engine):
+    """Fuel flow is a lag of 0.3 s: the closed form of its own shift, step by step."""
+    theta = np.array([[0.4, 0.0, 0.0, 0.0, 50.0]])
+    found = respond([(effect("idle_schedule"), theta)], flights, engine)[0] - flights.y
+    low, high = flights.signals.lever
+    lever = (flights.u[..., 0] - low) / (high - low)
+    to = 50.0 * flights.u[..., 4] * np.maximum(0.0, 1.0 - lever / 0.4)
+    assert np.ptp(to) > 40.0
+    late = to.copy()
+    for k in range(1, late.shape[1]):
+        late[:, k] = late[:, k - 1] + DT / 0.3 * (to[:, k - 1] - late[:, k - 1])
+    np.testing.assert_allclose(found[..., 3], late, atol=1e-9)
+    np.testing.assert_allclose(found[..., :3], 0.0, atol=1e-9)
+
+
+def test_a_slam_from_another_idle_is_still_another_one_where_the_idle_is_left(flights, fly, engine):
+    """The lever is past the floor at once, the speed is not."""
+    theta = np.array([[0.3, 4.0, 2.0, 16.0, 0.0]])
+    u = np.repeat(flights.u[:, :1], 80, axis=1)
+    u[..., 0], u[..., 4:] = flights.signals.lever[0], 0.0
+    u[..., 4], u[:, 40:, 0] = 1.0, 60.0
+    of = fly(u)
+    found = respond([(effect("idle_schedule"), theta)], of, engine)[0] - of.y
+    np.testing.assert_allclose(found[:, 39, :3], np.tile(theta[0, 1:4], (3, 1)), rtol=0.05)
+    assert (found[:, 44, 0] > 1.5).all()
+    assert (np.abs(found[:, -1, :3]) < 0.2 * theta[0, 1:4]).all()
+
+
+def test_another_idle_and_another_pace_go_together(flights, engine):
+    """What both do is no sum: the shift of a slower engine is taken up more slowly."""
+    idle = (effect("idle_schedule"), np.array([[0.4, 4.0, 2.0, 16.0, 50.0]]))
+    slow = (effect("spool_lag"), np.array([[2.0]]))
+    both, one, other = (
+        respond(each, flights, engine)[0] for each in ([idle, slow], [idle], [slow])
+    )
+    np.testing.assert_allclose(both[:, 0], one[:, 0], atol=1e-9)
+    assert np.abs(both - one - other + flights.y).max() > 0.3
+    swapped = respond([slow, idle], flights, engine)[0]
+    np.testing.assert_array_equal(both, swapped)
 
 
 def changed(name, theta, rate, air):

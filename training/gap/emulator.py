@@ -32,19 +32,27 @@ class GreyBoxEmulator:
     settled: SettledModel
     engine: TwoSpool
 
-    def run(self, flights: Flights, told: FloatArray, pace: Pace | None = None) -> FloatArray:
+    def run(
+        self,
+        flights: Flights,
+        told: FloatArray,
+        pace: Pace | None = None,
+        shift: FloatArray | None = None,
+    ) -> FloatArray:
         """Free runs (rows, time, outputs) of an engine that is told `told` (blocks, time, inputs).
 
-        Row r is told block `r % blocks` and starts where flight `r % flights` does, moved by what
-        other inputs change at rest.
+        Row r is told block `r % blocks`, settles elsewhere by row r of `shift`, and starts where
+        flight `r % flights` does, moved by what other inputs and the shift change at rest.
         """
         order, count = _order(flights.signals), len(flights.u)
         paces = np.stack(pace or as_simulated(len(told)), axis=1)
         rows, which = np.arange(len(paces)) % count, np.arange(len(paces)) % len(told)
-        steady = self.settled.outputs(told)
+        steady, air = self.settled.outputs(told), np.log(flights.signals.thin_air(told))
+        if shift is not None:
+            steady, air = steady[which] + shift, air[which]
+            which = np.arange(len(paces))
         asked = self.settled.outputs(flights.u[:, 0])
         start = flights.y[rows, 0] + steady[which, 0] - asked[rows]
-        air = np.log(flights.signals.thin_air(told))
         flown = (_picked(steady, order), air, _picked(start, order))
         found = self.engine.free_run(flown, which, paces, order.index(flights.signals.hot))
         return _back(found, order, len(flights.signals.outputs))

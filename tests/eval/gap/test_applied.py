@@ -302,6 +302,33 @@ def test_what_an_effect_does_to_pace_and_to_readings_is_added_once_each(signals,
     )  # shares go with power
 
 
+class Settling:
+    """An emulator that is at once where it settles."""
+
+    def run(self, _flights, told, _pace=None, shift=None):
+        return np.zeros((*told.shape[:2], 3)) + (0.0 if shift is None else shift)
+
+
+def test_where_an_effect_makes_it_settle_is_the_emulators_all_of_it(signals, fly, log_of):
+    log = log_of(fly(3, rate_hz=16.0))
+    log = log.with_channels({"Approach": np.ones(len(log))})
+    names = (*signals.inputs, "Approach")
+    known = replace(signals, inputs=names, active=(*signals.active, "Approach"))
+    sizes = {"meets": 0.5, "idle_N1_pct": 2.0, "idle_N2_pct": 1.0, "idle_EGT_C": 8.0}
+    found = FoundEffects({"idle_schedule": sizes}, known, Settling())
+    assert found.ways(again=True) == {"idle_schedule": EMULATED}
+    outputs, low = found.run_again(log, simulate), known.lever[0]
+    lever = (log["TRA_deg"] - low) / (known.lever[1] - low)
+    floor = np.maximum(0.0, 1.0 - lever / 0.5)
+    assert floor.max() > 0.5
+    as_it_is = simulate(log)
+    still = np.abs(np.gradient(lever)) < 1e-6
+    for name, size in (("N1_pct", 2.0), ("N2_pct", 1.0), ("EGT_C", 8.0)):
+        np.testing.assert_allclose(
+            (outputs[name] - as_it_is[name])[still], size * floor[still], atol=0.05 * size
+        )
+
+
 def test_a_pace_needs_the_stored_emulator(signals, fly, log_of):
     found = FoundEffects({"spool_lag": {"factor": 1.5}}, signals, None)
     with pytest.raises(ConfigError, match="'spool_lag' acts inside the engine: it needs an emul"):

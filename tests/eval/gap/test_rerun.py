@@ -17,7 +17,7 @@ BLOCK = 2
 class Guess:
     """An emulator that must not be asked for inputs, and says nothing of any pace."""
 
-    def run(self, flights, _told, pace=None):
+    def run(self, flights, _told, pace=None, _shift=None):
         assert pace is not None
         return np.repeat(flights.y, len(pace[0]) // len(flights.y), axis=0)
 
@@ -88,12 +88,13 @@ def test_samples_of_which_it_says_nothing_are_bridged(flights):
 
 
 class Slower:
-    """An emulator whose every run is 10, and 1 more at another pace."""
+    """An emulator whose every run is 10, 1 more at another pace, and where it settles besides."""
 
-    def run(self, flights, told, pace=None):
+    def run(self, flights, told, pace=None, shift=None):
         rows = len(told) if pace is None else len(pace[0])
         changed = 0.0 if pace is None or pace.fan_up[0] == 1.0 else 1.0
-        return np.full((rows, *flights.y.shape[1:]), 10.0 + changed)
+        found = np.full((rows, *flights.y.shape[1:]), 10.0 + changed)
+        return found if shift is None else found + shift
 
 
 def test_of_both_the_input_is_the_simulators_and_the_pace_the_emulators(flights):
@@ -102,6 +103,23 @@ def test_of_both_the_input_is_the_simulators_and_the_pace_the_emulators(flights)
     paced = (effect("spool_lag"), np.array([[1.5]]))
     alone = respond([told], flights, rerun)[0]
     np.testing.assert_allclose(respond([told, paced], flights, rerun)[0], alone + 1.0, atol=1e-9)
+
+
+def test_where_it_settles_is_the_emulators_and_the_simulator_is_not_asked(flights):
+    asked, idle = [], effect("idle_schedule")
+    s = flights.signals
+    s = replace(s, inputs=(*s.inputs, "Approach"), active=(*s.active, "Approach"))
+    set_ = np.arange(flights.u.shape[1]) > 100
+    u = np.concatenate([flights.u, np.tile(set_[:, None], (len(flights.u), 1, 1))], axis=2)
+    rerun = Rerun(Slower(), lambda log: asked.append(log) or simulate(log), BLOCK)
+    theta = np.array([[0.5, 2.0, 1.0, 8.0]])
+    of = replace(flights, signals=s, u=u)
+    found = respond([(idle, theta)], of, rerun)[0]
+    lever = (u[..., s.u("TRA_deg")] - s.lever[0]) / (s.lever[1] - s.lever[0])
+    shape = set_ * np.maximum(0.0, 1.0 - 2.0 * lever)
+    assert shape.max() > 0.5
+    np.testing.assert_allclose(found - flights.y, shape[..., None] * theta[0, 1:], atol=1e-9)
+    assert not asked
 
 
 def test_a_simulator_that_loses_an_output_is_named(flights):
