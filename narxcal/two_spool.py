@@ -14,21 +14,24 @@ range R, and L = ln(delta / sqrt(theta)),
     dr/dt  = reset^2 (s - n) / (1 + (q / limit)^4)
     dy/dt  = (s_y + Y(n2) - Y(s2) + b p - y) / tau_y
     m      = loss exp(L) (1 + x) / 2 (T_blades - T_metal)
+    up     = U(x, L, fan) - load exp(L) (1 + x) / 2,    down likewise and more
 
 F and Y are cubics in the core's speed, for engines settle on curves: between idle and full power
 chords count, not slopes. The governor acts on the error of the speed it holds, n1 or n2, is damped
 by the fan's rate, and its reset waits while a limit holds. A turbine's torque goes with the square
 of speeds, which makes the k and the l. Limits of acceleration and deceleration are parabolas in x
 and go with the fan's lag behind its settled match: the pressure to which a control schedules fuel
-is that of both spools. A further lag tau of the valve acts on fuel, of which the core needs
-n2 / core_s more as it speeds up: dv/dt = (soft - v) / tau - (dn2/dt) / core_s. Metal that trails
-the gas takes heat from it and keeps clearances open: T_blades and T_metal are one temperature of y
-behind a lag each, and what the core lacks goes with power and with the density of the air; the fan
-follows p - m. A control that holds the core's acceleration itself makes up for rotors that answer
-differently, and for heat: v is then so many times the fuel as they are slower, and m more. Other
-coefficients are lines in x and L, the positive ones as logarithms. Sources: rotor equations and
-min-max control in Walsh & Fletcher, *Gas Turbine Performance*, ch. 8; Jaw & Mattingly, *Aircraft
-Engine Controls*, ch. 5-6; state-variable form in Sugiyama, *J. Propulsion* 10 (1994).
+is that of both spools. A further lag tau of the valve acts on fuel, of which the core needs n2 /
+core_s more as it speeds up: dv/dt = (soft - v) / tau - (dn2/dt) / core_s. Metal that trails the gas
+takes heat from it and keeps clearances open: T_blades and T_metal are one temperature of y behind a
+lag each, and what the core lacks goes with power and with the density of the air; the fan follows
+p - m. A bleed or a load is held against by more fuel, which the settled values have; but a schedule
+of fuel leaves as much less to accelerate with, and more to decelerate. A control that holds the
+core's acceleration itself makes up for rotors that answer differently, for heat and for loads: v is
+then so many times the fuel as they are slower, and m more. Other coefficients are lines in x and L,
+the positive ones as logarithms. Sources: rotor equations and min-max control in Walsh & Fletcher,
+*Gas Turbine Performance*, ch. 8; Jaw & Mattingly, *Aircraft Engine Controls*, ch. 5-6;
+state-variable form in Sugiyama, *J. Propulsion* 10 (1994).
 """
 
 from __future__ import annotations
@@ -60,6 +63,7 @@ HOLDS_RATE: Final = 2  # added to the speed that is governed
 _STEP_S: Final = 0.0625  # integration step, at most
 _WIDEST: Final = 4.0  # of any logarithm
 _FASTEST_S: Final = 0.05  # shortest lag that a step resolves
+_SPARED: Final = 0.05  # of a limit: what any load leaves of it
 
 
 @njit(cache=True, inline="always")
@@ -92,19 +96,19 @@ def soft(demand: float, limit: float) -> float:
 def run(
     theta: FloatArray,
     thermal: FloatArray,
-    flown: tuple[FloatArray, FloatArray, FloatArray],
+    flown: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     which: IntArray,
     setting: tuple[float, float, float, int, int],
 ) -> FloatArray:
     """Free runs of many rows, `(rows, time, 2 + flows)`.
 
     `theta` (rows, SIZE + 12) holds the coefficients and the row's `Pace`; `thermal` (flows, FLOW)
-    those of Y, b and tau_y. `flown` are the settled values (blocks, time, 2 + flows), L (blocks,
-    time) and the first row (rows, 2 + flows); `which` (rows,) the block of each row. `setting` is
-    the raster in s, the bottom and the range of core speed, the speed that is governed, and the
-    column of the temperature that metal follows.
+    those of Y, b and tau_y. `flown` are the settled values (blocks, time, 2 + flows), L and the
+    load in %/s (blocks, time) and the first row (rows, 2 + flows); `which` (rows,) the block of
+    each row. `setting` is the raster in s, the bottom and the range of core speed, the speed that
+    is governed, and the column of the temperature that metal follows.
     """
-    steady, air, start = flown
+    steady, air, load, start = flown
     dt_s, low, span, governed, hot = setting
     steps = max(1, int(np.ceil(dt_s / _STEP_S - 1e-9)))
     inner = (dt_s / steps, low, span, governed, hot)
@@ -121,7 +125,8 @@ def run(
             for i in range(steps):
                 for c in range(count):
                     wanted[c] = at[k, c] + i / steps * (at[k + 1, c] - at[k, c])
-                _advance(state, wanted, air[which[r], k], (theta[r], thermal, kept), inner)
+                day = air[which[r], k], load[which[r], k]
+                _advance(state, wanted, day, (theta[r], thermal, kept), inner)
             for c in range(count):
                 out[r, k + 1, c] = state[c]
     return out
@@ -143,12 +148,13 @@ def _keep(theta: FloatArray, thermal: FloatArray, h: float, kept: FloatArray) ->
 def _advance(
     state: FloatArray,
     wanted: FloatArray,
-    air: float,
+    day: tuple[float, float],
     coefficients: tuple[FloatArray, FloatArray, FloatArray],
     setting: tuple[float, float, float, int, int],
 ) -> None:
     """One explicit step of the speeds, and an exact one of every lag for a constant input."""
     theta, thermal, kept = coefficients
+    air, load = day
     h, low, span, governed, hot = setting
     flows = len(wanted)
     n1, n2, p = state[0], state[1], state[flows]
@@ -157,7 +163,8 @@ def _advance(
     z = min(max((wanted[1] - low) / span, -0.2), 1.2)
     match = _chord(theta[LINE] + theta[LINE + 2] * air, theta[LINE + 1], theta[LINE + 3], x, z)
     behind = (wanted[0] + match * (n2 - wanted[1]) - n1) / span
-    taken = theta[SIZE + 9] * np.exp(air) * 0.5 * (1.0 + x) * (state[flows + 3] - state[flows + 4])
+    power = np.exp(air) * 0.5 * (1.0 + x)
+    taken = theta[SIZE + 9] * power * (state[flows + 3] - state[flows + 4])
     spare = p - taken
     way = behind + theta[PUSH] * spare / span
     fan = way * span / _positive(_line(theta, FAN, x, air) - theta[FAN + 3] * way)
@@ -168,6 +175,8 @@ def _advance(
     asked = gain * (error + state[flows + 2]) - _line(theta, DAMP, x, air) * fan
     limit = _limit(theta, UP if asked > 0.0 else DOWN, (x, air, behind))
     limit *= theta[SIZE + 5 if asked > 0.0 else SIZE + 8]
+    if governed < HOLDS_RATE:
+        limit = max(limit - (load if asked > 0.0 else -load) * power, _SPARED * limit)
     state[flows + 2] += h * theta[RESET] ** 2 * error / (1.0 + (asked / limit) ** 4)
     asked = soft(asked, limit)
     if governed >= HOLDS_RATE:
@@ -211,7 +220,7 @@ class TwoSpool:
 
     def free_run(
         self,
-        flown: tuple[FloatArray, FloatArray, FloatArray],
+        flown: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
         which: IntArray,
         pace: FloatArray,
         hot: int = -1,

@@ -18,7 +18,7 @@ from eval.gap.data import FloatArray
 from eval.gap.simulators import Simulate
 from narxcal.channels import CHANNELS
 from narxcal.effects.pace import Pace
-from narxcal.effects.running import Emulator, Flights
+from narxcal.effects.running import Emulator, Flights, Shift
 from narxcal.errors import ModelError
 
 
@@ -36,7 +36,7 @@ class Rerun:
         flights: Flights,
         told: FloatArray,
         pace: Pace | None = None,
-        shift: FloatArray | None = None,
+        shift: Shift | None = None,
     ) -> FloatArray:
         """Outputs (rows, time, outputs) for `told` (blocks, time, inputs).
 

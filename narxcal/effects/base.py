@@ -197,6 +197,21 @@ class SettledEffect(Effect):
         """
 
 
+class LoadEffect(Effect):
+    """An effect that takes power from the core, whatever else it does."""
+
+    @abstractmethod
+    def loads(self, theta: FloatArray, signals: Signals) -> bool:
+        """Whether any of `theta` (batch, parameters) takes anything."""
+
+    @abstractmethod
+    def load(self, run: Run, y: FloatArray) -> FloatArray:
+        """What it takes (batch, time) in %/s of core speed at full speed and sea level.
+
+        Like `settles` it is asked once, for the whole log, and the simulator's own outputs `y`.
+        """
+
+
 class PacedEffect(Effect):
     """An effect that sets the engine to another pace, whatever else it does."""
 

@@ -1,8 +1,9 @@
 """Runs effects on a batch of flights: what the simulator would have said with them.
 
 The simulator is known by its logs and, in between, by an emulator that can be told other inputs,
-made to settle elsewhere by a shift s, and set to another pace. The emulator is *anchored*: what an
-effect does is the difference between its free run with the effect and its free run without,
+made to settle elsewhere or loaded by a shift s, and set to another pace. The emulator is
+*anchored*: what an effect does is the difference between its free run with the effect and its free
+run without,
 
     y = y_sim + run(u', pace, s) - run(u, 1, 0)
 
@@ -13,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from narxcal.effects.base import (
     Effect,
     FloatArray,
     InputEffect,
+    LoadEffect,
     OutputEffect,
     PacedEffect,
     Run,
@@ -33,6 +35,16 @@ from narxcal.effects.pace import Pace, as_simulated, together
 from narxcal.errors import ConfigError
 
 Setting = tuple[Effect, FloatArray]  # an effect and its theta (batch, parameters)
+
+
+class Shift(NamedTuple):
+    """By how much an engine settles elsewhere (rows, time, outputs), and its load (rows, time).
+
+    The load is what is taken from the core, in %/s of its speed at full speed and sea level.
+    """
+
+    settled: FloatArray
+    load: FloatArray
 
 
 @dataclass(frozen=True)
@@ -59,14 +71,14 @@ class Emulator(Protocol):
         flights: Flights,
         told: FloatArray,
         pace: Pace | None = None,
-        shift: FloatArray | None = None,
+        shift: Shift | None = None,
     ) -> FloatArray:
         """Free runs (rows, time, outputs) of an engine told `told` (blocks, time, inputs).
 
         There are as many rows as `pace` has, or blocks: without one it is the simulator's own.
-        Row r is told block `r % blocks`, settles elsewhere by row r of `shift` (rows, time,
-        outputs), which comes with a pace, and begins where flight `r % flights` does, or as far
-        from there as it settles.
+        Row r is told block `r % blocks`, settles elsewhere and is loaded by row r of `shift`,
+        which comes with a pace, and begins where flight `r % flights` does, or as far from there
+        as it settles.
         """
 
 
@@ -101,7 +113,9 @@ def _inside(setting: Setting, signals: Signals) -> bool:
 
 def acts_inside(setting: Setting, signals: Signals) -> bool:
     """Whether an engine with the effect settles or moves otherwise, whatever it is told."""
-    return isinstance(setting[0], SettledEffect) or changes_pace(setting, signals)
+    effect, theta = setting
+    loaded = isinstance(effect, LoadEffect) and effect.loads(theta, signals)
+    return loaded or isinstance(effect, SettledEffect) or changes_pace(setting, signals)
 
 
 def changes_pace(setting: Setting, signals: Signals) -> bool:
@@ -140,37 +154,46 @@ def _moved(
         if isinstance(effect, PacedEffect)
     ]
     shift = _shift(settings, flights, told)
-    as_flown = all(not isinstance(effect, InputEffect) for effect, _ in settings)
     if shift is not None:
         paces = paces or [as_simulated(len(rows))]
-        told = flights.u if as_flown else told
-        changed = emulator.run(flights, told, together(paces), shift)
-    elif as_flown:
-        changed = _each_once(flights, emulator, together(paces))
+    pace = together(paces) if paces else None
+    if pace is None or any(isinstance(effect, InputEffect) for effect, _ in settings):
+        changed = emulator.run(flights, told, pace, shift)
     else:
-        changed = emulator.run(flights, told, together(paces) if paces else None)
+        changed = _each_once(flights, emulator, pace, shift)
     same = emulator.run(flights, flights.u, as_simulated(len(flights.u)) if paces else None)
     return np.asarray(flights.y[rows] + (changed - same[rows]))
 
 
-def _shift(settings: Sequence[Setting], flights: Flights, told: FloatArray) -> FloatArray | None:
-    """By how much the engine settles elsewhere (rows, time, outputs); None if no effect says so."""
-    rows = np.arange(len(told)) % len(flights.u)
-    shifts = [
-        effect.settles(Run(flights.signals, theta, told), flights.y[rows])
-        for effect, theta in settings
-        if isinstance(effect, SettledEffect)
-    ]
-    return np.asarray(sum(shifts)) if shifts else None
+def _shift(settings: Sequence[Setting], flights: Flights, told: FloatArray) -> Shift | None:
+    """Where the engine settles elsewhere and what loads it; None if no effect says so."""
+    y = flights.y[np.arange(len(told)) % len(flights.u)]
+    runs = [(effect, Run(flights.signals, theta, told)) for effect, theta in settings]
+    settled = [each.settles(run, y) for each, run in runs if isinstance(each, SettledEffect)]
+    loads = [each.load(run, y) for each, run in runs if isinstance(each, LoadEffect)]
+    if not settled and not loads:
+        return None
+    return Shift(sum(settled, np.zeros_like(y)), sum(loads, np.zeros(y.shape[:2])))
 
 
-def _each_once(flights: Flights, emulator: Emulator, pace: Pace) -> FloatArray:
-    """Runs of all flights at every pace of a batch, like paces run once.
+def _each_once(flights: Flights, emulator: Emulator, pace: Pace, shift: Shift | None) -> FloatArray:
+    """Runs of all flights as every item of a batch has them, like ones run once.
 
-    What is linear in an effect is no pace, so that most runs of a fit may be alike.
+    What is linear in an effect on the pace or a load is none, so that most runs of a fit may be
+    alike.
     """
     count = len(flights.u)
-    own, places = np.unique(np.stack(pace, axis=1)[::count], axis=0, return_inverse=True)
-    runs = emulator.run(flights, flights.u, Pace(*np.repeat(own, count, axis=0).T))
-    every = runs.reshape(len(own), count, *runs.shape[1:])[places.reshape(-1)]
+    kinds: dict[bytes, int] = {}
+    places: list[int] = []
+    first: list[int] = []
+    parts = [np.stack(pace, axis=1), *(shift or ())]
+    for at in range(0, len(pace[0]), count):
+        key = b"".join(part[at : at + count].tobytes() for part in parts)
+        if key not in kinds:
+            first.extend(range(at, at + count))
+        places.append(kinds.setdefault(key, len(kinds)))
+    own = Pace(*(field[first] for field in pace))
+    moved = None if shift is None else Shift(shift.settled[first], shift.load[first])
+    runs = emulator.run(flights, flights.u, own, moved)
+    every = runs.reshape(len(kinds), count, *runs.shape[1:])[places]
     return np.asarray(every.reshape(-1, *runs.shape[1:]))

@@ -14,6 +14,7 @@ import numpy as np
 from narxcal.effects.base import (
     Effect,
     FloatArray,
+    LoadEffect,
     OutputEffect,
     PacedEffect,
     Parameter,
@@ -80,7 +81,34 @@ def _followed(run: Run, name: str, target: FloatArray, tau_s: float | FloatArray
     return run.memory.setdefault(name, lag)(target)
 
 
-class BleedExtraction(OffsetEffect):
+class TakingEffect(OffsetEffect, LoadEffect):
+    """An offset of what takes power: the gas is hotter by it, and the core has less to spare.
+
+    Under a control that schedules fuel, `loss` of acceleration where the temperature is off by its
+    whole range: what an engine may accelerate with is what its fuel is more than it needs. Where
+    fuel is the driver the shifts of the speeds say so.
+    """
+
+    taken: ClassVar[Parameter] = Parameter("loss", "%/s", 0.0, 60.0, 0.0, (1.0, 15.0))
+
+    def parameters(self, signals: Signals) -> tuple[Parameter, ...]:
+        """What bends the shapes, the amplitudes, and what the core loses under a control."""
+        return (*super().parameters(signals), *((self.taken,) if signals.governed else ()))
+
+    def loads(self, theta: FloatArray, signals: Signals) -> bool:
+        """Under a control, where anything is lost."""
+        return signals.governed and bool((theta[:, -1] != 0.0).any())
+
+    def load(self, run: Run, y: FloatArray) -> FloatArray:
+        """The loss times the shift of the temperature, as a share of its range."""
+        if not run.signals.governed:
+            return np.zeros(y.shape[:-1])
+        hot = run.signals.hot
+        share = self.total(run, y)[..., hot] / (run.signals.high[hot] - run.signals.low[hot])
+        return np.asarray(run.theta[:, -1:] * share)
+
+
+class BleedExtraction(TakingEffect):
     """Bleed that follows ECS, NAI and WAI shifts temperature and speeds, more at high power."""
 
     id: ClassVar[str] = "bleed_extraction"
@@ -103,7 +131,7 @@ class BleedExtraction(OffsetEffect):
         }
 
 
-class UnloggedSwitch(OffsetEffect):
+class UnloggedSwitch(TakingEffect):
     """A load or bleed that no channel records is on in some windows."""
 
     id: ClassVar[str] = "unlogged_switch"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from narxcal.effects import Flights, Signals, candidates
-from narxcal.effects.base import OutputEffect, PacedEffect, RateEffect
+from narxcal.effects.base import LoadEffect, OutputEffect, PacedEffect, RateEffect
 from narxcal.effects.pace import as_simulated
 from narxcal.effects.sensor_side import SensorEffect
 
@@ -45,7 +45,7 @@ class Engine:
     def run(self, flights, told, pace=None, shift=None):
         """Explicit steps at a pace: lags of the speeds scaled, the lever behind the valve's.
 
-        An engine that settles elsewhere moves as it would, so far from there.
+        An engine that settles elsewhere moves as it would, so far away; a load slows its core.
         """
         pace = pace or as_simulated(len(told))
         rows, which = np.arange(len(pace[0])) % len(flights.u), np.arange(len(pace[0])) % len(told)
@@ -53,7 +53,8 @@ class Engine:
         for k in range(1, drive.shape[1]):
             late = np.exp(-DT / np.maximum(pace.valve_s, 1e-9))
             drive[:, k, 0] += late * (drive[:, k - 1, 0] - drive[:, k, 0])
-        off = np.zeros((*drive.shape[:2], len(OUTPUTS))) if shift is None else shift
+        none = np.zeros((*drive.shape[:2], len(OUTPUTS)))
+        off, load = shift or (none, none[..., 0])
         y = [flights.y[rows, 0] + settled(told[which, 0]) - settled(flights.u[rows, 0]) + off[:, 0]]
         metal = y[0][:, 2]
         for k in range(drive.shape[1] - 1):
@@ -65,7 +66,7 @@ class Engine:
             rate *= np.where(pace.limit == 1.0, 1.0, np.minimum(room, 1.0))[:, None]
             fall = FASTEST * pace.fall / np.maximum(-rate[:, 1], 1e-9)
             rate *= np.where(pace.fall == 1.0, 1.0, np.minimum(fall, 1.0))[:, None]
-            rate[:, 1] -= pace.loss * (y[-1][:, 2] - metal)
+            rate[:, 1] -= pace.loss * (y[-1][:, 2] - metal) + load[:, k]
             metal = metal + DT / pace.metal_s * (y[-1][:, 2] - metal)
             y.append(y[-1] + DT * rate)
         return np.stack(y, axis=1)
@@ -114,6 +115,7 @@ U = levers()
 FLOWN = Engine().simulate(U, settled(U[:, 0]))
 SIGNALS = signals(U, FLOWN)
 ALL = candidates(SIGNALS)
+INSIDE = (PacedEffect, LoadEffect)
 
 
 def each(effects):
@@ -138,9 +140,15 @@ def moving(request):
     return request.param
 
 
-@each([e for e in ALL if isinstance(e, OutputEffect) and not isinstance(e, PacedEffect)])
+@each([e for e in ALL if isinstance(e, OutputEffect) and not isinstance(e, INSIDE)])
 def reading(request):
     """Every effect on outputs alone."""
+    return request.param
+
+
+@each([e for e in ALL if isinstance(e, LoadEffect)])
+def loading(request):
+    """Every effect that takes power from the core."""
     return request.param
 
 

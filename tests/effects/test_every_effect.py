@@ -1,9 +1,11 @@
 """What holds for every effect of the library alike."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from narxcal.effects import Flights, effect, respond
-from narxcal.effects.base import InputEffect, OutputEffect, Run
+from narxcal.effects.base import InputEffect, LoadEffect, OutputEffect, Run
 
 
 def test_at_its_neutral_value_it_leaves_every_bit(acting, neutral, flights, engine):
@@ -32,7 +34,9 @@ def test_what_is_called_linear_is_linear(linear, sized, flights, engine):
     thetas[2, lines] = 0.3 * thetas[0, lines] - 2.0 * thetas[1, lines]
     *moved, without = respond([(linear, thetas)], flights, engine)
     moved = np.array(moved) - without
-    np.testing.assert_allclose(moved[2], 0.3 * moved[0] - 2.0 * moved[1], atol=1e-9)
+    # A load slows the engine, and shapes that ride on its power with it: a second-order matter.
+    near = 1e-3 if isinstance(linear, LoadEffect) else 1e-9
+    np.testing.assert_allclose(moved[2], 0.3 * moved[0] - 2.0 * moved[1], atol=near)
 
 
 def test_a_batch_is_its_runs_one_by_one(acting, neutral, sized, flights, engine):
@@ -81,6 +85,28 @@ def test_a_sensor_leaves_all_other_channels_alone(sensor, sized, flights):
 def test_a_reading_needs_no_emulator(reading, sized, flights, engine):
     alone = respond([(reading, sized(reading))], flights, None)
     np.testing.assert_array_equal(alone, respond([(reading, sized(reading))], flights, engine))
+
+
+def test_a_load_that_takes_nothing_is_a_reading_and_one_that_does_slows_the_core(
+    loading, sized, flights, engine
+):
+    theta = sized(loading)
+    free = np.array([[*theta[0, :-1], 0.0]])
+    reading = respond([(loading, free)], flights, None)
+    np.testing.assert_array_equal(reading, respond([(loading, free)], flights, engine))
+    loaded = respond([(loading, theta)], flights, engine)
+    hotter = (reading - flights.y)[0, ..., 2]
+    assert hotter.max() > 1.0
+    slower = (reading - loaded)[0, ..., 1]
+    assert slower.max() > 0.02
+    assert slower.min() > -0.1 * slower.max()
+    fuel = replace(flights.signals, driver="FF_kgph")
+    theirs = loading.parameters(fuel)
+    assert [p.name for p in loading.parameters(flights.signals)] == [
+        *(p.name for p in theirs),
+        "loss",
+    ]
+    np.testing.assert_array_equal(loading.load(Run(fuel, free, flights.u[:1]), flights.y[:1]), 0.0)
 
 
 def test_an_effect_on_rates_leaves_rest_alone(moving, sized, flights, fly, engine):

@@ -188,8 +188,8 @@ class Counting:
     def __init__(self, engine):
         self.engine, self.rows = engine, []
 
-    def run(self, flights, told, pace=None):
-        found = self.engine.run(flights, told, pace)
+    def run(self, flights, told, pace=None, shift=None):
+        found = self.engine.run(flights, told, pace, shift)
         self.rows.append(len(found))
         return found
 

@@ -58,7 +58,8 @@ def flown(steps=200, seed=0):
     steady = np.stack(
         [25 + 70 * power, 52 + 42 * power, 350 + 400 * power, 150 + 900 * power], axis=-1
     )
-    return steady[None], np.full((1, steps), -0.4), steady[None, 0]
+    none = np.zeros((1, steps))
+    return steady[None], none - 0.4, none, steady[None, 0]
 
 
 def pace_of(**changed):
@@ -75,7 +76,7 @@ def cubic(flat, slope, bend, n2):
     return 45.0 * (flat * x + slope * x**2 / 2.0 + bend * x**3 / 3.0)
 
 
-def written_out(steady, air, pace, governed):
+def written_out(steady, air, pace, governed, load):
     """The equations of the module's docstring, one state at a time."""
     t, h = coefficients(), DT / STEPS
     n1, n2, *flows = steady[0]
@@ -103,7 +104,11 @@ def written_out(steady, air, pace, governed):
                 np.exp(line(t[at:], x, air) + t[at + 3] * x**2 + t[at + 4] * behind / 45.0)
                 for at in (UP, DOWN)
             )
-            held = 1.0 + (q / (up * pace.limit[0] if q > 0 else down * pace.fall[0])) ** 4
+            up, down = up * pace.limit[0], down * pace.fall[0]
+            if governed < HOLDS_RATE:
+                own = load * np.exp(air) * (1.0 + x) / 2.0
+                up, down = max(up - own, 0.05 * up), max(down + own, 0.05 * down)
+            held = 1.0 + (q / (up if q > 0 else down)) ** 4
             r, q = r + h * t[RESET] ** 2 * error / held, q / held**0.25
             if governed >= HOLDS_RATE:
                 q /= thin * (pace.core_up[0] if q > 0 else pace.core_down[0])
@@ -123,6 +128,7 @@ def written_out(steady, air, pace, governed):
     return np.array(found)
 
 
+@pytest.mark.parametrize("load", [0.0, 1.5, -1.5])
 @pytest.mark.parametrize("governed", [0, 1, HOLDS_RATE, HOLDS_RATE + 1])
 @pytest.mark.parametrize(
     "changed",
@@ -135,8 +141,8 @@ def written_out(steady, air, pace, governed):
         {"loss": 0.02, "metal_s": 6.0, "rise_s": 0.4},
     ],
 )
-def test_it_is_its_equations(governed, changed):
-    steady, air, start = flown()
+def test_it_is_its_equations(governed, changed, load):
+    steady, air, none, start = flown()
     pace = Pace(
         *(
             np.full(1, v[0])
@@ -144,14 +150,16 @@ def test_it_is_its_equations(governed, changed):
         )
     )
     found = engine(governed).free_run(
-        (steady, air, start), np.zeros(1, dtype=int), np.stack(pace, axis=1), 2
+        (steady, air, none + load, start), np.zeros(1, dtype=int), np.stack(pace, axis=1), 2
     )
-    np.testing.assert_allclose(found[0], written_out(steady[0], -0.4, pace, governed), atol=1e-9)
+    said = written_out(steady[0], -0.4, pace, governed, load)
+    np.testing.assert_allclose(found[0], said, atol=1e-9)
 
 
 def test_at_rest_it_stays_at_rest():
     steady = np.repeat(flown()[0][:, :1], 100, axis=1)
-    given_ = (steady, np.zeros((1, 100)), steady[:, 0])
+    none = np.zeros((1, 100))
+    given_ = (steady, none, none, steady[:, 0])
     found = engine().free_run(given_, np.zeros(1, dtype=int), pace_of())
     np.testing.assert_allclose(found, steady, atol=1e-12)
 
@@ -163,7 +171,9 @@ def test_it_comes_to_rest_where_it_is_asked_whatever_its_rotors_weigh(factor, ai
     start = steady[:, 0] - np.array([[20.0, 12.0, 100.0, 200.0]])
     slower = dict.fromkeys(("fan_up", "fan_down", "core_up", "core_down"), 1.0 / factor)
     found = engine().free_run(
-        (steady, np.full((1, 800), air), start), np.zeros(1, dtype=int), pace_of(**slower)
+        (steady, np.full((1, 800), air), np.zeros((1, 800)), start),
+        np.zeros(1, dtype=int),
+        pace_of(**slower),
     )
     np.testing.assert_allclose(found[0, -1], steady[0, -1], atol=0.3)
 
@@ -192,7 +202,7 @@ def test_heat_that_metal_takes_slows_a_slam_and_costs_fuel_until_it_is_warm():
     """Once the core has come, fuel brings what the metal takes; in the end there is no trace."""
     steady = np.repeat(flown()[0][:, 30:31], 1200, axis=1)
     start = steady[:, 0] - np.array([[40.0, 25.0, 250.0, 600.0]])
-    given_ = (steady, np.zeros((1, 1200)), start)
+    given_ = (steady, np.zeros((1, 1200)), np.zeros((1, 1200)), start)
     dry, heated = (
         engine(1).free_run(given_, np.zeros(1, dtype=int), pace, 2)[0]
         for pace in (pace_of(), pace_of(**HEATED))
@@ -217,6 +227,60 @@ def test_a_control_that_holds_acceleration_brings_what_the_metal_takes():
     assert np.abs(held[:, 1] - alike[:, 1]).max() < 0.1 * np.abs(free[:, 1] - alike[:, 1]).max()
 
 
+def slam(steps=600):
+    """From idle to where the settled values are, and what holds there (blocks of one)."""
+    steady = np.repeat(flown()[0][:, 30:31], steps, axis=1)
+    start = steady[:, 0] - np.array([[40.0, 25.0, 250.0, 600.0]])
+    return steady, np.zeros((1, steps)), start
+
+
+@settings(deadline=None)
+@given(st.floats(0.3, 3.0))
+def test_a_load_makes_slams_longer_and_chops_shorter_and_shifts_nothing(load):
+    """What holds the speeds brings what a load takes: at rest there is no trace of it."""
+    (steady, none, up), one = slam(), np.zeros(1, dtype=int)
+    down = 2.0 * steady[:, 0] - up
+    for start, sign in ((up, -1.0), (down, -1.0)):
+        free, loaded = (
+            engine().free_run((steady, none, none + size, start), one, pace_of())[0]
+            for size in (0.0, load)
+        )
+        moving = slice(4, 12)
+        assert (sign * (loaded - free)[moving, 1] > 0.0).all()
+        np.testing.assert_allclose(loaded[-1], free[-1], atol=0.02)
+
+
+def test_what_a_load_takes_is_so_much_acceleration():
+    """Far behind, the core comes by its limit less the load, in thin air so much less."""
+    steady, none, start = slam(16)
+    one, theta = np.zeros(1, dtype=int), coefficients()
+    theta[UP : UP + 5], theta[VALVE] = (np.log(4.0), 0.0, 0.0, 0.0, 0.0), np.log(0.05)
+    for air in (0.0, -0.7):
+        came = [
+            engine(1, theta).free_run((steady, none + air, none + load, start), one, pace_of())[0]
+            for load in (0.0, 1.0)
+        ]
+        lost = (came[0][-1, 1] - came[1][-1, 1]) / (15 * DT)
+        x = (came[1][:, 1].mean() - 50.0) / 45.0
+        assert lost == pytest.approx(np.exp(air) * (1.0 + x) / 2.0, rel=0.15)
+
+
+def test_a_control_that_holds_acceleration_brings_what_a_load_takes():
+    (steady, none, start), one = slam(), np.zeros(1, dtype=int)
+    runs = [
+        engine(HOLDS_RATE).free_run((steady, none, none + load, start), one, pace_of())
+        for load in (0.0, 2.0)
+    ]
+    np.testing.assert_array_equal(*runs)
+
+
+def test_no_load_is_more_than_a_limit_has():
+    (steady, none, start), one = slam(100), np.zeros(1, dtype=int)
+    found = engine().free_run((steady, none, none + 1e3, start), one, pace_of())[0]
+    assert (np.diff(found[:, 1]) > -1e-9).all()
+    assert found[-1, 1] > start[0, 1] + 1.0
+
+
 def test_the_reset_waits_while_a_limit_holds():
     """Behind a limit the whole way, a slam is as far with a reset as without one."""
     steady = np.repeat(flown()[0][:, 30:31], 60, axis=1)
@@ -227,7 +291,7 @@ def test_the_reset_waits_while_a_limit_holds():
     high[RESET] = 0.5
     far = [
         engine(1, theta).free_run(
-            (steady, np.zeros((1, 60)), start), np.zeros(1, dtype=int), pace_of()
+            (steady, np.zeros((1, 60)), np.zeros((1, 60)), start), np.zeros(1, dtype=int), pace_of()
         )
         for theta in (low, high)
     ]
@@ -239,7 +303,7 @@ def test_many_rows_are_each_alone():
     one, two = flown(seed=1), flown(seed=2)
     both = tuple(np.concatenate(pair) for pair in zip(one, two, strict=True))
     which = np.array([1, 0, 1])
-    both = (*both[:2], both[2][which])
+    both = (*both[:3], both[3][which])
     paces = np.concatenate([pace_of(), pace_of(limit=0.6), pace_of(thin_air=0.5)])
     found = engine().free_run(both, which, paces)
     for row, (block, pace) in enumerate(zip([two, one, two], paces, strict=True)):
@@ -259,8 +323,7 @@ def test_a_soft_limit_passes_what_is_small_and_never_more_than_the_limit(demand,
 
 def test_the_compiled_run_is_the_same_from_python():
     """The raster of the caller is cut into steps of 62.5 ms at most."""
-    steady, air, start = flown(60)
-    given_ = (steady, air, start)
+    given_ = flown(60)
     theta = np.concatenate([coefficients()[None], pace_of()], axis=1)
     which = np.zeros(1, dtype=int)
     plain = two_spool.run.py_func(theta, THERMAL, given_, which, (DT, 50.0, 45.0, 0, 3))

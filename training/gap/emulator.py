@@ -14,7 +14,7 @@ import numpy as np
 
 from narxcal.effects.base import FloatArray, Signals
 from narxcal.effects.pace import Pace, as_simulated
-from narxcal.effects.running import Flights
+from narxcal.effects.running import Flights, Shift
 from narxcal.errors import DataError
 from narxcal.two_spool import HOLDS_RATE, TwoSpool
 from training.gap.settled import SettledModel, corrected, fit_settled
@@ -37,23 +37,25 @@ class GreyBoxEmulator:
         flights: Flights,
         told: FloatArray,
         pace: Pace | None = None,
-        shift: FloatArray | None = None,
+        shift: Shift | None = None,
     ) -> FloatArray:
         """Free runs (rows, time, outputs) of an engine that is told `told` (blocks, time, inputs).
 
-        Row r is told block `r % blocks`, settles elsewhere by row r of `shift`, and starts where
-        flight `r % flights` does, moved by what other inputs and the shift change at rest.
+        Row r is told block `r % blocks`, settles elsewhere and is loaded by row r of `shift`, and
+        starts where flight `r % flights` does, moved by what other inputs and the shift change at
+        rest.
         """
         order, count = _order(flights.signals), len(flights.u)
         paces = np.stack(pace or as_simulated(len(told)), axis=1)
         rows, which = np.arange(len(paces)) % count, np.arange(len(paces)) % len(told)
         steady, air = self.settled.outputs(told), np.log(flights.signals.thin_air(told))
+        load = np.zeros_like(air)
         if shift is not None:
-            steady, air = steady[which] + shift, air[which]
+            steady, air, load = steady[which] + shift.settled, air[which], shift.load
             which = np.arange(len(paces))
         asked = self.settled.outputs(flights.u[:, 0])
         start = flights.y[rows, 0] + steady[which, 0] - asked[rows]
-        flown = (_picked(steady, order), air, _picked(start, order))
+        flown = (_picked(steady, order), air, load, _picked(start, order))
         found = self.engine.free_run(flown, which, paces, order.index(flights.signals.hot))
         return _back(found, order, len(flights.signals.outputs))
 

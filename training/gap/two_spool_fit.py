@@ -146,7 +146,8 @@ class _Rotors:
         theta = np.repeat(self._prior + self._spread * z, flights, axis=0)
         pace = np.stack(as_simulated(len(theta)), axis=1)
         which = np.tile(np.arange(flights), len(z))
-        flown = (rotors.steady, rotors.air, np.ascontiguousarray(rotors.y[which, 0]))
+        start = np.ascontiguousarray(rotors.y[which, 0])
+        flown = (rotors.steady, rotors.air, np.zeros_like(rotors.air), start)
         blank = self._blank
         y = two_spool.run(
             np.concatenate([theta, pace], axis=1),

@@ -261,7 +261,7 @@ class Halving:
 
     told = None
 
-    def run(self, _flights, told, pace=None):
+    def run(self, _flights, told, pace=None, _shift=None):
         self.told = told
         changed = 0.0 if pace is None or pace.fan_up[0] == 1.0 else 3.0
         return np.zeros((*told.shape[:2], 3)) + changed
@@ -281,7 +281,7 @@ def test_only_what_changes_the_pace_is_asked_of_the_emulator(signals, fly, log_o
 class Losing:
     """An emulator in which heat that metal takes is 3 less."""
 
-    def run(self, _flights, told, pace=None):
+    def run(self, _flights, told, pace=None, _shift=None):
         lost = np.zeros(len(told)) if pace is None else np.where(pace.loss > 0.0, 3.0, 0.0)
         return np.zeros((*told.shape[:2], 3)) - lost[:, None, None]
 
@@ -306,7 +306,7 @@ class Settling:
     """An emulator that is at once where it settles."""
 
     def run(self, _flights, told, _pace=None, shift=None):
-        return np.zeros((*told.shape[:2], 3)) + (0.0 if shift is None else shift)
+        return np.zeros((*told.shape[:2], 3)) + (0.0 if shift is None else shift.settled)
 
 
 def test_where_an_effect_makes_it_settle_is_the_emulators_all_of_it(signals, fly, log_of):

@@ -94,7 +94,7 @@ class Slower:
         rows = len(told) if pace is None else len(pace[0])
         changed = 0.0 if pace is None or pace.fan_up[0] == 1.0 else 1.0
         found = np.full((rows, *flights.y.shape[1:]), 10.0 + changed)
-        return found if shift is None else found + shift
+        return found if shift is None else found + shift.settled
 
 
 def test_of_both_the_input_is_the_simulators_and_the_pace_the_emulators(flights):

@@ -8,7 +8,7 @@ import pytest
 from narxcal import two_spool
 from narxcal.effects import Flights, effect
 from narxcal.effects.pace import as_simulated
-from narxcal.effects.running import respond
+from narxcal.effects.running import Shift, respond
 from narxcal.errors import DataError
 from training.gap.emulator import fit_emulators
 from training.gap.two_spool_fit import GOVERNED_CORE
@@ -69,9 +69,11 @@ def test_it_settles_elsewhere_from_the_start_and_goes_there_as_it_goes_anywhere(
     """By a shift that lasts it stays away by that; where there is none it is itself."""
     count, shift = len(flights.u), np.zeros_like(flights.y)
     pace, itself = as_simulated(count), fitted.run(flights, flights.u)
-    np.testing.assert_array_equal(fitted.run(flights, flights.u, pace, shift), itself)
+    none = np.zeros(shift.shape[:2])
+    same = fitted.run(flights, flights.u, pace, Shift(shift, none))
+    np.testing.assert_array_equal(same, itself)
     shift[1:] = 0.5, 0.25, 3.0
-    moved = fitted.run(flights, flights.u, pace, shift) - itself
+    moved = fitted.run(flights, flights.u, pace, Shift(shift, none)) - itself
     np.testing.assert_array_equal(moved[0], 0.0)
     np.testing.assert_allclose(moved[1:, 0], shift[1:, 0], atol=1e-9)
     np.testing.assert_allclose(np.median(moved[1:], axis=1), shift[1:, 0], rtol=0.1)
@@ -81,9 +83,11 @@ def test_each_row_settles_by_its_own_shift(fitted, flights):
     count = len(flights.u)
     shift = np.zeros((2 * count, *flights.y.shape[1:]))
     shift[count:] = 1.0, 0.5, 5.0
-    both = fitted.run(flights, flights.u, as_simulated(2 * count), shift)
+    load = 0.1 * shift[..., 2]
+    both = fitted.run(flights, flights.u, as_simulated(2 * count), Shift(shift, load))
     np.testing.assert_array_equal(both[:count], fitted.run(flights, flights.u))
-    alone = fitted.run(flights, flights.u, as_simulated(count), shift[count:])
+    own = Shift(shift[count:], load[count:])
+    alone = fitted.run(flights, flights.u, as_simulated(count), own)
     np.testing.assert_array_equal(both[count:], alone)
 
 

@@ -200,10 +200,18 @@ def test_the_windows_are_an_input_that_the_effect_acts_through():
     assert with_load(FLIGHTS, off, always=True).u.shape == flights.u.shape
 
 
+class Unmoved:
+    """An emulator of an engine that is the same at any pace, however it is loaded."""
+
+    def run(self, flights, told, pace=None, _shift=None):
+        rows = np.arange(len(told if pace is None else pace[0])) % len(flights.y)
+        return flights.y[rows]
+
+
 def test_the_price_is_paid_by_the_load_alone_and_flights_without_it_are_no_witnesses():
     flights = with_load(FLIGHTS, on_in(WINDOWS))
     real = recorded(shifted(on_in(WINDOWS)))
-    tried = fit([UnloggedSwitch()], Problem(flights, None, misfit(flights, real, NOISE)))
+    tried = fit([UnloggedSwitch()], Problem(flights, Unmoved(), misfit(flights, real, NOISE)))
     price = np.array([3.0, 1.0, 2.0, 0.0])
     paid = priced(tried, price)
     assert has_load(tried)
@@ -212,14 +220,6 @@ def test_the_price_is_paid_by_the_load_alone_and_flights_without_it_are_no_witne
     other = replace(tried, effects=())
     assert priced(other, price) is other
     assert witnesses(other, price).all()
-
-
-class Unmoved:
-    """An emulator of an engine that is the same at any pace."""
-
-    def run(self, flights, told, pace=None):
-        rows = np.arange(len(told if pace is None else pace[0])) % len(flights.y)
-        return flights.y[rows]
 
 
 def test_the_diagnosis_names_the_load_with_its_size(monkeypatch):
