@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from narxcal.effects.base import FloatArray
-from training.gap.bounded import least_within, room
+from training.gap.bounded import least_within, room, without
 from training.gap.fitting import Fit, Problem
 from training.gap.scatter import build_scatter
 
@@ -94,7 +94,7 @@ class Allowance:
             shapes = np.concatenate([shapes, tried.slopes])
             bounds = np.concatenate([bounds, room(tried.theta, tried.parameters)])
             rest = rest - tried.response
-        return _left_out(*self._forms(shapes, rest), bounds)
+        return _left_out(self._forms(shapes, rest), bounds, len(use))
 
     def _is_sound(self, shape: FloatArray, bounds: tuple[float, float]) -> bool:
         """Whether a shape is a simulator's misfit, and not what running the emulator made of it.
@@ -102,7 +102,7 @@ class Allowance:
         A step so small that an emulated engine only flutters has a slope of its own in one flight,
         which the others cannot know.
         """
-        left = _left_out(*self._forms(shape[None], self._misfit.gap), np.array([bounds]))
+        left = _left_out(self._forms(shape[None], self._misfit.gap), np.array([bounds]), 1)
         return float(left.sum()) <= _SOUND * float(self._misfit.size(self._misfit.gap).sum())
 
     def _forms(
@@ -142,14 +142,17 @@ def _shapes(
 
 
 def _left_out(
-    hessian: FloatArray, toward: FloatArray, size: FloatArray, bounds: FloatArray
+    forms: tuple[FloatArray, FloatArray, FloatArray], bounds: FloatArray, little: int
 ) -> FloatArray:
-    """Q per flight at the best amounts within `bounds` (p, 2) for all other flights."""
+    """Q per flight at the best amounts within `bounds` (p, 2) for all other flights.
+
+    The first ones are so many amounts of what is allowed.
+    """
+    hessian, toward, size = forms
     left = size.copy()
     if hessian.shape[1] == 0 or len(size) < 2:
         return left
     for f in range(len(size)):
-        rest = hessian.sum(axis=0) - hessian[f], toward.sum(axis=0) - toward[f]
-        step = least_within(*rest, bounds)
+        step = least_within(*without((hessian, toward), f, little), bounds)
         left[f] = size[f] - 2.0 * step @ toward[f] + step @ hessian[f] @ step
     return np.maximum(left, 0.0)

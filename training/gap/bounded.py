@@ -17,6 +17,7 @@ from narxcal.effects.base import FloatArray, Parameter
 _RIDGE: Final = 1e-6
 _THIN: Final = 1e-9  # least width of a bound
 _ALIKE: Final = 1.0 + 1e-6  # cosine of two directions, at most
+_TELLING: Final = 1e-3  # of what all flights say of a parameter: less is next to nothing
 
 
 def room(theta: FloatArray, parameters: Sequence[Parameter]) -> FloatArray:
@@ -25,11 +26,26 @@ def room(theta: FloatArray, parameters: Sequence[Parameter]) -> FloatArray:
     return np.asarray(bounds - theta[:, None])
 
 
+def without(
+    inner: tuple[FloatArray, FloatArray], flight: int, bounded: int = 0
+) -> tuple[FloatArray, FloatArray]:
+    """Hessian (p, p) and gradient (p,) of all flights but one, of `inner` (flights, p, ...).
+
+    A switch that one flight alone moves is nearly nothing to the others: what they make of its
+    amplitude is noise, of any size. So a thousandth of what all flights say of a parameter holds
+    it where it is, but for the first ones, that are narrowly `bounded`.
+    """
+    hessian, toward = inner
+    whole = hessian.sum(axis=0)
+    held = _TELLING * np.diag(whole)
+    held[:bounded] = 0.0
+    return whole - hessian[flight] + np.diag(held), toward.sum(axis=0) - toward[flight]
+
+
 def least_within(hessian: FloatArray, toward: FloatArray, bounds: FloatArray) -> FloatArray:
     """Least of `x' H x - 2 x' b` (p,) within bounds (p, 2): `H = L L'`, `|L' x - L^-1 b|^2`.
 
-    A direction in which nothing moves, as of an effect that some flight alone shows where that one
-    is left out, is not gone.
+    A direction in which nothing moves is not gone.
     """
     moves = np.diag(hessian) > 0.0
     scale = np.sqrt(np.where(moves, np.diag(hessian), 1.0))

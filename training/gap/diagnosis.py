@@ -38,6 +38,7 @@ from training.gap.offsets import (
 from training.gap.quadratic import Misfit, misfit
 from training.gap.rerun_fit import told_anew
 from training.gap.together import added, in_order, is_expected, taken
+from training.gap.tolerance import of_the_build
 from training.gap.unlogged import priced
 from training.gap.verdict import bearable, finding
 from training.gap.whitened import sized_by_moves
@@ -152,7 +153,8 @@ def _earned(work: Work, model: Fit, best: Fit | None, least: float) -> bool:
 
     More than the pseudo-nulls, at least `least`, a part of the whole gap with its offsets, and in
     all flights but one (all of them up to four); and not by small misfit alone. A load says nothing
-    of flights without it, a step in mid-flight is no drift, and what no temperature shows no heat.
+    of flights without it, a step in mid-flight is no drift, and what no temperature shows no heat;
+    beside another effect a limit within what one build has and another not is no news.
     """
     gained = (work.before if best is None else best.held_out) - model.held_out
     share = float(gained.sum()) / work.audible
@@ -160,6 +162,8 @@ def _earned(work: Work, model: Fit, best: Fit | None, least: float) -> bool:
     heard = float(gained.sum()) > (_IF_TELLING if telling else _OF_WHOLE) * work.whole
     worth = share > max(work.threshold, least) and work.holds(gained, model, best) and heard
     if not (worth and _beyond(work, model, best)):
+        return False
+    if best is not None and of_the_build(model, best, work.problem):
         return False
     return not foil(model, work.problem.misfit, work.problem.flights.signals.outputs)
 

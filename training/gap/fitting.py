@@ -17,7 +17,7 @@ import numpy as np
 
 from narxcal.effects.base import Effect, FloatArray, Parameter
 from narxcal.effects.running import Emulator, Flights, respond
-from training.gap.bounded import least_within, room
+from training.gap.bounded import least_within, room, without
 from training.gap.quadratic import Misfit
 
 _STEPS = 7
@@ -254,8 +254,7 @@ def _jackknife(
         return held_out, others
     bounds = room(theta, parameters)
     for f in range(len(left)):
-        without = hessian.sum(axis=0) - hessian[f], toward.sum(axis=0) - toward[f]
-        step = least_within(*without, bounds)
+        step = least_within(*without((hessian, toward), f), bounds)
         others[f] = theta + step
         held_out[f] = left[f] - 2.0 * step @ toward[f] + step @ hessian[f] @ step
     return np.maximum(held_out, 0.0), others

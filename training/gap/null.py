@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from narxcal.effects.base import FloatArray
 from training.gap.fitting import Fit
@@ -25,23 +26,34 @@ def null_gains(
     """Gain in Q of the best hypothesis on each of `draws` pseudo-nulls: (draws,).
 
     `residual` (flights, time, outputs) is what the best model leaves; `fits` are all hypotheses.
+    What it says where nothing is known, as behind the end of a shorter flight, is no residual.
     """
-    random = np.random.default_rng(seed)
+    random, known = np.random.default_rng(seed), misfit.weights > 0.0
+    flown = [_end(rows) for rows in known]
+    left = np.where(known, residual, 0.0)
     directions = [_Directions(fit.slopes, misfit) for fit in fits]
     gains = np.zeros(draws)
     for k in range(draws):
-        shuffled = _shuffled(residual, random)
+        shuffled = _shuffled(left, flown, random)
         gains[k] = max(direction.gain(shuffled) for direction in directions)
     return gains
 
 
-def _shuffled(residual: FloatArray, random: np.random.Generator) -> FloatArray:
+def _end(known: NDArray[np.bool_]) -> int:
+    """Samples up to the last of which anything is known (time, outputs)."""
+    rows = np.flatnonzero(known.any(axis=1))
+    return int(rows[-1]) + 1 if len(rows) else len(known)
+
+
+def _shuffled(
+    residual: FloatArray, flown: Sequence[int], random: np.random.Generator
+) -> FloatArray:
     """Each flight's residual, turned in time by at least a tenth of it, with a random sign."""
-    count, steps, _ = residual.shape
-    moved = np.empty_like(residual)
-    for f in range(count):
-        shift = int(random.integers(steps // 10, steps - steps // 10))
-        moved[f] = random.choice((-1.0, 1.0)) * np.roll(residual[f], shift, axis=0)
+    moved = np.zeros_like(residual)
+    for f, steps in enumerate(flown):
+        shift = int(random.integers(steps // 10, max(steps - steps // 10, steps // 10 + 1)))
+        own = np.roll(residual[f, :steps], shift, axis=0)
+        moved[f, :steps] = random.choice((-1.0, 1.0)) * own
     return moved
 
 

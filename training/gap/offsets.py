@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from narxcal.effects.base import Effect, FloatArray, Signals
 from narxcal.effects.running import Flights
@@ -52,7 +53,7 @@ def offset_fits(problem: Problem, left: Misfit, effects: Sequence[Effect]) -> li
     """Fit each offset to the gap `left`; best first."""
     own = replace(problem, misfit=left)
     fits = [fit([effect], own) for effect in effects]
-    fits = [one for one in fits if not _better_than_new(one, problem.flights.signals)]
+    fits = [one for one in fits if not _better_than_new(one, problem.flights)]
     fits = [one for one in fits if not _of_all_days(one, own, effects)]
     fits.sort(key=lambda tried: float(tried.held_out.sum()))
     return plainest(fits, problem.flights, left)
@@ -73,9 +74,13 @@ def _of_all_days(tried: Fit, own: Problem, effects: Sequence[Effect]) -> bool:
 
 def _alike(flights: Flights) -> bool:
     """Whether the air was as warm all along, so that no error can be laid to it."""
-    dT_K = flights.u[..., flights.signals.u("dT_C")]
-    flown = np.arange(dT_K.shape[1]) < flights.lengths[:, None]
-    return bool(np.ptp(np.quantile(dT_K[flown], _MIDDLE)) < _ALIKE_K)
+    dT_K = flights.u[..., flights.signals.u("dT_C")][_flown(flights)]
+    return bool(np.ptp(np.quantile(dT_K, _MIDDLE)) < _ALIKE_K)
+
+
+def _flown(flights: Flights) -> NDArray[np.bool_]:
+    """Samples (flights, time) before the end of each flight."""
+    return np.asarray(np.arange(flights.u.shape[1]) < flights.lengths[:, None])
 
 
 def day_fit(problem: Problem, left: Misfit, effects: Sequence[Effect]) -> Fit | None:
@@ -95,7 +100,8 @@ def day_fit(problem: Problem, left: Misfit, effects: Sequence[Effect]) -> Fit | 
     gained = without.held_out - tried.held_out
     share = _share(gained, without.held_out - left.floor)
     found = _first_of(tried, np.maximum(left.size(left.gap) - gained, tried.held_out))
-    spread = replace(found, response=found.response - found.response.mean(axis=(0, 1)))
+    middle = found.response[_flown(problem.flights)].mean(axis=0)
+    spread = replace(found, response=found.response - middle)
     large = _in_scatters(spread, problem.flights).max() > _BETWEEN_DAYS
     return found if in_nearly_all(gained) and large and share > _MOST else None
 
@@ -171,9 +177,10 @@ def _in_scatters(tried: Fit, flights: Flights, together: float = _TOGETHER_PCT) 
     all that was flown: at idle a fan turns so slowly that any shift is much of its speed.
     """
     signals: Signals = flights.signals
-    sizes, absolute = [], levels(flights.y, signals.outputs)
+    flown, sizes = _flown(flights), []
+    response, absolute = tried.response[flown], levels(flights.y[flown], signals.outputs)
     for c, name in enumerate(signals.outputs):
-        of_level = np.mean(tried.response[..., c] ** 2) / np.mean(absolute[..., c] ** 2)
+        of_level = np.mean(response[:, c] ** 2) / np.mean(absolute[:, c] ** 2)
         shift = 100.0 * float(np.sqrt(of_level))
         speed = _SHIFT_PCT.get(tried.effects[0].id, together)
         if name in signals.free and c == 0:
@@ -220,8 +227,9 @@ def plainest(fits: list[Fit], flights: Flights, left: Misfit) -> list[Fit]:
     sizes, outputs = _in_scatters(worn, flights), flights.signals.outputs
     most = int(np.argmax(sizes))
     alone = [one for one in fits if one.effects[0].channel == outputs[most]]
-    shift, power = worn.response[..., most], flights.signals.power(flights.y)
-    slope = float(np.cov(shift.ravel(), power.ravel())[0, 1] / max(float(np.var(power)), 1e-12))
+    flown = _flown(flights)
+    shift, power = worn.response[flown][:, most], flights.signals.power(flights.y[flown])
+    slope = float(np.cov(shift, power)[0, 1] / max(float(np.var(power)), 1e-12))
     growth = slope * float(np.sign(shift.mean()))
     level = growth < _LEVEL * abs(float(shift.mean()))
     others = float(np.delete(sizes, most).max(initial=0.0))
@@ -233,8 +241,9 @@ def plainest(fits: list[Fit], flights: Flights, left: Misfit) -> list[Fit]:
     return [alone[0], *(one for one in fits if one is not alone[0])]
 
 
-def _better_than_new(tried: Fit, signals: Signals) -> bool:
+def _better_than_new(tried: Fit, flights: Flights) -> bool:
     """Whether wear would have cooled the engine: that is build scatter, or something else."""
+    signals: Signals = flights.signals
     if tried.effects[0].id != "deterioration" or "EGT_C" not in signals.outputs:
         return False
-    return float(np.mean(tried.response[..., signals.y("EGT_C")])) < 0.0
+    return float(np.mean(tried.response[_flown(flights)][:, signals.y("EGT_C")])) < 0.0

@@ -231,10 +231,13 @@ def _judged(found: Found | None, levels: Levels, asked: Asked, seed: int) -> tup
 
 
 def _switched(flights: Flights) -> list[FloatArray]:
-    """Blocks of each flight at which a logged switch changes."""
+    """Blocks of each flight at which a logged switch changes.
+
+    On a raster it may be half on for a sample, between two steps of a half each.
+    """
     signals, size = flights.signals, _block(flights.signals)
     columns = [signals.u(name) for name in _LOGGED if name in signals.active]
-    moved: BoolArray = np.any(np.abs(np.diff(flights.u[..., columns], axis=1)) > 0.5, axis=2)
+    moved: BoolArray = np.any(np.diff(flights.u[..., columns] > 0.5, axis=1), axis=2)
     return [np.flatnonzero(row) / size for row in moved]
 
 

@@ -14,6 +14,7 @@ from training.gap.fitting import Fit
 from training.gap.foils import foil
 from training.gap.offsets import Offset, alike
 from training.gap.together import is_expected, is_heat
+from training.gap.tolerance import of_the_build
 from training.gap.wear import Answer, with_its_limit
 from training.gap.work import Work
 
@@ -35,6 +36,8 @@ def finding(
     own = claimed is not None and bearable(work, claimed)
     answer = with_its_limit(work, claimed, offset) if own else Answer(claimed, offset)
     claimed, offset = answer.claimed, answer.offset
+    if claimed is not None and of_the_build(claimed, None, work.problem):
+        claimed, answer = None, Answer(None, offset)
     order = sorted(work.fits, key=work.rank, reverse=True)
     if claimed is not None:
         order = [claimed, *(one for one in order if one is not claimed)]
@@ -172,7 +175,8 @@ def _too_little(work: Work, best: Fit) -> str:
     """Why the best effect is no answer to a gap that is real."""
     takes = f"the best one takes {100.0 * work.gain(best):.0f} % of it"
     problem = work.problem
-    if instead := foil(best, problem.misfit, problem.flights.signals.outputs):
+    instead = foil(best, problem.misfit, problem.flights.signals.outputs)
+    if instead := instead or of_the_build(best, None, problem):
         return f"{takes}, {instead}"
     beyond = float(work.beyond(best).sum()) >= work.options.beyond * work.audible
     if beyond and not work.holds(work.before - best.held_out, best):

@@ -20,7 +20,7 @@ from training.gap.unlogged import has_load, witnesses
 
 _FAINT = 0.02  # of the peak of a response: where it counts half
 _LEAST = 0.01  # of the noise's energy: less of a gap is none to take shares of
-_SILENT, _WITNESSES = 0.01, 3  # of what the average flight tells; flights that have to tell
+_SILENT, _WITNESSES = 0.03, 3  # of what the average flight tells; flights that have to tell
 _PAIR, _MOST = 2, 0.5  # flights that are enough where each loses so much of its gap
 _WITHIN = 0.05  # what a gain counts that any simulator's misfit would explain, too
 _PLIANT = (HeatSoak, ThrottleBacklash)  # what follows anything slow, or at small moves
@@ -152,7 +152,7 @@ class Work:
         """Flights (flights,) that tell for or against what a fit has more than `best`, or none.
 
         A flight in which no switch of an effect moves, or no load was on, says nothing about it:
-        of the parameters it tells less than a hundredth of what the average flight does.
+        of the parameters it tells less than 3 % of what the average flight does.
         """
         if has_load(tried):
             return witnesses(tried, self.problem.flights.price)

@@ -1,0 +1,61 @@
+"""What one build may have and another not: limits and idles of a control within its tolerance.
+
+What a limit leaves to accelerate with is the difference of two large torques. On an engine whose
+schedule of fuel is a sixth above what it needs, components and schedule that are a percent or two
+off shift the limit by a sixth; idles are trimmed to about a percent. Found in a build that differs
+otherwise too, so much of them is no news; in one that is the simulator's own it is.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from narxcal.effects.base import Effect
+from narxcal.effects.dynamic import AccelDecelAsymmetry, AccelLimit
+from narxcal.effects.steady import IdleSchedule
+from training.gap.fitting import Fit, Problem
+from training.gap.scatter import build_scatter
+
+_LIMIT: Final = 0.2  # of the simulator's acceleration or deceleration
+_IDLE_PCT: Final = 1.0  # of a speed at idle
+_OWN_BUILD: Final = 0.001  # scatter below which both are one build, sensors and all
+_BY_CONTROL: Final = 0.5  # of a share that is all or nothing
+
+
+def of_the_build(tried: Fit, best: Fit | None, problem: Problem) -> str:
+    """What `tried` has more than `best`, or than none, that a build may have; empty if nothing.
+
+    In words. Nothing is where the recorded engine is of the simulator's own build, and of two
+    effects found together.
+    """
+    known = () if best is None else best.effects
+    together = best is None and len(tried.effects) > 1
+    if together or build_scatter(problem.flights, problem.misfit) < _OWN_BUILD:
+        return ""
+    ends = np.cumsum(tried.sizes)
+    for effect, end, count in zip(tried.effects, ends, tried.sizes, strict=True):
+        names = [parameter.name for parameter in tried.parameters[end - count : end]]
+        values = dict(zip(names, tried.theta[end - count : end].tolist(), strict=True))
+        if effect not in known and (words := _within(effect, values)):
+            return f"but {words} may be the build's own"
+    return ""
+
+
+def _within(effect: Effect, values: dict[str, float]) -> str:
+    """The effect in words if it is within what a build may have; empty if it is more, or other."""
+    if isinstance(effect, AccelLimit):
+        return _limit("acceleration", values["share"])
+    if isinstance(effect, AccelDecelAsymmetry) and values["by_control"] > _BY_CONTROL:
+        return _limit("deceleration", values["ratio"])
+    if isinstance(effect, IdleSchedule):
+        speeds = [size for name, size in values.items() if name.endswith("_pct")]
+        core = speeds[-1] if speeds else np.inf
+        return f"an approach idle {abs(core):.1f} % off" if abs(core) < _IDLE_PCT else ""
+    return ""
+
+
+def _limit(what: str, share: float) -> str:
+    off = abs(share - 1.0)
+    return f"a limit of {what} {100.0 * off:.0f} % off" if off < _LIMIT else ""
