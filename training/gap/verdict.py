@@ -36,8 +36,8 @@ def finding(
     own = claimed is not None and bearable(work, claimed)
     answer = with_its_limit(work, claimed, offset) if own else Answer(claimed, offset)
     claimed, offset = answer.claimed, answer.offset
-    if claimed is not None and of_the_build(claimed, None, work.problem):
-        claimed, answer = None, Answer(None, offset)
+    if claimed and not answer.rivals and of_the_build(claimed, None, work.problem):
+        claimed = None
     order = sorted(work.fits, key=work.rank, reverse=True)
     if claimed is not None:
         order = [claimed, *(one for one in order if one is not claimed)]

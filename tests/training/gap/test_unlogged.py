@@ -191,6 +191,18 @@ def test_the_claimed_size_finds_the_windows_of_other_flights():
     assert not none.on.any()
 
 
+def test_windows_of_a_switch_that_is_half_on_for_a_sample_are_its_own():
+    """On a raster of block means a switch changes in two steps of a half each."""
+    flights = with_load(FLIGHTS, on_in(WINDOWS))
+    column = np.array(flights.u[..., -1:])
+    half = np.maximum(column, np.roll(column, -1, axis=1) * 0.5)
+    signals = replace(FLIGHTS.signals, inputs=(*INPUTS, "WAI"), active=(*INPUTS, "WAI"))
+    told = replace(FLIGHTS, signals=signals, u=np.concatenate([FLIGHTS.u, half], axis=2))
+    assert set(np.unique(half)) == {0.0, 0.5, 1.0}
+    found = load_in(recorded(shifted(on_in(WINDOWS))), (), told)
+    assert found.reason == "the windows follow a logged switch"
+
+
 def test_the_windows_are_an_input_that_the_effect_acts_through():
     flights = with_load(FLIGHTS, on_in(WINDOWS))
     assert flights.signals.inputs[-1] == flights.signals.active[-1] == UNLOGGED
