@@ -10,7 +10,7 @@ from eval.gap.claimed import claimed
 from eval.gap.data import FloatArray, GapData, Pair
 from eval.gap.evidence import Evidence
 from eval.gap.parts import FEWEST
-from narxcal.effects.base import InputEffect, RateEffect, ShiftEffect
+from narxcal.effects.base import InputEffect, RateEffect, SettledEffect, ShiftEffect
 from narxcal.effects.library import effect
 
 _UNKNOWN = 0.01  # of the samples
@@ -51,7 +51,7 @@ def coarse_emulator(evidence: Evidence, *, again: bool) -> list[str]:
 def _emulated(name: str, *, again: bool) -> bool:
     kind = effect(name)
     told = isinstance(kind, InputEffect) and not isinstance(kind, ShiftEffect)
-    return isinstance(kind, RateEffect) or (told and not again)
+    return isinstance(kind, (RateEffect, SettledEffect)) or (told and not again)
 
 
 def _few(pairs: Sequence[Pair], data: GapData) -> Iterator[str]:

@@ -93,13 +93,15 @@ def evidence(make_data, make_finding, make_model, probe):
 
 SPOOL = {"factor": Interval(1.2, 1.1, 1.3)}
 PLAY = {"width_deg": Interval(2.0, 1.0, 3.0)}
+IDLE = {"meets": Interval(0.3, 0.2, 0.4), "idle_N2_pct": Interval(2.0, 1.0, 3.0)}
 
 
-def test_an_emulator_that_is_no_match_for_the_gap_is_said(evidence):
-    words = coarse_emulator(evidence("spool_lag", 30.0, SPOOL), again=True)
+@pytest.mark.parametrize(("name", "sizes"), [("spool_lag", SPOOL), ("idle_schedule", IDLE)])
+def test_an_emulator_that_is_no_match_for_the_gap_is_said(name, sizes, evidence):
+    words = coarse_emulator(evidence(name, 30.0, sizes), again=True)
     assert len(words) == 1
     assert words[0].startswith("the emulator's own error is more than half of the gap in EGT_C ")
-    assert coarse_emulator(evidence("spool_lag", 1.0, SPOOL), again=True) == []
+    assert coarse_emulator(evidence(name, 1.0, sizes), again=True) == []
 
 
 def test_it_is_not_said_of_effects_that_need_no_emulator(evidence):

@@ -49,7 +49,7 @@ def test_what_a_switch_does_is_named_if_it_moves_in_two_of_the_flights(
     u = flights.u.copy()
     u[switched:, :, INPUTS.index("NAI")] = 0.0
     own = replace(flights, u=u)
-    setting = (effect("bleed_extraction"), np.array([[0.0, -0.6, 15.0]]))
+    setting = (effect("bleed_extraction"), np.array([[0.0, -0.6, 15.0, 0.0]]))
     real = respond([setting], own, engine)[0]
     found = answer(own, engine, real + NOISE * np.random.default_rng(4).normal(size=real.shape))
     assert found.kind == kind, found.reason
