@@ -20,6 +20,7 @@ import numpy as np
 from narxcal.effects.base import Effect, FloatArray
 from narxcal.effects.library import candidates
 from narxcal.effects.running import Flights
+from training.gap import both_ways
 from training.gap.allowance import Allowance
 from training.gap.beside import beside, stands
 from training.gap.finding import Finding
@@ -97,7 +98,7 @@ def _first(work: Work, moving: Sequence[Effect], watch: Watch | None) -> Fit | N
     """The best effect if it earns a claim, or None."""
     work.fits = [_tried(work, [effect], (k, len(moving), watch)) for k, effect in enumerate(moving)]
     work.allowance = Allowance(work.fits, work.problem)
-    work.standing = standings(work)
+    work.standing, work.place = standings(work), both_ways.places(work)
     work.fits.sort(key=work.rank, reverse=True)
     residual = work.problem.misfit.cleaned(work.problem.misfit.gap - work.fits[0].response)
     gains = null_gains(

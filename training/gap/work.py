@@ -96,6 +96,7 @@ class Work:
     offered: list[Fit] = field(default_factory=list)  # offsets of the whole gap, best first
     beside: Fit | None = None  # an effect of moves with what is expected and leads
     standing: dict[str, float] = field(default_factory=dict)  # of neighbours on a channel (`kin`)
+    place: dict[str, float] = field(default_factory=dict)  # of rotors slower one way (`both_ways`)
     _beside: dict[Fit | None, FloatArray] = field(default_factory=dict)
 
     @property
@@ -218,9 +219,11 @@ class Work:
         Of two that gain much the same, one that explains what it touches is there; one that
         explains it in part follows something else, of which it may gain as much by its size. So
         does one whose time constant ends on its bound: what it follows is slower or faster than the
-        effect can be. Neighbours on one channel take their places by the quick moves (`standing`).
+        effect can be. Neighbours on one channel take their places by the quick moves (`standing`),
+        and rotors that may be slower both ways that of ones that are slower one way (`place`).
         """
-        place = (_AT_END if tried.at_end else 1.0) * self.standing.get(tried.name, 1.0)
+        place = self.standing.get(tried.name, 1.0) * self.place.get(tried.name, 1.0)
+        place *= _AT_END if tried.at_end else 1.0
         return self.worth(tried) * self.aligned(tried) * place
 
     @property
