@@ -47,7 +47,7 @@ def _within(effect: Effect, values: dict[str, float]) -> str:
     """The effect in words if it is within what a build may have; empty if it is more, or other."""
     if isinstance(effect, AccelLimit):
         return _limit("acceleration", values["share"])
-    if isinstance(effect, AccelDecelAsymmetry) and values["by_control"] > _BY_CONTROL:
+    if isinstance(effect, AccelDecelAsymmetry) and values.get("by_control", 0.0) > _BY_CONTROL:
         return _limit("deceleration", values["ratio"])
     if isinstance(effect, IdleSchedule):
         speeds = [size for name, size in values.items() if name.endswith("_pct")]

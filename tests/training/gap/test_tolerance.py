@@ -76,6 +76,14 @@ def test_in_the_simulators_own_build_all_of_it_is_news(flights, problem_of):
     assert of_the_build(tried, None, problem_of(one_sensor)) == ""
 
 
+def test_rotors_of_an_engine_without_a_control_have_no_limit_of_it(flights, problem_of):
+    """Where fuel is the driver nothing says which of two mechanisms it is."""
+    one, problem = fit_of(flights, ("accel_decel_asymmetry", [1.1, 1.0])), problem_of(OTHER)
+    fuel = replace(one, parameters=one.parameters[:1], theta=one.theta[:1], sizes=(1,))
+    assert of_the_build(one, None, problem)
+    assert of_the_build(fuel, None, problem) == ""
+
+
 def test_beside_another_effect_it_is_asked_of_what_is_more(flights, problem_of):
     """What leads is judged by itself, and two that were found together are no limit's doing."""
     lag, limit = ("sensor_lag:EGT_C", [1.0, 0.5]), ("accel_limit", [0.85])
