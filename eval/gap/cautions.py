@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -30,7 +30,8 @@ def coarse_emulator(evidence: Evidence, *, again: bool) -> list[str]:
     That matters where a claimed effect acts inside the engine, or before it and the simulator
     cannot be run `again`, on channels that hold a tenth of the gap or more.
     """
-    if not any(_emulated(name, again=again) for name in claimed(evidence.finding)):
+    found = claimed(evidence.finding).items()
+    if not any(_emulated(name, values, again=again) for name, values in found):
         return []
     gap = np.sqrt(np.nanmean(evidence.data.gap**2, axis=(0, 1)))
     own = evidence.finding.emulator_rmse
@@ -48,10 +49,12 @@ def coarse_emulator(evidence: Evidence, *, again: bool) -> list[str]:
     return [words]
 
 
-def _emulated(name: str, *, again: bool) -> bool:
+def _emulated(name: str, values: Mapping[str, float], *, again: bool) -> bool:
+    """Whether what it does rests on the emulator: of loads and heat what they take of the core."""
     kind = effect(name)
     told = isinstance(kind, InputEffect) and not isinstance(kind, ShiftEffect)
-    return isinstance(kind, (RateEffect, SettledEffect)) or (told and not again)
+    takes = values.get("loss", 0.0) > 0.0
+    return isinstance(kind, (RateEffect, SettledEffect)) or takes or (told and not again)
 
 
 def _few(pairs: Sequence[Pair], data: GapData) -> Iterator[str]:

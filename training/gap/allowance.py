@@ -26,7 +26,6 @@ _LEVER_DEG: Final = 85.0  # way of a lever of which the play below is a share
 # What a control's limit leaves to accelerate with is the difference of two large torques, about a
 # third of either: where components scatter by a percent, it does by up to ten times as much.
 _BY_SCATTER, _LIMIT = 10.0, (0.03, 0.10)  # of acceleration and deceleration: least, most
-_EITHER: Final = 0.5  # of a share that is all or nothing
 _SOUND: Final = 2.0  # of the gap: a shape that leaves more, by the other flights, is none
 _SMALL: Final = 1e-9  # way of a parameter that is none
 
@@ -134,8 +133,7 @@ def _shapes(
         by *= max(1.0, float(one.theta[places[little.of]]))
     if little.outside in places:
         by *= 1.0 - float(one.theta[places[little.outside]])
-    by_control = little.only_if in places and float(one.theta[places[little.only_if]]) > _EITHER
-    if little.limit and (by_control or not little.only_if):
+    if little.limit and (not little.only_if or one.chose(little.only_if)):
         yield one.name, shape, (-limit, limit)
     else:
         yield one.name, shape, (by * little.low, by * little.high)

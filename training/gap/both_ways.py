@@ -18,7 +18,6 @@ from training.gap.fitting import Fit
 from training.gap.work import Work
 
 _AS_WELL: Final = 0.85  # of the asymmetry's gain
-_BY_CONTROL: Final = 0.5  # of a share that is all or nothing
 
 
 def places(work: Work) -> dict[str, float]:
@@ -28,7 +27,7 @@ def places(work: Work) -> dict[str, float]:
     or explains what the other does not.
     """
     one_way, both = _single(work, AccelDecelAsymmetry), _single(work, SpoolLag)
-    if one_way is None or both is None or _of_the_control(one_way):
+    if one_way is None or both is None or one_way.by_control:
         return {}
     first, second = work.rank(one_way), work.rank(both)
     as_well = work.gain(both) >= _AS_WELL * work.gain(one_way)
@@ -40,8 +39,3 @@ def places(work: Work) -> dict[str, float]:
 def _single(work: Work, kind: type[Effect]) -> Fit | None:
     alone = (one for one in work.fits if len(one.effects) == 1)
     return next((one for one in alone if isinstance(one.effects[0], kind)), None)
-
-
-def _of_the_control(one: Fit) -> bool:
-    names = [parameter.name for parameter in one.parameters]
-    return "by_control" in names and float(one.theta[names.index("by_control")]) > _BY_CONTROL

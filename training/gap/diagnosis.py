@@ -164,7 +164,7 @@ def _earned(work: Work, model: Fit, best: Fit | None, least: float) -> bool:
     worth = share > max(work.threshold, least) and work.holds(gained, model, best) and heard
     if not (worth and _beyond(work, model, best)):
         return False
-    if best is not None and of_the_build(model, best, work.problem):
+    if best is not None and of_the_build(model, best.effects, work.problem):
         return False
     return not foil(model, work.problem.misfit, work.problem.flights.signals.outputs)
 

@@ -23,7 +23,7 @@ from training.gap.quadratic import Misfit
 _STEPS = 7
 _GOOD = 2e-3  # relative progress of Q below which a fit has converged
 _RIDGE = 1e-9
-_OUTSIDE = 0.5  # of 0 and 1
+_EITHER = 0.5  # of a share that is all or nothing
 _FEW = 4  # flights of which none may speak against an effect; of more, one
 _End = tuple[FloatArray, FloatArray, FloatArray]  # theta, the response there, its slopes
 
@@ -80,8 +80,17 @@ class Fit:
     @property
     def loopless(self) -> bool:
         """Whether an effect in a loop that the engine has was fitted outside of it."""
+        return self.chose("outside")
+
+    @property
+    def by_control(self) -> bool:
+        """Whether a slower deceleration was found to be the control's limit, not the rotors'."""
+        return self.chose("by_control")
+
+    def chose(self, name: str) -> bool:
+        """Whether the parameter `name`, a share that is all or nothing, was found to be all."""
         pairs = zip(self.parameters, self.theta, strict=True)
-        return any(p.name == "outside" and value >= _OUTSIDE for p, value in pairs)
+        return any(p.name == name and value >= _EITHER for p, value in pairs)
 
 
 def in_nearly_all(gained: FloatArray) -> bool:

@@ -8,6 +8,7 @@ otherwise too, so much of them is no news; in one that is the simulator's own it
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -21,33 +22,29 @@ from training.gap.scatter import build_scatter
 _LIMIT: Final = 0.2  # of the simulator's acceleration or deceleration
 _IDLE_PCT: Final = 1.0  # of a speed at idle
 _OWN_BUILD: Final = 0.001  # scatter below which both are one build, sensors and all
-_BY_CONTROL: Final = 0.5  # of a share that is all or nothing
 
 
-def of_the_build(tried: Fit, best: Fit | None, problem: Problem) -> str:
-    """What `tried` has more than `best`, or than none, that a build may have; empty if nothing.
+def of_the_build(tried: Fit, beside: Sequence[Effect], problem: Problem) -> str:
+    """The one effect of `tried` that is not among those `beside` it, if a build may have it.
 
-    In words. Nothing is where the recorded engine is of the simulator's own build, and of two
-    effects found together.
+    In words; empty if none may. Nothing is where the recorded engine is of the simulator's own
+    build, and two effects that were found together are no limit's doing.
     """
-    known = () if best is None else best.effects
-    together = best is None and len(tried.effects) > 1
-    if together or build_scatter(problem.flights, problem.misfit) < _OWN_BUILD:
+    new = [effect for effect in tried.effects if effect not in beside]
+    if len(new) != 1 or build_scatter(problem.flights, problem.misfit) < _OWN_BUILD:
         return ""
-    ends = np.cumsum(tried.sizes)
-    for effect, end, count in zip(tried.effects, ends, tried.sizes, strict=True):
-        names = [parameter.name for parameter in tried.parameters[end - count : end]]
-        values = dict(zip(names, tried.theta[end - count : end].tolist(), strict=True))
-        if effect not in known and (words := _within(effect, values)):
-            return f"but {words} may be the build's own"
-    return ""
+    end = int(np.cumsum(tried.sizes)[tried.effects.index(new[0])])
+    own = range(end - tried.sizes[tried.effects.index(new[0])], end)
+    values = {tried.parameters[k].name: float(tried.theta[k]) for k in own}
+    words = _within(new[0], values, by_control=tried.by_control)
+    return f"but {words} may be the build's own" if words else ""
 
 
-def _within(effect: Effect, values: dict[str, float]) -> str:
+def _within(effect: Effect, values: dict[str, float], *, by_control: bool) -> str:
     """The effect in words if it is within what a build may have; empty if it is more, or other."""
     if isinstance(effect, AccelLimit):
         return _limit("acceleration", values["share"])
-    if isinstance(effect, AccelDecelAsymmetry) and values.get("by_control", 0.0) > _BY_CONTROL:
+    if isinstance(effect, AccelDecelAsymmetry) and by_control:
         return _limit("deceleration", values["ratio"])
     if isinstance(effect, IdleSchedule):
         speeds = [size for name, size in values.items() if name.endswith("_pct")]

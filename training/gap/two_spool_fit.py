@@ -2,7 +2,9 @@
 
 The rotors' coefficients minimise the free run's error over whole flights, with a robust loss (what
 the settled values miss must not bend the dynamics) and priors that hold the slopes where the logs
-say nothing. Temperatures and flows depend on them linearly once their lag is known.
+say nothing. Temperatures and flows depend on them linearly once their lag is known; what they
+would be at rest at another core speed is not asked of moves, in which the power that the core has
+to spare says nearly the same, but of the settled values: an engine has one working line.
 """
 
 from __future__ import annotations
@@ -36,10 +38,11 @@ _TOLERANCE: Final = 0.01  # share of the range that counts as one standard error
 _ROBUST: Final = 2.0  # standard errors beyond which an error counts linearly
 _EVERY_S: Final = 0.25  # errors nearer in time tell nothing new
 _INDEPENDENT_S: Final = 1.0  # and those within this are one observation
-_RIDGE: Final = 1e-3
+_RIDGE, _SLIGHT = 1e-3, 1e-5
 _FAR, _INSIDE = 3.0, 2.99  # standard deviations that a coefficient may be off, and begin with
 _FINE: Final = 1e-3  # change of the cost, and of coefficients, at which a fit ends
 _LAGS_S: Final = (0.05, 6.0)
+_APART_S: Final = (2.0, 8.0)  # moves of the lever take that long, the air hardly changes meanwhile
 
 
 class Course(NamedTuple):
@@ -165,28 +168,56 @@ def _flow(course: Course, j: int) -> FloatArray:
     """Coefficients (FLOW,) of one temperature or flow: Y and b with their slopes, its lag in s."""
     power = np.gradient(course.y[..., 1], course.dt_s, axis=1)
     away = course.y[..., 1] - course.steady[..., 1]
-    x, z = (
-        np.clip((speed[..., 1] - course.low[1]) / course.span[1], -0.2, 1.2)
-        for speed in (course.y, course.steady)
-    )
-    one, air = np.ones_like(x), course.air
-    chords = [one, 0.5 * (x + z), (x * x + x * z + z * z) / 3.0, air]
-    columns = [away * shape for shape in chords]
-    columns += [power * shape for shape in (one, x, x * x, air)]
+    x, z = (_place(course, speed[..., 1]) for speed in (course.y, course.steady))
+    one, line = np.ones_like(x), working_line(course, j)
+    match = course.steady[..., j] + away * np.tensordot(line, _chords(x, z, course.air), axes=1)
+    columns = [power * shape for shape in (one, x, x * x, course.air)]
 
     def solved(log_lag: float) -> tuple[float, FloatArray]:
         tau_s = float(np.exp(log_lag))
         rows = np.stack([_lagged(column, tau_s, course.dt_s) for column in columns], axis=-1)
-        target = course.y[..., j] - _lagged(course.steady[..., j], tau_s, course.dt_s)
+        target = course.y[..., j] - _lagged(match, tau_s, course.dt_s)
         use = course.inside > 0.0
         a, b = rows[use], target[use]
-        gram = a.T @ a
-        w = np.linalg.solve(gram + np.diag(_RIDGE * np.diag(gram) + 1e-9), a.T @ b)
-        return float(np.mean((b - a @ w) ** 2)), np.append(w, tau_s)
+        w = _ridge(a, b, _RIDGE)
+        return float(np.mean((b - a @ w) ** 2)), np.concatenate([line, w, [tau_s]])
 
     low, high = (float(np.log(lag)) for lag in _LAGS_S)
     best = minimize_scalar(lambda z: solved(z)[0], bounds=(low, high), method="bounded")
     return solved(float(best.x))[1]
+
+
+def working_line(course: Course, j: int) -> FloatArray:
+    """Slope of channel j over core speed along the settled values: constant, x, x^2 and L, (4,).
+
+    By least squares over what the settled values change within seconds: that does the lever, along
+    the working line (Walsh & Fletcher, *Gas Turbine Performance*, ch. 7).
+    """
+    moves: list[tuple[FloatArray, FloatArray]] = []
+    for apart_s in _APART_S:
+        k = max(1, round(apart_s / course.dt_s))
+        use = course.inside[:, k:] > 0.0
+        change = course.steady[:, k:] - course.steady[:, :-k]
+        x = _place(course, course.steady[..., 1])
+        shapes = _chords(x[:, k:], x[:, :-k], 0.5 * (course.air[:, k:] + course.air[:, :-k]))
+        moves.append(((change[..., 1] * shapes)[:, use].T, change[use][:, j]))
+    a, b = (np.concatenate(part) for part in zip(*moves, strict=True))
+    return _ridge(a, b, _SLIGHT)
+
+
+def _place(course: Course, speed: FloatArray) -> FloatArray:
+    """Core speed as a share of its range, as the engine counts it."""
+    return np.asarray(np.clip((speed - course.low[1]) / course.span[1], -0.2, 1.2))
+
+
+def _chords(x: FloatArray, z: FloatArray, air: FloatArray) -> FloatArray:
+    """Means of 1, x and x^2 between x and z, and L: `(4, ...)`."""
+    return np.stack([np.ones_like(x), 0.5 * (x + z), (x * x + x * z + z * z) / 3.0, air])
+
+
+def _ridge(a: FloatArray, b: FloatArray, share: float) -> FloatArray:
+    gram = a.T @ a
+    return np.asarray(np.linalg.solve(gram + np.diag(share * np.diag(gram) + 1e-9), a.T @ b))
 
 
 def _lagged(value: FloatArray, tau_s: float, dt_s: float) -> FloatArray:

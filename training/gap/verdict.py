@@ -36,7 +36,7 @@ def finding(
     own = claimed is not None and bearable(work, claimed)
     answer = with_its_limit(work, claimed, offset) if own else Answer(claimed, offset)
     claimed, offset = answer.claimed, answer.offset
-    if claimed and not answer.rivals and of_the_build(claimed, None, work.problem):
+    if claimed and not answer.rivals and of_the_build(claimed, (), work.problem):
         claimed = None
     order = sorted(work.fits, key=work.rank, reverse=True)
     if claimed is not None:
@@ -176,7 +176,7 @@ def _too_little(work: Work, best: Fit) -> str:
     takes = f"the best one takes {100.0 * work.gain(best):.0f} % of it"
     problem = work.problem
     instead = foil(best, problem.misfit, problem.flights.signals.outputs)
-    if instead := instead or of_the_build(best, None, problem):
+    if instead := instead or of_the_build(best, (), problem):
         return f"{takes}, {instead}"
     beyond = float(work.beyond(best).sum()) >= work.options.beyond * work.audible
     if beyond and not work.holds(work.before - best.held_out, best):

@@ -94,9 +94,13 @@ def evidence(make_data, make_finding, make_model, probe):
 SPOOL = {"factor": Interval(1.2, 1.1, 1.3)}
 PLAY = {"width_deg": Interval(2.0, 1.0, 3.0)}
 IDLE = {"meets": Interval(0.3, 0.2, 0.4), "idle_N2_pct": Interval(2.0, 1.0, 3.0)}
+SOAK = {"tau_s": Interval(60.0, 50.0, 70.0), "loss": Interval(2.0, 1.0, 3.0)}
+WARM = {"tau_s": Interval(60.0, 50.0, 70.0), "loss": Interval(0.0, 0.0, 1.0)}
 
 
-@pytest.mark.parametrize(("name", "sizes"), [("spool_lag", SPOOL), ("idle_schedule", IDLE)])
+@pytest.mark.parametrize(
+    ("name", "sizes"), [("spool_lag", SPOOL), ("idle_schedule", IDLE), ("heat_soak", SOAK)]
+)
 def test_an_emulator_that_is_no_match_for_the_gap_is_said(name, sizes, evidence):
     words = coarse_emulator(evidence(name, 30.0, sizes), again=True)
     assert len(words) == 1
@@ -106,6 +110,7 @@ def test_an_emulator_that_is_no_match_for_the_gap_is_said(name, sizes, evidence)
 
 def test_it_is_not_said_of_effects_that_need_no_emulator(evidence):
     assert coarse_emulator(evidence("sensor_lag:EGT_C", 30.0), again=False) == []
+    assert coarse_emulator(evidence("heat_soak", 30.0, WARM), again=False) == []
     assert coarse_emulator(evidence("throttle_backlash", 30.0, PLAY), again=True) == []
     assert coarse_emulator(evidence("throttle_backlash", 30.0, PLAY), again=False) != []
 

@@ -30,7 +30,7 @@ def engine_of():
     theta[two_spool.DOWN : two_spool.DOWN + 3] = np.log(6.0), 0.5, 1.0
     theta[two_spool.FAN], theta[two_spool.LINE] = np.log(0.9), 1.8
     theta[two_spool.VALVE], theta[two_spool.PUSH] = np.log(0.2), 0.3
-    thermal = np.array([[8.0, 0.0, 0.0, 0.0, 12.0, 0.0, 0.0, 0.0, 0.9]])
+    thermal = np.array([[10.0, 0.0, 0.0, 0.0, 12.0, 0.0, 0.0, 0.0, 0.9]])
     return GreyBoxEmulator(Rest(), TwoSpool(theta, thermal, 50.0, 40.0, 0, DT))
 
 

@@ -38,12 +38,10 @@ def test_where_one_of_them_is_right_nothing_changes(truth, work_of):
 
 def said(gains, ranks, by_control=0.0):
     """Places by the gains and ranks of an asymmetry and of rotors slower both ways."""
-    rows = [(effect(ASYMMETRY), (1.3, by_control)), (effect(BOTH), (1.2,))]
+    rows = [(effect(ASYMMETRY), by_control > 0.0), (effect(BOTH), False)]
     fits = [
-        SimpleNamespace(
-            effects=(one,), name=one.name, theta=theta, parameters=one.fixed, gain=gain, rank=rank
-        )
-        for (one, theta), gain, rank in zip(rows, gains, ranks, strict=True)
+        SimpleNamespace(effects=(one,), name=one.name, by_control=control, gain=gain, rank=rank)
+        for (one, control), gain, rank in zip(rows, gains, ranks, strict=True)
     ]
     work = SimpleNamespace(fits=fits, gain=lambda one: one.gain, rank=lambda one: one.rank)
     found = places(work)

@@ -66,31 +66,31 @@ LIMIT = "but a limit of acceleration 15 % off may be the build's own"
 )
 def test_what_a_build_may_have_is_said(name, theta, said, flights, problem_of):
     tried = fit_of(flights, (name, theta))
-    assert of_the_build(tried, None, problem_of(OTHER)) == said
+    assert of_the_build(tried, (), problem_of(OTHER)) == said
 
 
 def test_in_the_simulators_own_build_all_of_it_is_news(flights, problem_of):
     tried = fit_of(flights, ("accel_limit", [0.85]))
-    assert of_the_build(tried, None, problem_of(0.02 * OTHER)) == ""
+    assert of_the_build(tried, (), problem_of(0.02 * OTHER)) == ""
     one_sensor = np.array([0.0, 0.0, 8.0])
-    assert of_the_build(tried, None, problem_of(one_sensor)) == ""
+    assert of_the_build(tried, (), problem_of(one_sensor)) == ""
 
 
 def test_rotors_of_an_engine_without_a_control_have_no_limit_of_it(flights, problem_of):
     """Where fuel is the driver nothing says which of two mechanisms it is."""
     one, problem = fit_of(flights, ("accel_decel_asymmetry", [1.1, 1.0])), problem_of(OTHER)
     fuel = replace(one, parameters=one.parameters[:1], theta=one.theta[:1], sizes=(1,))
-    assert of_the_build(one, None, problem)
-    assert of_the_build(fuel, None, problem) == ""
+    assert of_the_build(one, (), problem)
+    assert of_the_build(fuel, (), problem) == ""
 
 
 def test_beside_another_effect_it_is_asked_of_what_is_more(flights, problem_of):
     """What leads is judged by itself, and two that were found together are no limit's doing."""
     lag, limit = ("sensor_lag:EGT_C", [1.0, 0.5]), ("accel_limit", [0.85])
     pair, problem = fit_of(flights, lag, limit), problem_of(OTHER)
-    assert of_the_build(pair, fit_of(flights, lag), problem) == LIMIT
-    assert of_the_build(pair, fit_of(flights, limit), problem) == ""
-    assert of_the_build(pair, None, problem) == ""
+    assert of_the_build(pair, (effect("sensor_lag:EGT_C"),), problem) == LIMIT
+    assert of_the_build(pair, (effect("accel_limit"),), problem) == ""
+    assert of_the_build(pair, (), problem) == ""
 
 
 @pytest.mark.parametrize(("shift", "kind"), [(OTHER, "unknown"), (0.0 * OTHER, "effects")])
