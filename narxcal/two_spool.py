@@ -9,9 +9,10 @@ range R, and L = ln(delta / sqrt(theta)),
     dn1/dt = w exp(k w / R) / tau1                which follows it, faster from far below
     dn2/dt = p - m                                the core what power it has to spare
     dp/dt  = (v - p) / tau_f,                     behind the fuel valve,
-    q      = g exp(l (z - x)) (s - n + r) - d dn1/dt
+    q      = g exp(l (z - x)) (s - n + r) - d dn1/dt + u,    d >= 0
     v      = soft(q; up, down)                    which the control opens and limits
     dr/dt  = reset^2 (s - n) / (1 + (q / limit)^4)
+    du/dt  = (p0 - dn2/dt - u) / 3 s, where the reset holds fuel; else u = 0
     dy/dt  = (s_y + Y(n2) - Y(s2) + b p - y) / tau_y
     m      = loss exp(L) (1 + x) / 2 (T_blades - T_metal)
     up     = U(x, L, fan) - load exp(L) (1 + x) / 2,    down likewise and more
@@ -27,11 +28,15 @@ takes heat from it and keeps clearances open: T_blades and T_metal are one tempe
 lag each, and what the core lacks goes with power and with the density of the air; the fan follows
 p - m. A bleed or a load is held against by more fuel, which the settled values have; but a schedule
 of fuel leaves as much less to accelerate with, and more to decelerate. A control that holds the
-core's acceleration itself makes up for rotors that answer differently, for heat and for loads: v is
-then so many times the fuel as they are slower, and m more. Other coefficients are lines in x and L,
-the positive ones as logarithms. Sources: rotor equations and min-max control in Walsh & Fletcher,
-*Gas Turbine Performance*, ch. 8; Jaw & Mattingly, *Aircraft Engine Controls*, ch. 5-6;
-state-variable form in Sugiyama, *J. Propulsion* 10 (1994).
+core's acceleration itself makes up for rotors that answer differently, for heat and for loads: v
+is then so many times the fuel as they are slower, and m more. A reset that holds fuel, and follows
+what is asked for about as slowly as the rotors, is the fuel that holds the present speed: nothing
+to be told as long as the core makes of p0, the power asked for behind the valve, what it makes of
+it in the simulator. With slower rotors, or a valve that lags, fuel runs ahead of them by u, and the
+engine overshoots. Other coefficients are lines in x and L, the positive ones as logarithms.
+Sources: rotor equations and min-max control in Walsh & Fletcher, *Gas Turbine Performance*, ch. 8;
+Jaw & Mattingly, *Aircraft Engine Controls*, ch. 5-6; external reset in Shinskey, *Process Control
+Systems*, ch. 6; state-variable form in Sugiyama, *J. Propulsion* 10 (1994).
 """
 
 from __future__ import annotations
@@ -60,6 +65,8 @@ RESET: Final = 27  # root of the rate of the reset, 1/s
 SIZE: Final = 28
 FLOW: Final = 9  # dY/dn2: a constant, slopes over x, x^2 and L; b: likewise; tau_y
 HOLDS_RATE: Final = 2  # added to the speed that is governed
+HOLDS_FUEL: Final = 4  # likewise
+_RESET_S: Final = 3.0  # of a reset that holds fuel: about the slow time constant of rotors
 _STEP_S: Final = 0.0625  # integration step, at most
 _WIDEST: Final = 4.0  # of any logarithm
 _FASTEST_S: Final = 0.05  # shortest lag that a step resolves
@@ -114,10 +121,11 @@ def run(
     inner = (dt_s / steps, low, span, governed, hot)
     count = steady.shape[2]
     out = np.empty((len(theta), steady.shape[1], count))
-    wanted, state, kept = np.empty(count), np.empty(count + 5), np.empty(count + 4)
+    wanted, state, kept = np.empty(count), np.empty(count + 7), np.empty(count + 4)
     for r in range(len(theta)):
-        state[:count], state[count:] = start[r], 0.0  # n1, n2, flows; p, v, r; blades, metal
-        state[count + 3 :] = start[r, hot]
+        # n1, n2, flows; p, v, r; blades, metal; p0, u
+        state[:count], state[count:] = start[r], 0.0
+        state[count + 3 : count + 5] = start[r, hot]
         _keep(theta[r], thermal, inner[0], kept)
         out[r, 0] = start[r]
         at = steady[which[r]]
@@ -156,7 +164,7 @@ def _advance(
     theta, thermal, kept = coefficients
     air, load = day
     h, low, span, governed, hot = setting
-    flows = len(wanted)
+    flows, holds_rate = len(wanted), governed // 2 == 1
     n1, n2, p = state[0], state[1], state[flows]
     thin = 1.0 if theta[SIZE + 4] == 0.0 else np.exp(air * theta[SIZE + 4])
     x = min(max((n2 - low) / span, -0.2), 1.2)
@@ -172,15 +180,19 @@ def _advance(
     core = spare * thin * (theta[SIZE + 2] if spare > 0.0 else theta[SIZE + 3])
     error = wanted[0] - n1 if governed % 2 == 0 else wanted[1] - n2
     gain = _positive(_line(theta, GAIN, x, air) + theta[GAIN + 3] * (z - x))
-    asked = gain * (error + state[flows + 2]) - _line(theta, DAMP, x, air) * fan
+    asked = gain * (error + state[flows + 2]) - max(_line(theta, DAMP, x, air), 0.0) * fan
+    asked += state[flows + 6]
     limit = _limit(theta, UP if asked > 0.0 else DOWN, (x, air, behind))
     limit *= theta[SIZE + 5 if asked > 0.0 else SIZE + 8]
-    if governed < HOLDS_RATE:
+    if not holds_rate:
         limit = max(limit - (load if asked > 0.0 else -load) * power, _SPARED * limit)
     state[flows + 2] += h * theta[RESET] ** 2 * error / (1.0 + (asked / limit) ** 4)
     asked = soft(asked, limit)
-    if governed >= HOLDS_RATE:
+    if holds_rate:
         asked = asked / (thin * (theta[SIZE + 2] if asked > 0.0 else theta[SIZE + 3])) + taken
+    if governed >= HOLDS_FUEL:
+        state[flows + 6] += h / _RESET_S * (state[flows + 5] - core - state[flows + 6])
+        state[flows + 5] = asked + kept[flows] * (state[flows + 5] - asked)
     asked -= theta[SIZE + 6] * core / theta[SIZE + 7]
     state[flows + 1] = asked + kept[flows + 1] * (state[flows + 1] - asked)
     state[flows] = state[flows + 1] + kept[flows] * (p - state[flows + 1])
@@ -208,7 +220,7 @@ class TwoSpool:
 
     `low` and `span` are the bottom and the range of core speed in %, `governed` the speed that the
     control holds: 0 the fan's, 1 the core's (or that which the fuel asks for); 2 more if it holds
-    the core's acceleration on the way there.
+    the core's acceleration on the way there, 4 more if its reset holds fuel.
     """
 
     theta: FloatArray

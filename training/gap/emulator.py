@@ -16,7 +16,7 @@ from narxcal.effects.base import FloatArray, Signals
 from narxcal.effects.pace import Pace, as_simulated
 from narxcal.effects.running import Flights, Shift
 from narxcal.errors import DataError
-from narxcal.two_spool import HOLDS_RATE, TwoSpool
+from narxcal.two_spool import HOLDS_FUEL, HOLDS_RATE, TwoSpool
 from training.gap.settled import SettledModel, corrected, fit_settled
 from training.gap.two_spool_fit import GOVERNED_CORE, GOVERNED_FAN, Course, fit_two_spool
 
@@ -74,8 +74,9 @@ def fit_emulators(flights: Flights) -> tuple[GreyBoxEmulator, ...]:
     """Fit to the simulated flights under every kind of control; the better one first.
 
     A control holds the fan's speed or the core's; of these the other is left out where its cost is
-    more than twice as high, or where nothing is governed. On the way it holds fuel or, of which no
-    log of the simulator tells anything, the core's acceleration: those are the last.
+    more than twice as high, or where nothing is governed. On the way it schedules fuel or the
+    core's acceleration, and its reset may hold fuel: of either no log of the simulator tells
+    anything, and those that do are the last.
     Raises `DataError` where no spool speed is among the outputs.
     """
     signals = flights.signals
@@ -95,12 +96,14 @@ def fit_emulators(flights: Flights) -> tuple[GreyBoxEmulator, ...]:
     first = fits[-1] if fits[-1][1] < _CLEARLY * fits[0][1] else fits[0]
     others = [each for each in fits if each is not first and each[1] <= _POSSIBLE * first[1]]
     left = [each for each, _ in (first, *others)]
-    return (*left, *(_holding(each) for each in left if len(kinds) > 1))
+    if len(kinds) == 1:
+        return tuple(left)
+    return tuple(_holding(each, what) for what in (0, HOLDS_RATE, HOLDS_FUEL) for each in left)
 
 
-def _holding(one: GreyBoxEmulator) -> GreyBoxEmulator:
-    """The same under a control that holds the core's acceleration: the simulator's own logs are."""
-    return replace(one, engine=replace(one.engine, governed=one.engine.governed + HOLDS_RATE))
+def _holding(one: GreyBoxEmulator, what: int) -> GreyBoxEmulator:
+    """The same under a control that holds something else: the simulator's own logs are the same."""
+    return replace(one, engine=replace(one.engine, governed=one.engine.governed + what))
 
 
 def _finished(flights: Flights, begun: GreyBoxEmulator) -> tuple[GreyBoxEmulator, float]:

@@ -19,7 +19,7 @@ from narxcal.effects.steady import IdleSchedule
 from training.gap.fitting import Fit, Problem
 from training.gap.scatter import build_scatter
 
-_LIMIT: Final = 0.2  # of the simulator's acceleration or deceleration
+_LIMIT: Final = 0.25  # of the simulator's acceleration or deceleration
 _IDLE_PCT: Final = 1.0  # of a speed at idle
 _OWN_BUILD: Final = 0.001  # scatter below which both are one build, sensors and all
 

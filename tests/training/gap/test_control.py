@@ -7,7 +7,7 @@ import pytest
 
 from narxcal.effects import effect
 from narxcal.effects.running import respond
-from narxcal.two_spool import HOLDS_RATE
+from narxcal.two_spool import HOLDS_FUEL, HOLDS_RATE
 from tests.training.gap.conftest import NOISE
 from training.gap.control import suited
 from training.gap.emulator import fit_emulators
@@ -49,6 +49,31 @@ def test_a_heavier_core_tells_a_control_of_acceleration(true, effects, kinds, fl
     assert suited((plain, holding), flights, measured) is plain
 
 
+@pytest.mark.parametrize("effects", [{"spool_lag": [1.5]}, {"actuator_lag": [0.8, 1.0, 0.0]}])
+def test_what_overshoots_tells_a_reset_that_holds_fuel(effects, kinds, flights):
+    plain = kinds[0]
+    holding = replace(plain, engine=replace(plain.engine, governed=HOLDS_FUEL))
+    for true in (plain, holding):
+        assert suited((plain, holding), flights, flown(true, flights, effects)) is true
+
+
+def test_as_simulated_no_kind_of_control_differs(kinds, flights):
+    plain = kinds[0]
+    for what in (HOLDS_RATE, HOLDS_FUEL):
+        holding = replace(plain, engine=replace(plain.engine, governed=what))
+        assert np.array_equal(holding.free_run(flights), plain.free_run(flights))
+
+
+def test_a_slower_engine_overshoots_if_its_reset_holds_fuel(kinds, flights):
+    """It gets the fuel of one that is already as fast as the simulator is."""
+    plain = kinds[0]
+    holding = replace(plain, engine=replace(plain.engine, governed=HOLDS_FUEL))
+    slower = [(effect("spool_lag"), np.array([[1.5]]))]
+    most = [respond(slower, flights, kind)[0][..., 1].max(axis=1) for kind in (plain, holding)]
+    over = [float(np.mean(each - flights.y[..., 1].max(axis=1))) for each in most]
+    assert over[1] > over[0] + 0.5
+
+
 def test_what_says_nothing_of_the_control_leaves_the_better_emulator(kinds, flights):
     measured = flown(kinds[0], flights, {"sensor_lag:EGT_C": [1.0, 0.5]})
     for offered in (kinds, kinds[::-1]):
@@ -71,4 +96,4 @@ def test_every_control_of_a_lever_is_offered_with_either_schedule(flights):
     found = [each.engine.governed for each in fit_emulators(flights)]
     plain = [kind for kind in found if kind < HOLDS_RATE]
     assert plain[0] == GOVERNED_FAN
-    assert found == [*plain, *(kind + HOLDS_RATE for kind in plain)]
+    assert found == [kind + what for what in (0, HOLDS_RATE, HOLDS_FUEL) for kind in plain]
