@@ -2,6 +2,7 @@
 
 `python -m eval.benchmarks.effect_forms` flies the virtual engine with and without each effect in
 its physics, fits the library's form to the difference, and prints the table of `docs/effects.md`.
+The kind of control is that which these flights suit, as in a diagnosis.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from narxcal.effects import Flights, Signals, effect
 from narxcal.flight_test.profile import FlightPlan, plan_flight
 from narxcal.turbofan import Unmodelled, VirtualEngine
+from training.gap.control import suited
 from training.gap.emulator import GreyBoxEmulator, fit_emulators
 from training.gap.fitting import Problem, fit
 from training.gap.quadratic import misfit
@@ -67,19 +69,20 @@ def explained(engine: str, names: tuple[str, ...] = tuple(TRUTHS)) -> list[Expla
     """Every effect of `names` in the physics of `engine`, and what the library makes of it."""
     plans = [_plan(engine, seed) for seed in range(_FLIGHTS)]
     flights = _flights(plans, _flown(engine, plans))
-    emulator = fit_emulators(flights)[0]
-    return [_explained(engine, plans, (flights, emulator), name) for name in names]
+    emulators = fit_emulators(flights)
+    return [_explained(engine, plans, (flights, emulators), name) for name in names]
 
 
 def _explained(
     engine: str,
     plans: list[dict[str, FloatArray]],
-    simulator: tuple[Flights, GreyBoxEmulator],
+    simulator: tuple[Flights, tuple[GreyBoxEmulator, ...]],
     name: str,
 ) -> Explained:
-    flights, emulator = simulator
+    flights, emulators = simulator
     truth = TRUTHS[name]
-    measure = misfit(flights, _flown(engine, plans, Unmodelled(name, truth)), NOISE)
+    flown = _flown(engine, plans, Unmodelled(name, truth))
+    emulator, measure = suited(emulators, flights, (flown, NOISE)), misfit(flights, flown, NOISE)
     before = float(measure.size(measure.gap).sum())
     found = fit([effect(name)], Problem(flights, emulator, measure))
     share = 1.0 - float(found.left.sum()) / before

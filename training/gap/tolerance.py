@@ -2,8 +2,9 @@
 
 What a limit leaves to accelerate with is the difference of two large torques. On an engine whose
 schedule of fuel is a sixth above what it needs, components and schedule that are a percent or two
-off shift the limit by a sixth; idles are trimmed to about a percent. Found in a build that differs
-otherwise too, so much of them is no news; in one that is the simulator's own it is.
+off shift the limit by a sixth, and more where both are (22 % in a build of another maker's that has
+no other fault); idles are trimmed to about a percent. Found in a build that differs otherwise too,
+so much of them is no news; in one that is the simulator's own it is.
 """
 
 from __future__ import annotations
