@@ -38,6 +38,7 @@ from training.gap.offsets import (
 )
 from training.gap.quadratic import Misfit, misfit
 from training.gap.rerun_fit import told_anew
+from training.gap.same_engine import is_same_engine
 from training.gap.together import added, in_order, is_expected, taken
 from training.gap.tolerance import of_the_build
 from training.gap.unlogged import priced
@@ -100,6 +101,8 @@ def _first(work: Work, moving: Sequence[Effect], watch: Watch | None) -> Fit | N
     work.allowance = Allowance(work.fits, work.problem)
     work.standing, work.place = standings(work), both_ways.places(work)
     work.fits.sort(key=work.rank, reverse=True)
+    if is_same_engine(work.problem.flights, work.problem.misfit, work.fits[0].response, work.noise):
+        work.without_misfit()
     residual = work.problem.misfit.cleaned(work.problem.misfit.gap - work.fits[0].response)
     gains = null_gains(
         work.fits, work.problem.misfit, residual, work.options.draws, work.options.seed
@@ -260,8 +263,12 @@ def _offset(work: Work, effects: Sequence[Effect], claimed: Fit | None) -> Offse
 def _stands(work: Work, best: Fit, left: Misfit) -> bool:
     """Whether an offset is beyond build scatter, a part of the gap, and in (nearly) all flights.
 
-    One that is as large as the library lets it be is none: the simulator is of another engine.
+    One that is as large as the library lets it be is none: the simulator is of another engine. One
+    without which it would be the simulator's own engine has to be audible alone.
     """
     gained = left.size(left.gap) - best.held_out
-    large = beyond_scatter(best, left, work.problem.flights) and not best.at_bound
+    heard = float(gained.sum()) > work.options.audible * float(left.floor.sum())
+    flights = work.problem.flights
+    own = heard and is_same_engine(flights, left, best.response, work.noise)
+    large = (own or beyond_scatter(best, left, flights)) and not best.at_bound
     return in_nearly_all(gained) and large and float(gained.sum()) / work.whole > _OFFSET

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -109,6 +109,13 @@ class Work:
         """Q of the gap beyond noise."""
         floor = self.problem.misfit.floor
         return max(float((self.before - floor).sum()), _LEAST * float(floor.sum()))
+
+    def without_misfit(self) -> None:
+        """Leave nothing to small misfit, and no gap too small: this is the simulator's engine."""
+        self.allowance = None
+        self.options = replace(self.options, quiet=0.0, faint=(0.0, 0.0))
+        self._beside.clear()
+        self.fits.sort(key=self.rank, reverse=True)
 
     def gain(self, tried: Fit) -> float:
         """Share of the audible gap taken off held-out flights."""
