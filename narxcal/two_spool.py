@@ -161,8 +161,7 @@ def _advance(
     setting: tuple[float, float, float, int, int],
 ) -> None:
     """One explicit step of the speeds, and an exact one of every lag for a constant input."""
-    theta, thermal, kept = coefficients
-    air, load = day
+    (theta, thermal, kept), (air, load) = coefficients, day
     h, low, span, governed, hot = setting
     flows, holds_rate = len(wanted), governed // 2 == 1
     n1, n2, p = state[0], state[1], state[flows]

@@ -111,7 +111,7 @@ def test_offsets_that_all_days_share_do_not_follow_them(flights, engine, recorde
     assert (found.kind, found.effects) == ("none", ())
 
 
-@pytest.mark.parametrize("share", [-0.1, -1.5])
+@pytest.mark.parametrize("share", [-0.15, -1.5])
 def test_of_two_effects_a_heat_soak_is_named_last(share, flights, engine, recorded):
     """However much of the gap it takes: it follows anything slow, the other does not."""
     real = recorded({"heat_soak": [60.0, 0.0, 0.0, share, 0.0], "sensor_lag:N2_pct": [0.8, 0.5]})
