@@ -24,7 +24,7 @@ _STILL: Final = 0.002  # of their ranges
 _BLOCK_S: Final = 10.0
 _FEW: Final = 6  # blocks, of all flights
 _APART: Final = 0.2  # of the first output's range: powers that are not one
-_ALIKE: Final = 1e-4  # of its level: what an output may be off at rest
+_ALIKE: Final = 2e-4  # of its level: what an output may be off at rest
 _CHANCE: Final = 2.0  # standard errors of a block's mean
 
 
