@@ -8,8 +8,9 @@ fuel: the logs are the same. What those disagree on is a heavier core: held to i
 takes more fuel instead of more time, and only the fan trails; a reset that holds fuel overshoots.
 So the recorded flights are asked: the control under which one effect on how the engine moves,
 whichever it is, takes clearly more of the gap than any does under the others is the engine's.
-(On eight engines of other makers and 66 clean cases the true effect explains 0.72 of the gap so,
-0.69 where heavier rotors alone are asked, and leads the best other one by 0.21 instead of 0.19.)
+(On 66 clean cases of seven simulators, two virtual engines and five variants that others wrote,
+the true effect explained 0.72 of the gap so, 0.69 where heavier rotors alone were asked, and led
+the best other one by 0.21 instead of 0.19: a record.)
 """
 
 from __future__ import annotations

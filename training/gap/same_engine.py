@@ -68,6 +68,6 @@ def _blocks(
     still &= np.arange(len(y)) < flights.lengths[f]
     count = len(y) // steps
     whole = still[: count * steps].reshape(count, steps).all(axis=1)
-    means = rest[f, : count * steps].reshape(count, steps, -1).mean(axis=1)[whole]
+    means = rest[f, : count * steps].reshape(count, steps, rest.shape[-1]).mean(axis=1)[whole]
     power = y[: count * steps, 0].reshape(count, steps).mean(axis=1)[whole]
     return means, power
