@@ -256,6 +256,7 @@ def _measured(finding: Finding, where: Where) -> dict[str, Any]:
         "gap_share": finding.gap_share,
         "left_share": finding.left_share,
         "threshold": finding.threshold,
+        "same_engine": finding.same_engine,
         "notes": list(finding.notes),
         "channels": {name: asdict(found) for name, found in where.channels.items()},
         "excess": dict(where.excess),

@@ -31,6 +31,7 @@ _PLANNED: Final = {
     "rate_hz": "--rate",
     "style": "--style",
     "engine": "--engine",
+    "build": "--build",
     "seed": "--seed",
 }
 
@@ -48,6 +49,8 @@ def _make(options: Namespace, console: Console) -> None:
         raise ConfigError("--sim-logs and --real exclude each other", hint="Give one of them")
     if options.config is not None and options.real is None:
         raise ConfigError("--config maps the columns of --real, which is missing", hint="Give it")
+    if options.build == "same" and options.real is not None:
+        raise ConfigError("--build same is for simulated flights", hint="Leave out --real")
     plan = BlindPlan.parse({key: getattr(options, key) for key in _PLANNED}, options=_PLANNED)
     results = _results(options.out)
     results.check(options.out)

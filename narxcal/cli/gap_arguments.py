@@ -90,6 +90,12 @@ def _blind_make(actions: _Commands) -> argparse.ArgumentParser:
         default="all",
         help="engines of components, lumped ones, or all: every third case lumped (default)",
     )
+    parser.add_argument(
+        "--build",
+        choices=("scattered", "same"),
+        default="scattered",
+        help="the recorded engine: one of its type (default), or the simulator's own",
+    )
     parser.add_argument("--seed", metavar="N", type=seed, default=0, help="default 0")
     parser.add_argument("--secret", metavar="WORD", help="opens the key; the seed if left out")
     _jobs(parser)

@@ -38,9 +38,8 @@ from training.gap.offsets import (
 )
 from training.gap.quadratic import Misfit, misfit
 from training.gap.rerun_fit import told_anew
-from training.gap.same_engine import is_same_engine
+from training.gap.same_engine import is_but_for, is_same_engine
 from training.gap.together import added, in_order, is_expected, taken
-from training.gap.tolerance import of_the_build
 from training.gap.unlogged import priced
 from training.gap.verdict import bearable, finding
 from training.gap.whitened import sized_by_moves
@@ -91,7 +90,10 @@ def diagnose(
         alone = _offset(work, still, None)
         claimed, offset = (claimed, offset) if alone is None else (None, alone)
     claimed, offset = told_anew(work, claimed, offset, watch)
-    claimed = claimed if offset is not None else sized_by_moves(work, claimed)
+    if offset is None:
+        return finding(work, sized_by_moves(work, claimed), None, noise)
+    explained = 0.0 * flights.y if claimed is None else claimed.response
+    work.same_engine |= is_but_for(work, offset[0][0], unexplained(tight, explained))
     return finding(work, claimed, offset, noise)
 
 
@@ -101,7 +103,7 @@ def _first(work: Work, moving: Sequence[Effect], watch: Watch | None) -> Fit | N
     work.allowance = Allowance(work.fits, work.problem)
     work.standing, work.place = standings(work), both_ways.places(work)
     work.fits.sort(key=work.rank, reverse=True)
-    if is_same_engine(work.problem.flights, work.problem.misfit, work.fits[0].response, work.noise):
+    if is_same_engine(work):
         work.without_misfit()
     residual = work.problem.misfit.cleaned(work.problem.misfit.gap - work.fits[0].response)
     gains = null_gains(
@@ -167,7 +169,7 @@ def _earned(work: Work, model: Fit, best: Fit | None, least: float) -> bool:
     worth = share > max(work.threshold, least) and work.holds(gained, model, best) and heard
     if not (worth and _beyond(work, model, best)):
         return False
-    if best is not None and of_the_build(model, best.effects, work.problem):
+    if best is not None and work.may_be_built(model, best.effects):
         return False
     return not foil(model, work.problem.misfit, work.problem.flights.signals.outputs)
 
@@ -269,6 +271,6 @@ def _stands(work: Work, best: Fit, left: Misfit) -> bool:
     gained = left.size(left.gap) - best.held_out
     heard = float(gained.sum()) > work.options.audible * float(left.floor.sum())
     flights = work.problem.flights
-    own = heard and is_same_engine(flights, left, best.response, work.noise)
+    own = heard and is_but_for(work, best, left)
     large = (own or beyond_scatter(best, left, flights)) and not best.at_bound
     return in_nearly_all(gained) and large and float(gained.sum()) / work.whole > _OFFSET

@@ -57,7 +57,9 @@ class Finding:
     beside the `reason`: what else is off, and whose it may be. `gap_share` is the share of the
     squared residual that is no noise, `left_share` what is left of it unexplained. `by_others`
     (flights, time, outputs) is what the claim does in each flight by the parameters that the other
-    flights give, less what it does by those of all; nothing where nothing is claimed.
+    flights give, less what it does by those of all; nothing where nothing is claimed. `same_engine`
+    says that the recorded engine is the simulator's own in all but the claim, so that no misfit was
+    allowed for.
     """
 
     kind: Kind
@@ -75,4 +77,5 @@ class Finding:
     notes: tuple[str, ...] = ()
     leading: tuple[str, ...] = ()
     besides: str = ""
+    same_engine: bool = False
     by_others: FloatArray | None = field(default=None, compare=False, repr=False)

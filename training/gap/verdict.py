@@ -7,17 +7,19 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import t
 
-from narxcal.effects.base import FloatArray, RateEffect
+from narxcal.effects.base import FloatArray, InputEffect, RateEffect
 from training.gap.answer import Worth, channels, probabilities, shrink, tried
 from training.gap.finding import Finding, Interval, Kind, Tried
 from training.gap.fitting import Fit
 from training.gap.foils import foil
 from training.gap.offsets import Offset, alike
 from training.gap.together import is_expected, is_heat
-from training.gap.tolerance import of_the_build
 from training.gap.wear import Answer, with_its_limit
 from training.gap.work import Work
 
+# What an effect on the lever may leave of the gap of the same engine: of what a play alone does it
+# leaves a tenth, of what a dead band does a third (virtual and lumped engines).
+_OF_LEVER = 0.28
 _LEFT = 0.01  # of the gap: nobody can tell two models that both leave less
 _KIN = 0.75  # of what the leader takes
 _HALF = 0.5  # of what the leader takes beyond small misfit: one that takes less is no rival
@@ -36,7 +38,7 @@ def finding(
     own = claimed is not None and bearable(work, claimed)
     answer = with_its_limit(work, claimed, offset) if own else Answer(claimed, offset)
     claimed, offset = answer.claimed, answer.offset
-    if claimed and not answer.rivals and of_the_build(claimed, (), work.problem):
+    if claimed and not answer.rivals and work.may_be_built(claimed):
         claimed = None
     order = sorted(work.fits, key=work.rank, reverse=True)
     if claimed is not None:
@@ -71,6 +73,7 @@ def finding(
         leading=_leading(work, claimed) if silent else (),
         by_others=None if silent else _by_others(models, response),
         besides=answer.why,
+        same_engine=work.same_engine,
     )
 
 
@@ -176,7 +179,7 @@ def _too_little(work: Work, best: Fit) -> str:
     takes = f"the best one takes {100.0 * work.gain(best):.0f} % of it"
     problem = work.problem
     instead = foil(best, problem.misfit, problem.flights.signals.outputs)
-    if instead := instead or of_the_build(best, (), problem):
+    if instead := instead or work.may_be_built(best):
         return f"{takes}, {instead}"
     beyond = float(work.beyond(best).sum()) >= work.options.beyond * work.audible
     if beyond and not work.holds(work.before - best.held_out, best):
@@ -195,6 +198,9 @@ def bearable(work: Work, claimed: Fit) -> bool:
         most = options.unexplained_together
     elif isinstance(claimed.effects[0], RateEffect):
         most = options.unexplained_inside
+    if work.same_engine:
+        lever = all(isinstance(effect, InputEffect) for effect in claimed.effects)
+        return work.left(claimed) <= (min(most, _OF_LEVER) if lever else most)
     if work.left(claimed) <= most or work.tells(claimed) or work.stands_out(claimed):
         return True
     # A part of what nobody would call a gap is no more worth naming than the rest of it.

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from narxcal.effects.base import FloatArray
+from narxcal.effects.base import Effect, FloatArray
 from narxcal.effects.input_side import ThrottleBacklash
 from narxcal.effects.running import Emulator
 from narxcal.effects.steady import HeatSoak
 from training.gap.allowance import Allowance
 from training.gap.fitting import Fit, Problem, in_nearly_all
 from training.gap.quadratic import Misfit
+from training.gap.tolerance import of_the_build
 from training.gap.unlogged import has_load, witnesses
 
 _FAINT = 0.02  # of the peak of a response: where it counts half
@@ -97,6 +98,7 @@ class Work:
     beside: Fit | None = None  # an effect of moves with what is expected and leads
     standing: dict[str, float] = field(default_factory=dict)  # of neighbours on a channel (`kin`)
     place: dict[str, float] = field(default_factory=dict)  # of rotors slower one way (`both_ways`)
+    same_engine: bool = False  # whether the recorded engine is the simulator's own
     _beside: dict[Fit | None, FloatArray] = field(default_factory=dict)
 
     @property
@@ -112,10 +114,14 @@ class Work:
 
     def without_misfit(self) -> None:
         """Leave nothing to small misfit, and no gap too small: this is the simulator's engine."""
-        self.allowance = None
+        self.same_engine, self.allowance = True, None
         self.options = replace(self.options, quiet=0.0, faint=(0.0, 0.0))
         self._beside.clear()
         self.fits.sort(key=self.rank, reverse=True)
+
+    def may_be_built(self, tried: Fit, beside: Sequence[Effect] = ()) -> str:
+        """What of `tried` another build may have, in words; nothing of the simulator's own."""
+        return "" if self.same_engine else of_the_build(tried, beside, self.problem)
 
     def gain(self, tried: Fit) -> float:
         """Share of the audible gap taken off held-out flights."""

@@ -25,6 +25,8 @@ STYLES: Final[tuple[Style, ...]] = ("line", "enriched")
 BINS: Final = ((0.02, 0.05), (0.05, 0.10), (0.10, 0.25), (0.25, 0.95))
 OFFSETS: Final = ("deterioration", "sensor_bias", "throttle_bias", "temperature_effect")
 _OF_OFFSETS: Final = (0.9, 0.98)
+# Beside white noise alone the least that can be named is small, and a plain effect is nearly all.
+_OWN_BINS: Final = ((0.05, 0.25), (0.25, 0.75), (0.75, 0.95), (0.95, 0.998))
 _NULLS, _OUTSIDE, _PAIRS = 0.2, 0.16, 0.16
 _BUILD_PCT, _NULL_BUILD_PCT = 0.6, 0.8  # standard deviation of efficiencies and flows
 
@@ -33,7 +35,9 @@ class BlindPlan(Section):
     """What to make: `cases` of `flights` of `duration_s` to answer, and `held_out` to check on.
 
     `rate_hz` is that of the logs. `engine` restricts the engines: of all, about a third of the
-    cases fly a lumped one.
+    cases fly a lumped one. With `build` "same" the recorded engine is the simulator's own in all
+    but what a case holds, and its sensors add white noise alone, as where a simulator's maker
+    records what it says.
     """
 
     cases: int = Field(default=60, ge=1, le=9999)
@@ -43,6 +47,7 @@ class BlindPlan(Section):
     rate_hz: float = Field(default=32.0, ge=5.0, le=256.0)
     style: Literal["line", "enriched", "both"] = "both"
     engine: Literal["virtual", "lumped", "all"] = "all"
+    build: Literal["scattered", "same"] = "scattered"
     seed: int = Field(default=0, ge=0)
 
 
@@ -125,11 +130,11 @@ def _case(
         kind=content.kind,
         style=styles[(which + which // len(CATALOGUE)) % len(styles)],
         engine=_engine(plan.engine, which, content, random),
-        base=_base(content.kind, which, random),
+        base=base_of(plan, content.kind, which, random),
         effects=content.effects,
         signs=signs,
         strange=content.strange,
-        share=draw_share(content, random),
+        share=draw_share(content, random, plan.build),
     )
 
 
@@ -147,14 +152,16 @@ def draw_signs(scales: Sequence[Scale], random: np.random.Generator) -> tuple[fl
     return tuple(float(random.choice((-1.0, 1.0))) if e.signed else 1.0 for e in scales)
 
 
-def draw_share(content: Content, random: np.random.Generator) -> float:
+def draw_share(content: Content, random: np.random.Generator, build: str = "scattered") -> float:
     """Draw the share of the gap that the content makes; nothing makes none.
 
     An offset is most of the gap: a smaller one drowns in the offsets of build and instrumentation,
-    and nobody could name it.
+    and nobody could name it, where there are any.
     """
     if content.kind == "null":
         return 0.0
+    if build == "same":
+        return share_in(_OWN_BINS[content.bin], random)
     offset = any(effect.id in OFFSETS for effect in content.effects)
     return share_in(_OF_OFFSETS if offset else BINS[content.bin], random)
 
@@ -166,8 +173,10 @@ def share_in(bounds: tuple[float, float], random: np.random.Generator) -> float:
     return odds / (1.0 + odds)
 
 
-def _base(kind: Kind, which: int, random: np.random.Generator) -> Base:
+def base_of(plan: BlindPlan, kind: Kind, which: int, random: np.random.Generator) -> Base:
     """Nulls always, and every other of the rest, are told by a simulator that is wrong."""
+    if plan.build == "same":
+        return Base(0.0)
     if kind != "null" and which % 2:
         return Base(_BUILD_PCT)
     return Base(

@@ -29,7 +29,15 @@ from eval.gap.blind.catalogue import CATALOGUE, Scale
 from eval.gap.blind.log_shifts import SHIFTS, View, switches_of
 from eval.gap.blind.make import Made, made_from
 from eval.gap.blind.outside import MIMICS, MISFIT, OTHERS, applied
-from eval.gap.blind.truth import NOTHING, OUTPUTS, Channels, Content, hidden_windows, outputs_for
+from eval.gap.blind.truth import (
+    NOTHING,
+    OUTPUTS,
+    WHITE,
+    Channels,
+    Content,
+    hidden_windows,
+    outputs_for,
+)
 from eval.gap.pairs import read_folder
 from narxcal.errors import DataError
 from narxcal.flight_test.sensor_presets import ChannelSensor
@@ -73,7 +81,11 @@ class LogSpecimen:
         random = self._random(0)
         order = random.permutation(len(logs))[: plan.flights + plan.held_out].tolist()
         self.logs = [_channels(logs[k]) for k in order]
-        self._build = {name: scale * random.standard_normal(3) for name, scale in _BUILD.items()}
+        scatter = 0.0 if plan.build == "same" else 1.0
+        self._build = {
+            name: scatter * scale * random.standard_normal(3) for name, scale in _BUILD.items()
+        }
+        self._sensors = WHITE if plan.build == "same" else _MEASURED
 
     def flight(self, number: int) -> View:
         """Flight `number`, counted from 0."""
@@ -99,7 +111,7 @@ class LogSpecimen:
         real = self._real(flight, content)
         return (
             self._shown(real, flight, content, _PERFECT),
-            self._shown(real, flight, content, _MEASURED),
+            self._shown(real, flight, content, self._sensors),
         )
 
     def _real(self, flight: View, content: Content) -> Channels:
@@ -157,11 +169,11 @@ def drawn_cases(plan: BlindPlan, flights: Sequence[Log]) -> Iterator[Case]:
             kind=held.kind,
             style=ENGINE,
             engine=ENGINE,
-            base=Base(0.0, misfit=held.kind == "null" or which % 2 == 0),
+            base=Base(0.0, misfit=plan.build != "same" and (held.kind == "null" or which % 2 == 0)),
             effects=held.effects,
             signs=draw_signs(held.effects, random),
             strange=held.strange,
-            share=draw_share(held, random),
+            share=draw_share(held, random, plan.build),
         )
 
 

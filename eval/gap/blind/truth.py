@@ -31,6 +31,25 @@ _KNOWN = SensorConfig(
     inputs="exact",
     channels={name: ChannelSensor(tau_s=_MEASURED.sensor(name).tau_s) for name in OUTPUTS},
 )
+# What a simulator's maker adds to its outputs for a recording: white noise and steps.
+WHITE: Final = SensorConfig(
+    preset="perfect",
+    inputs="exact",
+    channels={
+        "N1_pct": ChannelSensor(noise_sigma=0.04, resolution=0.02),
+        "N2_pct": ChannelSensor(noise_sigma=0.04, resolution=0.02),
+        "EGT_C": ChannelSensor(noise_sigma=1.0, resolution=0.5),
+        "FF_kgph": ChannelSensor(noise_share=0.004, resolution=1.0),
+    },
+)
+_WHITE_BEHIND_LAGS = SensorConfig(
+    preset="perfect",
+    inputs="exact",
+    channels={
+        name: _KNOWN.channels[name].model_copy(update=sensor.model_dump(exclude_unset=True))
+        for name, sensor in WHITE.channels.items()
+    },
+)
 _STRETCH_S = 240.0  # one window of an unlogged switch in each
 
 
@@ -105,9 +124,10 @@ class Specimen:
     def both(self, flight: Flight, content: Content) -> tuple[Channels, Channels]:
         """What is so, and what is recorded of it."""
         real = self._real(flight, content)
+        sensors = _WHITE_BEHIND_LAGS if self.plan.build == "same" else _MEASURED
         return (
             self._shown(real, flight, content, _KNOWN),
-            self._shown(real, flight, content, _MEASURED),
+            self._shown(real, flight, content, sensors),
         )
 
     def _real(self, flight: Flight, content: Content) -> Channels:

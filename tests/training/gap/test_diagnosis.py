@@ -13,6 +13,7 @@ from training.gap.diagnosis import _beyond, _least, diagnose
 from training.gap.work import Options, Simulators
 
 QUICK = Options(draws=40)
+ANOTHER = np.array([0.12, -0.2, 2.0])  # another build settles elsewhere
 
 
 def answer(flights, engine, real):
@@ -139,7 +140,8 @@ def test_one_wrong_sensor_is_no_wear(channel, flights, engine, recorded):
         ([0.03, 0.03, 20.0], ("sensor_bias:EGT_C",)),
         ([0.0, 0.3, 0.0], ("sensor_bias:N2_pct",)),
         ([0.0, 0.0, 12.0], ("sensor_bias:EGT_C",)),
-        ([0.0, 0.0, 3.0], ()),
+        ([0.0, 0.0, 3.0], ("sensor_bias:EGT_C",)),
+        ([0.03, 0.03, 3.0], ()),
     ],
 )
 def test_a_sensor_that_is_off_while_nothing_else_is_needs_less_than_scatter(
@@ -147,7 +149,7 @@ def test_a_sensor_that_is_off_while_nothing_else_is_needs_less_than_scatter(
 ):
     """Build scatter that shifts a speed shifts the temperature, too; that alone by a percent.
 
-    Where all others are where they were simulated, both are one build, and less is a sensor's.
+    Where all others are where they were simulated, both are one engine, and less is a sensor's.
     """
     found = answer(flights, engine, recorded({}) + np.array(shift))
     assert found.effects == named, found.reason
@@ -237,9 +239,18 @@ def test_a_dead_band_of_the_lever_is_no_play(flights, engine, recorded):
 def test_small_misfit_that_any_simulator_has_is_not_named(flights, engine, recorded):
     quiet = NOISE / 30.0
     little = {"throttle_backlash": [0.25], "sensor_lag:EGT_C": [0.05, 0.0]}
-    found = diagnose(flights, (recorded(little, noise=quiet), quiet), Simulators(engine), QUICK)
+    real = recorded(little, noise=quiet)
+    found = diagnose(flights, (real + ANOTHER, quiet), Simulators(engine), QUICK)
     assert found.effects == (), found.reason
     assert found.tried[0].gain > 0.2
+    assert not found.same_engine
+
+
+def test_of_the_same_engine_small_misfit_is_an_effect(flights, engine, recorded):
+    quiet = NOISE / 30.0
+    real = recorded({"throttle_backlash": [0.25]}, noise=quiet)
+    found = diagnose(flights, (real, quiet), Simulators(engine), QUICK)
+    assert (found.effects, found.same_engine) == (("throttle_backlash",), True), found.reason
 
 
 def test_an_effect_that_stands_out_is_named_whatever_else_is_wrong(flights, engine, recorded):
@@ -325,7 +336,7 @@ def test_what_small_misfit_explains_as_well_is_no_claim_and_said_so(flights, eng
     quiet = NOISE / 30.0
     real = recorded({"throttle_backlash": [0.28]}, noise=quiet)
     strict = Options(draws=40, quiet=1e-6)
-    found = diagnose(flights, (real, quiet), Simulators(engine), strict)
+    found = diagnose(flights, (real + ANOTHER, quiet), Simulators(engine), strict)
     assert (found.kind, found.effects) == ("unknown", ())
     assert "hardly more than small misfit of any simulator does" in found.reason
     assert found.tried[0].effects == ("throttle_backlash",)

@@ -10,7 +10,7 @@ from narxcal.effects.running import respond
 from tests.training.gap.conftest import DT, INPUTS, NOISE, OUTPUTS, engine_of, simulate
 from training.gap.diagnosis import Simulators, diagnose
 from training.gap.quadratic import misfit
-from training.gap.same_engine import is_same_engine
+from training.gap.same_engine import needs_no_shift, settles_alike
 
 HOLD = round(60.0 / DT)
 
@@ -45,25 +45,58 @@ def build(flights, y):
 
 def asked(flights, real, response=None):
     measure = misfit(flights, real, NOISE)
-    return is_same_engine(
+    return settles_alike(
         flights, measure, np.zeros_like(flights.y) if response is None else response, NOISE
     )
 
 
+def shifted(flights, real, response=None):
+    measure = misfit(flights, real, NOISE)
+    return not needs_no_shift(
+        flights, measure, np.zeros_like(flights.y) if response is None else response
+    )
+
+
+def both(flights, real):
+    """What the two say of an engine at rest; of one that never rests the second alone knows."""
+    assert asked(flights, real) is not shifted(flights, real)
+    return asked(flights, real)
+
+
 def test_noise_alone_is_the_same_engine(flights):
-    assert asked(flights, noisy(flights.y))
+    assert both(flights, noisy(flights.y))
 
 
-@pytest.mark.parametrize(("channel", "shift"), [(0, 0.04), (1, 0.04), (2, 0.5)])
-def test_what_settles_elsewhere_by_a_twentieth_of_a_percent_is_another(channel, shift, flights):
-    off = np.zeros(3)
+@pytest.mark.parametrize("shift", [(0.04, 0.04, 0.0), (0.0, 0.04, 0.5)])
+def test_where_two_outputs_settle_a_twentieth_of_a_percent_off_it_is_another(shift, flights):
+    assert not asked(flights, noisy(flights.y + np.array(shift)))
+
+
+@pytest.mark.parametrize("shift", [(0.15, 0.15, 0.0), (0.0, 0.15, 2.0)])
+def test_offsets_of_two_outputs_by_a_fifth_of_a_percent_are_another_build(shift, flights):
+    assert not both(flights, noisy(flights.y + np.array(shift)))
+
+
+@pytest.mark.parametrize(("channel", "shift"), [(0, 0.4), (1, 0.4), (2, 5.0)])
+def test_one_sensor_that_is_off_or_drifts_says_nothing_of_the_engine(channel, shift, flights):
+    off, drift = np.zeros(3), np.zeros((flights.y.shape[1], 3))
     off[channel] = shift
-    assert not asked(flights, noisy(flights.y + off))
+    drift[:, channel] = shift * np.linspace(0.0, 1.0, len(drift))
+    assert both(flights, noisy(flights.y + off))
+    assert both(flights, noisy(flights.y + drift))
+
+
+@pytest.mark.parametrize("channel", [1, 2])
+def test_one_output_that_is_off_more_at_some_powers_is_another_build(channel, flights):
+    off = np.zeros(3)
+    off[channel] = 1.0
+    assert not both(flights, noisy(np.where(off, build(flights, flights.y), flights.y)))
 
 
 def test_an_effect_on_how_it_moves_leaves_it_the_same(flights):
     slower = respond([(effect("spool_lag"), np.array([[1.3]]))], flights, engine_of())[0]
     assert asked(flights, noisy(slower))
+    assert not shifted(flights, noisy(slower), slower - flights.y)
 
 
 def test_an_effect_on_where_it_settles_does_once_that_is_taken_out(flights):
@@ -79,6 +112,8 @@ def test_at_one_power_or_never_at_rest_nobody_knows(flights):
     assert not asked(replace(one, signals=wide), noisy(one.y))
     restless = replace(flights, y=flights.y + 2.0 * np.sin(np.arange(flights.y.shape[1]))[:, None])
     assert not asked(restless, noisy(restless.y))
+    assert not shifted(restless, noisy(restless.y))
+    assert shifted(restless, noisy(build(flights, restless.y)))
 
 
 def test_what_is_unknown_or_behind_the_end_tells_nothing(flights):
@@ -87,7 +122,8 @@ def test_what_is_unknown_or_behind_the_end_tells_nothing(flights):
     real[0, half:] += 5.0
     short = replace(flights, lengths=np.array([half, 2 * half, 2 * half]))
     assert not asked(flights, real)
-    assert asked(short, real)
+    assert shifted(flights, real)
+    assert both(short, real)
 
 
 @pytest.mark.parametrize(("other", "said"), [(False, ("spool_lag",)), (True, ())])
