@@ -185,6 +185,14 @@ def test_logs_of_a_simulator_are_no_real_flights(narxcal, tmp_path):
     assert "--sim-logs and --real exclude each other" in done.err
 
 
+def test_real_flights_are_of_no_simulators_build(narxcal, tmp_path):
+    words = ("--real", tmp_path, "--sim", "business_jet", "--build", "same")
+    done = narxcal("blind", "make", "--out", tmp_path / "o", *words)
+    assert done.code == 2
+    assert "--build same is for simulated flights" in done.err
+    assert not (tmp_path / "o").exists()
+
+
 @pytest.mark.slow
 def test_end_to_end_with_the_diagnosis_itself(narxcal, cases, tmp_path):
     answers = tmp_path / "answers"

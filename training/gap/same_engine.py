@@ -2,15 +2,16 @@
 
 No two builds settle alike: components a percent apart shift what they settle at by a thousandth of
 its level at least, and so does whatever a simulator lacks of an engine; no two sensors read alike
-either. Where all that settles is as simulated, to a fraction of that, at more than one power, the
+either. Where what settles is as simulated, to a fraction of that, at more than one power, the
 record was made from this very simulator: then no misfit is anybody's, and an effect has to be
-larger than noise alone makes it, not larger than what builds and simulators differ by. Flights that
-never come to rest say it by the offsets and slopes over power that would have to be taken out of
-the gap: of builds whose components scatter by half a percent they are three times a thousandth of
-the level at least, of the same engine half of it.
+larger than noise alone makes it, not larger than what builds and simulators differ by. An effect
+may shift what settles while it is on, or one reading all along: a third of what is at rest and all
+outputs but one are enough, of which builds have none.
 
-One reading that is off by the same all along, or by the same rate, is a sensor's fault in such a
-record: builds that shift one output shift others, and differ from power to power.
+Flights that never come to rest say it by the offsets and slopes over power that would have to be
+taken out of the gap: of builds whose components scatter by half a percent they are three times a
+thousandth of the level at least, of the same engine half of it. There one reading may be off by the
+same all along, or by the same rate.
 """
 
 from __future__ import annotations
@@ -36,7 +37,9 @@ _BLOCK_S: Final = 10.0
 _FEW: Final = 6  # blocks, of all flights
 _APART: Final = 0.2  # of the first output's range: powers that are not one
 _ALIKE: Final = 2e-4  # of its level: what an output may be off at rest
-_CHANCE: Final = 2.0  # standard errors of a block's mean
+_CHANCE: Final = 3.0  # standard errors of a block's mean
+_PART, _NEARLY_ALL = 1.0 / 3.0, 0.8  # of what is at rest
+_PAIR: Final = 2  # outputs: beside one that is off, the other alone says too little
 _SHIFTED: Final = 1e-3  # of its level: offsets and slopes over power that an output needs
 _BESIDE: Final = 0.3  # of that, beside a sensor's: a build that shifts one output shifts others
 _OF_ITSELF: Final = 0.85  # of what is left: what a small offset of the same engine explains
@@ -90,21 +93,28 @@ def settles_alike(
 ) -> bool:
     """Whether what a `response` (flights, time, outputs) leaves of the gap is noise at rest.
 
-    But for one sensor's bias or drift, unless `response` is an offset `beside` which nothing is.
-    `noise` (outputs,) is its standard deviation. Where too little stood still, or at one power
-    alone, nobody knows: False.
+    In a third of what is at rest: an effect may be on for a while. One output of three or more may
+    be off, by a sensor. Beside an offset no other has to be, and hardly any time. `noise`
+    (outputs,) is its standard deviation. Where too little stood still, or at one power alone,
+    nobody knows: False.
     """
     signals, known = flights.signals, measure.weights > 0.0
     steps = max(1, round(_BLOCK_S / signals.dt_s))
-    bound = np.maximum(_ALIKE * _level(flights), _CHANCE * noise / np.sqrt(steps))
-
-    def off(left: FloatArray) -> FloatArray:
-        return _rms(_at_rest(flights, (left, known), steps).off)
-
-    power = _at_rest(flights, (measure.gap, known), steps).power
-    if len(power) < _FEW or np.ptp(power) < _APART * (signals.high[0] - signals.low[0]):
+    rest = _at_rest(flights, (measure.gap - response, known), steps)
+    if len(rest.power) < _FEW:
         return False
-    return _within(flights, (measure.gap - response, known), off, (bound, 0.0 if beside else bound))
+    bound = np.maximum(_ALIKE * _level(flights), _CHANCE * noise / np.sqrt(steps))
+    alike = (np.abs(rest.off) <= bound)[:, known.any(axis=(0, 1))]
+    outputs = alike.shape[1]
+    sets = [alike]
+    if not beside and outputs > _PAIR:
+        sets += [np.delete(alike, k, axis=1) for k in range(outputs)]
+    span = _APART * float(signals.high[0] - signals.low[0])
+    least = _NEARLY_ALL if beside else _PART
+    return any(
+        rows.mean() >= least and float(np.ptp(rest.power[rows])) >= span
+        for rows in (each.all(axis=1) for each in sets)
+    )
 
 
 def needs_no_shift(

@@ -20,6 +20,7 @@ from training.gap.work import Work
 # What an effect on the lever may leave of the gap of the same engine: of what a play alone does it
 # leaves a tenth, of what a dead band does a third (virtual and lumped engines).
 _OF_LEVER = 0.28
+_OF_ITSELF = 0.75  # explained where it acts: of a gap that is hardly heard, noise leaves the rest
 _LEFT = 0.01  # of the gap: nobody can tell two models that both leave less
 _KIN = 0.75  # of what the leader takes
 _HALF = 0.5  # of what the leader takes beyond small misfit: one that takes less is no rival
@@ -200,7 +201,8 @@ def bearable(work: Work, claimed: Fit) -> bool:
         most = options.unexplained_inside
     if work.same_engine:
         lever = all(isinstance(effect, InputEffect) for effect in claimed.effects)
-        return work.left(claimed) <= (min(most, _OF_LEVER) if lever else most)
+        few = work.left(claimed) <= (min(most, _OF_LEVER) if lever else most)
+        return few or work.aligned(claimed) >= _OF_ITSELF
     if work.left(claimed) <= most or work.tells(claimed) or work.stands_out(claimed):
         return True
     # A part of what nobody would call a gap is no more worth naming than the rest of it.

@@ -79,6 +79,12 @@ def test_the_keys_are_those_that_others_rely_on(evidence):
     assert found["quality"]["pushes"] > 10
 
 
+def test_a_record_of_the_simulators_own_engine_is_told(evidence):
+    assert document(evidence)["quality"]["same_engine"] is False
+    own = replace(evidence, finding=replace(evidence.finding, same_engine=True))
+    assert document(own)["quality"]["same_engine"] is True
+
+
 def test_an_effect_without_a_channel_has_none(make_finding, make_model):
     rows = effect_rows(make_finding("effects", ("spool_lag",), (make_model("spool_lag"),)))
     assert "channel" not in rows[0]

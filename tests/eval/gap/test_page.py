@@ -13,7 +13,7 @@ from eval.gap.document import document
 from eval.gap.evidence import Evidence
 from eval.gap.expected import expected, seen
 from eval.gap.overlays import event_picture, views, worst_event, worst_flight
-from eval.gap.page import drawn_effects, gap_page
+from eval.gap.page import drawn_effects, gap_page, header
 from eval.gap.realised import channel_shrink, held_out, time_shrink
 from eval.gap.verdict_box import next_flights, tiles, verdict_box
 from eval.gap.where import locate
@@ -50,6 +50,14 @@ def evidence(make_data, probe, make_finding, make_model):
         held_out=held,
         facts={"warnings": [f"few flights {HOSTILE}"], "flights": list(data.names)},
     )
+
+
+def test_the_head_says_whose_engine_was_recorded(evidence):
+    told = "Recorded engine"
+    found = document(evidence)
+    assert told not in header(found, "today").facts
+    found["quality"]["same_engine"] = True
+    assert header(found, "today").facts[told].startswith("the simulator's own")
 
 
 def with_verdict(evidence, kind):

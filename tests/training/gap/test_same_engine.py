@@ -87,10 +87,24 @@ def test_one_sensor_that_is_off_or_drifts_says_nothing_of_the_engine(channel, sh
 
 
 @pytest.mark.parametrize("channel", [1, 2])
-def test_one_output_that_is_off_more_at_some_powers_is_another_build(channel, flights):
+def test_at_rest_one_output_may_be_off_as_it_will(channel, flights):
+    """Builds shift the others too; where nothing rests it is not told from a build."""
     off = np.zeros(3)
     off[channel] = 1.0
-    assert not both(flights, noisy(np.where(off, build(flights, flights.y), flights.y)))
+    real = noisy(np.where(off, build(flights, flights.y), flights.y))
+    assert asked(flights, real)
+    assert shifted(flights, real)
+
+
+def test_of_two_outputs_neither_may_be_off(flights):
+    low, high = flights.signals.low[:2], flights.signals.high[:2]
+    two = replace(flights.signals, outputs=OUTPUTS[:2], low=low, high=high)
+    own = replace(flights, signals=two, y=flights.y[..., :2])
+    real = noisy(flights.y)[..., :2]
+    nothing = np.zeros_like(own.y)
+    assert settles_alike(own, misfit(own, real, NOISE[:2]), nothing, NOISE[:2])
+    real[..., 1] += 0.5
+    assert not settles_alike(own, misfit(own, real, NOISE[:2]), nothing, NOISE[:2])
 
 
 def test_an_effect_on_how_it_moves_leaves_it_the_same(flights):
@@ -100,10 +114,24 @@ def test_an_effect_on_how_it_moves_leaves_it_the_same(flights):
 
 
 def test_an_effect_on_where_it_settles_does_once_that_is_taken_out(flights):
-    bleed = np.where(flights.u[..., :1] > 40.0, [0.0, 0.2, 8.0], 0.0)
+    bleed = np.where(flights.u[..., :1] > 15.0, [0.0, 0.2, 8.0], 0.0)
     real = noisy(flights.y + bleed)
     assert not asked(flights, real)
     assert asked(flights, real, bleed)
+
+
+@pytest.mark.parametrize(("above", "same"), [(40.0, True), (75.0, True), (15.0, False)])
+def test_an_effect_may_be_on_two_thirds_of_the_time(above, same, flights):
+    bleed = np.where(flights.u[..., :1] > above, [0.0, 0.2, 8.0], 0.0)
+    assert asked(flights, noisy(flights.y + bleed)) is same
+
+
+def test_beside_an_offset_nothing_else_is_off(flights):
+    measure = misfit(flights, noisy(flights.y + np.array([0.0, 0.5, 0.0])), NOISE)
+    nothing = np.zeros_like(flights.y)
+    offset = np.broadcast_to([0.0, 0.5, 0.0], nothing.shape)
+    assert not settles_alike(flights, measure, nothing, NOISE, beside=True)
+    assert settles_alike(flights, measure, offset, NOISE, beside=True)
 
 
 def test_at_one_power_or_never_at_rest_nobody_knows(flights):
@@ -119,8 +147,8 @@ def test_at_one_power_or_never_at_rest_nobody_knows(flights):
 def test_what_is_unknown_or_behind_the_end_tells_nothing(flights):
     real, half = noisy(flights.y), flights.y.shape[1] // 2
     real[:, :100, 1] = np.nan
-    real[0, half:] += 5.0
-    short = replace(flights, lengths=np.array([half, 2 * half, 2 * half]))
+    real[:, half // 2 :] += 5.0
+    short = replace(flights, lengths=np.full(3, half // 2))
     assert not asked(flights, real)
     assert shifted(flights, real)
     assert both(short, real)

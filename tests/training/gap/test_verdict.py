@@ -1,5 +1,7 @@
 """What is said of a claim: its rivals, none where nothing is named, and none that is made up."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from training.gap.diagnosis import made_up
 from training.gap.fitting import Problem, fit
 from training.gap.offsets import offset_fits, unexplained, whole_gap
 from training.gap.quadratic import misfit
-from training.gap.verdict import finding
+from training.gap.verdict import bearable, finding
 from training.gap.work import Options, Work
 
 LOOSE = Options(close=100.0)  # nearly anything is a rival
@@ -24,6 +26,35 @@ def work_on(real, flights, engine, options):
     problem = Problem(flights, engine, measured)
     tight = whole_gap(flights, (real, NOISE))
     return Work(problem, options, measured.size(measured.gap), NOISE, tight)
+
+
+def told(left, aligned, *, same_engine):
+    """A work whose shares are given: of the gap that is left, and explained where it acts."""
+    return SimpleNamespace(
+        options=Options(),
+        same_engine=same_engine,
+        left=lambda _: left,
+        aligned=lambda _: aligned,
+        tells=lambda _: True,
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "shares", "borne"),
+    [
+        ("throttle_backlash", (0.15, 0.6), True),
+        ("throttle_backlash", (0.35, 0.6), False),  # what a dead band leaves
+        ("throttle_backlash", (0.60, 0.8), True),  # of a gap that is hardly heard
+        ("sensor_lag:EGT_C", (0.35, 0.6), True),
+        ("sensor_lag:EGT_C", (0.45, 0.6), False),
+        ("spool_lag", (0.50, 0.6), True),
+        ("spool_lag", (0.60, 0.6), False),
+    ],
+)
+def test_of_the_same_engine_nothing_excuses_what_is_left(name, shares, borne):
+    claimed = SimpleNamespace(effects=(effect(name),))
+    assert bearable(told(*shares, same_engine=True), claimed) is borne
+    assert bearable(told(*shares, same_engine=False), claimed)
 
 
 @pytest.mark.parametrize(

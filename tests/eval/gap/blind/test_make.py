@@ -181,6 +181,29 @@ def test_known_lags_of_the_instrumentation_are_no_gap(quick):
     assert abs(late_s) < 0.03
 
 
+def test_of_the_same_build_white_noise_is_all_that_is_recorded_beside(quick):
+    specimen = Specimen(case(base=Base(0.0)), PLAN.model_copy(update={"build": "same"}))
+    flight = specimen.flight(0)
+    simulated, (true, recorded) = specimen.simulated(flight), specimen.both(flight, Content())
+    for name, sigma in (("N1_pct", 0.04), ("N2_pct", 0.04), ("EGT_C", 1.0)):
+        np.testing.assert_allclose(true[name], simulated[name], rtol=1e-12)
+        noise = recorded[name] - simulated[name]
+        assert noise.std() == pytest.approx(sigma, rel=0.1)
+        assert abs(noise.mean()) < 5.0 * sigma / np.sqrt(len(noise))
+        assert abs(np.corrcoef(noise[1:], noise[:-1])[0, 1]) < 0.1
+
+
+def test_of_the_same_build_no_simulator_is_wrong_and_sizes_go_down_to_the_noise():
+    plan = BlindPlan(cases=60, build="same")
+    cases = draw_cases(plan)
+    assert not any(each.base.differs or each.base.build_pct for each in cases)
+    shares = [each.share for each in cases if each.kind != "null"]
+    assert min(shares) < 0.25
+    assert max(shares) > 0.95
+    kinds = [each.kind for each in draw_cases(BlindPlan(cases=60))]
+    assert [each.kind for each in cases] == kinds
+
+
 def test_the_search_for_a_size():
     assert size_for(lambda size: size**2, 0.25, (1.0, 9.0)) == pytest.approx(0.5, rel=0.02)
     assert size_for(lambda size: size**3, 8.0, (1.0, 9.0)) == pytest.approx(2.0, rel=0.05)

@@ -8,7 +8,8 @@ from eval.gap.blind.cases import OFFSETS, BlindPlan, draw_cases
 from eval.gap.blind.files import open_key
 from eval.gap.blind.log_shifts import SHIFTS, View, switches_of
 from eval.gap.blind.make import write_key
-from eval.gap.blind.sim_logs import drawn_cases, make_log_cases
+from eval.gap.blind.sim_logs import LogSpecimen, drawn_cases, make_log_cases
+from eval.gap.blind.truth import NOTHING
 from eval.gap.pairs import read_folder
 from narxcal.errors import DataError
 from narxcal.flight_test.measurement import first_order
@@ -131,3 +132,20 @@ def test_offsets_are_most_of_their_gap():
     for case in draw_cases(BlindPlan(cases=120)):
         if any(effect.id in OFFSETS for effect in case.effects):
             assert case.share >= 0.9
+
+
+def test_of_the_same_build_noise_alone_is_added(logs):
+    plan = PLAN.model_copy(update={"build": "same"})
+    flights = [log for part in ("sim", "sim_heldout") for log in folder_logs(logs, part)]
+    for case in drawn_cases(plan, flights):
+        assert not case.base.differs
+        specimen = LogSpecimen(case._replace(kind="null", effects=(), strange=None), plan, flights)
+        flight = specimen.flight(0)
+        simulated, recorded = specimen.simulated(flight), specimen.both(flight, NOTHING)[1]
+        noise = recorded["EGT_C"] - simulated["EGT_C"]
+        assert noise.std() == pytest.approx(1.0, rel=0.1)
+        assert abs(noise.mean()) < 0.1
+
+
+def folder_logs(logs, part):
+    return read_folder(logs / "case_X" / part).values()
