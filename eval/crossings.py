@@ -43,11 +43,11 @@ def low_and_high_crossing(
     """
     hysteresis = min(3.0 * noise, WIDEST_HYSTERESIS)
     half = first + int(np.argmax(share[first:] >= HALF))
-    below = int(np.flatnonzero(share[:half] <= LOW - hysteresis)[-1])
+    below = int(np.flatnonzero(share[:half] < LOW - hysteresis)[-1])
     above = below + int(np.argmax(share[below:] >= LOW + hysteresis))
     low = _crossing(time_s[below : above + 1], share[below : above + 1] - LOW, mode)
     above = half + int(np.argmax(share[half:] >= HIGH + hysteresis))
-    below = int(np.flatnonzero(share[:above] <= HIGH - hysteresis)[-1])
+    below = int(np.flatnonzero(share[:above] < HIGH - hysteresis)[-1])
     high = _crossing(time_s[below : above + 1], share[below : above + 1] - HIGH, mode)
     return low, high
 
