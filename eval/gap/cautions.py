@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from eval.gap.claimed import claimed
+from eval.gap.claimed import Values, claimed
 from eval.gap.data import FloatArray, GapData, Pair
 from eval.gap.evidence import Evidence
 from eval.gap.parts import FEWEST
@@ -30,8 +30,7 @@ def coarse_emulator(evidence: Evidence, *, again: bool) -> list[str]:
     That matters where a claimed effect acts inside the engine, or before it and the simulator
     cannot be run `again`, on channels that hold a tenth of the gap or more.
     """
-    found = claimed(evidence.finding).items()
-    if not any(_emulated(name, values, again=again) for name, values in found):
+    if not rests_on_emulator(claimed(evidence.finding), again=again):
         return []
     gap = np.sqrt(np.nanmean(evidence.data.gap**2, axis=(0, 1)))
     own = evidence.finding.emulator_rmse
@@ -47,6 +46,11 @@ def coarse_emulator(evidence: Evidence, *, again: bool) -> list[str]:
         "effects inside the engine are less sure than their intervals say"
     )
     return [words]
+
+
+def rests_on_emulator(values: Values, *, again: bool) -> bool:
+    """Whether what any of the effects does is the emulator's answer."""
+    return any(_emulated(name, own, again=again) for name, own in values.items())
 
 
 def _emulated(name: str, values: Mapping[str, float], *, again: bool) -> bool:

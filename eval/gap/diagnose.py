@@ -11,14 +11,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eval.gap.blocks import batch, block_size
-from eval.gap.cautions import cautions, coarse_emulator
+from eval.gap.cautions import cautions, coarse_emulator, rests_on_emulator
 from eval.gap.claimed import Values, claimed, offset_leads, with_effects
 from eval.gap.data import GapData, Pair
 from eval.gap.document import document
 from eval.gap.evidence import Evidence, HeldOut
 from eval.gap.excitation import check_excitation, events_of
 from eval.gap.expected import expected, seen, unseen
-from eval.gap.held_flights import in_terms_of
+from eval.gap.held_flights import in_terms_of, together
 from eval.gap.hidden_load import look_again, look_beside, look_for_load, spells
 from eval.gap.pairs import check_apart, read_pairs
 from eval.gap.parts import enough
@@ -35,7 +35,7 @@ from narxcal.versions import versions
 from training.config import RunConfig
 from training.gap.control import suited
 from training.gap.diagnosis import diagnose
-from training.gap.emulator import GreyBoxEmulator, fit_emulators
+from training.gap.emulator import GreyBoxEmulator, fit_emulators, widened
 from training.gap.finding import Finding, Interval
 from training.gap.unlogged import Load
 from training.gap.work import Simulators, Watch
@@ -99,16 +99,25 @@ def diagnose_pairs(
     emulator = suited(fit_emulators(data.flights), data.flights, (data.real, data.noise))
     own = emulator.errors(data.flights).tolist()
     itself = None if again is None else Rerun(emulator, again, block_size(parts[0].dt_s))
+    flown = data.flights
     data, load, found = _found(data, Simulators(emulator, itself), watch)
     errors = dict(zip(data.flights.signals.outputs, own, strict=True))
     finding = _bounded(replace(found, emulator_rmse=errors), pairs)
-    watch("where", 0, 1)
     values = claimed(finding)
+    wider = rests_on_emulator(values, again=again is not None)
+    if other is not None and wider:
+        # Effects were found without them; what they do there, the simulator's own logs know best.
+        watch("emulator of the held-out flights too", 0, 1)
+        emulator = widened(emulator, together(flown, other.flights))
+        itself = itself and replace(itself, emulator=emulator)
+    watch("where", 0, 1)
     stand_in: Emulator = itself or emulator
     evidence = _evidence(data, finding, values, stand_in)
     evidence = replace(evidence, windows=spells(load, data, parts))
     if other is not None:
         evidence = _with_held_out(evidence, values, (held, other), stand_in)
+    if wider:
+        evidence = _with_errors(evidence, emulator)
     facts = {**_facts(pairs, data, held), "unlogged_load": load.reason or "found"}
     facts["warnings"] += coarse_emulator(evidence, again=again is not None)
     evidence = replace(evidence, facts=facts)
@@ -176,6 +185,16 @@ def _with_held_out(
     # When a load is on there is told by what was recorded alone.
     told = values and UnloggedSwitch.id not in values
     return replace(evidence, predicted=_on_these(evidence, found)) if told else evidence
+
+
+def _with_errors(evidence: Evidence, emulator: GreyBoxEmulator) -> Evidence:
+    """With those of the emulator's free run on held-out flights, if there are any."""
+    held = evidence.held_out
+    if held is None:
+        return evidence
+    flights = held.data.flights
+    errors = dict(zip(flights.signals.outputs, emulator.errors(flights).tolist(), strict=True))
+    return replace(evidence, held_out=replace(held, emulator_rmse=errors))
 
 
 def _on_these(evidence: Evidence, held: HeldOut) -> Interval:

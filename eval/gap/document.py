@@ -43,6 +43,7 @@ def document(evidence: Evidence) -> dict[str, Any]:
         "emulator": {
             "used": bool(finding.emulator_rmse),
             "rmse": dict(finding.emulator_rmse),
+            "rmse_heldout": dict(evidence.held_out.emulator_rmse) if evidence.held_out else {},
         },
         "quality": {**evidence.facts, **_measured(finding, where)},
         "tried": [_model(one) for one in finding.tried],

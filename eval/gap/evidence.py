@@ -28,12 +28,14 @@ class HeldOut:
 
     `share` of the squared gap above the noise that they take away, as predicted; `channels` the
     RMSE before and after; `after` (flights, time, outputs) the simulator with them.
+    `emulator_rmse` per channel is of the emulator's free run there, where the effects rest on it.
     """
 
     data: GapData
     share: float
     channels: Mapping[str, ChannelShrink]
     after: FloatArray
+    emulator_rmse: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

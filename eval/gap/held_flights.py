@@ -1,4 +1,7 @@
-"""Held-out flights in the terms of those that were diagnosed, so that effects mean the same."""
+"""Held-out flights in the terms of those that were diagnosed, so that effects mean the same.
+
+And together with them, as the simulator flew them.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +10,13 @@ from dataclasses import replace
 import numpy as np
 
 from eval.gap.data import FloatArray, GapData
+from narxcal.effects.running import Flights
 from narxcal.effects.steady import UNLOGGED
 from narxcal.errors import DataError
 from training.gap.unlogged import with_load
 
 _RATE = 0.01
+_STILL = 1e-6  # of a channel's size: what changes by less does not change
 _HINT = "Record and simulate them with the channels and at the rate of the others"
 
 
@@ -41,6 +46,36 @@ def in_terms_of(data: GapData, other: GapData) -> GapData:
     return replace(
         other, flights=flights, real=other.real[..., columns], noise=other.noise[columns]
     )
+
+
+def together(first: Flights, others: Flights) -> Flights:
+    """Flights (flights, time, ...) of the same inputs and outputs as one batch, in their ranges.
+
+    What was recorded is no part of it: what a simulator says of a flight is known before anybody
+    has flown it.
+    """
+    longest = max(first.u.shape[1], others.u.shape[1])
+    u, y = (
+        np.concatenate([_padded(part, longest) for part in parts])
+        for parts in ((first.u, others.u), (first.y, others.y))
+    )
+    mine = first.signals
+    lever = u[..., mine.u(mine.driver)]
+    moving = np.ptp(u, axis=(0, 1)) > _STILL * np.maximum(np.abs(u).max(axis=(0, 1)), _STILL)
+    signals = replace(
+        mine,
+        low=y.min(axis=(0, 1)),
+        high=y.max(axis=(0, 1)),
+        lever=(float(lever.min()), float(lever.max())),
+        active=tuple(np.array(mine.inputs)[moving].tolist()),
+    )
+    return Flights(signals, u, y, np.concatenate([first.lengths, others.lengths]))
+
+
+def _padded(rows: FloatArray, longest: int) -> FloatArray:
+    """Rows (flights, time, ...) filled up with their last."""
+    rest = np.repeat(rows[:, -1:], longest - rows.shape[1], axis=1)
+    return np.concatenate([rows, rest], axis=1)
 
 
 def _input(data: GapData, other: GapData, name: str) -> FloatArray:

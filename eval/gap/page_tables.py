@@ -226,17 +226,19 @@ def theil(document: Mapping[str, Any]) -> Table:
 
 def emulator(document: Mapping[str, Any]) -> Table:
     """The emulator's own error beside the gap that it has to explain."""
-    before = document["shrink"]["channels"]
+    before, there = document["shrink"]["channels"], document["emulator"].get("rmse_heldout", {})
     rows = tuple(
         (
             Cell(with_unit(name), "head"),
             figure(rmse, _coarse(rmse, before.get(name, {}).get("before"))),
+            *((figure(there[name]),) if there else ()),
             figure(before.get(name, {}).get("before")),
             figure(document["quality"].get("noise", {}).get(name)),
         )
         for name, rmse in document["emulator"]["rmse"].items()
     )
-    head = ("channel", "emulator's own RMSE", "RMSE of the gap", "noise")
+    on_held = ("on held-out flights",) if there else ()
+    head = ("channel", "emulator's own RMSE", *on_held, "RMSE of the gap", "noise")
     return Table("Free run of the emulator over whole simulated flights", head, rows)
 
 

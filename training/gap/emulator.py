@@ -101,6 +101,19 @@ def fit_emulators(flights: Flights) -> tuple[GreyBoxEmulator, ...]:
     return tuple(_holding(each, what) for what in (0, HOLDS_RATE, HOLDS_FUEL) for each in left)
 
 
+def widened(one: GreyBoxEmulator, flights: Flights) -> GreyBoxEmulator:
+    """The same under the same control, fitted anew to `flights`, which it may not have seen.
+
+    Where a lever is dead, or a limit holds, is told by no flight that was never there.
+    """
+    governed = one.engine.governed
+    known = replace(one.engine, governed=governed % HOLDS_RATE)
+    begun = GreyBoxEmulator(fit_settled(flights), known)
+    engine, _ = fit_two_spool(_course(flights, begun.settled), known.governed, known)
+    found, _ = _finished(flights, replace(begun, engine=engine))
+    return replace(found, engine=replace(found.engine, governed=governed))
+
+
 def _holding(one: GreyBoxEmulator, what: int) -> GreyBoxEmulator:
     """The same under a control that holds something else: the simulator's own logs are the same."""
     return replace(one, engine=replace(one.engine, governed=one.engine.governed + what))

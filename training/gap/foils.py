@@ -6,7 +6,8 @@ each flight at any time, would not explain more. Steps that may lie anywhere als
 else is wrong: what they gain once the drift is taken out is no evidence for them.
 
 Metal that takes up heat is seen in the temperature. A share for every output also follows what is
-slow in one of the others, as a fuel flow that creeps where the control trims it.
+slow in one of the others, as a fuel flow that creeps where the control trims it; and whatever fades
+faster or goes on longer than metal takes heat up ends on a bound of its time constant.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ def foil(tried: Fit, measure: Misfit, outputs: Sequence[str]) -> str:
     """What an effect of the fit is instead, in words; empty if it only is what it is."""
     if is_no_heat(tried, measure, outputs):
         return "but no temperature shows the heat"
+    if is_no_metal(tried):
+        return "but as heat that comes and goes faster or slower than any metal's"
     if is_a_step(tried, measure):
         return "but as a step in mid-flight, which is no drift"
     return ""
@@ -61,6 +64,20 @@ def is_no_heat(tried: Fit, measure: Misfit, outputs: Sequence[str]) -> bool:
         taken = (with_it - left).sum(axis=(0, 1))
         if taken[outputs.index("EGT_C")] < _SEEN * taken.sum():
             return True
+    return False
+
+
+def is_no_metal(tried: Fit) -> bool:
+    """Whether a heat soak in the fit has a time constant at an end of what metal has.
+
+    What it follows then is a probe or a cross-talk that fades in seconds, or no more than a drift.
+    """
+    at = 0
+    for effect, count in zip(tried.effects, tried.sizes, strict=True):
+        tau = tried.parameters[at]
+        if isinstance(effect, HeatSoak) and float(tried.theta[at]) in (tau.low, tau.high):
+            return True
+        at += count
     return False
 
 

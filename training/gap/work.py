@@ -27,6 +27,7 @@ _WITHIN = 0.05  # what a gain counts that any simulator's misfit would explain, 
 _PLIANT = (HeatSoak, ThrottleBacklash)  # what follows anything slow, or at small moves
 Watch = Callable[[str, int, int], None]  # what is at work, its number, how many there are
 _AT_END = 0.8  # what a fit counts whose time constant would go on past its bound
+_FURTHER = 0.04  # of the gap of the simulator's own engine, in which one effect leaves no misfit
 _LOOPLESS = 0.9  # and one that takes a valve out of the loop of an engine that is under control
 
 
@@ -113,9 +114,12 @@ class Work:
         return max(float((self.before - floor).sum()), _LEAST * float(floor.sum()))
 
     def without_misfit(self) -> None:
-        """Leave nothing to small misfit, and no gap too small: this is the simulator's engine."""
+        """Leave nothing to small misfit, and no gap too small: this is the simulator's engine.
+
+        What one effect leaves there is what its form misses, and hardly anything else explains it.
+        """
         self.same_engine, self.allowance = True, None
-        self.options = replace(self.options, quiet=0.0, faint=(0.0, 0.0))
+        self.options = replace(self.options, quiet=0.0, faint=(0.0, 0.0), further=_FURTHER)
         self._beside.clear()
         self.fits.sort(key=self.rank, reverse=True)
 

@@ -29,12 +29,12 @@ def lever(time_s, seed):
     return levels[(time_s // 20.0).astype(int)]
 
 
-def flown(seed=0, duration_s=240.0, rate_hz=RATE_HZ, start_s=0.0):
-    """Canonical channels of one simulated flight."""
+def flown(seed=0, duration_s=240.0, rate_hz=RATE_HZ, start_s=0.0, lever_of=(1.0, 0.0)):
+    """Canonical channels of one simulated flight; its lever is scaled, and read with a bias."""
     dt_s = 1.0 / rate_hz
     time_s = start_s + dt_s * np.arange(round(duration_s * rate_hz))
-    tra = lever(time_s - start_s, seed)
-    power = tra / 70.0
+    tra = lever_of[0] * lever(time_s - start_s, seed)
+    power = (tra + lever_of[1]) / 70.0
     one = np.ones_like(time_s)
     return {
         "time_s": time_s,

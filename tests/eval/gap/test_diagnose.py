@@ -11,6 +11,7 @@ from eval.gap.diagnose import Request, diagnose_folders, diagnose_pairs
 from eval.gap.expected import expected, seen, unseen
 from eval.gap.pairs import pair_logs
 from narxcal.errors import ConfigError, DataError
+from training.gap.finding import Interval
 
 NAME = "sensor_lag:EGT_C"
 
@@ -169,3 +170,35 @@ def test_logs_that_are_the_same_have_no_gap(fly, log_of):
     assert found["verdict"]["reason"] == "recorded and simulated logs are the same"
     assert found["effects"] == []
     assert found["quality"]["gap_share"] == 0.0
+
+
+@pytest.fixture
+def misread(fly, record, log_of):
+    """Flights of a part of the lever's range, which the control reads 4 deg too high."""
+
+    def build(part):
+        every = [[fly(k, lever_of=(part, bias)) for bias in (0.0, 4.0)] for k in range(3)]
+        return [
+            pair_logs(f"f{k}", log_of(record(real, k)), log_of(sim))
+            for k, (sim, real) in enumerate(every)
+        ]
+
+    return build
+
+
+def test_what_an_effect_does_on_held_out_flights_the_simulators_own_logs_say(
+    misread, monkeypatch, make_finding, make_model
+):
+    """A lever that is read wrong, found at low power, on flights at full power."""
+    size = {"throttle_bias": {"bias_deg": Interval(4.0, 3.9, 4.1)}}
+    model = make_model("throttle_bias", parameters=size)
+    finding = make_finding("effects", ("throttle_bias",), (model,))
+    monkeypatch.setattr(module, "diagnose", lambda *_args, **_more: finding)
+    pairs, held, steps = misread(0.5), misread(1.0), []
+    found = diagnose_pairs(pairs, held, lambda *step: steps.append(step[0])).document
+    assert found["shrink"]["realised"] > 0.85
+    assert found["emulator"]["rmse_heldout"].keys() == found["emulator"]["rmse"].keys()
+    assert found["emulator"]["rmse_heldout"]["EGT_C"] < 8.0
+    assert steps[-2:] == ["emulator of the held-out flights too", "where"]
+    monkeypatch.setattr(module, "widened", lambda emulator, _flights: emulator)
+    assert diagnose_pairs(pairs, held).document["shrink"]["realised"] < 0.6

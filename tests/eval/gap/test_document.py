@@ -74,7 +74,7 @@ def test_the_keys_are_those_that_others_rely_on(evidence):
     assert all(band["low"] <= band["share"] <= band["high"] for band in bands)
     power = found["quality"]["regimes"]["power"]
     assert sum(level["share"] for level in power.values()) == pytest.approx(1.0)
-    assert found["emulator"] == {"used": True, "rmse": {"EGT_C": 0.4}}
+    assert found["emulator"] == {"used": True, "rmse": {"EGT_C": 0.4}, "rmse_heldout": {}}
     assert found["quality"]["warnings"] == ["few"]
     assert found["quality"]["pushes"] > 10
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eval.gap.blocks import batch
-from eval.gap.held_flights import in_terms_of
+from eval.gap.held_flights import in_terms_of, together
 from eval.gap.pairs import pair_logs
 from narxcal.errors import DataError
 
@@ -48,3 +48,25 @@ def test_another_rate_is_refused(make_data):
         DataError, match="flights are worked at 4 Hz, those of the diagnosis at 8 Hz"
     ):
         in_terms_of(make_data(flights=3), make_data(flights=1, rate_hz=4.0))
+
+
+def test_all_flights_as_the_simulator_flew_them_are_one_batch(make_data):
+    """In the ranges of all of them, the shorter ones filled up with their last row."""
+    first = make_data(flights=3).flights
+    other = make_data(flights=2, duration_s=160.0).flights
+    still = first.signals.u("dT_C")
+    other.u[..., first.signals.u("TRA_deg")] += 10.0
+    other.u[1, :, still] += 5.0
+    found = together(first, other)
+    steps = other.u.shape[1]
+    assert found.lengths.tolist() == [*first.lengths, *other.lengths]
+    np.testing.assert_array_equal(found.u[:3], first.u)
+    np.testing.assert_array_equal(found.y[3:, :steps], other.y)
+    np.testing.assert_array_equal(
+        found.y[3:, steps:], np.broadcast_to(other.y[:, -1:], found.y[3:, steps:].shape)
+    )
+    lever = np.concatenate([f.u[..., first.signals.u("TRA_deg")].ravel() for f in (first, other)])
+    assert found.signals.lever == (lever.min(), lever.max())
+    np.testing.assert_array_equal(found.signals.high, found.y.max(axis=(0, 1)))
+    assert "dT_C" not in first.signals.active
+    assert set(found.signals.active) == {*first.signals.active, "dT_C"}

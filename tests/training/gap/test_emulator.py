@@ -10,7 +10,8 @@ from narxcal.effects import Flights, effect
 from narxcal.effects.pace import as_simulated
 from narxcal.effects.running import Shift, respond
 from narxcal.errors import DataError
-from training.gap.emulator import fit_emulators
+from tests.training.gap.conftest import simulate
+from training.gap.emulator import fit_emulators, widened
 from training.gap.two_spool_fit import GOVERNED_CORE
 
 
@@ -127,3 +128,27 @@ def test_without_a_speed_there_is_no_engine(flights):
     only = Flights(signals, flights.u, flights.y[..., 2:], flights.lengths)
     with pytest.raises(DataError, match="no spool speed is recorded"):
         fit_emulators(only)[0]
+
+
+def test_what_the_simulator_says_of_other_flights_widens_its_emulator(flights):
+    """Of high power it knows what low power says, until it is told; its control stays the same."""
+    lever = flights.u[..., 0]
+    low = lever.max(axis=1) < np.sort(lever.max(axis=1))[2]
+    u = flights.u.copy()
+    u[..., 0] = np.where(low[:, None], 2.0 + 0.4 * (lever - 2.0), lever)
+    y = simulate(u)
+    few = _some(flights, u[low], y[low])
+    begun = fit_emulators(few)[-1]
+    every = _some(flights, u, y)
+    found = widened(begun, every)
+    span = y.max(axis=(0, 1)) - y.min(axis=(0, 1))
+    assert (begun.errors(every) > 0.1 * span).all()
+    assert (found.errors(every) < 0.03 * span).all()
+    assert found.engine.governed == begun.engine.governed >= two_spool.HOLDS_FUEL
+
+
+def _some(flights, u, y):
+    limits = (y.min(axis=(0, 1)), y.max(axis=(0, 1)))
+    lever = (float(u[..., 0].min()), float(u[..., 0].max()))
+    signals = replace(flights.signals, low=limits[0], high=limits[1], lever=lever)
+    return Flights(signals, u, y, np.full(len(u), u.shape[1]))

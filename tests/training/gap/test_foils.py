@@ -7,7 +7,7 @@ from narxcal.effects import effect
 from tests.training.gap.conftest import DT, NOISE
 from training.gap.diagnosis import diagnose
 from training.gap.fitting import Problem, fit
-from training.gap.foils import is_a_step, is_no_heat
+from training.gap.foils import is_a_step, is_no_heat, is_no_metal
 from training.gap.quadratic import misfit
 from training.gap.work import Options, Simulators
 
@@ -87,3 +87,16 @@ def test_heat_that_no_temperature_shows_is_none(shares, foil, flights, engine, r
     found = diagnose(flights, (real, NOISE), Simulators(engine), Options(draws=40))
     assert ("heat_soak" in found.effects) is not foil
     assert ("but no temperature shows the heat" in found.reason) is foil
+
+
+@pytest.mark.parametrize(
+    ("size", "foil"), [((2.0, -0.3), True), ((60.0, -0.2), False), ((4000.0, -2.0), True)]
+)
+def test_what_fades_faster_or_slower_than_metal_is_no_heat(size, foil, flights, engine, recorded):
+    tau_s, share = size
+    real = recorded({"heat_soak": [tau_s, 0.0, 0.0, share, 0.0]})
+    measure = misfit(flights, real, NOISE)
+    soak = fit([effect("heat_soak")], Problem(flights, engine, measure))
+    assert is_no_metal(soak) is foil, soak.theta
+    found = diagnose(flights, (real, NOISE), Simulators(engine), Options(draws=40))
+    assert ("heat_soak" in found.effects) is not foil, found.reason
