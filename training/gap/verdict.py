@@ -39,7 +39,7 @@ def finding(
     own = claimed is not None and bearable(work, claimed)
     answer = with_its_limit(work, claimed, offset) if own else Answer(claimed, offset)
     claimed, offset = answer.claimed, answer.offset
-    if claimed and not answer.rivals and work.may_be_built(claimed):
+    if claimed and not answer.rivals and (work.may_be_built(claimed) or _built(work, claimed)):
         claimed = None
     order = sorted(work.fits, key=work.rank, reverse=True)
     if claimed is not None:
@@ -180,7 +180,7 @@ def _too_little(work: Work, best: Fit) -> str:
     takes = f"the best one takes {100.0 * work.gain(best):.0f} % of it"
     problem = work.problem
     instead = foil(best, problem.misfit, problem.flights.signals.outputs)
-    if instead := instead or work.may_be_built(best):
+    if instead := instead or work.may_be_built(best) or _built(work, best):
         return f"{takes}, {instead}"
     beyond = float(work.beyond(best).sum()) >= work.options.beyond * work.audible
     if beyond and not work.holds(work.before - best.held_out, best):
@@ -227,6 +227,18 @@ def _rivals(work: Work, claimed: Fit, order: Sequence[Fit]) -> tuple[str, ...]:
     mine = {effect.name for effect in claimed.effects}
     names = [effect.name for one in alike for effect in one.effects if effect.name not in mine]
     return tuple(dict.fromkeys(names))
+
+
+def _built(work: Work, claimed: Fit) -> str:
+    """What another build may have and that explains as much as a single effect, in words.
+
+    Held-out flights do not tell the two apart: so no more than the build need be there.
+    """
+    if len(claimed.effects) > 1:
+        return ""
+    others = [one for one in work.fits if one is not claimed and len(one.effects) == 1]
+    words = (work.may_be_built(one) for one in others if _equal(work, claimed, one))
+    return next((f"{each}, and explains as much" for each in words if each), "")
 
 
 def _equal(work: Work, claimed: Fit, other: Fit) -> bool:

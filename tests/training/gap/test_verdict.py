@@ -1,5 +1,6 @@
 """What is said of a claim: its rivals, none where nothing is named, and none that is made up."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -112,3 +113,29 @@ def test_sizes_of_gaps_stay_as_they_were(flights, engine, recorded):
     left = unexplained(work.tight, claimed.response)
     fits = offset_fits(work.problem, left, [effect("sensor_bias:EGT_C")])
     assert not made_up(work, claimed, (fits, left.size(left.gap), work.whole))
+
+
+@pytest.mark.parametrize(
+    ("limit_and_shift", "kind"),
+    [
+        ((0.85, 1.0), "unknown"),
+        ((0.6, 1.0), "ambiguous"),  # more than any build has
+        ((0.85, 0.0), "ambiguous"),  # the simulator's own build
+    ],
+)
+def test_what_a_build_explains_as_well_is_no_claim(
+    limit_and_shift, kind, flights, engine, recorded
+):
+    share, shift = limit_and_shift
+    real = recorded({"altitude_lag": [0.4]}) + shift * np.array([0.12, -0.2, 2.0])
+    work = work_on(real, flights, engine, Options())
+    lag = fit([effect("altitude_lag")], work.problem)
+    limit = effect("accel_limit")
+    known = limit.parameters(flights.signals)
+    same = replace(lag, effects=(limit,), parameters=known, theta=np.array([share]))
+    work.fits = [lag, same]
+    found = finding(work, lag, None, NOISE)
+    assert found.kind == kind, found.reason
+    words = "but a limit of acceleration 15 % off may be the build's own, and explains as much"
+    assert found.reason.endswith(words) is (kind == "unknown")
+    assert (found.effects == ("altitude_lag",)) is (kind != "unknown")
