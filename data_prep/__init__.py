@@ -3,9 +3,9 @@
 Steps whose module bears their own name come from there: `from data_prep.clean import clean`.
 """
 
+from data_prep.config import LogsConfig
 from data_prep.events import Event, EventsConfig, find_events
 from data_prep.log import Audit, AuditEntry, Log, Source
-from data_prep.logs_config import LogsConfig
 from data_prep.ranking import pearson
 from data_prep.reading import read_logs
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from data_prep.faults import (
@@ -15,19 +14,17 @@ from data_prep.faults import (
     beyond_usual,
     bursts,
     excursions,
+    frozen,
     is_sensed,
     out_of_range,
     role,
 )
-from data_prep.frozen import frozen
 from data_prep.hold import held
 from data_prep.log import Action, AuditEntry, Log
 from data_prep.moves import bridged, spans
 from data_prep.outliers import Method, gross_errors
-from narxcal.settings import Section
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.settings import Section
 
 # Spikes that count towards a burst stand off by twice what makes a single gross error.
 _BURST_FACTOR = 2.0

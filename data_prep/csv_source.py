@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, TextIO, cast
 import numpy as np
 import pandas as pd
 
-from data_prep.clock import clock_seconds
-from data_prep.dialect import Dialect, decimal_comma, open_text, sniff
-from data_prep.head import DELIMITERS, skip
-from narxcal.errors import DataError
+from data_prep.stamps import clock_seconds
+from data_prep.text_file import DELIMITERS, Dialect, decimal_comma, open_text, skip, sniff
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from data_prep.head import Head
-    from data_prep.log import FloatArray
+    from data_prep.text_file import Head
 
 CHUNK_ROWS = 50_000
 _SHOWN_CHARS = 40
@@ -273,7 +272,7 @@ def open_csv(
 ) -> CsvSource:
     """Find out how `path` is written; raises `DataError` when it is empty or unreadable.
 
-    Column `time` may hold clock times (see `data_prep.clock`).
+    Column `time` may hold clock times (see `data_prep.stamps`).
     """
     with readable(path), open_text(path) as text:
         try:

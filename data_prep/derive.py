@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from pydantic import Field, PositiveFloat
 
-from narxcal.errors import ConfigError
-from narxcal.settings import Section
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError
+from narxcal.support.settings import Section
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from data_prep.log import FloatArray
 
 
 class WeightOnWheels(Section):

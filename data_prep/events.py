@@ -7,18 +7,16 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from data_prep.log import Log
 from data_prep.moves import Driver, Move, bridged, find_moves, long_runs, noise_of
 from narxcal.channels import CHANNELS
-from narxcal.errors import DataError
-from narxcal.settings import Section
+from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.errors import DataError
+from narxcal.support.settings import Section
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 Speed = Literal["fast", "slow", "small"]
 
 PUSH, PULL = 0, 1

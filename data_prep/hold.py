@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from data_prep.log import AuditEntry, FloatArray, Log
-from narxcal.errors import DataError
+from data_prep.log import AuditEntry, Log
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
 
 
 def held(values: FloatArray) -> FloatArray:

@@ -7,12 +7,10 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from narxcal.errors import DataError
+from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.errors import DataError
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 Action = Literal["masked", "repaired", "filled", "dropped"]
 
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from narxcal.support.arrays import BoolArray, FloatArray
+
 IntArray = NDArray[np.intp]
 
 # Robust percentiles of the driver: what lies between them is its range.

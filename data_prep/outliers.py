@@ -13,9 +13,8 @@ from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
 from scipy.special import stdtrit
 
 from data_prep.moves import bridged
+from narxcal.support.arrays import BoolArray, FloatArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 Method = Literal["3-sigma", "grubbs"]
 
 # The spread of the residual is taken over this many median windows.

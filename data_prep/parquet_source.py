@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from data_prep.head import Head
-from narxcal.errors import ConfigError, DataError
+from data_prep.text_file import Head
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from data_prep.log import FloatArray
 
 MAGIC = b"PAR1"
 BATCH_ROWS = 100_000

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from data_prep.log import Log
-
-FloatArray = NDArray[np.float64]
+from narxcal.support.arrays import FloatArray
 
 # The calibration paper's rule, section 2.5: |rho| in [0.8, 1] is a strong correlation.
 STRONG = 0.8

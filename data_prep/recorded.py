@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from data_prep.config import ENGINE, LogsConfig
 from data_prep.events import EventsConfig
 from data_prep.log import AuditEntry, Log
-from data_prep.logs_config import ENGINE, LogsConfig
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 
 NOT_RECORDED = "not recorded"
 

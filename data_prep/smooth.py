@@ -8,15 +8,13 @@ from typing import Annotated, Literal
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from data_prep.log import Log
 from narxcal.channels import CHANNELS
-from narxcal.errors import ConfigError
-from narxcal.settings import Section
-
-FloatArray = NDArray[np.float64]
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError
+from narxcal.support.settings import Section
 
 # A lever is a command: smoothing would move the start of a slam to an earlier sample.
 _SMOOTHED_ROLES = frozenset({"ambient", "output", "auxiliary"})

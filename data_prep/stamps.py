@@ -1,6 +1,20 @@
 """Time stamps of one recording: repaired, ordered, split at gaps, and rid of their rounding.
 
 Stamps are `(rows,)` in s.
+
+Stamps that several rows share because the clock shows whole seconds: how far apart the rows are.
+
+A recorder of ten rows a second whose clock shows seconds writes the same stamp ten times. Counted
+per stamp the rows say their own rate, and `data_prep.stamps.undo_rounding` puts them in between.
+Where each row of a stamp holds other channels, another engine, or the same values again, nothing
+lies in between.
+
+Time stamps as recorders print them: clock times and ISO 8601 dates, as seconds.
+
+A clock time `12:34:56.7`, with the day of the year before it where there is one
+(`123:12:34:56.7`) or `AM` or `PM` behind it, counts from midnight of day 0; one of minutes and
+seconds alone is told by its decimals (`34:56.7`); a date, `2026-03-01T12:34:56.7`, from 1970, in
+UTC where it names no zone.
 """
 
 from __future__ import annotations
@@ -12,14 +26,23 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
+from data_prep.grid import ON_RASTER
 from data_prep.log import AuditEntry
-from data_prep.raster import ON_RASTER
-from narxcal.errors import DataError
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from data_prep.log import FloatArray
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+import re
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
 
 _MAX_DECIMALS = 7
 _BASELINES_ROWS = (256, 64, 16, 4)
@@ -268,3 +291,128 @@ def printed_step(time: FloatArray) -> FloatArray:
     )
     decimals = np.minimum(before, after)
     return np.where(decimals == _MAX_DECIMALS, 0.0, 10.0**-decimals)
+
+
+_SHORTEST_S = 1e-4
+_FEW = 3  # whole stamps, at least
+_REGULAR = 0.9  # of the stamps hold as many rows as the others, or one more or less
+_FILLED, _CHANGES = 0.9, 0.02  # of the rows of a channel that is sampled row by row
+_WHOLE_HZ = 0.005
+_ORDINARY = 0.95  # of the steps between rows are no large move
+_SURELY, _NO_SHARED = (
+    5.0,
+    0.1,
+)  # standard errors, and of a step: so far apart means may be by chance
+
+
+def usual_interval(time: FloatArray, channels: Mapping[str, FloatArray], file: str) -> float:
+    """`row_interval`, refused where no recorder is so fast: the stamps are no seconds."""
+    interval = row_interval(time, channels)
+    if interval < _SHORTEST_S:
+        raise DataError(
+            f"the rows are {interval:.3g} s apart, which no recorder of flights does",
+            file=file,
+            channel="time_s",
+            hint="Set the unit of time_s: days (of a worksheet) are 'd', hours 'h', minutes 'min'",
+        )
+    return interval
+
+
+def row_interval(time: FloatArray, channels: Mapping[str, FloatArray]) -> float:
+    """Interval of ordered rows `(rows,)` in s, be there one row to a stamp or several."""
+    return shared_interval(time, channels) or native_interval(time)
+
+
+def shared_interval(time: FloatArray, channels: Mapping[str, FloatArray]) -> float:
+    """Interval of ordered rows `(rows,)` of which several share each stamp, in s; 0 if none do.
+
+    `channels` are the other columns of the same rows. A whole number of Hz is taken where it is
+    within 0.5 % and keeps time over all rows.
+    """
+    stamps, counts = np.unique(time, return_counts=True)
+    if len(stamps) < _FEW or np.median(counts) < 2.0 or not _row_by_row(time, channels):
+        return 0.0
+    steps = np.diff(stamps)
+    step = float(np.median(steps))
+    if not on_raster(stamps, step):
+        return 0.0
+    whole = np.isclose(steps[1:], step) & np.isclose(steps[:-1], step)
+    rows = counts[1:-1][whole]  # the first and the last stamp may be cut
+    if len(rows) < _FEW or np.mean(np.abs(rows - rows.mean()) <= 1.0) < _REGULAR:
+        return 0.0
+    measured = step / float(rows.mean())
+    rate = round(1.0 / measured)
+    near = rate and abs(rate * measured - 1.0) <= _WHOLE_HZ
+    for interval in (1.0 / rate, measured) if near else (measured,):
+        if not np.array_equal(undo_rounding(time, interval), time):
+            return float(interval)
+    return 0.0
+
+
+def _row_by_row(time: FloatArray, channels: Mapping[str, FloatArray]) -> bool:
+    """Whether rows that share a stamp follow each other in time, by every channel that tells."""
+    same = np.diff(time) == 0.0
+    told = []
+    for values in channels.values():
+        steps = np.diff(values)
+        known = np.isfinite(steps)
+        within, between = steps[same & known], steps[~same & known]
+        if np.isfinite(values).mean() < _FILLED or np.mean(within != 0.0) < _CHANGES:
+            continue
+        told.append(_alike(within, between))
+    return bool(told) and all(told)
+
+
+def _alike(within: FloatArray, between: FloatArray) -> bool:
+    """Whether rows step from each other within a stamp as they do from one to the next.
+
+    Rows of two engines in turn step up within each and down between them, and further within.
+    """
+    every = np.concatenate([within, between])
+    low, high = np.quantile(every, [1.0 - _ORDINARY, _ORDINARY])
+    within, between = np.clip(within, low, high), np.clip(between, low, high)
+    error = np.hypot(within.std() / np.sqrt(len(within)), between.std() / np.sqrt(len(between)))
+    apart = abs(float(within.mean() - between.mean()))
+    return apart <= max(_SURELY * float(error), _NO_SHARED * float(np.abs(within).mean()))
+
+
+_CLOCK = r"\s*(?:(\d{1,3}):)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d*)?)\s*(?:([AaPp])\.?[Mm]\.?)?\s*"
+_MINUTES = r"\s*(\d{1,3}):(\d{2}[.,]\d+)\s*"
+_DATE = r"\s*\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}.*"
+_UNIT_S = np.array([86400.0, 3600.0, 60.0, 1.0])
+_HALF_DAY = 12.0  # hours: 12 AM is midnight, and 12 PM is noon
+
+
+def is_clock(text: str) -> bool:
+    """Whether `text` is a clock time or a date rather than a number."""
+    return re.fullmatch(f"{_CLOCK}|{_MINUTES}|{_DATE}", text) is not None
+
+
+def lacks_hours(text: str) -> bool:
+    """Whether `text` is a clock time of minutes and seconds alone, which starts anew each hour."""
+    return re.fullmatch(_MINUTES, text) is not None
+
+
+def clock_seconds(texts: pd.Series[Any]) -> FloatArray:
+    """Seconds `(rows,)`; NaN for a blank, and for what is neither a clock time nor a date."""
+    plain = texts.astype("str").where(texts.notna(), "").str.replace(",", ".")
+    seconds = _of_clock(plain.str.extract(f"^{_CLOCK}$"))
+    short = plain.str.extract(f"^{_MINUTES}$").astype(np.float64).to_numpy() @ _UNIT_S[2:]
+    seconds = np.where(np.isnan(seconds), short, seconds)
+    dates = plain[np.isnan(seconds) & plain.str.fullmatch(_DATE).to_numpy(dtype=np.bool_)]
+    if len(dates):
+        stamps = pd.to_datetime(dates, format="ISO8601", utc=True, errors="coerce")
+        since = (stamps - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(1, "s")
+        seconds[plain.index.get_indexer(dates.index)] = since.to_numpy(dtype=np.float64)
+    return seconds
+
+
+def _of_clock(found: pd.DataFrame) -> FloatArray:
+    """Seconds of day, hours, minutes, seconds and half of the day `(rows, 5)`, each as text."""
+    parts = found.iloc[:, :4].astype(np.float64).to_numpy()
+    parts[:, 0] = np.nan_to_num(parts[:, 0])  # a day is not always told
+    half = found[4].str.upper()
+    told, hours = half.notna().to_numpy(), parts[:, 1]
+    of_twelve = np.where((hours >= 1.0) & (hours <= _HALF_DAY), hours % _HALF_DAY, np.nan)
+    parts[:, 1] = np.where(told, of_twelve + _HALF_DAY * (half == "P").to_numpy(), hours)
+    return np.asarray(parts @ _UNIT_S, dtype=np.float64)

@@ -5,13 +5,10 @@ from __future__ import annotations
 import difflib
 import re
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from narxcal.channels import channel
-from narxcal.errors import ConfigError
-
-if TYPE_CHECKING:
-    from data_prep.log import FloatArray
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError
 
 
 @dataclass(frozen=True)

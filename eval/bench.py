@@ -20,16 +20,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from eval.benchmarks import (
-    flights,
-    kernel_speed,
-    public_sets,
-    replay_speed,
-    untuned,
-    virtual_engine,
-)
+from eval.benchmarks import flights, public_sets, speed, untuned, virtual_engine
 from eval.benchmarks.row import Row
-from narxcal.versions import versions
+from narxcal.support.files import versions
 
 SCHEMA = "narxcal.bench/1"
 _SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -67,8 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _short(data: Path) -> list[Row]:
     return [
-        *kernel_speed.rows(),
-        *replay_speed.rows(),
+        *speed.kernel_rows(),
+        *speed.replay_rows(),
         *virtual_engine.rows(),
         *public_sets.rows(data / "bench"),
     ]

@@ -12,13 +12,12 @@ import numpy as np
 
 from data_prep.log import Log
 from data_prep.recorded import recorded, with_outputs
-from eval.evaluate import run_config
-from eval.judged import EvaluateConfig, LogEvaluation, Task, judge_log
+from eval.evaluate import EvaluateConfig, LogEvaluation, Task, judge_log, run_config
 from eval.scores import score
 from eval.tally import tally
-from narxcal.bundle import Bundle
-from narxcal.errors import DataError
-from narxcal.versions import versions
+from narxcal.calibration.bundle import Bundle
+from narxcal.support.errors import DataError
+from narxcal.support.files import versions
 from training.config import RunConfig
 from training.crossval import (
     LEAVE_ONE_OUT,

@@ -14,17 +14,18 @@ import pandas as pd
 from pydantic import Field
 
 from data_prep.hold import hold_inputs
-from narxcal.errors import DataError
-from narxcal.fuser_config import FuserConfig
-from narxcal.fuser_fast import FastFuser
-from narxcal.fuser_noise import estimate_noise
-from narxcal.settings import Section
+from narxcal.calibration.fuser import FastFuser
+from narxcal.calibration.fuser_config import FuserConfig
+from narxcal.calibration.noise import estimate_noise
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
+from narxcal.support.settings import Section
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from data_prep.log import FloatArray, Log
-    from narxcal.bundle import Bundle
+    from data_prep.log import Log
+    from narxcal.calibration.bundle import Bundle
 
 Power = Literal["mean_square", "variance"]
 # Columns of the sweep that are errors, by what they are errors of.

@@ -17,7 +17,7 @@ from data_prep.recorded import events_config
 from data_prep.smooth import compare_windows, frequency_response, moving_average, smooth
 from eval.report.building import log_page, traces_of
 from eval.report.content import LogPage, WindowTrial
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 from training.config import RunConfig
 
 # The paper compares these, section 2.4.

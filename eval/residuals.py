@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import ndtri
 
-from narxcal.errors import DataError
+from narxcal.support.arrays import FloatArray, IntArray
+from narxcal.support.errors import DataError
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Records = Sequence[FloatArray]
 
 # Chance of calling a white or independent residual dependent, over all lags of one test.

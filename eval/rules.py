@@ -10,6 +10,8 @@ Ti is the time from the lever movement to 10 % of the response. Sources disagree
   both within +-10 % or 0.25 s.
 
 Where two tolerances are given, the less restrictive applies (Part 60 App. A Att. 2, section 2).
+
+The time bands a Ti/Tt plot shades: where the model may cross 10 % and 90 %.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from narxcal.errors import ConfigError
+from eval.response import Transient
+from narxcal.support.errors import ConfigError, DataError
 
 RulesName = Literal["paper", "part60", "icao"]
 
@@ -86,3 +89,32 @@ def rules(name: str) -> Rules:
         if known == name:
             return found
     raise ConfigError(f"unknown rule set '{name}'", hint=f"Known rule sets: {', '.join(RULES)}")
+
+
+@dataclass(frozen=True)
+class Band:
+    """From `start_s` to `stop_s` on the log's clock, at `level` in the channel's unit."""
+
+    start_s: float
+    stop_s: float
+    level: float
+
+
+def tolerance_windows(flight: Transient, rules: Rules) -> tuple[Band, Band]:
+    """Bands around the flight's t10 and t90 for an assessable flight transient.
+
+    Where Tt starts at t10, the second band holds for a model that is on time at 10 %: one that
+    is early or late there may be as early or late at 90 %. Raises `DataError` for a transient
+    that is not assessable.
+    """
+    if flight.reason is not None:
+        raise DataError(f"a transient that is not assessable has no windows: {flight.reason}")
+    total_s = rules.total_s(flight.Ti_s, flight.Tt_s)
+    return (
+        _band(flight.t10_s, rules.Ti.allowed_s(flight.Ti_s), flight.before + 0.1 * flight.response),
+        _band(flight.t90_s, rules.Tt.allowed_s(total_s), flight.before + 0.9 * flight.response),
+    )
+
+
+def _band(centre_s: float, allowed_s: float, level: float) -> Band:
+    return Band(centre_s - allowed_s, centre_s + allowed_s, level)

@@ -1,4 +1,12 @@
-"""Errors of the free run and of the baselines, channel by channel: one log, or many pooled."""
+"""Errors of the free run and of the baselines, channel by channel: one log, or many pooled.
+
+How far a model is from the measurement, channel by channel.
+
+Every function takes `measured` and `model`, both `(time, channel)`, and an optional `mask` of
+that shape or `(time,)`, true where a sample counts; it returns `(channel,)`. Samples where either
+is NaN or the mask is false are left out of that channel only. A figure that the remaining samples
+do not define is NaN.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +15,133 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from data_prep.log import FloatArray
-from eval import metrics
-from eval.runs import BASELINES, MODEL, ONE_STEP, Runs
-from narxcal.errors import DataError
+from eval.free_run import BASELINES, MODEL, ONE_STEP, Runs
+from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.errors import DataError
+
+# Below this share of the channel's largest magnitude a relative error says nothing.
+_RELATIVE_FLOOR = 0.05
+# A variance below this share of the mean square is the rounding of a constant.
+_ROUNDING = 1e-24
+
+
+@dataclass(frozen=True, eq=False)
+class Theil:
+    """Theil's inequality coefficient and how the squared error divides, each `(channel,)`.
+
+    `inequality` is 0 for a perfect and 1 for a useless model; `bias + variance + covariance` is
+    1: wrong mean, wrong size of the swings, and the rest, which a good model has most of. The
+    shares of a zero error are NaN.
+    """
+
+    inequality: FloatArray
+    bias: FloatArray
+    variance: FloatArray
+    covariance: FloatArray
+
+
+def counted(
+    measured: FloatArray, model: FloatArray, mask: BoolArray | None = None
+) -> NDArray[np.intp]:
+    """Return how many samples of each channel the figures rest on, `(channel,)`."""
+    return np.asarray(_valid(measured, model, mask).sum(axis=0))
+
+
+def rmse(measured: FloatArray, model: FloatArray, mask: BoolArray | None = None) -> FloatArray:
+    """Return the root mean square error, in the channel's unit."""
+    valid = _valid(measured, model, mask)
+    return np.asarray(np.sqrt(_mean((model - measured) ** 2, valid)))
+
+
+def nrmse(measured: FloatArray, model: FloatArray, mask: BoolArray | None = None) -> FloatArray:
+    """Return the RMSE divided by the standard deviation of the measurement.
+
+    1 is what the measurement's own mean would reach as a model.
+    """
+    valid = _valid(measured, model, mask)
+    error, swing = _mean((model - measured) ** 2, valid), _variance(measured, valid)
+    constant = swing <= _ROUNDING * _mean(measured**2, valid)
+    return np.sqrt(_ratio(error, np.where(constant, 0.0, swing)))
+
+
+def fit_percent(
+    measured: FloatArray, model: FloatArray, mask: BoolArray | None = None
+) -> FloatArray:
+    """Return `100 (1 - ||measured - model|| / ||measured - mean||)`, as MATLAB's `compare`."""
+    return np.asarray(100.0 * (1.0 - nrmse(measured, model, mask)))
+
+
+def max_relative_percent(
+    measured: FloatArray, model: FloatArray, mask: BoolArray | None = None
+) -> FloatArray:
+    """Return the largest error relative to the measured value at that time, in percent.
+
+    The measured value counts as no less than 5 % of the largest one of its channel, so that a
+    stopped engine does not divide by zero and no sample has to be left out.
+    """
+    valid = _valid(measured, model, mask)
+    size = np.where(valid, np.abs(measured), 0.0)
+    largest = size.max(axis=0, initial=0.0)
+    error = np.where(valid, np.abs(model - measured), 0.0)
+    relative = _ratio(error, np.maximum(size, _RELATIVE_FLOOR * largest))
+    relative = np.where(valid & (error == 0.0), 0.0, relative)
+    worst = np.max(relative, axis=0, where=valid, initial=0.0)
+    return np.where(valid.any(axis=0), 100.0 * worst, np.nan)
+
+
+def theil(measured: FloatArray, model: FloatArray, mask: BoolArray | None = None) -> Theil:
+    """Split the mean square error (Theil 1966; Jategaonkar, Flight Vehicle SysID, ch. 11).
+
+    `mse = (mean_m - mean)^2 + (s_m - s)^2 + 2 (1 - r) s_m s`, with the standard deviations `s`
+    of measurement and model and their correlation `r`.
+    """
+    valid = _valid(measured, model, mask)
+    error = model - measured
+    mse = _mean(error**2, valid)
+    spread, own_spread = (np.sqrt(_variance(values, valid)) for values in (measured, model))
+    size, own_size = (np.sqrt(_mean(values**2, valid)) for values in (measured, model))
+    swing = (own_spread - spread) ** 2
+    return Theil(
+        inequality=_ratio(np.sqrt(mse), size + own_size),
+        bias=_ratio(_mean(error, valid) ** 2, mse),
+        variance=_ratio(swing, mse),
+        # The error's variance holds both; 2 (1 - r) s_m s would cancel where r is near 1.
+        covariance=_ratio(np.maximum(_variance(error, valid) - swing, 0.0), mse),
+    )
+
+
+def _valid(measured: FloatArray, model: FloatArray, mask: BoolArray | None) -> BoolArray:
+    if measured.ndim != 2 or measured.shape != model.shape:
+        raise DataError(
+            f"expected measured and model of one shape (time, channel), got {measured.shape} "
+            f"and {model.shape}"
+        )
+    valid = np.isfinite(measured) & np.isfinite(model)
+    if mask is None:
+        return valid
+    if mask.shape not in (measured.shape, measured.shape[:1]):
+        raise DataError(
+            f"expected a mask of shape {measured.shape} or {measured.shape[:1]}, got {mask.shape}"
+        )
+    return valid & (mask if mask.ndim == 2 else mask[:, None])
+
+
+def _mean(values: FloatArray, valid: BoolArray) -> FloatArray:
+    """Mean over time of the valid samples; NaN where there is none."""
+    return _ratio(np.where(valid, values, 0.0).sum(axis=0), valid.sum(axis=0).astype(np.float64))
+
+
+def _variance(values: FloatArray, valid: BoolArray) -> FloatArray:
+    return _mean((values - _mean(values, valid)) ** 2, valid)
+
+
+def _ratio(numerator: FloatArray, denominator: FloatArray) -> FloatArray:
+    """Divide; NaN where the denominator is zero."""
+    return np.divide(
+        numerator, denominator, out=np.full_like(denominator, np.nan), where=denominator != 0.0
+    )
 
 
 @dataclass(frozen=True)
@@ -77,20 +207,20 @@ def _columns(runs: Sequence[Runs]) -> Mapping[str, FloatArray]:
     model = _joined(runs, MODEL)
     wrong = np.where((np.isfinite(model - measured)) & scored[:, None], model - measured, np.nan)
     figures: dict[str, FloatArray] = {
-        "samples": metrics.counted(measured, model, scored).astype(np.float64),
-        "rmse": metrics.rmse(measured, model, scored),
-        "nrmse": metrics.nrmse(measured, model, scored),
-        "fit_pct": metrics.fit_percent(measured, model, scored),
-        "max_rel_pct": metrics.max_relative_percent(measured, model, scored),
+        "samples": counted(measured, model, scored).astype(np.float64),
+        "rmse": rmse(measured, model, scored),
+        "nrmse": nrmse(measured, model, scored),
+        "fit_pct": fit_percent(measured, model, scored),
+        "max_rel_pct": max_relative_percent(measured, model, scored),
         "max_error": _reduced(np.abs(wrong), "max"),
         "bias": _reduced(wrong, "mean"),
-        "static_samples": metrics.counted(measured, model, still).astype(np.float64),
-        "static_rmse": metrics.rmse(measured, model, still),
+        "static_samples": counted(measured, model, still).astype(np.float64),
+        "static_rmse": rmse(measured, model, still),
         "static_bias": _reduced(wrong[still], "mean"),
-        "dynamic_rmse": metrics.rmse(measured, model, scored & ~still),
+        "dynamic_rmse": rmse(measured, model, scored & ~still),
     }
     for name in (ONE_STEP, *BASELINES):
-        figures[f"{name}_rmse"] = metrics.rmse(measured, _joined(runs, name), scored)
+        figures[f"{name}_rmse"] = rmse(measured, _joined(runs, name), scored)
     return figures
 
 

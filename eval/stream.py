@@ -9,21 +9,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, cast
 
+from data_prep.columns import constants, map_columns, read_columns, sources_of, to_channel
 from data_prep.csv_source import CsvSource, readable
-from data_prep.dialect import open_text
-from data_prep.file_units import sources_of
-from data_prep.head import Head, skip
-from data_prep.mapping import constants, map_columns, read_columns, to_channel
 from data_prep.reading import open_table
-from narxcal.errors import DataError
+from data_prep.text_file import Head, open_text, skip
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
     from typing import BinaryIO, TextIO
 
-    from data_prep.log import FloatArray
-    from data_prep.logs_config import LogsConfig
+    from data_prep.config import LogsConfig
 
 _POLL_S = 0.05
 

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from data_prep.events import Event, Speed
-from eval.crossings import ReadingMode
-from eval.response import Transient, TransientConfig, measure_transient
+from eval.response import ReadingMode, Transient, TransientConfig, measure_transient
 from eval.rules import RulesName
 from eval.rules import rules as rules_of
 from eval.verdict import TimeCheck, Verdict, compare_transients
 from narxcal.channels import channel as channel_of
-from narxcal.errors import ConfigError, DataError
-from narxcal.settings import Section
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError, DataError
+from narxcal.support.settings import Section
 
 __all__ = [
     "Assessment",
@@ -34,7 +34,6 @@ __all__ = [
     "measure_transient",
 ]
 
-FloatArray = NDArray[np.float64]
 
 # In the channel's unit: some thirty times the recording noise of FACTS.md A8, so that 10 % of
 # the response stands clear of it.

@@ -20,14 +20,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from data_prep.log import FloatArray
-from narxcal.errors import ConfigError
-from narxcal.settings import Section
-
-BoolArray = NDArray[np.bool_]
+from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.errors import ConfigError
+from narxcal.support.settings import Section
 
 _BIN = 0.1
 # More widths than this are no offset but a model that went astray, at levels it may not go to

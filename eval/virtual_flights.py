@@ -15,13 +15,19 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from narxcal.channels import CHANNELS
-from narxcal.errors import ConfigError, ModelError
-from narxcal.flight_test.flown_effects import SIDES, FlownEffect
 from narxcal.flight_test.flown_engine import build_facts, flown_engine
-from narxcal.flight_test.measurement import FloatArray
-from narxcal.flight_test.scenario import SCHEMA, FlightScenario, canonical, lever_moves
+from narxcal.flight_test.scenario import (
+    SCHEMA,
+    SIDES,
+    FlightScenario,
+    FlownEffect,
+    canonical,
+    lever_moves,
+)
 from narxcal.flight_test.sensors import Streams, record
-from narxcal.settings import read_toml
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError, ModelError
+from narxcal.support.settings import read_toml
 from training.parallel import in_processes
 
 TRUTH_SCHEMA: Final = "narxcal.flight_truth/1"

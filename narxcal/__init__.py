@@ -10,13 +10,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from narxcal.bundle import Bundle, load_bundle, save_bundle
-    from narxcal.calibration import DynamicCalibration
-    from narxcal.errors import ConfigError, DataError, ModelError, NarxcalError
-    from narxcal.fuser import KalmanFuser
-    from narxcal.fuser_noise import NoiseModel
-    from narxcal.narx_config import NarxConfig
-    from narxcal.records import Record
+    from narxcal.calibration.bundle import Bundle, load_bundle, save_bundle
+    from narxcal.calibration.calibration import DynamicCalibration
+    from narxcal.calibration.fuser import KalmanFuser
+    from narxcal.calibration.noise import NoiseModel
+    from narxcal.narx.config import NarxConfig
+    from narxcal.record import Record
+    from narxcal.support.errors import ConfigError, DataError, ModelError, NarxcalError
     from training.estimator import Narx
 
 __all__ = [
@@ -36,19 +36,19 @@ __all__ = [
 ]
 
 _MODULE_OF = {
-    "Bundle": "narxcal.bundle",
-    "ConfigError": "narxcal.errors",
-    "DataError": "narxcal.errors",
-    "DynamicCalibration": "narxcal.calibration",
-    "KalmanFuser": "narxcal.fuser",
-    "ModelError": "narxcal.errors",
+    "Bundle": "narxcal.calibration.bundle",
+    "ConfigError": "narxcal.support.errors",
+    "DataError": "narxcal.support.errors",
+    "DynamicCalibration": "narxcal.calibration.calibration",
+    "KalmanFuser": "narxcal.calibration.fuser",
+    "ModelError": "narxcal.support.errors",
     "Narx": "training.estimator",
-    "NarxConfig": "narxcal.narx_config",
-    "NarxcalError": "narxcal.errors",
-    "NoiseModel": "narxcal.fuser_noise",
-    "Record": "narxcal.records",
-    "load_bundle": "narxcal.bundle",
-    "save_bundle": "narxcal.bundle",
+    "NarxConfig": "narxcal.narx.config",
+    "NarxcalError": "narxcal.support.errors",
+    "NoiseModel": "narxcal.calibration.noise",
+    "Record": "narxcal.record",
+    "load_bundle": "narxcal.calibration.bundle",
+    "save_bundle": "narxcal.calibration.bundle",
 }
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from narxcal.kernels import compiled
+from narxcal.narx.kernels import compiled
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike, NDArray

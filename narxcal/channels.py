@@ -6,7 +6,7 @@ import difflib
 from dataclasses import dataclass
 from typing import Literal
 
-from narxcal.errors import ConfigError
+from narxcal.support.errors import ConfigError
 
 Role = Literal["time", "lever", "ambient", "switch", "output", "auxiliary"]
 

@@ -46,10 +46,8 @@ from typing import Final
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from narxcal.support.arrays import FloatArray, IntArray
 
 # Where each coefficient begins in theta: a constant, a slope over x and one over L each, then what
 # is said; the last three are constants.

@@ -15,8 +15,8 @@ import pandas as pd
 import pytest
 
 from eval.virtual_flights import fly
+from narxcal.export import ExportOptions, Grid, export_table
 from narxcal.flight_test.scenario import FlightScenario
-from narxcal.steady_export import ExportOptions, Grid, export_table
 from narxcal.turbofan import VirtualEngine
 
 # The shortest flight there is; a piece begins on the initial climb, where the lever is busy.

@@ -8,9 +8,9 @@ from typing import get_args
 
 import pytest
 
-from eval.judged import EvaluateConfig
+from eval.evaluate import EvaluateConfig
 from narxcal.cli.arguments import _parser, parse
-from narxcal.settings import Section
+from narxcal.support.settings import Section
 from training.config import RunConfig
 
 ROOT = Path(__file__).parents[1]

@@ -31,10 +31,10 @@ from narxcal import (
     load_bundle,
     save_bundle,
 )
+from narxcal.calibration.fuser import FusedRun, FusedStep
+from narxcal.calibration.noise import NoiseModel
 from narxcal.channels import CHANNELS, Channel, channel
 from narxcal.flight_test.scenario import FlightScenario
-from narxcal.fuser import FusedRun, FusedStep
-from narxcal.fuser_noise import NoiseModel
 from narxcal.turbofan import VirtualEngine, maker_model
 from training.config import RunConfig, load_config
 

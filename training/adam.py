@@ -8,9 +8,8 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from narxcal.support.arrays import FloatArray
 
 
 class GradientProblem(Protocol):

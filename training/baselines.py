@@ -20,15 +20,13 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.signal import lfilter, lfiltic
 
 from data_prep.log import Log
-from narxcal.calibration import DynamicCalibration
-from narxcal.errors import ModelError
-
-FloatArray = NDArray[np.float64]
+from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ModelError
 
 SHORTEST_S, LONGEST_S = 0.02, 60.0
 ORDERS = (1, 2, 3)

@@ -15,11 +15,11 @@ import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
-from narxcal.atomic import atomic_write_bytes
-from narxcal.errors import ModelError
+from narxcal.support.errors import ModelError
+from narxcal.support.files import atomic_write_bytes
 from training.adam import Moments
 from training.levenberg_marquardt import Damping
-from training.trainer import HistoryRow, Progress
+from training.network import HistoryRow, Progress
 
 _SCHEMA = "narxcal.checkpoint/1"
 

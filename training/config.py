@@ -1,4 +1,7 @@
-"""The configuration of a whole run: one TOML file, one section per room."""
+"""The configuration of a whole run: one TOML file, one section per room.
+
+Table [steady_state]: which steady-state model, and how a fitted one is fitted.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +12,92 @@ from typing import Any, Final, Literal
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, field_validator, model_validator
 
 from data_prep.clean import CleanConfig
+from data_prep.config import LogsConfig
+from data_prep.equilibrium import QuasiSteadyConfig, RunningConfig
 from data_prep.events import EventsConfig
-from data_prep.logs_config import LogsConfig
-from data_prep.quasi_steady import QuasiSteadyConfig
-from data_prep.running import RunningConfig
 from data_prep.smooth import SmoothConfig
-from narxcal.errors import ConfigError
-from narxcal.fuser_config import FuserConfig
-from narxcal.narx_config import Taps
-from narxcal.settings import Section, read_toml
-from training.steady_config import Auto, SteadyStateConfig, known_once
+from narxcal.calibration.fuser_config import FuserConfig
+from narxcal.channels import CHANNELS, channel
+from narxcal.narx.config import Taps
+from narxcal.steady.options import SteadySourceOptions
+from narxcal.support.errors import ConfigError
+from narxcal.support.settings import Section, read_toml
+
+Kind = Literal["fitted", "table", "callable", "fmu"]
+Auto = Literal["auto"]
+
+
+def known_once(names: tuple[str, ...]) -> tuple[str, ...]:
+    """`names`, if all are channels and none stands there twice; for validators of fields."""
+    for name in names:
+        channel(name)
+        if names.count(name) > 1:
+            raise ValueError(f"'{name}' is named twice")
+    return names
+
+
+class SteadyFitConfig(Section):
+    """How stiff the curves are.
+
+    `knots` of the spline over the driver; `bend`, `spread` and `scatter` are the penalties on
+    curvature, on differences between envelope corners and on engine lines, as shares of the
+    mean squared error. `huber` is the residual, in robust standard deviations, beyond which a
+    sample loses weight; 0 turns that off. The curves go on straight for `reach` of the driver's
+    range beyond the samples, and are held from there on; both count as outside the envelope.
+    """
+
+    knots: int = Field(default=8, ge=2)
+    bend: float = Field(default=1e-3, ge=0)
+    spread: float = Field(default=3e-4, ge=0)
+    scatter: float = Field(default=1e-4, ge=0)
+    huber: float = Field(default=0.0, ge=0)
+    reach: float = Field(default=0.15, ge=0)
+
+
+class SteadyStateConfig(Section):
+    """Table [steady_state]: fit a model to the logs, or load the maker's.
+
+    `kind` "fitted" uses `inputs` (which must hold ALT_ft, Mach and dT_C if `corrected`) and
+    blends curves over `driver` (that of [events] where it is empty) between the extremes of
+    `blend`. `switches` add a line each while they are on; they are inputs whether named there or
+    not. What is "auto" is chosen by the training logs (see training.steady_choice). The other
+    kinds load `source`: a CSV table, `module:function` or an FMU file.
+    """
+
+    kind: Kind = "fitted"
+    source: str = ""
+    inputs: tuple[str, ...] = Field(default=("TRA_deg", "ALT_ft", "Mach", "dT_C"), min_length=1)
+    driver: str = ""
+    blend: Auto | tuple[str, ...] = "auto"
+    switches: Auto | tuple[str, ...] = "auto"
+    corrected: Auto | bool = "auto"
+    fit: SteadyFitConfig = SteadyFitConfig()
+    options: SteadySourceOptions = SteadySourceOptions()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> SteadyStateConfig:
+        if self.kind != "fitted" and not self.source:
+            raise ValueError(f"kind '{self.kind}' needs a source")
+        blend = () if self.blend == "auto" else self.blend
+        missing = [name for name in blend if name not in self.inputs]
+        if missing:
+            raise ValueError(f"blend names '{missing[0]}', which is no input")
+        return self
+
+    @field_validator("inputs")
+    @classmethod
+    def _are_channels(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return known_once(names)
+
+    @field_validator("switches")
+    @classmethod
+    def _are_switches(cls, names: Auto | tuple[str, ...]) -> Auto | tuple[str, ...]:
+        for name in () if names == "auto" else names:
+            if name not in CHANNELS or CHANNELS[name].role != "switch":
+                known = ", ".join(each.name for each in CHANNELS.values() if each.role == "switch")
+                raise ValueError(f"'{name}' is no switch; switches are {known}")
+        return names
+
 
 SCHEMA: Final = "narxcal.config/1"
 _DECAY_BEHIND_LAGS: Final = 0.03
@@ -34,12 +113,12 @@ class NarxSection(Section):
     `schedule` names the inputs that change how fast the engine moves. `anchored` makes the
     steady-state model an exact equilibrium; without it the network is the paper's. `settle_s` is
     the longest time constant with which an anchored network's deviation may fade; 0 means any.
-    `lag` puts state-dependent lags in front of an anchored network (see narxcal.lag), which then
+    `lag` puts state-dependent lags in front of an anchored network (see lumped.lag), which then
     learns what they leave; they are fitted to errors in the outputs' units, or with
     `lag_errors = "relative"` as shares of the response that each belongs to. With `lag_limits`
     they know how fast a control lets the spools move, and what fuel that takes; with `lag_heat`
     that the metal's heat drives the spools, and a slow tail is not taken for static error. With
-    `lag_governed` a control holds N1, and N2 goes where that takes it (see narxcal.lag_governed);
+    `lag_governed` a control holds N1, and N2 goes where that takes it (see lumped.lag_governed);
     the other settings of lags then say nothing. What is "auto" of these is chosen by the training
     logs (see training.lag_choice). With `linear_feedback` past deviations go round the hidden
     layer: a free run has no wrong place to rest.
@@ -94,11 +173,11 @@ class TrainConfig(Section):
     the steps at each. `starts` networks are drawn from `seed` on and the best is kept. One
     sample in every `score_every_s` is scored. Training stops early after `patience` steps
     without a better free run on the validation logs, where there are any. `local_trim` takes the
-    static error out of the training deviations where `still` holds (see training.local_trim).
-    `rest_s` is the length of the records that teach the return to rest (see training.rest); 0
+    static error out of the training deviations where `still` holds (see training.records).
+    `rest_s` is the length of the records that teach the return to rest (see training.records); 0
     means none; with `rest_far` there are more of them, they begin at large deviations, and the
     second half of each is scored. With `emphasis = "motion"` motion counts more than rest, its
-    beginning most, and low power more than high (see training.emphasis).
+    beginning most, and low power more than high (see training.records).
     """
 
     optimiser: Literal["lm", "geodesic", "adam"] = "lm"

@@ -24,9 +24,9 @@ from data_prep.events import Event, EventsConfig, find_events
 from data_prep.hold import hold_inputs
 from data_prep.log import Log
 from data_prep.recorded import events_config
-from narxcal.bundle import Bundle
-from narxcal.errors import DataError
-from narxcal.settings import Section
+from narxcal.calibration.bundle import Bundle
+from narxcal.support.errors import DataError
+from narxcal.support.settings import Section
 from training.config import RunConfig
 from training.parallel import in_processes
 from training.pipeline import Split, calibrate

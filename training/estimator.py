@@ -1,25 +1,149 @@
-"""`Narx`: the scikit-learn-like door to the network, for any records of inputs and outputs."""
+"""`Narx`: the scikit-learn-like door to the network, for any records of inputs and outputs.
+
+A trained `Narx` as a folder: `narx.json` and `weights.safetensors`.
+
+    schema      "narxcal.narx/1"
+    parameters  structure, train and dt_s as given, null for what was left to the default
+    network     structure and width of the trained network
+    result      how the training ended: status, score, every step
+    weights     file, SHA-256, shapes; the arrays themselves are in that file
+    sha256      of parameters, network and result
+    versions    of Python and the packages that made it
+
+A number that is not finite, such as a validation error without validation records, is null.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
 from os import PathLike
-from typing import Any, Self, TypeAlias
+from pathlib import Path
+from typing import Any, Self, TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.base import BaseEstimator
 from sklearn.exceptions import NotFittedError
 
-from narxcal.errors import ConfigError, DataError, ModelError
-from narxcal.narx_config import NarxConfig
-from narxcal.narx_model import NarxModel
-from narxcal.records import Record, RecordLike, as_records, check_records, columns
-from training import estimator_folder
+from narxcal.calibration.bundle import WEIGHTS, ModelFolder, packed, seal
+from narxcal.narx.config import NarxConfig
+from narxcal.narx.network import NarxModel
+from narxcal.record import Record, RecordLike, as_records, check_records, columns
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError, DataError, ModelError
+from narxcal.support.files import atomic_folder, atomic_write_bytes, atomic_write_text, versions
 from training.config import TrainConfig
-from training.trainer import FitResult, Material, Watch, fit_narx
+from training.network import FitResult, HistoryRow, Material, Watch, fit_narx
 
-FloatArray = NDArray[np.float64]
+_FORM = ModelFolder(
+    what="stored Narx",
+    document="narx.json",
+    schema="narxcal.narx/1",
+    made_by="Narx.save",
+    again="Copy the folder again, or train anew",
+)
+T = TypeVar("T", NarxConfig, TrainConfig)
+_SEALED = ("parameters", "network", "result")
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """What a trained estimator is made of: its parameters as given, and the result of `fit`."""
+
+    structure: NarxConfig | None
+    train: TrainConfig | None
+    dt_s: float
+    result: FitResult
+
+
+def save(folder: str | PathLike[str], stored: Stored, *, replace: bool = False) -> None:
+    """Write a new folder, whole or not at all; raises as `narxcal.support.files.atomic_folder`."""
+    network, arrays = stored.result.model.to_arrays()
+    weights, entry = packed(arrays)
+    sealed = {
+        "parameters": {
+            "structure": _dumped(stored.structure),
+            "train": _dumped(stored.train),
+            "dt_s": float(stored.dt_s),
+        },
+        "network": network,
+        "result": {
+            "status": stored.result.status,
+            "score": _number(stored.result.score),
+            "history": [
+                {key: _number(value) for key, value in asdict(row).items()}
+                for row in stored.result.history
+            ],
+        },
+    }
+    document = {
+        "schema": _FORM.schema,
+        **sealed,
+        "sha256": seal(json.loads(json.dumps(sealed))),
+        "weights": entry,
+        "versions": versions(),
+    }
+    with atomic_folder(folder, replace) as part:
+        atomic_write_bytes(part / WEIGHTS, weights)
+        text = json.dumps(document, indent=1, allow_nan=False) + "\n"
+        atomic_write_text(part / _FORM.document, text)
+
+
+def load(folder: str | PathLike[str]) -> Stored:
+    """Read what `save` wrote; `ModelError` for a folder that is another, damaged or altered."""
+    source = Path(folder)
+    document = _FORM.read_document(source)
+    arrays = _FORM.read_arrays(source, document)
+    sealed = {key: _FORM.part(source, document, key) for key in _SEALED}
+    file = source / _FORM.document
+    if seal(sealed) != document.get("sha256"):
+        problem = f"{', '.join(_SEALED[:-1])} or {_SEALED[-1]} were altered"
+        raise ModelError(problem, file=file, hint=_FORM.again)
+    try:
+        return _stored(sealed, NarxModel.from_arrays(sealed["network"], arrays))
+    except (KeyError, TypeError, ConfigError) as error:
+        raise ModelError(f"a part cannot be read: {error}", file=file, hint=_FORM.again) from None
+
+
+def _stored(sealed: Mapping[str, Any], model: NarxModel) -> Stored:
+    given, result = sealed["parameters"], sealed["result"]
+    return Stored(
+        structure=_parsed(NarxConfig, given["structure"]),
+        train=_parsed(TrainConfig, given["train"]),
+        dt_s=given["dt_s"],
+        result=FitResult(
+            model=model,
+            status=result["status"],
+            score=_known(result["score"]),
+            history=tuple(_row(row) for row in result["history"]),
+        ),
+    )
+
+
+def _row(row: Mapping[str, Any]) -> HistoryRow:
+    return HistoryRow(**{key: _known(value) for key, value in row.items()})
+
+
+def _dumped(section: NarxConfig | TrainConfig | None) -> dict[str, Any] | None:
+    return None if section is None else section.model_dump(mode="json", by_alias=True)
+
+
+def _parsed(kind: type[T], given: Any) -> T | None:
+    return None if given is None else kind.parse(given)
+
+
+def _number(value: float) -> float | None:
+    """JSON has no NaN."""
+    return value if math.isfinite(value) else None
+
+
+def _known(value: Any) -> Any:
+    return math.nan if value is None else value
+
+
 Records: TypeAlias = RecordLike | Iterable[RecordLike]
 
 # For records of which nothing is known. Eight lags left a half to nine tenths of the error of two
@@ -103,8 +227,8 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         self._sections()
         if not hasattr(self, "result_"):
             raise _not_trained()
-        stored = estimator_folder.Stored(self.structure, self.train, self.dt_s, self.result_)
-        estimator_folder.save(folder, stored, replace=replace)
+        stored = Stored(self.structure, self.train, self.dt_s, self.result_)
+        save(folder, stored, replace=replace)
 
     @classmethod
     def load(cls, folder: str | PathLike[str]) -> Self:
@@ -112,7 +236,7 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
 
         Raises `ModelError` for a folder that is another, damaged or altered.
         """
-        stored = estimator_folder.load(folder)
+        stored = load(folder)
         loaded = cls(stored.structure, stored.train, stored.dt_s)
         loaded.result_ = stored.result
         return loaded

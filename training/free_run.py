@@ -13,16 +13,13 @@ from functools import partial
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_prep.hold import held
-from narxcal import kernels
-from narxcal.narx import NarxNet, Weights, history_before, tap
-from narxcal.narx_model import NarxModel
-from narxcal.records import Record
+from narxcal.narx import kernels
+from narxcal.narx.network import NarxModel, NarxNet, Weights, history_before, tap
+from narxcal.record import Record
+from narxcal.support.arrays import FloatArray, IntArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 T = TypeVar("T")
 _BLOCK = 1024  # steps whose Jacobian is held at one time
 _PROBE = 0.1  # share of a step at which its curvature is taken by central differences

@@ -18,13 +18,12 @@ from functools import partial
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
+from narxcal.support.arrays import FloatArray
 from training import levenberg_marquardt
 from training.levenberg_marquardt import Damping, Problem, Step
 
-FloatArray = NDArray[np.float64]
 _MOST_BEND = 0.75
 
 

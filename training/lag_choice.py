@@ -1,8 +1,8 @@
 """Which lags stand in front of the network, where [narx] says "auto": chosen by the training logs.
 
 How an engine comes to rest is its control's doing, and nobody tells what that does: nothing that
-matters (`narxcal.lag`), limits of acceleration and deceleration (the same with `lag_limits`), or
-hold N1 (`narxcal.lag_governed`). The richer form always fits better, so each is fitted to some of
+matters (`lumped.lag`), limits of acceleration and deceleration (the same with `lag_limits`), or
+hold N1 (`lumped.lag_governed`). The richer form always fits better, so each is fitted to some of
 the recordings and judged by its free run over the others, where the core moves; of a single
 recording stretches take turns. Errors are compared by the geometric mean over the outputs, and the
 plainer form stands unless a richer one is better by two percent.
@@ -15,20 +15,19 @@ from dataclasses import dataclass, field
 from itertools import count, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_prep.log import Log
 from narxcal.channels import CHANNELS
-from narxcal.errors import DataError
-from narxcal.lag import core_of
-from narxcal.lag_governed import AnyLags
-from narxcal.steady_state import SteadyStateModel
+from narxcal.lumped.lag import core_of
+from narxcal.lumped.lag_governed import AnyLags
+from narxcal.steady.model import SteadyStateModel
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
 from training.config import NarxSection, RunConfig
+from training.folds import Turn, left_over, turns
 from training.lag_fit import LagSamples, moving, thinned_for_lags
-from training.material import fitted_lags, lag_samples
-from training.turns import Turn, left_over, turns
+from training.records import fitted_lags, lag_samples
 
-FloatArray = NDArray[np.float64]
 _BETTER = 0.98  # of the plainer form's error; fewer logs than in the end hold richer forms back
 _TURNS = 3
 _STRETCH_S, _STRETCHES = 30.0, 15  # at least so long, at most so many, of a single recording

@@ -1,4 +1,4 @@
-"""Fits the lags of `narxcal.lag` in free run to the deviations of training logs.
+"""Fits the lags of `narxcal.lumped.lag` in free run to the deviations of training logs.
 
 An output-error estimate of few physical parameters (Jategaonkar, Flight Vehicle System
 Identification, chapter 4) by least squares with a robust loss (soft L1): what no lag explains,
@@ -17,18 +17,14 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, maximum_filter1d, minimum_filter1d
 from scipy.optimize import least_squares
 
-from narxcal.errors import DataError
-from narxcal.lag import Drive, LagModel, core_first, core_of, thickness
-from narxcal.lag_steps import PARAMETERS
-from training.lag_start import LagForm, fans_of, free_parameters, prior_units, start_values
+from narxcal.lumped.lag import PARAMETERS, Drive, LagModel, core_first, core_of, thickness
+from narxcal.support.arrays import BoolArray, FloatArray, IntArray
+from narxcal.support.errors import DataError
+from training.lag_priors import LagForm, fans_of, free_parameters, prior_units, start_values
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 _ROBUST = 0.15  # of the deviations' spread: errors above this count less than squared
 _PRIOR = 2.0  # one unit of a parameter costs as much as this many _ROBUST once per 1000 samples
 _EVALUATIONS = {False: 15, True: 25}  # without and with limits

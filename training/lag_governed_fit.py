@@ -1,10 +1,10 @@
-"""Fits the lags of an engine whose control holds N1 (`narxcal.lag_governed`) in free run.
+"""Fits the lags of an engine whose control holds N1 (`narxcal.lumped.lag_governed`) in free run.
 
 Output error by least squares with a robust loss, as in `training.lag_fit`, but over whole logs: the
 metal's heat and the clearances show long after the lever has come to rest. Core and fan are fitted
 together, for the control closes a loop through both, and every other output behind them. Errors
 count the more the lower the output, for it is relative ones that are judged. Slopes are forward
-sensitivities (`narxcal.lag_governed_sensitivity`): with some sixty parameters, differences of runs
+sensitivities (`lag_governed_sensitivity`): with some sixty parameters, differences of runs
 cost ten times as much.
 """
 
@@ -17,21 +17,17 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from narxcal.errors import DataError
-from narxcal.lag import Drive
-from narxcal.lag_governed import FITTED, GovernedLags
-from narxcal.lag_governed_steps import LINES, OTHER_LINES, SHARES
-from narxcal.lag_steps import CASING
-from narxcal.narx import AT_START
+from narxcal.lumped.lag import CASING, Drive
+from narxcal.lumped.lag_governed import FITTED, GovernedLags
+from narxcal.lumped.lag_governed_steps import LINES, OTHER_LINES, SHARES
+from narxcal.narx.network import AT_START
+from narxcal.support.arrays import BoolArray, FloatArray, IntArray
+from narxcal.support.errors import DataError
 from training.lag_fit import LagSamples, output_scales, thinned_for_lags, zero_where_never
-from training.lag_governed_start import free_numbers, governed_start
+from training.lag_priors import free_numbers, governed_start
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 _ROBUST = 0.1  # of the deviations' spread: errors above this count less than squared
 _PRIOR = 1.0  # one unit of a parameter costs as much as this many _ROBUST once per 3000 samples
 _EVALUATIONS = 10

@@ -19,24 +19,30 @@ from data_prep.log import Log
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs
 from data_prep.recorded import recorded
-from narxcal.bundle import Bundle
-from narxcal.calibration import DynamicCalibration
-from narxcal.errors import DataError
-from narxcal.fuser_noise import NoiseModel, estimate_noise
-from narxcal.narx_config import NarxConfig
-from narxcal.records import Record
-from narxcal.steady_fitted import FittedSteadyState
-from narxcal.steady_state import SteadyStateModel
+from narxcal.calibration.bundle import Bundle
+from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.calibration.noise import NoiseModel, estimate_noise
+from narxcal.narx.config import NarxConfig
+from narxcal.record import Record
+from narxcal.steady.fitted import FittedSteadyState
+from narxcal.steady.model import SteadyStateModel
+from narxcal.support.errors import DataError
 from training.baselines import fit_baselines
 from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import RunConfig
 from training.lag_choice import chosen_lags
-from training.material import deviation_record, lags, material, structure_of
-from training.merge import merge_models, single_output
-from training.split import Split, split_logs
+from training.network import (
+    FitResult,
+    HistoryRow,
+    Material,
+    Progress,
+    fit_narx,
+    merge_models,
+    single_output,
+)
+from training.records import Split, deviation_record, lags, material, split_logs, structure_of
 from training.steady_choice import steady_state
 from training.steady_fit import SteadyQuality
-from training.trainer import FitResult, HistoryRow, Material, Progress, fit_narx
 
 __all__ = [
     "CHECKPOINT",

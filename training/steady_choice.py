@@ -22,22 +22,21 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from data_prep.equilibrium import quasi_steady
 from data_prep.hold import hold_inputs
 from data_prep.log import Log
-from data_prep.quasi_steady import quasi_steady
 from narxcal.channels import CHANNELS
-from narxcal.errors import DataError
-from narxcal.steady_fitted import Layout
-from narxcal.steady_source import open_steady
-from narxcal.steady_state import SteadyStateModel
+from narxcal.steady.fitted import Layout
+from narxcal.steady.model import SteadyStateModel
+from narxcal.steady.source import open_steady
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
 from training.config import RunConfig
-from training.material import speeds
+from training.folds import left_over, turns
+from training.records import speeds
 from training.steady_fit import SteadyQuality, SteadySamples, fit_steady_state
-from training.turns import left_over, turns
 
-FloatArray = NDArray[np.float64]
 _BETTER = 0.9  # of the usual answer's residual
 _BETTER_SWITCH = 0.97  # of the residual without it
 _ROWS = 2000  # of a log; enough to choose by

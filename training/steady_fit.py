@@ -1,4 +1,4 @@
-"""Fits the steady-state curves of `narxcal.steady_fitted` to quasi-steady samples.
+"""Fits the steady-state curves of `narxcal.steady.fitted` to quasi-steady samples.
 
 A penalised least-squares problem with signs (Eilers and Marx 1996, P-splines; Huber 1964 for
 the robust weights): unrecorded bleed or a wrong sensor for some minutes must not bend the
@@ -14,18 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from narxcal.errors import ConfigError, DataError
-from narxcal.steady_fitted import (
-    FittedSteadyState,
-    Layout,
-    corner_weights,
-    i_splines,
-    middle,
-)
-from narxcal.steady_state import Envelope
-from training.steady_config import SteadyFitConfig
+from narxcal.steady.fitted import FittedSteadyState, Layout, corner_weights, i_splines, middle
+from narxcal.steady.model import Envelope
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError, DataError
+from training.config import SteadyFitConfig
 
-FloatArray = NDArray[np.float64]
 _TURNS = 0.8  # of the residual that a monotone curve leaves
 _USUAL = SteadyFitConfig()
 _ROWS = 20000  # more quasi-steady samples than this tell nothing new

@@ -12,17 +12,16 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from narxcal.effects import Flights, Signals, effect
-from narxcal.flight_test.profile import FlightPlan, plan_flight
+from narxcal.flight_test.plan import FlightPlan, plan_flight
+from narxcal.support.arrays import FloatArray
 from narxcal.turbofan import Unmodelled, VirtualEngine
 from training.gap.control import suited
 from training.gap.emulator import GreyBoxEmulator, fit_emulators
 from training.gap.fitting import Problem, fit
 from training.gap.quadratic import misfit
 
-FloatArray = NDArray[np.float64]
 ENGINES = ("business_jet", "single_aisle")
 OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
 NOISE = np.array([0.03, 0.03, 0.5])

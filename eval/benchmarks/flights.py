@@ -1,8 +1,16 @@
-"""Leave one flight out, with the shipped configurations as they stand, against the targets."""
+"""Leave one flight out, with the shipped configurations as they stand, against the targets.
+
+The README's picture: `python -m eval.benchmarks.flights RUN OUT.png`.
+
+Shows the fast push with the largest lever movement of the first held-out log, whatever the model
+makes of it.
+"""
 
 from __future__ import annotations
 
+import argparse
 import math
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,12 +22,16 @@ from data_prep.log import Log
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs
 from eval.benchmarks.row import Bound, Row
-from eval.evaluate import Evaluation, evaluate
-from eval.runs import MODEL
+from eval.evaluate import Evaluation, evaluate, evaluation_logs, run_config
+from eval.free_run import MODEL
+from eval.report.content import EventTrace
+from eval.report.evaluation import page_of
+from eval.report.event_figures import summary_figure
 from eval.tally import Tally, tally
-from narxcal.bundle import Bundle
+from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.channels import channel
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
+from narxcal.support.files import atomic_write_bytes
 from training.config import RunConfig, load_config
 from training.crossval import leave_one_flight_out
 from training.pipeline import Split, calibrate, configured_files
@@ -184,3 +196,39 @@ def _response_times(campaign: Campaign, group: str, counts: Tally, rules: str) -
         figure = math.nan if value is None else value
         name = f"mean relative error {label}"
         yield Row(group, name, figure, "%", campaign.mean_relative_pct, bound, source)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Evaluate the first held-out log of a run and draw one event of it."""
+    parser = argparse.ArgumentParser(prog="python -m eval.benchmarks.flights", description=__doc__)
+    parser.add_argument("bundle", metavar="RUN", type=Path)
+    parser.add_argument("out", metavar="OUT.png", type=Path)
+    options = parser.parse_args(arguments)
+    bundle = load_bundle(options.bundle)
+    config, settings = run_config(bundle)
+    [one] = evaluate(bundle, evaluation_logs(bundle)[:1], None, settings).logs
+    page = page_of(one, config.events.driver, bundle.calibration.input_names)
+    picture = summary_figure(largest_push(page.events), config.events.driver)
+    atomic_write_bytes(options.out, picture)
+    return 0
+
+
+def largest_push(traces: Sequence[EventTrace]) -> EventTrace:
+    """The fast push, assessed in every channel, that moves the driver most; or `DataError`."""
+    pushes = [
+        trace
+        for trace in traces
+        if trace.event.label == 0 and trace.event.speed == "fast" and _assessed(trace)
+    ]
+    if not pushes:
+        raise DataError("no fast push could be assessed in every channel")
+    return max(pushes, key=lambda trace: trace.event.lever_after - trace.event.lever_before)
+
+
+def _assessed(trace: EventTrace) -> bool:
+    verdicts = [response.verdict for response in trace.responses.values()]
+    return all(verdict is not None and verdict.ok is not None for verdict in verdicts)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

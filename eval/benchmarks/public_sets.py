@@ -17,15 +17,14 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from eval.benchmarks.row import Row
-from narxcal.narx_config import NarxConfig
-from narxcal.records import Record
+from narxcal.narx.config import NarxConfig
+from narxcal.record import Record
+from narxcal.support.arrays import FloatArray
 from training.config import TrainConfig
 from training.estimator import Narx
 
-FloatArray = NDArray[np.float64]
 TURNS = 4
 _GROUP = "public sets"
 _SOURCE = "bench/README.md: tsfast 0.5 NARX, free run, compiled"

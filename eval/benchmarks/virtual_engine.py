@@ -1,6 +1,10 @@
 """The virtual engine against published figures: `python -m eval.benchmarks.virtual_engine`.
 
 Prints the table of `docs/virtual_engine.md`; `--figures FOLDER` draws its pictures as well.
+
+Pictures of the virtual engine: its compressor maps with running lines, and slams.
+
+Manoeuvres that show what the virtual engine is like: slams, and points of equal thrust.
 """
 
 from __future__ import annotations
@@ -13,25 +17,193 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from eval.benchmarks import engine_figures, engine_manoeuvres
-from eval.benchmarks.engine_manoeuvres import at
 from eval.benchmarks.row import Row
-from narxcal.errors import ModelError
+from narxcal.atmosphere import air_state
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ModelError
 from narxcal.turbofan import VirtualEngine
-from narxcal.turbofan.maps import SURGE
-from narxcal.turbofan.presets import PRESETS
-from narxcal.turbofan.stations import Health
-from narxcal.turbofan.unmodelled import Unmodelled
-from narxcal.turbofan.virtual_engine import COMPRESSORS, HIGH, LOW
+from narxcal.turbofan.cycle import GasPath, Health
+from narxcal.turbofan.design import PRESETS, close
+from narxcal.turbofan.engine import COMPRESSORS, HIGH, INPUT_NAMES, LOW, Unmodelled
+from narxcal.turbofan.maps import SURGE, CompressorMap, compressor
 
-FloatArray = NDArray[np.float64]
+HZ = 32
+CONDITIONS = {
+    "ground": {"WOW": 1.0},
+    "sea level": {},
+    "10 kft": {"ALT_ft": 10000.0, "Mach": 0.4},
+    "35 kft": {"ALT_ft": 35000.0, "Mach": 0.8},
+}
+_UP_S, _DOWN_S, _END_S = 2.0, 42.0, 82.0
+_MANOEUVRE_N1, _MANOEUVRE_EGT, _MANOEUVRE_FN = 0, 2, 4
+
+
+class Slam(NamedTuple):
+    """Idle to take-off at once, and back 40 s later; seconds from the lever's move."""
+
+    idle_share: float  # net thrust of idle over that of take-off
+    rise_s: float  # to 95 % of take-off thrust
+    fall_s: float  # back to idle N1 + 5 %
+    overshoot_pct: float  # of N1, over its command
+    bloom_C: float  # EGT 15 s after the push, above its settled value
+    surge_share: float  # largest HPC angle over that of surge
+
+
+def log(angle: FloatArray, condition: str) -> dict[str, FloatArray]:
+    """Inputs (time,) with the lever at `angle` (time,) in one of the `CONDITIONS`."""
+    fixed = CONDITIONS[condition]
+    found = {name: np.full(len(angle), fixed.get(name, 0.0)) for name in INPUT_NAMES}
+    return found | {"TRA_deg": angle}
+
+
+def weaving(duration_s: float) -> FloatArray:
+    """A lever that never rests, at 32 Hz: (time,)."""
+    t = np.arange(int(duration_s * HZ)) / HZ
+    return np.asarray(42.5 - 42.5 * np.cos(0.25 * t) * np.cos(0.031 * t))
+
+
+def at(engine: VirtualEngine, **inputs: float) -> FloatArray:
+    """Settled outputs (7,) at take-off lever, sea level static, but for `inputs`."""
+    return engine.outputs(np.array([inputs.get(n, 85.0 * (n == "TRA_deg")) for n in INPUT_NAMES]))
+
+
+def slam(engine: VirtualEngine, condition: str) -> Slam:
+    """Fly the slam in one of the `CONDITIONS`."""
+    t = np.arange(int(_END_S * HZ)) / HZ
+    angle = np.where((t >= _UP_S) & (t < _DOWN_S), 85.0, 0.0)
+    run = engine.simulate(log(angle, condition), 1.0 / HZ)
+    idle, top = (at(engine, TRA_deg=a, **CONDITIONS[condition]) for a in (0.0, 85.0))
+    pushed = (t >= _UP_S) & (t < _DOWN_S)
+    return Slam(
+        idle_share=idle[_MANOEUVRE_FN] / top[_MANOEUVRE_FN],
+        rise_s=float(t[np.argmax(pushed & (run["FN_kN"] >= 0.95 * top[_MANOEUVRE_FN]))]) - _UP_S,
+        fall_s=float(t[np.argmax((t >= _DOWN_S) & (run["N1_pct"] <= idle[_MANOEUVRE_N1] + 5.0))])
+        - _DOWN_S,
+        overshoot_pct=float(run["N1_pct"][pushed].max()) - top[_MANOEUVRE_N1],
+        bloom_C=float(np.interp(_UP_S + 15.0, t, run["EGT_C"])) - top[_MANOEUVRE_EGT],
+        surge_share=float(run["hpc_angle"].max()) / SURGE,
+    )
+
+
+def at_thrust(
+    engine: VirtualEngine, place: tuple[float, float], shares: tuple[float, ...]
+) -> FloatArray:
+    """Inputs (n, 9) that give these shares of full thrust at `place` (altitude in ft, Mach).
+
+    The ground idle reaches furthest down; a share that the lever cannot reach is taken at idle.
+    """
+    u = np.zeros((300, 9))
+    u[:, 0], u[:, 1], u[:, 2], u[:, 4] = np.linspace(0.0, 85.0, len(u)), *place, 1.0
+    thrust = engine.outputs(u)[:, _MANOEUVRE_FN]
+    found = u[: len(shares)].copy()
+    found[:, 0] = np.interp(np.array(shares) * thrust[-1], thrust, u[:, 0])
+    return found
+
+
+def likeness(engine: VirtualEngine, altitude_ft: float) -> float:
+    """Slow lag at altitude over that at sea level, both static, over `sqrt(theta) / delta`.
+
+    At equal corrected N1 the law of NACA TR-1011 makes this one.
+    """
+    air = air_state(altitude_ft)
+    up = np.zeros((1, 9))
+    up[0, :2] = 40.0, altitude_ft
+    wanted = float(engine.outputs(up)[0, _MANOEUVRE_N1] / np.sqrt(air.theta2))
+    u = np.zeros((300, 9))
+    u[:, 0] = np.linspace(0.0, 85.0, len(u))
+    low = u[:1].copy()
+    low[0, 0] = np.interp(wanted, engine.outputs(u)[:, _MANOEUVRE_N1], u[:, 0])
+    ratio = engine.linearised(up)[0].lags_s[0] / engine.linearised(low)[0].lags_s[0]
+    return float(ratio * air.delta2 / np.sqrt(air.theta2))
+
+
+_SPEEDS = np.arange(0.3, 1.11, 0.1)
+_LINES = (("sea level static", 0.0, 0.0), ("35 kft, Mach 0.78", 35000.0, 0.78))
+_OUTPUTS = (("N1_pct", "N1, %"), ("N2_pct", "N2, %"), ("EGT_C", "EGT, degC"), ("FN_kN", "FN, kN"))
+
+
+def draw(folder: Path) -> None:
+    """Write `virtual_engine_maps.png` and `virtual_engine_slams.png` into `folder`."""
+    for name, figure in (("maps", maps()), ("slams", slams())):
+        figure.savefig(folder / f"virtual_engine_{name}.png", dpi=80, metadata={"Software": None})
+
+
+def maps() -> Figure:
+    """All compressor maps, an engine a row, with two settled running lines."""
+    figure = Figure(figsize=(13.0, 7.0), layout="constrained")
+    grid = figure.subplots(len(PRESETS), len(COMPRESSORS))
+    for row, name in zip(grid, PRESETS, strict=True):
+        path = close(PRESETS[name].point, PRESETS[name].shape).path
+        for axes, part in zip(row, COMPRESSORS, strict=True):
+            _map(axes, getattr(path, part))
+            for line in _LINES:
+                axes.plot(
+                    *_running_line(VirtualEngine(name), path, part, line), lw=1.6, label=line[0]
+                )
+            axes.set_title(f"{name}: {part.upper()}")
+        row[0].set_ylabel("pressure ratio")
+    for axes in grid[-1]:
+        axes.set_xlabel("corrected flow, kg/s")
+    grid[0][0].legend(loc="upper left", fontsize=8)
+    return figure
+
+
+def _map(axes: Axes, chart: CompressorMap) -> None:
+    """Speed lines from choke to surge, the backbone, and the surge line."""
+    angles = np.linspace(0.0, SURGE, 60)
+    for speed in _SPEEDS:
+        flow, ratio = np.array([compressor(chart, speed, a)[:2] for a in angles]).T
+        axes.plot(flow, ratio, color="0.7", lw=0.8)
+        axes.annotate(f"{speed:.1f}", (flow[0], ratio[0]), fontsize=6, color="0.5")
+    for angle, style, label in ((0.5 * SURGE, ":", "backbone"), (SURGE, "-", "surge")):
+        ends = np.array([compressor(chart, speed, angle)[:2] for speed in _SPEEDS]).T
+        axes.plot(*ends, style, color="k", lw=1.0, label=label)
+
+
+def _running_line(
+    engine: VirtualEngine, path: GasPath, part: str, line: tuple[str, float, float]
+) -> FloatArray:
+    """Corrected flow and pressure ratio from idle to take-off, (2, 60)."""
+    u = np.zeros((60, 9))
+    u[:, 0], u[:, 1], u[:, 2] = np.linspace(0.0, 85.0, len(u)), *line[1:]
+    u[:, 4] = float(line[1] == 0.0)
+    solved = engine.gas_path(u)
+    speed = solved["n1"] / air_state(*line[1:]).theta2 ** 0.5
+    if part == "hpc":
+        speed = solved["n2"] * (path.hpc_reference_K / solved["T21"]) ** 0.5
+    chart, angle = getattr(path, part), solved[f"{part}_angle"]
+    return np.array([compressor(chart, n, a)[:2] for n, a in zip(speed, angle, strict=True)]).T
+
+
+def slams() -> Figure:
+    """N1, N2, EGT and thrust of a slam and a chop, low and high."""
+    figure = Figure(figsize=(13.0, 6.0), layout="constrained")
+    grid = figure.subplots(len(PRESETS), len(_OUTPUTS), sharex=True)
+    t = np.arange(40 * HZ) / HZ
+    angle = np.where((t >= 2.0) & (t < 20.0), 85.0, 0.0)
+    for row, name in zip(grid, PRESETS, strict=True):
+        engine = VirtualEngine(name)
+        for condition in CONDITIONS:
+            inputs = log(angle, condition)
+            run = engine.simulate(inputs, 1.0 / HZ)
+            for axes, (channel, label) in zip(row, _OUTPUTS, strict=True):
+                axes.plot(t, run[channel], lw=1.2, label=condition)
+                axes.set_ylabel(label)
+        row[0].set_title(name)
+    for axes in grid[-1]:
+        axes.set_xlabel("time, s")
+    grid[0][0].legend(fontsize=8)
+    return figure
+
+
 GROUP = "virtual engine"
 _N1, _N2, _EGT, _FF, _FN = range(5)
 
 
-class Figure(NamedTuple):
+class PublishedFigure(NamedTuple):
     """A published figure beside that of each engine, in the order of `PRESETS`."""
 
     name: str
@@ -50,7 +222,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     sys.stdout.write(markdown(figures()))
     if options.figures:
-        engine_figures.draw(options.figures)
+        draw(options.figures)
     return 0
 
 
@@ -60,12 +232,12 @@ def rows(duration_s: float = 600.0, points: int = 1000) -> list[Row]:
     for name in PRESETS:
         engine = VirtualEngine(name)
         ratio, note = _speed(engine, duration_s)
-        slam = engine_manoeuvres.slam(engine, "sea level")
+        pushed = slam(engine, "sea level")
         issue = "issue: a flight of 10 minutes in 2 s"
         rule = "14 CFR 33.73: flight idle to 95 % of take-off thrust"
         found += [
             Row(GROUP, f"{name}, simulated", ratio, "x real time", 300.0, "at least", issue, note),
-            Row(GROUP, f"{name}, slam to 95 % thrust", slam.rise_s, "s", 5.0, "at most", rule),
+            Row(GROUP, f"{name}, slam to 95 % thrust", pushed.rise_s, "s", 5.0, "at most", rule),
             Row(
                 GROUP,
                 f"{name}, settled points without solution",
@@ -82,7 +254,7 @@ def rows(duration_s: float = 600.0, points: int = 1000) -> list[Row]:
 
 def _speed(engine: VirtualEngine, duration_s: float) -> tuple[float, str]:
     """Simulated over wall time of a lever that never rests, after a run that compiles."""
-    u = engine_manoeuvres.log(engine_manoeuvres.weaving(duration_s), "sea level")
+    u = log(weaving(duration_s), "sea level")
     engine.simulate({name: value[:64] for name, value in u.items()}, 1.0 / 32.0)
     wall, busy = time.perf_counter(), time.process_time()
     engine.simulate(u, 1.0 / 32.0)
@@ -106,15 +278,16 @@ def _settles(engine: VirtualEngine, u: FloatArray) -> bool:
     return True
 
 
-def figures() -> list[Figure]:
+def figures() -> list[PublishedFigure]:
     """All figures, measured now."""
     columns = [_column(VirtualEngine(name)) for name in PRESETS]
     return [
-        Figure(*head, tuple(column[k] for column in columns)) for k, head in enumerate(_PUBLISHED)
+        PublishedFigure(*head, tuple(column[k] for column in columns))
+        for k, head in enumerate(_PUBLISHED)
     ]
 
 
-def markdown(found: Sequence[Figure]) -> str:
+def markdown(found: Sequence[PublishedFigure]) -> str:
     """The table of `docs/virtual_engine.md`."""
     lines = [f"| figure | unit | published | source | {' | '.join(PRESETS)} |", "|---" * 6 + "|"]
     for row in found:
@@ -171,7 +344,7 @@ def _column(engine: VirtualEngine) -> list[float]:
 
 
 def _manoeuvres(engine: VirtualEngine) -> list[float]:
-    found = {name: engine_manoeuvres.slam(engine, name) for name in engine_manoeuvres.CONDITIONS}
+    found = {name: slam(engine, name) for name in CONDITIONS}
     sea, ground = found["sea level"], found["ground"]
     return [
         100.0 * sea.idle_share,
@@ -188,11 +361,11 @@ def _manoeuvres(engine: VirtualEngine) -> list[float]:
 
 def _lags(engine: VirtualEngine) -> list[float]:
     """Time constants at sea level static and at 35 kft, 10 % and full thrust; EGT's overshoot."""
-    low = engine.linearised(engine_manoeuvres.at_thrust(engine, (0.0, 0.0), (0.1, 1.0)))
-    high = engine.linearised(engine_manoeuvres.at_thrust(engine, (35000.0, 0.78), (0.1, 1.0)))
+    low = engine.linearised(at_thrust(engine, (0.0, 0.0), (0.1, 1.0)))
+    high = engine.linearised(at_thrust(engine, (35000.0, 0.78), (0.1, 1.0)))
     idle, top = (point.lags_s[0] for point in low)
     idle_up, top_up = (point.lags_s[0] for point in high)
-    alike = engine_manoeuvres.likeness(engine, 35000.0)
+    alike = likeness(engine, 35000.0)
     ratios = [idle / top, top_up / top, idle_up / idle, alike]
     return [top, idle, *ratios, low[1].overshoot, low[0].overshoot]
 
@@ -203,7 +376,7 @@ def _shifts(engine: VirtualEngine) -> list[float]:
     bled = VirtualEngine(engine.preset.name, unmodelled=[effect])
     plain, ecs, nai, warm = (at(engine, **on) for on in ({}, {"ECS": 1}, {"NAI": 1}, {"dT_C": 10}))
     return [
-        engine_manoeuvres.slam(engine, "sea level").bloom_C,
+        slam(engine, "sea level").bloom_C,
         (at(bled, ECS=1) - ecs)[_EGT],
         (ecs - plain)[_EGT],
         (nai - plain)[_EGT],

@@ -22,7 +22,6 @@ from data_prep.log import Log
 from data_prep.moves import bridged
 from eval.gap.blocks import block_means
 from eval.gap.claimed import Values, claimed_in, settings, with_effects
-from eval.gap.data import FloatArray
 from eval.gap.document import SCHEMA
 from eval.gap.simulators import Simulate
 from eval.gap.stored_emulator import read_emulator, signals_from_json
@@ -31,7 +30,8 @@ from narxcal.channels import CHANNELS
 from narxcal.effects.base import InputEffect, SettledEffect, ShiftEffect, Signals
 from narxcal.effects.running import Flights, Setting, acts_inside, arrived, read
 from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
-from narxcal.errors import ConfigError, DataError, ModelError
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError, DataError, ModelError
 from training.gap.emulator import GreyBoxEmulator
 
 INPUTS = "on its inputs, and the simulator run again"

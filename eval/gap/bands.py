@@ -12,7 +12,8 @@ import numpy as np
 from scipy.signal import csd, welch
 
 from data_prep.moves import bridged
-from eval.gap.data import FloatArray, GapData
+from eval.gap.data import GapData
+from narxcal.support.arrays import FloatArray
 
 EDGES_HZ = (0.0, 0.03, 0.1, 0.3, 1.0, 1e9)
 _SEGMENT_S = 128.0

@@ -10,13 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_prep.events import Event
-from eval.crossings import HIGH, LOW
-from eval.gap.data import FloatArray, GapData
+from eval.gap.data import GapData
+from eval.response import HIGH, LOW
+from narxcal.support.arrays import FloatArray, IntArray
 
-IntArray = NDArray[np.int64]
 Regimes = dict[str, tuple[tuple[str, ...], IntArray]]
 DIRECTIONS = ("push", "pull", "steady")
 PHASES = ("initiation", "transit", "settling", "steady")

@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from data_prep.moves import noise_of
-from eval.gap.data import FloatArray, GapData, Pair
+from eval.gap.data import GapData, Pair
 from narxcal.effects.base import Signals
 from narxcal.effects.running import Flights
+from narxcal.support.arrays import FloatArray
 
 RATE_HZ = 8.0
 KEEP_HZ = 12.0  # slower logs are taken as they are

@@ -7,11 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from eval.gap.claimed import Values, claimed
-from eval.gap.data import FloatArray, GapData, Pair
+from eval.gap.data import GapData, Pair
 from eval.gap.evidence import Evidence
 from eval.gap.parts import FEWEST
 from narxcal.effects.base import InputEffect, RateEffect, SettledEffect, ShiftEffect
 from narxcal.effects.library import effect
+from narxcal.support.arrays import FloatArray
 
 _UNKNOWN = 0.01  # of the samples
 _COARSE, _LOUD = 0.5, 0.1  # an emulator's error against the gap, a channel's share of the gap

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from eval.gap.summary import effect_name
 from eval.report import style
-from eval.report.svg import Picture, picture
+from eval.report.style import Picture, picture
 
 _MOST_EFFECTS, _MOST_MODELS = 12, 15
 _ROW, _LEFT, _WIDTH = 0.26, 2.5, 8.6  # inches

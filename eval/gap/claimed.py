@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from eval.gap.data import FloatArray, GapData
+from eval.gap.data import GapData
 from narxcal.effects.base import Signals
 from narxcal.effects.library import effect
 from narxcal.effects.running import Emulator, Flights, Setting, respond
-from narxcal.errors import ConfigError
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError
 from training.gap.diagnosis import OFFSETS
 from training.gap.finding import Finding, Tried
 

@@ -6,12 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from narxcal.effects.running import Flights
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from narxcal.support.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

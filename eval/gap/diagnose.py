@@ -27,11 +27,11 @@ from eval.gap.rerun import Rerun
 from eval.gap.simulators import Simulate, open_simulator
 from eval.gap.stored_emulator import signals_to_json
 from eval.gap.where import locate
-from narxcal.effects.base import FloatArray
 from narxcal.effects.running import Emulator
 from narxcal.effects.steady import UnloggedSwitch
-from narxcal.errors import DataError
-from narxcal.versions import versions
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
+from narxcal.support.files import versions
 from training.config import RunConfig
 from training.gap.control import suited
 from training.gap.diagnosis import diagnose

@@ -16,7 +16,7 @@ from eval.gap.lever_drawings import hysteresis, lever_bias, lever_in_time
 from eval.gap.response_drawings import over_altitude, step_response, time_constants
 from eval.gap.shift_drawings import sensor_error, shift_bars, soak, wear
 from eval.gap.sketch import Sketch
-from eval.report.svg import Picture, picture
+from eval.report.style import Picture, picture
 from narxcal.effects.base import Effect, Parameter, Signals
 from training.gap.finding import Interval
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from eval.gap.data import FloatArray, GapData
+from eval.gap.data import GapData
 from eval.gap.hidden_load import Spell
 from eval.gap.where import Where
+from narxcal.support.arrays import FloatArray
 from training.gap.finding import ChannelShrink, Finding, Interval
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from data_prep.events import PULL, PUSH, Event, EventsConfig, find_events
 from data_prep.log import Log
 from eval.gap.data import GapData
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 
 FEWEST = 3  # pushes, and pulls, over all flights: fewer say nothing about their spread
 _FUEL_FRACTION = 0.05  # a fuel flow wanders more than a lever does

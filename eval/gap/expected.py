@@ -21,8 +21,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import t
 
-from eval.gap.data import FloatArray, GapData
+from eval.gap.data import GapData
 from eval.gap.realised import pooled_share, squares
+from narxcal.support.arrays import FloatArray
 from training.gap.finding import Interval
 from training.gap.quadratic import TOLERANCE
 

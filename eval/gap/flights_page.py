@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from eval.gap.flights_steps import FlightStudy, level_interval
 from eval.report import style
-from narxcal.atomic import atomic_write_bytes
+from narxcal.support.files import atomic_write_bytes
 from training.gap.finding import Interval
 
 NAME = "citation_gap"

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from narxcal.effects.base import FloatArray
 from narxcal.effects.memory import Lag
 from narxcal.effects.steady import FOLLOW_S
+from narxcal.support.arrays import FloatArray
 from training.gap.finding import Interval
 from training.gap.path_windows import Windows
 

@@ -20,8 +20,8 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from data_prep.log import Log
 from eval.gap.flights_page import write_page
 from eval.gap.flights_steps import FlightStudy, Judged, followed, level, steps
-from narxcal.effects.base import FloatArray
-from narxcal.errors import DataError
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
 from training.config import RunConfig, load_config
 from training.crossval import leave_one_flight_out
 from training.gap.path_windows import Windows

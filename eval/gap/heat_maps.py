@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from eval.gap.bins import MOVES
-from eval.gap.data import FloatArray
 from eval.report import style
-from eval.report.svg import Picture, picture
+from eval.report.style import Picture, picture
+from narxcal.support.arrays import FloatArray
 
 _CELL_W, _CELL_H, _LEFT = 0.82, 0.5, 0.75  # inches
 _DARK = 0.55  # of the map's range: beyond it letters are white

@@ -9,10 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from eval.gap.data import FloatArray, GapData
+from eval.gap.data import GapData
 from narxcal.effects.running import Flights
 from narxcal.effects.steady import UNLOGGED
-from narxcal.errors import DataError
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
 from training.gap.unlogged import with_load
 
 _RATE = 0.01

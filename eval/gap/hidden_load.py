@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from eval.gap.claimed import Values, with_effects
-from eval.gap.data import FloatArray, GapData, Pair
+from eval.gap.data import GapData, Pair
 from narxcal.effects.base import Signals
 from narxcal.effects.running import Emulator, Flights
 from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
+from narxcal.support.arrays import FloatArray
 from training.gap.finding import Finding
 from training.gap.quadratic import misfit
 from training.gap.unlogged import Load, find_known_load, find_load, with_load

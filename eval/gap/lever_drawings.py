@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from eval.gap.sketch import FloatArray, Sketch, band, finish, panel
+from eval.gap.sketch import Sketch, band, finish, panel
 from eval.report import style
 from narxcal.effects.base import InputEffect, Run, Signals
+from narxcal.support.arrays import FloatArray
 
 _DT_S = 0.02
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from data_prep.config import LogsConfig
 from data_prep.log import Log
-from data_prep.logs_config import LogsConfig
 from data_prep.reading import open_table, read_logs
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 from training.config import RunConfig
 
 SUFFIXES = (".csv.gz", ".csv")

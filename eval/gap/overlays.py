@@ -9,11 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from data_prep.events import PUSH, Event
-from eval.gap.data import FloatArray, GapData
+from eval.gap.data import GapData
 from eval.gap.evidence import Evidence
 from eval.gap.excitation import events_of
 from eval.report import style
-from eval.report.svg import Picture, picture
+from eval.report.style import Picture, picture
+from narxcal.support.arrays import FloatArray
 from training.gap.quadratic import TOLERANCE
 
 _LEAD_S, _TAIL_S, _LEAST_S = 4.0, 6.0, 20.0

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from data_prep.log import Log
-from eval.gap.data import FloatArray
 from narxcal.channels import CHANNELS
-from narxcal.errors import ConfigError, ModelError, NarxcalError
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError, ModelError, NarxcalError
 
 _TAKES = "It takes ({channel: (time,)}, dt_s) and returns {channel: (time,)}"
 _Told = Mapping[str, FloatArray]

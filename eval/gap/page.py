@@ -13,7 +13,7 @@ from eval.gap.summary import effect_name
 from eval.gap.verdict_box import next_flights, tiles, verdict_box
 from eval.report.content import RunHeader
 from eval.report.page import render
-from eval.report.svg import Picture
+from eval.report.style import Picture
 from narxcal.effects.library import effect
 from training.gap.finding import Interval
 

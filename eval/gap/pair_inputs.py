@@ -6,9 +6,9 @@ import numpy as np
 
 from data_prep.hold import hold_inputs
 from data_prep.log import Log
-from eval.gap.data import FloatArray
 from narxcal.channels import CHANNELS
-from narxcal.errors import DataError
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
 
 # Samples of an input may differ by this part of the channel's range, and few of them by more.
 _ROUNDING, _FEW = 2e-3, 1e-3

@@ -8,8 +8,8 @@ import numpy as np
 
 from data_prep.log import Log
 from data_prep.moves import bridged
-from eval.gap.data import FloatArray
-from narxcal.errors import DataError
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
 
 SPEEDS = ("N1_pct", "N2_pct")
 DIAGNOSED = (*SPEEDS, "EGT_C", "FF_kgph")

@@ -23,7 +23,7 @@ from eval.gap.pair_inputs import inputs_of, is_input
 from eval.gap.pair_outputs import DIAGNOSED, check_recorded, complete, lone, outputs_of
 from eval.gap.simulators import Simulate
 from narxcal.channels import CHANNELS
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 from training.config import RunConfig
 
 __all__ = ["DIAGNOSED", "check_apart", "match_simulated", "pair_logs", "read_folder", "read_pairs"]

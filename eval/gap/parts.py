@@ -8,7 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from eval.gap.data import FloatArray, Pair
+from eval.gap.data import Pair
+from narxcal.support.arrays import FloatArray
 
 FEWEST = 3  # flights
 _LEAST_S, _MOST = 300.0, 6

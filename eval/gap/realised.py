@@ -12,10 +12,11 @@ import numpy as np
 
 from data_prep.events import Event
 from eval.gap.claimed import Values, with_effects
-from eval.gap.data import FloatArray, GapData
+from eval.gap.data import GapData
 from eval.gap.evidence import HeldOut, TimeShrink
 from eval.gap.times import TimeErrors, time_errors
 from narxcal.effects.running import Emulator
+from narxcal.support.arrays import FloatArray
 from training.gap.finding import ChannelShrink
 from training.gap.quadratic import TOLERANCE
 

@@ -14,12 +14,12 @@ import numpy as np
 from data_prep.log import Log
 from data_prep.moves import bridged
 from eval.gap.blocks import block_means
-from eval.gap.data import FloatArray
 from eval.gap.simulators import Simulate
 from narxcal.channels import CHANNELS
 from narxcal.effects.pace import Pace
 from narxcal.effects.running import Emulator, Flights, Shift
-from narxcal.errors import ModelError
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ModelError
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from eval.gap.sketch import FloatArray, Sketch, band, bar, finish, number, panel
+from eval.gap.sketch import Sketch, band, bar, finish, number, panel
 from eval.report import style
 from narxcal.effects.base import Signals
 from narxcal.effects.memory import Lag
+from narxcal.support.arrays import FloatArray
 from training.gap.finding import Interval
 
 _EITHER = 0.5  # of a share that is all or nothing

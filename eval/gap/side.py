@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eval.gap.data import FloatArray, GapData
+from eval.gap.data import GapData
+from narxcal.support.arrays import FloatArray
 from training.gap.quadratic import TOLERANCE
 
 _ALONE = 0.6  # share of one channel from which on the others may just not have been hit

@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from data_prep.log import Log
-from eval.gap.data import FloatArray
 from eval.gap.own_function import open_function
-from narxcal.bundle import DOCUMENT, load_bundle
+from narxcal.calibration.bundle import DOCUMENT, load_bundle
 from narxcal.channels import CHANNELS
-from narxcal.errors import ConfigError, ModelError
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError, ModelError
 from training.pipeline import calibration_for
 
 ENGINES = ("business_jet", "single_aisle")
@@ -59,7 +59,7 @@ def open_simulator(source: str) -> Simulator:
 
 def _virtual_engine(name: str) -> Simulate:
     """The engine as built; inputs that noise carries out of its envelope are moved back in."""
-    home = importlib.import_module("narxcal.turbofan.virtual_engine")
+    home = importlib.import_module("narxcal.turbofan.engine")
     engine = home.VirtualEngine(name)
 
     def simulate(log: Log) -> Mapping[str, FloatArray]:

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from eval.report import style
 from narxcal.effects.base import Effect, Signals
+from narxcal.support.arrays import FloatArray
 from training.gap.finding import Interval
 
-FloatArray = NDArray[np.float64]
 WIDTH, HEIGHT = 4.6, 2.7  # in inches
 
 

@@ -17,9 +17,9 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 
-from eval.gap.data import FloatArray
 from narxcal.effects.base import Signals
-from narxcal.errors import ModelError
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ModelError
 from narxcal.two_spool import TwoSpool
 from training.gap.emulator import GreyBoxEmulator
 from training.gap.settled import SettledModel

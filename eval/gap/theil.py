@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eval.gap.data import FloatArray, GapData
+from eval.gap.data import GapData
+from narxcal.support.arrays import FloatArray
 
 
 class Theil(NamedTuple):

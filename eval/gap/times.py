@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from data_prep.events import PUSH, Event
-from eval.gap.data import FloatArray, GapData
+from eval.gap.data import GapData
 from eval.response import Transient, TransientConfig, measure_transient
+from narxcal.support.arrays import FloatArray
 
 _LEAST = 0.08  # of the channel's range: the smallest response that is read
 _BEFORE_S, _AFTER_S = 1.0, 8.0

@@ -15,11 +15,12 @@ import numpy as np
 from data_prep.events import Event
 from eval.gap.bands import Band, bands_of
 from eval.gap.bins import MOVES, Bins, sort_samples
-from eval.gap.data import FloatArray, GapData
+from eval.gap.data import GapData
 from eval.gap.excitation import events_of
 from eval.gap.side import Sides, side_of
 from eval.gap.theil import Theil, theil_of
 from eval.gap.times import TimeErrors, time_errors
+from narxcal.support.arrays import FloatArray
 from training.gap.finding import Interval
 from training.gap.quadratic import TOLERANCE, misfit
 

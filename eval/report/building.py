@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from data_prep.events import Event
-from data_prep.log import FloatArray, Log
+from data_prep.log import Log
 from eval.report.content import (
     ChannelTrace,
     EventTrace,
@@ -20,6 +20,7 @@ from eval.report.content import (
 from eval.residuals import autocorrelation, cross_correlation
 from eval.transients import Assessment
 from narxcal.channels import CHANNELS
+from narxcal.support.arrays import FloatArray
 
 # Seconds shown before the lever moves, so that a reader sees the level it moves from.
 LEAD_S = 3.0

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from data_prep.log import Audit, FloatArray, Source
+from data_prep.log import Audit, Source
 from eval.residuals import Correlation
 from eval.tally import Tally
 from eval.transients import Transient, Verdict
+from narxcal.support.arrays import FloatArray
 
 if TYPE_CHECKING:
     from data_prep.events import Event

@@ -9,13 +9,13 @@ import numpy as np
 
 from data_prep.ranking import pearson
 from eval.evaluate import Evaluation, LogEvaluation
+from eval.free_run import ARX, FIRST_ORDER, MODEL, STEADY_STATE
 from eval.report.building import log_page, residual_tests, traces_of
 from eval.report.content import LogPage, Offsets, RunHeader, Score
 from eval.report.page import Outcome, outcome
-from eval.runs import ARX, FIRST_ORDER, MODEL, STEADY_STATE
 from eval.scores import ChannelScores
 from eval.tally import Tally, tally
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 
 _NAMES = {STEADY_STATE: "steady state", FIRST_ORDER: "first order", ARX: "ARX"}
 

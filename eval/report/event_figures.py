@@ -9,11 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from data_prep.log import FloatArray
 from eval.report import style
 from eval.report.content import ChannelTrace, EventTrace, Response
-from eval.report.svg import Picture, picture
+from eval.report.style import Picture, picture
 from eval.report.windows import allowed_times
+from narxcal.support.arrays import FloatArray
 
 _TI, _TT = style.GOOD, "#cc79a7"
 

@@ -1,17 +1,25 @@
-"""The three pages: one self-contained HTML text each, readable from a file without a network."""
+"""The three pages: one self-contained HTML text each, readable from a file without a network.
+
+What a reproduced study puts on its page: the paper's claims beside ours, tables, figures.
+
+The page of a reproduced paper: every claim in one table, then study by study.
+"""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
+from typing import Any
 
 import jinja2
 
 from data_prep.log import Audit
-from eval.report import event_figures, event_tables, figures, study_figures, tables
+from eval.report import event_figures, figures, tables
+from eval.report import figures as study_figures
+from eval.report import tables as event_tables
 from eval.report.content import (
     EventTrace,
     LogPage,
@@ -21,9 +29,9 @@ from eval.report.content import (
     WindowTrial,
 )
 from eval.report.panel import panel
-from eval.report.style import symbol, unit
-from eval.report.svg import Picture
-from narxcal.atomic import atomic_write_text
+from eval.report.style import Picture, symbol, unit
+from eval.report.tables import NOTHING, Cell, Table, number
+from narxcal.support.files import atomic_write_text
 
 WORST_EVENTS = 3
 
@@ -216,3 +224,140 @@ def _environment() -> jinja2.Environment:
 def render(template: str, **content: object) -> str:
     """Fill a template of this package."""
     return _environment().get_template(template).render(**content)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Claim:
+    """One claim and what we found; `origin` says who makes it: the paper, or our own goal.
+
+    `value` in `unit` is held against `bound`: `below` says on which side it has to be. `met` is
+    None where there was nothing to measure. `remark` is for the reader, above all where ours is
+    the worse figure.
+    """
+
+    what: str
+    claimed: str
+    value: float
+    bound: float
+    unit: str = ""
+    below: bool = True
+    origin: str = "paper"
+    remark: str = ""
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the value is on the good side of the bound."""
+        if not math.isfinite(self.value):
+            return None
+        return self.value < self.bound if self.below else self.value >= self.bound
+
+    @property
+    def ours(self) -> str:
+        """The value in words."""
+        whole = math.isfinite(self.value) and float(self.value).is_integer()
+        text = f"{self.value:.0f}" if whole else number(self.value)
+        return f"{text} {self.unit}" if self.unit and text != NOTHING else text
+
+    def row(self) -> dict[str, Any]:
+        """JSON-able values; None where nothing was measured."""
+        return {
+            "what": self.what,
+            "origin": self.origin,
+            "claimed": self.claimed,
+            "ours": self.value if math.isfinite(self.value) else None,
+            "unit": self.unit,
+            "bound": self.bound,
+            "met": self.met,
+            "remark": self.remark,
+        }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Study:
+    """One study of a paper: `source` is where the paper has it, `text` how ours was done.
+
+    `results` is what `reproduce.json` holds of it, beside the claims; `sheets` are logs of
+    which every event is drawn.
+    """
+
+    key: str
+    title: str
+    source: str
+    text: str
+    claims: Sequence[Claim] = ()
+    tables: Sequence[Table] = ()
+    pictures: Sequence[Picture] = ()
+    sheets: Sequence[LogPage] = ()
+    results: Mapping[str, Any] = field(default_factory=dict)
+
+    def row(self) -> dict[str, Any]:
+        """One entry of `studies`."""
+        return {
+            "study": self.key,
+            "title": self.title,
+            "source": self.source,
+            "claims": [claim.row() for claim in self.claims],
+            **self.results,
+        }
+
+
+def or_nan(value: float | None) -> float:
+    """Turn what a table leaves out into what a claim leaves open."""
+    return math.nan if value is None else float(value)
+
+
+def claim_table(claims: Sequence[Claim], caption: str = "") -> Table:
+    """Each claim with our figure beside it and, where ours falls short, a mark."""
+    remarks = any(claim.remark for claim in claims)
+    head = ("claim", "made by", "claimed", "ours", "outcome", *(("remark",) if remarks else ()))
+    rows = tuple(
+        (
+            Cell(claim.what, "head"),
+            Cell(claim.origin),
+            Cell(claim.claimed),
+            Cell(claim.ours, number=True),
+            _outcome(claim),
+            *((Cell(claim.remark),) if remarks else ()),
+        )
+        for claim in claims
+    )
+    return Table(caption, head, rows)
+
+
+def _outcome(claim: Claim) -> Cell:
+    if claim.met is None:
+        return Cell("not measured", "none")
+    return Cell("✓ reached", "good") if claim.met else Cell("✗ not reached", "bad")
+
+
+def reproduction_page(header: RunHeader, studies: Sequence[Study]) -> str:
+    """Build the page; it passes where no claim was missed."""
+    return render(
+        "reproduce.html.j2",
+        header=header,
+        outcome=outcome_of(studies),
+        studies=studies,
+        claim_table=claim_table,
+    )
+
+
+def outcome_of(studies: Sequence[Study]) -> Outcome:
+    """Count the claims reached, and name those that are not."""
+    judged = [claim for study in studies for claim in study.claims if claim.met is not None]
+    reached = sum(claim.met is True for claim in judged)
+    missed = [
+        f"{claim.what}: {claim.ours}, not {claim.claimed}." for claim in judged if not claim.met
+    ]
+    headline = f"{reached} of {len(judged)} claims are reached"
+    passed = not missed if judged else None
+    return Outcome(passed, headline, (*counts(judged), *missed))
+
+
+def counts(judged: Sequence[Claim]) -> list[str]:
+    """Say how many claims of the paper, and how many goals of our own, are reached."""
+    lines = []
+    for origin in dict.fromkeys(claim.origin for claim in judged):
+        own = [claim.met is True for claim in judged if claim.origin == origin]
+        whose = "the paper's claims" if origin == "paper" else "our own goals"
+        lines.append(f"{sum(own)} of {len(own)} of {whose} are reached.")
+    return lines

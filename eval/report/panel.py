@@ -13,11 +13,10 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.ticker import MaxNLocator
 
-from data_prep.log import FloatArray
 from eval.report.content import ChannelTrace, EventTrace, Response
-from eval.report.style import symbol, with_unit
-from eval.report.svg import AnyFloats, Picture, envelope, spans
+from eval.report.style import AnyFloats, Picture, envelope, spans, symbol, with_unit
 from eval.report.windows import allowed_times
+from narxcal.support.arrays import FloatArray
 
 _POINTS = 160
 _WIDTH, _HEIGHT, _LEFT, _RIGHT = 290.0, 196.0, 44.0, 280.0

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from eval.report.content import Response
-from eval.rules import rules
-from eval.windows import tolerance_windows
+from eval.rules import rules, tolerance_windows
 
 
 def allowed_times(response: Response) -> list[tuple[float, float]]:

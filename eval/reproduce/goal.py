@@ -14,16 +14,23 @@ from dataclasses import replace
 from typing import Any
 
 from data_prep.log import Log
-from eval.judged import LogEvaluation
-from eval.report.claims import Claim, Study, or_nan
+from eval.evaluate import LogEvaluation
+from eval.report.page import Claim, Study, or_nan
 from eval.report.style import symbol
-from eval.reproduce.accuracy import class_rows, class_table, worst_class
-from eval.reproduce.calibrated import Classed, classed, judged
-from eval.reproduce.data_sets import FAMILIES, DataSets
-from eval.reproduce.pieces import cut
-from eval.reproduce.response_times import figures_of, passed_claim, times_table
+from eval.reproduce.data import FAMILIES, DataSets, cut
+from eval.reproduce.response import (
+    Classed,
+    class_rows,
+    class_table,
+    classed,
+    figures_of,
+    judged,
+    passed_claim,
+    times_table,
+    worst_class,
+)
 from eval.scores import score
-from narxcal.bundle import Bundle
+from narxcal.calibration.bundle import Bundle
 from training.config import RunConfig
 from training.pipeline import Split
 

@@ -6,25 +6,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from eval.report.claims import Claim, Study
-from eval.reproduce.accuracy import accuracy
-from eval.reproduce.calibrated import classed, judged
-from eval.reproduce.correlation import correlation
-from eval.reproduce.data_sets import DataSets
-from eval.reproduce.deviations import deviations
-from eval.reproduce.effort import Effort, within
+from eval.report.page import Claim, Study
+from eval.reproduce.data import DataSets, Effort, within
 from eval.reproduce.goal import goal, goal_config, goal_training
-from eval.reproduce.inputs import inputs
-from eval.reproduce.noise import noise
-from eval.reproduce.response_times import response_times
-from eval.reproduce.segments import segments
-from eval.reproduce.smoothing import smoothing
-from eval.reproduce.splits import splits
-from narxcal.bundle import Bundle
-from narxcal.versions import versions
+from eval.reproduce.inputs import deviations, inputs
+from eval.reproduce.noise import correlation, noise, segments, smoothing
+from eval.reproduce.response import accuracy, classed, judged, response_times, splits
+from narxcal.calibration.bundle import Bundle
+from narxcal.support.files import versions
 from training.config import RunConfig
+from training.network import Progress
 from training.pipeline import Split, TrainOptions, calibrate
-from training.trainer import Progress
 
 SCHEMA = "narxcal.reproduce/1"
 PAPER = "narx-paper"

@@ -1,24 +1,38 @@
-"""Section 3.3 of the paper: N2 with strong noise, fused with the model, fed to the network."""
+"""Section 3.3 of the paper: N2 with strong noise, fused with the model, fed to the network.
+
+Section 2.4 of the paper: moving averages of 3, 11 and 21 samples compared.
+
+Sections 2.5 and 3.1 of the paper: pushes and pulls cut out of the flights.
+
+Tables 1 and 2 of the paper: Pearson's coefficient of N1 and of N2 with each input.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
+from data_prep.events import PULL, PUSH
 from data_prep.log import Log
+from data_prep.ranking import STRONG, flight_table, is_strong
+from data_prep.smooth import cutoff_hz, frequency_response, moving_average
 from eval.denoising import CURVES, Flight, SweepConfig, flight_of, noisy, snr_sweep, summarise
-from eval.report import paper_figures, study_figures, tables
+from eval.preparation import WINDOWS, Prepared
+from eval.report import figures as paper_figures
+from eval.report import figures as study_figures
+from eval.report import tables
 from eval.report.building import noise_curves
-from eval.report.claims import Claim, Study
-from eval.report.style import symbol
-from eval.report.svg import Picture
-from eval.reproduce.data_sets import DataSets, numbered
-from eval.reproduce.effort import Effort
-from narxcal.bundle import Bundle
-from narxcal.fuser import estimate_noise
-from narxcal.fuser_fast import FastFuser
+from eval.report.page import Claim, Study
+from eval.report.style import Picture, symbol, unit, with_unit
+from eval.report.tables import Cell, Table, figure
+from eval.reproduce.data import DataSets, Effort, numbered, truth_of
+from narxcal.calibration.bundle import Bundle
+from narxcal.calibration.fuser import FastFuser, estimate_noise
+from narxcal.support.arrays import FloatArray
 
 PAPER_SETS = (2, 9, 10)
 SNR_DB = (25.0, 30.0, 35.0, 40.0, 44.0)  # all below the paper's 45 dB
@@ -141,3 +155,267 @@ def _shown(data: DataSets, log: Log) -> slice:
     events: Sequence[Any] = data.prepared[data.number(log.name) - 1].events
     start = events[0].start if events else 0
     return slice(max(0, start - round(2.0 / log.dt_s)), start + round(_SHOWN_S / log.dt_s))
+
+
+CHOSEN = 11
+_PACE_S = 0.5  # over which a signal's pace is taken, the same for every window
+_FAST = 0.95  # the twentieth of the samples that move fastest
+
+
+def smoothing(data: DataSets) -> Study:
+    """Compare the windows by RMS error and by frequency response."""
+    known = all(truth_of(data, log, data.speeds[0]) is not None for log in data.raw)
+    rows = [row for name in data.config.narx.outputs for row in _channel(data, name, known=known)]
+    against = "its value without sensors" if known else "the unsmoothed signal"
+    return Study(
+        key="smoothing",
+        title="Width of the moving average",
+        source="section 2.4, figures 4 and 5",
+        text=f"RMS of the smoothed signal against {against}, pooled over the data sets; 'moving' "
+        "is over the twentieth of the samples that move fastest within half a second. "
+        + ("" if known else "The truth of a real flight is not known: this RMS can only grow with "
+           "the window, and says how much is taken away, noise and signal together."),
+        claims=_smoothing_claims(rows, data) if known else [],
+        tables=[_smoothing_table(rows)],
+        pictures=[study_figures.windows(data.prepared[0].trial)],
+        results={"against_truth": known, "windows": rows},
+    )  # fmt: skip
+
+
+def errors(data: DataSets, name: str, window: int) -> tuple[FloatArray, FloatArray]:
+    """Smoothed minus truth (the raw signal where there is none), and the pace of that reference.
+
+    Both (time,) over all data sets; NaN where samples are missing.
+    """
+    error, pace = [], []
+    for log in data.cleaned:
+        raw, truth = log[name], truth_of(data, log, name)
+        reference = raw if truth is None else truth
+        error.append(moving_average(raw, window) - reference)
+        pace.append(_pace(reference, log))
+    return np.concatenate(error), np.concatenate(pace)
+
+
+def _pace(values: FloatArray, log: Log) -> FloatArray:
+    span = max(1, round(0.5 * _PACE_S / log.dt_s))
+    padded = np.concatenate((np.full(span, np.nan), values, np.full(span, np.nan)))
+    return np.asarray(np.abs(padded[2 * span :] - padded[: -2 * span]))
+
+
+def _channel(data: DataSets, name: str, *, known: bool) -> list[dict[str, Any]]:
+    windows = (1, *WINDOWS) if known else WINDOWS
+    dt_s, rows = data.raw[0].dt_s, []
+    for window in windows:
+        error, pace = errors(data, name, window)
+        fast = pace >= np.nanquantile(pace, _FAST)
+        gain = frequency_response(window, np.array([1.0]), dt_s)
+        rows.append(
+            {
+                "channel": name,
+                "window": window,
+                "rms": _rms(error),
+                "rms_moving": _rms(error[fast]),
+                "rms_rest": _rms(error[~fast]),
+                "cutoff_hz": cutoff_hz(window, dt_s),
+                "gain_1_hz": float(gain[0]),
+            }
+        )
+    return rows
+
+
+def _rms(error: FloatArray) -> float:
+    return float(np.sqrt(np.nanmean(error**2)))
+
+
+def best_window(rows: list[dict[str, Any]], name: str) -> int:
+    """Window of those compared with the least RMS in one channel."""
+    own = [row for row in rows if row["channel"] == name and row["window"] in WINDOWS]
+    return int(min(own, key=lambda row: float(row["rms"]))["window"])
+
+
+def _smoothing_claims(rows: list[dict[str, Any]], data: DataSets) -> list[Claim]:
+    return [_claim(rows, name) for name in data.config.narx.outputs]
+
+
+def _claim(rows: list[dict[str, Any]], name: str) -> Claim:
+    own = {row["window"]: row["rms"] for row in rows if row["channel"] == name}
+    best = best_window(rows, name)
+    lost = f"{best} samples leave {own[best]:.3g} {unit(name)} and {CHOSEN} leave {own[CHOSEN]:.3g}"
+    return Claim(
+        what=f"RMS error of {symbol(name)} with {CHOSEN} samples, over that with the best window",
+        claimed="1 (11 is the best of 3, 11 and 21)",
+        value=own[CHOSEN] / own[best],
+        bound=1.0 + 1e-9,
+        remark="" if best == CHOSEN else f"{lost}: how noisy the sensor is decides",
+    )
+
+
+def _smoothing_table(rows: list[dict[str, Any]]) -> Table:
+    head = (
+        "channel", "window", "RMS", "RMS moving", "RMS elsewhere", "-3 dB at [Hz]", "gain at 1 Hz",
+    )  # fmt: skip
+    cells = [
+        (
+            Cell(with_unit(row["channel"]), "head"),
+            Cell("none" if row["window"] == 1 else str(row["window"]), number=True),
+            figure(row["rms"], "best" if _is_best(rows, row) else ""),
+            *(figure(row[key]) for key in ("rms_moving", "rms_rest", "cutoff_hz", "gain_1_hz")),
+        )
+        for row in rows
+    ]
+    return Table("Moving averages compared; the least RMS is marked", head, tuple(cells))
+
+
+def _is_best(rows: list[dict[str, Any]], row: dict[str, Any]) -> bool:
+    return bool(row["window"] == best_window(rows, row["channel"]))
+
+
+PAPER_SEGMENTS = 152
+SEGMENT_SETS = 10
+
+
+def segments(data: DataSets) -> Study:
+    """Count the events, and draw every one of them."""
+    pushes = sum(event.label == PUSH for one in data.prepared for event in one.events)
+    return Study(
+        key="segments",
+        title="Segments cut at the lever's movements",
+        source="sections 2.5 and 3.1, figures 6 to 9",
+        text="Each event runs from the last sample before the lever moves to where lever and "
+        "speeds have settled. Label 0 is a push, 1 a pull.",
+        claims=[
+            Claim(
+                what="Data sets",
+                claimed=f"{PAPER_SETS}",
+                value=float(len(data.logs)),
+                bound=float(SEGMENT_SETS),
+                below=False,
+                remark="the user's own data" if len(data.logs) < SEGMENT_SETS else "",
+            ),
+            Claim(
+                what="Segments in which the lever is pushed",
+                claimed=f"{PAPER_SEGMENTS}",
+                value=float(pushes),
+                bound=float(PAPER_SEGMENTS),
+                below=False,
+                remark="more or fewer than the paper's is no merit; every one is used"
+                if pushes != PAPER_SEGMENTS
+                else "",
+            ),
+        ],
+        tables=[_segment_table(data)],
+        pictures=_firsts(data),
+        sheets=[one.page() for one in data.prepared],
+        results={"pushes": pushes, "data_sets": [_row(data, one) for one in data.prepared]},
+    )
+
+
+def _row(data: DataSets, one: Prepared) -> dict[str, Any]:
+    return {"data_set": data.number(one.log.name), "log": one.log.name, **one.counts()}
+
+
+def _segment_table(data: DataSets) -> Table:
+    keys = ("found", "push", "pull", "fast", "slow", "small", "settled", "interrupted")
+    rows = [
+        (
+            Cell(str(data.number(one.log.name)), "head"),
+            Cell(_role(data, one.log)),
+            *(Cell(str(one.counts()[key]), number=True) for key in keys),
+        )
+        for one in data.prepared
+    ]
+    total = [sum(one.counts()[key] for one in data.prepared) for key in keys]
+    rows.append(
+        (Cell("all", "strong"), Cell(""), *(Cell(str(n), "strong", number=True) for n in total))
+    )
+    return Table("Events per data set", ("data set", "role", *keys), tuple(rows))
+
+
+def _role(data: DataSets, log: Log) -> str:
+    parts = {"train": data.split.train, "validate": data.split.validate, "test": data.split.test}
+    return next((name for name, logs in parts.items() if log.name in {x.name for x in logs}), "")
+
+
+def _firsts(data: DataSets) -> list[Picture]:
+    """The first fast push and the first fast pull of the first data set that has one."""
+    drawn = []
+    for label in (PUSH, PULL):
+        for one in data.prepared:
+            fast = [each for each in one.events if each.label == label and each.speed == "fast"]
+            if fast:
+                names = (one.driver, *data.speeds)
+                what = f"First {'push' if label == PUSH else 'pull'}, data set "
+                title = what + str(data.number(one.log.name))
+                drawn.append(paper_figures.segment(one.log, fast[0], names, title))
+                break
+    return drawn
+
+
+def correlation(data: DataSets) -> Study:
+    """Correlate the spool speeds with the four inputs over each data set."""
+    lever = data.config.events.driver
+    found = {name: flight_table(data.logs, data.inputs, name) for name in data.speeds}
+    return Study(
+        key="correlation",
+        title="Which input drives the engine",
+        source="section 2.5, tables 1 and 2",
+        text=f"Pearson's coefficient over each whole data set. |rho| of {STRONG:g} or more counts "
+        "as strong, as in the paper.",
+        claims=[_correlation_claim(lever, name, table) for name, table in found.items()],
+        tables=[_correlation_table(data, name, table) for name, table in found.items()],
+        results={
+            "pearson": {name: _correlation_rows(data, table) for name, table in found.items()}
+        },
+    )
+
+
+def leading(table: pd.DataFrame, lever: str) -> np.ndarray:
+    """Mark the data sets (rows) in which `lever` is strong and no other input is stronger."""
+    size = table.abs().fillna(0.0)
+    best = size[lever] >= size.max(axis=1)
+    return np.asarray(best & is_strong(table)[lever])
+
+
+def _correlation_claim(lever: str, name: str, table: pd.DataFrame) -> Claim:
+    first = leading(table, lever)
+    weak = [f"{table[lever].iloc[row]:+.2f}" for row in np.flatnonzero(~first)]
+    return Claim(
+        what=f"Data sets in which {symbol(lever)} is the strongest correlate of {symbol(name)} "
+        "and a strong one",
+        claimed="all",
+        value=100.0 * float(first.mean()),
+        bound=100.0,
+        unit="%",
+        below=False,
+        remark=f"elsewhere its rho is {', '.join(weak)}: altitude and Mach move the speeds too, "
+        "over data sets that climb" if weak else "",
+    )  # fmt: skip
+
+
+def _correlation_table(data: DataSets, name: str, table: pd.DataFrame) -> Table:
+    rows = [
+        (
+            Cell(f"{row + 1}", "head"),
+            *(
+                Cell(f"{rho:+.3f}", "strong" if abs(rho) >= STRONG else "", number=True)
+                if math.isfinite(rho)
+                else figure(None)
+                for _, rho in _correlation_row(table, log.name)
+            ),
+        )
+        for row, log in enumerate(data.logs)
+    ]
+    head = ("data set", *(symbol(str(name)) for name in table.columns))
+    return Table(f"Pearson's coefficient with {symbol(name)}", head, tuple(rows))
+
+
+def _correlation_rows(data: DataSets, table: pd.DataFrame) -> list[dict[str, float | int]]:
+    return [
+        {"data_set": row + 1, **dict(_correlation_row(table, log.name))}
+        for row, log in enumerate(data.logs)
+    ]
+
+
+def _correlation_row(table: pd.DataFrame, name: str) -> list[tuple[str, float]]:
+    values = table.loc[name].to_numpy(dtype=np.float64)
+    return list(zip(map(str, table.columns), values.tolist(), strict=True))

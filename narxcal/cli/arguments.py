@@ -11,7 +11,7 @@ from typing import NoReturn, TypeAlias
 
 from narxcal.cli import gap_arguments
 from narxcal.cli.values import count, fraction, seed
-from narxcal.errors import ConfigError
+from narxcal.support.errors import ConfigError
 
 _EPILOG = """\
 exit codes: 0 good, 1 a tolerance was missed, 2 bad input or configuration,

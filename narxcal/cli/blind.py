@@ -15,11 +15,10 @@ from eval.gap.blind.run import Limits, run_cases
 from eval.gap.blind.score import SCHEMA as SCORE_SCHEMA
 from eval.gap.blind.score import CaseSet, score_answers
 from eval.gap.blind.sim_logs import make_log_cases
-from narxcal.atomic import atomic_write_text
-from narxcal.cli.configured import read_config
 from narxcal.cli.console import Console, to_json
-from narxcal.cli.folders import Results
-from narxcal.errors import ConfigError
+from narxcal.cli.results import read_config
+from narxcal.support.errors import ConfigError
+from narxcal.support.files import Results, atomic_write_text
 
 SCORE, PAGE = "score.json", "score.html"
 # Keys of the plan, and what a person types for them.

@@ -5,19 +5,16 @@ from __future__ import annotations
 from argparse import Namespace
 from collections.abc import Sequence
 
-from data_prep.cautions import cautions
 from data_prep.log import Log
-from data_prep.prepare import prepare
+from data_prep.prepare import cautions, prepare
 from data_prep.reading import read_logs
 from eval import terminal
 from eval.crossval import SCHEMA, CrossValidation, FoldResult, cross_validate
 from eval.report.content import RunHeader
 from eval.report.crossvalidation import crossvalidation_page, schemes_of
-from narxcal.cli.configured import read_config
 from narxcal.cli.console import Console, to_json
-from narxcal.cli.folders import Results
-from narxcal.cli.header import data_files, now
-from narxcal.versions import versions
+from narxcal.cli.results import data_files, now, read_config
+from narxcal.support.files import Results, versions
 from training.config import RunConfig
 from training.pipeline import configured_files
 

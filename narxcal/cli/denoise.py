@@ -13,11 +13,10 @@ from eval.denoising import CURVES, SweepConfig, flight_of, snr_sweep, summarise
 from eval.evaluate import run_config
 from eval.report.building import noise_curves
 from eval.report.page import Outcome, noise_page
-from narxcal.bundle import load_bundle
+from narxcal.calibration.bundle import load_bundle
 from narxcal.cli.console import Console, to_json
-from narxcal.cli.folders import Results
-from narxcal.cli.header import header_of
-from narxcal.cli.held_out import logs_for
+from narxcal.cli.results import header_of, logs_for
+from narxcal.support.files import Results
 
 SCHEMA = "narxcal.denoise/1"
 DOCUMENT, PAGE = "denoise.json", "denoise.html"

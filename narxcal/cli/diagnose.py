@@ -25,11 +25,10 @@ from eval.gap.summary import (
     window_table,
 )
 from eval.report.page import write_page
-from narxcal.cli.configured import read_config
 from narxcal.cli.console import Console, to_json
-from narxcal.cli.folders import Results
-from narxcal.cli.header import now
-from narxcal.errors import ConfigError
+from narxcal.cli.results import now, read_config
+from narxcal.support.errors import ConfigError
+from narxcal.support.files import Results
 
 DOCUMENT, PAGE = "gap.json", "gap.html"
 RESULTS = Results(SCHEMA, DOCUMENT, (PAGE, EMULATOR))

@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from narxcal.cli.arguments import parse
-from narxcal.errors import NarxcalError
-from narxcal.interrupt import is_interrupt, safe_interrupt
+from narxcal.support.errors import NarxcalError
+from narxcal.support.interrupt import is_interrupt, safe_interrupt
 
 if TYPE_CHECKING:
     from argparse import Namespace

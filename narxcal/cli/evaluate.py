@@ -8,20 +8,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from data_prep.cautions import cautions
 from data_prep.log import Log
+from data_prep.prepare import cautions
 from eval import terminal
-from eval.envelope import outside_envelope
-from eval.evaluate import SCHEMA, Evaluation, evaluate, run_config
-from eval.judged import LogEvaluation
+from eval.evaluate import SCHEMA, Evaluation, LogEvaluation, evaluate, outside_envelope, run_config
 from eval.report.content import LogPage
 from eval.report.evaluation import page_of, verdict_of
 from eval.report.page import Outcome, evaluate_page
-from narxcal.bundle import Bundle, load_bundle, read_document
+from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.cli.console import Console, to_json
-from narxcal.cli.folders import Results
-from narxcal.cli.header import header_of
-from narxcal.cli.held_out import changed, logs_for
+from narxcal.cli.results import changed, header_of, logs_for
+from narxcal.support.files import Results
 
 DOCUMENT, PAGE = "evaluate.json", "evaluate.html"
 RESULTS = Results(SCHEMA, DOCUMENT, (PAGE,))

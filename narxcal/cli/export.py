@@ -9,18 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from narxcal.bundle import load_bundle
+from narxcal.calibration.bundle import load_bundle
 from narxcal.channels import channel
 from narxcal.cli.console import Console
-from narxcal.cli.folders import check_file
-from narxcal.errors import ConfigError, ModelError
-from narxcal.steady_callable import SteadyCallable
-from narxcal.steady_csv import read_steady_table
-from narxcal.steady_export import ExportOptions, ExportReport, Grid, export_fmu, export_table
-from narxcal.steady_export.report import ADVICE
-from narxcal.steady_fmu import SteadyFmu
-from narxcal.steady_state import SteadyStateModel
-from narxcal.turbofan.virtual_engine import INPUT_NAMES
+from narxcal.export import ExportOptions, ExportReport, Grid, export_fmu, export_table
+from narxcal.export.report import ADVICE
+from narxcal.steady.fmu import SteadyFmu
+from narxcal.steady.function import SteadyCallable
+from narxcal.steady.model import SteadyStateModel
+from narxcal.steady.table import read_steady_table
+from narxcal.support.errors import ConfigError, ModelError
+from narxcal.support.files import check_file
+from narxcal.turbofan.engine import INPUT_NAMES
 
 SCHEMA = "narxcal.export/1"
 ENGINES = ("business_jet", "single_aisle")

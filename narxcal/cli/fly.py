@@ -20,9 +20,8 @@ from eval.virtual_flights import (
     write_flights,
 )
 from narxcal.cli.console import Console, to_json
-from narxcal.cli.folders import Results
-from narxcal.flight_test.flown_effects import parse_effects
-from narxcal.flight_test.scenario import FlightScenario
+from narxcal.flight_test.scenario import FlightScenario, parse_effects
+from narxcal.support.files import Results
 
 _LOG = re.compile(r"(flight_\d+_(left|right)|data_set_\d+)\.csv(\.gz)?")
 

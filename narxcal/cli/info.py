@@ -7,9 +7,9 @@ from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
-from narxcal.bundle import Bundle, load_bundle, read_document
+from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.cli.console import Console
-from narxcal.cli.origin import lag_words, steady_words
+from narxcal.cli.results import lag_words, steady_words
 
 SCHEMA = "narxcal.info/1"
 _KEPT = ("split", "seeds", "steady_state", "lag_form", "training")

@@ -12,20 +12,18 @@ from typing import Any
 
 import pandas as pd
 
-from data_prep.cautions import cautions
+from data_prep.equilibrium import while_running
 from data_prep.log import Log
+from data_prep.prepare import cautions
 from data_prep.reading import read_logs
-from data_prep.running import while_running
 from data_prep.smooth import blurs
 from data_prep.stamps import PRINTED
 from eval.preparation import Prepared, events_table, pearson_table, study, windows_table
 from eval.report.content import RunHeader
 from eval.report.page import prepare_page, write_page
-from narxcal.cli.configured import read_config
 from narxcal.cli.console import Console, to_json
-from narxcal.cli.folders import Results
-from narxcal.cli.header import data_files, now
-from narxcal.versions import versions
+from narxcal.cli.results import data_files, now, read_config
+from narxcal.support.files import Results, versions
 from training.config import RunConfig
 
 SCHEMA = "narxcal.prepare/1"

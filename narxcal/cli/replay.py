@@ -5,9 +5,9 @@ from __future__ import annotations
 from argparse import Namespace
 
 from eval.replay import ReplayModel, ReplayOptions, ReplaySummary, replay
-from narxcal.bundle import load_bundle
+from narxcal.calibration.bundle import load_bundle
 from narxcal.cli.console import Console
-from narxcal.cli.folders import check_file
+from narxcal.support.files import check_file
 
 SCHEMA = "narxcal.replay/1"
 

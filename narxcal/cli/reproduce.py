@@ -14,19 +14,23 @@ from typing import Any
 
 from eval import terminal
 from eval.report.content import RunHeader
-from eval.report.reproduction import counts, outcome_of, reproduction_page
-from eval.reproduce.data_sets import DataSets, read_data_sets
-from eval.reproduce.effort import Effort
-from eval.reproduce.flights import TABLE, flown, paper_scenario, with_table, write_records
+from eval.report.page import counts, outcome_of, reproduction_page
+from eval.reproduce.data import (
+    TABLE,
+    DataSets,
+    Effort,
+    flown,
+    paper_scenario,
+    read_data_sets,
+    with_table,
+    write_records,
+)
 from eval.reproduce.narx_paper import SCHEMA, Reproduction, Watch, reproduce
 from eval.rules import rules
-from narxcal.atomic import atomic_write_text
-from narxcal.bundle import write_bundle
-from narxcal.cli.configured import read_config
+from narxcal.calibration.bundle import write_bundle
 from narxcal.cli.console import Console, to_json
-from narxcal.cli.folders import Results
-from narxcal.cli.header import data_files, now, words
-from narxcal.versions import versions
+from narxcal.cli.results import data_files, now, read_config, words
+from narxcal.support.files import Results, atomic_write_text, versions
 from training.config import RunConfig
 
 DOCUMENT, PAGE, FLIGHTS, MODEL = "reproduce.json", "reproduce.html", "flights", "model"

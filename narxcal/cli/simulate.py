@@ -10,17 +10,16 @@ from typing import Any
 
 import pandas as pd
 
+from data_prep.config import LogsConfig
 from data_prep.log import Log
-from data_prep.logs_config import LogsConfig
 from data_prep.reading import open_table
 from data_prep.stamps import PRINTED
-from narxcal.atomic import atomic_write_text
-from narxcal.bundle import Bundle, load_bundle
-from narxcal.calibration import DynamicCalibration
+from narxcal.calibration.bundle import Bundle, load_bundle
+from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.cli import simulate_effects
 from narxcal.cli.console import Console
-from narxcal.cli.folders import check_file
-from narxcal.errors import ConfigError
+from narxcal.support.errors import ConfigError
+from narxcal.support.files import atomic_write_text, check_file
 from training.config import RunConfig
 from training.pipeline import calibration_for, prepare_logs
 

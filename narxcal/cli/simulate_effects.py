@@ -18,15 +18,15 @@ import numpy as np
 from data_prep.log import Log
 from data_prep.stamps import PRINTED
 from eval.gap.applied import FoundEffects, read_effects
-from eval.gap.data import FloatArray
 from eval.gap.log_folders import read_folder
 from eval.gap.pairs import match_simulated
 from eval.gap.simulators import Simulate, open_simulator
 from narxcal.channels import CHANNELS
-from narxcal.cli.configured import read_config
 from narxcal.cli.console import Console, to_json
-from narxcal.cli.folders import Results
-from narxcal.errors import ConfigError
+from narxcal.cli.results import read_config
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError
+from narxcal.support.files import Results
 
 SCHEMA, DOCUMENT = "narxcal.simulate_effects/1", "simulated.json"
 

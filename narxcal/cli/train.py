@@ -14,16 +14,16 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
-from data_prep.cautions import cautions
 from data_prep.log import Log
+from data_prep.prepare import cautions
 from data_prep.smooth import blurs
-from narxcal.atomic import check_writable
-from narxcal.bundle import DOCUMENT, Bundle, read_document, write_bundle
-from narxcal.cli.configured import read_config
+from narxcal.calibration.bundle import DOCUMENT, Bundle, read_document, write_bundle
 from narxcal.cli.console import Advance, Console
-from narxcal.cli.origin import lag_words, steady_words
-from narxcal.errors import ConfigError
+from narxcal.cli.results import lag_words, read_config, steady_words
+from narxcal.support.errors import ConfigError
+from narxcal.support.files import check_writable
 from training.config import RunConfig, SplitConfig
+from training.network import Progress
 from training.pipeline import (
     Split,
     TrainOptions,
@@ -32,7 +32,6 @@ from training.pipeline import (
     prepare_logs,
     split_logs,
 )
-from training.trainer import Progress
 
 SCHEMA = "narxcal.train/1"
 CHECKPOINTS = "checkpoints"

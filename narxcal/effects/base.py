@@ -14,14 +14,13 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from narxcal.atmosphere import air_state
 from narxcal.effects.memory import Memory
 from narxcal.effects.pace import Pace
-from narxcal.errors import ConfigError
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError
 
-FloatArray = NDArray[np.float64]
 Side = Literal["input", "process", "sensor"]
 _UNITS = {"_pct": "%", "_C": "degC", "_kgph": "kg/h", "_kN": "kN"}
 

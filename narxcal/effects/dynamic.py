@@ -6,17 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from narxcal.effects.base import (
-    FloatArray,
-    OutputEffect,
-    Parameter,
-    RateEffect,
-    Run,
-    Side,
-    Signals,
-)
+from narxcal.effects.base import OutputEffect, Parameter, RateEffect, Run, Side, Signals
 from narxcal.effects.memory import Lag
 from narxcal.effects.pace import Pace, as_simulated
+from narxcal.support.arrays import FloatArray
 
 SPEEDS = ("N1_pct", "N2_pct")
 _EITHER = 0.5  # of a share that is all or nothing

@@ -7,8 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from narxcal.effects.base import FloatArray, InputEffect, Parameter, Run, ShiftEffect, Side
+from narxcal.effects.base import InputEffect, Parameter, Run, ShiftEffect, Side
 from narxcal.effects.memory import Delay, Play, RateLimit
+from narxcal.support.arrays import FloatArray
 
 LONGEST_S = 2.0
 FASTEST_DEGPS = 400.0  # faster than any hand: no limit at all

@@ -35,7 +35,7 @@ from narxcal.effects.steady import (
     TemperatureEffect,
     UnloggedSwitch,
 )
-from narxcal.errors import ConfigError
+from narxcal.support.errors import ConfigError
 
 ENGINE_WIDE: tuple[type[Effect], ...] = (
     ThrottleBacklash,

@@ -12,10 +12,9 @@ from itertools import pairwise
 from typing import ClassVar, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-FloatArray = NDArray[np.float64]
+from narxcal.support.arrays import FloatArray
 
 
 class Memory(Protocol):

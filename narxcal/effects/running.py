@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from narxcal.effects.base import (
     Effect,
-    FloatArray,
     InputEffect,
     LoadEffect,
     OutputEffect,
@@ -32,7 +31,8 @@ from narxcal.effects.base import (
     Signals,
 )
 from narxcal.effects.pace import Pace, as_simulated, together
-from narxcal.errors import ConfigError
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError
 
 Setting = tuple[Effect, FloatArray]  # an effect and its theta (batch, parameters)
 

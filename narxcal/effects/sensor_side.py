@@ -7,8 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from narxcal.effects.base import FloatArray, OutputEffect, Parameter, Run, Side, Signals, unit
+from narxcal.effects.base import OutputEffect, Parameter, Run, Side, Signals, unit
 from narxcal.effects.memory import Clock, SmoothDelay, SmoothLag
+from narxcal.support.arrays import FloatArray
 
 LONGEST_S = 2.0
 _COUNTED = Parameter("own_s", "s", 0.0, 0.5, 0.0, (0.05, 0.3))  # of a speed

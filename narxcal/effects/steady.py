@@ -13,7 +13,6 @@ import numpy as np
 
 from narxcal.effects.base import (
     Effect,
-    FloatArray,
     LoadEffect,
     OutputEffect,
     PacedEffect,
@@ -26,6 +25,7 @@ from narxcal.effects.base import (
 )
 from narxcal.effects.memory import Lag
 from narxcal.effects.pace import Pace, as_simulated
+from narxcal.support.arrays import FloatArray
 
 UNLOGGED = "unlogged"  # input column that holds the windows found by their change points
 FOLLOW_S = 1.0  # how an engine takes up a bleed

@@ -19,17 +19,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from narxcal.flight_test.envelope import CHANNEL_NAMES, RATE_HZ, check_between
-from narxcal.flight_test.journey import smoothed
-from narxcal.flight_test.lever import Placed, compose
 from narxcal.flight_test.manoeuvres import travel
-from narxcal.flight_test.pilot import ENGINES, LATER_S, draw_rate
-from narxcal.flight_test.profile import seeded
-from narxcal.flight_test.record import PAPER_RECORDS, Record, Window, circuits
-
-FloatArray = NDArray[np.float64]
+from narxcal.flight_test.paper_records import PAPER_RECORDS, Record, Window, circuits
+from narxcal.flight_test.pilot import ENGINES, LATER_S, Placed, compose, draw_rate
+from narxcal.flight_test.plan import seeded
+from narxcal.flight_test.route import CHANNEL_NAMES, RATE_HZ, check_between, smoothed
+from narxcal.support.arrays import FloatArray
 
 _JITTER_DEG = 0.7
 # Of the circuits: pressure altitude of the field in ft, temperature deviation in degC.

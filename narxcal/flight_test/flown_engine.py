@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from narxcal.flight_test.flown_effects import FlownEffect
-from narxcal.flight_test.scenario import FlightScenario
+from narxcal.flight_test.scenario import FlightScenario, FlownEffect
 from narxcal.turbofan import Unmodelled, VirtualEngine, build_scatter
-from narxcal.turbofan.stations import Health
+from narxcal.turbofan.cycle import Health
 
 
 def flown_engine(

@@ -23,21 +23,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from narxcal.errors import ConfigError
-from narxcal.flight_test.envelope import (
-    CHANNEL_NAMES,
-    MACH_MAX,
-    RATE_HZ,
-    check_between,
-    mach_of_cas,
-)
-from narxcal.flight_test.lever import Placed, compose
-from narxcal.flight_test.manoeuvre_pieces import Manoeuvre
-from narxcal.flight_test.manoeuvres import hold, impulse, ramp, step
-
-FloatArray = NDArray[np.float64]
+from narxcal.flight_test.manoeuvres import Manoeuvre, hold, impulse, ramp, step
+from narxcal.flight_test.pilot import Placed, compose
+from narxcal.flight_test.route import CHANNEL_NAMES, MACH_MAX, RATE_HZ, check_between, mach_of_cas
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError
 
 Region = Literal["low", "high"]
 Kind = Literal["static", "step", "impulse", "ramp"]

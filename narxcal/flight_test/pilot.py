@@ -5,24 +5,40 @@ small corrections of an autothrottle. `enriched`: pushes and pulls in every leg,
 approach included, at rates from slow to slam, and the whole set of test points low and high.
 The two engines are worked together, but never quite: one lever leads, and now and then only one
 is moved. Not modelled: a pilot who closes a loop, so no movement answers what the engine does.
+
+The two throttle levers on a raster: where manoeuvres are placed, and how the levers differ.
+
+Modelled: stops at 0 (idle) and 85 deg (take-off), the rate of a hand, levers that are rigged
+and set up to a degree apart. Not modelled: play and friction (effects of the engine's linkage),
+reverse thrust.
+
+Manoeuvres that make unmodelled effects separable: what to ask the flight test for.
+
+Each test point splits effects that look alike in line operation (GAP section 3: play against
+dead band against stiction, rate limit against asymmetry against time constant, transport delay
+against sensor lag, heat soak against slow temperature lags and deterioration, bleed against
+deterioration). Fly the whole set low and high, once on a cold and once on a hot engine, and
+record lever, speeds and temperature at 4 Hz or more. Not modelled: which pair is ambiguous just
+now; that is for the diagnosis to say.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
-from narxcal.flight_test.excitation import TestLevels, separating_set
-from narxcal.flight_test.journey import Leg
-from narxcal.flight_test.lever import Placed
-from narxcal.flight_test.manoeuvre_pieces import Manoeuvre, Sequence, Sweep
 from narxcal.flight_test.manoeuvres import (
     SLAM_DEG_S,
     SLOW_DEG_S,
+    Manoeuvre,
+    ManoeuvreSequence,
+    Sweep,
+    Switched,
     doublet,
     hold,
     ladder,
@@ -33,6 +49,197 @@ from narxcal.flight_test.manoeuvres import (
     three_two_one_one,
     travel,
 )
+from narxcal.flight_test.route import Leg
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError
+
+IDLE_DEG, TAKE_OFF_DEG = 0.0, 85.0
+_ROUNDING_DEG = 1e-9
+# Lever difference: half of it on either lever, drawn anew along the lever's path, and none at
+# the stops, which both levers touch.
+_APART_DEG, _PATH_DEG, _STOP_DEG = 0.5, 30.0, 10.0
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A manoeuvre that begins at `start_s`."""
+
+    start_s: float
+    manoeuvre: Manoeuvre
+
+    @property
+    def stop_s(self) -> float:
+        """When it is over."""
+        return self.start_s + self.manoeuvre.duration_s
+
+
+def compose(
+    placed: Iterable[Placed], time_s: FloatArray, start_deg: float, hand_deg_s: float | None = None
+) -> FloatArray:
+    """Lever angle at `time_s` `(time,)`: held but for the manoeuvres, each from where it stands.
+
+    With `hand_deg_s` no sample differs from the one before by more than a hand moves; what is
+    faster lags behind. Raises `ConfigError` where manoeuvres overlap or pass a stop.
+    """
+    in_order = sorted(placed, key=lambda item: item.start_s)
+    _check_apart(in_order)
+    swings, nets = np.zeros_like(time_s), np.zeros(len(time_s) + 1)
+    for item in in_order:
+        first, last = np.searchsorted(time_s, (item.start_s, item.stop_s))
+        swings[first:last] = item.manoeuvre.swing_deg(time_s[first:last] - item.start_s)
+        nets[last] += item.manoeuvre.net_deg
+    angle = start_deg + swings + np.cumsum(nets[:-1])
+    _check_stops(angle, time_s)
+    angle = np.clip(angle, IDLE_DEG, TAKE_OFF_DEG)
+    if hand_deg_s is None or len(angle) < 2:
+        return angle
+    return rate_limited(angle, hand_deg_s * float(time_s[1] - time_s[0]))
+
+
+def rate_limited(angle_deg: FloatArray, most_deg: float) -> FloatArray:
+    """Follow `angle_deg` `(time,)` by at most `most_deg` from one sample to the next."""
+    if np.abs(np.diff(angle_deg)).max(initial=0.0) <= most_deg:
+        return angle_deg
+    state, followed = float(angle_deg[0]), []
+    for wanted in angle_deg.tolist():
+        state += min(max(wanted - state, -most_deg), most_deg)
+        followed.append(state)
+    return np.array(followed)
+
+
+def set_apart(angle_deg: FloatArray, random: np.random.Generator) -> FloatArray:
+    """Set a lever `(time,)` a little off the angle meant, by at most half a degree.
+
+    The error is a function of the path that the lever has covered: it changes only while the
+    lever moves, and is 0 at either stop.
+    """
+    path = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(angle_deg)))))
+    knots = np.arange(0.0, path[-1] + 2.0 * _PATH_DEG, _PATH_DEG)
+    error = np.interp(path, knots, random.uniform(-_APART_DEG, _APART_DEG, len(knots)))
+    room = np.minimum(angle_deg - IDLE_DEG, TAKE_OFF_DEG - angle_deg)
+    return np.asarray(angle_deg + error * np.clip(room / _STOP_DEG, 0.0, 1.0))
+
+
+def flips(placed: Iterable[Placed]) -> list[Switched]:
+    """What the manoeuvres flip, on the common time axis."""
+    return [flip.later(item.start_s) for item in placed for flip in item.manoeuvre.switched]
+
+
+def _check_apart(placed: Sequence[Placed]) -> None:
+    for item, after in itertools.pairwise(placed):
+        if after.start_s < item.stop_s - _ROUNDING_DEG:
+            raise ConfigError(
+                f"a manoeuvre begins at {after.start_s:.2f} s, before the one from "
+                f"{item.start_s:.2f} s has ended at {item.stop_s:.2f} s",
+                hint="Place it later",
+            )
+
+
+def _check_stops(angle_deg: FloatArray, time_s: FloatArray) -> None:
+    beyond = (angle_deg < IDLE_DEG - _ROUNDING_DEG) | (angle_deg > TAKE_OFF_DEG + _ROUNDING_DEG)
+    if beyond.any():
+        worst = int(np.argmax(beyond))
+        raise ConfigError(
+            f"the lever would go to {angle_deg[worst]:.2f} deg at {time_s[worst]:.2f} s, and its "
+            f"stops are at {IDLE_DEG:g} and {TAKE_OFF_DEG:g} deg"
+        )
+
+
+_SMALL = 0.03  # of the travel: triangles of 2 to 5 %
+_SIZES = (0.3, 0.6, 1.0)
+_RATES_DEG_S = (5.0, 15.0, 40.0, SLAM_DEG_S)
+
+
+@dataclass(frozen=True)
+class TestPoint:
+    """A manoeuvre that begins and ends at one trim, and the effects that it tells apart."""
+
+    __test__ = False  # no test case, for all its name
+
+    name: str
+    manoeuvre: Manoeuvre
+    separates: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class TestLevels:
+    """Lever angles that the set is flown at, in deg, and how long it stays.
+
+    `low`, `trim` and `high` are in order between the stops; `stay_s` between movements, `hold_s`
+    once after the large step (3 to 5 minutes show heat soak). Raises `ConfigError` otherwise.
+    """
+
+    __test__ = False
+
+    low: float = 5.0
+    trim: float = 50.0
+    high: float = 80.0
+    stay_s: float = 20.0
+    hold_s: float = 240.0
+
+    def __post_init__(self) -> None:
+        if not IDLE_DEG <= self.low < self.trim < self.high <= TAKE_OFF_DEG:
+            raise ConfigError(
+                f"test levels have to rise from low over trim to high within {IDLE_DEG:g} .. "
+                f"{TAKE_OFF_DEG:g} deg, got {self.low:g}, {self.trim:g}, {self.high:g}"
+            )
+        if min(self.stay_s, self.hold_s) < 5.0:
+            raise ConfigError(
+                f"test points stay at least 5 s, got {min(self.stay_s, self.hold_s):g} s"
+            )
+
+
+def separating_set(at: TestLevels | None = None) -> tuple[TestPoint, ...]:
+    """List the test points about one trim."""
+    at = at or TestLevels()
+    return (*_large(at), *_small(at), *_switches(at), *_broad_band(at))
+
+
+def _large(at: TestLevels) -> Iterator[TestPoint]:
+    span, up = at.high - at.low, at.high - at.trim
+    slams = levels([(span, at.stay_s), (0.0, at.stay_s)] * 2, SLAM_DEG_S)
+    to_low, back = travel(at.low - at.trim, 5.0), travel(at.trim - at.low, 5.0)
+    yield TestPoint(
+        "two slams",
+        ManoeuvreSequence.of(to_low, hold(at.stay_s), slams, back),
+        ("transport delay", "sensor lag", "time constant", "asymmetry", "rate limit"),
+    )
+    sizes = ladder([share * up for share in _SIZES], at.stay_s, SLAM_DEG_S)
+    yield TestPoint("three step sizes", sizes, ("rate limit", "asymmetry", "time constant"))
+    rates = [
+        levels([(up, up / rate + at.stay_s), (0.0, up / rate + at.stay_s)], rate)
+        for rate in _RATES_DEG_S
+    ]
+    yield TestPoint(
+        "throttle rates", ManoeuvreSequence(tuple(rates)), ("rate limit", "throttle rate")
+    )
+    soak = levels([(at.high - at.low, at.hold_s)], SLAM_DEG_S)
+    yield TestPoint(
+        "long hold",
+        ManoeuvreSequence.of(to_low, hold(at.stay_s), soak, travel(at.trim - at.high, 5.0)),
+        ("heat soak", "deterioration", "sensor drift", "slow temperature lag"),
+    )
+
+
+def _small(at: TestLevels) -> Iterator[TestPoint]:
+    amplitude = min(_SMALL * TAKE_OFF_DEG, at.high - at.trim, at.trim - at.low)
+    for name, rate in (("slow reversals", 1.0), ("fast reversals", 10.0)):
+        yield TestPoint(name, reversals(amplitude, rate), ("backlash", "dead band", "stiction"))
+
+
+def _switches(at: TestLevels) -> Iterator[TestPoint]:
+    for name in ("ECS", "NAI", "WAI"):
+        point = switch(name, at.stay_s, after_s=at.stay_s)
+        yield TestPoint(f"{name} on and off", point, ("bleed", "deterioration", "hot day"))
+
+
+def _broad_band(at: TestLevels) -> Iterator[TestPoint]:
+    amplitude = min(5.0, at.high - at.trim, at.trim - at.low)
+    sweep = Sweep(amplitude, low_hz=0.02, high_hz=1.0, wanted_s=6.0 * at.stay_s)
+    yield TestPoint("frequency sweep", sweep, ("transport delay", "sensor lag", "spool coupling"))
+    multistep = three_two_one_one(amplitude, unit_s=at.stay_s / 6.0)
+    yield TestPoint("3-2-1-1", multistep, ("time constant", "spool coupling", "dead band"))
+
 
 Style = Literal["line", "enriched"]
 STYLES: tuple[Style, ...] = ("line", "enriched")
@@ -149,7 +356,7 @@ def _set(programme: _Programme, leg: Leg, style: Style) -> None:
     if leg.name == "take_off" and style == "line":
         # Engines are first brought to an even speed.
         stable = travel(0.5 * by, rate)
-        programme.add(Sequence.of(stable, hold(4.0), stable), 2.0)
+        programme.add(ManoeuvreSequence.of(stable, hold(4.0), stable), 2.0)
     elif by != 0.0:
         programme.add(travel(by, rate), random.uniform(2.0, 6.0))
 

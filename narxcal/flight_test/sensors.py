@@ -5,6 +5,18 @@ effects of `sensor_faults`), the flow meter's dynamics; gain error, bias and dri
 the recorder's clock and its sampling slot; noise and wild readings; the step of the readings;
 lost and frozen stretches. Noise is drawn at the times of the recorder: it is stationary, so that
 its law is the same before the clock and behind it, and interpolation would only smooth it.
+
+What a measurement does to a signal: lags, shifts in time, sampling, noise, steps, gaps.
+
+Pure functions of arrays `(time,)`; `narxcal.flight_test.sensors` puts them in order. A signal is
+taken as straight between its samples, and as constant before the first.
+
+Settings of one sensor, and the tables of figures for whole aircraft, each with its source.
+
+Effects of the library that sit in a sensor: what they are, their parameters, their bounds.
+
+They act on one channel of one engine's recording, behind the engine. What an engine's own probe
+does (its lag depends on the mass flow) belongs to the engine.
 """
 
 from __future__ import annotations
@@ -12,29 +24,305 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 from pydantic import Field, model_validator
+from scipy.signal import lfilter
 
 from narxcal.atmosphere import isa
 from narxcal.channels import CHANNELS, channel
-from narxcal.errors import ConfigError
-from narxcal.flight_test.measurement import (
-    FloatArray,
-    at_times,
-    coloured,
-    first_order,
-    frozen,
-    quantised,
-    slots,
-    turbine_meter,
-    windows,
-    within,
-)
-from narxcal.flight_test.sensor_faults import SensorFault
-from narxcal.flight_test.sensor_presets import PRESETS, PROBE_TAU_S, ChannelSensor, Preset
-from narxcal.settings import Section
+from narxcal.support.arrays import FloatArray, IntArray
+from narxcal.support.errors import ConfigError
+from narxcal.support.settings import Section
+
+# Below this share of its reference flow a turbine meter slows down no further: its bearings take
+# over, and the law of the blades would end in a standstill.
+_LEAST_FLOW = 0.05
+
+
+def first_order(values: FloatArray, tau_s: float, dt_s: float) -> FloatArray:
+    """Lag `tau dy/dt = x - y`, solved exactly for `x` straight between samples, settled at first.
+
+    With `a = exp(-dt/tau)` and `g = (1 - a) tau / dt`:
+    `y[k+1] = a y[k] + (1 - g) x[k+1] + (g - a) x[k]`.
+    """
+    if tau_s <= 0.0:
+        return values.copy()
+    a = math.exp(-dt_s / tau_s)
+    g = -math.expm1(-dt_s / tau_s) * tau_s / dt_s
+    # Measured from the first value, so that a resting signal comes back to the last bit.
+    rest = values[0]
+    lagged: FloatArray = lfilter([1.0 - g, g - a], [1.0, -a], values - rest)
+    return np.asarray(lagged + rest)
+
+
+def turbine_meter(values: FloatArray, tau_s: float, reference: float, dt_s: float) -> FloatArray:
+    """Flow that a turbine meter shows: a lag whose time constant is `tau_s reference / flow`.
+
+    The rotor is driven by the flow that it measures, so a slow flow moves it slowly (J. Grey,
+    Transient response of the turbine flowmeter, Jet Propulsion 26, 1956). `reference` 0 means
+    `tau_s` at every flow.
+    """
+    if reference <= 0.0 or tau_s <= 0.0:
+        return first_order(values, tau_s, dt_s)
+    shown: FloatArray = _turbine(np.ascontiguousarray(values), tau_s, reference, dt_s)
+    return shown
+
+
+@njit(cache=True)
+def _turbine(values: Any, tau_s: float, reference: float, dt_s: float) -> Any:
+    """Step the lag with the time constant of the mean flow of each interval."""
+    shown = np.empty_like(values)
+    shown[0] = values[0]
+    for k in range(len(values) - 1):
+        flow = max(0.5 * (values[k] + values[k + 1]), _LEAST_FLOW * reference)
+        rate = dt_s * flow / (tau_s * reference)
+        a = math.exp(-rate)
+        g = -math.expm1(-rate) / rate
+        shown[k + 1] = a * shown[k] + (1.0 - g) * values[k + 1] + (g - a) * values[k]
+    return shown
+
+
+class Slots(NamedTuple):
+    """When a channel is sampled: `time_s` `(samples,)`, and which sample each row shows."""
+
+    time_s: FloatArray
+    shown: IntArray
+
+
+def slots(rows: int, dt_s: float, rate_hz: float, slot_s: float) -> Slots:
+    """Sampling times of a channel of `rate_hz`, `slot_s` into each frame, held until the next.
+
+    A rate of 0, or one above that of the rows, means every row. The rows before the first slot
+    show the sample of the frame before.
+    """
+    row = np.arange(rows)
+    time_s = np.asarray(row * dt_s, dtype=np.float64)
+    if rate_hz <= 0.0 or rate_hz * dt_s >= 1.0:
+        return Slots(time_s, row)
+    # A slot that falls on a row belongs to it, whatever the rounding of the division says.
+    count = np.floor((time_s - slot_s) * rate_hz + 1e-9).astype(np.int64)
+    first = int(count[0])
+    samples = np.arange(first, int(count[-1]) + 1)
+    sampled: FloatArray = slot_s + samples / rate_hz
+    return Slots(sampled, count - first)
+
+
+def at_times(values: FloatArray, dt_s: float, time_s: FloatArray, *, hold: bool) -> FloatArray:
+    """Values of a signal at other times: interpolated, or with `hold` the latest sample's."""
+    if hold:
+        row = np.floor(time_s / dt_s + 1e-9).astype(np.int64)
+        return np.asarray(values[np.clip(row, 0, len(values) - 1)])
+    return np.interp(time_s, np.arange(len(values)) * dt_s, values)
+
+
+def coloured(random: np.random.Generator, samples: int, decay: float) -> FloatArray:
+    """Noise of unit variance `e[k+1] = decay e[k] + ...`: AR(1), stationary from the first."""
+    white = random.standard_normal(samples)
+    white[1:] *= math.sqrt(1.0 - decay**2)
+    noise: FloatArray = lfilter([1.0], [1.0, -decay], white)
+    return noise
+
+
+def quantised(values: FloatArray, resolution: float) -> FloatArray:
+    """Round to whole steps; 0 leaves the values alone."""
+    if resolution <= 0.0:
+        return values.copy()
+    return np.round(values / resolution) * resolution
+
+
+def windows(
+    random: np.random.Generator, time_s: FloatArray, per_h: float, mean_s: float
+) -> list[tuple[float, float]]:
+    """Draw (start, end) times in order: a Poisson process, lengths exponential about `mean_s`."""
+    begin, end = float(time_s[0]), float(time_s[-1])
+    count = int(random.poisson(per_h * (end - begin) / 3600.0))
+    starts = np.sort(random.uniform(begin, end, count))
+    lengths = random.exponential(mean_s, count)
+    return [(float(s), float(s + d)) for s, d in zip(starts, lengths, strict=True)]
+
+
+def within(time_s: FloatArray, spans: list[tuple[float, float]]) -> NDArray[np.bool_]:
+    """Say which times lie inside a window, `start <= time < end`."""
+    inside = np.zeros(len(time_s), dtype=np.bool_)
+    for start, end in spans:
+        inside |= (time_s >= start) & (time_s < end)
+    return inside
+
+
+def frozen(values: FloatArray, time_s: FloatArray, spans: list[tuple[float, float]]) -> FloatArray:
+    """Repeat the last value before each window throughout it."""
+    stuck = values.copy()
+    for start, end in spans:
+        rows = np.flatnonzero((time_s >= start) & (time_s < end))
+        if len(rows):
+            stuck[rows] = stuck[max(int(rows[0]) - 1, 0)]
+    return stuck
+
+
+Preset = Literal["test_instrumentation", "fdr", "perfect"]
+
+
+class ChannelSensor(Section):
+    """How one channel is measured; 0 everywhere is a perfect sensor.
+
+    tau_s: first-order lag; `meter_reference_kgph`, fuel flow only: the flow at which `tau_s`
+        holds, since a turbine meter's is inverse to the flow (0: it is not).
+    bias_sigma, gain_sigma, drift_sigma_per_h: of each flight, in the channel's unit, as a share of
+        the reading, and in units per hour.
+    noise_sigma, noise_share: white noise, in the channel's unit plus as a share of the reading;
+        coloured_sigma, coloured_tau_s: noise that lingers (AR(1)).
+    skew_s, skew_sigma_s: the recorder's clock late by this much, and its scatter between flights.
+    rate_hz, slot_s: sampled so often, this far into each frame, and held; 0 means every row.
+    resolution: the step of the readings.
+    dropouts_per_h, dropout_s; freezes_per_h, freeze_s; spikes_per_h, spike_size: stretches without
+        readings, stretches of one reading, single wild readings.
+    """
+
+    tau_s: float = Field(default=0.0, ge=0)
+    meter_reference_kgph: float = Field(default=0.0, ge=0)
+    bias_sigma: float = Field(default=0.0, ge=0)
+    gain_sigma: float = Field(default=0.0, ge=0)
+    drift_sigma_per_h: float = Field(default=0.0, ge=0)
+    noise_sigma: float = Field(default=0.0, ge=0)
+    noise_share: float = Field(default=0.0, ge=0)
+    coloured_sigma: float = Field(default=0.0, ge=0)
+    coloured_tau_s: float = Field(default=2.0, gt=0)
+    skew_s: float = Field(default=0.0, ge=-2, le=2)
+    skew_sigma_s: float = Field(default=0.0, ge=0, le=0.5)
+    rate_hz: float = Field(default=0.0, ge=0)
+    slot_s: float = Field(default=0.0, ge=0)
+    resolution: float = Field(default=0.0, ge=0)
+    dropouts_per_h: float = Field(default=0.0, ge=0)
+    dropout_s: float = Field(default=1.0, gt=0)
+    freezes_per_h: float = Field(default=0.0, ge=0)
+    freeze_s: float = Field(default=2.0, gt=0)
+    spikes_per_h: float = Field(default=0.0, ge=0)
+    spike_size: float = Field(default=0.0, ge=0)
+
+
+# Speeds lag by 0.02 s, pressures by 0.04 s (FACTS A3: the sensors of the AGTF30). White noise is
+# that of recorded channels (FACTS A8: N1, N2 0.03-0.1 %, EGT 0.5-2 degC, fuel flow 0.3-1 %).
+# Biases, resolutions, the scatter of the clock (a quarter of a 32 Hz sample) and whatever bears no
+# source are assumed, small against what the effects of the library do.
+_CLOCK_S = 0.008
+TEST_INSTRUMENTATION: dict[str, ChannelSensor] = {
+    "TRA_deg": ChannelSensor(noise_sigma=0.02, resolution=0.05),
+    "ALT_ft": ChannelSensor(noise_sigma=2.0, bias_sigma=10.0, resolution=1.0),
+    "Mach": ChannelSensor(noise_sigma=2e-4, bias_sigma=5e-4, resolution=1e-4),
+    "dT_C": ChannelSensor(noise_sigma=0.05, bias_sigma=0.2, resolution=0.05),
+    "N1_pct": ChannelSensor(
+        tau_s=0.02, bias_sigma=0.03, noise_sigma=0.04, skew_sigma_s=_CLOCK_S, resolution=0.02
+    ),
+    "N2_pct": ChannelSensor(
+        tau_s=0.02, bias_sigma=0.03, noise_sigma=0.04, skew_sigma_s=_CLOCK_S, resolution=0.02
+    ),
+    "EGT_C": ChannelSensor(
+        tau_s=0.02,
+        bias_sigma=1.0,
+        noise_sigma=0.7,
+        coloured_sigma=0.3,
+        skew_sigma_s=_CLOCK_S,
+        resolution=0.5,
+    ),
+    "FF_kgph": ChannelSensor(
+        tau_s=0.1,
+        gain_sigma=0.003,
+        noise_share=0.004,
+        skew_sigma_s=_CLOCK_S,
+        resolution=0.5,
+    ),
+    "FN_kN": ChannelSensor(gain_sigma=0.003, noise_share=0.003),
+    "FPR": ChannelSensor(tau_s=0.04, noise_share=0.001, gain_sigma=0.001, resolution=0.001),
+    "EPR": ChannelSensor(tau_s=0.04, noise_share=0.001, gain_sigma=0.001, resolution=0.001),
+}
+
+# An airline's recorder: engine channels once a second and engine, each in its own slot of the
+# frame (FACTS A8, 14 CFR 125 App. E, which allows steps of 2 % of the full range; those below are
+# finer, as recorders are). Rates of the other channels and all slots are assumed.
+FDR: dict[str, ChannelSensor] = {
+    "TRA_deg": ChannelSensor(rate_hz=1.0, slot_s=0.125, noise_sigma=0.05, resolution=0.35),
+    "ALT_ft": ChannelSensor(rate_hz=1.0, bias_sigma=15.0, noise_sigma=2.0, resolution=4.0),
+    "Mach": ChannelSensor(rate_hz=1.0, slot_s=0.0625, bias_sigma=1e-3, resolution=1e-3),
+    "dT_C": ChannelSensor(rate_hz=1.0, slot_s=0.9375, bias_sigma=0.3, resolution=0.25),
+    "N1_pct": ChannelSensor(
+        tau_s=0.02, rate_hz=1.0, slot_s=0.25, bias_sigma=0.05, noise_sigma=0.05, resolution=0.125
+    ),
+    "N2_pct": ChannelSensor(
+        tau_s=0.02, rate_hz=1.0, slot_s=0.5, bias_sigma=0.05, noise_sigma=0.05, resolution=0.125
+    ),
+    "EGT_C": ChannelSensor(
+        tau_s=0.02, rate_hz=1.0, slot_s=0.75, bias_sigma=2.0, noise_sigma=1.0, resolution=1.0
+    ),
+    "FF_kgph": ChannelSensor(
+        tau_s=0.3,
+        rate_hz=1.0,
+        slot_s=0.875,
+        gain_sigma=0.005,
+        noise_share=0.005,
+        resolution=2.0,
+    ),
+    "FPR": ChannelSensor(tau_s=0.04, rate_hz=1.0, slot_s=0.375, resolution=0.005),
+    "EPR": ChannelSensor(tau_s=0.04, rate_hz=1.0, slot_s=0.375, resolution=0.005),
+    **{
+        name: ChannelSensor(rate_hz=1.0, slot_s=0.625)
+        for name in ("WOW", "Approach", "ECS", "NAI", "WAI")
+    },
+}
+
+PRESETS: dict[str, dict[str, ChannelSensor]] = {
+    "test_instrumentation": TEST_INSTRUMENTATION,
+    "fdr": FDR,
+    "perfect": {},
+}
+# Total temperature probe: a de-iced probe answers in about 1 s (description of the T-28's
+# measurements, archive.eol.ucar.edu, 2000).
+PROBE_TAU_S: dict[str, float] = {"test_instrumentation": 1.0, "fdr": 1.0, "perfect": 0.0}
+
+
+# Effect -> parameter -> (unit, low, high, neutral). "-" as unit of the channel is written "ch".
+PARAMETERS: dict[str, dict[str, tuple[str, float, float, float]]] = {
+    # FACTS A3: probes have 0.5 to 1.5 s at take-off and 2 to 5 s at idle and altitude.
+    "sensor_lag": {"tau_s": ("s", 0.0, 20.0, 0.0)},
+    "sensor_bias": {"offset": ("ch", -1000.0, 1000.0, 0.0)},
+    "sensor_drift": {"rate_per_h": ("ch/h", -5000.0, 5000.0, 0.0)},
+    # GAP section 3: words of a recorder's frame are sampled up to 1 s apart.
+    "time_skew": {"skew_s": ("s", -2.0, 2.0, 0.0)},
+    # `tau_s` at `reference_kgph`; a reference of 0 means at every flow.
+    "flowmeter_dynamics": {
+        "tau_s": ("s", 0.0, 10.0, 0.0),
+        "reference_kgph": ("kg/h", 0.0, 20000.0, 0.0),
+    },
+}
+WINDOWED = ("sensor_bias", "sensor_drift")
+SENSOR_EFFECTS = tuple(PARAMETERS)
+
+
+def channels_of(effect: str) -> tuple[str, ...]:
+    """Channels on which a sensor effect may sit."""
+    if effect == "flowmeter_dynamics":
+        return ("FF_kgph",)
+    roles = {"lever", "ambient", "output"} | ({"switch"} if effect == "time_skew" else set())
+    return tuple(name for name, each in CHANNELS.items() if each.role in roles)
+
+
+@dataclass(frozen=True)
+class SensorFault:
+    """An effect of a size on a channel, in the windows (s) only where there are any."""
+
+    id: str
+    channel: str
+    parameters: Mapping[str, float]
+    windows_s: tuple[tuple[float, float], ...] = field(default=())
+
+    def __getitem__(self, parameter: str) -> float:
+        """Size of a parameter; the neutral one where it was not given."""
+        return self.parameters.get(parameter, PARAMETERS[self.id][parameter][3])
+
 
 _WHOLE_LOG = ((-math.inf, math.inf),)
 

@@ -10,14 +10,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from narxcal.turbofan.compiled import compiled
-from narxcal.turbofan.cycle import POSITIONS
+from narxcal.support.arrays import FloatArray
+from narxcal.support.compiled import compiled
+from narxcal.turbofan.cycle import POSITIONS, Running, Stations
+from narxcal.turbofan.design import Preset
 from narxcal.turbofan.fadec import FadecParameters, governor, schedules
-from narxcal.turbofan.intake import intake
-from narxcal.turbofan.presets import Preset
-from narxcal.turbofan.rest import (
+from narxcal.turbofan.gas import intake
+from narxcal.turbofan.solve import (
     BLEED,
     CONDITIONS,
     MACH,
@@ -28,12 +28,10 @@ from narxcal.turbofan.rest import (
     Line,
     Machine,
     rest_points,
+    solved,
 )
-from narxcal.turbofan.solve import solved
-from narxcal.turbofan.stations import Running, Stations
 from narxcal.turbofan.transient import Body
 
-FloatArray = NDArray[np.float64]
 _SCHEDULED = (0.22, 1.08)  # relative N1 between which the tables are made
 _POINTS = 24
 _TOPPING_SHARE = 0.25  # of the fuel slope, so that toppings stay stable with all lags in the loop

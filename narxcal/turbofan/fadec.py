@@ -25,14 +25,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from narxcal.atmosphere import P0_PA, T0_K
-from narxcal.errors import ModelError
-from narxcal.turbofan.compiled import compiled
-from narxcal.turbofan.lag import lagged, table_value
-
-FloatArray = NDArray[np.float64]
+from narxcal.support.arrays import FloatArray
+from narxcal.support.compiled import compiled, lagged, table_value
+from narxcal.support.errors import ModelError
 
 # What rules the fuel, as `step` reports it.
 GOVERNOR, ACCELERATION, DECELERATION, N1_TOPPING, N2_TOPPING, T45_TOPPING, PS3_TOPPING, MINIMUM = (

@@ -12,13 +12,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from narxcal.errors import ConfigError
-from narxcal.turbofan.compiled import compiled
-from narxcal.turbofan.lag import lagged, ramp_lagged, slewed
-
-FloatArray = NDArray[np.float64]
+from narxcal.support.arrays import FloatArray
+from narxcal.support.compiled import compiled, lagged, ramp_lagged, slewed
+from narxcal.support.errors import ConfigError
 
 # Where the state keeps what; the samples of the line follow from LINE on, as a ring.
 SERVO, METERED, ARRIVING, BURNED, NEWEST, LINE = 0, 1, 2, 3, 4, 5

@@ -3,13 +3,18 @@
 Polynomials in `t = T / 1000 K` of Walsh & Fletcher, *Gas Turbine Performance*, 2nd ed., formulae
 F3.23 to F3.27, valid from 200 K to 2000 K. `far` is the ratio of fuel to air by mass; all
 properties are per kg of mixture. Dissociation and humidity are left out.
+
+From pressure altitude, Mach number and temperature deviation to the face of the fan.
+
+A convergent nozzle: flow, velocity and gross thrust, choked or not.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
-from narxcal.turbofan.compiled import compiled
+from narxcal.support.compiled import compiled
 
 LOWER_HEATING_VALUE = 43.12e6  # J/kg, kerosene at 298 K (Walsh & Fletcher, chapter 13)
 REFERENCE_K = 298.15  # where the heating value is stated
@@ -109,3 +114,93 @@ def burnt_enthalpy(enthalpy_in: float, far: float, efficiency: float) -> float:
     at_reference = enthalpy_in - enthalpy(REFERENCE_K, 0.0)
     heat = efficiency * far * LOWER_HEATING_VALUE
     return (at_reference + heat) / (1.0 + far) + enthalpy(REFERENCE_K, far)
+
+
+SEA_LEVEL_K, SEA_LEVEL_PA = 288.15, 101325.0
+
+
+class Air(NamedTuple):
+    """The air ahead of the engine and at the fan face: static, then total, SI units."""
+
+    static_K: float
+    static_Pa: float
+    velocity_mps: float
+    T2_K: float
+    P2_Pa: float
+
+
+@compiled
+def intake(static_K: float, static_Pa: float, mach: float, recovery: float) -> Air:
+    """Bring the air to rest: energy is kept, and the share `recovery` of the total pressure."""
+    r = gas_constant(0.0)
+    cp = specific_heat(static_K, 0.0)
+    velocity = mach * math.sqrt(cp / (cp - r) * r * static_K)
+    at_rest = enthalpy(static_K, 0.0) + 0.5 * velocity * velocity
+    total = temperature_at_enthalpy(at_rest, 0.0, static_K * (1.0 + 0.2 * mach * mach))
+    rise = math.exp((entropy(total, 0.0) - entropy(static_K, 0.0)) / r)
+    return Air(static_K, static_Pa, velocity, total, recovery * rise * static_Pa)
+
+
+@compiled
+def fan_face(
+    static_K: float, static_Pa: float, mach: float, recovery: float
+) -> tuple[float, float]:
+    """Total temperature and pressure at the fan face of `intake`: K, Pa."""
+    air = intake(static_K, static_Pa, mach, recovery)
+    return air.T2_K, air.P2_Pa
+
+
+@compiled
+def theta(temperature_K: float) -> float:
+    """Temperature over that of the standard day at sea level."""
+    return temperature_K / SEA_LEVEL_K
+
+
+@compiled
+def delta(pressure_Pa: float) -> float:
+    """Pressure over that of the standard day at sea level."""
+    return pressure_Pa / SEA_LEVEL_PA
+
+
+_KNEE = 1.0005  # pressure ratio below which the flow goes on straight, through zero
+
+
+class Jet(NamedTuple):
+    """What leaves a nozzle: capacity `W sqrt(T) / (P A)`, SI, and gross thrust per kg/s of flow."""
+
+    capacity: float
+    velocity_mps: float
+    pressure_thrust: float  # (p_exit - p_ambient) / P_total
+
+
+@compiled
+def _subsonic_mach(pressure_ratio: float, gamma: float) -> float:
+    return math.sqrt(2.0 / (gamma - 1.0) * (pressure_ratio ** ((gamma - 1.0) / gamma) - 1.0))
+
+
+@compiled
+def jet(total_K: float, far: float, pressure_ratio: float) -> Jet:
+    """Isentropic expansion from total conditions over `pressure_ratio` = P / p_ambient.
+
+    One-dimensional, with the ratio of specific heats at the total temperature (Saravanamuttoo,
+    Rogers & Cohen, section 3.3).
+    """
+    r = gas_constant(far)
+    cp = specific_heat(total_K, far)
+    gamma = cp / (cp - r)
+    critical = (0.5 * (gamma + 1.0)) ** (gamma / (gamma - 1.0))
+    expanded = min(max(pressure_ratio, _KNEE), critical)
+    mach = _subsonic_mach(expanded, gamma)
+    heat = 1.0 + 0.5 * (gamma - 1.0) * mach * mach
+    capacity = math.sqrt(gamma / r) * mach * heat ** (-0.5 * (gamma + 1.0) / (gamma - 1.0))
+    velocity = mach * math.sqrt(gamma * r * total_K / heat)
+    if pressure_ratio < _KNEE:  # no flow at a ratio of one, and backwards below
+        capacity *= (pressure_ratio - 1.0) / (_KNEE - 1.0)
+    surplus = 1.0 / expanded - 1.0 / max(pressure_ratio, _KNEE)
+    return Jet(capacity, velocity, surplus)
+
+
+@compiled
+def capacity(total_K: float, far: float, pressure_ratio: float) -> float:
+    """The capacity of `jet`, for callers in Python."""
+    return jet(total_K, far, pressure_ratio).capacity

@@ -13,12 +13,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from narxcal.errors import ConfigError
-from narxcal.turbofan.compiled import compiled
-
-FloatArray = NDArray[np.float64]
+from narxcal.support.arrays import FloatArray
+from narxcal.support.compiled import compiled
+from narxcal.support.errors import ConfigError
 
 
 class LeverParameters(NamedTuple):

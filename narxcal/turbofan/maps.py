@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from narxcal.turbofan.compiled import compiled
+from narxcal.support.compiled import compiled
 
 BACKBONE = 0.25 * math.pi
 SURGE = 0.5 * math.pi

@@ -13,12 +13,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from narxcal.atmosphere import air_state
-from narxcal.errors import ConfigError
-
-FloatArray = NDArray[np.float64]
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError
 
 
 @dataclass(frozen=True, kw_only=True)

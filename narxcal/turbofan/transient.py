@@ -20,20 +20,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from narxcal.support.arrays import FloatArray
+from narxcal.support.compiled import compiled, lagged, ramp_lagged
 from narxcal.turbofan import fadec, fuel_valve
-from narxcal.turbofan.compiled import compiled
-from narxcal.turbofan.cycle import HPC
+from narxcal.turbofan.cycle import HPC, Running, Stations
 from narxcal.turbofan.fadec import FadecParameters, Sensed
 from narxcal.turbofan.fuel_valve import METERED, FuelValveParameters
-from narxcal.turbofan.intake import intake
-from narxcal.turbofan.lag import lagged, ramp_lagged
-from narxcal.turbofan.rest import BLEED, MACH, OFFTAKE_W, STATIC_K, STATIC_PA, Machine
-from narxcal.turbofan.solve import solved
-from narxcal.turbofan.stations import Running, Stations
+from narxcal.turbofan.gas import intake
+from narxcal.turbofan.solve import BLEED, MACH, OFFTAKE_W, STATIC_K, STATIC_PA, Machine, solved
 
-FloatArray = NDArray[np.float64]
 LONGEST_STEP_S = 0.016
 COLUMNS = (
     "N1_pct", "N2_pct", "EGT_C", "FF_kgph", "FN_kN", "FPR", "EPR",

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from narxcal.cli import main
-from narxcal.flight_test.measurement import first_order
+from narxcal.flight_test.sensors import first_order
 
 ROOT = Path(__file__).parents[2]
 CONFIG = """\

@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import pytest
 
 from eval.gap.blind import run, truth
-from narxcal.flight_test.measurement import first_order
-from narxcal.turbofan.virtual_engine import INPUT_NAMES
+from narxcal.flight_test.sensors import first_order
+from narxcal.turbofan.engine import INPUT_NAMES
 
 
 class Body(SimpleNamespace):

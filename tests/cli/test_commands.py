@@ -15,7 +15,7 @@ import pytest
 
 from data_prep.log import Log
 from data_prep.reading import read_logs
-from narxcal.bundle import load_bundle
+from narxcal.calibration.bundle import load_bundle
 from narxcal.cli import main
 from narxcal.cli.denoise import usual_channel
 from narxcal.cli.prepare import file_names

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from data_prep import csv_source
-from narxcal.bundle import load_bundle
+from narxcal.calibration.bundle import load_bundle
 from narxcal.cli import console, demo
 from narxcal.cli import train as training
 

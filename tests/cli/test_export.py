@@ -8,11 +8,11 @@ import sys
 import numpy as np
 import pytest
 
-from narxcal.bundle import load_bundle
-from narxcal.steady_csv import read_steady_table
-from narxcal.steady_fmu import SteadyFmu
+from narxcal.calibration.bundle import load_bundle
+from narxcal.steady.fmu import SteadyFmu
+from narxcal.steady.table import read_steady_table
 from narxcal.turbofan import maker_model
-from narxcal.turbofan.virtual_engine import INPUT_NAMES
+from narxcal.turbofan.engine import INPUT_NAMES
 
 MAKER = "narxcal.turbofan:maker_model"
 # Two inputs are enough for most of what is tested here.

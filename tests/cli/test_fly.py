@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from data_prep.logs_config import LogsConfig
+from data_prep.config import LogsConfig
 
 QUICK = """\
 schema = "narxcal.fly/1"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from narxcal.cli.origin import lag_words, steady_words
+from narxcal.cli.results import lag_words, steady_words
 
 
 def test_a_fitted_one_tells_samples_coverage_and_what_is_left():

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from narxcal.bundle import load_bundle
+from narxcal.calibration.bundle import load_bundle
 
 ENGINE = """\
 def run(inputs, dt_s):

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from data_prep.cautions import all_masked, cautions, crowded, never_runs, seldom
 from data_prep.clean import clean
 from data_prep.events import EventsConfig
 from data_prep.log import Log
+from data_prep.prepare import all_masked, cautions, crowded, never_runs, seldom
 from data_prep.reading import read_logs
 
 EVENTS = EventsConfig(condition="")

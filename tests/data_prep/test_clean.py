@@ -11,7 +11,7 @@ from scipy import stats
 from data_prep.clean import CleanConfig, clean
 from data_prep.log import Log
 from data_prep.outliers import _critical, _grubbs, gross_errors, running_median
-from narxcal.errors import ConfigError
+from narxcal.support.errors import ConfigError
 
 # A busy machine is no failure.
 settings.register_profile("patient", deadline=None)

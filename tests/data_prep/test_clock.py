@@ -6,13 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_prep.clock import clock_seconds, is_clock
-from data_prep.large import large_logs
 from data_prep.log import Source
-from data_prep.reading import LogsConfig, open_table, read_logs
-from data_prep.stamps import past_midnight
+from data_prep.reading import LogsConfig, large_logs, open_table, read_logs
+from data_prep.stamps import clock_seconds, is_clock, past_midnight
 from eval.stream import CsvStream
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 
 COLUMNS = {"columns": {"time_s": {"column": "UTC"}, "N1_pct": {"column": "fan"}}}
 CLOCK = [f"23:59:5{k // 10}.{k % 10}" for k in range(40)]

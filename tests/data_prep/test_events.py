@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from data_prep.events import Event, EventsConfig, find_events, unconditional
 from data_prep.log import Log
-from narxcal.errors import ConfigError, DataError
+from narxcal.support.errors import ConfigError, DataError
 
 # A busy machine is no failure.
 settings.register_profile("patient", deadline=None)

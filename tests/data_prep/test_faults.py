@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data_prep.clean import CleanConfig, clean
-from data_prep.faults import FaultsConfig, excursions, out_of_range
-from data_prep.frozen import frozen, repeats
+from data_prep.faults import FaultsConfig, excursions, frozen, out_of_range, repeats
 from data_prep.log import Log
 
 # A busy machine is no failure.

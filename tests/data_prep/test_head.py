@@ -5,13 +5,12 @@ import codecs
 import numpy as np
 import pytest
 
-from data_prep.large import large_logs
 from data_prep.log import Source
-from data_prep.raster_stream import RasterStream
-from data_prep.reading import LogsConfig, open_table, read_logs
+from data_prep.reading import LogsConfig, large_logs, open_table, read_logs
+from data_prep.stream import RasterStream
 from data_prep.units import is_unit_text, named_unit
 from eval.stream import CsvStream, Pace
-from narxcal.errors import NarxcalError
+from narxcal.support.errors import NarxcalError
 
 COLUMNS = {"time_s": {"column": "t"}, "N1_pct": {"column": "fan"}, "EGT_C": {"column": "itt"}}
 ROWS = "".join(f"{k / 10},{80 + k},{500 + k}\n" for k in range(40))

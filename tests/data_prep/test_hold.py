@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from data_prep.hold import hold_inputs
 from data_prep.log import AuditEntry, Log
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 
 NAN = float("nan")
 

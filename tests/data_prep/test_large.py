@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_prep import large
+from data_prep import reading as large
+from data_prep.config import LogsConfig
 from data_prep.csv_source import CsvSource
-from data_prep.logs_config import LogsConfig
 from data_prep.reading import read_logs
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 
 ROOT = Path(__file__).parents[2]
 FLIGHTS = ROOT / "../shared/data/flights"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data_prep.reading import read_logs
-from narxcal.errors import ConfigError, DataError
+from narxcal.support.errors import ConfigError, DataError
 
 pa = pytest.importorskip("pyarrow", reason="the extra 'parquet' is not installed")
 parquet = pytest.importorskip("pyarrow.parquet", reason="the extra 'parquet' is not installed")

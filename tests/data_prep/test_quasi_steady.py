@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from data_prep.equilibrium import QuasiSteadyConfig, quasi_steady
 from data_prep.log import Log
-from data_prep.quasi_steady import QuasiSteadyConfig, quasi_steady
 
 DT_S = 0.5
 

@@ -10,7 +10,7 @@ from scipy import stats
 
 from data_prep.log import Log
 from data_prep.ranking import flight_table, is_strong, pearson, ranked
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 
 # A busy machine is no failure.
 settings.register_profile("patient", deadline=None)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_prep.logs_config import LogsConfig
-from data_prep.raster_stream import RasterStream
+from data_prep.config import LogsConfig
 from data_prep.reading import read_logs
+from data_prep.stream import RasterStream
 from eval.stream import CsvStream, Pace
 
 ROOT = Path(__file__).parents[2]

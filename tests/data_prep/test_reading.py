@@ -12,10 +12,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from data_prep import units
+from data_prep.columns import read_columns
 from data_prep.csv_source import CsvSource, open_csv
-from data_prep.mapping import read_columns
 from data_prep.reading import LogsConfig, read_logs
-from narxcal.errors import ConfigError, DataError, NarxcalError
+from narxcal.support.errors import ConfigError, DataError, NarxcalError
 
 ROOT = Path(__file__).parents[2]
 SHARED = ROOT.parent / "shared" / "data"

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from data_prep.cautions import all_masked, cautions
+from data_prep.config import LogsConfig
+from data_prep.equilibrium import QuasiSteadyConfig, quasi_steady
 from data_prep.events import EventsConfig, find_events
 from data_prep.log import AuditEntry, Log, Source
-from data_prep.logs_config import LogsConfig
-from data_prep.quasi_steady import QuasiSteadyConfig, quasi_steady
+from data_prep.prepare import all_masked, cautions
 from data_prep.recorded import events_config, recorded, unrecorded, with_outputs
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 
 DT_S = 0.1
 OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")

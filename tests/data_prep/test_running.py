@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from data_prep.equilibrium import RunningConfig, while_running
 from data_prep.log import Log
 from data_prep.prepare import Preparation, prepare
-from data_prep.running import RunningConfig, while_running
-from narxcal.errors import ConfigError
+from narxcal.support.errors import ConfigError
 
 HZ = 4
 

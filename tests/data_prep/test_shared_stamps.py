@@ -5,14 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_prep.cautions import crowded
-from data_prep.large import large_logs
+from data_prep.config import LogsConfig
 from data_prep.log import Source
-from data_prep.logs_config import LogsConfig
-from data_prep.raster_stream import RasterStream
-from data_prep.reading import open_table, read_logs
-from data_prep.shared_stamps import shared_interval
-from data_prep.stamps import undo_rounding
+from data_prep.prepare import crowded
+from data_prep.reading import large_logs, open_table, read_logs
+from data_prep.stamps import shared_interval, undo_rounding
+from data_prep.stream import RasterStream
 
 
 def wave(time):

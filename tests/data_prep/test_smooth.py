@@ -18,7 +18,7 @@ from data_prep.smooth import (
     smooth,
     white_noise,
 )
-from narxcal.errors import ConfigError, DataError
+from narxcal.support.errors import ConfigError, DataError
 
 # A busy machine is no failure.
 settings.register_profile("patient", deadline=None)

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 
 from narxcal.effects import LIBRARY, candidates, effect
-from narxcal.errors import ConfigError
-from narxcal.flight_test.sensor_faults import SENSOR_EFFECTS
-from narxcal.turbofan.unmodelled import PARAMETERS
+from narxcal.flight_test.sensors import SENSOR_EFFECTS
+from narxcal.support.errors import ConfigError
+from narxcal.turbofan.engine import PARAMETERS
 
 
 def names(signals):

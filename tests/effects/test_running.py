@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from narxcal.effects import Flights, effect, respond
-from narxcal.errors import ConfigError
+from narxcal.support.errors import ConfigError
 
 DT = 0.125
 

@@ -7,11 +7,10 @@ import pytest
 import torch
 
 from data_prep.log import Log, Source
-from narxcal.bundle import Bundle
-from narxcal.calibration import DynamicCalibration
-from narxcal.narx import NarxConfig, NarxNet
-from narxcal.narx_model import NarxModel, Scaling
-from narxcal.steady_table import SteadyTable
+from narxcal.calibration.bundle import Bundle
+from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.narx.network import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.steady.table import SteadyTable
 from training.baselines import fit_baselines
 from training.config import RunConfig
 

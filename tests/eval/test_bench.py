@@ -10,15 +10,16 @@ import pytest
 import torch
 
 from eval import bench
-from eval.benchmarks import kernel_speed, picture, public_sets, replay_speed
+from eval.benchmarks import flights as picture
+from eval.benchmarks import public_sets, speed
 from eval.benchmarks.public_sets import Candidate, Material, PublicSet, Target
 from eval.benchmarks.row import Row
-from narxcal.errors import DataError
-from narxcal.narx import NarxConfig
-from narxcal.records import Record
+from narxcal.narx.network import NarxConfig
+from narxcal.record import Record
+from narxcal.support.errors import DataError
 from training.config import TrainConfig, load_config
 from training.free_run import FreeRunProblem, cut_windows
-from training.warm_start import new_model
+from training.network import new_model
 
 BRIEF = TrainConfig(horizons_s=(20.0,), iterations=(2,), score_every_s=1.0, threads=1)
 GOOD = Candidate(NarxConfig(lags=2, taps=(0, 1), hidden=3), BRIEF)
@@ -31,7 +32,7 @@ def tiny(targets=()):
 
 
 def material(count=1, samples=300):
-    record = kernel_speed.record_of(samples * (count + 1))
+    record = speed.record_of(samples * (count + 1))
     parts = [
         Record(record.u[k : k + samples], record.y[k : k + samples], f"r{k}")
         for k in range(0, samples * (count + 1), samples)
@@ -92,7 +93,7 @@ def test_each_piece_is_judged_by_a_network_that_did_not_see_it(monkeypatch):
 
 
 def test_rows_of_a_set_name_peer_and_choice(tmp_path):
-    given = kernel_speed.record_of(600)
+    given = speed.record_of(600)
     frame = pd.DataFrame({"u": given.u[:, 0], "y": given.y[:, 0]})
     frame.to_csv(tmp_path / "tiny.csv.gz", index=False)
     said = {"train": [0, 300], "test": {"a": [300, 450], "b": [450, 600]}, "init_window": 2}
@@ -122,21 +123,21 @@ def test_a_set_that_is_missing_becomes_a_row_that_says_so(tmp_path):
 
 
 def test_kernel_rows_are_finite_and_ratios_fit_their_parts():
-    rows = {row.name: row for row in kernel_speed.rows(400, 120)}
+    rows = {row.name: row for row in speed.kernel_rows(400, 120)}
     assert all(math.isfinite(row.value) and row.value > 0.0 for row in rows.values())
     parts = rows["free run, eager PyTorch twin"].value / rows["free run, kernel"].value
     assert rows["free run, twin over kernel"].value == pytest.approx(parts)
 
 
 def test_the_slow_training_step_has_the_loss_and_gradient_of_the_fast_one():
-    record = kernel_speed.record_of(301)
+    record = speed.record_of(301)
     model = new_model([record], NarxConfig(lags=1, taps=(0,), hidden=4), seed=0)
     with torch.no_grad():
         model.net.linear.weight.fill_(0.3)
         model.net.output.weight.fill_(0.1)
     problem = FreeRunProblem(model.net, cut_windows(model, [record], 100))
     loss, gradient = problem.gradient(model.net.get_theta())
-    assert kernel_speed.autograd_loss(model, record, 100) == pytest.approx(loss)
+    assert speed.autograd_loss(model, record, 100) == pytest.approx(loss)
     named = dict(model.net.named_parameters())
     order = ("hidden.weight", "hidden.bias", "output.weight", "output.bias", "linear.weight")
     slow = np.concatenate([named[name].grad.numpy().ravel() for name in order])
@@ -148,8 +149,8 @@ def test_replay_rows_are_finite(monkeypatch):
     config, base = load_config("demo.toml")
     narx = config.narx.model_copy(update={"lag": False, "lag_governed": False})
     plain = config.model_copy(update={"narx": narx}), base
-    monkeypatch.setattr(replay_speed, "load_config", lambda _: plain)
-    rows = replay_speed.rows(duration_s=480.0, steps=50)
+    monkeypatch.setattr(speed, "load_config", lambda _: plain)
+    rows = speed.replay_rows(duration_s=480.0, steps=50)
     assert [row.unit for row in rows] == ["x real time", "ms"]
     assert all(math.isfinite(row.value) and row.value > 0.0 for row in rows)
 
@@ -164,8 +165,8 @@ def test_a_target_is_kept_on_its_side(value, bound, reached):
 
 
 def test_json_is_one_document_without_nan(monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(bench.kernel_speed, "rows", lambda: [Row("speed", "x", 2.0, "us")])
-    monkeypatch.setattr(bench.replay_speed, "rows", list)
+    monkeypatch.setattr(bench.speed, "rows", lambda: [Row("speed", "x", 2.0, "us")])
+    monkeypatch.setattr(bench.speed, "rows", list)
     monkeypatch.setattr(bench.virtual_engine, "rows", list)
     assert bench.main(["--json", "--data", str(tmp_path)]) == 0
     document = json.loads(capsys.readouterr().out)

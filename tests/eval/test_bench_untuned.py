@@ -9,7 +9,7 @@ import pytest
 
 from data_prep.reading import read_logs
 from eval.benchmarks import untuned
-from eval.benchmarks.untuned_sets import SETS
+from eval.benchmarks.untuned import SETS
 from training.config import SCHEMA, RunConfig
 
 NAMES = [one.name for one in SETS]

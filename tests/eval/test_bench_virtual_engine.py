@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from eval.benchmarks import engine_figures, engine_manoeuvres, virtual_engine
+from eval.benchmarks import virtual_engine
+from eval.benchmarks import virtual_engine as engine_figures
+from eval.benchmarks import virtual_engine as engine_manoeuvres
 from narxcal.turbofan import VirtualEngine
 
 PAGE = Path(__file__).parents[2] / "docs" / "virtual_engine.md"

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eval.crossings import HIGH, LOW, low_and_high_crossing
+from eval.response import HIGH, LOW, low_and_high_crossing
 
 
 @pytest.mark.parametrize("mode", ["interpolated", "nearest"])

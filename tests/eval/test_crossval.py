@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from eval.crossval import CrossValidation, FoldResult, cross_validate, spread
-from eval.judged import EvaluateConfig
+from eval.evaluate import EvaluateConfig
 from eval.report.content import RunHeader
 from eval.report.crossvalidation import crossvalidation_page, schemes_of
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 from training.config import RunConfig
 
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from eval.denoising import Flight, SweepConfig, noise_deviation, snr_sweep, summarise
-from narxcal.errors import ConfigError, DataError
+from narxcal.support.errors import ConfigError, DataError
 
 FLIGHTS = Path(__file__).parents[2] / "../shared/data/flights"
 NAMES = ("N1_pct", "N2_pct")

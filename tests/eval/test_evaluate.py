@@ -10,8 +10,8 @@ import pytest
 
 from eval.evaluate import EvaluateConfig, evaluate, run_config
 from eval.scores import score
-from narxcal.bundle import Bundle
-from narxcal.errors import ConfigError, DataError, ModelError
+from narxcal.calibration.bundle import Bundle
+from narxcal.support.errors import ConfigError, DataError, ModelError
 
 
 def test_the_true_model_has_no_error_and_passes_every_event(make_bundle, make_log):

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose
 
-from eval.metrics import counted, fit_percent, max_relative_percent, nrmse, rmse, theil
-from narxcal.errors import DataError
+from eval.scores import counted, fit_percent, max_relative_percent, nrmse, rmse, theil
+from narxcal.support.errors import DataError
 
 ALL = (rmse, nrmse, fit_percent, max_relative_percent)
 MEASURED = np.array([[1.0, 10.0], [2.0, 20.0], [3.0, 30.0], [4.0, 40.0]])

@@ -13,12 +13,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from data_prep.logs_config import LogsConfig
-from data_prep.raster_stream import RasterStream
+from data_prep.config import LogsConfig
 from data_prep.reading import read_logs
+from data_prep.stream import RasterStream
 from eval.replay import Clock, ReplayModel, ReplayOptions, replay
-from narxcal.errors import ConfigError, DataError, ModelError
-from narxcal.fuser import KalmanFuser, NoiseModel, estimate_noise
+from narxcal.calibration.fuser import KalmanFuser, NoiseModel, estimate_noise
+from narxcal.support.errors import ConfigError, DataError, ModelError
 
 DT = 0.1
 

@@ -15,7 +15,7 @@ from eval.residuals import (
     independence,
     whiteness,
 )
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 
 
 def slow_correlation(first, second, lags):

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 from scipy.signal import lti, step
 
 from eval.response import TransientConfig, measure_transient
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 
 START_S = 2.0
 CONFIG = TransientConfig(least_response=5.0)

@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 
 from data_prep.events import Event
 from eval.response import Transient
-from eval.rules import RULES, rules
+from eval.rules import RULES, Band, rules, tolerance_windows
 from eval.tally import Tally, tally
 from eval.transients import Overlay, TransientsConfig, assess_events, compare_transients
-from eval.windows import Band, tolerance_windows
-from narxcal.errors import ConfigError, DataError
+from narxcal.support.errors import ConfigError, DataError
 
 
 def transient(initial_s=0.5, total_s=2.0, response=20.0, dt_s=0.03125):

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from data_prep.logs_config import LogsConfig
+from data_prep.config import LogsConfig
 from data_prep.reading import read_logs
 from eval.virtual_flights import (
     TRUE_CHANNELS,
@@ -20,9 +20,9 @@ from eval.virtual_flights import (
     write_flights,
 )
 from narxcal.channels import CHANNELS
-from narxcal.errors import ConfigError, ModelError
-from narxcal.flight_test.measurement import first_order
 from narxcal.flight_test.scenario import FlightScenario
+from narxcal.flight_test.sensors import first_order
+from narxcal.support.errors import ConfigError, ModelError
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = sorted(file.name for file in (ROOT / "configs").glob("fly_*.toml"))

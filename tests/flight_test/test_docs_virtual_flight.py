@@ -5,11 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from narxcal.flight_test.flown_effects import PARAMETERS, FlownEffect, parse_effects
-from narxcal.flight_test.profile import FlightPlan
-from narxcal.flight_test.scenario import FlightScenario
-from narxcal.flight_test.sensor_presets import PRESETS, ChannelSensor
-from narxcal.flight_test.sensors import SensorConfig
+from narxcal.flight_test.plan import FlightPlan
+from narxcal.flight_test.scenario import PARAMETERS, FlightScenario, FlownEffect, parse_effects
+from narxcal.flight_test.sensors import PRESETS, ChannelSensor, SensorConfig
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "virtual_flight.md").read_text("utf-8")

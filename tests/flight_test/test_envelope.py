@@ -3,14 +3,8 @@
 import numpy as np
 import pytest
 
-from narxcal.errors import ConfigError
-from narxcal.flight_test.envelope import (
-    AIRCRAFT,
-    CEILING_FT,
-    MACH_MAX,
-    check_between,
-    mach_of_cas,
-)
+from narxcal.flight_test.route import AIRCRAFT, CEILING_FT, MACH_MAX, check_between, mach_of_cas
+from narxcal.support.errors import ConfigError
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.errors import ConfigError
-from narxcal.flight_test.excitation import TestLevels, separating_set
-from narxcal.flight_test.lever import Placed, compose
 from narxcal.flight_test.manoeuvres import HAND_DEG_S, SLAM_DEG_S
+from narxcal.flight_test.pilot import Placed, TestLevels, compose, separating_set
+from narxcal.support.errors import ConfigError
 
 DT = 1 / 32
 POINTS = {point.name: point for point in separating_set()}

@@ -4,15 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from narxcal.errors import ConfigError
-from narxcal.flight_test.flown_effects import (
-    PARAMETERS,
-    WINDOWED,
-    FlownEffect,
-    parse_effects,
-)
-from narxcal.flight_test.sensor_faults import PARAMETERS as ON_SENSORS
-from narxcal.flight_test.sensor_faults import channels_of
+from narxcal.flight_test.scenario import PARAMETERS, WINDOWED, FlownEffect, parse_effects
+from narxcal.flight_test.sensors import PARAMETERS as ON_SENSORS
+from narxcal.flight_test.sensors import channels_of
+from narxcal.support.errors import ConfigError
 
 LIBRARY = {
     "throttle_backlash", "throttle_delay", "throttle_rate_limit", "throttle_bias", "actuator_lag",

@@ -7,23 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.errors import ConfigError
-from narxcal.flight_test.lever import (
-    TAKE_OFF_DEG,
-    Placed,
-    compose,
-    flips,
-    rate_limited,
-    set_apart,
-)
-from narxcal.flight_test.manoeuvre_pieces import Sweep
 from narxcal.flight_test.manoeuvres import (
+    Sweep,
     hold,
     impulse,
     step,
     switch,
     travel,
 )
+from narxcal.flight_test.pilot import TAKE_OFF_DEG, Placed, compose, flips, rate_limited, set_apart
+from narxcal.support.errors import ConfigError
 
 DT = 1 / 32
 RASTER = np.arange(0, 60 * 32) * DT

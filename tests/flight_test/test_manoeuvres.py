@@ -10,11 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import chirp
 
-from narxcal.errors import ConfigError
-from narxcal.flight_test.manoeuvre_pieces import Corners, Sequence, Sweep, Switched
 from narxcal.flight_test.manoeuvres import (
     HAND_DEG_S,
     SLAM_DEG_S,
+    Corners,
+    Sweep,
+    Switched,
     doublet,
     hold,
     impulse,
@@ -28,6 +29,8 @@ from narxcal.flight_test.manoeuvres import (
     three_two_one_one,
     travel,
 )
+from narxcal.flight_test.manoeuvres import ManoeuvreSequence as Sequence
+from narxcal.support.errors import ConfigError
 
 DT = 1 / 32
 RASTER = np.arange(0, 40 * 32) * DT

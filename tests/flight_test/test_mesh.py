@@ -5,8 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from narxcal.errors import ConfigError
-from narxcal.flight_test.envelope import CEILING_FT, CHANNEL_NAMES, mach_of_cas
 from narxcal.flight_test.mesh import (
     AFTER_S,
     RAMP_S,
@@ -16,7 +14,9 @@ from narxcal.flight_test.mesh import (
     mach_range,
     static_mesh,
 )
-from narxcal.turbofan.virtual_engine import INPUT_NAMES, VirtualEngine
+from narxcal.flight_test.route import CEILING_FT, CHANNEL_NAMES, mach_of_cas
+from narxcal.support.errors import ConfigError
+from narxcal.turbofan.engine import INPUT_NAMES, VirtualEngine
 
 ALL = (*static_mesh(), *dynamic_mesh(decelerations=True))
 

@@ -12,22 +12,23 @@ from data_prep.events import EventsConfig, find_events
 from data_prep.log import Log
 from narxcal.atmosphere import air_state, isa
 from narxcal.channels import CHANNELS
-from narxcal.errors import ConfigError
-from narxcal.flight_test.envelope import (
+from narxcal.flight_test.manoeuvres import HAND_DEG_S
+from narxcal.flight_test.pilot import ENGINES, STYLES, rate_limited
+from narxcal.flight_test.plan import FlightPlan, _draw_day, plan_flight, seeded
+from narxcal.flight_test.route import (
     AIRCRAFT,
     CEILING_FT,
     CHANNEL_NAMES,
     DT_HIGH_C,
     DT_LOW_C,
+    LEAST_S,
+    SHORTEST_S,
     SWITCH_NAMES,
     mach_of_cas,
+    plan_legs,
 )
-from narxcal.flight_test.journey import LEAST_S, SHORTEST_S, plan_legs
-from narxcal.flight_test.lever import rate_limited
-from narxcal.flight_test.manoeuvres import HAND_DEG_S
-from narxcal.flight_test.pilot import ENGINES, STYLES
-from narxcal.flight_test.profile import FlightPlan, _draw_day, plan_flight, seeded
-from narxcal.turbofan.virtual_engine import INPUT_NAMES, VirtualEngine
+from narxcal.support.errors import ConfigError
+from narxcal.turbofan.engine import INPUT_NAMES, VirtualEngine
 
 seeds = st.integers(0, 2**31)
 styles = st.sampled_from(STYLES)

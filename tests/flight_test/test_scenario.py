@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.errors import ConfigError
 from narxcal.flight_test.flown_engine import build_facts, flown_engine
-from narxcal.flight_test.profile import FlightPlan
+from narxcal.flight_test.plan import FlightPlan
 from narxcal.flight_test.scenario import FlightScenario, LeverMove, canonical, lever_moves
+from narxcal.support.errors import ConfigError
 from narxcal.turbofan import VirtualEngine
 
 SLOW = {"duration_s": 480.0, "rate_hz": 4.0}

@@ -9,22 +9,27 @@ from hypothesis import strategies as st
 
 from narxcal.atmosphere import isa
 from narxcal.channels import CHANNELS
-from narxcal.errors import ConfigError
-from narxcal.flight_test import measurement
-from narxcal.flight_test.measurement import (
+from narxcal.flight_test import sensors as measurement
+from narxcal.flight_test.sensors import (
+    PARAMETERS,
+    PRESETS,
+    ChannelSensor,
+    SensorConfig,
+    SensorFault,
+    Streams,
     at_times,
+    channels_of,
     coloured,
     first_order,
     frozen,
     quantised,
+    record,
     slots,
     turbine_meter,
     windows,
     within,
 )
-from narxcal.flight_test.sensor_faults import PARAMETERS, SensorFault, channels_of
-from narxcal.flight_test.sensor_presets import PRESETS, ChannelSensor
-from narxcal.flight_test.sensors import SensorConfig, Streams, record
+from narxcal.support.errors import ConfigError
 
 DT = 1 / 32
 TIME = np.arange(0, 20, DT)

@@ -5,12 +5,11 @@ import pytest
 import torch
 
 from narxcal.atmosphere import air_state
-from narxcal.calibration import DynamicCalibration, narx_features
-from narxcal.narx import NarxConfig, NarxNet
-from narxcal.narx_model import NarxModel, Scaling
-from narxcal.steady_callable import SteadyCallable
-from narxcal.steady_table import SteadyTable
-from narxcal.turbofan.virtual_engine import INPUT_NAMES
+from narxcal.calibration.calibration import DynamicCalibration, narx_features
+from narxcal.narx.network import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.steady.function import SteadyCallable
+from narxcal.steady.table import SteadyTable
+from narxcal.turbofan.engine import INPUT_NAMES
 
 
 def curves(inputs):

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from narxcal.atomic import (
+from narxcal.support.errors import ConfigError
+from narxcal.support.files import (
     atomic_folder,
     atomic_stream,
     atomic_write_bytes,
     atomic_write_text,
     check_output_folder,
 )
-from narxcal.errors import ConfigError
 
 FULL = OSError(errno.ENOSPC, "No space left on device")
 
@@ -211,7 +211,7 @@ def test_a_failed_rename_puts_the_former_folder_back(tmp_path, monkeypatch):
 def test_a_killed_run_leaves_no_folder_that_could_be_taken_for_good(tmp_path):
     code = (
         "import sys, time\n"
-        "from narxcal.atomic import atomic_folder\n"
+        "from narxcal.support.files import atomic_folder\n"
         "with atomic_folder(sys.argv[1]) as part:\n"
         "    (part / 'bundle.json').write_text('half')\n"
         "    (part.parent / 'ready').touch()\n"

@@ -13,10 +13,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from narxcal import bundle as module
-from narxcal.bundle import Bundle, load_bundle, read_document, save_bundle, write_bundle
-from narxcal.errors import ConfigError, ModelError
-from narxcal.steady_table import SteadyTable
+from narxcal.calibration import bundle as module
+from narxcal.calibration.bundle import Bundle, load_bundle, read_document, save_bundle, write_bundle
+from narxcal.steady.table import SteadyTable
+from narxcal.support.errors import ConfigError, ModelError
 
 AGAIN = "Copy the bundle again, or train it anew"
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from narxcal import Bundle, ModelError, load_bundle, save_bundle
-from narxcal.steady_callable import SteadyCallable
-from narxcal.steady_fitted import FittedSteadyState, Layout
-from narxcal.steady_fmu import FmuOptions, SteadyFmu
-from narxcal.steady_state import Envelope
-from narxcal.steady_table import SteadyTable
+from narxcal.steady.fitted import FittedSteadyState, Layout
+from narxcal.steady.fmu import FmuOptions, SteadyFmu
+from narxcal.steady.function import SteadyCallable
+from narxcal.steady.model import Envelope
+from narxcal.steady.table import SteadyTable
 
 NAMES = (("TRA_deg", "Mach"), ("N1_pct", "EGT_C"))
 LOG = np.column_stack([40 + 30 * np.sign(np.sin(np.arange(200) / 15)), np.linspace(0, 0.7, 200)])

@@ -6,13 +6,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.calibration import DynamicCalibration, narx_features
-from narxcal.errors import DataError, ModelError
-from narxcal.narx import NarxConfig, NarxNet
-from narxcal.narx_model import NarxModel, Scaling
-from narxcal.steady_fitted import FittedSteadyState, Layout
-from narxcal.steady_state import Envelope
-from narxcal.steady_table import SteadyTable
+from narxcal.calibration.calibration import DynamicCalibration, narx_features
+from narxcal.narx.network import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.steady.fitted import FittedSteadyState, Layout
+from narxcal.steady.model import Envelope
+from narxcal.steady.table import SteadyTable
+from narxcal.support.errors import DataError, ModelError
 
 INPUTS, OUTPUTS = ("TRA_deg", "Mach"), ("N1_pct", "EGT_C")
 

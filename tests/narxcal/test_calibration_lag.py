@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from narxcal.calibration import DynamicCalibration, narx_features
-from narxcal.errors import ModelError
-from narxcal.lag import LagModel
-from narxcal.lag_steps import PARAMETERS
-from narxcal.narx import NarxConfig, NarxNet
-from narxcal.narx_model import NarxModel, Scaling
-from narxcal.steady_table import SteadyTable
+from narxcal.calibration.calibration import DynamicCalibration, narx_features
+from narxcal.lumped.lag import PARAMETERS, LagModel
+from narxcal.narx.network import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.steady.table import SteadyTable
+from narxcal.support.errors import ModelError
 
 INPUTS, OUTPUTS = ("TRA_deg", "Mach"), ("N1_pct", "EGT_C")
 

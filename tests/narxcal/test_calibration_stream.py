@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 
 TIME = np.arange(120)
 LOG = np.column_stack([40 + 30 * np.sign(np.sin(TIME / 15)), np.linspace(0, 0.7, len(TIME))])

@@ -3,7 +3,7 @@
 import pytest
 
 from narxcal.channels import channel
-from narxcal.errors import ConfigError
+from narxcal.support.errors import ConfigError
 
 
 @pytest.mark.parametrize(

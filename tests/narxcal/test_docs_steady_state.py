@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from narxcal.steady_fmu import FmuOptions
+from narxcal.steady.fmu import FmuOptions
 
 PAGE = Path(__file__).parents[2] / "docs" / "steady_state.md"
 

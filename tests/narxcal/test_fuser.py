@@ -5,9 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.errors import DataError, ModelError
-from narxcal.fuser import FusedRun, Fuser, FuserConfig, KalmanFuser, NoiseModel
-from narxcal.fuser_fast import FastFuser
+from narxcal.calibration.fuser import (
+    FastFuser,
+    FusedRun,
+    Fuser,
+    FuserConfig,
+    KalmanFuser,
+    NoiseModel,
+)
+from narxcal.support.errors import DataError, ModelError
 
 BOTH = pytest.mark.parametrize("kind", [KalmanFuser, FastFuser])
 CORRELATION = np.array([[1.0, 0.6, 0.2], [0.6, 1.0, -0.3], [0.2, -0.3, 1.0]])

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from narxcal.errors import DataError, ModelError
-from narxcal.fuser import KalmanFuser, NoiseModel, estimate_noise
-from narxcal.fuser_noise import _likelihood, _likelihood_loop
+from narxcal.calibration.fuser import KalmanFuser, NoiseModel, estimate_noise
+from narxcal.calibration.noise import _likelihood, _likelihood_loop
+from narxcal.support.errors import DataError, ModelError
 
 
 def record(time, seed, *, linger=0.8, measurement=0.3):

@@ -8,11 +8,11 @@ import threading
 import numpy as np
 import pytest
 
-from narxcal.interrupt import held_interrupt, is_interrupt, safe_interrupt
-from narxcal.narx import NarxConfig
-from narxcal.records import Record
+from narxcal.narx.network import NarxConfig
+from narxcal.record import Record
+from narxcal.support.interrupt import held_interrupt, is_interrupt, safe_interrupt
 from training.config import TrainConfig
-from training.trainer import Material, fit_narx
+from training.network import Material, fit_narx
 
 
 def press():
@@ -144,7 +144,7 @@ def nested(x, number):
 """
 GUARDED = """
 import signal, time
-from narxcal.interrupt import held_interrupt, safe_interrupt
+from narxcal.support.interrupt import held_interrupt, safe_interrupt
 
 for call in (array, several, named, nested):
     x = np.ones(3)

@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from narxcal.atmosphere import air_state
-from narxcal.errors import ModelError
-from narxcal.lag import LagModel, thickness
-from narxcal.lag_steps import HEAT_PARAMETERS, PARAMETERS, UNLIMITED
-from narxcal.narx import AT_START
+from narxcal.lumped.lag import HEAT_PARAMETERS, PARAMETERS, UNLIMITED, LagModel, thickness
+from narxcal.narx.network import AT_START
+from narxcal.support.errors import ModelError
 
 NAMES, INPUTS = ("N1_pct", "N2_pct", "EGT_C"), ("ALT_ft", "Mach", "dT_C")
 DT_S = 0.1

@@ -9,15 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from narxcal.atmosphere import air_state
-from narxcal.errors import ModelError
-from narxcal.lag import LagModel
-from narxcal.lag_governed import GovernedLags, governed_shapes, lags_from_arrays
-from narxcal.lag_governed_steps import LINES, inner_steps
-from narxcal.lag_steps import PARAMETERS
-from narxcal.narx import NarxConfig, NarxNet
-from narxcal.narx_model import NarxModel, Scaling
-from narxcal.register import Parts, Register, Sample
-from training.lag_governed_start import governed_start
+from narxcal.calibration.register import Parts, Register, Sample
+from narxcal.lumped.lag import PARAMETERS, LagModel
+from narxcal.lumped.lag_governed import GovernedLags, governed_shapes, lags_from_arrays
+from narxcal.lumped.lag_governed_steps import LINES, inner_steps
+from narxcal.narx.network import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.support.errors import ModelError
+from training.lag_priors import governed_start
 
 NAMES, INPUTS = ("N1_pct", "N2_pct", "EGT_C"), ("ALT_ft", "Mach", "dT_C")
 CENTRE, HALF = np.array([62.0, 75.0, 520.0]), np.array([35.0, 20.0, 240.0])

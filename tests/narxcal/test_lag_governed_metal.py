@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from narxcal.calibration import DynamicCalibration
-from narxcal.lag_governed import GovernedLags
-from narxcal.narx import NarxConfig, NarxNet
-from narxcal.narx_model import NarxModel, Scaling
-from narxcal.steady_table import SteadyTable
-from training.lag_governed_start import governed_start
+from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.lumped.lag_governed import GovernedLags
+from narxcal.narx.network import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.steady.table import SteadyTable
+from training.lag_priors import governed_start
 
 NAMES, INPUTS = ("N1_pct", "N2_pct", "EGT_C"), ("TRA_deg", "ALT_ft", "Mach", "dT_C")
 CENTRE, HALF = np.array([62.0, 75.0, 520.0]), np.array([35.0, 20.0, 240.0])

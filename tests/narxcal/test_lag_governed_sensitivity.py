@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.lag_governed import FITTED, GovernedLags
-from narxcal.narx import AT_START
-from training.lag_governed_start import governed_start
+from narxcal.lumped.lag_governed import FITTED, GovernedLags
+from narxcal.narx.network import AT_START
+from training.lag_priors import governed_start
 
 INPUTS = ("ALT_ft", "Mach", "dT_C")
 CENTRE, HALF = np.array([62.0, 75.0, 520.0]), np.array([35.0, 20.0, 240.0])

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from narxcal.multilinear import Multilinear
+from narxcal.steady.table import Multilinear
 
 
 @settings(max_examples=60, deadline=None)

@@ -6,9 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.errors import ConfigError, DataError, ModelError
-from narxcal.narx import NarxConfig, NarxNet, history_before, tap
-from narxcal.narx_model import NarxModel, Scaling
+from narxcal.narx.network import NarxConfig, NarxModel, NarxNet, Scaling, history_before, tap
+from narxcal.support.errors import ConfigError, DataError, ModelError
 
 
 def model(seed=0, inputs=2, outputs=2, **config):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from narxcal.errors import DataError
-from narxcal.records import Record, check_measured, check_records
+from narxcal.record import Record, check_measured, check_records
+from narxcal.support.errors import DataError
 
 
 def test_a_single_channel_becomes_a_column():

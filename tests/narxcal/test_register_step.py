@@ -6,11 +6,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.lag import LagModel
-from narxcal.lag_steps import PARAMETERS
-from narxcal.narx import NarxConfig, NarxNet
-from narxcal.narx_model import NarxModel, Scaling
-from narxcal.register import Parts, Register, Sample
+from narxcal.calibration.register import Parts, Register, Sample
+from narxcal.lumped.lag import PARAMETERS, LagModel
+from narxcal.narx.network import NarxConfig, NarxModel, NarxNet, Scaling
 
 INPUTS, OUTPUTS = ("ALT_ft", "Mach", "TRA_deg"), ("N1_pct", "N2_pct", "EGT_C")
 CENTRE, HALF = np.array([60.0, 75.0, 500.0]), np.array([30.0, 20.0, 150.0])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from narxcal.remembered import Remembered
+from narxcal.steady.function import Remembered
 
 
 def counted(most_rows=1000):

@@ -7,9 +7,9 @@ import joblib
 import numpy as np
 import pytest
 
-from narxcal.errors import ConfigError, ModelError
-from narxcal.steady_callable import SteadyCallable
-from narxcal.steady_state import SteadyStateModel, steady_from_json, steady_to_json
+from narxcal.steady.function import SteadyCallable
+from narxcal.steady.model import SteadyStateModel, steady_from_json, steady_to_json
+from narxcal.support.errors import ConfigError, ModelError
 
 NAMES = (("TRA_deg", "Mach"), ("N1_pct",))
 SOURCE = """

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from narxcal.errors import ConfigError, ModelError
-from narxcal.steady_csv import read_steady_table
-from narxcal.steady_export import ExportOptions, Grid, export_fmu, export_table
-from narxcal.steady_export.plan import plan
-from narxcal.steady_fmu import SteadyFmu
+from narxcal.export import ExportOptions, Grid, export_fmu, export_table
+from narxcal.export.plan import plan
+from narxcal.steady.fmu import SteadyFmu
+from narxcal.steady.table import read_steady_table
+from narxcal.support.errors import ConfigError, ModelError
 
 fmpy = pytest.importorskip("fmpy", reason="needs the extra fmu", exc_type=ImportError)
 if shutil.which("cc") is None or not sys.platform.startswith("linux"):

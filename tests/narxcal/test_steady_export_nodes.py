@@ -8,12 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.errors import ConfigError, ModelError
-from narxcal.steady_callable import SteadyCallable
-from narxcal.steady_export.axis_nodes import best_nodes, grow
-from narxcal.steady_export.grid import Grid, candidates
-from narxcal.steady_export.ranges import USUAL_RANGES, model_ranges
-from narxcal.steady_table import SteadyTable
+from narxcal.export.grid import USUAL_RANGES, Grid, best_nodes, candidates, grow, model_ranges
+from narxcal.steady.function import SteadyCallable
+from narxcal.steady.table import SteadyTable
+from narxcal.support.errors import ConfigError, ModelError
 
 
 def worst(x, values, chosen):

@@ -8,15 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from narxcal.errors import ConfigError, ModelError
-from narxcal.steady_callable import SteadyCallable
-from narxcal.steady_csv import read_steady_table
-from narxcal.steady_export import ExportOptions, Grid, export_table
-from narxcal.steady_export.gridded import Block, GriddedModel
-from narxcal.steady_export.layers import additive_switches, layers
-from narxcal.steady_export.plan import plan
-from narxcal.steady_table import SteadyTable
-from narxcal.turbofan.virtual_engine import INPUT_NAMES
+from narxcal.export import ExportOptions, Grid, export_table
+from narxcal.export.grid import Block, GriddedModel, additive_switches, layers
+from narxcal.export.plan import plan
+from narxcal.steady.function import SteadyCallable
+from narxcal.steady.table import SteadyTable, read_steady_table
+from narxcal.support.errors import ConfigError, ModelError
+from narxcal.turbofan.engine import INPUT_NAMES
 
 FIXED = {name: [0.0] for name in ("WOW", "Approach", "NAI", "WAI")}
 

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from narxcal.atmosphere import air_state
-from narxcal.errors import ModelError
-from narxcal.steady_fitted import FittedSteadyState, Layout, corner_weights, i_splines
-from narxcal.steady_state import Envelope, steady_from_json, steady_to_json
+from narxcal.steady.fitted import FittedSteadyState, Layout, corner_weights, i_splines
+from narxcal.steady.model import Envelope, steady_from_json, steady_to_json
+from narxcal.support.errors import ModelError
 
 INPUTS = ("TRA_deg", "ALT_ft", "Mach", "dT_C")
 OUTPUTS = ("N1_pct", "EGT_C", "FF_kgph", "FN_kN", "EPR")

@@ -12,9 +12,9 @@ import joblib
 import numpy as np
 import pytest
 
-from narxcal.errors import ConfigError, ModelError
-from narxcal.steady_fmu import FmuOptions, SteadyFmu
-from narxcal.steady_state import CarriesFiles, SteadyStateModel, steady_from_json, steady_to_json
+from narxcal.steady.fmu import FmuOptions, SteadyFmu
+from narxcal.steady.model import CarriesFiles, SteadyStateModel, steady_from_json, steady_to_json
+from narxcal.support.errors import ConfigError, ModelError
 
 NAMES = (("TRA_deg", "Mach"), ("N1_pct", "EGT_C"))
 ITT = {"variables": {"EGT_C": "ITT"}}

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from narxcal.errors import ConfigError
-from narxcal.steady_callable import SteadyCallable
-from narxcal.steady_fmu import SteadyFmu
-from narxcal.steady_source import SteadySourceOptions, open_steady
-from narxcal.steady_table import SteadyTable
+from narxcal.steady.fmu import SteadyFmu
+from narxcal.steady.function import SteadyCallable
+from narxcal.steady.source import SteadySourceOptions, open_steady
+from narxcal.steady.table import SteadyTable
+from narxcal.support.errors import ConfigError
 
 NAMES = (("TRA_deg", "Mach"), ("N1_pct",))
 

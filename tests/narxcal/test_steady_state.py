@@ -5,8 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from narxcal.errors import ModelError
-from narxcal.steady_state import (
+from narxcal.steady.model import (
     Envelope,
     SteadyStateModel,
     StorableSteadyState,
@@ -15,7 +14,8 @@ from narxcal.steady_state import (
     steady_to_json,
     stored,
 )
-from narxcal.steady_table import SteadyTable
+from narxcal.steady.table import SteadyTable
+from narxcal.support.errors import ModelError
 
 
 class Unstorable:

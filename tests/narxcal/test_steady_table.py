@@ -9,9 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from narxcal.errors import ConfigError, DataError, ModelError
-from narxcal.steady_csv import read_steady_table
-from narxcal.steady_table import SteadyTable
+from narxcal.steady.table import SteadyTable, read_steady_table
+from narxcal.support.errors import ConfigError, DataError, ModelError
 
 NAMES = (("TRA_deg", "ALT_ft"), ("N1_pct", "N2_pct"))
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from narxcal.records import Record
+from narxcal.record import Record
 
 POLE = 0.9
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data_prep.log import Log
-from narxcal.errors import ModelError
+from narxcal.support.errors import ModelError
 from training.baselines import Baselines, FirstOrderLag, LinearArx, fit_baselines, lag_steps
 
 DT_S = 0.1

@@ -12,14 +12,14 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from narxcal.errors import ModelError
-from narxcal.narx import NarxConfig
-from narxcal.records import Record
+from narxcal.narx.network import NarxConfig
+from narxcal.record import Record
+from narxcal.support.errors import ModelError
 from training.adam import Moments
 from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import TrainConfig
 from training.levenberg_marquardt import Damping
-from training.trainer import HistoryRow, Material, Progress, fit_narx
+from training.network import HistoryRow, Material, Progress, fit_narx
 
 ROOT = Path(__file__).parents[2]
 FULL = Progress(

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.errors import ConfigError
+from narxcal.support.errors import ConfigError
 from training.config import RunConfig, load_config
 
 ROOT = Path(__file__).parents[2]

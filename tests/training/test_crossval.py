@@ -8,7 +8,7 @@ import pytest
 
 from data_prep.events import EventsConfig, find_events
 from data_prep.log import Log, Source
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 from training.crossval import (
     CrossvalConfig,
     cut_segments,

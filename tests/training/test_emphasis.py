@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from narxcal.records import Record
-from training.emphasis import largest, motion_weight
-from training.rest import rest_records
+from narxcal.record import Record
+from training.records import largest, motion_weight, rest_records
 
 DT_S = 0.1
 

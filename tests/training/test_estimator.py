@@ -13,7 +13,7 @@ from sklearn.pipeline import make_pipeline
 
 import training.estimator
 from narxcal import Narx, NarxConfig, Record
-from narxcal.errors import ConfigError, DataError, ModelError
+from narxcal.support.errors import ConfigError, DataError, ModelError
 from training.config import TrainConfig
 
 QUICK = TrainConfig(horizons_s=(20.0, 0.0), iterations=(5, 10), score_every_s=1.0, threads=1)

@@ -8,8 +8,8 @@ import pytest
 from sklearn.base import clone
 
 from narxcal import Narx, NarxConfig
-from narxcal.errors import ConfigError, ModelError
-from narxcal.model_folder import seal
+from narxcal.calibration.bundle import seal
+from narxcal.support.errors import ConfigError, ModelError
 from training.config import TrainConfig
 
 QUICK = TrainConfig(horizons_s=(20.0, 0.0), iterations=(2, 3), score_every_s=1.0, threads=1)

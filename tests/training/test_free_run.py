@@ -6,9 +6,16 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.narx import AT_START, NarxConfig, NarxNet, Weights, simulate_slowly
-from narxcal.narx_model import NarxModel, Scaling
-from narxcal.records import Record
+from narxcal.narx.network import (
+    AT_START,
+    NarxConfig,
+    NarxModel,
+    NarxNet,
+    Scaling,
+    Weights,
+    simulate_slowly,
+)
+from narxcal.record import Record
 from training import adam, free_run, levenberg_marquardt
 from training.free_run import FreeRunProblem, cut_windows
 

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 
 from data_prep.log import Log, Source
-from narxcal.lag import LagModel
-from narxcal.lag_governed import GovernedLags
-from narxcal.lag_steps import PARAMETERS, UNLIMITED
+from narxcal.lumped.lag import PARAMETERS, UNLIMITED, LagModel
+from narxcal.lumped.lag_governed import GovernedLags
 from training.config import RunConfig
 from training.lag_choice import LagChoice, chosen_lags
-from training.lag_governed_start import governed_start
+from training.lag_priors import governed_start
 
 INPUTS, OUTPUTS = ("TRA_deg", "ALT_ft", "Mach"), ("N1_pct", "N2_pct", "EGT_C")
 CENTRE, HALF = np.array([62.0, 75.0, 520.0]), np.array([35.0, 20.0, 240.0])

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from narxcal.errors import DataError
-from narxcal.lag import LagModel
-from narxcal.lag_steps import HEAT_PARAMETERS, PARAMETERS, UNLIMITED
+from narxcal.lumped.lag import HEAT_PARAMETERS, PARAMETERS, UNLIMITED, LagModel
+from narxcal.support.errors import DataError
 from training.lag_fit import LagSamples, fit_lags
-from training.lag_start import LagForm, start_values
+from training.lag_priors import LagForm, start_values
 
 NAMES = (("ALT_ft",), ("N1_pct", "N2_pct", "EGT_C"))
 DT_S = 0.1

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from narxcal.errors import DataError, ModelError
-from narxcal.lag_governed import GovernedLags
+from narxcal.lumped.lag_governed import GovernedLags
+from narxcal.support.errors import DataError, ModelError
 from training.lag_fit import LagSamples, output_scales
 from training.lag_governed_fit import fit_governed
-from training.lag_governed_start import governed_start
+from training.lag_priors import governed_start
 
 NAMES = (("ALT_ft", "Mach"), ("N1_pct", "N2_pct", "EGT_C"))
 CENTRE, HALF = np.array([62.0, 75.0, 520.0]), np.array([35.0, 20.0, 240.0])

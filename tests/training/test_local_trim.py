@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from training.local_trim import locally_trimmed
+from training.records import locally_trimmed
 
 
 def lagged(steady, pole=0.9):

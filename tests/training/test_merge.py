@@ -6,10 +6,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.narx import NarxConfig, NarxNet
-from narxcal.narx_model import NarxModel, Scaling
-from narxcal.records import Record
-from training.merge import merge_models, single_output
+from narxcal.narx.network import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.record import Record
+from training.network import merge_models, single_output
 
 INPUTS = 3
 

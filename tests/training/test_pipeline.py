@@ -9,11 +9,10 @@ import pytest
 
 from data_prep.log import Log, Source
 from data_prep.smooth import SmoothConfig, smooth
-from narxcal.bundle import Bundle, load_bundle, save_bundle
-from narxcal.errors import ConfigError, DataError, ModelError
-from narxcal.fuser_fast import FastFuser
-from narxcal.lag import LagModel
-from narxcal.lag_steps import PARAMETERS, UNLIMITED
+from narxcal.calibration.bundle import Bundle, load_bundle, save_bundle
+from narxcal.calibration.fuser import FastFuser
+from narxcal.lumped.lag import PARAMETERS, UNLIMITED, LagModel
+from narxcal.support.errors import ConfigError, DataError, ModelError
 from training.config import RunConfig, SplitConfig
 from training.pipeline import (
     Split,

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from narxcal.narx import NarxConfig
-from narxcal.records import Record
+from narxcal.narx.network import NarxConfig
+from narxcal.record import Record
 from training.config import TrainConfig
-from training.rest import rest_records
-from training.trainer import Material, fit_narx
+from training.network import Material, fit_narx
+from training.records import rest_records
 
 
 def moving_record(seed=0, steps=600):

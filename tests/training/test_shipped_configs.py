@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from narxcal.bundle import load_bundle, save_bundle
+from narxcal.calibration.bundle import load_bundle, save_bundle
 from training.config import load_config
 from training.pipeline import (
     calibrate,

@@ -5,7 +5,7 @@ import pytest
 
 from data_prep.log import Log, Source
 from narxcal.atmosphere import air_state
-from narxcal.errors import ConfigError
+from narxcal.support.errors import ConfigError
 from training.config import RunConfig
 from training.steady_choice import chosen_layout, steady_state
 

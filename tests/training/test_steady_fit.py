@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.errors import ConfigError, DataError
-from narxcal.steady_fitted import Layout
-from training.steady_config import SteadyFitConfig, SteadyStateConfig
+from narxcal.steady.fitted import Layout
+from narxcal.support.errors import ConfigError, DataError
+from training.config import SteadyFitConfig, SteadyStateConfig
 from training.steady_fit import SteadySamples, fit_steady_state
 
 LAYOUT = Layout(

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from narxcal.errors import DataError
-from narxcal.narx import NarxConfig
-from narxcal.records import Record
+from narxcal.narx.network import NarxConfig
+from narxcal.record import Record
+from narxcal.support.errors import DataError
 from training.config import TrainConfig
-from training.trainer import Material, fit_narx
+from training.network import Material, fit_narx
 
 STRUCTURE = NarxConfig(lags=1, taps=(0,), hidden=3)
 SHORT = TrainConfig(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from training.turns import left_over, turns
+from training.folds import left_over, turns
 
 
 def test_each_recording_is_judged_once_and_stays_whole():

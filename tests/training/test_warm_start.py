@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.narx import NarxConfig
-from narxcal.records import Record
+from narxcal.narx.network import NarxConfig
+from narxcal.record import Record
 from training.free_run import FreeRunProblem, cut_windows
-from training.warm_start import new_model, start_linear
+from training.network import new_model, start_linear
 
 configs = st.builds(
     NarxConfig,

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from narxcal.atmosphere import isa
-from narxcal.turbofan.rest import (
+from narxcal.turbofan.cycle import Stations
+from narxcal.turbofan.engine import INPUT_NAMES, VirtualEngine, _core
+from narxcal.turbofan.solve import (
     BLEED,
     CONDITIONS,
     MACH,
@@ -16,8 +18,6 @@ from narxcal.turbofan.rest import (
     STATIC_PA,
     rest_points,
 )
-from narxcal.turbofan.stations import Stations
-from narxcal.turbofan.virtual_engine import INPUT_NAMES, VirtualEngine, _core
 
 PRESET_NAMES = ("business_jet", "single_aisle")
 

@@ -5,13 +5,10 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from narxcal.turbofan.cycle import handling_bleed, reynolds_factor
-from narxcal.turbofan.gas import LOWER_HEATING_VALUE, REFERENCE_K, enthalpy
-from narxcal.turbofan.intake import Air, intake
+from narxcal.turbofan.cycle import Health, Running, handling_bleed, reynolds_factor
+from narxcal.turbofan.gas import LOWER_HEATING_VALUE, REFERENCE_K, Air, enthalpy, intake
 from narxcal.turbofan.ratings import n1_command
-from narxcal.turbofan.rest import BLEED, MACH, N1, OFFTAKE_W, STATIC_K, STATIC_PA
-from narxcal.turbofan.solve import solved
-from narxcal.turbofan.stations import Health, Running
+from narxcal.turbofan.solve import BLEED, MACH, N1, OFFTAKE_W, STATIC_K, STATIC_PA, solved
 
 inputs = st.tuples(
     st.one_of(st.just(0.0), st.floats(0.0, 85.0)),

@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from narxcal.turbofan.cycle import gas_path
-from narxcal.turbofan.design import close
-from narxcal.turbofan.intake import intake
-from narxcal.turbofan.presets import preset
-from narxcal.turbofan.stations import Health, Running
+from narxcal.turbofan.cycle import Health, Running, gas_path
+from narxcal.turbofan.design import close, preset
+from narxcal.turbofan.gas import intake
 
 
 def at_design(bench):

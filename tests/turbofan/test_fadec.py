@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from numba import njit
 
 from narxcal.atmosphere import air_state
-from narxcal.errors import ModelError
+from narxcal.support.compiled import lagged, table_value
+from narxcal.support.errors import ModelError
 from narxcal.turbofan import fadec, fuel_valve
 from narxcal.turbofan.fadec import FadecParameters, Sensed
 from narxcal.turbofan.fuel_valve import FuelValveParameters
-from narxcal.turbofan.lag import lagged, table_value
 
 DT = 0.015
 SEA, HIGH = (0.0, 0.0), (35000.0, 0.78)

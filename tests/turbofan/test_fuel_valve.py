@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.errors import ConfigError
+from narxcal.support.errors import ConfigError
 from narxcal.turbofan.fuel_valve import METERED, FuelValveParameters, settled, step
 
 DT = 0.015

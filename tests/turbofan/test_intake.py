@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from narxcal.turbofan.intake import delta, intake, theta
+from narxcal.turbofan.gas import delta, intake, theta
 
 
 def test_at_rest_only_the_recovery_is_lost():

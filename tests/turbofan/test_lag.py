@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.turbofan.lag import lag_share, lagged, ramp_lagged, slewed, table_value
+from narxcal.support.compiled import lag_share, lagged, ramp_lagged, slewed, table_value
 
 SLOW = 20000  # Euler steps of the slow twin
 finite = st.floats(-10.0, 10.0)

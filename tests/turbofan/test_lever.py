@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from narxcal.errors import ConfigError
+from narxcal.support.errors import ConfigError
 from narxcal.turbofan.lever import LeverParameters, resolver
 
 DT = 1.0 / 32.0

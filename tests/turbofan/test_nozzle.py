@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from narxcal.turbofan.gas import gas_constant, specific_heat
-from narxcal.turbofan.nozzle import jet
+from narxcal.turbofan.gas import gas_constant, jet, specific_heat
 
 
 def gamma_at(total_K):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from narxcal.errors import ConfigError
-from narxcal.turbofan.presets import PRESETS, preset
+from narxcal.support.errors import ConfigError
+from narxcal.turbofan.design import PRESETS, preset
 
 # ICAO emissions databank, as OpenAP 2.6.2 carries it: rated thrust in kN, overall pressure ratio,
 # fuel flow in kg/s at 100, 85, 30 and 7 % of the rated thrust; JT15D-4 and CFM56-5B4/3.

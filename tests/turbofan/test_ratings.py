@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import PchipInterpolator
 
 from narxcal.atmosphere import air_state
-from narxcal.errors import ConfigError
+from narxcal.support.errors import ConfigError
 from narxcal.turbofan.ratings import BUSINESS_JET, SINGLE_AISLE, _monotone, idle, n1_command
 
 PRESETS = pytest.mark.parametrize("ratings", [BUSINESS_JET, SINGLE_AISLE])

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
+from narxcal.turbofan.engine import HIGH, LOW
 from narxcal.turbofan.ratings import n1_command
-from narxcal.turbofan.rest import N1, Line, rest_points, running_line
-from narxcal.turbofan.solve import UNKNOWN
-from narxcal.turbofan.virtual_engine import HIGH, LOW
+from narxcal.turbofan.solve import N1, UNKNOWN, Line, rest_points, running_line
 
 SURGE = 0.5 * np.pi
 

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.turbofan.intake import intake
+from narxcal.turbofan.cycle import Health, Running
+from narxcal.turbofan.gas import intake
 from narxcal.turbofan.solve import TOLERANCE, balances, invert, solved, worst
-from narxcal.turbofan.stations import Health, Running
 
 
 @given(st.integers(0, 10_000), st.integers(1, 7))

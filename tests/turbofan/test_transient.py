@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from narxcal.turbofan.intake import intake
+from narxcal.turbofan.cycle import Health, Running
+from narxcal.turbofan.gas import intake
 from narxcal.turbofan.solve import solved
-from narxcal.turbofan.stations import Health, Running
 from narxcal.turbofan.transient import LEAST_FLOW, soak, spin, steps_per_sample
 
 

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from narxcal.errors import ConfigError
+from narxcal.support.errors import ConfigError
 from narxcal.turbofan import Unmodelled, VirtualEngine
+from narxcal.turbofan.engine import INPUT_NAMES, PARAMETERS
 from narxcal.turbofan.transient import COLUMNS
-from narxcal.turbofan.unmodelled import PARAMETERS
-from narxcal.turbofan.virtual_engine import INPUT_NAMES
 
 DT = 1.0 / 32.0
 N1, N2, EGT, FF, FN = range(5)

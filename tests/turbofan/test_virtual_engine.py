@@ -5,13 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.errors import ConfigError, ModelError
+from narxcal.support.errors import ConfigError, ModelError
 from narxcal.turbofan import VirtualEngine, build_scatter, maker_model
+from narxcal.turbofan.cycle import Health
+from narxcal.turbofan.engine import INPUT_NAMES, OUTPUT_NAMES, Unmodelled
 from narxcal.turbofan.fadec import GOVERNOR
-from narxcal.turbofan.stations import Health
 from narxcal.turbofan.transient import COLUMNS
-from narxcal.turbofan.unmodelled import Unmodelled
-from narxcal.turbofan.virtual_engine import INPUT_NAMES, OUTPUT_NAMES
 
 N1, N2, EGT, FF, FN = range(5)
 HZ = 32

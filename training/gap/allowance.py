@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from narxcal.effects.base import FloatArray
+from narxcal.support.arrays import FloatArray
 from training.gap.bounded import least_within, room, without
 from training.gap.fitting import Fit, Problem
 from training.gap.scatter import build_scatter

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import norm, t
 
-from narxcal.effects.base import FloatArray
+from narxcal.support.arrays import FloatArray
 from training.gap.finding import ChannelShrink, Interval, Tried
 from training.gap.fitting import Fit
 from training.gap.quadratic import Misfit

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 
-from narxcal.effects.base import FloatArray
 from narxcal.effects.running import Flights
+from narxcal.support.arrays import FloatArray
 from training.gap.quadratic import Misfit
 from training.gap.scatter import levels
 

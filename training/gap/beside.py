@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from narxcal.effects.base import FloatArray
 from narxcal.effects.sensor_side import SensorDrift
+from narxcal.support.arrays import FloatArray
 from training.gap.fitting import Fit, fit, in_nearly_all
 from training.gap.foils import foil, heat_of
 from training.gap.null import null_gains

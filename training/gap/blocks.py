@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from training.gap.coloured_noise import FOLLOW, FloatArray, Noise, gains, whiten
+from narxcal.support.arrays import FloatArray
+from training.gap.coloured_noise import FOLLOW, Noise, gains, whiten
 from training.gap.switching import trusted
 
 EDGE = 8  # blocks on either side of an edge that say how large it is

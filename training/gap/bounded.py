@@ -12,7 +12,8 @@ from typing import Final
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from narxcal.effects.base import FloatArray, Parameter
+from narxcal.effects.base import Parameter
+from narxcal.support.arrays import FloatArray
 
 _RIDGE: Final = 1e-6
 _THIN: Final = 1e-9  # least width of a bound

@@ -18,9 +18,9 @@ from scipy.ndimage import percentile_filter
 from scipy.optimize import nnls
 from scipy.stats import chi2
 
-from narxcal.kernels import compiled
+from narxcal.narx.kernels import compiled
+from narxcal.support.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 FOLLOW = 3  # blocks in which the engine takes up a change
 _TAUS = np.geomspace(3.0, 48.0, 9)  # blocks
 _LAGS = (1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from narxcal.effects.base import Effect, FloatArray
+from narxcal.effects.base import Effect
 from narxcal.effects.dynamic import (
     AccelDecelAsymmetry,
     AccelLimit,
@@ -27,6 +27,7 @@ from narxcal.effects.dynamic import (
     SpoolLag,
 )
 from narxcal.effects.running import Flights
+from narxcal.support.arrays import FloatArray
 from training.gap.emulator import GreyBoxEmulator
 from training.gap.fitting import Problem, fit
 from training.gap.quadratic import misfit

@@ -17,9 +17,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from narxcal.effects.base import Effect, FloatArray
+from narxcal.effects.base import Effect
 from narxcal.effects.library import candidates
 from narxcal.effects.running import Flights
+from narxcal.support.arrays import FloatArray
 from training.gap import both_ways
 from training.gap.allowance import Allowance
 from training.gap.beside import beside, stands

@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from narxcal.effects.base import FloatArray, Signals
+from narxcal.effects.base import Signals
 from narxcal.effects.pace import Pace, as_simulated
 from narxcal.effects.running import Flights, Shift
-from narxcal.errors import DataError
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
 from narxcal.two_spool import HOLDS_FUEL, HOLDS_RATE, TwoSpool
 from training.gap.settled import SettledModel, corrected, fit_settled
 from training.gap.two_spool_fit import GOVERNED_CORE, GOVERNED_FAN, Course, fit_two_spool

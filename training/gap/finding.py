@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from narxcal.effects.base import FloatArray
+from narxcal.support.arrays import FloatArray
 
 Kind = Literal["none", "effects", "ambiguous", "unknown"]
 

@@ -15,8 +15,9 @@ from itertools import product
 
 import numpy as np
 
-from narxcal.effects.base import Effect, FloatArray, Parameter
+from narxcal.effects.base import Effect, Parameter
 from narxcal.effects.running import Emulator, Flights, respond
+from narxcal.support.arrays import FloatArray
 from training.gap.bounded import least_within, room, without
 from training.gap.quadratic import Misfit
 

@@ -16,9 +16,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from narxcal.effects.base import Effect, FloatArray
+from narxcal.effects.base import Effect
 from narxcal.effects.sensor_side import SensorDrift
 from narxcal.effects.steady import HeatSoak
+from narxcal.support.arrays import FloatArray
 from training.gap.fitting import Fit
 from training.gap.quadratic import Misfit
 

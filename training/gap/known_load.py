@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from narxcal.support.arrays import BoolArray, FloatArray
 from training.gap.levels import (
-    BoolArray,
-    FloatArray,
     Found,
     Levels,
     climb,

@@ -15,12 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from narxcal.kernels import compiled
+from narxcal.narx.kernels import compiled
+from narxcal.support.arrays import BoolArray, FloatArray
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 EDGE, SETTLED = 8, 4  # blocks that tell a level, and those after a change that do not yet
 _SWITCH = 4.0  # blocks of a whole shift that a change has to be worth
 _ROUNDS, _TRUST, _BOUND = 8, 2.0, 2.5

@@ -17,8 +17,8 @@ from scipy.ndimage import minimum_filter1d
 from scipy.stats import binom, t
 
 from data_prep.moves import spans
-from narxcal.effects.base import FloatArray
 from narxcal.effects.running import Flights
+from narxcal.support.arrays import FloatArray
 from training.gap.levels import Found, Levels, contrast
 
 WITNESSES = 2  # flights in which the load was on

@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
-from narxcal.effects.base import FloatArray
 from narxcal.effects.steady import FOLLOW_S
+from narxcal.support.arrays import FloatArray
 from training.gap.coloured_noise import Gains, Noise, gains, whiten
 from training.gap.load_noise import noise_at_moves
 from training.gap.switching import cost

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
-from narxcal.effects.base import FloatArray
 from narxcal.effects.running import Flights
+from narxcal.support.arrays import FloatArray
 from training.gap.coloured_noise import Noise, fit_noise, gains, whiten
 
 _FADE_S = 3.0  # how long a move is heard

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from data_prep.moves import spans
-from narxcal.effects.base import FloatArray
 from narxcal.effects.running import Flights
+from narxcal.support.arrays import BoolArray, FloatArray
 from training.gap.finding import Interval
-from training.gap.levels import BoolArray, Found, Levels, of_paths
+from training.gap.levels import Found, Levels, of_paths
 from training.gap.load_edges import Change, Heard, Moment, moments
 from training.gap.load_noise import restless
 from training.gap.path_windows import Window

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from narxcal.effects.base import FloatArray
+from narxcal.support.arrays import FloatArray
 from training.gap.fitting import Fit
 from training.gap.quadratic import Misfit
 

@@ -13,8 +13,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from narxcal.effects.base import Effect, FloatArray, Signals
+from narxcal.effects.base import Effect, Signals
 from narxcal.effects.running import Flights
+from narxcal.support.arrays import FloatArray
 from training.gap.at_speed import at_one_speed, burns_more
 from training.gap.fitting import Fit, Problem, fit, in_nearly_all
 from training.gap.quadratic import Misfit, misfit

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from narxcal.effects.base import FloatArray
 from narxcal.effects.running import Flights
+from narxcal.support.arrays import FloatArray
 
 TOLERANCE = 1e-3  # of a channel's range: what nobody would call a gap
 _OFFSET, _SLOPE, _BEND = 0.03, 0.03, 0.06  # priors of the nuisances, as shares of a range

@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from narxcal.effects.base import FloatArray
 from narxcal.effects.running import Flights
+from narxcal.support.arrays import FloatArray
 from training.gap.fitting import Fit
 from training.gap.quadratic import Misfit
 from training.gap.scatter import levels

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from narxcal.effects.base import FloatArray
 from narxcal.effects.running import Flights
+from narxcal.support.arrays import FloatArray
 from training.gap.quadratic import Misfit
 
 _ZERO_K = 273.15

@@ -16,8 +16,9 @@ from typing import Final
 import numpy as np
 from scipy.signal import lfilter
 
-from narxcal.effects.base import FloatArray, Signals
+from narxcal.effects.base import Signals
 from narxcal.effects.running import Flights
+from narxcal.support.arrays import FloatArray
 
 CONDITIONS: Final = ("ALT_ft", "Mach", "dT_C")
 SWITCHES: Final = ("WOW", "Approach", "ECS", "NAI", "WAI")

@@ -15,8 +15,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from narxcal.kernels import compiled
-from training.gap.coloured_noise import FOLLOW, FloatArray, Gains, Noise
+from narxcal.narx.kernels import compiled
+from narxcal.support.arrays import FloatArray
+from training.gap.coloured_noise import FOLLOW, Gains, Noise
 
 FREEDOM = 4.0  # of Student's t
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from narxcal.effects.base import FloatArray
 from narxcal.effects.dynamic import AccelLimit
 from narxcal.effects.steady import HeatSoak
+from narxcal.support.arrays import FloatArray
 from training.gap.fitting import Fit
 from training.gap.quadratic import Misfit
 

@@ -16,8 +16,8 @@ from scipy.optimize import least_squares, minimize_scalar
 from scipy.signal import lfilter
 
 from narxcal import two_spool
-from narxcal.effects.base import FloatArray
 from narxcal.effects.pace import as_simulated
+from narxcal.support.arrays import FloatArray
 from narxcal.two_spool import (
     DAMP,
     DOWN,

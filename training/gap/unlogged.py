@@ -15,14 +15,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from narxcal.effects.base import FloatArray, Signals
+from narxcal.effects.base import Signals
 from narxcal.effects.memory import Lag
 from narxcal.effects.running import Flights
 from narxcal.effects.steady import FOLLOW_S, UNLOGGED, UnloggedSwitch
+from narxcal.support.arrays import BoolArray, FloatArray
 from training.gap.blocks import drawn_anew
 from training.gap.fitting import Fit
 from training.gap.known_load import search_any_size, search_known
-from training.gap.levels import BoolArray, Found, Levels, of_paths, search_levels
+from training.gap.levels import Found, Levels, of_paths, search_levels
 from training.gap.load_checks import against, as_the_lever
 from training.gap.load_windows import Searched, told
 from training.gap.path_windows import Window

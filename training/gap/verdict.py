@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import t
 
-from narxcal.effects.base import FloatArray, InputEffect, RateEffect
+from narxcal.effects.base import InputEffect, RateEffect
+from narxcal.support.arrays import FloatArray
 from training.gap.answer import Worth, channels, probabilities, shrink, tried
 from training.gap.finding import Finding, Interval, Kind, Tried
 from training.gap.fitting import Fit

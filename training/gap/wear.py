@@ -17,9 +17,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from narxcal.effects import effect
-from narxcal.effects.base import FloatArray
 from narxcal.effects.dynamic import AccelLimit
 from narxcal.effects.steady import Deterioration
+from narxcal.support.arrays import FloatArray
 from training.gap.at_speed import at_one_speed, burns_more, typical
 from training.gap.fitting import Fit, in_nearly_all
 from training.gap.offsets import MAYBE, SURELY, Offset, offset_fits, unexplained

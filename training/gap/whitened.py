@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.fft import dct
 
-from narxcal.effects.base import FloatArray
 from narxcal.effects.running import respond
 from narxcal.effects.sensor_side import SensorLag
+from narxcal.support.arrays import FloatArray
 from training.gap.fitting import Fit, Problem, fit
 from training.gap.quadratic import Misfit
 from training.gap.together import is_heat

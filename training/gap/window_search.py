@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from narxcal.support.arrays import FloatArray
 from training.gap.blocks import (
     Blocks,
     centred,
@@ -16,7 +17,7 @@ from training.gap.blocks import (
     settled,
     sharpest_edges,
 )
-from training.gap.coloured_noise import FloatArray, Gains, Noise, colour, fit_noise, gains, whiten
+from training.gap.coloured_noise import Gains, Noise, colour, fit_noise, gains, whiten
 from training.gap.switching import best_path
 
 _EULER = 0.5772

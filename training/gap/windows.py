@@ -19,9 +19,10 @@ from scipy.ndimage import minimum_filter1d
 from scipy.stats import binom
 
 from data_prep.moves import spans
-from narxcal.errors import DataError
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
 from training.gap.blocks import EDGE, Blocks, blocks_of
-from training.gap.coloured_noise import FOLLOW, FloatArray
+from training.gap.coloured_noise import FOLLOW
 from training.gap.path_windows import Searched, Windows, no_windows, told
 from training.gap.window_search import Options, gains_in_noise, rarely_reached, refined
 

@@ -9,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from narxcal.effects.base import Effect, FloatArray
+from narxcal.effects.base import Effect
 from narxcal.effects.input_side import ThrottleBacklash
 from narxcal.effects.running import Emulator
 from narxcal.effects.steady import HeatSoak
+from narxcal.support.arrays import FloatArray
 from training.gap.allowance import Allowance
 from training.gap.fitting import Fit, Problem, in_nearly_all
 from training.gap.quadratic import Misfit

@@ -17,7 +17,7 @@ from pydantic import Field
 from eval.gap.blind.catalogue import CATALOGUE, Scale
 from eval.gap.blind.lumped import KINDS, applies
 from eval.gap.blind.outside import MIMICS, OTHERS, Strange
-from narxcal.settings import Section
+from narxcal.support.settings import Section
 
 Kind = Literal["single", "pair", "null", "outside"]
 Style = Literal["line", "enriched"]

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 from narxcal.effects.library import LIBRARY
-from narxcal.flight_test.sensor_faults import SENSOR_EFFECTS, SensorFault
+from narxcal.flight_test.sensors import SENSOR_EFFECTS, SensorFault
 from narxcal.turbofan import Unmodelled
 
 Windows = tuple[tuple[float, float], ...]

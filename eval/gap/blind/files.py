@@ -14,7 +14,7 @@ import numpy as np
 
 from eval.gap.blind.seal import opened
 from eval.gap.blind.truth import Channels
-from narxcal.errors import ConfigError, DataError
+from narxcal.support.errors import ConfigError, DataError
 
 SCHEMA: Final = "narxcal.blind/1"
 KEY_SCHEMA: Final = "narxcal.blind_key/1"

@@ -11,12 +11,11 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from eval.gap.blind.catalogue import Dose, Windows
 from eval.gap.blind.lumped import LumpedEngine
+from narxcal.support.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Channels = dict[str, FloatArray]
 EFFECTS: Final = (
     "actuator_lag",

@@ -11,12 +11,11 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from eval.gap.blind.catalogue import Windows
-from narxcal.flight_test.measurement import first_order
+from narxcal.flight_test.sensors import first_order
+from narxcal.support.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Channels = dict[str, FloatArray]
 _SPOOL_S, _GAS_S = 1.6, 0.8  # after a bleed opens, N2 and exhaust temperature take so long
 _SWITCHES: Final = ("NAI", "WAI", "ECS")

@@ -14,15 +14,14 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from eval.gap.blind.lumped_run import FUEL, N1_RATE, N2_FUEL, Physics, run, speed_followed
 from narxcal.atmosphere import air_state
-from narxcal.turbofan.compiled import compiled
-from narxcal.turbofan.stations import Health
-from narxcal.turbofan.unmodelled import Unmodelled
+from narxcal.support.arrays import FloatArray
+from narxcal.support.compiled import compiled
+from narxcal.turbofan.cycle import Health
+from narxcal.turbofan.engine import Unmodelled
 
-FloatArray = NDArray[np.float64]
 KINDS: Final = {"lumped_n1": N1_RATE, "lumped_n2": N2_FUEL, "lumped_fuel": FUEL}
 _AIR = ("ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "NAI", "WAI")
 _FULL_DEG, _FULL_KGPH, _FULL_KW = 85.0, 1100.0, 2500.0

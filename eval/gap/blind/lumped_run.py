@@ -15,11 +15,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from narxcal.turbofan.compiled import compiled
+from narxcal.support.arrays import FloatArray
+from narxcal.support.compiled import compiled
 
-FloatArray = NDArray[np.float64]
 N1_RATE, N2_FUEL, FUEL = 0, 1, 2  # what the lever asks for, and what limits an acceleration
 STEP_S = 0.008
 N1, N2, METAL, PROBE, SERVO, METERED, BURNED, INTEGRAL, RATE, BEFORE = range(10)

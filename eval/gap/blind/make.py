@@ -14,8 +14,8 @@ from eval.gap.blind.oracle import located
 from eval.gap.blind.seal import sealed
 from eval.gap.blind.sizes import gap_share, sized
 from eval.gap.blind.truth import NOTHING, Channels, Content, Specimen
-from narxcal.atomic import atomic_write_bytes, atomic_write_text
-from narxcal.errors import ModelError
+from narxcal.support.errors import ModelError
+from narxcal.support.files import atomic_write_bytes, atomic_write_text
 from training.parallel import in_processes
 
 _SIZED_ON = 2  # flights: their days differ

@@ -10,11 +10,10 @@ from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from narxcal.turbofan.compiled import compiled
+from narxcal.support.arrays import FloatArray
+from narxcal.support.compiled import compiled
 
-FloatArray = NDArray[np.float64]
 Channels = dict[str, FloatArray]
 _FULL_DEG = 85.0
 _PERIOD_S, _ON_S = 90.0, 30.0  # GAP section 5: an ECS load for 30 s in every 90 s

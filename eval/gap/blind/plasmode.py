@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_prep.hold import hold_inputs
 from data_prep.log import Log
@@ -30,11 +29,11 @@ from eval.gap.blind.truth import hidden_windows
 from eval.gap.pairs import DIAGNOSED, match_simulated, read_folder
 from eval.gap.simulators import Simulate, open_simulator
 from narxcal.channels import CHANNELS
-from narxcal.errors import ConfigError, DataError
 from narxcal.flight_test.sensors import SensorConfig, Streams, record
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError, DataError
 from training.config import RunConfig
 
-FloatArray = NDArray[np.float64]
 Channels = dict[str, FloatArray]
 DRIVERS: Final = ("TRA_deg", "FF_kgph")
 _PERFECT = SensorConfig(preset="perfect", inputs="exact")

@@ -23,9 +23,9 @@ import numpy as np
 
 from eval.gap.blind.files import FOLDERS, read_cases
 from eval.gap.diagnose import Request, diagnose_folders
-from narxcal.atomic import atomic_write_text
-from narxcal.errors import ConfigError, NarxcalError
-from narxcal.interrupt import is_interrupt, put_off, safe_interrupt
+from narxcal.support.errors import ConfigError, NarxcalError
+from narxcal.support.files import atomic_write_text
+from narxcal.support.interrupt import is_interrupt, put_off, safe_interrupt
 from training.parallel import in_processes
 
 SCHEMA: Final = "narxcal.blind_answers/1"

@@ -14,7 +14,7 @@ from eval.gap.blind.metrics import mean, overlap, rate
 from eval.gap.blind.outcome import Outcome
 from eval.gap.blind.run import ANSWERS, read_answer, read_reruns
 from eval.gap.blind.run import SCHEMA as ANSWERS_SCHEMA
-from narxcal.errors import ConfigError, DataError
+from narxcal.support.errors import ConfigError, DataError
 
 SCHEMA: Final = "narxcal.blind_score/1"
 EDGES: Final = (0.02, 0.05, 0.10, 0.25)

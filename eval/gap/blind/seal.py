@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from narxcal.errors import ConfigError, DataError
+from narxcal.support.errors import ConfigError, DataError
 
 MARK: Final = b"narxcal.blind_key/1\n"
 _ROUNDS = 200_000

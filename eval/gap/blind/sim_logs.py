@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_prep.log import Log
 from eval.gap.blind.cases import (
@@ -39,11 +38,9 @@ from eval.gap.blind.truth import (
     outputs_for,
 )
 from eval.gap.pairs import read_folder
-from narxcal.errors import DataError
-from narxcal.flight_test.sensor_presets import ChannelSensor
-from narxcal.flight_test.sensors import SensorConfig, Streams, record
+from narxcal.flight_test.sensors import ChannelSensor, SensorConfig, Streams, record
+from narxcal.support.errors import DataError
 
-FloatArray = NDArray[np.float64]
 ENGINE: Final = "maker"
 _FOLDERS: Final = ("sim", "sim_heldout")
 # The logs are behind the simulator's own sensors: noise, bias and clock are added, no more lag.

@@ -7,20 +7,18 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from eval.gap.blind.cases import BlindPlan, Case
 from eval.gap.blind.catalogue import Dose, Windows
 from eval.gap.blind.lumped import KINDS, LumpedEngine
 from eval.gap.blind.outside import MISFIT, applied
-from narxcal.flight_test.flown_effects import drawn_windows
-from narxcal.flight_test.profile import FlightPlan, plan_flight
-from narxcal.flight_test.sensor_presets import ChannelSensor
-from narxcal.flight_test.sensors import SensorConfig, Streams, record
+from narxcal.flight_test.plan import FlightPlan, plan_flight
+from narxcal.flight_test.scenario import drawn_windows
+from narxcal.flight_test.sensors import ChannelSensor, SensorConfig, Streams, record
+from narxcal.support.arrays import FloatArray
 from narxcal.turbofan import Unmodelled, VirtualEngine, build_scatter
-from narxcal.turbofan.stations import Health
+from narxcal.turbofan.cycle import Health
 
-FloatArray = NDArray[np.float64]
 Channels = dict[str, FloatArray]
 Engine = VirtualEngine | LumpedEngine
 OUTPUTS: Final = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")

@@ -12,7 +12,7 @@ from eval.gap.applied import EMULATED, INPUTS, OUTPUTS, SHIFTED, FoundEffects, r
 from eval.gap.simulators import open_simulator
 from eval.gap.stored_emulator import signals_to_json
 from narxcal.effects.memory import Delay, Lag, Play
-from narxcal.errors import ConfigError, DataError, ModelError
+from narxcal.support.errors import ConfigError, DataError, ModelError
 
 
 class Lagging:

@@ -11,7 +11,7 @@ from eval.gap.claimed import (
     settings,
     with_effects,
 )
-from narxcal.errors import ConfigError
+from narxcal.support.errors import ConfigError
 from training.gap.finding import Interval
 
 

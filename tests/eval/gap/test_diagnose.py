@@ -10,7 +10,7 @@ from eval.gap import diagnose as module
 from eval.gap.diagnose import Request, diagnose_folders, diagnose_pairs
 from eval.gap.expected import expected, seen, unseen
 from eval.gap.pairs import pair_logs
-from narxcal.errors import ConfigError, DataError
+from narxcal.support.errors import ConfigError, DataError
 from training.gap.finding import Interval
 
 NAME = "sensor_lag:EGT_C"

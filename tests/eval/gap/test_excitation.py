@@ -4,7 +4,7 @@ import pytest
 
 from data_prep.events import PULL, PUSH
 from eval.gap.excitation import check_excitation, events_of
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 
 
 def test_slams_are_found_with_their_direction(make_data):

@@ -8,7 +8,7 @@ import pytest
 from eval.gap.flights_page import write_page
 from eval.gap.flights_steps import FlightStudy, Judged, level, level_interval
 from eval.gap.flights_study import settled, study
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 
 DT_S = 0.5
 SHIFT = np.array([-2.0, -1.0, 20.0])

@@ -6,7 +6,7 @@ import pytest
 from eval.gap.blocks import batch
 from eval.gap.held_flights import in_terms_of, together
 from eval.gap.pairs import pair_logs
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 
 
 @pytest.fixture

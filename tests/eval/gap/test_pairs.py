@@ -5,7 +5,7 @@ import pytest
 
 from eval.gap.log_folders import read_folder
 from eval.gap.pairs import check_apart, match_simulated, pair_logs, read_pairs
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 from training.config import RunConfig
 
 

@@ -9,7 +9,7 @@ from eval.gap.blocks import batch
 from eval.gap.pairs import pair_logs
 from eval.gap.rerun import Rerun
 from narxcal.effects import effect, respond
-from narxcal.errors import ModelError
+from narxcal.support.errors import ModelError
 
 BLOCK = 2
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from eval.gap.simulators import open_simulator
-from narxcal.errors import ConfigError, DataError, ModelError
+from narxcal.support.errors import ConfigError, DataError, ModelError
 
 OWN = """\
 def double(inputs, dt_s):

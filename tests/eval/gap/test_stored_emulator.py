@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eval.gap.stored_emulator import read_emulator, write_emulator
-from narxcal.errors import ModelError
+from narxcal.support.errors import ModelError
 from training.gap.emulator import fit_emulators
 
 

@@ -9,7 +9,7 @@ from eval.evaluate import EvaluateConfig, evaluate
 from eval.report.evaluation import page_of, verdict_of
 from eval.report.page import count, evaluate_page
 from eval.report.tables import number
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 
 INPUTS = ("TRA_deg", "Mach")
 

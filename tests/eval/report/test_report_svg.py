@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eval.report import style
-from eval.report.svg import MAX_POINTS, envelope, picture, spans
+from eval.report.style import MAX_POINTS, envelope, picture, spans
 
 values_of = st.lists(
     st.one_of(st.floats(-1e6, 1e6), st.just(float("nan"))), min_size=1, max_size=400

@@ -5,9 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eval.report.claims import Claim, Study, claim_table, or_nan
-from eval.report.paper_figures import bars, free_runs, fused
-from eval.report.reproduction import counts, outcome_of, reproduction_page
+from eval.report.figures import bars, free_runs, fused
+from eval.report.page import (
+    Claim,
+    Study,
+    claim_table,
+    counts,
+    or_nan,
+    outcome_of,
+    reproduction_page,
+)
 
 
 def claim(value, **more):

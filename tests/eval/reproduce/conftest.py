@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from eval.reproduce.data_sets import read_data_sets
-from eval.reproduce.effort import Effort
+from eval.reproduce.data import Effort, read_data_sets
 from training.config import RunConfig
 
 RATE_HZ = 8.0

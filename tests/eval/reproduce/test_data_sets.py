@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from eval.reproduce.data_sets import counted, numbered, read_data_sets, truth_of
-from narxcal.errors import DataError
+from eval.reproduce.data import counted, numbered, read_data_sets, truth_of
+from narxcal.support.errors import DataError
 
 
 def test_files_are_counted_as_a_person_counts():

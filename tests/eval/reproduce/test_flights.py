@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eval.reproduce import flights
-from eval.reproduce.flights import TABLE, flown, paper_scenario, with_table, write_records
-from narxcal.errors import ConfigError
-from narxcal.steady_source import open_steady
+from eval.reproduce import data as flights
+from eval.reproduce.data import TABLE, flown, paper_scenario, with_table, write_records
+from narxcal.steady.source import open_steady
+from narxcal.support.errors import ConfigError
 from narxcal.turbofan import maker_model
-from narxcal.turbofan.virtual_engine import INPUT_NAMES
+from narxcal.turbofan.engine import INPUT_NAMES
 
 MAKER = {
     "kind": "callable",

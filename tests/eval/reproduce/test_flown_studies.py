@@ -9,11 +9,8 @@ import pandas as pd
 import pytest
 
 from data_prep.events import find_events
-from eval.reproduce.correlation import correlation, leading
-from eval.reproduce.data_sets import truth_of
-from eval.reproduce.pieces import cut, pieces, trained_on_pieces
-from eval.reproduce.segments import segments
-from eval.reproduce.smoothing import best_window, errors, smoothing
+from eval.reproduce.data import cut, pieces, trained_on_pieces, truth_of
+from eval.reproduce.noise import best_window, correlation, errors, leading, segments, smoothing
 
 
 def test_coefficients_are_those_of_the_textbook(data):

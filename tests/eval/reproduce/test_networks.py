@@ -9,17 +9,26 @@ import pytest
 
 from data_prep.events import find_events
 from eval.crossval import CrossValidation, FoldResult
-from eval.judged import EvaluateConfig
-from eval.reproduce.accuracy import accuracy, class_rows, worst_class
-from eval.reproduce.calibrated import by, classed, judged, worst_relative_pct
-from eval.reproduce.deviations import deviations, fed_record, fed_variants
-from eval.reproduce.effort import Effort, within
+from eval.evaluate import EvaluateConfig
+from eval.reproduce.data import Effort, within
 from eval.reproduce.goal import family_of, goal, goal_config, goal_training, thinned
-from eval.reproduce.inputs import inputs, record, variants
+from eval.reproduce.inputs import deviations, fed_record, fed_variants, inputs, record, variants
 from eval.reproduce.noise import noise, share_better
-from eval.reproduce.response_times import figures_of, passed_claim, response_times
-from eval.reproduce.splits import splits, worst_of
-from narxcal.calibration import narx_features
+from eval.reproduce.response import (
+    accuracy,
+    by,
+    class_rows,
+    classed,
+    figures_of,
+    judged,
+    passed_claim,
+    response_times,
+    splits,
+    worst_class,
+    worst_of,
+    worst_relative_pct,
+)
+from narxcal.calibration.calibration import narx_features
 from training.pipeline import calibrate
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from data_prep.events import Event
 from data_prep.log import Log
-from eval.reproduce.phases import phase_of
+from eval.reproduce.data import phase_of
 
 DT_S = 0.5
 

@@ -9,7 +9,7 @@ from narxcal import two_spool
 from narxcal.effects import Flights, effect
 from narxcal.effects.pace import as_simulated
 from narxcal.effects.running import Shift, respond
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 from tests.training.gap.conftest import simulate
 from training.gap.emulator import fit_emulators, widened
 from training.gap.two_spool_fit import GOVERNED_CORE

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from narxcal.errors import DataError
+from narxcal.support.errors import DataError
 from narxcal.turbofan import Unmodelled, VirtualEngine
 from training.gap.window_search import Options
 from training.gap.windows import find_windows

@@ -10,8 +10,8 @@ from eval.gap.blind import truth
 from eval.gap.blind.cases import BlindPlan
 from eval.gap.blind.make import make_cases
 from eval.gap.blind.outcome import Outcome
-from narxcal.flight_test.measurement import first_order
-from narxcal.turbofan.virtual_engine import INPUT_NAMES
+from narxcal.flight_test.sensors import first_order
+from narxcal.turbofan.engine import INPUT_NAMES
 
 
 class Body(SimpleNamespace):

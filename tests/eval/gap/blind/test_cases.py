@@ -10,8 +10,8 @@ from eval.gap.blind.lumped import KINDS, applies
 from eval.gap.blind.outside import MIMICS
 from narxcal.effects.library import LIBRARY
 from narxcal.effects.library import effect as library_effect
-from narxcal.errors import ConfigError
-from narxcal.flight_test.flown_effects import PARAMETERS
+from narxcal.flight_test.scenario import PARAMETERS
+from narxcal.support.errors import ConfigError
 
 
 @pytest.mark.parametrize("count", [10, 60, 237])

@@ -17,7 +17,7 @@ from eval.gap.blind.outside import CYCLE, DEADBAND, STRANGE, applied
 from eval.gap.blind.sizes import energy, gap_share, ranges, size_for, sized
 from eval.gap.blind.truth import Content, Specimen
 from eval.gap.pairs import read_pairs
-from narxcal.errors import ConfigError, DataError, ModelError
+from narxcal.support.errors import ConfigError, DataError, ModelError
 
 LAG = next(scale for scale in CATALOGUE if scale.id == "spool_lag")
 BIAS = next(scale for scale in CATALOGUE if scale.name == "sensor_bias:EGT_C")

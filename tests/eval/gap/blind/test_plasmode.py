@@ -11,8 +11,8 @@ from eval.gap.blind.files import open_key
 from eval.gap.blind.injected import EFFECTS, Injector, possible
 from eval.gap.blind.make import write_key
 from eval.gap.blind.plasmode import Real, make_real_cases
-from narxcal.errors import ConfigError, DataError
-from narxcal.flight_test.measurement import first_order
+from narxcal.flight_test.sensors import first_order
+from narxcal.support.errors import ConfigError, DataError
 
 PLAN = BlindPlan(cases=8, flights=2, held_out=1, seed=1)
 
@@ -29,7 +29,7 @@ def simulator(tmp_path_factory):
     folder = tmp_path_factory.mktemp("simulator")
     (folder / "real_lags.py").write_text(
         "import numpy as np\n"
-        "from narxcal.flight_test.measurement import first_order\n"
+        "from narxcal.flight_test.sensors import first_order\n"
         "def lags(inputs, dt_s):\n"
         "    driver, full = ('TRA_deg', 85) if 'TRA_deg' in inputs else ('FF_kgph', 500)\n"
         "    power = first_order(np.asarray(inputs[driver]) / full, 1.5, dt_s)\n"

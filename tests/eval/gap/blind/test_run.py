@@ -16,8 +16,8 @@ from eval.gap.blind import run
 from eval.gap.blind.make import make_cases
 from eval.gap.blind.run import Limits, read_answer, read_reruns, run_cases
 from eval.gap.blind.score import CaseSet, score_answers
-from narxcal.errors import ConfigError, DataError
-from narxcal.interrupt import safe_interrupt
+from narxcal.support.errors import ConfigError, DataError
+from narxcal.support.interrupt import safe_interrupt
 
 
 @pytest.fixture

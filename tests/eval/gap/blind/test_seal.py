@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eval.gap.blind.seal import MARK, opened, sealed
-from narxcal.errors import ConfigError, DataError
+from narxcal.support.errors import ConfigError, DataError
 
 KEY = {"cases": {"case_001": {"kind": "null"}}, "numbers": [1, 2.5, None]}
 SALT = b"salt of these cases"

@@ -11,8 +11,8 @@ from eval.gap.blind.make import write_key
 from eval.gap.blind.sim_logs import LogSpecimen, drawn_cases, make_log_cases
 from eval.gap.blind.truth import NOTHING
 from eval.gap.pairs import read_folder
-from narxcal.errors import DataError
-from narxcal.flight_test.measurement import first_order
+from narxcal.flight_test.sensors import first_order
+from narxcal.support.errors import DataError
 
 PLAN = BlindPlan(cases=5, flights=3, held_out=2, seed=3)
 

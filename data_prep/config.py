@@ -1,0 +1,144 @@
+"""The TOML table `[logs]`: where the recordings are and which column is which channel."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path, PurePath
+from typing import Literal, Self
+
+from pydantic import Field, PositiveFloat, field_validator, model_validator
+
+from data_prep.derive import DeriveConfig
+from data_prep.units import find_unit
+from narxcal.channels import channel
+from narxcal.support.errors import ConfigError, DataError
+from narxcal.support.settings import Section
+
+ENGINE = "{engine}"
+
+
+class ColumnSource(Section):
+    """Where one channel comes from: `channel = (cell * scale + offset) in unit`.
+
+    `unit` is the canonical one when left out. An `optional` column may be absent from a file.
+    `constant` (in the canonical unit) stands in for a column: the altitude of a test bench.
+    """
+
+    column: str = ""
+    constant: float | None = None
+    unit: str | None = None
+    scale: float = 1.0
+    offset: float = 0.0
+    optional: bool = False
+
+    @model_validator(mode="after")
+    def _one_origin(self) -> Self:
+        if (self.column != "") == (self.constant is not None):
+            raise ValueError("expected either a column or a constant")
+        return self
+
+
+class LogsConfig(Section):
+    """TOML table `[logs]`.
+
+    Without `[logs.columns]` the header is canonical. `[logs.engines]` maps an engine's name to
+    what replaces `{engine}` in the column names; each engine becomes its own log.
+    `raster_hz` left out means each file's own rate. `max_gap_s` splits a log; a channel's
+    blanks are bridged up to `bridge_s`.
+    """
+
+    folder: str = "."
+    files: tuple[str, ...] = ("*.csv", "*.csv.gz")
+    raster_hz: PositiveFloat | None = None
+    max_gap_s: PositiveFloat = 2.0
+    bridge_s: float = Field(default=0.5, ge=0.0)
+    delimiter: str = "auto"
+    decimal: Literal["auto", ".", ","] = "auto"
+    comment: str = Field(default="#", max_length=1)
+    engines: dict[str, str] = Field(default_factory=dict)
+    columns: dict[str, ColumnSource] = Field(default_factory=dict)
+    derive: DeriveConfig = DeriveConfig()
+
+    @field_validator("delimiter")
+    @classmethod
+    def _one_character(cls, value: str) -> str:
+        if value != "auto" and (len(value) != 1 or not (value.isprintable() or value == "\t")):
+            raise ValueError("expected 'auto' or a single character")
+        return value
+
+    @field_validator("files")
+    @classmethod
+    def _in_the_folder(cls, patterns: tuple[str, ...]) -> tuple[str, ...]:
+        for pattern in patterns:
+            if not pattern or PurePath(pattern).anchor:
+                raise ValueError("expected patterns of files in [logs] folder, without its path")
+        return patterns
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.delimiter != "auto" and self.delimiter in (self.decimal, self.comment):
+            raise ValueError("delimiter, decimal and comment have to differ")
+        placed = any(ENGINE in source.column for source in self.columns.values())
+        if bool(self.engines) != placed:
+            raise ValueError("[logs.engines] and '{engine}' in the column names belong together")
+        return self
+
+    @field_validator("columns")
+    @classmethod
+    def _known_channels(cls, columns: dict[str, ColumnSource]) -> dict[str, ColumnSource]:
+        for name, source in columns.items():
+            find_unit(source.unit if source.unit is not None else channel(name).unit, name)
+        if columns and "time_s" not in columns:
+            raise ConfigError(
+                "[logs.columns] lacks time_s", hint='Add time_s = { column = "...", unit = "s" }'
+            )
+        return columns
+
+    def resolve(self, base: Path) -> list[Path]:
+        """Files that match `files` in `folder`, which is relative to `base`; in order of name.
+
+        Raises `DataError` when the folder is missing or a pattern matches nothing.
+        """
+        folder = (Path(base) / self.folder).resolve()
+        if not folder.is_dir():
+            what = "is a file" if folder.exists() else "does not exist"
+            hint = "Set [logs] folder, or name another by --data"
+            raise DataError(f"the folder of the logs {what}", file=folder, hint=hint)
+        found: dict[Path, None] = {}
+        for pattern in self.files:
+            found.update(dict.fromkeys(sorted(folder.glob(pattern))))
+        if not found:
+            raise DataError(
+                f"no file matches {' or '.join(self.files)}",
+                file=folder,
+                hint="Set [logs] files",
+            )
+        return list(found)
+
+    @property
+    def time_column(self) -> str:
+        """Header of the column that holds the time stamps."""
+        return self.columns["time_s"].column if self.columns else "time_s"
+
+    def sparing(self, names: Collection[str]) -> Self:
+        """The same with the columns of `names` optional: a model runs without its outputs."""
+        columns = {
+            name: source.model_copy(update={"optional": source.optional or name in names})
+            for name, source in self.columns.items()
+        }
+        return self.model_copy(update={"columns": columns})
+
+    def sources(self, header: tuple[str, ...]) -> dict[str, ColumnSource]:
+        """Channel -> source; the canonical names found in `header` when none are configured."""
+        if self.columns:
+            return dict(self.columns)
+        names = [name for name in header if _is_canonical(name)]
+        return {name: ColumnSource(column=name) for name in names}
+
+
+def _is_canonical(name: str) -> bool:
+    try:
+        channel(name)
+    except ConfigError:
+        return False
+    return True

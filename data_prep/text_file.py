@@ -1,0 +1,283 @@
+"""How a text file is written: compression, encoding, delimiter, decimal mark, header.
+
+What stands above the first row of data: a recorder's own lines, the header, a row of units.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from data_prep.stamps import is_clock
+from data_prep.units import is_unit_text
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from typing import TextIO
+import codecs
+import gzip
+import io
+import zlib
+from collections import Counter
+from dataclasses import field
+from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
+
+from data_prep.stamps import lacks_hours
+from narxcal.support.errors import DataError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+DELIMITERS = (";", "\t", "|", ",")
+MAX_LINE_CHARS = 1_000_000
+_LINES_ABOVE = 100  # a header is looked for so far down
+_SEPARATOR_MARK = re.compile(r'"?sep=.?"?', re.IGNORECASE)  # Excel's own, says nothing of the data
+_NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
+
+
+@dataclass(frozen=True)
+class Head:
+    """`lines` of the file come before the first row of data; `above` of them above the header.
+
+    Blank lines and comments count in `lines` alone. `units` `(columns,)` are the cells of a row of
+    units below the header, empty where there is none.
+    """
+
+    lines: int
+    above: int = 0
+    units: tuple[str, ...] = ()
+
+
+def first_lines(text: TextIO, count: int) -> list[str]:
+    """Up to `count` lines and the lines above them, each with its end."""
+    lines = (text.readline(MAX_LINE_CHARS) for _ in range(count + _LINES_ABOVE))
+    return [line for line in lines if line]
+
+
+def skip(text: TextIO, lines: int) -> None:
+    """Go on to the first row of data."""
+    for _ in range(lines):
+        text.readline(MAX_LINE_CHARS)
+
+
+def header_at(lines: Sequence[str], comment: str, time: str) -> tuple[int, int] | None:
+    """Index of the header, and how many lines with content stand above it; None without content.
+
+    It is the first line that has a cell `time`, else the first one with content: a recorder may
+    put its serial number and the like first.
+    """
+    held = [k for k, line in enumerate(lines[:_LINES_ABOVE]) if has_content(line, comment)]
+    for above, k in enumerate(held):
+        if any(time in fields(lines[k], each) for each in (*DELIMITERS, " ")):
+            return k, above
+    return (held[0], 0) if held else None
+
+
+def has_content(line: str, comment: str) -> bool:
+    """Whether a line is neither blank nor a comment, nor Excel's note on the delimiter."""
+    plain = line.strip()
+    noted = bool(comment) and plain.startswith(comment)
+    return bool(plain) and not noted and not _SEPARATOR_MARK.fullmatch(plain)
+
+
+def units_row(cells: Sequence[str], header: Sequence[str]) -> tuple[str, ...]:
+    """The cells `(columns,)` of a row of units; empty for any other row.
+
+    No cell of it is a number or a clock time, and half of those that are not blank are units.
+    """
+    told = [cell for cell in cells if cell]
+    if not told or any(_NUMBER.fullmatch(cell) or is_clock(cell) for cell in told):
+        return ()
+    if 2 * sum(map(is_unit_text, told)) < len(told):
+        return ()
+    return (*cells, *[""] * len(header))[: len(header)]
+
+
+def fields(line: str, delimiter: str) -> tuple[str, ...]:
+    """Cells of a line, without blanks round them; delimiter ` ` means any run of blanks."""
+    line = line.replace("\0", "").rstrip("\r\n")
+    if delimiter == " ":
+        return tuple(line.split())
+    try:
+        found = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    except csv.Error:
+        found = line.split(delimiter)
+    return tuple(cell.strip() for cell in found)
+
+
+SAMPLE_LINES = 200
+_HEAD_BYTES = 65_536
+_GZIP_MAGIC = b"\x1f\x8b"
+_BOMS = (
+    (codecs.BOM_UTF8, "utf-8-sig"),
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+# What no text in a code page of one byte holds, and other files begin with.
+_CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
+_ZIP_MAGIC = "PK\x03\x04"
+_GROUPED = re.compile(r'"?\s*[+-]?[1-9]\d{0,2},\d{3}\s*"?')
+_QUOTED = re.compile(r'"[^"]*"')
+COMMA_NUMBER = re.compile(r'"?\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*"?')
+_POINT_NUMBER = re.compile(r'"?\s*[+-]?\d*\.\d+([eE][+-]?\d+)?\s*"?')
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """What has to be known to parse the data rows; delimiter ` ` means any run of blanks.
+
+    `decimal_open`: no decimal mark was seen yet, so that a comma may still turn up. `clock` is the
+    column that holds clock times or dates, if there is one; `hourly` says that it holds no hours.
+    `head` is what stands above the rows.
+    """
+
+    delimiter: str
+    decimal: str
+    decimal_open: bool
+    comment: str
+    header: tuple[str, ...]
+    clock: str = ""
+    hourly: bool = False
+    head: Head = field(default_factory=lambda: Head(lines=1))
+
+
+def open_text(path: Path) -> TextIO:
+    """Open `path` as text: gzip and encoding are told by the first bytes, not by the name.
+
+    Text without a mark is UTF-8, or Windows-1252 (which Latin-1 is a part of) where it cannot be.
+    Bytes that are neither become the replacement character: in a number they are reported as text.
+    """
+    with path.open("rb") as raw:
+        zipped = raw.read(2) == _GZIP_MAGIC
+    binary = cast("BinaryIO", gzip.GzipFile(path, "rb") if zipped else path.open("rb"))
+    try:
+        head = _first_bytes(binary)
+    except BaseException:
+        binary.close()
+        raise
+    marked = next((name for bom, name in _BOMS if head.startswith(bom)), "")
+    return io.TextIOWrapper(binary, encoding=marked or _unmarked(head), errors="replace")
+
+
+def _first_bytes(binary: BinaryIO) -> bytes:
+    """Some bytes of the beginning, to which the file is wound back."""
+    try:
+        return binary.read(_HEAD_BYTES)
+    except (EOFError, zlib.error):  # damaged further down, which the reader will say
+        binary.seek(0)
+        return binary.read(4)
+    finally:
+        binary.seek(0)
+
+
+def _unmarked(head: bytes) -> str:
+    """Encoding of a text that begins with `head`, which may end amid a letter."""
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        return "utf-8" if _CONTROL.search(head) else "cp1252"
+    return "utf-8"
+
+
+def sniff(text: TextIO, delimiter: str, decimal: str, comment: str, time: str) -> Dialect:
+    """Read the header and the first rows; `auto` is decided from them.
+
+    Column `time` may hold clock times or dates instead of numbers, which its first cell decides.
+
+    The delimiter is the one of `; TAB | ,` that the header and most rows hold equally often,
+    else blanks; the decimal mark is a comma where numbers like `1,5` occur and none like `1.5`.
+    Raises `DataError` for a file that is empty or no text, and for numbers like `1,250` alone in a
+    file that is separated by commas.
+    """
+    lines = first_lines(text, SAMPLE_LINES)
+    place = header_at(lines, comment, time)
+    if place is None:
+        raise DataError("the file is empty", hint="Expected a header line and data rows")
+    at, above = place
+    header = lines[at].rstrip("\r\n")
+    _refuse_no_text(header)
+    rows = [k for k in range(at + 1, len(lines)) if has_content(lines[k], comment)][:SAMPLE_LINES]
+    told = [lines[k].strip() for k in rows]
+    if delimiter == "auto":
+        delimiter = _delimiter(header, told)
+    names = fields(header, delimiter)
+    units = units_row(fields(told[0], delimiter), names) if told else ()
+    told = told[1:] if units else told
+    if decimal == "auto":
+        decimal = _decimal(told, delimiter)
+    first = _first_cell(told, delimiter, names, time)
+    return Dialect(
+        delimiter=delimiter,
+        decimal=decimal or ".",
+        decimal_open=not decimal,
+        comment=comment,
+        header=names,
+        clock=time if is_clock(first) else "",
+        hourly=lacks_hours(first),
+        head=Head((rows[0] if units else at) + 1, above, units),
+    )
+
+
+def _first_cell(rows: list[str], delimiter: str, header: tuple[str, ...], name: str) -> str:
+    """The first content of column `name`, empty where there is none."""
+    if name not in header:
+        return ""
+    position = header.index(name)
+    cells = (fields(row, delimiter)[position : position + 1] for row in rows)
+    return next((cell[0] for cell in cells if cell and cell[0]), "")
+
+
+def _refuse_no_text(line: str) -> None:
+    """Refuse a header of which more than stray signs of another encoding is unprintable."""
+    if line.startswith(_ZIP_MAGIC):
+        raise DataError(
+            "the file is a workbook of Excel or another archive", hint="Save the sheet as CSV"
+        )
+    shown = line.replace("\t", " ").replace("\0", "")
+    wrong = sum(not sign.isprintable() or sign == "\N{REPLACEMENT CHARACTER}" for sign in shown)
+    if 5 * wrong > len(shown):
+        raise DataError(
+            "the file is no text", hint="Expected a CSV file, plain or gzipped, or Parquet"
+        )
+
+
+def _delimiter(header: str, rows: list[str]) -> str:
+    bare = [_QUOTED.sub("", row) for row in rows]
+    wanted = _QUOTED.sub("", header)
+    best, best_score = ",", 0.0
+    for candidate in DELIMITERS:
+        count = wanted.count(candidate)
+        if not count:
+            continue
+        # A trailing delimiter in the rows alone is common, hence "+ 1".
+        same = Counter(row.count(candidate) - count in (0, 1) for row in bare)[True]
+        score = (1.0 + same) / (1.0 + len(bare)) + 1e-6 * count
+        if score > best_score:
+            best, best_score = candidate, score
+    if best_score == 0.0 and len(wanted.split()) > 1:
+        return " "
+    return best
+
+
+def decimal_comma(cell: str, delimiter: str) -> bool:
+    """Whether the comma in a cell is a decimal mark, and no separator of thousands."""
+    if COMMA_NUMBER.fullmatch(cell) is None:
+        return False
+    return delimiter != "," or _GROUPED.fullmatch(cell) is None
+
+
+def _decimal(rows: list[str], delimiter: str) -> str:
+    cells = [cell for row in rows for cell in fields(row, delimiter)]
+    commas = [cell for cell in cells if COMMA_NUMBER.fullmatch(cell)]
+    if any(_POINT_NUMBER.fullmatch(cell) for cell in cells):
+        return "."
+    if delimiter == "," and commas and all(map(_GROUPED.fullmatch, commas)):
+        raise DataError(
+            f"the comma in {commas[0]!r} may be a decimal mark or one of thousands",
+            hint='Set [logs] decimal = "," if it is the former, else write numbers without it',
+        )
+    return "," if commas else ""

@@ -1,0 +1,209 @@
+"""Compiled kernels against PyTorch, both on this machine and in this run: ratios, not promises.
+
+The network is that of the public comparison: one input, one output, 30 tanh units, here with
+two lags. PyTorch runs eagerly on one thread, a step per call, as the exact twin in
+`narxcal.narx.network` does.
+
+Replay with the fuser against the clock, on a virtual flight at 32 Hz.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import torch
+
+from data_prep.log import Log
+from eval.benchmarks.row import Row
+from eval.replay import ReplayModel, replay
+from eval.reproduce.data import flown
+from eval.virtual_flights import load_scenario, write_flights
+from narxcal.calibration.bundle import Bundle
+from narxcal.calibration.fuser import KalmanFuser, NoiseModel
+from narxcal.narx.config import NarxConfig
+from narxcal.narx.network import NarxModel, simulate_slowly
+from narxcal.record import Record
+from narxcal.support.arrays import FloatArray
+from training.config import RunConfig, load_config
+from training.free_run import FreeRunProblem, cut_windows
+from training.network import new_model
+from training.pipeline import Split, calibrate, prepare_logs
+
+_KERNEL_GROUP = "speed"
+_NETWORK = NarxConfig(lags=2, taps=(0, 1), hidden=30)
+
+
+def record_of(samples: int) -> Record:
+    """A stable non-linear system driven by filtered noise, the same every time."""
+    random = np.random.default_rng(0)
+    u, y = random.standard_normal(samples), np.zeros(samples)
+    for k in range(2, samples):
+        y[k] = 1.2 * y[k - 1] - 0.4 * y[k - 2] + 0.2 * np.tanh(u[k - 1])
+    return Record(u, y)
+
+
+def kernel_rows(samples: int = 20000, slow_samples: int = 2000) -> list[Row]:
+    """Free run and training steps; the twin runs over `slow_samples` of the same record."""
+    record, short = record_of(samples), record_of(slow_samples)
+    model = new_model([record], _NETWORK, seed=0)
+    with _one_thread():
+        return [*_simulation(model, record, short), *_training(model, record, short)]
+
+
+def _simulation(model: NarxModel, record: Record, short: Record) -> list[Row]:
+    fast = _seconds(lambda: model.simulate(record.u, record.y[:1])) / len(record)
+    start = torch.from_numpy(model.output_scaling.down(short.y[:1]))[None]
+    u = torch.from_numpy(model.input_scaling.down(short.u))[None]
+
+    def twin() -> None:
+        with torch.no_grad():
+            simulate_slowly(model.net, start, u)
+
+    slow = _seconds(twin, repeats=1) / len(short)
+    note = "2 lags, 30 tanh units, one thread"
+    return [
+        Row(_KERNEL_GROUP, "free run, kernel", 1e6 * fast, "us/sample", note=note),
+        Row(_KERNEL_GROUP, "free run, eager PyTorch twin", 1e6 * slow, "us/sample", note=note),
+        Row(_KERNEL_GROUP, "free run, twin over kernel", slow / fast, "x", note="same run"),
+    ]
+
+
+def _training(model: NarxModel, record: Record, short: Record) -> list[Row]:
+    theta = model.net.get_theta()
+    full = FreeRunProblem(model.net, cut_windows(model, [record], 100))
+    adam = _seconds(lambda: full.gradient(theta)) / len(record)
+    lm = _seconds(lambda: full.normal_equations(theta)) / len(record)
+    model.net.set_theta(theta)
+    slow = _seconds(lambda: autograd_loss(model, short, 100), repeats=1) / len(short)
+    note = "windows of 100 samples; loss and derivatives of one step"
+    return [
+        Row(_KERNEL_GROUP, "gradient (Adam), kernel", 1e6 * adam, "us/sample", note=note),
+        Row(_KERNEL_GROUP, "J'J and gradient (LM), kernel", 1e6 * lm, "us/sample", note=note),
+        Row(_KERNEL_GROUP, "gradient, autograd", 1e6 * slow, "us/sample", note=note),
+        Row(_KERNEL_GROUP, "Adam step, autograd over kernel", slow / adam, "x", note="same run"),
+        Row(
+            _KERNEL_GROUP, "LM step, autograd gradient over kernel", slow / lm, "x", note="same run"
+        ),
+    ]
+
+
+def autograd_loss(model: NarxModel, record: Record, horizon: int) -> float:
+    """Free-run loss over windows one after the other, and its gradient by autograd."""
+    u, y = model.input_scaling.down(record.u), model.output_scaling.down(record.y)
+    model.net.zero_grad()
+    total = 0.0
+    for first in range(1, len(y) - 1, horizon):
+        part = slice(first - 1, min(first + horizon, len(y)))
+        drive, target = torch.from_numpy(u[part])[None], torch.from_numpy(y[part])[None]
+        run = simulate_slowly(model.net, target[:, :1], drive)
+        loss = 0.5 * ((run - target) ** 2).sum() / (len(y) - 1)
+        torch.autograd.backward(loss)
+        total += float(loss.detach())
+    return total
+
+
+def _seconds(work: Callable[[], object], repeats: int = 5) -> float:
+    """Least of several runs, after one that compiles."""
+    if repeats > 1:
+        work()
+    took = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        work()
+        took.append(time.perf_counter() - began)
+    return min(took)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+_GROUP = "replay"
+_SOURCE = "issue: replay with fuser"
+
+
+def replay_rows(duration_s: float = 1440.0, steps: int = 5000) -> list[Row]:
+    """Train briefly, since speed does not depend on the weights, then replay and step."""
+    config, base = load_config("demo.toml")
+    with TemporaryDirectory() as folder:
+        flight = _fly(Path(folder), duration_s)
+        log, bundle = _briefly_trained(config, base, flight)
+        model = ReplayModel.of(bundle)
+        replay(model, flight, Path(folder) / "warm.csv")
+        began = time.process_time()
+        summary = replay(model, flight, Path(folder) / "out.csv")
+        busy = summary.log_s / (time.process_time() - began)
+    remark = f"{summary.log_s:.0f} s of log at 32 Hz in {summary.wall_s:.2f} s; "
+    remark += f"{busy:.0f} s of log per processor second"
+    speed = summary.times_real_time
+    return [
+        Row(
+            _GROUP,
+            "CSV to CSV with fuser",
+            speed,
+            "x real time",
+            300.0,
+            "at least",
+            _SOURCE,
+            remark,
+        ),
+        _step_row(bundle, log, steps),
+    ]
+
+
+def _step_row(bundle: Bundle, log: Log, steps: int) -> Row:
+    """How long the slowest of a hundred online steps takes."""
+    wall_ms, busy_ms = (1e3 * took for took in step_seconds(bundle, log, steps))
+    remark = f"DynamicCalibration.step and KalmanFuser.step, {len(wall_ms)} samples; "
+    remark += f"median {np.median(wall_ms):.3f} ms; processor time p99 "
+    remark += f"{np.percentile(busy_ms, 99):.3f} ms, which other programs cannot lengthen"
+    what, slowest = "model step and fuser step, p99", float(np.percentile(wall_ms, 99))
+    return Row(_GROUP, what, slowest, "ms", 1.0, "at most", _SOURCE, remark)
+
+
+def _fly(folder: Path, duration_s: float) -> Path:
+    """One flight of the demonstration's engine, of this length."""
+    demo = load_scenario("demo")
+    plan = demo.plan.model_copy(update={"duration_s": duration_s})
+    truth = write_flights(folder, demo.model_copy(update={"plan": plan, "flights": 1}))
+    return folder / str(truth["logs"][0]["file"])
+
+
+def _briefly_trained(config: RunConfig, base: Path, flight: Path) -> tuple[Log, Bundle]:
+    """A model of the demonstration's structure over a table of the virtual engine.
+
+    The engine itself is solved anew at every row, which takes several times as long as all else:
+    a replay over it would measure the maker's model.
+    """
+    config, _ = flown(config, base, flight.parent)
+    brief = config.train.model_copy(update={"horizons_s": (5.0,), "iterations": (2,)})
+    config = config.model_copy(update={"train": brief})
+    log = prepare_logs(config, [flight], 1.0 / 32.0)[0]
+    return log, calibrate(config, base, Split((log,), (), ()))
+
+
+def step_seconds(bundle: Bundle, log: Log, steps: int) -> tuple[FloatArray, FloatArray]:
+    """Wall and processor time of each online step, `(steps,)` or fewer in a shorter log."""
+    calibration = bundle.calibration
+    fuser = KalmanFuser(NoiseModel.from_dict(bundle.meta["fuser_noise"]))
+    inputs = log.matrix(calibration.input_names)[: steps + 1]
+    measured = log.matrix(calibration.output_names)[: steps + 1]
+    fuser.reset(calibration.reset(inputs[0], measured[0]), measured[0])
+    wall, busy = [], []
+    for row, outputs in zip(inputs[1:], measured[1:], strict=True):
+        began = time.perf_counter(), time.thread_time()
+        fuser.step(calibration.step(row), outputs)
+        busy.append(time.thread_time() - began[1])
+        wall.append(time.perf_counter() - began[0])
+    return np.array(wall), np.array(busy)

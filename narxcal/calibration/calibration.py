@@ -1,0 +1,273 @@
+"""Dynamic calibration: a steady-state model and the NARX network that says how far it is off.
+
+Source: papers/narx calibration, section 2.1 and figure 1. With `ss` the steady-state value,
+
+    d(k) = ss(k) - y(k)                          (the deviation)
+    d(k) = NARX( d(k-1).., ss(k) - ss(k-1).., schedule(k).. )
+    y(k) = ss(k) - d(k)
+
+where the schedule holds the steady-state values themselves and the flight condition. The
+parameter register keeps the past deviations and inputs between steps. Where there are lags
+(`lumped.lag` or `lumped.lag_governed`), the deviation is theirs plus the network's, which is
+shown theirs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from copy import copy
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from narxcal.calibration.register import Parts, Register, Sample, stacked
+from narxcal.lumped.lag_governed import AnyLags, lags_from_arrays
+from narxcal.narx.network import NarxModel
+from narxcal.steady.model import SteadyStateModel, steady_from_json, steady_to_json
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError, ModelError
+
+
+class DynamicCalibration:
+    """Turns inputs into outputs over time: `simulate` for whole logs, `step` for one sample.
+
+    `settle_s` is the fading bound: the network's deviation may not be larger than twice that of a
+    first-order lag of this time constant, so that it never outlives the movement that caused it. It
+    needs a network whose outputs vanish at rest (an anchored one); None means none. `with_lag`
+    puts lags in front of the network.
+
+    Both give the same numbers. Columns are canonical channels: `input_names` are those of
+    the steady-state model, `output_names` those that it gives.
+    """
+
+    def __init__(
+        self,
+        steady: SteadyStateModel,
+        narx: NarxModel,
+        dt_s: float,
+        schedule: Sequence[str] = (),
+        settle_s: float | None = None,
+    ) -> None:
+        unknown = [name for name in schedule if name not in steady.input_names]
+        if unknown:
+            raise ModelError(
+                f"the schedule names '{unknown[0]}', which is no input of the steady-state model",
+                hint=f"Inputs are {', '.join(steady.input_names)}",
+            )
+        self.steady = steady
+        self.narx = narx
+        self.dt_s = dt_s
+        self.schedule = tuple(schedule)
+        self.settle_s = settle_s
+        self._columns = [steady.input_names.index(name) for name in schedule]
+        self.lag: AnyLags | None = None
+        self._register: Register | None = None
+
+    def __repr__(self) -> str:
+        names = f"{', '.join(self.input_names)} -> {', '.join(self.output_names)}"
+        return f"<DynamicCalibration {names} every {self.dt_s:.6g} s>"
+
+    def with_lag(self, lag: AnyLags | None) -> DynamicCalibration:
+        """The calibration with `lag` in front of a network that was trained for that."""
+        if lag is not None and lag.output_names != self.output_names:
+            raise ModelError(
+                f"the lags are those of {', '.join(lag.output_names)}, "
+                f"the steady-state model's outputs {', '.join(self.output_names)}"
+            )
+        chosen = copy(self)
+        chosen.lag = lag
+        chosen._register = None  # noqa: SLF001 (a copy of ourselves)
+        return chosen
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Channels that `simulate` and `step` take, in this order."""
+        return self.steady.input_names
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Channels that they return, in this order."""
+        return self.steady.output_names
+
+    def for_engine(self, engine: str) -> DynamicCalibration:
+        """The calibration with the build scatter of `engine`, where the model knows that one."""
+        chosen = copy(self)
+        chosen.steady = steady_for_engine(self.steady, engine)
+        chosen._register = None  # noqa: SLF001 (a copy of ourselves)
+        return chosen
+
+    def simulate(self, inputs: ArrayLike, start: ArrayLike | None = None) -> FloatArray:
+        """Free run over `inputs` (time, n_in); returns (time, n_out).
+
+        `start` (n_out,) are measured outputs at the first sample; where it is None or NaN the
+        engine starts settled. Raises `DataError` for inputs that are not finite.
+        """
+        given = self._checked(inputs)
+        ss = self.steady.outputs(given)
+        first = self._first_deviation(ss[0], start)
+        register = self._started(given[0], ss[0], first)
+        deviation = first[None]
+        if len(given) > 1:
+            later = register.extend(given[1:], ss[1:])
+            deviation = np.concatenate([deviation, later])
+        return ss - deviation
+
+    def predict(self, inputs: ArrayLike, measured: ArrayLike) -> FloatArray:
+        """One-step-ahead prediction (time, n_out) from measured outputs (time, n_out).
+
+        NaN where the register would hold an unknown value: at sample 0 and after a masked one.
+        With lags in front of the network, the network's own share is that of the free run.
+        """
+        given = self._checked(inputs)
+        ss = self.steady.outputs(given)
+        deviation = ss - np.asarray(measured, dtype=np.float64)
+        if self.lag is None:
+            features = narx_features(ss, given[:, self._columns])
+            return ss - self.narx.predict(features, deviation)
+        drive = self.lag.drive(given, self.input_names, ss)
+        free = self.lag.deviations(drive, deviation[0], self.dt_s)
+        share = ss - free - self.simulate(given, ss[0] - deviation[0])
+        lagged = self.lag.deviations(drive, deviation[0], self.dt_s, deviation - share)
+        unknown = np.ones(len(ss), dtype=np.bool_)
+        unknown[1:] = np.isnan(deviation[:-1]).any(axis=1)
+        return np.where(unknown[:, None], np.nan, ss - lagged - share)
+
+    def reset(self, inputs: ArrayLike, start: ArrayLike | None = None) -> FloatArray:
+        """Fill the register as if the engine had stood still at `inputs` (n_in,).
+
+        Returns the outputs (n_out,) at that sample, which are sample 0 of `simulate`.
+        """
+        given = self._checked(np.atleast_2d(np.asarray(inputs, dtype=np.float64)))
+        ss = self.steady.outputs(given)
+        first = self._first_deviation(ss[0], start)
+        self._register = self._started(given[0], ss[0], first)
+        value: FloatArray = ss[0] - first
+        return value
+
+    def step(self, inputs: ArrayLike, correction: ArrayLike | None = None) -> FloatArray:
+        """Outputs (n_out,) at the next sample, from `inputs` (n_in,) at that sample.
+
+        `correction` (n_out,), such as a fused estimate, replaces the newest outputs in the
+        register before the step; NaN keeps the model's own. The first call resets.
+        """
+        given = np.ascontiguousarray(inputs, dtype=np.float64)
+        if self._register is None:
+            return self.reset(given)
+        row = self._checked(given[None])
+        if correction is not None:
+            self._register.correct(np.asarray(correction, dtype=np.float64))
+        ss = self.steady.outputs(row)[0]
+        value: FloatArray = ss - self._register.step(row[0], ss)
+        return value
+
+    def extend(self, inputs: ArrayLike) -> FloatArray:
+        """`step` through `inputs` (time, n_in) in one call, from where the register stands.
+
+        Returns (time, n_out): the numbers of `step`, at a small part of its cost.
+        """
+        given = self._checked(inputs)
+        if self._register is None:
+            first = self.reset(given[0])[None]
+            return np.concatenate([first, self.extend(given[1:])]) if len(given) > 1 else first
+        ss = self.steady.outputs(given)
+        return ss - self._register.extend(given, ss)
+
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Guaranteed (low, high) of the deviation of every output, in the outputs' units."""
+        low, high = self.narx.bounds
+        if self.lag is None:
+            return low, high
+        return low - self.lag.limit, high + self.lag.limit
+
+    def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Split into JSON-able structure and named arrays, for the bundle."""
+        narx, narx_arrays = self.narx.to_arrays()
+        steady, steady_arrays = steady_to_json(self.steady)
+        arrays = {f"narx/{name}": value for name, value in narx_arrays.items()}
+        arrays |= {f"steady/{name}": value for name, value in steady_arrays.items()}
+        lag_meta = None
+        if self.lag is not None:
+            lag_meta, lag_arrays = self.lag.to_arrays()
+            arrays |= {f"lag/{name}": value for name, value in lag_arrays.items()}
+        meta = {
+            "dt_s": self.dt_s,
+            "schedule": list(self.schedule),
+            "settle_s": self.settle_s,
+            "narx": narx,
+            "steady": steady,
+            "lag": lag_meta,
+        }
+        return meta, arrays
+
+    @classmethod
+    def from_arrays(cls, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild from `to_arrays`; raises `ModelError` where the parts do not fit."""
+        part: dict[str, dict[str, NDArray[Any]]] = {"narx": {}, "steady": {}, "lag": {}}
+        for name, value in arrays.items():
+            room, _, rest = name.partition("/")
+            if room in part:
+                part[room][rest] = value
+        try:
+            narx = NarxModel.from_arrays(meta["narx"], part["narx"])
+            steady = steady_from_json(meta["steady"], part["steady"])
+            plain = cls(steady, narx, float(meta["dt_s"]), meta["schedule"], meta["settle_s"])
+            lag = meta.get("lag")
+            plain.lag = None if lag is None else lags_from_arrays(lag, part["lag"])
+        except KeyError as error:
+            raise ModelError(
+                f"the stored calibration has no {error}",
+                hint="The bundle was altered; train it again",
+            ) from None
+        return plain
+
+    def _started(self, inputs: FloatArray, ss: FloatArray, deviation: FloatArray) -> Register:
+        parts = Parts(
+            self.narx, self.lag, self.dt_s, self.settle_s, self.input_names, self._columns
+        )
+        return Register(parts, Sample(inputs, ss, deviation))
+
+    def _checked(self, inputs: ArrayLike) -> FloatArray:
+        given = np.asarray(inputs, dtype=np.float64)
+        if given.ndim != 2 or given.shape[1] != len(self.input_names) or not len(given):
+            raise DataError(
+                f"expected inputs of shape (time, {len(self.input_names)}) "
+                f"({', '.join(self.input_names)}), found {given.shape}"
+            )
+        if not np.isfinite(given).all():
+            row, column = np.argwhere(~np.isfinite(given))[0]
+            raise DataError(
+                f"expected a finite input, found {given[row, column]}",
+                channel=self.input_names[column],
+                row=int(row),
+                hint="Hold the last good value, or cut the log there",
+            )
+        return given
+
+    def _first_deviation(self, ss: FloatArray, start: ArrayLike | None) -> FloatArray:
+        if start is None:
+            return np.zeros(len(self.output_names))
+        given = np.asarray(start, dtype=np.float64)
+        if given.shape != ss.shape:
+            raise DataError(
+                f"expected start values of shape ({len(ss)},) ({', '.join(self.output_names)}), "
+                f"found {given.shape}"
+            )
+        return np.where(np.isfinite(given), ss - given, 0.0)
+
+
+def narx_features(
+    ss: FloatArray, schedule: FloatArray, lagged: FloatArray | None = None
+) -> FloatArray:
+    """Stack increments of `ss` (time, n_out), `ss` itself and the flight condition.
+
+    The deviation of lags in front of the network, where there are any, follows the increments.
+    """
+    return stacked(np.diff(ss, axis=0, prepend=ss[:1]), lagged, ss, schedule)
+
+
+def steady_for_engine(steady: SteadyStateModel, engine: str) -> SteadyStateModel:
+    """The steady-state model of one engine, where it tells engines apart."""
+    chooser = getattr(steady, "for_engine", None)
+    chosen: SteadyStateModel = steady if chooser is None else chooser(engine)
+    return chosen

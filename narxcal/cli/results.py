@@ -1,0 +1,209 @@
+"""What a command reads first: the configuration, with the folder of the logs overridden.
+
+The logs that a bundle is judged on: those named, or those that its training held out.
+
+What every page says about the model it judges and where it comes from.
+
+Where a model's steady state and its lags come from, in words: for `train`, `info`, the pages.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from data_prep.log import Log, Source
+from eval.evaluate import evaluation_logs
+from eval.report.content import RunHeader
+from eval.rules import Tolerance, rules
+from narxcal.calibration.bundle import Bundle
+from narxcal.channels import CHANNELS
+from narxcal.cli.console import Console
+from narxcal.support.errors import ConfigError, DataError
+from training.config import RunConfig, load_config
+
+if TYPE_CHECKING:
+    from narxcal.calibration.bundle import Bundle
+
+
+def read_config(path: str, data: Path | None) -> tuple[RunConfig, Path]:
+    """Read CONFIG; `data` takes the place of `[logs] folder`.
+
+    Returns the configuration and the folder that its paths are relative to; raises
+    `ConfigError` as `load_config`.
+    """
+    if Path(path).is_dir():
+        raise ConfigError(
+            "a configuration is a file, and this is a folder",
+            file=path,
+            hint="Name the TOML file in it",
+        )
+    try:
+        config, base = load_config(path)
+    except ConfigError as error:
+        if error.file is not None:
+            raise
+        raise ConfigError(
+            error.problem, file=path, channel=error.channel, hint=error.hint
+        ) from None
+    if data is None:
+        return config, base
+    logs = config.logs.model_copy(update={"folder": str(data.resolve())})
+    return config.model_copy(update={"logs": logs}), base
+
+
+def logs_for(
+    bundle: Bundle, files: Sequence[Path] | None, data: Path | None, console: Console
+) -> list[Log]:
+    """Read `files`, or the held-out logs; `data` says where the latter are now.
+
+    Warns of a held-out log whose file is not the one that training saw. Raises `DataError`.
+    """
+    with console.progress("Reading the logs"):
+        if files:
+            return evaluation_logs(bundle, _once(files, console))
+        logs = _held_out(bundle, data)
+    if not (bundle.meta.get("split") or {}).get("test"):
+        console.warn("no log was held out: these are logs that the model was trained on")
+    for text in changed(bundle, logs):
+        console.warn(text)
+    return logs
+
+
+def _once(files: Sequence[Path], console: Console) -> list[Path]:
+    """Each file once: a log that is judged twice would count twice in what is pooled."""
+    chosen = list({file.resolve(): file for file in files}.values())
+    if len(chosen) < len(files):
+        console.warn("a file that is named twice is read once")
+    return chosen
+
+
+def changed(bundle: Bundle, logs: Sequence[Log]) -> list[str]:
+    """Say which logs come from files with other bytes than at the time of the training."""
+    known = {Path(file).name: digest for file, digest in bundle.meta.get("data", {}).items()}
+    found = {log.source.file: log.source.sha256 for log in logs}
+    return [
+        f"{file}: the file has changed since the training: sha256 was "
+        f"{known[Path(file).name][:12]}, is {digest[:12]}"
+        for file, digest in found.items()
+        if known.get(Path(file).name, digest) != digest
+    ]
+
+
+def _held_out(bundle: Bundle, data: Path | None) -> list[Log]:
+    try:
+        return evaluation_logs(_moved(bundle, data) if data else bundle)
+    except DataError as error:
+        if not (error.hint or "").startswith(("Set [logs] folder", "Set [logs] files")):
+            raise
+        hint = "Say where the held-out logs are by --data, or name others by --logs"
+        raise DataError(error.problem, file=error.file, hint=hint) from None
+
+
+def _moved(bundle: Bundle, data: Path) -> Bundle:
+    config = bundle.meta.get("config", {})
+    logs = {**config.get("logs", {}), "folder": str(data.resolve())}
+    return replace(bundle, meta={**bundle.meta, "config": {**config, "logs": logs}})
+
+
+_LAGS = {
+    "plain": "without limits of acceleration",
+    "limits": "with limits of acceleration and deceleration",
+    "governed": "behind a control that holds N1",
+}
+_KINDS = {"fmu": "FMU", "callable": "function"}
+
+
+def steady_words(meta: Mapping[str, Any]) -> str:
+    """What the steady-state model of a bundle rests on; empty where the bundle does not say."""
+    found = meta.get("steady_state") or {}
+    if not found:
+        return ""
+    if not found["fitted"]:
+        section = meta.get("config", {}).get("steady_state", {})
+        kind = section.get("kind", "model")
+        return f"the maker's {_KINDS.get(kind, kind)} {section.get('source', '')}".strip()
+    left = ", ".join(
+        f"{name} {rms:.3g} {CHANNELS[name].unit}".removesuffix(" -")
+        for name, rms in found["rms"].items()
+    )
+    return (
+        f"fitted to {found['samples']} quasi-steady samples over {100 * found['coverage']:.0f} % "
+        f"of the driver's range{_form(found)}; RMS left: {left}"
+    )
+
+
+def _form(found: Mapping[str, Any]) -> str:
+    """How the curves were chosen to be; empty for a bundle of before there was a choice."""
+    if "corrected" not in found:
+        return ""
+    words = ["corrected parameters" if found["corrected"] else "parameters as they are"]
+    if found["blend"]:
+        words.append(f"blended over {' and '.join(found['blend'])}")
+    if found["switches"]:
+        words.append(f"shifted by {', '.join(found['switches'])}")
+    return f"; {', '.join(words)}"
+
+
+def lag_words(meta: Mapping[str, Any]) -> str:
+    """Which lags stand in front of the network, and what spoke for them; empty without any."""
+    found = meta.get("lag_form") or {}
+    if not found.get("form"):
+        return ""
+    left = ", ".join(f"{form} {100.0 * share:.2g} %" for form, share in found["left"].items())
+    chosen = f"; chosen by what is left of logs not fitted to: {left}" if left else ""
+    return f"{_LAGS[found['form']]}{chosen}"
+
+
+def now() -> str:
+    """The time that a page bears."""
+    return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def header_of(
+    title: str, run: Path, bundle: Bundle, logs: Sequence[Log], rule_set: str
+) -> RunHeader:
+    """Fill a header from what the bundle in `run` holds; `rule_set` names the Ti/Tt rules."""
+    meta, found = bundle.meta, rules(rule_set)
+    narx = bundle.calibration.narx.config
+    return RunHeader(
+        title=title,
+        created=now(),
+        run=str(run),
+        model=f"NARX, lags {narx.lags}, hidden units {narx.hidden}, over "
+        f"{', '.join(bundle.calibration.input_names)}",
+        rules=found.name,
+        tolerances=f"Ti {words(found.Ti)}; Tt {words(found.Tt)} ({found.source})",
+        sources=data_files(logs),
+        versions=meta.get("versions", {}),
+        facts=_facts(meta),
+        config=json.dumps(meta.get("config", {}), indent=1),
+    )
+
+
+def data_files(logs: Sequence[Log]) -> list[Source]:
+    """Every recording once, however many parts it was split into."""
+    return list({(log.source.file, log.source.engine): log.source for log in logs}.values())
+
+
+def words(tolerance: Tolerance) -> str:
+    """Spell a tolerance out."""
+    floor = f" or {tolerance.floor_s:g} s" if tolerance.floor_s else ""
+    return f"±{100.0 * tolerance.share:g} %{floor}"
+
+
+def _facts(meta: dict[str, Any]) -> dict[str, str]:
+    split = meta.get("split") or {}
+    training = meta.get("training") or {}
+    facts = {f"{part.capitalize()} logs": ", ".join(logs) for part, logs in split.items() if logs}
+    facts["Steady state"] = steady_words(meta)
+    facts["Lags"] = lag_words(meta)
+    facts["Seeds"] = ", ".join(map(str, meta.get("seeds") or []))
+    if training:
+        facts["Training"] = f"{training.get('status', '')}, {training.get('wall_s', 0.0):.0f} s"
+    facts["Hardware"] = ", ".join(str(value) for value in (meta.get("hardware") or {}).values())
+    return {name: text for name, text in facts.items() if text}

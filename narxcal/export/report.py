@@ -1,0 +1,156 @@
+"""What an export is asked for, and what it says of itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from narxcal.channels import CHANNELS
+from narxcal.export.grid import Grid
+from narxcal.steady.model import Floats, SteadyStateModel
+from narxcal.support.errors import ConfigError, ModelError
+
+# Told how far a piece of work has come: steps done of steps in all, and a word on it.
+Watch = Callable[[int, int, str], None]
+Stopped = Literal["tolerance", "size", "nodes"]
+ADVICE = "Allow a larger tolerance or more rows, give nodes where the model bends, or fix an input"
+_WHY = {
+    "tolerance": "the tolerance is met",
+    "size": "the limit of rows was reached",
+    "nodes": "finer nodes are not tried",
+}
+
+
+def _ignore(done: int, total: int, note: str) -> None:
+    """Nobody is watching."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """How exact, how large, and whether a missed tolerance is refused or only told.
+
+    `tolerance_pct` bounds the largest error of each output in percent of its range; nodes are
+    added (unless `refine` is off) until it holds or the next one would make more than
+    `max_rows` rows. `probes` random conditions measure the error, `seed` draws them. `source`
+    says in the file where the model comes from.
+    """
+
+    tolerance_pct: float = 0.5
+    max_rows: int = 100_000
+    refine: bool = True
+    strict: bool = False
+    probes: int = 4096
+    seed: int = 0
+    source: str = ""
+    watch: Watch = _ignore
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.tolerance_pct < 100.0:
+            raise ConfigError(
+                f"expected a tolerance above 0 and below 100 %, got {self.tolerance_pct:g}"
+            )
+        for name in ("max_rows", "probes"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"{name} has to be 1 or more, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class OutputError:
+    """Difference between model and export over one output's probes, in the output's unit.
+
+    `range` is what the output varies by over them.
+    """
+
+    name: str
+    unit: str
+    range: float
+    max: float
+    rms: float
+
+    @property
+    def max_pct(self) -> float:
+        """Largest error in percent of the range."""
+        return 100.0 * self.max / self.range
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Errors at random conditions inside the envelope; `inside` of `probes` were."""
+
+    outputs: tuple[OutputError, ...]
+    probes: int
+    inside: int
+
+    @property
+    def worst_pct(self) -> float:
+        """Largest error of all outputs in percent of their ranges."""
+        return max(output.max_pct for output in self.outputs)
+
+
+@dataclass(frozen=True)
+class ExportReport:
+    """What was written: nodes, rows, errors, and why no more nodes were added.
+
+    `additive` are the switches whose effects are stored on grids of their own (FMU only).
+    """
+
+    file: str
+    bytes: int
+    rows: int
+    axes: Mapping[str, tuple[float, ...]]
+    fixed: Mapping[str, float]
+    additive: tuple[str, ...]
+    measured: Measured
+    tolerance_pct: float
+    stopped: Stopped
+
+    @property
+    def met(self) -> bool:
+        """Whether every output keeps the tolerance."""
+        return self.measured.worst_pct <= self.tolerance_pct
+
+    @property
+    def why(self) -> str:
+        """Why no more nodes were added, in words."""
+        return _WHY[self.stopped]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything, as JSON can hold it."""
+        document = asdict(self) | {"axes": dict(self.axes), "fixed": dict(self.fixed)}
+        measured = document.pop("measured")
+        for row, output in zip(measured["outputs"], self.measured.outputs, strict=True):
+            row["max_pct"] = output.max_pct
+        return {**document, **measured, "met": self.met, "why": self.why}
+
+
+class Probes:
+    """Random conditions and what the model says there: the yardstick of every export."""
+
+    def __init__(self, model: SteadyStateModel, grid: Grid, options: ExportOptions) -> None:
+        drawn = grid.draw(options.probes, np.random.default_rng(options.seed))
+        self.names, self.drawn = model.output_names, len(drawn)
+        self.inputs = drawn[model.inside(drawn)]
+        if not len(self.inputs):
+            raise ModelError(
+                "the model holds nowhere between these nodes",
+                hint="Give nodes inside its envelope",
+            )
+        self.truth = np.asarray(model.outputs(self.inputs), dtype=np.float64)
+        self.scale: Floats = np.ptp(self.truth, axis=0)
+        # What does not vary is judged by its size.
+        size = np.maximum(np.abs(self.truth).max(axis=0), 1e-6)
+        self.scale = np.where(self.scale > 1e-9 * size, self.scale, size)
+
+    def measure(self, found: Floats) -> Measured:
+        """Compare `found` (n, n_out) with the model."""
+        difference = np.abs(found - self.truth)
+        largest, rms = difference.max(axis=0), np.sqrt(np.mean(difference**2, axis=0))
+        rows = zip(self.names, self.scale, largest, rms, strict=True)
+        outputs = tuple(
+            OutputError(name, CHANNELS[name].unit, float(scale), float(worst), float(mean))
+            for name, scale, worst, mean in rows
+        )
+        return Measured(outputs, self.drawn, len(self.inputs))

@@ -1,0 +1,1 @@
+"""Lumped two-spool engine: how each output follows its steady-state value."""

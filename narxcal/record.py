@@ -1,0 +1,182 @@
+"""A record: one uninterrupted recording of inputs and outputs, all that a NARX model knows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias, TypeGuard
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Inputs `u` (time, inputs) and outputs `y` (time, outputs) on one raster.
+
+    A masked output sample is NaN: it is left out of every loss and score. Inputs have to be
+    complete, since a free run cannot step over a hole; `DataError` names the first bad row.
+    `weight` (time,), if given, scales the loss of each sample.
+    """
+
+    u: FloatArray
+    y: FloatArray
+    name: str = "record"
+    weight: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "u", columns(self.u, self.name))
+        object.__setattr__(self, "y", columns(self.y, self.name))
+        if len(self.u) != len(self.y):
+            raise DataError(
+                f"inputs and outputs have to be of one length, found {len(self.u)} "
+                f"and {len(self.y)} samples",
+                file=self.name,
+            )
+        self._check_values()
+        if self.weight is not None:
+            object.__setattr__(self, "weight", self._checked_weight(self.weight))
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+    def _check_values(self) -> None:
+        bad = np.flatnonzero(~np.isfinite(self.u).all(axis=1))
+        if len(bad):
+            raise DataError(
+                "an input is not a finite number",
+                file=self.name,
+                row=int(bad[0]),
+                hint="Fill or cut the record first; only outputs may be masked with NaN",
+            )
+        infinite = np.flatnonzero(np.isinf(self.y).any(axis=1))
+        if len(infinite):
+            raise DataError(
+                "an output is infinite",
+                file=self.name,
+                row=int(infinite[0]),
+                hint="Mask what is not known with NaN",
+            )
+
+    def _checked_weight(self, given: ArrayLike) -> FloatArray:
+        weight = _numbers(given, self.name)
+        if weight.shape != (len(self.u),):
+            raise DataError(
+                f"the weight has to be of shape ({len(self.u)},), found {weight.shape}",
+                file=self.name,
+            )
+        bad = np.flatnonzero(~(np.isfinite(weight) & (weight >= 0.0)))
+        if len(bad):
+            raise DataError(
+                f"expected a weight of at least 0, found {weight[bad[0]]:g}",
+                file=self.name,
+                row=int(bad[0]),
+                hint="0 leaves a sample out",
+            )
+        return weight
+
+
+def columns(values: ArrayLike, name: str | None = None) -> FloatArray:
+    """`values` as float64 (time, channels); of one dimension they are one channel over time.
+
+    What a masked array hides is NaN. Raises `DataError` for anything but real numbers, and for
+    more than two dimensions.
+    """
+    array = _numbers(values, name)
+    if array.ndim > 2:
+        raise DataError(
+            f"expected (time, channels), found an array of shape {array.shape}",
+            file=name,
+            hint="Pass a batch as a list of records",
+        )
+    return array[:, None] if array.ndim == 1 else array
+
+
+def _numbers(values: ArrayLike, name: str | None) -> FloatArray:
+    # NumPy itself would drop a mask without a word, and an imaginary part with a mere warning.
+    if isinstance(values, np.ma.MaskedArray):
+        values = np.ma.filled(values.astype(np.float64), np.nan)
+    if np.iscomplexobj(values):
+        raise DataError("expected an array of real numbers, found complex ones", file=name)
+    try:
+        return np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise DataError(
+            f"expected an array of real numbers, found {type(values).__name__} ({error})", file=name
+        ) from None
+
+
+Pair: TypeAlias = tuple[ArrayLike, ArrayLike]
+RecordLike: TypeAlias = Record | Pair
+
+
+def as_records(given: RecordLike | Iterable[RecordLike], name: str = "record") -> list[Record]:
+    """Records as users have them: `Record`, pairs (u, y), one of these or several.
+
+    A pair is called `name` and its number. Raises `DataError` for anything else, and as `Record`
+    does.
+    """
+    if isinstance(given, Record) or _is_pair(given):
+        return [_as_record(given, f"{name} 1")]
+    # One array, table or tensor can be iterated over, too, but what comes of it is no record.
+    if hasattr(given, "__array__") or not isinstance(given, Iterable):
+        raise _no_record(given)
+    return [_as_record(each, f"{name} {number}") for number, each in enumerate(given, 1)]
+
+
+def _is_pair(given: object) -> TypeGuard[Pair]:
+    """Whether this is (u, y), and not two records in a tuple."""
+    return isinstance(given, tuple) and len(given) == 2 and not isinstance(given[0], tuple | Record)
+
+
+def _as_record(given: object, name: str) -> Record:
+    if isinstance(given, Record):
+        return given
+    if not _is_pair(given):
+        raise _no_record(given)
+    u, y = given
+    return Record(columns(u, name), columns(y, name), name)
+
+
+def _no_record(given: object) -> DataError:
+    shape = f" of shape {tuple(given.shape)}" if hasattr(given, "shape") else ""
+    return DataError(
+        f"expected records of inputs and outputs, found {type(given).__name__}{shape}",
+        hint="Pass a list of pairs, [(u, y)], or of Record(u, y)",
+    )
+
+
+def check_measured(records: Sequence[Record], purpose: str) -> None:
+    """Raise `DataError` for an output that is masked throughout: nothing can be learnt of it."""
+    known = np.any([np.isfinite(record.y).any(axis=0) for record in records], axis=0)
+    if not known.all():
+        raise DataError(
+            f"output {int(np.argmin(known)) + 1} of {len(known)} has no known sample in any "
+            f"{purpose} record",
+            file=records[0].name,
+            hint="Leave the output out, or add records that hold it",
+        )
+
+
+def check_records(records: Sequence[Record], longer_than: int) -> tuple[int, int]:
+    """Return (inputs, outputs) that all records agree on; `DataError` where they do not."""
+    if not records:
+        raise DataError("at least one record is needed, found none")
+    inputs, outputs = records[0].u.shape[1], records[0].y.shape[1]
+    for record in records:
+        found = (record.u.shape[1], record.y.shape[1])
+        if found != (inputs, outputs):
+            raise DataError(
+                f"expected {inputs} inputs and {outputs} outputs as in {records[0].name}, "
+                f"found {found[0]} and {found[1]}",
+                file=record.name,
+            )
+        if len(record) <= longer_than:
+            raise DataError(
+                f"a record needs more than {longer_than} samples, found {len(record)}",
+                file=record.name,
+            )
+    return inputs, outputs

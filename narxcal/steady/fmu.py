@@ -1,0 +1,250 @@
+"""A steady-state model given as an FMU for co-simulation, FMI 2.0 or 3.0 (extra `fmu`).
+
+FMI standards 2.0.4 and 3.0.2, sections on co-simulation: every sample is a fresh run of the
+FMU (reset, initialise, set inputs, one step, read outputs), so that one sample never depends
+on the one before.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import hashlib
+import shutil
+import weakref
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+from zipfile import BadZipFile
+
+import numpy as np
+from pydantic import Field
+
+from narxcal.steady.model import (
+    Arrays,
+    Envelope,
+    Floats,
+    at_known,
+    checked_inputs,
+    register_steady,
+    stored,
+)
+from narxcal.support.errors import ModelError
+from narxcal.support.settings import Section
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from numpy.typing import ArrayLike, NDArray
+
+_REAL = ("Real", "Float64")
+
+
+class FmuOptions(Section):
+    """How an FMU is asked.
+
+    `variables` maps a canonical channel to the FMU's variable where the names differ,
+    `ranges` is the envelope `{input: (low, high)}`, and `settle_s` how long the FMU is run at
+    constant inputs before its outputs are read (for one that lags a little).
+    """
+
+    variables: dict[str, str] = Field(default_factory=dict)
+    ranges: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    settle_s: float = Field(default=1.0, gt=0.0)
+
+
+@register_steady
+class SteadyFmu:
+    """Evaluates an FMU whose variables hold canonical units.
+
+    Raises `ModelError` if FMPy is missing, if the file is no FMU that this machine can run,
+    if a variable is missing, and if the FMU reports an error.
+    """
+
+    kind: ClassVar[str] = "fmu"
+
+    def __init__(
+        self,
+        path: str | PathLike[str],
+        names: tuple[Sequence[str], Sequence[str]],
+        options: FmuOptions | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self.options = options or FmuOptions()
+        self.input_names, self.output_names = (tuple(part) for part in names)
+        self._box = Envelope.from_ranges(self.input_names, self.options.ranges)
+        self._unit = _open(self.path)
+        self._inputs = self._references(self.input_names)
+        self._outputs = self._references(self.output_names)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Open the file again in a worker process; a running FMU cannot be sent."""
+        return type(self), (self.path, (self.input_names, self.output_names), self.options)
+
+    def outputs(self, inputs: ArrayLike) -> Floats:
+        """Settled outputs `(..., n_out)` at `inputs` `(..., n_in)`; NaN where an input is."""
+        held = self._box.clamp(checked_inputs(inputs, self.input_names))
+        return at_known(self._points, held, len(self.output_names))
+
+    def inside(self, inputs: ArrayLike) -> NDArray[np.bool_]:
+        """Whether each sample lies within the ranges: `(...,)`."""
+        array = checked_inputs(inputs, self.input_names)
+        return np.asarray(self._box.inside(array) & np.isfinite(array).all(axis=-1))
+
+    def files(self) -> tuple[str, ...]:
+        """Return the FMU, which a bundle copies."""
+        return (str(self.path),)
+
+    def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Give file, hash, names and options; there are no arrays."""
+        meta = {
+            "file": str(self.path.resolve()),
+            "sha256": _sha256(self.path),
+            "input_names": list(self.input_names),
+            "output_names": list(self.output_names),
+            "variables": dict(self.options.variables),
+            "ranges": {name: list(pair) for name, pair in self.options.ranges.items()},
+            "settle_s": self.options.settle_s,
+        }
+        return meta, {}
+
+    @classmethod
+    def from_arrays(cls, meta: Mapping[str, Any], arrays: Arrays) -> Self:  # noqa: ARG003
+        """Open the FMU again; raises `ModelError` if it is missing or another one."""
+        what = "steady-state FMU"
+        file = Path(stored(meta, "file", what))
+        if not file.is_file():
+            raise ModelError(
+                "the FMU of this bundle is missing", file=file, hint="Put it there again"
+            )
+        if _sha256(file) != stored(meta, "sha256", what):
+            raise ModelError(
+                "the FMU is not the one the bundle was trained on",
+                file=file,
+                hint="Restore the former file, or train anew",
+            )
+        names = (stored(meta, "input_names", what), stored(meta, "output_names", what))
+        options = {key: stored(meta, key, what) for key in FmuOptions.model_fields}
+        return cls(file, names, FmuOptions.parse(options))
+
+    def _references(self, names: Sequence[str]) -> list[int]:
+        return [self._reference(name) for name in names]
+
+    def _reference(self, name: str) -> int:
+        wanted = self.options.variables.get(name, name)
+        known = {variable.name: variable for variable in self._unit.variables}
+        if wanted not in known:
+            near = difflib.get_close_matches(wanted, known, n=1, cutoff=0.4)
+            hint = f"Did you mean '{near[0]}'?" if near else f"It has {', '.join(known)}"
+            raise ModelError(
+                f"the FMU has no variable '{wanted}'", file=self.path, channel=name, hint=hint
+            )
+        if known[wanted].type not in _REAL:
+            raise ModelError(
+                f"variable '{wanted}' is {known[wanted].type}, expected a real number",
+                file=self.path,
+                channel=name,
+            )
+        return int(known[wanted].valueReference)
+
+    def _points(self, inputs: Floats) -> Floats:
+        return np.array([self._point(row) for row in inputs.tolist()])
+
+    def _point(self, inputs: list[float]) -> list[float]:
+        try:
+            return self._unit.evaluate(self._inputs, inputs, self._outputs, self.options.settle_s)
+        except self._unit.call_error as error:
+            at = ", ".join(
+                f"{name} {value:g}" for name, value in zip(self.input_names, inputs, strict=True)
+            )
+            raise ModelError(f"the FMU failed at {at}: {error}", file=self.path) from None
+
+
+class _Unit:
+    """One running FMU; freed, with the files it was unpacked to, when nobody needs it."""
+
+    def __init__(self, slave: Any, description: Any, folder: Any, call_error: Any) -> None:
+        self.variables = description.modelVariables
+        self.call_error: type[Exception] = call_error
+        self._slave = slave
+        self._fmi3 = not description.fmiVersion.startswith("2")
+        self._used = False
+        weakref.finalize(self, _close, slave, folder)
+
+    def evaluate(
+        self, inputs: list[int], values: list[float], outputs: list[int], settle_s: float
+    ) -> list[float]:
+        """Run from the start at constant inputs for `settle_s`, and read the outputs."""
+        slave = self._slave
+        if self._used:
+            slave.reset()
+        self._used = True
+        if not self._fmi3:
+            slave.setupExperiment(startTime=0.0)
+        slave.enterInitializationMode()
+        put, get = (
+            (slave.setFloat64, slave.getFloat64) if self._fmi3 else (slave.setReal, slave.getReal)
+        )
+        put(inputs, values)
+        slave.exitInitializationMode()
+        slave.doStep(0.0, settle_s)
+        return list(get(outputs))
+
+
+def _open(path: Path) -> _Unit:
+    try:
+        import fmpy  # noqa: PLC0415  (an extra that most installations lack)
+        from fmpy.fmi1 import FMICallException  # noqa: PLC0415
+    except ImportError:
+        raise ModelError(
+            "an FMU needs FMPy, which is not installed",
+            file=path,
+            hint="pip install 'narxcal[fmu]'",
+        ) from None
+    if not path.is_file():
+        raise ModelError("the FMU does not exist", file=path)
+    # FMPy raises bare Exception for whatever it dislikes about a file.
+    try:
+        description = fmpy.read_model_description(path)
+        platforms = fmpy.supported_platforms(path)
+    except BadZipFile:
+        raise ModelError("the file is no FMU: it is not a zip archive", file=path) from None
+    except Exception as error:
+        raise ModelError(f"the file is no FMU that can be read: {error}", file=path) from error
+    _check(path, description, (platforms, fmpy.platform))
+    folder = fmpy.extract(path)
+    try:
+        # FMPy leaves the working directory changed when a library does not load.
+        with contextlib.chdir("."):
+            slave = fmpy.instantiate_fmu(folder, description, "CoSimulation")
+    except Exception as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise ModelError(f"the FMU does not start: {error}", file=path) from error
+    return _Unit(slave, description, folder, FMICallException)
+
+
+def _check(path: Path, description: Any, platforms: tuple[list[str], str]) -> None:
+    version = str(description.fmiVersion)
+    if not version.startswith(("2.", "3.")):
+        raise ModelError(f"the FMU is of FMI {version}, expected 2.0 or 3.0", file=path)
+    if description.coSimulation is None:
+        raise ModelError(
+            "the FMU offers no co-simulation", file=path, hint="Export it for co-simulation"
+        )
+    found, here = platforms
+    if here not in found:
+        hint = "Build its sources: fmpy compile FILE" if "c-code" in found else None
+        raise ModelError(
+            f"the FMU has no binary for {here}, only {', '.join(found) or 'none'}",
+            file=path,
+            hint=hint,
+        )
+
+
+def _close(slave: Any, folder: Any) -> None:
+    slave.freeInstance()
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def _sha256(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()

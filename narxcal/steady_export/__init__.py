@@ -1,8 +1,0 @@
-"""Any steady-state model as an encapsulated thing: a table in a CSV file, or a compiled FMU."""
-
-from narxcal.steady_export.fmu import export_fmu
-from narxcal.steady_export.grid import Grid
-from narxcal.steady_export.report import ExportOptions, ExportReport
-from narxcal.steady_export.table import export_table
-
-__all__ = ["ExportOptions", "ExportReport", "Grid", "export_fmu", "export_table"]

@@ -1,0 +1,148 @@
+"""Base class of all configuration sections; their files, and what is wrong with them, in words."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterator, Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any, Self, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from narxcal.support.errors import ConfigError
+
+
+class Section(BaseModel):
+    """One table of a TOML configuration: immutable, and without unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @classmethod
+    def parse(
+        cls,
+        table: Mapping[str, Any],
+        file: str | PathLike[str] | None = None,
+        options: Mapping[str, str] | None = None,
+    ) -> Self:
+        """Validate `table`; the first thing wrong becomes a `ConfigError` that names the key.
+
+        `options` are the keys whose values came from a command line, by what was typed there.
+        """
+        try:
+            return cls.model_validate(dict(table))
+        except ValidationError as error:
+            typed = (options or {}).get(_key(error))
+            if typed is not None:
+                raise ConfigError(f"{typed}: {_said(error)}") from None
+            raise _explain(cls, error, file) from None
+        except ConfigError as error:  # from a validator, which does not know the file
+            raise ConfigError(
+                error.problem, file=error.file or file, channel=error.channel, hint=error.hint
+            ) from None
+
+
+def read_toml(file: Path, schema: str) -> dict[str, Any]:
+    """Read a TOML file whose key `schema` has to be this; raises `ConfigError`."""
+    try:
+        table = tomllib.loads(file.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise ConfigError(f"cannot be read: {error.strerror}", file=file) from None
+    except UnicodeDecodeError:
+        raise ConfigError("expected a TOML file, found no text in UTF-8", file=file) from None
+    except (ValueError, RecursionError) as error:  # a number or a nesting beyond all reason too
+        raise ConfigError(f"not TOML: {error}", file=file) from None
+    if table.get("schema") != schema:
+        found = repr(table["schema"]) if "schema" in table else "nothing"
+        raise ConfigError(
+            f"expected schema = '{schema}', found {found}",
+            file=file,
+            hint="Write it as the first line",
+        )
+    return table
+
+
+def _explain(
+    section: type[BaseModel], error: ValidationError, file: str | PathLike[str] | None
+) -> ConfigError:
+    first, key = error.errors()[0], _key(error)
+    path = key.split(".")
+    if first["type"] == "extra_forbidden":
+        return ConfigError(f"unknown key '{key}'", file=file, hint=_meant(section, path))
+    if first["type"] == "missing":
+        return ConfigError(f"key '{key}' is missing", file=file, hint="Add it")
+    if not key:  # of the table as a whole
+        return ConfigError(_problem(error), file=file)
+    return ConfigError(f"key '{key}': {_said(error)}", file=file)
+
+
+def _meant(section: type[BaseModel], path: list[str]) -> str:
+    """Where the last key of `path` belongs, or what it may be a slip of the pen for."""
+    tables = [f"[{table}]" for table in _tables_with(path[-1], section) if table]
+    if tables:
+        return f"It is a key of {' and of '.join(tables)}"
+    known = _known_keys(section, path[:-1])
+    near = difflib.get_close_matches(path[-1], known, n=1, cutoff=0.5)
+    return f"Did you mean '{near[0]}'?" if near else f"Known keys: {', '.join(known)}"
+
+
+def _tables_with(key: str, section: type[BaseModel], at: str = "") -> Iterator[str]:
+    """Tables of a configuration, as `logs.derive`, that know `key`."""
+    if key in _keys(section):
+        yield at
+    for name, field in section.model_fields.items():
+        nested = _section_in(field.annotation)
+        if nested:
+            yield from _tables_with(key, nested, f"{at}.{name}" if at else name)
+
+
+def _key(error: ValidationError) -> str:
+    """Path to what is wrong first."""
+    return ".".join(str(part) for part in error.errors()[0]["loc"])
+
+
+def _problem(error: ValidationError) -> str:
+    first = error.errors()[0]
+    if first["type"] in ("model_type", "dict_type"):
+        return "expected a table of keys"
+    if first["type"] in ("tuple_type", "list_type"):
+        return "expected a list"
+    if first["type"] == "too_short":
+        return f"expected a list of at least {first['ctx']['min_length']}"
+    return first["msg"].removeprefix("Value error, ")
+
+
+def _said(error: ValidationError) -> str:
+    first = error.errors()[0]
+    if first["type"] == "value_error" and isinstance(first["input"], dict):
+        return _problem(error)  # of several keys of a table, and it names them
+    return f"{_problem(error)}, found {_shown(first['input'])}"
+
+
+def _shown(value: object) -> str:
+    try:
+        return repr(value)[:80]
+    except ValueError:  # Python prints no number of more than 4300 digits
+        return "a number too long to print"
+
+
+def _known_keys(section: type[BaseModel], path: list[str]) -> list[str]:
+    """Keys of the (possibly nested) section that `path` leads to."""
+    for part in path:
+        field = section.model_fields.get(part)
+        nested = field and _section_in(field.annotation)
+        if nested:
+            section = nested
+    return sorted(_keys(section))
+
+
+def _keys(section: type[BaseModel]) -> list[str]:
+    return [field.alias or name for name, field in section.model_fields.items()]
+
+
+def _section_in(annotation: Any) -> type[BaseModel] | None:
+    for candidate in (annotation, *get_args(annotation)):
+        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
+            return candidate
+    return None

@@ -1,0 +1,376 @@
+"""Trains a NARX network in free run: several starts, growing horizons, the best one kept.
+
+The loop knows nothing of the optimiser but that it yields steps. What it has done so far is in
+a `Progress` that can be written to disk after every step and gone on from, with the same path
+as if it had never stopped.
+
+Where the free-run training of a NARX network starts: a stable linear model.
+
+The open-loop least-squares ARX model is one candidate; first-order lags are the others, since
+the ARX fit of a smooth recording is often an integrator that a free run cannot use.
+
+One network per output, merged into one network of all outputs that computes the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+import torch
+
+from narxcal.narx.config import NarxConfig
+from narxcal.narx.network import NarxModel, NarxNet, Scaling, history_before, tap
+from narxcal.record import Record, check_measured, check_records
+from narxcal.support.arrays import FloatArray
+from narxcal.support.interrupt import Interrupt, held_interrupt
+from training import adam, geodesic, levenberg_marquardt
+from training.adam import Moments
+from training.config import TrainConfig
+from training.free_run import FreeRunProblem, cut_windows
+from training.levenberg_marquardt import Damping
+
+_POLES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.995)
+_RIDGE = 1e-6
+
+
+def new_model(records: Sequence[Record], config: NarxConfig, seed: int) -> NarxModel:
+    """Scale to the records, bound to their envelope, draw the hidden layer, silence the output.
+
+    Deviations and increments are zero at rest, so an anchored network scales without centring.
+    """
+    u = np.concatenate([record.u for record in records])
+    y = np.concatenate([record.y for record in records])
+    outputs = Scaling.of(y, centred=not config.moving)
+    inputs = Scaling.of(u)
+    inputs.centre[: config.moving] = 0.0
+    with torch.random.fork_rng(devices=[]):  # the caller's random numbers are not ours
+        torch.manual_seed(seed)
+        net = NarxNet(config, u.shape[1], y.shape[1])
+    low, high = np.nanmin(y, axis=0), np.nanmax(y, axis=0)
+    if config.moving:
+        low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
+    margin = config.margin * np.maximum(high - low, 1e-9)
+    net.low.copy_(torch.from_numpy(outputs.down(low - margin)))
+    net.high.copy_(torch.from_numpy(outputs.down(high + margin)))
+    with torch.no_grad():
+        for layer in (net.output, net.linear):
+            layer.weight.zero_()
+        net.output.bias.zero_()
+    return NarxModel(net, inputs, outputs)
+
+
+def start_linear(model: NarxModel, records: Sequence[Record], problem: FreeRunProblem) -> None:
+    """Give the linear path of `model` the candidate with the least free-run loss."""
+    net, losses, thetas = model.net, [], []
+    for linear, bias in _candidates(model, records):
+        with torch.no_grad():
+            net.linear.weight.copy_(torch.from_numpy(linear))
+            net.output.bias.copy_(torch.from_numpy(bias))
+        thetas.append(net.get_theta())
+        losses.append(problem.loss(thetas[-1]))
+    net.set_theta(thetas[int(np.argmin(losses))])
+
+
+def _candidates(model: NarxModel, records: Sequence[Record]) -> list[tuple[FloatArray, FloatArray]]:
+    phi, target = _regression(model, records)
+    arx = _least_squares(phi, target, model.config.moving > 0)
+    found = [arx]
+    outputs = model.net.outputs
+    for pole in _POLES:
+        lagged = target - pole * phi[:, :outputs]
+        rest = phi.copy()
+        rest[:, : model.config.lags * outputs] = 0.0
+        linear, bias = _least_squares(rest, lagged, model.config.moving > 0)
+        linear[:, :outputs] = pole * np.eye(outputs)
+        found.append((linear, bias))
+    return found
+
+
+def _regression(model: NarxModel, records: Sequence[Record]) -> tuple[FloatArray, FloatArray]:
+    """Phi (n, f) and the next outputs (n, o) over all rows whose history is known."""
+    lags, taps, moving = model.config.lags, model.config.taps, model.config.moving
+    rows, targets = [], []
+    for record in records:
+        u, y = model.input_scaling.down(record.u), model.output_scaling.down(record.y)
+        if moving:
+            u = np.where(np.arange(u.shape[1]) < moving, u, 0.0)
+        past = np.array([history_before(y, k, lags) for k in range(lags, len(y))])
+        phi = np.concatenate([past, tap(u, taps)[lags:]], axis=1)
+        known = np.isfinite(phi).all(axis=1) & np.isfinite(y[lags:]).all(axis=1)
+        rows.append(phi[known])
+        targets.append(y[lags:][known])
+    return np.concatenate(rows), np.concatenate(targets)
+
+
+def _least_squares(
+    phi: FloatArray, target: FloatArray, anchored: bool
+) -> tuple[FloatArray, FloatArray]:
+    ones = np.zeros((len(phi), 1)) if anchored else np.ones((len(phi), 1))
+    matrix = np.concatenate([phi, ones], axis=1)
+    normal = matrix.T @ matrix + _RIDGE * len(phi) * np.eye(matrix.shape[1])
+    solution = np.linalg.solve(normal, matrix.T @ target).T
+    return np.ascontiguousarray(solution[:, :-1]), solution[:, -1].copy()
+
+
+@dataclass(frozen=True)
+class HistoryRow:
+    """One training step: where it was taken and the losses after it.
+
+    `validation` is the root of twice the free-run loss on whole validation records in scaled
+    units (NaN without validation records).
+    """
+
+    start: int
+    stage: int
+    horizon_s: float
+    iteration: int
+    loss: float
+    validation: float
+
+
+@dataclass(frozen=True, eq=False)
+class Progress:
+    """Where training stands after a step, complete: theta, optimiser state, the best so far."""
+
+    theta: FloatArray
+    start: int = 0
+    stage: int = 0
+    iteration: int = 0
+    damping: Damping = field(default_factory=Damping)
+    moments: Moments | None = None
+    best_theta: FloatArray | None = None
+    best_score: float = float("inf")
+    since_best: int = 0
+    history: tuple[HistoryRow, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """The trained model, how it ended in words, and every step on the way."""
+
+    model: NarxModel
+    status: str
+    score: float
+    history: tuple[HistoryRow, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """What to learn from: training records, validation records (may be none), their raster.
+
+    `rest` records (see training.records) teach the return to rest. They only make sense whole, so
+    they take part where the horizon holds them.
+    """
+
+    records: Sequence[Record]
+    validation: Sequence[Record]
+    dt_s: float
+    rest: Sequence[Record] = ()
+
+    def within(self, horizon_s: float) -> list[Record]:
+        """Training records, with the rest records that fit into `horizon_s` (0: any)."""
+        steps = horizon_s / self.dt_s if horizon_s > 0 else float("inf")
+        return [*self.records, *(record for record in self.rest if len(record) <= steps)]
+
+
+class Watch(Protocol):
+    """Told after every step; it may show a progress bar or write a checkpoint."""
+
+    def __call__(self, progress: Progress) -> None: ...  # noqa: D102
+
+
+def fit_narx(
+    material: Material,
+    structure: NarxConfig,
+    config: TrainConfig,
+    watch: Watch | None = None,
+    resume: Progress | None = None,
+) -> FitResult:
+    """Train on whole records in free run; the same seed gives the same network.
+
+    Ctrl-C ends the training after the step it is in and keeps the best network so far. Raises
+    `DataError` for records that do not fit each other, are too short or lack an output throughout.
+    """
+    check_records([*material.records, *material.validation], structure.lags + structure.taps[-1])
+    check_measured(material.records, "training")
+    if material.validation:
+        check_measured(material.validation, "validation")
+    run = _Run(material, structure, config, watch or _ignore)
+    progress = resume or Progress(run.first_theta(0))
+    status = "all steps done"
+    try:
+        with held_interrupt() as interrupt:
+            run.train(progress, interrupt)
+    except KeyboardInterrupt:
+        status = "interrupted: the best network so far was kept; --resume goes on from here"
+    progress = run.latest or progress
+    theta = progress.theta if progress.best_theta is None else progress.best_theta
+    run.model.net.set_theta(theta)
+    return FitResult(run.model, status, progress.best_score, progress.history)
+
+
+def _ignore(progress: Progress) -> None:
+    del progress
+
+
+class _Run:
+    """One call of `fit_narx`: the fixed things, and the loop over starts and stages."""
+
+    def __init__(
+        self, material: Material, structure: NarxConfig, config: TrainConfig, watch: Watch
+    ) -> None:
+        self.material = material
+        self.config = config
+        self.watch = watch
+        self.structure = structure
+        self.latest: Progress | None = None
+        self.model = new_model(material.records, structure, config.seed)
+        self.judge = self._problem(material.validation or material.records, 0.0)
+
+    def _problem(self, records: Sequence[Record], horizon_s: float) -> FreeRunProblem:
+        dt_s = self.material.dt_s
+        horizon = max(round(horizon_s / dt_s), 1) if horizon_s > 0 else None
+        stride = max(round(self.config.score_every_s / dt_s), 1)
+        windows = cut_windows(self.model, records, horizon, stride)
+        return FreeRunProblem(self.model.net, windows, self.config.threads)
+
+    def first_theta(self, start: int) -> FloatArray:
+        """Weights that start number `start` begins with."""
+        drawn = new_model(self.material.records, self.structure, self.config.seed + start)
+        self.model.net.set_theta(drawn.net.get_theta())
+        problem = self._problem(self.material.records, self.config.horizons_s[0])
+        start_linear(self.model, self.material.records, problem)
+        return self.model.net.get_theta()
+
+    def train(self, progress: Progress, interrupt: Interrupt) -> None:
+        """Go on from `progress` to the end; `latest` always holds the last complete step."""
+        while progress.start < self.config.starts:
+            while progress.stage < len(self.config.horizons_s):
+                for after in self._stage(progress):
+                    progress = self.latest = after
+                    self.watch(progress)
+                    interrupt.stop_here()
+                progress = self.latest = self._settle(progress)
+            start = progress.start + 1
+            if start < self.config.starts:
+                progress = replace(progress, theta=self.first_theta(start))
+            progress = self.latest = replace(progress, start=start, stage=0)
+        self.watch(progress)
+
+    def _stage(self, progress: Progress) -> Iterator[Progress]:
+        """Yield the progress after each step of one horizon."""
+        horizon_s = self.config.horizons_s[progress.stage]
+        if self._over(progress):
+            return
+        problem = self._problem(self.material.within(horizon_s), horizon_s)
+        for stepped, loss in self._optimise(problem, progress):
+            progress = replace(
+                progress,
+                theta=stepped.theta,
+                damping=stepped.damping,
+                moments=stepped.moments,
+                iteration=progress.iteration + 1,
+            )
+            progress = self._scored(progress, loss, horizon_s)
+            yield progress
+            if self._over(progress):
+                return
+
+    def _over(self, progress: Progress) -> bool:
+        tired = bool(self.material.validation) and progress.since_best >= self.config.patience
+        return tired or progress.iteration >= self.config.iterations[progress.stage]
+
+    def _optimise(
+        self, problem: FreeRunProblem, progress: Progress
+    ) -> Iterator[tuple[Progress, float]]:
+        """Yield (`progress` with new theta and optimiser's state, loss) for any optimiser."""
+        theta, decay = progress.theta, self.config.decay
+        if self.config.optimiser == "adam":
+            rate = self.config.rate
+            for move in adam.minimise(problem, theta, rate, decay, progress.moments):
+                yield replace(progress, theta=move.theta, moments=move.moments), move.loss
+            return
+        bent = self.config.optimiser == "geodesic"
+        descend = geodesic.minimise if bent else levenberg_marquardt.minimise
+        for step in descend(problem, theta, decay, progress.damping):
+            yield replace(progress, theta=step.theta, damping=step.damping), step.loss
+
+    def _scored(self, progress: Progress, loss: float, horizon_s: float) -> Progress:
+        """Add the history row; with validation records, keep the best step by them."""
+        validation = float("nan")
+        if self.material.validation:
+            validation = float(np.sqrt(2.0 * self.judge.loss(progress.theta)))
+            progress = _keep(progress, validation)
+        row = HistoryRow(
+            progress.start, progress.stage, horizon_s, progress.iteration, loss, validation
+        )
+        return replace(progress, history=(*progress.history, row))
+
+    def _settle(self, progress: Progress) -> Progress:
+        """End a stage; without validation records, its last step competes by its own free run."""
+        last = progress.stage + 1 == len(self.config.horizons_s)
+        if last and not self.material.validation:
+            own = float(np.sqrt(2.0 * self.judge.loss(progress.theta)))
+            progress = _keep(progress, own)
+        return replace(
+            progress,
+            stage=progress.stage + 1,
+            iteration=0,
+            since_best=0,
+            damping=Damping(),
+            moments=None,
+        )
+
+
+def _keep(progress: Progress, score: float) -> Progress:
+    if score < progress.best_score:
+        return replace(progress, best_theta=progress.theta, best_score=score, since_best=0)
+    return replace(progress, since_best=progress.since_best + 1)
+
+
+def single_output(record: Record, k: int) -> Record:
+    """The record with output `k` alone."""
+    return Record(record.u, record.y[:, k : k + 1], record.name, record.weight)
+
+
+def merge_models(models: Sequence[NarxModel]) -> NarxModel:
+    """Join single-output networks over the same inputs side by side.
+
+    Weights between their parts are zero, so every output is exactly what it was alone. One
+    model alone is returned as it is.
+    """
+    if len(models) == 1:
+        return models[0]
+    first = models[0]
+    count = len(models)
+    config = first.config.model_copy(update={"hidden": first.config.hidden * count})
+    net = NarxNet(config, first.net.inputs, count)
+    with torch.no_grad():
+        for parameter in net.parameters():
+            parameter.zero_()
+        for k, model in enumerate(models):
+            _place(model.net, net, k)
+    scales = [model.output_scaling for model in models]
+    outputs = Scaling(
+        np.concatenate([scale.centre for scale in scales]),
+        np.concatenate([scale.scale for scale in scales]),
+    )
+    return NarxModel(net, first.input_scaling, outputs)
+
+
+def _place(part: NarxNet, whole: NarxNet, k: int) -> None:
+    """Copy a single-output network into `whole` as the one of output `k`."""
+    lags, units = part.config.lags, part.config.hidden
+    tapped = part.inputs * len(part.config.taps)  # features behind those that are fed back
+    rows, fed = slice(k * units, (k + 1) * units), torch.arange(lags) * whole.outputs + k
+    whole.hidden.weight[rows, fed] = part.hidden.weight[:, :lags]
+    whole.hidden.weight[rows, -tapped:] = part.hidden.weight[:, -tapped:]
+    whole.hidden.bias[rows] = part.hidden.bias
+    whole.output.weight[k, rows] = part.output.weight[0]
+    whole.output.bias[k] = part.output.bias[0]
+    whole.linear.weight[k, fed] = part.linear.weight[0, :lags]
+    whole.linear.weight[k, -tapped:] = part.linear.weight[0, -tapped:]
+    whole.low[k], whole.high[k] = part.low[0], part.high[0]

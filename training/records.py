@@ -1,0 +1,354 @@
+"""What the lags and the network learn from, made of prepared logs.
+
+Which logs a training learns from, stops by and never sees.
+
+How much each sample of a flight counts in training, where motion is what has to be learned.
+
+Flights stand still most of the time, and an anchored network is right there by its structure.
+Relative errors are judged, so a sample counts the more the lower the engine runs; and Ti is read
+off the first tenth of a response, which is over in half a second: the beginnings count more.
+
+Takes the static error out of what the network learns from, so that it learns dynamics only.
+
+A steady-state model misses a real engine by a few tenths of a per cent here and there (build
+scatter, fuel meters, bleed that nobody recorded). A network trained on the raw deviation bends
+its dynamics to follow that. Before training, the steady-state values of each log are therefore
+shifted to agree with the log wherever it stands still; between two such places A and B the
+shift goes from the one to the other as the steady-state value itself does:
+
+    shift(k) = shift_A + p(k) (shift_B - shift_A),   p = clip((ss - ss_A) / (ss_B - ss_A), 0, 1)
+
+Synthetic records in which nothing moves: wherever it starts, the engine comes to rest.
+
+Flights hardly ever show a large deviation while the inputs stand still, so a network fitted to
+flights alone may keep one for ever, or settle at a wrong value. These records say that it has
+to be gone after a while; how it goes is left to the flights.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatch
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+from data_prep.equilibrium import quasi_steady
+from data_prep.hold import hold_inputs
+from data_prep.log import Log
+from data_prep.recorded import recorded, with_outputs
+from narxcal.calibration.calibration import narx_features, steady_for_engine
+from narxcal.lumped.lag import LagModel, speeds_of
+from narxcal.lumped.lag_governed import AnyLags
+from narxcal.narx.config import NarxConfig
+from narxcal.record import Record
+from narxcal.steady.model import SteadyStateModel
+from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.errors import ConfigError, DataError
+from training.config import RunConfig, SplitConfig
+from training.lag_fit import LagSamples, fit_lags
+from training.lag_governed_fit import fit_governed
+from training.lag_priors import LagForm
+from training.network import Material
+
+_MOVES, _WITHIN_S = 0.01, 1.0  # share of the largest value that a target moves within this time
+_BEFORE_S, _AFTER_S = 1.0, 12.0  # of a move: a response with its settling
+_AT_REST = 0.4  # weight elsewhere
+_STILL_S, _ONSET_S, _ONSET = 2.0, 1.2, 4.0  # a move after standing still, and what its onset counts
+_LEVEL = (0.3, 1.2)  # shares of the largest value; below and beyond, weights go no further
+
+
+def largest(targets: list[FloatArray]) -> FloatArray:
+    """Largest magnitude (n_out,) of steady-state values (time, n_out) over all records."""
+    most = np.stack([np.abs(one).max(axis=0) for one in targets]).max(axis=0)
+    return np.asarray(np.maximum(most, 1e-9))
+
+
+def motion_weight(
+    target: FloatArray, actual: FloatArray, scale: FloatArray, dt_s: float
+) -> FloatArray:
+    """Weights (time,) from steady-state values and outputs (time, n_out), NaN where unknown.
+
+    `scale` (n_out,) are the `largest` values.
+    """
+    moving = _moving(target / scale, dt_s)
+    rows = np.arange(len(moving))
+    never = len(rows) + round(_AFTER_S / dt_s) + 1
+    last = np.maximum.accumulate(np.where(moving, rows, -never))
+    following = np.minimum.accumulate(np.where(moving, rows, 2 * never)[::-1])[::-1]
+    near = (rows - last <= _AFTER_S / dt_s) | (following - rows <= _BEFORE_S / dt_s)
+    level = np.mean(np.where(np.isfinite(actual), actual, target) / scale, axis=1)
+    weight = np.where(near, 1.0, _AT_REST)
+    weight = weight * np.where(_onset(moving, dt_s), _ONSET, 1.0)
+    return np.asarray(weight / np.clip(level, *_LEVEL))
+
+
+def _moving(share: FloatArray, dt_s: float) -> BoolArray:
+    size = round(_WITHIN_S / dt_s) | 1
+    swing = maximum_filter1d(share, size, axis=0) - minimum_filter1d(share, size, axis=0)
+    return np.asarray(swing.max(axis=1) > _MOVES)
+
+
+def _onset(moving: BoolArray, dt_s: float) -> BoolArray:
+    """Samples soon after a move that came out of stillness; the window sees it half too early."""
+    still, length = round(_STILL_S / dt_s), round((_ONSET_S + 0.5 * _WITHIN_S) / dt_s)
+    seen = np.concatenate([[0], np.cumsum(moving)])
+    rows = np.arange(len(moving))
+    begins = moving & (seen[rows] == seen[np.maximum(rows - still, 0)])
+    counted = np.concatenate([[0], np.cumsum(begins)])
+    return np.asarray(counted[rows + 1] > counted[np.maximum(rows + 1 - length, 0)])
+
+
+def locally_trimmed(ss: FloatArray, measured: FloatArray, still: BoolArray) -> FloatArray:
+    """Return `ss` (time, n_out) shifted to agree with `measured` where `still` (time,) holds.
+
+    A masked measurement counts as not still. An output that never stands still is unchanged.
+    """
+    return np.stack(
+        [
+            column + _shift(column, column - truth, still & np.isfinite(truth))
+            for column, truth in zip(ss.T, measured.T, strict=True)
+        ],
+        axis=1,
+    )
+
+
+def _shift(ss: FloatArray, error: FloatArray, still: BoolArray) -> FloatArray:
+    known = np.flatnonzero(still)
+    if not len(known):
+        return np.zeros_like(ss)
+    rows = np.arange(len(ss))
+    after = np.searchsorted(known, rows)
+    a = known[np.maximum(after - 1, 0)]
+    b = known[np.minimum(after, len(known) - 1)]
+    rise = ss[b] - ss[a]
+    by_value = np.divide(ss - ss[a], rise, out=np.zeros_like(ss), where=rise != 0.0)
+    by_time = np.divide(rows - a, b - a, out=np.zeros_like(ss), where=b != a)
+    # Where the ends lie close together, the value says little about the way between them.
+    close = np.abs(rise) < 0.02 * np.ptp(ss)
+    part = np.clip(np.where(close, by_time, by_value), 0.0, 1.0)
+    shift: FloatArray = -(error[a] + part * (error[b] - error[a]))
+    return shift
+
+
+_COUNT = {False: 60, True: 300}  # from any deviation, and from far ones
+_FREE_SHARE = {False: 0.75, True: 0.5}  # of a record is not scored
+_AMPLIFIED = 1.5  # times the deviations that flights show
+
+
+def rest_records(
+    records: Sequence[Record], moving: int, steps: int, seed: int, *, far: bool = False
+) -> list[Record]:
+    """Draw records of `steps` samples at conditions and deviations found in `records`.
+
+    The first `moving` inputs, the increments, are zero. Outputs start at a drawn deviation, are
+    unknown (NaN) for a while and zero at the end. Flights mostly stand still, so that a drawn
+    deviation is mostly small; with `far`, one is drawn the more often the larger it is.
+    """
+    draw = np.random.default_rng(seed)
+    u = np.concatenate([record.u for record in records])
+    y = np.concatenate([record.y for record in records])
+    y = y[np.isfinite(y).all(axis=1)]
+    size = np.linalg.norm(y / np.maximum(y.std(axis=0), 1e-12), axis=1) if len(y) else np.empty(0)
+    share = size / size.sum() if far and size.sum() > 0.0 else None
+    drawn = []
+    for _ in range(_COUNT[far] if len(y) else 0):
+        still = u[draw.integers(len(u))].copy()
+        still[:moving] = 0.0
+        target = np.zeros((steps, y.shape[1]))
+        target[: round(_FREE_SHARE[far] * steps)] = np.nan
+        first = draw.integers(len(y)) if share is None else draw.choice(len(y), p=share)
+        target[0] = _AMPLIFIED * y[first]
+        drawn.append(Record(np.tile(still, (steps, 1)), target, "at rest"))
+    return drawn
+
+
+_ROUNDS = 3  # of lags and static error, each found with the other known; more change little
+
+
+def material(
+    config: RunConfig,
+    steady: SteadyStateModel,
+    lag: AnyLags | None,
+    sets: tuple[Sequence[Log], Sequence[Log]],
+) -> Material:
+    """Records of the logs to fit to and of those to stop by, and rest records if wanted."""
+    records, validation = (
+        [deviation_record(log, steady, config, lag) for log in logs] for logs in sets
+    )
+    if config.train.emphasis == "motion":
+        records = _emphasised(records, sets[0][0].dt_s, lagged=lag is not None)
+    plain = Material(records, validation, sets[0][0].dt_s)
+    return replace(plain, rest=_rest(config, plain, structure_of(config).moving))
+
+
+def deviation_record(
+    log: Log, steady: SteadyStateModel, config: RunConfig, lag: AnyLags | None = None
+) -> Record:
+    """What the network learns from: features and deviations of one log (papers/narx, 2.1).
+
+    With lags in front of it, they are what the lags leave.
+    """
+    heat = lag if config.narx.lag_heat and isinstance(lag, LagModel) else None
+    one = lag_samples(log, steady, config, heat)
+    deviation, lagged = one.ss - one.measured, None
+    if lag is not None:
+        drive = lag.drive(one.inputs, steady.input_names, one.ss)
+        lagged = lag.deviations(drive, deviation[0], log.dt_s)
+        deviation = deviation - lagged
+    columns = [steady.input_names.index(name) for name in config.narx.schedule]
+    return Record(narx_features(one.ss, one.inputs[:, columns], lagged), deviation, log.name)
+
+
+def _emphasised(records: Sequence[Record], dt_s: float, *, lagged: bool) -> list[Record]:
+    """The records with their samples weighted by motion; features are those of `narx_features`."""
+    parts = []
+    for record in records:
+        count = record.y.shape[1]
+        before = record.u[:, count : 2 * count] if lagged else np.zeros_like(record.y)
+        ss = record.u[:, (1 + lagged) * count :][:, :count]
+        parts.append((ss, ss - before - record.y))
+    scale = largest([ss for ss, _ in parts])
+    return [
+        replace(record, weight=motion_weight(*part, scale, dt_s))
+        for record, part in zip(records, parts, strict=True)
+    ]
+
+
+def lag_samples(
+    log: Log, steady: SteadyStateModel, config: RunConfig, lag: LagModel | None = None
+) -> LagSamples:
+    """What lags are fitted to; what the spools of `lag` still have before them is no static error.
+
+    Nobody says so of a temperature: its slow part takes longer than the stretches that it is fitted
+    to, and what a switched load does to it would be taken for such a part.
+    """
+    inputs = log.matrix(steady.input_names)
+    ss = steady_for_engine(steady, log.source.engine).outputs(inputs)
+    measured = log.matrix(steady.output_names)
+    if config.train.local_trim:
+        still = quasi_steady(log, config.events.driver, speeds(config), config.train.still)
+        settling = np.zeros_like(ss)
+        if lag is not None:
+            drive = lag.drive(inputs, steady.input_names, ss)
+            before = lag.deviations(drive, settling[0], log.dt_s)
+            settling = np.where(speeds_of(lag.output_names), before, 0.0)
+        ss = locally_trimmed(ss, measured + settling, still)
+    return LagSamples(inputs, ss, measured)
+
+
+def lags(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> AnyLags | None:
+    """Fit the lags in front of the network to training logs; None where none are wanted.
+
+    Nothing in [narx] may be "auto" any more (see training.lag_choice).
+    """
+    if not config.narx.lag:
+        return None
+    lag: AnyLags | None = None
+    for _ in range(_ROUNDS if config.narx.lag_heat and not config.narx.lag_governed else 1):
+        heat = lag if isinstance(lag, LagModel) else None
+        samples = [lag_samples(log, steady, config, heat) for log in logs]
+        lag = fitted_lags(config, samples, steady, logs[0].dt_s)
+    return lag
+
+
+def fitted_lags(
+    config: RunConfig, samples: Sequence[LagSamples], steady: SteadyStateModel, dt_s: float
+) -> AnyLags:
+    """Lags of the form that [narx] says, fitted once; errors as of `fit_lags`, `fit_governed`."""
+    names, section = (steady.input_names, tuple(steady.output_names)), config.narx
+    if section.lag_governed:
+        return fit_governed(samples, names, dt_s, config.train.threads)
+    limited = section.lag_limits is True
+    form = LagForm(section.lag_errors == "relative", limited, section.lag_heat)
+    return fit_lags(samples, names, dt_s, form)
+
+
+def structure_of(config: RunConfig) -> NarxConfig:
+    """What the configuration makes of the network's structure."""
+    section = config.narx
+    vanishing = len(section.outputs) * (2 if section.lag else 1)
+    return NarxConfig(
+        lags=section.lags,
+        taps=section.taps,
+        hidden=section.hidden,
+        margin=section.margin,
+        moving=vanishing if section.anchored else 0,
+        linear_feedback=section.linear_feedback,
+    )
+
+
+def _rest(config: RunConfig, material: Material, moving: int) -> list[Record]:
+    """Rest records for an anchored network; one that is not anchored need not come to rest."""
+    steps = round(config.train.rest_s / material.dt_s)
+    if not moving or steps < 2:
+        return []
+    seed, far = config.train.seed, config.train.rest_far
+    return rest_records(material.records, moving, steps, seed, far=far)
+
+
+def speeds(config: RunConfig) -> tuple[str, ...]:
+    """Those outputs that are spool speeds: they say whether the engine stands still."""
+    return tuple(name for name in config.narx.outputs if name in ("N1_pct", "N2_pct"))
+
+
+@dataclass(frozen=True)
+class Split:
+    """Whole logs: to fit to, to stop by, and those that took no part."""
+
+    train: tuple[Log, ...]
+    validate: tuple[Log, ...]
+    test: tuple[Log, ...]
+
+    def held(self, names: Sequence[str]) -> Split:
+        """The logs to learn from with these inputs completed."""
+        parts = (self.train, self.validate)
+        train, validate = (tuple(hold_inputs(log, names) for log in part) for part in parts)
+        return Split(train, validate, self.test)
+
+    def with_outputs(self, outputs: Sequence[str]) -> Split:
+        """The split with every output in each log to learn from, NaN where it was not recorded.
+
+        Such an output is learned from the other logs, as where it is masked. Raises `DataError`
+        for one that no log to train on has a sample of.
+        """
+        parts = (self.train, self.validate)
+        train, validate = (tuple(with_outputs(log, outputs) for log in part) for part in parts)
+        known = {name for log in train for name in recorded(log, outputs)}
+        for name in outputs:
+            if name not in known:
+                raise DataError(
+                    "no log to train on has a sample of this output",
+                    channel=name,
+                    hint="Take it out of [narx] outputs, or add logs that hold it to [split] train",
+                )
+        return Split(train, validate, self.test)
+
+
+def split_logs(logs: Sequence[Log], config: SplitConfig) -> Split:
+    """Sort logs into sets by their names; `ConfigError` where nothing is left to train on."""
+    parts: dict[str, list[Log]] = {"test": [], "validate": [], "train": []}
+    patterns = {"test": config.test, "validate": config.validate_, "train": config.train}
+    for log in logs:
+        for part, chosen in parts.items():
+            if any(fnmatch(log.name, pattern) for pattern in patterns[part]):
+                chosen.append(log)
+                break
+        else:
+            if not config.test:
+                parts["test"].append(log)
+    if not parts["train"]:
+        raise _nothing_to_train_on([log.name for log in logs], config)
+    return Split(tuple(parts["train"]), tuple(parts["validate"]), tuple(parts["test"]))
+
+
+def _nothing_to_train_on(names: Sequence[str], config: SplitConfig) -> ConfigError:
+    meant = [name for name in names if any(fnmatch(name, each) for each in config.train)]
+    wanted = f"[split] train = {list(config.train)}"
+    if not meant:
+        return ConfigError(f"no log matches {wanted}", hint=f"Logs are {', '.join(names)}")
+    return ConfigError(
+        f"{', '.join(meant)} would match {wanted}, but test or validate came first",
+        hint="Leave logs for training there",
+    )
