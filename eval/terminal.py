@@ -11,8 +11,9 @@ from rich.text import Text
 
 from eval.report.content import LogPage, Scheme, Score
 from eval.report.page import Outcome
-from eval.report.style import symbol, with_unit
+from eval.report.style import with_unit
 from eval.report.tables import best_of, number, summary
+from narxcal.channels import symbol
 
 _WORDS = {True: ("PASS", "bold green"), False: ("FAIL", "bold red"), None: ("NOT ASSESSED", "bold")}
 _SHORT = {"steady state": "steady", "first order": "1st order"}

@@ -87,3 +87,8 @@ def channel(name: str) -> Channel:
     near = _likely(name)
     hint = f"Did you mean '{near[0]}'?" if near else f"Known channels: {', '.join(CHANNELS)}"
     raise ConfigError(f"unknown channel '{name}'", hint=hint)
+
+
+def symbol(name: str) -> str:
+    """`N1_pct` -> `N1`: what an engineer calls the channel; any other name as it is."""
+    return name.rsplit("_", 1)[0] if name in CHANNELS else name

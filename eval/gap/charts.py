@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from eval.gap.summary import effect_name
 from eval.report import style
 from eval.report.style import Picture, picture
+from narxcal.channels import symbol
 
 _MOST_EFFECTS, _MOST_MODELS = 12, 15
 _ROW, _LEFT, _WIDTH = 0.26, 2.5, 8.6  # inches
@@ -122,12 +123,12 @@ def channel_bars(document: Mapping[str, Any]) -> Picture | None:
         floor = 100 * _finite(row["floor"]) / row["before"]
         axes.plot([place - 0.38, place + 0.38], [floor] * 2, color=style.MEASURED, lw=1.4,
                   label=None if place else "noise floor")  # fmt: skip
-    axes.set_xticks(range(len(channels)), [style.symbol(name) for name in channels])
+    axes.set_xticks(range(len(channels)), [symbol(name) for name in channels])
     axes.set_ylabel("RMSE of the gap [%], before = 100")
     style.dress(axes, grid="y")
     style.legend(axes)
     texts = [
-        f"{style.symbol(name)} {100 * _finite(row['after']) / row['before']:.0f} %"
+        f"{symbol(name)} {100 * _finite(row['after']) / row['before']:.0f} %"
         for name, row in channels.items()
     ]
     return picture(drawn, f"RMSE left of that before: {', '.join(texts)}", "")
@@ -144,7 +145,7 @@ def sides(document: Mapping[str, Any]) -> Picture | None:
 def theil(document: Mapping[str, Any]) -> Picture | None:
     """Theil's split of every channel's gap; None without any."""
     found = {
-        style.symbol(name): {key: _finite(row.get(key)) for key in _THEIL}
+        symbol(name): {key: _finite(row.get(key)) for key in _THEIL}
         for name, row in document["theil"].items()
     }
     if not any(sum(parts.values()) > 0.0 for parts in found.values()):

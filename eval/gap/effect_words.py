@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from eval.gap.page_cells import printed
-from eval.report.style import symbol
 from eval.report.tables import number
+from narxcal.channels import symbol
 from narxcal.effects.library import effect
 
 _MOST_NAMED = 3

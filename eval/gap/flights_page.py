@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 from eval.gap.flights_steps import FlightStudy, level_interval
 from eval.report import style
+from narxcal.channels import symbol
 from narxcal.support.files import atomic_write_bytes
 from training.gap.finding import Interval
 
@@ -130,7 +131,7 @@ def _alone(found: FlightStudy) -> list[str]:
     for engine, windows in found.alone.items():
         times = ", ".join(f"{w.start_s:.0f}-{w.stop_s:.0f} s" for w in windows.found)
         size = ", ".join(
-            f"{style.symbol(name)} {i.value:+.2g}"
+            f"{symbol(name)} {i.value:+.2g}"
             for name, i in zip(_names(found), windows.shift, strict=True)
         )
         lines.append(f"- {engine}: {times} ({size})" if times else f"- {engine}: nothing")
@@ -145,7 +146,7 @@ def _errors(found: FlightStudy) -> list[str]:
     for step in found.steps:
         cells = [f"{value:.2f}" if value < 5.0 else f"{value:.1f}" for value in step.rmse.ravel()]
         rows.append(f"| {step.name} | {step.fitted} | " + " | ".join(cells) + " |")
-    goals = ", ".join(f"{style.symbol(name)} {value:g}" for name, value in GOALS.items())
+    goals = ", ".join(f"{symbol(name)} {value:g}" for name, value in GOALS.items())
     return [f"Error over the whole flight (goal: {goals}):\n", *rows]
 
 

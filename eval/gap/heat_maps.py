@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from eval.gap.bins import MOVES
-from eval.report import style
 from eval.report.style import Picture, picture
+from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
 
 _CELL_W, _CELL_H, _LEFT = 0.82, 0.5, 0.75  # inches
@@ -166,7 +166,7 @@ def _cell(axes: Axes, found: HeatMap, place: tuple[int, int], depth: float) -> N
 
 def _labels(axes: Axes, found: HeatMap) -> None:
     axes.set_xticks(np.arange(len(found.columns)) + 0.5, found.columns)
-    axes.set_yticks(np.arange(len(found.rows)) + 0.5, [style.symbol(name) for name in found.rows])
+    axes.set_yticks(np.arange(len(found.rows)) + 0.5, [symbol(name) for name in found.rows])
     axes.set(xlim=(0, len(found.columns)), ylim=(len(found.rows), 0))
     axes.tick_params(
         length=0, labelsize=8, top=True, labeltop=True, bottom=False, labelbottom=False
@@ -189,7 +189,7 @@ def _largest(found: HeatMap) -> str:
     order = np.argsort(-values, axis=None, kind="stable")[:_NAMED]
     cells = [np.unravel_index(place, values.shape) for place in order.tolist()]
     texts = [
-        " ".join(filter(None, (style.symbol(found.rows[row]), *_column(found, titles, column))))
+        " ".join(filter(None, (symbol(found.rows[row]), *_column(found, titles, column))))
         + f" {100 * values[row, column]:.0f} %"
         for row, column in cells
         if values[row, column] > 0.0

@@ -14,6 +14,7 @@ from eval.gap.evidence import Evidence
 from eval.gap.excitation import events_of
 from eval.report import style
 from eval.report.style import Picture, picture
+from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
 from training.gap.quadratic import TOLERANCE
 
@@ -127,7 +128,7 @@ def _stacked(view: View, f: int, rows: slice, what: str) -> Picture:
         style.dress(each)
         each.margins(x=0.0)
     axes[-1].set_xlabel("time of the flight [s]")
-    names = ", ".join(style.symbol(name) for name in signals.outputs)
+    names = ", ".join(symbol(name) for name in signals.outputs)
     shown = "recorded, simulated" + (", simulated with the effect" if view.changed else "")
     caption = (
         f"{what[:1].upper()}{what[1:]}: the largest gap of all events of flights {view.whose}. "

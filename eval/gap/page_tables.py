@@ -9,8 +9,9 @@ from typing import Any
 from eval.gap.effect_words import sizes_words, spread_words
 from eval.gap.page_cells import count, percent, seconds, span, whole
 from eval.gap.summary import effect_name, seconds_within, windows_named
-from eval.report.style import symbol, unit, with_unit
+from eval.report.style import unit, with_unit
 from eval.report.tables import NOTHING, Cell, Mark, Table, figure
+from narxcal.channels import symbol
 
 _TOO_COARSE = 0.5  # of the gap: an emulator with more error than this says little about it
 

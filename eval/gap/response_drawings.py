@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 
 from eval.gap.sketch import Sketch, band, bar, finish, number, panel
 from eval.report import style
+from narxcal.channels import symbol
 from narxcal.effects.base import Signals
 from narxcal.effects.memory import Lag
 from narxcal.support.arrays import FloatArray
@@ -61,7 +62,7 @@ def time_constants(sketch: Sketch) -> Figure:
         free = way == as_it_was or (sketch.effect.id == "spool_coupling" and name == "N2_pct")
         size = Interval(1.0, 1.0, 1.0) if free else changed
         bar(axes, place, size, style.MODEL if way == "up" else style.CYCLE[5])
-    axes.set_xticks(range(len(rows)), [f"{style.symbol(name)} {way}" for name, way in rows])
+    axes.set_xticks(range(len(rows)), [f"{symbol(name)} {way}" for name, way in rows])
     finish(axes)
     return drawn
 

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from eval.crossval import REMARKS, CrossValidation, FoldResult
 from eval.report.content import Fold, Measure, RunHeader, Scheme
 from eval.report.page import crossval_page
-from eval.report.style import symbol, unit
+from eval.report.style import unit
+from narxcal.channels import symbol
 
 _KINDS = {"rmse": "RMSE", "worst_rmse": "worst RMSE", "max_rel_pct": "max rel. error"}
 _TIMES = {

@@ -13,6 +13,7 @@ from eval.report import style
 from eval.report.content import ChannelTrace, EventTrace, Response
 from eval.report.style import Picture, picture
 from eval.report.windows import allowed_times
+from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
 
 _TI, _TT = style.GOOD, "#cc79a7"
@@ -21,7 +22,7 @@ _TI, _TT = style.GOOD, "#cc79a7"
 def large(trace: EventTrace, driver_name: str) -> Picture:
     """Draw the event as a qualification page does, every output with its own Ti/Tt windows."""
     figure = overlay_figure(trace, driver_name)
-    symbols = ", ".join(style.symbol(channel.name) for channel in trace.channels)
+    symbols = ", ".join(symbol(channel.name) for channel in trace.channels)
     place = f"{trace.event.start_s:.1f} s of {trace.event.log}"
     alt = f"Overlay of {symbols}, flight and model, {_kind(trace)} at {place}"
     caption = (

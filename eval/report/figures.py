@@ -28,6 +28,7 @@ from eval.report.content import (
 )
 from eval.report.style import Picture, envelope, picture
 from eval.residuals import Correlation, independence, whiteness
+from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
 
 _LAGS = 160  # drawn per correlation; a reader sees no more
@@ -50,7 +51,7 @@ def overlay(page: LogPage) -> Picture:
         axes.margins(x=0.0)
         _mark_trim(axes, page.scored_from_s)
     rows[-1].set_xlabel("time [s]")
-    names = ", ".join(style.symbol(trace.name) for trace in outputs)
+    names = ", ".join(symbol(trace.name) for trace in outputs)
     shown = "measured and model, with deviation" if compared else "as measured"
     alt = f"{names} over the whole log {page.name}: {shown}"
     return picture(figure, alt, _overlay_caption(page))
@@ -112,7 +113,7 @@ def _residual_test(log: str, part: ResidualTests) -> Picture:
     left.set(xlabel="lag [s]", ylabel="autocorrelation [-]", ylim=(-1.05, 1.05))
     for colour, (name, cross) in zip(style.CYCLE * 4, part.cross.items(), strict=False):
         _band(right, cross, part.dt_s, None if right.lines else "95 % band")
-        label = style.symbol(name)
+        label = symbol(name)
         lags, values = envelope(cross.lags * part.dt_s, cross.values, 2 * _LAGS)
         right.plot(lags, values, color=colour, lw=1.2, label=label)
     right.set(xlabel="lag [s] (positive: the input comes first)", ylabel="cross-correlation [-]")
@@ -120,7 +121,7 @@ def _residual_test(log: str, part: ResidualTests) -> Picture:
         style.dress(axes)
         axes.margins(x=0.0)
         style.legend(axes, columns=6)
-    name = style.symbol(part.channel)
+    name = symbol(part.channel)
     alt = f"Correlation of the {name} residual of {log} with itself and with each input"
     return picture(figure, alt, _judgement(part))
 
@@ -142,7 +143,7 @@ _CHANCE = "no input correlates more than chance allows (1 % over all lags)"
 
 def _judgement(part: ResidualTests) -> str:
     """Say in words what the bands show, as far as it can be judged."""
-    name = style.symbol(part.channel)
+    name = symbol(part.channel)
     white = whiteness(part.auto)
     texts = []
     if white.outside_95 is not None:
@@ -151,7 +152,7 @@ def _judgement(part: ResidualTests) -> str:
             "(5 % expected)"
         )
     found = {key: independence(cross) for key, cross in part.cross.items()}
-    left = [style.symbol(key) for key, test in found.items() if test.ok is False]
+    left = [symbol(key) for key, test in found.items() if test.ok is False]
     if found:
         texts.append(f"an effect of {', '.join(left)} is left" if left else _CHANCE)
     return f"{name}: {'; '.join(texts)}." if texts else f"{name}: too few samples to judge."
@@ -168,8 +169,8 @@ def heat_map(table: pd.DataFrame, log: str, strong: float = 0.8) -> Picture:
     )
     for (row, column), value in np.ndenumerate(values):
         _coefficient(axes, row, column, float(value), strong)
-    axes.set_xticks(np.arange(len(outputs)) + 0.5, [style.symbol(name) for name in outputs])
-    axes.set_yticks(np.arange(len(inputs)) + 0.5, [style.symbol(name) for name in inputs])
+    axes.set_xticks(np.arange(len(outputs)) + 0.5, [symbol(name) for name in outputs])
+    axes.set_yticks(np.arange(len(inputs)) + 0.5, [symbol(name) for name in inputs])
     axes.invert_yaxis()
     axes.tick_params(
         length=0, labelsize=8, top=True, labeltop=True, bottom=False, labelbottom=False
@@ -332,7 +333,7 @@ def noise(sweep: NoiseSweep) -> Picture:
     for axes in panels:
         style.dress(axes)
         style.legend(axes, columns=3)
-    name = style.symbol(sweep.channel)
+    name = symbol(sweep.channel)
     alt = f"RMSE of {name} in {sweep.log} against signal-to-noise ratio"
     caption = f"{sweep.log}: Gaussian noise added to {name}; errors against the clean signal."
     return picture(figure, alt, caption)
@@ -375,7 +376,7 @@ def free_runs(
         axes.margins(x=0.0)
     style.legend(lower, columns=5)
     names = ", ".join(runs)
-    alt = f"{style.symbol(channel)} measured and in free run: {names}"
+    alt = f"{symbol(channel)} measured and in free run: {names}"
     return picture(
         figure, alt, "Measured: the line without a colour; below, each model minus measured."
     )
@@ -396,7 +397,7 @@ def fused(
     axes.margins(x=0.0)
     style.dress(axes)
     style.legend(axes, columns=5)
-    return picture(figure, f"{style.symbol(channel)} with noise, fused and true", caption)
+    return picture(figure, f"{symbol(channel)} with noise, fused and true", caption)
 
 
 def bars(

@@ -29,8 +29,9 @@ from eval.report.content import (
     WindowTrial,
 )
 from eval.report.panel import panel
-from eval.report.style import Picture, symbol, unit
+from eval.report.style import Picture, unit
 from eval.report.tables import NOTHING, Cell, Table, number
+from narxcal.channels import symbol
 from narxcal.support.files import atomic_write_text
 
 WORST_EVENTS = 3

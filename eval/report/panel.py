@@ -14,8 +14,9 @@ from markupsafe import Markup
 from matplotlib.ticker import MaxNLocator
 
 from eval.report.content import ChannelTrace, EventTrace, Response
-from eval.report.style import AnyFloats, Picture, envelope, spans, symbol, with_unit
+from eval.report.style import AnyFloats, Picture, envelope, spans, with_unit
 from eval.report.windows import allowed_times
+from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
 
 _POINTS = 160

@@ -22,7 +22,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from narxcal.channels import CHANNELS
+from narxcal.channels import CHANNELS, symbol
 from narxcal.support.arrays import FloatArray
 
 AnyFloats = NDArray[np.floating[Any]]
@@ -135,11 +135,6 @@ MASK = "#d0d7de"
 CYCLE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 _INK, _GRID = "#24292f", "#e4e8ec"
 _UNITS = {"degC": "°C", "deg": "°", "-": "", "0/1": ""}
-
-
-def symbol(channel: str) -> str:
-    """`N1_pct` -> `N1`: what an engineer calls the channel."""
-    return channel.rsplit("_", 1)[0] if channel in CHANNELS else channel
 
 
 def unit(channel: str) -> str:

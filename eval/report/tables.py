@@ -24,8 +24,9 @@ from eval.report.content import (
     Score,
     WindowTrial,
 )
-from eval.report.style import symbol, unit, with_unit
+from eval.report.style import unit, with_unit
 from eval.transients import TimeCheck
+from narxcal.channels import symbol
 
 Mark = Literal["", "best", "good", "bad", "none", "strong", "head", "group"]
 _OPTIONAL = {"untrimmed_rmse": "before trim", "bias": "bias"}

@@ -16,7 +16,6 @@ from typing import Any
 from data_prep.log import Log
 from eval.evaluate import LogEvaluation
 from eval.report.page import Claim, Study, or_nan
-from eval.report.style import symbol
 from eval.reproduce.data import FAMILIES, DataSets, cut
 from eval.reproduce.response import (
     Classed,
@@ -31,6 +30,7 @@ from eval.reproduce.response import (
 )
 from eval.scores import score
 from narxcal.calibration.bundle import Bundle
+from narxcal.channels import symbol
 from training.config import RunConfig
 from training.pipeline import Split
 

@@ -19,12 +19,13 @@ import numpy as np
 from data_prep.log import Log
 from eval.report import figures as paper_figures
 from eval.report.page import Claim, Study
-from eval.report.style import Picture, symbol, unit
+from eval.report.style import Picture, unit
 from eval.report.tables import Cell, Table, figure
 from eval.reproduce.data import DataSets, Effort, Task, cut, fit_all, within
 from eval.scores import max_relative_percent, rmse
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import steady_for_engine
+from narxcal.channels import symbol
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.network import NarxModel
 from narxcal.record import Record

@@ -27,11 +27,12 @@ from eval.report import figures as study_figures
 from eval.report import tables
 from eval.report.building import noise_curves
 from eval.report.page import Claim, Study
-from eval.report.style import Picture, symbol, unit, with_unit
+from eval.report.style import Picture, unit, with_unit
 from eval.report.tables import Cell, Table, figure
 from eval.reproduce.data import DataSets, Effort, numbered, truth_of
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.fuser import FastFuser, estimate_noise
+from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
 
 PAPER_SETS = (2, 9, 10)

@@ -26,13 +26,14 @@ from eval.report.content import Scheme
 from eval.report.crossvalidation import schemes_of
 from eval.report.evaluation import page_of
 from eval.report.page import Claim, Study, or_nan, worst_events
-from eval.report.style import Picture, symbol, unit
+from eval.report.style import Picture, unit
 from eval.report.tables import NOTHING, Cell, Table, figure
 from eval.reproduce.data import PHASES, SPEEDS, DataSets, Effort, phase_of, pieces, within
 from eval.scores import max_relative_percent, score
 from eval.tally import Tally, tally
 from eval.transients import Assessment
 from narxcal.calibration.bundle import Bundle
+from narxcal.channels import symbol
 from training.crossval import divide, run_plans
 
 PAPER_PCT = 5.0  # below which the paper finds all its largest errors

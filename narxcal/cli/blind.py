@@ -15,10 +15,10 @@ from eval.gap.blind.run import Limits, run_cases
 from eval.gap.blind.score import SCHEMA as SCORE_SCHEMA
 from eval.gap.blind.score import CaseSet, score_answers
 from eval.gap.blind.sim_logs import make_log_cases
-from narxcal.cli.console import Console, to_json
+from narxcal.cli.console import Console
 from narxcal.cli.results import read_config
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import Results, atomic_write_text
+from narxcal.support.files import Results, atomic_write_text, to_json
 
 SCORE, PAGE = "score.json", "score.html"
 # Keys of the plan, and what a person types for them.

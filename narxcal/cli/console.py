@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,6 +12,8 @@ import rich.console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
+
+from narxcal.support.files import to_json
 
 WIDTH = 80
 
@@ -108,18 +108,3 @@ class _Stdout(rich.console.Console):
 
 def _ignore(done: int, total: int, note: str = "") -> None:
     """Nobody is watching."""
-
-
-def to_json(document: Mapping[str, Any]) -> str:
-    """Format as JSON with a final line feed; what is not a finite number becomes null."""
-    return json.dumps(_finite(document), indent=1, allow_nan=False) + "\n"
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -12,9 +12,9 @@ from eval import terminal
 from eval.crossval import SCHEMA, CrossValidation, FoldResult, cross_validate
 from eval.report.content import RunHeader
 from eval.report.crossvalidation import crossvalidation_page, schemes_of
-from narxcal.cli.console import Console, to_json
+from narxcal.cli.console import Console
 from narxcal.cli.results import data_files, now, read_config
-from narxcal.support.files import Results, versions
+from narxcal.support.files import Results, to_json, versions
 from training.config import RunConfig
 from training.pipeline import configured_files
 

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from eval.virtual_flights import TRUTH, WriteOptions, load_scenario, write_flights
-from narxcal.cli.console import Console, to_json
+from narxcal.cli.console import Console
 from narxcal.cli.evaluate import PAGE, Judgement, judge, show, write
 from narxcal.cli.results import logs_for
 from narxcal.cli.train import train
-from narxcal.support.files import Results, atomic_write_text
+from narxcal.support.files import Results, atomic_write_text, to_json
 from training.config import load_config
 
 SCHEMA = "narxcal.demo/1"

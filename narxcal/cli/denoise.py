@@ -14,9 +14,9 @@ from eval.evaluate import run_config
 from eval.report.building import noise_curves
 from eval.report.page import Outcome, noise_page
 from narxcal.calibration.bundle import load_bundle
-from narxcal.cli.console import Console, to_json
+from narxcal.cli.console import Console
 from narxcal.cli.results import header_of, logs_for
-from narxcal.support.files import Results
+from narxcal.support.files import Results, to_json
 
 SCHEMA = "narxcal.denoise/1"
 DOCUMENT, PAGE = "denoise.json", "denoise.html"

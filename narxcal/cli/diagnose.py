@@ -25,10 +25,10 @@ from eval.gap.summary import (
     window_table,
 )
 from eval.report.page import write_page
-from narxcal.cli.console import Console, to_json
+from narxcal.cli.console import Console
 from narxcal.cli.results import now, read_config
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import Results
+from narxcal.support.files import Results, to_json
 
 DOCUMENT, PAGE = "gap.json", "gap.html"
 RESULTS = Results(SCHEMA, DOCUMENT, (PAGE, EMULATOR))

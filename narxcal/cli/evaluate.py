@@ -16,9 +16,9 @@ from eval.report.content import LogPage
 from eval.report.evaluation import page_of, verdict_of
 from eval.report.page import Outcome, evaluate_page
 from narxcal.calibration.bundle import Bundle, load_bundle, read_document
-from narxcal.cli.console import Console, to_json
+from narxcal.cli.console import Console
 from narxcal.cli.results import changed, header_of, logs_for
-from narxcal.support.files import Results
+from narxcal.support.files import Results, to_json
 
 DOCUMENT, PAGE = "evaluate.json", "evaluate.html"
 RESULTS = Results(SCHEMA, DOCUMENT, (PAGE,))

@@ -19,9 +19,9 @@ from eval.virtual_flights import (
     load_scenario,
     write_flights,
 )
-from narxcal.cli.console import Console, to_json
+from narxcal.cli.console import Console
 from narxcal.flight_test.scenario import FlightScenario, parse_effects
-from narxcal.support.files import Results
+from narxcal.support.files import Results, to_json
 
 _LOG = re.compile(r"(flight_\d+_(left|right)|data_set_\d+)\.csv(\.gz)?")
 

@@ -21,9 +21,9 @@ from data_prep.stamps import PRINTED
 from eval.preparation import Prepared, events_table, pearson_table, study, windows_table
 from eval.report.content import RunHeader
 from eval.report.page import prepare_page, write_page
-from narxcal.cli.console import Console, to_json
+from narxcal.cli.console import Console
 from narxcal.cli.results import data_files, now, read_config
-from narxcal.support.files import Results, versions
+from narxcal.support.files import Results, to_json, versions
 from training.config import RunConfig
 
 SCHEMA = "narxcal.prepare/1"

@@ -28,9 +28,9 @@ from eval.reproduce.data import (
 from eval.reproduce.narx_paper import SCHEMA, Reproduction, Watch, reproduce
 from eval.rules import rules
 from narxcal.calibration.bundle import write_bundle
-from narxcal.cli.console import Console, to_json
+from narxcal.cli.console import Console
 from narxcal.cli.results import data_files, now, read_config, words
-from narxcal.support.files import Results, atomic_write_text, versions
+from narxcal.support.files import Results, atomic_write_text, to_json, versions
 from training.config import RunConfig
 
 DOCUMENT, PAGE, FLIGHTS, MODEL = "reproduce.json", "reproduce.html", "flights", "model"

@@ -22,11 +22,11 @@ from eval.gap.log_folders import read_folder
 from eval.gap.pairs import match_simulated
 from eval.gap.simulators import Simulate, open_simulator
 from narxcal.channels import CHANNELS
-from narxcal.cli.console import Console, to_json
+from narxcal.cli.console import Console
 from narxcal.cli.results import read_config
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import Results
+from narxcal.support.files import Results, to_json
 
 SCHEMA, DOCUMENT = "narxcal.simulate_effects/1", "simulated.json"
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import errno
 import json
+import math
 import os
 import secrets
 import shutil
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from os import PathLike
     from typing import IO, Any, TextIO
 import platform
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 
@@ -219,6 +220,22 @@ def cannot_write(target: Path, error: OSError) -> ConfigError:
 
 
 _PACKAGES = ("narxcal", "numpy", "scipy", "torch", "safetensors")
+
+
+def finite(value: Any) -> Any:
+    """Copy a document with None for every float that is not finite; JSON has no NaN."""
+    if isinstance(value, Mapping):
+        return {str(key): finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def to_json(document: Mapping[str, Any]) -> str:
+    """Format as JSON with a final line feed; what is not a finite number becomes null."""
+    return json.dumps(finite(document), indent=1, allow_nan=False) + "\n"
 
 
 def versions() -> dict[str, str]:
