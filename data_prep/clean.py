@@ -19,11 +19,9 @@ from data_prep.faults import (
     out_of_range,
     role,
 )
-from data_prep.hold import held
 from data_prep.log import Action, AuditEntry, Log
-from data_prep.moves import bridged, spans
 from data_prep.outliers import Method, gross_errors
-from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray, bridge_gaps, sample_and_hold, spans
 from narxcal.support.settings import Section
 
 # Spikes that count towards a burst stand off by twice what makes a single gross error.
@@ -145,7 +143,8 @@ class _Work:
 
     def _bridge(self) -> FloatArray:
         # A switch has no values in between: it keeps the last one, at the start takes the next.
-        return held(self.values) if role(self.name) == "switch" else bridged(self.values)
+        fill = sample_and_hold if role(self.name) == "switch" else bridge_gaps
+        return fill(self.values)
 
     def _note(self, mask: BoolArray, action: Action, reason: Reason) -> None:
         if not mask.any():

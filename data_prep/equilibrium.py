@@ -15,10 +15,9 @@ from pydantic import Field, field_validator
 from scipy.ndimage import binary_dilation, binary_opening, maximum_filter1d, minimum_filter1d
 
 from data_prep.log import Audit, AuditEntry, Log
-from data_prep.moves import spans
 from data_prep.recorded import recorded
 from narxcal.channels import channel
-from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray, spans
 from narxcal.support.settings import Section
 
 

@@ -11,9 +11,9 @@ from pydantic import Field
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from data_prep.log import Log
-from data_prep.moves import Driver, Move, bridged, find_moves, long_runs, noise_of
+from data_prep.moves import Driver, Move, find_moves
 from narxcal.channels import CHANNELS
-from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray, bridge_gaps, long_runs, noise_level
 from narxcal.support.errors import DataError
 from narxcal.support.settings import Section
 
@@ -164,9 +164,9 @@ def _quiet(channel: FloatArray, size: int, fraction: float) -> BoolArray:
     known = np.isfinite(channel)
     if not known.any():
         return np.ones(len(channel), dtype=np.bool_)
-    values = bridged(channel)
+    values = bridge_gaps(channel)
     low, high = np.percentile(channel[known], (0.5, 99.5))
-    band = fraction * (high - low) + _PEAK_TO_PEAK * noise_of(values)
+    band = fraction * (high - low) + _PEAK_TO_PEAK * noise_level(values)
     ahead = -(size // 2)
     swing = maximum_filter1d(values, size, origin=ahead) - minimum_filter1d(
         values, size, origin=ahead

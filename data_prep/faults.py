@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from data_prep.log import Log
-from data_prep.moves import noise_of, runs
 from data_prep.outliers import resolution, robust_range
 from narxcal.channels import CHANNELS
-from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray, noise_level, runs
 from narxcal.support.settings import Section
 
 Reason = Literal["frozen", "spiking", "out of range"]
@@ -86,7 +85,7 @@ def jumps(log: Log, name: str) -> tuple[NDArray[np.intp], NDArray[np.intp], Floa
     low, high = robust_range(values)
     known = np.abs(values[np.isfinite(values)])
     scale = max(high - low, _LEAST_RANGE * float(np.median(known))) if len(known) else 0.0
-    quiet = max(_JUMP_NOISE * noise_of(values), _JUMP_STEPS * resolution(values))
+    quiet = max(_JUMP_NOISE * noise_level(values), _JUMP_STEPS * resolution(values))
     least = max(_JUMP_RATE * scale * log.dt_s, quiet)
     found = [runs(sign * step > least) for sign in (1, -1)]
     starts = np.concatenate([start for start, _ in found])
@@ -275,7 +274,7 @@ def _noisy(values: FloatArray) -> bool:
     """
     signs = np.sign(np.diff(values))
     signs = signs[signs != 0.0]
-    if len(signs) < 2 or noise_of(values) == 0.0:
+    if len(signs) < 2 or noise_level(values) == 0.0:
         return False
     return float(np.mean(signs[1:] != signs[:-1])) >= _REVERSALS
 

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from data_prep.log import AuditEntry
-from data_prep.moves import runs
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, runs
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

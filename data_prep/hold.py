@@ -7,17 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from data_prep.log import AuditEntry, Log
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import sample_and_hold
 from narxcal.support.errors import DataError
-
-
-def held(values: FloatArray) -> FloatArray:
-    """Carry the last known value (time,) over NaN, and the first one back to the start."""
-    known = np.flatnonzero(np.isfinite(values))
-    if not len(known):
-        return values
-    last = np.searchsorted(known, np.arange(len(values)), side="right") - 1
-    return values[known[np.maximum(last, 0)]]
 
 
 def hold_inputs(log: Log, names: Sequence[str]) -> Log:
@@ -47,6 +38,6 @@ def hold_inputs(log: Log, names: Sequence[str]) -> Log:
                 channel=name,
                 hint="Map another column to it, or leave the log out",
             )
-        completed[name] = held(values)
+        completed[name] = sample_and_hold(values)
         entries.append(AuditEntry(name, "filled", "held for the model", missing))
     return log.with_channels(completed, *entries) if completed else log

@@ -8,11 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from narxcal.support.arrays import BoolArray, FloatArray
-
-IntArray = NDArray[np.intp]
+from narxcal.support.arrays import BoolArray, FloatArray, bridge_gaps, long_runs, noise_level, runs
 
 # Robust percentiles of the driver: what lies between them is its range.
 _RANGE_PERCENT = (0.5, 99.5)
@@ -56,50 +53,8 @@ class Driver:
         if not known.any():
             return cls(np.zeros_like(channel), ~known, 0.0, 0.0)
         low, high = np.percentile(channel[known], _RANGE_PERCENT)
-        values = bridged(channel)
-        return cls(values, long_runs(~known, longest_gap), noise_of(values), float(high - low))
-
-
-def noise_of(values: FloatArray) -> float:
-    """Estimate the standard deviation of white noise on a smooth signal.
-
-    A second difference of white noise has variance 6 s^2; their median makes steps and
-    manoeuvres harmless.
-    """
-    bends = np.abs(np.diff(values, 2))
-    bends = bends[np.isfinite(bends)]
-    return float(np.median(bends) / (0.6745 * np.sqrt(6.0))) if len(bends) else 0.0
-
-
-def bridged(values: FloatArray) -> FloatArray:
-    """Fill NaN linearly between its neighbours, and with the nearest value at the ends."""
-    known = np.isfinite(values)
-    if known.all() or not known.any():
-        return values
-    index = np.arange(len(values))
-    return np.interp(index, index[known], values[known])
-
-
-def runs(flags: BoolArray) -> tuple[IntArray, IntArray]:
-    """Find the runs of True: their starts and (exclusive) stops."""
-    edges = np.diff(np.concatenate(([0], flags.view(np.int8), [0])))
-    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-
-
-def spans(flags: BoolArray) -> list[tuple[int, int]]:
-    """List the runs of True as (start, stop)."""
-    starts, stops = runs(flags)
-    return list(zip(starts.tolist(), stops.tolist(), strict=True))
-
-
-def long_runs(flags: BoolArray, longest: int) -> BoolArray:
-    """Keep only the runs of True that are longer than `longest` samples."""
-    starts, stops = runs(flags)
-    keep = stops - starts > longest
-    steps = np.zeros(len(flags) + 1, dtype=np.int64)
-    steps[starts[keep]] += 1
-    steps[stops[keep]] -= 1
-    return np.cumsum(steps[:-1]) > 0
+        values = bridge_gaps(channel)
+        return cls(values, long_runs(~known, longest_gap), noise_level(values), float(high - low))
 
 
 def find_moves(driver: Driver, window: int, least: float, dt_s: float) -> list[Move]:

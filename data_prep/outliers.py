@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
 from scipy.special import stdtrit
 
-from data_prep.moves import bridged
-from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray, bridge_gaps
 
 Method = Literal["3-sigma", "grubbs"]
 
@@ -60,7 +59,7 @@ def gross_errors(
     known = np.isfinite(values)
     if not high > low:
         return np.zeros(len(values), dtype=np.bool_)
-    filled = bridged(values)
+    filled = bridge_gaps(values)
     median = running_median(filled, window)
     residual = filled - median
     swing = maximum_filter1d(median, window) - minimum_filter1d(median, window)

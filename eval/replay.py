@@ -15,7 +15,7 @@ from pydantic import Field
 from data_prep.config import LogsConfig
 from narxcal.calibration.fuser_config import FuserConfig
 from narxcal.calibration.noise import NoiseModel
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray, last_true, spans
 from narxcal.support.settings import Section
 
 if TYPE_CHECKING:
@@ -33,11 +33,7 @@ from narxcal.support.errors import DataError
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from numpy.typing import NDArray
-
     from data_prep.stream import Piece
-
-    BoolArray = NDArray[np.bool_]
 import time
 from collections.abc import Callable
 from dataclasses import asdict
@@ -251,9 +247,8 @@ class EngineReplay:
     def _hold(self, inputs: FloatArray) -> tuple[FloatArray, BoolArray, BoolArray]:
         """Fill inputs with their last values; say where that was done, and where it may be."""
         rows = np.vstack([self._carried, inputs])
-        count = np.arange(len(rows))[:, None]
-        at = np.maximum.accumulate(np.where(np.isfinite(rows), count, 0), axis=0)
-        age = (count - at + np.where(at == 0, self._age, 0))[1:]
+        at = np.maximum(last_true(np.isfinite(rows)), 0)
+        age = (np.arange(len(rows))[:, None] - at + np.where(at == 0, self._age, 0))[1:]
         filled = np.take_along_axis(rows, at, axis=0)[1:]
         alive: BoolArray = (np.isfinite(filled) & (age <= self._hold_samples)).all(axis=1)
         self._carried, self._age = filled[-1].copy(), age[-1]
@@ -263,8 +258,7 @@ class EngineReplay:
 
     def _runs(self, alive: BoolArray) -> Iterator[tuple[int, int, bool]]:
         """Stretches the model can run, and whether it starts anew there."""
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], alive, [False]]).astype(np.int8)))
-        for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        for start, stop in spans(alive):
             yield start, stop, start > 0 or not self._running
         self._running = bool(alive[-1])
 

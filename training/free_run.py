@@ -14,11 +14,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from data_prep.hold import held
 from narxcal.narx import kernels
 from narxcal.narx.network import NarxModel, NarxNet, Weights, history_before, tap
 from narxcal.record import Record
-from narxcal.support.arrays import FloatArray, IntArray
+from narxcal.support.arrays import FloatArray, IntArray, sample_and_hold
 
 T = TypeVar("T")
 _BLOCK = 1024  # steps whose Jacobian is held at one time
@@ -51,7 +50,7 @@ def cut_windows(
     for record in records:
         u, y = model.input_scaling.down(record.u), model.output_scaling.down(record.y)
         # A window may start at a masked sample, even of an output that is never known.
-        known = np.nan_to_num(np.column_stack([held(column) for column in y.T]))
+        known = np.nan_to_num(np.column_stack([sample_and_hold(column) for column in y.T]))
         tapped = tap(u, model.config.taps)
         root = _root_weight(record, y, stride)
         target = np.where(root > 0, y, 0.0)

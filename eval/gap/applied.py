@@ -19,7 +19,6 @@ import numpy as np
 
 from data_prep.hold import hold_inputs
 from data_prep.log import Log
-from data_prep.moves import bridged
 from eval.gap.blocks import block_means
 from eval.gap.claimed import Values, claimed_in, settings, with_effects
 from eval.gap.document import SCHEMA
@@ -30,7 +29,7 @@ from narxcal.channels import CHANNELS
 from narxcal.effects.base import InputEffect, SettledEffect, ShiftEffect, Signals
 from narxcal.effects.running import Flights, Setting, acts_inside, arrived, read
 from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, bridge_gaps
 from narxcal.support.errors import ConfigError, DataError, ModelError
 from training.gap.emulator import GreyBoxEmulator
 
@@ -181,7 +180,7 @@ class FoundEffects:
                     channel=name,
                     hint="Simulate the flight anew, or leave the log out",
                 )
-        return np.column_stack([bridged(column) for column in said.T])
+        return np.column_stack([bridge_gaps(column) for column in said.T])
 
     def _change_inside(
         self, found: list[Setting], told: FloatArray, y: FloatArray, log: Log

@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import csd, welch
 
-from data_prep.moves import bridged
 from eval.gap.data import GapData
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, bridge_gaps
 
 EDGES_HZ = (0.0, 0.03, 0.1, 0.3, 1.0, 1e9)
 _SEGMENT_S = 128.0
@@ -89,7 +88,7 @@ class _Spectra:
         rate, segment = self.rate_hz, self.segment
         found = []
         for f, n in enumerate(self.lengths):
-            own, lever = bridged(gap[f, :n]), self.driver[f, :n] - self.driver[f, :n].mean()
+            own, lever = bridge_gaps(gap[f, :n]), self.driver[f, :n] - self.driver[f, :n].mean()
             frequency, cross = csd(own, lever, rate, nperseg=segment, detrend=False)
             power = [welch(x, rate, nperseg=segment, detrend=False)[1] for x in (own, lever)]
             found.append((cross, *power))

@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from data_prep.moves import noise_of
 from eval.gap.data import GapData, Pair
 from narxcal.effects.base import Signals
 from narxcal.effects.running import Flights
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, noise_level
 
 RATE_HZ = 8.0
 KEEP_HZ = 12.0  # slower logs are taken as they are
@@ -102,7 +101,7 @@ def _fast_part(gap: FloatArray) -> float:
     Readings that mostly repeat give a median of none; the smaller nine tenths of the second
     differences then tell.
     """
-    found = noise_of(gap)
+    found = noise_level(gap)
     if found > 0.0:
         return found
     bends = np.abs(np.diff(gap, 2))

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from data_prep.log import Log
-from data_prep.moves import bridged
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, bridge_gaps
 from narxcal.support.errors import DataError
 
 SPEEDS = ("N1_pct", "N2_pct")
@@ -64,7 +63,7 @@ def complete(name: str, sim: Log, channel: str, counts: dict[str, int]) -> Float
     if missing:
         counts[f"{channel} simulated missing"] = missing
     _check_varies(name, values, channel, "simulated")
-    return bridged(values)
+    return bridge_gaps(values)
 
 
 def check_recorded(name: str, real: Log, channel: str, counts: dict[str, int]) -> None:

@@ -12,13 +12,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from data_prep.log import Log
-from data_prep.moves import bridged
 from eval.gap.blocks import block_means
 from eval.gap.simulators import Simulate
 from narxcal.channels import CHANNELS
 from narxcal.effects.pace import Pace
 from narxcal.effects.running import Emulator, Flights, Shift
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, bridge_gaps
 from narxcal.support.errors import ModelError
 
 
@@ -83,5 +82,5 @@ class Rerun:
         for name in signals.outputs:
             if name not in found or not np.isfinite(found[name]).any():
                 raise ModelError("the simulator no longer gives it", channel=name)
-        y = np.column_stack([bridged(found[name]) for name in signals.outputs])
+        y = np.column_stack([bridge_gaps(found[name]) for name in signals.outputs])
         return block_means(y, self.block)

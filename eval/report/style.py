@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from narxcal.channels import CHANNELS, symbol
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, runs
 
 AnyFloats = NDArray[np.floating[Any]]
 
@@ -78,9 +78,9 @@ def spans(time: FloatArray, flagged: np.ndarray) -> list[tuple[float, float]]:
     """(start, end) times of the runs of True in `flagged` `(time,)`."""
     if not len(time):
         return []
-    edges = np.flatnonzero(np.diff(np.r_[False, flagged, False].astype(np.int8)))
-    ends = np.minimum(edges[1::2], len(time) - 1)
-    return list(zip(time[edges[::2]].tolist(), time[ends].tolist(), strict=True))
+    starts, stops = runs(np.asarray(flagged, dtype=np.bool_))
+    ends = np.minimum(stops, len(time) - 1)
+    return list(zip(time[starts].tolist(), time[ends].tolist(), strict=True))
 
 
 def _shrink(svg: str, alt: str) -> str:

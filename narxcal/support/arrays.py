@@ -1,4 +1,7 @@
-"""Array types and small array operations that every room uses."""
+"""Array types, and what every room does with gaps and flags of a signal.
+
+Signals are `(time,)` with NaN where nothing was measured, flags are bool `(time,)`.
+"""
 
 from __future__ import annotations
 
@@ -8,3 +11,61 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
+
+# Median of |N(0, 1)|: turns a median of absolute values into a standard deviation.
+_MEDIAN_OF_NORMAL = 0.6745
+
+
+def runs(flags: BoolArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Find the runs of True: their starts and (exclusive) stops."""
+    edges = np.diff(np.concatenate(([0], flags.view(np.int8), [0])))
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+
+
+def spans(flags: BoolArray) -> list[tuple[int, int]]:
+    """List the runs of True as (start, stop)."""
+    starts, stops = runs(flags)
+    return list(zip(starts.tolist(), stops.tolist(), strict=True))
+
+
+def long_runs(flags: BoolArray, longest: int) -> BoolArray:
+    """Keep only the runs of True that are longer than `longest` samples."""
+    kept = np.zeros(len(flags), dtype=np.bool_)
+    for start, stop in spans(flags):
+        kept[start:stop] = stop - start > longest
+    return kept
+
+
+def last_true(flags: BoolArray) -> NDArray[np.intp]:
+    """Index of the last True at or before each sample along the first axis; -1 before any."""
+    count = np.arange(len(flags)).reshape(-1, *[1] * (flags.ndim - 1))
+    return np.asarray(np.maximum.accumulate(np.where(flags, count, -1), axis=0))
+
+
+def sample_and_hold(values: FloatArray) -> FloatArray:
+    """Fill NaN with the last finite value; leading NaN with the first one. (time,) -> (time,)."""
+    known = np.isfinite(values)
+    if not known.any():
+        return values
+    at = last_true(known)
+    return values[np.where(at < 0, known.argmax(), at)]
+
+
+def bridge_gaps(values: FloatArray) -> FloatArray:
+    """Fill NaN linearly between its neighbours, and with the nearest value at the ends."""
+    known = np.isfinite(values)
+    if known.all() or not known.any():
+        return values
+    index = np.arange(len(values))
+    return np.interp(index, index[known], values[known])
+
+
+def noise_level(values: FloatArray) -> float:
+    """Estimate the standard deviation of white noise on a smooth signal; 0 for under 3 samples.
+
+    A second difference of white noise has variance 6 s^2; the median keeps steps and manoeuvres
+    out of it.
+    """
+    bends = np.abs(np.diff(values, 2))
+    bends = bends[np.isfinite(bends)]
+    return float(np.median(bends) / (_MEDIAN_OF_NORMAL * np.sqrt(6.0))) if len(bends) else 0.0

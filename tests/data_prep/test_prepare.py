@@ -13,10 +13,10 @@ import pytest
 from data_prep.clean import CleanConfig, clean
 from data_prep.events import EventsConfig, find_events
 from data_prep.log import Log
-from data_prep.moves import runs
 from data_prep.prepare import Preparation, prepare
 from data_prep.reading import LogsConfig, read_logs
 from data_prep.smooth import SmoothConfig, smooth
+from narxcal.support.arrays import runs
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT.parent / "shared" / "data"

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 from scipy.stats import binom, t
 
-from data_prep.moves import spans
 from narxcal.effects.running import Flights
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, spans
 from training.gap.levels import Found, Levels, contrast
 
 WITNESSES = 2  # flights in which the load was on

@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data_prep.moves import spans
 from narxcal.effects.running import Flights
-from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray, spans
 from training.gap.finding import Interval
 from training.gap.levels import Found, Levels, of_paths
 from training.gap.load_edges import Change, Heard, Moment, moments

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from data_prep.moves import spans
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, spans
 from training.gap.blocks import Blocks, centred, common_shift, moment, whitened
 from training.gap.coloured_noise import FOLLOW, Noise, gains, whiten
 from training.gap.finding import Interval

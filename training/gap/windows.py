@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d
 from scipy.stats import binom
 
-from data_prep.moves import spans
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, spans
 from narxcal.support.errors import DataError
 from training.gap.blocks import EDGE, Blocks, blocks_of
 from training.gap.coloured_noise import FOLLOW

@@ -17,7 +17,6 @@ import numpy as np
 
 from data_prep.hold import hold_inputs
 from data_prep.log import Log
-from data_prep.moves import bridged
 from eval.gap.blind.cases import BINS, BlindPlan, Content, draw_share
 from eval.gap.blind.catalogue import CATALOGUE, Dose, Scale, Windows
 from eval.gap.blind.files import FOLDERS, write_log
@@ -30,7 +29,7 @@ from eval.gap.pairs import DIAGNOSED, match_simulated, read_folder
 from eval.gap.simulators import Simulate, open_simulator
 from narxcal.channels import CHANNELS
 from narxcal.flight_test.sensors import SensorConfig, Streams, record
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, bridge_gaps
 from narxcal.support.errors import ConfigError, DataError
 from training.config import RunConfig
 
@@ -198,7 +197,7 @@ def _recorded(flown: Flown, name: str, told: Channels, dose: Dose) -> Channels:
 
 def _injected(flown: Flown, name: str, channels: Channels, dose: Dose) -> Channels:
     """Channels of a log with what the effect changes inside an engine."""
-    spans = {n: float(np.ptp(bridged(flown.logs[name][n]))) for n in flown.outputs}
+    spans = {n: float(np.ptp(bridge_gaps(flown.logs[name][n]))) for n in flown.outputs}
     change = flown.injectors[name].change(dose, flown.windows[name], spans)
     return {**channels, **{n: channels[n] + each for n, each in change.items()}}
 
@@ -206,7 +205,7 @@ def _injected(flown: Flown, name: str, channels: Channels, dose: Dose) -> Channe
 def _measured(flown: Flown, channels: Channels, dose: Dose, log: Log) -> Channels:
     """Channels with one of them through the fault; unknown samples stay unknown."""
     name = dose.scale.channel or ""
-    fault, known = dose.fault("business_jet"), bridged(channels[name])
+    fault, known = dose.fault("business_jet"), bridge_gaps(channels[name])
     size = round(flown.piece_s / log.dt_s) if dose.scale.id == "sensor_drift" else len(known)
     found = np.concatenate(
         [
