@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from pydantic import Field, PositiveFloat
 
+from narxcal.atmosphere import KELVIN, isa, static_temperature
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section
@@ -39,19 +40,6 @@ class DeriveConfig(Section):
     dT_C: Literal["SAT_C", "TAT_C"] | None = None
     WOW: WeightOnWheels | None = None
     recovery: float = Field(default=1.0, gt=0.0, le=1.0)
-
-
-def isa_temperature(altitude_ft: FloatArray) -> FloatArray:
-    """Compute the standard atmosphere's temperature in degC, up to 65 617 ft.
-
-    ICAO Doc 7488: 15 degC at sea level, -6.5 K per km to 11 km, -56.5 degC above.
-    """
-    return np.maximum(15.0 - 0.0065 * 0.3048 * altitude_ft, -56.5)
-
-
-def static_temperature(total_c: FloatArray, mach: FloatArray, recovery: float = 1.0) -> FloatArray:
-    """Compute SAT in degC from TAT in degC: `T = Tt / (1 + 0.2 r M^2)` for air, gamma = 1.4."""
-    return (total_c + 273.15) / (1.0 + 0.2 * recovery * mach**2) - 273.15
 
 
 def weight_on_wheels(airspeed_kt: FloatArray, rule: WeightOnWheels) -> FloatArray:
@@ -90,7 +78,7 @@ def derive(
             static = channels[source]
             if source == "TAT_C":
                 static = static_temperature(static, channels["Mach"], config.recovery)
-            added["dT_C"] = static - isa_temperature(channels["ALT_ft"])
+            added["dT_C"] = static + KELVIN - isa(channels["ALT_ft"])[0]
     if "WOW" not in channels and config.WOW is not None:
         _require("WOW", (config.WOW.airspeed,), channels, file)
         added["WOW"] = weight_on_wheels(channels[config.WOW.airspeed], config.WOW)

@@ -1,25 +1,34 @@
-"""The International Standard Atmosphere to 20 km, and what an engine intake feels in flight.
+"""Standard atmosphere to 20 km, total and corrected quantities at an engine intake, airspeed.
 
-ISO 2533:1975 / ICAO Doc 7488: the geopotential altitude is the pressure altitude, a
-temperature deviation `dT_C` shifts the temperature and leaves the pressure alone.
+ISO 2533:1975 / ICAO Doc 7488: the geopotential altitude is the pressure altitude; a temperature
+deviation `dT_C` shifts the temperature and leaves the pressure unchanged. Total values are
+isentropic with gamma = 1.4.
+
+| symbol | meaning | unit |
+|---|---|---|
+| T, P | static temperature and pressure | K, Pa |
+| T2, P2 | total temperature and pressure at the intake | K, Pa |
+| theta, delta | T / 288.15 K, P / 101325 Pa | - |
+| theta2, delta2 | the same of T2, P2; corrected speed is N / sqrt(theta2) | - |
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from narxcal.narx.kernels import compiled
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike, NDArray
+from narxcal.support.arrays import FloatArray, IntArray
+from narxcal.support.compiled import compiled
 
 T0_K = 288.15
 P0_PA = 101325.0
+KELVIN = 273.15  # 0 degC
 FT_M = 0.3048
+SOUND_KT = 661.4786  # speed of sound on a standard day at sea level
 GAMMA = 1.4
 _LAPSE = 0.0065  # K/m below the tropopause
 _G, _R = 9.80665, 287.05287
@@ -29,42 +38,41 @@ _TROPOPAUSE_K = T0_K - _LAPSE * _TROPOPAUSE_M
 
 @dataclass(frozen=True)
 class AirState:
-    """The air ahead of the engine and, brought to rest without loss, at its intake.
+    """Static air ahead of the engine and total values at its intake, without intake loss.
 
-    `T_K`, `P_Pa` static; `T2_K`, `P2_Pa` total; `theta = T/T0`, `delta = P/P0` static and
-    `theta2`, `delta2` total ratios to sea level. All have the broadcast shape of the inputs.
+    All have the broadcast shape of the inputs they were computed from.
     """
 
-    T_K: NDArray[np.float64]
-    P_Pa: NDArray[np.float64]
-    T2_K: NDArray[np.float64]
-    P2_Pa: NDArray[np.float64]
+    T_K: FloatArray
+    P_Pa: FloatArray
+    T2_K: FloatArray
+    P2_Pa: FloatArray
 
     @property
-    def theta(self) -> NDArray[np.float64]:
+    def theta(self) -> FloatArray:
         """Static temperature ratio."""
         return self.T_K / T0_K
 
     @property
-    def delta(self) -> NDArray[np.float64]:
+    def delta(self) -> FloatArray:
         """Static pressure ratio."""
         return self.P_Pa / P0_PA
 
     @property
-    def theta2(self) -> NDArray[np.float64]:
-        """Total temperature ratio: corrected speed is `N / sqrt(theta2)`."""
+    def theta2(self) -> FloatArray:
+        """Total temperature ratio."""
         return self.T2_K / T0_K
 
     @property
-    def delta2(self) -> NDArray[np.float64]:
-        """Total pressure ratio: corrected fuel flow is `FF / (delta2 sqrt(theta2))`."""
+    def delta2(self) -> FloatArray:
+        """Total pressure ratio."""
         return self.P2_Pa / P0_PA
 
 
-def isa(alt_ft: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return standard temperature in K and pressure in Pa at pressure altitude `alt_ft`, ft.
+def isa(alt_ft: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Return standard temperature [K] and pressure [Pa] at pressure altitude `alt_ft` [ft].
 
-    Above 20 km the formulas of the isothermal layer are held at 20 km.
+    Above 20 km the values of 20 km are returned.
     """
     height = np.minimum(np.asarray(alt_ft, dtype=np.float64) * FT_M, _TOP_M)
     lower = np.minimum(height, _TROPOPAUSE_M)
@@ -75,10 +83,9 @@ def isa(alt_ft: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def air_state(alt_ft: ArrayLike, mach: ArrayLike = 0.0, dt_c: ArrayLike = 0.0) -> AirState:
-    """Air at pressure altitude in ft, flight Mach number and static deviation from ISA in degC.
+    """Compute the air at pressure altitude [ft], Mach number and static deviation from ISA [degC].
 
-    Total values are isentropic with gamma = 1.4: `T2 = T (1 + 0.2 M^2)`,
-    `P2 = P (1 + 0.2 M^2)^3.5` (any compressible-flow text; no intake loss).
+    `T2 = T (1 + 0.2 M^2)`, `P2 = P (1 + 0.2 M^2)^3.5` (any compressible-flow text).
     """
     standard, pressure = isa(alt_ft)
     mach = np.asarray(mach, dtype=np.float64)
@@ -93,9 +100,55 @@ def air_state(alt_ft: ArrayLike, mach: ArrayLike = 0.0, dt_c: ArrayLike = 0.0) -
     )
 
 
-def _shaped(values: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Broadcast where that is called for: for one sample it takes longer than the air."""
+def _shaped(values: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """Broadcast only where needed: for one sample it takes longer than the formulas."""
     return values if values.shape == shape else np.broadcast_to(values, shape)
+
+
+AIR_CHANNELS = ("ALT_ft", "Mach", "dT_C")
+
+
+def air_columns(names: Sequence[str]) -> IntArray:
+    """Columns of altitude, Mach number and temperature deviation in `names`; -1 if missing."""
+    return np.array([list(names).index(each) if each in names else -1 for each in AIR_CHANNELS])
+
+
+def air_at(inputs: FloatArray, names: Sequence[str]) -> AirState:
+    """Compute the air at `inputs` (..., n_in) with columns `names`; a missing channel is zero."""
+    zero = np.zeros(inputs.shape[:-1])
+    return air_state(*(zero if k < 0 else inputs[..., k] for k in air_columns(names)))
+
+
+def corrected_scale(name: str, air: AirState) -> tuple[FloatArray | float, float]:
+    """Scale s and offset o of channel `name`, so that (value + o) / s is its corrected value.
+
+    Speeds refer to sqrt(theta2), temperatures (in K) to theta2, fuel flow to delta2 sqrt(theta2)
+    and thrust to delta2 (Walsh and Fletcher 2004, Gas Turbine Performance, section 4.3).
+    """
+    if name.endswith("_pct"):
+        return np.sqrt(air.theta2), 0.0
+    if name.endswith("_C"):
+        return air.theta2, KELVIN
+    if name == "FF_kgph":
+        return air.delta2 * np.sqrt(air.theta2), 0.0
+    return (air.delta2, 0.0) if name == "FN_kN" else (1.0, 0.0)
+
+
+def mach_of_cas(cas_kt: ArrayLike, alt_ft: ArrayLike) -> FloatArray:
+    """Mach number at calibrated airspeed [kt] and pressure altitude [ft], broadcast, subsonic.
+
+    Impact pressure `qc = p0 ((1 + 0.2 (V/a0)^2)^3.5 - 1)` is what an airspeed indicator
+    measures, and `qc/p = (1 + 0.2 M^2)^3.5 - 1` (any compressible-flow text).
+    """
+    speed = np.asarray(cas_kt, dtype=np.float64) / SOUND_KT
+    impact = P0_PA * np.expm1(3.5 * np.log1p(0.2 * speed**2))
+    return np.asarray(np.sqrt(5.0 * np.expm1(np.log1p(impact / isa(alt_ft)[1]) / 3.5)))
+
+
+def static_temperature(total_c: ArrayLike, mach: ArrayLike, recovery: float = 1.0) -> FloatArray:
+    """Static temperature [degC] from that of a total probe: `T = Tt / (1 + 0.2 r M^2)`."""
+    rise = 1.0 + 0.2 * recovery * np.asarray(mach, dtype=np.float64) ** 2
+    return np.asarray((np.asarray(total_c, dtype=np.float64) + KELVIN) / rise - KELVIN)
 
 
 @compiled

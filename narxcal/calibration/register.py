@@ -21,9 +21,10 @@ from narxcal.atmosphere import total_ratios
 from narxcal.lumped.lag import CASING, FAST, STATES, Drive, LagModel, air_columns, run_lags
 from narxcal.lumped.lag_governed import AnyLags, GovernedLags
 from narxcal.narx import kernels
-from narxcal.narx.kernels import compiled, fading, free_run
+from narxcal.narx.kernels import fading, free_run
 from narxcal.narx.network import AT_START, NarxModel, Weights
 from narxcal.support.arrays import FloatArray, IntArray
+from narxcal.support.compiled import compiled
 
 # An EGT overshoots its final value by up to 1.6 times the change (FACTS: frozen-speed response).
 OVERSHOOT = 2.0
@@ -79,12 +80,12 @@ class Memory(NamedTuple):
     past: FloatArray
 
 
-@compiled
+@compiled(exact=False)
 def _of(given: FloatArray, column: int) -> float:
     return given[column] if column >= 0 else 0.0
 
 
-@compiled
+@compiled(exact=False)
 def _lag(lags: Lags, memory: Memory, given: FloatArray, ss: FloatArray) -> None:
     """Move the lags on by one sample: `drive` and `run` of `narxcal.lumped.lag.LagModel` in one."""
     count = len(ss)
@@ -116,7 +117,7 @@ def _lag(lags: Lags, memory: Memory, given: FloatArray, ss: FloatArray) -> None:
         memory.lagged[:, o] = states[1, :, j]
 
 
-@compiled
+@compiled(exact=False)
 def _remember(
     network: Network, memory: Memory, given: FloatArray, ss: FloatArray, lagged: bool
 ) -> FloatArray:
@@ -140,7 +141,7 @@ def _remember(
     return increments
 
 
-@compiled
+@compiled(exact=False)
 def _driven(network: Network, past: FloatArray) -> tuple[FloatArray, FloatArray]:
     """What the inputs alone drive, less the value at rest: hidden (1, h) and linear (1, o)."""
     w1u, b1, au, b2 = network.drive
@@ -168,7 +169,7 @@ def _driven(network: Network, past: FloatArray) -> tuple[FloatArray, FloatArray]
     return hidden, linear
 
 
-@compiled
+@compiled(exact=False)
 def step(
     network: Network, lags: Lags, memory: Memory, given: FloatArray, ss: FloatArray
 ) -> FloatArray:
@@ -179,7 +180,7 @@ def step(
     return behind(network, memory, (given, ss), lagged)
 
 
-@compiled
+@compiled(exact=False)
 def behind(
     network: Network, memory: Memory, sample: tuple[FloatArray, FloatArray], lagged: bool
 ) -> FloatArray:

@@ -24,9 +24,10 @@ from typing import Literal
 
 import numpy as np
 
+from narxcal.atmosphere import mach_of_cas
 from narxcal.flight_test.manoeuvres import Manoeuvre, hold, impulse, ramp, step
 from narxcal.flight_test.pilot import Placed, compose
-from narxcal.flight_test.route import CHANNEL_NAMES, MACH_MAX, RATE_HZ, check_between, mach_of_cas
+from narxcal.flight_test.route import CHANNEL_NAMES, MACH_MAX, RATE_HZ, check_between
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 

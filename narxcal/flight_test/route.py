@@ -34,10 +34,9 @@ from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.signal import lfilter
 
-from narxcal.atmosphere import FT_M, P0_PA, air_state, isa
+from narxcal.atmosphere import FT_M, air_state, mach_of_cas
 from narxcal.flight_test.manoeuvres import Switched
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import ConfigError
@@ -49,8 +48,6 @@ DT_LOW_C, DT_HIGH_C = -30.0, 20.0
 RATE_HZ = (4.0, 256.0)
 SWITCH_NAMES = ("WOW", "Approach", "ECS", "NAI", "WAI")
 CHANNEL_NAMES = ("time_s", "TRA_deg", "ALT_ft", "Mach", "dT_C", *SWITCH_NAMES)
-# Speed of sound at sea level on the standard day, in knots.
-_SOUND_KT = 661.4786
 
 
 @dataclass(frozen=True)
@@ -68,18 +65,6 @@ AIRCRAFT = {
     "business_jet": Aircraft(CEILING_FT, MACH_MAX, 3200.0, 1800.0),
     "single_aisle": Aircraft(39_000.0, 0.82, 2500.0, 1300.0),
 }
-
-
-def mach_of_cas(cas_kt: ArrayLike, alt_ft: ArrayLike) -> FloatArray:
-    """Mach number at calibrated airspeed (kt) and pressure altitude (ft), broadcast, subsonic.
-
-    Impact pressure `qc = p0 ((1 + 0.2 (V/a0)^2)^3.5 - 1)` is what an airspeed indicator
-    measures, and `qc/p = (1 + 0.2 M^2)^3.5 - 1` (any compressible-flow text).
-    """
-    speed = np.asarray(cas_kt, dtype=np.float64) / _SOUND_KT
-    impact = P0_PA * np.expm1(3.5 * np.log1p(0.2 * speed**2))
-    pressure = isa(alt_ft)[1]
-    return np.asarray(np.sqrt(5.0 * np.expm1(np.log1p(impact / pressure) / 3.5)))
 
 
 def check_between(name: str, value: float, low: float, high: float, hint: str = "") -> None:

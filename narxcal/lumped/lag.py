@@ -51,9 +51,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from narxcal.atmosphere import air_state
-from narxcal.narx.kernels import compiled
 from narxcal.narx.network import AT_START
 from narxcal.support.arrays import FloatArray, IntArray
+from narxcal.support.compiled import compiled
 from narxcal.support.errors import ModelError
 
 STATES = ("fast", "soak", "casing")

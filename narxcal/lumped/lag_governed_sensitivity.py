@@ -55,8 +55,8 @@ from narxcal.lumped.lag_governed_steps import (
     regressors,
     slope,
 )
-from narxcal.narx.kernels import compiled
 from narxcal.support.arrays import FloatArray, IntArray
+from narxcal.support.compiled import compiled
 
 # The fan is its deviation; the core's deviation and its acceleration are means over the step.
 V, FAN, F, R, RATE, MASS, COVER, DEMAND, POWER, CORE, BEFORE, OTHERS = range(12)

@@ -35,8 +35,8 @@ import math
 import numpy as np
 
 from narxcal.lumped.lag import CASING, FAST, SOAK, within
-from narxcal.narx.kernels import compiled
 from narxcal.support.arrays import FloatArray, IntArray
+from narxcal.support.compiled import compiled
 
 REGRESSORS = ("one", "thin", "hot", "Mach", "v", "u", "vv", "vu", "uu")
 # The lines of `core` and fan, and those of every other output behind them.

@@ -24,28 +24,16 @@ A (o, f), each flattened by rows.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, TypeVar
 
 import numpy as np
-from numba import njit
 
 from narxcal.support.arrays import FloatArray, IntArray
+from narxcal.support.compiled import compiled
 
 Run = tuple[FloatArray, FloatArray, FloatArray]
-Function = TypeVar("Function", bound=Callable[..., Any])
-# Sums may be reordered, but NaN and infinity keep their meaning.
-_FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
 
 
-def compiled(function: Function) -> Function:
-    """Compile by numba, which ships no types: to its callers the function is what it was."""
-    made: Any = njit(cache=True, nogil=True, fastmath=_FASTMATH)(function)
-    same: Function = made
-    return same
-
-
-@compiled
+@compiled(exact=False)
 def _push(register: FloatArray, newest: FloatArray) -> None:
     """Shift `newest` in at the front of `register`."""
     count = len(newest)
@@ -55,7 +43,7 @@ def _push(register: FloatArray, newest: FloatArray) -> None:
         register[o] = newest[o]
 
 
-@compiled
+@compiled(exact=False)
 def free_run(
     drive_hidden: FloatArray,
     drive_linear: FloatArray,
@@ -104,7 +92,7 @@ def free_run(
     return y, active, fed
 
 
-@compiled
+@compiled(exact=False)
 def fading(increments: FloatArray, state: FloatArray, keep: float) -> FloatArray:
     """Envelope (T, o) of what a slow first-order lag behind moving targets would be off by.
 
@@ -122,7 +110,7 @@ def fading(increments: FloatArray, state: FloatArray, keep: float) -> FloatArray
     return envelope
 
 
-@compiled
+@compiled(exact=False)
 def _gain(
     active: FloatArray, feedback: tuple[FloatArray, FloatArray, FloatArray], gain: FloatArray
 ) -> None:
@@ -137,7 +125,7 @@ def _gain(
                 gain[o, j] += c * w1y[i, j]
 
 
-@compiled
+@compiled(exact=False)
 def adjoint(
     outer: FloatArray,
     run: Run,
@@ -182,7 +170,7 @@ def adjoint(
     return total, hidden
 
 
-@compiled
+@compiled(exact=False)
 def _direct(
     row: FloatArray,
     sample: tuple[int, int, float],
@@ -212,7 +200,7 @@ def _direct(
         row[at_a + o * width + j] += sign * phi[k, j]
 
 
-@compiled
+@compiled(exact=False)
 def _recall(row: FloatArray, gain: FloatArray, ring: FloatArray, slot: int) -> None:
     """Add what the history passes on, the gains (m,) times its sensitivities, to `row` (P,).
 
@@ -229,7 +217,7 @@ def _recall(row: FloatArray, gain: FloatArray, ring: FloatArray, slot: int) -> N
                     row[p] += g * past[p]
 
 
-@compiled
+@compiled(exact=False)
 def jacobian(
     features: tuple[FloatArray, FloatArray, FloatArray],
     run: Run,

@@ -1,36 +1,54 @@
-"""Compiles the engine's functions by numba; to their callers they stay what they were.
+"""The one decorator for functions compiled by numba, and the scalar lags of controls and probes.
 
-First-order lags and table look-up as the engine's controls and probes use them.
-
-A lag `tau dy/dt = u - y` is stepped by its closed form, so the step's length costs no accuracy;
-`tau = 0` means no lag at all.
+A first-order lag `tau dy/dt = u - y` is advanced by its closed form, so its accuracy does not
+depend on the time step; `tau = 0` means no lag.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, overload
 
 from numba import njit
 
 from narxcal.support.arrays import FloatArray
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+# Sums may be reordered, but NaN and infinity keep their meaning.
+_REORDERED = {"contract", "reassoc", "nsz", "arcp"}
 
 
-def compiled(function: Function) -> Function:
-    """Compile `function`, which may call other compiled ones and take named tuples of floats.
+@overload
+def compiled(function: Function) -> Function: ...
 
-    Sums keep their order: the balances of the cycle are closed to rounding. Nobody calls from C,
-    and leaving that wrapper out saves time of compiling. What Python calls returns no named tuple:
-    a signal that arrives meanwhile would end the process (`narxcal.support.interrupt`).
+
+@overload
+def compiled(*, exact: bool) -> Callable[[Function], Function]: ...
+
+
+def compiled(function: Function | None = None, *, exact: bool = True) -> Any:
+    """Compile `function` by numba; its Python signature and type stay what they were.
+
+    With `exact` sums keep their order, so that balances close to rounding; without, they may be
+    reordered, which is faster where results of the last digit do not matter. No C caller needs a
+    wrapper, and leaving it out saves compile time. A function that Python calls must not return
+    a named tuple: a signal that arrives meanwhile would end the process
+    (`narxcal.support.interrupt`).
     """
-    build: Any = njit  # whose type does not name all its options
-    same: Function = build(cache=True, nogil=True, error_model="numpy", no_cfunc_wrapper=True)(
-        function
-    )
-    return same
+
+    def compile_(function: Function) -> Function:
+        build: Any = njit  # its type does not list all its options
+        same: Function = build(
+            cache=True,
+            nogil=True,
+            error_model="numpy",
+            no_cfunc_wrapper=True,
+            fastmath=False if exact else _REORDERED,
+        )(function)
+        return same
+
+    return compile_ if function is None else compile_(function)
 
 
 @compiled

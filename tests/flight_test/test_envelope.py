@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from narxcal.flight_test.route import AIRCRAFT, CEILING_FT, MACH_MAX, check_between, mach_of_cas
+from narxcal.atmosphere import mach_of_cas
+from narxcal.flight_test.route import AIRCRAFT, CEILING_FT, MACH_MAX, check_between
 from narxcal.support.errors import ConfigError
 
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from narxcal.atmosphere import mach_of_cas
 from narxcal.flight_test.mesh import (
     AFTER_S,
     RAMP_S,
@@ -14,7 +15,7 @@ from narxcal.flight_test.mesh import (
     mach_range,
     static_mesh,
 )
-from narxcal.flight_test.route import CEILING_FT, CHANNEL_NAMES, mach_of_cas
+from narxcal.flight_test.route import CEILING_FT, CHANNEL_NAMES
 from narxcal.support.errors import ConfigError
 from narxcal.turbofan.engine import INPUT_NAMES, VirtualEngine
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from data_prep.events import EventsConfig, find_events
 from data_prep.log import Log
-from narxcal.atmosphere import air_state, isa
+from narxcal.atmosphere import air_state, isa, mach_of_cas
 from narxcal.channels import CHANNELS
 from narxcal.flight_test.manoeuvres import HAND_DEG_S
 from narxcal.flight_test.pilot import ENGINES, STYLES, rate_limited
@@ -24,7 +24,6 @@ from narxcal.flight_test.route import (
     LEAST_S,
     SHORTEST_S,
     SWITCH_NAMES,
-    mach_of_cas,
     plan_legs,
 )
 from narxcal.support.errors import ConfigError

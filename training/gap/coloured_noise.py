@@ -18,8 +18,8 @@ from scipy.ndimage import percentile_filter
 from scipy.optimize import nnls
 from scipy.stats import chi2
 
-from narxcal.narx.kernels import compiled
 from narxcal.support.arrays import FloatArray
+from narxcal.support.compiled import compiled
 
 FOLLOW = 3  # blocks in which the engine takes up a change
 _TAUS = np.geomspace(3.0, 48.0, 9)  # blocks
@@ -134,13 +134,13 @@ def gains(noise: Noise, share: FloatArray) -> Gains:
     return Gains(*_riccati(share, model, noise.loud**2))
 
 
-@compiled
+@compiled(exact=False)
 def _ahead(spread: FloatArray, phi: float, markov: float, walk: float) -> FloatArray:
     """Covariance (x x, x d, d d) one block later."""
     return np.array([phi**2 * spread[0] + markov, phi * spread[1], spread[2] + walk])
 
 
-@compiled
+@compiled(exact=False)
 def _riccati(
     share: FloatArray, model: FloatArray, loud: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -183,7 +183,7 @@ def colour(innovations: FloatArray, found: Gains, noise: Noise) -> FloatArray:
     return _filtered(innovations, (found.gain, np.sqrt(found.variance)), noise.phi, undo=True)
 
 
-@compiled
+@compiled(exact=False)
 def _filtered(
     values: FloatArray, filters: tuple[FloatArray, FloatArray], phi: FloatArray, undo: bool
 ) -> FloatArray:

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from narxcal.narx.kernels import compiled
 from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.compiled import compiled
 
 EDGE, SETTLED = 8, 4  # blocks that tell a level, and those after a change that do not yet
 _SWITCH = 4.0  # blocks of a whole shift that a change has to be worth
@@ -271,7 +271,7 @@ def _path(there: FloatArray, known: BoolArray) -> tuple[float, BoolArray]:
     return _shortest(away.mean(axis=1), _SWITCH)
 
 
-@compiled
+@compiled(exact=False)
 def _shortest(away: FloatArray, switch: float) -> tuple[float, BoolArray]:
     """Cost and path (blocks,) of the least sum of `away` (2, blocks) and switches."""
     count = away.shape[1]

@@ -15,8 +15,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from narxcal.narx.kernels import compiled
 from narxcal.support.arrays import FloatArray
+from narxcal.support.compiled import compiled
 from training.gap.coloured_noise import FOLLOW, Gains, Noise
 
 FREEDOM = 4.0  # of Student's t
@@ -58,7 +58,7 @@ def best_path(
     return float(total[last]), path
 
 
-@compiled
+@compiled(exact=False)
 def _price(z: FloatArray, inverse: FloatArray) -> float:
     """Student's t of the innovations (channels,) of one block of one flight."""
     square = 0.0
@@ -68,7 +68,7 @@ def _price(z: FloatArray, inverse: FloatArray) -> float:
     return (FREEDOM + len(z)) * math.log1p(square / FREEDOM)
 
 
-@compiled
+@compiled(exact=False)
 def _under_way(z: FloatArray, toward: FloatArray, inverse: FloatArray) -> float:
     """The same where the engine is anywhere on its way, a share of `toward` (channels,)."""
     along = across = 0.0
@@ -80,7 +80,7 @@ def _under_way(z: FloatArray, toward: FloatArray, inverse: FloatArray) -> float:
     return _price(z - share * toward, inverse)
 
 
-@compiled
+@compiled(exact=False)
 def _jump(
     told: FloatArray,
     shift: FloatArray,
@@ -110,7 +110,7 @@ def _jump(
     return total + _price(arrived / np.sqrt(late[0, FOLLOW]), inverse)
 
 
-@compiled
+@compiled(exact=False)
 def _paths(
     residual: FloatArray,
     shift: FloatArray,
