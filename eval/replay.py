@@ -487,7 +487,7 @@ class _Replay:
             self._write_rows(file)
             return
         with held_interrupt() as interrupt:
-            self.stream.pace.stop = lambda: interrupt.asked
+            self.stream.pace.stop = lambda: interrupt.requested
             self._write_rows(file)
 
     def _write_rows(self, file: TextIO) -> None:

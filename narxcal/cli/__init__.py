@@ -1,5 +1,5 @@
 """The command `narxcal`: what it takes, what it prints, how it ends."""
 
-from narxcal.cli.entry import main
+from narxcal.cli.app import main
 
 __all__ = ["main"]

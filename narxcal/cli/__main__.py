@@ -2,7 +2,7 @@
 
 import sys
 
-from narxcal.cli.entry import main
+from narxcal.cli.app import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +16,7 @@ from eval.gap.blind.score import SCHEMA as SCORE_SCHEMA
 from eval.gap.blind.score import CaseSet, score_answers
 from eval.gap.blind.sim_logs import make_log_cases
 from narxcal.cli.console import Console
+from narxcal.cli.options import add_jobs, add_mapping, add_output, count, path, seconds, seed
 from narxcal.cli.results import read_config
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import Results, atomic_write_text, to_json
@@ -33,6 +34,114 @@ _PLANNED: Final = {
     "build": "--build",
     "seed": "--seed",
 }
+
+
+_ACTIONS = {
+    "make": "Fly the virtual engine with drawn effects; seal what they are in a key.",
+    "run": "Diagnose every case without opening the key; goes on where it was cut short.",
+    "score": "Open the key, and say how good the answers are.",
+}
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add the actions make, run and score, each with what it takes, to `parser`."""
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    for (name, text), add in zip(_ACTIONS.items(), (_add_make, _add_run, _add_score), strict=True):
+        own = actions.add_parser(name, help=text, description=text, allow_abbrev=False)
+        add(own)
+        add_output(own, after_action=True)
+
+
+def _add_make(parser: ArgumentParser) -> None:
+    parser.add_argument("--out", metavar="DIR", type=path, required=True, help="folder")
+    parser.add_argument("--cases", metavar="N", type=count, default=60, help="default 60")
+    parser.add_argument(
+        "--flights", metavar="N", type=count, default=6, help="of a case, default 6"
+    )
+    parser.add_argument("--held-out", metavar="N", type=count, default=2, help="more, default 2")
+    parser.add_argument(
+        "--duration",
+        metavar="S",
+        type=float,
+        default=480.0,
+        dest="duration_s",
+        help="of a flight, default 480",
+    )
+    parser.add_argument(
+        "--rate", metavar="HZ", type=float, default=32.0, dest="rate_hz", help="default 32"
+    )
+    parser.add_argument("--style", choices=("line", "enriched", "both"), default="both")
+    parser.add_argument(
+        "--engine",
+        choices=("virtual", "lumped", "all"),
+        default="all",
+        help="engines of components, lumped ones, or all: every third case lumped (default)",
+    )
+    parser.add_argument(
+        "--build",
+        choices=("scattered", "same"),
+        default="scattered",
+        help="the recorded engine: one of its type (default), or the simulator's own",
+    )
+    parser.add_argument("--seed", metavar="N", type=seed, default=0, help="default 0")
+    parser.add_argument("--secret", metavar="WORD", help="opens the key; the seed if left out")
+    add_jobs(parser, "cases")
+    real = parser.add_argument_group("from real flights, instead of the virtual engine's")
+    real.add_argument("--real", metavar="DIR", type=path, help="folder of recorded logs")
+    real.add_argument("--sim", metavar="SIM", help="run folder, FMU or module:function")
+    real.add_argument(
+        "--sim-logs",
+        metavar="DIR",
+        type=path,
+        help="instead: logs of any simulator, without noise, onto which effects are put",
+    )
+    add_mapping(parser)
+
+
+def _add_run(parser: ArgumentParser) -> None:
+    parser.add_argument("folder", metavar="CASES", type=path, help="folder that make wrote")
+    parser.add_argument("--out", metavar="ANSWERS", type=path, required=True, help="folder")
+    parser.add_argument(
+        "--timeout",
+        metavar="S",
+        type=seconds,
+        default=900.0,
+        dest="timeout_s",
+        help="for one case, default 900; a case that takes longer has no answer",
+    )
+    parser.add_argument(
+        "--seeds",
+        metavar="N",
+        type=count,
+        default=1,
+        help="answer each case N times, flights in another order: does the answer change?",
+    )
+    add_jobs(parser, "cases")
+
+
+def _add_score(parser: ArgumentParser) -> None:
+    parser.add_argument("folder", metavar="CASES", type=path, help="folder that make wrote")
+    parser.add_argument("answers", metavar="ANSWERS", type=path, help="folder that run wrote")
+    parser.add_argument(
+        "--secret",
+        metavar="WORD",
+        required=True,
+        action="append",
+        dest="secrets",
+        help="that of make, or its seed; again for every folder of --also that has another",
+    )
+    parser.add_argument(
+        "--also",
+        metavar=("CASES", "ANSWERS"),
+        nargs=2,
+        type=path,
+        action="append",
+        default=[],
+        help="further cases with their answers, scored together with these; as often as wanted",
+    )
+    parser.add_argument(
+        "--out", metavar="DIR", type=path, help="folder of the score; ANSWERS if left out"
+    )
 
 
 def run(options: Namespace, console: Console) -> int:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import rich.console
@@ -13,7 +14,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from narxcal.support.files import to_json
+from narxcal.support.errors import ConfigError
+from narxcal.support.files import STDOUT, to_json
 
 WIDTH = 80
 
@@ -32,6 +34,17 @@ class Console:
     def silent(self) -> bool:
         """Whether words and tables are unwanted."""
         return self.json or self.quiet
+
+    def beside(self, out: Path) -> Console:
+        """Console that leaves stdout to the output itself where `out` is `-`.
+
+        Raises `ConfigError` where one JSON document is wanted there, too.
+        """
+        if out != STDOUT:
+            return self
+        if self.json:
+            raise ConfigError("--json and --out - both print to stdout", hint="Leave one out")
+        return replace(self, quiet=True)
 
     def say(self, text: str) -> None:
         """Print a line to stdout."""

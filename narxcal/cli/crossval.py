@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 
 from data_prep.log import Log
@@ -13,6 +13,7 @@ from eval.crossval import SCHEMA, CrossValidation, FoldResult, cross_validate
 from eval.report.content import RunHeader
 from eval.report.crossvalidation import crossvalidation_page, schemes_of
 from narxcal.cli.console import Console
+from narxcal.cli.options import add_config, add_jobs
 from narxcal.cli.results import data_files, now, read_config
 from narxcal.support.files import Results, to_json, versions
 from training.config import RunConfig
@@ -20,6 +21,12 @@ from training.pipeline import configured_files
 
 DOCUMENT, PAGE = "crossval.json", "crossval.html"
 RESULTS = Results(SCHEMA, DOCUMENT, (PAGE,))
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    add_config(parser, "DIR", "folder for the tables and the page")
+    add_jobs(parser, "folds")
 
 
 def run(options: Namespace, console: Console) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -12,6 +12,7 @@ from typing import Any
 from eval.virtual_flights import TRUTH, WriteOptions, load_scenario, write_flights
 from narxcal.cli.console import Console
 from narxcal.cli.evaluate import PAGE, Judgement, judge, show, write
+from narxcal.cli.options import path
 from narxcal.cli.results import logs_for
 from narxcal.cli.train import train
 from narxcal.support.files import Results, atomic_write_text, to_json
@@ -21,6 +22,17 @@ SCHEMA = "narxcal.demo/1"
 DOCUMENT, CONFIG, FLIGHTS, MODEL, PAGES = "demo.json", "demo.toml", "flights", "run", "evaluate"
 SCENARIO, JOBS = "fly_demo.toml", 2
 RESULTS = Results(SCHEMA, DOCUMENT, (CONFIG, FLIGHTS, MODEL, PAGES))
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    parser.add_argument(
+        "--out",
+        metavar="DIR",
+        type=path,
+        default=Path("demo_run"),
+        help="default demo_run",
+    )
 
 
 def run(options: Namespace, console: Console) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,12 +15,22 @@ from eval.report.building import noise_curves
 from eval.report.page import Outcome, noise_page
 from narxcal.calibration.bundle import load_bundle
 from narxcal.cli.console import Console
+from narxcal.cli.options import add_data, add_logs, add_out, add_run
 from narxcal.cli.results import header_of, logs_for
 from narxcal.support.files import Results, to_json
 
 SCHEMA = "narxcal.denoise/1"
 DOCUMENT, PAGE = "denoise.json", "denoise.html"
 RESULTS = Results(SCHEMA, DOCUMENT, (PAGE,))
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    add_run(parser)
+    add_logs(parser)
+    add_out(parser)
+    parser.add_argument("--channel", metavar="NAME", help="default N2_pct, or the first output")
+    add_data(parser, "folder of the held-out logs, if they have moved")
 
 
 def run(options: Namespace, console: Console) -> int:

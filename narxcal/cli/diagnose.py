@@ -5,7 +5,7 @@ OUT holds `gap.json`, `gap.html` and, for `simulate --effects`, the emulator of 
 
 from __future__ import annotations
 
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -26,12 +26,29 @@ from eval.gap.summary import (
 )
 from eval.report.page import write_page
 from narxcal.cli.console import Console
+from narxcal.cli.options import SIMULATOR, add_mapping, add_out, path
 from narxcal.cli.results import now, read_config
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import Results, to_json
 
 DOCUMENT, PAGE = "gap.json", "gap.html"
 RESULTS = Results(SCHEMA, DOCUMENT, (PAGE, EMULATOR))
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    parser.add_argument(
+        "--real", metavar="DIR", type=path, required=True, help="folder of the flights' logs"
+    )
+    parser.add_argument(
+        "--sim", metavar="SIM", required=True, help=f"{SIMULATOR}; logs are paired by file name"
+    )
+    add_out(parser)
+    add_mapping(parser)
+    parser.add_argument(
+        "--heldout-real", metavar="DIR", type=path, help="flights to check the shrinkage on"
+    )
+    parser.add_argument("--heldout-sim", metavar="SIM", help="their simulated logs")
 
 
 def run(options: Namespace, console: Console) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +17,7 @@ from eval.report.evaluation import page_of, verdict_of
 from eval.report.page import Outcome, evaluate_page
 from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.cli.console import Console
+from narxcal.cli.options import add_data, add_logs, add_run, fraction, path
 from narxcal.cli.results import changed, header_of, logs_for
 from narxcal.support.files import Results, to_json
 
@@ -38,6 +39,20 @@ class Judgement:
     def exit_code(self) -> int:
         """1 where a tolerance was missed."""
         return 1 if self.evaluation.missed() else 0
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    add_run(parser)
+    add_logs(parser)
+    parser.add_argument(
+        "--trim",
+        metavar="FRACTION",
+        type=fraction,
+        help="estimate offsets from this first part of each log, score the rest",
+    )
+    parser.add_argument("--out", metavar="DIR", type=path, help="folder (default RUN/evaluate)")
+    add_data(parser, "folder of the held-out logs, if they have moved")
 
 
 def run(options: Namespace, console: Console) -> int:

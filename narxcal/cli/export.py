@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
@@ -12,6 +12,7 @@ import numpy as np
 from narxcal.calibration.bundle import load_bundle
 from narxcal.channels import channel
 from narxcal.cli.console import Console
+from narxcal.cli.options import add_overwrite, count, path
 from narxcal.export import ExportOptions, ExportReport, Grid, export_fmu, export_table
 from narxcal.export.report import ADVICE
 from narxcal.steady.fmu import SteadyFmu
@@ -28,10 +29,42 @@ ENGINES = ("business_jet", "single_aisle")
 _USUAL_OUTPUTS = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph", "FN_kN", "FPR", "EPR")
 
 
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    parser.add_argument(
+        "source",
+        metavar="SOURCE",
+        help="run folder, table (.csv), FMU, module:function, or a virtual engine's name",
+    )
+    parser.add_argument("--to", choices=("table", "fmu"), required=True, help="what to write")
+    parser.add_argument(
+        "--out", metavar="FILE", type=path, required=True, help=".csv, .csv.gz or .fmu"
+    )
+    add_overwrite(parser)
+    parser.add_argument("--fmi", choices=("2.0", "3.0"), default="2.0", help="default 2.0")
+    parser.add_argument(
+        "--tolerance", metavar="PCT", type=float, default=0.5, help="of each range (default 0.5)"
+    )
+    parser.add_argument(
+        "--max-rows", metavar="N", type=count, default=100_000, help="default 100000"
+    )
+    parser.add_argument(
+        "--nodes",
+        metavar="NAME=NODES",
+        nargs="+",
+        action="extend",
+        help="nodes to have, as ALT_ft=0,36089,43000 or dT_C=-30:30:7; one node fixes an input",
+    )
+    parser.add_argument("--no-refine", action="store_true", help="add no nodes")
+    parser.add_argument("--strict", action="store_true", help="write nothing beyond the tolerance")
+    parser.add_argument("--inputs", metavar="NAME", nargs="+", help="where SOURCE names none")
+    parser.add_argument("--outputs", metavar="NAME", nargs="+", help="where SOURCE names none")
+
+
 def run(options: Namespace, console: Console) -> int:
     """Export SOURCE and say how well it is matched; 1 where the tolerance was missed."""
     _check_name(options.out, options.to)
-    check_file(options.out, Path(options.source))
+    check_file(options.out, Path(options.source), overwrite=options.overwrite)
     model = open_source(options.source, options.inputs, options.outputs)
     grid = Grid.of_model(model, _nodes(options.nodes or ()))
     with console.progress("Exporting") as advance:

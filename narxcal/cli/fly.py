@@ -6,7 +6,7 @@ OUT holds the logs, `truth.json` and, where asked for, `truth/` with what no sen
 from __future__ import annotations
 
 import re
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from eval.virtual_flights import (
     write_flights,
 )
 from narxcal.cli.console import Console
+from narxcal.cli.options import add_jobs, add_out, count, seed
 from narxcal.flight_test.scenario import FlightScenario, parse_effects
 from narxcal.support.files import Results, to_json
 
@@ -27,6 +28,28 @@ _LOG = re.compile(r"(flight_\d+_(left|right)|data_set_\d+)\.csv(\.gz)?")
 
 # Keys that the command line may set, and what a person types for them.
 _TYPED = {"seed": "--seed", "flights": "--flights", "sensors.preset": "--sensors"}
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    parser.add_argument("config", metavar="CONFIG", help="TOML file, or a shipped one's name")
+    add_out(parser)
+    parser.add_argument(
+        "--effects",
+        metavar="EFFECT",
+        nargs="+",
+        action="extend",
+        help="effects instead of CONFIG's, as spool_lag:factor=1.3,sensor_lag@EGT_C:tau_s=1.5, "
+        "or none",
+    )
+    parser.add_argument("--sensors", metavar="PRESET", help="sensors instead of CONFIG's")
+    parser.add_argument("--seed", metavar="N", type=seed, help="seed instead of CONFIG's")
+    parser.add_argument("--flights", metavar="N", type=count, help="flights instead of CONFIG's")
+    parser.add_argument("--gzip", action="store_true", help="write .csv.gz")
+    parser.add_argument(
+        "--truth-channels", action="store_true", help="write the outputs no sensor measures, too"
+    )
+    add_jobs(parser, "flights")
 
 
 def run(options: Namespace, console: Console) -> int:

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import json
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import Any
 
 from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.cli.console import Console
+from narxcal.cli.options import add_run
 from narxcal.cli.results import lag_words, steady_words
 
 SCHEMA = "narxcal.info/1"
 _KEPT = ("split", "seeds", "steady_state", "lag_form", "training")
 _FIGURES = ("rmse", "one_step_rmse", "steady_state_rmse")
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    add_run(parser)
 
 
 def run(options: Namespace, console: Console) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gzip
 import re
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from itertools import chain, count
 from pathlib import Path
@@ -22,6 +22,7 @@ from eval.preparation import Prepared, events_table, pearson_table, study, windo
 from eval.report.content import RunHeader
 from eval.report.page import prepare_page, write_page
 from narxcal.cli.console import Console
+from narxcal.cli.options import add_config
 from narxcal.cli.results import data_files, now, read_config
 from narxcal.support.files import Results, to_json, versions
 from training.config import RunConfig
@@ -32,6 +33,11 @@ RESULTS = Results(
     "prepare.json",
     ("prepare.html", "events.csv", "pearson.csv", "windows.csv", "logs"),
 )
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    add_config(parser, "DIR", "folder for the prepared logs, tables and page")
 
 
 def run(options: Namespace, console: Console) -> int:

@@ -2,19 +2,36 @@
 
 from __future__ import annotations
 
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 
 from eval.replay import ReplayModel, ReplayOptions, ReplaySummary, replay
 from narxcal.calibration.bundle import load_bundle
 from narxcal.cli.console import Console
+from narxcal.cli.options import add_overwrite, add_run, path
 from narxcal.support.files import check_file
 
 SCHEMA = "narxcal.replay/1"
 
 
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    add_run(parser)
+    parser.add_argument("log", metavar="LOG.csv", type=path, help="log, read by RUN's mapping")
+    parser.add_argument("--out", metavar="OUT.csv", type=path, required=True, help="CSV file or -")
+    add_overwrite(parser)
+    parser.add_argument("--engine", metavar="NAME", help="replay this engine only")
+    parser.add_argument("--realtime", action="store_true", help="no faster than the clock")
+    parser.add_argument(
+        "--follow",
+        action="store_true",
+        help="wait for growth until none came for 10 s; rows in OUT.part",
+    )
+
+
 def run(options: Namespace, console: Console) -> int:
     """Replay a log and write one CSV."""
-    check_file(options.out, options.log)
+    console = console.beside(options.out)
+    check_file(options.out, options.log, options.bundle, overwrite=options.overwrite)
     model = ReplayModel.of(load_bundle(options.bundle))
     how = ReplayOptions(engine=options.engine, realtime=options.realtime, follow=options.follow)
     with console.progress("Replaying"):

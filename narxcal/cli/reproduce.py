@@ -6,7 +6,7 @@ OUT holds the page, its JSON, the flights (unless the user brought some) and the
 from __future__ import annotations
 
 import shutil
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -29,6 +29,7 @@ from eval.reproduce.narx_paper import SCHEMA, Reproduction, Watch, reproduce
 from eval.rules import rules
 from narxcal.calibration.bundle import write_bundle
 from narxcal.cli.console import Console
+from narxcal.cli.options import add_data, add_jobs, add_out, seed
 from narxcal.cli.results import data_files, now, read_config, words
 from narxcal.support.files import Results, atomic_write_text, to_json, versions
 from training.config import RunConfig
@@ -37,6 +38,19 @@ DOCUMENT, PAGE, FLIGHTS, MODEL = "reproduce.json", "reproduce.html", "flights", 
 RESULTS = Results(SCHEMA, DOCUMENT, (PAGE, FLIGHTS, MODEL))
 OWN = "narx_paper.toml"
 QUICK = ((2, 2), 2)  # iterations per horizon, random divisions
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    parser.add_argument("paper", metavar="PAPER", choices=("narx-paper",), help="narx-paper")
+    add_out(parser)
+    parser.add_argument(
+        "--config", metavar="CONFIG", default="narx_paper.toml", help="default narx_paper.toml"
+    )
+    add_data(parser, "folder of your own data sets, instead of virtual flights")
+    parser.add_argument("--seed", metavar="N", type=seed, default=0, help="of the virtual flights")
+    parser.add_argument("--quick", action="store_true", help="few steps and two divisions")
+    add_jobs(parser, "folds")
 
 
 def run(options: Namespace, console: Console) -> int:

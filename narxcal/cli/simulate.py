@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,7 @@ from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.cli import simulate_effects
 from narxcal.cli.console import Console
+from narxcal.cli.options import SIMULATOR, add_mapping, add_overwrite, path
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import atomic_write_text, check_file
 from training.config import RunConfig
@@ -34,6 +35,35 @@ class _Run:
     table: pd.DataFrame
 
 
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    parser.add_argument(
+        "bundle", metavar="RUN", type=path, nargs="?", help="folder that train wrote"
+    )
+    parser.add_argument(
+        "inputs",
+        metavar="INPUTS.csv",
+        type=path,
+        nargs="?",
+        help="inputs, by RUN's mapping or canonical",
+    )
+    parser.add_argument(
+        "--out",
+        metavar="OUT",
+        type=path,
+        required=True,
+        help="CSV file, -, or folder",
+    )
+    add_overwrite(parser)
+    group = parser.add_argument_group("with the effects that diagnose found")
+    group.add_argument("--sim", metavar="SIM", help=SIMULATOR)
+    group.add_argument("--effects", metavar="GAP.json", type=path, help="what diagnose wrote")
+    group.add_argument(
+        "--inputs", metavar="DIR", type=path, dest="inputs_folder", help="folder of input logs"
+    )
+    add_mapping(parser)
+
+
 def run(options: Namespace, console: Console) -> int:
     """Simulate every engine of the file and write one CSV; with `--effects`, a folder of them."""
     if options.effects is not None or options.sim is not None or options.inputs_folder is not None:
@@ -43,7 +73,8 @@ def run(options: Namespace, console: Console) -> int:
             "expected RUN and INPUTS.csv, or --sim, --effects and --inputs",
             hint="See narxcal simulate --help",
         )
-    check_file(options.out, options.inputs)
+    console = console.beside(options.out)
+    check_file(options.out, options.inputs, options.bundle, overwrite=options.overwrite)
     bundle = load_bundle(options.bundle)
     runs = [
         _simulated(bundle.calibration, log) for log in read_inputs(bundle, Path(options.inputs))

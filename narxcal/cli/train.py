@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
 from fnmatch import fnmatch
 from pathlib import Path
@@ -19,6 +19,7 @@ from data_prep.prepare import cautions
 from data_prep.smooth import blurs
 from narxcal.calibration.bundle import DOCUMENT, Bundle, read_document, write_bundle
 from narxcal.cli.console import Advance, Console
+from narxcal.cli.options import add_config
 from narxcal.cli.results import lag_words, read_config, steady_words
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import check_writable
@@ -35,6 +36,12 @@ from training.pipeline import (
 
 SCHEMA = "narxcal.train/1"
 CHECKPOINTS = "checkpoints"
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    add_config(parser, "RUN", "folder for the model")
+    parser.add_argument("--resume", action="store_true", help="go on with a training cut short")
 
 
 def run(options: Namespace, console: Console) -> int:

@@ -1,48 +1,68 @@
-"""Writes files and folders whole or not at all.
+"""Output files and folders: written whole or not at all, and never over what is not narxcal's.
 
-Everything is written under a temporary name in the target's own folder and renamed once it
-is complete and on the disk, so that a full disk or a killed run never leaves half a file
-under a name that is taken for good. A run killed outright can leave a temporary
-(`.NAME.*.part`, or `NAME.part` of a live one) behind; nothing ever reads one.
+A file or folder is written under a temporary name beside its target, flushed to the disk, and then
+takes the target's name in one step, so that a full disk or a killed process leaves the former
+content or the new one. Temporaries are called `.NAME.PID-TOKEN.part`; where the system cannot
+exchange two folders in one step, the former one waits as `.NAME.PID-TOKEN.old`. `recover` puts
+right what a killed process left; every check of an output calls it first.
 
-Versions of Python and of the packages that decide what a model computes.
-
-Where commands put their results, and what they refuse to overwrite.
+Commands check where they are to write before they begin: `check_file`, `Results.check`.
 """
 
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import math
 import os
+import platform
+import re
 import secrets
 import shutil
+import stat
+import sys
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from narxcal.support.errors import ConfigError
+from narxcal.support.system import exchange, is_running
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from os import PathLike
     from typing import IO, Any, TextIO
-import platform
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 
+    from numpy.typing import ArrayLike
+
+STDOUT = Path("-")
+TIME_FORMAT = "%.15g"
 _DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
+# A spreadsheet takes a cell that begins with one of these for a formula.
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+
+
+# --- writing ---
 
 
 def atomic_write_bytes(path: str | PathLike[str], data: bytes) -> None:
     """Write `data` to `path`, replacing what was there only once all of it is on the disk.
 
+    `-` is the standard output; a device, a pipe or a socket is written to as it is.
+
     Raises `ConfigError` if it cannot be written; the former file is then untouched.
     """
     target = Path(path)
-    part = _beside(target, "part")
+    if _in_place(target):
+        with _reported(target), _opened_in_place(target) as stream:
+            stream.buffer.write(data)
+        return
+    part = _temporary(target, "part")
     with _becoming(target, part):
         target.parent.mkdir(parents=True, exist_ok=True)
         with part.open("xb") as stream:
@@ -60,25 +80,314 @@ def atomic_stream(path: str | PathLike[str], *, live: bool = False) -> Iterator[
     """Yield a UTF-8 text file that becomes `path` when the block ends well.
 
     On any error, Ctrl-C included, it is removed and `path` stays as it was. A `live` one is
-    named `NAME.part` until then, so that others can read it while it grows.
+    named `NAME.part` until then, so that others can read it while it grows. `-`, devices and pipes
+    are written in place.
 
     Raises `ConfigError` if it cannot be written, and for a `NAME.part` that is there already.
     """
     target = Path(path)
-    part = target.with_name(f"{target.name}.part") if live else _beside(target, "part")
+    if _in_place(target):
+        with _reported(target), _opened_in_place(target) as stream:
+            yield stream
+        return
+    part = target.with_name(f"{target.name}.part") if live else _temporary(target, "part")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         stream = part.open("x", encoding="utf-8", newline="")
     except FileExistsError as error:
         if not live or not part.exists():
             raise cannot_write(target, error) from None
-        hint = "Another run writes it, or one was killed: remove it, or choose another name"
+        hint = "Another command writes it, or one was killed: remove it, or choose another name"
         raise ConfigError("the file exists", file=part, hint=hint) from None
     except OSError as error:
         raise cannot_write(target, error) from None
     with _becoming(target, part), stream:
         yield stream
         _flush(stream)
+
+
+@contextmanager
+def atomic_folder(path: str | PathLike[str], replace: bool = False) -> Iterator[Path]:
+    """Yield an empty temporary folder that becomes `path` when the block ends well.
+
+    On any error, Ctrl-C included, the temporary folder is removed and `path` stays as it
+    was. An existing folder with content is refused; with `replace`, one that narxcal wrote
+    is exchanged for the new one in one step and deleted afterwards.
+
+    Raises `ConfigError` as `check_output_folder`, and if the disk refuses the content.
+    """
+    target = check_output_folder(path, replace)
+    part = _temporary(target, "part")
+    try:
+        part.mkdir(parents=True)
+    except OSError as error:
+        raise cannot_write(target, error) from None
+    try:
+        yield part
+        _flush_folder(part)
+        _replace_folder(part, target)
+    except OSError as error:
+        # What else fails inside the block (a log that cannot be read) is not about writing.
+        if error.errno in _DISK_ERRORS:
+            raise cannot_write(target, error) from None
+        raise
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def recover(path: str | PathLike[str]) -> None:
+    """Put right what killed processes of this machine left beside `path`.
+
+    A former folder is put back where its successor never took the name; else leftovers are deleted.
+    """
+    target = Path(path)
+    leftovers = re.compile(rf"\.{re.escape(target.name)}\.(\d+)-[0-9a-f]+\.(part|old)")
+    try:
+        found = sorted(target.parent.iterdir())
+    except OSError:
+        return
+    for entry in found:
+        named = leftovers.fullmatch(entry.name)
+        if named is None or is_running(int(named[1])):
+            continue
+        if named[2] == "old" and not os.path.lexists(target):
+            with suppress(OSError):
+                entry.replace(target)
+        elif entry.is_dir():
+            shutil.rmtree(entry, ignore_errors=True)
+        else:
+            with suppress(OSError):
+                entry.unlink()
+
+
+# --- checks before any work ---
+
+
+def check_file(out: Path, *inputs: Path, overwrite: bool = False) -> None:
+    """Refuse, before any work is done, a file that must not or cannot be written.
+
+    `inputs` are files and folders that the command reads: nothing there is ever written over.
+    `-`, devices and pipes are good as they are.
+
+    Raises `ConfigError`.
+    """
+    if _in_place(out):
+        return
+    if out.is_dir():
+        raise ConfigError(
+            f"output file {out} is a folder", hint=f"Name a file, such as {out / 'out.csv'}"
+        )
+    recover(out)
+    if out.exists():
+        for each in inputs:
+            _check_not_read(out, each)
+        if not overwrite:
+            raise ConfigError(
+                f"output file {out} exists", hint="Add --overwrite, or choose another name"
+            )
+    check_writable(out)
+
+
+def _check_not_read(out: Path, read: Path) -> None:
+    if not read.exists():
+        return
+    if read.is_dir() and out.resolve().is_relative_to(read.resolve()):
+        raise ConfigError(
+            f"output file {out} is part of {read}, which is read", hint="Choose another name"
+        )
+    if out.samefile(read):
+        raise ConfigError(f"output file {out} is the input itself", hint="Choose another name")
+
+
+def check_output_folder(path: str | PathLike[str], replace: bool = False) -> Path:
+    """Refuse, before any work is done, a folder that must not or cannot be written to.
+
+    Returns the folder itself where `path` is a link to one.
+
+    Raises `ConfigError` as `check_writable`, for a file, for a folder with content, for one that
+    cannot be exchanged (the working directory, a mount), and, under `replace`, for a folder in
+    which narxcal wrote nothing.
+    """
+    target = Path(os.path.realpath(path))
+    recover(target)
+    if target.exists():
+        _check_folder(Path(path), target)
+        if any(target.iterdir()):
+            if not replace:
+                raise ConfigError(
+                    f"output folder {path} exists and is not empty",
+                    hint="Choose another name, or allow it to be overwritten",
+                )
+            if not any(_has_schema(file, "narxcal.") for file in target.glob("*.json")):
+                raise ConfigError(
+                    f"output folder {path} holds other content and is not overwritten",
+                    hint="Choose another name, or empty it yourself",
+                )
+    check_writable(target)
+    return target
+
+
+def _check_folder(path: Path, target: Path) -> None:
+    if not target.is_dir():
+        raise ConfigError(f"output folder {path} is not a folder", hint="Choose another name")
+    if Path.cwd().is_relative_to(target):
+        what = "is the working directory, or holds it"
+    elif target.is_mount():
+        what = "is where a disk is mounted"
+    else:
+        return
+    raise ConfigError(f"output folder {path} {what}", hint=f"Name one below it: {path / 'out'}")
+
+
+def check_writable(path: str | PathLike[str]) -> None:
+    """Refuse, before any work is done, a place whose disk takes nothing; leaves nothing there.
+
+    Raises `ConfigError` as the writing itself would.
+    """
+    target = Path(path).absolute()
+    ground = next(folder for folder in (*target.parents, target) if folder.exists())
+    probe = _temporary(ground / target.name, "part")
+    try:
+        probe.mkdir()
+        probe.rmdir()
+    except OSError as error:
+        raise cannot_write(Path(path), error) from None
+
+
+@dataclass(frozen=True)
+class Results:
+    """A folder of results: what a command writes there, known by `document` and its `schema`.
+
+    `document` is the JSON file that every such folder has, `others` further names at its top.
+    """
+
+    schema: str
+    document: str
+    others: tuple[str, ...]
+
+    def check(self, folder: Path) -> None:
+        """Refuse, before any work is done, a folder with content that this command never wrote.
+
+        Raises `ConfigError`, also for one that cannot be written.
+        """
+        target = Path(os.path.realpath(folder))
+        recover(target)
+        if target.exists():
+            _check_folder(folder, target)
+            found = sorted(entry.name for entry in target.iterdir())
+            foreign = [name for name in found if name not in (self.document, *self.others)]
+            ours = not found or _has_schema(target / self.document, self.schema)
+            if foreign or not ours:
+                raise ConfigError(
+                    f"output folder {folder} holds other content ('{(foreign or found)[0]}') "
+                    "and is not overwritten",
+                    hint="Choose another name, or empty it yourself",
+                )
+        check_writable(target)
+
+    @contextmanager
+    def writing(self, folder: Path) -> Iterator[Path]:
+        """Yield a temporary folder that takes the place of `folder` when the block ends well."""
+        self.check(folder)
+        with atomic_folder(folder, replace=True) as part:
+            yield part
+
+
+# --- content ---
+
+
+def to_json(document: Mapping[str, Any]) -> str:
+    """Format as JSON with a final line feed; what is not a finite number becomes null."""
+    return json.dumps(finite(document), indent=1, allow_nan=False) + "\n"
+
+
+def finite(value: Any) -> Any:
+    """Copy of what JSON can hold, with null for numbers that are not finite."""
+    if isinstance(value, Mapping):
+        return {str(key): finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def log_csv(channels: Mapping[str, ArrayLike]) -> str:
+    """Format a log as CSV: a header of the channel names, one row per sample, NaN as nothing.
+
+    `time_s` has 15 significant digits, other channels nine.
+    """
+    form = ",".join(TIME_FORMAT if name == "time_s" else "%.9g" for name in channels) + "\n"
+    table = np.column_stack([np.asarray(values, float) for values in channels.values()])
+    # 0.0 is added, so that no -0 is printed.
+    text = "".join([form % tuple(row) for row in (table + 0.0).tolist()])
+    return ",".join(channels) + "\n" + text.replace("nan", "")
+
+
+def text_cell(text: str) -> str:
+    """Keep a spreadsheet from running a name in a CSV cell as a formula: prefix it with `'`."""
+    return f"'{text}" if text.startswith(_FORMULA) else text
+
+
+def sha256_of(path: str | PathLike[str]) -> str:
+    """Hash of a file's content, in bounded memory."""
+    with Path(path).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that decide what a model computes."""
+    found = {"python": platform.python_version()}
+    for package in ("narxcal", "numpy", "scipy", "torch", "safetensors"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:  # run from a checkout that is not installed
+            found[package] = "unknown"
+    return found
+
+
+def cannot_write(target: Path, error: OSError) -> ConfigError:
+    """Describe why the disk refused `target`, which is as it was."""
+    full = "free some space or choose" if error.errno in _DISK_ERRORS else "choose"
+    return ConfigError(
+        f"cannot write: {error.strerror or error}",
+        file=target,
+        hint=f"Nothing was changed; {full} another place",
+    )
+
+
+# --- inner steps ---
+
+
+def _in_place(target: Path) -> bool:
+    """Whether `target` is nothing that could be replaced: `-`, a device, a pipe, a socket."""
+    if target == STDOUT:
+        return True
+    try:
+        mode = target.stat().st_mode
+    except OSError:
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
+@contextmanager
+def _opened_in_place(target: Path) -> Iterator[Any]:
+    if target == STDOUT:
+        yield sys.stdout
+        sys.stdout.flush()
+        return
+    with target.open("w", encoding="utf-8", newline="") as stream:
+        yield stream
+
+
+@contextmanager
+def _reported(target: Path) -> Iterator[None]:
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise cannot_write(target, error) from None
 
 
 @contextmanager
@@ -94,215 +403,46 @@ def _becoming(target: Path, part: Path) -> Iterator[None]:
             part.unlink()
 
 
+def _replace_folder(part: Path, target: Path) -> None:
+    """Give `part` the name of `target`; what was there is deleted once the new folder stands."""
+    if not target.exists() or not any(target.iterdir()):
+        part.replace(target)
+        return
+    if exchange(part, target):
+        shutil.rmtree(part, ignore_errors=True)
+        return
+    former = part.with_suffix(".old")
+    target.replace(former)
+    try:
+        part.replace(target)
+    except OSError:
+        former.replace(target)
+        raise
+    shutil.rmtree(former, ignore_errors=True)
+
+
+def _temporary(target: Path, suffix: str) -> Path:
+    """Name that nobody else uses, in the folder of `target`; `recover` knows it."""
+    return target.with_name(f".{target.name}.{os.getpid()}-{secrets.token_hex(6)}.{suffix}")
+
+
+def _has_schema(file: Path, schema: str) -> bool:
+    """Whether a JSON file bears a schema that is `schema`, or begins so where that ends in '.'."""
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    found = document.get("schema") if isinstance(document, dict) else None
+    return found == schema or (schema.endswith(".") and str(found).startswith(schema))
+
+
 def _flush(stream: IO[Any]) -> None:
     stream.flush()
     os.fsync(stream.fileno())
 
 
-@contextmanager
-def atomic_folder(path: str | PathLike[str], replace: bool = False) -> Iterator[Path]:
-    """Yield an empty temporary folder that becomes `path` when the block ends well.
-
-    On any error, Ctrl-C included, the temporary folder is removed and `path` stays as it
-    was. An existing folder with content is refused; with `replace`, one that narxcal wrote
-    is moved aside, and deleted only after the new one stands.
-
-    Raises `ConfigError` as `check_output_folder`, and if the disk refuses the content.
-    """
-    target = Path(path)
-    check_output_folder(target, replace)
-    part = _beside(target, "part")
-    try:
-        part.mkdir(parents=True)
-    except OSError as error:
-        raise cannot_write(target, error) from None
-    try:
-        yield part
-        _sync(part)
-        _swap_in(part, target)
-    except OSError as error:
-        # What else fails inside the block (a log that cannot be read) is not about writing.
-        if error.errno in _DISK_ERRORS:
-            raise cannot_write(target, error) from None
-        raise
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
-
-
-def check_output_folder(path: str | PathLike[str], replace: bool = False) -> None:
-    """Refuse, before any work is done, a folder that must not or cannot be written to.
-
-    Raises `ConfigError` as `check_writable`, for a file, for a folder with content, and, under
-    `replace`, for a folder in which narxcal wrote nothing.
-    """
-    target = Path(path)
-    check_writable(target)
-    if not target.exists() and not target.is_symlink():
-        return
-    if not target.is_dir():
-        raise ConfigError(f"output folder {target} is not a folder", hint="Choose another name")
-    if not any(target.iterdir()):
-        return
-    if not replace:
-        raise ConfigError(
-            f"output folder {target} exists and is not empty",
-            hint="Choose another name, or allow it to be overwritten",
-        )
-    if not _is_ours(target):
-        raise ConfigError(
-            f"output folder {target} holds other content and is not overwritten",
-            hint="Choose another name, or empty it yourself",
-        )
-
-
-def check_writable(path: str | PathLike[str]) -> None:
-    """Refuse, before any work is done, a place whose disk takes nothing; leaves nothing there.
-
-    Raises `ConfigError` as the writing itself would.
-    """
-    target = Path(path).absolute()
-    ground = next(folder for folder in target.parents if folder.exists())
-    probe = _beside(ground / target.name, "part")
-    try:
-        probe.mkdir()
-        probe.rmdir()
-    except OSError as error:
-        raise cannot_write(Path(path), error) from None
-
-
-def _is_ours(folder: Path) -> bool:
-    """Whether a JSON file in `folder` bears one of narxcal's schemas."""
-    for file in folder.glob("*.json"):
-        try:
-            document = json.loads(file.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            continue
-        if isinstance(document, dict) and str(document.get("schema")).startswith("narxcal."):
-            return True
-    return False
-
-
-def _swap_in(part: Path, target: Path) -> None:
-    """Rename `part` to `target`; content there is moved aside first and deleted last."""
-    if not target.exists() or not any(target.iterdir()):
-        part.replace(target)
-        return
-    aside = _beside(target, "old")
-    target.replace(aside)
-    try:
-        part.replace(target)
-    except OSError:
-        aside.replace(target)
-        raise
-    shutil.rmtree(aside, ignore_errors=True)
-
-
-def _sync(folder: Path) -> None:
+def _flush_folder(folder: Path) -> None:
     for file in folder.rglob("*"):
         if file.is_file():
             with file.open("rb") as stream:
                 os.fsync(stream.fileno())
-
-
-def _beside(target: Path, suffix: str) -> Path:
-    """Make up a name that nobody else uses, in the folder of `target`."""
-    return target.with_name(f".{target.name}.{secrets.token_hex(6)}.{suffix}")
-
-
-def cannot_write(target: Path, error: OSError) -> ConfigError:
-    """What to tell whose disk refused `target`, which is as it was."""
-    full = "free some space or choose" if error.errno in _DISK_ERRORS else "choose"
-    return ConfigError(
-        f"cannot write: {error.strerror or error}",
-        file=target,
-        hint=f"Nothing was changed; {full} another place",
-    )
-
-
-_PACKAGES = ("narxcal", "numpy", "scipy", "torch", "safetensors")
-
-
-def finite(value: Any) -> Any:
-    """Copy a document with None for every float that is not finite; JSON has no NaN."""
-    if isinstance(value, Mapping):
-        return {str(key): finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def to_json(document: Mapping[str, Any]) -> str:
-    """Format as JSON with a final line feed; what is not a finite number becomes null."""
-    return json.dumps(finite(document), indent=1, allow_nan=False) + "\n"
-
-
-def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that decide what a model computes."""
-    found = {"python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:  # run from a checkout that is not installed
-            found[package] = "unknown"
-    return found
-
-
-def check_file(out: Path, *inputs: Path) -> None:
-    """Refuse, before any work is done, to write a file in the place of a folder or of an input.
-
-    Raises `ConfigError`.
-    """
-    if out.is_dir():
-        raise ConfigError(
-            f"output file {out} is a folder", hint=f"Name a file, such as {out / 'out.csv'}"
-        )
-    if any(out.exists() and each.exists() and out.samefile(each) for each in inputs):
-        raise ConfigError(f"output file {out} is the input itself", hint="Choose another name")
-    check_writable(out)
-
-
-@dataclass(frozen=True)
-class Results:
-    """A folder of results: what a command puts there, told by `document` and its `schema`.
-
-    `document` is the JSON file every such folder has, `others` further names at its top.
-    """
-
-    schema: str
-    document: str
-    others: tuple[str, ...]
-
-    def check(self, folder: Path) -> None:
-        """Refuse, before any work is done, a folder with content that this command never wrote.
-
-        Raises `ConfigError`, also for one that cannot be written.
-        """
-        check_writable(folder)
-        if not folder.exists():
-            return
-        if not folder.is_dir():
-            raise ConfigError(f"output folder {folder} is not a folder", hint="Choose another name")
-        found = sorted(entry.name for entry in folder.iterdir())
-        foreign = [name for name in found if name not in (self.document, *self.others)]
-        if foreign or (found and not self._ours(folder)):
-            raise ConfigError(
-                f"output folder {folder} holds other content ('{(foreign or found)[0]}') "
-                "and is not overwritten",
-                hint="Choose another name, or empty it yourself",
-            )
-
-    @contextmanager
-    def writing(self, folder: Path) -> Iterator[Path]:
-        """Yield a temporary folder that takes the place of `folder` when the block ends well."""
-        self.check(folder)
-        with atomic_folder(folder, replace=True) as part:
-            yield part
-
-    def _ours(self, folder: Path) -> bool:
-        try:
-            document = json.loads((folder / self.document).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return False
-        return isinstance(document, dict) and document.get("schema") == self.schema

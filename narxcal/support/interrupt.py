@@ -1,13 +1,14 @@
-"""Ctrl-C, held back until the work stands at a place where it can stop.
+"""Ctrl-C and SIGTERM, deferred until the work can stop.
 
 Python handles a signal at the next line of Python that it comes to. Where compiled code (numba)
-hands an array or a named tuple to Python, that line is in the midst of it: numba unpickles the
-class of the result by a Python function, and does not look whether that went well. An exception
-raised there becomes a `SystemError`; with a named tuple it ends the process by a segmentation
-fault. Handlers that raise are therefore put off until the result is handed over. Compiled functions
-that Python calls return no named tuples, for where the handler is somebody else's.
+returns an array or a named tuple to Python, that line is in the middle of it: numba unpickles the
+class of the result by a Python function and does not check for errors. An exception raised there
+becomes a `SystemError`; with a named tuple the process ends by a segmentation fault. Handlers that
+raise are therefore deferred until the result is returned. Compiled functions that Python calls
+return no named tuples, for where the handler is somebody else's.
 
-Work that keeps what it has when it is stopped asks between its steps instead.
+Work that keeps what it has when it is stopped polls an `Interrupt` between its steps instead.
+SIGTERM (and Ctrl-Break on Windows) does what Ctrl-C does; `terminated` says which one it was.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def put_off(handler: Handler) -> Handler:
-    """Make a signal handler wait for as long as compiled code is handing over its result."""
+    """Make a signal handler wait for as long as compiled code is returning its result."""
 
     def wait(number: int, frame: FrameType | None) -> None:
         if _handing_over(frame):
@@ -49,91 +50,98 @@ def _handing_over(frame: FrameType | None) -> bool:
     return frame is not None
 
 
-class _CtrlC:
-    """What Ctrl-C does: it raises `KeyboardInterrupt`, and is remembered."""
+_SIGNALS = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGBREAK") if hasattr(signal, name)
+)
+
+
+class _Stop:
+    """What Ctrl-C and SIGTERM do: they raise `KeyboardInterrupt`; `number` keeps which one came."""
 
     def __init__(self) -> None:
-        self.pressed = False
+        self.number: int | None = None
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        self.pressed = True
+        self.number = number
         signal.default_int_handler(number, frame)
 
 
-_ctrl_c = _CtrlC()
-_raise_keyboard_interrupt = put_off(_ctrl_c)
+_stop = _Stop()
+_raise_keyboard_interrupt = put_off(_stop)
+
+
+def terminated() -> bool:
+    """Whether SIGTERM came in the block of `safe_interrupt`, handled or still deferred."""
+    return _stop.number not in (None, signal.SIGINT)
 
 
 @contextmanager
 def safe_interrupt() -> Iterator[None]:
-    """Let Ctrl-C raise `KeyboardInterrupt` while the block runs, and nothing else, anywhere.
+    """Let Ctrl-C and SIGTERM raise `KeyboardInterrupt` while the block runs, and nothing else.
 
-    Outside the main thread, and where SIGINT is ignored or another's, nothing is changed.
+    Outside the main thread, and for a signal that is ignored or another's, nothing is changed.
     """
-    if not _is_ours():
+    _stop.number = None
+    with _handled_by(_raise_keyboard_interrupt):
         yield
-        return
-    _ctrl_c.pressed = False
-    before = signal.signal(signal.SIGINT, _raise_keyboard_interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 class Interrupt:
-    """Whether Ctrl-C was pressed; the second press interrupts at once, as it always does."""
+    """Whether a stop was requested; the second request interrupts at once, as it always does."""
 
     def __init__(self) -> None:
-        self.asked = False
+        self.requested = False
 
     def stop_here(self) -> None:
-        """Raise the `KeyboardInterrupt` that was held back."""
-        if self.asked:
+        """Raise the `KeyboardInterrupt` that was deferred."""
+        if self.requested:
             raise KeyboardInterrupt
 
-    def _press(self, number: int, frame: FrameType | None) -> None:
-        if self.asked:
+    def _request(self, number: int, frame: FrameType | None) -> None:
+        _stop.number = number
+        if self.requested:
             _raise_keyboard_interrupt(number, frame)
-        self.asked = True
-
-    @contextmanager
-    def _held(self) -> Iterator[None]:
-        before = signal.signal(signal.SIGINT, self._press)
-        try:
-            yield
-        finally:
-            signal.signal(signal.SIGINT, before)
+        self.requested = True
 
 
 @contextmanager
 def held_interrupt() -> Iterator[Interrupt]:
-    """Hold Ctrl-C back while the block runs; it asks the `Interrupt` where it can stop.
+    """Defer Ctrl-C and SIGTERM while the block runs; the work polls the `Interrupt`.
 
-    Outside the main thread, and where SIGINT is ignored or another's, nothing is held: Python
-    delivers no signal there, or somebody else has a use for it.
+    Outside the main thread, and for a signal that is ignored or another's, nothing is deferred:
+    Python delivers no signal there, or somebody else has a use for it.
     """
     interrupt = Interrupt()
-    if not _is_ours():
-        yield interrupt
-        return
-    with interrupt._held():  # noqa: SLF001 -- one noun, one module
+    with _handled_by(interrupt._request):  # noqa: SLF001 -- one noun, one module
         yield interrupt
 
 
-def _is_ours() -> bool:
-    """Whether SIGINT is what Python or `safe_interrupt` made it, and this is where it arrives."""
-    known = (signal.default_int_handler, _raise_keyboard_interrupt)
-    return signal.getsignal(signal.SIGINT) in known and current_thread() is main_thread()
+@contextmanager
+def _handled_by(handler: Handler) -> Iterator[None]:
+    before = {number: signal.getsignal(number) for number in _SIGNALS if _is_ours(number)}
+    for number in before:
+        signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        for number, former in before.items():
+            signal.signal(number, former)
+
+
+def _is_ours(number: int) -> bool:
+    """Whether the signal is handled as Python or `safe_interrupt` does, and arrives here."""
+    default = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
+    known = (default, _raise_keyboard_interrupt)
+    return signal.getsignal(number) in known and current_thread() is main_thread()
 
 
 def is_interrupt(error: BaseException | None) -> bool:
-    """Whether `error` is a Ctrl-C, or came of one.
+    """Whether `error` is an interruption, or was caused by one.
 
-    In the block of `safe_interrupt` all that is raised after the press came of it: C code may drop
-    what was raised in Python that it calls. Pandas then says that its file cannot be read.
+    In the block of `safe_interrupt` all that is raised after the signal was caused by it: C code
+    may drop what was raised in Python that it calls. Pandas then reports an unreadable file.
     """
-    if _ctrl_c.pressed and error is not None:
+    if _stop.number is not None and error is not None:
         return True
     while error is not None:
         if isinstance(error, KeyboardInterrupt):

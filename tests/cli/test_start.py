@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from narxcal.cli.entry import main
+from narxcal.cli.app import main
 
 
 @pytest.mark.parametrize("module", ["narxcal", "narxcal.cli"])

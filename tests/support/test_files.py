@@ -13,12 +13,18 @@ import pytest
 
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import (
+    Results,
     atomic_folder,
     atomic_stream,
     atomic_write_bytes,
     atomic_write_text,
+    check_file,
     check_output_folder,
+    log_csv,
+    recover,
+    text_cell,
 )
+from narxcal.support.system import exchange, locked
 
 FULL = OSError(errno.ENOSPC, "No space left on device")
 
@@ -191,7 +197,22 @@ def test_our_own_folder_is_replaced_whole_on_request(tmp_path):
     assert names(tmp_path) == ["run"]
 
 
+def no_exchange(monkeypatch):
+    monkeypatch.setattr("narxcal.support.files.exchange", lambda *_: False)
+
+
+def test_without_an_exchange_of_the_system_the_folder_is_replaced_all_the_same(
+    tmp_path, monkeypatch
+):
+    no_exchange(monkeypatch)
+    run = written_run(tmp_path / "run")
+    with atomic_folder(run, replace=True) as part:
+        (part / "new").touch()
+    assert (names(run), names(tmp_path)) == (["new"], ["run"])
+
+
 def test_a_failed_rename_puts_the_former_folder_back(tmp_path, monkeypatch):
+    no_exchange(monkeypatch)
     run = written_run(tmp_path / "run")
     real = Path.replace
 
@@ -228,3 +249,119 @@ def test_a_killed_run_leaves_no_folder_that_could_be_taken_for_good(tmp_path):
     with atomic_folder(run) as part:
         (part / "bundle.json").touch()
     assert run.exists()
+
+
+DEAD = 2**22 + 1  # above the largest process number of Linux
+
+
+@pytest.mark.parametrize("stands", [True, False])
+def test_what_a_killed_process_left_is_put_right_by_the_next_command(tmp_path, stands):
+    """Killed between the two renames: the former folder comes back; after them, it goes."""
+    run = tmp_path / "run"
+    former = written_run(tmp_path / f".run.{DEAD}-00aa.old")
+    (tmp_path / f".run.{DEAD}-00aa.part").mkdir()
+    mine = tmp_path / f".run.{os.getpid()}-00bb.part"
+    mine.mkdir()
+    if stands:
+        run.mkdir()
+        (run / "new").touch()
+    recover(run)
+    assert names(run) == (["new"] if stands else ["bundle.json", "old"])
+    assert not former.exists()
+    assert names(tmp_path) == sorted([mine.name, "run"])
+
+
+def test_two_folders_are_exchanged_in_one_step(tmp_path):
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / name).touch()
+    if exchange(tmp_path / "a", tmp_path / "b"):
+        assert (names(tmp_path / "a"), names(tmp_path / "b")) == (["b"], ["a"])
+    with pytest.raises(FileNotFoundError):
+        exchange(tmp_path / "a", tmp_path / "nowhere")
+
+
+def test_a_folder_is_written_by_one_process_at_a_time(tmp_path):
+    code = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from narxcal.support.system import locked\n"
+        "with locked(Path(sys.argv[1])):\n"
+        "    print('locked', flush=True)\n"
+        "    sys.stdin.read()\n"
+    )
+    run = tmp_path / "run"
+    command = [sys.executable, "-c", code, str(run)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, **pipes) as other:
+        assert other.stdout.readline() == "locked\n"
+        message = rf"run is being written by another command \(process {other.pid} on .*\)\. Wait"
+        with pytest.raises(ConfigError, match=message), locked(run):
+            pass
+        other.kill()
+    with locked(run):
+        assert (tmp_path / ".run.lock").exists()
+    assert names(tmp_path) == []
+
+
+def test_devices_and_pipes_are_written_in_place(tmp_path, capsys):
+    atomic_write_text(os.devnull, "a")
+    assert not Path(os.devnull).is_file()
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with subprocess.Popen(["cat", str(pipe)], stdout=subprocess.PIPE) as reader:
+        with atomic_stream(pipe) as stream:
+            stream.write("rows\n")
+        assert reader.communicate()[0] == b"rows\n"
+    assert names(tmp_path) == ["pipe"]
+    with atomic_stream("-") as stream:
+        stream.write("rows\n")
+    assert capsys.readouterr().out == "rows\n"
+    for out in (Path(os.devnull), pipe, Path("-")):
+        check_file(out)
+
+
+def test_no_file_that_exists_or_is_read_is_written_over(tmp_path):
+    notes, run = tmp_path / "notes.csv", written_run(tmp_path / "run")
+    notes.touch()
+    with pytest.raises(ConfigError, match=r"notes\.csv exists\. Add --overwrite, or choose"):
+        check_file(notes)
+    check_file(notes, run, overwrite=True)
+    with pytest.raises(ConfigError, match=r"notes\.csv is the input itself\. Choose another name"):
+        check_file(notes, notes, overwrite=True)
+    message = r"bundle\.json is part of .*run, which is read\. Choose another name"
+    with pytest.raises(ConfigError, match=message):
+        check_file(run / "bundle.json", run, overwrite=True)
+    check_file(run / "new.csv", run)
+
+
+@pytest.mark.parametrize(
+    ("name", "what"), [("/", "is the working directory, or holds it"), (".", "is the working")]
+)
+def test_a_folder_that_cannot_be_exchanged_is_refused_before_the_work(
+    tmp_path, monkeypatch, name, what
+):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match=f"^output folder {re.escape(name)} {what}"):
+        check_output_folder(name, replace=True)
+    with pytest.raises(ConfigError, match=f"^output folder {re.escape(name)} {what}"):
+        Results("narxcal.x/1", "x.json", ()).check(Path(name))
+
+
+def test_a_link_to_a_folder_stays_and_its_folder_is_filled(tmp_path):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "disk")
+    with atomic_folder(tmp_path / "link") as part:
+        (part / "a").touch()
+    assert (tmp_path / "link").is_symlink()
+    assert names(tmp_path / "disk") == ["a"]
+
+
+def test_a_log_is_printed_as_csv_without_nan_and_minus_zero():
+    text = log_csv({"time_s": [0.1, 0.30000000000000004], "N1_pct": [float("nan"), -0.0]})
+    assert text == "time_s,N1_pct\n0.1,\n0.3,0\n"
+
+
+@pytest.mark.parametrize(("name", "cell"), [("=1+1", "'=1+1"), ("@x", "'@x"), ("a-b", "a-b")])
+def test_no_name_is_a_formula_in_a_spreadsheet(name, cell):
+    assert text_cell(name) == cell

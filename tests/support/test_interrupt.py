@@ -23,7 +23,7 @@ def test_one_press_waits_for_a_place_to_stop():
     with held_interrupt() as interrupt:
         interrupt.stop_here()
         press()
-        assert interrupt.asked
+        assert interrupt.requested
         with pytest.raises(KeyboardInterrupt):
             interrupt.stop_here()
 
@@ -48,7 +48,7 @@ def test_another_handler_is_left_alone():
     try:
         with held_interrupt() as interrupt:
             press()
-        assert (seen, interrupt.asked) == (["theirs"], False)
+        assert (seen, interrupt.requested) == (["theirs"], False)
     finally:
         signal.signal(signal.SIGINT, before)
 
@@ -60,7 +60,7 @@ def test_a_safe_interrupt_is_one_and_its_handler_is_taken_back():
     assert signal.getsignal(signal.SIGINT) is before
     with safe_interrupt(), held_interrupt() as interrupt:  # the one within the other
         press()
-        assert interrupt.asked
+        assert interrupt.requested
         with pytest.raises(KeyboardInterrupt):
             press()
 
@@ -90,7 +90,7 @@ def test_outside_the_main_thread_nothing_is_held():
 
     def work():
         with held_interrupt() as interrupt:
-            asked.append(interrupt.asked)
+            asked.append(interrupt.requested)
 
     thread = threading.Thread(target=work)
     thread.start()
@@ -159,7 +159,7 @@ for call in (array, several, named, nested):
                 assert stop.__cause__ is stop.__context__ is None
     with held_interrupt() as interrupt:
         call(x, signal.SIGINT)
-        assert interrupt.asked
+        assert interrupt.requested
     print(call.__name__, flush=True)
 """
 

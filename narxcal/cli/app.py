@@ -1,0 +1,160 @@
+"""Runs a command and turns every end it can have into one line and an exit code.
+
+0    good
+1    a validation failed: a tolerance was missed
+2    bad input, configuration or bundle, or the disk refused the output
+3    an error of narxcal itself
+130  interrupted (Ctrl-C) with nothing written; `train` keeps its best network and ends well
+141  whoever read the output (`| head`) went away
+143  ended by SIGTERM, which is handled as Ctrl-C
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from contextlib import suppress
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import NoReturn
+
+from narxcal.cli.options import add_output
+from narxcal.support.errors import ConfigError, NarxcalError
+from narxcal.support.interrupt import is_interrupt, safe_interrupt, terminated
+
+GOOD, MISSED, BAD_INPUT, INTERNAL = 0, 1, 2, 3
+INTERRUPTED, PIPE_CLOSED, TERMINATED = 130, 141, 143
+
+# Each command is a module of its name with `add_options(parser)` and `run(options, console)`.
+COMMANDS = {
+    "demo": "Fly the virtual engine, train on it, evaluate; needs no files.",
+    "prepare": "Read, clean and smooth the logs; find events, rank channels.",
+    "train": "Calibrate a model. Ctrl-C keeps the best network so far and ends well.",
+    "evaluate": "Judge a model in free run over whole logs, and its Ti and Tt.",
+    "crossval": "Leave one flight out, and ten random 7:3 splits by event.",
+    "replay": "Stream a log through model and fuser, sample by sample.",
+    "simulate": "Free run over a file of inputs, or over a folder with found effects.",
+    "info": "Describe a model and where it comes from.",
+    "denoise": "The paper's noise experiment: raw, fused and free run against SNR.",
+    "fly": "Fly the virtual engine and write what its recorder measured.",
+    "reproduce": "A paper's tables and figures, our numbers beside its claims.",
+    "export": "Write a steady-state model as a table or an FMU.",
+    "diagnose": "Find where simulator and flights differ, by which effect, and how far it shrinks.",
+    "blind": "Make cases whose effect is withheld, answer them without the key, score with it.",
+}
+_EPILOG = """\
+exit codes: 0 good, 1 a tolerance was missed, 2 bad input or configuration,
+3 internal error (NARXCAL_TRACEBACK=1 shows where), 130 interrupted.
+--json prints one JSON document to stdout and nothing else.
+"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reports a bad command line as every other bad input: in one line, exit code 2."""
+
+    def error(self, message: str) -> NoReturn:
+        raise ConfigError(message, hint=f"See {self.prog} --help")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run `narxcal ARGUMENTS` (those of the process if None); returns the exit code."""
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    # Our matrices are small: threads of the numerical libraries, which are counted at their import,
+    # would only wait for each other and for our own.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    try:
+        with safe_interrupt():
+            code = _run(parse(given))
+            sys.stdout.flush()
+    except BrokenPipeError:
+        _drop_stdout()
+        return PIPE_CLOSED
+    except KeyboardInterrupt as stop:
+        return _interrupted(str(stop))
+    except Exception as error:  # noqa: BLE001 -- the roof: nothing above could still report it
+        if is_interrupt(error):
+            return _interrupted("")
+        if "--traceback" in given or os.environ.get("NARXCAL_TRACEBACK", "") not in ("", "0"):
+            traceback.print_exc()
+        return _report(error)
+    return TERMINATED if terminated() else code
+
+
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """Parse a command line; raises `ConfigError` for a bad one, `SystemExit` after `--help`."""
+    return parser_of(next((word for word in arguments if word in COMMANDS), "")).parse_args(
+        arguments
+    )
+
+
+def parser_of(command: str) -> argparse.ArgumentParser:
+    """Parser of the command line, with the options of `command` alone.
+
+    Only that command's module is imported: `--help` must not wait for all of them.
+    """
+    parser = _Parser(
+        prog="narxcal",
+        description="Calibrates the dynamics of a steady-state turbofan model from flight logs.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"narxcal {_version()}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name, text in COMMANDS.items():
+        own = commands.add_parser(name, help=text, description=text, allow_abbrev=False)
+        if name == command:
+            import_module(f"narxcal.cli.{name}").add_options(own)
+            add_output(own)
+    return parser
+
+
+def _run(options: argparse.Namespace) -> int:
+    """Run the command's module."""
+    console = import_module("narxcal.cli.console").Console(json=options.json, quiet=options.quiet)
+    code: int = import_module(f"narxcal.cli.{options.command}").run(options, console)
+    return code
+
+
+def _interrupted(state: str) -> int:
+    text = f"interrupted; {state or 'nothing was written'}"
+    return _end(text, TERMINATED if terminated() else INTERRUPTED)
+
+
+def _report(error: Exception) -> int:
+    if isinstance(error, OSError):
+        _drop_stdout()
+    if isinstance(error, (NarxcalError, OSError)):
+        return _end(f"error: {_one_line(error)}", BAD_INPUT)
+    what = f"{type(error).__name__}: {_one_line(error)}"
+    hint = "Set NARXCAL_TRACEBACK=1 or add --traceback to see where, and report it"
+    return _end(f"internal error: {what}. {hint}", INTERNAL)
+
+
+def _end(text: str, code: int) -> int:
+    sys.stderr.write(f"narxcal: {text}\n")
+    return code
+
+
+def _one_line(error: BaseException) -> str:
+    if isinstance(error, OSError) and not isinstance(error, NarxcalError) and error.strerror:
+        place = f"{error.filename}: " if error.filename else ""
+        return f"{place}{error.strerror}"
+    return " ".join(str(error).split())
+
+
+def _drop_stdout() -> None:
+    """Discard what stdout still buffers: the interpreter would fail on it once more at its end."""
+    with suppress(OSError), Path(os.devnull).open("w", encoding="utf-8") as nowhere:
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())
+
+
+def _version() -> str:
+    try:
+        return version("narxcal")
+    except PackageNotFoundError:  # run from a checkout that is not installed
+        return "unknown"

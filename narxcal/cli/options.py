@@ -1,0 +1,145 @@
+"""Options that several commands share, and the values that options take."""
+
+from __future__ import annotations
+
+import math
+import os
+from argparse import SUPPRESS, ArgumentParser, ArgumentTypeError
+from pathlib import Path
+
+SIMULATOR = "folder of simulated logs, run folder, FMU, module:function or virtual engine's name"
+# numpy seeds its generators with any whole number, torch with 64 bits, signed.
+_LARGEST_SEED = 2**63 - 1
+# No machine has more processors, and no list of cases is longer.
+_LARGEST_COUNT = 1_000_000
+
+
+# --- values ---
+
+
+def path(text: str) -> Path:
+    """File or folder."""
+    if not text or "\0" in text:
+        raise ArgumentTypeError(f"expected a file or folder, found {text!r}")
+    return Path(text)
+
+
+def fraction(text: str) -> float:
+    """Fraction from 0 to 0.9, as `--trim` takes it: what is left has to be worth a score."""
+    value = _number(text)
+    if not 0.0 <= value <= 0.9:
+        raise ArgumentTypeError(f"expected a fraction from 0 to 0.9, found {text}")
+    return value
+
+
+def seconds(text: str) -> float:
+    """Time of more than 0 s, as `--timeout` takes it; `inf` is no limit."""
+    value = _number(text)
+    if not value > 0.0:
+        raise ArgumentTypeError(f"expected more than 0 s, found {text}")
+    return value
+
+
+def count(text: str) -> int:
+    """Whole number of 1 or more, as `--jobs` takes it."""
+    return _whole(text, 1, _LARGEST_COUNT)
+
+
+def seed(text: str) -> int:
+    """Whole number of 0 or more, from which random numbers are drawn."""
+    return _whole(text, 0, _LARGEST_SEED)
+
+
+def _whole(text: str, least: int, most: int) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = least - 1
+    if value < least:
+        raise ArgumentTypeError(f"expected a whole number of {least} or more, found {text[:40]}")
+    if value > most:
+        raise ArgumentTypeError(f"expected a whole number of at most {most}, found {text[:40]}")
+    return value
+
+
+def _number(text: str) -> float:
+    """NaN, which no option allows, where the text is no number."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+# --- options ---
+
+
+def add_config(parser: ArgumentParser, out: str, text: str) -> None:
+    """CONFIG, --out and --data: what every command takes that starts from a configuration."""
+    parser.add_argument("config", metavar="CONFIG", help="TOML file, or a shipped one's name")
+    parser.add_argument("--out", metavar=out, type=path, required=True, help=text)
+    add_data(parser, "folder of the logs, instead of the configuration's")
+
+
+def add_data(parser: ArgumentParser, text: str) -> None:
+    """--data, or NARXCAL_DATA."""
+    parser.add_argument(
+        "--data",
+        metavar="DIR",
+        type=path,
+        default=os.environ.get("NARXCAL_DATA") or None,
+        help=f"{text} (or set NARXCAL_DATA)",
+    )
+
+
+def add_out(parser: ArgumentParser) -> None:
+    """--out of a command that writes a folder and nothing else."""
+    parser.add_argument("--out", metavar="DIR", type=path, required=True, help="folder")
+
+
+def add_overwrite(parser: ArgumentParser) -> None:
+    """--overwrite of a command that writes one file."""
+    parser.add_argument("--overwrite", action="store_true", help="replace OUT if it exists")
+
+
+def add_jobs(parser: ArgumentParser, what: str) -> None:
+    """--jobs: how many of `what` at a time."""
+    parser.add_argument(
+        "--jobs", metavar="N", type=count, default=os.cpu_count() or 1, help=f"{what} at a time"
+    )
+
+
+def add_run(parser: ArgumentParser) -> None:
+    """RUN."""
+    parser.add_argument("bundle", metavar="RUN", type=path, help="folder that train wrote")
+
+
+def add_logs(parser: ArgumentParser) -> None:
+    """--logs: other logs than those of the run."""
+    parser.add_argument(
+        "--logs",
+        metavar="FILE",
+        type=path,
+        nargs="+",
+        action="extend",
+        help="logs to use instead of the held-out ones; read by RUN's column mapping",
+    )
+
+
+def add_mapping(parser: ArgumentParser) -> None:
+    """--config of a command that reads logs of any columns."""
+    parser.add_argument("--config", metavar="CONFIG", help="TOML file whose [logs] maps columns")
+
+
+def add_output(parser: ArgumentParser, *, after_action: bool = False) -> None:
+    """--json, --quiet and --traceback of every command.
+
+    Where they stand again `after_action`, leaving them out keeps those before it.
+    """
+    group = parser.add_argument_group("output")
+    default = SUPPRESS if after_action else False
+    for name, text in (
+        ("--json", "print one JSON document instead"),
+        ("--quiet", "print nothing but errors and warnings"),
+        ("--traceback", "show where an error arose"),
+    ):
+        group.add_argument(name, action="store_true", default=default, help=text)

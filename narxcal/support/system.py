@@ -1,0 +1,132 @@
+"""What an operating system has to do in one step: exchange two names, and lock a folder.
+
+Written for Linux, macOS and Windows. Locks end with the process that holds them, however it ends,
+and are meant for local file systems.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import socket
+import sys
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
+
+from narxcal.support.errors import ConfigError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+# <linux/fs.h>: RENAME_EXCHANGE; <sys/stdio.h> of macOS: RENAME_SWAP; both are 2.
+_EXCHANGE = 2
+# <fcntl.h> of Linux: "relative to the working directory".
+_AT_FDCWD = -100
+_NOT_OFFERED = {errno.ENOSYS, errno.EINVAL, errno.ENOTSUP, errno.EPERM}
+# <winnt.h>, <winerror.h>
+_QUERY_LIMITED_INFORMATION, _ACCESS_DENIED = 0x1000, 5
+
+
+def exchange(first: Path, second: Path) -> bool:
+    """Exchange two existing files or folders of one file system in one step.
+
+    Returns False, with nothing changed, where system or file system offers no such step.
+
+    Raises `OSError` as a renaming does.
+    """
+    if sys.platform == "win32":
+        return False
+    libc = ctypes.CDLL(None, use_errno=True)
+    names = os.fsencode(first), os.fsencode(second)
+    if hasattr(libc, "renameat2"):
+        failed = libc.renameat2(_AT_FDCWD, names[0], _AT_FDCWD, names[1], _EXCHANGE)
+    elif hasattr(libc, "renamex_np"):
+        failed = libc.renamex_np(*names, _EXCHANGE)
+    else:
+        return False
+    if not failed:
+        return True
+    number = ctypes.get_errno()
+    if number in _NOT_OFFERED:
+        return False
+    raise OSError(number, os.strerror(number), str(first))
+
+
+def is_running(pid: int) -> bool:
+    """Whether a process of this machine has the number `pid`."""
+    if sys.platform == "win32":
+        # os.kill would end the process here.
+        kernel = ctypes.WinDLL("kernel32", use_last_error=True)
+        process = kernel.OpenProcess(_QUERY_LIMITED_INFORMATION, 0, pid)
+        if not process:
+            return bool(ctypes.get_last_error() == _ACCESS_DENIED)
+        kernel.CloseHandle(process)
+        return True
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep other processes that lock it from writing to `folder` while the block runs.
+
+    The lock is a file beside the folder, `.NAME.lock`, that names process and machine.
+
+    Raises `ConfigError` if another process has it, and `OSError` if it cannot be written.
+    """
+    file = folder.with_name(f".{folder.name}.lock")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    descriptor = _acquired(file, folder)
+    try:
+        os.truncate(file, 0)
+        os.write(descriptor, f"{os.getpid()} on {socket.gethostname()}\n".encode())
+        yield
+    finally:
+        # Removed first, so that nobody can lock a file that is about to go.
+        with suppress(OSError):
+            file.unlink()
+        os.close(descriptor)
+        with suppress(OSError):  # Windows removes no open file
+            file.unlink(missing_ok=True)
+
+
+def _acquired(file: Path, folder: Path) -> int:
+    while True:
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
+        if not _lock(descriptor):
+            owner = os.read(descriptor, 200).decode(errors="replace").strip()
+            os.close(descriptor)
+            raise ConfigError(
+                f"{folder} is being written by another command (process {owner or 'unknown'})",
+                hint="Wait for it to end, or choose another name",
+            )
+        # Between opening and locking, the former owner may have removed this very file.
+        with suppress(OSError):
+            if os.path.samestat(os.fstat(descriptor), file.stat()):
+                return descriptor
+        os.close(descriptor)
+
+
+def _lock(descriptor: int) -> bool:
+    """Lock an open file until it is closed; whether nobody else has it."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt  # noqa: PLC0415 -- of Windows alone
+
+            os.lseek(descriptor, 1 << 30, os.SEEK_SET)  # beyond what is read
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+            os.lseek(descriptor, 0, os.SEEK_SET)
+        else:
+            import fcntl  # noqa: PLC0415 -- of POSIX alone
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
