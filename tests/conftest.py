@@ -14,8 +14,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from eval.virtual_flights import fly
 from narxcal.export import ExportOptions, Grid, export_table
+from narxcal.flight_test.fly import fly
 from narxcal.flight_test.scenario import FlightScenario
 from narxcal.turbofan import VirtualEngine
 

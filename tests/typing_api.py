@@ -17,7 +17,6 @@ from data_prep.prepare import prepare
 from data_prep.smooth import SmoothConfig, smooth
 from eval import transients
 from eval.transients import Assessment, Overlay, TransientsConfig
-from eval.virtual_flights import VirtualLog, fly, load_scenario, write_flights
 from narxcal import (
     Bundle,
     ConfigError,
@@ -34,6 +33,7 @@ from narxcal import (
 from narxcal.calibration.fuser import FusedRun, FusedStep
 from narxcal.calibration.noise import NoiseModel
 from narxcal.channels import CHANNELS, Channel, channel
+from narxcal.flight_test.fly import VirtualLog, fly, load_scenario, write_flights
 from narxcal.flight_test.scenario import FlightScenario
 from narxcal.turbofan import VirtualEngine, maker_model
 from training.config import RunConfig, load_config

@@ -26,9 +26,9 @@ from data_prep.log import Log
 from data_prep.recorded import events_config
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.errors import DataError
+from narxcal.support.parallel import in_processes
 from narxcal.support.settings import Section
 from training.config import RunConfig
-from training.parallel import in_processes
 from training.pipeline import Split, calibrate
 
 T = TypeVar("T")

@@ -22,9 +22,9 @@ from data_prep.log import Log
 from eval.benchmarks.row import Row
 from eval.replay import ReplayModel, replay
 from eval.reproduce.data import flown
-from eval.virtual_flights import load_scenario, write_flights
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.fuser import KalmanFuser, NoiseModel
+from narxcal.flight_test.fly import load_scenario, write_flights
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.network import NarxModel, simulate_slowly
 from narxcal.record import Record

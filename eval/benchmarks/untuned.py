@@ -27,8 +27,8 @@ from eval.benchmarks.row import Row
 from eval.evaluate import Evaluation, evaluate
 from eval.free_run import ARX, FIRST_ORDER
 from eval.gap.blind.lumped import LumpedEngine
-from eval.virtual_flights import fly
 from narxcal.channels import channel
+from narxcal.flight_test.fly import fly
 from narxcal.flight_test.scenario import SIDES, FlightScenario
 from narxcal.flight_test.sensors import Streams, record
 from narxcal.support.errors import DataError

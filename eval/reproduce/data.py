@@ -28,10 +28,10 @@ from data_prep.log import Log
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs
 from eval.preparation import Prepared, study
-from eval.virtual_flights import WriteOptions, load_scenario, write_flights
 from narxcal.export.grid import Grid
 from narxcal.export.report import ExportOptions, ExportReport
 from narxcal.export.table import export_table
+from narxcal.flight_test.fly import WriteOptions, load_scenario, write_flights
 from narxcal.flight_test.scenario import FlightScenario
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.network import NarxModel
@@ -39,10 +39,10 @@ from narxcal.record import Record
 from narxcal.steady.source import open_steady
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError
+from narxcal.support.parallel import in_processes
 from training.config import RunConfig, TrainConfig
 from training.crossval import Segment
 from training.network import Material, fit_narx
-from training.parallel import in_processes
 from training.pipeline import Split, configured_files, split_logs
 from training.records import rest_records
 

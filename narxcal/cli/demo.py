@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import shutil
 from argparse import ArgumentParser, Namespace
-from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from eval.virtual_flights import TRUTH, WriteOptions, load_scenario, write_flights
 from narxcal.cli.console import Console
 from narxcal.cli.evaluate import PAGE, Judgement, judge, show, write
 from narxcal.cli.options import path
 from narxcal.cli.results import logs_for
 from narxcal.cli.train import train
+from narxcal.flight_test.fly import TRUTH, WriteOptions, load_scenario, write_flights
 from narxcal.support.files import Results, atomic_write_text, to_json
 from training.config import load_config
 
@@ -68,11 +67,7 @@ def _fly(folder: Path, console: Console) -> None:
     """Write the demonstration's logs and, beside them, the truth about them."""
     scenario = load_scenario(Path(str(files("configs"))) / SCENARIO)
     with console.progress("Flying the virtual engine") as advance:
-
-        def watch(facts: Mapping[str, Any], done: int, total: int) -> None:
-            advance(done, total, f"(flight {facts['flight']})")
-
-        truth = write_flights(folder, scenario, WriteOptions(JOBS), watch)
+        truth = write_flights(folder, scenario, WriteOptions(JOBS), advance)
     atomic_write_text(folder / TRUTH, to_json(truth))
 
 

@@ -11,7 +11,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from eval.virtual_flights import (
+from narxcal.cli.console import Console, to_json
+from narxcal.cli.options import add_jobs, add_out, count, seed
+from narxcal.flight_test.fly import (
     TRUE_CHANNELS,
     TRUTH,
     TRUTH_SCHEMA,
@@ -19,8 +21,6 @@ from eval.virtual_flights import (
     load_scenario,
     write_flights,
 )
-from narxcal.cli.console import Console
-from narxcal.cli.options import add_jobs, add_out, count, seed
 from narxcal.flight_test.scenario import FlightScenario, parse_effects
 from narxcal.support.files import Results, to_json
 
@@ -60,11 +60,7 @@ def run(options: Namespace, console: Console) -> int:
     how = WriteOptions(options.jobs, options.gzip, options.truth_channels)
     with results.writing(options.out) as folder:
         with console.progress("Flying") as advance:
-
-            def watch(facts: Mapping[str, Any], done: int, total: int) -> None:
-                advance(done, total, f"(flight {facts['flight']})")
-
-            document = write_flights(folder, scenario, how, watch)
+            document = write_flights(folder, scenario, how, advance)
         (folder / TRUTH).write_text(to_json(document), encoding="utf-8")
     _show(console, document, options.out)
     console.document({**document, "out": str(options.out)})

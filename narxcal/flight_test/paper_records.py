@@ -1,22 +1,49 @@
-"""The flight conditions of the recorded data sets: how each flies, and where the levers work.
+"""Records in the shape of the calibration paper's data, and two families for what it left open.
 
-Modelled: corners of altitude, Mach number and temperature deviation over time, and windows of
-pushes. The paper of the data sets publishes their ranges, not their conditions: those below are
-chosen so that flights 1, 2 and 5 span the envelope and 3 and 4 stay well inside.
+Section 3.1 of the paper: ten data sets with 152 fast pushes from low to high thrust in climb,
+cruise and approach. The left and the right engine of one flight are two sets, and each set has a
+length of its own. Together they span 0-12 km, Mach 0.3-0.85 and -30 .. +20 degC off the standard
+day; the ranges of sets 5, 7 and 8 lie inside those of the others. The paper leaves take-off and
+landing and the rate of the throttle open; the two further families are for these.
+
+The paper publishes ranges, not conditions. The conditions below and the distribution of the pushes
+over sets and angles are chosen here, so that flights 1, 2 and 5 span the envelope and 3 and 4 stay
+well inside. Modelled: corners of altitude, Mach number and temperature deviation over time, and a
+push about every 80 s with pulls at any rate in between. Not modelled: what lies between the flight
+conditions of a real test day, and a speed that follows the lever (`plan_flight` has it).
+
+The paper tests on set 5 and trains on set 6, the other engine of the same flight; `flight` says
+which sets belong together, for a split that keeps them so.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from narxcal.flight_test.route import CEILING_FT, DT_HIGH_C, DT_LOW_C, MACH_MAX
+import numpy as np
+
+from narxcal.flight_test.manoeuvres import travel
+from narxcal.flight_test.pilot import ENGINES, LATER_S, Placed, compose, draw_rate
+from narxcal.flight_test.plan import seeded
+from narxcal.flight_test.route import (
+    CEILING_FT,
+    CHANNEL_NAMES,
+    DT_HIGH_C,
+    DT_LOW_C,
+    MACH_MAX,
+    RATE_HZ,
+    check_between,
+    smoothed,
+)
+from narxcal.support.arrays import FloatArray
 
 _FAST_PUSH = (35.0, 120.0)
 
 
 @dataclass(frozen=True)
-class Window:
-    """A stretch of a record with `pushes` of the lever, at equal distances in time.
+class PushWindow:
+    """Part of a record with `pushes` of the lever at equal intervals.
 
     Each goes from an angle drawn in `low` to one drawn in `high` (deg), after a pull where one
     is needed. Without pushes the lever is pulled into `low` at the beginning.
@@ -29,22 +56,23 @@ class Window:
     low: tuple[float, float]
     high: tuple[float, float]
 
-    def later(self, seconds: float) -> Window:
-        """The same, `seconds` later."""
+    def later(self, seconds: float) -> PushWindow:
+        """Return the same window, `seconds` later."""
         return replace(self, start_s=self.start_s + seconds, stop_s=self.stop_s + seconds)
 
 
 @dataclass(frozen=True)
-class Record:
-    """One flight: corners of (time in s, ft, Mach, dT in degC), windows, and both pushes' counts.
+class FlownRecord:
+    """One flight: corners of (time in s, ft, Mach, dT in degC), and windows of pushes.
 
     ground, approach: spans in s of weight on wheels and of approach idle. pushes: how many the
-    left and the right engine fly; the one with fewer stays where it is meanwhile. Rates of pushes
-    and pulls are drawn in `push_deg_s` and `pull_deg_s`, every octave as often.
+    left and the right engine fly; a lever that leaves one out does not move meanwhile. Rates of
+    pushes and pulls are drawn from `push_deg_s` and `pull_deg_s`, log-uniformly. round_s: time
+    over which corners are rounded.
     """
 
     corners: tuple[tuple[float, float, float, float], ...]
-    windows: tuple[Window, ...]
+    windows: tuple[PushWindow, ...]
     pushes: tuple[int, int]
     ground: tuple[tuple[float, float], ...] = ()
     approach: tuple[tuple[float, float], ...] = ()
@@ -55,12 +83,12 @@ class Record:
 
 def _record(
     corners: tuple[tuple[float, float, float, float], ...],
-    windows: tuple[Window, ...],
+    windows: tuple[PushWindow, ...],
     pushes: tuple[int, int],
-) -> Record:
-    """Build an airborne record that ends on approach."""
+) -> FlownRecord:
+    """An airborne record that ends on approach."""
     approach = (windows[-1].start_s, corners[-1][0])
-    return Record(corners, windows, pushes, approach=(approach,))
+    return FlownRecord(corners, windows, pushes, approach=(approach,))
 
 
 _LOW, _HIGH = (2.0, 30.0), (60.0, 84.0)
@@ -82,10 +110,10 @@ PAPER_RECORDS = (
             (3400.0, 300.0, 0.32, -29.0),
         ),
         (
-            Window("climb", 60.0, 1180.0, 7, _LOW, _HIGH),
-            Window("cruise", 1240.0, 1960.0, 7, _LOW, (50.0, 82.0)),
-            Window("descent", 1990.0, 2760.0, 0, _DESCENT, _DESCENT),
-            Window("approach", 2800.0, 3340.0, 4, (4.0, 20.0), (45.0, 84.0)),
+            PushWindow("climb", 60.0, 1180.0, 7, _LOW, _HIGH),
+            PushWindow("cruise", 1240.0, 1960.0, 7, _LOW, (50.0, 82.0)),
+            PushWindow("descent", 1990.0, 2760.0, 0, _DESCENT, _DESCENT),
+            PushWindow("approach", 2800.0, 3340.0, 4, (4.0, 20.0), (45.0, 84.0)),
         ),
         (18, 17),
     ),
@@ -103,10 +131,10 @@ PAPER_RECORDS = (
             (2500.0, 400.0, 0.31, 19.0),
         ),
         (
-            Window("climb", 60.0, 900.0, 6, _LOW, _HIGH),
-            Window("cruise", 930.0, 1470.0, 6, _LOW, (50.0, 82.0)),
-            Window("descent", 1490.0, 1940.0, 0, _DESCENT, _DESCENT),
-            Window("approach", 1980.0, 2440.0, 4, (4.0, 20.0), (45.0, 84.0)),
+            PushWindow("climb", 60.0, 900.0, 6, _LOW, _HIGH),
+            PushWindow("cruise", 930.0, 1470.0, 6, _LOW, (50.0, 82.0)),
+            PushWindow("descent", 1490.0, 1940.0, 0, _DESCENT, _DESCENT),
+            PushWindow("approach", 1980.0, 2440.0, 4, (4.0, 20.0), (45.0, 84.0)),
         ),
         (16, 15),
     ),
@@ -124,10 +152,10 @@ PAPER_RECORDS = (
             (2480.0, 3000.0, 0.37, 0.0),
         ),
         (
-            Window("climb", 60.0, 840.0, 5, _INNER_LOW, _INNER_HIGH),
-            Window("cruise", 880.0, 1380.0, 5, _INNER_LOW, _INNER_HIGH),
-            Window("descent", 1410.0, 1990.0, 0, (8.0, 12.0), (8.0, 12.0)),
-            Window("approach", 2040.0, 2420.0, 4, (9.0, 20.0), _INNER_HIGH),
+            PushWindow("climb", 60.0, 840.0, 5, _INNER_LOW, _INNER_HIGH),
+            PushWindow("cruise", 880.0, 1380.0, 5, _INNER_LOW, _INNER_HIGH),
+            PushWindow("descent", 1410.0, 1990.0, 0, (8.0, 12.0), (8.0, 12.0)),
+            PushWindow("approach", 2040.0, 2420.0, 4, (9.0, 20.0), _INNER_HIGH),
         ),
         (14, 13),
     ),
@@ -145,10 +173,10 @@ PAPER_RECORDS = (
             (2320.0, 4000.0, 0.37, 9.0),
         ),
         (
-            Window("climb", 60.0, 740.0, 5, _INNER_LOW, _INNER_HIGH),
-            Window("cruise", 770.0, 1250.0, 6, _INNER_LOW, _INNER_HIGH),
-            Window("descent", 1280.0, 1800.0, 0, (8.0, 12.0), (8.0, 12.0)),
-            Window("approach", 1840.0, 2260.0, 4, (9.0, 20.0), _INNER_HIGH),
+            PushWindow("climb", 60.0, 740.0, 5, _INNER_LOW, _INNER_HIGH),
+            PushWindow("cruise", 770.0, 1250.0, 6, _INNER_LOW, _INNER_HIGH),
+            PushWindow("descent", 1280.0, 1800.0, 0, (8.0, 12.0), (8.0, 12.0)),
+            PushWindow("approach", 1840.0, 2260.0, 4, (9.0, 20.0), _INNER_HIGH),
         ),
         (15, 14),
     ),
@@ -168,10 +196,10 @@ PAPER_RECORDS = (
             (3160.0, 1500.0, 0.31, -2.0),
         ),
         (
-            Window("climb", 60.0, 980.0, 6, _LOW, (78.0, 84.0)),
-            Window("cruise", 1010.0, 1880.0, 6, _LOW, (50.0, 82.0)),
-            Window("descent", 1910.0, 2640.0, 0, _DESCENT, _DESCENT),
-            Window("approach", 2680.0, 3100.0, 4, (4.0, 20.0), (45.0, 84.0)),
+            PushWindow("climb", 60.0, 980.0, 6, _LOW, (78.0, 84.0)),
+            PushWindow("cruise", 1010.0, 1880.0, 6, _LOW, (50.0, 82.0)),
+            PushWindow("descent", 1910.0, 2640.0, 0, _DESCENT, _DESCENT),
+            PushWindow("approach", 2680.0, 3100.0, 4, (4.0, 20.0), (45.0, 84.0)),
         ),
         (16, 14),
     ),
@@ -193,21 +221,21 @@ _CIRCUIT = (
     (_CIRCUIT_S, 0.0, 0.0),
 )
 _CIRCUIT_WINDOWS = (
-    Window("take-off", 0.0, 40.0, 1, (0.0, 0.0), (72.0, 84.0)),
-    Window("climb", 64.0, 160.0, 1, (30.0, 55.0), (70.0, 84.0)),
-    Window("downwind", 165.0, 255.0, 1, (12.0, 30.0), (40.0, 60.0)),
-    Window("approach", 262.0, 390.0, 2, (4.0, 22.0), (55.0, 84.0)),
-    Window("final", 455.0, 549.0, 2, (6.0, 24.0), (40.0, 70.0)),
-    Window("landing", 552.0, 575.0, 0, (0.0, 0.0), (0.0, 0.0)),
+    PushWindow("take-off", 0.0, 40.0, 1, (0.0, 0.0), (72.0, 84.0)),
+    PushWindow("climb", 64.0, 160.0, 1, (30.0, 55.0), (70.0, 84.0)),
+    PushWindow("downwind", 165.0, 255.0, 1, (12.0, 30.0), (40.0, 60.0)),
+    PushWindow("approach", 262.0, 390.0, 2, (4.0, 22.0), (55.0, 84.0)),
+    PushWindow("final", 455.0, 549.0, 2, (6.0, 24.0), (40.0, 70.0)),
+    PushWindow("landing", 552.0, 575.0, 0, (0.0, 0.0), (0.0, 0.0)),
 )
 _LIFT_OFF_S, _TOUCH_DOWN_S = 60.0, 576.0
 _APPROACHES_S = ((262.0, 395.0), (450.0, _TOUCH_DOWN_S))
 
 
-def circuits(field_ft: float, dT_C: float, count: int = 4) -> Record:
-    """Take-off, approach with a low go-around, second approach and full stop, `count` times."""
+def circuits(field_ft: float, dT_C: float, count: int = 4) -> FlownRecord:
+    """Plan `count` times: take-off, approach with a low go-around, second approach and full stop."""
     starts = [k * _CIRCUIT_S for k in range(count)]
-    return Record(
+    return FlownRecord(
         corners=tuple(
             (start + time, field_ft + height, mach, dT_C)
             for start in starts
@@ -228,3 +256,156 @@ def circuits(field_ft: float, dT_C: float, count: int = 4) -> Record:
         ),
         round_s=10.0,
     )
+
+
+_JITTER_DEG = 0.7  # random error of an angle
+# Of the circuits: pressure altitude of the field in ft, temperature deviation in degC.
+_FIELDS = ((300.0, -12.0), (1500.0, 3.0), (2500.0, 16.0), (4500.0, 19.0), (100.0, -27.0))
+
+
+@dataclass(frozen=True)
+class Push:
+    """A push of one engine's lever: when it begins, in which phase, and how."""
+
+    start_s: float
+    phase: str
+    before_deg: float
+    after_deg: float
+    rate_deg_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class DataSet:
+    """One engine's record: `channels` (time,) as `plan_flight` returns them, and its pushes."""
+
+    number: int
+    flight: int
+    engine: str
+    channels: dict[str, FloatArray]
+    pushes: tuple[Push, ...]
+
+
+def fast_push_sets(seed: int, rate_hz: float = 32.0) -> tuple[DataSet, ...]:
+    """FlownRecord the ten fast-acceleration data sets of the paper's section 3.1: 152 pushes."""
+    return _sets(PAPER_RECORDS, seed, rate_hz)
+
+
+def throttle_rate_sets(seed: int, rate_hz: float = 32.0) -> tuple[DataSet, ...]:
+    """FlownRecord the same flights with pushes and pulls from 3 deg/s to slam."""
+    rates = (3.0, 120.0)
+    varied = [replace(one, push_deg_s=rates, pull_deg_s=rates) for one in PAPER_RECORDS]
+    return _sets(varied, seed, rate_hz)
+
+
+def take_off_approach_sets(seed: int, rate_hz: float = 32.0) -> tuple[DataSet, ...]:
+    """FlownRecord take-offs, approaches, go-arounds and landings: five flights of four circuits.
+
+    Fields and days of the last two enclose those of the others.
+    """
+    return _sets([circuits(field_ft, dT_C) for field_ft, dT_C in _FIELDS], seed, rate_hz)
+
+
+def _sets(records: Sequence[FlownRecord], seed: int, rate_hz: float) -> tuple[DataSet, ...]:
+    check_between("rate_hz", rate_hz, *RATE_HZ)
+    random = seeded(seed)
+    sets: list[DataSet] = []
+    for flight, record in enumerate(records, start=1):
+        length = record.corners[-1][0] - random.uniform(0.0, 4.0)
+        lengths = (length, length - random.uniform(5.0, 15.0))
+        slots = _slots(record, random)
+        for engine, count, stop in zip(ENGINES, record.pushes, lengths, strict=True):
+            pushes, placed = _placed(record, _kept(slots, count, random), random)
+            time_s = np.arange(int(stop * rate_hz)) / rate_hz
+            channels = _air(record, time_s)
+            channels["TRA_deg"] = compose(placed, time_s, _start_deg(record))
+            ordered = {name: channels[name] for name in CHANNEL_NAMES}
+            sets.append(DataSet(len(sets) + 1, flight, engine, ordered, tuple(pushes)))
+    return tuple(sets)
+
+
+@dataclass(frozen=True)
+class _Slot:
+    """One pull and push of both levers; `high` is None for a pull alone."""
+
+    window: PushWindow
+    start_s: float
+    length_s: float
+    low: float
+    high: float | None
+    push_deg_s: float
+    pull_deg_s: float
+
+
+def _slots(record: FlownRecord, random: np.random.Generator) -> list[_Slot]:
+    slots = []
+    for window in record.windows:
+        length = (window.stop_s - window.start_s) / max(1, window.pushes)
+        for k in range(max(1, window.pushes)):
+            slot = _Slot(
+                window=window,
+                start_s=window.start_s + k * length,
+                length_s=length,
+                low=random.uniform(*window.low),
+                high=random.uniform(*window.high) if window.pushes else None,
+                push_deg_s=draw_rate(random, *record.push_deg_s),
+                pull_deg_s=draw_rate(random, *record.pull_deg_s),
+            )
+            slots.append(slot)
+    return slots
+
+
+def _kept(slots: list[_Slot], count: int, random: np.random.Generator) -> list[_Slot]:
+    """Drop pushes until `count` are left; never the first or the last one of a window."""
+    pushes = [slot for slot in slots if slot.high is not None]
+    inner = [
+        k
+        for k, slot in enumerate(slots)
+        if slot.high is not None
+        and slot.window.start_s < slot.start_s < slot.window.stop_s - 1.5 * slot.length_s
+    ]
+    out = set(random.permutation(inner)[: len(pushes) - count].tolist())
+    return [slot for k, slot in enumerate(slots) if k not in out]
+
+
+def _start_deg(record: FlownRecord) -> float:
+    """Lever at the first sample: where the first push ends on average, idle on the ground."""
+    return 0.0 if record.ground else float(np.mean(record.windows[0].high))
+
+
+def _placed(
+    record: FlownRecord, slots: list[_Slot], random: np.random.Generator
+) -> tuple[list[Push], list[Placed]]:
+    """Place pulls and pushes of one lever, each with a small random error of time and angle."""
+    angle, pushes, placed = _start_deg(record), [], []
+    for slot in slots:
+        clock = slot.start_s + random.uniform(*LATER_S)
+        off = random.uniform(-_JITTER_DEG, _JITTER_DEG)
+        low = max(0.0, slot.low + off) if slot.low > 0.0 else 0.0
+        if low < angle - 3.0:
+            pull = travel(low - angle, max(slot.pull_deg_s, (angle - low) / (0.35 * slot.length_s)))
+            placed.append(Placed(clock, pull))
+            angle = low
+        if slot.high is None:
+            continue
+        start = slot.start_s + slot.length_s * 0.58 + random.uniform(*LATER_S)
+        high = slot.high + random.uniform(-_JITTER_DEG, _JITTER_DEG)
+        rate = max(slot.push_deg_s, (high - angle) / (0.25 * slot.length_s))
+        pushes.append(Push(start, slot.window.phase, angle, high, rate))
+        placed.append(Placed(start, travel(high - angle, rate)))
+        angle = high
+    return pushes, placed
+
+
+def _air(record: FlownRecord, time_s: FloatArray) -> dict[str, FloatArray]:
+    times, *columns = np.array(record.corners).T
+    names = ("ALT_ft", "Mach", "dT_C")
+    channels = {
+        name: smoothed(np.interp(time_s, times, column), time_s, record.round_s)
+        for name, column in zip(names, columns, strict=True)
+    }
+    channels |= {"time_s": time_s, "ECS": np.ones_like(time_s)}
+    for name, spans in (("WOW", record.ground), ("Approach", record.approach)):
+        channels[name] = np.zeros_like(time_s)
+        for start, stop in spans:
+            channels[name][(time_s >= start) & (time_s < stop)] = 1.0
+    return channels | {"NAI": np.zeros_like(time_s), "WAI": np.zeros_like(time_s)}

@@ -20,14 +20,14 @@ import re
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from narxcal.channels import CHANNELS, channel
 from narxcal.flight_test import sensors as sensor_faults
-from narxcal.flight_test.data_sets import (
+from narxcal.flight_test.paper_records import (
     DataSet,
     fast_push_sets,
     take_off_approach_sets,
@@ -263,9 +263,7 @@ _RECORDERS = {
     "throttle_rate": throttle_rate_sets,
     "take_off_approach": take_off_approach_sets,
 }
-_RECORDED = {"fast_push": 5, "throttle_rate": 5, "take_off_approach": 5}
-# The pilot's lever moves where it is faster than a hand's tremor, and has moved so far.
-_STILL_DEG_S, _LEAST_DEG = 0.2, 0.5
+_RECORDED_FLIGHTS = 5  # of each family of records
 
 
 class FlightScenario(Section):
@@ -274,7 +272,7 @@ class FlightScenario(Section):
     engine: the preset. engines: which of the two on the aircraft are recorded.
     flights, seed: how many, and what they are drawn from; left out, six or all `records`.
     plan: the kind of flight; the aircraft is the engine's where it is not named.
-    records: fly the data sets of `narxcal.flight_test.data_sets` instead; of `plan`, only the rate
+    records: fly the data sets of `narxcal.flight_test.paper_records` instead; of `plan`, only the rate
         counts then.
     build_scatter_pct: standard deviation of each efficiency and flow between engines of one type.
     sensors: how channels are measured. outputs: which outputs are recorded; left out, all.
@@ -308,7 +306,7 @@ class FlightScenario(Section):
     @model_validator(mode="after")
     def _possible(self) -> FlightScenario:
         check_once(self.effects)
-        most = _RECORDED[self.records] if self.records else self.flight_count
+        most = _RECORDED_FLIGHTS if self.records else self.flight_count
         if self.flight_count > most:
             raise ConfigError(
                 f"there are {most} flights of '{self.records}' records, asked for {self.flights}"
@@ -327,7 +325,7 @@ class FlightScenario(Section):
         """How many flights there are."""
         if self.flights is not None:
             return self.flights
-        return _RECORDED[self.records] if self.records else _FLIGHTS
+        return _RECORDED_FLIGHTS if self.records else _FLIGHTS
 
     def flight_plan(self) -> FlightPlan:
         """Give the plan of every flight, with the aircraft of the engine."""
@@ -391,46 +389,3 @@ def _inside(channels: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
         "Mach": np.clip(channels["Mach"], 0.0, MACH_MAX),
         "dT_C": np.clip(channels["dT_C"], DT_LOW_C, DT_HIGH_C),
     }
-
-
-class LeverMove(NamedTuple):
-    """A movement of the lever in one direction, from its start to its end."""
-
-    start_s: float
-    stop_s: float
-    from_deg: float
-    to_deg: float
-
-    @property
-    def kind(self) -> str:
-        """`push` or `pull`."""
-        return "push" if self.to_deg > self.from_deg else "pull"
-
-    def row(self) -> dict[str, Any]:
-        """Give it as a row of the truth file."""
-        return {"kind": self.kind, **self._asdict()}
-
-
-def lever_moves(time_s: FloatArray, tra_deg: FloatArray) -> list[LeverMove]:
-    """Find the true movements of a lever `(time,)`: `start_s` is the last sample before it moves.
-
-    A change of direction begins another movement; below half a degree there is none.
-    """
-    way = np.sign(np.where(np.abs(_rates(time_s, tra_deg)) > _STILL_DEG_S, np.diff(tra_deg), 0.0))
-    edges = np.flatnonzero(np.diff(way)) + 1
-    starts, stops = [0, *edges.tolist()], [*edges.tolist(), len(way)]
-    moves = [
-        LeverMove(float(time_s[a]), float(time_s[b]), float(tra_deg[a]), float(tra_deg[b]))
-        for a, b in zip(starts, stops, strict=True)
-        if way[a : a + 1].any()
-    ]
-    return [move for move in moves if abs(move.to_deg - move.from_deg) >= _LEAST_DEG]
-
-
-def _rates(time_s: FloatArray, values: FloatArray) -> FloatArray:
-    return np.diff(values) / np.diff(time_s)
-
-
-def canonical(names: Mapping[str, Any]) -> list[str]:
-    """Put channel names in the order of the table of channels."""
-    return [name for name in CHANNELS if name in names]

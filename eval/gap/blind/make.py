@@ -16,7 +16,7 @@ from eval.gap.blind.sizes import gap_share, sized
 from eval.gap.blind.truth import NOTHING, Channels, Content, Specimen
 from narxcal.support.errors import ModelError
 from narxcal.support.files import atomic_write_bytes, atomic_write_text
-from training.parallel import in_processes
+from narxcal.support.parallel import in_processes
 
 _SIZED_ON = 2  # flights: their days differ
 Watch = Callable[[str, int, int], None]  # name of the case that is done, its number, how many

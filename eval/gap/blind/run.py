@@ -26,7 +26,7 @@ from eval.gap.diagnose import Request, diagnose_folders
 from narxcal.support.errors import ConfigError, NarxcalError
 from narxcal.support.files import atomic_write_text
 from narxcal.support.interrupt import is_interrupt, put_off, safe_interrupt
-from training.parallel import in_processes
+from narxcal.support.parallel import in_processes
 
 SCHEMA: Final = "narxcal.blind_answers/1"
 FAILED_SCHEMA: Final = "narxcal.blind_failed/1"

@@ -6,13 +6,13 @@ import pytest
 from data_prep.events import PULL, PUSH, EventsConfig, find_events
 from data_prep.log import Log
 from narxcal.channels import CHANNELS
-from narxcal.flight_test.data_sets import (
+from narxcal.flight_test.manoeuvres import HAND_DEG_S
+from narxcal.flight_test.paper_records import (
+    PAPER_RECORDS,
     fast_push_sets,
     take_off_approach_sets,
     throttle_rate_sets,
 )
-from narxcal.flight_test.manoeuvres import HAND_DEG_S
-from narxcal.flight_test.paper_records import PAPER_RECORDS
 from narxcal.flight_test.route import CEILING_FT, CHANNEL_NAMES
 from narxcal.support.errors import ConfigError
 from narxcal.turbofan.engine import INPUT_NAMES, VirtualEngine

@@ -10,7 +10,8 @@ import pytest
 
 from data_prep.config import LogsConfig
 from data_prep.reading import read_logs
-from eval.virtual_flights import (
+from narxcal.channels import CHANNELS
+from narxcal.flight_test.fly import (
     TRUE_CHANNELS,
     TRUTH,
     TRUTH_SCHEMA,
@@ -19,7 +20,6 @@ from eval.virtual_flights import (
     load_scenario,
     write_flights,
 )
-from narxcal.channels import CHANNELS
 from narxcal.flight_test.scenario import FlightScenario
 from narxcal.flight_test.sensors import first_order
 from narxcal.support.errors import ConfigError, ModelError
@@ -126,8 +126,8 @@ def test_the_truth_says_all_that_was_drawn(tmp_path):
         effects=[{**LAG, "flights": [2], "engines": ["right"]}],
         sensors={"channels": {"N1_pct": {"dropouts_per_h": 60.0}}},
     )
-    told = []
-    truth = write_flights(tmp_path, given, watch=lambda *news: told.append(news))
+    progress = []
+    truth = write_flights(tmp_path, given, watch=lambda *step: progress.append(step))
     assert json.loads(json.dumps(truth)) == truth
     assert (truth["schema"], truth["name"], truth["seed"]) == (TRUTH_SCHEMA, "trial", 5)
     assert FlightScenario.parse(truth["scenario"]) == given
@@ -142,7 +142,7 @@ def test_the_truth_says_all_that_was_drawn(tmp_path):
         assert (tmp_path / row["file"]).is_file()
         assert row["sensors"]["EGT_C"]["bias"] != 0.0
         assert {move["kind"] for move in row["lever_moves"]} == {"push", "pull"}
-    assert [(done, total) for _, done, total in told] == [(1, 2), (2, 2)]
+    assert progress == [(1, 2, "(flight 1)"), (2, 2, "(flight 2)")]
     blank = pd.read_csv(tmp_path / "flight_01_left.csv").N1_pct.isna()
     spans = truth["logs"][0]["sensors"]["N1_pct"]["dropouts_s"]
     time_s = np.arange(3840) / 8.0

@@ -9,7 +9,7 @@ from functools import partial
 
 import pytest
 
-from training.parallel import in_processes
+from narxcal.support.parallel import in_processes
 
 ITEMS = range(6)
 
