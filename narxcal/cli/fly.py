@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from narxcal.cli.console import Console, to_json
+from narxcal.cli.console import Console
 from narxcal.cli.options import add_jobs, add_out, count, seed
 from narxcal.flight_test.fly import (
     TRUE_CHANNELS,

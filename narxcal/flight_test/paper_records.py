@@ -233,7 +233,7 @@ _APPROACHES_S = ((262.0, 395.0), (450.0, _TOUCH_DOWN_S))
 
 
 def circuits(field_ft: float, dT_C: float, count: int = 4) -> FlownRecord:
-    """Plan `count` times: take-off, approach with a low go-around, second approach and full stop."""
+    """Plan take-off, approach with a low go-around, and approach to a full stop, `count` times."""
     starts = [k * _CIRCUIT_S for k in range(count)]
     return FlownRecord(
         corners=tuple(

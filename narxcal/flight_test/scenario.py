@@ -270,13 +270,12 @@ class FlightScenario(Section):
     """Everything that decides the logs of `narxcal fly`.
 
     engine: the preset. engines: which of the two on the aircraft are recorded.
-    flights, seed: how many, and what they are drawn from; left out, six or all `records`.
+    flights: how many; left out, six or all `records`. seed: of all random numbers.
     plan: the kind of flight; the aircraft is the engine's where it is not named.
-    records: fly the data sets of `narxcal.flight_test.paper_records` instead; of `plan`, only the rate
-        counts then.
-    build_scatter_pct: standard deviation of each efficiency and flow between engines of one type.
+    records: fly these `paper_records` instead; of `plan`, only the rate counts then.
+    build_scatter_pct: standard deviation of each efficiency and flow over engines of one type.
     sensors: how channels are measured. outputs: which outputs are recorded; left out, all.
-    effects: what these engines and sensors have that their model does not.
+    effects: effects of these engines and sensors that their model leaves out.
     """
 
     schema_: Literal["narxcal.fly/1"] = Field(default=SCHEMA, alias="schema")
