@@ -24,10 +24,10 @@ from eval.benchmarks.row import Row
 from narxcal.atmosphere import air_state
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
-from narxcal.turbofan import VirtualEngine
+from narxcal.turbofan import Unmodelled, VirtualEngine
 from narxcal.turbofan.cycle import GasPath, Health
 from narxcal.turbofan.design import PRESETS, close
-from narxcal.turbofan.engine import COMPRESSORS, HIGH, INPUT_NAMES, LOW, Unmodelled
+from narxcal.turbofan.engine import COMPRESSORS, HIGH, INPUT_NAMES, LOW
 from narxcal.turbofan.maps import SURGE, CompressorMap, compressor
 
 HZ = 32

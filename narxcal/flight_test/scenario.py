@@ -14,7 +14,6 @@ as often as wanted.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 import zlib
@@ -39,12 +38,11 @@ from narxcal.flight_test.sensors import SensorConfig, SensorFault, channels_of
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section
-from narxcal.turbofan import engine as unmodelled
+from narxcal.turbofan import unmodelled
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, ...] = ("left", "right")
-# Effect -> parameter -> (unit, low, high, neutral).
-PARAMETERS: dict[str, Mapping[str, tuple[str, float, float, float]]] = {
+PARAMETERS: dict[str, unmodelled.Sizes] = {
     **unmodelled.PARAMETERS,
     **sensor_faults.PARAMETERS,
 }
@@ -70,10 +68,12 @@ class FlownEffect(Section):
 
     @model_validator(mode="after")
     def _possible(self) -> FlownEffect:
-        if self.id not in PARAMETERS:
-            raise ConfigError(f"unknown effect '{self.id}'", hint=_nearest(self.id, PARAMETERS))
+        unmodelled.check_sizes(self.id, {}, PARAMETERS)
         self._check_channel()
-        self._check_sizes()
+        unmodelled.check_sizes(self.id, self.parameters, PARAMETERS)
+        if not self.parameters:
+            names = " or ".join(PARAMETERS[self.id])
+            raise ConfigError(f"effect '{self.id}' has no size", hint=f"Give {names}")
         self._check_windows()
         return self
 
@@ -117,22 +117,6 @@ class FlownEffect(Section):
                 f"effect '{self.id}' cannot sit on {self.channel}",
                 hint=f"It can sit on {', '.join(fitting)}",
             )
-
-    def _check_sizes(self) -> None:
-        known = PARAMETERS[self.id]
-        for name, value in self.parameters.items():
-            if name not in known:
-                raise ConfigError(
-                    f"effect '{self.id}' has no parameter '{name}'", hint=_nearest(name, known)
-                )
-            unit, low, high, _ = known[name]
-            if not low <= value <= high:
-                raise ConfigError(
-                    f"effect '{self.id}': {name} has to lie in {low:g} .. {high:g}"
-                    f"{'' if unit == '-' else f' {unit}'}, found {value:g}"
-                )
-        if not self.parameters:
-            raise ConfigError(f"effect '{self.id}' has no size", hint=f"Give {' or '.join(known)}")
 
     def _check_windows(self) -> None:
         if self.windows_s and self.id not in WINDOWED:
@@ -232,12 +216,6 @@ def _whole(effect: str, name: str, text: str) -> int:
     if not text.isdecimal():
         raise ConfigError(f"effect '{effect}': {name} has to be a whole number, found '{text}'")
     return int(text)
-
-
-def _nearest(name: str, known: Iterable[str]) -> str:
-    names = sorted(known)
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    return f"Did you mean '{near[0]}'?" if near else f"Known are {', '.join(names)}"
 
 
 def drawn_windows(

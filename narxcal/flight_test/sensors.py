@@ -38,6 +38,7 @@ from narxcal.channels import CHANNELS, channel
 from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section
+from narxcal.turbofan.unmodelled import Size, Sizes, library_size
 
 # Below this share of its reference flow a turbine meter slows down no further: its bearings take
 # over, and the law of the blades would end in a standstill.
@@ -284,18 +285,18 @@ PRESETS: dict[str, dict[str, ChannelSensor]] = {
 PROBE_TAU_S: dict[str, float] = {"test_instrumentation": 1.0, "fdr": 1.0, "perfect": 0.0}
 
 
-# Effect -> parameter -> (unit, low, high, neutral). "-" as unit of the channel is written "ch".
-PARAMETERS: dict[str, dict[str, tuple[str, float, float, float]]] = {
+# Effects of a sensor. Unit "ch" is that of the channel.
+PARAMETERS: dict[str, Sizes] = {
     # FACTS A3: probes have 0.5 to 1.5 s at take-off and 2 to 5 s at idle and altitude.
-    "sensor_lag": {"tau_s": ("s", 0.0, 20.0, 0.0)},
-    "sensor_bias": {"offset": ("ch", -1000.0, 1000.0, 0.0)},
-    "sensor_drift": {"rate_per_h": ("ch/h", -5000.0, 5000.0, 0.0)},
-    # GAP section 3: words of a recorder's frame are sampled up to 1 s apart.
-    "time_skew": {"skew_s": ("s", -2.0, 2.0, 0.0)},
+    "sensor_lag": {"tau_s": library_size("sensor_lag", "tau_s", high=20.0)},
+    "sensor_bias": {"offset": Size("ch", -1000.0, 1000.0, 0.0)},
+    "sensor_drift": {"rate_per_h": Size("ch/h", -5000.0, 5000.0, 0.0)},
+    # GAP section 3: words of a recorder's frame are sampled up to 1 s apart, in either order.
+    "time_skew": {"skew_s": library_size("time_skew", "skew_s", low=-2.0)},
     # `tau_s` at `reference_kgph`; a reference of 0 means at every flow.
     "flowmeter_dynamics": {
-        "tau_s": ("s", 0.0, 10.0, 0.0),
-        "reference_kgph": ("kg/h", 0.0, 20000.0, 0.0),
+        "tau_s": library_size("flowmeter_dynamics", "tau_s", high=10.0),
+        "reference_kgph": Size("kg/h", 0.0, 20000.0, 0.0),
     },
 }
 WINDOWED = ("sensor_bias", "sensor_drift")
@@ -321,7 +322,7 @@ class SensorFault:
 
     def __getitem__(self, parameter: str) -> float:
         """Size of a parameter; the neutral one where it was not given."""
-        return self.parameters.get(parameter, PARAMETERS[self.id][parameter][3])
+        return self.parameters.get(parameter, PARAMETERS[self.id][parameter].neutral)
 
 
 _WHOLE_LOG = ((-math.inf, math.inf),)

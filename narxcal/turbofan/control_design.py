@@ -1,8 +1,8 @@
-"""Fills the control's tables from the engine it has to control.
+"""Compute the control's tables from the engine that it controls.
 
 Schedules and gains come from the running line at sea level static: the steady `Wf/Ps3` with
-margins either side, and a governor that cancels the rotors' own time constants, which are the
-eigenvalues of the engine linearised at constant fuel.
+margins above and below, and a governor that cancels the rotors' own time constants, which follow
+from the eigenvalues of the engine linearised at constant fuel.
 """
 
 from __future__ import annotations
@@ -11,45 +11,46 @@ from typing import NamedTuple
 
 import numpy as np
 
+from narxcal.atmosphere import P0_PA, T0_K
 from narxcal.support.arrays import FloatArray
 from narxcal.support.compiled import compiled
 from narxcal.turbofan.cycle import POSITIONS, Running, Stations
 from narxcal.turbofan.design import Preset
 from narxcal.turbofan.fadec import FadecParameters, governor, schedules
-from narxcal.turbofan.gas import intake
 from narxcal.turbofan.solve import (
     BLEED,
     CONDITIONS,
-    MACH,
     N1,
     OFFTAKE_W,
     STATIC_K,
     STATIC_PA,
     Line,
     Machine,
-    rest_points,
-    solved,
+    inlet_air,
+    solve,
+    steady_points,
 )
 from narxcal.turbofan.transient import Body
 
 _SCHEDULED = (0.22, 1.08)  # relative N1 between which the tables are made
 _POINTS = 24
-_TOPPING_SHARE = 0.25  # of the fuel slope, so that toppings stay stable with all lags in the loop
+_TOPPING_SHARE = 0.25  # of the slope of fuel: toppings are stable with all lags in the loop
 
 
 def control(
     preset: Preset, machine: Machine, line: Line, body: Body, margin: float
 ) -> FadecParameters:
-    """Tables and limits for `preset`; `margin` multiplies its acceleration margins."""
+    """Design the control of `preset`; `margin` multiplies its acceleration margins."""
     n1 = np.linspace(*_SCHEDULED, _POINTS)
     conditions = np.zeros((_POINTS, CONDITIONS))
-    conditions[:, STATIC_K], conditions[:, STATIC_PA] = 288.15, 101325.0
+    conditions[:, STATIC_K], conditions[:, STATIC_PA] = T0_K, P0_PA
     conditions[:, N1], conditions[:, OFFTAKE_W] = n1, preset.offtake_W
-    unknowns, stations, _ = rest_points(machine, line, conditions)
+    unknowns, stations, _ = steady_points(machine, line, conditions)
     fuel = machine.fuel_unit_kgps * unknowns[:, -1]
     N1c, N2c = n1 * preset.speed_pct[0], unknowns[:, POSITIONS] * preset.speed_pct[1]
     ratio = fuel / stations[:, Stations._fields.index("P3")]
-    lags = rotor_lags(machine, body, conditions, unknowns)
+    pairs = zip(conditions, unknowns, strict=True)
+    lags = np.array([linearised(machine, body, condition, x).lags_s for condition, x in pairs])
     gain, reset, lead = governor(N1c, fuel, (lags[:, 0], lags[:, 1], preset.governor_lag_s))
     accel, decel = _limits(preset, N2c, ratio, margin)
     slopes = _topping_gains(fuel, N2c, stations)
@@ -72,13 +73,11 @@ def control(
 def _limits(
     preset: Preset, N2c: FloatArray, ratio: FloatArray, margin: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Limits whose margins run straight from idle to full speed."""
+    """Acceleration and deceleration limits; margins are linear from idle to full speed."""
     share = (N2c - N2c[0]) / (N2c[-1] - N2c[0])
     up = np.interp(share, (0.0, 1.0), preset.accel_margins) * margin
     down = np.interp(share, (0.0, 1.0), preset.decel_margins)
-    unit = schedules(N2c, ratio, accel_margin=1.0, decel_margin=0.5)
-    steady = 0.5 * unit[0]
-    return (1.0 + up) * steady, (1.0 - down) * steady
+    return schedules(N2c, ratio, accel_margin=up, decel_margin=down)
 
 
 def _topping_gains(fuel: FloatArray, N2c: FloatArray, stations: FloatArray) -> FloatArray:
@@ -89,26 +88,11 @@ def _topping_gains(fuel: FloatArray, N2c: FloatArray, stations: FloatArray) -> F
     return _TOPPING_SHARE * 4.0 * float(fuel[-1] - fuel[-4]) / np.array(top)
 
 
-def rotor_lags(
-    machine: Machine, body: Body, conditions: FloatArray, unknowns: FloatArray
-) -> FloatArray:
-    """Slow and fast time constant in s, (n, 2), at each steady point, at constant fuel.
-
-    A complex pair counts with its real part.
-    """
-    return np.array(
-        [
-            linearised(machine, body, condition, x).lags_s
-            for condition, x in zip(conditions, unknowns, strict=True)
-        ]
-    )
-
-
 class Linear(NamedTuple):
     """The engine about a steady point, for small changes of fuel.
 
-    `lags_s`: time constants of the rotors, slow and fast. `overshoot`: what T45 does at once, with
-    the rotors still at their old speeds, over what it does in the end.
+    `lags_s`: time constants of the rotors, slow and fast. `overshoot`: the response of T45 at
+    constant rotor speeds over its final response.
     """
 
     lags_s: tuple[float, float]
@@ -116,7 +100,7 @@ class Linear(NamedTuple):
 
 
 def linearised(machine: Machine, body: Body, condition: FloatArray, x: FloatArray) -> Linear:
-    """Central differences of the rates of both rotors and of T45, by speeds and fuel.
+    """Linearise by central differences of both rotors' rates and T45, by speeds and fuel.
 
     With `dn/dt = A n + b w` and `T = c n + d w` the final response to fuel is `d - c A^-1 b`.
     """
@@ -140,9 +124,9 @@ def _powers(
     machine: Machine, condition: FloatArray, positions: FloatArray, at: FloatArray
 ) -> FloatArray:
     """Surplus powers of both rotors in W and T45 in K at speeds and fuel `at`, relative."""
-    air = intake(condition[STATIC_K], condition[STATIC_PA], condition[MACH], machine.recovery)
+    air = inlet_air(machine, condition)
     fuel = machine.fuel_unit_kgps * at[2]
     run = Running(at[0], at[1], fuel, condition[BLEED], condition[OFFTAKE_W], 0.0, 0.0)
     engine = (machine.path, machine.health)
-    stations, _ = solved(engine, air, run, positions.copy(), np.zeros((POSITIONS, POSITIONS)))
+    stations, _ = solve(engine, air, run, positions.copy(), np.zeros((POSITIONS, POSITIONS)))
     return np.array([stations.power1_W, stations.power2_W, stations.T45])

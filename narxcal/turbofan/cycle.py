@@ -1,4 +1,4 @@
-"""The gas path: what every component does at given speeds, fuel flow and map positions.
+"""The gas path: all components at given speeds, fuel flow and map positions.
 
 Stations after SAE AS755: 0 ambient, 2 fan face, 13 bypass behind the fan, 21 core behind fan root
 and low-pressure compressor, 3 compressor exit, 4 burner exit, 41 rotor inlet of the high-pressure
@@ -8,8 +8,6 @@ nozzle, 18 bypass nozzle.
 Five *map positions* are unknown: the angles of the three compressor maps and the pressure ratios
 of the two turbines. They follow from five balances of flow: bypass nozzle, high-pressure
 compressor, both turbines, core nozzle. Power balances make the spools accelerate (`power`).
-
-Words of the gas path: its constants, what it is run at, how worn it is, and what comes out.
 """
 
 from __future__ import annotations
@@ -46,7 +44,7 @@ class GasPath(NamedTuple):
     hpt: TurbineMap
     lpt: TurbineMap
     hpc_reference_K: float = 0.0  # HPC inlet temperature at the design point
-    core_area_m2: float = 0.0  # this, and the two beside it: sized by the design point
+    core_area_m2: float = 0.0  # sized at the design point, as are the two next to it
     bypass_area_m2: float = 0.0
     burner_efficiency: float = 0.995
     burner_loss: float = 0.05
@@ -62,14 +60,14 @@ class GasPath(NamedTuple):
 
 
 class Running(NamedTuple):
-    """What the gas path is run at: relative speeds (1 at design), fuel, and what is taken off."""
+    """Inputs of the gas path: relative speeds (1 at design), fuel, bleed and heat taken off."""
 
     n1: float
     n2: float
     fuel_kgps: float
     bleed: float  # customer bleed, share of the HPC flow
     offtake_W: float  # shaft power taken from the HP spool
-    soak_W: float  # heat that the metal of the hot section takes out of the gas
+    soak_W: float  # heat flow from the gas into the metal of the hot section
     clearance: float  # loss of HPT efficiency by open tip clearances
 
 
@@ -118,14 +116,14 @@ class Stations(NamedTuple):
     net_N: float
 
 
-FAN, LPC, HPC, HPT, LPT = range(5)  # places in the vector of map positions
+FAN, LPC, HPC, HPT, LPT = range(5)  # indices in the vector of map positions
 BYPASS_FLOW, HPC_FLOW, HPT_FLOW, LPT_FLOW, CORE_FLOW = range(5)  # and in that of the balances
 POSITIONS = 5
 
 
 @compiled
 def _compress(temperature: float, ratio: float, efficiency: float) -> tuple[float, float]:
-    """Exit temperature of air in K, and the work in J/kg; ram air may drive it as a turbine."""
+    """Exit temperature of air in K, and the work in J/kg; below a ratio of 1 it is a turbine."""
     ideal = isentropic_temperature(temperature, 0.0, ratio)
     before = enthalpy(temperature, 0.0)
     rise = enthalpy(ideal, 0.0) - before
@@ -135,7 +133,7 @@ def _compress(temperature: float, ratio: float, efficiency: float) -> tuple[floa
 
 @compiled
 def reynolds_factor(loss: float, air: Air) -> float:
-    """Factor on all efficiencies: thin air thickens boundary layers.
+    """Factor on all efficiencies: boundary layers are thicker in thin air.
 
     Linear in the Reynolds number index `delta / theta^1.25` (Walsh & Fletcher, section 4.3).
     """
@@ -147,8 +145,8 @@ def reynolds_factor(loss: float, air: Air) -> float:
 def handling_bleed(path: GasPath, n2_corrected: float) -> float:
     """Share of the LPC flow dumped: shut above `handling_shut`, wide open at 60 % of that.
 
-    It goes by the corrected speed of the core, which is what cannot swallow the flow: at idle in
-    fast flight the fan windmills and delivers more than at the same core speed on the ground.
+    It depends on the corrected speed of the core, which limits the flow: at idle in fast flight
+    the fan windmills and delivers more than at the same core speed on the ground.
     """
     opening = (path.handling_shut - n2_corrected) / (0.4 * path.handling_shut)
     opening = min(max(opening, 0.0), 1.0)
@@ -156,7 +154,7 @@ def handling_bleed(path: GasPath, n2_corrected: float) -> float:
 
 
 class _Cold(NamedTuple):
-    """Fan and compressors: corrected speeds are in them already."""
+    """Results of fan and compressors."""
 
     W13: float
     W21: float
@@ -173,7 +171,7 @@ class _Cold(NamedTuple):
 
 
 class _Hot(NamedTuple):
-    """Burner and high-pressure turbine."""
+    """Results of burner and high-pressure turbine."""
 
     W4: float
     W45: float
@@ -190,9 +188,9 @@ class _Hot(NamedTuple):
 def gas_path(
     engine: tuple[GasPath, Health], air: Air, run: Running, x: FloatArray, residual: FloatArray
 ) -> Stations:
-    """Run through the engine at map positions `x` (5,); balances of flow go into `residual` (5,).
+    """Compute all stations at map positions `x` (5,); balances of flow go into `residual` (5,).
 
-    Each residual is relative: zero where what a component delivers is what the next swallows.
+    Each residual is relative: zero where a component delivers the flow that the next one swallows.
     """
     path = engine[0]
     re = reynolds_factor(path.reynolds_loss, air)

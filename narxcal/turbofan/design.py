@@ -1,16 +1,14 @@
-"""Closes the design point: from what is published of an engine to the constants of its gas path.
+"""Size a gas path from its design point, and the two engines sized in this way.
 
 The cycle is computed once, forwards, at sea level static on a standard day; areas, capacities
 and the turbines' pressure ratios follow from the flows and the power balances (Saravanamuttoo,
 Rogers & Cohen, chapter 3). The off-design solution at the same conditions is then this point.
 
-Two engines: a small business-jet turbofan and one for a single-aisle airliner.
-
 Thrust, bypass and pressure ratio are those of the class, and so is the fuel flow at the four
 settings of the landing and take-off cycle: JT15D-4 (1PW036) and CFM56-5B4/3 (8CM055) of the ICAO
-emissions databank, as OpenAP 2.6.2 carries it. The numbers of the maps were fitted to these fuel
-flows, to an idle of the class and to the time constants of FACTS A2 (`docs/virtual_engine.md` has
-the table); they belong to no maker's engine.
+emissions databank, as in OpenAP 2.6.2. The numbers of the maps were fitted to these fuel flows, to
+an idle of the class and to the time constants of FACTS A2 (`docs/virtual_engine.md` has the table);
+they are not those of any maker's engine.
 """
 
 from __future__ import annotations
@@ -19,6 +17,7 @@ from dataclasses import dataclass
 
 from scipy.optimize import brentq
 
+from narxcal.atmosphere import P0_PA, T0_K
 from narxcal.support.errors import ConfigError
 from narxcal.turbofan.cycle import GasPath, reynolds_factor
 from narxcal.turbofan.gas import (
@@ -36,7 +35,7 @@ from narxcal.turbofan.ratings import BUSINESS_JET, SINGLE_AISLE, Ratings
 
 @dataclass(frozen=True)
 class DesignPoint:
-    """Sea level static, standard day, maximum power, with nothing taken off."""
+    """Cycle at sea level static, standard day, maximum power, without bleed and offtake."""
 
     flow_kgps: float
     bypass_ratio: float
@@ -54,7 +53,7 @@ class DesignPoint:
 
 @dataclass(frozen=True)
 class Closed:
-    """The closed design point: constants, fuel flow, and the map positions (all known)."""
+    """A sized gas path, and its fuel flow and map positions at the design point."""
 
     path: GasPath
     fuel_kgps: float
@@ -62,12 +61,12 @@ class Closed:
 
 
 def close(point: DesignPoint, shape: GasPath) -> Closed:
-    """Fill the sizes in `shape`, whose exponents, losses and cooling shares are kept.
+    """Fill in the sizes of `shape`, whose exponents, losses and cooling shares are kept.
 
     Raises `ValueError` if the turbines cannot drive the compressors.
     """
-    still = (288.15, 101325.0, 0.0)
-    air = Air(*still, *fan_face(*still, point.recovery))
+    static = (T0_K, P0_PA, 0.0)
+    air = Air(*static, *fan_face(*static, point.recovery))
     re = float(reynolds_factor(shape.reynolds_loss, air))
     core = point.flow_kgps / (1.0 + point.bypass_ratio)
     maps, heat, (T21, T3) = _compressors(point, shape, air, re)
@@ -118,7 +117,7 @@ def _compressors(
     efficiencies = (point.fan_efficiency, point.lpc_efficiency, point.hpc_efficiency)
     maps = [
         chart._replace(
-            flow_kgps=flow * (T / 288.15) ** 0.5 / (P / 101325.0),
+            flow_kgps=flow * (T / T0_K) ** 0.5 / (P / P0_PA),
             pressure_ratio=ratio,
             efficiency=efficiency,
         )
@@ -172,17 +171,17 @@ def _turbine(
 
 
 def _area(flow: float, temperature: float, far: float, pressure: float) -> float:
-    per_area = capacity(temperature, far, pressure / 101325.0)
+    per_area = capacity(temperature, far, pressure / P0_PA)
     return float(flow * temperature**0.5 / pressure / per_area)
 
 
 def _chart(flow_exponent: float, pressure_exponent: float, **shape: float) -> CompressorMap:
-    """Shape of a compressor map whose sizes the design point will fill in."""
+    """Shape of a compressor map; `close` fills in its sizes."""
     return CompressorMap(0.0, 0.0, 0.0, flow_exponent, pressure_exponent, **shape)
 
 
 def _preset_turbine(**shape: float) -> TurbineMap:
-    """Shape of a turbine map, likewise."""
+    """Shape of a turbine map; `close` fills in its sizes."""
     return TurbineMap(0.0, 0.0, 0.0, 0.0, **shape)
 
 
@@ -191,9 +190,9 @@ class Preset:
     """All numbers of one engine; `bleed` are shares of the HPC flow, `inertia` in kg m^2.
 
     `speed_pct` is what N1 and N2 read at the design point, `speed_radps` how fast that is.
-    Times hold at the design point. `margins` are shares of steady fuel that acceleration and
-    deceleration schedules leave, at idle and at full speed; `limits` lie beyond all settled points,
-    so that the steady-state model is what the engine comes to rest at.
+    Times are those at the design point. `accel_margins` and `decel_margins` are the shares of
+    steady fuel that the schedules add and take away, at idle and at full speed. `limits` lie beyond
+    all steady points, so that the engine settles where the steady-state model says.
     """
 
     name: str
@@ -294,7 +293,7 @@ PRESETS = {preset.name: preset for preset in (BUSINESS, AIRLINER)}
 
 
 def preset(name: str) -> Preset:
-    """Give the preset called `name`; raises `ConfigError` listing those there are."""
+    """Return the preset called `name`; raises `ConfigError` for an unknown one."""
     if name not in PRESETS:
         raise ConfigError(f"unknown engine '{name}'", hint=f"Known engines: {', '.join(PRESETS)}")
     return PRESETS[name]

@@ -1,41 +1,30 @@
-"""The virtual engine: lever and flight condition in, speeds, temperature, fuel and thrust out.
+"""The virtual engine: lever and flight condition in; speeds, temperature, fuel and thrust out.
 
-As a simulator it runs a whole log; as a steady-state model it is what a maker would hand over.
-
-The business-jet engine as its maker would hand it over: where it settles, and no more.
-
-What can be wrong with a virtual engine that its steady-state model and its logs do not tell.
-
-Each effect of the library that has a physical place in the engine sits there: in the lever, the
-fuel valve, the control's schedules, the rotors, the gas path or the metal. Ids are those of the
-effect library; sizes are the engine's own, not those of the forms that the diagnosis fits.
+`VirtualEngine.simulate` runs a whole log. `VirtualEngine.outputs` is its steady-state model, and
+`maker_model` that of the nominal business-jet engine as its maker would deliver it.
 """
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from narxcal.atmosphere import isa
+from narxcal.atmosphere import P0_PA, T0_K, isa
 from narxcal.channels import channel
 from narxcal.steady.model import Envelope, checked_inputs
 from narxcal.support.arrays import FloatArray
-from narxcal.support.errors import ConfigError, ModelError
-from narxcal.turbofan import fadec, fuel_valve
+from narxcal.support.errors import ModelError
 from narxcal.turbofan.control_design import Linear, control, linearised
 from narxcal.turbofan.cycle import POSITIONS, Health, Stations
 from narxcal.turbofan.design import Closed, Preset, close, preset
-from narxcal.turbofan.fadec import Sensed
-from narxcal.turbofan.fuel_valve import FuelValveParameters
+from narxcal.turbofan.fadec import FuelValveParameters, Sensed, steady_control, steady_valve
 from narxcal.turbofan.gas import fan_face
 from narxcal.turbofan.lever import LeverParameters, resolver
-from narxcal.turbofan.ratings import Ratings, n1_command
+from narxcal.turbofan.ratings import n1_command
 from narxcal.turbofan.solve import (
     BLEED,
     CONDITIONS,
@@ -47,210 +36,11 @@ from narxcal.turbofan.solve import (
     Line,
     Machine,
     face_pressures,
-    rest_points,
     running_line,
+    steady_points,
 )
 from narxcal.turbofan.transient import COLUMNS, Body, Plant, State, run, steps_per_sample
-
-
-class Size(NamedTuple):
-    """Range of a parameter, and the value at which the effect is not there."""
-
-    unit: str
-    low: float
-    high: float
-    neutral: float
-
-
-PARAMETERS: dict[str, dict[str, Size]] = {
-    "throttle_backlash": {"width_deg": Size("deg", 0.0, 10.0, 0.0)},
-    "throttle_delay": {"delay_s": Size("s", 0.0, 3.0, 0.0)},
-    "throttle_rate_limit": {"rate_degps": Size("deg/s", 1.0, 400.0, 400.0)},
-    "throttle_bias": {"bias_deg": Size("deg", -10.0, 10.0, 0.0)},
-    "actuator_lag": {"tau_s": Size("s", 0.0, 5.0, 0.0), "slew": Size("-", 0.02, 1.0, 1.0)},
-    "spool_lag": {"factor": Size("-", 0.3, 4.0, 1.0)},
-    "spool_coupling": {"factor": Size("-", 0.3, 4.0, 1.0)},
-    "accel_decel_asymmetry": {"ratio": Size("-", 0.3, 4.0, 1.0)},
-    "accel_limit": {"factor": Size("-", 0.1, 2.0, 1.0)},
-    "altitude_lag": {"exponent": Size("-", -1.0, 2.0, 0.0)},
-    "heat_soak": {"factor": Size("-", 0.0, 6.0, 1.0)},
-    "bleed_extraction": {"share": Size("-", 0.0, 0.15, 0.0)},
-    "unlogged_switch": {
-        "bleed": Size("-", 0.0, 0.15, 0.0),
-        "power_kW": Size("kW", 0.0, 500.0, 0.0),
-    },
-    "deterioration": {
-        "hpc_efficiency_pct": Size("%", -6.0, 6.0, 0.0),
-        "hpt_efficiency_pct": Size("%", -6.0, 6.0, 0.0),
-        "hpc_flow_pct": Size("%", -6.0, 6.0, 0.0),
-    },
-    "temperature_effect": {"N1_pct_per_C": Size("%/degC", -0.3, 0.3, 0.0)},
-    "idle_schedule": {"shift_pct": Size("%", -10.0, 15.0, 0.0)},
-}
-
-
-@dataclass(frozen=True)
-class Unmodelled:
-    """One effect with its parameters; one left out is neutral.
-
-    `windows` are (start, stop) in s of the log, for `unlogged_switch` alone.
-
-    Raises `ConfigError` for an unknown effect or parameter, and for a size out of range.
-    """
-
-    id: str
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    windows: tuple[tuple[float, float], ...] = ()
-
-    def __post_init__(self) -> None:
-        known = PARAMETERS.get(self.id)
-        if known is None:
-            raise ConfigError(f"unknown effect '{self.id}'", hint=_nearest(self.id, PARAMETERS))
-        for name, value in self.parameters.items():
-            if name not in known:
-                raise ConfigError(
-                    f"effect '{self.id}' has no parameter '{name}'", hint=_nearest(name, known)
-                )
-            size = known[name]
-            if not size.low <= value <= size.high:
-                raise ConfigError(
-                    f"effect '{self.id}': {name} has to be within {size.low:g} .. {size.high:g} "
-                    f"{size.unit}, found {value:g}"
-                )
-        if self.windows and self.id != "unlogged_switch":
-            raise ConfigError(f"effect '{self.id}' has no windows; unlogged_switch has")
-        if any(not start < stop for start, stop in self.windows):
-            raise ConfigError(f"effect '{self.id}': a window has to start before it stops")
-
-    def value(self, name: str) -> float:
-        """Value of the parameter, neutral where it was left out."""
-        return float(self.parameters.get(name, PARAMETERS[self.id][name].neutral))
-
-
-def _nearest(name: str, known: Mapping[str, object]) -> str:
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
-    return f"Did you mean '{near[0]}'?" if near else f"Known: {', '.join(known)}"
-
-
-@dataclass(frozen=True)
-class Fit:
-    """Everything of an engine that an effect can change; `margins` multiply those of the control.
-
-    `bleed` is added to the customer bleed wherever ECS, NAI or WAI is on.
-    """
-
-    lever: LeverParameters
-    valve: FuelValveParameters
-    ratings: Ratings
-    body: Body
-    health: Health
-    accel_margin: float = 1.0
-    bleed: float = 0.0
-    switches: tuple[Unmodelled, ...] = ()
-
-
-def fitted_with(fit: Fit, effects: Sequence[Unmodelled]) -> Fit:
-    """`fit` with every one of `effects` in its place."""
-    for effect in effects:
-        fit = _PLACES[effect.id](fit, effect)
-    return fit
-
-
-def _lever(fit: Fit, effect: Unmodelled) -> Fit:
-    key = {
-        "throttle_backlash": ("backlash_deg", "width_deg"),
-        "throttle_delay": ("delay_s", "delay_s"),
-        "throttle_rate_limit": ("rate_limit_degps", "rate_degps"),
-        "throttle_bias": ("bias_deg", "bias_deg"),
-    }
-    to, source = key[effect.id]
-    return replace(fit, lever=fit.lever._replace(**{to: effect.value(source)}))
-
-
-def _actuator(fit: Fit, effect: Unmodelled) -> Fit:
-    valve = fit.valve._replace(
-        servo_tau_s=fit.valve.servo_tau_s + effect.value("tau_s"),
-        slew_kgps2=fit.valve.slew_kgps2 * effect.value("slew"),
-    )
-    return replace(fit, valve=valve)
-
-
-def _inertia(fit: Fit, effect: Unmodelled) -> Fit:
-    """Both spools heavier, or the low-pressure spool alone, which then trails the other."""
-    body, factor = fit.body, effect.value("factor")
-    second = body.inertia2_J * (factor if effect.id == "spool_lag" else 1.0)
-    body = body._replace(inertia1_J=body.inertia1_J * factor, inertia2_J=second)
-    return replace(fit, body=body)
-
-
-def _asymmetry(fit: Fit, effect: Unmodelled) -> Fit:
-    ratio = fit.body.asymmetry * effect.value("ratio")
-    return replace(fit, body=fit.body._replace(asymmetry=ratio))
-
-
-def _accel_limit(fit: Fit, effect: Unmodelled) -> Fit:
-    return replace(fit, accel_margin=fit.accel_margin * effect.value("factor"))
-
-
-def _thin_air(fit: Fit, effect: Unmodelled) -> Fit:
-    exponent = fit.body.thin_air + effect.value("exponent")
-    return replace(fit, body=fit.body._replace(thin_air=exponent))
-
-
-def _soak(fit: Fit, effect: Unmodelled) -> Fit:
-    factor, body = effect.value("factor"), fit.body
-    body = body._replace(metal_WpK=body.metal_WpK * factor, clearance_pK=body.clearance_pK * factor)
-    return replace(fit, body=body)
-
-
-def _bleed(fit: Fit, effect: Unmodelled) -> Fit:
-    return replace(fit, bleed=fit.bleed + effect.value("share"))
-
-
-def _switch(fit: Fit, effect: Unmodelled) -> Fit:
-    return replace(fit, switches=(*fit.switches, effect))
-
-
-def _deterioration(fit: Fit, effect: Unmodelled) -> Fit:
-    """A loss is positive, in percent of the part's efficiency or flow."""
-    h = fit.health
-    h = h._replace(
-        hpc_efficiency=h.hpc_efficiency * (1.0 - 0.01 * effect.value("hpc_efficiency_pct")),
-        hpt_efficiency=h.hpt_efficiency * (1.0 - 0.01 * effect.value("hpt_efficiency_pct")),
-        hpc_flow=h.hpc_flow * (1.0 - 0.01 * effect.value("hpc_flow_pct")),
-    )
-    return replace(fit, health=h)
-
-
-def _temperature(fit: Fit, effect: Unmodelled) -> Fit:
-    bias = fit.ratings.temperature_bias_pct_per_C + effect.value("N1_pct_per_C")
-    return replace(fit, ratings=replace(fit.ratings, temperature_bias_pct_per_C=bias))
-
-
-def _idle(fit: Fit, effect: Unmodelled) -> Fit:
-    idle = fit.ratings.approach_idle_pct + effect.value("shift_pct")
-    return replace(fit, ratings=replace(fit.ratings, approach_idle_pct=idle))
-
-
-_PLACES = {
-    "throttle_backlash": _lever,
-    "throttle_delay": _lever,
-    "throttle_rate_limit": _lever,
-    "throttle_bias": _lever,
-    "actuator_lag": _actuator,
-    "spool_lag": _inertia,
-    "spool_coupling": _inertia,
-    "accel_decel_asymmetry": _asymmetry,
-    "accel_limit": _accel_limit,
-    "altitude_lag": _thin_air,
-    "heat_soak": _soak,
-    "bleed_extraction": _bleed,
-    "unlogged_switch": _switch,
-    "deterioration": _deterioration,
-    "temperature_effect": _temperature,
-    "idle_schedule": _idle,
-}
-
+from narxcal.turbofan.unmodelled import EngineSettings, Unmodelled, with_effects
 
 INPUT_NAMES = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "NAI", "WAI")
 OUTPUT_NAMES = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph", "FN_kN", "FPR", "EPR")
@@ -262,7 +52,7 @@ _LINE = np.linspace(0.175, 1.10, 75)  # relative N1 of the running line
 
 @dataclass(frozen=True)
 class _Core:
-    """What follows from a preset alone."""
+    """Computed from a preset alone."""
 
     closed: Closed
     machine: Machine
@@ -277,8 +67,8 @@ def _core(name: str) -> _Core:
     machine = Machine(closed.path, Health(), chosen.point.recovery, closed.fuel_kgps)
     line = running_line(machine, _LINE, np.array([*closed.positions, 1.0, 1.0]))
     at_design = np.zeros((1, CONDITIONS))
-    at_design[0, :4] = 288.15, 101325.0, 0.0, 1.0
-    stations = Stations(*rest_points(machine, line, at_design)[1][0])
+    at_design[0, :4] = T0_K, P0_PA, 0.0, 1.0
+    stations = Stations(*steady_points(machine, line, at_design)[1][0])
     return _Core(closed, machine, line, _body(chosen, stations))
 
 
@@ -300,11 +90,10 @@ def _body(chosen: Preset, design: Stations) -> Body:
 
 
 class VirtualEngine:
-    """One engine of a preset, with its own build and with what nobody modelled.
+    """One engine of a preset, with its own build and unmodelled effects.
 
-    `build` are multipliers of component efficiencies and flows (see `build_scatter`),
-    `unmodelled` the effects switched on. It is a steady-state model by itself (`outputs`,
-    `inside`), and a simulator by `simulate`.
+    `build` are multipliers of component efficiencies and flows (see `build_scatter`). It is a
+    steady-state model (`outputs`, `inside`) and a simulator (`simulate`).
 
     Raises `ConfigError` for an unknown preset.
     """
@@ -321,19 +110,19 @@ class VirtualEngine:
         self.preset = preset(name)
         core = _core(name)
         slew = core.closed.fuel_kgps
-        nominal = Fit(
+        nominal = EngineSettings(
             lever=LeverParameters(),
             valve=FuelValveParameters(slew_kgps2=slew),
             ratings=self.preset.ratings,
             body=core.body,
             health=build or Health(),
         )
-        self.fit = fitted_with(nominal, unmodelled)
+        self.settings = with_effects(nominal, unmodelled)
         self._line = core.line
-        self._machine = core.machine._replace(health=self.fit.health)
-        # The control is designed for the engine as it should be, not as it is.
+        self._machine = core.machine._replace(health=self.settings.health)
+        # The control is designed for the nominal engine, without the scatter of its build.
         self._fadec = control(
-            self.preset, core.machine, core.line, core.body, self.fit.accel_margin
+            self.preset, core.machine, core.line, core.body, self.settings.accel_margin
         )
         self._box = Envelope(LOW, HIGH)
 
@@ -342,7 +131,7 @@ class VirtualEngine:
         return self._box.inside(checked_inputs(inputs, self.input_names))
 
     def outputs(self, inputs: ArrayLike) -> FloatArray:
-        """Settled outputs (..., 7) at `inputs` (..., 9) moved into the envelope; NaN for NaN.
+        """Steady outputs (..., 7) at `inputs` (..., 9) clamped to the envelope; NaN for NaN.
 
         Raises `ModelError` naming the condition that does not converge.
         """
@@ -351,15 +140,15 @@ class VirtualEngine:
         known = np.isfinite(flat).all(axis=1)
         found = np.full((len(flat), len(OUTPUT_NAMES)), np.nan)
         if known.any():
-            found[known] = self._settled(flat[known])
+            found[known] = self._steady(flat[known])
         return found.reshape(*array.shape[:-1], len(OUTPUT_NAMES))
 
     steady_state = outputs
 
     def gas_path(self, inputs: ArrayLike) -> dict[str, FloatArray]:
-        """Settled stations, each (n,), at `inputs` (n, 9), by the names of `Stations`.
+        """Steady stations, each (n,), at `inputs` (n, 9), by the names of `Stations`.
 
-        Beside them: `fuel_kgps`, relative `n1` and `n2`, and the map angles of the compressors
+        Also `fuel_kgps`, relative `n1` and `n2`, and the map angles of the compressors
         (`fan_angle`, `lpc_angle`, `hpc_angle`; surge is at pi/2). Raises as `outputs` does.
         """
         conditions, unknowns, rows = self._solved(checked_inputs(inputs, self.input_names))
@@ -369,29 +158,28 @@ class VirtualEngine:
         return found | {f"{part}_angle": unknowns[:, j] for j, part in enumerate(COMPRESSORS)}
 
     def linearised(self, inputs: ArrayLike) -> list[Linear]:
-        """The rotors' time constants and the overshoot of EGT at each row of `inputs` (n, 9)."""
+        """Time constants of the rotors and overshoot of EGT at each row of `inputs` (n, 9)."""
         conditions, unknowns, _ = self._solved(checked_inputs(inputs, self.input_names))
         pairs = zip(conditions, unknowns, strict=True)
-        return [linearised(self._machine, self.fit.body, c, x) for c, x in pairs]
+        return [linearised(self._machine, self.settings.body, c, x) for c, x in pairs]
 
     def simulate(self, inputs: Mapping[str, FloatArray], dt_s: float) -> dict[str, FloatArray]:
-        """Run a log sampled every `dt_s` seconds, from its settled first sample.
+        """Simulate a log sampled every `dt_s` seconds, from the steady state of its first sample.
 
-        `inputs` maps `INPUT_NAMES` to (time,); the result maps the columns of
-        `narxcal.turbofan.transient` likewise. No sensor is between: EGT alone is behind its
-        probe, whose lag depends on the engine.
+        `inputs` maps `INPUT_NAMES` to (time,); the result maps `transient.COLUMNS` to (time,).
+        The outputs are true values; only EGT is that of its probe, whose lag depends on the flow.
 
         Raises `ModelError` if an input is missing or of another length, or if a sample lies
         outside the envelope or does not converge.
         """
         u = _stacked(inputs)
         self._check(u, dt_s)
-        u[:, 0] = resolver(u[:, 0], dt_s, self.fit.lever)
-        commands = n1_command(self.fit.ratings, u)
+        u[:, 0] = resolver(u[:, 0], dt_s, self.settings.lever)
+        commands = n1_command(self.settings.ratings, u)
         conditions = self._conditions(u, commands)
         self._add_switches(conditions, dt_s)
-        plant = Plant(self._machine, self.fit.body, self._fadec, self.fit.valve)
-        state = self._at_rest(conditions[0], u[0], dt_s)
+        plant = Plant(self._machine, self.settings.body, self._fadec, self.settings.valve)
+        state = self._steady_state(conditions[0], u[0], dt_s)
         rows, solved = run(plant, state, commands, conditions, dt_s)
         if solved < len(u):
             raise ModelError(
@@ -407,36 +195,39 @@ class VirtualEngine:
             raise ModelError(_outside(u, outside))
 
     def _conditions(self, u: FloatArray, commands: FloatArray) -> FloatArray:
-        """Rows (n, 6) of what the gas path is asked for; bleeds follow the switches."""
+        """Conditions (n, 6) of the gas path; bleeds follow the switches."""
         rows = np.zeros((len(u), CONDITIONS))
         temperature, rows[:, STATIC_PA] = isa(u[:, 1])
         rows[:, STATIC_K] = temperature + u[:, 3]
         rows[:, MACH] = u[:, 2]
         rows[:, N1] = commands / self.preset.speed_pct[0]
-        p = self.preset
-        rows[:, BLEED] = u[:, 6:9] @ np.array([p.ecs_bleed, p.nai_bleed, p.wai_bleed])
-        rows[:, BLEED] += self.fit.bleed * (u[:, 6:9] > 0.5).any(axis=1)
-        rows[:, OFFTAKE_W] = p.offtake_W
+        preset = self.preset
+        bleeds = np.array([preset.ecs_bleed, preset.nai_bleed, preset.wai_bleed])
+        rows[:, BLEED] = u[:, 6:9] @ bleeds
+        rows[:, BLEED] += self.settings.bleed * (u[:, 6:9] > 0.5).any(axis=1)
+        rows[:, OFFTAKE_W] = preset.offtake_W
         return rows
 
     def _add_switches(self, conditions: FloatArray, dt_s: float) -> None:
         time_s = np.arange(len(conditions)) * dt_s
-        for effect in self.fit.switches:
+        for effect in self.settings.switches:
             for start, stop in effect.windows:
                 on = (time_s >= start) & (time_s < stop)
                 conditions[on, BLEED] += effect.value("bleed")
                 conditions[on, OFFTAKE_W] += 1e3 * effect.value("power_kW")
 
     def _solved(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Conditions, unknowns and stations at the settled points `u` (n, 9)."""
-        commands = n1_command(self.fit.ratings, u + self.fit.lever.bias_deg * (np.arange(9) == 0))
+        """Conditions, unknowns and stations of the steady states at `u` (n, 9)."""
+        commands = n1_command(
+            self.settings.ratings, u + self.settings.lever.bias_deg * (np.arange(9) == 0)
+        )
         conditions = self._conditions(u, commands)
-        unknowns, rows, good = rest_points(self._machine, self._line, conditions)
+        unknowns, rows, good = steady_points(self._machine, self._line, conditions)
         if not good.all():
             raise ModelError(f"the engine has no steady state {_where(u[np.argmin(good)])}")
         return conditions, unknowns, rows
 
-    def _settled(self, u: FloatArray) -> FloatArray:
+    def _steady(self, u: FloatArray) -> FloatArray:
         conditions, unknowns, rows = self._solved(u)
         at = dict(zip(Stations._fields, rows.T, strict=True))
         P2 = face_pressures(self._machine, conditions)
@@ -452,9 +243,9 @@ class VirtualEngine:
             ]
         )
 
-    def _at_rest(self, condition: FloatArray, u: FloatArray, dt_s: float) -> State:
-        """State of an engine that has long been running at `condition`, which follows from `u`."""
-        unknowns, rows, good = rest_points(self._machine, self._line, condition[np.newaxis])
+    def _steady_state(self, condition: FloatArray, u: FloatArray, dt_s: float) -> State:
+        """State of an engine in equilibrium at `condition`, which follows from the inputs `u`."""
+        unknowns, rows, good = steady_points(self._machine, self._line, condition[np.newaxis])
         if not good[0]:
             raise ModelError(f"the engine has no steady state to start from {_where(u)}", row=0)
         command = float(condition[N1]) * self.preset.speed_pct[0]
@@ -468,16 +259,16 @@ class VirtualEngine:
             rotors=np.array([condition[N1], x[POSITIONS], 0.0, 0.0]),
             metal=np.array([s.T41, s.T41, 0.0, 0.0]),
             sensed=np.array([command, N2, s.P3, s.T45]),
-            felt=np.array([command, N2, s.P3, s.T45]),
+            measured=np.array([command, N2, s.P3, s.T45]),
             positions=x[:POSITIONS].copy(),
             inverse=np.zeros((POSITIONS, POSITIONS)),
-            fadec=fadec.settled(self._fadec, sensed, fuel),
-            valve=fuel_valve.settled(self.fit.valve, fuel, dt_s / steps_per_sample(dt_s)),
+            fadec=steady_control(self._fadec, sensed, fuel),
+            valve=steady_valve(self.settings.valve, fuel, dt_s / steps_per_sample(dt_s)),
         )
 
 
 def build_scatter(random: np.random.Generator, sigma_pct: float = 0.5) -> Health:
-    """Draw a build: every efficiency and flow off by a normal `sigma_pct` percent."""
+    """Draw a build: each efficiency and flow has a normal error of `sigma_pct` percent."""
     drawn = 1.0 + 0.01 * sigma_pct * random.standard_normal(len(Health._fields))
     return Health(*drawn.tolist())
 
@@ -507,7 +298,7 @@ def _outside(u: FloatArray, outside: NDArray[np.bool_]) -> str:
 
 
 def maker_model(inputs: ArrayLike) -> NDArray[np.float64]:
-    """Settled N1, N2 and EGT (..., 3) at `inputs` (..., 9), the virtual engine's.
+    """Steady N1, N2 and EGT (..., 3) at `inputs` (..., 9) of the business-jet engine.
 
     Raises `ModelError` naming the condition that does not converge.
     """
@@ -516,5 +307,5 @@ def maker_model(inputs: ArrayLike) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=1)
 def _business_jet() -> VirtualEngine:
-    """Built once: a replay asks for one row at a time."""
+    """Build it once: a replay calls `maker_model` for each row."""
     return VirtualEngine("business_jet")

@@ -1,22 +1,27 @@
-"""Electronic engine control: which fuel to ask for, given the speed commanded and what is sensed.
+"""Electronic engine control and fuel system: from commanded N1 and sensor readings to burned fuel.
 
-All of it works in corrected quantities, with `theta`, `delta` the total temperature and pressure
-at the engine's face over their sea-level standards: speeds over `sqrt(theta)`, temperature over
-`theta`, pressure over `delta`, fuel over `delta sqrt(theta)`, `Wf/Ps3` over `sqrt(theta)`. A gas
-turbine's dynamics are alike in them if time is stretched by `sqrt(theta) / delta` (NACA TR-1011,
-FACTS A2), and so is the control's, whose reset times are stretched as well.
+**Control.** All quantities are corrected by `theta` and `delta`, total temperature and pressure at
+the fan face over their sea-level standards: speeds over `sqrt(theta)`, temperature over `theta`,
+pressure over `delta`, fuel over `delta sqrt(theta)`, `Wf/Ps3` over `sqrt(theta)`. In corrected
+quantities a gas turbine's dynamics are the same in all conditions if time is stretched by
+`sqrt(theta) / delta` (NACA TR-1011, FACTS A2); reset times of the control are stretched likewise.
 
 Governor and topping loops are each proportional plus reset:
 
-    demand = gain error + reset,    tau d(reset)/dt = (fuel demanded by the loop that rules) - reset
+    demand = gain error + reset,    tau d(reset)/dt = (fuel demanded by the active loop) - reset
 
-The loop that rules therefore has an integrator of rate `gain / tau`; all others follow the fuel
-that is really demanded, and cannot wind up (external reset, Shinskey, *Process Control Systems*).
-With `tau` the engine's slow time constant a governor's `reset` is the fuel that holds the present
-speed, so after a slam it takes over in its proportional band and approaches without overshoot.
-Its error is taken `lead` ahead, along the sensed speed's rate, which makes up for the fast spool.
-Ceilings (acceleration schedule, toppings) are applied before floors (deceleration schedule, lean
-blow-out, least fuel); each hand-over is a minimum or maximum of continuous signals, hence bumpless.
+The active loop thus has an integrator of rate `gain / tau`; all others track the fuel demanded and
+do not wind up (external reset, Shinskey, *Process Control Systems*). With `tau` the engine's slow
+time constant, `reset` is the fuel that keeps the present speed, so after a slam the governor takes
+over in its proportional band and approaches without overshoot. Its error is extrapolated by `lead`
+along the rate of the sensed speed, which compensates the fast spool. Ceilings (acceleration
+schedule, toppings) are applied before floors (deceleration schedule, lean blow-out, minimum fuel).
+Each switch of the active loop is a minimum or maximum of continuous signals, hence bumpless.
+
+**Fuel system**, in series: an optional lag of the servo; the metering valve, a lag whose rate is
+limited; the transport delay of the lines; and the lag of vaporising, burning and filling the
+combustor's volume. The defaults are AGTF30's (FACTS A6: 0.1 s, 40 ms); its slew of 2.25 pps/s
+spans 0 to 2.5 pps in about a second, so `slew_kgps2` is about the engine's largest fuel flow.
 """
 
 from __future__ import annotations
@@ -29,33 +34,32 @@ from numpy.typing import ArrayLike
 
 from narxcal.atmosphere import P0_PA, T0_K
 from narxcal.support.arrays import FloatArray
-from narxcal.support.compiled import compiled, lagged, table_value
-from narxcal.support.errors import ModelError
+from narxcal.support.compiled import compiled, lagged, ramp_lagged, slewed, table_value
+from narxcal.support.errors import ConfigError, ModelError
 
-# What rules the fuel, as `step` reports it.
+# The active limiter, as `control_step` returns it.
 GOVERNOR, ACCELERATION, DECELERATION, N1_TOPPING, N2_TOPPING, T45_TOPPING, PS3_TOPPING, MINIMUM = (
     range(8)
 )
 LIMITERS = ("governor", "acceleration", "deceleration", "N1", "N2", "T45", "Ps3", "minimum")
 _TOPPINGS = 3  # N2, T45, Ps3, in this order
-# Where the state keeps what: the governor's reset, those of the toppings, and N1 a step ago.
+# State of the control: the governor's reset, those of the toppings, and N1 a step ago.
 _RESET, _TOPPING_RESETS, _PAST_N1, SIZE = 0, 1, 4, 5
 
 
 class FadecParameters(NamedTuple):
-    """Tables and limits; all gains and times hold at sea level standard.
+    """Tables and limits; all gains and times are those at sea level standard.
 
     `governor_gain` in kg/s per %, `governor_reset_s` and `governor_lead_s` over sensed corrected
     `governor_N1c_pct`: see `governor`. `gain_exponent` raises the gain by that power of
-    `sqrt(theta) / delta`: 0 leaves the response alike in corrected time, 1 keeps its speed in real
-    time.
+    `sqrt(theta) / delta`: 0 keeps the response in corrected time, 1 keeps it in real time.
     `accel_ratio`, `decel_ratio` in kg/(s Pa) over `schedule_N2c_pct`: see `schedules`, where the
     effects `accel_limit` and `accel_decel_asymmetry` are margins.
     `topping_limit`, `topping_gain`, `topping_reset_s` (3,): physical limits of N2 (%), T45 (K) and
-    Ps3 (Pa), infinite for none, with gains in kg/s per corrected unit. A reset time of the slow
-    spool's constant (for T45, of its probe's) holds a limit without overshoot. `N1_max_pct` is the
-    most that the governor will follow.
-    The fuel is never below `fuel_min_kgps`, nor `lean_ratio` (kg/(s Pa)) times Ps3.
+    Ps3 (Pa), infinite for none, with gains in kg/s per corrected unit. A reset time equal to the
+    slow spool's time constant (for T45, to its probe's) keeps a limit without overshoot.
+    `N1_max_pct` limits the commanded N1. The fuel is never below `fuel_min_kgps`, nor below
+    `lean_ratio` (kg/(s Pa)) times Ps3.
     """
 
     governor_N1c_pct: FloatArray
@@ -75,7 +79,7 @@ class FadecParameters(NamedTuple):
 
 
 class Sensed(NamedTuple):
-    """What the control is told at one step: the command, and the sensors' readings."""
+    """Command and sensor readings at one step of the control."""
 
     N1_command_pct: float
     N1_pct: float
@@ -121,8 +125,8 @@ def governor(
     and fast time constants and the sum of all other lags and delays in the loop, at sea level
     standard, each one number or a value per speed. Reset and lead cancel the first two; of the
     loop `omega / (s (1 + other s))` that is left, `omega = 1 / (4 damping^2 other)` (any text on
-    control). A fast constant of 0 means no lead. Rather take the engine for too slow than for too
-    quick: a reset far too long only creeps, one 1.2 times too short overshoots by 3 % of the move.
+    control). A fast constant of 0 means no lead. A reset time that is too long only slows the
+    approach; one 1.2 times too short overshoots by 3 % of the change.
 
     Raises `ModelError` if the line is no table or does not rise, or a lag or the damping is no
     positive number.
@@ -143,10 +147,10 @@ def governor(
     return slope * slow / (4.0 * damping**2 * other), slow.copy(), fast.copy()
 
 
-def settled(parameters: FadecParameters, sensed: Sensed, fuel_kgps: float) -> FloatArray:
-    """State of a control that has long been asking for `fuel_kgps`.
+def steady_control(parameters: FadecParameters, sensed: Sensed, fuel_kgps: float) -> FloatArray:
+    """State of a control that has demanded `fuel_kgps` for a long time.
 
-    If `sensed` shows no error (or a topping limit just met) `step` goes on asking for it.
+    If `sensed` shows no error (or a topping limit just met) `control_step` keeps that demand.
 
     Raises `ModelError` if a table of `parameters` is not one, or the fuel is not above zero.
     """
@@ -160,13 +164,13 @@ def settled(parameters: FadecParameters, sensed: Sensed, fuel_kgps: float) -> Fl
 
 
 @compiled
-def step(
+def control_step(
     parameters: FadecParameters, state: FloatArray, sensed: Sensed, dt_s: float
 ) -> tuple[float, int]:
-    """Fuel to ask for during the next `dt_s`, kg/s, and which limiter ruled it.
+    """Fuel demanded during the next `dt_s`, kg/s, and the active limiter.
 
-    `state` comes from `settled` and is advanced by `dt_s`, exactly, as the demand is constant
-    meanwhile.
+    `state` comes from `steady_control` and is advanced by `dt_s`, exactly, as the demand is
+    constant meanwhile.
     """
     delta, root = sensed.P2_Pa / P0_PA, math.sqrt(sensed.T2_K / T0_K)
     scale, stretch = delta * root, root / delta
@@ -175,8 +179,8 @@ def step(
     ahead = sensed.N1_pct + lead_s * (sensed.N1_pct - state[_PAST_N1]) / dt_s
     gain = table_value(speed, knots, parameters.governor_gain) * stretch**parameters.gain_exponent
     target = min(sensed.N1_command_pct, parameters.N1_max_pct)
-    wanted = state[_RESET] + gain * (target - ahead) / root
-    fuel, active = _under_ceilings(parameters, state, sensed, (wanted, delta, root))
+    unlimited = state[_RESET] + gain * (target - ahead) / root
+    fuel, active = _under_ceilings(parameters, state, sensed, (unlimited, delta, root))
     fuel, active = _over_floors(parameters, sensed, (fuel, delta, root), active)
     state[_PAST_N1] = sensed.N1_pct
     reset_s = table_value(speed, knots, parameters.governor_reset_s) * stretch
@@ -194,7 +198,7 @@ def _under_ceilings(
     sensed: Sensed,
     demand: tuple[float, float, float],
 ) -> tuple[float, int]:
-    """Least of the corrected `demand` (fuel, delta, root) and what the ceilings allow."""
+    """Minimum of the corrected `demand` (fuel, delta, root) and the ceilings."""
     fuel, delta, root = demand
     active = N1_TOPPING if sensed.N1_command_pct > parameters.N1_max_pct else GOVERNOR
     ratio = table_value(sensed.N2_pct / root, parameters.schedule_N2c_pct, parameters.accel_ratio)
@@ -214,7 +218,7 @@ def _under_ceilings(
 def _over_floors(
     parameters: FadecParameters, sensed: Sensed, demand: tuple[float, float, float], active: int
 ) -> tuple[float, int]:
-    """Greatest of the corrected `demand` (fuel, delta, root) and what keeps the flame alight."""
+    """Maximum of the corrected `demand` (fuel, delta, root) and the floors."""
     fuel, delta, root = demand
     ratio = table_value(sensed.N2_pct / root, parameters.schedule_N2c_pct, parameters.decel_ratio)
     if ratio * sensed.Ps3_Pa / delta > fuel:
@@ -224,7 +228,7 @@ def _over_floors(
 
 
 def _check(parameters: FadecParameters) -> None:
-    """Refuse parameters that the compiled step, which checks nothing, would read wrongly."""
+    """Refuse tables that the compiled step, which checks nothing, would misread."""
     speeds = parameters.governor_N1c_pct
     gain = _table("governor_gain", speeds, parameters.governor_gain)
     for name in ("governor_reset_s", "governor_lead_s"):
@@ -258,3 +262,77 @@ def _table(name: str, knots: ArrayLike, values: ArrayLike) -> FloatArray:
     if not (np.all(np.isfinite(at)) and np.all(np.isfinite(line))):
         raise ModelError(f"FADEC: '{name}' has to be finite")
     return line
+
+
+# State of the fuel system; the samples in the line follow from LINE on, as a ring buffer.
+SERVO, METERED, ARRIVING, BURNED, NEWEST, LINE = 0, 1, 2, 3, 4, 5
+
+
+class FuelValveParameters(NamedTuple):
+    """Time constants and limits; zero means none, an infinite slew no limit.
+
+    The effect `actuator_lag` is `servo_tau_s` (a further lag in front of the valve), a larger
+    `tau_s`, or a smaller `slew_kgps2`.
+    """
+
+    tau_s: float = 0.1
+    slew_kgps2: float = math.inf
+    delay_s: float = 0.04
+    volume_tau_s: float = 0.02
+    servo_tau_s: float = 0.0
+
+
+def steady_valve(parameters: FuelValveParameters, fuel_kgps: float, dt_s: float) -> FloatArray:
+    """State of a fuel system at a constant flow of `fuel_kgps`, for steps of `dt_s`.
+
+    Raises `ConfigError` if a time is negative or not finite, or the slew not above zero.
+    """
+    for name in ("tau_s", "delay_s", "volume_tau_s", "servo_tau_s"):
+        value = getattr(parameters, name)
+        if not (value >= 0.0 and math.isfinite(value)):
+            raise ConfigError(f"fuel valve: '{name}' has to be zero or more, found {value}")
+    if not parameters.slew_kgps2 > 0.0:
+        raise ConfigError(
+            f"fuel valve: 'slew_kgps2' has to be above zero, found {parameters.slew_kgps2}",
+            hint="Use infinity for no limit",
+        )
+    if not (dt_s > 0.0 and math.isfinite(dt_s)):
+        raise ConfigError(f"fuel valve: the step has to be above zero, found {dt_s} s")
+    state = np.full(LINE + math.floor(parameters.delay_s / dt_s) + 2, float(fuel_kgps))
+    state[NEWEST] = 0.0
+    return state
+
+
+@compiled
+def valve_step(
+    parameters: FuelValveParameters, state: FloatArray, demand_kgps: float, dt_s: float
+) -> float:
+    """Advance `state` by `dt_s` at a constant demand; return the fuel burned at its end, kg/s.
+
+    `state` comes from `steady_valve` for the same `dt_s`; afterwards `state[METERED]` is the flow
+    through the valve, which a flowmeter measures. Lag and slew are exact; the metered flow and the
+    input of the volume's lag are straight between two samples.
+    """
+    before = state[SERVO]
+    state[SERVO] = lagged(before, demand_kgps, parameters.servo_tau_s, dt_s)
+    limits = (parameters.tau_s, parameters.slew_kgps2)
+    state[METERED] = slewed(state[METERED], state[SERVO], limits, dt_s)
+    arriving = _transport(state, parameters.delay_s / dt_s)
+    ends = (state[ARRIVING], arriving)
+    state[BURNED] = ramp_lagged(state[BURNED], ends, parameters.volume_tau_s, dt_s)
+    state[ARRIVING] = arriving
+    return float(state[BURNED])
+
+
+@compiled
+def _transport(state: FloatArray, steps: float) -> float:
+    """Put the metered flow into the line and take out what entered it `steps` ago."""
+    length = len(state) - LINE
+    newest = (int(state[NEWEST]) + 1) % length
+    state[NEWEST] = newest
+    state[LINE + newest] = state[METERED]
+    whole = int(steps)
+    share = steps - whole
+    young = state[LINE + (newest - whole) % length]
+    old = state[LINE + (newest - whole - 1) % length]
+    return float(young + share * (old - young))

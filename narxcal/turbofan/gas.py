@@ -1,12 +1,8 @@
-"""Properties of dry air and of the products of burning kerosene in it.
+"""Gas properties of air and burnt kerosene, the intake and the convergent nozzle.
 
-Polynomials in `t = T / 1000 K` of Walsh & Fletcher, *Gas Turbine Performance*, 2nd ed., formulae
-F3.23 to F3.27, valid from 200 K to 2000 K. `far` is the ratio of fuel to air by mass; all
-properties are per kg of mixture. Dissociation and humidity are left out.
-
-From pressure altitude, Mach number and temperature deviation to the face of the fan.
-
-A convergent nozzle: flow, velocity and gross thrust, choked or not.
+Properties are polynomials in `t = T / 1000 K` of Walsh & Fletcher, *Gas Turbine Performance*, 2nd
+ed., formulae F3.23 to F3.27, valid from 200 K to 2000 K. `far` is the ratio of fuel to air by mass;
+all properties are per kg of mixture. Dissociation and humidity are left out.
 """
 
 from __future__ import annotations
@@ -14,6 +10,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from narxcal.atmosphere import P0_PA, T0_K
 from narxcal.support.compiled import compiled
 
 LOWER_HEATING_VALUE = 43.12e6  # J/kg, kerosene at 298 K (Walsh & Fletcher, chapter 13)
@@ -108,15 +105,11 @@ def isentropic_temperature(temperature_K: float, far: float, pressure_ratio: flo
 def burnt_enthalpy(enthalpy_in: float, far: float, efficiency: float) -> float:
     """Enthalpy in J/kg of the products of burning `far` kg of fuel per kg of air at `enthalpy_in`.
 
-    The heating value is stated at `REFERENCE_K`, and so are the enthalpies it joins: fuel
-    enters at that temperature.
+    The heating value is stated at `REFERENCE_K`, the temperature at which fuel enters.
     """
     at_reference = enthalpy_in - enthalpy(REFERENCE_K, 0.0)
     heat = efficiency * far * LOWER_HEATING_VALUE
     return (at_reference + heat) / (1.0 + far) + enthalpy(REFERENCE_K, far)
-
-
-SEA_LEVEL_K, SEA_LEVEL_PA = 288.15, 101325.0
 
 
 class Air(NamedTuple):
@@ -131,12 +124,12 @@ class Air(NamedTuple):
 
 @compiled
 def intake(static_K: float, static_Pa: float, mach: float, recovery: float) -> Air:
-    """Bring the air to rest: energy is kept, and the share `recovery` of the total pressure."""
+    """Stagnate the air: total enthalpy is kept, and the share `recovery` of the total pressure."""
     r = gas_constant(0.0)
     cp = specific_heat(static_K, 0.0)
     velocity = mach * math.sqrt(cp / (cp - r) * r * static_K)
-    at_rest = enthalpy(static_K, 0.0) + 0.5 * velocity * velocity
-    total = temperature_at_enthalpy(at_rest, 0.0, static_K * (1.0 + 0.2 * mach * mach))
+    total_enthalpy = enthalpy(static_K, 0.0) + 0.5 * velocity * velocity
+    total = temperature_at_enthalpy(total_enthalpy, 0.0, static_K * (1.0 + 0.2 * mach * mach))
     rise = math.exp((entropy(total, 0.0) - entropy(static_K, 0.0)) / r)
     return Air(static_K, static_Pa, velocity, total, recovery * rise * static_Pa)
 
@@ -153,20 +146,20 @@ def fan_face(
 @compiled
 def theta(temperature_K: float) -> float:
     """Temperature over that of the standard day at sea level."""
-    return temperature_K / SEA_LEVEL_K
+    return temperature_K / T0_K
 
 
 @compiled
 def delta(pressure_Pa: float) -> float:
     """Pressure over that of the standard day at sea level."""
-    return pressure_Pa / SEA_LEVEL_PA
+    return pressure_Pa / P0_PA
 
 
-_KNEE = 1.0005  # pressure ratio below which the flow goes on straight, through zero
+_KNEE = 1.0005  # pressure ratio below which the flow is linear, through zero
 
 
 class Jet(NamedTuple):
-    """What leaves a nozzle: capacity `W sqrt(T) / (P A)`, SI, and gross thrust per kg/s of flow."""
+    """Flow through a nozzle: capacity `W sqrt(T) / (P A)` in SI units, velocity and thrust."""
 
     capacity: float
     velocity_mps: float
@@ -180,7 +173,7 @@ def _subsonic_mach(pressure_ratio: float, gamma: float) -> float:
 
 @compiled
 def jet(total_K: float, far: float, pressure_ratio: float) -> Jet:
-    """Isentropic expansion from total conditions over `pressure_ratio` = P / p_ambient.
+    """Expand isentropically from total conditions over `pressure_ratio` = P / p_ambient.
 
     One-dimensional, with the ratio of specific heats at the total temperature (Saravanamuttoo,
     Rogers & Cohen, section 3.3).

@@ -1,10 +1,13 @@
-"""The mechanical way from the pilot's lever to what the FADEC's throttle resolver tells it.
+"""The throttle linkage: from the pilot's lever to the resolver angle that the control reads.
 
-In series: the play of the linkage, a limit on its rate, the pick-off's bias, and the delay of
-resolver and data bus. The Spey identification (DeHoff and Hall, papers/spey_identification) puts
-a hysteresis and a pick-off bias into the throttle of its engine and finds them needed; FACTS A6
-has 1 to 3 % of travel for a cable and 50 to 150 ms for resolver and bus. Nothing feeds back from
-the engine, so a whole run is done at once.
+In series: the play of the linkage, a limit on its rate, the delay of resolver and data bus, and
+the bias of the pick-off. The Spey identification (DeHoff and Hall, papers/spey_identification)
+needed a hysteresis and a pick-off bias in the throttle; FACTS A6 has 1 to 3 % of travel for a cable
+and 50 to 150 ms for resolver and bus. Nothing feeds back from the engine, so a whole log is
+computed at once.
+
+Play, rate limit and delay are written here once more on purpose: blind cases of the diagnosis fly
+this engine, and its equations must not be those that the diagnosis fits (`narxcal.effects`).
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from narxcal.support.errors import ConfigError
 
 
 class LeverParameters(NamedTuple):
-    """Linkage and resolver; the neutral values leave the lever exactly as it is.
+    """Linkage and resolver; the defaults do not change the angle.
 
     Each parameter is one effect of the library: `backlash_deg` is `throttle_backlash`, the total
     width of the play; `delay_s` is `throttle_delay`; `rate_limit_degps` is `throttle_rate_limit`;
@@ -36,7 +39,7 @@ class LeverParameters(NamedTuple):
 def resolver(tra_deg: FloatArray, dt_s: float, parameters: LeverParameters) -> FloatArray:
     """Resolver angle (time,) in deg for the lever `tra_deg` (time,) sampled every `dt_s`.
 
-    Before its first sample the lever is taken to have rested there, in the middle of its play.
+    Before its first sample the lever is assumed not to move, in the middle of its play.
 
     Raises `ConfigError` if a parameter is negative or not a number, a rate limit of zero included.
     """
@@ -69,7 +72,7 @@ def _check(parameters: LeverParameters, dt_s: float) -> None:
 
 @compiled
 def _play(angle: FloatArray, width: float) -> FloatArray:
-    """Play operator: the far end moves only while the near end pushes against it."""
+    """Play operator: the output moves only while the input pushes it."""
     moved = np.empty_like(angle)
     state = angle[0] if len(angle) else 0.0
     for k in range(len(angle)):
@@ -91,6 +94,6 @@ def _rate_limited(angle: FloatArray, largest: float) -> FloatArray:
 
 
 def _delayed(angle: FloatArray, steps: float) -> FloatArray:
-    """Shift by `steps`, which need not be whole: straight lines between samples."""
+    """Delay by `steps` samples, which need not be whole, with linear interpolation."""
     index = np.arange(len(angle), dtype=np.float64)
     return np.interp(index - steps, index, angle) if len(angle) else angle

@@ -1,20 +1,20 @@
-r"""Component maps in a compact parametric form, with few enough numbers to be read.
+r"""Component maps in a compact parametric form.
 
 **Compressor.** The *backbone* joins the points of best efficiency of all speed lines; with
 relative corrected speed `n` (1 at the design point) it is
 
     w_b = n^a,    p_b - 1 = (p_d - 1) n^b,    eta_b = eta_d (1 - c (n - n_best)^2)
 
-A speed line is a quarter of an ellipse round it, run through by the angle `alpha` from choke
-(0, vertical) to surge (pi/2, horizontal), with the backbone at pi/4:
+A speed line is a quarter of an ellipse; its parameter is the angle `alpha` from choke (0,
+vertical) over the backbone (pi/4) to surge (pi/2, horizontal):
 
     w     = w_b (1 + s_w (cos alpha - cos pi/4)),     s_w = s_1 + s_0 (1 - n)
     p - 1 = (p_b - 1) (1 + s_p (sin alpha - sin pi/4))
     eta   = eta_b / (1 + d (alpha - pi/4)^2)
 
-so that lines are steep at high speed and flat at low speed, as measured maps are (Saravanamuttoo,
-Rogers & Cohen, *Gas Turbine Theory*, chapter 5). Flow falls and pressure rises with `alpha`
-everywhere: past the ends the lines go on straight, which is what Newton's method needs.
+so that lines are steep at high speed and flat at low speed, as in measured maps (Saravanamuttoo,
+Rogers & Cohen, *Gas Turbine Theory*, chapter 5). Beyond choke and surge the lines are extended
+linearly, so that flow falls and pressure rises with `alpha` everywhere, as Newton's method needs.
 
 **Turbine.** Swallowing capacity after Stodola's ellipse, `w = sqrt(1 - PR^-m) / (at design)`;
 efficiency falls with the square of the departure of the velocity ratio `U / c_0` from its best.
@@ -31,7 +31,7 @@ BACKBONE = 0.25 * math.pi
 SURGE = 0.5 * math.pi
 _STRAIGHT_BELOW, _STRAIGHT_ABOVE = 0.2, 1.35
 _LEAST_EFFICIENCY = 0.15
-_LEAST_RATIO = 0.3  # a fan that the ram air drives expands, but not without end
+_LEAST_RATIO = 0.3  # a windmilling fan expands the air, to a limit
 
 
 class CompressorMap(NamedTuple):
@@ -63,7 +63,7 @@ class TurbineMap(NamedTuple):
 
 @compiled
 def cosine(alpha: float) -> float:
-    """Cosine, going on straight where it would turn flat."""
+    """Cosine, extended linearly where its slope would vanish."""
     if alpha < _STRAIGHT_BELOW:
         return math.cos(_STRAIGHT_BELOW) - math.sin(_STRAIGHT_BELOW) * (alpha - _STRAIGHT_BELOW)
     return math.cos(alpha) if alpha < SURGE else SURGE - alpha
@@ -71,7 +71,7 @@ def cosine(alpha: float) -> float:
 
 @compiled
 def sine(alpha: float) -> float:
-    """Sine, going on straight where it would turn flat."""
+    """Sine, extended linearly where its slope would vanish."""
     if alpha > _STRAIGHT_ABOVE:
         return math.sin(_STRAIGHT_ABOVE) + math.cos(_STRAIGHT_ABOVE) * (alpha - _STRAIGHT_ABOVE)
     return math.sin(alpha) if alpha > 0.0 else alpha
@@ -95,7 +95,7 @@ def compressor(chart: CompressorMap, speed: float, alpha: float) -> tuple[float,
 
 @compiled
 def stodola(pressure_ratio: float, choking: float) -> float:
-    """`sqrt(1 - PR^-m)`, going on straight below a pressure ratio of 1.01."""
+    """`sqrt(1 - PR^-m)`, extended linearly below a pressure ratio of 1.01."""
     knee = 1.01
     if pressure_ratio >= knee:
         return math.sqrt(1.0 - pressure_ratio**-choking)
@@ -106,7 +106,7 @@ def stodola(pressure_ratio: float, choking: float) -> float:
 
 @compiled
 def turbine_capacity(chart: TurbineMap, pressure_ratio: float) -> float:
-    """`W sqrt(T) / P` that the turbine swallows, SI."""
+    """Swallowing capacity `W sqrt(T) / P`, SI."""
     at_design = stodola(chart.pressure_ratio, chart.choking)
     return chart.capacity * stodola(pressure_ratio, chart.choking) / at_design
 

@@ -1,11 +1,10 @@
-"""Which N1 the control commands: ratings, idles, and the map from resolver angle to N1.
+"""The N1 that the control commands: ratings, idles, and the map from resolver angle to N1.
 
-The schedules are in N1 corrected to the engine's face, `N1 / sqrt(theta2)`, in which a fan's thrust
-over `delta2` is nearly fixed. So a constant value up to the corner temperature is a flat rating,
-and the fall beyond it is what holds the temperature of the gas. The command depends on the flight
-condition and the lever alone, never on the engine's state: the same function serves a whole run
-beforehand and the steady state. Numbers are typical of the class, not those of any engine; where
-FACTS, part A, has a figure it is quoted.
+The schedules are in corrected N1, `N1 / sqrt(theta2)`, which nearly determines a fan's thrust over
+`delta2`. A constant value up to the corner temperature is thus a flat rating, and the decrease
+beyond it limits the temperature of the gas. The command depends on flight condition and lever
+alone, not on the engine's state, so one function computes it for a whole log and for a steady
+point. Numbers are typical of the class, not those of an engine; figures of FACTS are cited.
 """
 
 from __future__ import annotations
@@ -25,12 +24,13 @@ class Ratings:
     """All numbers of one engine's schedules; N1 in corrected %, unless said otherwise.
 
     `detents_deg` are the resolver angles of idle, cruise, climb and take-off. `cruise_pct`,
-    `climb_pct`, `take_off_pct` hold on a standard day over `altitude_ft`, straight in between and
-    held beyond. Above `corner_dT_C` they fall by `hot_slope_pct_per_C`: 1 degC costs about 3 degC
-    of EGT (FACTS A5) and about 10 degC of EGT go with 1 % N1. `N1_max_pct` limits physical N1.
-    Each bleed lowers the ratings, and through the map the lever positions towards them, but no
-    idle (FACTS A5: packs 0.4 to 0.7, anti-ice 0.6 to 0.8 % each). Idles rise with altitude and,
-    as the fan windmills, with Mach; on the ground it is the ground idle whatever `Approach` says.
+    `climb_pct`, `take_off_pct` are those of a standard day at `altitude_ft`, interpolated linearly
+    and constant beyond the ends. Above `corner_dT_C` they decrease by `hot_slope_pct_per_C`: 1 degC
+    costs about 3 degC of EGT (FACTS A5), and 10 degC of EGT correspond to 1 % N1. `N1_max_pct`
+    limits physical N1. Each bleed lowers the ratings and, through the map, the lever positions
+    next to them, but not the idles (FACTS A5: packs 0.4 to 0.7, anti-ice 0.6 to 0.8 % each). Idles
+    rise with altitude and, as the fan windmills, with Mach. With weight on wheels the ground idle
+    applies, whatever `Approach` is.
 
     Effects: `idle_schedule` is a changed `approach_idle_pct`, `temperature_effect` is
     `temperature_bias_pct_per_C`, which adds to the command (in physical %) with `dT_C`.
@@ -102,7 +102,7 @@ def n1_command(ratings: Ratings, inputs: ArrayLike) -> FloatArray:
     """N1 commanded, in % (...), for `inputs` (..., 9).
 
     The last axis is resolver angle in deg, ALT_ft, Mach, dT_C, WOW, Approach, ECS, NAI, WAI.
-    Beyond the detents the resolver is held at them. NaN in, NaN out.
+    Angles are clipped to the detents. NaN in, NaN out.
     """
     u = np.asarray(inputs, dtype=np.float64)
     root = np.sqrt(air_state(u[..., 1], u[..., 2], u[..., 3]).theta2)
@@ -118,8 +118,8 @@ def idle(ratings: Ratings, inputs: ArrayLike) -> FloatArray:
     airborne = np.where(u[..., 5] > 0.5, ratings.approach_idle_pct, ratings.flight_idle_pct)
     base = np.where(u[..., 4] > 0.5, ratings.ground_idle_pct, airborne)
     rise = ratings.idle_pct_per_kft * 1e-3 * u[..., 1] + ratings.idle_pct_per_mach * u[..., 2]
-    unknown = 0.0 * (u[..., 4] + u[..., 5])  # a switch that is no number, like all else
-    return np.asarray(base + rise + unknown)
+    nan = 0.0 * (u[..., 4] + u[..., 5])  # NaN of a switch, too, gives NaN
+    return np.asarray(base + rise + nan)
 
 
 def _nodes(ratings: Ratings, u: FloatArray, ceiling: FloatArray) -> FloatArray:
@@ -134,7 +134,7 @@ def _nodes(ratings: Ratings, u: FloatArray, ceiling: FloatArray) -> FloatArray:
 
 
 def _monotone(x: FloatArray, knots: FloatArray, values: FloatArray) -> FloatArray:
-    """Smooth monotone map (...) through `values` (n, ...) at `knots` (n,).
+    """Interpolate smoothly and monotonically through `values` (n, ...) at `knots` (n,).
 
     Cubic Hermite pieces whose inner slopes are harmonic means of the neighbouring secants, which
     keeps them monotone (Fritsch & Butland, SIAM J. Sci. Stat. Comput. 5, 1984).

@@ -8,7 +8,7 @@ import pytest
 from narxcal.effects import LIBRARY, candidates, effect
 from narxcal.flight_test.sensors import SENSOR_EFFECTS
 from narxcal.support.errors import ConfigError
-from narxcal.turbofan.engine import PARAMETERS
+from narxcal.turbofan.unmodelled import PARAMETERS
 
 
 def names(signals):

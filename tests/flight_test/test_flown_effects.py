@@ -4,23 +4,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from narxcal.effects import LIBRARY
 from narxcal.flight_test.scenario import PARAMETERS, WINDOWED, FlownEffect, parse_effects
 from narxcal.flight_test.sensors import PARAMETERS as ON_SENSORS
 from narxcal.flight_test.sensors import channels_of
 from narxcal.support.errors import ConfigError
 
-LIBRARY = {
-    "throttle_backlash", "throttle_delay", "throttle_rate_limit", "throttle_bias", "actuator_lag",
-    "spool_lag", "accel_decel_asymmetry", "accel_limit", "altitude_lag", "spool_coupling",
-    "heat_soak", "bleed_extraction", "unlogged_switch", "deterioration", "temperature_effect",
-    "idle_schedule", "sensor_lag", "sensor_bias", "sensor_drift", "time_skew",
-    "flowmeter_dynamics",
-}  # fmt: skip
-
 
 def test_the_whole_library_can_be_flown():
-    assert set(PARAMETERS) >= LIBRARY
-    assert set(WINDOWED) <= LIBRARY
+    assert set(PARAMETERS) == set(LIBRARY)
+
+
+@pytest.mark.parametrize("effect", sorted(PARAMETERS))
+def test_every_size_that_the_library_fits_can_be_flown(effect):
+    for fitted in LIBRARY[effect].fixed:
+        flown = PARAMETERS[effect].get(fitted.name)
+        if flown is not None:
+            assert flown.low <= fitted.low <= fitted.high <= flown.high
+            assert (flown.unit, flown.neutral) == (fitted.unit, fitted.neutral)
 
 
 @pytest.mark.parametrize("effect", sorted(PARAMETERS))

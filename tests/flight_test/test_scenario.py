@@ -112,8 +112,8 @@ def test_the_engine_has_the_effects_of_its_side_and_no_others():
     effects = given.effects_on(1, "left", 480.0)
     plain, slow = flown_engine(given, "left"), flown_engine(given, "left", effects)
     assert isinstance(slow, VirtualEngine)
-    assert slow.fit.body.inertia2_J == pytest.approx(1.5 * plain.fit.body.inertia2_J)
-    assert slow.fit.health == plain.fit.health
+    assert slow.settings.body.inertia2_J == pytest.approx(1.5 * plain.settings.body.inertia2_J)
+    assert slow.settings.health == plain.settings.health
 
 
 # Effects in time

@@ -16,7 +16,7 @@ from narxcal.turbofan.solve import (
     OFFTAKE_W,
     STATIC_K,
     STATIC_PA,
-    rest_points,
+    steady_points,
 )
 
 PRESET_NAMES = ("business_jet", "single_aisle")
@@ -56,7 +56,7 @@ class Bench:
         return self.settled(point.condition(), machine)
 
     def settled(self, condition, machine=None):
-        unknowns, rows, good = rest_points(
+        unknowns, rows, good = steady_points(
             machine or self.machine, self.line, condition[np.newaxis]
         )
         assert good.all(), condition

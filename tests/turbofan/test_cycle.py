@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from narxcal.turbofan.cycle import Health, Running, handling_bleed, reynolds_factor
 from narxcal.turbofan.gas import LOWER_HEATING_VALUE, REFERENCE_K, Air, enthalpy, intake
 from narxcal.turbofan.ratings import n1_command
-from narxcal.turbofan.solve import BLEED, MACH, N1, OFFTAKE_W, STATIC_K, STATIC_PA, solved
+from narxcal.turbofan.solve import BLEED, MACH, N1, OFFTAKE_W, STATIC_K, STATIC_PA, solve
 
 inputs = st.tuples(
     st.one_of(st.just(0.0), st.floats(0.0, 85.0)),
@@ -43,7 +43,7 @@ def imbalances(path, air, run, s):
 @given(inputs)
 def test_mass_and_energy_are_kept_at_rest_all_over_the_envelope(bench, u):
     row = np.array([u])
-    condition = bench.engine._conditions(row, n1_command(bench.engine.fit.ratings, row))[0]
+    condition = bench.engine._conditions(row, n1_command(bench.engine.settings.ratings, row))[0]
     x, s = bench.settled(condition)
     air = intake(condition[STATIC_K], condition[STATIC_PA], condition[MACH], bench.machine.recovery)
     fuel = bench.machine.fuel_unit_kgps * x[6]
@@ -61,7 +61,7 @@ def test_mass_and_energy_are_kept_in_a_transient_with_hot_metal(bench, n1, more,
     air = intake(288.15, 101325.0, 0.0, bench.machine.recovery)
     fuel = more * bench.machine.fuel_unit_kgps * x[6]
     run = Running(n1, x[5], fuel, 0.05, 2e4, soak * s.hpt_W, clearance)
-    after, good = solved((bench.machine.path, Health()), air, run, x[:5].copy(), np.zeros((5, 5)))
+    after, good = solve((bench.machine.path, Health()), air, run, x[:5].copy(), np.zeros((5, 5)))
     assume(good)
     mass, energy = imbalances(bench.machine.path, air, run, after)
     assert abs(mass) < 1e-8

@@ -13,9 +13,8 @@ from numba import njit
 from narxcal.atmosphere import air_state
 from narxcal.support.compiled import lagged, table_value
 from narxcal.support.errors import ModelError
-from narxcal.turbofan import fadec, fuel_valve
-from narxcal.turbofan.fadec import FadecParameters, Sensed
-from narxcal.turbofan.fuel_valve import FuelValveParameters
+from narxcal.turbofan import fadec
+from narxcal.turbofan.fadec import FadecParameters, FuelValveParameters, Sensed
 
 DT = 0.015
 SEA, HIGH = (0.0, 0.0), (35000.0, 0.78)
@@ -62,13 +61,13 @@ def fly(plant, control, valve, states, commands, dt):  # noqa: PLR0917
     state, line, speeds = states
     n1, n2 = speeds
     delta, root = plant.P2_Pa / 101325.0, math.sqrt(plant.T2_K / 288.15)
-    burned = line[fuel_valve.BURNED]
+    burned = line[fadec.BURNED]
     out = np.empty((len(commands), 6))
     for k in range(len(commands)):
         sensed = sense(plant, (n1, n2), burned / (delta * root), commands[k])
-        demand, active = fadec.step(control, state, sensed, dt)
+        demand, active = fadec.control_step(control, state, sensed, dt)
         out[k] = (sensed.N1_pct, sensed.N2_pct, sensed.T45_K, sensed.Ps3_Pa, demand, float(active))
-        burned = fuel_valve.step(valve, line, demand, dt)
+        burned = fadec.valve_step(valve, line, demand, dt)
         core = table_value(burned / (delta * root), plant.fuel, plant.N2)
         fan = table_value(n2, plant.N2, plant.N1)
         n2 = lagged(n2, core, table_value(n1, plant.N1, plant.core_s) * root / delta, dt)
@@ -111,8 +110,10 @@ def run(commands, control=None, place=SEA, dt=DT, slow=1.0):
     start = float(commands[0])
     speeds = start, float(np.interp(start, N1, N2))
     fuel = float(np.interp(start, N1, FUEL))
-    state = fadec.settled(control, sense(plant, speeds, fuel, start * root), fuel * delta * root)
-    line = fuel_valve.settled(FuelValveParameters(), fuel * delta * root, dt)
+    state = fadec.steady_control(
+        control, sense(plant, speeds, fuel, start * root), fuel * delta * root
+    )
+    line = fadec.steady_valve(FuelValveParameters(), fuel * delta * root, dt)
     valve = FuelValveParameters()
     rows = fly(plant, control, valve, (state, line, speeds), np.asarray(commands) * root, dt)
     return Flight(rows, delta, root)
@@ -320,7 +321,7 @@ BAD = [
 @pytest.mark.parametrize(("change", "message"), BAD[:3] + BAD[4:])
 def test_impossible_parameters_are_refused(change, message):
     with pytest.raises(ModelError, match=re.escape(message)):
-        fadec.settled(parameters()._replace(**change), SENSED, 0.3)
+        fadec.steady_control(parameters()._replace(**change), SENSED, 0.3)
 
 
 def test_an_unsorted_line_is_refused():
@@ -330,7 +331,7 @@ def test_an_unsorted_line_is_refused():
 
 def test_no_fuel_is_no_start():
     with pytest.raises(ModelError, match=r"expected a fuel flow above zero .* found 0.0"):
-        fadec.settled(parameters(), SENSED, 0.0)
+        fadec.steady_control(parameters(), SENSED, 0.0)
 
 
 def test_margins_may_differ_from_speed_to_speed():

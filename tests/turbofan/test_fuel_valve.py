@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from narxcal.support.errors import ConfigError
-from narxcal.turbofan.fuel_valve import METERED, FuelValveParameters, settled, step
+from narxcal.turbofan.fadec import METERED, FuelValveParameters, steady_valve, valve_step
 
 DT = 0.015
 NOTHING = FuelValveParameters(0.0, math.inf, 0.0, 0.0, 0.0)
@@ -17,10 +17,10 @@ NOTHING = FuelValveParameters(0.0, math.inf, 0.0, 0.0, 0.0)
 
 def run(parameters, demand, dt_s=DT, start=None):
     """Metered and burned fuel, (2, time), at the end of each step."""
-    state = settled(parameters, demand[0] if start is None else start, dt_s)
+    state = steady_valve(parameters, demand[0] if start is None else start, dt_s)
     out = []
     for value in demand:
-        burned = step(parameters, state, float(value), dt_s)
+        burned = valve_step(parameters, state, float(value), dt_s)
         out.append((state[METERED], burned))
     return np.array(out).T
 
@@ -117,9 +117,9 @@ def test_what_flows_in_flows_out():
 )
 def test_an_impossible_valve_is_refused(change, message):
     with pytest.raises(ConfigError, match=re.escape(message)):
-        settled(FuelValveParameters(**change), 1.0, DT)
+        steady_valve(FuelValveParameters(**change), 1.0, DT)
 
 
 def test_time_has_to_go_on():
     with pytest.raises(ConfigError, match=r"the step has to be above zero, found 0.0 s"):
-        settled(FuelValveParameters(), 1.0, 0.0)
+        steady_valve(FuelValveParameters(), 1.0, 0.0)

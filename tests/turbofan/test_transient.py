@@ -6,8 +6,8 @@ from scipy.integrate import solve_ivp
 
 from narxcal.turbofan.cycle import Health, Running
 from narxcal.turbofan.gas import intake
-from narxcal.turbofan.solve import solved
-from narxcal.turbofan.transient import LEAST_FLOW, soak, spin, steps_per_sample
+from narxcal.turbofan.solve import solve
+from narxcal.turbofan.transient import LEAST_FLOW, heat_metal, steps_per_sample, turn_rotors
 
 
 class FuelRun:
@@ -26,7 +26,7 @@ class FuelRun:
 
     def stations(self, t, rotors, heat, clearance):
         run = Running(rotors[0], rotors[1], self.fuel(t), 0.0, 0.0, heat, clearance)
-        found, good = solved(self.engine, self.air, run, self.x[:5].copy(), np.zeros((5, 5)))
+        found, good = solve(self.engine, self.air, run, self.x[:5].copy(), np.zeros((5, 5)))
         assert good
         return found
 
@@ -39,8 +39,8 @@ class FuelRun:
         rotors = np.array([*self.start[:2], *rates])
         for k in range(count):
             s = self.stations(k * dt, rotors, metal[2], metal[3])
-            soak(self.body, metal, s, dt)
-            spin(self.body, rotors, s, 1.0, dt)
+            heat_metal(self.body, metal, s, dt)
+            turn_rotors(self.body, rotors, s, 1.0, dt)
         return np.array([*rotors[:2], *metal[:2]])
 
     def heat(self, t, y):
@@ -86,7 +86,7 @@ def test_rotors_alone_are_stepped_to_second_order(bench):
         # The rate one step earlier, so that the two-step formula starts to second order.
         rotors[2] = 1e5 / inertia / np.sqrt(0.25 - 2.0 * 1e5 / inertia * dt)
         for _ in range(count):
-            spin(bench.body, rotors, s, 1.0, dt)
+            turn_rotors(bench.body, rotors, s, 1.0, dt)
         errors.append(abs(rotors[0] - np.sqrt(0.25 + 2.0 * 1e5 * 2.0 / inertia)))
         assert rotors[1] == 0.6
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.25)
@@ -97,7 +97,7 @@ def test_metal_and_casing_follow_their_lags(bench):
     s = bench.rest(bench.point())[1]
     metal = np.array([800.0, 700.0, 0.0, 0.0])
     for _ in range(2000):
-        soak(bench.body, metal, s, 0.01)
+        heat_metal(bench.body, metal, s, 0.01)
     flow = s.W45 / bench.body.flow_kgps
     left = np.exp(-20.0 / bench.body.metal_tau_s * flow**0.8)
     assert metal[0] == pytest.approx(s.T41 + (800.0 - s.T41) * left, rel=1e-9)
@@ -109,7 +109,7 @@ def test_metal_and_casing_follow_their_lags(bench):
 def test_clearances_only_open_while_the_casing_is_the_colder(bench):
     s = bench.rest(bench.point(n1=0.5))[1]
     metal = np.array([600.0, 900.0, 0.0, 0.5])
-    soak(bench.body, metal, s, 0.01)
+    heat_metal(bench.body, metal, s, 0.01)
     assert metal[3] == 0.0
 
 
@@ -118,7 +118,7 @@ def test_inertia_weighs_on_the_way_up_as_asked(bench, factor, weight):
     s = bench.rest(bench.point())[1]._replace(power1_W=2e5, power2_W=-1e5)
     body = bench.body._replace(asymmetry=factor)
     rotors = np.array([0.7, 0.8, 0.0, 0.0])
-    spin(body, rotors, s, weight, 0.01)
+    turn_rotors(body, rotors, s, weight, 0.01)
     assert rotors[2] == pytest.approx(2e5 / (body.inertia1_J * weight * factor * 0.7))
     assert rotors[3] == pytest.approx(-1e5 / (body.inertia2_J * weight * 0.8))
 

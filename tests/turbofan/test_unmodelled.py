@@ -5,8 +5,9 @@ import pytest
 
 from narxcal.support.errors import ConfigError
 from narxcal.turbofan import Unmodelled, VirtualEngine
-from narxcal.turbofan.engine import INPUT_NAMES, PARAMETERS
+from narxcal.turbofan.engine import INPUT_NAMES
 from narxcal.turbofan.transient import COLUMNS
+from narxcal.turbofan.unmodelled import PARAMETERS
 
 DT = 1.0 / 32.0
 N1, N2, EGT, FF, FN = range(5)
@@ -169,10 +170,10 @@ def test_effects_add_up_in_any_order(flight):
     ("effect", "message"),
     [
         (("spool_lagg",), r"unknown effect 'spool_lagg'\. Did you mean 'spool_lag'\?"),
-        (("qqq",), r"unknown effect 'qqq'\. Known: throttle_backlash, "),
+        (("qqq",), r"unknown effect 'qqq'\. Known are accel_decel_asymmetry, "),
         (("spool_lag", {"factr": 2.0}), r"'spool_lag' has no parameter 'factr'\. Did you mean"),
-        (("spool_lag", {"factor": 9.0}), r"factor has to be within 0\.3 \.\. 4 -, found 9"),
-        (("throttle_delay", {"delay_s": float("nan")}), r"delay_s has to be within 0 \.\. 3 s"),
+        (("spool_lag", {"factor": 9.0}), r"factor has to lie in 0\.3 \.\. 4, found 9"),
+        (("throttle_delay", {"delay_s": float("nan")}), r"delay_s has to lie in 0 \.\. 3 s"),
         (("spool_lag", {}, ((1.0, 2.0),)), "has no windows; unlogged_switch has"),
         (("unlogged_switch", {}, ((2.0, 1.0),)), "a window has to start before it stops"),
     ],

@@ -19,8 +19,8 @@ from eval.gap.blind.lumped_run import FUEL, N1_RATE, N2_FUEL, Physics, run, spee
 from narxcal.atmosphere import air_state
 from narxcal.support.arrays import FloatArray
 from narxcal.support.compiled import compiled
+from narxcal.turbofan import Unmodelled
 from narxcal.turbofan.cycle import Health
-from narxcal.turbofan.engine import Unmodelled
 
 KINDS: Final = {"lumped_n1": N1_RATE, "lumped_n2": N2_FUEL, "lumped_fuel": FUEL}
 _AIR = ("ALT_ft", "Mach", "dT_C", "WOW", "Approach", "ECS", "NAI", "WAI")

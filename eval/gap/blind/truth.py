@@ -140,8 +140,10 @@ class Specimen:
         if self.case.engine in KINDS:
             return LumpedEngine(self.case.engine, build, inside, probe)
         engine = VirtualEngine(self.case.engine, build, inside)
-        tau_s = engine.fit.body.probe_tau_s * probe
-        engine.fit = replace(engine.fit, body=engine.fit.body._replace(probe_tau_s=tau_s))
+        tau_s = engine.settings.body.probe_tau_s * probe
+        engine.settings = replace(
+            engine.settings, body=engine.settings.body._replace(probe_tau_s=tau_s)
+        )
         return engine
 
     def _run(

@@ -7,7 +7,7 @@ from eval.gap.blind.lumped import KINDS, LumpedEngine, applies
 from eval.gap.blind.lumped_run import fuel_needed, speed_followed
 from narxcal.turbofan import Unmodelled
 from narxcal.turbofan.cycle import Health
-from narxcal.turbofan.engine import PARAMETERS
+from narxcal.turbofan.unmodelled import PARAMETERS
 
 DT = 1.0 / 16.0
 GOVERNED = ("lumped_n1", "lumped_n2")

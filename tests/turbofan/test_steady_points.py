@@ -5,7 +5,7 @@ import pytest
 
 from narxcal.turbofan.engine import HIGH, LOW
 from narxcal.turbofan.ratings import n1_command
-from narxcal.turbofan.solve import N1, UNKNOWN, Line, rest_points, running_line
+from narxcal.turbofan.solve import N1, UNKNOWN, Line, running_line, steady_points
 
 SURGE = 0.5 * np.pi
 
@@ -22,8 +22,8 @@ def drawn(count, seed=0):
 
 def test_thousands_of_points_of_the_envelope_converge_short_of_surge(bench):
     u = drawn(3000)
-    conditions = bench.engine._conditions(u, n1_command(bench.engine.fit.ratings, u))
-    unknowns, rows, good = rest_points(bench.machine, bench.line, conditions)
+    conditions = bench.engine._conditions(u, n1_command(bench.engine.settings.ratings, u))
+    unknowns, rows, good = steady_points(bench.machine, bench.line, conditions)
     assert good.all(), u[~good][:3]
     assert np.isfinite(rows).all()
     assert unknowns[:, :3].max() < SURGE
@@ -31,9 +31,9 @@ def test_thousands_of_points_of_the_envelope_converge_short_of_surge(bench):
 
 def test_a_point_gives_the_same_alone_and_among_others(bench):
     u = drawn(50, seed=1)
-    conditions = bench.engine._conditions(u, n1_command(bench.engine.fit.ratings, u))
-    together = rest_points(bench.machine, bench.line, conditions)[0]
-    alone = [rest_points(bench.machine, bench.line, c[np.newaxis])[0][0] for c in conditions]
+    conditions = bench.engine._conditions(u, n1_command(bench.engine.settings.ratings, u))
+    together = steady_points(bench.machine, bench.line, conditions)[0]
+    alone = [steady_points(bench.machine, bench.line, c[np.newaxis])[0][0] for c in conditions]
     assert np.array_equal(together, np.array(alone))
 
 
@@ -41,23 +41,25 @@ def test_a_poor_start_reaches_the_same_point_by_walking_there(bench):
     point = bench.point(30000.0, 0.7, 10.0, 0.9, bleed=0.05, offtake_W=2e4)
     line = bench.line
     far_off = Line(line.n1[-3:], line.unknowns[:, -3:].copy(), line.inverses[-3:])
-    x, _, good = rest_points(bench.machine, far_off, point.condition()[np.newaxis])
+    x, _, good = steady_points(bench.machine, far_off, point.condition()[np.newaxis])
     assert good[0]
     assert x[0] == pytest.approx(bench.rest(point)[0], rel=1e-8)
 
 
 def test_neither_the_stored_jacobians_nor_learning_move_a_point(bench):
     u = drawn(200, seed=2)
-    conditions = bench.engine._conditions(u, n1_command(bench.engine.fit.ratings, u))
+    conditions = bench.engine._conditions(u, n1_command(bench.engine.settings.ratings, u))
     blank = bench.line._replace(inverses=np.zeros_like(bench.line.inverses))
-    found = rest_points(bench.machine, bench.line, conditions)[0]
-    anew = rest_points(bench.machine, blank, conditions)[0]
+    found = steady_points(bench.machine, bench.line, conditions)[0]
+    anew = steady_points(bench.machine, blank, conditions)[0]
     np.testing.assert_allclose(found, anew, rtol=1e-7, atol=1e-8)
 
 
 def test_an_impossible_point_is_reported_and_spoils_no_other(bench):
     possible, impossible = bench.point().condition(), bench.point(bleed=0.95).condition()
-    _, _, good = rest_points(bench.machine, bench.line, np.array([possible, impossible, possible]))
+    _, _, good = steady_points(
+        bench.machine, bench.line, np.array([possible, impossible, possible])
+    )
     assert good.tolist() == [True, False, True]
 
 
