@@ -1,17 +1,12 @@
-"""Lever manoeuvres by the names that pilots and papers give them, made of `manoeuvre_pieces`.
+"""Lever manoeuvres: pieces (corner points, sweeps, sequences), and the named ones made of them.
 
-Modelled: steps, impulses, ramps, pushes and pulls, re-slams, reversals, multisteps, ladders, and
-switches that are flipped while the lever rests. Not modelled: tremor of the hand, friction and play
-of the lever; play and its like are unmodelled effects, which the engine adds.
+A manoeuvre is the change of the lever angle since its start (`swing_deg`), over a time axis of its
+own that begins at 0. As every manoeuvre is relative, a sequence is continuous by construction.
 
-Step, impulse and ramp are Equations (1)-(3) of the Citation X identification paper. Its
-equation (2) reads 1 < t < 1 + Ts, in which no sample of a raster through t = 1 lies; here
-samples at `1 <= t < 1 + Ts` are moved, and a step counts from its own instant on.
-
-Pieces that lever manoeuvres are made of: corner points, frequency sweeps, and pieces in a row.
-
-A piece says how far the lever is from where the piece began (`swing_deg`), over a time axis of its
-own that begins at 0. Because every piece is relative, joined pieces are continuous by construction.
+Step, impulse and ramp are Equations (1) to (3) of the Citation X identification paper. Its
+equation (2) reads 1 < t < 1 + Ts, an interval that contains no sample of a grid through t = 1;
+here samples at `1 <= t < 1 + Ts` are moved, and a step begins at its own time. Not modelled: tremor
+of the hand, friction and play of the lever, which are effects of the engine's linkage.
 """
 
 from __future__ import annotations
@@ -30,31 +25,31 @@ from narxcal.support.errors import ConfigError
 
 @dataclass(frozen=True)
 class Switched:
-    """A switch channel that is the other way round from `start_s` until before `stop_s`."""
+    """A switch channel that is inverted for `start_s <= t < stop_s`."""
 
     channel: str
     start_s: float
     stop_s: float
 
     def later(self, seconds: float) -> Switched:
-        """The same, `seconds` later."""
+        """Return the same, `seconds` later."""
         return Switched(self.channel, self.start_s + seconds, self.stop_s + seconds)
 
 
 class Manoeuvre(Protocol):
-    """What the pilot does with one lever between 0 and `duration_s`."""
+    """Motion of one lever between 0 and `duration_s`."""
 
     @property
     def duration_s(self) -> float:
-        """How long it takes."""
+        """Length in s."""
 
     @property
     def net_deg(self) -> float:
-        """Where the lever ends, from where it began."""
+        """Change of angle from start to end."""
 
     @property
     def reach_deg(self) -> tuple[float, float]:
-        """Lowest and highest swing: never above, never below 0."""
+        """Lowest and highest swing: at most and at least 0."""
 
     @property
     def fastest_deg_s(self) -> float:
@@ -62,7 +57,7 @@ class Manoeuvre(Protocol):
 
     @property
     def switched(self) -> tuple[Switched, ...]:
-        """What is flipped meanwhile."""
+        """Switches inverted during the manoeuvre."""
 
     def swing_deg(self, time_s: FloatArray) -> FloatArray:
         """Angle from the start at `time_s` `(time,)`: 0 before the start, `net_deg` after it."""
@@ -70,9 +65,9 @@ class Manoeuvre(Protocol):
 
 @dataclass(frozen=True)
 class Corners:
-    """Straight lines between `points`, (time in s, angle from the start in deg).
+    """Linear interpolation between `points`, (time in s, angle from the start in deg).
 
-    The first point is (0, 0). Two points at one time are a step, which counts from that time on.
+    The first point is (0, 0). Two points at one time are a step at that time.
     Raises `ConfigError` for points that are not in order of time.
     """
 
@@ -119,7 +114,7 @@ class Corners:
     def swing_deg(self, time_s: FloatArray) -> FloatArray:
         """Interpolate between the corners."""
         times, angles = np.array(self.points).T
-        # Behind two points at one time `interp` gives the later one from that very time on.
+        # At two points of one time `interp` returns the later one.
         return np.where(time_s < 0.0, 0.0, np.interp(time_s, times, angles))
 
 
@@ -129,8 +124,8 @@ class Sweep:
 
     With `k = high_hz / low_hz` and `T` the duration, phi over 2 pi is
     `low_hz t + (high_hz - low_hz) t^2 / (2 T)` (linear) or `low_hz T (k^(t/T) - 1) / ln k`
-    (logarithmic: equal time per octave). `T` is the one nearest to `wanted_s` that ends on a
-    whole number of cycles, so the lever comes back to where it began.
+    (logarithmic: equal time per octave). `T` is the duration nearest to `wanted_s` with a whole
+    number of cycles, so that the lever returns to its start.
     Raises `ConfigError` unless `0 < low_hz < high_hz` and there is time for half a cycle.
     """
 
@@ -173,7 +168,7 @@ class Sweep:
 
     @property
     def net_deg(self) -> float:
-        """Nothing: the sweep ends where it began."""
+        """Zero: the sweep ends at its start."""
         return 0.0
 
     @property
@@ -190,11 +185,11 @@ class Sweep:
         """Phase at `time_s` `(time,)` within the sweep."""
         ratio, length = self.high_hz / self.low_hz, self.duration_s
         if self.logarithmic:
-            turns = self.low_hz * length * (ratio ** (time_s / length) - 1.0) / math.log(ratio)
+            cycles = self.low_hz * length * (ratio ** (time_s / length) - 1.0) / math.log(ratio)
         else:
-            turns = self.low_hz * time_s
-            turns = turns + (self.high_hz - self.low_hz) * time_s**2 / (2.0 * length)
-        return 2.0 * np.pi * turns
+            cycles = self.low_hz * time_s
+            cycles = cycles + (self.high_hz - self.low_hz) * time_s**2 / (2.0 * length)
+        return 2.0 * np.pi * cycles
 
     def swing_deg(self, time_s: FloatArray) -> FloatArray:
         """Sine of the phase."""
@@ -205,7 +200,7 @@ class Sweep:
 
 @dataclass(frozen=True)
 class ManoeuvreSequence:
-    """Manoeuvres one after another; each begins where the one before has left the lever."""
+    """Manoeuvres one after another; each begins at the final angle of the one before."""
 
     parts: tuple[Manoeuvre, ...]
 
@@ -247,7 +242,7 @@ class ManoeuvreSequence:
 
     @property
     def switched(self) -> tuple[Switched, ...]:
-        """What any part flips."""
+        """Switches that any part inverts."""
         return tuple(
             flip.later(start)
             for start, part in zip(self.starts_s, self.parts, strict=True)
@@ -255,26 +250,25 @@ class ManoeuvreSequence:
         )
 
     def swing_deg(self, time_s: FloatArray) -> FloatArray:
-        """Sum of the parts: each is 0 before it begins and stays where it ended."""
+        """Sum of the parts: each is 0 before its start and constant after its end."""
         total = np.zeros_like(time_s, dtype=np.float64)
         for start, part in zip(self.starts_s, self.parts, strict=True):
             total += part.swing_deg(time_s - start)
         return total
 
 
-# What a hand does at most: the whole travel in half a second.
+# Fastest rate of a hand: the whole travel in half a second; and rates of manoeuvres.
 HAND_DEG_S = 170.0
-# Slam: as fast as pilots move it when asked to.
 SLAM_DEG_S, FAST_DEG_S, SLOW_DEG_S = 120.0, 40.0, 4.0
 
 
 def hold(seconds: float) -> Corners:
-    """Leave the lever where it is."""
+    """Keep the lever constant."""
     return Corners(((0.0, 0.0), (_time("a hold", seconds), 0.0)))
 
 
 def travel(by_deg: float, rate_deg_s: float) -> Corners:
-    """Move the lever by `by_deg` (negative: back) at a steady rate."""
+    """Move the lever by `by_deg` (negative: back) at a constant rate."""
     return Corners(((0.0, 0.0), (abs(by_deg) / _rate(rate_deg_s), by_deg)))
 
 
@@ -292,15 +286,15 @@ def impulse(by_deg: float, width_s: float, after_s: float = 1.0, then_s: float =
 
 
 def ramp(by_deg: float, ramp_s: float, after_s: float = 1.0, then_s: float = 30.0) -> Corners:
-    """Move steadily over `ramp_s` after `after_s`, then hold (Equation 3)."""
+    """Move at a constant rate over `ramp_s` after `after_s`, then hold (Equation 3)."""
     top = after_s + _time("a ramp", ramp_s)
     return Corners(((0.0, 0.0), (after_s, 0.0), (top, by_deg), (top + then_s, by_deg)))
 
 
 def levels(stays: Iterable[tuple[float, float]], rate_deg_s: float) -> Corners:
-    """Go to each (angle from the start, seconds) in turn; the seconds include the way there.
+    """Move to each (angle from the start, seconds) in turn; the seconds include the movement.
 
-    Raises `ConfigError` where a stay is over before the lever has arrived.
+    Raises `ConfigError` where the seconds are too few for the movement.
     """
     clock, angle = 0.0, 0.0
     points = [(clock, angle)]
@@ -325,35 +319,35 @@ def doublet(amplitude_deg: float, unit_s: float, rate_deg_s: float = FAST_DEG_S)
 def three_two_one_one(
     amplitude_deg: float, unit_s: float, rate_deg_s: float = FAST_DEG_S
 ) -> Corners:
-    """Up for three units, down for two, up for one, down for one, back: a broad band in short."""
+    """Up for three units, down for two, up for one, down for one, back: broad-band in short time."""
     signs = ((1, 3), (-1, 2), (1, 1), (-1, 1), (0, 1))
     return levels([(sign * amplitude_deg, units * unit_s) for sign, units in signs], rate_deg_s)
 
 
 def ladder(sizes_deg: Iterable[float], stay_s: float, rate_deg_s: float = FAST_DEG_S) -> Corners:
-    """Out to each size and back: what a rate limit delays in proportion and a lag does not."""
+    """Move by each size and back: a rate limit delays in proportion to size, a lag does not."""
     stays = [(level, stay_s) for size in sizes_deg for level in (size, 0.0)]
     return levels(stays, rate_deg_s)
 
 
 def reversals(amplitude_deg: float, rate_deg_s: float, cycles: int = 3) -> Corners:
-    """Small triangles about one trim; play shows the same at every rate, a lag does not."""
+    """Small triangles about one trim: the effect of play is the same at every rate, of a lag not."""
     quarter = abs(amplitude_deg) / _rate(rate_deg_s)
-    turns = [((2 * k + 1) * quarter, amplitude_deg * (-1) ** k) for k in range(2 * cycles)]
-    return Corners(((0.0, 0.0), *turns, (4 * cycles * quarter, 0.0)))
+    corners = [((2 * k + 1) * quarter, amplitude_deg * (-1) ** k) for k in range(2 * cycles)]
+    return Corners(((0.0, 0.0), *corners, (4 * cycles * quarter, 0.0)))
 
 
 def reslam(
     down_deg: float, pause_s: float, then_s: float = 15.0, rate_deg_s: float = SLAM_DEG_S
 ) -> Corners:
-    """Chop, and slam back before the engine has settled."""
+    """Chop, and slam back before the engine is in equilibrium."""
     down = -abs(down_deg)
     way = abs(down) / _rate(rate_deg_s)
     return levels([(down, way + pause_s), (0.0, way + then_s)], rate_deg_s)
 
 
 def switch(channel: str, on_s: float, before_s: float = 5.0, after_s: float = 20.0) -> Corners:
-    """Flip bleed or anti-ice for `on_s` while the lever rests."""
+    """Invert bleed or anti-ice for `on_s` while the lever is constant."""
     end = before_s + _time("a switch", on_s) + after_s
     return Corners(((0.0, 0.0), (end, 0.0)), (Switched(channel, before_s, before_s + on_s),))
 

@@ -1,25 +1,19 @@
-"""What the pilot does with the levers, leg by leg, in two styles.
+"""The pilot: which manoeuvres both levers fly, leg by leg, and the lever angles over time.
 
-`line`: few and gentle movements, as in line operation; between the changes of leg only the
-small corrections of an autothrottle. `enriched`: pushes and pulls in every leg, take-off and
+Two styles. `line`: few and gentle movements as in line operation; between the changes of leg only
+the small corrections of an autothrottle. `enriched`: pushes and pulls in every leg, take-off and
 approach included, at rates from slow to slam, and the whole set of test points low and high.
-The two engines are worked together, but never quite: one lever leads, and now and then only one
-is moved. Not modelled: a pilot who closes a loop, so no movement answers what the engine does.
 
-The two throttle levers on a raster: where manoeuvres are placed, and how the levers differ.
-
-Modelled: stops at 0 (idle) and 85 deg (take-off), the rate of a hand, levers that are rigged
-and set up to a degree apart. Not modelled: play and friction (effects of the engine's linkage),
-reverse thrust.
-
-Manoeuvres that make unmodelled effects separable: what to ask the flight test for.
-
-Each test point splits effects that look alike in line operation (GAP section 3: play against
+Each test point separates effects that look alike in line operation (GAP section 3: play against
 dead band against stiction, rate limit against asymmetry against time constant, transport delay
 against sensor lag, heat soak against slow temperature lags and deterioration, bleed against
-deterioration). Fly the whole set low and high, once on a cold and once on a hot engine, and
-record lever, speeds and temperature at 4 Hz or more. Not modelled: which pair is ambiguous just
-now; that is for the diagnosis to say.
+deterioration). Fly the whole set low and high, once on a cold and once on a hot engine, and record
+lever, speeds and temperature at 4 Hz or more.
+
+The two levers move together but not exactly: one leads by a short time, some manoeuvres are flown
+on one alone, and both are rigged up to a degree apart. Their stops are 0 (idle) and 85 deg
+(take-off). Not modelled: feedback from the engine to the pilot, play and friction (effects of the
+engine's linkage), reverse thrust.
 """
 
 from __future__ import annotations

@@ -1,30 +1,15 @@
-"""The way of the aircraft: the legs of a flight, and its altitude, Mach number and air.
+"""The route of the aircraft: legs of a flight, its altitude, Mach number and air, and its switches.
 
-Modelled: altitude from rates of climb and descent with rounded corners; calibrated airspeed by
-leg, Mach from both, limited to cruise Mach; a static temperature deviation that changes with
-altitude on one day; a speed that sags and swells when the levers leave their trim. Not modelled:
-wind, turbulence, turns, weight, and the effect of the levers on the altitude.
+| part | modelled | not modelled |
+|---|---|---|
+| envelope | the calibration paper's (section 2.1): 0-12 km, up to Mach 0.85, -30 to +20 degC off the standard day; two aircraft limit it further | weight, drag, buffet |
+| altitude, Mach | rates of climb and descent with rounded corners; calibrated airspeed by leg, limited to cruise Mach; the speed follows the levers slowly | wind, turbulence, turns |
+| air | a static temperature deviation that changes with altitude | a change with time |
+| switches | weight on wheels; approach idle from each approach to touch-down or 10 s into the go-around; some take-offs without packs; anti-ice in cloud layers where the total temperature is low; test points flip bleed and anti-ice | engine start, icing, valves that move in time |
 
-A flight has a natural length (80 to 90 min in line operation, 110 to 130 min enriched). Asked
-for a shorter one, each leg shrinks towards its own least time: levers and switches keep their
-speed, and the air goes by in time lapse.
-
-Times and what there is at them are arrays `(time,)`.
-
-The switch channels of a flight: weight on wheels, approach idle, bleed and anti-ice.
-
-Modelled: weight on wheels from brakes-off to lift-off and from touch-down on; approach idle from
-the beginning of each approach until touch-down or ten seconds into the go-around; packs off for
-some take-offs; cloud layers in which nacelle, and in some of them wing, anti-ice is on when the
-total temperature is low. Test points flip bleed and anti-ice where that is allowed, one engine's
-or both. Not modelled: engine start, icing itself, an anti-ice valve that moves in time.
-
-The channels and the envelope of the virtual flight test, and which speed belongs where.
-
-The box is the calibration paper's (section 2.1): 0 to 12 km, up to Mach 0.85, static temperature
--30 to +20 degC off the standard day. Two aircraft limit it further. Modelled: pressure altitude,
-calibrated airspeed and Mach number as one consistent triple (closed form, no instrument error).
-Not modelled: weight, drag, buffet; what an aircraft could sustain is only bounded by rates.
+A flight has a natural length (80 to 90 min in line operation, 110 to 130 min enriched). In a shorter
+one each leg shrinks towards its minimum time: levers and switches keep their speed, and altitude,
+Mach and temperature change faster. Times and all quantities over time are arrays `(time,)`.
 """
 
 from __future__ import annotations
@@ -38,13 +23,13 @@ from scipy.signal import lfilter
 
 from narxcal.atmosphere import FT_M, air_state, mach_of_cas
 from narxcal.flight_test.manoeuvres import Switched
-from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray, spans
 from narxcal.support.errors import ConfigError
 
 CEILING_FT = 12_000.0 / FT_M
 MACH_MAX = 0.85
 DT_LOW_C, DT_HIGH_C = -30.0, 20.0
-# Rasters: at least the 4 Hz that short delays need (GAP section 3).
+# Sampling rates: at least the 4 Hz that short delays need (GAP section 3).
 RATE_HZ = (4.0, 256.0)
 SWITCH_NAMES = ("WOW", "Approach", "ECS", "NAI", "WAI")
 CHANNEL_NAMES = ("time_s", "TRA_deg", "ALT_ft", "Mach", "dT_C", *SWITCH_NAMES)
@@ -52,7 +37,7 @@ CHANNEL_NAMES = ("time_s", "TRA_deg", "ALT_ft", "Mach", "dT_C", *SWITCH_NAMES)
 
 @dataclass(frozen=True)
 class Aircraft:
-    """What an aircraft may do: ceiling, highest Mach, climb rates low and high up (ft/min)."""
+    """Limits of an aircraft: ceiling, highest Mach, climb rates at low and high altitude (ft/min)."""
 
     ceiling_ft: float
     mach_max: float
@@ -75,7 +60,7 @@ def check_between(name: str, value: float, low: float, high: float, hint: str = 
         )
 
 
-# Least time of each leg in s: their sum is the shortest flight.
+# Minimum time of each leg in s; their sum is the shortest flight.
 LEAST_S = {
     "taxi_out": 20.0,
     "take_off": 22.0,
@@ -122,16 +107,16 @@ _CAS_KT = {
     "roll_out": 15.0,
     "taxi_in": 8.0,
 }
-# Idle in cruise slows an aircraft by about 0.6 m/s2 (lift over drag 16): with 55 deg of lever
-# and 30 s of inertia that is this much Mach per deg. After minutes the pilot has trimmed it out.
+# Idle in cruise decelerates an aircraft by about 0.6 m/s2 (lift over drag 16): with 55 deg of lever
+# and a time constant of 30 s that is this much Mach per deg. The pilot trims it out in minutes.
 _MACH_PER_DEG, _INERTIA_S, _TRIMMED_S = 1.1e-3, 30.0, 300.0
 
 
 @dataclass(frozen=True)
 class Day:
-    """What one flight is drawn to be: where it goes, how high, and in which air.
+    """Random properties of one flight: airfield, altitude, speed and air.
 
-    `long_tests`: level legs last as long as the whole set of test points needs.
+    `long_tests`: level legs are long enough for the whole set of test points.
     """
 
     field_ft: float
@@ -145,7 +130,7 @@ class Day:
 
 @dataclass(frozen=True)
 class Leg:
-    """Part of a flight from `start_s` to `stop_s`, at whose end it is at `end_ft`, `end_kt`."""
+    """Part of a flight from `start_s` to `stop_s`, which ends at `end_ft` and `end_kt`."""
 
     name: str
     start_s: float
@@ -155,10 +140,10 @@ class Leg:
 
 
 def plan_legs(day: Day, aircraft: Aircraft, duration_s: float | None) -> list[Leg]:
-    """Lay the legs of `day` out in time; `duration_s` None gives the natural length.
+    """Plan the legs of `day` in time; `duration_s` None gives the natural length.
 
-    A length between the shortest and the natural one shrinks the legs; what is beyond the
-    natural one is spent in cruise.
+    A length between the shortest and the natural one shrinks the legs; additional time is spent in
+    cruise.
     """
     ends = _altitudes(day)
     natural = _natural_s(day, aircraft, ends)
@@ -182,7 +167,7 @@ def _altitudes(day: Day) -> dict[str, float]:
 
 
 def _natural_s(day: Day, aircraft: Aircraft, ends: dict[str, float]) -> dict[str, float]:
-    """Seconds that each leg takes without hurry, at least its least."""
+    """Natural time of each leg in s, at least its minimum."""
     up, high = aircraft.climb_fpm, aircraft.climb_high_fpm
     rates = {"initial_climb": up, "climb": 0.85 * up, "climb_high": 0.5 * (up + high)}
     rates |= {"step_climb": 0.7 * high, "descent": 2300.0, "low_descent": 1500.0}
@@ -214,7 +199,7 @@ def _stretched(natural: dict[str, float], duration_s: float) -> dict[str, float]
 
 
 def during(legs: list[Leg], time_s: FloatArray, names: tuple[str, ...]) -> BoolArray:
-    """Mark the samples of the legs that are named."""
+    """Mark the samples of the legs called `names`."""
     flags = np.zeros(len(time_s), dtype=np.bool_)
     for leg in legs:
         if leg.name in names:
@@ -224,12 +209,12 @@ def during(legs: list[Leg], time_s: FloatArray, names: tuple[str, ...]) -> BoolA
 
 
 def altitude(day: Day, legs: list[Leg], time_s: FloatArray) -> FloatArray:
-    """Pressure altitude in ft at `time_s`: exactly the field's while the wheels carry weight."""
+    """Pressure altitude in ft at `time_s`: exactly the field's with weight on wheels."""
     corners = [(0.0, day.field_ft), *((leg.stop_s, leg.end_ft) for leg in legs)]
     times, heights = np.array(corners).T
     half = 0.5 * _ROUND_S
     names = list(LEAST_S)
-    # Rounded corners must not lift an aircraft off before its time, or let it sink in.
+    # Rounded corners must not begin to climb before lift-off, or descend below the field.
     times[1 + names.index("take_off")] += half
     times[1 + names.index("flare")] -= half
     path = np.interp(time_s, times, heights)
@@ -240,13 +225,13 @@ def altitude(day: Day, legs: list[Leg], time_s: FloatArray) -> FloatArray:
 
 
 def _longer_s(legs: list[Leg]) -> float:
-    """Rounding away from the ground: a flight in time lapse rounds its corners in time lapse."""
+    """Time over which corners away from the ground are rounded; shorter in a shortened flight."""
     shortest = min(leg.stop_s - leg.start_s for leg in legs if leg.name not in _NEAR_GROUND)
     return float(np.clip(0.5 * shortest, _ROUND_S, _ROUND_HIGH_S))
 
 
 def planned_mach(day: Day, legs: list[Leg], time_s: FloatArray, alt_ft: FloatArray) -> FloatArray:
-    """Mach number with the levers at their trim: airspeed by leg, at most cruise Mach."""
+    """Mach number with the levers at trim: airspeed by leg, at most cruise Mach."""
     corners = [(0.0, 0.0), *((leg.stop_s, leg.end_kt) for leg in legs)]
     times, speeds = np.array(corners).T
     mach = mach_of_cas(np.interp(time_s, times, speeds), alt_ft)
@@ -256,10 +241,10 @@ def planned_mach(day: Day, legs: list[Leg], time_s: FloatArray, alt_ft: FloatArr
 def flown_mach(
     planned: FloatArray, lever_deg: FloatArray, dt_s: float, mach_max: float
 ) -> FloatArray:
-    """Let the speed follow the levers' departure from their trim, below `mach_max`.
+    """Add the response of the speed to the levers' deviation from trim, below `mach_max`.
 
-    First-order inertia less its own slow mean, fading out below Mach 0.5: near the ground a
-    pilot holds the speed.
+    A first-order lag minus a slower one; it vanishes towards Mach 0.2, since a pilot controls the
+    speed near the ground.
     """
     departure = _first_order(lever_deg, _INERTIA_S, dt_s) - _first_order(
         lever_deg, _TRIMMED_S, dt_s
@@ -271,7 +256,7 @@ def flown_mach(
 
 
 def temperature_deviation(day: Day, alt_ft: FloatArray) -> FloatArray:
-    """Static temperature minus standard, degC: the day's, and up to 3 degC off it by layer."""
+    """Static temperature minus standard, degC: the day's, and up to 3 degC more or less by layer."""
     room = min(3.0, DT_HIGH_C - day.dT_C, day.dT_C - DT_LOW_C)
     return day.dT_C + room * np.sin(day.dT_phase + alt_ft / 6000.0)
 
@@ -283,7 +268,7 @@ def _first_order(values: FloatArray, tau_s: float, dt_s: float) -> FloatArray:
 
 
 def smoothed(values: FloatArray, time_s: FloatArray, width_s: float) -> FloatArray:
-    """Round corners: two moving averages of `width_s` together, ends held."""
+    """Round corners by two moving averages of `width_s` together, with constant ends."""
     half = max(1, round(0.25 * width_s / float(time_s[1] - time_s[0])))
     for _ in range(2):
         padded = np.pad(values, half, mode="edge")
@@ -292,9 +277,9 @@ def smoothed(values: FloatArray, time_s: FloatArray, width_s: float) -> FloatArr
     return values
 
 
-# Anti-ice is for a total air temperature of 10 degC or less in visible moisture, and a static one
-# of -40 degC or more: colder clouds are dry (the usual rule of flight manuals). Planned with a
-# margin, as the levers change speed and total temperature.
+# Anti-ice is on at a total air temperature of 10 degC or less in visible moisture, and a static one
+# of -40 degC or more: colder clouds are dry (the usual rule of flight manuals). The margin covers
+# the changes of speed, and so of total temperature, that the levers cause.
 ANTI_ICE_C = 10.0
 DRY_C = -40.0
 _MARGIN_C = 6.0
@@ -305,7 +290,7 @@ _RETRACTED_S = 10.0
 
 @dataclass(frozen=True)
 class Cloud:
-    """A layer from `base_ft` to `top_ft`; `severe` ones ice the wing too."""
+    """A layer from `base_ft` to `top_ft`; in `severe` ones wing anti-ice is on, too."""
 
     base_ft: float
     top_ft: float
@@ -314,7 +299,7 @@ class Cloud:
 
 @dataclass(frozen=True)
 class Weather:
-    """The day's clouds, and whether take-off is flown with the packs off."""
+    """Clouds of the day, and whether take-off is flown without packs."""
 
     clouds: tuple[Cloud, ...]
     packs_off: bool
@@ -347,12 +332,12 @@ class Air:
 
     @property
     def dry(self) -> BoolArray:
-        """Whether it is too cold for clouds to ice anything."""
+        """Whether clouds are too cold for icing."""
         return np.asarray(air_state(self.alt_ft, 0.0, self.dT_C).T_K - 273.15 < DRY_C)
 
 
 def planned_switches(day: Day, weather: Weather, legs: list[Leg], air: Air) -> dict[str, BoolArray]:
-    """Set the switches as both engines have them, without test points."""
+    """Plan the switches, which both engines share, without test points."""
     ground = during(legs, air.time_s, GROUND)
     high = air.alt_ft > day.field_ft + _ABOVE_FIELD_FT
     clouds = [(c, (air.alt_ft >= c.base_ft) & (air.alt_ft <= c.top_ft)) for c in weather.clouds]
@@ -377,11 +362,10 @@ def _approach(legs: list[Leg], time_s: FloatArray) -> BoolArray:
 
 
 def _long_enough(flags: BoolArray, time_s: FloatArray) -> BoolArray:
-    """Drop what is on for less than a few seconds."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False])).view(np.int8)))
+    """Drop intervals of less than a few seconds."""
     kept = np.zeros_like(flags)
     dt_s = float(time_s[1] - time_s[0])
-    for start, stop in edges.reshape(-1, 2):
+    for start, stop in spans(flags):
         kept[start:stop] = (stop - start) * dt_s >= _SHORTEST_S
     return kept
 
@@ -389,11 +373,11 @@ def _long_enough(flags: BoolArray, time_s: FloatArray) -> BoolArray:
 def flipped(
     switches: dict[str, BoolArray], flips: Iterable[Switched], air: Air
 ) -> dict[str, BoolArray]:
-    """Turn switches round where test points do, but no anti-ice on in warm air or on the ground."""
-    turned = {name: flags.copy() for name, flags in switches.items()}
+    """Flip switches at test points, but no anti-ice in warm air or on the ground."""
+    changed = {name: flags.copy() for name, flags in switches.items()}
     allowed = air.cold & ~switches["WOW"]
     for flip in flips:
         first, last = np.searchsorted(air.time_s, (flip.start_s, flip.stop_s))
         if flip.channel == "ECS" or allowed[first:last].all():
-            turned[flip.channel][first:last] = ~switches[flip.channel][first:last]
-    return turned
+            changed[flip.channel][first:last] = ~switches[flip.channel][first:last]
+    return changed
