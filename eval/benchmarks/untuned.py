@@ -29,7 +29,8 @@ from eval.free_run import ARX, FIRST_ORDER
 from eval.gap.blind.lumped import LumpedEngine
 from narxcal.channels import channel
 from narxcal.flight_test.fly import fly
-from narxcal.flight_test.scenario import SIDES, FlightScenario
+from narxcal.flight_test.pilot import SIDES
+from narxcal.flight_test.scenario import FlightScenario
 from narxcal.flight_test.sensors import Streams, record
 from narxcal.support.errors import DataError
 from training.config import SCHEMA, RunConfig, load_config

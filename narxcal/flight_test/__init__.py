@@ -1,4 +1,5 @@
-"""The virtual flight test: what pilot, day and sensors do, as arrays.
+"""The virtual flight test: what pilot, day and sensors do, and logs of it with known truth.
 
-The engine itself is `narxcal.turbofan`; files are written by `eval`.
+`plan_flight` plans a flight, `narxcal.turbofan` simulates its engines, `sensors.record` measures
+them, and `fly.write_flights` writes the logs of a `FlightScenario`.
 """

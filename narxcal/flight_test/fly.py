@@ -18,7 +18,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from narxcal.channels import CHANNELS
-from narxcal.flight_test.scenario import SCHEMA, SIDES, FlightScenario, FlownEffect
+from narxcal.flight_test.pilot import SIDES
+from narxcal.flight_test.scenario import SCHEMA, FlightScenario, FlownEffect
 from narxcal.flight_test.sensors import Streams, record
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, ModelError

@@ -319,7 +319,7 @@ def doublet(amplitude_deg: float, unit_s: float, rate_deg_s: float = FAST_DEG_S)
 def three_two_one_one(
     amplitude_deg: float, unit_s: float, rate_deg_s: float = FAST_DEG_S
 ) -> Corners:
-    """Up for three units, down for two, up for one, down for one, back: broad-band in short time."""
+    """Up for three units, down for two, up for one, down for one, back: short and broad-band."""
     signs = ((1, 3), (-1, 2), (1, 1), (-1, 1), (0, 1))
     return levels([(sign * amplitude_deg, units * unit_s) for sign, units in signs], rate_deg_s)
 
@@ -331,7 +331,7 @@ def ladder(sizes_deg: Iterable[float], stay_s: float, rate_deg_s: float = FAST_D
 
 
 def reversals(amplitude_deg: float, rate_deg_s: float, cycles: int = 3) -> Corners:
-    """Small triangles about one trim: the effect of play is the same at every rate, of a lag not."""
+    """Small triangles about one trim: play has the same effect at every rate, a lag has not."""
     quarter = abs(amplitude_deg) / _rate(rate_deg_s)
     corners = [((2 * k + 1) * quarter, amplitude_deg * (-1) ** k) for k in range(2 * cycles)]
     return Corners(((0.0, 0.0), *corners, (4 * cycles * quarter, 0.0)))

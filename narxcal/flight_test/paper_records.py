@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from narxcal.flight_test.manoeuvres import travel
-from narxcal.flight_test.pilot import ENGINES, LATER_S, Placed, compose, draw_rate
+from narxcal.flight_test.pilot import LATER_S, SIDES, Placed, compose, draw_rate
 from narxcal.flight_test.plan import seeded
 from narxcal.flight_test.route import (
     CEILING_FT,
@@ -313,7 +313,7 @@ def _sets(records: Sequence[FlownRecord], seed: int, rate_hz: float) -> tuple[Da
         length = record.corners[-1][0] - random.uniform(0.0, 4.0)
         lengths = (length, length - random.uniform(5.0, 15.0))
         slots = _slots(record, random)
-        for engine, count, stop in zip(ENGINES, record.pushes, lengths, strict=True):
+        for engine, count, stop in zip(SIDES, record.pushes, lengths, strict=True):
             pushes, placed = _placed(record, _kept(slots, count, random), random)
             time_s = np.arange(int(stop * rate_hz)) / rate_hz
             channels = _air(record, time_s)

@@ -49,8 +49,7 @@ from narxcal.support.errors import ConfigError
 
 IDLE_DEG, TAKE_OFF_DEG = 0.0, 85.0
 _ROUNDING_DEG = 1e-9
-# Lever difference: half of it on either lever, drawn anew along the lever's path, and none at
-# the stops, which both levers touch.
+# Difference of the levers: half of it on each, drawn along the lever's path, and zero at the stops.
 _APART_DEG, _PATH_DEG, _STOP_DEG = 0.5, 30.0, 10.0
 
 
@@ -63,17 +62,17 @@ class Placed:
 
     @property
     def stop_s(self) -> float:
-        """When it is over."""
+        """Time of its end."""
         return self.start_s + self.manoeuvre.duration_s
 
 
 def compose(
     placed: Iterable[Placed], time_s: FloatArray, start_deg: float, hand_deg_s: float | None = None
 ) -> FloatArray:
-    """Lever angle at `time_s` `(time,)`: held but for the manoeuvres, each from where it stands.
+    """Lever angle at `time_s` `(time,)`: constant but for the manoeuvres, which are relative.
 
-    With `hand_deg_s` no sample differs from the one before by more than a hand moves; what is
-    faster lags behind. Raises `ConfigError` where manoeuvres overlap or pass a stop.
+    `hand_deg_s` limits the rate of the result. Raises `ConfigError` where manoeuvres overlap or
+    pass a stop.
     """
     in_order = sorted(placed, key=lambda item: item.start_s)
     _check_apart(in_order)
@@ -95,16 +94,16 @@ def rate_limited(angle_deg: FloatArray, most_deg: float) -> FloatArray:
     if np.abs(np.diff(angle_deg)).max(initial=0.0) <= most_deg:
         return angle_deg
     state, followed = float(angle_deg[0]), []
-    for wanted in angle_deg.tolist():
-        state += min(max(wanted - state, -most_deg), most_deg)
+    for angle in angle_deg.tolist():
+        state += min(max(angle - state, -most_deg), most_deg)
         followed.append(state)
     return np.array(followed)
 
 
 def set_apart(angle_deg: FloatArray, random: np.random.Generator) -> FloatArray:
-    """Set a lever `(time,)` a little off the angle meant, by at most half a degree.
+    """Add a random error of at most half a degree to a lever angle `(time,)`.
 
-    The error is a function of the path that the lever has covered: it changes only while the
+    The error is a function of the distance that the lever has covered: it changes only while the
     lever moves, and is 0 at either stop.
     """
     path = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(angle_deg)))))
@@ -115,7 +114,7 @@ def set_apart(angle_deg: FloatArray, random: np.random.Generator) -> FloatArray:
 
 
 def flips(placed: Iterable[Placed]) -> list[Switched]:
-    """What the manoeuvres flip, on the common time axis."""
+    """Switches that the manoeuvres invert, on the common time axis."""
     return [flip.later(item.start_s) for item in placed for flip in item.manoeuvre.switched]
 
 
@@ -146,9 +145,9 @@ _RATES_DEG_S = (5.0, 15.0, 40.0, SLAM_DEG_S)
 
 @dataclass(frozen=True)
 class TestPoint:
-    """A manoeuvre that begins and ends at one trim, and the effects that it tells apart."""
+    """A manoeuvre that begins and ends at one trim, and the effects that it separates."""
 
-    __test__ = False  # no test case, for all its name
+    __test__ = False  # pytest must not collect it
 
     name: str
     manoeuvre: Manoeuvre
@@ -157,10 +156,11 @@ class TestPoint:
 
 @dataclass(frozen=True)
 class TestLevels:
-    """Lever angles that the set is flown at, in deg, and how long it stays.
+    """Lever angles of the set in deg, and its times.
 
-    `low`, `trim` and `high` are in order between the stops; `stay_s` between movements, `hold_s`
-    once after the large step (3 to 5 minutes show heat soak). Raises `ConfigError` otherwise.
+    `low`, `trim` and `high` are in order between the stops; `stay_s` is the time between movements,
+    `hold_s` that after the large step (3 to 5 minutes show heat soak). Raises `ConfigError` for
+    angles out of order and for times below 5 s.
     """
 
     __test__ = False
@@ -237,26 +237,27 @@ def _broad_band(at: TestLevels) -> Iterator[TestPoint]:
 
 Style = Literal["line", "enriched"]
 STYLES: tuple[Style, ...] = ("line", "enriched")
-ENGINES = ("left", "right")
+Side = Literal["left", "right"]
+SIDES: tuple[Side, ...] = ("left", "right")
 
-# The lever that follows moves this much later, in s; manoeuvres keep more than that apart.
+# The second lever moves later by so many s; manoeuvres are farther apart than that.
 LATER_S = (0.1, 0.6)
 _APART_S = 1.0
-_SOLO = 0.15
-# The lever gets to the angle of a leg in this share of it.
+_SOLO = 0.15  # share of manoeuvres on one lever alone
+# The lever reaches the angle of a leg in this share of it.
 _SET_SHARE = 0.4
 
 
 @dataclass(frozen=True)
 class _Setting:
-    """Lever angles of one leg: where it is set, and between which angles it is worked."""
+    """Lever angles of one leg: trim, lowest and highest."""
 
     base: float
     low: float
     high: float
 
 
-# Chosen; climb is where the Citation X paper's TLA of 50 comes to lie (see `mesh`).
+# Chosen; climb is the Citation X paper's TLA of 50 on this scale (see `mesh`).
 _SETTINGS = {
     "taxi_out": _Setting(4.0, 0.0, 24.0),
     "take_off": _Setting(80.0, 55.0, 85.0),
@@ -277,9 +278,9 @@ _SETTINGS = {
     "roll_out": _Setting(0.0, 0.0, 0.0),
     "taxi_in": _Setting(4.0, 0.0, 20.0),
 }
-# Both levers or none: nobody tries an engine alone here.
+# Legs without manoeuvres on one engine alone, without any, and with test points.
 _TOGETHER = ("take_off", "initial_climb", "go_around", "flare", "roll_out")
-_STILL = ("flare", "roll_out")
+_NO_MANOEUVRES = ("flare", "roll_out")
 _TESTED = ("low_level", "high_cruise")
 # Seconds between corrections of an autothrottle: closest on approach.
 _CORRECTIONS_S = {"approach": (3.0, 9.0), "final": (3.0, 9.0), "cruise": (15.0, 60.0)}
@@ -290,30 +291,30 @@ _CORRECTIONS_S["high_cruise"] = _CORRECTIONS_S["cruise"]
 class _Programme:
     """The manoeuvres of both levers so far.
 
-    From `free_s` on the next one can begin; `clock_s` is when the pilot means it to.
+    The next one can begin from `free_s` on; the pilot intends to begin at `clock_s`.
     """
 
     random: np.random.Generator
     free_s: float = 0.0
     clock_s: float = 0.0
     angle_deg: float = 0.0
-    placed: dict[str, list[Placed]] = field(default_factory=lambda: {e: [] for e in ENGINES})
+    placed: dict[str, list[Placed]] = field(default_factory=lambda: {e: [] for e in SIDES})
 
-    def add(self, manoeuvre: Manoeuvre, rest_s: float, *, together: bool = True) -> None:
-        """Place a manoeuvre on both levers, or on one alone if it comes back to its start."""
+    def add(self, manoeuvre: Manoeuvre, pause_s: float, *, together: bool = True) -> None:
+        """Place a manoeuvre on both levers, or on one alone if it returns to its start."""
         solo = not together and manoeuvre.net_deg == 0.0 and self.random.random() < _SOLO
         leader = self.random.integers(2)
-        for index, engine in enumerate(ENGINES):
+        for index, engine in enumerate(SIDES):
             if solo and index != leader:
                 continue
             later = 0.0 if index == leader else self.random.uniform(*LATER_S)
             self.placed[engine].append(Placed(self.clock_s + later, manoeuvre))
         self.angle_deg += manoeuvre.net_deg
         self.free_s = self.clock_s + manoeuvre.duration_s + _APART_S
-        self.clock_s = max(self.free_s, self.free_s - _APART_S + rest_s)
+        self.clock_s = max(self.free_s, self.free_s - _APART_S + pause_s)
 
     def fits(self, manoeuvre: Manoeuvre, leg: Leg, setting: _Setting) -> bool:
-        """Whether it ends in time, and stays between the leg's angles."""
+        """Whether it ends within the leg, and stays between the leg's angles."""
         low, high = manoeuvre.reach_deg
         inside = setting.low <= self.angle_deg + low and self.angle_deg + high <= setting.high
         return inside and self.clock_s + manoeuvre.duration_s + _APART_S <= leg.stop_s
@@ -325,10 +326,10 @@ def work_levers(
     """Draw the manoeuvres of the left and the right lever over a flight, from idle at 0 s."""
     programme = _Programme(random)
     for leg in legs:
-        # A new leg begins when it begins, whatever rest was meant after the last movement.
+        # The start of a leg overrides the pause intended after the last movement.
         programme.clock_s = max(programme.free_s, leg.start_s + random.uniform(0.0, 1.0))
         _set(programme, leg, style)
-        if leg.name in _STILL:
+        if leg.name in _NO_MANOEUVRES:
             continue
         if style == "enriched" and leg.name in _TESTED:
             _test(programme, leg)
@@ -343,12 +344,12 @@ def _set(programme: _Programme, leg: Leg, style: Style) -> None:
     if target > 0.0:
         target = min(max(target + random.uniform(-3.0, 3.0), setting.low), setting.high)
     rate = draw_rate(random) if style == "enriched" else random.uniform(6.0, 15.0)
-    if leg.name in _STILL or leg.name in ("take_off", "go_around"):
+    if leg.name in _NO_MANOEUVRES or leg.name in ("take_off", "go_around"):
         rate = max(rate, 12.0)
     by = target - programme.angle_deg
     rate = max(rate, abs(by) / (_SET_SHARE * (leg.stop_s - leg.start_s)))
     if leg.name == "take_off" and style == "line":
-        # Engines are first brought to an even speed.
+        # Both engines are first stabilised at part power.
         stable = travel(0.5 * by, rate)
         programme.add(ManoeuvreSequence.of(stable, hold(4.0), stable), 2.0)
     elif by != 0.0:
@@ -356,7 +357,7 @@ def _set(programme: _Programme, leg: Leg, style: Style) -> None:
 
 
 def _correct(programme: _Programme, leg: Leg) -> None:
-    """Small corrections about the leg's angle, as an autothrottle makes them."""
+    """Draw small corrections about the leg's angle, like those of an autothrottle."""
     setting, random = _SETTINGS[leg.name], programme.random
     trim = programme.angle_deg
     pauses = _CORRECTIONS_S.get(leg.name, (8.0, 35.0))
@@ -372,9 +373,9 @@ def _correct(programme: _Programme, leg: Leg) -> None:
 
 
 def _test(programme: _Programme, leg: Leg) -> None:
-    """Fly the set of test points, as far as the time of the leg goes.
+    """Place the set of test points, as many as the leg has time for.
 
-    A leg that is too short for all flies quicker ones in any order.
+    A leg that is too short for all gets shorter ones in random order.
     """
     random, trim = programme.random, programme.angle_deg
     at = TestLevels(low=random.uniform(0.0, 6.0), trim=trim, high=random.uniform(76.0, 84.0))
@@ -386,41 +387,41 @@ def _test(programme: _Programme, leg: Leg) -> None:
         points = [quick[k] for k in random.permutation(len(quick))]
     for point in points:
         if programme.fits(point.manoeuvre, leg, _SETTINGS[leg.name]):
-            # Each engine flies the whole set; bleed is often tried on one side.
+            # Both engines fly the whole set; bleed is often tested on one side.
             one_side = bool(point.manoeuvre.switched)
             programme.add(point.manoeuvre, random.uniform(3.0, 8.0), together=not one_side)
 
 
 def _enrich(programme: _Programme, leg: Leg) -> None:
-    """Draw manoeuvres until the leg is full; each leaves some rest behind it."""
+    """Draw manoeuvres with pauses between them until the leg is full."""
     setting, random = _SETTINGS[leg.name], programme.random
-    # A short leg has no time for anything but pushes and pulls, close together.
+    # A short leg has time for pushes and pulls alone, close together.
     leisure = min(1.0, (leg.stop_s - leg.start_s) / 200.0)
     together = leg.name in _TOGETHER
     while programme.clock_s < leg.stop_s - 4.0:
         drawn = (_draw(random, setting, programme.angle_deg, leisure) for _ in range(8))
         fitting = (one for one in drawn if programme.fits(one, leg, setting))
         chosen = next(fitting, None)
-        rest = random.uniform(5.0, 12.0) + random.exponential(15.0) * leisure
+        pause = random.uniform(5.0, 12.0) + random.exponential(15.0) * leisure
         if chosen is None:
             programme.clock_s += 1.0
         else:
-            programme.add(chosen, rest, together=together)
+            programme.add(chosen, pause, together=together)
 
 
 def _draw(
     random: np.random.Generator, setting: _Setting, angle: float, leisure: float
 ) -> Manoeuvre:
-    """Draw one of the pilot's habits: mostly a push or a pull, with leisure also the others."""
+    """Draw a manoeuvre: mostly a push or a pull; with `leisure` (0 to 1) also others."""
     if random.random() > 0.4 * leisure:
         drawn = random.uniform(setting.low, setting.high, size=2)
         return travel(float(drawn[np.argmax(np.abs(drawn - angle))]) - angle, draw_rate(random))
-    makers = tuple(_habits(random, setting, angle))
-    return makers[int(random.integers(len(makers)))]
+    others = tuple(_returning(random, setting, angle))
+    return others[int(random.integers(len(others)))]
 
 
-def _habits(random: np.random.Generator, setting: _Setting, angle: float) -> Iterator[Manoeuvre]:
-    """List manoeuvres that come back to the angle they began at."""
+def _returning(random: np.random.Generator, setting: _Setting, angle: float) -> Iterator[Manoeuvre]:
+    """List manoeuvres that return to their first angle."""
     up, down = max(setting.high - angle, 1.0), max(angle - setting.low, 1.0)
     small = min(up, down, random.uniform(2.0, 4.5))
     middle = min(up, down, random.uniform(4.0, 12.0))
@@ -438,5 +439,5 @@ def _habits(random: np.random.Generator, setting: _Setting, angle: float) -> Ite
 def draw_rate(
     random: np.random.Generator, low: float = SLOW_DEG_S, high: float = SLAM_DEG_S
 ) -> float:
-    """Draw a rate of the lever in deg/s: from slow to slam, every octave as often."""
+    """Draw a rate of the lever in deg/s log-uniformly from slow to slam."""
     return math.exp(random.uniform(math.log(low), math.log(high)))

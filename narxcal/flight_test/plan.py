@@ -1,8 +1,7 @@
-"""Whole flights of the virtual flight test: what pilot and day do, for both engines.
+"""A whole flight for both engines of an aircraft, as input channels of the virtual engine.
 
-Taxi, take-off, step climbs, cruise, descent, approach, go-around, landing and taxi on one
-raster, as input channels of the virtual engine; nothing here knows an engine. See `journey` for
-the way, `pilot` for the levers and `switches` for the rest, and for what each leaves out.
+Taxi, take-off, step climbs, cruise, descent, approach, go-around, landing and taxi. `route` plans
+legs, air and switches, `pilot` both levers; their docstrings say what each leaves out.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 from pydantic import model_validator
 
 from narxcal.flight_test.manoeuvres import HAND_DEG_S
-from narxcal.flight_test.pilot import ENGINES, STYLES, compose, flips, set_apart, work_levers
+from narxcal.flight_test.pilot import SIDES, STYLES, compose, flips, set_apart, work_levers
 from narxcal.flight_test.route import (
     AIRCRAFT,
     CHANNEL_NAMES,
@@ -23,7 +22,6 @@ from narxcal.flight_test.route import (
     Air,
     Aircraft,
     Day,
-    Leg,
     altitude,
     check_between,
     draw_weather,
@@ -44,14 +42,14 @@ _FIELD_FT = (0.0, 6000.0)
 
 
 class FlightPlan(Section):
-    """What kind of flight to plan; what is left out is drawn from the seed.
+    """The kind of flight to plan; values left out are drawn from the seed.
 
     style: `line` or `enriched`. aircraft: `business_jet` or `single_aisle`, which limits altitude
         and Mach. duration_s: length, at least 480 s; left out, the natural one (80 to 130 min).
-    rate_hz: of the raster. top_ft, cruise_mach: highest altitude and Mach in cruise.
+    rate_hz: sampling rate. top_ft, cruise_mach: highest altitude and Mach in cruise.
     dT_C: static temperature off the standard day. field_ft: pressure altitude of the airfield.
 
-    Raises `ConfigError` for what no flight can be.
+    Raises `ConfigError` for an unknown name or a value out of range.
     """
 
     style: str = "enriched"
@@ -86,20 +84,23 @@ def plan_flight(plan: FlightPlan, seed: int) -> dict[str, dict[str, FloatArray]]
 
     Channels are `time_s`, `TRA_deg` (0 idle .. 85 take-off), `ALT_ft`, `Mach`, `dT_C` and the
     switches `WOW`, `Approach`, `ECS`, `NAI`, `WAI` as 0 or 1. The air is the same for both
-    engines; levers and some bleed tests are not. The same plan and seed give the same numbers.
+    engines; levers and some bleed tests differ. The same plan and seed give the same numbers.
     """
     random = seeded(seed)
     aircraft = AIRCRAFT[plan.aircraft]
     day = _draw_day(plan, aircraft, random)
     weather = draw_weather(day, random)
     legs = plan_legs(day, aircraft, plan.duration_s)
-    time_s = _raster(legs, plan.rate_hz)
+    time_s = np.arange(int(legs[-1].stop_s * plan.rate_hz + 1e-9)) / plan.rate_hz
     placed = work_levers(legs, "line" if plan.style == "line" else "enriched", random)
     levers = {
         engine: set_apart(compose(placed[engine], time_s, 0.0, HAND_DEG_S), random)
-        for engine in ENGINES
+        for engine in SIDES
     }
-    air = _planned_air(day, legs, time_s)
+    alt_ft = altitude(day, legs, time_s)
+    air = Air(
+        time_s, alt_ft, planned_mach(day, legs, time_s, alt_ft), temperature_deviation(day, alt_ft)
+    )
     switches = planned_switches(day, weather, legs, air)
     together = 0.5 * (levers["left"] + levers["right"])
     mach = flown_mach(air.mach, together, 1.0 / plan.rate_hz, aircraft.mach_max)
@@ -108,19 +109,19 @@ def plan_flight(plan: FlightPlan, seed: int) -> dict[str, dict[str, FloatArray]]
         engine: _channels(
             shared | {"TRA_deg": levers[engine]}, flipped(switches, flips(placed[engine]), air)
         )
-        for engine in ENGINES
+        for engine in SIDES
     }
 
 
 def seeded(seed: int) -> np.random.Generator:
-    """Random numbers of one seed; raises `ConfigError` for a negative one."""
+    """Random generator of a seed; raises `ConfigError` for a negative one."""
     if seed < 0:
         raise ConfigError(f"a seed is a whole number from 0 on, got {seed}")
     return np.random.default_rng([20261121, seed])
 
 
 def _draw_day(plan: FlightPlan, aircraft: Aircraft, random: np.random.Generator) -> Day:
-    """Draw what the plan leaves open; all is drawn, so a plan's choice changes nothing else."""
+    """Draw all properties of the day, so that a value given in the plan changes no other."""
     field_ft = random.uniform(0.0, 2500.0)
     top_ft = random.uniform(0.75, 1.0) * aircraft.ceiling_ft
     mach = random.uniform(0.72, aircraft.mach_max - 0.02)
@@ -134,16 +135,6 @@ def _draw_day(plan: FlightPlan, aircraft: Aircraft, random: np.random.Generator)
         spread=random.uniform(),
         long_tests=plan.style == "enriched",
     )
-
-
-def _raster(legs: list[Leg], rate_hz: float) -> FloatArray:
-    return np.arange(int(legs[-1].stop_s * rate_hz + 1e-9)) / rate_hz
-
-
-def _planned_air(day: Day, legs: list[Leg], time_s: FloatArray) -> Air:
-    alt_ft = altitude(day, legs, time_s)
-    mach = planned_mach(day, legs, time_s, alt_ft)
-    return Air(time_s, alt_ft, mach, temperature_deviation(day, alt_ft))
 
 
 def _channels(

@@ -1,15 +1,18 @@
 """The route of the aircraft: legs of a flight, its altitude, Mach number and air, and its switches.
 
-| part | modelled | not modelled |
-|---|---|---|
-| envelope | the calibration paper's (section 2.1): 0-12 km, up to Mach 0.85, -30 to +20 degC off the standard day; two aircraft limit it further | weight, drag, buffet |
-| altitude, Mach | rates of climb and descent with rounded corners; calibrated airspeed by leg, limited to cruise Mach; the speed follows the levers slowly | wind, turbulence, turns |
-| air | a static temperature deviation that changes with altitude | a change with time |
-| switches | weight on wheels; approach idle from each approach to touch-down or 10 s into the go-around; some take-offs without packs; anti-ice in cloud layers where the total temperature is low; test points flip bleed and anti-ice | engine start, icing, valves that move in time |
+Envelope: the calibration paper's (section 2.1), 0 to 12 km, up to Mach 0.85, static temperature
+-30 to +20 degC off the standard day; two aircraft limit it further. Altitude follows from rates of
+climb and descent with rounded corners, Mach from calibrated airspeed by leg, limited to cruise
+Mach, and both levers change the speed slowly. The static temperature deviation depends on altitude.
 
-A flight has a natural length (80 to 90 min in line operation, 110 to 130 min enriched). In a shorter
-one each leg shrinks towards its minimum time: levers and switches keep their speed, and altitude,
-Mach and temperature change faster. Times and all quantities over time are arrays `(time,)`.
+Switches: weight on wheels; approach idle from each approach to touch-down or 10 s into the
+go-around; some take-offs without packs; nacelle and wing anti-ice in cloud layers where the total
+temperature is low. Test points flip bleed and anti-ice.
+
+Not modelled: wind, turbulence, turns, weight and drag, engine start, icing, valves that move in
+time. A flight has a natural length (80 to 90 min in line operation, 110 to 130 min enriched). In a
+shorter one each leg shrinks towards its minimum time: levers and switches keep their speed, and
+altitude, Mach and temperature change faster. All quantities over time are arrays `(time,)`.
 """
 
 from __future__ import annotations
@@ -37,7 +40,7 @@ CHANNEL_NAMES = ("time_s", "TRA_deg", "ALT_ft", "Mach", "dT_C", *SWITCH_NAMES)
 
 @dataclass(frozen=True)
 class Aircraft:
-    """Limits of an aircraft: ceiling, highest Mach, climb rates at low and high altitude (ft/min)."""
+    """Limits of an aircraft: ceiling, highest Mach, climb rates low and high up (ft/min)."""
 
     ceiling_ft: float
     mach_max: float
@@ -256,7 +259,7 @@ def flown_mach(
 
 
 def temperature_deviation(day: Day, alt_ft: FloatArray) -> FloatArray:
-    """Static temperature minus standard, degC: the day's, and up to 3 degC more or less by layer."""
+    """Static temperature minus standard, degC: the day's, plus up to 3 degC by altitude."""
     room = min(3.0, DT_HIGH_C - day.dT_C, day.dT_C - DT_LOW_C)
     return day.dT_C + room * np.sin(day.dT_phase + alt_ft / 6000.0)
 

@@ -1,15 +1,13 @@
-"""A virtual flight test: which engine, which flights, which sensors, and what is not modelled.
+"""The configuration of `narxcal fly`: which engine, flights and sensors, and which effects.
 
-The configuration of `narxcal fly`. From a scenario's seed each flight has a seed of its own, so
-that neither the number of flights nor the order in which they are flown changes any of them.
+Each flight has a seed of its own, derived from that of the scenario, so that neither the number of
+flights nor the order in which they are flown changes any of them.
 
-The effects that a virtual flight is flown with: which, how large, where, when, and their text.
-
-On a command line an effect reads `ID[@CHANNEL]:NAME=VALUE[,NAME=VALUE...]`, and several are
-separated by commas or blanks, as in `spool_lag:factor=1.3,sensor_lag@EGT_C:tau_s=1.5`: what has a
-name and a value only belongs to the effect before it. Besides an effect's own parameters there are
-`window=START-END` (s, only for effects that may come and go), `flight=N` and `engine=NAME`, each
-as often as wanted.
+On a command line an effect reads `ID[@CHANNEL]:NAME=VALUE[,NAME=VALUE...]`. Several are separated
+by commas or blanks, as in `spool_lag:factor=1.3,sensor_lag@EGT_C:tau_s=1.5`: a NAME=VALUE without
+an ID belongs to the effect before it. Besides the parameters of an effect there are
+`window=START-END` (s, only for effects that may come and go), `flight=N` and `engine=NAME`, each as
+often as necessary.
 """
 
 from __future__ import annotations
@@ -32,6 +30,7 @@ from narxcal.flight_test.paper_records import (
     take_off_approach_sets,
     throttle_rate_sets,
 )
+from narxcal.flight_test.pilot import SIDES, Side
 from narxcal.flight_test.plan import FlightPlan, plan_flight
 from narxcal.flight_test.route import DT_HIGH_C, DT_LOW_C, MACH_MAX
 from narxcal.flight_test.sensors import SensorConfig, SensorFault, channels_of
@@ -40,8 +39,6 @@ from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section
 from narxcal.turbofan import unmodelled
 
-Side = Literal["left", "right"]
-SIDES: tuple[Side, ...] = ("left", "right")
 PARAMETERS: dict[str, unmodelled.Sizes] = {
     **unmodelled.PARAMETERS,
     **sensor_faults.PARAMETERS,
@@ -55,7 +52,7 @@ class FlownEffect(Section):
     """One of the TOML tables `[[effects]]`.
 
     `parameters` maps a name to its size. `windows_s` are (start, end) in each flight; without any,
-    `unlogged_switch` draws its own and the others act all the time. `flights` (from 1) and
+    those of `unlogged_switch` are drawn and the others act all the time. `flights` (from 1) and
     `engines` limit the effect to these; empty means all.
     """
 
@@ -93,7 +90,7 @@ class FlownEffect(Section):
         return there and (not self.engines or engine in self.engines)
 
     def fault(self) -> SensorFault:
-        """Give the fault of a sensor that it is."""
+        """Return it as the fault of a sensor."""
         return SensorFault(self.id, self.channel or "", self.parameters, self.windows_s)
 
     def _check_channel(self) -> None:
@@ -136,7 +133,7 @@ class FlownEffect(Section):
 
 
 def check_once(effects: Sequence[FlownEffect]) -> None:
-    """Refuse an effect that one engine would have twice; raises `ConfigError`."""
+    """Raise `ConfigError` for an effect that one engine would have twice."""
     for number, one in enumerate(effects):
         for other in effects[:number]:
             engines = not (one.engines and other.engines) or set(one.engines) & set(other.engines)
@@ -150,7 +147,7 @@ def check_once(effects: Sequence[FlownEffect]) -> None:
 def parse_effects(words: Iterable[str]) -> tuple[FlownEffect, ...]:
     """Read effects from the words of a command line; `none` alone means no effects.
 
-    Raises `ConfigError` for what cannot be read, and as `FlownEffect` for what cannot be.
+    Raises `ConfigError` for text that is no effect, and as `FlownEffect` does.
     """
     pieces = [piece for word in words for piece in re.split(r"[,\s]+", word) if piece]
     if pieces == ["none"]:
@@ -180,7 +177,7 @@ def _head(text: str) -> dict[str, Any]:
 
 
 def _set(table: dict[str, Any], text: str) -> None:
-    """Put one `NAME=VALUE` in its place."""
+    """Add one `NAME=VALUE` to the table of an effect."""
     name, equals, value = text.partition("=")
     if not (name and equals and value):
         raise ConfigError(f"effect '{table['id']}': cannot read '{text}'", hint=f"Write {GRAMMAR}")
@@ -221,7 +218,7 @@ def _whole(effect: str, name: str, text: str) -> int:
 def drawn_windows(
     random: np.random.Generator, end_s: float, stretch_s: float
 ) -> tuple[tuple[float, float], ...]:
-    """One window in each stretch of about `stretch_s`, long enough to tell from noise."""
+    """Draw one window (start, end) in s in each interval of about `stretch_s`, up to `end_s`."""
     count = max(1, round(end_s / stretch_s))
     stretch = end_s / count
     spans = []
@@ -235,7 +232,7 @@ def drawn_windows(
 SCHEMA: Final = "narxcal.fly/1"
 _OUTPUTS = tuple(name for name, each in CHANNELS.items() if each.role == "output")
 _FLIGHTS = 6
-_STRETCH_S = 300.0  # one drawn window of an unlogged switch in each
+_STRETCH_S = 300.0  # one drawn window of an unlogged switch in each such interval
 _RECORDERS = {
     "fast_push": fast_push_sets,
     "throttle_rate": throttle_rate_sets,
@@ -286,7 +283,8 @@ class FlightScenario(Section):
         most = _RECORDED_FLIGHTS if self.records else self.flight_count
         if self.flight_count > most:
             raise ConfigError(
-                f"there are {most} flights of '{self.records}' records, asked for {self.flights}"
+                f"there are {most} flights of '{self.records}' records, "
+                f"found flights = {self.flights}"
             )
         for effect in self.effects:
             beyond = [flight for flight in effect.flights if flight > self.flight_count]
@@ -299,13 +297,13 @@ class FlightScenario(Section):
 
     @property
     def flight_count(self) -> int:
-        """How many flights there are."""
+        """Number of flights."""
         if self.flights is not None:
             return self.flights
         return _RECORDED_FLIGHTS if self.records else _FLIGHTS
 
     def flight_plan(self) -> FlightPlan:
-        """Give the plan of every flight, with the aircraft of the engine."""
+        """Return the plan of all flights, with the aircraft of the engine where none is named."""
         if "aircraft" in self.plan.model_fields_set:
             return self.plan
         return self.plan.model_copy(update={"aircraft": self.engine})
@@ -319,9 +317,8 @@ class FlightScenario(Section):
 
     def log_name(self, flight: int, engine: str) -> str:
         """Name of a log without the ending: `flight_01_left`, or `data_set_01` of records."""
-        sides = ("left", "right")
         if self.records:
-            return f"data_set_{2 * flight - 1 + sides.index(engine):02d}"
+            return f"data_set_{2 * flight - 1 + SIDES.index(engine):02d}"
         return f"flight_{flight:02d}_{engine}"
 
     def _data_sets(self) -> tuple[DataSet, ...]:
@@ -331,14 +328,14 @@ class FlightScenario(Section):
         return int(self.stream(flight, "plan").generate_state(1, np.uint32)[0])
 
     def stream(self, flight: int, purpose: str) -> np.random.SeedSequence:
-        """Give the seed of one flight for one purpose; flight 0 stands for all of them."""
+        """Return the seed of one flight for one purpose; flight 0 stands for all of them."""
         return np.random.SeedSequence(self.seed, spawn_key=(flight, zlib.crc32(purpose.encode())))
 
     def effects_on(self, flight: int, engine: str, end_s: float) -> list[FlownEffect]:
-        """Effects of one engine's flight of `end_s` seconds, each with its windows.
+        """Effects on one engine in a flight of `end_s` seconds, each with its windows.
 
-        `end_s` is that of the longer log of the two. An `unlogged_switch` without windows gets
-        drawn ones, the same for both engines.
+        `end_s` is that of the longer log of both engines. Windows of an `unlogged_switch` that has
+        none are drawn, the same for both engines.
         """
         return [
             self._with_windows(effect, flight, end_s)
@@ -360,7 +357,7 @@ def _recorded(records: str, seed: int, rate_hz: float) -> tuple[DataSet, ...]:
 
 
 def _inside(channels: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Put back what rounding has taken out of the envelope on which the records touch."""
+    """Clip to the envelope: the records touch its border, and rounding may pass it."""
     return {
         **channels,
         "Mach": np.clip(channels["Mach"], 0.0, MACH_MAX),

@@ -1,22 +1,14 @@
-"""From what the engine does to what the recorder writes: the measurement chain of every channel.
+"""The measurement chain of each channel: from true values to what the recorder writes.
 
-Each channel goes, in this order, through: the lag of its sensor, the lag of a faulty one (the
-effects of `sensor_faults`), the flow meter's dynamics; gain error, bias and drift of the flight;
-the recorder's clock and its sampling slot; noise and wild readings; the step of the readings;
-lost and frozen stretches. Noise is drawn at the times of the recorder: it is stationary, so that
-its law is the same before the clock and behind it, and interpolation would only smooth it.
+A channel passes, in this order: the lag of its sensor, that of a faulty sensor, the dynamics of the
+flow meter; gain error, bias and drift of the flight; the recorder's clock and its sampling slot;
+noise and single wild readings; quantisation; lost and frozen intervals. Noise is drawn at the
+sampling times: it is stationary, so its distribution is the same before and after the clock, and
+interpolation would only smooth it.
 
-What a measurement does to a signal: lags, shifts in time, sampling, noise, steps, gaps.
-
-Pure functions of arrays `(time,)`; `narxcal.flight_test.sensors` puts them in order. A signal is
-taken as straight between its samples, and as constant before the first.
-
-Settings of one sensor, and the tables of figures for whole aircraft, each with its source.
-
-Effects of the library that sit in a sensor: what they are, their parameters, their bounds.
-
-They act on one channel of one engine's recording, behind the engine. What an engine's own probe
-does (its lag depends on the mass flow) belongs to the engine.
+Signals are arrays `(time,)`, linear between samples and constant before the first. The sensor
+effects of the library act on one channel of one engine's recording. The lag of the engine's own
+probe, which depends on the flow, belongs to the engine (`narxcal.turbofan`).
 """
 
 from __future__ import annotations
@@ -28,7 +20,6 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.signal import lfilter
@@ -36,17 +27,18 @@ from scipy.signal import lfilter
 from narxcal.atmosphere import isa
 from narxcal.channels import CHANNELS, channel
 from narxcal.support.arrays import FloatArray, IntArray
+from narxcal.support.compiled import compiled
 from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section
 from narxcal.turbofan.unmodelled import Size, Sizes, library_size
 
-# Below this share of its reference flow a turbine meter slows down no further: its bearings take
-# over, and the law of the blades would end in a standstill.
+# Share of the reference flow below which the time constant of a turbine meter grows no further:
+# friction of its bearings then dominates.
 _LEAST_FLOW = 0.05
 
 
 def first_order(values: FloatArray, tau_s: float, dt_s: float) -> FloatArray:
-    """Lag `tau dy/dt = x - y`, solved exactly for `x` straight between samples, settled at first.
+    """Lag `tau dy/dt = x - y`, exact for `x` linear between samples, steady at the first one.
 
     With `a = exp(-dt/tau)` and `g = (1 - a) tau / dt`:
     `y[k+1] = a y[k] + (1 - g) x[k+1] + (g - a) x[k]`.
@@ -55,28 +47,26 @@ def first_order(values: FloatArray, tau_s: float, dt_s: float) -> FloatArray:
         return values.copy()
     a = math.exp(-dt_s / tau_s)
     g = -math.expm1(-dt_s / tau_s) * tau_s / dt_s
-    # Measured from the first value, so that a resting signal comes back to the last bit.
-    rest = values[0]
-    lagged: FloatArray = lfilter([1.0 - g, g - a], [1.0, -a], values - rest)
-    return np.asarray(lagged + rest)
+    # Relative to the first value, so that a constant signal is returned to the last bit.
+    first = values[0]
+    lagged: FloatArray = lfilter([1.0 - g, g - a], [1.0, -a], values - first)
+    return np.asarray(lagged + first)
 
 
 def turbine_meter(values: FloatArray, tau_s: float, reference: float, dt_s: float) -> FloatArray:
-    """Flow that a turbine meter shows: a lag whose time constant is `tau_s reference / flow`.
+    """Reading of a turbine meter: a lag whose time constant is `tau_s reference / flow`.
 
-    The rotor is driven by the flow that it measures, so a slow flow moves it slowly (J. Grey,
-    Transient response of the turbine flowmeter, Jet Propulsion 26, 1956). `reference` 0 means
-    `tau_s` at every flow.
+    The rotor is driven by the flow that it measures (J. Grey, Transient response of the turbine
+    flowmeter, Jet Propulsion 26, 1956). `reference` 0 means `tau_s` at every flow.
     """
     if reference <= 0.0 or tau_s <= 0.0:
         return first_order(values, tau_s, dt_s)
-    shown: FloatArray = _turbine(np.ascontiguousarray(values), tau_s, reference, dt_s)
-    return shown
+    return _turbine(np.ascontiguousarray(values), tau_s, reference, dt_s)
 
 
-@njit(cache=True)
-def _turbine(values: Any, tau_s: float, reference: float, dt_s: float) -> Any:
-    """Step the lag with the time constant of the mean flow of each interval."""
+@compiled
+def _turbine(values: FloatArray, tau_s: float, reference: float, dt_s: float) -> FloatArray:
+    """Advance the lag with the time constant at the mean flow of each interval."""
     shown = np.empty_like(values)
     shown[0] = values[0]
     for k in range(len(values) - 1):
@@ -89,23 +79,23 @@ def _turbine(values: Any, tau_s: float, reference: float, dt_s: float) -> Any:
 
 
 class Slots(NamedTuple):
-    """When a channel is sampled: `time_s` `(samples,)`, and which sample each row shows."""
+    """Sampling times `time_s` `(samples,)` of a channel, and the sample that each row contains."""
 
     time_s: FloatArray
     shown: IntArray
 
 
 def slots(rows: int, dt_s: float, rate_hz: float, slot_s: float) -> Slots:
-    """Sampling times of a channel of `rate_hz`, `slot_s` into each frame, held until the next.
+    """Sampling times of a channel of `rate_hz`, `slot_s` into each frame, constant in between.
 
     A rate of 0, or one above that of the rows, means every row. The rows before the first slot
-    show the sample of the frame before.
+    contain the sample of the frame before.
     """
     row = np.arange(rows)
     time_s = np.asarray(row * dt_s, dtype=np.float64)
     if rate_hz <= 0.0 or rate_hz * dt_s >= 1.0:
         return Slots(time_s, row)
-    # A slot that falls on a row belongs to it, whatever the rounding of the division says.
+    # 1e-9: a slot that falls on a row belongs to it, whatever the rounding of the division.
     count = np.floor((time_s - slot_s) * rate_hz + 1e-9).astype(np.int64)
     first = int(count[0])
     samples = np.arange(first, int(count[-1]) + 1)
@@ -114,7 +104,7 @@ def slots(rows: int, dt_s: float, rate_hz: float, slot_s: float) -> Slots:
 
 
 def at_times(values: FloatArray, dt_s: float, time_s: FloatArray, *, hold: bool) -> FloatArray:
-    """Values of a signal at other times: interpolated, or with `hold` the latest sample's."""
+    """Values of a signal at other times: interpolated, or with `hold` those of the last sample."""
     if hold:
         row = np.floor(time_s / dt_s + 1e-9).astype(np.int64)
         return np.asarray(values[np.clip(row, 0, len(values) - 1)])
@@ -122,7 +112,7 @@ def at_times(values: FloatArray, dt_s: float, time_s: FloatArray, *, hold: bool)
 
 
 def coloured(random: np.random.Generator, samples: int, decay: float) -> FloatArray:
-    """Noise of unit variance `e[k+1] = decay e[k] + ...`: AR(1), stationary from the first."""
+    """Draw AR(1) noise of unit variance, `e[k+1] = decay e[k] + w[k]`, stationary at once."""
     white = random.standard_normal(samples)
     white[1:] *= math.sqrt(1.0 - decay**2)
     noise: FloatArray = lfilter([1.0], [1.0, -decay], white)
@@ -130,7 +120,7 @@ def coloured(random: np.random.Generator, samples: int, decay: float) -> FloatAr
 
 
 def quantised(values: FloatArray, resolution: float) -> FloatArray:
-    """Round to whole steps; 0 leaves the values alone."""
+    """Round to multiples of `resolution`; 0 means no rounding."""
     if resolution <= 0.0:
         return values.copy()
     return np.round(values / resolution) * resolution
@@ -148,7 +138,7 @@ def windows(
 
 
 def within(time_s: FloatArray, spans: list[tuple[float, float]]) -> NDArray[np.bool_]:
-    """Say which times lie inside a window, `start <= time < end`."""
+    """Mark the times inside a window, `start <= time < end`."""
     inside = np.zeros(len(time_s), dtype=np.bool_)
     for start, end in spans:
         inside |= (time_s >= start) & (time_s < end)
@@ -156,7 +146,7 @@ def within(time_s: FloatArray, spans: list[tuple[float, float]]) -> NDArray[np.b
 
 
 def frozen(values: FloatArray, time_s: FloatArray, spans: list[tuple[float, float]]) -> FloatArray:
-    """Repeat the last value before each window throughout it."""
+    """Replace the values in each window by the last one before it."""
     stuck = values.copy()
     for start, end in spans:
         rows = np.flatnonzero((time_s >= start) & (time_s < end))
@@ -169,19 +159,19 @@ Preset = Literal["test_instrumentation", "fdr", "perfect"]
 
 
 class ChannelSensor(Section):
-    """How one channel is measured; 0 everywhere is a perfect sensor.
+    """The measurement of one channel; all zero is a perfect sensor.
 
     tau_s: first-order lag; `meter_reference_kgph`, fuel flow only: the flow at which `tau_s`
-        holds, since a turbine meter's is inverse to the flow (0: it is not).
+        applies, as that of a turbine meter is inverse to the flow (0: constant `tau_s`).
     bias_sigma, gain_sigma, drift_sigma_per_h: of each flight, in the channel's unit, as a share of
         the reading, and in units per hour.
     noise_sigma, noise_share: white noise, in the channel's unit plus as a share of the reading;
-        coloured_sigma, coloured_tau_s: noise that lingers (AR(1)).
-    skew_s, skew_sigma_s: the recorder's clock late by this much, and its scatter between flights.
-    rate_hz, slot_s: sampled so often, this far into each frame, and held; 0 means every row.
+        coloured_sigma, coloured_tau_s: AR(1) noise.
+    skew_s, skew_sigma_s: delay of the recorder's clock, and its scatter between flights.
+    rate_hz, slot_s: sampling rate, and offset into each frame; 0 means every row.
     resolution: the step of the readings.
-    dropouts_per_h, dropout_s; freezes_per_h, freeze_s; spikes_per_h, spike_size: stretches without
-        readings, stretches of one reading, single wild readings.
+    dropouts_per_h, dropout_s; freezes_per_h, freeze_s; spikes_per_h, spike_size: intervals without
+        readings, intervals of one reading, single wild readings.
     """
 
     tau_s: float = Field(default=0.0, ge=0)
@@ -208,8 +198,8 @@ class ChannelSensor(Section):
 
 # Speeds lag by 0.02 s, pressures by 0.04 s (FACTS A3: the sensors of the AGTF30). White noise is
 # that of recorded channels (FACTS A8: N1, N2 0.03-0.1 %, EGT 0.5-2 degC, fuel flow 0.3-1 %).
-# Biases, resolutions, the scatter of the clock (a quarter of a 32 Hz sample) and whatever bears no
-# source are assumed, small against what the effects of the library do.
+# Biases, resolutions, the scatter of the clock (a quarter of a 32 Hz sample) and all values without
+# a source are assumed, small against the effects of the library.
 _CLOCK_S = 0.008
 TEST_INSTRUMENTATION: dict[str, ChannelSensor] = {
     "TRA_deg": ChannelSensor(noise_sigma=0.02, resolution=0.05),
@@ -242,9 +232,9 @@ TEST_INSTRUMENTATION: dict[str, ChannelSensor] = {
     "EPR": ChannelSensor(tau_s=0.04, noise_share=0.001, gain_sigma=0.001, resolution=0.001),
 }
 
-# An airline's recorder: engine channels once a second and engine, each in its own slot of the
-# frame (FACTS A8, 14 CFR 125 App. E, which allows steps of 2 % of the full range; those below are
-# finer, as recorders are). Rates of the other channels and all slots are assumed.
+# An airline's recorder: engine channels once per second, each in its own slot of the frame (FACTS
+# A8, 14 CFR 125 App. E, which allows steps of 2 % of the full range; those below are finer, as in
+# real recorders). Rates of the other channels and all slots are assumed.
 FDR: dict[str, ChannelSensor] = {
     "TRA_deg": ChannelSensor(rate_hz=1.0, slot_s=0.125, noise_sigma=0.05, resolution=0.35),
     "ALT_ft": ChannelSensor(rate_hz=1.0, bias_sigma=15.0, noise_sigma=2.0, resolution=4.0),
@@ -280,8 +270,8 @@ PRESETS: dict[str, dict[str, ChannelSensor]] = {
     "fdr": FDR,
     "perfect": {},
 }
-# Total temperature probe: a de-iced probe answers in about 1 s (description of the T-28's
-# measurements, archive.eol.ucar.edu, 2000).
+# Time constant of the total temperature probe: about 1 s for a de-iced one (description of the
+# T-28's measurements, archive.eol.ucar.edu, 2000).
 PROBE_TAU_S: dict[str, float] = {"test_instrumentation": 1.0, "fdr": 1.0, "perfect": 0.0}
 
 
@@ -304,7 +294,7 @@ SENSOR_EFFECTS = tuple(PARAMETERS)
 
 
 def channels_of(effect: str) -> tuple[str, ...]:
-    """Channels on which a sensor effect may sit."""
+    """Channels that a sensor effect may act on."""
     if effect == "flowmeter_dynamics":
         return ("FF_kgph",)
     roles = {"lever", "ambient", "output"} | ({"switch"} if effect == "time_skew" else set())
@@ -313,7 +303,7 @@ def channels_of(effect: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class SensorFault:
-    """An effect of a size on a channel, in the windows (s) only where there are any."""
+    """An effect on one channel, limited to `windows_s` where there are any."""
 
     id: str
     channel: str
@@ -321,7 +311,7 @@ class SensorFault:
     windows_s: tuple[tuple[float, float], ...] = field(default=())
 
     def __getitem__(self, parameter: str) -> float:
-        """Size of a parameter; the neutral one where it was not given."""
+        """Value of a parameter; the neutral one where it was not given."""
         return self.parameters.get(parameter, PARAMETERS[self.id][parameter].neutral)
 
 
@@ -329,12 +319,12 @@ _WHOLE_LOG = ((-math.inf, math.inf),)
 
 
 class SensorConfig(Section):
-    """TOML table `[sensors]`: a preset, and what is different from it.
+    """TOML table `[sensors]`: a preset, and the differences from it.
 
     `tat_tau_s` is the lag of the total temperature probe, from whose reading the recorded `dT_C`
-    is derived. `[sensors.channels.NAME]` holds the keys of `ChannelSensor` that are not the
-    preset's. With `inputs` = "exact" the lever, the air data and the switches are recorded as
-    they are.
+    is derived. `[sensors.channels.NAME]` has the keys of `ChannelSensor` that differ from the
+    preset. With `inputs` = "exact" the lever, the air data and the switches are recorded without
+    error.
     """
 
     preset: Preset = "test_instrumentation"
@@ -358,7 +348,7 @@ class SensorConfig(Section):
         return self
 
     def sensor(self, name: str) -> ChannelSensor:
-        """Settings of a channel: the preset's, with the configuration's in their place."""
+        """Settings of a channel: those of the preset, replaced where the configuration has some."""
         if self.inputs == "exact" and CHANNELS[name].role in ("lever", "ambient", "switch"):
             return ChannelSensor()
         preset = PRESETS[self.preset].get(name, ChannelSensor())
@@ -369,17 +359,17 @@ class SensorConfig(Section):
 
     @property
     def probe_tau_s(self) -> float:
-        """Lag of the total temperature probe."""
+        """Time constant of the total temperature probe in s."""
         if self.inputs == "exact":
             return 0.0
         return PROBE_TAU_S[self.preset] if self.tat_tau_s is None else self.tat_tau_s
 
 
 class Streams(NamedTuple):
-    """Where a recording's random numbers come from: a seed for each flight, engine and channel.
+    """Random numbers of a recording: a seed for each flight, engine, channel and purpose.
 
-    What one channel draws for one purpose depends on nothing else that is switched on or off.
-    Both engines of a flight share the sensors that do not belong to an engine.
+    So the numbers of one purpose do not depend on what else is switched on. Both engines of a
+    flight share the sensors that do not belong to an engine.
     """
 
     seed: int
@@ -387,14 +377,14 @@ class Streams(NamedTuple):
     engine: int
 
     def draw(self, name: str, purpose: str) -> np.random.Generator:
-        """Give the generator of one channel for one purpose."""
+        """Return the generator of one channel for one purpose."""
         own = CHANNELS[name].role in ("lever", "output")
         key = (self.flight, 1 + self.engine if own else 0, _code(name), _code(purpose))
         return np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=key))
 
 
 class Recording(NamedTuple):
-    """Recorded channels `(time,)`, NaN where there is no reading, and what was drawn for them.
+    """Recorded channels `(time,)`, NaN without a reading, and the errors drawn for them.
 
     `drawn` maps channel -> name -> value: the flight's `bias`, `gain`, `drift_per_h`, `skew_s`,
     and where there are any `dropouts_s`, `freezes_s` (start, end) and `spikes_s`.
@@ -413,11 +403,11 @@ def record(
 ) -> Recording:
     """Measure all channels of one engine's flight, `(time,)` each at `dt_s`.
 
-    `truth` may hold `time_s`, which is taken over. The same arguments give the same numbers.
+    `truth` may contain `time_s`, which is copied. The same arguments give the same numbers.
     """
     signals = {name: values for name, values in truth.items() if name != "time_s"}
     if {"dT_C", "ALT_ft", "Mach"} <= set(signals):
-        signals["dT_C"] = _felt_by_probe(signals, config.probe_tau_s, dt_s)
+        signals["dT_C"] = _probed_temperature(signals, config.probe_tau_s, dt_s)
     channels = {name: truth[name] for name in truth if name == "time_s"}
     drawn: dict[str, dict[str, Any]] = {}
     for name, values in signals.items():
@@ -428,7 +418,7 @@ def record(
 
 
 class _Chain(NamedTuple):
-    """One channel's way from the engine to the recorder."""
+    """The measurement chain of one channel."""
 
     name: str
     sensor: ChannelSensor
@@ -437,13 +427,13 @@ class _Chain(NamedTuple):
     dt_s: float
 
     def record(self, truth: FloatArray) -> tuple[FloatArray, dict[str, Any]]:
-        drawn = self._nuisances()
+        drawn = self._flight_errors()
         signal = self._biased(self._lagged(truth), drawn)
         sensor, hold = self.sensor, CHANNELS[self.name].role == "switch"
         taken = slots(len(truth), self.dt_s, sensor.rate_hz, sensor.slot_s)
         skew = drawn.get("skew_s", 0.0) + sum(each["skew_s"] for each in self._of("time_skew"))
         values = at_times(signal, self.dt_s, taken.time_s - skew, hold=hold)
-        # An indicator has stops: on the ground, Mach minus a bias still reads 0.
+        # Readings are limited to the range of the channel: Mach with a bias is not below 0.
         stops = CHANNELS[self.name].low, CHANNELS[self.name].high
         values = np.clip(values + self._noise(values, taken.time_s), *stops)
         values = self._spiked(values, taken.time_s, drawn)
@@ -453,8 +443,8 @@ class _Chain(NamedTuple):
     def _of(self, effect: str) -> list[SensorFault]:
         return [fault for fault in self.faults if fault.id == effect]
 
-    def _nuisances(self) -> dict[str, Any]:
-        """Draw the flight's own errors; those of no size are left out."""
+    def _flight_errors(self) -> dict[str, Any]:
+        """Draw bias, gain, drift and skew of the flight; those of size 0 are left out."""
         sensor = self.sensor
         sizes = {
             "bias": sensor.bias_sigma,
@@ -481,7 +471,7 @@ class _Chain(NamedTuple):
         return values
 
     def _biased(self, values: FloatArray, drawn: Mapping[str, Any]) -> FloatArray:
-        """Add gain error, bias and drift, those of the flight and those of faults."""
+        """Add gain error, bias and drift of the flight, and those of faults."""
         time_s = np.asarray(np.arange(len(values)) * self.dt_s, dtype=np.float64)
         values = values * (1.0 + drawn.get("gain", 0.0)) + drawn.get("bias", 0.0)
         values = values + drawn.get("drift_per_h", 0.0) * time_s / 3600.0
@@ -504,7 +494,7 @@ class _Chain(NamedTuple):
         return noise
 
     def _spiked(self, values: FloatArray, time_s: FloatArray, drawn: dict[str, Any]) -> FloatArray:
-        """Put single wild readings in, up or down by `spike_size`."""
+        """Add single wild readings, up or down by `spike_size`."""
         sensor = self.sensor
         if not (sensor.spikes_per_h and sensor.spike_size):
             return values
@@ -522,7 +512,7 @@ class _Chain(NamedTuple):
     def _interrupted(
         self, values: FloatArray, time_s: FloatArray, drawn: dict[str, Any]
     ) -> FloatArray:
-        """Freeze readings, then lose some."""
+        """Add frozen intervals, then dropouts."""
         sensor = self.sensor
         if sensor.freezes_per_h:
             random = self.streams.draw(self.name, "freezes")
@@ -543,11 +533,11 @@ def _active(fault: SensorFault, time_s: FloatArray) -> FloatArray:
     return within(time_s, spans).astype(np.float64)
 
 
-def _felt_by_probe(signals: Mapping[str, FloatArray], tau_s: float, dt_s: float) -> FloatArray:
+def _probed_temperature(signals: Mapping[str, FloatArray], tau_s: float, dt_s: float) -> FloatArray:
     """`dT_C` as derived from a total temperature probe that lags behind the air.
 
-    `TAT = (ISA + dT) (1 + 0.2 M^2)`; the recorder takes the altitude and Mach of the moment back
-    out, so that a lag shows as a false `dT` while they change.
+    `TAT = (ISA + dT) (1 + 0.2 M^2)`; the recorder subtracts the present altitude and Mach, so that
+    the lag appears as a false `dT` while they change.
     """
     if tau_s <= 0.0:
         return signals["dT_C"]
@@ -557,5 +547,5 @@ def _felt_by_probe(signals: Mapping[str, FloatArray], tau_s: float, dt_s: float)
 
 
 def _code(name: str) -> int:
-    """Give a number to a name that stays its own when other names come and go."""
+    """Number of a name that does not depend on other names."""
     return zlib.crc32(name.encode())

@@ -13,7 +13,7 @@ from data_prep.log import Log
 from narxcal.atmosphere import air_state, isa, mach_of_cas
 from narxcal.channels import CHANNELS
 from narxcal.flight_test.manoeuvres import HAND_DEG_S
-from narxcal.flight_test.pilot import ENGINES, STYLES, rate_limited
+from narxcal.flight_test.pilot import SIDES, STYLES, rate_limited
 from narxcal.flight_test.plan import FlightPlan, _draw_day, plan_flight, seeded
 from narxcal.flight_test.route import (
     AIRCRAFT,
@@ -74,7 +74,7 @@ def rate(values, time_s):
 @given(plans, seeds)
 def test_the_same_plan_and_seed_give_the_same_numbers(plan, seed):
     first, again = plan_flight(plan, seed), plan_flight(plan, seed)
-    for engine in ENGINES:
+    for engine in SIDES:
         assert tuple(first[engine]) == CHANNEL_NAMES
         for name in CHANNEL_NAMES:
             np.testing.assert_array_equal(first[engine][name], again[engine][name])

@@ -208,7 +208,7 @@ def test_moves_lead_from_the_first_angle_to_the_last():
         ),
         (
             {"records": "fast_push", "flights": 6},
-            "there are 5 flights of 'fast_push' records, asked for 6",
+            "there are 5 flights of 'fast_push' records, found flights = 6",
         ),
         (
             {"outputs": ["N1_pct", "Mach"]},
