@@ -1,8 +1,7 @@
-"""Writes a steady-state model as a compiled FMU for co-simulation, FMI 2.0 or 3.0.
+"""Write a steady-state model as a compiled FMU for co-simulation, FMI 2.0 or 3.0.
 
-The C sources of an FMU: the fixed ones beside this module, and the table as C arrays.
-
-modelDescription.xml of an exported FMU, and what FMI 3.0 wants beside it.
+An FMU is a zip archive of modelDescription.xml, the compiled library, and its C sources: the fixed
+ones in `narxcal/export/c`, and the sampled model as C arrays.
 """
 
 from __future__ import annotations
@@ -28,8 +27,7 @@ import numpy as np
 from narxcal.channels import CHANNELS
 from narxcal.export.grid import Block, Grid, GriddedModel
 from narxcal.export.plan import Planned, plan
-from narxcal.export.report import ExportOptions, ExportReport
-from narxcal.export.table import description, generation_tool
+from narxcal.export.report import ExportOptions, ExportReport, description, generation_tool
 from narxcal.steady.model import Envelope, SteadyStateModel
 from narxcal.support.errors import ConfigError, ModelError
 from narxcal.support.files import atomic_write_bytes
@@ -38,7 +36,7 @@ _PER_LINE = 8
 
 
 def sources(gridded: GriddedModel, version: str) -> tuple[str, dict[str, str]]:
-    """Token that names this very model, and the C files of FMI `version` "2.0" or "3.0"."""
+    """Token that identifies the model, and the C files of FMI `version` "2.0" or "3.0"."""
     wrapper = f"fmi{version[0]}.c"
     fixed = {name: _shipped(name) for name in (wrapper, "steady.c", "steady.h")}
     table = _table(gridded)
@@ -57,7 +55,7 @@ def sources(gridded: GriddedModel, version: str) -> tuple[str, dict[str, str]]:
 
 
 def start_values(gridded: GriddedModel) -> list[float]:
-    """Inputs before any is set: zero, or the end of the envelope nearest to it."""
+    """Start values of the inputs: zero, or the end of the envelope nearest to it."""
     zero: list[float] = gridded.envelope.clamp(np.zeros(len(gridded.input_names))).tolist()
     return zero
 
@@ -103,13 +101,13 @@ def _entry(block: Block, number: int, mask: str) -> str:
 
 
 def _array(kind: str, name: str, values: Iterable[Any]) -> str:
-    """Write numbers with all their digits: repr is the shortest text that comes back exactly."""
+    """Format as a C array; `repr` is the shortest text that is read back exactly."""
     texts = [repr(value) for value in values]
     lines = [",".join(texts[k : k + _PER_LINE]) for k in range(0, len(texts), _PER_LINE)]
     return f"static const {kind} {name}[] = {{\n" + ",\n".join(lines) + "\n};\n"
 
 
-# Factor and offset to the SI base units given, where the standard can say it.
+# Factor and offset to SI base units, for units that the standard can describe.
 _SI: dict[str, dict[str, str]] = {
     "deg": {"rad": "1", "factor": "0.017453292519943295"},
     "ft": {"m": "1", "factor": "0.3048"},
@@ -122,7 +120,7 @@ _SI: dict[str, dict[str, str]] = {
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable of the FMU, `reference` its place; only inputs have a `start`."""
+    """One variable of the FMU with its value reference; only inputs have a `start`."""
 
     name: str
     reference: int
@@ -131,14 +129,14 @@ class Variable:
 
     @property
     def unit(self) -> str | None:
-        """Its unit, None where it is a plain number."""
+        """Its unit, None for a number without unit."""
         unit = CHANNELS[self.name].unit if self.name in CHANNELS else "-"
         return unit if unit in _SI else None
 
 
 @dataclass(frozen=True)
 class Description:
-    """What the XML says: names, token, where the model comes from, inputs, outputs, sources."""
+    """Content of the XML: names, token, origin of the model, variables, sources."""
 
     identifier: str
     token: str
@@ -201,7 +199,7 @@ def model_description(about: Description, version: str) -> bytes:
 
 
 def build_description(about: Description) -> bytes:
-    """Write sources/buildDescription.xml, which FMI 3.0 wants (FMI 3.0.2, section 2.5.2)."""
+    """Write sources/buildDescription.xml, required by FMI 3.0 (FMI 3.0.2, section 2.5.2)."""
     root = Element("fmiBuildDescription", {"fmiVersion": "3.0"})
     build = SubElement(root, "BuildConfiguration", {"modelIdentifier": about.identifier})
     files = SubElement(build, "SourceFileSet", {"language": "C99"})
@@ -221,7 +219,7 @@ def _units(root: Element, about: Description) -> None:
 
 
 def _value(variable: Variable) -> dict[str, str]:
-    """Unit and start, as both standards write them."""
+    """Attributes of unit and start, the same in both versions."""
     found = {"unit": variable.unit, "start": None}
     if variable.start is not None:
         found["start"] = repr(variable.start)
@@ -277,7 +275,7 @@ def _text(root: Element) -> bytes:
     return xml + b"\n"
 
 
-# Archives bear no time, so that the same model gives the same bytes.
+# Archives contain no time of writing, so that the same model gives the same bytes.
 _NO_TIME = (1980, 1, 1, 0, 0, 0)
 _FLAGS = ("-std=c99", "-O2", "-fPIC", "-w")
 
@@ -291,10 +289,10 @@ def export_fmu(
 ) -> ExportReport:
     """Sample `model`, compile the C sources around the numbers, and write the FMU.
 
-    The FMU interpolates multilinearly in double precision, holds inputs at the ends of the
-    envelope and says so in its output `inside`. Switches whose effects add up get grids of
-    their own, which makes it much finer than a table of the same size. It runs on machines
-    like this one and carries its sources for others (`fmpy compile`).
+    The FMU interpolates multilinearly in double precision, clamps inputs to the envelope and
+    reports that in its output `inside`. Switches whose effects add up get grids of their own, which
+    makes it much finer than a table of the same size. It runs on the platform that it was made on
+    and contains its sources for others (`fmpy compile`).
 
     Raises `ModelError` where FMPy or a C compiler is missing, where compiling fails and as
     `plan`; `ConfigError` for another `fmi` and where the file cannot be written.
@@ -333,14 +331,14 @@ def _described(
 
 
 def _identifier(file: Path) -> str:
-    """Make a name that C allows from that of the file."""
+    """Make a C identifier from the name of the file."""
     name = re.sub(r"\W", "_", file.stem, flags=re.ASCII)
     return name if name[:1].isalpha() else f"model_{name}"
 
 
 @dataclass(frozen=True)
 class _Toolchain:
-    """A C compiler, the headers of the standard, and where the binary goes in the archive."""
+    """A C compiler, the headers of the standard, and the place of the binary in the archive."""
 
     compiler: str
     headers: Path
@@ -349,7 +347,7 @@ class _Toolchain:
 
     @classmethod
     def found(cls, fmi: str) -> _Toolchain:
-        """Look for everything before any work is done."""
+        """Find compiler and headers before any other work."""
         if fmi not in ("2.0", "3.0"):
             raise ConfigError(f"unknown FMI version '{fmi}'", hint="Use 2.0 or 3.0")
         try:
@@ -390,9 +388,9 @@ class _Toolchain:
                 check=False,
             )
             if done.returncode:
-                said = (done.stderr or done.stdout).strip().splitlines() or ["nothing"]
+                output = (done.stderr or done.stdout).strip().splitlines() or ["nothing"]
                 raise ModelError(
-                    f"the C compiler failed with exit code {done.returncode}: {said[-1]}",
+                    f"the C compiler failed with exit code {done.returncode}: {output[-1]}",
                     file=self.compiler,
                     hint="Check that it compiles C, or export a table",
                 )

@@ -1,4 +1,4 @@
-"""What an export is asked for, and what it says of itself."""
+"""Options of an export, the errors measured at random conditions, and the report."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from narxcal.channels import CHANNELS
 from narxcal.export.grid import Grid
 from narxcal.steady.model import Floats, SteadyStateModel
 from narxcal.support.errors import ConfigError, ModelError
+from narxcal.support.files import versions
 
-# Told how far a piece of work has come: steps done of steps in all, and a word on it.
+# Called with the steps done, the number of steps, and a note.
 Watch = Callable[[int, int, str], None]
 Stopped = Literal["tolerance", "size", "nodes"]
 ADVICE = "Allow a larger tolerance or more rows, give nodes where the model bends, or fix an input"
@@ -25,17 +26,17 @@ _WHY = {
 
 
 def _ignore(done: int, total: int, note: str) -> None:
-    """Nobody is watching."""
+    """Show no progress."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """How exact, how large, and whether a missed tolerance is refused or only told.
+    """Accuracy and size of an export, and whether a missed tolerance is an error.
 
     `tolerance_pct` bounds the largest error of each output in percent of its range; nodes are
-    added (unless `refine` is off) until it holds or the next one would make more than
-    `max_rows` rows. `probes` random conditions measure the error, `seed` draws them. `source`
-    says in the file where the model comes from.
+    added (unless `refine` is off) until it is met or the next one would make more than `max_rows`
+    rows. The error is measured at `probes` random conditions drawn from `seed`. `source` is the
+    origin of the model that the file names.
     """
 
     tolerance_pct: float = 0.5
@@ -59,9 +60,9 @@ class ExportOptions:
 
 @dataclass(frozen=True)
 class OutputError:
-    """Difference between model and export over one output's probes, in the output's unit.
+    """Error of one output over the random conditions, in the output's unit.
 
-    `range` is what the output varies by over them.
+    `range` is that of the output over the same conditions.
     """
 
     name: str
@@ -78,7 +79,7 @@ class OutputError:
 
 @dataclass(frozen=True)
 class Measured:
-    """Errors at random conditions inside the envelope; `inside` of `probes` were."""
+    """Errors at the `inside` random conditions of `probes` that are in the envelope."""
 
     outputs: tuple[OutputError, ...]
     probes: int
@@ -92,7 +93,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class ExportReport:
-    """What was written: nodes, rows, errors, and why no more nodes were added.
+    """The exported file: nodes, rows, errors, and why no more nodes were added.
 
     `additive` are the switches whose effects are stored on grids of their own (FMU only).
     """
@@ -109,7 +110,7 @@ class ExportReport:
 
     @property
     def met(self) -> bool:
-        """Whether every output keeps the tolerance."""
+        """Whether every output meets the tolerance."""
         return self.measured.worst_pct <= self.tolerance_pct
 
     @property
@@ -118,7 +119,7 @@ class ExportReport:
         return _WHY[self.stopped]
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything, as JSON can hold it."""
+        """Convert to a JSON document."""
         document = asdict(self) | {"axes": dict(self.axes), "fixed": dict(self.fixed)}
         measured = document.pop("measured")
         for row, output in zip(measured["outputs"], self.measured.outputs, strict=True):
@@ -127,7 +128,7 @@ class ExportReport:
 
 
 class Probes:
-    """Random conditions and what the model says there: the yardstick of every export."""
+    """Random conditions, and the model's outputs there, to measure the error of an export."""
 
     def __init__(self, model: SteadyStateModel, grid: Grid, options: ExportOptions) -> None:
         drawn = grid.draw(options.probes, np.random.default_rng(options.seed))
@@ -135,12 +136,12 @@ class Probes:
         self.inputs = drawn[model.inside(drawn)]
         if not len(self.inputs):
             raise ModelError(
-                "the model holds nowhere between these nodes",
+                "the model is valid nowhere between these nodes",
                 hint="Give nodes inside its envelope",
             )
         self.truth = np.asarray(model.outputs(self.inputs), dtype=np.float64)
         self.scale: Floats = np.ptp(self.truth, axis=0)
-        # What does not vary is judged by its size.
+        # The error of a constant output is relative to its size.
         size = np.maximum(np.abs(self.truth).max(axis=0), 1e-6)
         self.scale = np.where(self.scale > 1e-9 * size, self.scale, size)
 
@@ -154,3 +155,29 @@ class Probes:
             for name, scale, worst, mean in rows
         )
         return Measured(outputs, self.drawn, len(self.inputs))
+
+
+def generation_tool() -> str:
+    """Name and version of narxcal, as exported files have it."""
+    return f"narxcal {versions()['narxcal']}"
+
+
+def description(report: ExportReport, source: str) -> list[str]:
+    """Lines about an export: source, tool, errors and fixed inputs."""
+    fixed = ", ".join(f"{name} = {value:g}" for name, value in report.fixed.items())
+    model = " ".join(["Steady-state engine model", *"".join(filter(_plain, source)).split()])
+    return [
+        f"{model}, sampled by {generation_tool()}",
+        f"Largest interpolation errors at {report.measured.inside} random conditions",
+        *(
+            f"{output.name} {output.max:.3g} {output.unit} ({output.max_pct:.2g} % of its range), "
+            f"RMS {output.rms:.2g}"
+            for output in report.measured.outputs
+        ),
+        *([f"Holds for {fixed} only"] if fixed else []),
+    ]
+
+
+def _plain(letter: str) -> bool:
+    """Whether a letter is allowed in a comment and in XML."""
+    return letter.isprintable() or letter.isspace()

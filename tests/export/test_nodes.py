@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.export.grid import USUAL_RANGES, Grid, best_nodes, candidates, grow, model_ranges
+from narxcal.export.grid import USUAL_RANGES, Grid, model_ranges
+from narxcal.export.plan import best_nodes, candidates, grow
 from narxcal.steady.function import SteadyCallable
 from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import ConfigError, ModelError
@@ -166,8 +167,7 @@ def test_nodes_that_fit_no_input_and_models_that_hold_nowhere_are_refused():
     with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
         Grid.of_model(Nowhere(), {"WOW": [0.0]})
     message = (
-        "the model says that it holds nowhere in the range tried. "
-        "Give the ends of its inputs as nodes"
+        "the model is valid nowhere in the range searched. Give the ends of its inputs as nodes"
     )
     with pytest.raises(ModelError, match=f"^{re.escape(message)}$"):
         Grid.of_model(Nowhere())

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from narxcal.export import ExportOptions, Grid, export_table
-from narxcal.export.grid import Block, GriddedModel, additive_switches, layers
-from narxcal.export.plan import plan
+from narxcal.export.grid import Block, GriddedModel
+from narxcal.export.plan import additive_switches, layers, plan
 from narxcal.steady.function import SteadyCallable
 from narxcal.steady.table import SteadyTable, read_steady_table
 from narxcal.support.errors import ConfigError, ModelError
@@ -108,8 +108,8 @@ def test_without_refinement_the_nodes_are_those_given(small, tmp_path):
 def test_a_missed_tolerance_is_refused_where_that_was_asked_for(small, tmp_path):
     options = ExportOptions(tolerance_pct=0.001, max_rows=40, strict=True)
     message = (
-        r"^channel N1_pct: the error reaches \S+ % of the range with 40 rows, and 0\.001 % was "
-        r"asked for\. Allow a larger tolerance or more rows, give nodes where the model bends, "
+        r"^channel N1_pct: the error reaches \S+ % of the range with 40 rows, above the "
+        r"tolerance of 0\.001 %\. Allow a larger tolerance or more rows, give nodes where the model bends, "
         r"or fix an input$"
     )
     with pytest.raises(ModelError, match=message):
@@ -120,7 +120,7 @@ def test_a_missed_tolerance_is_refused_where_that_was_asked_for(small, tmp_path)
 def test_a_grid_too_large_from_the_start_is_refused(small, tmp_path):
     grid = Grid.of_model(small, {"TRA_deg": np.linspace(0, 80, 50).tolist()})
     message = (
-        "the nodes asked for make 200 rows, more than the 100 allowed. "
+        "the given nodes make 200 rows, more than the limit of 100. "
         "Allow more rows, give fewer nodes, or fix an input at one node"
     )
     with pytest.raises(ModelError, match=f"^{re.escape(message)}$"):
@@ -143,7 +143,7 @@ def test_a_model_that_gives_no_number_is_named_with_its_condition(tmp_path):
 
 def test_nodes_outside_the_envelope_leave_nothing_to_compare(small, tmp_path):
     grid = Grid({**Grid.of_model(small).axes, "Mach": (0.9, 1.0)})
-    message = "the model holds nowhere between these nodes. Give nodes inside its envelope"
+    message = "the model is valid nowhere between these nodes. Give nodes inside its envelope"
     with pytest.raises(ModelError, match=f"^{re.escape(message)}$"):
         export_table(small, grid, tmp_path / "deck.csv")
 
