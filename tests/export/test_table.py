@@ -109,7 +109,8 @@ def test_a_missed_tolerance_is_refused_where_that_was_asked_for(small, tmp_path)
     options = ExportOptions(tolerance_pct=0.001, max_rows=40, strict=True)
     message = (
         r"^channel N1_pct: the error reaches \S+ % of the range with 40 rows, above the "
-        r"tolerance of 0\.001 %\. Allow a larger tolerance or more rows, give nodes where the model bends, "
+        r"tolerance of 0\.001 %\. Allow a larger tolerance or more rows, give nodes where the "
+        r"model bends, "
         r"or fix an input$"
     )
     with pytest.raises(ModelError, match=message):
