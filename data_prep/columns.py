@@ -1,43 +1,49 @@
-"""Which column of a file is which channel of which engine, and help when one is not there.
+"""The columns of a file as channels of its engines, in canonical units.
 
-Units that a file itself names, in or below its header: what the configuration leaves open.
+A unit comes from the configuration, else from the file itself: a row of units below the header, or
+brackets that end a column's name.
 """
 
 from __future__ import annotations
 
 import difflib
+import re
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from data_prep.config import ENGINE, ColumnSource, LogsConfig
-from data_prep.units import find_unit, to_canonical
+from data_prep.config import ENGINE
+from data_prep.log import AuditEntry
+from data_prep.units import find_unit, named_unit, to_canonical
 from narxcal.channels import CHANNELS
-from narxcal.support.arrays import FloatArray
-from narxcal.support.errors import DataError
+from narxcal.support.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from data_prep.text_file import Head
-import re
-from typing import TYPE_CHECKING
-
-from data_prep.log import AuditEntry
-from data_prep.units import named_unit
-from narxcal.support.errors import ConfigError
-
-if TYPE_CHECKING:
     from data_prep.config import ColumnSource, LogsConfig
+    from data_prep.csv_source import Pace
+    from data_prep.text_file import Head
+    from data_prep.units import Unit
+    from narxcal.support.arrays import FloatArray
 
-_SHOWN = 12
+_SHOWN = 12  # names of columns in a message
+_NO_UNIT = ("", "-")
+_BRACKETS_AT_END = re.compile(r"[\[({<]([^][(){}<>]+)[])}>]\s*$")
+_RIGHT = "r"  # the right engine of [L] and [R], no degree Rankine
 
 
 class Table(Protocol):
-    """A file of named columns."""
+    """A file of named columns.
+
+    `short_rows` counts the rows read so far whose cells are blank because one was missing;
+    `truncated`: the file broke off within a row, which was left out.
+    """
 
     path: Path
+    short_rows: int
+    truncated: bool
 
     @property
     def header(self) -> tuple[str, ...]:
@@ -55,26 +61,29 @@ class Table(Protocol):
     def hourly(self) -> bool:
         """Whether the clock holds minutes and seconds alone, so that it starts anew each hour."""
 
-    def blocks(self, names: Sequence[str]) -> Iterator[dict[str, FloatArray]]:
+    @property
+    def tabular(self) -> bool:
+        """Whether the rows look like those of a log; else no message quotes the file."""
+
+    def blocks(
+        self, names: Sequence[str], pace: Pace | None = None
+    ) -> Iterator[dict[str, FloatArray]]:
         """Columns as float64 `(rows,)`, NaN where blank, in blocks of rows."""
-
-
-def read_columns(table: Table, names: Sequence[str]) -> dict[str, FloatArray]:
-    """Whole columns `(rows,)` of a table that memory can hold; raises as its `blocks` do."""
-    pieces: dict[str, list[FloatArray]] = {name: [np.empty(0)] for name in names}
-    for block in table.blocks(names):
-        for name, values in block.items():
-            pieces[name].append(values)
-    # Popped one by one, so that pieces and whole columns never all exist at once.
-    return {name: np.concatenate(pieces.pop(name)) for name in names}
 
 
 def map_columns(table: Table, config: LogsConfig) -> dict[str, dict[str, str]]:
     """Engine -> channel -> column, for every column that `table` has.
 
-    Raises `DataError` for a column that is configured, not optional and not there.
+    Raises `DataError` for a file that is no log, and for a column that is configured, not optional
+    and not there.
     """
     sources = config.sources(table.header)
+    if config.time_column not in table.header and not table.tabular:
+        raise DataError(
+            f"the file is no log: it has no column '{config.time_column}' and hardly any numbers",
+            file=table.path,
+            hint="Expected a header and rows of numbers; [logs] files names the files to read",
+        )
     if "time_s" not in sources:
         hint = f"{_sentence(_near('time_s', table.header))} Or map the columns under [logs.columns]"
         raise DataError("column 'time_s' is missing", file=table.path, hint=hint)
@@ -142,7 +151,7 @@ def _prefixes(template: str, header: tuple[str, ...]) -> str:
 
 
 def to_channel(name: str, cells: FloatArray, source: ColumnSource) -> FloatArray:
-    """Cells as the file holds them -> channel `name` in its canonical unit."""
+    """Convert cells as they stand in the file to channel `name` in its canonical unit."""
     if (source.scale, source.offset) != (1.0, 0.0):
         with np.errstate(over="ignore"):  # an infinity is accounted for on the raster
             cells = cells * source.scale + source.offset
@@ -158,50 +167,42 @@ def constants(sources: Mapping[str, ColumnSource]) -> dict[str, float]:
     }
 
 
-_SAYS_NOTHING = ("", "-")
-_BRACKETS_AT_END = re.compile(r"[\[({<]([^][(){}<>]+)[])}>]\s*$")
-_RIGHT = "r"  # the right engine of [L] and [R], no degree Rankine
-
-
 def sources_of(table: Table, config: LogsConfig) -> dict[str, ColumnSource]:
-    """Channel -> source, with the unit that the file names where the configuration says nothing.
+    """Channel -> source, with the unit that the file names where the configuration gives none.
 
-    That is a row of units, or where there is none brackets that end the column's name. What the
-    configuration says (`unit`, `scale`, `offset`) stands against the file.
+    The file's unit is that in its row of units or, without such a row, in brackets that end the
+    column's name. `unit`, `scale` and `offset` of the configuration take precedence.
 
     Raises `DataError` for a unit that is not known or not one of the channel.
     """
     sources = config.sources(table.header)
-    return {
-        name: source.model_copy(update={"unit": _unit(table, name, told)})
-        if (told := _told(table, config, name, source)) and _open(source)
-        else source
-        for name, source in sources.items()
-    }
+    for name, source in sources.items():
+        text = _unit_text(table, config, name, source)
+        if text and _is_open(source):
+            sources[name] = source.model_copy(update={"unit": _unit(table, name, text)})
+    return sources
 
 
 def head_entries(table: Table, config: LogsConfig, rows: int) -> tuple[AuditEntry, ...]:
-    """What was done with the lines above the first of `rows` rows, for the audit."""
+    """Account for the lines above the first of `rows` rows, in an audit."""
     entries = [
         AuditEntry("*", "dropped", "line above the header", table.head.above),
         AuditEntry("*", "dropped", "row of units", int(bool(table.head.units))),
     ]
     for name, source in config.sources(table.header).items():
-        told = named_unit(_told(table, config, name, source))
+        named = named_unit(_unit_text(table, config, name, source))
         own = CHANNELS[name].unit if source.unit is None else source.unit
-        if told in _SAYS_NOTHING or find_unit(own, name) == _or_none(told, name):
+        if named in _NO_UNIT or find_unit(own, name) == _or_none(named, name):
             continue
-        if _open(source):
-            reason = f"{told}, as its {_place(table)} says"
-            entries.append(AuditEntry(name, "repaired", reason, rows))
-        else:
-            reason = f"unit of the configuration, where the {_place(table)} says {told}"
-            entries.append(AuditEntry(name, "repaired", reason, rows))
+        reason = f"unit of the configuration, where the {_place(table)} says {named}"
+        if _is_open(source):
+            reason = f"{named}, as its {_place(table)} says"
+        entries.append(AuditEntry(name, "repaired", reason, rows))
     return tuple(entries)
 
 
-def _open(source: ColumnSource) -> bool:
-    """Whether the configuration says nothing of the unit."""
+def _is_open(source: ColumnSource) -> bool:
+    """Whether the configuration leaves the unit to the file."""
     return source.unit is None and (source.scale, source.offset) == (1.0, 0.0)
 
 
@@ -209,43 +210,43 @@ def _place(table: Table) -> str:
     return "row of units" if table.head.units else "header"
 
 
-def _told(table: Table, config: LogsConfig, name: str, source: ColumnSource) -> str:
-    """What the file says of the unit of channel `name`; engines share it."""
+def _unit_text(table: Table, config: LogsConfig, name: str, source: ColumnSource) -> str:
+    """What stands in the file as the unit of channel `name`; engines share it."""
     if not source.column or source.column == table.clock:
         return ""
     prefixes = (config.engines or {"": ""}).values()
     columns = [source.column.replace(ENGINE, prefix) for prefix in prefixes]
-    told = [_told_of(table, name, column) for column in columns if column in table.header]
-    if len(set(map(named_unit, told))) > 1:
+    texts = [_unit_of_column(table, name, column) for column in columns if column in table.header]
+    if len(set(map(named_unit, texts))) > 1:
         raise DataError(
-            f"the {_place(table)} says {' and '.join(map(repr, told))} of the engines' columns",
+            f"the {_place(table)} says {' and '.join(map(repr, texts))} of the engines' columns",
             file=table.path,
             hint=f"Set the unit of column '{source.column}' in [logs.columns]",
         )
-    return "" if not told or told[0] in _SAYS_NOTHING else told[0]
+    return "" if not texts or texts[0] in _NO_UNIT else texts[0]
 
 
-def _told_of(table: Table, name: str, column: str) -> str:
+def _unit_of_column(table: Table, name: str, column: str) -> str:
     if table.head.units:
         return table.head.units[table.header.index(column)]
     found = _BRACKETS_AT_END.search(column)
-    told = found[1].strip() if found else ""
+    text = found[1].strip() if found else ""
     # Much stands in brackets: only what names a unit of this very channel is taken for one.
-    unit = "" if told.isdigit() or told.casefold() == _RIGHT else named_unit(told)
-    return told if unit and _or_none(unit, name) else ""
+    unit = "" if text.isdigit() or text.casefold() == _RIGHT else named_unit(text)
+    return text if unit and _or_none(unit, name) else ""
 
 
-def _unit(table: Table, name: str, told: str) -> str:
+def _unit(table: Table, name: str, text: str) -> str:
     hint = f"Say what it is in [logs.columns]: unit of {name}, or scale and offset"
-    unit = named_unit(told)
+    unit = named_unit(text)
     if not unit or _or_none(unit, name) is None:
         what = "is not known" if not unit else f"does not fit {CHANNELS[name].unit}"
-        problem = f"the row of units below the header says '{told}', which {what}"
+        problem = f"the row of units below the header says '{text}', which {what}"
         raise DataError(problem, file=table.path, channel=name, hint=hint)
     return unit
 
 
-def _or_none(unit: str, name: str) -> object:
+def _or_none(unit: str, name: str) -> Unit | None:
     try:
         return find_unit(unit, name)
     except ConfigError:

@@ -70,8 +70,8 @@ class LogsConfig(Section):
     @classmethod
     def _in_the_folder(cls, patterns: tuple[str, ...]) -> tuple[str, ...]:
         for pattern in patterns:
-            if not pattern or PurePath(pattern).anchor:
-                raise ValueError("expected patterns of files in [logs] folder, without its path")
+            if not pattern or PurePath(pattern).anchor or ".." in PurePath(pattern).parts:
+                raise ValueError("expected patterns of files below [logs] folder, without its path")
         return patterns
 
     @model_validator(mode="after")

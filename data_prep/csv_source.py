@@ -1,20 +1,31 @@
-"""Columns of a CSV file as float64, parsed in pieces so that memory does not grow with the text."""
+"""Columns of a CSV file as float64, block by block, be the file finished or still growing."""
 
 from __future__ import annotations
 
 import gzip
 import re
+import time
 import warnings
 import zlib
+from collections.abc import Callable
 from contextlib import contextmanager
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TextIO, cast
+from dataclasses import dataclass, replace
+from io import StringIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 import pandas as pd
 
 from data_prep.stamps import clock_seconds
-from data_prep.text_file import DELIMITERS, Dialect, decimal_comma, open_text, skip, sniff
+from data_prep.text_file import (
+    DELIMITERS,
+    Dialect,
+    decimal_comma,
+    fields,
+    open_text,
+    read_line,
+    sniff,
+)
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 
@@ -26,52 +37,48 @@ if TYPE_CHECKING:
 
     from data_prep.text_file import Head
 
-CHUNK_ROWS = 50_000
+_BLOCK_CHARS = 20_000_000  # a block ends here although more lines were wanted: bounded memory
 _SHOWN_CHARS = 40
-# Beside those that pandas knows, `N/A` and the like: what recorders and worksheets print for none.
+_POLL_S = 0.05
+# In addition to those of pandas (`N/A` and the like): what recorders and worksheets print for none.
 _NO_VALUE = ("-", "--", "---", "----", "#DIV/0!", "#VALUE!", "#REF!", "#NUM!", "#NAME?")
 _DATE = re.compile(r"\d+([-/.:])\d+\1\d.*|\d+:\d+(\.\d+)?.*")
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d*)?")
 
 
-class _Prefixed:
-    """A text with a line put before it and without comments: what pandas needs of a file.
+@dataclass(kw_only=True)
+class Pace:
+    """How the lines of a file are read: up to `lines` at a time.
 
-    Its own rule for comments would take a cell like `#N/A`, and all that follows it, for one.
+    With `live` the file may still be written: an incomplete last line is left out, where a finished
+    file ends with a row. With `follow` in addition further lines are waited for, until none came
+    for `idle_s`. `clock` and `sleep` are those of `time`; `stop` ends the reading.
     """
 
-    def __init__(self, line: str, text: TextIO, comment: str) -> None:
-        self._lines = [line]
-        self._text = text
-        self._comment = comment
-
-    def read(self, size: int = -1) -> str:
-        while lines := self._lines or self._text.readlines(size):
-            self._lines = []
-            block = "".join(lines)
-            if not self._comment or self._comment not in block:
-                return block
-            if kept := [line for line in lines if not line.lstrip().startswith(self._comment)]:
-                return "".join(kept)
-        return ""
-
-    def __iter__(self) -> Iterator[str]:
-        """Lines; pandas asks for the method but reads in blocks."""
-        yield from iter(self._text)
+    lines: int = 50_000
+    live: bool = False
+    follow: bool = False
+    idle_s: float = 10.0
+    clock: Callable[[], float] = time.monotonic
+    sleep: Callable[[float], None] = time.sleep
+    stop: Callable[[], bool] = lambda: False
 
 
 class CsvSource:
     """One CSV file: its header and row of units, and on request some of its columns.
 
-    Only the requested columns are kept, as float64, clock times as seconds; the text is read in
-    pieces of `chunk_rows` rows. Row 1 is the first row of data below the header; blank lines and
-    comment lines are not counted. A row shorter than the header ends in blanks.
+    Only the requested columns are kept, as float64, clock times as seconds. Row 1 is the first row
+    of data below the header; blank lines and comment lines are not counted. A row with fewer
+    fields than the others is blank in all columns, since which field is missing cannot be known;
+    `short_rows` counts those read so far. `truncated` becomes true where a live file broke off
+    within a line or, compressed, within its stream.
     """
 
-    def __init__(self, path: Path, dialect: Dialect, chunk_rows: int = CHUNK_ROWS) -> None:
+    def __init__(self, path: Path, dialect: Dialect) -> None:
         self.path = path
         self.dialect = dialect
-        self.chunk_rows = chunk_rows
+        self.short_rows = 0
+        self.truncated = False
 
     @property
     def header(self) -> tuple[str, ...]:
@@ -93,36 +100,131 @@ class CsvSource:
         """What stands above the first row."""
         return self.dialect.head
 
-    def blocks(self, names: Sequence[str]) -> Iterator[dict[str, FloatArray]]:
-        """The named columns in blocks of `chunk_rows` rows; a blank is NaN.
+    @property
+    def tabular(self) -> bool:
+        """Whether the rows hold numbers, as those of a log do."""
+        return self.dialect.tabular
 
-        Raises `DataError` for text in a number's place (naming row and value), a row longer
+    def blocks(
+        self, names: Sequence[str], pace: Pace | None = None
+    ) -> Iterator[dict[str, FloatArray]]:
+        """The named columns `(rows,)` in blocks of `pace.lines` rows; a blank is NaN.
+
+        Raises `DataError` for text in place of a number (naming row and value), a row longer
         than the header, a column that occurs twice, and a file that cannot be parsed.
         """
         positions = {name: self._position(name) for name in names}
-        done = 0
-        while True:
-            try:
-                for block in self._numbers(positions, done):
-                    done += len(next(iter(block.values()), ()))
-                    yield block
-            except ValueError as error:  # pandas: text where a number should be, or a broken row
-                self._explain(error, positions)
-            else:
-                return
+        row = 0
+        for lines in self._line_blocks(pace or Pace()):
+            rows = [line for line in lines if self._is_row(line)]
+            if rows:
+                self._blank_short(rows, row)
+                yield self._numbers(rows, positions, row)
+                row += len(rows)
 
-    def _explain(self, cause: ValueError, positions: dict[str, int]) -> None:
-        """Say where the text is that cannot be read, unless another decimal mark reads it."""
-        row, name, text = self._first_text(positions) or (0, "", "")
+    def _line_blocks(self, pace: Pace) -> Iterator[list[str]]:
+        """Whole lines below the header."""
+        rest = ""
+        with readable(self.path), open_text(self.path) as text:
+            for _ in range(self.dialect.head.lines):
+                read_line(text)
+            for lines in self._arriving(text, pace):
+                lines[0] = rest + lines[0]
+                rest = "" if lines[-1].endswith("\n") else lines.pop()
+                if lines:
+                    yield lines
+        if not pace.live or self._is_complete(rest):
+            yield [rest]
+        else:
+            self.truncated = self.truncated or bool(rest.strip())
+
+    def _arriving(self, text: TextIO, pace: Pace) -> Iterator[list[str]]:
+        """Lines as they come; the last one of a list may still be growing."""
+        quiet_since = pace.clock()
+        while not pace.stop():
+            lines = self._some(text, pace)
+            if lines:
+                quiet_since = pace.clock()
+                yield lines
+            elif not pace.follow or pace.clock() - quiet_since >= pace.idle_s:
+                return
+            else:
+                pace.sleep(_POLL_S)
+
+    def _some(self, text: TextIO, pace: Pace) -> list[str]:
+        lines: list[str] = []
+        chars = 0
+        try:
+            while len(lines) < pace.lines and chars < _BLOCK_CHARS and (line := read_line(text)):
+                lines.append(line)
+                chars += len(line)
+        except (EOFError, zlib.error):
+            if not pace.live:
+                raise
+            self.truncated = True
+        return lines
+
+    def _is_row(self, line: str) -> bool:
+        comment = self.dialect.comment
+        if comment and line.lstrip().startswith(comment):
+            return False
+        return bool(line.strip(" \r\n") if self.dialect.delimiter == "\t" else line.strip())
+
+    def _is_complete(self, line: str) -> bool:
+        """Whether a last line without an end has all its fields, so far as can be seen."""
+        delimiter = None if self.dialect.delimiter == " " else self.dialect.delimiter
+        cells = line.split(delimiter)
+        return len(cells) >= len(self.header) and bool(cells[-1].strip())
+
+    def _blank_short(self, rows: list[str], before: int) -> None:
+        """Blank the rows with fewer fields than the others."""
+        delimiter, width = self.dialect.delimiter, self.dialect.width
+        for k, row in enumerate(rows):
+            if self._width(row) >= width:
+                continue
+            other = [each for each in DELIMITERS if row.count(each) + 1 >= max(width, 2)]
+            if other:
+                raise DataError(
+                    f"the header is separated by {delimiter!r}, this row by {other[0]!r}",
+                    file=self.path,
+                    row=before + k + 1,
+                    hint="Use one delimiter in all rows",
+                )
+            rows[k] = delimiter.join(["nan"] * width) + "\n"
+            self.short_rows += 1
+
+    def _width(self, row: str) -> int:
+        delimiter = self.dialect.delimiter
+        if delimiter == " " or '"' in row:
+            return len(fields(row, delimiter))
+        return row.count(delimiter) + 1
+
+    def _numbers(
+        self, rows: list[str], positions: dict[str, int], before: int
+    ) -> dict[str, FloatArray]:
+        """Columns of `rows`, to which `before` rows of the file come first."""
+        try:
+            cells = self._cells(rows, [*positions.values()], np.float64)
+            self._refuse_long_rows(cells[len(self.header)], before)
+            return {name: self._values(name, cells[at]) for name, at in positions.items()}
+        except ValueError as error:  # pandas: text where a number should be, or a broken row
+            self._explain(error, rows, positions, before)
+            return self._numbers(rows, positions, before)
+
+    def _explain(
+        self, cause: ValueError, rows: list[str], positions: dict[str, int], before: int
+    ) -> None:
+        """Locate the text that cannot be read, unless another decimal mark reads it."""
+        row, name, text = self._first_text(rows, positions) or (0, "", "")
         if not row:
-            problem = " ".join(str(cause).split())
             raise DataError(
-                f"the rows cannot be parsed ({problem})",
+                f"rows {before + 1} to {before + len(rows)} cannot be parsed "
+                f"({' '.join(str(cause).split())})",
                 file=self.path,
                 hint="Look for a quote that is never closed",
             ) from cause
         if self.dialect.decimal_open and decimal_comma(text, self.dialect.delimiter):
-            # The first rows held whole numbers only, so the comma could not be seen there.
+            # The rows before held whole numbers only, so the comma could not be seen there.
             self.dialect = replace(self.dialect, decimal=",", decimal_open=False)
             return
         wanted = "a clock time or a date" if name == self.dialect.clock else "a number"
@@ -130,8 +232,8 @@ class CsvSource:
             f"expected {wanted}, found {text[:_SHOWN_CHARS]!r}",
             file=self.path,
             channel=name,
-            row=row,
-            hint=_what_to_do(text, self.dialect.delimiter),
+            row=before + row,
+            hint=_what_to_do(text),
         ) from cause
 
     def _position(self, name: str) -> int:
@@ -142,19 +244,6 @@ class CsvSource:
                 hint="Rename all but one",
             )
         return self.header.index(name)
-
-    def _numbers(self, positions: dict[str, int], done: int) -> Iterator[dict[str, FloatArray]]:
-        """Blocks of columns, without the first `done` rows."""
-        row = 0
-        for chunk in self._chunks([*positions.values()], np.float64):
-            self._refuse_long_rows(chunk[len(self.header)], row)
-            fresh = chunk.iloc[max(done - row, 0) :]
-            row += len(chunk)
-            if len(fresh):
-                yield {
-                    name: self._values(name, fresh[position])
-                    for name, position in positions.items()
-                }
 
     def _values(self, name: str, cells: pd.Series[Any]) -> FloatArray:
         if name != self.dialect.clock:
@@ -172,26 +261,19 @@ class CsvSource:
                 hint="Check the delimiter and the decimal mark",
             )
 
-    @contextmanager
-    def _rows(self) -> Iterator[TextIO]:
-        """Open the text below the header."""
-        with readable(self.path), open_text(self.path) as text:
-            skip(text, self.dialect.head.lines)
-            yield text
-
-    def _chunks(self, positions: list[int], dtype: Any) -> Iterator[pd.DataFrame]:
-        """Pieces of the table, plus the field after the last column to catch rows too long."""
+    def _cells(self, rows: list[str], positions: list[int], dtype: Any) -> pd.DataFrame:
+        """Some columns of `rows`, and the field after the last one to catch rows too long."""
         count = len(self.header)
         dialect = self.dialect
         kinds = {**dict.fromkeys(positions, dtype), count: object}
         if dialect.clock:
             kinds[self._position(dialect.clock)] = object
-        # pandas learns from the first row how many fields there may be.
+        # pandas takes the number of fields that there may be from the first row.
         widest = dialect.delimiter.join(["0"] * (count + 1)) + "\n"
-        with self._rows() as text, warnings.catch_warnings():
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore", pd.errors.ParserWarning)
-            reader = pd.read_csv(
-                cast("TextIO", _Prefixed(widest, text, dialect.comment)),
+            table = pd.read_csv(
+                StringIO(widest + "".join(rows)),
                 sep=r"\s+" if dialect.delimiter == " " else dialect.delimiter,
                 decimal=dialect.decimal,
                 header=None,
@@ -201,30 +283,27 @@ class CsvSource:
                 na_values=list(_NO_VALUE),
                 dtype=kinds,
                 skipinitialspace=True,
-                chunksize=self.chunk_rows,
                 engine="c",
             )
-            with reader:
-                yield next(reader).iloc[1:]
-                yield from reader
+        return table.iloc[1:]
 
-    def _first_text(self, positions: dict[str, int]) -> tuple[int, str, str] | None:
+    def _first_text(
+        self, rows: list[str], positions: dict[str, int]
+    ) -> tuple[int, str, str] | None:
         """Row, column and content of the first cell that is no number."""
-        row = 0
         try:
-            for chunk in self._chunks([*positions.values()], object):
-                found = [
-                    (int(bad.argmax()), position, name)
-                    for name, position in positions.items()
-                    if (bad := self._unreadable(name, chunk[position])).any()
-                ]
-                if found:
-                    at, position, name = min(found)
-                    return row + at + 1, name, str(chunk[position].iloc[at])
-                row += len(chunk)
-        except ValueError:  # a broken row comes first
+            cells = self._cells(rows, [*positions.values()], object)
+        except ValueError:  # a broken row
             return None
-        return None
+        found = [
+            (int(bad.argmax()), position, name)
+            for name, position in positions.items()
+            if (bad := self._unreadable(name, cells[position])).any()
+        ]
+        if not found:
+            return None
+        at, position, name = min(found)
+        return at + 1, name, str(cells[position].iloc[at])
 
     def _unreadable(self, name: str, texts: pd.Series[Any]) -> NDArray[np.bool_]:
         if name == self.dialect.clock:
@@ -235,12 +314,8 @@ class CsvSource:
         return np.asarray(pd.to_numeric(plain, errors="coerce").isna() & texts.notna())
 
 
-def _what_to_do(text: str, delimiter: str) -> str:
-    """What to do about `text` in a number's place."""
-    other = [each for each in DELIMITERS if each != delimiter and text.count(each) > 1]
-    if other:
-        own = " " if delimiter == " " else delimiter
-        return f"The header is separated by {own!r}, this row by {other[0]!r}: use one in all"
+def _what_to_do(text: str) -> str:
+    """Advise on `text` in place of a number."""
     if _THOUSANDS.fullmatch(text):
         return "Write numbers without a separator of thousands"
     if _DATE.fullmatch(text):
@@ -250,9 +325,13 @@ def _what_to_do(text: str, delimiter: str) -> str:
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """Turn what the file system and the decompressor may raise into a `DataError`."""
+    """Turn what the file system and the decompressor may raise into a `DataError` of the file."""
     try:
         yield
+    except DataError as error:
+        if error.file is not None:
+            raise
+        raise DataError(error.problem, file=path, hint=error.hint) from None
     except FileNotFoundError:
         raise DataError("the file does not exist", file=path) from None
     except IsADirectoryError:
@@ -270,13 +349,10 @@ def readable(path: Path) -> Iterator[None]:
 def open_csv(
     path: Path, delimiter: str, decimal: str, comment: str, time: str = "time_s"
 ) -> CsvSource:
-    """Find out how `path` is written; raises `DataError` when it is empty or unreadable.
+    """Find out how `path` is written; raises `DataError` where it is empty or unreadable.
 
     Column `time` may hold clock times (see `data_prep.stamps`).
     """
     with readable(path), open_text(path) as text:
-        try:
-            dialect = sniff(text, delimiter, decimal, comment, time)
-        except DataError as error:
-            raise DataError(error.problem, file=path, hint=error.hint) from None
+        dialect = sniff(text, delimiter, decimal, comment, time)
     return CsvSource(path, dialect)

@@ -1,6 +1,7 @@
-"""Samples to a uniform raster: what is taken over, interpolated, averaged, held or left out.
+"""Resample one channel onto a uniform sampling grid, and account for what that changes.
 
-The audit of a log that is read block by block: every row and every sample counted once.
+A sample is taken over, interpolated, averaged, kept (switches) or left missing; every row and every
+sample that was changed is counted once in the audit, however the rows arrive.
 """
 
 from __future__ import annotations
@@ -10,30 +11,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from data_prep.log import AuditEntry
-from narxcal.support.arrays import FloatArray, runs
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-from data_prep.log import Audit
+from data_prep.log import Audit, AuditEntry
+from narxcal.support.arrays import BoolArray, FloatArray, runs
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from numpy.typing import NDArray
-
     from data_prep.log import Action
 
-ON_RASTER = 0.01  # of the interval: samples closer than this to a raster time are on it
+ON_GRID = 0.01  # of the interval: samples closer than this to a grid time are on it
 OWN_INTERVALS = 2.5  # a slower channel may miss one of its own samples
-LONG_SPAN_S = 1.0
-SLOW = "slower than the raster"  # why a sample lies between two of its channel's own
+LONG_SPAN_S = 1.0  # shorter ones are only counted
+SLOW = "slower than the grid"  # why a sample lies between two of its channel's own
 LARGEST = 1e30  # beyond it a number is a fault, and its arithmetic would overflow
 
 
 @dataclass(frozen=True)
-class Raster:
+class Grid:
     """Uniform times `start_s + k * interval_s`, and the longest blank that is bridged."""
 
     start_s: float
@@ -47,62 +41,56 @@ class Raster:
         return self.start_s + np.arange(self.samples, dtype=np.float64) * self.interval_s
 
     def steps(self, time: FloatArray) -> FloatArray:
-        """`time` in intervals since the start; within 1 % of a raster time exactly that one."""
+        """Convert `time` to intervals since the start; within 1 % of a grid time exactly that."""
         steps = (time - self.start_s) / self.interval_s
         nearest = np.round(steps)
-        return np.asarray(np.where(np.abs(steps - nearest) <= ON_RASTER, nearest, steps))
-
-
-def lay(time: FloatArray, interval_s: float, bridge_s: float) -> Raster:
-    """Make the raster that starts with the first stamp and ends at or before the last."""
-    span = (time[-1] - time[0]) / interval_s
-    return Raster(float(time[0]), interval_s, int(np.floor(span + 0.01)) + 1, bridge_s)
+        return np.asarray(np.where(np.abs(steps - nearest) <= ON_GRID, nearest, steps))
 
 
 def resample(
-    name: str, time: FloatArray, values: FloatArray, raster: Raster, *, hold: bool
+    name: str, time: FloatArray, values: FloatArray, grid: Grid, *, hold: bool
 ) -> tuple[FloatArray, tuple[AuditEntry, ...]]:
-    """One channel on the raster `(samples,)`, with the account of what that took.
+    """Put one channel on the grid `(samples,)`, with the audit entries of that.
 
-    * A sample on a raster time is taken over bit for bit.
+    * A sample on a grid time is taken over bit for bit.
     * Between two of the channel's own samples the value is on the straight line, when they are
       no further apart than `bridge_s` or 2.5 of the channel's own median intervals; over longer
       blanks and outside the channel's first and last sample it stays NaN ("missing").
-    * A channel sampled more than 1.5 times as fast as the raster is averaged over the raster
-      interval centred on each raster time, against aliasing; neither rule shifts the phase.
-    * `hold` (switches): the last sample at or before the raster time, however old.
+    * A channel sampled more than 1.5 times as fast as the grid is averaged over the grid
+      interval centred on each grid time, against aliasing; neither rule shifts the phase.
+    * `hold` (switches): the last sample at or before the grid time, however old.
     * Of several samples with one stamp the last counts.
     """
     valid = np.abs(values) < LARGEST
     absurd = int((~valid & ~np.isnan(values)).sum())
-    steps, values, repeated = _last_of_equal(raster.steps(time[valid]), values[valid])
+    steps, values, repeated = _last_of_equal(grid.steps(time[valid]), values[valid])
     entries = [
         AuditEntry(name, "dropped", "not finite", absurd),
         AuditEntry(name, "dropped", "duplicate time stamp", repeated),
     ]
-    grid = np.arange(raster.samples, dtype=np.float64)
+    at = np.arange(grid.samples, dtype=np.float64)
     if not len(steps):
-        result = np.full(raster.samples, np.nan)
+        result = np.full(grid.samples, np.nan)
     elif hold:
-        result = _held(grid, steps, values)
+        result = _last(at, steps, values)
     else:
-        result = _bridged(grid, steps, values, raster)
+        result = _bridged(at, steps, values, grid)
         means = int(np.isfinite(result).sum()) if _fast(steps) else 0
-        entries.append(AuditEntry(name, "repaired", "averaged: faster than the raster", means))
-    return result, (*entries, *_account(name, result, steps, raster))
+        entries.append(AuditEntry(name, "repaired", "averaged: faster than the grid", means))
+    return result, (*entries, *_account(name, result, steps, grid))
 
 
-def drawn(time: FloatArray, values: FloatArray, raster: Raster) -> NDArray[np.bool_]:
-    """Samples `(samples,)` of a channel slower than the raster that are nearest to none of its own.
+def interpolated(time: FloatArray, values: FloatArray, grid: Grid) -> BoolArray:
+    """Flag samples `(samples,)` between two measurements of a channel slower than the grid.
 
-    What `resample` gives there is on the line between two measurements and is none itself.
+    They are nearest to none of the channel's own samples; `resample` interpolates there.
     """
-    steps = np.unique(raster.steps(time[np.abs(values) < LARGEST]))
+    steps = np.unique(grid.steps(time[np.abs(values) < LARGEST]))
     if not _slow(steps):
-        return np.zeros(raster.samples, dtype=np.bool_)
-    flags = np.ones(raster.samples, dtype=np.bool_)
+        return np.zeros(grid.samples, dtype=np.bool_)
+    flags = np.ones(grid.samples, dtype=np.bool_)
     own = np.floor(steps + 0.5).astype(np.intp)
-    flags[own[(own >= 0) & (own < raster.samples)]] = False
+    flags[own[(own >= 0) & (own < grid.samples)]] = False
     return flags
 
 
@@ -113,22 +101,22 @@ def _last_of_equal(steps: FloatArray, values: FloatArray) -> tuple[FloatArray, F
     return steps[last], values[last], int((~last).sum())
 
 
-def _held(grid: FloatArray, steps: FloatArray, values: FloatArray) -> FloatArray:
-    at = np.searchsorted(steps, grid, side="right") - 1
-    return np.where(at >= 0, values[np.maximum(at, 0)], np.nan)
+def _last(at: FloatArray, steps: FloatArray, values: FloatArray) -> FloatArray:
+    row = np.searchsorted(steps, at, side="right") - 1
+    return np.where(row >= 0, values[np.maximum(row, 0)], np.nan)
 
 
-def _bridged(grid: FloatArray, steps: FloatArray, values: FloatArray, raster: Raster) -> FloatArray:
+def _bridged(at: FloatArray, steps: FloatArray, values: FloatArray, grid: Grid) -> FloatArray:
     if len(steps) == 1:
-        return np.where(grid == steps[0], values[0], np.nan)
+        return np.where(at == steps[0], values[0], np.nan)
     apart = np.diff(steps)
     own = float(np.median(apart))
-    result = _averaged(grid, steps, values) if _fast(steps) else np.interp(grid, steps, values)
-    limit = max(raster.bridge_s / raster.interval_s, OWN_INTERVALS * own) + 1e-9
-    before = np.clip(np.searchsorted(steps, grid, side="right") - 1, 0, len(apart) - 1)
-    inside = (grid > steps[before]) & (grid < steps[before + 1])
+    result = _averaged(at, steps, values) if _fast(steps) else np.interp(at, steps, values)
+    limit = max(grid.bridge_s / grid.interval_s, OWN_INTERVALS * own) + 1e-9
+    before = np.clip(np.searchsorted(steps, at, side="right") - 1, 0, len(apart) - 1)
+    inside = (at > steps[before]) & (at < steps[before + 1])
     result[inside & (apart[before] > limit)] = np.nan
-    result[(grid < steps[0]) | (grid > steps[-1])] = np.nan
+    result[(at < steps[0]) | (at > steps[-1])] = np.nan
     return result
 
 
@@ -138,11 +126,11 @@ def _fast(steps: FloatArray) -> bool:
 
 
 def _slow(steps: FloatArray) -> bool:
-    """Whether samples at `steps` come so seldom that the raster lies between them."""
+    """Whether samples at `steps` come so seldom that grid times lie between them."""
     return len(steps) > 1 and float(np.median(np.diff(steps))) > 1.5
 
 
-def _averaged(grid: FloatArray, steps: FloatArray, values: FloatArray) -> FloatArray:
+def _averaged(at: FloatArray, steps: FloatArray, values: FloatArray) -> FloatArray:
     """Mean over `[k - 1/2, k + 1/2]` of the straight lines between samples."""
     area = np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(steps))])
 
@@ -152,39 +140,35 @@ def _averaged(grid: FloatArray, steps: FloatArray, values: FloatArray) -> FloatA
         slope = (values[left + 1] - values[left]) / (steps[left + 1] - steps[left])
         return np.asarray(area[left] + dx * (values[left] + 0.5 * slope * dx))
 
-    low, high = np.maximum(grid - 0.5, steps[0]), np.minimum(grid + 0.5, steps[-1])
+    low, high = np.maximum(at - 0.5, steps[0]), np.minimum(at + 0.5, steps[-1])
     # The interval is cut symmetrically at the ends of the channel: no shift there either.
-    half = np.maximum(np.minimum(grid - low, high - grid), 0.0)
+    half = np.maximum(np.minimum(at - low, high - at), 0.0)
     width = 2.0 * half
-    mean = (integral(grid + half) - integral(grid - half)) / np.where(width > 0.0, width, 1.0)
-    return np.where(width > 0.0, mean, np.interp(grid, steps, values))
+    mean = (integral(at + half) - integral(at - half)) / np.where(width > 0.0, width, 1.0)
+    return np.where(width > 0.0, mean, np.interp(at, steps, values))
 
 
 def _account(
-    name: str, result: FloatArray, steps: FloatArray, raster: Raster
+    name: str, result: FloatArray, steps: FloatArray, grid: Grid
 ) -> tuple[AuditEntry, ...]:
     missing = np.isnan(result)
-    touched = np.zeros(raster.samples, dtype=np.bool_)
+    touched = np.zeros(grid.samples, dtype=np.bool_)
     for side in (np.floor(steps), np.ceil(steps)):
         index = side.astype(np.intp)
-        touched[index[(index >= 0) & (index < raster.samples)]] = True
+        touched[index[(index >= 0) & (index < grid.samples)]] = True
     filled = ~missing & ~touched
     reason = SLOW if _slow(steps) else "blank"
     return (
-        AuditEntry(name, "filled", reason, int(filled.sum()), _spans(filled, raster)),
-        AuditEntry(name, "masked", "missing", int(missing.sum()), _spans(missing, raster)),
+        AuditEntry(name, "filled", reason, int(filled.sum()), _times(filled, grid)),
+        AuditEntry(name, "masked", "missing", int(missing.sum()), _times(missing, grid)),
     )
 
 
-def _spans(flags: NDArray[np.bool_], raster: Raster) -> tuple[tuple[float, float], ...]:
-    """Find runs of true of at least a second, as (first, last) times."""
+def _times(flags: BoolArray, grid: Grid) -> tuple[tuple[float, float], ...]:
+    """List the runs of True as (first, last) times."""
     starts, stops = runs(flags)
-    long = (stops - starts) * raster.interval_s >= LONG_SPAN_S
-    time = raster.time_s
-    return tuple(
-        (float(time[start]), float(time[stop - 1]))
-        for start, stop in zip(starts[long], stops[long], strict=True)
-    )
+    time = grid.time_s
+    return tuple(zip(time[starts].tolist(), time[stops - 1].tolist(), strict=True))
 
 
 _Key = tuple[str, "Action", str]
@@ -192,11 +176,15 @@ _ROWS = ("dropped", "duplicate time stamp"), ("dropped", "not finite")  # in blo
 
 
 class StreamAudit:
-    """Adds entries up; spans that meet at the edge of two blocks become one."""
+    """Adds entries up block by block.
+
+    Spans that meet at the edge of two blocks become one; those of a second or more are kept.
+    """
 
     def __init__(self) -> None:
         self._samples: dict[_Key, int] = {}
         self._spans: dict[_Key, list[tuple[float, float]]] = {}
+        self._interval_s = 1.0
 
     def count(self, channel: str, action: Action, reason: str, samples: int) -> None:
         """Add `samples`."""
@@ -205,24 +193,34 @@ class StreamAudit:
 
     def add(self, entries: Iterable[AuditEntry], interval_s: float) -> None:
         """Add entries about samples `interval_s` apart; those about rows are counted elsewhere."""
+        self._interval_s = interval_s
         for entry in entries:
             if (entry.action, entry.reason) in _ROWS:
                 continue
             self.count(entry.channel, entry.action, entry.reason, entry.samples)
             key = entry.channel, entry.action, entry.reason
             spans = self._spans.setdefault(key, [])
-            for start, stop in entry.spans_s:
-                if spans and start - spans[-1][1] < 1.5 * interval_s:
-                    spans[-1] = spans[-1][0], stop
+            for first, last in entry.spans_s:
+                if spans and first - spans[-1][1] < 1.5 * interval_s:
+                    spans[-1] = spans[-1][0], last
                 else:
-                    spans.append((start, stop))
+                    self._drop_short(spans)
+                    spans.append((first, last))
+
+    def _drop_short(self, spans: list[tuple[float, float]]) -> None:
+        """Drop the last one, which has ended, if it is short."""
+        if spans:
+            first, last = spans[-1]
+            samples = round((last - first) / self._interval_s) + 1
+            if samples * self._interval_s < LONG_SPAN_S:
+                spans.pop()
 
     def rows(
-        self, time: FloatArray, rows: Mapping[str, FloatArray], new: NDArray[np.bool_], on: Raster
+        self, time: FloatArray, rows: Mapping[str, FloatArray], new: BoolArray, grid: Grid
     ) -> None:
         """Count the faults of those rows `(rows,)`, in order of time, that are `new`."""
-        steps = on.steps(time)
-        self.count("*", "repaired", "time stamp off the raster", _uneven(steps[new]))
+        steps = grid.steps(time)
+        self.count("*", "repaired", "time stamp off the grid", _uneven(steps[new]))
         for name, values in rows.items():
             if name == "time_s":
                 continue
@@ -233,10 +231,16 @@ class StreamAudit:
             self.count(name, "dropped", "duplicate time stamp", int(again.sum()))
 
     def taken(self) -> Audit:
-        """Everything so far as an audit; the count begins anew."""
+        """Return everything so far, first of rows, then channel by channel, and begin anew."""
+        for spans in self._spans.values():
+            self._drop_short(spans)
+        channels = list(dict.fromkeys(key[0] for key in self._samples))
+        channels.sort(key=lambda name: name != "*")
         entries = [
             AuditEntry(*key, samples, tuple(self._spans.get(key, ())))
-            for key, samples in self._samples.items()
+            for key, samples in sorted(
+                self._samples.items(), key=lambda item: channels.index(item[0][0])
+            )
         ]
         self._samples, self._spans = {}, {}
         return Audit().add(*entries)

@@ -1,4 +1,4 @@
-"""A log: one recording of one engine on a uniform raster, with the audit of what was done to it."""
+"""A log: one recording of one engine on a uniform sampling grid, with its audit."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ class Source:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Log:
-    """Canonical channels `(time,)` on a uniform raster; a masked or missing sample is NaN.
+    """Canonical channels `(time,)` on a uniform sampling grid; a masked or missing sample is NaN.
 
     `name` is `FILE:engine` (`FILE:engine#2` for the second part of a log split at a gap).
     `noise` is the variance of the white noise that was on each channel before it was smoothed.
-    `drawn` (channel -> `(time,)`) is true where a channel slower than the raster is on the line
-    between two of its samples; channels that keep up are not in it.
+    `interpolated` (channel -> bool `(time,)`) is True where the sample lies between two
+    measurements of a channel slower than the grid; faster channels are not in it.
     """
 
     name: str
@@ -74,7 +74,7 @@ class Log:
     audit: Audit = field(default_factory=Audit)
     source: Source = field(default_factory=Source)
     noise: Mapping[str, float] = field(default_factory=dict)
-    drawn: Mapping[str, BoolArray] = field(default_factory=dict)
+    interpolated: Mapping[str, BoolArray] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -95,7 +95,7 @@ class Log:
 
     @property
     def dt_s(self) -> float:
-        """Raster interval in seconds, from the whole span so that rounding does not show."""
+        """Sampling interval in seconds, from the whole span so that rounding does not show."""
         return float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)
 
     def matrix(self, names: Sequence[str]) -> FloatArray:
@@ -113,11 +113,11 @@ class Log:
             self,
             time_s=self.time_s[rows],
             channels={name: values[rows] for name, values in self.channels.items()},
-            drawn={name: flags[rows] for name, flags in self.drawn.items()},
+            interpolated={name: flags[rows] for name, flags in self.interpolated.items()},
         )
 
     def measured(self, names: Sequence[str]) -> FloatArray:
-        """As `matrix`, NaN where a channel is `drawn`: a line between measurements is none."""
+        """As `matrix`, with NaN where a channel is `interpolated` instead of measured."""
         never = np.zeros(len(self), dtype=np.bool_)
-        between = np.column_stack([self.drawn.get(name, never) for name in names])
+        between = np.column_stack([self.interpolated.get(name, never) for name in names])
         return np.where(between, np.nan, self.matrix(names))

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from data_prep.csv_source import Pace
 from data_prep.text_file import Head
-from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from narxcal.support.arrays import FloatArray
 
 MAGIC = b"PAR1"
-BATCH_ROWS = 100_000
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
@@ -23,6 +23,11 @@ class ParquetSource:
 
     Column `time` may be one of dates or durations, which become seconds (dates from 1970).
     """
+
+    short_rows = 0
+    truncated = False
+    hourly = False
+    tabular = True
 
     def __init__(self, path: Path, time: str = "time_s") -> None:
         self.path = path
@@ -56,20 +61,22 @@ class ParquetSource:
         return Head(lines=0)
 
     @property
-    def hourly(self) -> bool:
-        """Never, in Parquet."""
-        return False
-
-    @property
     def clock(self) -> str:
-        """The column that may hold dates, whose unit the file knows."""
+        """The column that may hold dates, whose unit is part of the file."""
         return self._time
 
-    def blocks(self, names: Sequence[str]) -> Iterator[dict[str, FloatArray]]:
-        """The named columns in blocks of up to `BATCH_ROWS` rows; null is NaN.
+    def blocks(
+        self, names: Sequence[str], pace: Pace | None = None
+    ) -> Iterator[dict[str, FloatArray]]:
+        """The named columns in blocks of up to `pace.lines` rows; null is NaN.
 
-        Raises `DataError` for a column that holds no numbers and for a damaged file.
+        Raises `DataError` for a column that holds no numbers, for a damaged file, and for a live
+        `pace`: the table of contents of a Parquet file is written last.
         """
+        if pace is not None and pace.live:
+            raise DataError(
+                "a Parquet file cannot be streamed", file=self.path, hint="Write it as CSV first"
+            )
         for name in names:
             kind = self._file.schema_arrow.field(name).type
             kinds = self._numeric + (self._temporal if name == self._time else ())
@@ -78,7 +85,7 @@ class ParquetSource:
                     f"expected a column of numbers, found {kind}", file=self.path, channel=name
                 )
         try:
-            for batch in self._file.iter_batches(BATCH_ROWS, columns=list(names)):
+            for batch in self._file.iter_batches((pace or Pace()).lines, columns=list(names)):
                 columns = {name: batch.column(name) for name in names}
                 yield {name: self._values(column) for name, column in columns.items()}
         except self._broken as error:

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from data_prep.grid import ON_RASTER
+from data_prep.grid import ON_GRID
 from data_prep.log import AuditEntry
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
@@ -248,7 +248,7 @@ def _median_advance(rows: FloatArray) -> float:
 def on_raster(time: FloatArray, interval: float) -> bool:
     """Whether every stamp is within 1 % of a whole number of intervals from the first."""
     steps = (time - time[0]) / interval
-    return bool((np.abs(steps - np.round(steps)) <= ON_RASTER).all())
+    return bool((np.abs(steps - np.round(steps)) <= ON_GRID).all())
 
 
 def undo_rounding(time: FloatArray, interval: float) -> FloatArray:
@@ -264,7 +264,7 @@ def undo_rounding(time: FloatArray, interval: float) -> FloatArray:
     shared = len(time) > _SHARED * len(np.unique(time))  # whole seconds lie on any raster of Hz
     if on_raster(time, interval) and not shared:
         return time
-    slack = 0.5001 * (rounding + rounding[0]) + ON_RASTER * interval
+    slack = 0.5001 * (rounding + rounding[0]) + ON_GRID * interval
     steps = (time - time[0]) / interval
     low = np.ceil(steps - slack / interval)
     high = np.floor(steps + slack / interval)

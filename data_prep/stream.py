@@ -1,4 +1,4 @@
-"""Rows of one engine, as they come, onto the model's raster: `data_prep.read_logs` as a stream."""
+"""Rows of one engine onto the sampling grid, block by block, as a file is read or grows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from data_prep.derive import derive
-from data_prep.grid import ON_RASTER, Raster, StreamAudit, drawn, resample
+from data_prep.grid import ON_GRID, Grid, StreamAudit, interpolated, resample
 from data_prep.log import Audit
 from data_prep.stamps import (
     Passed,
@@ -20,7 +20,7 @@ from data_prep.stamps import (
     undo_rounding,
 )
 from narxcal.channels import CHANNELS
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 
 if TYPE_CHECKING:
@@ -30,37 +30,42 @@ if TYPE_CHECKING:
 
     from data_prep.config import LogsConfig
 
-# Rows kept behind the raster: a channel recorded once in several seconds is still bridged.
+# Rows kept before the next sample: a channel recorded once in several seconds is still bridged.
 _BEHIND_S = 10.0
-_ROWS_BEHIND = 64  # as many as it takes to see how stamps were printed
-_BASELINE_ROWS = 300
+_ROWS_BEHIND = 64  # as many as show how stamps were printed
+_BASELINE_ROWS = 300  # from which the interval of the rows is estimated
+_MOST_SAMPLES = 1000  # per row; more come of a wrong unit of time
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """Consecutive raster samples: `time_s` `(time,)`, canonical `channels` `(time,)`.
+    """Consecutive samples of the grid: `time_s` `(time,)`, canonical `channels` `(time,)`.
 
-    `drawn` says of each recorded channel where a sample lies between two measurements
-    (`data_prep.grid.drawn`).
-    `starts`: the first sample begins a recording, at the start of the file or after a gap.
+    `interpolated`: per recorded channel, bool (time,), True where a sample lies between two
+    measurements (`data_prep.grid.interpolated`). `starts`: the first sample begins a recording, at
+    the start of the file or after a gap.
     """
 
     time_s: FloatArray
     channels: dict[str, FloatArray]
     starts: bool
-    drawn: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    interpolated: dict[str, BoolArray] = field(default_factory=dict)
 
 
 @dataclass
-class RasterStream:
-    """Puts the rows of one engine on a raster of `dt_s`, with the rules of `data_prep.grid`.
+class GridStream:
+    """Puts the rows of one engine on a grid of `dt_s`, with the rules of `data_prep.grid`.
 
-    The newest row is held back until the next one shows that its stamp is sound: one sample of
+    The newest row is kept back until the next one shows that its stamp is sound: one sample of
     look-ahead, and never a shift. `look_ahead_s` more are waited for, so that blanks of slow
     channels are bridged as in a whole file; with 0 such a blank is missing until it is over.
-    `dropped` counts rows without a usable stamp, and lone rows between gaps; `samples` what
-    was given. `audit` adds up what was done to the recording in hand; `ended` is that of the one
-    before it. `hourly` says that the clock shows no hours.
+
+    `rows_s` is the interval of the rows where it is known; else it is estimated from the first ones
+    of a recording. `hourly`: the clock shows no hours. `constants` are channels with one value.
+
+    `dropped` counts rows without a usable stamp and lone rows between gaps, `samples` those that
+    came out. `audit` adds up what was done to the recording in hand; `ended` is the audit of the
+    one before.
     """
 
     config: LogsConfig
@@ -69,6 +74,7 @@ class RasterStream:
     file: str = ""
     constants: Mapping[str, float] = field(default_factory=dict)
     hourly: bool = False
+    rows_s: float | None = None
     dropped: int = 0
     samples: int = 0
     audit: StreamAudit = field(default_factory=StreamAudit)
@@ -80,17 +86,19 @@ class RasterStream:
         self._exact = np.zeros(0)  # their times without rounding, NaN until known
         self._first_step = 0.0  # last printed digit of the recording's first stamp
         self._seen = 0
-        self._native: tuple[float, int] = (0.0, 0)  # interval, and rows it was found from
-        self._origin = np.nan  # of the raster of the recording in hand
-        self._next = 0  # sample of that raster to come next
+        # Interval of the rows, and from how many rows it was found.
+        self._native = (self.rows_s, _BASELINE_ROWS) if self.rows_s else (0.0, 0)
+        self._origin = np.nan  # of the grid of the recording in hand
+        self._next = 0  # sample of that grid to come next
+        self._behind_s = max(_BEHIND_S, 2.0 * self.config.bridge_s)
         self._before: dict[str, float] = {}  # channels of the sample that came last
         self._late = 0  # number of the last row whose lateness was counted
         self._passed = Passed(hourly=self.hourly)  # midnights and full hours
 
     def push(self, rows: Mapping[str, FloatArray], *, last: bool = False) -> Iterator[Piece]:
-        """Take further rows `(rows,)` in file order, and give the samples that are now certain.
+        """Take further rows `(rows,)` in file order and yield the samples that are now certain.
 
-        `last` gives all that is left. Raises `DataError` when time goes back.
+        `last` yields all that is left. Raises `DataError` where time goes back.
         """
         self._take(rows)
         order, time = self._ordered(last)
@@ -156,12 +164,10 @@ class RasterStream:
             self._late = int(numbers[-1])
 
     def _part(self, order: NDArray[np.intp], stamps: FloatArray, over: bool) -> Iterator[Piece]:
-        """Give samples of one recording; `over` when no row of it is to come."""
+        """Yield samples of one recording; `over`: no row of it is to come."""
         starts = bool(np.isnan(self._origin))
         if starts and (len(stamps) < 2 or stamps[0] == stamps[-1]):
-            lone = len(stamps) if over else 0
-            self.dropped += lone
-            self.audit.count("*", "dropped", "lone row between gaps", lone)
+            self._drop_lone(len(stamps) if over else 0)
             return
         new = np.isnan(self._exact[order])
         rows = {name: values[order] for name, values in self._rows.items()}
@@ -169,6 +175,9 @@ class RasterStream:
             channels = {name: values for name, values in rows.items() if name != "time_s"}
             self._native = row_interval(stamps, channels), len(stamps)
         time = self._exact[order] = self._without_rounding(self._exact[order], stamps)
+        if starts and over and (time[-1] - time[0]) / self.dt_s < 1.0 - ON_GRID:
+            self._drop_lone(len(time))
+            return
         if starts:
             if self.samples:
                 self.ended = self.audit.taken()
@@ -176,11 +185,22 @@ class RasterStream:
         rounded = np.abs(time - stamps)[new] > 0.01 * self._native[0]
         self.audit.count("*", "repaired", "rounded time stamp", int(rounded.sum()))
         limit = time[-1] - (0.0 if over else self.look_ahead_s)
-        samples = int(np.floor((limit - self._origin) / self.dt_s + ON_RASTER)) + 1 - self._next
-        self.audit.rows(time, rows, new, Raster(self._origin, self.dt_s, 0, 0.0))
+        samples = int(np.floor((limit - self._origin) / self.dt_s + ON_GRID)) + 1 - self._next
+        if samples > _MOST_SAMPLES * (len(time) + 10):
+            raise DataError(
+                f"{len(time)} rows would become {samples} samples at {1 / self.dt_s:.4g} Hz",
+                file=self.file,
+                channel="time_s",
+                hint="Check the unit of time_s and set [logs] raster_hz",
+            )
+        self.audit.rows(time, rows, new, Grid(self._origin, self.dt_s, 0, 0.0))
         if samples > 0:
             yield self._sampled(time, rows, samples)
         self._origin = np.nan if over else self._origin
+
+    def _drop_lone(self, rows: int) -> None:
+        self.dropped += rows
+        self.audit.count("*", "dropped", "lone row between gaps", rows)
 
     def _without_rounding(self, exact: FloatArray, stamps: FloatArray) -> FloatArray:
         """Continue `data_prep.stamps.undo_rounding`: NaN in `exact` are the new rows.
@@ -193,7 +213,7 @@ class RasterStream:
             return undo_rounding(stamps, interval)
         at = int(np.flatnonzero(np.isfinite(exact))[-1])
         exact = np.where(np.isnan(exact), stamps, exact)
-        slack = 0.5001 * (step[at + 1 :] + self._first_step) / interval + ON_RASTER
+        slack = 0.5001 * (step[at + 1 :] + self._first_step) / interval + ON_GRID
         steps = (stamps[at + 1 :] - self._origin) / interval
         low = np.append((exact[at] - self._origin) / interval, np.ceil(steps - slack))
         count = np.arange(len(low))
@@ -204,30 +224,31 @@ class RasterStream:
 
     def _sampled(self, time: FloatArray, rows: dict[str, FloatArray], samples: int) -> Piece:
         start = self._origin + self._next * self.dt_s
-        raster = Raster(start, self.dt_s, samples, self.config.bridge_s)
+        grid = Grid(start, self.dt_s, samples, self.config.bridge_s)
         channels: dict[str, FloatArray] = {}
-        between: dict[str, NDArray[np.bool_]] = {}
+        between: dict[str, BoolArray] = {}
         for name, values in rows.items():
             if name != "time_s":
                 hold = CHANNELS[name].role == "switch"
-                channels[name], entries = resample(name, time, values, raster, hold=hold)
+                channels[name], entries = resample(name, time, values, grid, hold=hold)
                 self.audit.add(entries, self.dt_s)
                 if not hold:
-                    between[name] = drawn(time, values, raster)
+                    between[name] = interpolated(time, values, grid)
         for name, value in self.constants.items():
             channels[name] = np.full(samples, value)
             self.audit.count(name, "filled", "constant of the config", samples)
         channels |= self._derived(channels)
         self._before = {name: float(values[-1]) for name, values in channels.items()}
-        grid = self._origin + np.arange(self._next, self._next + samples) * self.dt_s
-        grid_s = np.asarray(grid, dtype=np.float64)
-        piece = Piece(grid_s, channels, starts=self._next == 0, drawn=between)
+        time_s = self._origin + np.arange(self._next, self._next + samples) * self.dt_s
+        piece = Piece(
+            np.asarray(time_s, dtype=np.float64), channels, self._next == 0, interpolated=between
+        )
         self._next += samples
         self.samples += samples
         return piece
 
     def _derived(self, channels: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        """Derive as `data_prep.derive`; weight on wheels remembers what it was before."""
+        """Derive as `data_prep.derive`; weight on wheels goes on from what it was before."""
         rule, decided = self.config.derive.WOW, self._before.get("WOW", np.nan)
         if rule is None or "WOW" in channels or np.isnan(decided):
             return derive(channels, self.config.derive, self.file)
@@ -241,14 +262,14 @@ class RasterStream:
         needed = np.ones(len(time), dtype=np.bool_)
         if not np.isnan(self._origin):
             needed[:-_ROWS_BEHIND] = (
-                time[:-_ROWS_BEHIND] >= self._origin + self._next * self.dt_s - _BEHIND_S
+                time[:-_ROWS_BEHIND] >= self._origin + self._next * self.dt_s - self._behind_s
             )
         first = order[needed][0]
         for name, values in self._rows.items():
             if name != "time_s" and CHANNELS[name].role == "switch":
                 known = values[order[~needed]]
                 known = known[np.isfinite(known)]
-                # A switch stands where it was put, however long ago.
+                # A switch stays where it was put, however long ago.
                 if len(known) and np.isnan(values[first]):
                     values[first] = known[-1]
         keep = np.zeros(len(self._numbers), dtype=np.bool_)
@@ -256,7 +277,7 @@ class RasterStream:
         keep[-1] = True
         self._keep(keep)
 
-    def _keep(self, rows: NDArray[np.bool_]) -> None:
+    def _keep(self, rows: BoolArray) -> None:
         self._rows = {name: values[rows] for name, values in self._rows.items()}
         self._numbers = self._numbers[rows]
         self._exact = self._exact[rows]

@@ -1,112 +1,35 @@
-"""How a text file is written: compression, encoding, delimiter, decimal mark, header.
+"""How a text file of a recorder or a worksheet is written.
 
-What stands above the first row of data: a recorder's own lines, the header, a row of units.
+Compression, encoding, delimiter, decimal mark, and what stands above the first row of data: a
+recorder's own lines, the header, a row of units.
 """
 
 from __future__ import annotations
 
-import csv
-import re
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-from data_prep.stamps import is_clock
-from data_prep.units import is_unit_text
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from typing import TextIO
 import codecs
+import csv
 import gzip
 import io
+import re
 import zlib
 from collections import Counter
-from dataclasses import field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
 
-from data_prep.stamps import lacks_hours
+from data_prep.stamps import is_clock, lacks_hours
+from data_prep.units import is_unit_text
 from narxcal.support.errors import DataError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
 DELIMITERS = (";", "\t", "|", ",")
 MAX_LINE_CHARS = 1_000_000
 _LINES_ABOVE = 100  # a header is looked for so far down
-_SEPARATOR_MARK = re.compile(r'"?sep=.?"?', re.IGNORECASE)  # Excel's own, says nothing of the data
+_SEPARATOR_MARK = re.compile(r'"?sep=.?"?', re.IGNORECASE)  # Excel's own line, no data
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
-
-
-@dataclass(frozen=True)
-class Head:
-    """`lines` of the file come before the first row of data; `above` of them above the header.
-
-    Blank lines and comments count in `lines` alone. `units` `(columns,)` are the cells of a row of
-    units below the header, empty where there is none.
-    """
-
-    lines: int
-    above: int = 0
-    units: tuple[str, ...] = ()
-
-
-def first_lines(text: TextIO, count: int) -> list[str]:
-    """Up to `count` lines and the lines above them, each with its end."""
-    lines = (text.readline(MAX_LINE_CHARS) for _ in range(count + _LINES_ABOVE))
-    return [line for line in lines if line]
-
-
-def skip(text: TextIO, lines: int) -> None:
-    """Go on to the first row of data."""
-    for _ in range(lines):
-        text.readline(MAX_LINE_CHARS)
-
-
-def header_at(lines: Sequence[str], comment: str, time: str) -> tuple[int, int] | None:
-    """Index of the header, and how many lines with content stand above it; None without content.
-
-    It is the first line that has a cell `time`, else the first one with content: a recorder may
-    put its serial number and the like first.
-    """
-    held = [k for k, line in enumerate(lines[:_LINES_ABOVE]) if has_content(line, comment)]
-    for above, k in enumerate(held):
-        if any(time in fields(lines[k], each) for each in (*DELIMITERS, " ")):
-            return k, above
-    return (held[0], 0) if held else None
-
-
-def has_content(line: str, comment: str) -> bool:
-    """Whether a line is neither blank nor a comment, nor Excel's note on the delimiter."""
-    plain = line.strip()
-    noted = bool(comment) and plain.startswith(comment)
-    return bool(plain) and not noted and not _SEPARATOR_MARK.fullmatch(plain)
-
-
-def units_row(cells: Sequence[str], header: Sequence[str]) -> tuple[str, ...]:
-    """The cells `(columns,)` of a row of units; empty for any other row.
-
-    No cell of it is a number or a clock time, and half of those that are not blank are units.
-    """
-    told = [cell for cell in cells if cell]
-    if not told or any(_NUMBER.fullmatch(cell) or is_clock(cell) for cell in told):
-        return ()
-    if 2 * sum(map(is_unit_text, told)) < len(told):
-        return ()
-    return (*cells, *[""] * len(header))[: len(header)]
-
-
-def fields(line: str, delimiter: str) -> tuple[str, ...]:
-    """Cells of a line, without blanks round them; delimiter ` ` means any run of blanks."""
-    line = line.replace("\0", "").rstrip("\r\n")
-    if delimiter == " ":
-        return tuple(line.split())
-    try:
-        found = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
-    except csv.Error:
-        found = line.split(delimiter)
-    return tuple(cell.strip() for cell in found)
-
-
+_NUMBERS_PART = 0.3  # of the cells with content; a log of notes and numbers has more
 SAMPLE_LINES = 200
 _HEAD_BYTES = 65_536
 _GZIP_MAGIC = b"\x1f\x8b"
@@ -127,12 +50,95 @@ _POINT_NUMBER = re.compile(r'"?\s*[+-]?\d*\.\d+([eE][+-]?\d+)?\s*"?')
 
 
 @dataclass(frozen=True)
+class Head:
+    """`lines` of the file come before the first row of data; `above` of them above the header.
+
+    Blank lines and comments count in `lines` alone. `units` `(columns,)` are the cells of a row of
+    units below the header, empty where there is none.
+    """
+
+    lines: int
+    above: int = 0
+    units: tuple[str, ...] = ()
+
+
+def read_line(text: TextIO) -> str:
+    """Read a line with its end; empty at the end of the file.
+
+    Raises `DataError` for one that is longer than any row of a log, so that memory stays bounded.
+    """
+    line = text.readline(MAX_LINE_CHARS)
+    if len(line) == MAX_LINE_CHARS and not line.endswith("\n"):
+        raise DataError(
+            f"a line is longer than {MAX_LINE_CHARS:,} characters",
+            hint="Expected a CSV file with one row of samples in each line",
+        )
+    return line
+
+
+def first_lines(text: TextIO, count: int) -> list[str]:
+    """Read up to `count` lines and the lines above them, each with its end."""
+    lines = (read_line(text) for _ in range(count + _LINES_ABOVE))
+    return [line for line in lines if line]
+
+
+def header_at(lines: Sequence[str], comment: str, time: str) -> tuple[int, int] | None:
+    """Find the header and count the lines with content above it; None without content.
+
+    The header is the first line that has a cell `time`, else the first one with content: a recorder
+    may put its serial number and the like first.
+    """
+    filled = [k for k, line in enumerate(lines[:_LINES_ABOVE]) if has_content(line, comment)]
+    for above, k in enumerate(filled):
+        if any(time in fields(lines[k], each) for each in (*DELIMITERS, " ")):
+            return k, above
+    return (filled[0], 0) if filled else None
+
+
+def has_content(line: str, comment: str) -> bool:
+    """Whether a line is neither blank nor a comment, nor Excel's note on the delimiter."""
+    plain = line.strip()
+    is_comment = bool(comment) and plain.startswith(comment)
+    return bool(plain) and not is_comment and not _SEPARATOR_MARK.fullmatch(plain)
+
+
+def units_row(cells: Sequence[str], header: Sequence[str]) -> tuple[str, ...]:
+    """Return the cells `(columns,)` of a row of units; empty for any other row.
+
+    No cell of it is a number or a clock time, and half of those that are not blank are units.
+    """
+    filled = [cell for cell in cells if cell]
+    if not filled or any(map(_is_number, filled)):
+        return ()
+    if 2 * sum(map(is_unit_text, filled)) < len(filled):
+        return ()
+    return (*cells, *[""] * len(header))[: len(header)]
+
+
+def _is_number(cell: str) -> bool:
+    return _NUMBER.fullmatch(cell) is not None or is_clock(cell)
+
+
+def fields(line: str, delimiter: str) -> tuple[str, ...]:
+    """Split a line into cells without surrounding blanks; delimiter ` ` is any run of blanks."""
+    line = line.replace("\0", "").rstrip("\r\n")
+    if delimiter == " ":
+        return tuple(line.split())
+    try:
+        found = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    except csv.Error:
+        found = line.split(delimiter)
+    return tuple(cell.strip() for cell in found)
+
+
+@dataclass(frozen=True)
 class Dialect:
-    """What has to be known to parse the data rows; delimiter ` ` means any run of blanks.
+    """How the data rows are parsed; delimiter ` ` means any run of blanks.
 
     `decimal_open`: no decimal mark was seen yet, so that a comma may still turn up. `clock` is the
-    column that holds clock times or dates, if there is one; `hourly` says that it holds no hours.
-    `head` is what stands above the rows.
+    column of clock times or dates, if there is one; `hourly`: they show no hours. `head` is what
+    stands above the rows, `width` the number of fields of a row, and `tabular` whether the rows
+    look like those of a log: a good part of their cells are numbers.
     """
 
     delimiter: str
@@ -143,13 +149,16 @@ class Dialect:
     clock: str = ""
     hourly: bool = False
     head: Head = field(default_factory=lambda: Head(lines=1))
+    width: int = 0
+    tabular: bool = True
 
 
 def open_text(path: Path) -> TextIO:
-    """Open `path` as text: gzip and encoding are told by the first bytes, not by the name.
+    """Open `path` as text; its first bytes decide on gzip and encoding, not its name.
 
-    Text without a mark is UTF-8, or Windows-1252 (which Latin-1 is a part of) where it cannot be.
-    Bytes that are neither become the replacement character: in a number they are reported as text.
+    Text without a byte order mark is UTF-8, or Windows-1252 (a superset of Latin-1) where it cannot
+    be. Bytes that are neither become the replacement character: in a number they are reported as
+    text.
     """
     with path.open("rb") as raw:
         zipped = raw.read(2) == _GZIP_MAGIC
@@ -164,10 +173,10 @@ def open_text(path: Path) -> TextIO:
 
 
 def _first_bytes(binary: BinaryIO) -> bytes:
-    """Some bytes of the beginning, to which the file is wound back."""
+    """Read some bytes of the beginning, and wind back."""
     try:
         return binary.read(_HEAD_BYTES)
-    except (EOFError, zlib.error):  # damaged further down, which the reader will say
+    except (EOFError, zlib.error):  # damaged further down, which the reader reports
         binary.seek(0)
         return binary.read(4)
     finally:
@@ -175,7 +184,7 @@ def _first_bytes(binary: BinaryIO) -> bytes:
 
 
 def _unmarked(head: bytes) -> str:
-    """Encoding of a text that begins with `head`, which may end amid a letter."""
+    """Find the encoding of a text that begins with `head`, which may end within a letter."""
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)
     except UnicodeDecodeError:
@@ -190,8 +199,8 @@ def sniff(text: TextIO, delimiter: str, decimal: str, comment: str, time: str) -
 
     The delimiter is the one of `; TAB | ,` that the header and most rows hold equally often,
     else blanks; the decimal mark is a comma where numbers like `1,5` occur and none like `1.5`.
-    Raises `DataError` for a file that is empty or no text, and for numbers like `1,250` alone in a
-    file that is separated by commas.
+    Raises `DataError` for a file that is empty or no text, for numbers like `1,250` alone in a file
+    that is separated by commas, and for rows that have fewer fields than the header has names.
     """
     lines = first_lines(text, SAMPLE_LINES)
     place = header_at(lines, comment, time)
@@ -201,15 +210,15 @@ def sniff(text: TextIO, delimiter: str, decimal: str, comment: str, time: str) -
     header = lines[at].rstrip("\r\n")
     _refuse_no_text(header)
     rows = [k for k in range(at + 1, len(lines)) if has_content(lines[k], comment)][:SAMPLE_LINES]
-    told = [lines[k].strip() for k in rows]
+    texts = [lines[k].rstrip("\r\n") for k in rows]
     if delimiter == "auto":
-        delimiter = _delimiter(header, told)
+        delimiter = _delimiter(header, texts)
     names = fields(header, delimiter)
-    units = units_row(fields(told[0], delimiter), names) if told else ()
-    told = told[1:] if units else told
+    units = units_row(fields(texts[0], delimiter), names) if texts else ()
+    cells = [fields(text, delimiter) for text in texts[bool(units) :]]
     if decimal == "auto":
-        decimal = _decimal(told, delimiter)
-    first = _first_cell(told, delimiter, names, time)
+        decimal = _decimal(cells, delimiter)
+    first = _first_cell(cells, names, time)
     return Dialect(
         delimiter=delimiter,
         decimal=decimal or ".",
@@ -219,15 +228,35 @@ def sniff(text: TextIO, delimiter: str, decimal: str, comment: str, time: str) -
         clock=time if is_clock(first) else "",
         hourly=lacks_hours(first),
         head=Head((rows[0] if units else at) + 1, above, units),
+        width=_width(cells, names),
+        tabular=_is_tabular(cells),
     )
 
 
-def _first_cell(rows: list[str], delimiter: str, header: tuple[str, ...], name: str) -> str:
-    """The first content of column `name`, empty where there is none."""
+def _width(rows: Sequence[Sequence[str]], header: Sequence[str]) -> int:
+    """Number of fields of a row: a delimiter may end the header alone, or the rows alone."""
+    named = max((k + 1 for k, name in enumerate(header) if name), default=len(header))
+    counts = Counter(map(len, rows))
+    usual = max(counts, key=lambda width: (counts[width], width), default=named)
+    if usual < named:
+        raise DataError(
+            f"the rows have {usual} fields and the header has {named} names",
+            hint="Write a blank field where a value is missing",
+        )
+    return min(usual, len(header) + 1)
+
+
+def _is_tabular(rows: Sequence[Sequence[str]]) -> bool:
+    filled = [cell for row in rows for cell in row if cell]
+    return sum(map(_is_number, filled)) >= _NUMBERS_PART * max(len(filled), 1)
+
+
+def _first_cell(rows: Sequence[Sequence[str]], header: tuple[str, ...], name: str) -> str:
+    """Find the first content of column `name`; empty where there is none."""
     if name not in header:
         return ""
     position = header.index(name)
-    cells = (fields(row, delimiter)[position : position + 1] for row in rows)
+    cells = (row[position : position + 1] for row in rows)
     return next((cell[0] for cell in cells if cell and cell[0]), "")
 
 
@@ -270,8 +299,8 @@ def decimal_comma(cell: str, delimiter: str) -> bool:
     return delimiter != "," or _GROUPED.fullmatch(cell) is None
 
 
-def _decimal(rows: list[str], delimiter: str) -> str:
-    cells = [cell for row in rows for cell in fields(row, delimiter)]
+def _decimal(rows: Sequence[Sequence[str]], delimiter: str) -> str:
+    cells = [cell for row in rows for cell in row]
     commas = [cell for cell in cells if COMMA_NUMBER.fullmatch(cell)]
     if any(_POINT_NUMBER.fullmatch(cell) for cell in cells):
         return "."

@@ -40,9 +40,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from data_prep.csv_source import Pace
+from data_prep.reading import LogFile
 from data_prep.stamps import PRINTED
-from data_prep.stream import RasterStream
-from eval.stream import CsvStream, Pace
 from narxcal.channels import CHANNELS
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import atomic_stream
@@ -161,7 +161,7 @@ class EngineReplay:
         self.fuser = None if stored is None else FastFuser(stored, model.fuser)
         self._fusable = np.ones(len(self.outputs), dtype=np.bool_)
         self._held = np.zeros(len(self._inputs), dtype=np.int64)
-        self._drawn: dict[str, int] = {}
+        self._interpolated: dict[str, int] = {}
         self._samples = 0
         self.restarts = self.outside = 0
 
@@ -174,9 +174,9 @@ class EngineReplay:
     def slow(self) -> dict[str, float]:
         """Mean time in s between two measurements of a channel slower than the model's raster."""
         return {
-            name: self._calibration.dt_s * self._samples / (self._samples - drawn)
-            for name, drawn in self._drawn.items()
-            if drawn
+            name: self._calibration.dt_s * self._samples / (self._samples - count)
+            for name, count in self._interpolated.items()
+            if count
         }
 
     @property
@@ -211,8 +211,9 @@ class EngineReplay:
         never = np.zeros(len(piece.time_s), dtype=np.bool_)
         self._samples += len(never)
         for name in (*self._inputs, *self.outputs):
-            self._drawn[name] = self._drawn.get(name, 0) + int(piece.drawn.get(name, never).sum())
-        between = np.column_stack([piece.drawn.get(name, never) for name in self.outputs])
+            flags = piece.interpolated.get(name, never)
+            self._interpolated[name] = self._interpolated.get(name, 0) + int(flags.sum())
+        between = np.column_stack([piece.interpolated.get(name, never) for name in self.outputs])
         return np.where(between, np.nan, self._matrix(piece, self.outputs))
 
     def _predict(self, piece: Piece) -> _Predicted:
@@ -436,35 +437,27 @@ class _Replay:
     def __init__(self, model: ReplayModel, log: Path, options: ReplayOptions, clock: Clock) -> None:
         self.options = options
         self.clock = clock
-        pace = Pace(
+        self.pace = Pace(
             lines=1 if options.realtime else 4096,
+            live=True,
             follow=options.follow,
             idle_s=options.idle_s,
             clock=clock.now,
             sleep=clock.sleep,
         )
-        self.stream = CsvStream(log, model.logs, pace)
+        self.file = LogFile(log, model.logs)
         names = self._engines(log)
         self.engines = {name: EngineReplay(model, options, name, str(log)) for name in names}
         ahead = 0.0 if options.live else _LOOK_AHEAD_S
-        self.rasters = {
-            name: RasterStream(
-                model.logs,
-                model.calibration.dt_s,
-                ahead,
-                str(log),
-                self.stream.constants,
-                hourly=self.stream.hourly,
-            )
-            for name in names
-        }
+        dt_s = model.calibration.dt_s
+        self.streams = {name: self.file.stream(dt_s, ahead) for name in names}
         self.outputs = tuple(model.calibration.output_names)
         self.rows = 0
         self._first_s: float | None = None
         self._began = clock.now()
 
     def _engines(self, log: Path) -> tuple[str, ...]:
-        known = self.stream.engines
+        known = self.file.engines
         if self.options.engine is None:
             return known
         if self.options.engine not in known:
@@ -487,7 +480,7 @@ class _Replay:
             self._write_rows(file)
             return
         with held_interrupt() as interrupt:
-            self.stream.pace.stop = lambda: interrupt.requested
+            self.pace.stop = lambda: interrupt.requested
             self._write_rows(file)
 
     def _write_rows(self, file: TextIO) -> None:
@@ -503,18 +496,18 @@ class _Replay:
     def _samples(self) -> Iterator[dict[str, list[Rows]]]:
         """Finished rows per engine, as they become certain."""
         names = tuple(self.engines)
-        for block in self.stream.blocks(names):
+        for block in self.file.blocks(names, self.pace):
             yield {
-                name: self.engines[name].feed(list(self.rasters[name].push(block[name])))
+                name: self.engines[name].feed(list(self.streams[name].push(block[name])))
                 for name in names
             }
         yield {
-            name: self.engines[name].feed(list(self.rasters[name].push({}, last=True)), last=True)
+            name: self.engines[name].feed(list(self.streams[name].push({}, last=True)), last=True)
             for name in names
         }
-        if not any(raster.samples for raster in self.rasters.values()):
+        if not any(stream.samples for stream in self.streams.values()):
             raise DataError(
-                "expected samples at two or more times", file=self.stream.path, channel="time_s"
+                "expected samples at two or more times", file=self.file.path, channel="time_s"
             )
 
     def _emit(self, file: TextIO, rows: dict[str, list[Rows]]) -> None:
@@ -548,7 +541,7 @@ class _Replay:
         return ReplaySummary(
             rows=self.rows,
             engines=tuple(engines),
-            log_s=self.rows * next(iter(self.rasters.values())).dt_s,
+            log_s=self.rows * next(iter(self.streams.values())).dt_s,
             wall_s=self.clock.now() - self._began,
             held={name: engine.held for name, engine in engines.items()},
             restarts={name: engine.restarts for name, engine in engines.items()},
@@ -556,8 +549,8 @@ class _Replay:
             gated={name: engine.gated for name, engine in engines.items()},
             unfused={name: engine.unfused for name, engine in engines.items()},
             slow={name: engine.slow for name, engine in engines.items()},
-            dropped=sum(raster.dropped for raster in self.rasters.values()),
-            truncated=self.stream.truncated,
+            dropped=sum(stream.dropped for stream in self.streams.values()),
+            truncated=self.file.table.truncated,
         )
 
 

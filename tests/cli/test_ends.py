@@ -6,6 +6,7 @@ import resource
 import signal
 import sys
 import time
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -114,14 +115,13 @@ def test_ctrl_c_before_anything_is_written_says_so(project, narxcal, monkeypatch
 def test_ctrl_c_that_the_reader_of_a_file_drops_is_no_error_of_the_file(
     project, narxcal, monkeypatch, tmp_path
 ):
-    read = csv_source._Prefixed.read
+    class Pressed(StringIO):
+        def read(self, size=-1):
+            """Pandas' parser calls it from C and drops what it raises."""
+            signal.raise_signal(signal.SIGINT)
+            return super().read(size)
 
-    def pressed(self, size=-1):
-        """Pandas' parser calls it from C and drops what it raises."""
-        signal.raise_signal(signal.SIGINT)
-        return read(self, size)
-
-    monkeypatch.setattr(csv_source._Prefixed, "read", pressed)
+    monkeypatch.setattr(csv_source, "StringIO", Pressed)
     done = narxcal("train", project / "tiny.toml", "--out", tmp_path / "run")
     assert (done.code, done.out) == (130, "")
     assert done.err == "narxcal: interrupted; nothing was written\n"

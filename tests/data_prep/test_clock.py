@@ -6,10 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from data_prep.log import Source
-from data_prep.reading import LogsConfig, large_logs, open_table, read_logs
+from data_prep.reading import LogFile, LogsConfig, read_logs
 from data_prep.stamps import clock_seconds, is_clock, past_midnight
-from eval.stream import CsvStream
 from narxcal.support.errors import DataError
 
 COLUMNS = {"columns": {"time_s": {"column": "UTC"}, "N1_pct": {"column": "fan"}}}
@@ -53,15 +51,13 @@ def test_anything_else_is_neither(text):
 
 
 @pytest.mark.parametrize(("stamps", "start_s"), [(CLOCK, 86390.0), (DATES, MIDDAY_S)])
-def test_files_blocks_and_streams_agree_on_the_stamps(tmp_path, stamps, start_s):
+def test_logs_and_rows_agree_on_the_stamps(tmp_path, stamps, start_s):
     config = LogsConfig.parse(COLUMNS)
     path = write(tmp_path, stamps, ";", ",")
     (log,) = read_logs(path, config)
     np.testing.assert_allclose(log.time_s, start_s + np.arange(40) / 10, rtol=0, atol=1e-6)
     np.testing.assert_array_equal(log["N1_pct"], 80.5 + np.arange(40))
-    (large,) = large_logs(open_table(path, config), config, {"": Source(str(path))})
-    np.testing.assert_allclose(large.time_s, log.time_s, rtol=0, atol=1e-6)
-    (block,) = CsvStream(path, config).blocks([""])
+    (block,) = LogFile(path, config).blocks([""])
     np.testing.assert_allclose(block[""]["time_s"], log.time_s, rtol=0, atol=1e-6)
 
 
@@ -99,11 +95,8 @@ def test_a_clock_goes_on_past_midnight_and_a_late_row_finds_its_place(tmp_path):
     values = 80.5 + np.arange(60)
     values[[19, 20]] = values[[20, 19]]
     np.testing.assert_array_equal(log["N1_pct"], values)
-    (large,) = large_logs(open_table(path, config), config, {"": Source(str(path))})
-    np.testing.assert_array_equal(large.time_s, log.time_s)
-    for each in (log, large):
-        moved = {e.reason: e.samples for e in each.audit.entries}
-        assert moved["clock starts anew at midnight"] == 40
+    moved = {e.reason: e.samples for e in log.audit.entries}
+    assert moved["clock starts anew at midnight"] == 40
 
 
 @given(

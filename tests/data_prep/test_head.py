@@ -5,11 +5,9 @@ import codecs
 import numpy as np
 import pytest
 
-from data_prep.log import Source
-from data_prep.reading import LogsConfig, large_logs, open_table, read_logs
-from data_prep.stream import RasterStream
+from data_prep.csv_source import Pace
+from data_prep.reading import LogFile, LogsConfig, read_logs
 from data_prep.units import is_unit_text, named_unit
-from eval.stream import CsvStream, Pace
 from narxcal.support.errors import NarxcalError
 
 COLUMNS = {"time_s": {"column": "t"}, "N1_pct": {"column": "fan"}, "EGT_C": {"column": "itt"}}
@@ -48,18 +46,13 @@ def error_of(path, wanted):
     ],
 )
 @pytest.mark.parametrize("units", ["", "s,%,degC\n", "[sec],[PCT],(deg C)\n", ",,°C\n"])
-def test_files_blocks_and_streams_find_the_rows_below_any_head(tmp_path, above, lines, units):
+def test_the_rows_below_any_head_are_found(tmp_path, above, lines, units):
     path = write(tmp_path, f"{above}t,fan,itt\n\n{units}{ROWS}")
     (log,) = read_logs(path, config())
     np.testing.assert_array_equal(log["EGT_C"], 500.0 + np.arange(40))
     told = [("*", "dropped", "line above the header", lines)] if lines else []
     told += [("*", "dropped", "row of units", 1)] if units else []
     assert changes(log) == told
-    (large,) = large_logs(open_table(path, config()), config(), {"": Source(str(path))})
-    np.testing.assert_array_equal(large["EGT_C"], log["EGT_C"])
-    assert changes(large) == told
-    (block,) = CsvStream(path, config()).blocks([""])
-    np.testing.assert_array_equal(block[""]["EGT_C"], log["EGT_C"])
 
 
 def test_the_row_of_units_says_what_the_configuration_leaves_open(tmp_path):
@@ -68,11 +61,6 @@ def test_the_row_of_units_says_what_the_configuration_leaves_open(tmp_path):
     np.testing.assert_allclose(log["EGT_C"], 500.0 + np.arange(40) - 273.15)
     np.testing.assert_array_equal(log["N1_pct"], 80.0 + np.arange(40))
     assert changes(log)[1] == ("EGT_C", "repaired", "K, as its row of units says", 40)
-    (large,) = large_logs(open_table(path, config()), config(), {"": Source(str(path))})
-    np.testing.assert_array_equal(large["EGT_C"], log["EGT_C"])
-    assert changes(large) == changes(log)
-    (block,) = CsvStream(path, config()).blocks([""])
-    np.testing.assert_array_equal(block[""]["EGT_C"], log["EGT_C"])
 
 
 def test_the_configuration_stands_against_the_row_of_units(tmp_path):
@@ -146,8 +134,6 @@ def test_a_degree_sign_in_the_header_is_one_in_any_encoding(tmp_path, encoding):
     named = config(EGT_C={"column": "itt °C"})
     (log,) = read_logs(path, named)
     np.testing.assert_array_equal(log["EGT_C"], 500.0 + np.arange(40))
-    (block,) = CsvStream(path, named).blocks([""])
-    np.testing.assert_array_equal(block[""]["EGT_C"], log["EGT_C"])
 
 
 def test_a_sign_that_ends_beyond_the_first_bytes_is_utf_8(tmp_path):
@@ -161,10 +147,6 @@ def test_a_sign_that_ends_beyond_the_first_bytes_is_utf_8(tmp_path):
 @pytest.mark.parametrize(
     ("row", "message"),
     [
-        (
-            "0.1;81;501",
-            "0.1;81;501'. The header is separated by ',', this row by ';': use one in all",
-        ),
         ('"1,000.5",81,501', "1,000.5'. Write numbers without a separator of thousands"),
         (
             "03/01/2026 12:00:00,81,501",
@@ -179,6 +161,14 @@ def test_what_cannot_be_read_is_told_with_what_to_do(tmp_path, row, message):
     path = write(tmp_path, f"t,fan,itt\n0,80,500\n{row}\n")
     assert error_of(path, config()) == (
         f"FILE, channel t, row 2: expected a number, found '{message}"
+    )
+
+
+def test_a_row_of_another_delimiter_is_refused(tmp_path):
+    path = write(tmp_path, "t,fan,itt\n0,80,500\n0.1;81;501\n")
+    assert error_of(path, config()) == (
+        "FILE, row 2: the header is separated by ',', this row by ';'. "
+        "Use one delimiter in all rows"
     )
 
 
@@ -222,16 +212,13 @@ def test_a_worksheet_s_clock_without_hours_goes_on_each_hour(tmp_path):
     path = write(tmp_path, f"t,fan,itt\n{rows}")
     (log,) = read_logs(path, config())
     np.testing.assert_allclose(log.time_s, 3590.0 + np.arange(36_200) / 10, atol=1e-6)
-    (large,) = large_logs(open_table(path, config()), config(), {"": Source(str(path))})
-    np.testing.assert_array_equal(large.time_s, log.time_s)
-    np.testing.assert_array_equal(large["N1_pct"], log["N1_pct"])
-    for each in (log, large):
-        moved = {entry.reason: entry.samples for entry in each.audit.entries}
-        assert moved["clock of minutes starts anew each hour"] == 36_100
-    stream = CsvStream(path, config(), Pace(lines=50))
-    raster = RasterStream(config(), 0.1, 0.0, str(path), hourly=stream.hourly)
-    pieces = [piece for block in stream.blocks([""]) for piece in raster.push(block[""])]
-    pieces += raster.push({}, last=True)
+    moved = {entry.reason: entry.samples for entry in log.audit.entries}
+    assert moved["clock of minutes starts anew each hour"] == 36_100
+    file = LogFile(path, config())
+    stream = file.stream(0.1, 0.0)
+    blocks = file.blocks([""], Pace(lines=50))
+    pieces = [piece for block in blocks for piece in stream.push(block[""])]
+    pieces += stream.push({}, last=True)
     live = np.concatenate([piece.time_s for piece in pieces])
     np.testing.assert_allclose(live, log.time_s, atol=1e-6)
 
@@ -291,11 +278,6 @@ def test_brackets_that_end_a_name_say_what_the_configuration_leaves_open(tmp_pat
         ("time_s", "repaired", "ms, as its header says", 40),
         ("EGT_C", "repaired", "degF, as its header says", 40),
     ]
-    (large,) = large_logs(open_table(path, found), found, {"": Source(str(path))})
-    np.testing.assert_array_equal(large["EGT_C"], log["EGT_C"])
-    assert changes(large) == changes(log)
-    (block,) = CsvStream(path, found).blocks([""])
-    np.testing.assert_array_equal(block[""]["EGT_C"], log["EGT_C"])
 
 
 def test_the_configuration_stands_against_brackets(tmp_path):

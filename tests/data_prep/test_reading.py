@@ -1,4 +1,4 @@
-"""The public door: files in, logs on a raster out, every changed sample accounted for."""
+"""The public door: files in, logs on a grid out, every changed sample accounted for."""
 
 import gzip
 import hashlib
@@ -12,8 +12,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from data_prep import units
-from data_prep.columns import read_columns
-from data_prep.csv_source import CsvSource, open_csv
 from data_prep.reading import LogsConfig, read_logs
 from narxcal.support.errors import ConfigError, DataError, NarxcalError
 
@@ -58,7 +56,7 @@ def shipped(name):
     return config, config.resolve(path.parent)
 
 
-def test_samples_on_the_raster_are_taken_over_bit_for_bit(tmp_path):
+def test_samples_on_the_grid_are_taken_over_bit_for_bit(tmp_path):
     rng = np.random.default_rng(1)
     time, n1 = np.arange(200) / 32, rng.normal(80, 5, 200)
     path = write(tmp_path, table(time, N1_pct=n1))
@@ -90,12 +88,12 @@ def test_stamps_printed_with_five_digits_get_their_even_spacing_back(tmp_path):
     assert counts(log, "*").keys() == {("repaired", "rounded time stamp")}
 
 
-def test_a_fast_recording_is_averaged_onto_a_slower_raster_without_shift(tmp_path):
+def test_a_fast_recording_is_averaged_onto_a_slower_grid_without_shift(tmp_path):
     time = np.arange(3200) / 320
     path = write(tmp_path, table(time, N1_pct=80 + time))
     (log,) = read_logs(path, LogsConfig(raster_hz=32.0))
     np.testing.assert_allclose(log["N1_pct"], 80 + log.time_s, rtol=1e-12)
-    assert counts(log, "N1_pct") == {("repaired", "averaged: faster than the raster"): len(log)}
+    assert counts(log, "N1_pct") == {("repaired", "averaged: faster than the grid"): len(log)}
 
 
 def test_a_slower_channel_is_bridged_between_its_own_samples(tmp_path):
@@ -103,7 +101,7 @@ def test_a_slower_channel_is_bridged_between_its_own_samples(tmp_path):
     slow = np.where(np.arange(201) % 10 == 0, 1000 + 10 * time, np.nan)
     (log,) = read_logs(write(tmp_path, table(time, N1_pct=80 + time, ALT_ft=slow)))
     np.testing.assert_allclose(log["ALT_ft"], 1000 + 10 * time)
-    assert counts(log, "ALT_ft") == {("filled", "slower than the raster"): 180}
+    assert counts(log, "ALT_ft") == {("filled", "slower than the grid"): 180}
 
 
 def test_short_blanks_are_filled_and_long_ones_stay_missing(tmp_path):
@@ -218,7 +216,7 @@ HEAD = "time_s,N1_pct\n"
         (
             HEAD + '0,50\n0.1,"51\n',
             (
-                "FILE: the rows cannot be parsed (Error tokenizing data. C error: EOF inside "
+                "FILE: rows 1 to 2 cannot be parsed (Error tokenizing data. C error: EOF inside "
                 "string starting at row 2). Look for a quote that is never closed"
             ),
         ),
@@ -379,17 +377,6 @@ def test_a_comma_seen_late_is_still_a_decimal_mark(tmp_path):
     assert log["N1_pct"][-1] == 50.5
 
 
-def test_reading_in_pieces_gives_what_reading_at_once_gives(tmp_path):
-    time = np.arange(997) * 0.1
-    noise = np.random.default_rng(4).normal(size=997)
-    path = write(tmp_path, "# made up\n" + table(time, N1_pct=noise, N2_pct=-noise))
-    whole = open_csv(path, "auto", "auto", "#")
-    pieces = CsvSource(path, whole.dialect, chunk_rows=10)
-    for name, values in read_columns(whole, ["time_s", "N2_pct"]).items():
-        np.testing.assert_array_equal(read_columns(pieces, [name])[name], values)
-    np.testing.assert_array_equal(read_columns(whole, ["N1_pct"])["N1_pct"], noise)
-
-
 @settings(
     max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
@@ -446,6 +433,79 @@ def test_whatever_the_bytes_are_they_read_or_are_refused(tmp_path, content):
     assert all(len(log) >= 2 and (np.diff(log.time_s) > 0).all() for log in logs)
 
 
+def test_a_row_with_a_missing_field_is_masked_and_never_shifted(tmp_path):
+    rows = [f"{k / 10},{80 + k},{500 + k}" for k in range(40)]
+    rows[7], rows[20], rows[33] = "0.7,507", "100,520", '3.3,"113"'
+    path = write(tmp_path, "\n".join(["time_s,N1_pct,EGT_C", *rows]) + "\n")
+    (log,) = read_logs(path)
+    np.testing.assert_allclose(log["N1_pct"], 80.0 + np.arange(40))
+    np.testing.assert_allclose(log["EGT_C"], 500.0 + np.arange(40))
+    assert counts(log, "*") == {
+        ("masked", "row with a missing field"): 3,
+        ("dropped", "no time stamp"): 3,
+    }
+    assert counts(log, "EGT_C") == {("filled", "blank"): 3}
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", " "])
+def test_a_delimiter_that_ends_rows_or_the_header_is_no_field(tmp_path, delimiter):
+    for header_end, row_end in ((delimiter, ""), ("", delimiter), (delimiter, delimiter)):
+        rows = [f"{k / 10}{delimiter}{80 + k}{row_end}" for k in range(9)]
+        text = "\n".join([f"time_s{delimiter}N1_pct{header_end}", *rows]) + "\n"
+        (log,) = read_logs(write(tmp_path, text))
+        np.testing.assert_array_equal(log["N1_pct"], 80.0 + np.arange(9))
+        assert log.audit.entries == ()
+
+
+def test_rows_shorter_than_the_header_throughout_are_refused(tmp_path):
+    rows = "".join(f"{k / 10},{80 + k}\n" for k in range(9))
+    assert error_of(write(tmp_path, f"time_s,TRA_deg,N1_pct\n{rows}")) == (
+        "FILE: the rows have 2 fields and the header has 3 names. "
+        "Write a blank field where a value is missing"
+    )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "root:x:0:0:root:/root:/bin/sh\nsecret:x:1:1::/:/bin/sh\n",
+        "KEY = 'secret', 1\nimport os, sys\n",
+        '{"user": "secret", "password": "secret"}\n{"user": "b", "password": "c"}\n',
+    ],
+)
+def test_a_file_that_is_no_log_is_refused_without_quoting_it(tmp_path, text):
+    assert error_of(write(tmp_path, text)) == (
+        "FILE: the file is no log: it has no column 'time_s' and hardly any numbers. "
+        "Expected a header and rows of numbers; [logs] files names the files to read"
+    )
+
+
+@pytest.mark.parametrize("head", ["", "time_s,N1_pct\n0,1\n0.1,1\n"])
+def test_a_line_without_an_end_does_not_fill_the_memory(tmp_path, head):
+    path = tmp_path / "log.csv.gz"
+    path.write_bytes(gzip.compress(head.encode() + b"1" * 2_000_000))
+    assert error_of(path) == (
+        "FILE: a line is longer than 1,000,000 characters. "
+        "Expected a CSV file with one row of samples in each line"
+    )
+
+
+def test_a_line_without_an_end_far_down_is_named_too(tmp_path):
+    rows = "".join(f"{k / 10},1\n" for k in range(1000))
+    path = tmp_path / "log.csv.gz"
+    path.write_bytes(gzip.compress(b"time_s,N1_pct\n" + rows.encode() + b"1" * 2_000_000))
+    assert error_of(path) == (
+        "FILE: a line is longer than 1,000,000 characters. "
+        "Expected a CSV file with one row of samples in each line"
+    )
+
+
+@pytest.mark.parametrize("pattern", ["../*.csv", "a/../../*.csv", "/data/*.csv", ""])
+def test_patterns_of_files_stay_below_their_folder(pattern):
+    with pytest.raises(ConfigError, match="expected patterns of files below \\[logs\\] folder"):
+        LogsConfig.parse({"files": [pattern]})
+
+
 def test_the_citation_flights_come_in_whole():
     config, files = shipped("citation2")
     logs = read_logs(files, config)
@@ -465,6 +525,6 @@ def test_the_simulated_flights_keep_every_row_at_32_hz():
     )
 
 
-def test_the_micro_turbojet_gets_one_raster():
+def test_the_micro_turbojet_gets_one_rate():
     config, files = shipped("jetcat")
     assert [log.dt_s for log in read_logs(files, config)] == pytest.approx([0.1, 0.1])

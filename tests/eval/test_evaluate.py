@@ -297,7 +297,7 @@ def test_what_lies_between_two_measurements_is_not_scored(make_bundle, make_log)
     whole = make_log()
     seldom = np.arange(len(whole)) % 10 > 0
     line = np.interp(whole.time_s, whole.time_s[~seldom], whole["N1_pct"][~seldom])
-    slow = replace(whole.with_channels({"N1_pct": line}), drawn={"N1_pct": seldom})
+    slow = replace(whole.with_channels({"N1_pct": line}), interpolated={"N1_pct": seldom})
     (found,) = evaluate(make_bundle(), [slow]).document()["logs"]
     assert found["channels"]["N1_pct"]["samples"] == 240
     assert found["channels"]["N1_pct"]["rmse"] < 1e-9

@@ -15,7 +15,7 @@ import pytest
 
 from data_prep.config import LogsConfig
 from data_prep.reading import read_logs
-from data_prep.stream import RasterStream
+from data_prep.stream import GridStream
 from eval.replay import Clock, ReplayModel, ReplayOptions, replay
 from narxcal.calibration.fuser import KalmanFuser, NoiseModel, estimate_noise
 from narxcal.support.errors import ConfigError, DataError, ModelError
@@ -392,7 +392,7 @@ def test_a_parquet_file_is_refused_as_no_stream(tmp_path):
     pa = pytest.importorskip("pyarrow", reason="the extra 'parquet' is not installed")
     parquet = pytest.importorskip("pyarrow.parquet", reason="the extra 'parquet' is not installed")
     log = tmp_path / "log.parquet"
-    parquet.write_table(pa.table({"time_s": [0.0, 0.1]}), log)
+    parquet.write_table(pa.table({"time_s": [0.0, 0.1], "N1_pct": [80.0, 81.0]}), log)
     with pytest.raises(DataError) as error:
         replay(MODEL, log, tmp_path / "out.csv", STORED)
     assert str(error.value) == f"{log}: a Parquet file cannot be streamed. Write it as CSV first"
@@ -543,12 +543,12 @@ def test_in_blocks_slow_channels_are_drawn_where_a_whole_file_says(tmp_path):
     columns = thinned(flight(samples=900), 7, {"N1_pct"})
     log = write(tmp_path / "log.csv", columns)
     [batch] = read_logs(log)
-    stream = RasterStream(LogsConfig(), DT, 5.0)
+    stream = GridStream(LogsConfig(), DT, 5.0)
     pieces = []
     for start in range(0, 900, 50):
         block = {name: values[start : start + 50] for name, values in columns.items()}
         pieces += stream.push(block)
     pieces += stream.push({}, last=True)
-    joined = np.concatenate([piece.drawn["N1_pct"] for piece in pieces])
-    np.testing.assert_array_equal(joined, batch.drawn["N1_pct"])
-    assert set(batch.drawn) == {"N1_pct"}
+    joined = np.concatenate([piece.interpolated["N1_pct"] for piece in pieces])
+    np.testing.assert_array_equal(joined, batch.interpolated["N1_pct"])
+    assert set(batch.interpolated) == {"N1_pct"}

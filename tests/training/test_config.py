@@ -107,8 +107,8 @@ def test_a_missing_file_names_the_shipped_ones(tmp_path):
         (
             HEAD + "[logs]\nfiles = ['/data/*.csv']",
             (
-                "key 'logs.files': expected patterns of files in [logs] folder, without its path, "
-                "found ['/data/*.csv']"
+                "key 'logs.files': expected patterns of files below [logs] folder, without its "
+                "path, found ['/data/*.csv']"
             ),
         ),
         (

@@ -1,4 +1,4 @@
-"""Rows put on the raster as they come are those of the whole file put on the raster at once."""
+"""Rows put on the grid as they come are those of the whole file put on the grid at once."""
 
 import tomllib
 from itertools import pairwise
@@ -7,22 +7,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from data_prep import reading
 from data_prep.config import LogsConfig
-from data_prep.reading import read_logs
-from data_prep.stream import RasterStream
-from eval.stream import CsvStream, Pace
+from data_prep.csv_source import Pace
+from data_prep.reading import LogFile, read_logs
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "../shared/data"
 
 
 def streamed(path, config, dt_s, lines=4096, look_ahead_s=5.0):
-    """Parts of the log of the first engine: time and channels of each recording."""
-    stream = CsvStream(path, config, Pace(lines=lines))
-    engine = stream.engines[0]
-    raster = RasterStream(config, dt_s, look_ahead_s, str(path), stream.constants)
-    pieces = [piece for block in stream.blocks([engine]) for piece in raster.push(block[engine])]
-    pieces += raster.push({}, last=True)
+    """Parts of the log of the first engine: time, channels and audit of each recording."""
+    file = LogFile(path, config)
+    engine = file.engines[0]
+    stream = file.stream(dt_s, look_ahead_s)
+    pieces, audits = [], []
+    blocks = (block[engine] for block in file.blocks([engine], Pace(lines=lines)))
+    for rows, last in [*((rows, False) for rows in blocks), ({}, True)]:
+        for piece in stream.push(rows, last=last):
+            if piece.starts and pieces:
+                audits.append(stream.ended)
+            pieces.append(piece)
+    audits.append(stream.audit.taken())
     starts = [i for i, piece in enumerate(pieces) if piece.starts] + [len(pieces)]
     groups = [pieces[a:b] for a, b in pairwise(starts)]
     return [
@@ -32,14 +38,15 @@ def streamed(path, config, dt_s, lines=4096, look_ahead_s=5.0):
                 name: np.concatenate([piece.channels[name] for piece in group])
                 for name in group[0].channels
             },
+            audit,
         )
-        for group in groups
+        for group, audit in zip(groups, audits, strict=True)
     ]
 
 
 def assert_same(parts, logs, rtol=1e-7):
     assert len(parts) == len(logs)
-    for (time_s, channels), log in zip(parts, logs, strict=True):
+    for (time_s, channels, _), log in zip(parts, logs, strict=True):
         np.testing.assert_allclose(time_s, log.time_s, atol=1e-9)
         assert channels.keys() == log.channels.keys()
         for name, values in log.channels.items():
@@ -76,7 +83,7 @@ def test_measured_flights_come_out_as_read_at_once(name, settings_name, dt_s):
     config = LogsConfig.parse(tomllib.loads(config_file.read_text(encoding="utf-8"))["logs"])
     logs = read_logs(path, config)
     first = [log for log in logs if log.source.engine == logs[0].source.engine]
-    # Stamps that lie 1.000 % of an interval off the raster may be taken for on it by one of both.
+    # Stamps that lie 1.000 % of an interval off the grid may be taken for on it by one of both.
     rtol = 1e-4 if settings_name == "jetcat" else 1e-7
     assert_same(streamed(path, config, dt_s or first[0].dt_s), first, rtol)
 
@@ -121,7 +128,7 @@ def test_a_switch_stands_where_it_was_put_long_ago(tmp_path):
     weight = np.where(time_s == 5.0, 1.0, np.nan)
     columns = {"time_s": texts(time_s), "WOW": texts(weight), "N2_pct": texts(time_s)}
     log = write(tmp_path / "log.csv", columns)
-    [(_, channels)] = streamed(log, LogsConfig(), 0.1, lines=50)
+    [(_, channels, _)] = streamed(log, LogsConfig(), 0.1, lines=50)
     assert np.isnan(channels["WOW"][:50]).all()
     assert (channels["WOW"][50:] == 1.0).all()
 
@@ -136,3 +143,65 @@ def test_weight_on_wheels_remembers_within_its_hysteresis_between_blocks(tmp_pat
     assert logs[0]["WOW"][-1] == 0.0
     for lines in (1, 50):
         assert_same(streamed(log, config, 0.1, lines, look_ahead_s=0.0), logs)
+
+
+def faulty(path):
+    """Two recordings of a fast channel with all kinds of faults, and a slow one."""
+    rng = np.random.default_rng(0)
+    time_s = np.concatenate([np.arange(1500), 4000 + np.arange(800)]) / 20.0
+    n2 = 70.0 + np.sin(time_s)
+    n2[300:360] = np.nan
+    n2[rng.random(len(n2)) < 0.02] = np.nan
+    n2[700] = np.inf
+    slow = np.where(np.arange(len(time_s)) % 10 == 0, 1000.0 + time_s, np.nan)
+    stamps = texts(time_s, "{:.3f}")
+    stamps[40] = ""
+    stamps[500], stamps[501] = stamps[501], stamps[500]
+    stamps[900] = stamps[899]
+    stamps[1200] = "99999"
+    return write(path, {"time_s": stamps, "N2_pct": texts(n2, "{:.9f}"), "ALT_ft": texts(slow)})
+
+
+def entries(audit):
+    return {
+        (entry.channel, entry.action, entry.reason): (entry.samples, entry.spans_s)
+        for entry in audit.entries
+    }
+
+
+def assert_same_audit(found, expected):
+    found, expected = entries(found), entries(expected)
+    assert found.keys() == expected.keys()
+    for key, (samples, spans) in expected.items():
+        assert found[key][0] == samples, key
+        np.testing.assert_allclose(found[key][1], spans, atol=1e-6)
+
+
+@pytest.mark.parametrize("lines", [1, 7, 4096, 100_000])
+@pytest.mark.parametrize("raster_hz", [20.0, 8.0])
+def test_samples_and_audit_are_those_of_the_whole_for_any_block(tmp_path, lines, raster_hz):
+    path, config = faulty(tmp_path / "log.csv"), LogsConfig(raster_hz=raster_hz)
+    logs = read_logs(path, config)
+    parts = streamed(path, config, 1.0 / raster_hz, lines)
+    assert_same(parts, logs)
+    for (_, _, audit), log in zip(parts, logs, strict=True):
+        assert_same_audit(audit, log.audit)
+
+
+@pytest.mark.parametrize("cells", [200, 3000])
+@pytest.mark.parametrize("raster_hz", [None, 8.0])
+def test_a_file_larger_than_a_block_gives_the_same_logs(tmp_path, monkeypatch, cells, raster_hz):
+    path, config = faulty(tmp_path / "log.csv"), LogsConfig(raster_hz=raster_hz)
+    whole = read_logs(path, config)
+    monkeypatch.setattr(reading, "BLOCK_CELLS", cells)
+    monkeypatch.setattr(
+        Pace.__init__, "__kwdefaults__", {**Pace.__init__.__kwdefaults__, "lines": 40}
+    )
+    found = read_logs(path, config)
+    assert [log.name for log in found] == [log.name for log in whole] == ["log.csv", "log.csv#2"]
+    for log, expected in zip(found, whole, strict=True):
+        np.testing.assert_allclose(log.time_s, expected.time_s, atol=1e-9)
+        for name, values in expected.channels.items():
+            np.testing.assert_allclose(log[name], values, rtol=1e-7, err_msg=name)
+        assert log.source == expected.source
+        assert_same_audit(log.audit, expected.audit)
