@@ -1,4 +1,4 @@
-"""`narxcal demo`: all of it on flights of the virtual engine, without any file."""
+"""`narxcal demo`: fly the virtual engine, train on its logs and evaluate, without any input."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import shutil
 from argparse import ArgumentParser, Namespace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 from narxcal.cli.console import Console
-from narxcal.cli.evaluate import PAGE, Judgement, judge, show, write
+from narxcal.cli.evaluate import PAGE, judge, show, write
 from narxcal.cli.options import path
 from narxcal.cli.results import logs_for
 from narxcal.cli.train import train
@@ -35,7 +34,7 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Fly, train, evaluate, and say where the page is."""
+    """Fly, train, evaluate, and print where the page is."""
     folder = options.out.resolve()
     RESULTS.check(folder)
     _begin(folder)
@@ -45,7 +44,8 @@ def run(options: Namespace, console: Console) -> int:
     found = judge(bundle, logs_for(bundle, None, None, console), (folder / MODEL, None), console)
     (folder / PAGES).mkdir()
     write(folder / PAGES, found)
-    document = _document(found, complete=True)
+    page = f"{PAGES}/{PAGE}"
+    document = {"schema": SCHEMA, "complete": True, "page": page, "evaluation": found.document}
     atomic_write_text(folder / DOCUMENT, to_json(document))
     show(console, found)
     console.say("This engine is a virtual one: draw no conclusions about any real one.")
@@ -55,7 +55,7 @@ def run(options: Namespace, console: Console) -> int:
 
 
 def _begin(folder: Path) -> None:
-    """Clear what an earlier demonstration left, and mark the folder as one that is not done."""
+    """Delete the files of an earlier demonstration, and mark the folder as incomplete."""
     for name in (FLIGHTS, MODEL, PAGES):
         shutil.rmtree(folder / name, ignore_errors=True)
     atomic_write_text(folder / DOCUMENT, to_json({"schema": SCHEMA, "complete": False}))
@@ -64,17 +64,8 @@ def _begin(folder: Path) -> None:
 
 
 def _fly(folder: Path, console: Console) -> None:
-    """Write the demonstration's logs and, beside them, the truth about them."""
+    """Write the logs of the demonstration and the truth about them."""
     scenario = load_scenario(Path(str(files("configs"))) / SCENARIO)
     with console.progress("Flying the virtual engine") as advance:
         truth = write_flights(folder, scenario, WriteOptions(JOBS), advance)
     atomic_write_text(folder / TRUTH, to_json(truth))
-
-
-def _document(found: Judgement, *, complete: bool) -> dict[str, Any]:
-    return {
-        "schema": SCHEMA,
-        "complete": complete,
-        "page": f"{PAGES}/{PAGE}",
-        "evaluation": found.document,
-    }

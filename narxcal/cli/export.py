@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -21,12 +20,11 @@ from narxcal.steady.model import SteadyStateModel
 from narxcal.steady.table import read_steady_table
 from narxcal.support.errors import ConfigError, ModelError
 from narxcal.support.files import check_file
-from narxcal.turbofan.engine import INPUT_NAMES
+from narxcal.turbofan import VirtualEngine
+from narxcal.turbofan.design import PRESETS
+from narxcal.turbofan.engine import INPUT_NAMES, OUTPUT_NAMES
 
 SCHEMA = "narxcal.export/1"
-ENGINES = ("business_jet", "single_aisle")
-# A function gives its outputs no names: these, as far as it has columns.
-_USUAL_OUTPUTS = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph", "FN_kN", "FPR", "EPR")
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -62,7 +60,7 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Export SOURCE and say how well it is matched; 1 where the tolerance was missed."""
+    """Export SOURCE and show its errors; returns 1 where the tolerance was missed."""
     _check_name(options.out, options.to)
     check_file(options.out, Path(options.source), overwrite=options.overwrite)
     model = open_source(options.source, options.inputs, options.outputs)
@@ -86,7 +84,7 @@ def run(options: Namespace, console: Console) -> int:
 
 
 def _check_name(out: Path, kind: str) -> None:
-    """Refuse, before any work is done, a name that says another kind of file."""
+    """Refuse, before any work is done, a file name with the ending of another kind."""
     endings = {"table": (".csv", ".csv.gz"), "fmu": (".fmu",)}[kind]
     if not out.name.endswith(endings):
         raise ConfigError(
@@ -100,12 +98,12 @@ def open_source(
 ) -> SteadyStateModel:
     """Open a run folder, a virtual engine's name, `module:function`, a CSV file or an FMU.
 
-    `inputs` and `outputs` name the columns where SOURCE does not. Raises `ConfigError` for
-    what is none of these, else as the source's own reader.
+    `inputs` and `outputs` name the columns where SOURCE does not. Raises `ConfigError` for any
+    other source, else as the source's own reader.
     """
     path = Path(source)
-    if source in ENGINES:
-        return _virtual_engine(source)
+    if source in PRESETS:
+        return VirtualEngine(source)
     if path.is_dir():
         return load_bundle(path).calibration.steady
     if path.name.endswith((".csv", ".csv.gz")):
@@ -122,23 +120,19 @@ def open_source(
         return _function(source, inputs or INPUT_NAMES, outputs)
     raise ConfigError(
         f"'{source}' is no run folder, table (.csv), FMU, module:function or virtual engine",
-        hint=f"Virtual engines are {' and '.join(ENGINES)}",
+        hint=f"Virtual engines are {' and '.join(PRESETS)}",
     )
-
-
-def _virtual_engine(name: str) -> SteadyStateModel:
-    engine: SteadyStateModel = import_module("narxcal.turbofan").VirtualEngine(name)
-    return engine
 
 
 def _function(
     source: str, inputs: Sequence[str], outputs: Sequence[str] | None
 ) -> SteadyStateModel:
+    """Open a function; without `outputs` its columns are the first ones of the virtual engine."""
     if outputs:
         return SteadyCallable.load(source, (inputs, outputs))
     problem = ""
-    for width in range(len(_USUAL_OUTPUTS), 0, -1):
-        model = SteadyCallable.load(source, (inputs, _USUAL_OUTPUTS[:width]))
+    for width in range(len(OUTPUT_NAMES), 0, -1):
+        model = SteadyCallable.load(source, (inputs, OUTPUT_NAMES[:width]))
         try:
             model.outputs(np.zeros((1, len(inputs))))
         except ModelError as error:
@@ -171,7 +165,7 @@ def _nodes(words: Sequence[str]) -> dict[str, tuple[float, ...]]:
 
 
 def _shown(source: str) -> str:
-    """Name a source without the folders that lead to it, so that files do not tell them."""
+    """Name of a source without its folders, which an exported file must not contain."""
     return Path(source).resolve().name if Path(source).exists() else source
 
 
@@ -181,7 +175,7 @@ def _show(console: Console, report: ExportReport) -> None:
     for name, value in report.fixed.items():
         console.say(f"{name} is fixed at {value:g} and left out")
     if report.additive:
-        console.say(f"Summed on grids of their own: {', '.join(report.additive)}")
+        console.say(f"Switches on grids of their own: {', '.join(report.additive)}")
     if not report.met:
         console.warn(
             f"the largest error, {report.measured.worst_pct:.3g} % of the range, is above the "

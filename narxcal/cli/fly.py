@@ -1,6 +1,6 @@
-"""`narxcal fly`: flights of the virtual engine as logs, with the truth about them in a file beside.
+"""`narxcal fly`: logs of virtual flights, and a file with the truth about them.
 
-OUT holds the logs, `truth.json` and, where asked for, `truth/` with what no sensor sees.
+OUT contains the logs, `truth.json` and, with `--truth-channels`, `truth/` with the true outputs.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from narxcal.support.files import Results, to_json
 
 _LOG = re.compile(r"(flight_\d+_(left|right)|data_set_\d+)\.csv(\.gz)?")
 
-# Keys that the command line may set, and what a person types for them.
+# Keys of the scenario that the command line may set, and the option of each.
 _TYPED = {"seed": "--seed", "flights": "--flights", "sensors.preset": "--sensors"}
 
 
@@ -53,7 +53,7 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Fly all flights of a scenario and write them as a whole or not at all."""
+    """Fly all flights of a scenario and write all of them or none."""
     results = _results(options.out)
     results.check(options.out)
     scenario = read_scenario(options)
@@ -68,7 +68,7 @@ def run(options: Namespace, console: Console) -> int:
 
 
 def read_scenario(options: Namespace) -> FlightScenario:
-    """Read CONFIG, with what the command line says in its place; raises `ConfigError`."""
+    """Read CONFIG and replace what the command line gives; raises `ConfigError`."""
     scenario = load_scenario(options.config)
     changes: dict[str, Any] = {
         name: value for name in ("seed", "flights") if (value := getattr(options, name)) is not None
@@ -79,14 +79,14 @@ def read_scenario(options: Namespace) -> FlightScenario:
         changes["sensors"] = {"preset": options.sensors}
     if not changes:
         return scenario
-    # Checked anew: effects name flights, and an engine has only some of them.
+    # Validated again: effects name flights, whose number may have changed.
     stored = scenario.model_dump(by_alias=True, exclude_unset=True)
     typed = {key: word for key, word in _TYPED.items() if key.partition(".")[0] in changes}
     return FlightScenario.parse({**stored, **changes}, options.config, typed)
 
 
 def _results(folder: Path) -> Results:
-    """What may stand in the folder: logs of any number of flights are an earlier run's."""
+    """Files that may be replaced: logs of any number of flights are those of an earlier run."""
     found = folder.iterdir() if folder.is_dir() else ()
     logs = [entry.name for entry in found if _LOG.fullmatch(entry.name)]
     return Results(TRUTH_SCHEMA, TRUTH, (TRUE_CHANNELS, *logs))
@@ -103,7 +103,7 @@ def _show(console: Console, document: Mapping[str, Any], out: Path) -> None:
 
 
 def _unflown(document: Mapping[str, Any]) -> list[str]:
-    """Windows that begin when every log with the effect is over, in words: they do nothing."""
+    """Warnings about windows that begin after the end of every log with the effect."""
     ends: dict[tuple[str, float, float], list[float]] = {}
     for log in document["logs"]:
         for effect in log["effects"]:

@@ -108,7 +108,7 @@ def test_switches_that_add_up_are_named(narxcal, tmp_path, monkeypatch):
     nodes = ("--nodes", "ALT_ft=0", "Mach=0", "dT_C=0", "WOW=0", "Approach=0")
     done = narxcal("export", "sums:deck", "--to", "fmu", "--out", tmp_path / "deck.fmu", *nodes)
     assert done.code == 0
-    assert "Summed on grids of their own: ECS, NAI, WAI" in done.out
+    assert "Switches on grids of their own: ECS, NAI, WAI" in done.out
 
 
 def test_a_run_folder_gives_its_steady_state_model(project, narxcal, tmp_path):
