@@ -79,7 +79,7 @@ class Corners:
         ordered = all(before <= after for before, after in itertools.pairwise(times))
         if not self.points or self.points[0] != (0.0, 0.0) or not ordered:
             raise ConfigError(
-                f"corner points have to begin at (0, 0) and go on in order of time, got "
+                f"corner points have to begin at (0, 0) and be in order of time, got "
                 f"{list(self.points[:4])}"
             )
 

@@ -97,7 +97,7 @@ class FlownEffect(Section):
         if not self.on_sensor:
             if self.channel is not None:
                 raise ConfigError(
-                    f"effect '{self.id}' sits in the engine and takes no channel, "
+                    f"effect '{self.id}' acts on the engine and has no channel, "
                     f"found '{self.channel}'",
                     hint=f"Write {self.id} alone",
                 )
@@ -105,20 +105,20 @@ class FlownEffect(Section):
         fitting = channels_of(self.id)
         if self.channel is None:
             raise ConfigError(
-                f"effect '{self.id}' sits on one channel, and none is given",
+                f"effect '{self.id}' acts on one channel, and none is given",
                 hint=f"Write, for example, {self.id}@{_EXAMPLE.get(self.id, 'EGT_C')}",
             )
         channel(self.channel)
         if self.channel not in fitting:
             raise ConfigError(
-                f"effect '{self.id}' cannot sit on {self.channel}",
-                hint=f"It can sit on {', '.join(fitting)}",
+                f"effect '{self.id}' cannot act on {self.channel}",
+                hint=f"It can act on {', '.join(fitting)}",
             )
 
     def _check_windows(self) -> None:
         if self.windows_s and self.id not in WINDOWED:
             raise ConfigError(
-                f"effect '{self.id}' acts all the time and takes no windows",
+                f"effect '{self.id}' acts all the time and has no windows",
                 hint=f"Windows are for {', '.join(WINDOWED)}",
             )
         for start, end in self.windows_s:

@@ -103,9 +103,9 @@ def slots(rows: int, dt_s: float, rate_hz: float, slot_s: float) -> Slots:
     return Slots(sampled, count - first)
 
 
-def at_times(values: FloatArray, dt_s: float, time_s: FloatArray, *, hold: bool) -> FloatArray:
-    """Values of a signal at other times: interpolated, or with `hold` those of the last sample."""
-    if hold:
+def at_times(values: FloatArray, dt_s: float, time_s: FloatArray, *, stepwise: bool) -> FloatArray:
+    """Values of a signal at other times: interpolated, or with `stepwise` of the last sample."""
+    if stepwise:
         row = np.floor(time_s / dt_s + 1e-9).astype(np.int64)
         return np.asarray(values[np.clip(row, 0, len(values) - 1)])
     return np.interp(time_s, np.arange(len(values)) * dt_s, values)
@@ -429,10 +429,10 @@ class _Chain(NamedTuple):
     def record(self, truth: FloatArray) -> tuple[FloatArray, dict[str, Any]]:
         drawn = self._flight_errors()
         signal = self._biased(self._lagged(truth), drawn)
-        sensor, hold = self.sensor, CHANNELS[self.name].role == "switch"
+        sensor, stepwise = self.sensor, CHANNELS[self.name].role == "switch"
         taken = slots(len(truth), self.dt_s, sensor.rate_hz, sensor.slot_s)
         skew = drawn.get("skew_s", 0.0) + sum(each["skew_s"] for each in self._of("time_skew"))
-        values = at_times(signal, self.dt_s, taken.time_s - skew, hold=hold)
+        values = at_times(signal, self.dt_s, taken.time_s - skew, stepwise=stepwise)
         # Readings are limited to the range of the channel: Mach with a bias is not below 0.
         stops = CHANNELS[self.name].low, CHANNELS[self.name].high
         values = np.clip(values + self._noise(values, taken.time_s), *stops)

@@ -190,7 +190,7 @@ def test_a_sequence_is_its_parts_one_after_another(sequence):
         ),
         (lambda: Sweep(1.0, 1.0, 0.5, 60.0), "from a low to a higher frequency, got 1 .. 0.5 Hz"),
         (lambda: Sweep(1.0, 0.01, 0.02, 3.0), "a sweep of 3 s has no time for one cycle"),
-        (lambda: Corners(((0.0, 0.0), (2.0, 1.0), (1.0, 1.0))), "go on in order of time"),
+        (lambda: Corners(((0.0, 0.0), (2.0, 1.0), (1.0, 1.0))), "be in order of time"),
         (lambda: Corners(((1.0, 0.0),)), "corner points have to begin at (0, 0)"),
         (lambda: Corners(()), "corner points have to begin at (0, 0)"),
     ],

@@ -155,9 +155,9 @@ def test_every_row_is_a_sample_of_its_own_where_nothing_slower_is_asked_for(rate
 
 def test_values_before_the_log_are_its_first_and_after_it_its_last():
     values = np.array([1.0, 2.0, 3.0])
-    for hold in (True, False):
+    for stepwise in (True, False):
         np.testing.assert_array_equal(
-            at_times(values, DT, np.array([-1.0, 9.0]), hold=hold), [1.0, 3.0]
+            at_times(values, DT, np.array([-1.0, 9.0]), stepwise=stepwise), [1.0, 3.0]
         )
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.atmosphere import FT_M, P0_PA, T0_K, air_state, isa, total_ratios
+from narxcal.atmosphere import FT_M, P0_PA, T0_K, air_state, isa, mach_of_cas, total_ratios
 
 # ICAO Doc 7488: geopotential altitude m, temperature K, pressure hPa.
 ICAO = [
@@ -87,3 +87,27 @@ def test_inputs_broadcast_and_nan_stays_nan():
 def test_a_single_sample_has_the_air_of_many(alt_ft, mach, dt_c):
     air = air_state(alt_ft, mach, dt_c)
     assert total_ratios(alt_ft, mach, dt_c) == pytest.approx((air.theta2, air.delta2), rel=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("cas_kt", "alt_ft", "mach"),
+    [
+        # Standard tables of calibrated airspeed on the standard day.
+        (250.0, 0.0, 0.378),
+        (250.0, 10_000.0, 0.452),
+        (300.0, 20_000.0, 0.650),
+        (280.0, 30_000.0, 0.742),
+        (0.0, 5000.0, 0.0),
+    ],
+)
+def test_mach_of_a_calibrated_airspeed(cas_kt, alt_ft, mach):
+    assert mach_of_cas(cas_kt, alt_ft) == pytest.approx(mach, abs=2e-3)
+
+
+def test_at_sea_level_calibrated_is_true_airspeed():
+    speeds = np.array([100.0, 200.0, 400.0])
+    np.testing.assert_allclose(mach_of_cas(speeds, 0.0), speeds / 661.4786)
+
+
+def test_one_airspeed_is_a_higher_mach_higher_up():
+    assert (np.diff(mach_of_cas(250.0, np.linspace(0.0, 40_000.0, 50))) > 0.0).all()

@@ -22,8 +22,10 @@ from narxcal.flight_test.route import (
     DT_HIGH_C,
     DT_LOW_C,
     LEAST_S,
+    MACH_MAX,
     SHORTEST_S,
     SWITCH_NAMES,
+    check_between,
     plan_legs,
 )
 from narxcal.support.errors import ConfigError
@@ -390,3 +392,16 @@ def test_a_flight_that_cannot_be_is_refused(wrong, message):
 def test_a_negative_seed_is_refused():
     with pytest.raises(ConfigError, match="a seed is a whole number from 0 on, got -1"):
         plan_flight(FlightPlan(duration_s=480.0), -1)
+
+
+def test_both_aircraft_stay_in_the_papers_envelope():
+    assert pytest.approx(39_370.08, abs=0.01) == CEILING_FT
+    for aircraft in AIRCRAFT.values():
+        assert aircraft.ceiling_ft <= CEILING_FT
+        assert aircraft.mach_max <= MACH_MAX
+
+
+@pytest.mark.parametrize("value", [-0.1, 1.1, float("nan")])
+def test_what_lies_outside_is_refused(value):
+    with pytest.raises(ConfigError, match=r"x has to lie in 0 \.\. 1, got .*\. Try less"):
+        check_between("x", value, 0.0, 1.0, "Try less")

@@ -119,26 +119,26 @@ WRITE = "Write ID[@CHANNEL]:NAME=VALUE[,NAME=VALUE...]"
         (
             "sensor_lag:tau_s=1",
             (
-                "effect 'sensor_lag' sits on one channel, and none is given. "
+                "effect 'sensor_lag' acts on one channel, and none is given. "
                 "Write, for example, sensor_lag@EGT_C"
             ),
         ),
         (
             "flowmeter_dynamics:tau_s=1",
             (
-                "effect 'flowmeter_dynamics' sits on one channel, and none is given. "
+                "effect 'flowmeter_dynamics' acts on one channel, and none is given. "
                 "Write, for example, flowmeter_dynamics@FF_kgph"
             ),
         ),
         ("sensor_lag@ETG_C:tau_s=1", "unknown channel 'ETG_C'. Did you mean 'EGT_C'?"),
         (
             "flowmeter_dynamics@N1_pct:tau_s=1",
-            "effect 'flowmeter_dynamics' cannot sit on N1_pct. It can sit on FF_kgph",
+            "effect 'flowmeter_dynamics' cannot act on N1_pct. It can act on FF_kgph",
         ),
         (
             "spool_lag@N1_pct:factor=1.2",
             (
-                "effect 'spool_lag' sits in the engine and takes no channel, found 'N1_pct'. "
+                "effect 'spool_lag' acts on the engine and has no channel, found 'N1_pct'. "
                 "Write spool_lag alone"
             ),
         ),
@@ -166,7 +166,7 @@ WRITE = "Write ID[@CHANNEL]:NAME=VALUE[,NAME=VALUE...]"
         (
             "sensor_lag@EGT_C:tau_s=1,window=0-9",
             (
-                "effect 'sensor_lag' acts all the time and takes no windows. "
+                "effect 'sensor_lag' acts all the time and has no windows. "
                 f"Windows are for {', '.join(WINDOWED)}"
             ),
         ),
