@@ -23,7 +23,7 @@ from narxcal.flight_test.scenario import SCHEMA, FlightScenario, FlownEffect
 from narxcal.flight_test.sensors import Streams, record
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, ModelError
-from narxcal.support.files import versions
+from narxcal.support.files import log_csv, versions
 from narxcal.support.parallel import in_processes
 from narxcal.support.settings import read_toml
 from narxcal.turbofan import Unmodelled, VirtualEngine, build_scatter
@@ -142,16 +142,8 @@ def _formatted(scenario: FlightScenario, options: WriteOptions, flight: int) -> 
 
 
 def _csv(channels: Mapping[str, FloatArray], options: WriteOptions) -> bytes:
-    """Format as CSV, blank where there is no reading.
-
-    Eight digits keep multiples of 1/32 s exact for longer than any flight. The compressed file
-    contains no time of writing, so that the same numbers are the same bytes.
-    """
-    # Adding 0 turns the minus zero of a rounded reading into zero.
-    table = np.column_stack(list(channels.values())) + 0.0
-    form = ",".join(["%.8g"] * len(channels)) + "\n"
-    text = "".join([form % tuple(row) for row in table.tolist()]).replace("nan", "")
-    content = (",".join(channels) + "\n" + text).encode()
+    """Format as CSV, compressed without a time of writing: the same numbers are the same bytes."""
+    content = log_csv(channels, digits=8).encode()
     return gzip.compress(content, 6, mtime=0) if options.gzipped else content
 
 

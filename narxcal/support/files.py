@@ -312,12 +312,13 @@ def finite(value: Any) -> Any:
     return value
 
 
-def log_csv(channels: Mapping[str, ArrayLike]) -> str:
+def log_csv(channels: Mapping[str, ArrayLike], digits: int = 9) -> str:
     """Format a log as CSV: a header of the channel names, one row per sample, NaN as nothing.
 
-    `time_s` has 15 significant digits, other channels nine.
+    `time_s` has 15 significant digits, other channels `digits`.
     """
-    form = ",".join(TIME_FORMAT if name == "time_s" else "%.9g" for name in channels) + "\n"
+    number = f"%.{digits}g"
+    form = ",".join(TIME_FORMAT if name == "time_s" else number for name in channels) + "\n"
     table = np.column_stack([np.asarray(values, float) for values in channels.values()])
     # 0.0 is added, so that no -0 is printed.
     text = "".join([form % tuple(row) for row in (table + 0.0).tolist()])
