@@ -353,6 +353,8 @@ def _planned(
 
 @dataclass
 class _Sampling:
+    """A model to be sampled on layers, and the random conditions that measure the error."""
+
     model: SteadyStateModel
     grid: Grid
     options: ExportOptions
@@ -369,10 +371,10 @@ class _Sampling:
             allowed = 0.25 * self.tolerance
             self.additive = additive_switches(model, grid, self.probes.scale, allowed)
         self.layers = layers(model, grid, self.additive)
-        least = sum(_rows(layer, {}) for layer in self.layers)
-        if least > self.options.max_rows:
+        fewest = sum(_rows(layer, {}) for layer in self.layers)
+        if fewest > self.options.max_rows:
             raise ModelError(
-                f"the given nodes make {least} rows, more than the limit of "
+                f"the given nodes make {fewest} rows, more than the limit of "
                 f"{self.options.max_rows}",
                 hint="Allow more rows, give fewer nodes, or fix an input at one node",
             )
@@ -405,10 +407,10 @@ class _Sampling:
         left, reasons = self.options.max_rows, []
         # The small layers first; the rows that are left are for the first layer.
         for place in [*range(1, len(plans)), 0]:
-            layer, plan_ = self.layers[place], plans[place]
+            layer, axis_nodes = self.layers[place], plans[place]
             most = left if place == 0 else self.options.max_rows // (4 * len(plans))
-            segments, reason = grow(plan_, layer.others, goal * layer.share, most)
-            axes[place] = {name: plan_[name].nodes(segments[name]) for name in plan_}
+            segments, reason = grow(axis_nodes, layer.others, goal * layer.share, most)
+            axes[place] = {name: each.nodes(segments[name]) for name, each in axis_nodes.items()}
             left -= _rows(layer, axes[place])
             reasons.append(reason)
         reached = [reason for reason in reasons if reason is not None]
@@ -417,7 +419,7 @@ class _Sampling:
     def _planned(self, axes: list[dict[str, Floats]], stopped: Stopped) -> Planned:
         blocks = [self._block(*pair) for pair in zip(self.layers, axes, strict=True)]
         gridded = GriddedModel(
-            (self.grid.varying, self.model.output_names), blocks, self._known(blocks[0])
+            (self.grid.varying, self.model.output_names), blocks, self._valid_nodes(blocks[0])
         )
         kept = [self.model.input_names.index(name) for name in self.grid.varying]
         measured = self.probes.measure(gridded.outputs(self.probes.inputs[:, kept]))
@@ -434,15 +436,14 @@ class _Sampling:
 
         return Block(layer.columns, axes, nine_digits(sample(layer, axes, watch)))
 
-    def _known(self, block: Block) -> BoolArray:
+    def _valid_nodes(self, block: Block) -> BoolArray:
         """Whether the model is valid at each node of the first block."""
         base = self.layers[0]
 
         def inside(points: Floats) -> Floats:
             return self.model.inside(base.embedded(points))[:, None].astype(np.float64)
 
-        known: BoolArray = sample(inside, block.axes)[..., 0] > 0.0
-        return known
+        return np.asarray(sample(inside, block.axes)[..., 0] > 0.0)
 
 
 def _rows(layer: Layer, nodes: dict[str, Floats]) -> int:

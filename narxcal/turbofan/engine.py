@@ -140,10 +140,8 @@ class VirtualEngine:
         known = np.isfinite(flat).all(axis=1)
         found = np.full((len(flat), len(OUTPUT_NAMES)), np.nan)
         if known.any():
-            found[known] = self._steady(flat[known])
+            found[known] = self._steady_outputs(flat[known])
         return found.reshape(*array.shape[:-1], len(OUTPUT_NAMES))
-
-    steady_state = outputs
 
     def gas_path(self, inputs: ArrayLike) -> dict[str, FloatArray]:
         """Steady stations, each (n,), at `inputs` (n, 9), by the names of `Stations`.
@@ -151,7 +149,7 @@ class VirtualEngine:
         Also `fuel_kgps`, relative `n1` and `n2`, and the map angles of the compressors
         (`fan_angle`, `lpc_angle`, `hpc_angle`; surge is at pi/2). Raises as `outputs` does.
         """
-        conditions, unknowns, rows = self._solved(checked_inputs(inputs, self.input_names))
+        conditions, unknowns, rows = self._steady_points(checked_inputs(inputs, self.input_names))
         fuel = self._machine.fuel_unit_kgps * unknowns[:, -1]
         found = dict(zip(Stations._fields, rows.T, strict=True))
         found |= {"fuel_kgps": fuel, "n1": conditions[:, N1], "n2": unknowns[:, POSITIONS]}
@@ -159,7 +157,7 @@ class VirtualEngine:
 
     def linearised(self, inputs: ArrayLike) -> list[Linear]:
         """Time constants of the rotors and overshoot of EGT at each row of `inputs` (n, 9)."""
-        conditions, unknowns, _ = self._solved(checked_inputs(inputs, self.input_names))
+        conditions, unknowns, _ = self._steady_points(checked_inputs(inputs, self.input_names))
         pairs = zip(conditions, unknowns, strict=True)
         return [linearised(self._machine, self.settings.body, c, x) for c, x in pairs]
 
@@ -216,7 +214,7 @@ class VirtualEngine:
                 conditions[on, BLEED] += effect.value("bleed")
                 conditions[on, OFFTAKE_W] += 1e3 * effect.value("power_kW")
 
-    def _solved(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _steady_points(self, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Conditions, unknowns and stations of the steady states at `u` (n, 9)."""
         commands = n1_command(
             self.settings.ratings, u + self.settings.lever.bias_deg * (np.arange(9) == 0)
@@ -227,8 +225,8 @@ class VirtualEngine:
             raise ModelError(f"the engine has no steady state {_where(u[np.argmin(good)])}")
         return conditions, unknowns, rows
 
-    def _steady(self, u: FloatArray) -> FloatArray:
-        conditions, unknowns, rows = self._solved(u)
+    def _steady_outputs(self, u: FloatArray) -> FloatArray:
+        conditions, unknowns, rows = self._steady_points(u)
         at = dict(zip(Stations._fields, rows.T, strict=True))
         P2 = face_pressures(self._machine, conditions)
         return np.column_stack(
