@@ -514,16 +514,19 @@ class _Chain(NamedTuple):
     ) -> FloatArray:
         """Add frozen intervals, then dropouts."""
         sensor = self.sensor
-        if sensor.freezes_per_h:
-            random = self.streams.draw(self.name, "freezes")
-            spans = windows(random, time_s, sensor.freezes_per_h, sensor.freeze_s)
-            values = frozen(values, time_s, spans)
-            drawn.update({"freezes_s": [list(span) for span in spans]} if spans else {})
-        if sensor.dropouts_per_h:
-            random = self.streams.draw(self.name, "dropouts")
-            spans = windows(random, time_s, sensor.dropouts_per_h, sensor.dropout_s)
-            values = np.where(within(time_s, spans), np.nan, values)
-            drawn.update({"dropouts_s": [list(span) for span in spans]} if spans else {})
+        for kind, per_h, mean_s in (
+            ("freezes", sensor.freezes_per_h, sensor.freeze_s),
+            ("dropouts", sensor.dropouts_per_h, sensor.dropout_s),
+        ):
+            if not per_h:
+                continue
+            spans = windows(self.streams.draw(self.name, kind), time_s, per_h, mean_s)
+            if kind == "freezes":
+                values = frozen(values, time_s, spans)
+            else:
+                values = np.where(within(time_s, spans), np.nan, values)
+            if spans:
+                drawn[f"{kind}_s"] = [list(span) for span in spans]
         return values
 
 

@@ -102,6 +102,7 @@ def test_effects_are_listed_with_size_and_reach(narxcal, quick, tmp_path):
     assert "sensor_lag@EGT_C  tau_s 1.5 (on 2 of 4 logs)" in done.out
 
 
+@pytest.mark.slow
 def test_bytes_do_not_depend_on_jobs_and_a_run_may_replace_an_earlier_one(narxcal, quick, tmp_path):
     quick.write_text(QUICK.replace("flights = 2", "flights = 2\nengines = ['left']"), "utf-8")
     one, two = tmp_path / "one", tmp_path / "two"
@@ -171,7 +172,7 @@ def test_a_scenario_that_is_not_there_names_the_shipped_ones(narxcal, tmp_path):
     )
 
 
-@pytest.mark.parametrize("jobs", ["1", "2"])
+@pytest.mark.parametrize("jobs", ["1", pytest.param("2", marks=pytest.mark.slow)])
 def test_an_interrupted_run_leaves_nothing(start, quick, tmp_path, jobs):
     out = tmp_path / "out"
     process = start("fly", quick, "--out", out, "--flights", "999", "--jobs", jobs)

@@ -55,6 +55,7 @@ def virtual():
 # Bytes
 
 
+@pytest.mark.slow
 def test_the_same_scenario_gives_the_same_bytes_however_many_processes_fly_it(tmp_path):
     one, two = tmp_path / "one", tmp_path / "two"
     options = WriteOptions(jobs=1, gzipped=True, true_channels=True)
