@@ -37,7 +37,7 @@ from narxcal.support.errors import ConfigError, ModelError
 from narxcal.support.settings import Section
 from training.config import RunConfig
 from training.crossval import CrossvalConfig
-from training.pipeline import split_logs
+from training.records import split_logs
 
 NEW = "new"
 

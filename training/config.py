@@ -46,7 +46,7 @@ class SteadyFitConfig(Section):
     range beyond the samples, and are held from there on; both count as outside the envelope.
     """
 
-    knots: int = Field(default=8, ge=2)
+    knots: int = Field(default=8, ge=2, le=200)
     bend: float = Field(default=1e-3, ge=0)
     spread: float = Field(default=3e-4, ge=0)
     scatter: float = Field(default=1e-4, ge=0)
@@ -113,22 +113,21 @@ class NarxSection(Section):
     `schedule` names the inputs that change how fast the engine moves. `anchored` makes the
     steady-state model an exact equilibrium; without it the network is the paper's. `settle_s` is
     the longest time constant with which an anchored network's deviation may fade; 0 means any.
-    `lag` puts state-dependent lags in front of an anchored network (see lumped.lag), which then
-    learns what they leave; they are fitted to errors in the outputs' units, or with
-    `lag_errors = "relative"` as shares of the response that each belongs to. With `lag_limits`
-    they know how fast a control lets the spools move, and what fuel that takes; with `lag_heat`
-    that the metal's heat drives the spools, and a slow tail is not taken for static error. With
-    `lag_governed` a control holds N1, and N2 goes where that takes it (see lumped.lag_governed);
-    the other settings of lags then say nothing. What is "auto" of these is chosen by the training
-    logs (see training.lag_choice). With `linear_feedback` past deviations go round the hidden
-    layer: a free run has no wrong place to rest.
+    `lag` puts state-dependent lags in front of an anchored network, which then learns their
+    residual; they are fitted to errors in the outputs' units, or with `lag_errors = "relative"` as
+    shares of each response. `lag_limits` adds the control's limits of acceleration and
+    deceleration, and the fuel that these take; `lag_heat` adds heat exchange with the metal, which
+    drives the spools, so that a slow tail is not taken for static error. With `lag_governed` a
+    control governs N1 and N2 follows; the other settings of lags then have no meaning. Where these
+    are "auto", the form is chosen by the training logs. With `linear_feedback` past deviations
+    bypass the hidden layer: a free run has no wrong equilibrium.
     """
 
     outputs: tuple[str, ...] = Field(default=("N1_pct", "N2_pct", "EGT_C"), min_length=1)
     schedule: tuple[str, ...] = _SCHEDULE
-    lags: int = Field(default=1, ge=1)
+    lags: int = Field(default=1, ge=1, le=1000)
     taps: Taps = (0,)
-    hidden: int = Field(default=6, ge=1)
+    hidden: int = Field(default=6, ge=1, le=1000)
     margin: float = Field(default=0.25, ge=0)
     anchored: bool = True
     settle_s: float = Field(default=60.0, ge=0)
@@ -143,7 +142,7 @@ class NarxSection(Section):
     @model_validator(mode="before")
     @classmethod
     def _network_alone(cls, table: Any) -> Any:
-        """Without lags the network has to do all by itself: its defaults are others."""
+        """Without lags the network learns the whole response: its defaults differ."""
         if not isinstance(table, dict):
             return table
         lag = table.get("lag", table.get("anchored", True))
@@ -167,29 +166,29 @@ class NarxSection(Section):
 class TrainConfig(Section):
     """Table [train]: free-run training by horizons that grow.
 
-    `optimiser` is Levenberg-Marquardt ("lm"), the same with bent steps ("geodesic", see
-    training.geodesic), which goes further down where there is much to learn, or "adam".
-    `horizons_s` are the lengths of the windows in seconds, 0 for whole logs, and `iterations`
-    the steps at each. `starts` networks are drawn from `seed` on and the best is kept. One
-    sample in every `score_every_s` is scored. Training stops early after `patience` steps
-    without a better free run on the validation logs, where there are any. `local_trim` takes the
-    static error out of the training deviations where `still` holds (see training.records).
-    `rest_s` is the length of the records that teach the return to rest (see training.records); 0
-    means none; with `rest_far` there are more of them, they begin at large deviations, and the
-    second half of each is scored. With `emphasis = "motion"` motion counts more than rest, its
-    beginning most, and low power more than high (see training.records).
+    `optimiser` is Levenberg-Marquardt ("lm"), the same with geodesic acceleration ("geodesic"),
+    which descends further where data are plenty, or "adam". `horizons_s` are the lengths of the
+    windows in seconds, 0 for whole logs, and `iterations` the steps at each. `starts` networks are
+    drawn from `seed` on and the best is kept. One sample in every `score_every_s` is scored.
+    Training stops early after `patience` steps without a lower free-run error on the validation
+    logs, where there are any. `local_trim` removes the static error from the training deviations
+    where the engine is in equilibrium as `still` defines it (see training.records). `rest_s` is
+    the length of the synthetic records of the return to equilibrium; 0 means none; with `rest_far`
+    there are more of them, they begin at large deviations, and the second half of each is scored.
+    With `emphasis = "motion"` transients weigh more than equilibrium, their onset most, and low
+    power more than high.
     """
 
     optimiser: Literal["lm", "geodesic", "adam"] = "lm"
     horizons_s: tuple[NonNegativeFloat, ...] = Field(default=(5.0, 60.0), min_length=1)
     iterations: tuple[NonNegativeInt, ...] = (8, 12)
-    starts: int = Field(default=1, ge=1)
-    seed: int = Field(default=0, ge=0)
+    starts: int = Field(default=1, ge=1, le=1000)
+    seed: int = Field(default=0, ge=0, lt=2**63)
     decay: float = Field(default=1e-5, ge=0)
     rate: float = Field(default=0.01, gt=0)
     score_every_s: float = Field(default=0.3, gt=0)
     patience: int = Field(default=8, ge=1)
-    threads: int = Field(default=2, ge=1)
+    threads: int = Field(default=2, ge=1, le=1024)
     local_trim: bool = True
     rest_s: float = Field(default=20.0, ge=0)
     rest_far: bool = False
@@ -219,7 +218,7 @@ class SplitConfig(Section):
 
 
 class RunConfig(Section):
-    """Everything that decides a run. `evaluate` is read by the evaluator's own section."""
+    """Everything that decides a run; `evaluate` is parsed by the evaluation itself."""
 
     schema_: Literal["narxcal.config/1"] = Field(default=SCHEMA, alias="schema")
     name: str = "narxcal"
@@ -238,14 +237,14 @@ class RunConfig(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _defaults_that_hang_together(cls, table: Any) -> Any:
-        """Weight decay goes by whether there are lags, the usual schedule by what inputs there are.
+    def _linked_defaults(cls, table: Any) -> Any:
+        """Weight decay depends on whether there are lags, the usual schedule on the inputs.
 
-        A network behind lags corrects them, the less the better; alone it has all to learn.
+        A network behind lags only corrects them; alone it has to learn the whole response.
         """
         parts = [table.get(name, {}) for name in _LINKED] if isinstance(table, dict) else []
         if not parts or not all(isinstance(part, dict) for part in parts):
-            return table  # pydantic says what is wrong
+            return table  # pydantic reports what is wrong
         narx, train, steady = (dict(part) for part in parts if isinstance(part, dict))
         if narx.get("lag", narx.get("anchored", True)):
             train = {"decay": _DECAY_BEHIND_LAGS, **train}
@@ -272,8 +271,8 @@ class RunConfig(Section):
         for name in self.narx.outputs:
             if name in inputs:
                 raise ConfigError(
-                    f"[narx] outputs names '{name}', which is one of [steady_state] inputs",
-                    hint="A model cannot be told what it has to say: take it out of one of them",
+                    f"'{name}' is an output in [narx] and an input in [steady_state]",
+                    hint="Remove it from one of them",
                 )
         return self
 

@@ -29,7 +29,8 @@ from narxcal.support.errors import DataError
 from narxcal.support.parallel import in_processes
 from narxcal.support.settings import Section
 from training.config import RunConfig
-from training.pipeline import Split, calibrate
+from training.pipeline import calibrate
+from training.records import Split
 
 T = TypeVar("T")
 

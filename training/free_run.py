@@ -21,6 +21,7 @@ from narxcal.support.arrays import FloatArray, IntArray, sample_and_hold
 
 T = TypeVar("T")
 _BLOCK = 1024  # steps whose Jacobian is held at one time
+_BATCHES = 4  # parts of the work; more threads than this do not help
 _PROBE = 0.1  # share of a step at which its curvature is taken by central differences
 
 
@@ -115,11 +116,16 @@ def _batches(windows: Sequence[Window], count: int) -> list[_Batch]:
 
 
 class FreeRunProblem:
-    """Loss of `net` over `windows` as a function of its weight vector theta."""
+    """Loss of `net` over `windows` as a function of its weight vector theta.
+
+    The windows are shared among a fixed number of batches, so that no sum, and hence no weight,
+    depends on how many `threads` compute them.
+    """
 
     def __init__(self, net: NarxNet, windows: Sequence[Window], threads: int = 1) -> None:
         self.net = net
-        self.batches = _batches(windows, threads)
+        self.threads = threads
+        self.batches = _batches(windows, _BATCHES)
 
     def loss(self, theta: FloatArray) -> float:
         """Half the weighted mean square of the free-run error."""
@@ -158,9 +164,10 @@ class FreeRunProblem:
         return Weights.of(self.net)
 
     def _map(self, work: Callable[[_Batch], T]) -> list[T]:
-        if len(self.batches) == 1:
-            return [work(self.batches[0])]
-        with ThreadPoolExecutor(len(self.batches)) as pool:
+        threads = min(self.threads, len(self.batches))
+        if threads == 1:
+            return [work(batch) for batch in self.batches]
+        with ThreadPoolExecutor(threads) as pool:
             return list(pool.map(work, self.batches))
 
 

@@ -1,15 +1,10 @@
-"""Trains a NARX network in free run: several starts, growing horizons, the best one kept.
+"""Train a NARX network in free run: several starts, growing horizons, the best one kept.
 
-The loop knows nothing of the optimiser but that it yields steps. What it has done so far is in
-a `Progress` that can be written to disk after every step and gone on from, with the same path
-as if it had never stopped.
-
-Where the free-run training of a NARX network starts: a stable linear model.
-
-The open-loop least-squares ARX model is one candidate; first-order lags are the others, since
-the ARX fit of a smooth recording is often an integrator that a free run cannot use.
-
-One network per output, merged into one network of all outputs that computes the same.
+The loop takes steps from any optimiser. Its state is a `Progress` that can be written to disk after
+every step and resumed, with the same path as without an interruption. Training starts from a stable
+linear model: the open-loop least-squares ARX model is one candidate; first-order lags are the
+others, since the ARX fit of a smooth recording is often an integrator that a free run cannot use.
+`merge_models` joins networks of one output each into one that computes the same.
 """
 
 from __future__ import annotations
@@ -26,11 +21,11 @@ from narxcal.narx.network import NarxModel, NarxNet, Scaling, history_before, ta
 from narxcal.record import Record, check_measured, check_records
 from narxcal.support.arrays import FloatArray
 from narxcal.support.interrupt import Interrupt, held_interrupt
-from training import adam, geodesic, levenberg_marquardt
+from training import adam
 from training.adam import Moments
 from training.config import TrainConfig
 from training.free_run import FreeRunProblem, cut_windows
-from training.levenberg_marquardt import Damping
+from training.levenberg_marquardt import Damping, minimise, minimise_geodesic
 
 _POLES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.995)
 _RIDGE = 1e-6
@@ -170,6 +165,14 @@ class Material:
     dt_s: float
     rest: Sequence[Record] = ()
 
+    def of_output(self, k: int) -> Material:
+        """The same with output `k` alone."""
+        records, validation, rest = (
+            [Record(each.u, each.y[:, k : k + 1], each.name, each.weight) for each in part]
+            for part in (self.records, self.validation, self.rest)
+        )
+        return Material(records, validation, self.dt_s, rest)
+
     def within(self, horizon_s: float) -> list[Record]:
         """Training records, with the rest records that fit into `horizon_s` (0: any)."""
         steps = horizon_s / self.dt_s if horizon_s > 0 else float("inf")
@@ -177,7 +180,7 @@ class Material:
 
 
 class Watch(Protocol):
-    """Told after every step; it may show a progress bar or write a checkpoint."""
+    """Called after every step, to show a progress bar or write a checkpoint."""
 
     def __call__(self, progress: Progress) -> None: ...  # noqa: D102
 
@@ -293,8 +296,7 @@ class _Run:
             for move in adam.minimise(problem, theta, rate, decay, progress.moments):
                 yield replace(progress, theta=move.theta, moments=move.moments), move.loss
             return
-        bent = self.config.optimiser == "geodesic"
-        descend = geodesic.minimise if bent else levenberg_marquardt.minimise
+        descend = minimise_geodesic if self.config.optimiser == "geodesic" else minimise
         for step in descend(problem, theta, decay, progress.damping):
             yield replace(progress, theta=step.theta, damping=step.damping), step.loss
 
@@ -329,11 +331,6 @@ def _keep(progress: Progress, score: float) -> Progress:
     if score < progress.best_score:
         return replace(progress, best_theta=progress.theta, best_score=score, since_best=0)
     return replace(progress, since_best=progress.since_best + 1)
-
-
-def single_output(record: Record, k: int) -> Record:
-    """The record with output `k` alone."""
-    return Record(record.u, record.y[:, k : k + 1], record.name, record.weight)
 
 
 def merge_models(models: Sequence[NarxModel]) -> NarxModel:

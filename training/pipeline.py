@@ -1,4 +1,7 @@
-"""From a configuration to a calibrated model: the steps of `narxcal train`, in order."""
+"""The order of the steps of `narxcal train`: each takes values and returns one result.
+
+logs -> split -> steady state -> lags -> network -> noise -> bundle
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,8 @@ from data_prep.recorded import recorded
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.calibration.noise import NoiseModel, estimate_noise
-from narxcal.narx.config import NarxConfig
+from narxcal.lumped.lag_governed import AnyLags
+from narxcal.narx.network import NarxModel
 from narxcal.record import Record
 from narxcal.steady.fitted import FittedSteadyState
 from narxcal.steady.model import SteadyStateModel
@@ -36,42 +40,30 @@ from training.network import (
     HistoryRow,
     Material,
     Progress,
+    Watch,
     fit_narx,
     merge_models,
-    single_output,
 )
-from training.records import Split, deviation_record, lags, material, split_logs, structure_of
+from training.records import Split, lags, material, structure_of
 from training.steady_choice import steady_state
 from training.steady_fit import SteadyQuality
 
-__all__ = [
-    "CHECKPOINT",
-    "Split",
-    "TrainOptions",
-    "calibrate",
-    "calibration_for",
-    "configured_files",
-    "deviation_record",
-    "prepare_logs",
-    "split_logs",
-    "steady_state",
-]
-
 CHECKPOINT = "checkpoint-{}.safetensors"
+Stage = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """How to run a training: who watches, where checkpoints go, whether to go on from them.
+    """How to run a training: where checkpoints go, whether to resume from them, who shows progress.
 
-    `stage` is told in words what goes on before the network is trained, how much of it is done and
-    how much there is.
+    `watch` is called after each step of the network, `stage` before each other step with its name,
+    how much of it is done and how much there is.
     """
 
-    watch: Any = None
+    watch: Watch | None = None
     checkpoints: Path | None = None
     resume: bool = False
-    stage: Callable[[str, int, int], None] = lambda _words, _done, _total: None
+    stage: Stage = lambda _name, _done, _total: None
 
 
 def configured_files(config: RunConfig, base: Path) -> list[Path]:
@@ -80,7 +72,7 @@ def configured_files(config: RunConfig, base: Path) -> list[Path]:
 
 
 def prepare_logs(config: RunConfig, files: Sequence[Path], dt_s: float | None = None) -> list[Log]:
-    """Read, clean, smooth and complete the inputs of `files`, on the raster `dt_s` if given."""
+    """Read and prepare `files`, with complete inputs, at the sampling interval `dt_s` if given."""
     reading = config.logs
     if dt_s is not None:
         reading = reading.model_copy(update={"raster_hz": 1.0 / dt_s})
@@ -91,78 +83,88 @@ def prepare_logs(config: RunConfig, files: Sequence[Path], dt_s: float | None = 
 def calibrate(
     config: RunConfig, base: Path, split: Split, options: TrainOptions | None = None
 ) -> Bundle:
-    """Fit or load the steady-state model, train the network, estimate the fuser's noise.
+    """Fit or load the steady-state model, fit lags and network, estimate the fuser's noise.
 
-    Raises `DataError` for logs of different rasters or with too little in them, `ConfigError`
-    for a configuration that does not fit the logs.
+    The bundle's `config` is the resolved one, in which nothing is "auto"; `configured` is the one
+    given.
+
+    Raises `DataError` for logs of different sampling intervals or with too little in them,
+    `ConfigError` for a configuration that does not fit the logs.
     """
-    began, options = time.perf_counter(), options or TrainOptions()
-    dt_s = _common_raster([*split.train, *split.validate])
+    options, began, given = options or TrainOptions(), time.perf_counter(), config
+    dt_s = _common_interval([*split.train, *split.validate])
     split = split.with_outputs(config.narx.outputs)
     options.stage("fitting the steady state", 0, 1)
     steady, quality = steady_state(config, base, split.train)
     split = split.held(steady.input_names)
-    meta = _meta(config, base, split)
-    told = partial(options.stage, "choosing the lags")
-    config, choice = chosen_lags(config, steady, split.train, told)
+    config, choice = chosen_lags(
+        config, steady, split.train, partial(options.stage, "choosing the lags")
+    )
     options.stage("fitting the lags", 0, 1)
     lag = lags(config, steady, split.train)
-    structure = structure_of(config)
-    learned = material(config, steady, lag, (split.train, split.validate))
-    results = _fit(config, learned, structure, options)
+    results = fit_networks(config, material(config, steady, lag, split), options)
     network = merge_models([result.model for result in results])
-    settle_s = config.narx.settle_s if config.narx.anchored and config.narx.settle_s > 0 else None
-    plain = DynamicCalibration(steady, network, dt_s, config.narx.schedule, settle_s)
-    calibration = plain.with_lag(lag)
-    meta["steady_state"] = _quality_row(quality, steady)
-    meta["lag_form"] = choice.row()
-    meta["training"] = _training_row(results, time.perf_counter() - began)
-    meta["fuser_noise"] = sensor_and_model_noise(calibration, split).to_dict()
-    meta["baselines"] = fit_baselines(calibration, split.train)
+    calibration = _calibration(config, (steady, lag, network), dt_s)
+    meta = _provenance(given, base, split) | {
+        "config": _resolved(config, steady).model_dump(mode="json", by_alias=True),
+        "steady_state": _quality_row(quality, steady),
+        "lag_form": choice.row(),
+        "training": _training_row(results, time.perf_counter() - began),
+        "fuser_noise": fuser_noise(calibration, split).to_dict(),
+        "baselines": fit_baselines(calibration, split.train),
+    }
     return Bundle(calibration, meta)
 
 
+def _calibration(
+    config: RunConfig, parts: tuple[SteadyStateModel, AnyLags | None, NarxModel], dt_s: float
+) -> DynamicCalibration:
+    steady, lag, network = parts
+    section = config.narx
+    settle_s = section.settle_s if section.anchored and section.settle_s > 0 else None
+    return DynamicCalibration(steady, network, dt_s, section.schedule, settle_s).with_lag(lag)
+
+
+def _resolved(config: RunConfig, steady: SteadyStateModel) -> RunConfig:
+    """The configuration with the layout of the fitted steady state in the place of "auto"."""
+    if not isinstance(steady, FittedSteadyState):
+        return config
+    layout = steady.layout
+    chosen = {name: getattr(layout, name) for name in ("blend", "switches", "corrected", "driver")}
+    section = config.steady_state.model_copy(update=chosen)
+    return config.model_copy(update={"steady_state": section})
+
+
 def calibration_for(calibration: DynamicCalibration, log: Log) -> DynamicCalibration:
-    """The calibration as it holds for the engine of `log`."""
+    """Calibration for the engine of `log`."""
     return calibration.for_engine(log.source.engine)
 
 
-def _common_raster(logs: Sequence[Log]) -> float:
-    rasters = {round(log.dt_s, 6): log.name for log in logs}
-    if len(rasters) > 1:
-        found = ", ".join(f"{dt:g} s in {name}" for dt, name in sorted(rasters.items()))
+def _common_interval(logs: Sequence[Log]) -> float:
+    intervals = {round(log.dt_s, 6): log.name for log in logs}
+    if len(intervals) > 1:
+        found = ", ".join(f"{dt:g} s in {name}" for dt, name in sorted(intervals.items()))
         raise DataError(
-            f"expected all logs on one raster, found {found}",
+            f"expected all logs at one sampling interval, found {found}",
             hint="Set raster_hz in [logs]",
         )
     return logs[0].dt_s
 
 
-def _fit(
-    config: RunConfig, learned: Material, structure: NarxConfig, options: TrainOptions
-) -> list[FitResult]:
-    """One joint network, or one per output whose results are merged."""
+def fit_networks(config: RunConfig, learned: Material, options: TrainOptions) -> list[FitResult]:
+    """Train one joint network, or one for each output (see `merge_models`)."""
     if config.narx.joint:
-        return [_fit_one(config, learned, structure, (options, "joint"))]
-    results = []
-    for k, name in enumerate(config.narx.outputs):
-        part = Material(
-            [single_output(record, k) for record in learned.records],
-            [single_output(record, k) for record in learned.validation],
-            learned.dt_s,
-            [single_output(record, k) for record in learned.rest],
-        )
-        results.append(_fit_one(config, part, structure, (options, name)))
-    return results
+        return [_fit_network(config, learned, "joint", options)]
+    return [
+        _fit_network(config, learned.of_output(k), name, options)
+        for k, name in enumerate(config.narx.outputs)
+    ]
 
 
-def _fit_one(
-    config: RunConfig,
-    learned: Material,
-    structure: NarxConfig,
-    how: tuple[TrainOptions, str],
+def _fit_network(
+    config: RunConfig, learned: Material, name: str, options: TrainOptions
 ) -> FitResult:
-    options, name = how
+    structure = structure_of(config)
     file = None if options.checkpoints is None else options.checkpoints / CHECKPOINT.format(name)
     key = fingerprint(
         config.train.model_dump_json(),
@@ -185,16 +187,16 @@ def _fit_one(
 
 
 def _record_hash(record: Record) -> str:
-    """Of shapes and numbers; the name is left out, for a file may move."""
+    """Hash of shapes and numbers, without the name: a file may move."""
     shapes = f"{record.u.shape} {record.y.shape}".encode()
     return hashlib.sha256(shapes + record.u.tobytes() + record.y.tobytes()).hexdigest()
 
 
-def sensor_and_model_noise(calibration: DynamicCalibration, split: Split) -> NoiseModel:
-    """Fuser noise from logs the network was not fitted to, where there are any.
+def fuser_noise(calibration: DynamicCalibration, split: Split) -> NoiseModel:
+    """Estimate the fuser's noise from logs the network was not fitted to, where there are any.
 
-    They are smoothed, and what a fuser is given online is not: of the sensors' noise the
-    likelihood only sees what smoothing left, so that what it took away is the least there is.
+    The logs are smoothed, while online the fuser gets raw measurements: the measurement noise is
+    therefore at least what smoothing removed.
     """
     outputs = calibration.output_names
     logs = split.validate or split.train
@@ -206,21 +208,22 @@ def sensor_and_model_noise(calibration: DynamicCalibration, split: Split) -> Noi
         measured.append(log.matrix(own.output_names))
         predicted.append(own.simulate(log.matrix(own.input_names), measured[-1][0]))
     found = estimate_noise(measured, predicted, calibration.dt_s)
-    taken = [_taken(name, logs) for name in outputs]
-    return replace(found, measurement=np.maximum(found.measurement, taken))
+    removed = [_smoothed_away(name, logs) for name in outputs]
+    return replace(found, measurement=np.maximum(found.measurement, removed))
 
 
-def _taken(name: str, logs: Sequence[Log]) -> float:
-    """Variance of the noise that smoothing took away, over the logs that record the channel."""
+def _smoothed_away(name: str, logs: Sequence[Log]) -> float:
+    """Variance of the noise that smoothing removed, over the logs that record the channel."""
     found = [log.noise.get(name, 0.0) for log in logs if recorded(log, [name])]
     return float(np.mean(found))
 
 
-def _meta(config: RunConfig, base: Path, split: Split) -> dict[str, Any]:
+def _provenance(config: RunConfig, base: Path, split: Split) -> dict[str, Any]:
+    """Where a calibration comes from: configuration, logs with their hashes, seeds, machine."""
     parts = {"train": split.train, "validate": split.validate, "test": split.test}
     logs = [log for part in parts.values() for log in part]
     return {
-        "config": config.model_dump(mode="json", by_alias=True),
+        "configured": config.model_dump(mode="json", by_alias=True),
         "base": str(base),
         "split": {name: [log.name for log in part] for name, part in parts.items()},
         "data": {log.source.file: log.source.sha256 for log in logs},

@@ -171,15 +171,17 @@ def material(
     config: RunConfig,
     steady: SteadyStateModel,
     lag: AnyLags | None,
-    sets: tuple[Sequence[Log], Sequence[Log]],
+    split: Split,
 ) -> Material:
-    """Records of the logs to fit to and of those to stop by, and rest records if wanted."""
+    """Records of the logs to fit to and of those to stop by, and rest records if configured."""
     records, validation = (
-        [deviation_record(log, steady, config, lag) for log in logs] for logs in sets
+        [deviation_record(log, steady, config, lag) for log in logs]
+        for logs in (split.train, split.validate)
     )
+    dt_s = split.train[0].dt_s
     if config.train.emphasis == "motion":
-        records = _emphasised(records, sets[0][0].dt_s, lagged=lag is not None)
-    plain = Material(records, validation, sets[0][0].dt_s)
+        records = _emphasised(records, dt_s, lagged=lag is not None)
+    plain = Material(records, validation, dt_s)
     return replace(plain, rest=_rest(config, plain, structure_of(config).moving))
 
 

@@ -83,7 +83,8 @@ def _require(inputs: FloatArray, outputs: FloatArray, layout: Layout) -> None:
         raise DataError(
             f"expected at least 50 quasi-steady samples, found {len(inputs)}",
             channel=layout.driver,
-            hint="Loosen [steady_state.quasi_steady], add logs, or load the maker's model",
+            hint="Raise [quasi_steady] speed_pct or lower window_s, add logs, or set "
+            "[steady_state] kind to table, callable or fmu",
         )
     drive = layout.drive(inputs)
     if float(np.ptp(drive)) <= 1e-6 * max(1.0, float(np.abs(drive).max())):

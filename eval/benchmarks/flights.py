@@ -34,7 +34,8 @@ from narxcal.support.errors import DataError
 from narxcal.support.files import atomic_write_bytes
 from training.config import RunConfig, load_config
 from training.crossval import leave_one_flight_out
-from training.pipeline import Split, calibrate, configured_files
+from training.pipeline import calibrate, configured_files
+from training.records import Split
 
 _SOURCE = "issue: What to reach"
 _PART = 0.2

@@ -32,7 +32,8 @@ from narxcal.support.arrays import FloatArray
 from training.config import RunConfig, load_config
 from training.free_run import FreeRunProblem, cut_windows
 from training.network import new_model
-from training.pipeline import Split, calibrate, prepare_logs
+from training.pipeline import calibrate, prepare_logs
+from training.records import Split
 
 _KERNEL_GROUP = "speed"
 _NETWORK = NarxConfig(lags=2, taps=(0, 1), hidden=30)

@@ -34,7 +34,8 @@ from narxcal.flight_test.scenario import FlightScenario
 from narxcal.flight_test.sensors import Streams, record
 from narxcal.support.errors import DataError
 from training.config import SCHEMA, RunConfig, load_config
-from training.pipeline import calibrate, configured_files, prepare_logs, split_logs
+from training.pipeline import calibrate, configured_files, prepare_logs
+from training.records import split_logs
 
 Tables = Mapping[str, Mapping[str, Any]]
 Flown = Callable[[FlightScenario, int], Mapping[str, Any]]

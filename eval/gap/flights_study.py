@@ -27,13 +27,8 @@ from training.crossval import leave_one_flight_out
 from training.gap.path_windows import Windows
 from training.gap.window_search import Options
 from training.gap.windows import find_windows
-from training.pipeline import (
-    Split,
-    calibrate,
-    calibration_for,
-    configured_files,
-    prepare_logs,
-)
+from training.pipeline import calibrate, calibration_for, configured_files, prepare_logs
+from training.records import Split
 
 BEFORE_S, AFTER_S = 10.0, 1.0  # how long the engine is unsettled after its fuel flow moved
 MOVED = 0.04  # of the range of fuel flow

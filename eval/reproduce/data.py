@@ -43,8 +43,8 @@ from narxcal.support.parallel import in_processes
 from training.config import RunConfig, TrainConfig
 from training.crossval import Segment
 from training.network import Material, fit_narx
-from training.pipeline import Split, configured_files, split_logs
-from training.records import rest_records
+from training.pipeline import configured_files
+from training.records import Split, rest_records, split_logs
 
 LEAD_S = 3.0
 

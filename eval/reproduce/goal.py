@@ -32,7 +32,7 @@ from eval.scores import score
 from narxcal.calibration.bundle import Bundle
 from narxcal.channels import symbol
 from training.config import RunConfig
-from training.pipeline import Split
+from training.records import Split
 
 ERROR_PCT, TIMES_PCT = 2.0, 3.0
 _PAPER_FAMILY = "the paper's data sets"

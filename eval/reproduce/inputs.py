@@ -32,7 +32,8 @@ from narxcal.record import Record
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import FloatArray
 from training.config import RunConfig
-from training.pipeline import calibration_for, deviation_record
+from training.pipeline import calibration_for
+from training.records import deviation_record
 
 CRITERION = 5.0  # mean square error in %^2, section 3.1
 

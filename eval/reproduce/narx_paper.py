@@ -16,7 +16,8 @@ from narxcal.calibration.bundle import Bundle
 from narxcal.support.files import versions
 from training.config import RunConfig
 from training.network import Progress
-from training.pipeline import Split, TrainOptions, calibrate
+from training.pipeline import TrainOptions, calibrate
+from training.records import Split
 
 SCHEMA = "narxcal.reproduce/1"
 PAPER = "narx-paper"

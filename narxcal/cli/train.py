@@ -23,16 +23,11 @@ from narxcal.cli.options import add_config
 from narxcal.cli.results import lag_words, read_config, steady_words
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import check_writable
+from narxcal.support.system import locked
 from training.config import RunConfig, SplitConfig
 from training.network import Progress
-from training.pipeline import (
-    Split,
-    TrainOptions,
-    calibrate,
-    configured_files,
-    prepare_logs,
-    split_logs,
-)
+from training.pipeline import TrainOptions, calibrate, configured_files, prepare_logs
+from training.records import Split, split_logs
 
 SCHEMA = "narxcal.train/1"
 CHECKPOINTS = "checkpoints"
@@ -55,10 +50,11 @@ def run(options: Namespace, console: Console) -> int:
         return 0
     if options.resume and not (run_folder / CHECKPOINTS).is_dir():
         console.warn(f"nothing to resume in {run_folder}: the training begins anew")
-    try:
-        bundle = train(config, base, run_folder, (options.resume, console))
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(_where_it_stands(run_folder)) from None
+    with locked(run_folder):
+        try:
+            bundle = train(config, base, run_folder, (options.resume, console))
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(_where_it_stands(run_folder)) from None
     _show(console, run_folder, bundle)
     console.document(_document(run_folder, bundle.meta))
     return 0
@@ -146,7 +142,8 @@ def _complete(folder: Path, config: RunConfig) -> bool:
     if not (folder / DOCUMENT).is_file():
         return False
     stored = read_document(folder)
-    if stored.get("config") != config.model_dump(mode="json", by_alias=True):
+    given = stored.get("configured", stored.get("config"))
+    if given != config.model_dump(mode="json", by_alias=True):
         raise ConfigError(
             f"output folder {folder} holds a model of another configuration",
             hint="Choose another name",

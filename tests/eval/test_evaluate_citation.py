@@ -6,7 +6,8 @@ import pytest
 
 from eval.evaluate import evaluate, evaluation_logs
 from training.config import load_config
-from training.pipeline import calibrate, configured_files, prepare_logs, split_logs
+from training.pipeline import calibrate, configured_files, prepare_logs
+from training.records import split_logs
 
 FLIGHTS = Path(__file__).parents[2] / ".." / "shared" / "data" / "flights"
 

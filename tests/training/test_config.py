@@ -122,8 +122,8 @@ def test_a_missing_file_names_the_shipped_ones(tmp_path):
         (
             HEAD + "[narx]\noutputs = ['N1_pct', 'Mach']",
             (
-                "[narx] outputs names 'Mach', which is one of [steady_state] inputs. "
-                "A model cannot be told what it has to say: take it out of one of them"
+                "'Mach' is an output in [narx] and an input in [steady_state]. "
+                "Remove it from one of them"
             ),
         ),
         (

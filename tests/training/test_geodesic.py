@@ -13,8 +13,7 @@ from tests.training.test_levenberg_marquardt import (
     linear_problem,
     rosenbrock,
 )
-from training import geodesic, levenberg_marquardt
-from training.levenberg_marquardt import Damping
+from training.levenberg_marquardt import Damping, minimise, minimise_geodesic
 
 
 class Curved(LeastSquares):
@@ -27,30 +26,30 @@ class Curved(LeastSquares):
         return np.stack(columns) @ bend
 
 
-def steps_to_the_end(module, start):
-    path = islice(module.minimise(Curved(rosenbrock), np.array(start)), 200)
+def steps_to_the_end(descend, start):
+    path = islice(descend(Curved(rosenbrock), np.array(start)), 200)
     return next(k for k, step in enumerate(path, 1) if step.loss < 1e-12)
 
 
 def test_rosenbrocks_valley_is_followed_in_fewer_steps_than_straight_ones_take():
     start = (-1.2, 1.0)
-    straight = steps_to_the_end(levenberg_marquardt, start)
-    assert steps_to_the_end(geodesic, start) < 0.7 * straight
+    straight = steps_to_the_end(minimise, start)
+    assert steps_to_the_end(minimise_geodesic, start) < 0.7 * straight
 
 
 def test_where_nothing_bends_the_step_is_straight():
     problem, matrix, target = linear_problem()
     curved = Curved(problem.residual)
     curved.curvature = lambda theta, _: np.zeros_like(theta)
-    *_, last = islice(geodesic.minimise(curved, np.ones(5), decay=3.0), 12)
+    *_, last = islice(minimise_geodesic(curved, np.ones(5), decay=3.0), 12)
     exact = np.linalg.solve(matrix.T @ matrix + 3.0 * np.eye(5), matrix.T @ target)
     np.testing.assert_allclose(last.theta, exact, rtol=1e-7)
 
 
 def test_the_optimum_is_that_of_straight_steps():
     start = np.array([1.0, 0.5, 0.0])
-    *_, bent = islice(geodesic.minimise(Curved(decay_curve), start), 40)
-    *_, straight = islice(levenberg_marquardt.minimise(Curved(decay_curve), start), 60)
+    *_, bent = islice(minimise_geodesic(Curved(decay_curve), start), 40)
+    *_, straight = islice(minimise(Curved(decay_curve), start), 60)
     np.testing.assert_allclose(bent.theta, straight.theta, rtol=1e-6)
 
 
@@ -59,16 +58,16 @@ def test_the_optimum_is_that_of_straight_steps():
 def test_every_step_goes_downhill(start, decay):
     theta = np.array(start)
     before = LeastSquares(rosenbrock).loss(theta) + 0.5 * decay * float(theta @ theta)
-    for step in islice(geodesic.minimise(Curved(rosenbrock), theta, decay), 30):
+    for step in islice(minimise_geodesic(Curved(rosenbrock), theta, decay), 30):
         assert step.loss < before
         before = step.loss
 
 
 def test_stopping_and_going_on_is_the_same_path():
     problem, start = Curved(decay_curve), np.array([5.0, 4.0, -3.0])
-    whole = list(islice(geodesic.minimise(problem, start), 10))
+    whole = list(islice(minimise_geodesic(problem, start), 10))
     kept = whole[3]
-    rest = islice(geodesic.minimise(problem, kept.theta, damping=kept.damping), 6)
+    rest = islice(minimise_geodesic(problem, kept.theta, damping=kept.damping), 6)
     for one, other in zip(whole[4:], rest, strict=True):
         assert np.array_equal(one.theta, other.theta)
         assert one.damping == other.damping
@@ -84,7 +83,7 @@ def test_a_step_that_bends_too_much_is_not_taken_before_it_is_short(bend):
         return np.full(2, bend) if len(asked) < 4 else np.zeros(2)
 
     problem.curvature = curvature
-    first = next(geodesic.minimise(problem, np.array([-1.2, 1.0]), damping=Damping(1.0)))
+    first = next(minimise_geodesic(problem, np.array([-1.2, 1.0]), damping=Damping(1.0)))
     assert len(asked) >= 4
     assert asked == sorted(asked, reverse=True)
     assert first.loss < problem.loss(np.array([-1.2, 1.0]))

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from narxcal.narx.network import NarxConfig, NarxModel, NarxNet, Scaling
 from narxcal.record import Record
-from training.network import merge_models, single_output
+from training.network import Material, merge_models
 
 INPUTS = 3
 
@@ -58,7 +58,7 @@ def test_one_network_is_left_as_it_is():
 def test_a_single_output_keeps_inputs_name_and_weight():
     weight = np.arange(4.0)
     record = Record(np.ones((4, 2)), np.arange(8.0).reshape(4, 2), "flight", weight)
-    part = single_output(record, 1)
+    (part,) = Material([record], [], 0.1).of_output(1).records
     assert part.y.tolist() == [[1.0], [3.0], [5.0], [7.0]]
     assert part.u is record.u
     assert (part.name, part.weight) == ("flight", weight)

@@ -15,16 +15,14 @@ from narxcal.lumped.lag import PARAMETERS, UNLIMITED, LagModel
 from narxcal.support.errors import ConfigError, DataError, ModelError
 from training.config import RunConfig, SplitConfig
 from training.pipeline import (
-    Split,
     TrainOptions,
     calibrate,
     calibration_for,
     configured_files,
-    deviation_record,
+    fuser_noise,
     prepare_logs,
-    sensor_and_model_noise,
-    split_logs,
 )
+from training.records import Split, deviation_record, split_logs
 
 DT_S, TAU_S = 0.1, 1.5
 TABLE = {
@@ -108,12 +106,13 @@ def test_a_split_without_training_logs_is_refused():
     )
 
 
-def test_logs_of_different_rasters_are_refused(tmp_path):
+def test_logs_of_different_sampling_intervals_are_refused(tmp_path):
     logs = [flight("a:l"), flight("b:l", dt_s=0.2)]
     with pytest.raises(DataError) as error:
         calibrate(config(), tmp_path, split_logs(logs, SplitConfig()))
     assert str(error.value) == (
-        "expected all logs on one raster, found 0.1 s in a:l, 0.2 s in b:l. Set raster_hz in [logs]"
+        "expected all logs at one sampling interval, found 0.1 s in a:l, 0.2 s in b:l. "
+        "Set raster_hz in [logs]"
     )
 
 
@@ -128,7 +127,7 @@ def test_an_unseen_flight_is_followed_in_free_run(bundle):
 
 def test_the_bundle_says_where_it_comes_from(bundle):
     meta = json.loads(json.dumps(bundle.meta))
-    assert RunConfig.parse(meta["config"]) == config()
+    assert RunConfig.parse(meta["configured"]) == config()
     assert meta["split"] == {
         "train": ["0.csv:left", "1.csv:left"],
         "validate": ["2.csv:left"],
@@ -147,7 +146,7 @@ def test_the_stored_noise_is_that_of_rows_as_they_are_recorded(bundle):
     """Logs are smoothed for training; a fuser that believed them would follow its sensors."""
     model, log = bundle.calibration, flight(seed=7, samples=4000)
     logs = [smooth(log, SmoothConfig(window=window)) for window in (1, 5)]
-    noises = [sensor_and_model_noise(model, Split((), (each,), ())) for each in logs]
+    noises = [fuser_noise(model, Split((), (each,), ())) for each in logs]
     for noise in noises:
         np.testing.assert_allclose(noise.measurement, [0.05**2, 0.5**2], rtol=0.1)
     measured = log.matrix(model.output_names)
@@ -331,10 +330,10 @@ def test_what_smoothing_took_is_that_of_the_logs_that_record_the_channel():
     lacking = Split((usual[0], without(usual[1], "EGT_C")), (), ()).with_outputs(
         ("N1_pct", "EGT_C")
     )
-    found = sensor_and_model_noise(bundle.calibration, lacking)
+    found = fuser_noise(bundle.calibration, lacking)
     assert found.measurement[1] >= usual[0].noise["EGT_C"]
     stopped_by = Split(lacking.train, lacking.train[1:], ())
-    assert sensor_and_model_noise(bundle.calibration, stopped_by).measurement[1] > 0.0
+    assert fuser_noise(bundle.calibration, stopped_by).measurement[1] > 0.0
 
 
 def test_an_output_that_no_training_log_records_is_refused():
@@ -344,3 +343,18 @@ def test_an_output_that_no_training_log_records_is_refused():
         "channel EGT_C: no log to train on has a sample of this output. Take it out of [narx] "
         "outputs, or add logs that hold it to [split] train"
     )
+
+
+def test_the_stored_configuration_is_the_resolved_one_and_trains_the_same_model(tmp_path, bundle):
+    stored = bundle.meta["config"]
+    assert "auto" not in (*stored["narx"].values(), *stored["steady_state"].values())
+    again = calibrate(RunConfig.parse(stored), tmp_path, split(2, 1, 1))
+    u = split(2, 1, 1).test[0].matrix(bundle.calibration.input_names)
+    np.testing.assert_array_equal(again.calibration.simulate(u), bundle.calibration.simulate(u))
+
+
+def test_weights_do_not_depend_on_the_number_of_threads(tmp_path, bundle):
+    table = config().train.model_copy(update={"threads": 7})
+    again = calibrate(config().model_copy(update={"train": table}), tmp_path, split(2, 1, 1))
+    u = split(2, 1, 1).test[0].matrix(bundle.calibration.input_names)
+    np.testing.assert_array_equal(again.calibration.simulate(u), bundle.calibration.simulate(u))

@@ -7,13 +7,8 @@ import pytest
 
 from narxcal.calibration.bundle import load_bundle, save_bundle
 from training.config import load_config
-from training.pipeline import (
-    calibrate,
-    calibration_for,
-    configured_files,
-    prepare_logs,
-    split_logs,
-)
+from training.pipeline import calibrate, calibration_for, configured_files, prepare_logs
+from training.records import split_logs
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 DATA = Path(__file__).parents[3] / "shared" / "data"

@@ -161,7 +161,8 @@ def dark_output():
 
 TOO_FEW = (
     "channel TRA_deg: expected at least 50 quasi-steady samples, found 49. "
-    "Loosen [steady_state.quasi_steady], add logs, or load the maker's model"
+    "Raise [quasi_steady] speed_pct or lower window_s, add logs, or set [steady_state] kind to "
+    "table, callable or fmu"
 )
 STANDS = (
     "channel TRA_deg: the driving channel stands at 40 in all quasi-steady samples, "
