@@ -1,4 +1,4 @@
-"""Channels that a recorder lacks and others imply: temperature over ISA, weight on wheels.
+"""Derive channels that a recorder lacks from others: Mach, temperature over ISA, weight on wheels.
 
 Channels are `(rows,)`, in canonical units.
 """
@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from pydantic import Field, PositiveFloat
 
-from narxcal.atmosphere import KELVIN, isa, static_temperature
-from narxcal.support.arrays import FloatArray
+from narxcal.atmosphere import KELVIN, SOUND_KT, T0_K, isa, mach_of_cas, static_temperature
+from narxcal.support.arrays import FloatArray, sample_and_hold
 from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class WeightOnWheels(Section):
     """WOW from airspeed: 1 below `below_kt`, 0 from `below_kt + hysteresis_kt` on.
 
-    In between the last decision stands, so that noise around the threshold does not chatter.
+    In between the last decision is kept, so that noise around the threshold does not switch it.
     """
 
     airspeed: Literal["CAS_kt", "TAS_kt"] = "CAS_kt"
@@ -33,8 +33,9 @@ class WeightOnWheels(Section):
 class DeriveConfig(Section):
     """TOML table `[logs.derive]`; a channel the file already has is never overwritten.
 
-    `dT_C` names the temperature it comes from; left out, it is derived whenever it is missing
-    and SAT_C, or else TAT_C and Mach, are there. `recovery` is that of the TAT probe.
+    Mach is derived whenever it is missing and CAS_kt and ALT_ft, or else TAS_kt and SAT_C, are
+    there. `dT_C` names the temperature it comes from; left out, it is derived whenever it is
+    missing and SAT_C, or else TAT_C and Mach, are there. `recovery` is that of the TAT probe.
     """
 
     dT_C: Literal["SAT_C", "TAT_C"] | None = None
@@ -48,41 +49,50 @@ def weight_on_wheels(airspeed_kt: FloatArray, rule: WeightOnWheels) -> FloatArra
     Before the first clear decision the nearer side of the threshold's middle counts; with no
     airspeed at all the answer is NaN.
     """
-    verdict = np.full(airspeed_kt.shape, np.nan)
-    verdict[airspeed_kt < rule.below_kt] = 1.0
-    verdict[airspeed_kt >= rule.below_kt + rule.hysteresis_kt] = 0.0
+    on_ground = np.full(airspeed_kt.shape, np.nan)
+    on_ground[airspeed_kt < rule.below_kt] = 1.0
+    on_ground[airspeed_kt >= rule.below_kt + rule.hysteresis_kt] = 0.0
     known = np.isfinite(airspeed_kt)
     if not known.any():
-        return verdict
+        return on_ground
     first = int(known.argmax())
-    if np.isnan(verdict[first]):
-        verdict[first] = float(airspeed_kt[first] < rule.below_kt + rule.hysteresis_kt / 2.0)
-    verdict[0] = verdict[first]
-    decided = np.where(np.isfinite(verdict), np.arange(len(verdict)), 0)
-    return np.asarray(verdict[np.maximum.accumulate(decided)])
+    if np.isnan(on_ground[first]):
+        on_ground[first] = float(airspeed_kt[first] < rule.below_kt + rule.hysteresis_kt / 2.0)
+    return sample_and_hold(on_ground)
 
 
 def derive(
     channels: Mapping[str, FloatArray], config: DeriveConfig, file: str
 ) -> dict[str, FloatArray]:
-    """Channels to add to `channels`, all `(time,)` on one raster.
+    """Return the channels to add to `channels`, all `(time,)` on one grid.
 
-    Raises `ConfigError` when an asked-for derivation lacks a channel.
+    Raises `ConfigError` where a configured derivation lacks a channel.
     """
     added: dict[str, FloatArray] = {}
+    if "Mach" not in channels and (mach := _mach(channels)) is not None:
+        added["Mach"] = mach
+    known = {**channels, **added}
     if "dT_C" not in channels:
-        source = config.dT_C or _temperature_source(channels)
+        source = config.dT_C or _temperature_source(known)
         if source:
             needed = ("SAT_C", "ALT_ft") if source == "SAT_C" else ("TAT_C", "Mach", "ALT_ft")
-            _require("dT_C", needed, channels, file)
-            static = channels[source]
+            _require("dT_C", needed, known, file)
+            static = known[source]
             if source == "TAT_C":
-                static = static_temperature(static, channels["Mach"], config.recovery)
-            added["dT_C"] = static + KELVIN - isa(channels["ALT_ft"])[0]
+                static = static_temperature(static, known["Mach"], config.recovery)
+            added["dT_C"] = static + KELVIN - isa(known["ALT_ft"])[0]
     if "WOW" not in channels and config.WOW is not None:
         _require("WOW", (config.WOW.airspeed,), channels, file)
         added["WOW"] = weight_on_wheels(channels[config.WOW.airspeed], config.WOW)
     return added
+
+
+def _mach(channels: Mapping[str, FloatArray]) -> FloatArray | None:
+    if {"CAS_kt", "ALT_ft"} <= channels.keys():
+        return mach_of_cas(channels["CAS_kt"], channels["ALT_ft"])
+    if {"TAS_kt", "SAT_C"} <= channels.keys():
+        return channels["TAS_kt"] / (SOUND_KT * np.sqrt((channels["SAT_C"] + KELVIN) / T0_K))
+    return None
 
 
 def _temperature_source(channels: Mapping[str, FloatArray]) -> str | None:

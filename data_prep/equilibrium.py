@@ -1,6 +1,7 @@
-"""Where a log stands still: the samples a steady-state model may be fitted to.
+"""Find the equilibrium parts of a log, and leave out where the engine does not run.
 
-Leaves out what no model here describes: the engine while it starts, stands or runs down.
+One detector serves the steady-state fit, the local trim and the ends of events: a sample is in
+equilibrium where no channel of interest moves by more than its band within a window.
 """
 
 from __future__ import annotations
@@ -10,22 +11,20 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, field_validator
 from scipy.ndimage import binary_dilation, binary_opening, maximum_filter1d, minimum_filter1d
 
 from data_prep.log import Audit, AuditEntry, Log
-from data_prep.recorded import recorded
 from narxcal.channels import channel
-from narxcal.support.arrays import BoolArray, FloatArray, spans
+from narxcal.support.arrays import BoolArray, FloatArray, bridge_gaps, long_runs, spans
 from narxcal.support.settings import Section
 
 
 class QuasiSteadyConfig(Section):
-    """A sample is quasi-steady if, in the window centred on it, nothing moves much.
+    """Bands of a quasi-steady sample, in the window of `window_s` centred on it.
 
-    `speed_pct` bounds the range of every speed channel in % and `driver_fraction` that of the
-    driver as a share of its own robust range in the log.
+    `speed_pct` is the band of every speed channel in % and `driver_fraction` that of the driver as
+    a share of its own robust range in the log.
     """
 
     window_s: float = Field(default=6.0, gt=0)
@@ -35,26 +34,42 @@ class QuasiSteadyConfig(Section):
 
 def quasi_steady(
     log: Log, driver: str, speeds: tuple[str, ...], config: QuasiSteadyConfig
-) -> NDArray[np.bool_]:
+) -> BoolArray:
     """Mark quasi-steady samples (time,); a sample with NaN in its window is not.
 
-    A speed of which the log has no sample at all says nothing.
+    A speed of which the log has no sample at all is left out.
     """
     # A window that reaches beyond the log sees no more than the log.
     size = 2 * min(round(0.5 * config.window_s / log.dt_s), len(log)) + 1
     values = log[driver]
     low, high = np.nanpercentile(values, [1, 99]) if np.isfinite(values).any() else (0.0, 0.0)
-    still = _range(values, size) <= config.driver_fraction * (high - low)
-    for name in recorded(log, speeds):
-        still &= _range(log[name], size) <= config.speed_pct
-    return still
+    bands = dict.fromkeys(log.recorded(speeds), config.speed_pct)
+    bands[driver] = min(config.driver_fraction * (high - low), bands.get(driver, np.inf))
+    return in_equilibrium(log, bands, size)
 
 
-def _range(values: FloatArray, size: int) -> FloatArray:
-    known = np.isfinite(values)
-    filled = np.where(known, values, 0.0)
-    width: FloatArray = maximum_filter1d(filled, size) - minimum_filter1d(filled, size)
-    return np.where(minimum_filter1d(known.astype(np.int8), size) == 1, width, np.inf)
+def in_equilibrium(
+    log: Log, bands: Mapping[str, float], size: int, *, ahead: bool = False, longest_gap: int = 0
+) -> BoolArray:
+    """Mark samples (time,) where no channel of `bands` moves by more than its band.
+
+    `bands` maps channels to their largest range (peak to peak, in their unit) within a window of
+    `size` samples, which is centred on the sample or, with `ahead`, begins there. A window with a
+    gap of more than `longest_gap` samples is not in equilibrium.
+    """
+    found = np.ones(len(log), dtype=np.bool_)
+    for name, band in bands.items():
+        found &= _swing(log[name], size, -(size // 2) if ahead else 0, longest_gap) <= band
+    return found
+
+
+def _swing(values: FloatArray, size: int, origin: int, longest_gap: int) -> FloatArray:
+    """Peak to peak (time,) in each window; infinite where it has a gap longer than that."""
+    filled = bridge_gaps(values)
+    width = maximum_filter1d(filled, size, origin=origin)
+    width = width - minimum_filter1d(filled, size, origin=origin)
+    gaps = long_runs(~np.isfinite(values), longest_gap).view(np.int8)
+    return np.where(maximum_filter1d(gaps, size, origin=origin) == 1, np.inf, width)
 
 
 # Below any idle, and about where starters let go.
@@ -64,7 +79,7 @@ USUAL: Mapping[str, float] = MappingProxyType({"N1_pct": 12.0, "N2_pct": 40.0})
 class RunningConfig(Section):
     """TOML table `[running]`: when an engine counts as running.
 
-    It stands where each of the channels of `above` that the log has is below its value for at
+    It does not where each of the channels of `above` that the log has is below its value for at
     least `least_s`. That, and `margin_s` before and after, is left out of the log, which is split
     there. An empty `above` keeps everything; so does a log in which the engine never runs.
     """
@@ -82,7 +97,7 @@ class RunningConfig(Section):
 
 
 def while_running(logs: Sequence[Log], config: RunningConfig) -> list[Log]:
-    """The stretches of logs in which the engine runs; the audit says how much went.
+    """Return the stretches of logs in which the engine runs; the audit counts what was left out.
 
     The first stretch keeps the log's name, the next ones are `NAME#2` and so on: numbers go on
     where a recording was split before.
@@ -98,7 +113,7 @@ def while_running(logs: Sequence[Log], config: RunningConfig) -> list[Log]:
 
 
 def _parts(log: Log, config: RunningConfig) -> list[Log]:
-    out = _standing(log, config)
+    out = _not_running(log, config)
     if not out.any() or out.all():
         return [log]
     least = max(2, round(config.margin_s / log.dt_s))
@@ -112,16 +127,16 @@ def _parts(log: Log, config: RunningConfig) -> list[Log]:
     return parts
 
 
-def _standing(log: Log, config: RunningConfig) -> BoolArray:
-    """Samples to leave out; a missing reading does not say that the engine stands."""
+def _not_running(log: Log, config: RunningConfig) -> BoolArray:
+    """Mark the samples to leave out; a missing reading is no sign that the engine does not run."""
     there = [name for name in config.above if name in log.channels]
     if not there:
         return np.zeros(len(log), dtype=np.bool_)
     below = np.all([log[name] < config.above[name] for name in there], axis=0)
     least, margin = (round(time / log.dt_s) for time in (config.least_s, config.margin_s))
-    # What stands at an end of the log stood before or goes on standing.
+    # What is below at an end of the log was so before or goes on so.
     padded = np.pad(below, least, mode="edge")
-    standing = binary_opening(padded, np.ones(max(least, 1), np.bool_))[least : least + len(log)]
-    if margin and standing.any():
-        standing = binary_dilation(standing, np.ones(3, np.bool_), iterations=margin)
-    return np.asarray(standing)
+    out = binary_opening(padded, np.ones(max(least, 1), np.bool_))[least : least + len(log)]
+    if margin and out.any():
+        out = binary_dilation(out, np.ones(3, np.bool_), iterations=margin)
+    return np.asarray(out)

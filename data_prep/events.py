@@ -8,12 +8,12 @@ from typing import Literal
 
 import numpy as np
 from pydantic import Field
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
+from data_prep.equilibrium import in_equilibrium
 from data_prep.log import Log
 from data_prep.moves import Driver, Move, find_moves
 from narxcal.channels import CHANNELS
-from narxcal.support.arrays import BoolArray, FloatArray, bridge_gaps, long_runs, noise_level
+from narxcal.support.arrays import BoolArray, bridge_gaps, noise_level, robust_range
 from narxcal.support.errors import DataError
 from narxcal.support.settings import Section
 
@@ -22,7 +22,6 @@ Speed = Literal["fast", "slow", "small"]
 PUSH, PULL = 0, 1
 AUTO = "auto"
 _USUAL = "WOW"
-_MOST_NAMED = 3
 
 # A lever at rest may toggle by its resolution; smaller changes than this part of the
 # channel's physical range are none. Outputs used as driver are judged by their own noise.
@@ -57,6 +56,15 @@ class EventsConfig(Section):
     settle_s: float = Field(default=3.0, gt=0)
     settle_fraction: float = Field(default=0.01, gt=0, lt=1)
     max_length_s: float = Field(default=60.0, gt=0)
+
+    def for_log(self, log: Log, outputs: Sequence[str]) -> EventsConfig:
+        """Return the same with the responses that `log` has; without any, all `outputs` it has.
+
+        An event ends when its responses have settled: one that is not recorded cannot, and with
+        none left every event would end with the last movement of the lever.
+        """
+        known = log.recorded(self.response) or log.recorded(outputs)
+        return self.model_copy(update={"response": known}) if known else self
 
 
 @dataclass(frozen=True)
@@ -123,22 +131,17 @@ def _allowed(log: Log, config: EventsConfig) -> BoolArray:
 
 
 def _condition(log: Log, config: EventsConfig) -> str:
-    """The channel that says where events may be; empty for everywhere."""
+    """The channel that allows events; empty where they may be everywhere."""
     if config.condition != AUTO:
         return config.condition
     return _USUAL if _USUAL in log.channels else ""
 
 
-def unconditional(logs: Sequence[Log], config: EventsConfig) -> str:
-    """What to say of logs in which nothing tells the ground from flight; empty if none is so."""
-    lacking = [log.name for log in logs if config.condition == AUTO and _USUAL not in log.channels]
-    if not lacking:
+def needs_condition(log: Log, config: EventsConfig) -> str:
+    """Warn of a log in which nothing separates the ground from flight; empty for others."""
+    if config.condition != AUTO or _USUAL in log.channels:
         return ""
-    more = f" and {len(lacking) - _MOST_NAMED} more" if len(lacking) > _MOST_NAMED else ""
-    return (
-        f"no {_USUAL} channel in {', '.join(lacking[:_MOST_NAMED])}{more}: events on the ground "
-        "count like those in flight"
-    )
+    return f"there is no {_USUAL} channel: events on the ground count like those in flight"
 
 
 def _least(driver: Driver, config: EventsConfig) -> float:
@@ -153,26 +156,15 @@ def _least(driver: Driver, config: EventsConfig) -> float:
 def _settled(log: Log, config: EventsConfig) -> BoolArray:
     """Mark sample k where driver and responses stay in their bands over `k:k + settle`."""
     size = max(2, round(config.settle_s / log.dt_s))
-    flags = np.ones(len(log), dtype=np.bool_)
-    for name in dict.fromkeys((config.driver, *config.response)):
-        flags &= _quiet(log[name], size, config.settle_fraction)
+    bands = {}
+    for name in (config.driver, *config.response):
+        if np.isfinite(log[name]).any():
+            low, high = robust_range(log[name])
+            noise = noise_level(bridge_gaps(log[name]))
+            bands[name] = config.settle_fraction * (high - low) + _PEAK_TO_PEAK * noise
+    flags = in_equilibrium(log, bands, size, ahead=True, longest_gap=size // 2)
     flags[max(0, len(log) - size + 1) :] = False
     return flags
-
-
-def _quiet(channel: FloatArray, size: int, fraction: float) -> BoolArray:
-    known = np.isfinite(channel)
-    if not known.any():
-        return np.ones(len(channel), dtype=np.bool_)
-    values = bridge_gaps(channel)
-    low, high = np.percentile(channel[known], (0.5, 99.5))
-    band = fraction * (high - low) + _PEAK_TO_PEAK * noise_level(values)
-    ahead = -(size // 2)
-    swing = maximum_filter1d(values, size, origin=ahead) - minimum_filter1d(
-        values, size, origin=ahead
-    )
-    lost = maximum_filter1d(long_runs(~known, size // 2).view(np.int8), size, origin=ahead)
-    return np.asarray((swing <= band) & (lost == 0))
 
 
 @dataclass(frozen=True)

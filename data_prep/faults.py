@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from data_prep.log import Log
-from data_prep.outliers import resolution, robust_range
 from narxcal.channels import CHANNELS
-from narxcal.support.arrays import BoolArray, FloatArray, noise_level, runs
+from narxcal.support.arrays import BoolArray, FloatArray, noise_level, robust_range, runs
 from narxcal.support.settings import Section
 
 Reason = Literal["frozen", "spiking", "out of range"]
@@ -54,6 +53,13 @@ class FaultsConfig(Section):
     excursion_s: float = Field(default=60.0, gt=0)
     burst_s: float = Field(default=2.0, gt=0)
     burst_count: int = Field(default=4, ge=2)
+
+
+def resolution(values: FloatArray) -> float:
+    """Estimate the step of a quantised channel: small among the changes that happen at all."""
+    steps = np.abs(np.diff(values))
+    steps = steps[steps > 0.0]
+    return float(np.percentile(steps, 5)) if len(steps) else 0.0
 
 
 def role(name: str) -> str:

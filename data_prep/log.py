@@ -98,6 +98,11 @@ class Log:
         """Sampling interval in seconds, from the whole span so that rounding does not show."""
         return float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)
 
+    def recorded(self, names: Sequence[str]) -> tuple[str, ...]:
+        """Return those of `names` of which the log has a sample."""
+        there = (name for name in names if name in self.channels)
+        return tuple(name for name in there if np.isfinite(self[name]).any())
+
     def matrix(self, names: Sequence[str]) -> FloatArray:
         """Stack the named channels into `(time, channel)`."""
         return np.column_stack([self[name] for name in names])

@@ -9,10 +9,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from narxcal.support.arrays import BoolArray, FloatArray, bridge_gaps, long_runs, noise_level, runs
+from narxcal.support.arrays import (
+    BoolArray,
+    FloatArray,
+    bridge_gaps,
+    long_runs,
+    noise_level,
+    robust_range,
+    runs,
+)
 
-# Robust percentiles of the driver: what lies between them is its range.
-_RANGE_PERCENT = (0.5, 99.5)
 # A change has to stand out of the driver's own noise by this many standard deviations.
 _NOISE_FACTOR = 8.0
 # The lever counts as moving while its rate exceeds this part of the move's peak rate.
@@ -52,9 +58,9 @@ class Driver:
         known = np.isfinite(channel)
         if not known.any():
             return cls(np.zeros_like(channel), ~known, 0.0, 0.0)
-        low, high = np.percentile(channel[known], _RANGE_PERCENT)
+        low, high = robust_range(channel)
         values = bridge_gaps(channel)
-        return cls(values, long_runs(~known, longest_gap), noise_level(values), float(high - low))
+        return cls(values, long_runs(~known, longest_gap), noise_level(values), high - low)
 
 
 def find_moves(driver: Driver, window: int, least: float, dt_s: float) -> list[Move]:

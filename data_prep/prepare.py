@@ -1,28 +1,43 @@
-"""From raw logs to prepared ones: the running engine's, cleaned, then smoothed.
-
-What a reader has to know of logs before any figure that rests on them.
-"""
+"""Prepare logs: the running engine's parts, cleaned and smoothed, with all warnings about them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from functools import cached_property
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from data_prep.clean import CleanConfig, clean
-from data_prep.config import LogsConfig
-from data_prep.equilibrium import USUAL, RunningConfig, while_running
-from data_prep.events import EventsConfig, unconditional
+from data_prep.config import ENGINE, LogsConfig
+from data_prep.equilibrium import (
+    USUAL,
+    QuasiSteadyConfig,
+    RunningConfig,
+    quasi_steady,
+    while_running,
+)
+from data_prep.events import Event, EventsConfig, find_events, needs_condition
 from data_prep.grid import SLOW
-from data_prep.log import Log
-from data_prep.recorded import NOT_RECORDED, unrecorded
-from data_prep.smooth import SmoothConfig, smooth
+from data_prep.log import AuditEntry, Log
+from data_prep.smooth import SmoothConfig, blurs, smooth
+from narxcal.support.arrays import BoolArray, sample_and_hold
+from narxcal.support.errors import DataError
+
+NOT_RECORDED = "not recorded"
+_SPEEDS = ("N1_pct", "N2_pct")
+_MANY = 0.1  # share of a recording's rows
+_TOLERANCE_S = 0.25  # within which Ti and Tt have to agree (FAA 14 CFR part 60)
+_MOST_NAMED = 3  # logs in one line
 
 
-class Sections(Protocol):
-    """Whatever holds the three tables: the whole run configuration, or `Preparation`."""
+class Tables(Protocol):
+    """Whatever has the tables: the whole run configuration, or `Preparation`."""
+
+    @property
+    def logs(self) -> LogsConfig:
+        """Table `[logs]`."""
 
     @property
     def running(self) -> RunningConfig:
@@ -36,92 +51,108 @@ class Sections(Protocol):
     def smooth(self) -> SmoothConfig:
         """Table `[smooth]`."""
 
+    @property
+    def events(self) -> EventsConfig:
+        """Table `[events]`."""
+
+    @property
+    def quasi_steady(self) -> QuasiSteadyConfig:
+        """Table `[quasi_steady]`."""
+
 
 @dataclass(frozen=True)
 class Preparation:
-    """The three tables alone, for use without a run configuration."""
+    """The tables alone, for use without a run configuration."""
 
+    logs: LogsConfig = field(default_factory=LogsConfig)
+    running: RunningConfig = field(default_factory=RunningConfig)
     clean: CleanConfig = field(default_factory=CleanConfig)
     smooth: SmoothConfig = field(default_factory=SmoothConfig)
-    running: RunningConfig = field(default_factory=RunningConfig)
+    events: EventsConfig = field(default_factory=EventsConfig)
+    quasi_steady: QuasiSteadyConfig = field(default_factory=QuasiSteadyConfig)
 
 
-def prepare(logs: Sequence[Log], sections: Sections | None = None) -> list[Log]:
-    """Leave out where the engine stands, then clean and smooth; the audit says what changed."""
-    wanted = sections or Preparation()
-    runs = while_running(logs, wanted.running)
-    return [smooth(clean(log, wanted.clean), wanted.smooth) for log in runs]
+class LogWarning(NamedTuple):
+    """What a reader has to know of one log before any figure that rests on it.
 
-
-_MANY = 0.1  # share of a recording's rows
-_TOLERANCE_S = 0.25  # what the rules for Ti and Tt allow (FAA 14 CFR part 60)
-
-
-def cautions(
-    logs: Sequence[Log],
-    events: EventsConfig,
-    outputs: Sequence[str] = (),
-    mapping: LogsConfig = LogsConfig(),  # noqa: B008 (it cannot be changed)
-) -> list[str]:
-    """Sentences without a full stop; none where there is nothing to say.
-
-    `outputs` are those of the model, and `mapping` says in which columns they were looked for.
+    `text` is a sentence without the log's name and without a full stop.
     """
-    said = (
-        *map(crowded, logs),
-        *map(never_runs, logs),
-        *map(all_masked, logs),
-        *(unrecorded(log, outputs, mapping) for log in logs),
-        *(seldom(log, events) for log in logs),
-        unconditional(logs, events),
-    )
-    return [text for text in said if text]
+
+    log: str
+    kind: str
+    text: str
 
 
-def never_runs(log: Log) -> str:
-    """What to say of a log whose speeds stay below any idle: they may be ratios, not percent."""
-    highest = {
-        name: float(np.nanmax(log[name]))
-        for name in USUAL
-        if name in log.channels and np.isfinite(log[name]).any()
-    }
-    if not highest or any(value >= USUAL[name] for name, value in highest.items()):
-        return ""
-    told = " and ".join(f"{name} {value:.3g} %" for name, value in highest.items())
-    return f"{log.name}: the engine never runs, at most {told}: is the unit right?"
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A cleaned and smoothed log; its events, equilibrium and warnings are found when first used.
+
+    `outputs` are those of the model, so far as there is one.
+    """
+
+    log: Log
+    tables: Tables
+    outputs: tuple[str, ...] = ()
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """Pushes and pulls in order of time; raises as `data_prep.events.find_events`."""
+        return tuple(find_events(self.log, self.tables.events.for_log(self.log, self.outputs)))
+
+    @cached_property
+    def equilibrium(self) -> BoolArray:
+        """The quasi-steady samples (time,)."""
+        speeds = tuple(name for name in self.outputs if name in _SPEEDS)
+        return quasi_steady(self.log, self.tables.events.driver, speeds, self.tables.quasi_steady)
+
+    @cached_property
+    def warnings(self) -> tuple[LogWarning, ...]:
+        """All warnings about the log."""
+        found = {
+            "crowded": _crowded(self.log),
+            "unit": _never_runs(self.log),
+            "masked": _all_masked(self.log),
+            "outputs": _unrecorded(self.log, self.outputs, self.tables.logs),
+            "rate": _seldom(self.log, self.tables.events),
+            "condition": needs_condition(self.log, self.tables.events),
+            "window": blurs(self.tables.smooth, self.log.dt_s),
+        }
+        return tuple(LogWarning(self.log.name, kind, text) for kind, text in found.items() if text)
 
 
-def seldom(log: Log, events: EventsConfig) -> str:
-    """What to say of a log whose events can be read no better than the rules ask; else empty."""
-    filled = {entry.channel: entry.samples for entry in log.audit.entries if entry.reason == SLOW}
-    told = []
-    for name in dict.fromkeys((events.driver, *events.response)):
-        if name not in log.channels:
-            continue
-        known = max(int(np.isfinite(log[name]).sum()), 1)
-        every_s = log.dt_s * known / max(known - filled.get(name, 0), 1)
-        if every_s > _TOLERANCE_S:
-            told.append(f"{name} about every {every_s:.1g} s")
-    if not told:
-        return ""
-    return (
-        f"{log.name}: recorded are {' and '.join(told)}, while Ti and Tt have to agree within "
-        f"{_TOLERANCE_S} s: what they say rests on interpolation"
-    )
+def prepare(
+    logs: Sequence[Log], tables: Tables | None = None, outputs: Sequence[str] = ()
+) -> list[Prepared]:
+    """Leave out where the engine does not run, clean and smooth; the audit counts what changed."""
+    wanted = tables or Preparation()
+    running = while_running(logs, wanted.running)
+    ready = (smooth(clean(log, wanted.clean), wanted.smooth) for log in running)
+    return [Prepared(log, wanted, tuple(outputs)) for log in ready]
 
 
-def all_masked(log: Log) -> str:
-    """What to say of channels of which cleaning left nothing; empty if it left some of each."""
-    masked = {name: why for name, why in log.audit.masked().items() if NOT_RECORDED not in why}
-    empty = [name for name, values in log.channels.items() if not np.isfinite(values).any()]
-    told = [f"{name} ({', '.join(masked[name])})" for name in empty if name in masked]
-    if not told:
-        return ""
-    return f"{log.name}: no sample is left of {', '.join(told)}: check column and unit"
+def cautions(logs: Iterable[Log], tables: Tables, outputs: Sequence[str] = ()) -> list[str]:
+    """Return the warnings about prepared logs, those of one kind in one line if they are many."""
+    found: dict[str, list[LogWarning]] = {}
+    for log in logs:
+        for warning in Prepared(log, tables, tuple(outputs)).warnings:
+            found.setdefault(warning.kind, []).append(warning)
+    return [line for group in found.values() for line in _lines(group)]
 
 
-def crowded(log: Log) -> str:
-    """What to say of a log that lost many rows to equal stamps; empty for others."""
+def _lines(group: Sequence[LogWarning]) -> Iterator[str]:
+    """Join warnings of one kind: the same text once, many texts by the first one and a count."""
+    if len({warning.text for warning in group}) == 1:
+        names = ", ".join(warning.log for warning in group[:_MOST_NAMED])
+        more = len(group) - _MOST_NAMED
+        yield f"{names}{f' and {more} more' if more > 0 else ''}: {group[0].text}"
+    elif len(group) <= _MOST_NAMED:
+        yield from (f"{warning.log}: {warning.text}" for warning in group)
+    else:
+        yield f"{group[0].log} and, likewise, {len(group) - 1} more: {group[0].text}"
+
+
+def _crowded(log: Log) -> str:
+    """Warn of a log that lost many rows to equal stamps."""
     lost: dict[str, int] = {}
     for entry in log.audit.entries:
         if entry.reason == "duplicate time stamp":
@@ -130,6 +161,115 @@ def crowded(log: Log) -> str:
     if most <= _MANY * (len(log) + most):
         return ""
     return (
-        f"{log.name}: {most} rows have the time stamp of the row before and were left out; its "
-        "stamps are coarser than its rows"
+        f"{most} rows have the time stamp of the row before and were left out; its stamps are "
+        "coarser than its rows"
     )
+
+
+def _never_runs(log: Log) -> str:
+    """Warn of speeds that stay below any idle: they may be ratios, not percent."""
+    highest = {name: float(np.nanmax(log[name])) for name in log.recorded(tuple(USUAL))}
+    if not highest or any(value >= USUAL[name] for name, value in highest.items()):
+        return ""
+    most = " and ".join(f"{name} {value:.3g} %" for name, value in highest.items())
+    return f"the engine never runs, at most {most}: is the unit right?"
+
+
+def _all_masked(log: Log) -> str:
+    """Warn of channels of which cleaning left nothing."""
+    masked = {name: why for name, why in log.audit.masked().items() if NOT_RECORDED not in why}
+    empty = [name for name, values in log.channels.items() if not np.isfinite(values).any()]
+    named = [f"{name} ({', '.join(masked[name])})" for name in empty if name in masked]
+    return f"no sample is left of {', '.join(named)}: check column and unit" if named else ""
+
+
+def _seldom(log: Log, events: EventsConfig) -> str:
+    """Warn of channels whose sampling interval exceeds the tolerance on Ti and Tt."""
+    filled = {entry.channel: entry.samples for entry in log.audit.entries if entry.reason == SLOW}
+    slow = []
+    for name in dict.fromkeys((events.driver, *events.response)):
+        if name not in log.channels:
+            continue
+        known = max(int(np.isfinite(log[name]).sum()), 1)
+        every_s = log.dt_s * known / max(known - filled.get(name, 0), 1)
+        if every_s > _TOLERANCE_S:
+            slow.append(f"{name} is sampled every {every_s:.1g} s")
+    if not slow:
+        return ""
+    return (
+        f"{' and '.join(slow)}, coarser than the tolerance of {_TOLERANCE_S} s on Ti and Tt: these "
+        "times are limited by interpolation"
+    )
+
+
+def _unrecorded(log: Log, outputs: Sequence[str], config: LogsConfig) -> str:
+    """Warn of outputs that the log lacks, with the columns they were looked for in."""
+    lacking = [
+        f"{name}{_column(name, config, log.source.engine)}"
+        for name in outputs
+        if name not in log.channels or NOT_RECORDED in log.audit.masked().get(name, {})
+    ]
+    if not lacking:
+        return ""
+    are, by = ("is", "it") if len(lacking) == 1 else ("are", "them")
+    return f"{', '.join(lacking)} {are} not recorded: nothing is learned or judged by {by}"
+
+
+def _column(name: str, config: LogsConfig, engine: str) -> str:
+    """Name the column, if it is not the channel's own name."""
+    if name not in config.columns:
+        return ""
+    column = config.columns[name].column.replace(ENGINE, config.engines.get(engine, ""))
+    return f" (column '{column}')"
+
+
+def with_outputs(log: Log, outputs: Sequence[str]) -> Log:
+    """Add the outputs of a model that the log lacks as NaN (time,), with an audit entry.
+
+    A flight without a temperature probe still describes the spools; scores and Ti/Tt skip the
+    channel without a sample. Raises `DataError` for a log that has none of them.
+    """
+    lacking = [name for name in outputs if name not in log.channels]
+    if not lacking:
+        return log
+    if len(lacking) == len(outputs):
+        raise DataError(
+            f"the log has none of the outputs {', '.join(outputs)}",
+            file=log.name,
+            hint="Map one of them under [logs.columns], or run the model alone by narxcal simulate."
+            f" The log has {', '.join(log.channels)}",
+        )
+    masked = [AuditEntry(name, "masked", NOT_RECORDED, len(log)) for name in lacking]
+    return log.with_channels({name: np.full(len(log), np.nan) for name in lacking}, *masked)
+
+
+def hold_inputs(log: Log, names: Sequence[str]) -> Log:
+    """Fill masked samples of the named channels by sample-and-hold, and count them.
+
+    A free run cannot step over a gap in its inputs. Raises `DataError` for a channel that the log
+    lacks or has no valid sample of.
+    """
+    completed, entries = {}, []
+    for name in names:
+        if name not in log.channels:
+            raise DataError(
+                "an input of the model is not in the log",
+                file=log.name,
+                channel=name,
+                hint=f"Map it under [logs.columns], if need be as {name} = {{ constant = ... }}, "
+                f"or take it out of [steady_state] inputs. The log has {', '.join(log.channels)}",
+            )
+        values = log[name]
+        missing = int((~np.isfinite(values)).sum())
+        if not missing:
+            continue
+        if missing == len(values):
+            raise DataError(
+                "an input of the model has no valid sample",
+                file=log.name,
+                channel=name,
+                hint="Map another column to it, or leave the log out",
+            )
+        completed[name] = sample_and_hold(values)
+        entries.append(AuditEntry(name, "filled", "held for the model", missing))
+    return log.with_channels(completed, *entries) if completed else log

@@ -1,4 +1,4 @@
-"""Pearson ranking: which channel drives the engine, per flight."""
+"""Rank the channels that may drive the engine by their correlation with its outputs."""
 
 from __future__ import annotations
 
@@ -34,17 +34,14 @@ def pearson(log: Log, inputs: Sequence[str], outputs: Sequence[str]) -> pd.DataF
 
 
 def _rho(first: FloatArray, second: FloatArray) -> tuple[float, str]:
-    both = np.isfinite(first) & np.isfinite(second)
-    if both.sum() < 2:
+    pair = pd.DataFrame({"{source}": first, "{target}": second}).dropna()
+    if len(pair) < 2:
         return float("nan"), "{source} and {target} have fewer than two samples in common"
-    centred = []
-    for values, name in ((first[both], "{source}"), (second[both], "{target}")):
-        deviation = values - values.mean()
+    for name, values in pair.items():
         # Rounding leaves a constant channel a deviation of some units in the last place.
-        if np.abs(deviation).max() <= 1e-12 * np.abs(values).max():
+        if (values - values.mean()).abs().max() <= 1e-12 * values.abs().max():
             return float("nan"), f"{name} is constant"
-        centred.append(deviation / np.linalg.norm(deviation))
-    return float(np.clip(centred[0] @ centred[1], -1.0, 1.0)), ""
+    return float(pair["{source}"].corr(pair["{target}"])), ""
 
 
 def flight_table(logs: Sequence[Log], inputs: Sequence[str], output: str) -> pd.DataFrame:

@@ -51,9 +51,8 @@ def _usual(interval_s: float) -> int:
     return max(1, fitting - 1 + fitting % 2)
 
 
-def blurs(config: SmoothConfig, logs: Sequence[Log]) -> str:
-    """What to say of a window that blurs fast movements; empty for one that does not."""
-    interval_s = max(log.dt_s for log in logs)
+def blurs(config: SmoothConfig, interval_s: float) -> str:
+    """Warn of a window that blurs fast movements of a log of this interval; empty for others."""
     window = config.window_at(interval_s)
     if window == 1 or config.window == "auto" or window * interval_s <= _LONGEST_S:
         return ""

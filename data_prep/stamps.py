@@ -51,8 +51,6 @@ _LATEST_S = 1e11  # later than any clock that counts seconds
 _SHARED = 1.5  # rows per stamp: then most are no accident
 MIDNIGHT = "clock starts anew at midnight"  # why stamps are moved by whole days
 FULL_HOUR = "clock of minutes starts anew each hour"  # and by whole hours
-# How stamps are printed: milliseconds of a date stay, and the last bits of a sum do not show.
-PRINTED = "%.15g"
 
 
 @dataclass(frozen=True)

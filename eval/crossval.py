@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from data_prep.log import Log
-from data_prep.recorded import recorded, with_outputs
+from data_prep.prepare import with_outputs
 from eval.evaluate import EvaluateConfig, LogEvaluation, Task, judge_log, run_config
 from eval.scores import score
 from eval.tally import tally
@@ -200,7 +200,7 @@ def _plans(
 def _learnable(plans: Sequence[Plan], outputs: Sequence[str]) -> Sequence[Plan]:
     """The plans; `DataError` where one holds back every sample of an output."""
     for plan in plans:
-        known = {name for part in plan.train for name in recorded(part.log, outputs)}
+        known = {name for part in plan.train for name in part.log.recorded(outputs)}
         for name in outputs:
             if name not in known:
                 raise DataError(

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from data_prep.hold import hold_inputs
+from data_prep.prepare import hold_inputs
 from narxcal.calibration.fuser import FastFuser
 from narxcal.calibration.fuser_config import FuserConfig
 from narxcal.calibration.noise import estimate_noise

@@ -22,9 +22,8 @@ from pydantic import Field
 
 from data_prep.events import Event, find_events
 from data_prep.log import Log
-from data_prep.prepare import prepare
+from data_prep.prepare import prepare, with_outputs
 from data_prep.reading import read_logs
-from data_prep.recorded import events_config, with_outputs
 from eval.free_run import BASELINES, MODEL, Runs, run_log, trimmed
 from eval.rules import rules as rules_of
 from eval.scores import ChannelScores, score
@@ -98,7 +97,7 @@ def judge_log(bundle: Bundle, config: RunConfig, log: Log, task: Task) -> LogEva
     settings, outputs = task.settings, bundle.calibration.output_names
     log = with_outputs(log, outputs)
     runs, untrimmed = run_log(bundle, config, log), {}
-    responses = events_config(log, config.events, outputs)
+    responses = config.events.for_log(log, outputs)
     events = find_events(log, responses) if task.events is None else task.events
     if task.trim is not None:
         until = rows_for_trim(task.trim, len(log))
@@ -326,7 +325,7 @@ def evaluation_logs(bundle: Bundle, files: Sequence[Path] | None = None) -> list
     else:
         logs = read_logs(config.logs.resolve(Path(str(bundle.meta.get("base", ".")))), reading)
         chosen = split_logs(logs, config.split).test or logs
-    return [with_outputs(log, outputs) for log in prepare(chosen, config)]
+    return [with_outputs(one.log, outputs) for one in prepare(chosen, config)]
 
 
 def evaluate(

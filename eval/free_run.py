@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from data_prep.equilibrium import quasi_steady
-from data_prep.hold import hold_inputs
 from data_prep.log import Log
+from data_prep.prepare import hold_inputs
 from eval.trim import Trim, TrimConfig, TrimSamples, estimate_trim
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import DynamicCalibration

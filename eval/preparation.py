@@ -1,4 +1,4 @@
-"""What `prepare` finds out about one log: events, ranking, and what each smoothing window does."""
+"""What `narxcal prepare` reports of one log: events, ranking, and what smoothing windows do."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 
 from data_prep.clean import clean
-from data_prep.events import PUSH, Event, find_events
+from data_prep.events import PUSH, Event
 from data_prep.log import Log
+from data_prep.prepare import Prepared
 from data_prep.ranking import STRONG, pearson, ranked
-from data_prep.recorded import events_config
 from data_prep.smooth import compare_windows, frequency_response, moving_average, smooth
 from eval.report.building import log_page, traces_of
 from eval.report.content import LogPage, WindowTrial
@@ -27,24 +27,33 @@ _LEAD_S = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Prepared:
+class LogReport:
     """One prepared log and what was found in it.
 
     `ranking` has inputs as rows, strongest first, and outputs as columns; `windows` is that of
     `data_prep.smooth.compare_windows` on the cleaned log, and `trial` its figure.
     """
 
-    log: Log
-    events: tuple[Event, ...]
+    prepared: Prepared
     ranking: pd.DataFrame
     windows: pd.DataFrame
     trial: WindowTrial
-    driver: str
+
+    @property
+    def log(self) -> Log:
+        """The prepared log."""
+        return self.prepared.log
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """Its pushes and pulls."""
+        return self.prepared.events
 
     def page(self) -> LogPage:
         """Turn into the record that the HTML page shows."""
         traces = traces_of(self.log, list(self.ranking.columns))
-        return replace(log_page(self.log, self.driver, traces, self.events), pearson=self.ranking)
+        driver = self.prepared.tables.events.driver
+        return replace(log_page(self.log, driver, traces, self.events), pearson=self.ranking)
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON: the log in figures, its audit, its events by kind."""
@@ -81,14 +90,15 @@ class Prepared:
 _SPEEDS = ("fast", "slow", "small")
 
 
-def study(raw: Log, config: RunConfig) -> Prepared:
-    """Clean and smooth `raw` as `config` says, and look at the result.
+def examine(raw: Log, config: RunConfig) -> LogReport:
+    """Clean and smooth `raw` by the tables of `config`, and describe the result.
 
     Raises `DataError` for a log without the driver or without any of the outputs.
     """
     cleaned = clean(raw, config.clean)
     log = smooth(cleaned, config.smooth)
-    events = tuple(find_events(log, events_config(log, config.events, config.narx.outputs)))
+    prepared = Prepared(log, config, config.narx.outputs)
+    events = prepared.events
     outputs = [name for name in config.narx.outputs if name in log.channels]
     if not outputs:
         raise DataError(
@@ -99,28 +109,26 @@ def study(raw: Log, config: RunConfig) -> Prepared:
     window = config.smooth.window_at(log.dt_s)
     sizes = sorted({*WINDOWS, window})
     windows = compare_windows(cleaned, outputs, sizes)
-    return Prepared(
-        log=log,
-        events=events,
+    return LogReport(
+        prepared,
         ranking=ranked(pearson(log, _candidates(log, config), outputs)),
         windows=windows,
         trial=_trial(cleaned, events, windows, window),
-        driver=config.events.driver,
     )
 
 
-def events_table(studies: Sequence[Prepared]) -> pd.DataFrame:
+def events_table(reports: Sequence[LogReport]) -> pd.DataFrame:
     """One row per event of all logs."""
     columns = [*Event.__dataclass_fields__]
-    rows = [asdict(event) for one in studies for event in one.events]
+    rows = [asdict(event) for one in reports for event in one.events]
     return pd.DataFrame(rows, columns=columns)
 
 
-def pearson_table(studies: Sequence[Prepared]) -> pd.DataFrame:
+def pearson_table(reports: Sequence[LogReport]) -> pd.DataFrame:
     """One row per log, input and output: rho, and whether it is strong (|rho| >= 0.8)."""
     rows = [
         {"log": one.log.name, "input": source, "output": target, "rho": rho}
-        for one in studies
+        for one in reports
         for target in one.ranking.columns
         for source, rho in one.ranking[target].items()
     ]
@@ -128,9 +136,9 @@ def pearson_table(studies: Sequence[Prepared]) -> pd.DataFrame:
     return table.assign(strong=table["rho"].abs() >= STRONG)
 
 
-def windows_table(studies: Sequence[Prepared]) -> pd.DataFrame:
+def windows_table(reports: Sequence[LogReport]) -> pd.DataFrame:
     """One row per log, channel and window."""
-    return pd.concat([one.windows.assign(log=one.log.name) for one in studies], ignore_index=True)
+    return pd.concat([one.windows.assign(log=one.log.name) for one in reports], ignore_index=True)
 
 
 def _candidates(log: Log, config: RunConfig) -> list[str]:

@@ -42,10 +42,9 @@ from typing import TYPE_CHECKING, Any
 
 from data_prep.csv_source import Pace
 from data_prep.reading import LogFile
-from data_prep.stamps import PRINTED
 from narxcal.channels import CHANNELS
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import atomic_stream
+from narxcal.support.files import TIME_FORMAT, atomic_stream
 from narxcal.support.interrupt import held_interrupt
 
 if TYPE_CHECKING:
@@ -559,7 +558,7 @@ def _lines(rows: Rows, engine: str | None) -> list[tuple[float, str]]:
     results = np.stack([rows.prediction, rows.fused, rows.innovation], axis=2)
     table = np.column_stack([rows.time_s, results.reshape(len(rows.time_s), 3 * n_out)]).tolist()
     flags = np.column_stack([rows.inside, rows.held, rows.gap]).astype(int).tolist()
-    form = ",".join([PRINTED, *([engine] if engine else []), *["%.10g"] * (3 * n_out)])
+    form = ",".join([TIME_FORMAT, *([engine] if engine else []), *["%.10g"] * (3 * n_out)])
     tail = ",%d,%d,%d\n"
     return [
         (row[0], (form % tuple(row)).replace("nan", "") + tail % tuple(flag))

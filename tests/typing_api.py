@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from data_prep import Audit, AuditEntry, Event, EventsConfig, Log, find_events, read_logs
 from data_prep.clean import CleanConfig, clean
-from data_prep.prepare import prepare
+from data_prep.prepare import Prepared, prepare
 from data_prep.smooth import SmoothConfig, smooth
 from eval import transients
 from eval.transients import Assessment, Overlay, TransientsConfig
@@ -66,7 +66,7 @@ config: RunConfig
 folder: Path
 config, folder = load_config("demo.toml")
 raw: list[Log] = read_logs(config.logs.resolve(folder), config.logs)
-prepared: list[Log] = prepare(raw, config)
+prepared: list[Prepared] = prepare(raw, config)
 smoothed: Log = smooth(clean(raw[0], CleanConfig()), SmoothConfig(window=11))
 found: list[Event] = find_events(smoothed, config.events)
 

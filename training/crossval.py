@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from data_prep.events import Event, EventsConfig, find_events
-from data_prep.hold import hold_inputs
 from data_prep.log import Log
-from data_prep.recorded import events_config
+from data_prep.prepare import hold_inputs
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.errors import DataError
 from narxcal.support.parallel import in_processes
@@ -114,7 +113,7 @@ def leave_one_flight_out(
         )
     whole = {}
     for log in logs:
-        found = tuple(find_events(log, events_config(log, events, outputs)))
+        found = tuple(find_events(log, events.for_log(log, outputs)))
         whole[log.name] = Segment(log, 0, len(log), found)
     return [
         Plan(
@@ -137,7 +136,7 @@ def random_splits(
     Training segments that follow each other are joined, which spares the network starts from
     an unknown history; test segments stay one event each.
     """
-    responses = {log.name: events_config(log, events, outputs) for log in logs}
+    responses = {log.name: events.for_log(log, outputs) for log in logs}
     segments = [
         part for log in logs for part in cut_segments(log, responses[log.name], config.lead_s)
     ]

@@ -17,11 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from data_prep.hold import hold_inputs
 from data_prep.log import Log
-from data_prep.prepare import prepare
+from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
-from data_prep.recorded import recorded
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.calibration.noise import NoiseModel, estimate_noise
@@ -76,8 +74,8 @@ def prepare_logs(config: RunConfig, files: Sequence[Path], dt_s: float | None = 
     reading = config.logs
     if dt_s is not None:
         reading = reading.model_copy(update={"raster_hz": 1.0 / dt_s})
-    logs = prepare(read_logs(files, reading), config)
-    return [hold_inputs(log, config.steady_state.inputs) for log in logs]
+    prepared = prepare(read_logs(files, reading), config)
+    return [hold_inputs(one.log, config.steady_state.inputs) for one in prepared]
 
 
 def calibrate(
@@ -200,7 +198,7 @@ def fuser_noise(calibration: DynamicCalibration, split: Split) -> NoiseModel:
     """
     outputs = calibration.output_names
     logs = split.validate or split.train
-    if any(not any(recorded(log, [name]) for log in logs) for name in outputs):
+    if any(not any(log.recorded([name]) for log in logs) for name in outputs):
         logs = (*split.validate, *split.train)
     measured, predicted = [], []
     for log in logs:
@@ -214,7 +212,7 @@ def fuser_noise(calibration: DynamicCalibration, split: Split) -> NoiseModel:
 
 def _smoothed_away(name: str, logs: Sequence[Log]) -> float:
     """Variance of the noise that smoothing removed, over the logs that record the channel."""
-    found = [log.noise.get(name, 0.0) for log in logs if recorded(log, [name])]
+    found = [log.noise.get(name, 0.0) for log in logs if log.recorded([name])]
     return float(np.mean(found))
 
 

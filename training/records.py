@@ -35,9 +35,8 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from data_prep.equilibrium import quasi_steady
-from data_prep.hold import hold_inputs
 from data_prep.log import Log
-from data_prep.recorded import recorded, with_outputs
+from data_prep.prepare import hold_inputs, with_outputs
 from narxcal.calibration.calibration import narx_features, steady_for_engine
 from narxcal.lumped.lag import LagModel, speeds_of
 from narxcal.lumped.lag_governed import AnyLags
@@ -317,7 +316,7 @@ class Split:
         """
         parts = (self.train, self.validate)
         train, validate = (tuple(with_outputs(log, outputs) for log in part) for part in parts)
-        known = {name for log in train for name in recorded(log, outputs)}
+        known = {name for log in train for name in log.recorded(outputs)}
         for name in outputs:
             if name not in known:
                 raise DataError(

@@ -24,8 +24,8 @@ from pathlib import Path
 import numpy as np
 
 from data_prep.equilibrium import quasi_steady
-from data_prep.hold import hold_inputs
 from data_prep.log import Log
+from data_prep.prepare import hold_inputs
 from narxcal.channels import CHANNELS
 from narxcal.steady.fitted import Layout
 from narxcal.steady.model import SteadyStateModel

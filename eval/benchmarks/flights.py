@@ -17,9 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from data_prep.hold import hold_inputs
 from data_prep.log import Log
-from data_prep.prepare import prepare
+from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
 from eval.benchmarks.row import Bound, Row
 from eval.evaluate import Evaluation, evaluate, evaluation_logs, run_config
@@ -102,7 +101,7 @@ def campaign_rows(
 ) -> Iterator[Row]:
     """Every flight in turn as the test flight, then the time to train on all of them."""
     base, files = where
-    logs = prepare(read_logs(files, config.logs), config)
+    logs = [one.log for one in prepare(read_logs(files, config.logs), config)]
     for plan in leave_one_flight_out(logs, config.events):
         train = [part.log for part in plan.train]
         test = [part.log for part in plan.test]

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from data_prep.hold import hold_inputs
 from data_prep.log import Log
+from data_prep.prepare import hold_inputs
 from eval.gap.blocks import block_means
 from eval.gap.claimed import Values, claimed_in, settings, with_effects
 from eval.gap.document import SCHEMA

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from data_prep.hold import hold_inputs
 from data_prep.log import Log
+from data_prep.prepare import hold_inputs
 from narxcal.channels import CHANNELS
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError

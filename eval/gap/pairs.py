@@ -15,8 +15,8 @@ import numpy as np
 
 from data_prep.clean import clean
 from data_prep.faults import out_of_range
-from data_prep.hold import hold_inputs
 from data_prep.log import AuditEntry, Log
+from data_prep.prepare import hold_inputs
 from eval.gap.data import Pair
 from eval.gap.log_folders import pair_up, read_folder
 from eval.gap.pair_inputs import inputs_of, is_input

@@ -23,11 +23,10 @@ import numpy as np
 from data_prep.clean import clean
 from data_prep.config import LogsConfig
 from data_prep.events import PUSH, Event, EventsConfig, find_events
-from data_prep.hold import hold_inputs
 from data_prep.log import Log
-from data_prep.prepare import prepare
+from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
-from eval.preparation import Prepared, study
+from eval.preparation import LogReport, examine
 from narxcal.export.grid import Grid
 from narxcal.export.report import ExportOptions, ExportReport
 from narxcal.export.table import export_table
@@ -98,7 +97,7 @@ class DataSets:
     config: RunConfig
     base: Path
     raw: tuple[Log, ...]
-    prepared: tuple[Prepared, ...]
+    prepared: tuple[LogReport, ...]
     truth: Mapping[str, Log]
     further: tuple[Log, ...] = ()
 
@@ -184,7 +183,7 @@ def read_data_sets(config: RunConfig, base: Path) -> DataSets:
     known = {log.name: log for log in _read_truth(config, files)}
     for log in raw:
         _check_truth(log, known.get(log.name))
-    prepared = tuple(study(log, config) for log in raw)
+    prepared = tuple(examine(log, config) for log in raw)
     further = tuple(log for name in FAMILIES for log in _family(config, folder / name))
     found = DataSets(config, base, raw, prepared, known, further)
     _check(found, folder)
@@ -212,8 +211,8 @@ def _family(config: RunConfig, folder: Path) -> list[Log]:
     if not folder.is_dir():
         return []
     files = sorted(configured_files(as_config(config, folder), folder), key=counted)
-    logs = prepare([log for file in files for log in read_logs(file, config.logs)], config)
-    return [replace(log, name=f"{folder.name}/{log.name}") for log in logs]
+    found = prepare(read_logs(files, config.logs), config)
+    return [replace(one.log, name=f"{folder.name}/{one.log.name}") for one in found]
 
 
 def counted(file: Path) -> tuple[tuple[int, int, str], ...]:

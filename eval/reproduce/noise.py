@@ -21,7 +21,7 @@ from data_prep.log import Log
 from data_prep.ranking import STRONG, flight_table, is_strong
 from data_prep.smooth import cutoff_hz, frequency_response, moving_average
 from eval.denoising import CURVES, Flight, SweepConfig, flight_of, noisy, snr_sweep, summarise
-from eval.preparation import WINDOWS, Prepared
+from eval.preparation import WINDOWS, LogReport
 from eval.report import figures as paper_figures
 from eval.report import figures as study_figures
 from eval.report import tables
@@ -311,7 +311,7 @@ def segments(data: DataSets) -> Study:
     )
 
 
-def _row(data: DataSets, one: Prepared) -> dict[str, Any]:
+def _row(data: DataSets, one: LogReport) -> dict[str, Any]:
     return {"data_set": data.number(one.log.name), "log": one.log.name, **one.counts()}
 
 
@@ -344,7 +344,7 @@ def _firsts(data: DataSets) -> list[Picture]:
         for one in data.prepared:
             fast = [each for each in one.events if each.label == label and each.speed == "fast"]
             if fast:
-                names = (one.driver, *data.speeds)
+                names = (data.config.events.driver, *data.speeds)
                 what = f"First {'push' if label == PUSH else 'pull'}, data set "
                 title = what + str(data.number(one.log.name))
                 drawn.append(paper_figures.segment(one.log, fast[0], names, title))

@@ -38,7 +38,7 @@ def run(options: Namespace, console: Console) -> int:
     with console.progress("Reading the logs") as advance:
         for number, file in enumerate(files):
             advance(number, len(files), file.name)
-            logs += prepare(read_logs(file, config.logs), config)
+            logs += [one.log for one in prepare(read_logs(file, config.logs), config)]
     with console.progress("Calibrating the folds") as advance:
 
         def watch(fold: FoldResult, done: int, total: int) -> None:
@@ -51,7 +51,7 @@ def run(options: Namespace, console: Console) -> int:
         (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
         (folder / PAGE).write_text(html, encoding="utf-8")
     _show(console, found)
-    for caution in cautions(logs, config.events, config.narx.outputs, config.logs):
+    for caution in cautions(logs, config, config.narx.outputs):
         console.warn(caution)
     console.say(f"Page: {options.out / PAGE}")
     console.document(document)
@@ -65,7 +65,7 @@ def _header(config: RunConfig, logs: Sequence[Log]) -> RunHeader:
         sources=data_files(logs),
         versions=versions(),
         config=config.model_dump_json(by_alias=True, indent=1),
-        cautions=cautions(logs, config.events, config.narx.outputs, config.logs),
+        cautions=cautions(logs, config, config.narx.outputs),
     )
 
 

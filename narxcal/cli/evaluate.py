@@ -86,7 +86,7 @@ def judge(
     evaluation = Evaluation(tuple(parts), settings, trim or None)
     title = f"Evaluation: {config.name}"
     told = [
-        *cautions(logs, config.events, config.narx.outputs, config.logs),
+        *cautions(logs, config, config.narx.outputs),
         *_unknown(bundle, parts),
     ]
     header = header_of(title, run_folder, bundle, logs, settings.transients.rules)

@@ -13,14 +13,13 @@ import pandas as pd
 from data_prep.config import LogsConfig
 from data_prep.log import Log
 from data_prep.reading import open_table
-from data_prep.stamps import PRINTED
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.cli import simulate_effects
 from narxcal.cli.console import Console
 from narxcal.cli.options import SIMULATOR, add_mapping, add_overwrite, path
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import atomic_write_text, check_file
+from narxcal.support.files import TIME_FORMAT, atomic_write_text, check_file
 from training.config import RunConfig
 from training.pipeline import calibration_for, prepare_logs
 
@@ -83,7 +82,7 @@ def run(options: Namespace, console: Console) -> int:
     if len({one.log.source.engine for one in runs}) == 1:
         tables = [table.drop(columns="engine") for table in tables]
     joined = pd.concat(tables).sort_values("time_s", kind="stable")
-    joined["time_s"] = joined["time_s"].map(PRINTED.__mod__)
+    joined["time_s"] = joined["time_s"].map(TIME_FORMAT.__mod__)
     atomic_write_text(
         options.out, joined.to_csv(index=False, float_format="%.9g", lineterminator="\n")
     )

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from data_prep.log import Log
-from data_prep.stamps import PRINTED
 from eval.gap.applied import FoundEffects, read_effects
 from eval.gap.log_folders import read_folder
 from eval.gap.pairs import match_simulated
@@ -26,7 +25,7 @@ from narxcal.cli.console import Console
 from narxcal.cli.results import read_config
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import Results, to_json
+from narxcal.support.files import TIME_FORMAT, Results, to_json
 
 SCHEMA, DOCUMENT = "narxcal.simulate_effects/1", "simulated.json"
 
@@ -121,7 +120,7 @@ def _changed(
 
 
 def _csv(channels: Mapping[str, FloatArray]) -> bytes:
-    form = ",".join([PRINTED, *["%.9g"] * (len(channels) - 1)]) + "\n"
+    form = ",".join([TIME_FORMAT, *["%.9g"] * (len(channels) - 1)]) + "\n"
     table = np.column_stack(list(channels.values())) + 0.0
     text = "".join([form % tuple(row) for row in table.tolist()]).replace("nan", "")
     return (",".join(channels) + "\n" + text).encode()

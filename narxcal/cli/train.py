@@ -16,7 +16,6 @@ from typing import Any
 
 from data_prep.log import Log
 from data_prep.prepare import cautions
-from data_prep.smooth import blurs
 from narxcal.calibration.bundle import DOCUMENT, Bundle, read_document, write_bundle
 from narxcal.cli.console import Advance, Console
 from narxcal.cli.options import add_config
@@ -75,9 +74,9 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
     split = split_logs(logs, config.split)
     said = [
         *left_out(logs, split, config.split),
-        *cautions(logs, config.events, config.narx.outputs, config.logs),
+        *cautions(logs, config, config.narx.outputs),
     ]
-    for warning in filter(None, [*said, blurs(config.smooth, logs)]):
+    for warning in said:
         console.warn(warning)
     checkpoints = folder / CHECKPOINTS
     with console.progress("Training") as advance:

@@ -69,3 +69,12 @@ def noise_level(values: FloatArray) -> float:
     bends = np.abs(np.diff(values, 2))
     bends = bends[np.isfinite(bends)]
     return float(np.median(bends) / (_MEDIAN_OF_NORMAL * np.sqrt(6.0))) if len(bends) else 0.0
+
+
+def robust_range(values: FloatArray) -> tuple[float, float]:
+    """Estimate the 0.5 and 99.5 percentile of the finite samples; NaN where there are none."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return float("nan"), float("nan")
+    low, high = np.percentile(known, (0.5, 99.5))
+    return float(low), float(high)

@@ -22,7 +22,7 @@ inputs = ["TRA_deg", "ALT_ft"]
 horizons_s = [30.0]
 iterations = [2]
 """
-SAID = "no WOW channel in {}: events on the ground count like those in flight"
+SAID = "{}: there is no WOW channel: events on the ground count like those in flight"
 
 
 @pytest.fixture

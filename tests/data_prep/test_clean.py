@@ -8,9 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from data_prep.clean import CleanConfig, clean
+from data_prep.clean import (
+    CleanConfig,
+    _critical,
+    _grubbs,
+    clean,
+    gross_errors,
+    running_median,
+)
 from data_prep.log import Log
-from data_prep.outliers import _critical, _grubbs, gross_errors, running_median
 from narxcal.support.errors import ConfigError
 
 # A busy machine is no failure.

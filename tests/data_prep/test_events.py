@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_prep.events import Event, EventsConfig, find_events, unconditional
+from data_prep.events import Event, EventsConfig, find_events, needs_condition
 from data_prep.log import Log
 from narxcal.support.errors import ConfigError, DataError
 
@@ -297,12 +297,9 @@ def test_what_no_channel_tells_bars_no_event_and_is_said():
     bare, told = moves_log(PUSH_PULL), moves_log(PUSH_PULL, WOW=np.ones(4000))
     assert find_events(bare) == find_events(bare, FREE)
     assert find_events(told) == []
-    said = "events on the ground count like those in flight"
-    logs = [replace(bare, name=name) for name in "abcd"]
-    assert unconditional([told, bare], EventsConfig()) == f"no WOW channel in flight:left: {said}"
-    assert unconditional(logs, EventsConfig()) == f"no WOW channel in a, b, c and 1 more: {said}"
-    assert unconditional([told], EventsConfig()) == ""
-    assert unconditional([bare], FREE) == ""
+    said = "there is no WOW channel: events on the ground count like those in flight"
+    assert needs_condition(bare, EventsConfig()) == said
+    assert needs_condition(told, EventsConfig()) == needs_condition(bare, FREE) == ""
 
 
 @pytest.mark.parametrize(("key", "name"), [("driver", "FF_kgph"), ("response", ("N2_pct",))])

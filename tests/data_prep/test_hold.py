@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_prep.hold import hold_inputs
 from data_prep.log import AuditEntry, Log
+from data_prep.prepare import hold_inputs
 from narxcal.support.errors import DataError
 
 NAN = float("nan")

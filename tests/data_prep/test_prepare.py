@@ -53,16 +53,18 @@ def gap_logs(kind):
 def prepared(name):
     tables = table(name)
     sections = Preparation(
-        CleanConfig.parse(tables.get("clean", {})), SmoothConfig.parse(tables["smooth"])
+        clean=CleanConfig.parse(tables.get("clean", {})),
+        smooth=SmoothConfig.parse(tables["smooth"]),
     )
-    return prepare(recorded(name), sections), EventsConfig.parse(tables["events"])
+    logs = [one.log for one in prepare(recorded(name), sections)]
+    return logs, EventsConfig.parse(tables["events"])
 
 
 def test_prepare_cleans_then_smooths():
     values = 75 + np.random.default_rng(0).normal(0, 0.05, 3200)
     values[1000] = 95.0
     log = Log("f", np.arange(3200) / 32, {"N1_pct": values})
-    (done,) = prepare([log])
+    done = prepare([log])[0].log
     expected = smooth(clean(log))
     np.testing.assert_array_equal(done["N1_pct"], expected["N1_pct"])
     assert done.audit == expected.audit

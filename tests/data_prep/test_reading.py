@@ -335,6 +335,22 @@ def test_what_cannot_be_derived_says_what_it_needs(tmp_path, derive, channel, la
     )
 
 
+@pytest.mark.parametrize("airspeed", ["CAS_kt", "TAS_kt"])
+def test_mach_comes_from_airspeed_and_altitude_where_it_is_missing(tmp_path, airspeed):
+    """250 kt CAS at 10 000 ft are Mach 0.4523 and 288.7 kt TAS on a standard day."""
+    time = np.arange(20) / 10
+    channels = {"N1_pct": 80 + time, "ALT_ft": np.full(20, 10_000.0)}
+    channels |= {"SAT_C": np.full(20, -4.812), "CAS_kt": np.full(20, 250.0)}
+    if airspeed == "TAS_kt":
+        channels["TAS_kt"] = np.full(20, 288.7)
+        del channels["CAS_kt"]
+    (log,) = read_logs(write(tmp_path, table(time, **channels)))
+    np.testing.assert_allclose(log["Mach"], 0.4523, atol=2e-4)
+    np.testing.assert_allclose(log["dT_C"], 0.0, atol=1e-3)
+    (own,) = read_logs(write(tmp_path, table(time, **channels, Mach=np.full(20, 0.5))))
+    assert set(own["Mach"]) == {0.5}
+
+
 def test_missing_files_and_folders_are_named(tmp_path):
     assert error_of(tmp_path / "no.csv") == "FILE: the file does not exist"
     with pytest.raises(DataError, match="the folder of the logs does not exist"):

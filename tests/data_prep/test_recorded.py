@@ -7,12 +7,12 @@ from data_prep.config import LogsConfig
 from data_prep.equilibrium import QuasiSteadyConfig, quasi_steady
 from data_prep.events import EventsConfig, find_events
 from data_prep.log import AuditEntry, Log, Source
-from data_prep.prepare import all_masked, cautions
-from data_prep.recorded import events_config, recorded, unrecorded, with_outputs
+from data_prep.prepare import Preparation, Prepared, cautions, with_outputs
 from narxcal.support.errors import DataError
 
 DT_S = 0.1
 OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
+ANYWHERE = Preparation(events=EventsConfig(condition=""))
 
 
 def flight(*outputs):
@@ -27,18 +27,16 @@ def flight(*outputs):
 def test_a_log_with_every_output_is_left_as_it_is():
     log = flight(*OUTPUTS)
     assert with_outputs(log, OUTPUTS) is log
-    assert unrecorded(log, OUTPUTS, LogsConfig()) == ""
+    assert cautions([log], ANYWHERE, OUTPUTS) == []
 
 
 def test_an_output_that_is_not_there_is_masked_counted_and_told():
     log = with_outputs(flight("N1_pct", "N2_pct"), OUTPUTS)
     assert np.isnan(log["EGT_C"]).all()
     assert log.audit.entries == (AuditEntry("EGT_C", "masked", "not recorded", 600),)
-    assert recorded(log, OUTPUTS) == ("N1_pct", "N2_pct")
+    assert log.recorded(OUTPUTS) == ("N1_pct", "N2_pct")
     said = "f.csv:left: EGT_C is not recorded: nothing is learned or judged by it"
-    assert unrecorded(log, OUTPUTS, LogsConfig()) == said
-    assert cautions([log], EventsConfig(condition=""), OUTPUTS) == [said]
-    assert all_masked(log) == ""
+    assert cautions([log], ANYWHERE, OUTPUTS) == [said]
     assert with_outputs(log, OUTPUTS) is log
 
 
@@ -49,7 +47,9 @@ def test_the_column_that_was_looked_for_is_told():
         "EGT_C": {"column": "{engine}_itt"},
     }
     mapping = LogsConfig.parse({"columns": columns, "engines": {"left": "lh", "right": "rh"}})
-    assert unrecorded(flight("N1_pct"), OUTPUTS, mapping) == (
+    tables = Preparation(logs=mapping, events=EventsConfig(condition=""))
+    (said,) = cautions([flight("N1_pct")], tables, OUTPUTS)
+    assert said == (
         "f.csv:left: N2_pct (column 'lh_core'), EGT_C (column 'lh_itt') are not recorded: nothing "
         "is learned or judged by them"
     )
@@ -75,9 +75,9 @@ def test_columns_can_be_spared_without_touching_the_others():
 def test_events_wait_for_the_responses_that_are_there():
     usual = EventsConfig(condition="")
     whole = flight("N1_pct", "N2_pct")
-    assert events_config(whole, usual, OUTPUTS) == usual
+    assert usual.for_log(whole, OUTPUTS) == usual
     lacking = with_outputs(flight("N2_pct"), OUTPUTS)
-    wanted = events_config(lacking, usual, OUTPUTS)
+    wanted = usual.for_log(lacking, OUTPUTS)
     assert wanted.response == ("N2_pct",)
     # N1 and N2 move alike here: the event has to end where it would with N1.
     assert find_events(lacking, wanted) == find_events(whole, usual)
@@ -88,7 +88,15 @@ def test_events_wait_for_the_responses_that_are_there():
 
 def test_without_any_response_the_configuration_stays_for_the_events_to_refuse():
     usual = EventsConfig(condition="")
-    assert events_config(flight("FF_kgph"), usual, OUTPUTS) is usual
+    assert usual.for_log(flight("FF_kgph"), OUTPUTS) is usual
+
+
+def test_a_prepared_log_finds_its_events_and_equilibrium():
+    log = with_outputs(flight("N2_pct"), OUTPUTS)
+    one = Prepared(log, ANYWHERE, OUTPUTS)
+    assert one.events == tuple(find_events(log, ANYWHERE.events.for_log(log, OUTPUTS)))
+    expected = quasi_steady(log, "TRA_deg", ("N1_pct", "N2_pct"), QuasiSteadyConfig())
+    np.testing.assert_array_equal(one.equilibrium, expected)
 
 
 def test_a_speed_that_is_not_recorded_does_not_unsettle_a_log():

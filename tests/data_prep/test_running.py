@@ -5,7 +5,7 @@ import pytest
 
 from data_prep.equilibrium import RunningConfig, while_running
 from data_prep.log import Log
-from data_prep.prepare import Preparation, prepare
+from data_prep.prepare import prepare
 from narxcal.support.errors import ConfigError
 
 HZ = 4
@@ -76,6 +76,6 @@ def test_an_unknown_channel_is_refused():
 
 def test_preparation_cuts_before_it_cleans():
     noise = np.random.default_rng(0).normal(0.0, 0.01, HZ * 260)
-    [kept] = prepare([log(speeds((0, 60), (70, 200)) + noise)], Preparation())
+    kept = prepare([log(speeds((0, 60), (70, 200)) + noise)])[0].log
     assert kept.time_s[0] == 80.0
     assert kept["N2_pct"].min() > 69.0

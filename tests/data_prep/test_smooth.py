@@ -133,15 +133,14 @@ def test_named_channels_only_and_window_one_changes_nothing():
 def test_a_window_that_blurs_fast_movements_is_told_with_one_that_does_not(
     window, rate_hz, message
 ):
-    log = Log("log.csv", np.arange(50) / rate_hz, {"N1_pct": np.zeros(50)})
-    said = blurs(SmoothConfig(window=window), [log])
+    said = blurs(SmoothConfig(window=window), 1.0 / rate_hz)
     assert said.removeprefix(f"[smooth] window = {window} ") == message
 
 
 @pytest.mark.parametrize(
     ("hz", "window"), [(100, 35), (32, 11), (16, 5), (10, 3), (9, 3), (8, 1), (1, 1)]
 )
-def test_the_usual_window_goes_by_the_raster(hz, window):
+def test_the_usual_window_goes_by_the_rate(hz, window):
     assert SmoothConfig().window_at(1 / hz) == window
     assert SmoothConfig(window=7).window_at(1 / hz) == 7
 

@@ -15,8 +15,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from data_prep.hold import hold_inputs
 from data_prep.log import Log
+from data_prep.prepare import hold_inputs
 from eval.gap.blind.cases import BINS, BlindPlan, Content, draw_share
 from eval.gap.blind.catalogue import CATALOGUE, Dose, Scale, Windows
 from eval.gap.blind.files import FOLDERS, write_log
