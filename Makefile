@@ -13,14 +13,21 @@ BROWSER := $(VENV)/.browser
 # Most of what is installed is never imported: Python compiles what is, at its first import.
 PIP := $(BIN)/python -m pip install --disable-pip-version-check --no-compile --quiet -c constraints.txt
 
-.PHONY: demo test lint ruff types floors bench map clean
+PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile
+
+.PHONY: demo test test-slow test-all lint ruff types floors bench map clean
 
 demo: $(DEMO)
 	$(BIN)/narxcal demo
 
-test: $(STAMP) $(BROWSER)
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 \
-		$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile
+# Two speeds: what runs in seconds, and whole trainings, commands, browsers and real flights.
+test: $(STAMP)
+	$(PYTEST) -m "not slow"
+
+test-slow: $(STAMP) $(BROWSER)
+	$(PYTEST) -m slow
+
+test-all: test test-slow
 
 lint: ruff types floors
 

@@ -1,5 +1,6 @@
 """The documents name what the code has: every configuration key, every module, every command."""
 
+import doctest
 import importlib.util
 import re
 import shlex
@@ -105,9 +106,15 @@ def test_every_module_says_what_it_is_for():
 
 
 @pytest.mark.parametrize("room", map_maker().rooms())
-def test_every_room_is_on_the_readmes_map(room):
+def test_every_room_is_on_the_page_of_the_layout(room):
+    page = text("docs/architecture.md")
     parent = room.rsplit("/", 1)[0]
-    assert f"`{room}/`" in text("README.md") or f"`{parent}/`" in text("README.md")
+    assert f"`{room}/`" in page or f"`{parent}/`" in page
+
+
+def test_examples_of_the_layout_run():
+    failed, run = doctest.testfile(str(ROOT / "docs/architecture.md"), module_relative=False)
+    assert (failed, run > 0) == (0, True)
 
 
 @pytest.mark.parametrize("page", PAGES)
