@@ -52,10 +52,6 @@ class Manoeuvre(Protocol):
         """Lowest and highest swing: at most and at least 0."""
 
     @property
-    def fastest_deg_s(self) -> float:
-        """Highest rate of the lever; infinite for a step."""
-
-    @property
     def switched(self) -> tuple[Switched, ...]:
         """Switches inverted during the manoeuvre."""
 
@@ -98,18 +94,6 @@ class Corners:
         """Lowest and highest corner."""
         angles = [angle for _, angle in self.points]
         return min(angles), max(angles)
-
-    @property
-    def fastest_deg_s(self) -> float:
-        """Steepest line."""
-        return max(
-            (
-                abs(angle - before) / (time - start) if time > start else math.inf
-                for (start, before), (time, angle) in itertools.pairwise(self.points)
-                if angle != before
-            ),
-            default=0.0,
-        )
 
     def swing_deg(self, time_s: FloatArray) -> FloatArray:
         """Interpolate between the corners."""
@@ -176,11 +160,6 @@ class Sweep:
         """One amplitude either way."""
         return -abs(self.amplitude_deg), abs(self.amplitude_deg)
 
-    @property
-    def fastest_deg_s(self) -> float:
-        """Rate through the middle at the highest frequency."""
-        return 2.0 * math.pi * self.high_hz * abs(self.amplitude_deg)
-
     def phase_rad(self, time_s: FloatArray) -> FloatArray:
         """Phase at `time_s` `(time,)` within the sweep."""
         ratio, length = self.high_hz / self.low_hz, self.duration_s
@@ -234,11 +213,6 @@ class ManoeuvreSequence:
             low, high = min(low, level + below), max(high, level + above)
             level += part.net_deg
         return low, high
-
-    @property
-    def fastest_deg_s(self) -> float:
-        """Fastest of the parts."""
-        return max((part.fastest_deg_s for part in self.parts), default=0.0)
 
     @property
     def switched(self) -> tuple[Switched, ...]:

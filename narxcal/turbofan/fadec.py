@@ -41,7 +41,6 @@ from narxcal.support.errors import ConfigError, ModelError
 GOVERNOR, ACCELERATION, DECELERATION, N1_TOPPING, N2_TOPPING, T45_TOPPING, PS3_TOPPING, MINIMUM = (
     range(8)
 )
-LIMITERS = ("governor", "acceleration", "deceleration", "N1", "N2", "T45", "Ps3", "minimum")
 _TOPPINGS = 3  # N2, T45, Ps3, in this order
 # State of the control: the governor's reset, those of the toppings, and N1 a step ago.
 _RESET, _TOPPING_RESETS, _PAST_N1, SIZE = 0, 1, 4, 5

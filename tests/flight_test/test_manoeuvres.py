@@ -33,7 +33,7 @@ from narxcal.flight_test.manoeuvres import ManoeuvreSequence as Sequence
 from narxcal.support.errors import ConfigError
 
 DT = 1 / 32
-RASTER = np.arange(0, 40 * 32) * DT
+TIME_S = np.arange(0, 40 * 32) * DT
 
 angles = st.floats(-40.0, 40.0)
 rates = st.floats(1.0, HAND_DEG_S)
@@ -52,22 +52,27 @@ pieces = st.one_of(
 sequences = st.lists(pieces, min_size=1, max_size=6).map(lambda parts: Sequence(tuple(parts)))
 
 
+def fastest_deg_s(piece):
+    time_s = np.arange(0.0, piece.duration_s, 1e-3)
+    return np.abs(np.diff(piece.swing_deg(time_s))).max() / 1e-3
+
+
 def test_a_step_is_equation_1():
-    moved = step(7.0, after_s=1.0).swing_deg(RASTER)
-    np.testing.assert_array_equal(moved, np.where(RASTER >= 1.0, 7.0, 0.0))
+    moved = step(7.0, after_s=1.0).swing_deg(TIME_S)
+    np.testing.assert_array_equal(moved, np.where(TIME_S >= 1.0, 7.0, 0.0))
 
 
 @pytest.mark.parametrize("samples", [1, 16])
 def test_an_impulse_is_equation_2_and_one_sample_wide_where_asked(samples):
-    moved = impulse(7.0, samples * DT, after_s=1.0).swing_deg(RASTER)
-    expected = 7.0 * np.isin(RASTER, 1.0 + DT * np.arange(samples))
+    moved = impulse(7.0, samples * DT, after_s=1.0).swing_deg(TIME_S)
+    expected = 7.0 * np.isin(TIME_S, 1.0 + DT * np.arange(samples))
     np.testing.assert_array_equal(moved, expected)
     assert np.count_nonzero(moved) == samples
 
 
 def test_a_ramp_is_equation_3():
-    moved = ramp(10.0, ramp_s=5.0, after_s=1.0).swing_deg(RASTER)
-    np.testing.assert_allclose(moved, 10.0 * np.clip((RASTER - 1.0) / 5.0, 0.0, 1.0), atol=1e-12)
+    moved = ramp(10.0, ramp_s=5.0, after_s=1.0).swing_deg(TIME_S)
+    np.testing.assert_allclose(moved, 10.0 * np.clip((TIME_S - 1.0) / 5.0, 0.0, 1.0), atol=1e-12)
 
 
 @pytest.mark.parametrize("by_deg", [60.0, -60.0])
@@ -75,7 +80,7 @@ def test_a_push_and_a_pull_go_at_the_stated_rate(by_deg):
     piece = travel(by_deg, SLAM_DEG_S)
     assert piece.net_deg == by_deg
     assert piece.duration_s == 60.0 / SLAM_DEG_S
-    assert piece.fastest_deg_s == pytest.approx(SLAM_DEG_S)
+    assert fastest_deg_s(piece) == pytest.approx(SLAM_DEG_S)
 
 
 def test_a_three_two_one_one_stands_for_its_units():
@@ -100,12 +105,12 @@ def test_reversals_are_a_triangle_wave():
     time_s = np.linspace(0.0, cycles * period, 997)
     expected = 2 * amplitude / math.pi * np.arcsin(np.sin(2 * math.pi * time_s / period))
     np.testing.assert_allclose(piece.swing_deg(time_s), expected, atol=1e-9)
-    assert piece.fastest_deg_s == pytest.approx(rate)
+    assert fastest_deg_s(piece) == pytest.approx(rate)
 
 
 def test_a_reslam_comes_back_before_the_engine_can_settle():
     piece = reslam(50.0, pause_s=1.5)
-    low = np.flatnonzero(piece.swing_deg(RASTER) == -50.0)
+    low = np.flatnonzero(piece.swing_deg(TIME_S) == -50.0)
     assert len(low) * DT == pytest.approx(1.5, abs=2 * DT)
     assert piece.net_deg == 0.0
 
@@ -128,14 +133,13 @@ def test_a_sweep_runs_from_the_low_to_the_high_frequency_over_whole_cycles(logar
     assert frequency[[0, -1]] == pytest.approx([0.05, 1.0], rel=1e-4)
     assert piece.phase_rad(time_s[-1:])[0] == pytest.approx(2 * math.pi * piece.cycles)
     assert piece.duration_s == pytest.approx(60.0, rel=0.05)
-    moved = np.abs(np.gradient(piece.swing_deg(time_s), time_s))
-    assert moved.max() <= piece.fastest_deg_s * (1 + 1e-6)
+    assert fastest_deg_s(piece) <= 2 * math.pi * 1.0 * 4.0
 
 
 def test_a_switch_flips_while_the_lever_rests():
     piece = switch("NAI", on_s=10.0, before_s=5.0)
     assert piece.switched == (Switched("NAI", 5.0, 15.0),)
-    assert not piece.swing_deg(RASTER).any()
+    assert not piece.swing_deg(TIME_S).any()
 
 
 def test_a_sequence_carries_its_switches_along():
@@ -150,7 +154,7 @@ def test_joined_manoeuvres_are_continuous_and_within_rate_and_reach(sequence):
     time_s = np.linspace(-1.0, sequence.duration_s + 1.0, 4001)
     moved = sequence.swing_deg(time_s)
     dt = time_s[1] - time_s[0]
-    assert np.abs(np.diff(moved)).max() <= sequence.fastest_deg_s * dt * (1 + 1e-6) + 1e-9
+    assert np.abs(np.diff(moved)).max() <= HAND_DEG_S * dt * (1 + 1e-6) + 1e-9
     low, high = sequence.reach_deg
     assert low <= 0.0 <= high
     assert moved.min() >= low - 1e-9
@@ -198,13 +202,6 @@ def test_a_sequence_is_its_parts_one_after_another(sequence):
 def test_what_no_hand_can_do_is_refused(wrong, message):
     with pytest.raises(ConfigError, match=re.escape(message)):
         wrong()
-
-
-def test_the_rate_of_a_step_is_infinite():
-    assert step(3.0).fastest_deg_s == math.inf
-    assert hold(3.0).fastest_deg_s == 0.0
-    steep = Sequence.of(travel(3.0, 5.0), step(3.0))
-    assert steep.fastest_deg_s == math.inf
 
 
 def test_every_manoeuvre_is_a_frozen_value():

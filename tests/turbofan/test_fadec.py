@@ -294,12 +294,6 @@ def test_no_lever_play_breaks_a_limit(targets, place):
         assert np.max(flight.rows[:, column]) <= 1.01 * limit
 
 
-def test_limiters_are_named():
-    assert len(fadec.LIMITERS) == 8
-    assert fadec.LIMITERS[fadec.T45_TOPPING] == "T45"
-    assert fadec.LIMITERS[fadec.MINIMUM] == "minimum"
-
-
 def test_governor_designs_what_its_formula_says():
     gain, reset, lead = fadec.governor([0.0, 50.0, 100.0], [0.1, 0.6, 1.1], (0.5, 0.2, 0.1))
     np.testing.assert_allclose(gain, 0.01 * 0.5 / (4.0 * 0.9**2 * 0.1))
