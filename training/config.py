@@ -19,7 +19,7 @@ from data_prep.smooth import SmoothConfig
 from narxcal.calibration.fuser_config import FuserConfig
 from narxcal.channels import CHANNELS, channel
 from narxcal.narx.config import Taps
-from narxcal.steady.options import SteadySourceOptions
+from narxcal.steady.model import SteadyOptions
 from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section, read_toml
 
@@ -72,7 +72,7 @@ class SteadyStateConfig(Section):
     switches: Auto | tuple[str, ...] = "auto"
     corrected: Auto | bool = "auto"
     fit: SteadyFitConfig = SteadyFitConfig()
-    options: SteadySourceOptions = SteadySourceOptions()
+    options: SteadyOptions = SteadyOptions()
 
     @model_validator(mode="after")
     def _consistent(self) -> SteadyStateConfig:

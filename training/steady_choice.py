@@ -28,8 +28,7 @@ from data_prep.log import Log
 from data_prep.prepare import hold_inputs
 from narxcal.channels import CHANNELS
 from narxcal.steady.fitted import Layout
-from narxcal.steady.model import SteadyStateModel
-from narxcal.steady.source import open_steady
+from narxcal.steady.model import SteadyStateModel, open_steady
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from training.config import RunConfig

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from narxcal.steady.fitted import FittedSteadyState, Layout, corner_weights, i_splines, middle
+from narxcal.steady.fitted import FittedSteadyState, Layout, i_splines, scaled_driver
 from narxcal.steady.model import Envelope
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError
@@ -63,10 +63,10 @@ def fit_steady_state(
     seen = np.array([drive.min(), drive.max()])
     design = _Design(layout, envelope, seen, knots, engines, config)
     matrix = design.matrix(inputs, names)
-    referred = layout.referred(inputs, outputs)
+    corrected = layout.to_corrected(inputs, outputs)
     curves = [
         _curve(design, matrix, column, turns=name.endswith("_C"))
-        for name, column in zip(layout.output_names, referred.T, strict=True)
+        for name, column in zip(layout.output_names, corrected.T, strict=True)
     ]
     coefficients = np.stack(curves)
     model = design.model(coefficients)
@@ -160,9 +160,9 @@ class _Design:
         """Columns: by corner 1 and the splines, then by engine and by switch 1 and slope."""
         drive = self.layout.drive(inputs)
         basis = np.concatenate([np.ones((len(drive), 1)), i_splines(self.knots)(drive)], axis=1)
-        weights = corner_weights(self.layout, self.envelope, inputs)
+        weights = self.layout.corners(inputs, self.envelope)
         curve = (weights[:, :, None] * basis[:, None, :]).reshape(len(drive), -1)
-        line = np.stack([np.ones_like(drive), middle(drive, self.knots)], axis=1)
+        line = np.stack([np.ones_like(drive), scaled_driver(drive, self.knots)], axis=1)
         lines = [line * (names == engine)[:, None] for engine in self.engines]
         lines += [line * self.layout.column(inputs, name)[:, None] for name in self.layout.switches]
         return np.concatenate([curve, *lines], axis=1)

@@ -1,21 +1,27 @@
-"""A steady-state model fitted from quasi-steady samples of flight logs, in corrected parameters.
+"""A steady-state model fitted to quasi-steady samples of flight logs, in corrected parameters.
 
-In corrected parameters (Walsh and Fletcher 2004, Gas Turbine Performance, section 4.3) one
-curve over the driving channel serves all altitudes and temperatures nearly; what is left is
-blended linearly between the corners of the flight envelope:
+In corrected parameters (Walsh and Fletcher 2004, Gas Turbine Performance, section 4.3) one curve
+over the driving channel nearly serves all altitudes and temperatures; the rest is blended linearly
+between the corners v of the flight envelope:
 
-    y_c(z, x) = sum over corners v of  weight_v(x) * (a_v + sum_j b_vj I_j(z)),   b_vj >= 0
+    y_c(z, x) = sum_v  weight_v(x) * (a_v + sum_j b_vj I_j(z)),   b_vj >= 0
 
-with I_j the monotone I-splines of degree 2 (Ramsay 1988, Statistical Science 3(4)) over the
-driver z, and x the blending channels scaled to [0, 1]. Non-negative b make every output
-monotone in the driver everywhere inside the envelope. Each engine adds a small straight line
-over z, its build scatter; so does each switch while it is on: a bleed, another idle.
+| symbol | meaning | unit |
+|---|---|---|
+| z | driver: lever [deg], or log of (corrected) fuel flow | |
+| x | blending channels, scaled to [0, 1] in the envelope | - |
+| I_j | monotone I-splines of degree 2 (Ramsay 1988, Statistical Science 3(4)) | - |
+| a, b | `curve`: offset and spline coefficients, in corrected output units | |
+
+Non-negative b make every output monotone in the driver everywhere inside the envelope. Each engine
+adds a straight line over z, its build scatter; so does each switch (a bleed, another idle) that is
+on.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from typing import Any, ClassVar, Self
@@ -24,18 +30,26 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline, PPoly
 
-from narxcal.atmosphere import AirState, air_state
-from narxcal.steady.model import Arrays, Envelope, checked_inputs, register_steady, stored
+from narxcal.atmosphere import AirState, air_at, corrected_scale
+from narxcal.steady.model import (
+    ALTERED,
+    Arrays,
+    Envelope,
+    checked_inputs,
+    register_steady,
+    stored,
+)
+from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.errors import ModelError
 
-Floats = NDArray[np.float64]
-KELVIN = 273.15
+_WHAT = "steady-state model"
 _ARRAYS = ("low", "high", "seen", "knots", "curve", "engine_lines")
-_NO_LINES: Floats = np.zeros((0, 0, 2))
+_NO_LINES: FloatArray = np.zeros((0, 0, 2))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """Which channel plays which part.
+    """The role of each channel.
 
     `corrected` refers speeds to sqrt(theta2), temperatures to theta2 and fuel flow to
     delta2 sqrt(theta2); it needs ALT_ft among the inputs (Mach and dT_C are taken as zero
@@ -50,54 +64,49 @@ class Layout:
     corrected: bool = True
     switches: tuple[str, ...] = ()
 
-    def column(self, inputs: Floats, name: str) -> Floats:
+    def column(self, inputs: FloatArray, name: str) -> FloatArray:
         """One named column of `inputs` (..., n_in), zero where the model has none."""
         if name not in self.input_names:
             return np.zeros(inputs.shape[:-1])
         return inputs[..., self.input_names.index(name)]
 
-    def drive(self, inputs: Floats, air: AirState | None = None) -> Floats:
-        """The driver as the curves see it: log of corrected fuel flow, or the lever itself.
+    def drive(self, inputs: FloatArray, air: AirState | None = None) -> FloatArray:
+        """The driver z: log of corrected fuel flow, or the lever itself.
 
-        `air` is that of `inputs`, for a caller who has it already.
+        `air` is that of `inputs`, where the caller has it already.
         """
         driver = self.column(inputs, self.driver)
         if self.driver != "FF_kgph":
             return driver
         if self.corrected:
-            air = air or self.air(inputs)
-            driver = driver / (air.delta2 * np.sqrt(air.theta2))
+            driver = driver / corrected_scale("FF_kgph", air or air_at(inputs, self.input_names))[0]
         return np.log(np.maximum(driver, 1.0))
 
-    def referred(self, inputs: Floats, outputs: Floats) -> Floats:
-        """Outputs (..., n_out) to corrected parameters."""
-        scale, offset = self._reference(inputs, None)
+    def to_corrected(self, inputs: FloatArray, outputs: FloatArray) -> FloatArray:
+        """Convert outputs (..., n_out) to corrected parameters."""
+        scale, offset = self._scale(inputs, None)
         return (outputs + offset) / scale
 
-    def actual(self, inputs: Floats, referred: Floats, air: AirState | None = None) -> Floats:
-        """Corrected parameters back to outputs (..., n_out); `air` as in `drive`."""
-        scale, offset = self._reference(inputs, air)
-        return referred * scale - offset
+    def from_corrected(
+        self, inputs: FloatArray, corrected: FloatArray, air: AirState | None = None
+    ) -> FloatArray:
+        """Convert corrected parameters to outputs (..., n_out); `air` as in `drive`."""
+        scale, offset = self._scale(inputs, air)
+        return corrected * scale - offset
 
-    def air(self, inputs: Floats) -> AirState:
-        """The air at `inputs` (..., n_in)."""
-        names = ("ALT_ft", "Mach", "dT_C")
-        return air_state(*(self.column(inputs, name) for name in names))
+    def corners(self, inputs: FloatArray, envelope: Envelope) -> FloatArray:
+        """Weight of each corner of the envelope in the blending channels: (..., corners)."""
+        columns = [self.input_names.index(name) for name in self.blend]
+        width = np.maximum(envelope.high - envelope.low, 1e-12)
+        return corner_weights(((inputs - envelope.low) / width)[..., columns])
 
-    def _reference(self, inputs: Floats, air: AirState | None) -> tuple[Floats, Floats]:
-        shape = (*inputs.shape[:-1], len(self.output_names))
-        scale, offset = np.ones(shape), np.zeros(shape)
+    def _scale(self, inputs: FloatArray, air: AirState | None) -> tuple[FloatArray, FloatArray]:
+        scale = np.ones((*inputs.shape[:-1], len(self.output_names)))
+        offset = np.zeros(len(self.output_names))
         if self.corrected:
-            air = air or self.air(inputs)
+            air = air or air_at(inputs, self.input_names)
             for k, name in enumerate(self.output_names):
-                if name.endswith("_pct"):
-                    scale[..., k] = np.sqrt(air.theta2)
-                elif name.endswith("_C"):
-                    scale[..., k], offset[..., k] = air.theta2, KELVIN
-                elif name == "FF_kgph":
-                    scale[..., k] = air.delta2 * np.sqrt(air.theta2)
-                elif name == "FN_kN":
-                    scale[..., k] = air.delta2
+                scale[..., k], offset[k] = corrected_scale(name, air)
         return scale, offset
 
 
@@ -106,23 +115,23 @@ class Layout:
 class FittedSteadyState:
     """Monotone spline curves in corrected parameters (see the module).
 
-    `curve` (n_out, corners, 1 + splines) holds a_v and b_vj; `engine_lines` (engines, n_out, 2)
+    `curve` (n_out, corners, 1 + splines) contains a_v and b_vj; `engine_lines` (engines, n_out, 2)
     value at mid-range and slope per full range of the driver, and so does `switch_lines`
-    (switches, n_out, 2). `engine` picks the scatter in force; an unknown engine gets none. The
-    envelope is the box it is vouched for, `seen` (2,) their range of the driver as the curves see
-    it; the knots reach beyond it.
+    (switches, n_out, 2). `engine` selects the build scatter; an unknown engine gets none.
+    `envelope` and `seen` (2,), the range of z, bound the samples of the fit; the knots reach
+    beyond them.
     """
 
     kind: ClassVar[str] = "fitted"
 
     layout: Layout
     envelope: Envelope
-    seen: Floats
-    knots: Floats
-    curve: Floats
+    seen: FloatArray
+    knots: FloatArray
+    curve: FloatArray
     engines: tuple[str, ...] = ()
-    engine_lines: Floats
-    switch_lines: Floats = field(default_factory=_NO_LINES.copy)
+    engine_lines: FloatArray
+    switch_lines: FloatArray = field(default_factory=_NO_LINES.copy)
     engine: str = ""
 
     @property
@@ -139,66 +148,53 @@ class FittedSteadyState:
         """The same curves with the build scatter of `engine` (none if it was not fitted)."""
         return replace(self, engine=engine)
 
-    def inside(self, inputs: ArrayLike) -> NDArray[np.bool_]:
-        """Whether samples (..., n_in) lie within what the fit has seen, driver included."""
+    def inside(self, inputs: ArrayLike) -> BoolArray:
+        """Whether samples (..., n_in) lie within the range of the fit, driver included."""
         given = checked_inputs(inputs, self.input_names)
         drive = self.layout.drive(given)
         seen = (drive >= self.seen[0]) & (drive <= self.seen[1])
-        inside: NDArray[np.bool_] = self.envelope.inside(given) & seen
-        return inside
+        return np.asarray(self.envelope.inside(given) & seen)
 
-    def outputs(self, inputs: ArrayLike) -> Floats:
-        """Settled outputs (..., n_out) at `inputs` (..., n_in); held beyond the knots."""
+    def outputs(self, inputs: ArrayLike) -> FloatArray:
+        """Steady-state outputs (..., n_out) at `inputs` (..., n_in); constant beyond the knots."""
         given = checked_inputs(inputs, self.input_names)
-        air = self.layout.air(given) if self.layout.corrected else None
+        air = air_at(given, self.input_names) if self.layout.corrected else None
         z = np.clip(self.layout.drive(given, air), self.knots[0], self.knots[-1])
-        weights = corner_weights(self.layout, self.envelope, given)
-        referred = np.einsum("...v,...j,ovj->...o", weights, self._basis(z), self.curve)
+        basis = np.concatenate([np.ones((*z.shape, 1)), self._splines(z)], axis=-1)
+        weights = self.layout.corners(given, self.envelope)
+        corrected = np.einsum("...v,...j,ovj->...o", weights, basis, self.curve)
+        scaled = scaled_driver(z, self.knots)[..., None]
         if self.engine in self.engines:
             line = self.engine_lines[self.engines.index(self.engine)]
-            referred = referred + line[:, 0] + line[:, 1] * self._middle(z)[..., None]
+            corrected = corrected + line[:, 0] + line[:, 1] * scaled
         for name, line in zip(self.layout.switches, self.switch_lines, strict=True):
             on = self.layout.column(given, name)[..., None]
-            referred = referred + on * (line[:, 0] + line[:, 1] * self._middle(z)[..., None])
-        return self.layout.actual(given, referred, air)
-
-    def _basis(self, z: Floats) -> Floats:
-        return np.concatenate([np.ones((*z.shape, 1)), self._splines(z)], axis=-1)
+            corrected = corrected + on * (line[:, 0] + line[:, 1] * scaled)
+        return self.layout.from_corrected(given, corrected, air)
 
     @cached_property
     def _splines(self) -> PPoly:
         return i_splines(self.knots)
 
-    def _middle(self, z: Floats) -> Floats:
-        return middle(z, self.knots)
-
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Split into JSON-able structure and named arrays, for the bundle."""
-        layout = {
-            "input_names": list(self.layout.input_names),
-            "output_names": list(self.layout.output_names),
-            "driver": self.layout.driver,
-            "blend": list(self.layout.blend),
-            "corrected": self.layout.corrected,
-            "switches": list(self.layout.switches),
-        }
         arrays = {
             "low": self.envelope.low,
             "high": self.envelope.high,
-            "seen": self.seen,
-            "knots": self.knots,
-            "curve": self.curve,
-            "engine_lines": self.engine_lines,
-            "switch_lines": self.switch_lines,
+            **{name: getattr(self, name) for name in (*_ARRAYS[2:], "switch_lines")},
+        }
+        layout = {
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in asdict(self.layout).items()
         }
         return {"layout": layout, "engines": list(self.engines), "engine": self.engine}, arrays
 
     @classmethod
     def from_arrays(cls, meta: Mapping[str, Any], arrays: Arrays) -> Self:
-        """Rebuild from `to_arrays`; raises `ModelError` where a part is missing."""
-        kept = {name: stored(arrays, name, "steady-state model") for name in _ARRAYS}
-        layout = stored(meta, "layout", "steady-state model")
-        return cls(
+        """Rebuild from `to_arrays`; raises `ModelError` where a part is missing or misshapen."""
+        kept = {name: stored(arrays, name, _WHAT) for name in _ARRAYS}
+        layout = stored(meta, "layout", _WHAT)
+        model = cls(
             layout=Layout(
                 input_names=tuple(layout["input_names"]),
                 output_names=tuple(layout["output_names"]),
@@ -207,18 +203,42 @@ class FittedSteadyState:
                 corrected=layout["corrected"],
                 switches=tuple(layout.get("switches", ())),
             ),
-            envelope=Envelope(kept["low"], kept["high"]),
-            seen=kept["seen"],
-            knots=kept["knots"],
-            curve=kept["curve"],
+            envelope=Envelope(kept.pop("low"), kept.pop("high")),
             engines=tuple(meta.get("engines", ())),
-            engine_lines=kept["engine_lines"],
             switch_lines=np.asarray(arrays.get("switch_lines", _NO_LINES)),
             engine=str(meta.get("engine", "")),
+            **kept,
         )
+        model.check()
+        return model
+
+    def check(self) -> None:
+        """Raise `ModelError` for names and arrays that do not fit each other."""
+        layout = self.layout
+        inputs, outputs = len(layout.input_names), len(layout.output_names)
+        lacking = {layout.driver, *layout.blend, *layout.switches} - {*layout.input_names}
+        if lacking:
+            raise ModelError(f"'{min(lacking)}' is no input of the stored {_WHAT}", hint=ALTERED)
+        if self.knots.ndim != 1 or len(self.knots) < 2 or not (np.diff(self.knots) > 0.0).all():
+            raise ModelError(f"the knots of the stored {_WHAT} do not increase", hint=ALTERED)
+        shapes = {
+            "low": (self.envelope.low, (inputs,)),
+            "high": (self.envelope.high, (inputs,)),
+            "seen": (self.seen, (2,)),
+            "curve": (self.curve, (outputs, 2 ** len(layout.blend), len(self.knots) + 1)),
+            "engine_lines": (self.engine_lines, (len(self.engines), outputs, 2)),
+            "switch_lines": (self.switch_lines, (len(layout.switches), outputs, 2)),
+        }
+        for name, (array, shape) in shapes.items():
+            if array.shape != shape and (array.size or shape[0]):
+                raise ModelError(
+                    f"array '{name}' of the stored {_WHAT} has to be of shape {shape}, "
+                    f"found {array.shape}",
+                    hint=ALTERED,
+                )
 
 
-def i_splines(knots: Floats) -> PPoly:
+def i_splines(knots: FloatArray) -> PPoly:
     """All monotone I-splines of degree 2 over even `knots`: (..., splines).
 
     The knots go on evenly beyond their ends, so that equal coefficients make a straight line.
@@ -236,23 +256,18 @@ def i_splines(knots: Floats) -> PPoly:
     return PPoly(np.stack([*taylor, spline(knots[:-1])]), knots)
 
 
-def corner_weights(layout: Layout, envelope: Envelope, inputs: Floats) -> Floats:
-    """Multilinear weights (..., corners) of the blending channels, which sum to one."""
-    parts = []
-    for name in layout.blend:
-        k = layout.input_names.index(name)
-        width = max(envelope.high[k] - envelope.low[k], 1e-12)
-        parts.append(np.clip((inputs[..., k] - envelope.low[k]) / width, 0.0, 1.0))
-    columns = []
-    for corner in product((0, 1), repeat=len(parts)):
-        weight = np.ones(inputs.shape[:-1])
-        for x, high in zip(parts, corner, strict=True):
-            weight = weight * (x if high else 1.0 - x)
-        columns.append(weight)
-    return np.stack(columns, axis=-1)
+def corner_weights(x: FloatArray) -> FloatArray:
+    """Multilinear weights of the corners c in {0, 1}^n of the unit cube; they sum to one.
+
+        w_c(x) = prod_i  x_i  if c_i = 1  else  1 - x_i
+
+    `x` (..., n) are the blending channels scaled to [0, 1]; returns (..., 2^n).
+    """
+    corners = np.array(list(product((False, True), repeat=x.shape[-1])), dtype=bool)
+    x = np.clip(x, 0.0, 1.0)[..., None, :]
+    return np.asarray(np.where(corners, x, 1.0 - x).prod(axis=-1))
 
 
-def middle(z: Floats, knots: Floats) -> Floats:
+def scaled_driver(z: FloatArray, knots: FloatArray) -> FloatArray:
     """Driver scaled to [-0.5, 0.5] over the range of the knots."""
-    scaled: Floats = (z - knots[0]) / (knots[-1] - knots[0]) - 0.5
-    return scaled
+    return np.asarray((z - knots[0]) / (knots[-1] - knots[0]) - 0.5)

@@ -1,61 +1,47 @@
 """A steady-state model given as an FMU for co-simulation, FMI 2.0 or 3.0 (extra `fmu`).
 
 FMI standards 2.0.4 and 3.0.2, sections on co-simulation: every sample is a fresh run of the
-FMU (reset, initialise, set inputs, one step, read outputs), so that one sample never depends
-on the one before.
+FMU (reset, initialise, set inputs, one step, read outputs), so that no sample depends on the one
+before. An FMU is native code: one stored in a bundle is opened only with trust (`steady.model`).
 """
 
 from __future__ import annotations
 
 import contextlib
 import difflib
-import hashlib
 import shutil
 import weakref
 from collections.abc import Mapping, Sequence
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 from zipfile import BadZipFile
 
 import numpy as np
-from pydantic import Field
+from numpy.typing import NDArray
 
 from narxcal.steady.model import (
     Arrays,
+    BoxModel,
     Envelope,
-    Floats,
-    at_known,
-    checked_inputs,
+    Names,
+    SteadyOptions,
     register_steady,
     stored,
+    stored_names,
 )
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
-from narxcal.support.settings import Section
-
-if TYPE_CHECKING:
-    from os import PathLike
-
-    from numpy.typing import ArrayLike, NDArray
+from narxcal.support.files import sha256_of
 
 _REAL = ("Real", "Float64")
-
-
-class FmuOptions(Section):
-    """How an FMU is asked.
-
-    `variables` maps a canonical channel to the FMU's variable where the names differ,
-    `ranges` is the envelope `{input: (low, high)}`, and `settle_s` how long the FMU is run at
-    constant inputs before its outputs are read (for one that lags a little).
-    """
-
-    variables: dict[str, str] = Field(default_factory=dict)
-    ranges: dict[str, tuple[float, float]] = Field(default_factory=dict)
-    settle_s: float = Field(default=1.0, gt=0.0)
+_WHAT = "steady-state FMU"
+_OPTIONS = ("variables", "ranges", "settle_s")
 
 
 @register_steady
-class SteadyFmu:
-    """Evaluates an FMU whose variables hold canonical units.
+class SteadyFmu(BoxModel):
+    """Evaluates an FMU whose variables have canonical units.
 
     Raises `ModelError` if FMPy is missing, if the file is no FMU that this machine can run,
     if a variable is missing, and if the FMU reports an error.
@@ -66,11 +52,11 @@ class SteadyFmu:
     def __init__(
         self,
         path: str | PathLike[str],
-        names: tuple[Sequence[str], Sequence[str]],
-        options: FmuOptions | None = None,
+        names: Names,
+        options: SteadyOptions | None = None,
     ) -> None:
         self.path = Path(path)
-        self.options = options or FmuOptions()
+        self.options = options or SteadyOptions()
         self.input_names, self.output_names = (tuple(part) for part in names)
         self._box = Envelope.from_ranges(self.input_names, self.options.ranges)
         self._unit = _open(self.path)
@@ -81,51 +67,43 @@ class SteadyFmu:
         """Open the file again in a worker process; a running FMU cannot be sent."""
         return type(self), (self.path, (self.input_names, self.output_names), self.options)
 
-    def outputs(self, inputs: ArrayLike) -> Floats:
-        """Settled outputs `(..., n_out)` at `inputs` `(..., n_in)`; NaN where an input is."""
-        held = self._box.clamp(checked_inputs(inputs, self.input_names))
-        return at_known(self._points, held, len(self.output_names))
-
-    def inside(self, inputs: ArrayLike) -> NDArray[np.bool_]:
-        """Whether each sample lies within the ranges: `(...,)`."""
-        array = checked_inputs(inputs, self.input_names)
-        return np.asarray(self._box.inside(array) & np.isfinite(array).all(axis=-1))
-
     def files(self) -> tuple[str, ...]:
         """Return the FMU, which a bundle copies."""
         return (str(self.path),)
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Give file, hash, names and options; there are no arrays."""
+        """Return file, hash, names and options; there are no arrays."""
         meta = {
             "file": str(self.path.resolve()),
-            "sha256": _sha256(self.path),
+            "sha256": sha256_of(self.path),
             "input_names": list(self.input_names),
             "output_names": list(self.output_names),
-            "variables": dict(self.options.variables),
-            "ranges": {name: list(pair) for name, pair in self.options.ranges.items()},
-            "settle_s": self.options.settle_s,
+            **self.options.model_dump(mode="json", include=set(_OPTIONS)),
         }
         return meta, {}
 
     @classmethod
+    def executed(cls, meta: Mapping[str, Any]) -> str:
+        """Name the FMU that would be loaded and its hash; nothing is loaded."""
+        file, sha256 = stored(meta, "file", _WHAT), str(stored(meta, "sha256", _WHAT))
+        return f"the native code of the FMU {file} (sha256 {sha256[:12]})"
+
+    @classmethod
     def from_arrays(cls, meta: Mapping[str, Any], arrays: Arrays) -> Self:  # noqa: ARG003
         """Open the FMU again; raises `ModelError` if it is missing or another one."""
-        what = "steady-state FMU"
-        file = Path(stored(meta, "file", what))
+        file = Path(stored(meta, "file", _WHAT))
         if not file.is_file():
             raise ModelError(
                 "the FMU of this bundle is missing", file=file, hint="Put it there again"
             )
-        if _sha256(file) != stored(meta, "sha256", what):
+        if sha256_of(file) != stored(meta, "sha256", _WHAT):
             raise ModelError(
                 "the FMU is not the one the bundle was trained on",
                 file=file,
                 hint="Restore the former file, or train anew",
             )
-        names = (stored(meta, "input_names", what), stored(meta, "output_names", what))
-        options = {key: stored(meta, key, what) for key in FmuOptions.model_fields}
-        return cls(file, names, FmuOptions.parse(options))
+        options = {key: stored(meta, key, _WHAT) for key in _OPTIONS}
+        return cls(file, stored_names(meta, _WHAT), SteadyOptions.parse(options))
 
     def _references(self, names: Sequence[str]) -> list[int]:
         return [self._reference(name) for name in names]
@@ -147,7 +125,7 @@ class SteadyFmu:
             )
         return int(known[wanted].valueReference)
 
-    def _points(self, inputs: Floats) -> Floats:
+    def _evaluate(self, inputs: FloatArray) -> FloatArray:
         return np.array([self._point(row) for row in inputs.tolist()])
 
     def _point(self, inputs: list[float]) -> list[float]:
@@ -161,7 +139,7 @@ class SteadyFmu:
 
 
 class _Unit:
-    """One running FMU; freed, with the files it was unpacked to, when nobody needs it."""
+    """One running FMU; freed, with the files it was unpacked to, when no longer referenced."""
 
     def __init__(self, slave: Any, description: Any, folder: Any, call_error: Any) -> None:
         self.variables = description.modelVariables
@@ -244,7 +222,3 @@ def _check(path: Path, description: Any, platforms: tuple[list[str], str]) -> No
 def _close(slave: Any, folder: Any) -> None:
     slave.freeInstance()
     shutil.rmtree(folder, ignore_errors=True)
-
-
-def _sha256(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()

@@ -1,6 +1,8 @@
 """A steady-state model given as a Python function, `module:function`.
 
-What a costly function answered to whole logs: a training asks the same ones again and again.
+Results for whole logs are cached, since a training evaluates the same logs again and again.
+Importing a module runs it: a function stored in a bundle is imported only with trust
+(`steady.model`) and only from a file with the stored hash.
 """
 
 from __future__ import annotations
@@ -10,39 +12,42 @@ import importlib
 import importlib.util
 import sys
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from types import ModuleType
+from typing import Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from narxcal.steady.model import (
     Arrays,
+    BoxModel,
     Envelope,
-    Floats,
-    at_known,
-    checked_inputs,
+    Names,
     register_steady,
     stored,
+    stored_names,
 )
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, ModelError
+from narxcal.support.files import sha256_of
 
-if TYPE_CHECKING:
-    from os import PathLike
-    from types import ModuleType
-
-    from numpy.typing import ArrayLike, NDArray
-
+# Part of narxcal, a function of its inputs without side effects: opening it needs no trust.
+BUILT_IN = ("narxcal.turbofan:maker_model",)
 _FEWEST_ROWS = 100  # fewer are samples of a stream, which do not come again
-_MOST_ROWS = 1_000_000  # kept in all: some 10 h at 32 Hz, 24 MB of three outputs
+_MOST_ROWS = 1_000_000  # cached in all: some 10 h at 32 Hz, 24 MB of three outputs
+_WHAT = "steady-state function"
+
+Function = Callable[[FloatArray], ArrayLike]
+Ranges = Mapping[str, tuple[float, float]]
 
 
-class Remembered:
-    """`function((n, n_in)) -> (n, n_out)`, whose answers to the same inputs are the same.
+class Cached:
+    """`function((n, n_in)) -> (n, n_out)` with its most recently used results cached.
 
-    The answers used last are kept, up to `most_rows` in all, and handed out read-only.
+    Up to `most_rows` rows are kept in all; results are returned read-only.
     """
 
     def __init__(
@@ -50,35 +55,30 @@ class Remembered:
     ) -> None:
         self._function = function
         self._most_rows = most_rows
-        self._answers: OrderedDict[bytes, FloatArray] = OrderedDict()
+        self._results: OrderedDict[bytes, FloatArray] = OrderedDict()
 
     def __call__(self, inputs: FloatArray) -> FloatArray:
-        """Answer (n, n_out) to inputs (n, n_in)."""
+        """Evaluate inputs (n, n_in), or return the cached result (n, n_out)."""
         if not _FEWEST_ROWS <= len(inputs) <= self._most_rows:
             return self._function(inputs)
         key = hashlib.sha256(np.ascontiguousarray(inputs).tobytes()).digest()
-        answer = self._answers.pop(key, None)
-        if answer is None:
-            answer = self._function(inputs).copy()
-            answer.flags.writeable = False
-        self._answers[key] = answer
-        while sum(map(len, self._answers.values())) > self._most_rows:
-            self._answers.popitem(last=False)
-        return answer
-
-
-Function = Callable[[Floats], "ArrayLike"]
-Ranges = Mapping[str, tuple[float, float]]
+        result = self._results.pop(key, None)
+        if result is None:
+            result = self._function(inputs).copy()
+            result.flags.writeable = False
+        self._results[key] = result
+        while sum(map(len, self._results.values())) > self._most_rows:
+            self._results.popitem(last=False)
+        return result
 
 
 @register_steady
-class SteadyCallable:
+class SteadyCallable(BoxModel):
     """Wraps `function((n, n_in)) -> (n, n_out)`, both in canonical units.
 
     `names` are the input and the output names, `ranges` the envelope `{input: (low, high)}`;
-    an input without a range is unbounded. Inputs are clamped to the envelope before the
-    function sees them. It has to be a function of them alone: what it answered to whole logs is
-    remembered.
+    an input without a range is unbounded. Inputs are clamped to the envelope before they reach the
+    function, whose result must depend on them alone (results for whole logs are cached).
 
     Raises `ModelError` if the function returns another shape or no numbers.
     """
@@ -88,7 +88,7 @@ class SteadyCallable:
     def __init__(
         self,
         function: Function,
-        names: tuple[Sequence[str], Sequence[str]],
+        names: Names,
         ranges: Ranges | None = None,
         reference: str | None = None,
         file: str | None = None,
@@ -98,13 +98,13 @@ class SteadyCallable:
         self.file = file
         self._function = function
         self._box = Envelope.from_ranges(self.input_names, ranges)
-        self._answer = Remembered(self._evaluate)
+        self._cached = Cached(self._call)
 
     @classmethod
     def load(
         cls,
         reference: str,
-        names: tuple[Sequence[str], Sequence[str]],
+        names: Names,
         ranges: Ranges | None = None,
         folder: str | PathLike[str] = ".",
     ) -> Self:
@@ -124,43 +124,34 @@ class SteadyCallable:
         return cls(function, names, ranges, reference, str(file))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Send a worker process the reference, for it cannot import a file by its name."""
+        """Send a worker process the reference: a module loaded from a file has no import name."""
         if self.reference is None or self.file is None:
             return super().__reduce__()  # type: ignore[return-value]
         ranges = _ranges(self.input_names, self._box.low, self._box.high)
         names = (self.input_names, self.output_names)
         return type(self).load, (self.reference, names, ranges, Path(self.file).parent)
 
-    def outputs(self, inputs: ArrayLike) -> Floats:
-        """Settled outputs `(..., n_out)` at `inputs` `(..., n_in)`; NaN where an input is."""
-        held = self._box.clamp(checked_inputs(inputs, self.input_names))
-        return at_known(self._answer, held, len(self.output_names))
+    def _evaluate(self, inputs: FloatArray) -> FloatArray:
+        return self._cached(inputs)
 
-    def _evaluate(self, inputs: Floats) -> Floats:
+    def _call(self, inputs: FloatArray) -> FloatArray:
         expected = (len(inputs), len(self.output_names))
+        name = f"'{self.reference}'" if self.reference else "function"
         try:
             found = np.asarray(self._function(inputs), dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise ModelError(
-                f"steady-state model {self._name()} failed on inputs {inputs.shape}: {error}",
+                f"steady-state model {name} failed on inputs {inputs.shape}: {error}",
                 hint="It takes one array (samples, inputs) and returns (samples, outputs)",
             ) from error
         if found.shape != expected:
             raise ModelError(
-                f"steady-state model {self._name()} returned {found.shape}, expected {expected}"
+                f"steady-state model {name} returned {found.shape}, expected {expected}"
             )
         return found
 
-    def _name(self) -> str:
-        return f"'{self.reference}'" if self.reference else "function"
-
-    def inside(self, inputs: ArrayLike) -> NDArray[np.bool_]:
-        """Whether each sample lies within the ranges: `(...,)`."""
-        array = checked_inputs(inputs, self.input_names)
-        return np.asarray(self._box.inside(array) & np.isfinite(array).all(axis=-1))
-
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-        """Give the reference, the hash of the module's file, the names and the envelope."""
+        """Return reference, hash of the module's file, names and envelope."""
         if self.reference is None or self.file is None:
             raise ModelError(
                 "a steady-state function without a module cannot be stored in a bundle",
@@ -169,11 +160,20 @@ class SteadyCallable:
         meta = {
             "reference": self.reference,
             "file": self.file,
-            "sha256": _sha256(Path(self.file)),
+            "sha256": sha256_of(Path(self.file)),
             "input_names": list(self.input_names),
             "output_names": list(self.output_names),
         }
         return meta, {"low": self._box.low, "high": self._box.high}
+
+    @classmethod
+    def executed(cls, meta: Mapping[str, Any]) -> str:
+        """Name the function that would be imported, its file and hash; nothing is imported."""
+        reference = stored(meta, "reference", _WHAT)
+        if reference in BUILT_IN:
+            return ""
+        file, sha256 = stored(meta, "file", _WHAT), str(stored(meta, "sha256", _WHAT))
+        return f"the Python function '{reference}' of {file} (sha256 {sha256[:12]})"
 
     @classmethod
     def from_arrays(cls, meta: Mapping[str, Any], arrays: Arrays) -> Self:
@@ -181,29 +181,28 @@ class SteadyCallable:
 
         Raises `ModelError` if the module is missing or was changed; a changed one is not run.
         """
-        what = "steady-state function"
-        reference = str(stored(meta, "reference", what))
-        names = (stored(meta, "input_names", what), stored(meta, "output_names", what))
+        reference = str(stored(meta, "reference", _WHAT))
+        names = stored_names(meta, _WHAT)
         module, name = _split(reference)
-        former = Path(stored(meta, "file", what))
+        former = Path(stored(meta, "file", _WHAT))
         file = _find(module, former.parent)
         if file is None:
             raise ModelError(
                 f"the steady-state model '{reference}' of this bundle is not installed",
                 hint=f"Put {former.name} into {former.parent}, or install it",
             )
-        if _sha256(file) != stored(meta, "sha256", what):
+        if sha256_of(file) != stored(meta, "sha256", _WHAT):
             raise ModelError(
                 f"the steady-state model '{reference}' is not the one the bundle was trained on",
                 file=file,
                 hint="Restore the former file, or train anew",
             )
-        ranges = _ranges(names[0], stored(arrays, "low", what), stored(arrays, "high", what))
+        ranges = _ranges(names[0], stored(arrays, "low", _WHAT), stored(arrays, "high", _WHAT))
         function = _function(_import(module, file), name, reference)
         return cls(function, names, ranges, reference, str(file))
 
 
-def _ranges(names: Sequence[str], low: Floats, high: Floats) -> Ranges:
+def _ranges(names: tuple[str, ...], low: FloatArray, high: FloatArray) -> Ranges:
     pairs = zip(low.tolist(), high.tolist(), strict=True)
     return dict(zip(names, pairs, strict=True))
 
@@ -219,7 +218,7 @@ def _split(reference: str) -> tuple[str, str]:
 
 
 def _find(module: str, folder: Path) -> Path | None:
-    """Find the module's file, on the import path or in `folder`, without running it."""
+    """Find the module's file, on the import path or in `folder`."""
     installed = _installed(module)
     if installed is not None:
         return installed
@@ -240,8 +239,8 @@ def _installed(module: str) -> Path | None:
 def _import(module: str, file: Path) -> ModuleType:
     if _installed(module) == file:
         return importlib.import_module(module)
-    # A name of its own, so that it hides no module and a changed file is not the former one.
-    own = f"_narxcal_{_sha256(file)[:12]}_{module.replace('.', '_')}"
+    # A name of its own: it hides no installed module, and a changed file is another module.
+    own = f"_narxcal_{sha256_of(file)[:12]}_{module.replace('.', '_')}"
     if own in sys.modules:
         return sys.modules[own]
     spec = importlib.util.spec_from_file_location(own, file)
@@ -265,7 +264,3 @@ def _function(module: ModuleType, name: str, reference: str) -> Function:
         )
     function: Function = found
     return function
-
-
-def _sha256(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()

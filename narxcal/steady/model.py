@@ -1,7 +1,7 @@
-"""What a steady-state model is, how its envelope works, and how any of them is stored.
+"""Steady-state models: the interface, the envelope, opening by kind, and storing in a bundle.
 
-A model is read-only: it says where the engine settles, never how it gets there. Tables,
-callables, FMUs and models fitted from flights all meet the same `Protocol`.
+A steady-state model maps operating conditions to the outputs at which the engine settles. It comes
+as a table, a fit to flights, a Python function or an FMU; all meet `SteadyStateModel`.
 """
 
 from __future__ import annotations
@@ -9,25 +9,46 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, Self, TypeVar, runtime_checkable
+from os import PathLike
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
-from narxcal.support.errors import ModelError
+from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.errors import ConfigError, ModelError
+from narxcal.support.settings import Section
 
 Model = TypeVar("Model", bound="StorableSteadyState")
-Floats = NDArray[np.float64]
 Arrays = Mapping[str, NDArray[Any]]
+Names = tuple[Sequence[str], Sequence[str]]  # input and output channels
+Method = Literal["linear", "pchip"]
+ALTERED = "The bundle was altered; train it again"
+
+
+class SteadyOptions(Section):
+    """What differs between the kinds of sources; all optional.
+
+    `method` interpolates a table. `ranges` `{input: (low, high)}` is the envelope of a function or
+    an FMU, `variables` `{channel: variable}` names the FMU's variables where they differ, and
+    `settle_s` is the time an FMU is run at constant inputs before its outputs are read.
+    """
+
+    method: Method = "linear"
+    ranges: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    variables: dict[str, str] = Field(default_factory=dict)
+    settle_s: float = Field(default=1.0, gt=0.0)
 
 
 @runtime_checkable
 class SteadyStateModel(Protocol):
-    """Maps operating conditions to where the outputs settle.
+    """Maps operating conditions to steady-state outputs.
 
-    Columns are canonical channels in canonical units. Outside the envelope a model evaluates
-    the nearest conditions it knows (so its outputs stay bounded) and `inside` says so; a
-    sample with NaN in any input is outside and gives NaN.
+    Columns are canonical channels in canonical units. Outside the envelope a model evaluates the
+    nearest conditions inside (so its outputs stay bounded) and `inside` is False; a sample with NaN
+    in any input is outside and gives NaN.
     """
 
     @property
@@ -38,16 +59,16 @@ class SteadyStateModel(Protocol):
     def output_names(self) -> tuple[str, ...]:
         """Names of the output columns."""
 
-    def outputs(self, inputs: Floats) -> Floats:
-        """Settled outputs `(..., n_out)` at `inputs` `(..., n_in)`."""
+    def outputs(self, inputs: FloatArray) -> FloatArray:
+        """Steady-state outputs `(..., n_out)` at `inputs` `(..., n_in)`."""
 
-    def inside(self, inputs: Floats) -> NDArray[np.bool_]:
+    def inside(self, inputs: FloatArray) -> BoolArray:
         """Whether each sample of `inputs` `(..., n_in)` lies in the envelope: `(...,)`."""
 
 
 @runtime_checkable
 class StorableSteadyState(SteadyStateModel, Protocol):
-    """A steady-state model that a bundle can carry: plain JSON and plain arrays."""
+    """A steady-state model that a bundle can store as plain JSON and plain arrays."""
 
     kind: ClassVar[str]
 
@@ -63,22 +84,34 @@ class StorableSteadyState(SteadyStateModel, Protocol):
 class CarriesFiles(Protocol):
     """A steady-state model that needs a file beside the bundle, such as an FMU.
 
-    A bundle copies each file, and points `meta["file"]` at the copy when it is loaded.
+    A bundle copies each file, and `meta["file"]` names the copy when it is loaded.
     """
 
     def files(self) -> tuple[str, ...]:
         """Paths of the files to copy; those that no longer exist are left out."""
 
 
-@dataclass(frozen=True)
-class Envelope:
-    """The box `low <= inputs <= high`, `(n_in,)` each, in which a model was made."""
-
-    low: Floats
-    high: Floats
+@runtime_checkable
+class Executes(Protocol):
+    """A kind of steady-state model whose opening runs code that the bundle does not contain."""
 
     @classmethod
-    def of(cls, points: Floats) -> Self:
+    def executed(cls, meta: Mapping[str, Any]) -> str:
+        """Name what opening the stored model would run: function or FMU, file and hash.
+
+        Empty where only code of narxcal itself would run.
+        """
+
+
+@dataclass(frozen=True)
+class Envelope:
+    """The box `low <= inputs <= high`, `(n_in,)` each, in which a model is valid."""
+
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def of(cls, points: FloatArray) -> Self:
         """Return the smallest box around `points` `(n, n_in)`."""
         return cls(points.min(axis=0), points.max(axis=0))
 
@@ -103,16 +136,44 @@ class Envelope:
         box = np.array(pairs, dtype=np.float64).reshape(-1, 2)
         return cls(box[:, 0], box[:, 1])
 
-    def inside(self, inputs: Floats) -> NDArray[np.bool_]:
+    def inside(self, inputs: FloatArray) -> BoolArray:
         """Whether each sample of `(..., n_in)` lies in the box; NaN does not."""
         return np.asarray(((inputs >= self.low) & (inputs <= self.high)).all(axis=-1))
 
-    def clamp(self, inputs: Floats) -> Floats:
+    def clamp(self, inputs: FloatArray) -> FloatArray:
         """Move each input to the nearest value in the box; NaN stays NaN."""
         return np.clip(inputs, self.low, self.high)
 
 
-def checked_inputs(inputs: ArrayLike, names: Sequence[str]) -> Floats:
+class BoxModel:
+    """Base of models that evaluate a function inside a box of inputs.
+
+    A subclass sets the names and `_box` and defines `_evaluate((n, n_in)) -> (n, n_out)` for finite
+    inputs.
+    """
+
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    _box: Envelope
+
+    def _evaluate(self, inputs: FloatArray) -> FloatArray:
+        raise NotImplementedError
+
+    def outputs(self, inputs: ArrayLike) -> FloatArray:
+        """Steady-state outputs `(..., n_out)` at `inputs` `(..., n_in)`, clamped to the envelope.
+
+        NaN where an input is NaN.
+        """
+        clamped = self._box.clamp(checked_inputs(inputs, self.input_names))
+        return at_known(self._evaluate, clamped, len(self.output_names))
+
+    def inside(self, inputs: ArrayLike) -> BoolArray:
+        """Whether each sample lies within the ranges: `(...,)`."""
+        array = checked_inputs(inputs, self.input_names)
+        return np.asarray(self._box.inside(array) & np.isfinite(array).all(axis=-1))
+
+
+def checked_inputs(inputs: ArrayLike, names: Sequence[str]) -> FloatArray:
     """Turn `inputs` into floats; raise `ModelError` unless the last axis has one entry per name."""
     array = np.asarray(inputs, dtype=np.float64)
     found = array.shape[-1] if array.ndim else 0
@@ -123,7 +184,9 @@ def checked_inputs(inputs: ArrayLike, names: Sequence[str]) -> Floats:
     return array
 
 
-def at_known(function: Callable[[Floats], Floats], inputs: Floats, count: int) -> Floats:
+def at_known(
+    function: Callable[[FloatArray], FloatArray], inputs: FloatArray, count: int
+) -> FloatArray:
     """`function((n, n_in)) -> (n, count)` at `inputs` `(..., n_in)`, NaN where not finite."""
     flat = inputs.reshape(-1, inputs.shape[-1])
     known = np.isfinite(flat).all(axis=1)
@@ -133,9 +196,8 @@ def at_known(function: Callable[[Floats], Floats], inputs: Floats, count: int) -
     return result.reshape(*inputs.shape[:-1], count)
 
 
-# Importing the module registers its class, so that a bundle opens without the caller
-# knowing which kind of model is in it.
-_HOMES = {
+# A kind's module is imported only when a model of that kind is opened, and registers its class.
+_MODULES = {
     "table": "narxcal.steady.table",
     "callable": "narxcal.steady.function",
     "fmu": "narxcal.steady.fmu",
@@ -148,6 +210,39 @@ def register_steady(model: type[Model]) -> type[Model]:
     """Class decorator: make `model.kind` loadable by `steady_from_json`."""
     _REGISTRY[model.kind] = model
     return model
+
+
+def open_steady(
+    kind: str,
+    source: str,
+    names: Names,
+    folder: str | PathLike[str] = ".",
+    options: SteadyOptions | None = None,
+) -> SteadyStateModel:
+    """Open `source` as `kind` "table" (a CSV file), "callable" (`module:function`) or "fmu".
+
+    `names` are the input and output channels; files and modules are looked for relative to
+    `folder`. This runs the function or FMU named: call it with what the user
+    names, never with what a file says. Raises `ConfigError`, `DataError` or `ModelError` as the
+    kind itself does.
+    """
+    chosen, path = options or SteadyOptions(), Path(folder) / source
+    # Each kind is imported only where it is used: FMPy and pandas are slow to import.
+    if kind == "table":
+        from narxcal.steady.table import read_steady_table  # noqa: PLC0415
+
+        return read_steady_table(path, *names, chosen.method)
+    if kind == "callable":
+        from narxcal.steady.function import SteadyCallable  # noqa: PLC0415
+
+        return SteadyCallable.load(source, names, chosen.ranges, folder)
+    if kind == "fmu":
+        from narxcal.steady.fmu import SteadyFmu  # noqa: PLC0415
+
+        return SteadyFmu(path, names, chosen)
+    raise ConfigError(
+        f"unknown kind of steady-state source '{kind}'", hint="Use table, callable or fmu"
+    )
 
 
 def steady_to_json(
@@ -166,23 +261,43 @@ def steady_to_json(
     return {"kind": model.kind, **meta}, arrays
 
 
-def steady_from_json(meta: Mapping[str, Any], arrays: Arrays) -> SteadyStateModel:
-    """Rebuild what `steady_to_json` split; raises `ModelError` for an unknown kind."""
+def steady_from_json(
+    meta: Mapping[str, Any], arrays: Arrays, *, trust: bool = False
+) -> SteadyStateModel:
+    """Rebuild what `steady_to_json` split.
+
+    A model that runs code, a Python function or an FMU, is opened only with `trust`. Raises
+    `ModelError` for an unknown kind, and without trust naming what would run.
+    """
     kind = str(meta.get("kind"))
-    if kind not in _REGISTRY and kind in _HOMES:
-        importlib.import_module(_HOMES[kind])
+    if kind not in _REGISTRY and kind in _MODULES:
+        importlib.import_module(_MODULES[kind])
     if kind not in _REGISTRY:
-        known = ", ".join(sorted({*_REGISTRY, *_HOMES}))
+        known = ", ".join(sorted({*_REGISTRY, *_MODULES}))
         raise ModelError(
             f"unknown kind of steady-state model '{kind}'", hint=f"Known kinds: {known}"
         )
-    return _REGISTRY[kind].from_arrays(meta, arrays)
+    model = _REGISTRY[kind]
+    if not trust and issubclass(model, Executes) and model.executed(meta):
+        raise ModelError(
+            f"opening this model would run {model.executed(meta)}",
+            hint="If you would run a program of its author, allow it by --trust, in Python by "
+            "load_bundle(folder, trust=True)",
+        )
+    return model.from_arrays(meta, arrays)
 
 
 def stored(values: Mapping[str, Any], name: str, what: str) -> Any:
     """`values[name]` of a stored model; raises `ModelError` where it is missing."""
     if name not in values:
-        raise ModelError(
-            f"the stored {what} has no '{name}'", hint="The bundle was altered; train it again"
-        )
+        raise ModelError(f"the stored {what} has no '{name}'", hint=ALTERED)
     return values[name]
+
+
+def stored_names(meta: Mapping[str, Any], what: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Input and output names of a stored model; raises `ModelError` for anything but texts."""
+    inputs, outputs = stored(meta, "input_names", what), stored(meta, "output_names", what)
+    for names in (inputs, outputs):
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise ModelError(f"the names of the stored {what} are no list of texts", hint=ALTERED)
+    return tuple(inputs), tuple(outputs)

@@ -1,74 +1,63 @@
-"""A steady-state model given as a table: the black box an aircraft maker hands over.
+"""A steady-state model given as a table: gridded or scattered points, and its CSV file.
 
 A full grid is interpolated multilinearly (or, along its first input, by a monotone cubic);
-scattered points linearly over a Delaunay triangulation (scipy.spatial, Qhull).
-
-Reads the table of a steady-state model from a CSV file.
-
-Compiled multilinear interpolation on a rectilinear grid.
-
-Gives what `scipy.interpolate.RegularGridInterpolator` gives (its slow twin in the tests), at
-less than a tenth of the cost per call, which counts where samples arrive one by one.
+scattered points linearly over a Delaunay triangulation (scipy.spatial, Qhull). The multilinear
+interpolation is compiled: it gives what `scipy.interpolate.RegularGridInterpolator` gives at less
+than a tenth of the cost per call, which counts where samples arrive one by one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import gzip
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, get_args
+from io import StringIO
+from os import PathLike
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, Self, get_args
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import LinearNDInterpolator, PchipInterpolator
 from scipy.spatial import ConvexHull, QhullError
 
+from narxcal.channels import channel
 from narxcal.steady.model import (
     Arrays,
     Envelope,
-    Floats,
+    Method,
+    Names,
     at_known,
     checked_inputs,
     register_steady,
     stored,
+    stored_names,
 )
-from narxcal.steady.options import Method
+from narxcal.support.arrays import BoolArray, FloatArray, IntArray
+from narxcal.support.compiled import compiled
 from narxcal.support.errors import ConfigError, DataError
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from numpy.typing import ArrayLike, NDArray
-import csv
-import gzip
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-from narxcal.channels import channel
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from os import PathLike
-
-
-Integers = NDArray[np.int64]
+_SUBDIVISIONS = 16  # of each interval of a cubic: its error is below 1/256 of a straight line's
+_CHUNK = 4096  # samples evaluated at a time, to bound memory
 
 
 @dataclass(frozen=True)
 class Multilinear:
-    """`nodes` are the axes one after the other, axis `d` starting at `starts[d]`.
+    """Compiled multilinear interpolation on a rectilinear grid.
 
-    `values` (cells, n_out) holds the grid flattened in C order, `strides` what one step along
-    an axis adds to the row.
+    `nodes` are the axes one after the other, axis `d` starting at `starts[d]`. `values`
+    (points, n_out) is the grid flattened in C order; a step along axis `d` adds `strides[d]` to the
+    row.
     """
 
-    nodes: Floats
-    starts: Integers
-    values: Floats
-    strides: Integers
+    nodes: FloatArray
+    starts: IntArray
+    values: FloatArray
+    strides: IntArray
 
     @classmethod
-    def of(cls, axes: Sequence[Floats], values: Floats) -> Self:
+    def of(cls, axes: Sequence[FloatArray], values: FloatArray) -> Self:
         """Prepare increasing `axes` and `values` of shape (len(axis) for each axis, n_out)."""
         lengths = [len(axis) for axis in axes]
         strides = np.cumprod([1, *reversed(lengths[1:])])[::-1]
@@ -79,16 +68,16 @@ class Multilinear:
             np.ascontiguousarray(strides, dtype=np.int64),
         )
 
-    def __call__(self, inputs: Floats) -> Floats:
-        """Values (n, n_out) at `inputs` (n, n_in), each held at the end of its axis."""
+    def __call__(self, inputs: FloatArray) -> FloatArray:
+        """Values (n, n_out) at `inputs` (n, n_in), each clamped to its axis."""
         given = np.ascontiguousarray(inputs)
-        result: Floats = _run(self.nodes, self.starts, self.values, self.strides, given)
-        return result
+        return _interpolate(self.nodes, self.starts, self.values, self.strides, given)
 
 
+@compiled
 def _interpolate(
-    nodes: Floats, starts: Integers, values: Floats, strides: Integers, inputs: Floats
-) -> Floats:
+    nodes: FloatArray, starts: IntArray, values: FloatArray, strides: IntArray, inputs: FloatArray
+) -> FloatArray:
     samples, dims = inputs.shape
     outputs = values.shape[1]
     result = np.zeros((samples, outputs))
@@ -115,19 +104,12 @@ def _interpolate(
     return result
 
 
-_run: Any = njit(cache=True, nogil=True)(_interpolate)
-
-
-_REFINE = 16
-_CHUNK = 4096
-
-
 class _Interpolant(Protocol):
     """Evaluates `(n, n_in)` finite inputs inside or outside the envelope."""
 
-    def values(self, inputs: Floats) -> Floats: ...
+    def values(self, inputs: FloatArray) -> FloatArray: ...
 
-    def inside(self, inputs: Floats) -> NDArray[np.bool_]: ...
+    def inside(self, inputs: FloatArray) -> BoolArray: ...
 
 
 @register_steady
@@ -150,7 +132,7 @@ class SteadyTable:
 
     def __init__(
         self,
-        names: tuple[Sequence[str], Sequence[str]],
+        names: Names,
         points: ArrayLike,
         values: ArrayLike,
         method: Method = "linear",
@@ -181,7 +163,7 @@ class SteadyTable:
                 f"unknown table method '{self.method}'", hint="Use 'linear' or 'pchip'"
             )
         if not (np.isfinite(self.points).all() and np.isfinite(self.values).all()):
-            raise DataError("the table holds values that are not finite", hint="Leave them out")
+            raise DataError("the table contains values that are not finite", hint="Leave them out")
         for name, column in zip(self.input_names, self.points.T, strict=True):
             if len(np.unique(column)) < 2:
                 raise DataError(
@@ -190,19 +172,21 @@ class SteadyTable:
                     hint="Leave an input out that does not vary",
                 )
         if len(np.unique(self.points, axis=0)) != rows:
-            raise DataError("the table holds the same conditions twice", hint="Keep one row each")
+            raise DataError(
+                "the table contains the same conditions twice", hint="Keep one row each"
+            )
         if self.method == "pchip" and _grid_axes(self.points) is None:
             raise ConfigError(
                 "method 'pchip' needs a full grid, and the table is scattered",
                 hint="Fill the grid, or use 'linear'",
             )
 
-    def outputs(self, inputs: ArrayLike) -> Floats:
-        """Settled outputs `(..., n_out)` at `inputs` `(..., n_in)`; NaN where an input is."""
+    def outputs(self, inputs: ArrayLike) -> FloatArray:
+        """Steady-state outputs `(..., n_out)` at `inputs` `(..., n_in)`; NaN where an input is."""
         array = checked_inputs(inputs, self.input_names)
         return at_known(self._interpolant.values, array, len(self.output_names))
 
-    def inside(self, inputs: ArrayLike) -> NDArray[np.bool_]:
+    def inside(self, inputs: ArrayLike) -> BoolArray:
         """Whether each sample lies in the grid's box or the points' convex hull: `(...,)`."""
         array = checked_inputs(inputs, self.input_names)
         flat = array.reshape(-1, len(self.input_names))
@@ -223,13 +207,13 @@ class SteadyTable:
     def from_arrays(cls, meta: Mapping[str, Any], arrays: Arrays) -> Self:
         """Rebuild a stored table."""
         what = "steady-state table"
-        names = (stored(meta, "input_names", what), stored(meta, "output_names", what))
+        names = stored_names(meta, what)
         points, values = stored(arrays, "points", what), stored(arrays, "values", what)
         return cls(names, points, values, stored(meta, "method", what))
 
 
 class _Grid:
-    def __init__(self, axes: list[Floats], values: Floats, method: Method) -> None:
+    def __init__(self, axes: list[FloatArray], values: FloatArray, method: Method) -> None:
         self._box = Envelope(
             np.array([axis[0] for axis in axes]), np.array([axis[-1] for axis in axes])
         )
@@ -239,17 +223,17 @@ class _Grid:
             axes = [fine, *axes[1:]]
         self._interpolate = Multilinear.of(axes, values)
 
-    def values(self, inputs: Floats) -> Floats:
+    def values(self, inputs: FloatArray) -> FloatArray:
         return self._interpolate(inputs)
 
-    def inside(self, inputs: Floats) -> NDArray[np.bool_]:
+    def inside(self, inputs: FloatArray) -> BoolArray:
         return self._box.inside(inputs)
 
 
 class _Scatter:
     """Linear on simplices, in inputs scaled to their range so that units do not matter."""
 
-    def __init__(self, points: Floats, values: Floats) -> None:
+    def __init__(self, points: FloatArray, values: FloatArray) -> None:
         self._low = points.min(axis=0)
         self._range = np.ptp(points, axis=0)
         scaled = (points - self._low) / self._range
@@ -265,37 +249,36 @@ class _Scatter:
         self._centre = scaled.mean(axis=0)
         self._depth = -(self._normals @ self._centre + self._offsets)
 
-    def values(self, inputs: Floats) -> Floats:
+    def values(self, inputs: FloatArray) -> FloatArray:
         chunks = np.array_split(inputs, max(1, -(-len(inputs) // _CHUNK)))
         return np.concatenate([self._chunk(chunk) for chunk in chunks])
 
-    def _chunk(self, inputs: Floats) -> Floats:
+    def _chunk(self, inputs: FloatArray) -> FloatArray:
         ray = (inputs - self._low) / self._range - self._centre
         # A facet at distance `depth` from the centre is met after depth / (n . ray) of the ray.
         ratio = (ray @ self._normals.T) / self._depth
         reach = np.maximum(ratio.max(axis=1, initial=0.0), 1.0)[:, None]
         result = np.asarray(self._interpolate(self._centre + ray / reach), dtype=np.float64)
-        # Rounding can leave a point on the hull a hair outside all simplices.
+        # Rounding can leave a point on the hull just outside all simplices.
         lost = np.isnan(result).any(axis=1)
         if lost.any():
             pulled = self._centre + ray[lost] / reach[lost] * (1.0 - 1e-9)
             result[lost] = self._interpolate(pulled)
         return result
 
-    def inside(self, inputs: Floats) -> NDArray[np.bool_]:
+    def inside(self, inputs: FloatArray) -> BoolArray:
         scaled = (inputs - self._low) / self._range
-        held: NDArray[np.bool_] = (scaled @ self._normals.T + self._offsets <= 1e-9).all(axis=1)
-        return held
+        return np.asarray((scaled @ self._normals.T + self._offsets <= 1e-9).all(axis=1))
 
 
-def _grid_axes(points: Floats) -> list[Floats] | None:
+def _grid_axes(points: FloatArray) -> list[FloatArray] | None:
     """Sorted values of each input if the (distinct) points fill the whole grid, else None."""
     axes = [np.unique(column) for column in points.T]
     full = int(np.prod([len(axis) for axis in axes], dtype=np.int64)) == len(points)
     return axes if full else None
 
 
-def _on_grid(points: Floats, values: Floats, axes: list[Floats]) -> Floats:
+def _on_grid(points: FloatArray, values: FloatArray, axes: list[FloatArray]) -> FloatArray:
     places = tuple(
         np.searchsorted(axis, column) for axis, column in zip(axes, points.T, strict=True)
     )
@@ -304,14 +287,11 @@ def _on_grid(points: Floats, values: Floats, axes: list[Floats]) -> Floats:
     return grid
 
 
-def _refined(axis: Floats) -> Floats:
-    """`axis` with further values between, keeping each of its own exactly."""
-    share = np.arange(_REFINE) / _REFINE
+def _refined(axis: FloatArray) -> FloatArray:
+    """`axis` with further nodes in each interval, its own kept exactly."""
+    share = np.arange(_SUBDIVISIONS) / _SUBDIVISIONS
     between = axis[:-1, None] + np.diff(axis)[:, None] * share
     return np.append(between.ravel(), axis[-1])
-
-
-_DELIMITERS = (",", ";", "\t")
 
 
 def read_steady_table(
@@ -320,18 +300,19 @@ def read_steady_table(
     output_names: Sequence[str] | None = None,
     method: Method = "linear",
 ) -> SteadyTable:
-    """Read a CSV (or .csv.gz) whose header holds canonical channels in canonical units.
+    """Read a CSV (or .csv.gz) whose header names canonical channels in canonical units.
 
     Lines that start with `#` are comments. Where the header is separated by `;` or tabs, numbers
-    may have decimal commas. By default the channels with the role of an output
-    are the outputs and the others the inputs; name them where one is otherwise (fuel flow as
-    the driver). Further columns are ignored.
+    may have decimal commas. By default the channels with the role of an output are the outputs and
+    the others the inputs; name them where one is otherwise (fuel flow as the driver). Further
+    columns are ignored.
 
     Raises `DataError` naming file, row (line of the file) and value, and `ConfigError` for a
     name that is no channel.
     """
     file = Path(path)
-    header, rows = _read_rows(file)
+    cells = _read_cells(file)
+    header = list(cells.columns)
     outputs = tuple(output_names or _by_role(header, input_names or (), output=True))
     inputs = tuple(input_names or _by_role(header, outputs, output=False))
     for name in (*inputs, *outputs):
@@ -349,11 +330,12 @@ def read_steady_table(
             f"{list(outputs)}",
             file=file,
         )
-    numbers = _numbers(file, rows, {name: header.index(name) for name in (*inputs, *outputs)})
+    points, values = (
+        np.column_stack([_numbers(cells[name], file) for name in names])
+        for names in (inputs, outputs)
+    )
     try:
-        return SteadyTable(
-            (inputs, outputs), numbers[:, : len(inputs)], numbers[:, len(inputs) :], method
-        )
+        return SteadyTable((inputs, outputs), points, values, method)
     except DataError as error:
         raise DataError(error.problem, file=file, channel=error.channel, hint=error.hint) from None
 
@@ -368,51 +350,43 @@ def _by_role(header: Sequence[str], taken: Sequence[str], *, output: bool) -> li
     ]
 
 
-def _read_rows(file: Path) -> tuple[list[str], list[tuple[int, list[str]]]]:
+def _read_cells(file: Path) -> pd.DataFrame:
+    """Columns as numbers, or as text where a cell is none; the index is the line of the file."""
     if not file.is_file():
         raise DataError("the table does not exist", file=file)
     opener = gzip.open if file.suffix == ".gz" else open
     try:
-        with opener(file, "rt", encoding="utf-8-sig", newline="") as stream:
-            lines = _cells(stream)
-    except (OSError, EOFError, UnicodeDecodeError, csv.Error) as error:
+        with opener(file, "rt", encoding="utf-8-sig") as stream:
+            lines = {n: line for n, line in enumerate(stream, 1) if line.strip(" ,;\t\r\n")}
+        lines = {n: line for n, line in lines.items() if not line.startswith("#")}
+        if len(lines) < 2:
+            raise DataError("the table has no rows", file=file)
+        header = next(iter(lines.values()))
+        separator = next((each for each in ",;\t" if each in header), ",")
+        decimal = "." if separator == "," else ","
+        text = "".join(lines.values())
+        if decimal == ",":
+            text = text.replace(",", ".")
+        cells = pd.read_csv(
+            StringIO(text), sep=separator, keep_default_na=False, skipinitialspace=True
+        )
+    except (OSError, EOFError, UnicodeDecodeError, pd.errors.ParserError) as error:
         raise DataError(f"the table cannot be read: {error}", file=file) from None
-    if len(lines) < 2:
-        raise DataError("the table has no rows", file=file)
-    return lines[0][1], lines[1:]
+    if not isinstance(cells.index, pd.RangeIndex) or len(cells) != len(lines) - 1:
+        raise DataError("the rows have more cells than the header", file=file)
+    cells.index = pd.Index(list(lines)[1:])
+    return cells.rename(columns=str.strip)
 
 
-def _cells(stream: Iterable[str]) -> list[tuple[int, list[str]]]:
-    """Lines with content, each with its number in the file, in points whatever the decimal mark."""
-    text = list(stream)
-    header = next((line for line in text if line.strip() and not line.startswith("#")), "")
-    delimiter = next((each for each in _DELIMITERS if each in header), ",")
-    reader = csv.reader(text, delimiter=delimiter)
-    return [
-        (reader.line_num, [_in_points(cell.strip(), delimiter) for cell in row])
-        for row in reader
-        if any(row) and not row[0].startswith("#")
-    ]
-
-
-def _in_points(cell: str, delimiter: str) -> str:
-    return cell if delimiter == "," else cell.replace(",", ".")
-
-
-def _numbers(file: Path, rows: list[tuple[int, list[str]]], columns: Mapping[str, int]) -> Floats:
-    result = np.empty((len(rows), len(columns)))
-    for index, (line, cells) in enumerate(rows):
-        for place, (name, column) in enumerate(columns.items()):
-            text = cells[column] if column < len(cells) else ""
-            result[index, place] = _number(text, file, name, line)
-    return result
-
-
-def _number(text: str, file: Path, name: str, line: int) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise DataError(f"expected a number, got '{text}'", file=file, channel=name, row=line)
-    return value
+def _numbers(column: pd.Series[Any], file: Path) -> FloatArray:
+    numbers = np.asarray(pd.to_numeric(column, errors="coerce"), dtype=np.float64)
+    bad = np.flatnonzero(~np.isfinite(numbers))
+    if len(bad):
+        cell = column.iloc[bad[0]]
+        raise DataError(
+            f"expected a number, got '{'' if pd.isna(cell) else str(cell).strip()}'",
+            file=file,
+            channel=str(column.name),
+            row=int(column.index[bad[0]]),
+        )
+    return numbers

@@ -9,9 +9,9 @@ import pytest
 
 from narxcal import Bundle, ModelError, load_bundle, save_bundle
 from narxcal.steady.fitted import FittedSteadyState, Layout
-from narxcal.steady.fmu import FmuOptions, SteadyFmu
+from narxcal.steady.fmu import SteadyFmu
 from narxcal.steady.function import SteadyCallable
-from narxcal.steady.model import Envelope
+from narxcal.steady.model import Envelope, SteadyOptions
 from narxcal.steady.table import SteadyTable
 
 NAMES = (("TRA_deg", "Mach"), ("N1_pct", "EGT_C"))
@@ -43,7 +43,7 @@ def function(folder):
 
 def fmu(folder):
     file = fmu_source().build(folder / "deck.fmu", 2)
-    return SteadyFmu(file, NAMES, FmuOptions(variables={"EGT_C": "ITT"}))
+    return SteadyFmu(file, NAMES, SteadyOptions(variables={"EGT_C": "ITT"}))
 
 
 def fitted(_):

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from narxcal.steady.fmu import FmuOptions
+from narxcal.steady.model import SteadyOptions
 
 PAGE = Path(__file__).parents[2] / "docs" / "steady_state.md"
 
@@ -43,6 +43,6 @@ def test_the_function(blocks, tmp_path):
 
 
 def test_the_options_of_the_fmu(blocks):
-    code = next(code for code in blocks if "FmuOptions(" in code)
-    options = re.search(r"FmuOptions\(.*?\}, settle_s=20\.0\)", code, re.DOTALL).group(0)
-    assert eval(options, {"FmuOptions": FmuOptions}).settle_s == 20.0  # noqa: S307
+    code = next(code for code in blocks if "SteadyOptions(" in code)
+    options = re.search(r"SteadyOptions\(.*?\}, settle_s=20\.0\)", code, re.DOTALL).group(0)
+    assert eval(options, {"SteadyOptions": SteadyOptions}).settle_s == 20.0  # noqa: S307

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from narxcal.steady.function import Remembered
+from narxcal.steady.function import Cached
 
 
 def counted(most_rows=1000):
@@ -14,7 +14,7 @@ def counted(most_rows=1000):
         asked.append(len(inputs))
         return 2.0 * inputs
 
-    return Remembered(double, most_rows), asked
+    return Cached(double, most_rows), asked
 
 
 def log(first, rows=300):
@@ -64,7 +64,7 @@ def test_an_error_is_raised_each_time():
     def fails(inputs):
         raise RuntimeError(f"{len(inputs)} rows")
 
-    remembered = Remembered(fails)
+    remembered = Cached(fails)
     for _ in range(2):
         with pytest.raises(RuntimeError, match="300 rows"):
             remembered(log(0.0))

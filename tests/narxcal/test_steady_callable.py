@@ -151,7 +151,7 @@ def test_a_stored_function_comes_back_with_its_envelope(folder):
     meta, arrays = steady_to_json(model)
     assert meta["kind"] == "callable"
     assert meta["reference"] == "maker_deck:outputs"
-    back = steady_from_json(meta, arrays)
+    back = steady_from_json(meta, arrays, trust=True)
     probe = np.array([[90.0, 0.5], [10.0, 0.5]])
     np.testing.assert_array_equal(back.outputs(probe), model.outputs(probe))
     assert back.inside(probe).tolist() == [False, True]
@@ -166,14 +166,14 @@ def test_a_function_that_was_changed_is_refused_and_not_run(folder):
         "trained on. Restore the former file, or train anew"
     )
     with pytest.raises(ModelError, match=f"^{re.escape(message)}$"):
-        steady_from_json(meta, arrays)
+        steady_from_json(meta, arrays, trust=True)
     file.unlink()
     message = (
         "the steady-state model 'maker_deck:outputs' of this bundle is not installed. "
         f"Put maker_deck.py into {folder}, or install it"
     )
     with pytest.raises(ModelError, match=f"^{re.escape(message)}$"):
-        steady_from_json(meta, arrays)
+        steady_from_json(meta, arrays, trust=True)
 
 
 def test_a_function_without_a_module_cannot_be_stored():

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from narxcal.atmosphere import air_state
-from narxcal.steady.fitted import FittedSteadyState, Layout, corner_weights, i_splines
+from narxcal.steady.fitted import FittedSteadyState, Layout, i_splines
 from narxcal.steady.model import Envelope, steady_from_json, steady_to_json
 from narxcal.support.errors import ModelError
 
@@ -47,14 +47,14 @@ def model(seed=0, **changed):
 @given(at=inside, values=st.lists(st.floats(-50, 2000), min_size=5, max_size=5))
 def test_corrected_parameters_come_back_as_they_were(at, values):
     parts, given_, outputs = layout(), np.array([at]), np.array([values])
-    back = parts.actual(given_, parts.referred(given_, outputs))
+    back = parts.from_corrected(given_, parts.to_corrected(given_, outputs))
     np.testing.assert_allclose(back, outputs, rtol=1e-12, atol=1e-9)
 
 
 def test_corrections_are_those_of_the_textbook():
     at = np.array([40.0, 20000.0, 0.6, 10.0])
     air = air_state(20000.0, 0.6, 10.0)
-    referred = layout().referred(at, np.array([80.0, 500.0, 900.0, 12.0, 2.0]))
+    referred = layout().to_corrected(at, np.array([80.0, 500.0, 900.0, 12.0, 2.0]))
     root = np.sqrt(air.theta2)
     expected = [
         80.0 / root, 773.15 / air.theta2, 900.0 / (air.delta2 * root), 12.0 / air.delta2, 2.0
@@ -64,14 +64,14 @@ def test_corrections_are_those_of_the_textbook():
 
 def test_at_sea_level_on_a_standard_day_nothing_is_corrected_but_the_zero_of_temperature():
     given_ = np.array([50.0, 70.0, 80.0, 90.0, 2.0])
-    referred = layout().referred(np.array([40.0, 0.0, 0.0, 0.0]), given_)
+    referred = layout().to_corrected(np.array([40.0, 0.0, 0.0, 0.0]), given_)
     expected = given_ + np.array([0.0, 273.15, 0.0, 0.0, 0.0])
     np.testing.assert_allclose(referred, expected, rtol=2e-3)
 
 
 def test_without_correction_outputs_stay_as_they_are():
     at, outputs = np.array([[40.0, 20000.0, 0.6, 10.0]]), np.array([[1.0, 2.0, 3.0, 4.0, 5.0]])
-    assert np.array_equal(layout(corrected=False).referred(at, outputs), outputs)
+    assert np.array_equal(layout(corrected=False).to_corrected(at, outputs), outputs)
 
 
 def test_fuel_flow_drives_by_the_logarithm_of_its_corrected_value():
@@ -84,8 +84,8 @@ def test_fuel_flow_drives_by_the_logarithm_of_its_corrected_value():
 
 def test_an_input_the_model_lacks_counts_as_zero():
     short = layout(input_names=("TRA_deg", "ALT_ft"), blend=())
-    same = short.referred(np.array([40.0, 9000.0]), np.ones(5))
-    whole = layout().referred(np.array([40.0, 9000.0, 0.0, 0.0]), np.ones(5))
+    same = short.to_corrected(np.array([40.0, 9000.0]), np.ones(5))
+    whole = layout().to_corrected(np.array([40.0, 9000.0, 0.0, 0.0]), np.ones(5))
     assert same == pytest.approx(whole)
 
 
@@ -113,7 +113,7 @@ def test_more_driver_never_means_less_output_inside_the_envelope(at, other, seed
 @settings(max_examples=30, deadline=None)
 @given(at=st.tuples(*(st.floats(-1e6, 1e6) for _ in range(4))))
 def test_corner_weights_are_shares(at):
-    weights = corner_weights(layout(), Envelope(LOW, HIGH), np.array([at]))
+    weights = layout().corners(np.array([at]), Envelope(LOW, HIGH))
     assert weights.shape == (1, 4)
     assert (weights >= 0.0).all()
     assert weights.sum() == pytest.approx(1.0)

@@ -170,7 +170,7 @@ def test_a_stored_table_without_its_values_is_refused():
             plane(grid()) * np.nan,
             "linear",
             DataError,
-            "the table holds values that are not finite. Leave them out",
+            "the table contains values that are not finite. Leave them out",
         ),
         (
             grid(alt=(0.0,)),
@@ -187,7 +187,7 @@ def test_a_stored_table_without_its_values_is_refused():
             np.vstack([plane(grid()), plane(grid()[:1])]),
             "linear",
             DataError,
-            "the table holds the same conditions twice. Keep one row each",
+            "the table contains the same conditions twice. Keep one row each",
         ),
         (
             scattered()[1],

@@ -23,7 +23,7 @@ def truth(inputs):
     z, mach = inputs[:, 0] / 80.0, inputs[:, 2]
     n1 = 25.0 + 70.0 * z**0.8 + 5.0 * mach
     egt = 600.0 + 500.0 * z**1.5 + 20.0 * mach
-    return LAYOUT.actual(inputs, np.column_stack([n1, egt]))
+    return LAYOUT.from_corrected(inputs, np.column_stack([n1, egt]))
 
 
 def drawn(count=600, seed=0):
