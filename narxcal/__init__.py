@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from narxcal.calibration.calibration import DynamicCalibration
     from narxcal.calibration.fuser import KalmanFuser
     from narxcal.calibration.noise import NoiseModel
-    from narxcal.narx.config import NarxConfig
+    from narxcal.narx.network import NarxConfig
     from narxcal.record import Record
     from narxcal.support.errors import ConfigError, DataError, ModelError, NarxcalError
     from training.estimator import Narx
@@ -43,7 +43,7 @@ _MODULE_OF = {
     "KalmanFuser": "narxcal.calibration.fuser",
     "ModelError": "narxcal.support.errors",
     "Narx": "training.estimator",
-    "NarxConfig": "narxcal.narx.config",
+    "NarxConfig": "narxcal.narx.network",
     "NarxcalError": "narxcal.support.errors",
     "NoiseModel": "narxcal.calibration.noise",
     "Record": "narxcal.record",

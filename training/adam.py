@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import torch
 
 from narxcal.support.arrays import FloatArray
 
@@ -49,6 +48,8 @@ def minimise(
     moments: Moments | None = None,
 ) -> Iterator[AdamStep]:
     """Yield steps of torch.optim.Adam for ever; going on from any step gives the same path."""
+    import torch  # noqa: PLC0415 (takes seconds; only this optimiser needs it)
+
     moments = moments or Moments.start(len(theta))
     parameter = torch.nn.Parameter(torch.from_numpy(theta.copy()))
     optimiser = torch.optim.Adam([parameter], lr=rate)

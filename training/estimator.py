@@ -29,8 +29,7 @@ from sklearn.base import BaseEstimator
 from sklearn.exceptions import NotFittedError
 
 from narxcal.calibration.bundle import WEIGHTS, ModelFolder, packed, seal
-from narxcal.narx.config import NarxConfig
-from narxcal.narx.network import NarxModel
+from narxcal.narx.network import NarxConfig, NarxModel
 from narxcal.record import Record, RecordLike, as_records, check_records, columns
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, ModelError
@@ -41,7 +40,7 @@ from training.network import FitResult, HistoryRow, Material, Watch, fit_narx
 _FORM = ModelFolder(
     what="stored Narx",
     document="narx.json",
-    schema="narxcal.narx/1",
+    schemas=("narxcal.narx/1",),
     made_by="Narx.save",
     again="Copy the folder again, or train anew",
 )
@@ -80,7 +79,7 @@ def save(folder: str | PathLike[str], stored: Stored, *, replace: bool = False) 
         },
     }
     document = {
-        "schema": _FORM.schema,
+        "schema": _FORM.schemas[0],
         **sealed,
         "sha256": seal(json.loads(json.dumps(sealed))),
         "weights": entry,
@@ -247,7 +246,7 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         `start` is (n, outputs); of one dimension it is (n,) where there is one output, and one
         sample (outputs,) where there are several.
         """
-        single = self.model.net.outputs == 1
+        single = self.model.outputs == 1
         return self.model.simulate(columns(u), columns(start) if single else start)
 
     def predict(self, u: ArrayLike, y: ArrayLike) -> FloatArray:
@@ -279,7 +278,7 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
     def _scorable(self, given: Records, start: int) -> list[Record]:
         if start < 1:
             raise DataError(f"expected at least one start sample, found start = {start}")
-        records, net = as_records(given), self.model.net
+        records, net = as_records(given), self.model
         found = check_records(records, start)
         if found != (net.inputs, net.outputs):
             raise DataError(

@@ -10,14 +10,17 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from narxcal.narx import kernels
-from narxcal.narx.network import NarxModel, NarxNet, Weights, history_before, tap
+from narxcal.narx.network import NarxModel, Weights, history_before, tap
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray, IntArray, sample_and_hold
+
+if TYPE_CHECKING:
+    from narxcal.narx.module import NarxNet
 
 T = TypeVar("T")
 _BLOCK = 1024  # steps whose Jacobian is held at one time
@@ -161,7 +164,7 @@ class FreeRunProblem:
 
     def _weights(self, theta: FloatArray) -> Weights:
         self.net.set_theta(theta)
-        return Weights.of(self.net)
+        return self.net.weights()
 
     def _map(self, work: Callable[[_Batch], T]) -> list[T]:
         threads = min(self.threads, len(self.batches))

@@ -14,10 +14,8 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
-import torch
 
-from narxcal.narx.config import NarxConfig
-from narxcal.narx.network import NarxModel, NarxNet, Scaling, history_before, tap
+from narxcal.narx.network import NarxConfig, NarxModel, Scaling, Weights, history_before, tap
 from narxcal.record import Record, check_measured, check_records
 from narxcal.support.arrays import FloatArray
 from narxcal.support.interrupt import Interrupt, held_interrupt
@@ -36,44 +34,44 @@ def new_model(records: Sequence[Record], config: NarxConfig, seed: int) -> NarxM
 
     Deviations and increments are zero at rest, so an anchored network scales without centring.
     """
+    from narxcal.narx.module import NarxNet  # noqa: PLC0415 (PyTorch takes seconds to import)
+
     u = np.concatenate([record.u for record in records])
     y = np.concatenate([record.y for record in records])
     outputs = Scaling.of(y, centred=not config.moving)
     inputs = Scaling.of(u)
     inputs.centre[: config.moving] = 0.0
-    with torch.random.fork_rng(devices=[]):  # the caller's random numbers are not ours
-        torch.manual_seed(seed)
-        net = NarxNet(config, u.shape[1], y.shape[1])
     low, high = np.nanmin(y, axis=0), np.nanmax(y, axis=0)
     if config.moving:
         low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
     margin = config.margin * np.maximum(high - low, 1e-9)
-    net.low.copy_(torch.from_numpy(outputs.down(low - margin)))
-    net.high.copy_(torch.from_numpy(outputs.down(high + margin)))
-    with torch.no_grad():
-        for layer in (net.output, net.linear):
-            layer.weight.zero_()
-        net.output.bias.zero_()
-    return NarxModel(net, inputs, outputs)
+    drawn = NarxNet.drawn(config, (u.shape[1], y.shape[1]), seed).weights()
+    weights = replace(
+        drawn,
+        w2=np.zeros_like(drawn.w2),
+        b2=np.zeros_like(drawn.b2),
+        a=np.zeros_like(drawn.a),
+        low=outputs.down(low - margin),
+        high=outputs.down(high + margin),
+    )
+    return NarxModel(weights, inputs, outputs)
 
 
 def start_linear(model: NarxModel, records: Sequence[Record], problem: FreeRunProblem) -> None:
     """Give the linear path of `model` the candidate with the least free-run loss."""
-    net, losses, thetas = model.net, [], []
-    for linear, bias in _candidates(model, records):
-        with torch.no_grad():
-            net.linear.weight.copy_(torch.from_numpy(linear))
-            net.output.bias.copy_(torch.from_numpy(bias))
-        thetas.append(net.get_theta())
-        losses.append(problem.loss(thetas[-1]))
-    net.set_theta(thetas[int(np.argmin(losses))])
+    drawn = model.weights
+    thetas = [
+        replace(drawn, a=linear, b2=bias).theta for linear, bias in _candidates(model, records)
+    ]
+    losses = [problem.loss(theta) for theta in thetas]
+    model.net.set_theta(thetas[int(np.argmin(losses))])
 
 
 def _candidates(model: NarxModel, records: Sequence[Record]) -> list[tuple[FloatArray, FloatArray]]:
     phi, target = _regression(model, records)
     arx = _least_squares(phi, target, model.config.moving > 0)
     found = [arx]
-    outputs = model.net.outputs
+    outputs = model.outputs
     for pole in _POLES:
         lagged = target - pole * phi[:, :outputs]
         rest = phi.copy()
@@ -341,33 +339,31 @@ def merge_models(models: Sequence[NarxModel]) -> NarxModel:
     """
     if len(models) == 1:
         return models[0]
-    first = models[0]
-    count = len(models)
+    first, count = models[0], len(models)
     config = first.config.model_copy(update={"hidden": first.config.hidden * count})
-    net = NarxNet(config, first.net.inputs, count)
-    with torch.no_grad():
-        for parameter in net.parameters():
-            parameter.zero_()
-        for k, model in enumerate(models):
-            _place(model.net, net, k)
+    parts = [model.weights for model in models]
+    units, fed = first.config.hidden, first.config.lags
+    width = first.config.lags * count + parts[0].w1.shape[1] - fed
+    w1, w2 = np.zeros((units * count, width)), np.zeros((count, units * count))
+    a = np.zeros((count, width))
+    for k, part in enumerate(parts):
+        rows, past = slice(k * units, (k + 1) * units), np.arange(fed) * count + k
+        w1[rows, past], w1[rows, fed * count :] = part.w1[:, :fed], part.w1[:, fed:]
+        a[k, past], a[k, fed * count :] = part.a[0, :fed], part.a[0, fed:]
+        w2[k, rows] = part.w2[0]
+    weights = Weights(
+        config=config,
+        w1=w1,
+        w2=w2,
+        a=a,
+        **{
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in ("b1", "b2", "low", "high")
+        },
+    )
     scales = [model.output_scaling for model in models]
     outputs = Scaling(
         np.concatenate([scale.centre for scale in scales]),
         np.concatenate([scale.scale for scale in scales]),
     )
-    return NarxModel(net, first.input_scaling, outputs)
-
-
-def _place(part: NarxNet, whole: NarxNet, k: int) -> None:
-    """Copy a single-output network into `whole` as the one of output `k`."""
-    lags, units = part.config.lags, part.config.hidden
-    tapped = part.inputs * len(part.config.taps)  # features behind those that are fed back
-    rows, fed = slice(k * units, (k + 1) * units), torch.arange(lags) * whole.outputs + k
-    whole.hidden.weight[rows, fed] = part.hidden.weight[:, :lags]
-    whole.hidden.weight[rows, -tapped:] = part.hidden.weight[:, -tapped:]
-    whole.hidden.bias[rows] = part.hidden.bias
-    whole.output.weight[k, rows] = part.output.weight[0]
-    whole.output.bias[k] = part.output.bias[0]
-    whole.linear.weight[k, fed] = part.linear.weight[0, :lags]
-    whole.linear.weight[k, -tapped:] = part.linear.weight[0, -tapped:]
-    whole.low[k], whole.high[k] = part.low[0], part.high[0]
+    return NarxModel(weights, first.input_scaling, outputs)

@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from eval.benchmarks.row import Row
-from narxcal.narx.config import NarxConfig
+from narxcal.narx.network import NarxConfig
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray
 from training.config import TrainConfig

@@ -2,7 +2,7 @@
 
 The network is that of the public comparison: one input, one output, 30 tanh units, here with
 two lags. PyTorch runs eagerly on one thread, a step per call, as the exact twin in
-`narxcal.narx.network` does.
+`narxcal.narx.module` does.
 
 Replay with the fuser against the clock, on a virtual flight at 32 Hz.
 """
@@ -17,6 +17,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from data_prep.log import Log
 from eval.benchmarks.row import Row
@@ -25,8 +26,8 @@ from eval.reproduce.data import flown
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.fuser import KalmanFuser, NoiseModel
 from narxcal.flight_test.fly import load_scenario, write_flights
-from narxcal.narx.config import NarxConfig
-from narxcal.narx.network import NarxModel, simulate_slowly
+from narxcal.narx.module import NarxNet
+from narxcal.narx.network import NarxConfig, NarxModel
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray
 from training.config import RunConfig, load_config
@@ -37,6 +38,22 @@ from training.records import Split
 
 _KERNEL_GROUP = "speed"
 _NETWORK = NarxConfig(lags=2, taps=(0, 1), hidden=30)
+
+
+def simulate_slowly(net: NarxNet, y_start: Tensor, u: Tensor) -> Tensor:
+    """Free run by one PyTorch call a step: the exact twin of the compiled kernels.
+
+    `y_start` (batch, n, outputs) are the first n samples, `u` (batch, time, inputs); returns
+    (batch, time, outputs) whose first n samples are `y_start`. Inputs and outputs
+    are constant before their first sample.
+    """
+    lags, taps = net.config.lags, net.config.taps
+    y = [y_start[:, k] for k in range(y_start.shape[1])]
+    for k in range(len(y), u.shape[1]):
+        past_y = torch.stack([y[max(k - j, 0)] for j in range(1, lags + 1)], dim=1)
+        past_u = torch.stack([u[:, max(k - d, 0)] for d in taps], dim=1)
+        y.append(net(past_y, past_u))
+    return torch.stack(y, dim=1)
 
 
 def record_of(samples: int) -> Record:

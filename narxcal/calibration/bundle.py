@@ -1,36 +1,39 @@
-"""The folder that `train` writes and everything else reads.
+"""The folder that `train` writes and everything else reads: a calibration, and where it comes from.
 
-`weights.safetensors` holds every array of the calibration, `bundle.json` everything else:
+`weights.safetensors` stores every array of the calibration, `bundle.json` everything else:
 
-    schema       "narxcal.bundle/1"
-    dt_s         raster of the calibration in s
+    schema       "narxcal.bundle/2"
+    sha256       of the whole document without this entry, as canonical JSON (`seal`)
+    dt_s         sampling interval of the calibration in s
     channels     {"inputs": [...], "outputs": [...]}
     units        {channel: unit}
     weights      {"file", "sha256", "arrays": {name: {"dtype", "shape"}}}
+    files        {"steady/NAME": sha256} of what the steady-state model needs, such as an FMU
     calibration  lags, widths, names and whatever `DynamicCalibration` needs beside arrays
-    calibration_sha256  of that part, for a lag changed by hand is another model
     versions     of Python and the packages that made it
     ...          what the trainer adds: config, data hashes, split, seeds, metrics
 
 Array names are paths: `narx/...` for the network and its scalings, `steady/...` for the
-steady-state model. Nothing is pickled, so opening a bundle runs none of its content (a
-bundle that refers to a callable or an FMU runs those, and only if they are unchanged).
-
-A model as a folder: one JSON document, and one file of arrays that the document vouches for.
-
-Nothing is pickled, so reading one runs none of its content.
+steady-state model, `lag/...` for the lags. The one hash covers the document and, by their hashes,
+the weights and files: any altered byte is refused. It protects against damage and edits, not
+against an author: nothing is pickled, and a steady-state model that runs code (a Python function,
+an FMU) opens only with `trust`. A "narxcal.bundle/1" has no such hash: it loads as unverified, with
+a warning.
 """
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
+import logging
 import math
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,19 +44,25 @@ from safetensors.numpy import save as save_arrays
 from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.channels import CHANNELS
 from narxcal.steady.model import CarriesFiles
-from narxcal.support.errors import ModelError
-from narxcal.support.files import atomic_folder, atomic_write_bytes, atomic_write_text, versions
-
-if TYPE_CHECKING:
-    from os import PathLike
+from narxcal.support.errors import ModelError, NarxcalError
+from narxcal.support.files import (
+    atomic_folder,
+    atomic_write_bytes,
+    atomic_write_text,
+    sha256_of,
+    to_json,
+    versions,
+)
 
 WEIGHTS = "weights.safetensors"
+_PENDING = "weights.safetensors.new"
+_LOG = logging.getLogger("narxcal")
 
 
 def packed(arrays: Mapping[str, NDArray[Any]]) -> tuple[bytes, dict[str, Any]]:
-    """What to write to `WEIGHTS`, and the document's entry `weights` that vouches for it.
+    """Serialise arrays for `WEIGHTS`; returns the bytes and the document's entry `weights`.
 
-    Raises `ModelError` for what the format cannot hold.
+    Raises `ModelError` for what the format cannot store.
     """
     for name, array in arrays.items():
         if name == "__metadata__":
@@ -66,25 +75,27 @@ def packed(arrays: Mapping[str, NDArray[Any]]) -> tuple[bytes, dict[str, Any]]:
 
 
 def seal(part: Mapping[str, Any]) -> str:
-    """A hash of JSON-able values, by which a change by hand shows."""
-    return hashlib.sha256(json.dumps(part, sort_keys=True).encode()).hexdigest()
+    """SHA-256 of JSON-able values in canonical form: keys sorted, ASCII."""
+    text = json.dumps(part, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 @dataclass(frozen=True)
 class ModelFolder:
-    """One kind of such folders: its document, its schema, and the words of its errors.
+    """One kind of model folder: a JSON document and one file of arrays, with the words of errors.
 
-    `what` it is, who it is `made_by`, and what to do (`again`) where it is damaged.
+    `schemas` are those that can be read, the one that is written first. `what` names the folder,
+    `made_by` its writer, and `again` says what to do where it is damaged.
     """
 
     what: str
     document: str
-    schema: str
+    schemas: tuple[str, ...]
     made_by: str
     again: str
 
     def read_document(self, source: Path) -> dict[str, Any]:
-        """The document; `ModelError` for a folder of something else."""
+        """Read the document; raises `ModelError` for a folder of something else."""
         hint = f"Name the folder that {self.made_by} wrote"
         if not source.is_dir():
             if source.exists():
@@ -100,13 +111,15 @@ class ModelFolder:
                 hint=hint,
             )
         try:
-            found = json.loads(file.read_text(encoding="utf-8"))
-        except ValueError as error:
+            found = json.loads(file.read_bytes().decode("utf-8"), parse_constant=_no_number)
+        except OSError as error:
+            raise ModelError(f"cannot be read: {error.strerror}", file=file) from None
+        except (ValueError, RecursionError) as error:
             raise ModelError(f"not JSON: {error}", file=file, hint=self.again) from None
         schema = found.get("schema") if isinstance(found, dict) else None
-        if schema != self.schema:
+        if schema not in self.schemas:
             raise ModelError(
-                f"unknown schema {schema!r}, expected {self.schema!r}",
+                f"unknown schema {schema!r}, expected {self.schemas[0]!r}",
                 file=file,
                 hint="Read it with the version of narxcal that wrote it",
             )
@@ -120,26 +133,33 @@ class ModelFolder:
         return part
 
     def read_arrays(self, source: Path, document: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-        """The arrays by name; `ModelError` where they are not those that the document means."""
+        """Read the arrays by name; `ModelError` unless they are those of the document."""
         entry = self.part(source, document, "weights")
+        data = self._weights(source, str(entry.get("sha256")))
         file = source / WEIGHTS
-        if not file.is_file():
-            raise ModelError("the weights are missing", file=file, hint=self.again)
-        data = file.read_bytes()
-        found, expected = hashlib.sha256(data).hexdigest(), str(entry.get("sha256"))
-        if found != expected:
-            raise ModelError(
-                f"the weights were altered or cut off: sha256 is {found[:12]}, "
-                f"{self.document} says {expected[:12]}",
-                file=file,
-                hint=self.again,
-            )
         try:
             arrays = load_arrays(data)
         except (SafetensorError, ValueError, KeyError) as error:
             raise ModelError(f"not safetensors: {error}", file=file, hint=self.again) from None
         self._check_shapes(source / self.document, _shapes(arrays), entry.get("arrays"))
         return arrays
+
+    def _weights(self, source: Path, expected: str) -> bytes:
+        """The file with the expected hash; a writer killed at its end leaves it as `_PENDING`."""
+        file = source / WEIGHTS
+        found = {each: each.read_bytes() for each in (file, source / _PENDING) if each.is_file()}
+        for data in found.values():
+            if hashlib.sha256(data).hexdigest() == expected:
+                return data
+        if file not in found:
+            raise ModelError("the weights are missing", file=file, hint=self.again)
+        raise ModelError(
+            "the weights were altered or cut off: sha256 is "
+            f"{hashlib.sha256(found[file]).hexdigest()[:12]}, "
+            f"{self.document} says {expected[:12]}",
+            file=file,
+            hint=self.again,
+        )
 
     def _check_shapes(self, file: Path, found: Mapping[str, Any], expected: Any) -> None:
         if found == expected:
@@ -156,6 +176,10 @@ class ModelFolder:
         raise ModelError("the list of arrays is missing", file=file, hint=self.again)
 
 
+def _no_number(text: str) -> float:
+    raise ValueError(f"{text} is no number in JSON")
+
+
 def _shapes(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     return {
         name: {"dtype": str(array.dtype), "shape": list(array.shape)}
@@ -166,17 +190,26 @@ def _shapes(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
 def _shape_text(entry: Any) -> str:
     if not isinstance(entry, Mapping):
         return "missing"
-    return f"{entry.get('dtype')} {tuple(entry.get('shape') or ())}"
+    shape = entry.get("shape")
+    return f"{entry.get('dtype')} {tuple(shape) if isinstance(shape, list) else shape}"
 
 
-SCHEMA = "narxcal.bundle/1"
+SCHEMA, FORMER_SCHEMA = "narxcal.bundle/2", "narxcal.bundle/1"
 DOCUMENT = "bundle.json"
 STEADY_FILES = "steady"
-_OURS = ("schema", "dt_s", "channels", "units", "weights", "calibration", "calibration_sha256")
+_OURS = (
+    "schema", "sha256", "dt_s", "channels", "units", "weights", "files", "calibration",
+    "calibration_sha256",
+)  # fmt: skip
+# Parts that others read as tables of keys.
+_TABLES = (
+    "units", "config", "split", "data", "hardware", "versions", "training", "steady_state",
+    "lag_form", "fuser_noise", "baselines",
+)  # fmt: skip
 _FORM = ModelFolder(
     what="bundle",
     document=DOCUMENT,
-    schema=SCHEMA,
+    schemas=(SCHEMA, FORMER_SCHEMA),
     made_by="narxcal train",
     again="Copy the bundle again, or train it anew",
 )
@@ -186,11 +219,13 @@ _FORM = ModelFolder(
 class Bundle:
     """A calibration and where it comes from.
 
-    `meta` is what JSON can hold: config, data hashes, split, seeds, metrics, versions.
+    `meta` is what JSON can hold: config, data hashes, split, seeds, metrics, versions. `sha256` is
+    the hash of the stored bundle; empty for one that was not loaded, or is unverified.
     """
 
     calibration: DynamicCalibration
     meta: dict[str, Any] = field(default_factory=dict, repr=False)
+    sha256: str = ""
 
 
 def save_bundle(folder: str | PathLike[str], bundle: Bundle, replace: bool = False) -> None:
@@ -206,46 +241,105 @@ def save_bundle(folder: str | PathLike[str], bundle: Bundle, replace: bool = Fal
 def write_bundle(folder: str | PathLike[str], bundle: Bundle) -> None:
     """Write `bundle` into an existing folder beside what is there.
 
-    `bundle.json` is written last and bears the hash of the weights: until then a reader finds
-    no bundle, or the former one with weights that do not fit, and never a mixture.
+    The document is exchanged after the new weights are on the disk and before the old ones go, so
+    that a reader finds either bundle whole, wherever the writer is killed.
     """
     target = Path(folder)
     meta, arrays = bundle.calibration.to_arrays()
     weights, entry = packed(arrays)
-    calibration = _plain(meta, "bundle.calibration")
-    document = {
-        "schema": SCHEMA,
+    taken = sorted(set(bundle.meta) & set(_OURS))
+    if taken:
+        raise ModelError(f"the bundle's meta may not hold '{taken[0]}', which it writes itself")
+    parts = {
         "dt_s": float(bundle.calibration.dt_s),
         **_channels(bundle.calibration),
         "weights": entry,
-        "calibration": calibration,
-        "calibration_sha256": seal(calibration),
+        "calibration": meta,
         "versions": versions(),
-        **_checked_meta(bundle.meta),
+        **bundle.meta,
     }
-    text = json.dumps(_plain(document, "bundle"), indent=1, allow_nan=False) + "\n"
-    _copy_files(target / STEADY_FILES, bundle.calibration.steady)
-    atomic_write_bytes(target / WEIGHTS, weights)
+    document = _plain({"schema": SCHEMA, **parts}, "bundle")
+    document["files"] = _copied_files(target / STEADY_FILES, bundle.calibration.steady)
+    text = to_json({"schema": SCHEMA, "sha256": seal(document), **document})
+    atomic_write_bytes(target / _PENDING, weights)
     atomic_write_text(target / DOCUMENT, text)
+    (target / _PENDING).replace(target / WEIGHTS)
 
 
-def load_bundle(folder: str | PathLike[str]) -> Bundle:
+def load_bundle(folder: str | PathLike[str], *, trust: bool = False) -> Bundle:
     """Read a bundle and check it against its own hashes and shapes.
 
-    Raises `ModelError` naming the file for a folder that is no bundle, a bundle of another
-    schema, and one whose weights or structure are missing, cut off or altered.
+    With `trust`, a steady-state model that is a Python function or an FMU is run; without, such a
+    bundle is refused with the file that would run and its hash. Raises `ModelError` naming the file
+    for a folder that is no bundle, a bundle of another schema, and one in which anything is
+    missing, cut off, altered or of a wrong type.
     """
     source = Path(folder)
     document = read_document(source)
     arrays = _FORM.read_arrays(source, document)
-    meta = _with_own_files(source, _sealed_calibration(source, document))
-    calibration = DynamicCalibration.from_arrays(meta, arrays)
-    return Bundle(calibration, {key: document[key] for key in document if key not in _OURS})
+    meta = _with_own_files(source, document)
+    file = source / DOCUMENT
+    try:
+        calibration = DynamicCalibration.from_arrays(meta, arrays, trust=trust)
+        stored = {"dt_s": float(document["dt_s"]), "channels": document["channels"]}
+    except NarxcalError as error:
+        raise ModelError(
+            error.problem, file=error.file or file, channel=error.channel, hint=error.hint
+        ) from error
+    except Exception as error:
+        problem = f"the part 'calibration' cannot be read: {type(error).__name__}: {error}"
+        raise ModelError(problem, file=file, hint=_FORM.again) from error
+    named = {"dt_s": calibration.dt_s, "channels": _channels(calibration)["channels"]}
+    if stored != named:
+        raise ModelError(
+            "'dt_s' or 'channels' differ from those of the part 'calibration'",
+            file=file,
+            hint=_FORM.again,
+        )
+    if document["schema"] == FORMER_SCHEMA:
+        _warn_once(
+            f"{source} is unverified: its schema {FORMER_SCHEMA} has no hash over all of it; "
+            "train it anew to have one"
+        )
+    own = {key: document[key] for key in document if key not in _OURS}
+    return Bundle(calibration, own, str(document.get("sha256", "")))
 
 
 def read_document(folder: str | PathLike[str]) -> dict[str, Any]:
-    """Read `bundle.json` alone, without the model; raises `ModelError` as `load_bundle`."""
-    return _FORM.read_document(Path(folder))
+    """Read and check `bundle.json` without the model; raises `ModelError` as `load_bundle`."""
+    source = Path(folder)
+    file = source / DOCUMENT
+    document = _FORM.read_document(source)
+    try:
+        problem = _alteration(source, document)
+    except RecursionError:
+        problem = "the document is nested too deeply"
+    if problem:
+        raise ModelError(problem, file=file, hint=_FORM.again)
+    for key in _TABLES:
+        if not isinstance(document.get(key), dict | None):
+            raise ModelError(f"'{key}' is no table of keys", file=file, hint=_FORM.again)
+    return document
+
+
+def _alteration(source: Path, document: dict[str, Any]) -> str:
+    """Say how a document differs from what was written; empty where it does not."""
+    if document["schema"] == FORMER_SCHEMA:
+        document.pop("sha256", None)
+        calibration = _FORM.part(source, document, "calibration")
+        intact = seal(calibration) == document.get("calibration_sha256")
+        return "" if intact else "the part 'calibration' was altered"
+    rest = {key: value for key, value in document.items() if key != "sha256"}
+    # The text is compared, too: a changed byte between two values changes no value.
+    whole = (source / DOCUMENT).read_bytes() == to_json(document).encode()
+    if whole and seal(rest) == document.get("sha256"):
+        return ""
+    return "the file was altered: its content does not have the hash that it states"
+
+
+@functools.cache
+def _warn_once(text: str) -> None:
+    _LOG.warning(text)
 
 
 def _channels(calibration: DynamicCalibration) -> dict[str, Any]:
@@ -254,43 +348,57 @@ def _channels(calibration: DynamicCalibration) -> dict[str, Any]:
     return {"channels": {"inputs": inputs, "outputs": outputs}, "units": units}
 
 
-def _checked_meta(meta: Mapping[str, Any]) -> Mapping[str, Any]:
-    taken = sorted(set(meta) & set(_OURS))
-    if taken:
-        raise ModelError(f"the bundle's meta may not hold '{taken[0]}', which it writes itself")
-    return meta
+def _copied_files(target: Path, steady: object) -> dict[str, str]:
+    """Copy what the steady-state model needs; returns {name in the bundle: sha256}.
 
-
-def _sealed_calibration(source: Path, document: Mapping[str, Any]) -> dict[str, Any]:
-    calibration = _FORM.part(source, document, "calibration")
-    if seal(calibration) != document.get("calibration_sha256"):
-        raise ModelError(
-            "the part 'calibration' was altered", file=source / DOCUMENT, hint=_FORM.again
-        )
-    return calibration
-
-
-def _copy_files(target: Path, steady: object) -> None:
-    """Copy what the steady-state model needs; a file that is gone stays a mere reference."""
-    if not isinstance(steady, CarriesFiles):
-        return
-    for file in map(Path, steady.files()):
+    A file that no longer exists stays a mere reference.
+    """
+    copies = {}
+    for file in map(Path, steady.files() if isinstance(steady, CarriesFiles) else ()):
         if file.is_file():
             target.mkdir(exist_ok=True)
             copy = target / file.name
             if not (copy.exists() and copy.samefile(file)):
                 shutil.copyfile(file, copy)
+            copies[f"{STEADY_FILES}/{file.name}"] = sha256_of(copy)
+    return copies
 
 
-def _with_own_files(source: Path, calibration: dict[str, Any]) -> dict[str, Any]:
-    """Let the steady-state model's reference point at the bundle's own copy, if it has one."""
+def _with_own_files(source: Path, document: Mapping[str, Any]) -> dict[str, Any]:
+    """The part 'calibration', its steady-state model's file being the bundle's own copy.
+
+    Every file that the document lists is checked; one that it does not list is never used.
+    """
+    calibration = _FORM.part(source, document, "calibration")
     steady = calibration.get("steady")
-    if not isinstance(steady, dict) or "file" not in steady:
-        return calibration
-    copy = source / STEADY_FILES / Path(str(steady["file"])).name
-    if not copy.is_file():
+    name = Path(str(steady.get("file", ""))).name if isinstance(steady, dict) else ""
+    copy = source / STEADY_FILES / name
+    if document["schema"] == FORMER_SCHEMA:
+        own = copy.is_file()
+    else:
+        files = _FORM.part(source, document, "files")
+        for listed, sha256 in files.items():
+            _check_file(source, listed, sha256)
+        own = f"{STEADY_FILES}/{name}" in files
+    if not own or not isinstance(steady, dict):
         return calibration
     return {**calibration, "steady": {**steady, "file": str(copy)}}
+
+
+def _check_file(source: Path, listed: str, sha256: Any) -> None:
+    file = source / STEADY_FILES / Path(listed).name
+    if listed != f"{STEADY_FILES}/{file.name}":
+        problem = f"'{listed}' is no file in {STEADY_FILES}/"
+        raise ModelError(problem, file=source / DOCUMENT, hint=_FORM.again)
+    if not file.is_file():
+        raise ModelError("the file is missing", file=file, hint=_FORM.again)
+    found = sha256_of(file)
+    if found != sha256:
+        raise ModelError(
+            f"the file was altered: sha256 is {found[:12]}, {DOCUMENT} says {str(sha256)[:12]}",
+            file=file,
+            hint=_FORM.again,
+        )
 
 
 def _plain(value: Any, where: str) -> Any:

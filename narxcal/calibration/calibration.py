@@ -1,15 +1,16 @@
-"""Dynamic calibration: a steady-state model and the NARX network that says how far it is off.
+"""Dynamic calibration: a steady-state model and the NARX network that predicts its deviation.
 
-Source: papers/narx calibration, section 2.1 and figure 1. With `ss` the steady-state value,
+Source: papers/narx calibration, section 2.1 and figure 1.
 
-    d(k) = ss(k) - y(k)                          (the deviation)
+    d(k) = ss(k) - y(k)
     d(k) = NARX( d(k-1).., ss(k) - ss(k-1).., schedule(k).. )
     y(k) = ss(k) - d(k)
 
-where the schedule holds the steady-state values themselves and the flight condition. The
-parameter register keeps the past deviations and inputs between steps. Where there are lags
-(`lumped.lag` or `lumped.lag_governed`), the deviation is theirs plus the network's, which is
-shown theirs.
+| symbol | meaning |
+|---|---|
+| ss, y | outputs of the steady-state model, outputs |
+| d | deviation; with lags (`lumped.lag`, `lumped.lag_governed`) theirs plus the network's |
+| schedule | the steady-state values themselves and the flight condition |
 """
 
 from __future__ import annotations
@@ -24,21 +25,24 @@ from numpy.typing import ArrayLike, NDArray
 from narxcal.calibration.register import Parts, Register, Sample, stacked
 from narxcal.lumped.lag_governed import AnyLags, lags_from_arrays
 from narxcal.narx.network import NarxModel
-from narxcal.steady.model import SteadyStateModel, steady_from_json, steady_to_json
+from narxcal.steady.model import ALTERED, SteadyStateModel, steady_from_json, steady_to_json
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError, ModelError
+
+# Bounds may be infinite: an input without a range, an output without a clamp.
+_UNBOUNDED = ("narx/low", "narx/high", "steady/low", "steady/high")
 
 
 class DynamicCalibration:
     """Turns inputs into outputs over time: `simulate` for whole logs, `step` for one sample.
 
+    All methods give the same numbers. Columns are canonical channels: `input_names` are those of
+    the steady-state model, `output_names` those that it gives. `dt_s` is the sampling interval.
+
     `settle_s` is the fading bound: the network's deviation may not be larger than twice that of a
     first-order lag of this time constant, so that it never outlives the movement that caused it. It
-    needs a network whose outputs vanish at rest (an anchored one); None means none. `with_lag`
-    puts lags in front of the network.
-
-    Both give the same numbers. Columns are canonical channels: `input_names` are those of
-    the steady-state model, `output_names` those that it gives.
+    needs a network whose outputs vanish in equilibrium (an anchored one); None means none.
+    `with_lag` puts lags in front of the network.
     """
 
     def __init__(
@@ -68,17 +72,14 @@ class DynamicCalibration:
         names = f"{', '.join(self.input_names)} -> {', '.join(self.output_names)}"
         return f"<DynamicCalibration {names} every {self.dt_s:.6g} s>"
 
-    def with_lag(self, lag: AnyLags | None) -> DynamicCalibration:
+    def with_lag(self, lag: AnyLags | None) -> Self:
         """The calibration with `lag` in front of a network that was trained for that."""
         if lag is not None and lag.output_names != self.output_names:
             raise ModelError(
                 f"the lags are those of {', '.join(lag.output_names)}, "
                 f"the steady-state model's outputs {', '.join(self.output_names)}"
             )
-        chosen = copy(self)
-        chosen.lag = lag
-        chosen._register = None  # noqa: SLF001 (a copy of ourselves)
-        return chosen
+        return self._with(lag=lag)
 
     @property
     def input_names(self) -> tuple[str, ...]:
@@ -90,33 +91,34 @@ class DynamicCalibration:
         """Channels that they return, in this order."""
         return self.steady.output_names
 
-    def for_engine(self, engine: str) -> DynamicCalibration:
-        """The calibration with the build scatter of `engine`, where the model knows that one."""
+    def for_engine(self, engine: str) -> Self:
+        """The calibration with the build scatter of `engine`, where the model has one."""
+        return self._with(steady=steady_for_engine(self.steady, engine))
+
+    def _with(self, **changed: Any) -> Self:
         chosen = copy(self)
-        chosen.steady = steady_for_engine(self.steady, engine)
-        chosen._register = None  # noqa: SLF001 (a copy of ourselves)
+        vars(chosen).update(changed, _register=None)
         return chosen
 
     def simulate(self, inputs: ArrayLike, start: ArrayLike | None = None) -> FloatArray:
         """Free run over `inputs` (time, n_in); returns (time, n_out).
 
         `start` (n_out,) are measured outputs at the first sample; where it is None or NaN the
-        engine starts settled. Raises `DataError` for inputs that are not finite.
+        engine starts in equilibrium. Raises `DataError` for inputs that are not finite.
         """
         given = self._checked(inputs)
         ss = self.steady.outputs(given)
         first = self._first_deviation(ss[0], start)
-        register = self._started(given[0], ss[0], first)
         deviation = first[None]
         if len(given) > 1:
-            later = register.extend(given[1:], ss[1:])
+            later = self._started(given[0], ss[0], first).advance(given[1:], ss[1:])
             deviation = np.concatenate([deviation, later])
         return ss - deviation
 
     def predict(self, inputs: ArrayLike, measured: ArrayLike) -> FloatArray:
         """One-step-ahead prediction (time, n_out) from measured outputs (time, n_out).
 
-        NaN where the register would hold an unknown value: at sample 0 and after a masked one.
+        NaN where the past is unknown: at sample 0 and after a masked one.
         With lags in front of the network, the network's own share is that of the free run.
         """
         given = self._checked(inputs)
@@ -134,7 +136,7 @@ class DynamicCalibration:
         return np.where(unknown[:, None], np.nan, ss - lagged - share)
 
     def reset(self, inputs: ArrayLike, start: ArrayLike | None = None) -> FloatArray:
-        """Fill the register as if the engine had stood still at `inputs` (n_in,).
+        """Fill the register as if the inputs had been constant at `inputs` (n_in,).
 
         Returns the outputs (n_out,) at that sample, which are sample 0 of `simulate`.
         """
@@ -151,30 +153,22 @@ class DynamicCalibration:
         `correction` (n_out,), such as a fused estimate, replaces the newest outputs in the
         register before the step; NaN keeps the model's own. The first call resets.
         """
-        given = np.ascontiguousarray(inputs, dtype=np.float64)
-        if self._register is None:
-            return self.reset(given)
-        row = self._checked(given[None])
-        if correction is not None:
+        if correction is not None and self._register is not None:
             self._register.correct(np.asarray(correction, dtype=np.float64))
-        ss = self.steady.outputs(row)[0]
-        value: FloatArray = ss - self._register.step(row[0], ss)
-        return value
+        outputs: FloatArray = self.extend(np.asarray(inputs, dtype=np.float64)[None])[0]
+        return outputs
 
     def extend(self, inputs: ArrayLike) -> FloatArray:
-        """`step` through `inputs` (time, n_in) in one call, from where the register stands.
-
-        Returns (time, n_out): the numbers of `step`, at a small part of its cost.
-        """
+        """Outputs (time, n_out) at the next samples, from `inputs` (time, n_in), as by `step`."""
         given = self._checked(inputs)
         if self._register is None:
             first = self.reset(given[0])[None]
             return np.concatenate([first, self.extend(given[1:])]) if len(given) > 1 else first
         ss = self.steady.outputs(given)
-        return ss - self._register.extend(given, ss)
+        return ss - self._register.advance(given, ss)
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
-        """Guaranteed (low, high) of the deviation of every output, in the outputs' units."""
+        """Guaranteed (low, high) of the deviation of each output, in the outputs' units."""
         low, high = self.narx.bounds
         if self.lag is None:
             return low, high
@@ -201,25 +195,51 @@ class DynamicCalibration:
         return meta, arrays
 
     @classmethod
-    def from_arrays(cls, meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`; raises `ModelError` where the parts do not fit."""
+    def from_arrays(
+        cls,
+        meta: Mapping[str, Any],
+        arrays: Mapping[str, NDArray[Any]],
+        *,
+        trust: bool = False,
+    ) -> Self:
+        """Rebuild from `to_arrays`; `trust` as in `steady_from_json`.
+
+        Raises `ModelError` where the parts do not fit each other, or a number is not finite.
+        """
         part: dict[str, dict[str, NDArray[Any]]] = {"narx": {}, "steady": {}, "lag": {}}
         for name, value in arrays.items():
+            unusable = np.isnan if name in _UNBOUNDED else lambda each: ~np.isfinite(each)
+            if unusable(value).any():
+                raise ModelError(f"array '{name}' has a number that is not finite", hint=ALTERED)
             room, _, rest = name.partition("/")
             if room in part:
                 part[room][rest] = value
         try:
             narx = NarxModel.from_arrays(meta["narx"], part["narx"])
-            steady = steady_from_json(meta["steady"], part["steady"])
-            plain = cls(steady, narx, float(meta["dt_s"]), meta["schedule"], meta["settle_s"])
+            steady = steady_from_json(meta["steady"], part["steady"], trust=trust)
+            settle_s = meta["settle_s"]
+            loaded = cls(steady, narx, float(meta["dt_s"]), meta["schedule"], settle_s)
             lag = meta.get("lag")
-            plain.lag = None if lag is None else lags_from_arrays(lag, part["lag"])
+            if lag is not None:
+                loaded = loaded.with_lag(lags_from_arrays(lag, part["lag"]))
         except KeyError as error:
+            raise ModelError(f"the stored calibration has no {error}", hint=ALTERED) from None
+        loaded.check()
+        return loaded
+
+    def check(self) -> None:
+        """Raise `ModelError` for parts that do not fit each other."""
+        count = len(self.output_names)
+        features = (2 if self.lag is None else 3) * count + len(self.schedule)
+        if (self.narx.inputs, self.narx.outputs) != (features, count):
             raise ModelError(
-                f"the stored calibration has no {error}",
-                hint="The bundle was altered; train it again",
-            ) from None
-        return plain
+                f"expected a network of {features} inputs and {count} outputs, "
+                f"found one of {self.narx.inputs} and {self.narx.outputs}",
+                hint=ALTERED,
+            )
+        for name, value in (("dt_s", self.dt_s), ("settle_s", self.settle_s or 1.0)):
+            if not 0.0 < value < np.inf:
+                raise ModelError(f"'{name}' has to be positive, found {value}", hint=ALTERED)
 
     def _started(self, inputs: FloatArray, ss: FloatArray, deviation: FloatArray) -> Register:
         parts = Parts(
@@ -263,11 +283,12 @@ def narx_features(
 
     The deviation of lags in front of the network, where there are any, follows the increments.
     """
-    return stacked(np.diff(ss, axis=0, prepend=ss[:1]), lagged, ss, schedule)
+    shown = np.empty((len(ss), 0)) if lagged is None else lagged
+    return stacked(np.diff(ss, axis=0, prepend=ss[:1]), shown, ss, schedule)
 
 
 def steady_for_engine(steady: SteadyStateModel, engine: str) -> SteadyStateModel:
-    """The steady-state model of one engine, where it tells engines apart."""
+    """The steady-state model of one engine, where it distinguishes engines."""
     chooser = getattr(steady, "for_engine", None)
     chosen: SteadyStateModel = steady if chooser is None else chooser(engine)
     return chosen

@@ -79,7 +79,7 @@ def _document(run: str, bundle: Bundle, stored: dict[str, Any]) -> dict[str, Any
         "lags": narx.lags,
         "taps": list(narx.taps),
         "hidden": narx.hidden,
-        "weights": int(calibration.narx.net.get_theta().size),
+        "weights": int(calibration.narx.weights.theta.size),
         "weights_sha256": stored["weights"]["sha256"],
         "deviation_bounds": {
             name: [float(low[k]), float(high[k])] for k, name in enumerate(calibration.output_names)

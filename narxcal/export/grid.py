@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 
 from narxcal.channels import CHANNELS, channel
 from narxcal.steady.fitted import FittedSteadyState
-from narxcal.steady.model import Envelope, Floats, SteadyStateModel, at_known, checked_inputs
+from narxcal.steady.model import Envelope, SteadyStateModel, at_known, checked_inputs
 from narxcal.steady.table import Multilinear, SteadyTable
-from narxcal.support.arrays import BoolArray
+from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import ConfigError, ModelError
 
 # Ranges where neither the user nor the model gives any: the envelope of a business jet.
@@ -71,7 +71,7 @@ def _known_box(model: SteadyStateModel) -> dict[str, Range] | None:
     return dict(zip(model.input_names, pairs, strict=True))
 
 
-def _inside(model: SteadyStateModel, ranges: Mapping[str, Range]) -> Floats:
+def _inside(model: SteadyStateModel, ranges: Mapping[str, Range]) -> FloatArray:
     """Draw up to 64 conditions, (n, n_in), inside the model's envelope."""
     rng = np.random.default_rng(0)
     low, high = np.array(list(ranges.values())).T
@@ -79,17 +79,17 @@ def _inside(model: SteadyStateModel, ranges: Mapping[str, Range]) -> Floats:
     switch = [channel(name).role == "switch" for name in ranges]
     share[:, switch] = np.round(share[:, switch])
     drawn = low + share * (high - low)
-    found: Floats = drawn[model.inside(drawn)][:_STARTS]
+    found: FloatArray = drawn[model.inside(drawn)][:_STARTS]
     return found
 
 
-def _reach(model: SteadyStateModel, inside: Floats, name: str, widest: Range) -> Range:
+def _reach(model: SteadyStateModel, inside: FloatArray, name: str, widest: Range) -> Range:
     column = model.input_names.index(name)
     low, high = (_farthest(model, inside, column, end) for end in widest)
     return float(low.min()), float(high.max())
 
 
-def _farthest(model: SteadyStateModel, inside: Floats, column: int, end: float) -> Floats:
+def _farthest(model: SteadyStateModel, inside: FloatArray, column: int, end: float) -> FloatArray:
     """Bisect from each condition towards `end`: the last value still inside, (n,)."""
     near, probe = inside[:, column].copy(), inside.copy()
     far = np.full_like(near, end)
@@ -169,7 +169,7 @@ class Grid:
         """Number of conditions of the full grid."""
         return math.prod(len(nodes) for nodes in self.axes.values())
 
-    def draw(self, count: int, rng: np.random.Generator) -> Floats:
+    def draw(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draw conditions `(count, n_in)`: switches at 0 or 1, the others between the ends."""
         columns = [
             rng.choice(np.array(nodes), count)
@@ -193,7 +193,7 @@ def _ends(name: str, found: Mapping[str, tuple[float, float]]) -> tuple[float, .
 # Conditions per call: a model may need much more memory than its inputs.
 _CHUNK = 20_000
 
-Function = Callable[[Floats], Floats]
+Function = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,8 +201,8 @@ class Block:
     """`values` (nodes of each axis..., n_out) over the inputs `columns` with ascending `axes`."""
 
     columns: tuple[int, ...]
-    axes: tuple[Floats, ...]
-    values: Floats
+    axes: tuple[FloatArray, ...]
+    values: FloatArray
 
     @property
     def rows(self) -> int:
@@ -245,12 +245,12 @@ class GriddedModel:
         """Number of conditions stored."""
         return sum(block.rows for block in self.blocks)
 
-    def outputs(self, inputs: ArrayLike) -> Floats:
+    def outputs(self, inputs: ArrayLike) -> FloatArray:
         """Steady outputs `(..., n_out)` at `inputs` `(..., n_in)`; NaN where an input is NaN."""
         array = checked_inputs(inputs, self.input_names)
         return at_known(self._added, array, len(self.output_names))
 
-    def _added(self, inputs: Floats) -> Floats:
+    def _added(self, inputs: FloatArray) -> FloatArray:
         total = np.zeros((len(inputs), len(self.output_names)))
         for interpolate, block in zip(self._interpolants, self.blocks, strict=True):
             total += interpolate(inputs[:, block.columns])
@@ -267,8 +267,8 @@ class GriddedModel:
 
 
 def sample(
-    function: Function, axes: Sequence[Floats], watch: Callable[[int, int], None] | None = None
-) -> Floats:
+    function: Function, axes: Sequence[FloatArray], watch: Callable[[int, int], None] | None = None
+) -> FloatArray:
     """Sample `function` `(n, axes) -> (n, n_out)` on a grid: (nodes of each axis..., n_out)."""
     shape = tuple(len(axis) for axis in axes)
     count = int(np.prod(shape, dtype=np.int64))
@@ -283,7 +283,7 @@ def sample(
     return values.reshape(*shape, values.shape[-1])
 
 
-def finite_outputs(model: SteadyStateModel, inputs: Floats) -> Floats:
+def finite_outputs(model: SteadyStateModel, inputs: FloatArray) -> FloatArray:
     """Outputs of `model` (n, n_out); raises `ModelError` where one is not finite."""
     found = np.asarray(model.outputs(inputs), dtype=np.float64)
     bad = ~np.isfinite(found)
@@ -299,7 +299,7 @@ def finite_outputs(model: SteadyStateModel, inputs: Floats) -> Floats:
     return found
 
 
-def nine_digits(values: Floats) -> Floats:
+def nine_digits(values: FloatArray) -> FloatArray:
     """Round to nine significant digits, as a text of them is read back.
 
     That is far more accurate than any engine model, and half the size of all digits.

@@ -19,13 +19,13 @@ from narxcal.export.grid import (
     sample,
 )
 from narxcal.export.report import ADVICE, ExportOptions, ExportReport, Measured, Probes, Stopped
-from narxcal.steady.model import Floats, SteadyStateModel
-from narxcal.support.arrays import BoolArray, IntArray
+from narxcal.steady.model import SteadyStateModel
+from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 from narxcal.support.compiled import compiled
 from narxcal.support.errors import ModelError
 
 
-def candidates(nodes: Sequence[float], most: int) -> Floats:
+def candidates(nodes: Sequence[float], most: int) -> FloatArray:
     """Candidates for nodes: `nodes` and round numbers between them, at most about `most`."""
     low, high = nodes[0], nodes[-1]
     step = _round_up((high - low) / most)
@@ -55,8 +55,8 @@ class AxisNodes:
     the best path to it.
     """
 
-    candidates: Floats
-    errors: Floats
+    candidates: FloatArray
+    errors: FloatArray
     before: IntArray
 
     @property
@@ -69,7 +69,7 @@ class AxisNodes:
         better = np.flatnonzero(self.errors[segments:] < self.errors[segments] * (1.0 - 1e-9))
         return segments + int(better[0]) if len(better) else None
 
-    def nodes(self, segments: int) -> Floats:
+    def nodes(self, segments: int) -> FloatArray:
         """Best nodes for `segments`: `(segments + 1,)`."""
         place = len(self.candidates) - 1
         path = [place]
@@ -79,7 +79,7 @@ class AxisNodes:
         return self.candidates[path[::-1]]
 
 
-def best_nodes(candidates: Floats, values: Floats, required: Sequence[float]) -> AxisNodes:
+def best_nodes(candidates: FloatArray, values: FloatArray, required: Sequence[float]) -> AxisNodes:
     """Plan an axis from curves `values` (M, curves) at `candidates` (M,).
 
     The `required` nodes are always among the chosen.
@@ -99,7 +99,7 @@ def best_nodes(candidates: Floats, values: Floats, required: Sequence[float]) ->
 
 
 @compiled
-def segment_errors(candidates: Floats, values: Floats) -> Floats:
+def segment_errors(candidates: FloatArray, values: FloatArray) -> FloatArray:
     """Largest error (M, M) of the straight line from candidate i to candidate j, inf for j <= i."""
     count, width = values.shape
     error = np.full((count, count), np.inf)
@@ -117,8 +117,11 @@ def segment_errors(candidates: Floats, values: Floats) -> Floats:
 
 
 def curves(
-    function: Callable[[Floats], Floats], others: Floats, column: int, candidates: Floats
-) -> Floats:
+    function: Callable[[FloatArray], FloatArray],
+    others: FloatArray,
+    column: int,
+    candidates: FloatArray,
+) -> FloatArray:
     """Sample `function` `(n, axes) -> (n, n_out)` along one column: (M, lines * n_out).
 
     `others` (lines, axes) are the values of the other inputs.
@@ -190,7 +193,7 @@ class Layer:
         """Indices of the layer's inputs among those exported."""
         return tuple(self.grid.varying.index(name) for name in self.names)
 
-    def __call__(self, points: Floats) -> Floats:
+    def __call__(self, points: FloatArray) -> FloatArray:
         """Values (n, n_out) at `points` (n, names)."""
         full = self.embedded(points)
         if self.switch is None:
@@ -207,7 +210,7 @@ class Layer:
         """Factor on the rows by the switches."""
         return math.prod(len(self.grid.axes[name]) for name in self.names if is_switch(name))
 
-    def embedded(self, points: Floats) -> Floats:
+    def embedded(self, points: FloatArray) -> FloatArray:
         """Conditions (n, n_in) of the model with the layer's inputs at `points`."""
         full = np.zeros((len(points), len(self.model.input_names)))
         for name, value in self.grid.fixed.items():
@@ -215,18 +218,18 @@ class Layer:
         full[:, [self.model.input_names.index(name) for name in self.names]] = points
         return full
 
-    def axis_nodes(self, scale: Floats, rng: np.random.Generator) -> dict[str, AxisNodes]:
+    def axis_nodes(self, scale: FloatArray, rng: np.random.Generator) -> dict[str, AxisNodes]:
         """Best nodes of each continuous axis, with errors in units of `scale` (n_out,)."""
         return {name: self._axis(name, scale, rng) for name in self.names if not is_switch(name)}
 
-    def _axis(self, name: str, scale: Floats, rng: np.random.Generator) -> AxisNodes:
+    def _axis(self, name: str, scale: FloatArray, rng: np.random.Generator) -> AxisNodes:
         most, lines = _FINE if self.switch is None else _COARSE
         places = candidates(self.grid.axes[name], most)
         others = self._lines(lines, rng)
         values = curves(lambda at: self(at) / scale, others, self.names.index(name), places)
         return best_nodes(places, values, self.grid.axes[name])
 
-    def _lines(self, count: int, rng: np.random.Generator) -> Floats:
+    def _lines(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draw conditions (count, names), every third in a corner, where errors are largest."""
         order = [list(self.grid.axes).index(name) for name in self.names]
         drawn = self.grid.draw(count, rng)[:, order]
@@ -257,7 +260,7 @@ def layers(model: SteadyStateModel, grid: Grid, additive: Sequence[str]) -> list
 
 
 def additive_switches(
-    model: SteadyStateModel, grid: Grid, scale: Floats, allowed: float
+    model: SteadyStateModel, grid: Grid, scale: FloatArray, allowed: float
 ) -> tuple[str, ...]:
     """Find switches whose effects may be summed with an error of at most `allowed` times `scale`.
 
@@ -401,9 +404,9 @@ class _Sampling:
 
     def _grown(
         self, plans: list[dict[str, AxisNodes]], goal: float
-    ) -> tuple[list[dict[str, Floats]], Stopped | None]:
+    ) -> tuple[list[dict[str, FloatArray]], Stopped | None]:
         """Nodes of each layer's axes, and the reason where the goal was not reached."""
-        axes: list[dict[str, Floats]] = [{} for _ in plans]
+        axes: list[dict[str, FloatArray]] = [{} for _ in plans]
         left, reasons = self.options.max_rows, []
         # The small layers first; the rows that are left are for the first layer.
         for place in [*range(1, len(plans)), 0]:
@@ -416,7 +419,7 @@ class _Sampling:
         reached = [reason for reason in reasons if reason is not None]
         return axes, ("size" if "size" in reached else "nodes") if reached else None
 
-    def _planned(self, axes: list[dict[str, Floats]], stopped: Stopped) -> Planned:
+    def _planned(self, axes: list[dict[str, FloatArray]], stopped: Stopped) -> Planned:
         blocks = [self._block(*pair) for pair in zip(self.layers, axes, strict=True)]
         gridded = GriddedModel(
             (self.grid.varying, self.model.output_names), blocks, self._valid_nodes(blocks[0])
@@ -427,7 +430,7 @@ class _Sampling:
             stopped = "tolerance"
         return Planned(gridded, measured, stopped, self.additive)
 
-    def _block(self, layer: Layer, nodes: dict[str, Floats]) -> Block:
+    def _block(self, layer: Layer, nodes: dict[str, FloatArray]) -> Block:
         axes = tuple(np.array(nodes.get(name, self.grid.axes[name])) for name in layer.names)
         note = f"the part of {layer.switch}" if layer.switch else "the grid"
 
@@ -440,12 +443,12 @@ class _Sampling:
         """Whether the model is valid at each node of the first block."""
         base = self.layers[0]
 
-        def inside(points: Floats) -> Floats:
+        def inside(points: FloatArray) -> FloatArray:
             return self.model.inside(base.embedded(points))[:, None].astype(np.float64)
 
         return np.asarray(sample(inside, block.axes)[..., 0] > 0.0)
 
 
-def _rows(layer: Layer, nodes: dict[str, Floats]) -> int:
+def _rows(layer: Layer, nodes: dict[str, FloatArray]) -> int:
     lengths = [len(nodes.get(name, layer.grid.axes[name])) for name in layer.names]
     return int(np.prod(lengths, dtype=np.int64))

@@ -10,7 +10,8 @@ import numpy as np
 
 from narxcal.channels import CHANNELS
 from narxcal.export.grid import Grid
-from narxcal.steady.model import Floats, SteadyStateModel
+from narxcal.steady.model import SteadyStateModel
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, ModelError
 from narxcal.support.files import versions
 
@@ -140,12 +141,12 @@ class Probes:
                 hint="Give nodes inside its envelope",
             )
         self.truth = np.asarray(model.outputs(self.inputs), dtype=np.float64)
-        self.scale: Floats = np.ptp(self.truth, axis=0)
+        self.scale: FloatArray = np.ptp(self.truth, axis=0)
         # The error of a constant output is relative to its size.
         size = np.maximum(np.abs(self.truth).max(axis=0), 1e-6)
         self.scale = np.where(self.scale > 1e-9 * size, self.scale, size)
 
-    def measure(self, found: Floats) -> Measured:
+    def measure(self, found: FloatArray) -> Measured:
         """Compare `found` (n, n_out) with the model."""
         difference = np.abs(found - self.truth)
         largest, rms = difference.max(axis=0), np.sqrt(np.mean(difference**2, axis=0))

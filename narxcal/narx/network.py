@@ -1,150 +1,125 @@
-"""The NARX network: tapped delay lines, one tanh layer, a linear output and a linear path.
+"""The NARX network as arrays: structure, weights, scaling, free run and one-step prediction.
 
-Source: papers/narx calibration, section 2.2, equations (1)-(3); the linear path beside the
-hidden layer is that of Billings (2013), Nonlinear System Identification, section 3.3.
-
-A NARX network with its scaling: it simulates and predicts in the units of the records.
+Nothing here imports PyTorch, so that a stored model runs without it; `narx.module` is the same
+network as an `nn.Module`, `narx.kernels` has the compiled recursion and its equations.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike
-from torch import Tensor, nn
+from pydantic import AfterValidator, Field
 
 from narxcal.narx import kernels
-from narxcal.narx.config import NarxConfig
 from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.errors import DataError, ModelError
+from narxcal.support.settings import Section
+
+if TYPE_CHECKING:
+    from narxcal.narx.module import NarxNet
 
 AT_START: IntArray = np.zeros(1, dtype=np.int64)
-PARAMETER_ORDER = ("hidden.weight", "hidden.bias", "output.weight", "output.bias", "linear.weight")
 
 
-class NarxNet(nn.Module):
-    """One step of the network in scaled units; `low` and `high` (outputs,) bound its output.
+def _increasing(taps: tuple[int, ...]) -> tuple[int, ...]:
+    if not taps or taps[0] < 0 or list(taps) != sorted(set(taps)):
+        raise ValueError("has to list increasing delays >= 0, for example [0, 1]")
+    return taps
 
-    The clamp is the bounded-output guarantee: whatever the input and the history, a free run
-    of any length stays inside [low, high].
+
+Taps = Annotated[tuple[int, ...], AfterValidator(_increasing)]
+
+
+class NarxConfig(Section):
+    """Structure of the network; delays count samples.
+
+    `lags` past outputs are fed back. `taps` are the input delays: 0 is the input at the sample
+    that is predicted, so (0, 1) needs u(k) and u(k-1); a model that must not use u(k) has taps
+    (1, 2). `margin` widens the envelope of the training outputs, as a share of its width, to
+    the bounds at which the output is clamped.
+
+    With `moving` > 0 the first so many inputs are increments, which vanish in equilibrium, and the
+    network is *anchored*: it subtracts its own value in equilibrium, so that outputs of zero are an
+    exact equilibrium wherever the other inputs are constant. With `linear_feedback` past outputs
+    reach the linear path alone: an anchored network with its poles inside the unit circle then has
+    no other equilibrium.
     """
 
-    low: Tensor
-    high: Tensor
-
-    def __init__(self, config: NarxConfig, inputs: int, outputs: int) -> None:
-        super().__init__()
-        self.config = config
-        self.inputs = inputs
-        self.outputs = outputs
-        width = config.lags * outputs + len(config.taps) * inputs
-        self.hidden = nn.Linear(width, config.hidden, dtype=torch.float64)
-        self.output = nn.Linear(config.hidden, outputs, dtype=torch.float64)
-        self.linear = nn.Linear(width, outputs, bias=False, dtype=torch.float64)
-        if config.linear_feedback:
-            with torch.no_grad():
-                self.hidden.weight[:, : config.lags * outputs] = 0.0
-        self.register_buffer("low", torch.full((outputs,), -torch.inf, dtype=torch.float64))
-        self.register_buffer("high", torch.full((outputs,), torch.inf, dtype=torch.float64))
-
-    def forward(self, past_y: Tensor, past_u: Tensor) -> Tensor:
-        """Predict `(batch, outputs)` from `past_y` (batch, lags, outputs), newest first, and
-        `past_u` (batch, taps, inputs), in the order of `config.taps`.
-        """  # noqa: D205
-        phi = torch.cat([past_y.flatten(1), past_u.flatten(1)], dim=1)
-        y = self._unbounded(phi)
-        if self.config.moving:
-            still_u = past_u.clone()
-            still_u[..., : self.config.moving] = 0.0
-            rest = torch.cat([torch.zeros_like(past_y).flatten(1), still_u.flatten(1)], dim=1)
-            y = y - self._unbounded(rest)
-        return torch.clamp(y, self.low, self.high)
-
-    def _unbounded(self, phi: Tensor) -> Tensor:
-        value: Tensor = self.output(torch.tanh(self.hidden(phi))) + self.linear(phi)
-        return value
-
-    def get_theta(self) -> FloatArray:
-        """All weights as one vector (P,), in the order of `PARAMETER_ORDER`."""
-        weights = dict(self.named_parameters())
-        flat = [weights[name].detach().numpy().ravel() for name in PARAMETER_ORDER]
-        return np.concatenate(flat)
-
-    def trained(self) -> FloatArray:
-        """1 for each of `get_theta` that training may move (P,), 0 for the others."""
-        shares = {name: np.ones(weights.shape) for name, weights in self.named_parameters()}
-        if self.config.linear_feedback:
-            shares["hidden.weight"][:, : self.config.lags * self.outputs] = 0.0
-        return np.concatenate([shares[name].ravel() for name in PARAMETER_ORDER])
-
-    def set_theta(self, theta: FloatArray) -> None:
-        """Write the vector of `get_theta` back."""
-        weights, at = dict(self.named_parameters()), 0
-        with torch.no_grad():
-            for name in PARAMETER_ORDER:
-                size = weights[name].numel()
-                part = torch.from_numpy(np.array(theta[at : at + size]))
-                weights[name].copy_(part.reshape(weights[name].shape))
-                at += size
+    lags: int = Field(default=2, ge=1)
+    taps: Taps = (0, 1)
+    hidden: int = Field(default=8, ge=1)
+    margin: float = Field(default=0.25, ge=0)
+    moving: int = Field(default=0, ge=0)
+    linear_feedback: bool = False
 
 
-def simulate_slowly(net: NarxNet, y_start: Tensor, u: Tensor) -> Tensor:
-    """Free run by one PyTorch call a step: the exact twin that tests the compiled kernels.
-
-    `y_start` (batch, n, outputs) are the first n samples, `u` (batch, time, inputs); returns
-    (batch, time, outputs) whose first n samples are `y_start`. Before its first sample a
-    recording is taken to have stood still.
-    """
-    lags, taps = net.config.lags, net.config.taps
-    y = [y_start[:, k] for k in range(y_start.shape[1])]
-    for k in range(len(y), u.shape[1]):
-        past_y = torch.stack([y[max(k - j, 0)] for j in range(1, lags + 1)], dim=1)
-        past_u = torch.stack([u[:, max(k - d, 0)] for d in taps], dim=1)
-        y.append(net(past_y, past_u))
-    return torch.stack(y, dim=1)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Weights:
-    """The network's arrays, split into the feedback and the drive part (see kernels)."""
+    """The network's arrays in scaled units; symbols and shapes as in `narx.kernels`.
 
-    w1y: FloatArray
-    w1u: FloatArray
+    `w1` (h, f) and `a` (o, f) act on phi, of which the first m entries are fed back.
+    """
+
+    config: NarxConfig
+    w1: FloatArray
     b1: FloatArray
     w2: FloatArray
     b2: FloatArray
-    ay: FloatArray
-    au: FloatArray
+    a: FloatArray
     low: FloatArray
     high: FloatArray
-    fixed: FloatArray
 
     @classmethod
-    def of(cls, net: NarxNet) -> Weights:
-        """Copy them out of the module."""
-        m = net.config.lags * net.outputs
-        w1, a = (layer.weight.detach().numpy() for layer in (net.hidden, net.linear))
-        return cls(
-            w1[:, :m].copy(),
-            w1[:, m:].copy(),
-            net.hidden.bias.detach().numpy().copy(),
-            net.output.weight.detach().numpy().copy(),
-            net.output.bias.detach().numpy().copy(),
-            a[:, :m].copy(),
-            a[:, m:].copy(),
-            net.low.numpy().copy(),
-            net.high.numpy().copy(),
-            _fixed_at_rest(net.config, net.inputs),
-        )
+    def of(cls, config: NarxConfig, arrays: Mapping[str, FloatArray]) -> Self:
+        """Take the arrays by their names in the PyTorch module."""
+        return cls(config, *(arrays[name] for name in _NAMES))
+
+    def named(self) -> dict[str, FloatArray]:
+        """The arrays by their names in the PyTorch module."""
+        arrays = (self.w1, self.b1, self.w2, self.b2, self.a, self.low, self.high)
+        return dict(zip(_NAMES, arrays, strict=True))
 
     @property
+    def outputs(self) -> int:
+        """Number of outputs."""
+        return len(self.b2)
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs."""
+        width = int(self.w1.shape[1])
+        return (width - self.config.lags * self.outputs) // len(self.config.taps)
+
+    @property
+    def theta(self) -> FloatArray:
+        """All weights as one vector (P,), in the order of `narx.kernels`."""
+        arrays = (self.w1, self.b1, self.w2, self.b2, self.a)
+        return np.concatenate([array.ravel() for array in arrays])
+
+    @cached_property
     def feedback(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(W1y, W2, Ay) as the kernels take them."""
-        return self.w1y, self.w2, self.ay
+        m = self.config.lags * self.outputs
+        return self.w1[:, :m].copy(), self.w2, self.a[:, :m].copy()
+
+    @cached_property
+    def drive(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """(W1u, b1, Au, b2): what acts on the tapped inputs."""
+        m = self.config.lags * self.outputs
+        return self.w1[:, m:].copy(), self.b1, self.a[:, m:].copy(), self.b2
+
+    @cached_property
+    def fixed(self) -> FloatArray:
+        """1 for each tapped input that is not zero in equilibrium; empty: not anchored."""
+        if not self.config.moving:
+            return np.empty(0)
+        constant = (np.arange(self.inputs) >= self.config.moving).astype(np.float64)
+        return np.tile(constant, len(self.config.taps))
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
@@ -161,31 +136,29 @@ class Weights:
 
         `limit` (T, outputs) bounds the magnitude of the outputs step by step.
         """
-        hidden = self.b1 + tapped @ self.w1u.T
-        linear = self.b2 + tapped @ self.au.T
+        w1u, b1, au, b2 = self.drive
+        hidden = b1 + tapped @ w1u.T
+        linear = b2 + tapped @ au.T
         if len(self.fixed):
             rest = tapped * self.fixed
-            linear -= self.b2 + self.at_rest(tapped) @ self.w2.T + rest @ self.au.T
-        bounds = (self.low, self.high, np.empty((0, len(self.b2))) if limit is None else limit)
-        run: kernels.Run = kernels.free_run(hidden, linear, self.feedback, restarts, bounds)
-        return run
+            linear -= b2 + self.at_rest(tapped) @ self.w2.T + rest @ au.T
+        bounds = (self.low, self.high, np.empty((0, len(b2))) if limit is None else limit)
+        return kernels.free_run(hidden, linear, self.feedback, restarts, bounds)
 
     def at_rest(self, tapped: FloatArray) -> FloatArray:
-        """Tanh activations (T, h) at rest; no rows if the network is not anchored."""
+        """Tanh activations (T, h) in equilibrium; no rows if the network is not anchored."""
         if not len(self.fixed):
             return np.empty((0, len(self.b1)))
-        return np.tanh(self.b1 + (tapped * self.fixed) @ self.w1u.T)
+        return np.tanh(self.b1 + (tapped * self.fixed) @ self.drive[0].T)
 
 
-def _fixed_at_rest(config: NarxConfig, inputs: int) -> FloatArray:
-    """1 for each tapped input that stays at rest, 0 for one that moves; empty: not anchored."""
-    if not config.moving:
-        return np.empty(0)
-    return np.tile((np.arange(inputs) >= config.moving).astype(np.float64), len(config.taps))
+_NAMES = (
+    "hidden.weight", "hidden.bias", "output.weight", "output.bias", "linear.weight", "low", "high",
+)  # fmt: skip
 
 
 def tap(u: FloatArray, taps: Sequence[int]) -> FloatArray:
-    """Delay line: (time, inputs) -> (time, taps * inputs); before its start u stood still."""
+    """Delay line: (time, inputs) -> (time, taps * inputs); u is constant before its start."""
     rows = np.arange(len(u))
     return np.concatenate([u[np.maximum(rows - d, 0)] for d in taps], axis=1)
 
@@ -223,23 +196,47 @@ class Scaling:
 class NarxModel:
     """A network with its scaling: simulates records in the units they came in.
 
-    Knows nothing of engines: any inputs (time, inputs) and outputs (time, outputs).
+    Inputs (time, inputs) and outputs (time, outputs) may be any; nothing here is about engines.
     """
 
-    def __init__(self, net: NarxNet, inputs: Scaling, outputs: Scaling) -> None:
-        self.net = net
+    def __init__(self, network: NarxNet | Weights, inputs: Scaling, outputs: Scaling) -> None:
+        self._network = network
         self.input_scaling = inputs
         self.output_scaling = outputs
 
     @property
+    def net(self) -> NarxNet:
+        """The network as a PyTorch module, from then on the one that this model runs."""
+        if isinstance(self._network, Weights):
+            from narxcal.narx.module import NarxNet  # noqa: PLC0415 (PyTorch takes seconds)
+
+            self._network = NarxNet.of(self._network)
+        return self._network
+
+    @property
+    def weights(self) -> Weights:
+        """The network's arrays as they are now."""
+        return self._network if isinstance(self._network, Weights) else self._network.weights()
+
+    @property
     def config(self) -> NarxConfig:
         """Structure of the network."""
-        return self.net.config
+        return self._network.config
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs."""
+        return self._network.inputs
+
+    @property
+    def outputs(self) -> int:
+        """Number of outputs."""
+        return self._network.outputs
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Guaranteed (low, high) of every output in any free run, in the outputs' units."""
-        low, high = self.net.low.numpy(), self.net.high.numpy()
+        low, high = self.weights.bounds
         return self.output_scaling.up(low), self.output_scaling.up(high)
 
     def simulate(self, u: ArrayLike, start: ArrayLike) -> FloatArray:
@@ -248,12 +245,11 @@ class NarxModel:
         `start` (n, outputs) or (outputs,) are the first n samples (1 for a vector); they are
         returned as given and everything after is the model's own. Returns (time, outputs).
         """
-        inputs, first = self._inputs(u), self._start(start)
-        weights = Weights.of(self.net)
+        inputs, first = self._checked_inputs(u), self._start(start)
         scaled = self.output_scaling.down(first)
         tapped = tap(self.input_scaling.down(inputs), self.config.taps)[len(first) :]
         history = history_before(scaled, len(scaled), self.config.lags)
-        y, _, _ = weights.run(tapped, (AT_START, history[None]))
+        y, _, _ = self.weights.run(tapped, (AT_START, history[None]))
         return np.concatenate([first, self.output_scaling.up(y)])[: len(inputs)]
 
     def predict(self, u: ArrayLike, y: ArrayLike) -> FloatArray:
@@ -261,30 +257,27 @@ class NarxModel:
 
         Sample 0 has no past and is NaN, and so is every sample whose history holds a NaN.
         """
-        inputs, measured = self._inputs(u), np.asarray(y, dtype=np.float64)
-        if measured.shape != (len(inputs), self.net.outputs):
+        inputs, measured = self._checked_inputs(u), np.asarray(y, dtype=np.float64)
+        if measured.shape != (len(inputs), self.outputs):
             raise DataError(
-                f"expected outputs of shape {(len(inputs), self.net.outputs)}, "
-                f"found {measured.shape}"
+                f"expected outputs of shape {(len(inputs), self.outputs)}, found {measured.shape}"
             )
-        unknown = np.full((1, self.net.outputs), np.nan)
+        result = np.full(measured.shape, np.nan)
         if len(measured) < 2:
-            return unknown[: len(measured)]
-        scaled = self.output_scaling.down(measured)
-        lags = [history_before(scaled, k, self.config.lags) for k in range(1, len(scaled))]
-        past = torch.from_numpy(np.array(lags).reshape(len(lags), self.config.lags, -1))
+            return result
+        scaled, lags = self.output_scaling.down(measured), self.config.lags
+        past = np.array([history_before(scaled, k, lags) for k in range(1, len(scaled))])
         tapped = tap(self.input_scaling.down(inputs), self.config.taps)[1:]
-        past_u = torch.from_numpy(tapped.reshape(len(lags), len(self.config.taps), -1))
-        with torch.no_grad():
-            steps = self.net(past, past_u).numpy()
-        return np.concatenate([unknown, self.output_scaling.up(steps)])
+        # A free run that starts anew from measured outputs at every sample.
+        steps, _, _ = self.weights.run(tapped, (np.arange(len(past)), past))
+        known = np.isfinite(past).all(axis=1)
+        result[1:][known] = self.output_scaling.up(steps)[known]
+        return result
 
-    def _inputs(self, u: ArrayLike) -> FloatArray:
+    def _checked_inputs(self, u: ArrayLike) -> FloatArray:
         inputs = np.asarray(u, dtype=np.float64)
-        if inputs.ndim != 2 or inputs.shape[1] != self.net.inputs:
-            raise DataError(
-                f"expected inputs of shape (time, {self.net.inputs}), found {inputs.shape}"
-            )
+        if inputs.ndim != 2 or inputs.shape[1] != self.inputs:
+            raise DataError(f"expected inputs of shape (time, {self.inputs}), found {inputs.shape}")
         unknown = np.flatnonzero(~np.isfinite(inputs).all(axis=1))
         if len(unknown):
             raise DataError(
@@ -298,9 +291,9 @@ class NarxModel:
         first = np.atleast_2d(np.asarray(start, dtype=np.float64))
         if not len(first):
             raise DataError("a free run needs at least one start sample, found none")
-        if first.shape[1] != self.net.outputs or not np.isfinite(first).all():
+        if first.shape[1] != self.outputs or not np.isfinite(first).all():
             raise DataError(
-                f"expected finite start values of shape (n, {self.net.outputs}), "
+                f"expected finite start values of shape (n, {self.outputs}), "
                 f"found {first.shape} with {int((~np.isfinite(first)).sum())} not finite"
             )
         return first
@@ -309,10 +302,10 @@ class NarxModel:
         """Split into JSON-able structure and named arrays, for the bundle."""
         meta = {
             "config": self.config.model_dump(mode="json"),
-            "inputs": self.net.inputs,
-            "outputs": self.net.outputs,
+            "inputs": self.inputs,
+            "outputs": self.outputs,
         }
-        arrays = {name: value.numpy().copy() for name, value in self.net.state_dict().items()}
+        arrays = {name: array.copy() for name, array in self.weights.named().items()}
         for name, scaling in (("input", self.input_scaling), ("output", self.output_scaling)):
             arrays[f"{name}_scaling.centre"] = scaling.centre
             arrays[f"{name}_scaling.scale"] = scaling.scale
@@ -320,20 +313,37 @@ class NarxModel:
 
     @classmethod
     def from_arrays(cls, meta: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> Self:
-        """Rebuild from `to_arrays`; `ModelError` where an array is missing or misshapen."""
-        net = NarxNet(NarxConfig.parse(meta["config"]), meta["inputs"], meta["outputs"])
-        state = {}
-        for name, value in net.state_dict().items():
+        """Rebuild from `to_arrays`; `ModelError` where an array is missing or unusable."""
+        config = NarxConfig.parse(meta["config"])
+        shapes = _shapes(config, int(meta["inputs"]), int(meta["outputs"]))
+        kept = {}
+        for name, shape in shapes.items():
             found = arrays.get(name)
-            if found is None or found.shape != tuple(value.shape):
-                shape = None if found is None else found.shape
-                raise ModelError(
-                    f"weight '{name}' has to be of shape {tuple(value.shape)}, found {shape}"
-                )
-            state[name] = torch.from_numpy(np.array(found, dtype=np.float64))
-        net.load_state_dict(state)
-        scalings = [
-            Scaling(arrays[f"{name}_scaling.centre"], arrays[f"{name}_scaling.scale"])
+            if found is None or found.shape != shape:
+                given = None if found is None else found.shape
+                raise ModelError(f"weight '{name}' has to be of shape {shape}, found {given}")
+            kept[name] = np.array(found, dtype=np.float64)
+            if name.endswith(".scale") and not (kept[name] > 0.0).all():
+                raise ModelError(f"'{name}' has to be positive")
+        scalings = (
+            Scaling(kept[f"{name}_scaling.centre"], kept[f"{name}_scaling.scale"])
             for name in ("input", "output")
-        ]
-        return cls(net, *scalings)
+        )
+        return cls(Weights.of(config, kept), *scalings)
+
+
+def _shapes(config: NarxConfig, inputs: int, outputs: int) -> dict[str, tuple[int, ...]]:
+    width = config.lags * outputs + len(config.taps) * inputs
+    return {
+        "hidden.weight": (config.hidden, width),
+        "hidden.bias": (config.hidden,),
+        "output.weight": (outputs, config.hidden),
+        "output.bias": (outputs,),
+        "linear.weight": (outputs, width),
+        "low": (outputs,),
+        "high": (outputs,),
+        "input_scaling.centre": (inputs,),
+        "input_scaling.scale": (inputs,),
+        "output_scaling.centre": (outputs,),
+        "output_scaling.scale": (outputs,),
+    }

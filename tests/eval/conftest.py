@@ -9,7 +9,8 @@ import torch
 from data_prep.log import Log, Source
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import DynamicCalibration
-from narxcal.narx.network import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.narx.module import NarxNet
+from narxcal.narx.network import NarxConfig, NarxModel, Scaling
 from narxcal.steady.table import SteadyTable
 from training.baselines import fit_baselines
 from training.config import RunConfig

@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from narxcal.calibration.calibration import DynamicCalibration, narx_features
-from narxcal.narx.network import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.narx.module import NarxNet
+from narxcal.narx.network import NarxConfig, NarxModel, Scaling
 from narxcal.steady.table import SteadyTable
 
 

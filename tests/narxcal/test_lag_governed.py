@@ -13,7 +13,8 @@ from narxcal.calibration.register import Parts, Register, Sample
 from narxcal.lumped.lag import PARAMETERS, LagModel
 from narxcal.lumped.lag_governed import GovernedLags, governed_shapes, lags_from_arrays
 from narxcal.lumped.lag_governed_steps import LINES, inner_steps
-from narxcal.narx.network import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.narx.module import NarxNet
+from narxcal.narx.network import NarxConfig, NarxModel, Scaling
 from narxcal.support.errors import ModelError
 from training.lag_priors import governed_start
 
@@ -235,18 +236,20 @@ def register():
 
 def test_in_a_register_steps_and_blocks_give_the_same():
     (whole, inputs, ss), (single, *_), (halves, *_) = register(), register(), register()
-    expected = whole.extend(inputs[1:], ss[1:])
-    steps = np.array([single.step(*row) for row in zip(inputs[1:], ss[1:], strict=True)])
-    parts = [halves.extend(inputs[1:40], ss[1:40]), halves.extend(inputs[40:], ss[40:])]
+    expected = whole.advance(inputs[1:], ss[1:])
+    steps = np.concatenate(
+        [single.advance(inputs[k : k + 1], ss[k : k + 1]) for k in range(1, len(ss))]
+    )
+    parts = [halves.advance(inputs[1:40], ss[1:40]), halves.advance(inputs[40:], ss[40:])]
     np.testing.assert_allclose(steps, expected, atol=1e-9)
     np.testing.assert_allclose(np.concatenate(parts), expected, atol=1e-9)
 
 
 def test_a_correction_counts_as_the_newest_output():
     model, inputs, ss = register()
-    model.extend(inputs[1:40], ss[1:40])
+    model.advance(inputs[1:40], ss[1:40])
     model.correct(ss[39] - [2.0, np.nan, 10.0])
-    own = model.memory.lagged[:3].sum(axis=0) + model.outputs.up(model.memory.history[:3])
+    own = model.lagged[:3].sum(axis=0) + model.parts.narx.output_scaling.up(model.state.history[:3])
     assert own[[0, 2]] == pytest.approx([2.0, 10.0])
 
 

@@ -8,7 +8,8 @@ import torch
 
 from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.lumped.lag_governed import GovernedLags
-from narxcal.narx.network import NarxConfig, NarxModel, NarxNet, Scaling
+from narxcal.narx.module import NarxNet
+from narxcal.narx.network import NarxConfig, NarxModel, Scaling
 from narxcal.steady.table import SteadyTable
 from training.lag_priors import governed_start
 

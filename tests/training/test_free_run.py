@@ -6,15 +6,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.narx.network import (
-    AT_START,
-    NarxConfig,
-    NarxModel,
-    NarxNet,
-    Scaling,
-    Weights,
-    simulate_slowly,
-)
+from eval.benchmarks.speed import simulate_slowly
+from narxcal.narx.module import NarxNet
+from narxcal.narx.network import AT_START, NarxConfig, NarxModel, Scaling
 from narxcal.record import Record
 from training import adam, free_run, levenberg_marquardt
 from training.free_run import FreeRunProblem, cut_windows
@@ -134,7 +128,7 @@ def test_gauss_newton_matrix_is_the_jacobian_squared():
     def residual(at):
         model.net.set_theta(at)
         history = windows[0].history[None]
-        y, _, _ = Weights.of(model.net).run(windows[0].tapped, (AT_START, history))
+        y, _, _ = model.net.weights().run(windows[0].tapped, (AT_START, history))
         return ((y - windows[0].target) * windows[0].root_weight).ravel()
 
     step = 1e-6
@@ -167,7 +161,7 @@ def test_the_curvature_is_that_of_the_run_along_the_step(config, threads):
 
     def residual(at):
         model.net.set_theta(at)
-        weights = Weights.of(model.net)
+        weights = model.net.weights()
         runs = [weights.run(w.tapped, (AT_START, w.history[None]))[0] for w in windows]
         return np.concatenate(
             [((y - w.target) * w.root_weight).ravel() for y, w in zip(runs, windows, strict=True)]
@@ -184,7 +178,7 @@ def test_the_curvature_is_that_of_the_run_along_the_step(config, threads):
 
 def test_weights_taken_out_of_a_network_stay_when_it_is_given_others():
     net = make_model(NarxConfig(lags=1, hidden=1), outputs=1).net
-    weights = Weights.of(net)
+    weights = net.weights()
     kept = [array.copy() for array in (*weights.feedback, weights.b1, weights.w1u, weights.au)]
     net.set_theta(net.get_theta() + 1.0)
     now = (*weights.feedback, weights.b1, weights.w1u, weights.au)

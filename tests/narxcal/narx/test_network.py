@@ -6,7 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.narx.network import NarxConfig, NarxModel, NarxNet, Scaling, history_before, tap
+from narxcal.narx.module import NarxNet
+from narxcal.narx.network import NarxConfig, NarxModel, Scaling, history_before, tap
 from narxcal.support.errors import ConfigError, DataError, ModelError
 
 

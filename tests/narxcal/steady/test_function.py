@@ -7,7 +7,7 @@ import joblib
 import numpy as np
 import pytest
 
-from narxcal.steady.function import SteadyCallable
+from narxcal.steady.function import Cached, SteadyCallable
 from narxcal.steady.model import SteadyStateModel, steady_from_json, steady_to_json
 from narxcal.support.errors import ConfigError, ModelError
 
@@ -190,3 +190,67 @@ def test_worker_processes_get_the_same_function(folder):
     inputs = np.array([[90.0, 0.5]])
     found = joblib.Parallel(n_jobs=2)(joblib.delayed(model.outputs)(inputs) for _ in range(2))
     np.testing.assert_array_equal(found, [model.outputs(inputs)] * 2)
+
+
+def counted(most_rows=1000):
+    """A function that doubles, its cache, and how many rows were evaluated each time."""
+    evaluated = []
+
+    def double(inputs):
+        evaluated.append(len(inputs))
+        return 2.0 * inputs
+
+    return Cached(double, most_rows), evaluated
+
+
+def log(first, rows=300):
+    return first + np.arange(2.0 * rows).reshape(rows, 2)
+
+
+def test_the_same_log_is_evaluated_once():
+    cached, evaluated = counted()
+    for _ in range(3):
+        np.testing.assert_array_equal(cached(log(0.0)), 2.0 * log(0.0))
+        np.testing.assert_array_equal(cached(log(1.0)), 2.0 * log(1.0))
+    assert evaluated == [300, 300]
+
+
+def test_logs_of_the_same_numbers_in_another_order_are_others():
+    cached, evaluated = counted()
+    columns = np.asfortranarray(log(0.0))
+    np.testing.assert_array_equal(cached(columns), 2.0 * columns)
+    np.testing.assert_array_equal(cached(columns[::-1]), 2.0 * columns[::-1])
+    np.testing.assert_array_equal(cached(log(0.0)), 2.0 * log(0.0))
+    assert evaluated == [300, 300]
+
+
+@pytest.mark.parametrize("rows", [1, 99, 1001])
+def test_samples_of_a_stream_and_logs_too_long_are_not_kept(rows):
+    cached, evaluated = counted()
+    for _ in range(2):
+        cached(log(0.0, rows))
+    assert evaluated == [rows, rows]
+
+
+def test_the_one_not_used_for_longest_is_forgotten():
+    cached, evaluated = counted()
+    for first in (0.0, 1.0, 2.0, 0.0, 3.0, 0.0, 1.0):  # three logs fit in
+        cached(log(first))
+    assert evaluated == [300] * 5
+
+
+def test_an_answer_cannot_be_changed():
+    cached, _ = counted()
+    answer = cached(log(0.0))
+    with pytest.raises(ValueError, match="read-only"):
+        answer += 1.0
+
+
+def test_an_error_is_raised_each_time():
+    def fails(inputs):
+        raise RuntimeError(f"{len(inputs)} rows")
+
+    cached = Cached(fails)
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match="300 rows"):
+            cached(log(0.0))

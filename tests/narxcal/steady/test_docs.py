@@ -9,7 +9,7 @@ import pytest
 
 from narxcal.steady.model import SteadyOptions
 
-PAGE = Path(__file__).parents[2] / "docs" / "steady_state.md"
+PAGE = Path(__file__).parents[3] / "docs" / "steady_state.md"
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ ITT = {"variables": {"EGT_C": "ITT"}}
 
 
 def helper():
-    spec = spec_from_file_location("fmu_source", Path(__file__).with_name("fmu_source.py"))
+    spec = spec_from_file_location("fmu_source", Path(__file__).parents[1] / "fmu_source.py")
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

@@ -1,13 +1,12 @@
 """A real calibration, saved and loaded, gives the same numbers with every kind of model."""
 
-import re
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from narxcal import Bundle, ModelError, load_bundle, save_bundle
+from narxcal import Bundle, load_bundle, save_bundle
 from narxcal.steady.fitted import FittedSteadyState, Layout
 from narxcal.steady.fmu import SteadyFmu
 from narxcal.steady.function import SteadyCallable
@@ -19,7 +18,7 @@ LOG = np.column_stack([40 + 30 * np.sign(np.sin(np.arange(200) / 15)), np.linspa
 
 
 def fmu_source():
-    spec = spec_from_file_location("fmu_source", Path(__file__).with_name("fmu_source.py"))
+    spec = spec_from_file_location("fmu_source", Path(__file__).parents[1] / "fmu_source.py")
     module = module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -63,7 +62,7 @@ def fitted(_):
 def test_a_loaded_bundle_simulates_and_steps_as_the_saved_one(calibrated, make, tmp_path):
     saved = calibrated(make(tmp_path), LOG)
     save_bundle(tmp_path / "run", Bundle(saved, {"seed": 3}))
-    bundle = load_bundle(tmp_path / "run")
+    bundle = load_bundle(tmp_path / "run", trust=True)
     loaded = bundle.calibration
     assert bundle.meta["seed"] == 3
     assert loaded.input_names == saved.input_names
@@ -84,23 +83,15 @@ def test_the_bundles_own_fmu_serves_when_the_former_is_gone(calibrated, tmp_path
     save_bundle(tmp_path / "run", Bundle(saved))
     (tmp_path / "deck.fmu").unlink()
     (tmp_path / "run").rename(tmp_path / "moved")
-    loaded = load_bundle(tmp_path / "moved").calibration
+    loaded = load_bundle(tmp_path / "moved", trust=True).calibration
     np.testing.assert_array_equal(loaded.simulate(LOG), saved.simulate(LOG))
-    copy = tmp_path / "moved" / "steady" / "deck.fmu"
-    copy.write_bytes(copy.read_bytes() + b"\0")
-    message = (
-        f"{copy}: the FMU is not the one the bundle was trained on. "
-        "Restore the former file, or train anew"
-    )
-    with pytest.raises(ModelError, match=f"^{re.escape(message)}$"):
-        load_bundle(tmp_path / "moved")
 
 
 def test_a_bundle_may_be_saved_over_the_one_it_was_loaded_from(calibrated, tmp_path):
     run = tmp_path / "run"
     save_bundle(run, Bundle(calibrated(fmu(tmp_path), LOG)))
-    loaded = load_bundle(run)
+    loaded = load_bundle(run, trust=True)
     save_bundle(run, Bundle(loaded.calibration, {"again": True}), replace=True)
-    again = load_bundle(run)
+    again = load_bundle(run, trust=True)
     assert again.meta["again"] is True
     np.testing.assert_array_equal(again.calibration.simulate(LOG), loaded.calibration.simulate(LOG))

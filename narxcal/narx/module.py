@@ -1,0 +1,107 @@
+"""The NARX network as a PyTorch module: what training changes, the twin of the compiled kernels.
+
+Source: papers/narx calibration, section 2.2, equations (1)-(3); the linear path beside the
+hidden layer is that of Billings (2013), Nonlinear System Identification, section 3.3.
+"""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from narxcal.narx.network import NarxConfig, Weights
+from narxcal.support.arrays import FloatArray
+
+PARAMETER_ORDER = ("hidden.weight", "hidden.bias", "output.weight", "output.bias", "linear.weight")
+
+
+class NarxNet(nn.Module):
+    """One step of the network in scaled units; `low` and `high` (outputs,) bound its output.
+
+    The clamp guarantees a bounded output: whatever the input and the history, a free run of any
+    length stays inside [low, high].
+    """
+
+    low: Tensor
+    high: Tensor
+
+    def __init__(self, config: NarxConfig, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.config = config
+        self.inputs = inputs
+        self.outputs = outputs
+        width = config.lags * outputs + len(config.taps) * inputs
+        self.hidden = nn.Linear(width, config.hidden, dtype=torch.float64)
+        self.output = nn.Linear(config.hidden, outputs, dtype=torch.float64)
+        self.linear = nn.Linear(width, outputs, bias=False, dtype=torch.float64)
+        if config.linear_feedback:
+            with torch.no_grad():
+                self.hidden.weight[:, : config.lags * outputs] = 0.0
+        self.register_buffer("low", torch.full((outputs,), -torch.inf, dtype=torch.float64))
+        self.register_buffer("high", torch.full((outputs,), torch.inf, dtype=torch.float64))
+
+    @classmethod
+    def drawn(cls, config: NarxConfig, width: tuple[int, int], seed: int) -> Self:
+        """Draw the weights of `width` (inputs, outputs) by PyTorch's own initialisation.
+
+        The caller's random state is left alone.
+        """
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            return cls(config, *width)
+
+    @classmethod
+    def of(cls, weights: Weights) -> Self:
+        """Build the module from arrays."""
+        net = cls.drawn(weights.config, (weights.inputs, weights.outputs), seed=0)
+        state = {name: torch.from_numpy(array.copy()) for name, array in weights.named().items()}
+        net.load_state_dict(state)
+        return net
+
+    def weights(self) -> Weights:
+        """Copy the arrays out of the module."""
+        state = {name: value.numpy().copy() for name, value in self.state_dict().items()}
+        return Weights.of(self.config, state)
+
+    def forward(self, past_y: Tensor, past_u: Tensor) -> Tensor:
+        """Predict `(batch, outputs)` from the past.
+
+        `past_y` is (batch, lags, outputs), newest first, and `past_u` (batch, taps, inputs), in the
+        order of `config.taps`.
+        """
+        phi = torch.cat([past_y.flatten(1), past_u.flatten(1)], dim=1)
+        y = self._unbounded(phi)
+        if self.config.moving:
+            constant_u = past_u.clone()
+            constant_u[..., : self.config.moving] = 0.0
+            zero_y = torch.zeros_like(past_y).flatten(1)
+            y = y - self._unbounded(torch.cat([zero_y, constant_u.flatten(1)], dim=1))
+        return torch.clamp(y, self.low, self.high)
+
+    def _unbounded(self, phi: Tensor) -> Tensor:
+        value: Tensor = self.output(torch.tanh(self.hidden(phi))) + self.linear(phi)
+        return value
+
+    def get_theta(self) -> FloatArray:
+        """All weights as one vector (P,), in the order of `PARAMETER_ORDER`."""
+        return self.weights().theta
+
+    def trained(self) -> FloatArray:
+        """1 for each of `get_theta` that training may move (P,), 0 for the others."""
+        shares = {name: np.ones(weights.shape) for name, weights in self.named_parameters()}
+        if self.config.linear_feedback:
+            shares["hidden.weight"][:, : self.config.lags * self.outputs] = 0.0
+        return np.concatenate([shares[name].ravel() for name in PARAMETER_ORDER])
+
+    def set_theta(self, theta: FloatArray) -> None:
+        """Write the vector of `get_theta` back."""
+        weights, at = dict(self.named_parameters()), 0
+        with torch.no_grad():
+            for name in PARAMETER_ORDER:
+                size = weights[name].numel()
+                part = torch.from_numpy(np.array(theta[at : at + size]))
+                weights[name].copy_(part.reshape(weights[name].shape))
+                at += size
