@@ -52,6 +52,7 @@ class Request(NamedTuple):
     config: RunConfig | None = None
     held_real: Path | None = None
     held_sim: str | None = None
+    trust: bool = False  # of a run folder whose steady-state model runs code
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,7 @@ def diagnose_folders(request: Request, watch: Watch | None = None) -> Diagnosis:
     began = time.perf_counter()
     watch = watch or _unwatched
     watch("reading", 0, 1)
-    simulator = open_simulator(request.sim)
+    simulator = open_simulator(request.sim, trust=request.trust)
     pairs = read_pairs(request.real, simulator.how, request.config)
     held = _held_pairs(request)
     check_apart(pairs, held)
@@ -207,7 +208,7 @@ def _held_pairs(request: Request) -> list[Pair]:
     if request.held_real is None:
         return []
     source = request.sim if request.held_sim is None else request.held_sim
-    simulator = open_simulator(source)
+    simulator = open_simulator(source, trust=request.trust)
     if request.held_sim is None and isinstance(simulator.how, Path):
         raise DataError(
             "held-out flights need their simulated logs", hint="Name them by --heldout-sim"

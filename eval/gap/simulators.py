@@ -34,10 +34,11 @@ class Simulator(NamedTuple):
     how: Path | Simulate
 
 
-def open_simulator(source: str) -> Simulator:
+def open_simulator(source: str, *, trust: bool = False) -> Simulator:
     """Open a folder of logs, a run folder, an FMU, `module:function`, or a virtual engine's name.
 
-    A function takes `(inputs: {channel: (time,)}, dt_s)` and returns `{channel: (time,)}`. Raises
+    A function takes `(inputs: {channel: (time,)}, dt_s)` and returns `{channel: (time,)}`. `trust`
+    is that of `load_bundle`, for a run folder. Raises
     `ConfigError` for what is none of these, else as the simulator's own reader.
     """
     path = Path(source or "nothing")
@@ -45,7 +46,7 @@ def open_simulator(source: str) -> Simulator:
         return Simulator("virtual engine", _virtual_engine(source))
     if path.is_dir():
         is_bundle = (path / DOCUMENT).is_file()
-        return Simulator("bundle", _bundle(path)) if is_bundle else Simulator("logs", path)
+        return Simulator("bundle", _bundle(path, trust)) if is_bundle else Simulator("logs", path)
     if path.suffix == ".fmu" and path.is_file():
         return Simulator("FMU", _fmu(path))
     if all(source.partition(":")) and not path.exists():
@@ -71,9 +72,9 @@ def _virtual_engine(name: str) -> Simulate:
     return simulate
 
 
-def _bundle(folder: Path) -> Simulate:
+def _bundle(folder: Path, trust: bool) -> Simulate:
     """The calibration on its own raster; inputs and outputs are carried over on straight lines."""
-    calibration = load_bundle(folder).calibration
+    calibration = load_bundle(folder, trust=trust).calibration
 
     def simulate(log: Log) -> Mapping[str, FloatArray]:
         own = calibration_for(calibration, log)

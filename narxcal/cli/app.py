@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import sys
 import traceback
@@ -116,7 +117,13 @@ def parser_of(command: str) -> argparse.ArgumentParser:
 def _run(options: argparse.Namespace) -> int:
     """Run the command's module."""
     console = import_module("narxcal.cli.console").Console(json=options.json, quiet=options.quiet)
-    code: int = import_module(f"narxcal.cli.{options.command}").run(options, console)
+    warnings = logging.Handler(logging.WARNING)
+    warnings.emit = lambda record: console.warn(record.getMessage())  # type: ignore[method-assign]
+    logging.getLogger("narxcal").addHandler(warnings)
+    try:
+        code: int = import_module(f"narxcal.cli.{options.command}").run(options, console)
+    finally:
+        logging.getLogger("narxcal").removeHandler(warnings)
     return code
 
 

@@ -16,7 +16,16 @@ from eval.gap.blind.score import SCHEMA as SCORE_SCHEMA
 from eval.gap.blind.score import CaseSet, score_answers
 from eval.gap.blind.sim_logs import make_log_cases
 from narxcal.cli.console import Console
-from narxcal.cli.options import add_jobs, add_mapping, add_output, count, path, seconds, seed
+from narxcal.cli.options import (
+    add_jobs,
+    add_mapping,
+    add_output,
+    add_trust,
+    count,
+    path,
+    seconds,
+    seed,
+)
 from narxcal.cli.results import read_config
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import Results, atomic_write_text, to_json
@@ -96,6 +105,7 @@ def _add_make(parser: ArgumentParser) -> None:
         help="instead: logs of any simulator, without noise, onto which effects are put",
     )
     add_mapping(parser)
+    add_trust(parser)
 
 
 def _add_run(parser: ArgumentParser) -> None:
@@ -184,7 +194,7 @@ def _make(options: Namespace, console: Console) -> None:
 
 def _real(options: Namespace) -> Real:
     config = None if options.config is None else read_config(options.config, None)[0]
-    return Real(options.real, options.sim, config)
+    return Real(options.real, options.sim, config, options.trust)
 
 
 def _run(options: Namespace, console: Console) -> None:

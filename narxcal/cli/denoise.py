@@ -36,7 +36,7 @@ def add_options(parser: ArgumentParser) -> None:
 def run(options: Namespace, console: Console) -> int:
     """Sweep the noise; 1 where the fused value does not beat both of what it was made of."""
     RESULTS.check(options.out)
-    bundle = load_bundle(options.bundle)
+    bundle = load_bundle(options.bundle, trust=options.trust)
     run_settings, settings = run_config(bundle)
     logs = logs_for(bundle, options.logs, options.data, console)
     channel = options.channel or usual_channel(bundle.calibration.output_names)

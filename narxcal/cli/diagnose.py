@@ -26,7 +26,7 @@ from eval.gap.summary import (
 )
 from eval.report.page import write_page
 from narxcal.cli.console import Console
-from narxcal.cli.options import SIMULATOR, add_mapping, add_out, path
+from narxcal.cli.options import SIMULATOR, add_mapping, add_out, add_trust, path
 from narxcal.cli.results import now, read_config
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import Results, to_json
@@ -45,6 +45,7 @@ def add_options(parser: ArgumentParser) -> None:
     )
     add_out(parser)
     add_mapping(parser)
+    add_trust(parser)
     parser.add_argument(
         "--heldout-real", metavar="DIR", type=path, help="flights to check the shrinkage on"
     )
@@ -100,4 +101,11 @@ def _request(options: Namespace) -> Request:
     if options.heldout_sim is not None and options.heldout_real is None:
         raise ConfigError("--heldout-sim needs --heldout-real")
     config = None if options.config is None else read_config(options.config, None)[0]
-    return Request(options.real, options.sim, config, options.heldout_real, options.heldout_sim)
+    return Request(
+        options.real,
+        options.sim,
+        config,
+        options.heldout_real,
+        options.heldout_sim,
+        options.trust,
+    )

@@ -59,7 +59,7 @@ def run(options: Namespace, console: Console) -> int:
     """Evaluate a bundle on its held-out logs, or on others; writes JSON and HTML."""
     out = options.out or options.bundle / "evaluate"
     RESULTS.check(out)
-    bundle = load_bundle(options.bundle)
+    bundle = load_bundle(options.bundle, trust=options.trust)
     logs = logs_for(bundle, options.logs, options.data, console)
     found = judge(bundle, logs, (options.bundle, options.trim), console)
     with RESULTS.writing(out) as folder:

@@ -11,7 +11,7 @@ import numpy as np
 from narxcal.calibration.bundle import load_bundle
 from narxcal.channels import channel
 from narxcal.cli.console import Console
-from narxcal.cli.options import add_overwrite, count, path
+from narxcal.cli.options import add_overwrite, add_trust, count, path
 from narxcal.export import ExportOptions, ExportReport, Grid, export_fmu, export_table
 from narxcal.export.report import ADVICE
 from narxcal.steady.fmu import SteadyFmu
@@ -39,6 +39,7 @@ def add_options(parser: ArgumentParser) -> None:
         "--out", metavar="FILE", type=path, required=True, help=".csv, .csv.gz or .fmu"
     )
     add_overwrite(parser)
+    add_trust(parser)
     parser.add_argument("--fmi", choices=("2.0", "3.0"), default="2.0", help="default 2.0")
     parser.add_argument(
         "--tolerance", metavar="PCT", type=float, default=0.5, help="of each range (default 0.5)"
@@ -63,7 +64,7 @@ def run(options: Namespace, console: Console) -> int:
     """Export SOURCE and show its errors; returns 1 where the tolerance was missed."""
     _check_name(options.out, options.to)
     check_file(options.out, Path(options.source), overwrite=options.overwrite)
-    model = open_source(options.source, options.inputs, options.outputs)
+    model = open_source(options.source, options.inputs, options.outputs, trust=options.trust)
     grid = Grid.of_model(model, _nodes(options.nodes or ()))
     with console.progress("Exporting") as advance:
         how = ExportOptions(
@@ -94,7 +95,11 @@ def _check_name(out: Path, kind: str) -> None:
 
 
 def open_source(
-    source: str, inputs: Sequence[str] | None, outputs: Sequence[str] | None
+    source: str,
+    inputs: Sequence[str] | None,
+    outputs: Sequence[str] | None,
+    *,
+    trust: bool = False,
 ) -> SteadyStateModel:
     """Open a run folder, a virtual engine's name, `module:function`, a CSV file or an FMU.
 
@@ -105,7 +110,7 @@ def open_source(
     if source in PRESETS:
         return VirtualEngine(source)
     if path.is_dir():
-        return load_bundle(path).calibration.steady
+        return load_bundle(path, trust=trust).calibration.steady
     if path.name.endswith((".csv", ".csv.gz")):
         return read_steady_table(path, inputs, outputs)
     if path.suffix == ".fmu":

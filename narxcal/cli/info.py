@@ -10,7 +10,7 @@ from typing import Any
 from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_run
-from narxcal.cli.results import lag_words, steady_words
+from narxcal.cli.results import hash_words, lag_words, steady_words
 
 SCHEMA = "narxcal.info/1"
 _KEPT = ("split", "seeds", "steady_state", "lag_form", "training")
@@ -23,8 +23,8 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Load a bundle, which checks it, and print what it says of itself."""
-    bundle = load_bundle(options.bundle)
+    """Load a bundle, which checks it, and print what is stored about it."""
+    bundle = load_bundle(options.bundle, trust=options.trust)
     document = _document(str(options.bundle), bundle, read_document(options.bundle))
     console.facts(_facts(document))
     console.table(
@@ -36,7 +36,10 @@ def run(options: Namespace, console: Console) -> int:
         ],
     )
     if document["metrics"] is None:
-        console.say(f"No figures yet: narxcal evaluate {options.bundle}")
+        console.say(
+            f"No figures in {options.bundle / 'evaluate'}. Write them by narxcal evaluate "
+            f"{options.bundle}; those of evaluate --out DIR are in DIR/evaluate.json"
+        )
     else:
         _show_metrics(console, document["metrics"], document["units"])
     console.table(
@@ -81,6 +84,7 @@ def _document(run: str, bundle: Bundle, stored: dict[str, Any]) -> dict[str, Any
         "hidden": narx.hidden,
         "weights": int(calibration.narx.weights.theta.size),
         "weights_sha256": stored["weights"]["sha256"],
+        "sha256": bundle.sha256 or None,
         "deviation_bounds": {
             name: [float(low[k]), float(high[k])] for k, name in enumerate(calibration.output_names)
         },
@@ -119,7 +123,7 @@ def _facts(document: dict[str, Any]) -> dict[str, str]:
         "Raster": f"{document['dt_s']:.6g} s ({1.0 / document['dt_s']:.4g} Hz)",
         "Network": f"lags {document['lags']}, hidden units {document['hidden']}, "
         f"weights {document['weights']}",
-        "Weights": f"sha256 {document['weights_sha256'][:16]}",
+        "Bundle": hash_words(document["sha256"]),
         "Steady state": steady_words(document),
         "Lags": lag_words(document),
         **{f"{part.capitalize()} logs": ", ".join(logs) or "none" for part, logs in split.items()},

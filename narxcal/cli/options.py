@@ -109,8 +109,18 @@ def add_jobs(parser: ArgumentParser, what: str) -> None:
 
 
 def add_run(parser: ArgumentParser) -> None:
-    """RUN."""
+    """RUN and --trust."""
     parser.add_argument("bundle", metavar="RUN", type=path, help="folder that train wrote")
+    add_trust(parser)
+
+
+def add_trust(parser: ArgumentParser) -> None:
+    """--trust of every command that reads a run."""
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="allow a run whose steady-state model is a function or an FMU to execute it",
+    )
 
 
 def add_logs(parser: ArgumentParser) -> None:

@@ -32,7 +32,7 @@ def run(options: Namespace, console: Console) -> int:
     """Replay a log and write one CSV."""
     console = console.beside(options.out)
     check_file(options.out, options.log, options.bundle, overwrite=options.overwrite)
-    model = ReplayModel.of(load_bundle(options.bundle))
+    model = ReplayModel.of(load_bundle(options.bundle, trust=options.trust))
     how = ReplayOptions(engine=options.engine, realtime=options.realtime, follow=options.follow)
     with console.progress("Replaying"):
         summary = replay(model, options.log, options.out, how)

@@ -14,20 +14,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from data_prep.log import Log, Source
 from eval.evaluate import evaluation_logs
 from eval.report.content import RunHeader
 from eval.rules import Tolerance, rules
-from narxcal.calibration.bundle import Bundle
+from narxcal.calibration.bundle import Bundle, read_document
 from narxcal.channels import CHANNELS
 from narxcal.cli.console import Console
 from narxcal.support.errors import ConfigError, DataError
 from training.config import RunConfig, load_config
-
-if TYPE_CHECKING:
-    from narxcal.calibration.bundle import Bundle
 
 
 def read_config(path: str, data: Path | None) -> tuple[RunConfig, Path]:
@@ -180,8 +177,15 @@ def header_of(
         tolerances=f"Ti {words(found.Ti)}; Tt {words(found.Tt)} ({found.source})",
         sources=data_files(logs),
         versions=meta.get("versions", {}),
-        facts=_facts(meta),
+        facts={"Bundle": hash_words(read_document(run).get("sha256")), **_facts(meta)},
         config=json.dumps(meta.get("config", {}), indent=1),
+    )
+
+
+def hash_words(sha256: str | None) -> str:
+    """Hash of a loaded bundle in words."""
+    return (
+        f"sha256 {sha256[:16]}" if sha256 else "unverified: written without a hash over all of it"
     )
 
 

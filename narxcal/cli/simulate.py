@@ -17,7 +17,7 @@ from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.cli import simulate_effects
 from narxcal.cli.console import Console
-from narxcal.cli.options import SIMULATOR, add_mapping, add_overwrite, path
+from narxcal.cli.options import SIMULATOR, add_mapping, add_overwrite, add_trust, path
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import TIME_FORMAT, atomic_write_text, check_file
 from training.config import RunConfig
@@ -54,6 +54,7 @@ def add_options(parser: ArgumentParser) -> None:
         help="CSV file, -, or folder",
     )
     add_overwrite(parser)
+    add_trust(parser)
     group = parser.add_argument_group("with the effects that diagnose found")
     group.add_argument("--sim", metavar="SIM", help=SIMULATOR)
     group.add_argument("--effects", metavar="GAP.json", type=path, help="what diagnose wrote")
@@ -74,7 +75,7 @@ def run(options: Namespace, console: Console) -> int:
         )
     console = console.beside(options.out)
     check_file(options.out, options.inputs, options.bundle, overwrite=options.overwrite)
-    bundle = load_bundle(options.bundle)
+    bundle = load_bundle(options.bundle, trust=options.trust)
     runs = [
         _simulated(bundle.calibration, log) for log in read_inputs(bundle, Path(options.inputs))
     ]

@@ -36,7 +36,7 @@ def run(options: Namespace, console: Console) -> int:
     results = _results(options.out)
     results.check(options.out)
     found = read_effects(options.effects)
-    simulator = open_simulator(options.sim)
+    simulator = open_simulator(options.sim, trust=options.trust)
     how = simulator.how
     found.check(again=not isinstance(how, Path))
     config = None if options.config is None else read_config(options.config, None)[0]

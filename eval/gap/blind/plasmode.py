@@ -45,6 +45,7 @@ class Real(NamedTuple):
     flights: Path
     simulator: str
     config: RunConfig | None = None
+    trust: bool = False  # of a run folder whose steady-state model runs code
 
 
 class Piece(NamedTuple):
@@ -217,7 +218,7 @@ def _measured(flown: Flown, channels: Channels, dose: Dose, log: Log) -> Channel
 
 
 def _flown(real: Real, piece_s: float) -> Flown:
-    simulator = open_simulator(real.simulator)
+    simulator = open_simulator(real.simulator, trust=real.trust)
     if isinstance(simulator.how, Path):
         raise ConfigError(
             "real flights need a simulator that can be run again, not a folder of its logs",
