@@ -282,6 +282,7 @@ def load_bundle(folder: str | PathLike[str], *, trust: bool = False) -> Bundle:
     try:
         calibration = DynamicCalibration.from_arrays(meta, arrays, trust=trust)
         stored = {"dt_s": float(document["dt_s"]), "channels": document["channels"]}
+        named = {"dt_s": calibration.dt_s, "channels": _channels(calibration)["channels"]}
     except NarxcalError as error:
         raise ModelError(
             error.problem, file=error.file or file, channel=error.channel, hint=error.hint
@@ -289,7 +290,6 @@ def load_bundle(folder: str | PathLike[str], *, trust: bool = False) -> Bundle:
     except Exception as error:
         problem = f"the part 'calibration' cannot be read: {type(error).__name__}: {error}"
         raise ModelError(problem, file=file, hint=_FORM.again) from error
-    named = {"dt_s": calibration.dt_s, "channels": _channels(calibration)["channels"]}
     if stored != named:
         raise ModelError(
             "'dt_s' or 'channels' differ from those of the part 'calibration'",

@@ -237,8 +237,12 @@ class DynamicCalibration:
                 f"found one of {self.narx.inputs} and {self.narx.outputs}",
                 hint=ALTERED,
             )
-        for name, value in (("dt_s", self.dt_s), ("settle_s", self.settle_s or 1.0)):
-            if not 0.0 < value < np.inf:
+        times: dict[str, Any] = {"dt_s": self.dt_s}
+        if self.settle_s is not None:
+            times["settle_s"] = self.settle_s
+        for name, value in times.items():
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not number or not 0.0 < value < np.inf:
                 raise ModelError(f"'{name}' has to be positive, found {value}", hint=ALTERED)
 
     def _started(self, inputs: FloatArray, ss: FloatArray, deviation: FloatArray) -> Register:

@@ -38,6 +38,7 @@ from narxcal.steady.model import (
     checked_inputs,
     register_steady,
     stored,
+    stored_names,
 )
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import ModelError
@@ -194,10 +195,11 @@ class FittedSteadyState:
         """Rebuild from `to_arrays`; raises `ModelError` where a part is missing or misshapen."""
         kept = {name: stored(arrays, name, _WHAT) for name in _ARRAYS}
         layout = stored(meta, "layout", _WHAT)
+        inputs, outputs = stored_names(layout, _WHAT)
         model = cls(
             layout=Layout(
-                input_names=tuple(layout["input_names"]),
-                output_names=tuple(layout["output_names"]),
+                input_names=inputs,
+                output_names=outputs,
                 driver=layout["driver"],
                 blend=tuple(layout["blend"]),
                 corrected=layout["corrected"],

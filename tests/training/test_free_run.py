@@ -179,9 +179,9 @@ def test_the_curvature_is_that_of_the_run_along_the_step(config, threads):
 def test_weights_taken_out_of_a_network_stay_when_it_is_given_others():
     net = make_model(NarxConfig(lags=1, hidden=1), outputs=1).net
     weights = net.weights()
-    kept = [array.copy() for array in (*weights.feedback, weights.b1, weights.w1u, weights.au)]
+    kept = [array.copy() for array in (weights.w1, weights.b1, weights.a)]
     net.set_theta(net.get_theta() + 1.0)
-    now = (*weights.feedback, weights.b1, weights.w1u, weights.au)
+    now = (weights.w1, weights.b1, weights.a)
     assert all(np.array_equal(one, other) for one, other in zip(kept, now, strict=True))
 
 

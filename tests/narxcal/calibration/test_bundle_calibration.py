@@ -1,17 +1,23 @@
-"""A real calibration, saved and loaded, gives the same numbers with every kind of model."""
+"""A real calibration, saved and loaded: same numbers, no code without trust, no garbage."""
 
+import json
+import re
+import sys
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from narxcal import Bundle, load_bundle, save_bundle
+from narxcal import Bundle, ModelError, NarxcalError, load_bundle, save_bundle
+from narxcal.calibration.bundle import seal
+from narxcal.cli.app import main
 from narxcal.steady.fitted import FittedSteadyState, Layout
 from narxcal.steady.fmu import SteadyFmu
 from narxcal.steady.function import SteadyCallable
 from narxcal.steady.model import Envelope, SteadyOptions
 from narxcal.steady.table import SteadyTable
+from narxcal.support.files import to_json
 
 NAMES = (("TRA_deg", "Mach"), ("N1_pct", "EGT_C"))
 LOG = np.column_stack([40 + 30 * np.sign(np.sin(np.arange(200) / 15)), np.linspace(0, 0.7, 200)])
@@ -95,3 +101,160 @@ def test_a_bundle_may_be_saved_over_the_one_it_was_loaded_from(calibrated, tmp_p
     again = load_bundle(run, trust=True)
     assert again.meta["again"] is True
     np.testing.assert_array_equal(again.calibration.simulate(LOG), loaded.calibration.simulate(LOG))
+
+
+@pytest.fixture
+def planted(calibrated, tmp_path):
+    """A run whose author made it call a function that leaves a mark."""
+    mark = tmp_path / "mark"
+    (tmp_path / "maker.py").write_text(
+        f"open({str(mark)!r}, 'w').close()\ndef outputs(inputs): return inputs * [1.0, 2.0]\n",
+        encoding="utf-8",
+    )
+    steady = SteadyCallable.load("maker:outputs", NAMES, None, tmp_path)
+    save_bundle(tmp_path / "run", Bundle(calibrated(steady, LOG)))
+    mark.unlink()
+    (tmp_path / "run" / "steady").mkdir()
+    (tmp_path / "maker.py").rename(tmp_path / "run" / "steady" / "maker.py")
+    edit(
+        tmp_path / "run",
+        lambda d: d["calibration"]["steady"].update(file=f"{tmp_path}/run/steady/maker.py"),
+    )
+    forget("maker")
+    return tmp_path / "run", mark
+
+
+def forget(module):
+    for name in [name for name in sys.modules if name.endswith(f"_{module}")]:
+        del sys.modules[name]
+
+
+def edit(run, change):
+    """Change the document and give it the hash of what it says now, as an author could."""
+    file = run / "bundle.json"
+    document = json.loads(file.read_text(encoding="utf-8"))
+    change(document)
+    rest = {key: value for key, value in document.items() if key != "sha256"}
+    file.write_text(to_json({**document, "sha256": seal(rest)}), encoding="utf-8")
+
+
+def test_a_run_executes_nothing_without_trust(planted):
+    run, mark = planted
+    sha256 = json.loads((run / "bundle.json").read_text("utf-8"))["calibration"]["steady"]["sha256"]
+    message = (
+        f"{run / 'bundle.json'}: opening this model would run the Python function 'maker:outputs' "
+        f"of {run / 'steady' / 'maker.py'} (sha256 {sha256[:12]}). If you would run a program of "
+        "its author, allow it by --trust, in Python by load_bundle(folder, trust=True)"
+    )
+    with pytest.raises(ModelError, match=f"^{re.escape(message)}$"):
+        load_bundle(run)
+    assert not mark.exists()
+    assert load_bundle(run, trust=True).calibration.output_names == NAMES[1]
+    assert mark.exists()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("info", "RUN"),
+        ("evaluate", "RUN", "--logs", "x.csv", "--out", "OUT"),
+        ("replay", "RUN", "x.csv", "--out", "OUT"),
+        ("simulate", "RUN", "x.csv", "--out", "OUT"),
+        ("denoise", "RUN", "--out", "OUT"),
+        ("export", "RUN", "--to", "table", "--out", "OUT.csv"),
+        ("diagnose", "--sim", "RUN", "--real", "DIR", "--out", "OUT"),
+    ],
+    ids=lambda command: command[0],
+)
+def test_no_command_executes_what_is_in_a_run(planted, command, capsys, tmp_path):
+    run, mark = planted
+    (tmp_path / "x.csv").write_text("time_s\n", encoding="utf-8")
+    places = {"RUN": run, "OUT": tmp_path / "out", "OUT.csv": tmp_path / "out.csv", "DIR": tmp_path}
+    places["x.csv"] = tmp_path / "x.csv"
+    given = [str(places.get(word, word)) for word in command]
+    assert main(given) == 2
+    assert "would run the Python function 'maker:outputs'" in capsys.readouterr().err
+    assert not mark.exists()
+    main([*given, "--trust"])
+    assert mark.exists()
+
+
+def test_info_shows_the_hash_of_the_bundle(calibrated, tmp_path, capsys):
+    save_bundle(tmp_path / "run", Bundle(calibrated(table(tmp_path), LOG), {"config": {}}))
+    assert main(["info", str(tmp_path / "run"), "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["sha256"] == load_bundle(tmp_path / "run").sha256
+    assert main(["info", str(tmp_path / "run")]) == 0
+    words = " ".join(capsys.readouterr().out.split())
+    assert f"sha256 {shown['sha256'][:16]}" in words
+    assert f"No figures in {tmp_path / 'run' / 'evaluate'}." in words.replace("/ ", "/")
+
+
+FLIPS = 150
+
+
+@pytest.mark.parametrize("flips", [FLIPS, pytest.param(40 * FLIPS, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["bundle.json", "weights.safetensors"])
+def test_no_flipped_bit_gives_a_model(calibrated, tmp_path, name, flips):
+    run = tmp_path / "run"
+    save_bundle(
+        run, Bundle(calibrated(fitted(tmp_path), LOG), {"seed": 3, "config": {"name": "x"}})
+    )
+    file, random = run / name, np.random.default_rng(0)
+    former = file.read_bytes()
+    for bit in random.choice(8 * len(former), min(flips, 8 * len(former)), replace=False):
+        data = bytearray(former)
+        data[bit // 8] ^= 1 << (bit % 8)
+        file.write_bytes(bytes(data))
+        with pytest.raises(ModelError, match=re.escape(str(file))):
+            load_bundle(run)
+    file.write_bytes(former)
+    load_bundle(run)
+
+
+GARBAGE = [None, True, -1, 0, 10**9, 1e300, "", "x", [], {}, [[[]]], {"a": [None]}]
+
+
+def nodes(value, path=()):
+    """Every path to a value in a JSON document."""
+    yield path
+    if isinstance(value, (dict, list)):
+        for key in value if isinstance(value, dict) else range(len(value)):
+            yield from nodes(value[key], (*path, key))
+
+
+@pytest.mark.parametrize("step", [7, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("make", [table, fitted])
+def test_garbage_with_a_fitting_hash_is_refused_or_runs(calibrated, tmp_path, make, step):
+    run = tmp_path / "run"
+    meta = {"config": {"name": "x"}, "data": {"a.csv": "ab"}, "seeds": [0]}
+    save_bundle(run, Bundle(calibrated(make(tmp_path), LOG), meta))
+    whole = json.loads((run / "bundle.json").read_text(encoding="utf-8"))
+    cases = [(path, value) for path in nodes(whole) if path for value in GARBAGE]
+    refused = []
+    for path, value in cases[::step]:
+        document = json.loads(json.dumps(whole))
+        part = document
+        for key in path[:-1]:
+            part = part[key]
+        part[path[-1]] = value
+        edit(run, lambda old, new=document: (old.clear(), old.update(new)))
+        try:
+            load_bundle(run).calibration.simulate(LOG[:5])
+        except NarxcalError as error:
+            refused.append((path, value, str(error)))
+    assert len(refused) > len(cases[::step]) // 2
+    assert [case for case in refused if str(run) not in case[2]] == []
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_weights_that_are_not_finite_are_refused(calibrated, tmp_path, bad):
+    saved = calibrated(table(tmp_path), LOG)
+    saved.narx.output_scaling.scale[0] = bad
+    save_bundle(tmp_path / "run", Bundle(saved))
+    message = (
+        f"{tmp_path / 'run' / 'bundle.json'}: array 'narx/output_scaling.scale' has a number that "
+        "is not finite. The bundle was altered; train it again"
+    )
+    with pytest.raises(ModelError, match=f"^{re.escape(message)}$"):
+        load_bundle(tmp_path / "run")
