@@ -1,4 +1,4 @@
-"""Flight-test logs on one raster: read, clean, smooth, cut into pushes and pulls.
+"""Flight-test logs on a uniform sampling grid: read, clean, smooth, cut into pushes and pulls.
 
 Steps whose module bears their own name come from there: `from data_prep.clean import clean`.
 """

@@ -32,6 +32,7 @@ from narxcal.support.arrays import (
     BoolArray,
     FloatArray,
     bridge_gaps,
+    long_runs,
     robust_range,
     sample_and_hold,
     spans,
@@ -47,7 +48,7 @@ _SPREAD_WINDOWS = 10
 _LEAST_PART = 0.002
 # Significance of the Grubbs test, per block.
 _ALPHA = 0.05
-# Spikes that count towards a burst stand off by twice what makes a single gross error.
+# Spikes that count towards a burst deviate by twice what makes a single gross error.
 _BURST_FACTOR = 2.0
 # Slack when a span is compared with a limit that it just reaches.
 _ROUNDING = 1e-9
@@ -58,7 +59,7 @@ _SPAN_S = 1.0
 class CleanConfig(Section):
     """TOML table `[clean]`.
 
-    method, sigmas: the test for single gross errors, "3-sigma" or "grubbs" (which knows no
+    method, sigmas: the test for single gross errors, "3-sigma" or "grubbs" (which has no
         `sigmas`), on the residual to a running median over `median_s`.
     repair_s: a run of errors up to this long is repaired by interpolation, a longer one is
         masked. enabled: false leaves the log as it is.
@@ -73,17 +74,17 @@ class CleanConfig(Section):
 
 
 def clean(log: Log, config: CleanConfig | None = None) -> Log:
-    """Clean every channel for itself; only the affected channel is changed.
+    """Clean each channel by itself.
 
-    Faults that last become NaN, single gross errors are interpolated, and each sample of
-    both is counted in the audit.
+    Lasting faults become NaN, single gross errors are interpolated, and each sample of both is
+    counted in the audit.
     """
     config = config or CleanConfig()
     if not config.enabled or len(log) < 3:
         return log
     changed: dict[str, FloatArray] = {}
     entries: list[AuditEntry] = []
-    # Spools first: whether a cut of fuel was real is read off the cleaned ones.
+    # Spools first: the cleaned ones show whether a cut of fuel was real.
     order = sorted(log.channels, key=lambda name: name not in SPOOLS)
     for name in order:
         work = _Work(log.with_channels(changed), name, config)
@@ -96,7 +97,7 @@ def clean(log: Log, config: CleanConfig | None = None) -> Log:
 
 @dataclass
 class _Work:
-    """One channel on its way through the tests; `values` is what is left of it."""
+    """One channel under test; `values` is what is left of it."""
 
     log: Log
     name: str
@@ -108,7 +109,7 @@ class _Work:
         self.values = self.log[self.name].copy()
 
     def run(self) -> None:
-        """Run the tests, the surest first; later ones no longer see what earlier ones took."""
+        """Run the tests, the surest first; later ones do not see what earlier ones removed."""
         self._drop(out_of_range(self.name, self.values), "out of range")
         if role(self.name) == "switch":
             return
@@ -116,7 +117,7 @@ class _Work:
             self._plateau(start, stop, "frozen")
         self._bursts()
         for start, stop in excursions(self._current(), self.name, self.config.faults):
-            # Single spikes are told apart better below: two of opposite sign look like one jump.
+            # Single spikes are tested below: here two of opposite sign look like one plateau.
             if (stop - start) * self.log.dt_s > self.config.repair_s + _ROUNDING:
                 self._plateau(start, stop, "spiking")
         self._drop(self._gross(self.config.sigmas), "spiking", repair_only=True)
@@ -151,21 +152,16 @@ class _Work:
 
     def _drop(self, mask: BoolArray, reason: Reason, *, repair_only: bool = False) -> None:
         """Repair the short runs of `mask`, mask the longer ones unless `repair_only`."""
-        short = np.zeros(len(mask), dtype=np.bool_)
-        long = np.zeros(len(mask), dtype=np.bool_)
-        for start, stop in spans(mask):
-            span_s = (stop - start) * self.log.dt_s
-            if span_s <= self.config.repair_s + _ROUNDING:
-                short[start:stop] = True
-            elif not repair_only:
-                long[start:stop] = True
+        long = long_runs(mask, int((self.config.repair_s + _ROUNDING) / self.log.dt_s))
+        short = mask & ~long
+        long &= not repair_only
         self.values[short | long] = np.nan
         self._note(long, "masked", reason)
         self.values[short] = self._bridge()[short]
         self._note(short, "repaired", reason)
 
     def _bridge(self) -> FloatArray:
-        # A switch has no values in between: it keeps the last one, at the start takes the next.
+        # A switch has no values in between: it keeps the last one.
         fill = sample_and_hold if role(self.name) == "switch" else bridge_gaps
         return fill(self.values)
 
@@ -190,7 +186,7 @@ def running_median(values: FloatArray, window: int) -> FloatArray:
 def gross_errors(
     values: FloatArray, window: int, sigmas: float, method: Method = "3-sigma"
 ) -> BoolArray:
-    """Flag samples `(time,)` that stand off the running median; NaN never does.
+    """Flag samples `(time,)` that deviate from the running median; NaN never does.
 
     Local: a sample has to leave the median by `sigmas` standard deviations of the residual
     around it, on top of what the median itself moves within its window. A slam is monotone,

@@ -51,7 +51,7 @@ class Table(Protocol):
 
     @property
     def head(self) -> Head:
-        """What stands above the first row."""
+        """The lines above the first row."""
 
     @property
     def clock(self) -> str:
@@ -153,7 +153,7 @@ def _prefixes(template: str, header: tuple[str, ...]) -> str:
 def to_channel(name: str, cells: FloatArray, source: ColumnSource) -> FloatArray:
     """Convert cells as they stand in the file to channel `name` in its canonical unit."""
     if (source.scale, source.offset) != (1.0, 0.0):
-        with np.errstate(over="ignore"):  # an infinity is accounted for on the raster
+        with np.errstate(over="ignore"):  # an infinity is counted on the grid
             cells = cells * source.scale + source.offset
     unit = CHANNELS[name].unit if source.unit is None else source.unit
     with np.errstate(over="ignore"):
@@ -231,7 +231,7 @@ def _unit_of_column(table: Table, name: str, column: str) -> str:
         return table.head.units[table.header.index(column)]
     found = _BRACKETS_AT_END.search(column)
     text = found[1].strip() if found else ""
-    # Much stands in brackets: only what names a unit of this very channel is taken for one.
+    # Brackets may contain anything: only a unit of this very channel is one.
     unit = "" if text.isdigit() or text.casefold() == _RIGHT else named_unit(text)
     return text if unit and _or_none(unit, name) else ""
 

@@ -21,7 +21,7 @@ class ColumnSource(Section):
     """Where one channel comes from: `channel = (cell * scale + offset) in unit`.
 
     `unit` is the canonical one when left out. An `optional` column may be absent from a file.
-    `constant` (in the canonical unit) stands in for a column: the altitude of a test bench.
+    `constant` (in the canonical unit) replaces a column: the altitude of a test bench.
     """
 
     column: str = ""
@@ -43,8 +43,8 @@ class LogsConfig(Section):
 
     Without `[logs.columns]` the header is canonical. `[logs.engines]` maps an engine's name to
     what replaces `{engine}` in the column names; each engine becomes its own log.
-    `raster_hz` left out means each file's own rate. `max_gap_s` splits a log; a channel's
-    blanks are bridged up to `bridge_s`.
+    `raster_hz` is the rate of the sampling grid; left out, each file's own. `max_gap_s` splits a
+    log; a channel's blanks are bridged up to `bridge_s`.
     """
 
     folder: str = "."

@@ -1,4 +1,4 @@
-"""Columns of a CSV file as float64, block by block, be the file finished or still growing."""
+"""Columns of a CSV file, finished or still growing, as float64, block by block."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class CsvSource:
 
     @property
     def head(self) -> Head:
-        """What stands above the first row."""
+        """The lines above the first row."""
         return self.dialect.head
 
     @property
@@ -124,19 +124,19 @@ class CsvSource:
 
     def _line_blocks(self, pace: Pace) -> Iterator[list[str]]:
         """Whole lines below the header."""
-        rest = ""
+        tail = ""  # a line without its end
         with readable(self.path), open_text(self.path) as text:
             for _ in range(self.dialect.head.lines):
                 read_line(text)
             for lines in self._arriving(text, pace):
-                lines[0] = rest + lines[0]
-                rest = "" if lines[-1].endswith("\n") else lines.pop()
+                lines[0] = tail + lines[0]
+                tail = "" if lines[-1].endswith("\n") else lines.pop()
                 if lines:
                     yield lines
-        if not pace.live or self._is_complete(rest):
-            yield [rest]
+        if not pace.live or self._is_complete(tail):
+            yield [tail]
         else:
-            self.truncated = self.truncated or bool(rest.strip())
+            self.truncated = self.truncated or bool(tail.strip())
 
     def _arriving(self, text: TextIO, pace: Pace) -> Iterator[list[str]]:
         """Lines as they come; the last one of a list may still be growing."""
@@ -268,7 +268,7 @@ class CsvSource:
         kinds = {**dict.fromkeys(positions, dtype), count: object}
         if dialect.clock:
             kinds[self._position(dialect.clock)] = object
-        # pandas takes the number of fields that there may be from the first row.
+        # The first row decides how many fields pandas allows.
         widest = dialect.delimiter.join(["0"] * (count + 1)) + "\n"
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", pd.errors.ParserWarning)

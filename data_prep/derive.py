@@ -91,7 +91,9 @@ def _mach(channels: Mapping[str, FloatArray]) -> FloatArray | None:
     if {"CAS_kt", "ALT_ft"} <= channels.keys():
         return mach_of_cas(channels["CAS_kt"], channels["ALT_ft"])
     if {"TAS_kt", "SAT_C"} <= channels.keys():
-        return channels["TAS_kt"] / (SOUND_KT * np.sqrt((channels["SAT_C"] + KELVIN) / T0_K))
+        with np.errstate(divide="ignore", invalid="ignore"):  # of a failed temperature probe
+            sound_kt = SOUND_KT * np.sqrt((channels["SAT_C"] + KELVIN) / T0_K)
+            return channels["TAS_kt"] / sound_kt
     return None
 
 

@@ -102,12 +102,12 @@ def while_running(logs: Sequence[Log], config: RunningConfig) -> list[Log]:
     The first stretch keeps the log's name, the next ones are `NAME#2` and so on: numbers go on
     where a recording was split before.
     """
-    taken: dict[str, int] = {}
+    parts: dict[str, int] = {}
     kept = []
     for part in (part for log in logs for part in _parts(log, config)):
         name = part.name.partition("#")[0]
-        taken[name] = taken.get(name, 0) + 1
-        number = taken[name]
+        parts[name] = parts.get(name, 0) + 1
+        number = parts[name]
         kept.append(replace(part, name=f"{name}#{number}" if number > 1 else name))
     return kept
 

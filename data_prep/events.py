@@ -23,7 +23,7 @@ PUSH, PULL = 0, 1
 AUTO = "auto"
 _USUAL = "WOW"
 
-# A lever at rest may toggle by its resolution; smaller changes than this part of the
+# A lever that is not moved may toggle by its resolution; smaller changes than this part of the
 # channel's physical range are none. Outputs used as driver are judged by their own noise.
 _LEVER_FLOOR = 0.005
 # Peak to peak of white noise over a settling window, in standard deviations.
@@ -39,7 +39,7 @@ class EventsConfig(Section):
     window_s, min_change, min_fraction: a move changes the driver within `window_s` by
         `min_change` (its unit) or, where that is absent, by `min_fraction` of its range.
     small_fraction, fast_s: a move below `small_fraction` of the driver's range is small; any
-        other is fast where the driver comes to rest within `fast_s`, else slow.
+        other is fast where the driver stops within `fast_s`, else slow.
     settle_s, settle_fraction: settled once driver and responses stay for `settle_s` within
         `settle_fraction` of their range (and their noise). max_length_s: longest event.
     """
@@ -69,7 +69,7 @@ class EventsConfig(Section):
 
 @dataclass(frozen=True)
 class Event:
-    """Samples `start:stop` of one log, from the start of one lever movement to rest.
+    """Samples `start:stop` of one log, from the start of one lever movement to equilibrium.
 
     `start` is n0, the last sample before the lever moves; `label` is 0 for a push, 1 for a
     pull. `interrupted`: the next movement came before everything had settled. `lever_before`
@@ -93,12 +93,12 @@ def find_events(log: Log, config: EventsConfig | None = None) -> list[Event]:
 
     A driver that never moves gives an empty list. Events do not overlap and hold no sample
     that violates the condition. Raises `DataError` where the driver, a response or a
-    condition channel that was asked for is missing, and for several logs at once.
+    condition channel of the configuration is missing, and for several logs at once.
     """
     if not isinstance(log, Log):
         raise DataError(
             f"events are those of one log, found a {type(log).__name__}",
-            hint="Ask for each: [find_events(log) for log in logs]",
+            hint="Call it for each: [find_events(log) for log in logs]",
         )
     config = config or EventsConfig()
     allowed = _allowed(log, config)
@@ -180,10 +180,10 @@ class _Cutter:
         limit = self._limit(move.start, until)
         if limit <= move.start + 1 or limit < min(move.stop, until):
             return None
-        rest = min(move.stop, limit)
-        quiet = np.flatnonzero(self.settled[rest:limit])
-        hold = max(2, round(self.config.settle_s / self.log.dt_s))
-        stop = rest + int(quiet[0]) + hold if len(quiet) else limit
+        moved = min(move.stop, limit)
+        quiet = np.flatnonzero(self.settled[moved:limit])
+        settle = max(2, round(self.config.settle_s / self.log.dt_s))
+        stop = moved + int(quiet[0]) + settle if len(quiet) else limit
         settled = bool(len(quiet)) and stop <= limit
         return self._event(move, min(stop, limit), settled, limit == until < len(self.log))
 

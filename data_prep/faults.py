@@ -1,8 +1,4 @@
-"""Sensor faults that last: a channel that jumps away and back, spikes, or is out of range.
-
-Signals and masks are `(time,)`, NaN where nothing was measured.
-
-Frozen channels: a sensor that repeats one value while the engine goes on living.
+"""Find lasting sensor faults: a channel is frozen, out of range, spikes, or jumps away and back.
 
 Signals and masks are `(time,)`, NaN where nothing was measured.
 """
@@ -22,14 +18,14 @@ from narxcal.support.settings import Section
 
 Reason = Literal["frozen", "spiking", "out of range"]
 
-# Slack on the physical limits, in parts of their distance: an air-data computer at rest
-# shows Mach -4e-6.
+# Slack on the physical limits, in parts of their distance: an air-data computer on
+# the ground shows Mach -4e-6.
 _SLACK = 0.005
 # A jump is faster than this many ranges of the channel per second (the quickest measured:
 # 0.75, fuel flow of a geared turbofan at a slam) ...
 _JUMP_RATE = 1.5
-# ... and stands out of the channel's noise and resolution. A log at steady cruise has next to
-# no range; this part of the level stands in.
+# ... and exceeds the channel's noise and resolution. A log at steady cruise has next to no
+# range; this part of the level replaces it.
 _JUMP_NOISE = 12.0
 _JUMP_STEPS = 4.0
 _LEAST_RANGE = 0.25
@@ -153,21 +149,21 @@ def followed(log: Log, name: str, start: int, stop: int) -> bool:
 
 
 def beyond_usual(values: FloatArray, mask: BoolArray) -> bool:
-    """Whether what `mask` holds lies outside what the channel shows elsewhere."""
-    rest = values[~mask & np.isfinite(values)]
-    if not len(rest):
+    """Whether the samples of `mask` lie outside the range of the others."""
+    others = values[~mask & np.isfinite(values)]
+    if not len(others):
         return False
-    low, high = np.percentile(rest, (5, 95))
+    low, high = np.percentile(others, (5, 95))
     margin = 0.5 * (high - low)
     floor = max(low - margin, 0.2 * low) if low > 0.0 else low - margin
-    held = float(np.nanmedian(values[mask]))
-    return bool(held < floor or held > high + margin)
+    level = float(np.nanmedian(values[mask]))
+    return bool(level < floor or level > high + margin)
 
 
 def bursts(log: Log, name: str, spikes: BoolArray, config: FaultsConfig) -> BoolArray:
     """Cover spans in which at least `burst_count` spikes lie within `burst_s`.
 
-    A spike is two jumps, or a run of `spikes` that holds no jump.
+    A spike is two jumps, or a run of `spikes` without a jump.
     """
     starts, stops, _ = jumps(log, name)
     marked, ends = runs(spikes)
@@ -186,7 +182,7 @@ def bursts(log: Log, name: str, spikes: BoolArray, config: FaultsConfig) -> Bool
     inside = np.zeros(len(first) - 1, dtype=np.bool_)
     for index in np.flatnonzero(near):
         inside[index : index + count - 1] = True
-    # A burst takes in the spikes that follow each other closely at its ends.
+    # A burst includes the spikes that follow each other closely at its ends.
     close = np.diff(first) * log.dt_s <= config.burst_s / config.burst_count
     for begin, end in zip(*runs(inside | close), strict=True):
         if inside[begin:end].any():
@@ -199,9 +195,9 @@ _FREEZES = 10
 _UNNATURAL = 5  # times longer than the longest natural run of equal samples is a freeze
 # Noise reverses at least this part of the changes.
 _REVERSALS = 0.02
-# A witness lives if it changes at least this part as often as in the rest of the log.
-_ALIVE = 0.5
-# Below this part of its highest value an engine does not run, it is cranked or windmills.
+# Another channel changes as usual if at least this part as often as in the whole log.
+_AS_USUAL = 0.5
+# Below this part of its highest value an engine does not run: it is cranked or windmills.
 _STANDSTILL = 0.05
 # No engine moves one of these a lot and leaves another exactly as it is.
 _CORE = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
@@ -221,13 +217,13 @@ def repeats(values: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def frozen(log: Log, name: str, config: FaultsConfig) -> BoolArray:
-    """Flag samples where an output with live noise repeats one value impossibly long.
+    """Flag samples where a noisy output repeats one value for too long.
 
-    All of these have to hold: it is an output; outside its long runs it has noise (a
-    simulation without noise has none and may rest for minutes); the run is longer than
-    `frozen_s` and five times its longest natural run; another channel lives on meanwhile;
-    and it is not the zero of an engine at standstill. Or: it never changes at all, while
-    another core output moves by a fifth. Levers, ambient channels and switches may rest.
+    All of these have to be true: it is an output; outside its long runs it has noise (a
+    simulation without noise has none and may be constant for minutes); the run is longer than
+    `frozen_s` and five times its longest natural run; another channel changes meanwhile; and it
+    is not the zero of an engine at standstill. Or: it never changes at all, while another core
+    output moves by a fifth. Levers, ambient channels and switches may be constant.
     """
     values = log[name]
     mask = np.zeros(len(values), dtype=np.bool_)
@@ -236,7 +232,7 @@ def frozen(log: Log, name: str, config: FaultsConfig) -> BoolArray:
     if _dead(log, name):
         return np.isfinite(values)
     for start, stop in _unnatural(values, config.frozen_s / log.dt_s):
-        if _standstill(values, start) or not _witnessed(log, name, start, stop):
+        if _standstill(values, start) or not _others_change(log, name, start, stop):
             continue
         if abs(values[start]) < 1e-9 and followed(log, name, start, stop):
             continue
@@ -264,16 +260,16 @@ def _unnatural(values: FloatArray, least: float) -> list[tuple[int, int]]:
     natural = np.partition(length, -_FREEZES - 1)[-_FREEZES - 1]
     longest = max(least, float(_UNNATURAL * natural))
     long = length > longest
-    rest = np.ones(len(values), dtype=np.bool_)
+    others = np.ones(len(values), dtype=np.bool_)
     for start, stop in zip(starts[long], stops[long], strict=True):
-        rest[start:stop] = False
-    if not long.any() or not _noisy(values[rest & np.isfinite(values)]):
+        others[start:stop] = False
+    if not long.any() or not _noisy(values[others & np.isfinite(values)]):
         return []
     return list(zip(starts[long].tolist(), stops[long].tolist(), strict=True))
 
 
 def _noisy(values: FloatArray) -> bool:
-    """Whether a channel has live noise: it turns round every so often.
+    """Whether a channel has noise: its changes reverse every so often.
 
     Measured: 3-70 % of the changes of recorded outputs reverse the one before, even where the
     recorder has smoothed and the reader has interpolated; 1 % of a noise-free simulation's.
@@ -293,19 +289,19 @@ def _standstill(values: FloatArray, start: int) -> bool:
     return bool(abs(values[start]) < _STANDSTILL * high) and not entry > 0.05 * (high - low)
 
 
-def _witnessed(log: Log, name: str, start: int, stop: int) -> bool:
+def _others_change(log: Log, name: str, start: int, stop: int) -> bool:
     """Whether another output or ambient channel goes on changing as it always does."""
     others = [other for other in log.channels if other != name and is_sensed(other)]
     if not others:
         return True
-    return any(_lives(log[other], start, stop) for other in others)
+    return any(_changes_as_usual(log[other], start, stop) for other in others)
 
 
-def _lives(values: FloatArray, start: int, stop: int) -> bool:
+def _changes_as_usual(values: FloatArray, start: int, stop: int) -> bool:
     changes = np.diff(values) != 0.0
     known = np.isfinite(values[1:]) & np.isfinite(values[:-1])
     usual = float(np.mean(changes[known])) if known.any() else 0.0
     inside = known[start : stop - 1]
     if usual < 0.1 or not inside.any():
         return False
-    return float(np.mean(changes[start : stop - 1][inside])) >= _ALIVE * usual
+    return float(np.mean(changes[start : stop - 1][inside])) >= _AS_USUAL * usual

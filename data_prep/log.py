@@ -19,7 +19,7 @@ class AuditEntry:
     """`samples` of `channel` were masked, repaired, filled or dropped for `reason`.
 
     `spans_s` holds the (start, end) times where that was done for seconds or longer;
-    scattered single samples are only counted. Channel `*` stands for whole rows.
+    scattered single samples are only counted. Channel `*` means whole rows.
     """
 
     channel: str

@@ -1,4 +1,4 @@
-"""Moves of the driving channel: where a push or a pull begins and where the lever comes to rest.
+"""Find the moves of the driving channel: where a push or a pull begins and where the lever stops.
 
 Signals are `(time,)`, NaN where nothing was measured.
 """
@@ -19,13 +19,13 @@ from narxcal.support.arrays import (
     runs,
 )
 
-# A change has to stand out of the driver's own noise by this many standard deviations.
+# A change has to exceed the driver's own noise by this many standard deviations.
 _NOISE_FACTOR = 8.0
 # The lever counts as moving while its rate exceeds this part of the move's peak rate.
 _MOVING = 0.05
-# A lever that rests for less than this inside one move has not finished it.
+# A lever that pauses for less than this within one move has not finished it.
 _PAUSE_S = 0.5
-# The rate of a noisy driver is taken over at least this time, and this many standard
+# The rate of a noisy driver is computed over at least this time, and this many standard
 # deviations of the noise are no movement.
 _RATE_S = 0.25
 _RATE_NOISE = 4.0
@@ -33,7 +33,7 @@ _RATE_NOISE = 4.0
 
 @dataclass(frozen=True)
 class Move:
-    """The lever starts to move after sample `start` and is at rest from sample `stop` on."""
+    """The lever starts to move after sample `start` and has stopped at sample `stop`."""
 
     start: int
     stop: int
@@ -74,7 +74,7 @@ def find_moves(driver: Driver, window: int, least: float, dt_s: float) -> list[M
     least = max(least, _NOISE_FACTOR * driver.noise)
     if least <= 0.0 or len(driver.values) <= window:
         return []
-    # Half the mean rate of the least move: slower than this is rest or drift.
+    # Half the mean rate of the least move: slower than this is drift.
     slowest = 0.5 * least / window
     width = _width(driver.noise, slowest, window, dt_s)
     rate = driver.values[width:] - driver.values[:-width]
@@ -92,7 +92,7 @@ def find_moves(driver: Driver, window: int, least: float, dt_s: float) -> list[M
 
 
 def _width(noise: float, slowest: float, window: int, dt_s: float) -> int:
-    """Choose the samples to take the rate over: enough to lift it out of the noise."""
+    """Choose over how many samples to compute the rate, so that it exceeds the noise."""
     if noise == 0.0:
         return 1
     needed = int(np.ceil(_RATE_NOISE * noise / slowest))
@@ -109,7 +109,7 @@ class _Search:
     threshold: float
 
     def stretches(self, sign: int, pause: int) -> list[tuple[int, int]]:
-        """Find runs of moving in direction `sign`; rests of up to `pause` samples are bridged."""
+        """Find runs of moving in direction `sign`; pauses of up to `pause` samples are bridged."""
         starts, stops = runs(sign * self.rate > self.threshold)
         if not len(starts):
             return []

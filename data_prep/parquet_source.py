@@ -57,7 +57,7 @@ class ParquetSource:
 
     @property
     def head(self) -> Head:
-        """Nothing stands above the first row."""
+        """There are no lines above the first row."""
         return Head(lines=0)
 
     @property

@@ -73,7 +73,7 @@ class Preparation:
 
 
 class LogWarning(NamedTuple):
-    """What a reader has to know of one log before any figure that rests on it.
+    """What a reader of figures of one log has to know.
 
     `text` is a sentence without the log's name and without a full stop.
     """

@@ -25,7 +25,7 @@ _USUAL_S, _LONGEST_S = 0.35, 0.5
 class SmoothConfig(Section):
     """TOML table `[smooth]`: the window, an odd number of samples (1 leaves the log as it is).
 
-    "auto" is 0.35 s at the raster of the log: 11 samples at 32 Hz, 3 at 10 Hz, 1 below 9 Hz.
+    "auto" is 0.35 s at the rate of the log: 11 samples at 32 Hz, 3 at 10 Hz, 1 below 9 Hz.
 
     channels: what to smooth; absent, every output and ambient channel. Levers are left alone
     unless named here, switches always.
@@ -42,7 +42,7 @@ class SmoothConfig(Section):
         return window
 
     def window_at(self, interval_s: float) -> int:
-        """The window in samples for a log of this raster."""
+        """The window in samples for a log of this sampling interval."""
         return _usual(interval_s) if self.window == "auto" else self.window
 
 
@@ -65,7 +65,7 @@ def blurs(config: SmoothConfig, interval_s: float) -> str:
 def smooth(log: Log, config: SmoothConfig | None = None) -> Log:
     """Smooth a cleaned log; a masked sample stays masked and takes part in no average.
 
-    The log that comes out remembers the noise that was taken away.
+    `noise` of the result is what was removed.
     """
     config = config or SmoothConfig()
     names = _names(log, config.channels)
@@ -76,11 +76,11 @@ def smooth(log: Log, config: SmoothConfig | None = None) -> Log:
 
 
 def white_noise(raw: FloatArray, averaged: FloatArray, over: tuple[int, float]) -> float:
-    """Variance of the white noise on `raw` `(time,)`, by what its average over a window leaves.
+    """Estimate the variance of the white noise on `raw` `(time,)` from its moving average.
 
-    `over` is the window and the raster interval in s. An average of n samples leaves 1 - 1/n of the
-    variance behind; where the channel moves it leaves signal as well, so that the half that moves
-    least is asked. Zero where nothing is averaged or nothing known.
+    `over` is the window and the sampling interval in s. An average of n samples removes 1 - 1/n of
+    the variance; where the channel moves it removes signal as well, so that the half that moves
+    least is used. Zero where nothing is averaged or nothing known.
     """
     window, dt_s = over
     pace = _pace(raw, max(_quarter_second(dt_s), window // 2 + 1))
@@ -171,7 +171,7 @@ def compare_windows(
 
     One row per channel and window: `rms` of raw minus smoothed, in the channel's unit, over
     the whole log; `rms_moving` over the twentieth of the samples that move fastest, where
-    what exceeds `rms_rest` (the half that moves least: noise taken away) is signal lost;
+    what exceeds `rms_rest` (the half that moves least: noise removed) is signal lost;
     `noise_gain` 1/sqrt(window), what the average leaves of white noise; `cutoff_hz` where
     the gain is 1/sqrt(2), and `gain_1_hz`. Samples that are missing count nowhere.
     """

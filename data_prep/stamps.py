@@ -1,61 +1,62 @@
-"""Time stamps of one recording: repaired, ordered, split at gaps, and rid of their rounding.
+"""Time stamps of one recording: read from text, put in order, split at gaps, rid of rounding.
 
-Stamps are `(rows,)` in s.
+Stamps are `(rows,)` in s. A clock time `12:34:56.7`, with the day of the year before it where there
+is one (`123:12:34:56.7`) or `AM` or `PM` after it, counts from midnight of day 0; decimals mark one
+of minutes and seconds alone (`34:56.7`); a date, `2026-03-01T12:34:56.7`, counts from 1970, in UTC
+where it names no zone.
 
-Stamps that several rows share because the clock shows whole seconds: how far apart the rows are.
-
-A recorder of ten rows a second whose clock shows seconds writes the same stamp ten times. Counted
-per stamp the rows say their own rate, and `data_prep.stamps.undo_rounding` puts them in between.
-Where each row of a stamp holds other channels, another engine, or the same values again, nothing
-lies in between.
-
-Time stamps as recorders print them: clock times and ISO 8601 dates, as seconds.
-
-A clock time `12:34:56.7`, with the day of the year before it where there is one
-(`123:12:34:56.7`) or `AM` or `PM` behind it, counts from midnight of day 0; one of minutes and
-seconds alone is told by its decimals (`34:56.7`); a date, `2026-03-01T12:34:56.7`, from 1970, in
-UTC where it names no zone.
+A recorder of ten rows a second whose clock shows seconds writes the same stamp ten times. From the
+number of rows per stamp their rate is found, and `undo_rounding` places them in between. Where the
+rows of a stamp hold different channels, different engines, or the same values again, nothing lies
+in between.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.ndimage import maximum_filter1d
 
 from data_prep.grid import ON_GRID
 from data_prep.log import AuditEntry
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-import re
-from typing import TYPE_CHECKING, Any
-
-import pandas as pd
+    from numpy.typing import NDArray
 
 _MAX_DECIMALS = 7
 _BASELINES_ROWS = (256, 64, 16, 4)
 _DAY_S, _HOUR_S, _MINUTE_S = 86400.0, 3600.0, 60.0
 _LATEST_S = 1e11  # later than any clock that counts seconds
-_SHARED = 1.5  # rows per stamp: then most are no accident
+_SHARED = 1.5  # rows per stamp, at least, where the clock is coarser than the rows
 MIDNIGHT = "clock starts anew at midnight"  # why stamps are moved by whole days
 FULL_HOUR = "clock of minutes starts anew each hour"  # and by whole hours
+_SHORTEST_S = 1e-4  # between rows of any recorder
+_FEW = 3  # whole stamps, at least
+_REGULAR = 0.9  # of the stamps hold as many rows as the others, or one more or less
+_FILLED, _CHANGES = 0.9, 0.02  # of the rows of a channel that is sampled row by row
+_WHOLE_HZ = 0.005
+_ORDINARY = 0.95  # of the steps between rows are no large move
+_SURELY = 5.0  # standard errors between two means that are surely different
+_NO_SHARED = 0.1  # of a step: means this close may differ by chance
+_CLOCK = r"\s*(?:(\d{1,3}):)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d*)?)\s*(?:([AaPp])\.?[Mm]\.?)?\s*"
+_MINUTES = r"\s*(\d{1,3}):(\d{2}[.,]\d+)\s*"
+_DATE = r"\s*\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}.*"
+_UNIT_S = np.array([86400.0, 3600.0, 60.0, 1.0])
+_HALF_DAY = 12.0  # hours: 12 AM is midnight, and 12 PM is noon
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Usable rows in order of time: `order` picks them from the file, `time_s` belongs to them.
+    """Usable rows in order of time: `order` are their indices in the file, `time_s` their stamps.
 
     Equal stamps may follow each other.
     """
@@ -66,7 +67,7 @@ class Rows:
 
 
 class Passed(NamedTuple):
-    """What a clock has left out so far."""
+    """Days and hours by which a clock is behind, since it starts anew at midnight or each hour."""
 
     days: int = 0
     hours: int = 0
@@ -79,12 +80,12 @@ _NOTHING = Passed()
 def past_midnight(
     stamps: FloatArray, before_s: float = np.nan, days: int = 0
 ) -> tuple[FloatArray, int]:
-    """Let a clock of the day's seconds go on where it starts anew at midnight.
+    """Continue the seconds of the day past midnight, where the clock starts anew.
 
-    From `before_s`, the last stamp before these, `days` after the first. Returns the stamps with
-    the days that have passed, and how many these are at the end. Other stamps stay as they are:
-    only from the last minute of a day to the first of one does a clock pass midnight, and back
-    for a row that comes late.
+    `before_s` is the last stamp before these, `days` after the first. Returns the stamps with the
+    days that have passed, and their number at the end. Other stamps stay as they are: a clock
+    passes midnight only from the last minute of a day to the first of one, and back for a row that
+    comes late.
     """
     return _past(_DAY_S, np.inf, stamps, (before_s, days))
 
@@ -92,11 +93,11 @@ def past_midnight(
 def past_full_hour(
     stamps: FloatArray, max_gap_s: float, before_s: float = np.nan, hours: int = 0
 ) -> tuple[FloatArray, int]:
-    """Let a clock of minutes and seconds go on where it starts anew each hour.
+    """Continue minutes and seconds past the full hour, where the clock starts anew.
 
-    As `past_midnight`, with hours for days. Such a clock says so only where nothing is missing: it
-    jumps from the last minute of an hour to the first of one, and the step that this would be is
-    forward and no gap, at most `max_gap_s`. Any other way back is another recording.
+    As `past_midnight`, with hours for days, but only where nothing is missing: the clock jumps from
+    the last minute of an hour to the first of one, and the step that this makes is forward and no
+    gap, at most `max_gap_s`. Any other way back is another recording.
     """
     return _past(_HOUR_S, max_gap_s, stamps, (before_s, hours))
 
@@ -104,7 +105,7 @@ def past_full_hour(
 def _past(
     period_s: float, max_gap_s: float, stamps: FloatArray, so_far: tuple[float, int]
 ) -> tuple[FloatArray, int]:
-    """Stamps of a clock that starts anew each period, with the periods that have passed.
+    """Add the periods that have passed to the stamps of a clock that starts anew each period.
 
     `so_far` is the last stamp before these, and how many periods had passed then.
     """
@@ -126,10 +127,10 @@ def _past(
 def clock_goes_on(
     stamps: FloatArray, max_gap_s: float, before_s: float = np.nan, passed: Passed = _NOTHING
 ) -> tuple[FloatArray, Passed, tuple[AuditEntry, AuditEntry]]:
-    """Both: the stamps, what has passed at their end, and the account of the rows moved.
+    """Continue a clock past midnight and, if it shows no hours, past each full hour.
 
-    Only a clock that shows no hours can have left out some: a column of seconds that goes back to
-    0 is another recording.
+    Returns the stamps, what has passed at their end, and the audit entries of the rows moved. A
+    column of seconds that goes back to 0 is another recording.
     """
     going_on, hours = stamps, passed.hours
     if passed.hourly:
@@ -183,7 +184,7 @@ def _where_it_goes_back(before_s: float, after_s: float) -> str:
     return "Split the file there: it holds more than one recording"
 
 
-def _lone_spikes(time: FloatArray, max_gap_s: float) -> NDArray[np.bool_]:
+def _lone_spikes(time: FloatArray, max_gap_s: float) -> BoolArray:
     spikes = np.zeros(len(time), dtype=np.bool_)
     if len(time) > 2:
         far = np.abs(np.diff(time)) > max_gap_s
@@ -200,7 +201,7 @@ def split_at_gaps(time: FloatArray, max_gap_s: float) -> list[slice]:
 
 
 def all_apart(max_gap_s: float, file: str) -> DataError:
-    """What to tell whose recording falls into single rows at its gaps."""
+    """Return the error of a recording that falls into single rows at its gaps."""
     return DataError(
         f"no two samples are closer than max_gap_s = {max_gap_s:g} s",
         file=file,
@@ -227,13 +228,13 @@ def native_interval(time: FloatArray) -> float:
     mean = float(rows[-1] - rows[0]) / (len(rows) - 1)
     median = float(np.median(np.diff(rows)))  # right where many rows are missing
     for interval in (tidy, measured, mean, 1.0 / max(1, round(1.0 / median)), median):
-        if on_raster(rows, interval):
+        if on_grid(rows, interval):
             return interval
     return tidy
 
 
 def _median_advance(rows: FloatArray) -> float:
-    """Median advance per row over the longest stretches that hold no gap."""
+    """Median advance per row over the longest stretches without a gap."""
     steps = np.diff(rows)
     gaps = np.concatenate([[0], np.cumsum(steps > 3.0 * np.median(steps))])
     for span in _BASELINES_ROWS:
@@ -243,8 +244,8 @@ def _median_advance(rows: FloatArray) -> float:
     return float(np.median(steps))
 
 
-def on_raster(time: FloatArray, interval: float) -> bool:
-    """Whether every stamp is within 1 % of a whole number of intervals from the first."""
+def on_grid(time: FloatArray, interval: float) -> bool:
+    """Whether every stamp is within 1 % of a whole number of intervals after the first."""
     steps = (time - time[0]) / interval
     return bool((np.abs(steps - np.round(steps)) <= ON_GRID).all())
 
@@ -254,13 +255,13 @@ def undo_rounding(time: FloatArray, interval: float) -> FloatArray:
 
     Row `k` belongs to a whole number of intervals `n_k`, strictly increasing, with
     `n_k * interval` within the rounding of its stamp. Where such numbers exist they are the
-    simplest explanation of repeated (0.03, 0.06, 0.09, 0.13) or equal stamps, and are taken;
-    else the stamps come back as they are. The earliest possible `n_k` is chosen:
+    simplest explanation of uneven (0.03, 0.06, 0.09, 0.13) or equal stamps, and are taken; else
+    the stamps are returned as they are. The earliest possible `n_k` is chosen:
     `n_k = k + max_{j<=k}(low_j - j)`.
     """
     rounding = printed_step(time)
-    shared = len(time) > _SHARED * len(np.unique(time))  # whole seconds lie on any raster of Hz
-    if on_raster(time, interval) and not shared:
+    shared = len(time) > _SHARED * len(np.unique(time))  # whole seconds lie on any grid of Hz
+    if on_grid(time, interval) and not shared:
         return time
     slack = 0.5001 * (rounding + rounding[0]) + ON_GRID * interval
     steps = (time - time[0]) / interval
@@ -278,12 +279,12 @@ def undo_rounding(time: FloatArray, interval: float) -> FloatArray:
 
 
 def printed_step(time: FloatArray) -> FloatArray:
-    """Step of the last printed digit around each stamp; 0 where stamps look unrounded."""
+    """Find the step of the last printed digit around each stamp; 0 where none look rounded."""
     decimals = np.full(len(time), _MAX_DECIMALS)
     for digits in range(_MAX_DECIMALS - 1, -1, -1):
         decimals[np.abs(time - np.round(time, digits)) <= 4.0 * np.spacing(np.abs(time))] = digits
-    # A stamp like 1200 shows no digits only because zeros were left out; its neighbours tell.
-    # Where the digits change (999.97, 1000.1) the coarser of both sides holds.
+    # A stamp like 1200 shows no digits only because zeros were left out; its neighbours show them.
+    # Where the digits change (999.97, 1000.1) the coarser of both sides counts.
     before, after = (
         maximum_filter1d(decimals, size=101, mode="reflect", origin=shift) for shift in (50, -50)
     )
@@ -291,20 +292,8 @@ def printed_step(time: FloatArray) -> FloatArray:
     return np.where(decimals == _MAX_DECIMALS, 0.0, 10.0**-decimals)
 
 
-_SHORTEST_S = 1e-4
-_FEW = 3  # whole stamps, at least
-_REGULAR = 0.9  # of the stamps hold as many rows as the others, or one more or less
-_FILLED, _CHANGES = 0.9, 0.02  # of the rows of a channel that is sampled row by row
-_WHOLE_HZ = 0.005
-_ORDINARY = 0.95  # of the steps between rows are no large move
-_SURELY, _NO_SHARED = (
-    5.0,
-    0.1,
-)  # standard errors, and of a step: so far apart means may be by chance
-
-
 def usual_interval(time: FloatArray, channels: Mapping[str, FloatArray], file: str) -> float:
-    """`row_interval`, refused where no recorder is so fast: the stamps are no seconds."""
+    """Find the interval of ordered rows in s; `DataError` where the stamps can be no seconds."""
     interval = row_interval(time, channels)
     if interval < _SHORTEST_S:
         raise DataError(
@@ -317,12 +306,12 @@ def usual_interval(time: FloatArray, channels: Mapping[str, FloatArray], file: s
 
 
 def row_interval(time: FloatArray, channels: Mapping[str, FloatArray]) -> float:
-    """Interval of ordered rows `(rows,)` in s, be there one row to a stamp or several."""
+    """Find the interval of ordered rows `(rows,)` in s, with one row to a stamp or several."""
     return shared_interval(time, channels) or native_interval(time)
 
 
 def shared_interval(time: FloatArray, channels: Mapping[str, FloatArray]) -> float:
-    """Interval of ordered rows `(rows,)` of which several share each stamp, in s; 0 if none do.
+    """Find the interval in s of ordered rows of which several share each stamp; 0 if none do.
 
     `channels` are the other columns of the same rows. A whole number of Hz is taken where it is
     within 0.5 % and keeps time over all rows.
@@ -332,7 +321,7 @@ def shared_interval(time: FloatArray, channels: Mapping[str, FloatArray]) -> flo
         return 0.0
     steps = np.diff(stamps)
     step = float(np.median(steps))
-    if not on_raster(stamps, step):
+    if not on_grid(stamps, step):
         return 0.0
     whole = np.isclose(steps[1:], step) & np.isclose(steps[:-1], step)
     rows = counts[1:-1][whole]  # the first and the last stamp may be cut
@@ -348,17 +337,17 @@ def shared_interval(time: FloatArray, channels: Mapping[str, FloatArray]) -> flo
 
 
 def _row_by_row(time: FloatArray, channels: Mapping[str, FloatArray]) -> bool:
-    """Whether rows that share a stamp follow each other in time, by every channel that tells."""
+    """Whether rows that share a stamp follow each other in time, by each channel that changes."""
     same = np.diff(time) == 0.0
-    told = []
+    found = []
     for values in channels.values():
         steps = np.diff(values)
         known = np.isfinite(steps)
         within, between = steps[same & known], steps[~same & known]
         if np.isfinite(values).mean() < _FILLED or np.mean(within != 0.0) < _CHANGES:
             continue
-        told.append(_alike(within, between))
-    return bool(told) and all(told)
+        found.append(_alike(within, between))
+    return bool(found) and all(found)
 
 
 def _alike(within: FloatArray, between: FloatArray) -> bool:
@@ -374,13 +363,6 @@ def _alike(within: FloatArray, between: FloatArray) -> bool:
     return apart <= max(_SURELY * float(error), _NO_SHARED * float(np.abs(within).mean()))
 
 
-_CLOCK = r"\s*(?:(\d{1,3}):)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d*)?)\s*(?:([AaPp])\.?[Mm]\.?)?\s*"
-_MINUTES = r"\s*(\d{1,3}):(\d{2}[.,]\d+)\s*"
-_DATE = r"\s*\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}.*"
-_UNIT_S = np.array([86400.0, 3600.0, 60.0, 1.0])
-_HALF_DAY = 12.0  # hours: 12 AM is midnight, and 12 PM is noon
-
-
 def is_clock(text: str) -> bool:
     """Whether `text` is a clock time or a date rather than a number."""
     return re.fullmatch(f"{_CLOCK}|{_MINUTES}|{_DATE}", text) is not None
@@ -392,7 +374,7 @@ def lacks_hours(text: str) -> bool:
 
 
 def clock_seconds(texts: pd.Series[Any]) -> FloatArray:
-    """Seconds `(rows,)`; NaN for a blank, and for what is neither a clock time nor a date."""
+    """Convert texts to seconds `(rows,)`; NaN for a blank and for no clock time or date."""
     plain = texts.astype("str").where(texts.notna(), "").str.replace(",", ".")
     seconds = _of_clock(plain.str.extract(f"^{_CLOCK}$"))
     short = plain.str.extract(f"^{_MINUTES}$").astype(np.float64).to_numpy() @ _UNIT_S[2:]
@@ -406,11 +388,11 @@ def clock_seconds(texts: pd.Series[Any]) -> FloatArray:
 
 
 def _of_clock(found: pd.DataFrame) -> FloatArray:
-    """Seconds of day, hours, minutes, seconds and half of the day `(rows, 5)`, each as text."""
+    """Convert day, hours, minutes, seconds and half of the day `(rows, 5)`, as text, to seconds."""
     parts = found.iloc[:, :4].astype(np.float64).to_numpy()
-    parts[:, 0] = np.nan_to_num(parts[:, 0])  # a day is not always told
+    parts[:, 0] = np.nan_to_num(parts[:, 0])  # the day may be missing
     half = found[4].str.upper()
-    told, hours = half.notna().to_numpy(), parts[:, 1]
+    halves, hours = half.notna().to_numpy(), parts[:, 1]
     of_twelve = np.where((hours >= 1.0) & (hours <= _HALF_DAY), hours % _HALF_DAY, np.nan)
-    parts[:, 1] = np.where(told, of_twelve + _HALF_DAY * (half == "P").to_numpy(), hours)
+    parts[:, 1] = np.where(halves, of_twelve + _HALF_DAY * (half == "P").to_numpy(), hours)
     return np.asarray(parts @ _UNIT_S, dtype=np.float64)

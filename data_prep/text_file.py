@@ -1,6 +1,6 @@
 """How a text file of a recorder or a worksheet is written.
 
-Compression, encoding, delimiter, decimal mark, and what stands above the first row of data: a
+Compression, encoding, delimiter, decimal mark, and the lines above the first row of data: a
 recorder's own lines, the header, a row of units.
 """
 

@@ -88,7 +88,7 @@ _ALIASES = {
     "": "-",
     "bool": "0/1",
 }
-# Units of columns that are no channels: they show that a row is one of units, and no more.
+# Units of columns that are no channels: they only show that a row is one of units.
 _OTHER = (
     *("psi", "psia", "psig", "bar", "mbar", "hPa", "kPa", "Pa", "inHg", "V", "mV", "A", "mA", "Hz"),
     *("g", "lb", "lbs", "kg", "gal", "gph", "nm", "mi", "ft/min", "fpm", "deg/s", "m/s2", "utc"),

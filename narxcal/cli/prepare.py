@@ -1,4 +1,4 @@
-"""`narxcal prepare`: what is in the logs, before any model."""
+"""`narxcal prepare`: show what is in the logs, before any model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Preparation on logs that nobody here wrote: real flights and third-party simulations."""
+"""Preparation: warnings, missing outputs, held inputs, and logs that nobody here wrote."""
 
 from __future__ import annotations
 
@@ -9,14 +9,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from data_prep.clean import CleanConfig, clean
+from data_prep.config import LogsConfig
+from data_prep.equilibrium import QuasiSteadyConfig, quasi_steady
 from data_prep.events import EventsConfig, find_events
-from data_prep.log import Log
-from data_prep.prepare import Preparation, prepare
-from data_prep.reading import LogsConfig, read_logs
+from data_prep.log import AuditEntry, Log, Source
+from data_prep.prepare import Preparation, Prepared, cautions, hold_inputs, prepare, with_outputs
+from data_prep.reading import read_logs
 from data_prep.smooth import SmoothConfig, smooth
 from narxcal.support.arrays import runs
+from narxcal.support.errors import DataError
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT.parent / "shared" / "data"
@@ -188,3 +193,251 @@ def test_finding_the_events_of_an_80_minute_flight_is_no_loop_over_samples():
         find_events(log, config)
         best = min(best, time.process_time() - start)
     assert best < 2.0  # it takes some 50 ms
+
+
+ANYWHERE = Preparation(events=EventsConfig(condition=""))
+
+
+def warnings(log, tables=ANYWHERE, outputs=()):
+    return {one.kind: one.text for one in Prepared(log, tables, outputs).warnings}
+
+
+def written(folder, stamps):
+    rows = [f"{stamp:.10g},{80 + k},30" for k, stamp in enumerate(stamps)]
+    path = folder / "log.csv"
+    path.write_text("\n".join(["time_s,N1_pct,TRA_deg", *rows]) + "\n", encoding="utf-8")
+    return read_logs(path)[0]
+
+
+def test_stamps_coarser_than_the_rows_are_told(tmp_path):
+    some = np.sort(np.random.default_rng(1).uniform(0.0, 50.0, 400))  # as rows of a bus come
+    log = written(tmp_path, np.floor(some))
+    said = (
+        "log.csv: 350 rows have the time stamp of the row before and were left out; its stamps are "
+        "coarser than its rows"
+    )
+    assert cautions([log], ANYWHERE)[0] == said
+    assert warnings(log).keys() == {"crowded", "rate"}
+    assert warnings(log, Preparation()).keys() == {"crowded", "rate", "condition"}
+
+
+def test_a_few_equal_stamps_are_no_caution(tmp_path):
+    stamps = np.arange(400) / 8
+    stamps[100] = stamps[99]
+    log = written(tmp_path, stamps)
+    assert any(entry.reason == "duplicate time stamp" for entry in log.audit.entries)
+    assert cautions([log], ANYWHERE) == []
+
+
+def test_speeds_in_the_wrong_unit_are_told():
+    time, ratio = np.arange(40) / 8, np.linspace(0.3, 1.04, 40)
+    log = Log("rig.csv", time, {"N1_pct": ratio, "N2_pct": 0.9 * ratio})
+    highest = "N1_pct 1.04 % and N2_pct 0.936 %"
+    said = f"rig.csv: the engine never runs, at most {highest}: is the unit right?"
+    assert cautions([log], ANYWHERE) == [said]
+    assert warnings(log.with_channels({"N2_pct": 90.0 * ratio})) == {}
+    assert warnings(Log("none.csv", time, {"EGT_C": ratio})) == {}
+    assert warnings(Log("lost.csv", time, {"N1_pct": np.full(40, np.nan)})) == {}
+
+
+def test_a_channel_of_which_nothing_is_left_is_told_with_why():
+    speeds = {"N1_pct": np.linspace(5000.0, 7000.0, 400), "N2_pct": np.linspace(80.0, 90.0, 400)}
+    log = clean(Log("rpm.csv", np.arange(400) / 8, speeds))
+    said = "rpm.csv: no sample is left of N1_pct (out of range): check column and unit"
+    assert cautions([log], ANYWHERE) == [said]
+    assert "masked" not in warnings(log.with_channels({"N1_pct": speeds["N2_pct"]}))
+
+
+def test_recordings_too_slow_for_ti_and_tt_are_told(tmp_path):
+    path = tmp_path / "qar.csv"
+    lever = [f"{k / 8:g},{30 + k % 40},{80 + k % 9 if k % 8 == 0 else ''}" for k in range(400)]
+    path.write_text("\n".join(["time_s,TRA_deg,N1_pct", *lever]) + "\n", encoding="utf-8")
+    (log,) = read_logs(path)
+    said = (
+        "qar.csv: N1_pct is sampled every 1 s, coarser than the tolerance of 0.25 s on Ti and Tt: "
+        "these times are limited by interpolation"
+    )
+    assert cautions([log], ANYWHERE) == [said]
+    assert warnings(log, Preparation(events=EventsConfig(condition="", response=()))) == {}
+    time = 0.5 * np.arange(40)
+    slow = Log("slow.csv", time, {"TRA_deg": time, "N1_pct": 80.0 + time})
+    assert warnings(slow)["rate"].startswith(
+        "TRA_deg is sampled every 0.5 s and N1_pct is sampled every 0.5 s, coarser than"
+    )
+
+
+def test_many_logs_with_the_same_warning_are_one_line():
+    time = np.arange(40) / 8
+    logs = [Log(name, time, {"N1_pct": 80.0 + time}) for name in "abcde"]
+    said = "there is no WOW channel: events on the ground count like those in flight"
+    assert cautions(logs, Preparation()) == [f"a, b, c and 2 more: {said}"]
+    assert cautions(logs[:2], Preparation()) == [f"a, b: {said}"]
+
+
+def test_many_logs_with_like_warnings_are_the_first_one_and_a_count():
+    time = np.arange(40) / 8
+    logs = [Log(f"{k}.csv", time, {"N1_pct": (1.0 + 0.1 * k) * time / 5.0}) for k in range(64)]
+    (line,) = cautions(logs, ANYWHERE)
+    assert line == (
+        "0.csv and, likewise, 63 more: the engine never runs, at most N1_pct 0.975 %: "
+        "is the unit right?"
+    )
+    assert len(cautions(logs[:3], ANYWHERE)) == 3
+
+
+def test_a_window_that_blurs_is_a_warning_of_its_logs():
+    log = Log("a.csv", np.arange(40) / 8, {"N1_pct": np.full(40, 80.0)})
+    tables = Preparation(events=EventsConfig(condition=""), smooth=SmoothConfig(window=11))
+    assert warnings(log, tables) == {
+        "window": "[smooth] window = 11 lasts 1.4 s at 8 Hz, which blurs fast movements: take 1"
+    }
+
+
+DT_S = 0.1
+OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
+
+
+def flight(*outputs):
+    """One slam at 10 s, answered with a time constant of 3 s."""
+    time_s = DT_S * np.arange(600)
+    since = np.maximum(time_s - 10.0, 0.0)
+    channels = {"TRA_deg": np.where(since > 0.0, 60.0, 20.0)}
+    channels |= {name: 40.0 + 50.0 * (1.0 - np.exp(-since / 3.0)) for name in outputs}
+    return Log("f.csv:left", time_s, channels, source=Source("f.csv", "sha", "left"))
+
+
+def test_a_log_with_every_output_is_left_as_it_is():
+    log = flight(*OUTPUTS)
+    assert with_outputs(log, OUTPUTS) is log
+    assert cautions([log], ANYWHERE, OUTPUTS) == []
+
+
+def test_an_output_that_is_not_there_is_masked_counted_and_told():
+    log = with_outputs(flight("N1_pct", "N2_pct"), OUTPUTS)
+    assert np.isnan(log["EGT_C"]).all()
+    assert log.audit.entries == (AuditEntry("EGT_C", "masked", "not recorded", 600),)
+    assert log.recorded(OUTPUTS) == ("N1_pct", "N2_pct")
+    said = "f.csv:left: EGT_C is not recorded: nothing is learned or judged by it"
+    assert cautions([log], ANYWHERE, OUTPUTS) == [said]
+    assert with_outputs(log, OUTPUTS) is log
+
+
+def test_the_column_that_was_looked_for_is_told():
+    columns = {
+        "time_s": {"column": "t"},
+        "N2_pct": {"column": "{engine}_core"},
+        "EGT_C": {"column": "{engine}_itt"},
+    }
+    mapping = LogsConfig.parse({"columns": columns, "engines": {"left": "lh", "right": "rh"}})
+    tables = Preparation(logs=mapping, events=EventsConfig(condition=""))
+    (said,) = cautions([flight("N1_pct")], tables, OUTPUTS)
+    assert said == (
+        "f.csv:left: N2_pct (column 'lh_core'), EGT_C (column 'lh_itt') are not recorded: nothing "
+        "is learned or judged by them"
+    )
+
+
+def test_a_log_without_any_output_is_refused():
+    with pytest.raises(DataError) as caught:
+        with_outputs(flight("FF_kgph"), OUTPUTS)
+    assert str(caught.value) == (
+        "f.csv:left: the log has none of the outputs N1_pct, N2_pct, EGT_C. Map one of them under "
+        "[logs.columns], or run the model alone by narxcal simulate. The log has TRA_deg, FF_kgph"
+    )
+
+
+def test_columns_can_be_spared_without_touching_the_others():
+    columns = {"time_s": {"column": "t"}, "EGT_C": {"column": "itt"}, "Mach": {"column": "M"}}
+    spared = LogsConfig.parse({"columns": columns}).sparing({"EGT_C"})
+    assert {name: one.optional for name, one in spared.columns.items()} == {
+        "time_s": False, "EGT_C": True, "Mach": False,
+    }  # fmt: skip
+
+
+def test_events_wait_for_the_responses_that_are_there():
+    usual = EventsConfig(condition="")
+    whole = flight("N1_pct", "N2_pct")
+    assert usual.for_log(whole, OUTPUTS) == usual
+    lacking = with_outputs(flight("N2_pct"), OUTPUTS)
+    wanted = usual.for_log(lacking, OUTPUTS)
+    assert wanted.response == ("N2_pct",)
+    # N1 and N2 move alike here: the event has to end where it would with N1.
+    assert find_events(lacking, wanted) == find_events(whole, usual)
+    (early,) = find_events(lacking, usual)
+    (event,) = find_events(lacking, wanted)
+    assert early.stop < event.stop
+
+
+def test_without_any_response_the_configuration_stays_for_the_events_to_refuse():
+    usual = EventsConfig(condition="")
+    assert usual.for_log(flight("FF_kgph"), OUTPUTS) is usual
+
+
+def test_a_prepared_log_finds_its_events_and_equilibrium():
+    log = with_outputs(flight("N2_pct"), OUTPUTS)
+    one = Prepared(log, ANYWHERE, OUTPUTS)
+    assert one.events == tuple(find_events(log, ANYWHERE.events.for_log(log, OUTPUTS)))
+    expected = quasi_steady(log, "TRA_deg", ("N1_pct", "N2_pct"), QuasiSteadyConfig())
+    np.testing.assert_array_equal(one.equilibrium, expected)
+
+
+def test_a_speed_that_is_not_recorded_does_not_unsettle_a_log():
+    log = with_outputs(flight("N2_pct"), OUTPUTS)
+    config = QuasiSteadyConfig()
+    both = quasi_steady(log, "TRA_deg", ("N1_pct", "N2_pct"), config)
+    assert both.any()
+    assert (both == quasi_steady(log, "TRA_deg", ("N2_pct",), config)).all()
+
+
+NAN = float("nan")
+
+
+def inputs_log(**channels):
+    values = {name: np.array(value, dtype=float) for name, value in channels.items()}
+    count = len(next(iter(values.values())))
+    return Log("flight.csv:left", 0.1 * np.arange(count), values)
+
+
+def test_the_last_value_is_carried_on_and_the_first_back():
+    given_ = inputs_log(Mach=[NAN, 0.3, NAN, NAN, 0.5, NAN], N1_pct=[NAN] * 6)
+    held = hold_inputs(given_, ["Mach"])
+    assert held["Mach"].tolist() == [0.3, 0.3, 0.3, 0.3, 0.5, 0.5]
+    assert np.isnan(held["N1_pct"]).all()
+    assert held.audit.entries == (AuditEntry("Mach", "filled", "held for the model", 4),)
+    assert np.isnan(given_["Mach"]).sum() == 4
+
+
+def test_a_complete_log_is_left_as_it_is():
+    given_ = inputs_log(Mach=[0.1, 0.2], TRA_deg=[1.0, 2.0])
+    assert hold_inputs(given_, ["Mach", "TRA_deg"]) is given_
+
+
+@settings(max_examples=50, deadline=None)
+@given(values=st.lists(st.one_of(st.just(NAN), st.floats(-1e3, 1e3)), min_size=2, max_size=30))
+def test_known_samples_stay_and_none_is_unknown(values):
+    known = np.isfinite(values)
+    if not known.any():
+        return
+    held = hold_inputs(inputs_log(Mach=values), ["Mach"])["Mach"]
+    assert np.array_equal(held[known], np.array(values)[known])
+    assert np.isfinite(held).all()
+    assert set(held) <= set(np.array(values)[known])
+
+
+def test_a_channel_without_any_sample_is_refused():
+    with pytest.raises(DataError) as error:
+        hold_inputs(inputs_log(Mach=[NAN, NAN]), ["Mach"])
+    assert str(error.value) == (
+        "flight.csv:left, channel Mach: an input of the model has no valid sample. "
+        "Map another column to it, or leave the log out"
+    )
+
+
+def test_a_channel_that_is_not_there_is_refused():
+    with pytest.raises(DataError) as error:
+        hold_inputs(inputs_log(Mach=[0.1, 0.2]), ["TRA_deg"])
+    assert str(error.value) == (
+        "flight.csv:left, channel TRA_deg: an input of the model is not in the log. Map it under "
+        "[logs.columns], if need be as TRA_deg = { constant = ... }, or take it out of "
+        "[steady_state] inputs. The log has Mach"
+    )
