@@ -1,4 +1,4 @@
-"""A record: one uninterrupted recording of inputs and outputs, all that a NARX model knows."""
+"""Records: inputs and outputs of uninterrupted recordings, as models are fitted to them."""
 
 from __future__ import annotations
 
@@ -12,13 +12,15 @@ from numpy.typing import ArrayLike
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 
+_LARGEST = 1e100  # squares, and sums of 1e100 of them, stay below the largest float64, 1.8e308
+
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Inputs `u` (time, inputs) and outputs `y` (time, outputs) on one raster.
+    """Inputs `u` (time, inputs) and outputs `y` (time, outputs) on one uniform grid.
 
     A masked output sample is NaN: it is left out of every loss and score. Inputs have to be
-    complete, since a free run cannot step over a hole; `DataError` names the first bad row.
+    complete, since a free run cannot skip a sample; `DataError` names the first bad row.
     `weight` (time,), if given, scales the loss of each sample.
     """
 
@@ -58,7 +60,18 @@ class Record:
                 "an output is infinite",
                 file=self.name,
                 row=int(infinite[0]),
-                hint="Mask what is not known with NaN",
+                hint="Mask unknown samples with NaN",
+            )
+
+        both = np.abs(np.concatenate([self.u, self.y], axis=1))
+        size = np.nanmax(both, axis=1, initial=0.0)
+        large = np.flatnonzero(size > _LARGEST)
+        if len(large):
+            raise DataError(
+                f"a value is beyond {_LARGEST:g}, so that its square is not a finite number",
+                file=self.name,
+                row=int(large[0]),
+                hint="Scale the channel, or mask what is no measurement",
             )
 
     def _checked_weight(self, given: ArrayLike) -> FloatArray:

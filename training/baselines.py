@@ -169,7 +169,10 @@ def _fit_arx(runs: Sequence[Run], k: int) -> tuple[FloatArray, FloatArray, float
     n_out = runs[0].steady.shape[1]
     best, least = (np.empty(0), np.empty((0, n_out)), 0.0), np.inf
     for order in ORDERS:
-        poles, gains, offset = _least_squares(runs, k, order)
+        longer = [run for run in runs if len(run.measured) > order]
+        if not longer:
+            continue
+        poles, gains, offset = _least_squares(longer, k, order)
         roots = np.roots(np.concatenate([[1.0], -poles]))
         if not np.all(np.abs(roots) <= _LARGEST_POLE):
             continue
@@ -210,7 +213,7 @@ def _free_run_error(
 def _arx_run(
     poles: FloatArray, gains: FloatArray, offset: float, drive: tuple[FloatArray, float]
 ) -> FloatArray:
-    """Free run (time,) of one channel: past inputs stood still and the output at `first`."""
+    """Free run (time,) of one channel, in equilibrium before it but for the output `first`."""
     steady, first = drive
     if not len(poles):
         return np.full(len(steady), np.nan)
@@ -231,7 +234,7 @@ def _gain(tau_s: float, dt_s: float) -> float:
 
 
 def _first(steady: FloatArray, start: FloatArray, k: int) -> float:
-    """Where a free run begins: measured, or settled where that is not known."""
+    """Start of a free run: the measured value, or the steady-state value where that is missing."""
     return float(start[k]) if np.isfinite(start[k]) else float(steady[0, k])
 
 

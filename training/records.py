@@ -1,28 +1,22 @@
-"""What the lags and the network learn from, made of prepared logs.
+"""Records that lags and network are fitted to, made of prepared logs, and the split of the logs.
 
-Which logs a training learns from, stops by and never sees.
-
-How much each sample of a flight counts in training, where motion is what has to be learned.
-
-Flights stand still most of the time, and an anchored network is right there by its structure.
-Relative errors are judged, so a sample counts the more the lower the engine runs; and Ti is read
-off the first tenth of a response, which is over in half a second: the beginnings count more.
-
-Takes the static error out of what the network learns from, so that it learns dynamics only.
-
-A steady-state model misses a real engine by a few tenths of a per cent here and there (build
-scatter, fuel meters, bleed that nobody recorded). A network trained on the raw deviation bends
-its dynamics to follow that. Before training, the steady-state values of each log are therefore
-shifted to agree with the log wherever it stands still; between two such places A and B the
-shift goes from the one to the other as the steady-state value itself does:
+**Local trim** removes the static error, so that the network learns dynamics only. A steady-state
+model misses a real engine by a few tenths of a per cent (build tolerance, fuel meters, bleeds that
+are not recorded), and a network trained on the raw deviation distorts its dynamics to follow that.
+Before training, the steady-state values of each log are therefore shifted to agree with the log
+wherever it is in equilibrium; between two such places A and B the shift changes as the
+steady-state value does:
 
     shift(k) = shift_A + p(k) (shift_B - shift_A),   p = clip((ss - ss_A) / (ss_B - ss_A), 0, 1)
 
-Synthetic records in which nothing moves: wherever it starts, the engine comes to rest.
+**Rest records** are synthetic: constant inputs and a deviation that has to vanish. Flights hardly
+ever show a large deviation with constant inputs, so a network fitted to flights alone may keep one
+for ever. These records ask that it is zero after a while; how it decays is left to the flights.
 
-Flights hardly ever show a large deviation while the inputs stand still, so a network fitted to
-flights alone may keep one for ever, or settle at a wrong value. These records say that it has
-to be gone after a while; how it goes is left to the flights.
+**Emphasis on motion** weighs samples. Engines are in equilibrium most of the time, where an
+anchored network is right by its structure. Relative errors are judged, so a sample weighs the more
+the lower the power; and Ti is read off the first tenth of a response, which takes half a second: onsets weigh
+more.
 """
 
 from __future__ import annotations
@@ -53,8 +47,8 @@ from training.network import Material
 
 _MOVES, _WITHIN_S = 0.01, 1.0  # share of the largest value that a target moves within this time
 _BEFORE_S, _AFTER_S = 1.0, 12.0  # of a move: a response with its settling
-_AT_REST = 0.4  # weight elsewhere
-_STILL_S, _ONSET_S, _ONSET = 2.0, 1.2, 4.0  # a move after standing still, and what its onset counts
+_STEADY = 0.4  # weight elsewhere
+_STILL_S, _ONSET_S, _ONSET = 2.0, 1.2, 4.0  # a move out of equilibrium, and the weight of its onset
 _LEVEL = (0.3, 1.2)  # shares of the largest value; below and beyond, weights go no further
 
 
@@ -78,7 +72,7 @@ def motion_weight(
     following = np.minimum.accumulate(np.where(moving, rows, 2 * never)[::-1])[::-1]
     near = (rows - last <= _AFTER_S / dt_s) | (following - rows <= _BEFORE_S / dt_s)
     level = np.mean(np.where(np.isfinite(actual), actual, target) / scale, axis=1)
-    weight = np.where(near, 1.0, _AT_REST)
+    weight = np.where(near, 1.0, _STEADY)
     weight = weight * np.where(_onset(moving, dt_s), _ONSET, 1.0)
     return np.asarray(weight / np.clip(level, *_LEVEL))
 
@@ -90,7 +84,7 @@ def _moving(share: FloatArray, dt_s: float) -> BoolArray:
 
 
 def _onset(moving: BoolArray, dt_s: float) -> BoolArray:
-    """Samples soon after a move that came out of stillness; the window sees it half too early."""
+    """Samples soon after a move out of equilibrium; the centred window finds it half too early."""
     still, length = round(_STILL_S / dt_s), round((_ONSET_S + 0.5 * _WITHIN_S) / dt_s)
     seen = np.concatenate([[0], np.cumsum(moving)])
     rows = np.arange(len(moving))
@@ -187,9 +181,9 @@ def material(
 def deviation_record(
     log: Log, steady: SteadyStateModel, config: RunConfig, lag: AnyLags | None = None
 ) -> Record:
-    """What the network learns from: features and deviations of one log (papers/narx, 2.1).
+    """Features and deviations of one log, which the network is fitted to.
 
-    With lags in front of it, they are what the lags leave.
+    With lags in front of it, the deviations are the residual of the lags.
     """
     heat = lag if config.narx.lag_heat and isinstance(lag, LagModel) else None
     one = lag_samples(log, steady, config, heat)
@@ -220,10 +214,10 @@ def _emphasised(records: Sequence[Record], dt_s: float, *, lagged: bool) -> list
 def lag_samples(
     log: Log, steady: SteadyStateModel, config: RunConfig, lag: LagModel | None = None
 ) -> LagSamples:
-    """What lags are fitted to; what the spools of `lag` still have before them is no static error.
+    """Samples that lags are fitted to; remaining motion of the spools of `lag` is no static error.
 
-    Nobody says so of a temperature: its slow part takes longer than the stretches that it is fitted
-    to, and what a switched load does to it would be taken for such a part.
+    For a temperature it counts as one: its slow part takes longer than the stretches that it is
+    fitted to, and the effect of a switched load would be taken for such a part.
     """
     inputs = log.matrix(steady.input_names)
     ss = steady_for_engine(steady, log.source.engine).outputs(inputs)
@@ -267,7 +261,7 @@ def fitted_lags(
 
 
 def structure_of(config: RunConfig) -> NarxConfig:
-    """What the configuration makes of the network's structure."""
+    """Structure of the network by the configuration."""
     section = config.narx
     vanishing = len(section.outputs) * (2 if section.lag else 1)
     return NarxConfig(
@@ -281,7 +275,7 @@ def structure_of(config: RunConfig) -> NarxConfig:
 
 
 def _rest(config: RunConfig, material: Material, moving: int) -> list[Record]:
-    """Rest records for an anchored network; one that is not anchored need not come to rest."""
+    """Rest records of an anchored network; without an anchor its deviation need not vanish."""
     steps = round(config.train.rest_s / material.dt_s)
     if not moving or steps < 2:
         return []
@@ -290,29 +284,29 @@ def _rest(config: RunConfig, material: Material, moving: int) -> list[Record]:
 
 
 def speeds(config: RunConfig) -> tuple[str, ...]:
-    """Those outputs that are spool speeds: they say whether the engine stands still."""
+    """Outputs that are spool speeds, by which equilibrium is detected."""
     return tuple(name for name in config.narx.outputs if name in ("N1_pct", "N2_pct"))
 
 
 @dataclass(frozen=True)
 class Split:
-    """Whole logs: to fit to, to stop by, and those that took no part."""
+    """Whole logs: to fit to, to stop by, and held out."""
 
     train: tuple[Log, ...]
     validate: tuple[Log, ...]
     test: tuple[Log, ...]
 
     def held(self, names: Sequence[str]) -> Split:
-        """The logs to learn from with these inputs completed."""
+        """Split with these inputs completed in the logs to learn from."""
         parts = (self.train, self.validate)
         train, validate = (tuple(hold_inputs(log, names) for log in part) for part in parts)
         return Split(train, validate, self.test)
 
     def with_outputs(self, outputs: Sequence[str]) -> Split:
-        """The split with every output in each log to learn from, NaN where it was not recorded.
+        """Split with every output in each log to learn from, NaN where it was not recorded.
 
-        Such an output is learned from the other logs, as where it is masked. Raises `DataError`
-        for one that no log to train on has a sample of.
+        Such an output is learned from the other logs. Raises `DataError` for an output without a
+        sample in any training log.
         """
         parts = (self.train, self.validate)
         train, validate = (tuple(with_outputs(log, outputs) for log in part) for part in parts)

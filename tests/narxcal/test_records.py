@@ -70,7 +70,7 @@ def with_bad_input():
         ),
         (
             lambda: Record(np.zeros(3), [0.0, 1.0, -np.inf], "flight"),
-            "flight, row 2: an output is infinite. Mask what is not known with NaN",
+            "flight, row 2: an output is infinite. Mask unknown samples with NaN",
         ),
         (
             lambda: Record(np.zeros((2, 9, 1)), np.zeros((2, 9, 1)), "flight"),
@@ -114,3 +114,15 @@ def test_what_is_wrong_is_said(make, message):
 def test_an_output_known_in_one_record_is_enough():
     dark = Record(np.zeros(2), np.full(2, np.nan))
     check_measured([dark, Record(np.zeros(2), [0.0, np.nan])], "training")
+
+
+@pytest.mark.parametrize("place", ["input", "output"])
+def test_values_whose_squares_overflow_are_refused(place):
+    u, y = np.ones((5, 1)), np.ones((5, 1))
+    (u if place == "input" else y)[3] = -1e300
+    with pytest.raises(DataError) as error:
+        Record(u, y)
+    assert str(error.value) == (
+        "record, row 3: a value is beyond 1e+100, so that its square is not a finite number. "
+        "Scale the channel, or mask what is no measurement"
+    )
