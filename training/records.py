@@ -15,8 +15,8 @@ for ever. These records ask that it is zero after a while; how it decays is left
 
 **Emphasis on motion** weighs samples. Engines are in equilibrium most of the time, where an
 anchored network is right by its structure. Relative errors are judged, so a sample weighs the more
-the lower the power; and Ti is read off the first tenth of a response, which takes half a second: onsets weigh
-more.
+the lower the power; and Ti is read off the first tenth of a response, which takes half a second:
+onsets weigh more.
 """
 
 from __future__ import annotations
