@@ -1,195 +1,220 @@
-"""Where the fit of the lags starts, which of their parameters are free, and how far they may go.
+"""Start value, unit and freedom of every parameter of the lumped engine, as tables.
 
-The starting values are round figures read off regressions of measured accelerations on speeds and
-air (virtual flights of seed 100); a fit from zero ends in poorer places.
+| cell | meaning |
+|---|---|
+| `0.3` | fitted from 0.3 on |
+| `0.3/5` | likewise; 5 counts as one unit for the prior (otherwise 1) |
+| `*0.3` | start and unit are multiplied by the output's half range over the core's |
+| `=0.3` | fixed at 0.3 |
+| `.` | fixed at 0 |
 
-Where the fit of lags behind a control starts, and which of their numbers it changes.
-
-The starting values are those of a fit to virtual flights of seed 100; regressors that are not named
-here stay out.
+The start values are rounded from regressions of measured accelerations on speeds and air, and from
+fits, of virtual flights of seed 100; a fit from zero ends in poorer minima.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import NamedTuple
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from narxcal.lumped.lag import (
-    CASING_PARAMETERS,
-    FUEL_PARAMETERS,
-    LAG_PARAMETERS,
-    LIMIT_PARAMETERS,
-    PARAMETERS,
-    UNLIMITED,
-    LagModel,
-    speeds_of,
-)
-from narxcal.lumped.lag_governed import FITTED, governed_shapes
-from narxcal.lumped.lag_governed_steps import LINES, OTHER_LINES, REGRESSORS, SHARES
-from narxcal.support.arrays import BoolArray, FloatArray
-
-_OF_CORE = ("core", *FUEL_PARAMETERS)
-_SLOPES, _HOT = ("core", "core_speed", "rate"), ("up_hot", "down_hot", "hot")
-_HOT_UNIT = 5.0  # the logarithm of sqrt(theta2) spans a tenth or two
-# A temperature has one time constant, that of its probe; with limits it goes with the flow.
-_PROBE = ("log_tau", "lead_s", "core", "slow_share", "log_slow_tau")
-_PROBE_IN_FLOW = (
-    "log_tau", "air", "speed", "hot", "core", "slow_share", "log_slow_tau",
-    *FUEL_PARAMETERS, *CASING_PARAMETERS,
-)  # fmt: skip
-_ALL = {"log_tau": -0.3, "log_slow_tau": 1.5, "log_up": UNLIMITED, "log_down": UNLIMITED}
-_SPEED = {"lead_s": 0.3}
-# Half the corrected range in a second; a given power speeds a rotor up the less, the thinner the
-# air.
-_LIMITED = {"log_up": 0.0, "log_down": 0.0, "up_air": -1.0, "down_air": -1.0}
-# Heat goes between gas and metal as flow^0.8 (FACTS A4). Corrected flow grows to about three times
-# that of idle, flow^0.8 over w from -1 to 1 by exp(2 * 0.4); flow itself goes by the air. What heat
-# does falls with power, for speeds answer to shares of the fuel, which is seven times that of idle.
-_HEAT = {"heat": 1.0, "heat_speed": -0.5, "heat_rate": 0.4, "heat_air": 0.8}
-_LIMITED_CORE = {
-    "log_up": -0.1, "up_hot": -1.0, "up_speed": -0.5, "up_speed_speed": -0.5,
-    "up_other": 0.7, "up_speed_other": 0.5,
-}  # fmt: skip
-# Over the output's range by the core's: a fan follows the core, and a temperature does; the fuel
-# that speeds the core up adds what they will be a moment later, longer in thin air.
-_FAN_SLOPES = {"core": 0.75, "core_speed": 0.05, "rate": -0.12}
-_FAN = {"rate_air": 1.0}
-_HOT_SLOPES = {"core": 0.75, "core_speed": 0.35, "rate": -0.35}
-# Blades soak heat for 7 s, casings for more than a minute.
-_HOT_PARTS = {
-    "rate_air": 1.2, "rate_speed": 0.5,
-    "log_slow_tau": 2.0, "casing_share": 0.02, "log_casing_tau": 4.3,
-}  # fmt: skip
+from narxcal.lumped.engine import LumpedEngine, shapes_of
+from narxcal.lumped.rotors import HEAT, LIMITED, LINES, OTHER_LINES, REGRESSORS, SLOPES
+from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 
 
-def fans_of(model: LagModel) -> list[int]:
-    """Columns of the speeds beside the core's."""
-    speeds = np.flatnonzero(speeds_of(model.output_names))
-    return [int(column) for column in speeds if column != model.core]
+class Form(NamedTuple):
+    """Form of a lumped engine, and how it is fitted.
 
+    `governed`: a control holds N1; the rest is for the other form. `limited`: its control limits
+    acceleration and deceleration; `heat`: the metal's heat drives the spools; `relative`: errors
+    count as shares of the response that they belong to.
+    """
 
-class LagForm(NamedTuple):
-    """What lags are to be: fitted to `relative` errors, `limited` by a control, moved by `heat`."""
-
-    relative: bool = False
+    governed: bool = False
     limited: bool = False
     heat: bool = False
+    relative: bool = False
 
 
-def start_values(model: LagModel, form: LagForm) -> FloatArray:
-    """Parameters (n_out, 38) that a fit of `model` starts from; those of heat are not fitted."""
-    parameters = np.zeros((len(model.output_names), len(PARAMETERS)))
-    speeds = np.flatnonzero(speeds_of(model.output_names))
-    _set(parameters, range(len(parameters)), _ALL)
-    _set(parameters, speeds, _SPEED)
-    _set(parameters, speeds, _HEAT if form.heat else {})
-    if not form.limited:
-        return parameters
-    _set(parameters, speeds, _LIMITED)
-    fans = fans_of(model)
-    _set(parameters, [model.core] if fans else [], _LIMITED_CORE)
-    _set(parameters, fans, _FAN)
-    hot = [k for k in range(len(parameters)) if k not in speeds]
-    _set(parameters, hot, _HOT_PARTS)
-    for columns, slopes in ((fans, _FAN_SLOPES), (hot, _HOT_SLOPES)):
-        for k in columns:
-            ratio = float(model.half[k] / model.half[model.core])
-            _set(parameters, [k], {name: share * ratio for name, share in slopes.items()})
-    return parameters
+class Priors(NamedTuple):
+    """Per parameter (P,): start value, unit, whether it is fitted, and with which column."""
+
+    start: FloatArray
+    unit: FloatArray
+    fitted: BoolArray
+    column: IntArray
 
 
-def free_parameters(model: LagModel, column: int, *, limited: bool) -> BoolArray:
-    """Which parameters (38,) of an output are fitted; the others keep their starting values."""
-    names: set[str] = set(_PROBE_IN_FLOW if limited else _PROBE)
-    if speeds_of(model.output_names)[column]:
-        names = set(LAG_PARAMETERS)
-        if limited:
-            names |= {*LIMIT_PARAMETERS, *FUEL_PARAMETERS, "hot"}
-    if column == model.core:
-        names -= set(_OF_CORE)
-    if column != model.core or not fans_of(model):
-        names = {name for name in names if not name.endswith("_other")}
-    return np.array([name in names for name in PARAMETERS])
+# Without limits. `core` is the core spool, `fan` any other speed, `other` a temperature or flow,
+# which has one time constant, that of its probe.
+_PLAIN: Final = """
+                   core   fan    other
+log_tau            -0.3   -0.3   -0.3
+air                0      0      .
+speed              0      0      .
+target             0      0      .
+speed_speed        0      0      .
+speed_target       0      0      .
+target_target      0      0      .
+lead_s             0.3    0.3    0
+core               .      0      0
+slow_share         0      0      0
+log_slow_tau       1.5    1.5    1.5
+log_up             =20    =20    =20
+log_down           =20    =20    =20
+"""
+# With limits of half the corrected range in a second, less in thin air; `alone` is the core of an
+# engine without a fan. The logarithm of sqrt(theta2) spans a tenth or two, hence units of 5. Fan
+# and temperatures follow the core, and fuel that accelerates the core adds what they will be soon.
+# Blades soak heat for 7 s, casings for more than a minute.
+_LIMITS: Final = """
+                   alone  core   fan    other
+log_tau            -0.3   -0.3   -0.3   -0.3
+air                0      0      0      0
+speed              0      0      0      0
+target             0      0      0      .
+speed_speed        0      0      0      .
+speed_target       0      0      0      .
+target_target      0      0      0      .
+lead_s             0.3    0.3    0.3    .
+core               .      .      *0.75  *0.75
+slow_share         0      0      0      0
+log_slow_tau       1.5    1.5    1.5    2.0
+log_up             0      -0.1   0      =20
+up_air             -1     -1     -1     .
+up_speed           0      -0.5   0      .
+up_speed_speed     0      -0.5   0      .
+up_other           .      0.7    .      .
+up_speed_other     .      0.5    .      .
+up_other_other     .      0      .      .
+up_hot             0/5    -1/5   0/5    .
+log_down           0      0      0      =20
+down_air           -1     -1     -1     .
+down_speed         0      0      0      .
+down_speed_speed   0      0      0      .
+down_other         .      0      .      .
+down_speed_other   .      0      .      .
+down_other_other   .      0      .      .
+down_hot           0/5    0/5    0/5    .
+core_speed         .      .      *0.05  *0.35
+rate               .      .      *-0.12 *-0.35
+rate_air           .      .      1.0    1.2
+rate_speed         .      .      0      0.5
+casing_share       .      .      .      0.02
+log_casing_tau     .      .      .      4.3
+hot                0/5    0/5    0/5    0/5
+"""
+# Of speeds where heat drives them. Heat goes between gas and metal as flow^0.8: corrected flow
+# triples from idle to full power, over w from -1 to 1, which is exp(2 * 0.4); flow goes by the air.
+# What heat does falls with power, for speeds answer to shares of the fuel.
+_HEAT: Final = {"heat": 1.0, "heat_speed": -0.5, "heat_rate": 0.4, "heat_air": 0.8}
+
+_BY_CORE: Final = ("core", "core_speed", "rate", "rate_air", "rate_speed")  # not of the core itself
+
+_GOVERNED: Final = """
+         one    thin   hot    Mach   v      u      vv     vu     uu
+core_s   -1.13  0.53   .      0.24   -0.03  -0.33  0.4    .      .
+gain     0.51   0.04   .      .      -0.67  0.45   .      .      0.27
+reset_s  0.26   0.75   .      -0.37  -0.58  0.2    .      .      .
+lead_s   -0.7   0.61   .      .      .      0.37   .      .      .
+up       0.39   -1.17  -1.14  0.15   -0.66  0.93   -0.41  0.41   -0.32
+down     0.29   -0.82  0.12   -0.17  1.48   -0.21  -0.55  1.46   -0.97
+fan_s    0.24   0.92   -0.17  -0.61  -0.23  .      -0.26  0.75   -0.41
+push     -1.88  1.17   0.14   -1.17  -0.13  .      1.11   .      .
+"""
+_GOVERNED_OTHER: Final = """
+         one    thin   hot    Mach   v      u      vv     vu     uu
+probe_s  0.1    0.65   -0.58  0.1    0.22   -0.33  0.31   .      .
+push     -0.49  0.94   -0.73  0.25   0.67   -0.88  0.58   .      .
+"""
+_SLOPES: Final = """
+         const  thin   Mach   tilt   tilt_Mach  bend
+fan      0.96   0.0    -0.55  0.17   0.07       0.0
+other    0.79   0.0    0.5    0.37   -0.3       0.04
+"""
+# The times that metal takes to heat up are not fitted; the fan, which the control holds, has none.
+_GOVERNED_HEAT: Final = """
+         soak_share  log_soak_tau  soak_speed  soak_air  open_share  log_begun_tau
+core     0.0         =2.85         =-0.5       =0.8      0.05        2.5
+fan      .           =2.85         =-0.5       =0.8      .           =2.5
+other    0.0         =2.85         =-0.5       =0.8      -0.07       2.6
+"""
+_VALVE_S, _CLEARANCE, _SHARE = "0.3", "0.2", "-0.2"
 
 
-def prior_units(model: LagModel, column: int, *, limited: bool) -> FloatArray:
-    """What counts as one unit of each parameter (38,) for the prior."""
-    unit = np.ones(len(PARAMETERS))
-    if limited:
-        unit[_at(_SLOPES)] = model.half[column] / model.half[model.core]
-        unit[_at(_HOT)] = _HOT_UNIT
-    return unit
+def start_engine(
+    output_names: tuple[str, ...], form: Form, scales: Mapping[str, FloatArray]
+) -> tuple[LumpedEngine, Priors]:
+    """Build the engine that a fit starts from; `scales` are its centre, half and limit.
+
+    Raises `ModelError` for a governed engine without the speeds of a fan and a core.
+    """
+    shapes = shapes_of(len(output_names), governed=form.governed)
+    blank = {name: np.zeros(shape) for name, shape in shapes.items()}
+    engine = LumpedEngine.of(output_names, blank, scales)
+    table = _priors(engine, form)
+    return replace(engine, theta=table.start), table
 
 
-def _set(parameters: FloatArray, columns: Iterable[int], values: dict[str, float]) -> None:
-    for name, value in values.items():
-        parameters[list(columns), PARAMETERS.index(name)] = value
+def _priors(engine: LumpedEngine, form: Form) -> Priors:
+    rows = _governed(engine) if engine.governed else _limited(engine, form)
+    cells = [(cell, column) for column, row in rows for cell in row]
+    column = np.array([column for _, column in cells], dtype=np.int64)
+    parsed = [_parsed(cell) for cell, _ in cells]
+    ratio = engine.half[column] / engine.half[engine.core]
+    factor = np.where([cell.startswith("*") for cell, _ in cells], ratio, 1.0)
+    start, unit = (factor * np.array(values) for values in zip(*parsed, strict=True))
+    fitted = np.array([cell[0] not in ".=" for cell, _ in cells])
+    return Priors(start, unit, fitted, column)
 
 
-def _at(names: tuple[str, ...]) -> list[int]:
-    return [PARAMETERS.index(name) for name in names]
+def _limited(engine: LumpedEngine, form: Form) -> list[tuple[int, list[str]]]:
+    """Column and cells of each row of `parameters`."""
+    table = _read(_LIMITS if form.limited else _PLAIN)
+    fanless, rows = np.sum(engine.speeds) < 2, []
+    for column, speed in enumerate(engine.speeds):
+        role = "other"
+        if speed:
+            role = "core" if column == engine.core else "fan"
+        if form.limited and fanless and role == "core":
+            role = "alone"
+        cells = {name: row[role] for name, row in table.items()}
+        if column == engine.core:  # of an engine without a speed, too
+            cells |= dict.fromkeys(_BY_CORE, ".")
+        if form.heat and speed:
+            cells |= {name: f"={value}" for name, value in _HEAT.items()}
+        rows.append((column, [cells.get(name, ".") for name in LIMITED]))
+    return rows
 
 
-_START_LINES = {
-    "core_s": {"one": -1.13, "thin": 0.53, "Mach": 0.24, "v": -0.03, "u": -0.33, "vv": 0.4},
-    "gain": {"one": 0.51, "thin": 0.04, "v": -0.67, "u": 0.45, "uu": 0.27},
-    "reset_s": {"one": 0.26, "thin": 0.75, "Mach": -0.37, "v": -0.58, "u": 0.2},
-    "lead_s": {"one": -0.7, "thin": 0.61, "u": 0.37},
-    "up": {"one": 0.39, "thin": -1.17, "hot": -1.14, "Mach": 0.15, "v": -0.66, "u": 0.93,
-           "vv": -0.41, "vu": 0.41, "uu": -0.32},
-    "down": {"one": 0.29, "thin": -0.82, "hot": 0.12, "Mach": -0.17, "v": 1.48, "u": -0.21,
-             "vv": -0.55, "vu": 1.46, "uu": -0.97},
-    "fan_s": {"one": 0.24, "thin": 0.92, "hot": -0.17, "Mach": -0.61, "v": -0.23, "vv": -0.26,
-              "vu": 0.75, "uu": -0.41},
-    "push": {"one": -1.88, "thin": 1.17, "hot": 0.14, "Mach": -1.17, "v": -0.13, "vv": 1.11},
-}  # fmt: skip
-_START_OTHER = {
-    "probe_s": {"one": 0.1, "thin": 0.65, "hot": -0.58, "Mach": 0.1, "v": 0.22, "u": -0.33,
-                "vv": 0.31},
-    "push": {"one": -0.49, "thin": 0.94, "hot": -0.73, "Mach": 0.25, "v": 0.67, "u": -0.88,
-             "vv": 0.58},
-}  # fmt: skip
-_START_SLOPES = ((0.96, 0.0, -0.55, 0.17, 0.07, 0.0), (0.79, 0.0, 0.5, 0.37, -0.3, 0.04))
-_START_HEAT = (
-    (0.0, 2.85, -0.5, 0.8, 0.05, 2.5),  # of the core
-    (0.0, 2.85, -0.5, 0.8, 0.0, 2.5),  # of the fan, which the control holds
-    (0.0, 2.85, -0.5, 0.8, -0.07, 2.6),  # of others
-)
-_FITTED_HEAT = [0, 4, 5]  # the times that metal takes to heat up are not
-_START_VALVE_S, _START_CLEARANCE, _START_SHARE = 0.3, 0.2, -0.2
+def _governed(engine: LumpedEngine) -> list[tuple[int, list[str]]]:
+    """Column and cells of each row of lines, slopes, heat and extra; core and fan fit together."""
+    core, others = engine.core, [int(column) for column in engine.order[2:]]
+    lines, other_lines = _read(_GOVERNED), _read(_GOVERNED_OTHER)
+    slopes, heat = _read(_SLOPES), _read(_GOVERNED_HEAT)
+    rows = [(core, [lines[name][term] for term in REGRESSORS]) for name in LINES]
+    for column in others:
+        rows += [(column, [other_lines[name][t] for t in REGRESSORS]) for name in OTHER_LINES]
+    for table, names, roles in ((slopes, SLOPES, ["fan"]), (heat, HEAT, ["core", "fan"])):
+        rows += [(core, [table[role][name] for name in names]) for role in roles]
+        rows += [(column, [table["other"][name] for name in names]) for column in others]
+    return [*rows, (core, [_VALVE_S, _CLEARANCE]), *((column, [_SHARE]) for column in others)]
 
 
-def governed_start(count: int) -> dict[str, FloatArray]:
-    """Lines, slopes, heat and extra of `count` outputs that a fit starts from."""
-    others = count - 2
-    lines = [_row(_START_LINES[name]) for name in LINES]
-    lines += [_row(_START_OTHER[name]) for _ in range(others) for name in OTHER_LINES]
-    core, fan, other = _START_HEAT
+def _read(table: str) -> dict[str, dict[str, str]]:
+    """Cells of a table by row and column."""
+    head, *rows = table.strip().splitlines()
+    columns = head.split()
     return {
-        "lines": np.array(lines),
-        "slopes": np.array([_START_SLOPES[0], *[_START_SLOPES[1]] * others]),
-        "heat": np.array([core, fan, *[other] * others]),
-        "extra": np.array([_START_VALVE_S, _START_CLEARANCE, *[_START_SHARE] * others]),
+        name: dict(zip(columns, cells, strict=True))
+        for name, *cells in (row.split() for row in rows)
     }
 
 
-def _row(named: dict[str, float]) -> list[float]:
-    return [named.get(name, 0.0) for name in REGRESSORS]
-
-
-def free_numbers(count: int, other: int | None) -> dict[str, BoolArray]:
-    """Which numbers are fitted: those of core and fan, or those of one `other` output."""
-    free = {name: np.zeros(governed_shapes(count)[name], dtype=bool) for name in FITTED}
-    if other is None:
-        named = [[name in _START_LINES[line] for name in REGRESSORS] for line in LINES]
-        free["lines"][: len(LINES)] = named
-        free["slopes"][0] = free["heat"][0, _FITTED_HEAT] = free["extra"][:SHARES] = True
-        return free
-    first = len(LINES) + len(OTHER_LINES) * (other - 2)
-    for k, line in enumerate(OTHER_LINES):
-        free["lines"][first + k] = [name in _START_OTHER[line] for name in REGRESSORS]
-    free["slopes"][other - 1] = free["heat"][other, _FITTED_HEAT] = True
-    free["extra"][SHARES + other - 2] = True
-    return free
+def _parsed(cell: str) -> tuple[float, float]:
+    """Start and unit."""
+    start, _, unit = cell.strip("=*").partition("/")
+    return 0.0 if start == "." else float(start), float(unit or 1.0)

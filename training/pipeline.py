@@ -23,7 +23,7 @@ from data_prep.reading import read_logs
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.calibration.noise import NoiseModel, estimate_noise
-from narxcal.lumped.lag_governed import AnyLags
+from narxcal.lumped.engine import LumpedEngine
 from narxcal.narx.network import NarxModel
 from narxcal.record import Record
 from narxcal.steady.fitted import FittedSteadyState
@@ -32,7 +32,7 @@ from narxcal.support.errors import DataError
 from training.baselines import fit_baselines
 from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import RunConfig
-from training.lag_choice import chosen_lags
+from training.lags import choose_form, fit_lags
 from training.network import (
     FitResult,
     HistoryRow,
@@ -42,7 +42,7 @@ from training.network import (
     fit_narx,
     merge_models,
 )
-from training.records import Split, lags, material, structure_of
+from training.records import Split, material, structure_of
 from training.steady_choice import steady_state
 from training.steady_fit import SteadyQuality
 
@@ -95,11 +95,11 @@ def calibrate(
     options.stage("fitting the steady state", 0, 1)
     steady, quality = steady_state(config, base, split.train)
     split = split.held(steady.input_names)
-    config, choice = chosen_lags(
+    config, choice = choose_form(
         config, steady, split.train, partial(options.stage, "choosing the lags")
     )
     options.stage("fitting the lags", 0, 1)
-    lag = lags(config, steady, split.train)
+    lag = fit_lags(config, steady, split.train)
     results = fit_networks(config, material(config, steady, lag, split), options)
     network = merge_models([result.model for result in results])
     calibration = _calibration(config, (steady, lag, network), dt_s)
@@ -115,7 +115,7 @@ def calibrate(
 
 
 def _calibration(
-    config: RunConfig, parts: tuple[SteadyStateModel, AnyLags | None, NarxModel], dt_s: float
+    config: RunConfig, parts: tuple[SteadyStateModel, LumpedEngine | None, NarxModel], dt_s: float
 ) -> DynamicCalibration:
     steady, lag, network = parts
     section = config.narx

@@ -32,17 +32,13 @@ from data_prep.equilibrium import quasi_steady
 from data_prep.log import Log
 from data_prep.prepare import hold_inputs, with_outputs
 from narxcal.calibration.calibration import narx_features, steady_for_engine
-from narxcal.lumped.lag import LagModel, speeds_of
-from narxcal.lumped.lag_governed import AnyLags
+from narxcal.lumped.engine import LumpedEngine
 from narxcal.narx.network import NarxConfig
 from narxcal.record import Record
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import ConfigError, DataError
 from training.config import RunConfig, SplitConfig
-from training.lag_fit import LagSamples, fit_lags
-from training.lag_governed_fit import fit_governed
-from training.lag_priors import LagForm
 from training.network import Material
 
 _MOVES, _WITHIN_S = 0.01, 1.0  # share of the largest value that a target moves within this time
@@ -157,13 +153,12 @@ def rest_records(
     return drawn
 
 
-_ROUNDS = 3  # of lags and static error, each found with the other known; more change little
 
 
 def material(
     config: RunConfig,
     steady: SteadyStateModel,
-    lag: AnyLags | None,
+    lag: LumpedEngine | None,
     split: Split,
 ) -> Material:
     """Records of the logs to fit to and of those to stop by, and rest records if configured."""
@@ -179,13 +174,13 @@ def material(
 
 
 def deviation_record(
-    log: Log, steady: SteadyStateModel, config: RunConfig, lag: AnyLags | None = None
+    log: Log, steady: SteadyStateModel, config: RunConfig, lag: LumpedEngine | None = None
 ) -> Record:
     """Features and deviations of one log, which the network is fitted to.
 
     With lags in front of it, the deviations are the residual of the lags.
     """
-    heat = lag if config.narx.lag_heat and isinstance(lag, LagModel) else None
+    heat = lag if config.narx.lag_heat and lag is not None and not lag.governed else None
     one = lag_samples(log, steady, config, heat)
     deviation, lagged = one.ss - one.measured, None
     if lag is not None:
@@ -211,8 +206,21 @@ def _emphasised(records: Sequence[Record], dt_s: float, *, lagged: bool) -> list
     ]
 
 
+@dataclass(frozen=True, eq=False)
+class LagSamples:
+    """One log: inputs (time, n_in), trimmed steady state and measured outputs (time, n_out)."""
+
+    inputs: FloatArray
+    ss: FloatArray
+    measured: FloatArray
+
+    def rows(self, part: slice) -> LagSamples:
+        """Some of the samples."""
+        return LagSamples(self.inputs[part], self.ss[part], self.measured[part])
+
+
 def lag_samples(
-    log: Log, steady: SteadyStateModel, config: RunConfig, lag: LagModel | None = None
+    log: Log, steady: SteadyStateModel, config: RunConfig, lag: LumpedEngine | None = None
 ) -> LagSamples:
     """Samples that lags are fitted to; remaining motion of the spools of `lag` is no static error.
 
@@ -228,36 +236,9 @@ def lag_samples(
         if lag is not None:
             drive = lag.drive(inputs, steady.input_names, ss)
             before = lag.deviations(drive, settling[0], log.dt_s)
-            settling = np.where(speeds_of(lag.output_names), before, 0.0)
+            settling = np.where(lag.speeds, before, 0.0)
         ss = locally_trimmed(ss, measured + settling, still)
     return LagSamples(inputs, ss, measured)
-
-
-def lags(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> AnyLags | None:
-    """Fit the lags in front of the network to training logs; None where none are wanted.
-
-    Nothing in [narx] may be "auto" any more (see training.lag_choice).
-    """
-    if not config.narx.lag:
-        return None
-    lag: AnyLags | None = None
-    for _ in range(_ROUNDS if config.narx.lag_heat and not config.narx.lag_governed else 1):
-        heat = lag if isinstance(lag, LagModel) else None
-        samples = [lag_samples(log, steady, config, heat) for log in logs]
-        lag = fitted_lags(config, samples, steady, logs[0].dt_s)
-    return lag
-
-
-def fitted_lags(
-    config: RunConfig, samples: Sequence[LagSamples], steady: SteadyStateModel, dt_s: float
-) -> AnyLags:
-    """Lags of the form that [narx] says, fitted once; errors as of `fit_lags`, `fit_governed`."""
-    names, section = (steady.input_names, tuple(steady.output_names)), config.narx
-    if section.lag_governed:
-        return fit_governed(samples, names, dt_s, config.train.threads)
-    limited = section.lag_limits is True
-    form = LagForm(section.lag_errors == "relative", limited, section.lag_heat)
-    return fit_lags(samples, names, dt_s, form)
 
 
 def structure_of(config: RunConfig) -> NarxConfig:

@@ -9,7 +9,7 @@ Source: papers/narx calibration, section 2.1 and figure 1.
 | symbol | meaning |
 |---|---|
 | ss, y | outputs of the steady-state model, outputs |
-| d | deviation; with lags (`lumped.lag`, `lumped.lag_governed`) theirs plus the network's |
+| d | deviation; with a lumped engine (`narxcal.lumped`) the sum of its own and the network's |
 | schedule | the steady-state values themselves and the flight condition |
 """
 
@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from narxcal.calibration.register import Parts, Register, Sample, stacked
-from narxcal.lumped.lag_governed import AnyLags, lags_from_arrays
+from narxcal.lumped.engine import LumpedEngine
 from narxcal.narx.network import NarxModel
 from narxcal.steady.model import ALTERED, SteadyStateModel, steady_from_json, steady_to_json
 from narxcal.support.arrays import FloatArray
@@ -65,14 +65,14 @@ class DynamicCalibration:
         self.schedule = tuple(schedule)
         self.settle_s = settle_s
         self._columns = [steady.input_names.index(name) for name in schedule]
-        self.lag: AnyLags | None = None
+        self.lag: LumpedEngine | None = None
         self._register: Register | None = None
 
     def __repr__(self) -> str:
         names = f"{', '.join(self.input_names)} -> {', '.join(self.output_names)}"
         return f"<DynamicCalibration {names} every {self.dt_s:.6g} s>"
 
-    def with_lag(self, lag: AnyLags | None) -> Self:
+    def with_lag(self, lag: LumpedEngine | None) -> Self:
         """The calibration with `lag` in front of a network that was trained for that."""
         if lag is not None and lag.output_names != self.output_names:
             raise ModelError(
@@ -221,7 +221,7 @@ class DynamicCalibration:
             loaded = cls(steady, narx, float(meta["dt_s"]), meta["schedule"], settle_s)
             lag = meta.get("lag")
             if lag is not None:
-                loaded = loaded.with_lag(lags_from_arrays(lag, part["lag"]))
+                loaded = loaded.with_lag(LumpedEngine.from_arrays(lag, part["lag"]))
         except KeyError as error:
             raise ModelError(f"the stored calibration has no {error}", hint=ALTERED) from None
         loaded.check()

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from narxcal.lumped.lag import CASING, FAST, STATES, Drive
-from narxcal.lumped.lag_governed import AnyLags
+from narxcal.lumped.engine import LumpedEngine
+from narxcal.lumped.rotors import CASING, FAST, ROWS, Drive
 from narxcal.narx.kernels import fading, free_run
 from narxcal.narx.network import AT_START, NarxModel
 from narxcal.support.arrays import FloatArray, IntArray
@@ -143,7 +143,7 @@ class Parts(NamedTuple):
     """
 
     narx: NarxModel
-    lag: AnyLags | None
+    lag: LumpedEngine | None
     dt_s: float
     settle_s: float | None
     names: tuple[str, ...]
@@ -168,7 +168,7 @@ class Register:
         # With lags the initial deviation is theirs, else the network's.
         own = first.deviation if parts.lag is None else nothing
         shown = np.empty((1, 0)) if parts.lag is None else first.deviation[None]
-        self.lagged = np.zeros((len(STATES), len(nothing)))
+        self.lagged = np.zeros((ROWS, len(nothing)))
         self._drive: Drive | None = None
         if parts.lag is not None:
             self.lagged = parts.lag.start(first.deviation)
@@ -208,11 +208,10 @@ class Register:
         if lag is None or self._drive is None:
             return np.empty((len(ss), 0))
         drive = lag.drive(inputs, self.parts.names, ss)
-        states = lag.run(drive.after(self._drive), (AT_START, self.lagged[None]), self.parts.dt_s)
+        start = AT_START, self.lagged[None]
+        deviation, self.lagged = lag.run(drive.after(self._drive), start, self.parts.dt_s)
         self._drive = drive.rows(slice(-1, None))
-        self.lagged = states[-1].copy()
-        deviation: FloatArray = states[1:, : CASING + 1].sum(axis=1)
-        return deviation
+        return deviation[1:]
 
 
 def _network(parts: Parts) -> Network:

@@ -11,7 +11,8 @@ from data_prep.log import Log, Source
 from data_prep.smooth import SmoothConfig, smooth
 from narxcal.calibration.bundle import Bundle, load_bundle, save_bundle
 from narxcal.calibration.fuser import FastFuser
-from narxcal.lumped.lag import PARAMETERS, UNLIMITED, LagModel
+from narxcal.lumped.engine import LumpedEngine
+from narxcal.lumped.rotors import LIMITED, UNLIMITED
 from narxcal.support.errors import ConfigError, DataError, ModelError
 from training.config import RunConfig, SplitConfig
 from training.pipeline import (
@@ -235,7 +236,7 @@ def test_lags_in_front_of_the_network_are_fitted_and_followed(tmp_path):
     bundle = calibrate(config(narx={**TABLE["narx"], "lag": True}), tmp_path, parts)
     model, (log,) = bundle.calibration, parts.test
     assert model.lag is not None
-    tau_s = np.exp(model.lag.parameters[0, :7] @ [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    tau_s = np.exp(model.lag.arrays["parameters"][0, :7] @ [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     assert tau_s == pytest.approx(TAU_S, rel=0.25)
     measured = log.matrix(model.output_names)
     error = model.simulate(log.matrix(model.input_names), measured[0]) - measured
@@ -255,12 +256,10 @@ def with_tail():
     """Lags whose slow part takes 20 s, and a log that follows them exactly."""
     values = {"log_tau": np.log(TAU_S), "slow_share": 0.04, "log_slow_tau": np.log(20.0)}
     free = {"log_up": UNLIMITED, "log_down": UNLIMITED, **values}
-    row = [free.get(name, 0.0) for name in PARAMETERS]
+    row = [free.get(name, 0.0) for name in LIMITED]
     centre, half = np.array([60.0, 460.0]), np.array([40.0, 160.0])
-    lag = LagModel(
-        output_names=Line.output_names, parameters=np.array([row, row]),
-        centre=centre, half=half, limit=np.full(2, 1e3),
-    )  # fmt: skip
+    scales = {"centre": centre, "half": half, "limit": np.full(2, 1e3)}
+    lag = LumpedEngine.of(Line.output_names, {"parameters": np.array([row, row])}, scales)
     log = flight()
     inputs = log.matrix(Line.input_names)
     settled = Line().outputs(inputs) - [0.5, 2.0]

@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from narxcal.calibration.calibration import DynamicCalibration, narx_features
-from narxcal.lumped.lag import PARAMETERS, LagModel
+from narxcal.lumped.engine import LumpedEngine
+from narxcal.lumped.rotors import LIMITED
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxConfig, NarxModel, Scaling
 from narxcal.steady.table import SteadyTable
@@ -15,15 +16,10 @@ INPUTS, OUTPUTS = ("TRA_deg", "Mach"), ("N1_pct", "EGT_C")
 
 
 def lags(names=OUTPUTS):
-    parameters = 0.3 * np.random.default_rng(4).normal(size=(len(names), len(PARAMETERS)))
+    parameters = 0.3 * np.random.default_rng(4).normal(size=(len(names), len(LIMITED)))
     centre, half = np.array([[60.0, 40.0], [450.0, 160.0]])[: len(names)].T
-    return LagModel(
-        output_names=names,
-        parameters=parameters,
-        centre=centre,
-        half=half,
-        limit=np.array([50.0, 200.0])[: len(names)],
-    )
+    scales = {"centre": centre, "half": half, "limit": np.array([50.0, 200.0])[: len(names)]}
+    return LumpedEngine.of(names, {"parameters": parameters}, scales)
 
 
 def calibration(lag=None, share=1.0, settle_s=10.0, taps=(0, 2)):

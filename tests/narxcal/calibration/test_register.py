@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from narxcal.calibration.register import OVERSHOOT, Parts, Register, Sample, stacked
-from narxcal.lumped.lag import PARAMETERS, LagModel
+from narxcal.lumped.engine import LumpedEngine
+from narxcal.lumped.rotors import LIMITED
 from narxcal.narx import kernels
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import AT_START, NarxConfig, NarxModel, Scaling
@@ -43,14 +44,9 @@ class ArrayRegister(Register):
 
 
 def lags(seed):
-    parameters = np.random.default_rng(seed).normal(scale=0.4, size=(3, len(PARAMETERS)))
-    return LagModel(
-        output_names=OUTPUTS,
-        parameters=parameters,
-        centre=CENTRE,
-        half=HALF,
-        limit=np.array([40.0, 20.0, 150.0]),
-    )
+    parameters = np.random.default_rng(seed).normal(scale=0.4, size=(3, len(LIMITED)))
+    scales = {"centre": CENTRE, "half": HALF, "limit": np.array([40.0, 20.0, 150.0])}
+    return LumpedEngine.of(OUTPUTS, {"parameters": parameters}, scales)
 
 
 def network(config, features):

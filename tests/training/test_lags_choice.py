@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from data_prep.log import Log, Source
-from narxcal.lumped.lag import PARAMETERS, UNLIMITED, LagModel
-from narxcal.lumped.lag_governed import GovernedLags
+from narxcal.lumped.engine import LumpedEngine
+from narxcal.lumped.rotors import LIMITED, UNLIMITED
 from training.config import RunConfig
-from training.lag_choice import LagChoice, chosen_lags
-from training.lag_priors import governed_start
+from training.lag_priors import Form, start_engine
+from training.lags import LagChoice, choose_form
 
 INPUTS, OUTPUTS = ("TRA_deg", "ALT_ft", "Mach"), ("N1_pct", "N2_pct", "EGT_C")
 CENTRE, HALF = np.array([62.0, 75.0, 520.0]), np.array([35.0, 20.0, 240.0])
@@ -33,13 +33,13 @@ def simple(**limits):
         {**free, "log_tau": -0.2, "air": 0.8, **limits},
         {**free, "log_tau": -0.4, "core": -2.0},
     ]
-    table = [[row.get(name, 0.0) for name in PARAMETERS] for row in rows]
-    return LagModel(output_names=OUTPUTS, parameters=np.array(table), **SCALES)
+    table = [[row.get(name, 0.0) for name in LIMITED] for row in rows]
+    return LumpedEngine.of(OUTPUTS, {"parameters": np.array(table)}, SCALES)
 
 
 def governed():
     """A control that holds N1: the core goes where the fan has to be driven to."""
-    return GovernedLags(output_names=OUTPUTS, **governed_start(3), **SCALES)
+    return start_engine(OUTPUTS, Form(governed=True), SCALES)[0]
 
 
 def flight(number, lag, moves=MOVES):
@@ -79,7 +79,7 @@ def asked(monkeypatch):
         found.append(len(samples))
         return TRUTHS["plain"]
 
-    monkeypatch.setattr("training.lag_choice.fitted_lags", fitted)
+    monkeypatch.setattr("training.lags.fitted_form", fitted)
     return found
 
 
@@ -89,7 +89,7 @@ TRUTHS = {"plain": simple(), "limits": simple(log_up=-1.6, log_down=-1.6), "gove
 @pytest.mark.parametrize("true", TRUTHS)
 def test_the_form_that_made_the_logs_is_found(true):
     logs = [flight(number, TRUTHS[true]) for number in (1, 2, 3)]
-    found, choice = chosen_lags(config(), Line(), logs)
+    found, choice = choose_form(config(), Line(), logs)
     assert choice.form == true
     assert (found.narx.lag_limits, found.narx.lag_governed) == (
         true == "limits",
@@ -101,7 +101,7 @@ def test_the_form_that_made_the_logs_is_found(true):
 
 def test_stretches_of_a_single_recording_take_turns():
     log = flight(1, TRUTHS["limits"], moves=32)
-    _, choice = chosen_lags(config(lag_governed=False), Line(), [log])
+    _, choice = choose_form(config(lag_governed=False), Line(), [log])
     assert choice.form == "limits"
     assert choice.left["limits"] < 0.5 * choice.left["plain"]
 
@@ -117,7 +117,7 @@ def test_stretches_of_a_single_recording_take_turns():
     ],
 )
 def test_what_is_said_is_not_asked_of_the_logs(narx, form):
-    found, choice = chosen_lags(config(**narx), Line(), [])
+    found, choice = choose_form(config(**narx), Line(), [])
     assert choice == LagChoice(form)
     assert (found.narx.lag_limits, found.narx.lag_governed) == (
         form == "limits",
@@ -138,7 +138,7 @@ def test_what_is_said_is_not_asked_of_the_logs(narx, form):
 def test_lags_behind_a_control_are_offered_only_where_they_can_be(said, asked):
     log = flight(1, TRUTHS["plain"])
     log = log.with_channels({"FF_kgph": log["TRA_deg"]})
-    _, choice = chosen_lags(config(**said), Line(), [log])
+    _, choice = choose_form(config(**said), Line(), [log])
     assert set(choice.left) == {"plain", "limits"}
     assert len(asked) == 2 * 3
 
@@ -148,15 +148,15 @@ def test_engines_of_which_only_one_ever_moves_get_the_plainest():
     rest = {name: np.full(len(still), 1.0) for name in INPUTS}
     settled = dict(zip(OUTPUTS, Line().outputs(np.ones((len(still), 3))).T, strict=True))
     logs = [flight(1, TRUTHS["limits"]), still.with_channels({**rest, **settled})]
-    _, choice = chosen_lags(config(lag_governed=False), Line(), logs)
+    _, choice = choose_form(config(lag_governed=False), Line(), logs)
     assert choice == LagChoice("plain", {})
 
 
 def test_of_many_hours_every_so_many_th_recording_is_asked(monkeypatch, asked):
-    monkeypatch.setattr("training.lag_choice._ENOUGH_S", 2.0 * MOVES * HOLD * DT_S)
+    monkeypatch.setattr("training.lags._ENOUGH_S", 2.0 * MOVES * HOLD * DT_S)
     logs = [flight(number, TRUTHS["plain"]) for number in range(6)]
     both = [log for log in logs for _ in range(2)]  # two engines of each flight
     told = []
-    chosen_lags(config(lag_governed=False), Line(), both, lambda *row: told.append(row))
+    choose_form(config(lag_governed=False), Line(), both, lambda *row: told.append(row))
     assert told == [(k, 6) for k in range(6)]
     assert asked == [4, 4, 4] * 2  # of three recordings, two are fitted to in each turn

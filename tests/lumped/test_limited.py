@@ -8,7 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from narxcal.atmosphere import air_state
-from narxcal.lumped.lag import HEAT_PARAMETERS, PARAMETERS, UNLIMITED, LagModel, thickness
+from narxcal.lumped.engine import LumpedEngine
+from narxcal.lumped.rotors import LIMITED as PARAMETERS
+from narxcal.lumped.rotors import ROWS, UNLIMITED
 from narxcal.narx.network import AT_START
 from narxcal.support.errors import ModelError
 
@@ -26,20 +28,22 @@ def lags(names=NAMES, limit=100.0, **values):
         parameters[:, PARAMETERS.index(name)] = value
     kept = {"N1_pct": (60.0, 30.0), "N2_pct": (75.0, 20.0), "EGT_C": (500.0, 150.0)}
     centre, half = np.array([kept[name] for name in names]).T
-    return LagModel(
-        output_names=names,
-        parameters=parameters,
-        centre=centre,
-        half=half,
-        limit=np.full(len(names), limit),
-    )
+    scales = {"centre": centre, "half": half, "limit": np.full(len(names), limit)}
+    return LumpedEngine.of(names, {"parameters": parameters}, scales)
+
+
+def part(model, columns):
+    """An engine of some of the outputs."""
+    scales = {name: getattr(model, name)[columns] for name in ("centre", "half", "limit")}
+    names = tuple(model.output_names[column] for column in columns)
+    return LumpedEngine.of(names, {"parameters": model.arrays["parameters"][columns]}, scales)
 
 
 def wild(seed, names=NAMES):
     """Lags and a log of steady-state values, both drawn."""
     rng = np.random.default_rng(seed)
     model = lags(names, limit=rng.uniform(5.0, 60.0))
-    model.parameters[:] = rng.normal(scale=0.5, size=model.parameters.shape)
+    model.arrays["parameters"][:] = rng.normal(scale=0.5, size=model.arrays["parameters"].shape)
     ss = model.centre + model.half * np.repeat(rng.uniform(-1.2, 1.2, (8, len(names))), 15, axis=0)
     inputs = rng.uniform([0.0, 0.0, -10.0], [35000.0, 0.8, 10.0], (8, 3))
     return model, np.repeat(inputs, 15, axis=0), ss
@@ -57,11 +61,11 @@ def slowly(model, inputs, ss, start):
         new, soak, casing = np.zeros(3), np.zeros(3), np.zeros(3)
         speeds = np.clip(scaled[k - 1] - fast[-1] / (root[k] * model.half), -1.5, 1.5)
         for o in (1, 0, 2):
-            p = dict(zip(PARAMETERS, model.parameters[o], strict=True))
+            p = dict(zip(PARAMETERS, model.arrays["parameters"][o], strict=True))
             q = 1 if o == 2 else o  # the EGT goes by the core
             w, v, other = settling[k, q], speeds[q], speeds[0 if o == 1 else 1]
             terms = np.array([1.0, thin[k], v, w, v * v, v * w, w * w])
-            log_tau = terms @ model.parameters[o, :7] + p["hot"] * math.log(root[k])
+            log_tau = terms @ model.arrays["parameters"][o, :7] + p["hot"] * math.log(root[k])
             tau = math.exp(np.clip(log_tau, -2.5, 3.0))
             if o != 2:
                 way = "up" if w > v else "down"
@@ -151,7 +155,7 @@ def test_it_stays_bounded_and_comes_to_rest_whatever_the_parameters(seed):
 def test_the_order_of_the_outputs_does_not_matter(seed):
     model, inputs, ss = wild(seed)
     order = np.array([2, 0, 1])
-    mixed = model.of(order)
+    mixed = part(model, order)
     start = np.array([1.0, -2.0, 30.0])
     expected = model.deviations(model.drive(inputs, INPUTS, ss), start, DT_S)
     drive = mixed.drive(inputs, INPUTS, ss[:, order])
@@ -165,8 +169,8 @@ def test_a_temperature_acts_on_no_spool_and_a_fan_on_the_core_by_its_limits_alon
     model, inputs, ss = wild(3)
     if not coupled:
         coupling = [k for k, name in enumerate(PARAMETERS) if name.endswith("_other")]
-        model.parameters[1, coupling] = 0.0
-    alone = model.of(np.array(kept))
+        model.arrays["parameters"][1, coupling] = 0.0
+    alone = part(model, np.array(kept))
     both = model.deviations(model.drive(inputs, INPUTS, ss), np.zeros(3), DT_S)
     drive = alone.drive(inputs, INPUTS, ss[:, kept])
     spools = alone.deviations(drive, np.zeros(len(kept)), DT_S)
@@ -177,12 +181,13 @@ def test_windows_end_to_end_are_windows_alone():
     model, inputs, ss = wild(5)
     drive = model.drive(inputs, INPUTS, ss)
     begins = np.array([0, 40, 90])
-    parts = np.random.default_rng(0).normal(size=(3, 3, 3))
-    states = model.run(drive, (begins, parts), DT_S)
+    parts = np.random.default_rng(0).normal(size=(3, ROWS, 3))
+    found, last_states = model.run(drive, (begins, parts), DT_S)
     for k, (first, last) in enumerate(zip(begins, [40, 90, 120], strict=True)):
         rows = slice(first, last)
-        alone = model.run(drive.rows(rows), (AT_START, parts[k : k + 1]), DT_S)
-        np.testing.assert_array_equal(states[rows], alone)
+        alone, states = model.run(drive.rows(rows), (AT_START, parts[k : k + 1]), DT_S)
+        np.testing.assert_array_equal(found[rows], alone)
+    np.testing.assert_array_equal(states, last_states)
 
 
 def test_measured_deviations_make_it_a_one_step_prediction():
@@ -190,23 +195,24 @@ def test_measured_deviations_make_it_a_one_step_prediction():
     drive = model.drive(inputs, INPUTS, ss)
     measured = np.random.default_rng(1).normal(size=ss.shape)
     got = model.deviations(drive, measured[0], DT_S, measured)
-    states = model.run(drive, (AT_START, model.start(measured[0])[None]), DT_S)
+    state = model.start(measured[0])
     for k in range(1, len(ss)):
-        _, soak, casing = states[k - 1]
-        state = np.stack([measured[k - 1] - soak - casing, soak, casing])
-        one = model.run(drive.rows(slice(k - 1, k + 1)), (AT_START, state[None]), DT_S)
-        np.testing.assert_allclose(got[k], one[1].sum(axis=0), rtol=1e-9, atol=1e-12)
-    unknown = np.full_like(measured, np.nan)
+        state[0] = measured[k - 1] - state[1] - state[2]
+        two = drive.rows(slice(k - 1, k + 1))
+        one, state = model.run(two, (AT_START, state[None]), DT_S)
+        np.testing.assert_allclose(got[k], one[1], rtol=1e-9, atol=1e-12)
+    unknown, start = np.full_like(measured, np.nan), measured[0]
     np.testing.assert_array_equal(
-        model.deviations(drive, measured[0], DT_S, unknown), states.sum(axis=1)
+        model.deviations(drive, start, DT_S, unknown), model.deviations(drive, start, DT_S)
     )
 
 
 def test_missing_air_is_that_of_sea_level():
-    root, thin = thickness(np.full((3, 1), 40.0), ("TRA_deg",))
-    np.testing.assert_allclose(root, 1.0)
-    assert thin.shape == (3, 2)
-    np.testing.assert_allclose(thin, 0.0, atol=1e-12)
+    model = lags()
+    drive = model.drive(np.full((3, 1), 40.0), ("TRA_deg",), np.full((3, 3), 70.0))
+    np.testing.assert_allclose(drive.per_unit, np.tile(1.0 / model.half, (3, 1)))
+    assert drive.air.shape == (3, 3)
+    np.testing.assert_allclose(drive.air, 0.0, atol=1e-12)
 
 
 def test_an_engine_without_a_speed_goes_by_its_first_output():
@@ -219,7 +225,7 @@ def test_an_engine_without_a_speed_goes_by_its_first_output():
 
 def test_it_comes_back_from_json_and_arrays_as_it_was():
     model, inputs, ss = wild(9)
-    again = LagModel.from_arrays(*model.to_arrays())
+    again = LumpedEngine.from_arrays(*model.to_arrays())
     drive = model.drive(inputs, INPUTS, ss)
     np.testing.assert_array_equal(
         again.deviations(drive, np.ones(3), DT_S), model.deviations(drive, np.ones(3), DT_S)
@@ -235,7 +241,7 @@ def test_a_lost_or_misshapen_array_is_named(found):
     with pytest.raises(
         ModelError, match=rf"lag array 'half' has to be of shape \(3,\), found {shape}"
     ):
-        LagModel.from_arrays(meta, arrays)
+        LumpedEngine.from_arrays(meta, arrays)
 
 
 def test_a_limited_spool_moves_no_faster_than_its_control_lets_it():
@@ -272,7 +278,7 @@ def test_a_hot_day_slows_a_limited_spool_by_its_own_power_of_theta():
 def test_a_temperature_answers_to_the_acceleration_of_the_core():
     ss = np.repeat(60.0 + 3.0 * DT_S * np.arange(200)[:, None], 3, axis=1)
     plain, hot = lags(), lags()
-    hot.parameters[2, PARAMETERS.index("rate")] = -5.0
+    hot.arrays["parameters"][2, PARAMETERS.index("rate")] = -5.0
     runs = [
         m.deviations(m.drive(np.zeros((200, 3)), INPUTS, ss), np.zeros(3), DT_S)
         for m in (plain, hot)
@@ -289,7 +295,7 @@ def test_a_fan_that_is_still_slow_holds_the_core_back():
     for fan in (40.0, 80.0):
         ss[:, 0] = fan
         model = lags(log_tau=math.log(0.2), log_up=math.log(0.5), up_other=1.0)
-        model.parameters[0] = lags().parameters[0]
+        model.arrays["parameters"][0] = lags().arrays["parameters"][0]
         deviation = model.deviations(model.drive(np.zeros((80, 3)), INPUTS, ss), np.zeros(3), DT_S)
         rate = np.diff(ss[:, 1] - deviation[:, 1]) / DT_S
         times.append(rate[np.argmin(np.abs((ss - deviation)[:, 1] - 70.0))])
@@ -301,8 +307,8 @@ def test_a_fan_draws_near_as_a_parabola_of_the_core_says():
     core, curved = 1.2, 0.4
     model = lags(log_tau=-2.5)
     for name, value in (("core", core), ("core_speed", curved)):
-        model.parameters[0, PARAMETERS.index(name)] = value
-    model.parameters[1, PARAMETERS.index("log_tau")] = 2.0
+        model.arrays["parameters"][0, PARAMETERS.index(name)] = value
+    model.arrays["parameters"][1, PARAMETERS.index("log_tau")] = 2.0
     ss = np.where(np.arange(120)[:, None] < 5, 65.0, 90.0) * np.ones(3)
     deviation = model.deviations(model.drive(np.zeros((120, 3)), INPUTS, ss), np.zeros(3), DT_S)
     v, w = ((ss - deviation)[100, 1] - 75.0) / 20.0, (90.0 - 75.0) / 20.0
@@ -312,8 +318,8 @@ def test_a_fan_draws_near_as_a_parabola_of_the_core_says():
 
 def test_a_start_at_rest_is_the_casings_heat_where_the_model_knows_of_it():
     model = lags()
-    model.parameters[2, PARAMETERS.index("casing_share")] = 0.05
-    model.parameters[2, PARAMETERS.index("log_casing_tau")] = math.log(60.0)
+    model.arrays["parameters"][2, PARAMETERS.index("casing_share")] = 0.05
+    model.arrays["parameters"][2, PARAMETERS.index("log_casing_tau")] = math.log(60.0)
     drive = model.drive(np.zeros((601, 3)), INPUTS, np.full((601, 3), 70.0))
     got = model.deviations(drive, np.array([1.0, 1.0, 20.0]), DT_S)
     assert got[600, 2] == pytest.approx(20.0 * math.exp(-1.0))
@@ -322,8 +328,8 @@ def test_a_start_at_rest_is_the_casings_heat_where_the_model_knows_of_it():
 
 def test_the_metal_keeps_a_share_of_each_step_and_gives_it_up_in_its_own_time():
     model = lags(log_tau=-2.5, slow_share=0.1, log_slow_tau=math.log(5.0))
-    model.parameters[2, PARAMETERS.index("casing_share")] = 0.05
-    model.parameters[2, PARAMETERS.index("log_casing_tau")] = math.log(90.0)
+    model.arrays["parameters"][2, PARAMETERS.index("casing_share")] = 0.05
+    model.arrays["parameters"][2, PARAMETERS.index("log_casing_tau")] = math.log(90.0)
     ss = np.where(np.arange(400)[:, None] < 5, 500.0, 600.0) * np.ones(3)
     got = model.deviations(model.drive(np.zeros((400, 3)), INPUTS, ss), np.zeros(3), DT_S)
     since = DT_S * (np.arange(100, 400) - 4)
@@ -361,18 +367,18 @@ def test_heat_moves_a_spool_and_does_not_show_at_once():
 
 def test_a_folder_from_before_there_was_heat_is_read_as_it_was():
     model, inputs, ss = wild(11)
-    model.parameters[:, -len(HEAT_PARAMETERS) :] = 0.0
+    model.arrays["parameters"][:, -4:] = 0.0
     meta, arrays = model.to_arrays()
-    meta["parameter_names"] = meta["parameter_names"][: -len(HEAT_PARAMETERS)]
-    arrays["parameters"] = arrays["parameters"][:, : -len(HEAT_PARAMETERS)]
-    again = LagModel.from_arrays(meta, arrays)
+    meta["parameter_names"] = meta["parameter_names"][:-4]
+    arrays["parameters"] = arrays["parameters"][:, :-4]
+    again = LumpedEngine.from_arrays(meta, arrays)
     drive = model.drive(inputs, INPUTS, ss)
     np.testing.assert_array_equal(
         again.deviations(drive, np.ones(3), DT_S), model.deviations(drive, np.ones(3), DT_S)
     )
     arrays["parameters"] = arrays["parameters"][:, :-1]
     with pytest.raises(ModelError, match=r"of shape \(3, 34\), found \(3, 33\)"):
-        LagModel.from_arrays(meta, arrays)
+        LumpedEngine.from_arrays(meta, arrays)
 
 
 def test_a_folder_of_another_version_is_refused_with_what_to_do():
@@ -383,4 +389,4 @@ def test_a_folder_of_another_version_is_refused_with_what_to_do():
         ".*Train again if another version of narxcal wrote the folder"
     )
     with pytest.raises(ModelError, match=message):
-        LagModel.from_arrays(meta, arrays)
+        LumpedEngine.from_arrays(meta, arrays)

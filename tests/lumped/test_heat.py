@@ -7,11 +7,10 @@ import pytest
 import torch
 
 from narxcal.calibration.calibration import DynamicCalibration
-from narxcal.lumped.lag_governed import GovernedLags
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxConfig, NarxModel, Scaling
 from narxcal.steady.table import SteadyTable
-from training.lag_priors import governed_start
+from training.lag_priors import Form, start_engine
 
 NAMES, INPUTS = ("N1_pct", "N2_pct", "EGT_C"), ("TRA_deg", "ALT_ft", "Mach", "dT_C")
 CENTRE, HALF = np.array([62.0, 75.0, 520.0]), np.array([35.0, 20.0, 240.0])
@@ -20,10 +19,10 @@ DT_S = 0.1
 
 def lags(clearance):
     """The lags that a fit starts from, with no heat but what clearances cost the core."""
-    arrays = governed_start(3)
-    arrays["heat"][:, [0, 4]], arrays["extra"][1] = 0.0, clearance
     scales = {"centre": CENTRE, "half": HALF, "limit": np.full(3, 1000.0)}
-    return GovernedLags(output_names=NAMES, **arrays, **scales)
+    engine, _ = start_engine(NAMES, Form(governed=True), scales)
+    engine.arrays["heat"][:, [0, 4]], engine.arrays["extra"][1] = 0.0, clearance
+    return engine
 
 
 def outputs(model, levels, hold_s):
@@ -55,8 +54,8 @@ def test_clearances_that_cost_nothing_change_nothing():
 def paces(clearance):
     """Speed of a core that is held to very little acceleration, scaled, and its pace."""
     model = lags(clearance)
-    model.lines[[0, 4, 5]] = 0.0
-    model.lines[[0, 4, 5], 0] = math.log(0.4), math.log(0.02), math.log(0.02)
+    model.arrays["lines"][[0, 4, 5]] = 0.0
+    model.arrays["lines"][[0, 4, 5], 0] = math.log(0.4), math.log(0.02), math.log(0.02)
     v = (outputs(model, [-1.0, 1.0], 90.0)[:, 1] - CENTRE[1]) / HALF[1]
     return v, np.gradient(v, DT_S)
 
@@ -78,7 +77,7 @@ def test_what_open_clearances_cost_is_missing_in_the_acceleration():
 
 def test_where_the_control_holds_n1_open_clearances_show_until_the_casing_is_warm():
     model = lags(0.0)
-    model.heat[0, 4] = 0.05
+    model.arrays["heat"][0, 4] = 0.05
     found, plain = (outputs(one, [-0.9, 0.9], 600.0)[:, 1] for one in (model, lags(0.0)))
     found -= plain
     soon, later = found[6800], found[7600]
@@ -92,7 +91,7 @@ def test_where_the_control_holds_n1_open_clearances_show_until_the_casing_is_war
 
 def test_after_a_pull_the_casing_is_the_warmer_and_nothing_is_open():
     model = lags(0.3)
-    model.heat[0, 4] = 0.05
+    model.arrays["heat"][0, 4] = 0.05
     drawn, plain = (outputs(one, [0.9, -0.9], 60.0) for one in (model, lags(0.0)))
     np.testing.assert_allclose(drawn, plain, atol=0.02)
 

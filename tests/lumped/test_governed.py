@@ -1,6 +1,7 @@
 """Lags behind a control that holds N1: a slow twin, what the control does, what must not matter."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,13 +11,12 @@ from hypothesis import strategies as st
 
 from narxcal.atmosphere import air_state
 from narxcal.calibration.register import Parts, Register, Sample
-from narxcal.lumped.lag import PARAMETERS, LagModel
-from narxcal.lumped.lag_governed import GovernedLags, governed_shapes, lags_from_arrays
-from narxcal.lumped.lag_governed_steps import LINES, inner_steps
+from narxcal.lumped.engine import LumpedEngine, shapes_of
+from narxcal.lumped.rotors import LIMITED, LINES, inner_steps
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxConfig, NarxModel, Scaling
 from narxcal.support.errors import ModelError
-from training.lag_priors import governed_start
+from training.lag_priors import Form, start_engine
 
 NAMES, INPUTS = ("N1_pct", "N2_pct", "EGT_C"), ("ALT_ft", "Mach", "dT_C")
 CENTRE, HALF = np.array([62.0, 75.0, 520.0]), np.array([35.0, 20.0, 240.0])
@@ -25,12 +25,11 @@ DT_S = 0.1
 
 def lags(seed=None, limit=1000.0):
     """The lags that a fit starts from, or such that are drawn about them."""
-    arrays = governed_start(3)
-    if seed is not None:
-        rng = np.random.default_rng(seed)
-        arrays = {name: v + rng.normal(scale=0.2, size=v.shape) for name, v in arrays.items()}
     scales = {"centre": CENTRE, "half": HALF, "limit": np.full(3, limit)}
-    return GovernedLags(output_names=NAMES, **arrays, **scales)
+    engine, _ = start_engine(NAMES, Form(governed=True), scales)
+    if seed is not None:
+        engine.theta[:] += np.random.default_rng(seed).normal(scale=0.2, size=len(engine.theta))
+    return engine
 
 
 def steps_of(levels, hold_s=20.0, dt_s=DT_S, air=(0.0, 0.0, 0.0)):
@@ -52,7 +51,7 @@ class Slowly:
         self.root = np.sqrt(air.theta2)
         self.thin, self.hot = np.log(self.root / air.delta2), np.log(self.root)
         self.target = (ss / self.root[:, None] - CENTRE) / HALF
-        self.named = dict(zip((*LINES, "probe_s", "push_T"), model.lines, strict=True))
+        self.named = dict(zip((*LINES, "probe_s", "push_T"), model.arrays["lines"], strict=True))
         self.soak, self.h = np.zeros(3), DT_S / inner_steps(DT_S)
         self.fuel = self.reset = self.rate = self.metal = self.casing = 0.0
 
@@ -60,7 +59,7 @@ class Slowly:
         return math.exp(np.clip(self.named[name] @ z, -5.0, 5.0))
 
     def slope(self, rank, k, v, w):
-        row, mach = self.model.slopes[rank], self.inputs[k, 1]
+        row, mach = self.model.arrays["slopes"][rank], self.inputs[k, 1]
         tilt = (row[3] + row[4] * mach) * (v + w)
         bend = row[5] * (v * v + v * w + w * w)
         return row[0] + row[1] * self.thin[k] + row[2] * mach + tilt + bend
@@ -78,8 +77,8 @@ class Slowly:
     def core(self, x, z, asked):
         """Control, valve and core: v, f and r after one step of them."""
         v, u, f, r = x
-        opened = np.clip(self.model.extra[1] * self.opened(), -1.0, 1.0)
-        core_s, valve_s = self.line("core_s", z), np.clip(self.model.extra[0], 0.01, 1.0)
+        opened = np.clip(self.model.arrays["extra"][1] * self.opened(), -1.0, 1.0)
+        core_s, valve_s = self.line("core_s", z), np.clip(self.model.arrays["extra"][0], 0.01, 1.0)
         error = asked - u - self.line("lead_s", z) * self.rate
         wanted = (r + self.line("gain", z) * error - v) / core_s
         up, down = self.line("up", z) * math.exp(-opened), self.line("down", z) * math.exp(opened)
@@ -108,7 +107,7 @@ class Slowly:
             fan = self.behind(self.line("fan_s", z), fan, drawn, move[0])
             self.rate, u, v = (asked - fan - u) / h, asked - fan, after
             drawn = self.slope(1, k, vc, wc) * core - self.line("push_T", z) * power
-            drawn = (drawn + self.model.extra[2] * (old - c * core)) / unit[2]
+            drawn = (drawn + self.model.arrays["extra"][2] * (old - c * core)) / unit[2]
             step = (self.ss[k, 2] - self.ss[k - 1, 2]) / inner_steps(DT_S)
             fast[2] = self.behind(self.line("probe_s", z), fast[2], drawn, step)
         self.fuel, self.reset = np.clip([target[k, 1] - f, target[k, 1] - r], -5.0, 5.0)
@@ -123,7 +122,7 @@ class Slowly:
 
     def heat(self, k, casing, was):
         for o, rank in ((1, 0), (0, 1), (2, 2)):
-            p, step = self.model.heat[rank], self.ss[k, o] - self.ss[k - 1, o]
+            p, step = self.model.arrays["heat"][rank], self.ss[k, o] - self.ss[k - 1, o]
             log_tau = p[1] + p[2] * np.clip(self.target[k, 1], -1.5, 1.5) + p[3] * self.thin[k]
             left = math.exp(-DT_S / math.exp(np.clip(log_tau, -0.5, 4.5)))
             self.soak[o] = left * (self.soak[o] + p[0] * step)
@@ -179,11 +178,11 @@ def test_while_a_heavy_fan_comes_down_the_core_is_below_where_it_will_settle():
 
 def test_the_core_is_never_faster_than_its_limits():
     model = lags()
-    core_s, valve_s = 0.4, model.extra[0]
-    model.extra[1] = model.lines[[0, 4, 5]] = 0.0
+    core_s, valve_s = 0.4, model.arrays["extra"][0]
+    model.arrays["extra"][1] = model.arrays["lines"][[0, 4, 5]] = 0.0
     # half ranges a second, up and down
-    model.lines[[0, 4, 5], 0] = math.log(core_s), math.log(0.2), math.log(0.1)
-    model.heat[:, [0, 4]] = 0.0
+    model.arrays["lines"][[0, 4, 5], 0] = math.log(core_s), math.log(0.2), math.log(0.1)
+    model.arrays["heat"][:, [0, 4]] = 0.0
     inputs, ss = steps_of([-0.9, 0.9, -0.9], hold_s=30.0)
     pace = np.diff(ss - run(model, inputs, ss), axis=0)[:, 1] / (DT_S * HALF[1])
     behind_valve = core_s / (core_s + valve_s)  # the fuel trails a demand that runs ahead of it
@@ -193,7 +192,7 @@ def test_the_core_is_never_faster_than_its_limits():
 
 def test_a_deviation_is_bounded_whatever_the_parameters_are():
     model = lags(7, limit=5.0)
-    model.lines[:] *= 10.0
+    model.arrays["lines"][:] *= 10.0
     inputs, ss = steps_of(np.random.default_rng(0).uniform(-1.0, 1.0, 10), hold_s=5.0)
     assert np.abs(run(model, inputs, ss)).max() <= 5.0 + 1e-9
 
@@ -256,28 +255,23 @@ def test_a_correction_counts_as_the_newest_output():
 def test_arrays_bring_either_form_back():
     model = lags(5)
     meta, arrays = model.to_arrays()
-    back = lags_from_arrays(meta, arrays)
-    assert isinstance(back, GovernedLags)
+    back = LumpedEngine.from_arrays(meta, arrays)
+    assert back.governed
     inputs, ss = steps_of([-0.5, 0.5])
     np.testing.assert_array_equal(run(back, inputs, ss), run(model, inputs, ss))
-    plain = LagModel(
-        output_names=NAMES,
-        parameters=np.zeros((3, len(PARAMETERS))),
-        centre=CENTRE,
-        half=HALF,
-        limit=np.ones(3),
-    )
-    assert isinstance(lags_from_arrays(*plain.to_arrays()), LagModel)
+    scales = {"centre": CENTRE, "half": HALF, "limit": np.ones(3)}
+    plain = LumpedEngine.of(NAMES, {"parameters": np.zeros((3, len(LIMITED)))}, scales)
+    assert not LumpedEngine.from_arrays(*plain.to_arrays()).governed
 
 
-@pytest.mark.parametrize("name", sorted(governed_shapes(3)))
+@pytest.mark.parametrize("name", sorted({**shapes_of(3, governed=True), "limit": ()}))
 def test_an_array_that_does_not_fit_is_named(name):
     meta, arrays = lags().to_arrays()
     arrays = {**arrays, name: arrays[name][:-1]}
     with pytest.raises(ModelError, match=f"lag array '{name}' has to be of shape"):
-        GovernedLags.from_arrays(meta, arrays)
+        LumpedEngine.from_arrays(meta, arrays)
 
 
 def test_an_engine_without_a_fan_is_refused():
     with pytest.raises(ModelError, match="the speeds of a fan and a core, found N2_pct, EGT_C"):
-        _ = GovernedLags(output_names=("N2_pct", "EGT_C"), **lags().to_arrays()[1]).order
+        _ = replace(lags(), output_names=("N2_pct", "EGT_C")).order

@@ -3,13 +3,21 @@
 import numpy as np
 import pytest
 
-from narxcal.lumped.lag import HEAT_PARAMETERS, PARAMETERS, UNLIMITED, LagModel
+from narxcal.lumped.engine import LumpedEngine
+from narxcal.lumped.rotors import LIMITED as PARAMETERS
+from narxcal.lumped.rotors import UNLIMITED
 from narxcal.support.errors import DataError
-from training.lag_fit import LagSamples, fit_lags
-from training.lag_priors import LagForm, start_values
+from training.lag_priors import Form, start_engine
+from training.lags import fit_engine
+from training.records import LagSamples
 
 NAMES = (("ALT_ft",), ("N1_pct", "N2_pct", "EGT_C"))
 DT_S = 0.1
+SCALES = {
+    "centre": np.array([60.0, 75.0, 500.0]),
+    "half": np.array([30.0, 20.0, 150.0]),
+    "limit": np.full(3, 1e3),
+}
 
 
 def truth(**limits):
@@ -23,13 +31,7 @@ def truth(**limits):
         "EGT_C": {"log_tau": -0.5, "core": -3.0, "slow_share": 0.1, "log_slow_tau": 2.0},
     }  # fmt: skip
     table = [[values[name].get(key, free.get(key, 0.0)) for key in PARAMETERS] for name in NAMES[1]]
-    return LagModel(
-        output_names=NAMES[1],
-        parameters=np.array(table),
-        centre=np.array([60.0, 75.0, 500.0]),
-        half=np.array([30.0, 20.0, 150.0]),
-        limit=np.full(3, 1e3),
-    )
+    return LumpedEngine.of(NAMES[1], {"parameters": np.array(table)}, SCALES)
 
 
 def log(seed, bleed=0.0, noise=0.02, dt_s=DT_S, model=None):
@@ -56,21 +58,21 @@ def follow(model, seed=99, dt_s=DT_S, true=None):
 
 
 def test_known_lags_come_back_and_follow_an_unseen_log():
-    model = fit_lags([log(0), log(1)], NAMES, DT_S)
+    model = fit_engine([log(0), log(1)], NAMES, DT_S)
     assert (follow(model) < [0.03, 0.03, 0.03]).all()
-    core = dict(zip(PARAMETERS, model.parameters[1], strict=True))
+    core = dict(zip(PARAMETERS, model.arrays["parameters"][1], strict=True))
     assert core["air"] == pytest.approx(1.0, abs=0.05)
     assert core["lead_s"] == pytest.approx(0.4, abs=0.05)
     assert core["core"] == 0.0
 
 
 def test_a_finer_raster_gives_the_same_lags():
-    model = fit_lags([log(0, dt_s=1 / 32), log(1, dt_s=1 / 32)], NAMES, 1 / 32)
+    model = fit_engine([log(0, dt_s=1 / 32), log(1, dt_s=1 / 32)], NAMES, 1 / 32)
     assert (follow(model, dt_s=1 / 32) < 0.1).all()
 
 
 def test_a_bleed_that_nobody_recorded_hardly_bends_them():
-    model = fit_lags([log(0, bleed=1.5), log(1)], NAMES, DT_S)
+    model = fit_engine([log(0, bleed=1.5), log(1)], NAMES, DT_S)
     assert (follow(model) < [0.06, 0.06, 0.06]).all()
 
 
@@ -78,12 +80,12 @@ def test_masked_samples_are_left_out():
     holed = log(0)
     holed.measured[500:900, 0] = np.nan
     holed.measured[2000:2050] = np.nan
-    assert (follow(fit_lags([holed, log(1)], NAMES, DT_S)) < 0.05).all()
+    assert (follow(fit_engine([holed, log(1)], NAMES, DT_S)) < 0.05).all()
 
 
 def test_the_limit_is_wider_than_what_training_has_seen():
     one = log(0)
-    model = fit_lags([one], NAMES, DT_S)
+    model = fit_engine([one], NAMES, DT_S)
     assert (model.limit > np.abs(one.ss - one.measured).max(axis=0)).all()
 
 
@@ -91,7 +93,7 @@ def test_an_engine_that_never_moves_cannot_teach_a_lag():
     still = np.tile([60.0, 75.0, 500.0], (200, 1))
     wander = still + 1e-12 * np.arange(200)[:, None]
     with pytest.raises(DataError, match="the outputs never move, so no lag can be fitted"):
-        fit_lags([LagSamples(np.zeros((200, 1)), still, wander)], NAMES, DT_S)
+        fit_engine([LagSamples(np.zeros((200, 1)), still, wander)], NAMES, DT_S)
 
 
 def small_moves_of_another_kind(relative):
@@ -103,7 +105,7 @@ def small_moves_of_another_kind(relative):
     for k in range(1, len(ss)):
         slow[k] = np.exp(-DT_S / 2.5) * (slow[k - 1] + ss[k] - ss[k - 1])
     small = LagSamples(small.inputs, ss, ss - slow)
-    model = fit_lags([slams, small], NAMES, DT_S, LagForm(relative=relative))
+    model = fit_engine([slams, small], NAMES, DT_S, Form(relative=relative))
     drive = model.drive(small.inputs, NAMES[0], ss)
     found = model.deviations(drive, np.zeros(3), DT_S)
     return np.sqrt(np.mean((found - slow)[:, 1] ** 2)) / slow[:, 1].std()
@@ -116,7 +118,7 @@ def test_relative_errors_let_small_moves_count_as_much_as_slams():
 
 
 def test_relative_errors_find_known_lags_as_well():
-    model = fit_lags([log(0), log(1)], NAMES, DT_S, LagForm(relative=True))
+    model = fit_engine([log(0), log(1)], NAMES, DT_S, Form(relative=True))
     # So close to the moves, less is seen of the slow heat soak, which is most in the temperature.
     assert (follow(model) < [0.03, 0.03, 0.12]).all()
 
@@ -124,20 +126,20 @@ def test_relative_errors_find_known_lags_as_well():
 def test_limits_of_acceleration_and_deceleration_come_back():
     true = truth(log_up=-0.5, up_air=-1.0, up_speed=0.6, log_down=0.3, down_air=-0.7)
     logs = [log(seed, model=true) for seed in (0, 1)]
-    limited = fit_lags(logs, NAMES, DT_S, LagForm(limited=True))
+    limited = fit_engine(logs, NAMES, DT_S, Form(limited=True))
     assert (follow(limited, true=true) < 0.05).all()
-    plain = fit_lags(logs, NAMES, DT_S)
+    plain = fit_engine(logs, NAMES, DT_S)
     assert (follow(limited, true=true)[:2] < 0.5 * follow(plain, true=true)[:2]).all()
-    assert (plain.parameters[:, PARAMETERS.index("log_up")] == UNLIMITED).all()
+    assert (plain.arrays["parameters"][:, PARAMETERS.index("log_up")] == UNLIMITED).all()
 
 
 def test_how_a_slow_fan_holds_the_core_back_comes_back():
     true = truth(log_up=-0.5, up_air=-1.0, log_down=0.3, down_air=-0.7)
-    true.parameters[1, PARAMETERS.index("up_other")] = 0.8
+    true.arrays["parameters"][1, PARAMETERS.index("up_other")] = 0.8
     logs = [log(seed, model=true) for seed in (0, 1)]
-    fitted = fit_lags(logs, NAMES, DT_S, LagForm(limited=True))
+    fitted = fit_engine(logs, NAMES, DT_S, Form(limited=True))
     assert (follow(fitted, true=true) < 0.05).all()
-    found = fitted.parameters[:, PARAMETERS.index("up_other")]
+    found = fitted.arrays["parameters"][:, PARAMETERS.index("up_other")]
     assert found[1] == pytest.approx(0.8, abs=0.3)
     assert found[0] == found[2] == 0.0
 
@@ -146,23 +148,23 @@ def test_the_heat_of_the_casing_comes_back_though_each_stretch_begins_with_some_
     true = truth()
     hot = {"casing_share": 0.1, "log_casing_tau": 4.0, "core": 6.0, "rate": -4.0, "rate_air": 0.5}
     for name, value in hot.items():
-        true.parameters[2, PARAMETERS.index(name)] = value
+        true.arrays["parameters"][2, PARAMETERS.index(name)] = value
     logs = [log(seed, model=true) for seed in (0, 1)]
-    fitted = fit_lags(logs, NAMES, DT_S, LagForm(limited=True))
-    plain = fit_lags(logs, NAMES, DT_S)
+    fitted = fit_engine(logs, NAMES, DT_S, Form(limited=True))
+    plain = fit_engine(logs, NAMES, DT_S)
     assert follow(fitted, true=true)[2] < 0.03
     assert follow(plain, true=true)[2] > 0.06
 
 
 def test_heat_that_drives_the_spools_comes_back():
     true = truth()
-    true.parameters[:2, PARAMETERS.index("slow_share")] = 0.15
-    hot = start_values(true, LagForm(heat=True))
-    given = [PARAMETERS.index(name) for name in HEAT_PARAMETERS]
-    true.parameters[:, given] = hot[:, given]
+    true.arrays["parameters"][:2, PARAMETERS.index("slow_share")] = 0.15
+    begun, _ = start_engine(NAMES[1], Form(heat=True), SCALES)
+    hot, given = begun.arrays["parameters"], np.arange(len(PARAMETERS) - 4, len(PARAMETERS))
+    true.arrays["parameters"][:, given] = hot[:, given]
     logs = [log(seed, model=true) for seed in (0, 1)]
-    fitted, plain = (fit_lags(logs, NAMES, DT_S, LagForm(heat=heat)) for heat in (True, False))
-    np.testing.assert_array_equal(fitted.parameters[:, given], hot[:, given])
+    fitted, plain = (fit_engine(logs, NAMES, DT_S, Form(heat=heat)) for heat in (True, False))
+    np.testing.assert_array_equal(fitted.arrays["parameters"][:, given], hot[:, given])
     assert (hot[:2, given[0]] == 1.0).all()
     assert not hot[2, given].any()  # a temperature shows the metal's heat itself
     assert (follow(fitted, true=true) < 0.03).all()

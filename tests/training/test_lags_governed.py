@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
-from narxcal.lumped.lag_governed import GovernedLags
 from narxcal.support.errors import DataError, ModelError
-from training.lag_fit import LagSamples, output_scales
-from training.lag_governed_fit import fit_governed
-from training.lag_priors import governed_start
+from training.lag_priors import Form, start_engine
+from training.lags import fit_engine, scales_of
+from training.records import LagSamples
 
 NAMES = (("ALT_ft", "Mach"), ("N1_pct", "N2_pct", "EGT_C"))
 CENTRE, HALF = np.array([62.0, 75.0, 520.0]), np.array([35.0, 20.0, 240.0])
-DT_S = 0.1
+DT_S, FORM = 0.1, Form(governed=True)
 
 
 def steady(seed, moves=14):
@@ -23,17 +22,18 @@ def steady(seed, moves=14):
     return np.column_stack([36000.0 * height, 0.8 * height]), CENTRE + HALF * part
 
 
-def truth(**changed):
+def truth():
     """An engine that is not the one the fit starts from."""
-    arrays = governed_start(3)
+    scales = {"centre": CENTRE, "half": HALF, "limit": np.full(3, 1e3)}
+    engine, _ = start_engine(NAMES[1], FORM, scales)
+    arrays = engine.arrays
     arrays["lines"][0, 0] += 0.3  # a slower core
     arrays["lines"][4, 0] -= 0.4  # that may not accelerate as fast
     arrays["lines"][6, 0] += 0.2  # a heavier fan
     arrays["lines"][8, 0] -= 0.5  # a faster probe
     arrays["heat"][2, 0] = 0.12
     arrays["extra"][1] = 0.5  # where open clearances cost more
-    scales = {"centre": CENTRE, "half": HALF, "limit": np.full(3, 1e3)}
-    return GovernedLags(output_names=NAMES[1], **{**arrays, **changed}, **scales)
+    return engine
 
 
 def log(seed, noise=0.0):
@@ -53,16 +53,15 @@ def off(model, seed=9):
 
 def test_an_unseen_log_is_followed():
     samples = [log(seed, noise=0.02) for seed in (0, 1)]
-    scales = output_scales(samples, NAMES[0])
-    begun = GovernedLags(output_names=NAMES[1], **governed_start(3), **scales)
-    model = fit_governed(samples, NAMES, DT_S)
+    begun, _ = start_engine(NAMES[1], FORM, scales_of(samples, NAMES[0]))
+    model = fit_engine(samples, NAMES, DT_S, FORM)
     assert (off(begun) > 0.08).all()
     assert (off(model) < 0.4 * off(begun)).all()
-    assert model.extra[1] == pytest.approx(0.5, abs=0.2)
+    assert model.arrays["extra"][1] == pytest.approx(0.5, abs=0.2)
 
 
 def test_threads_change_no_number():
-    one, two = (fit_governed([log(1)], NAMES, DT_S, threads) for threads in (1, 2))
+    one, two = (fit_engine([log(1)], NAMES, DT_S, FORM, threads) for threads in (1, 2))
     for name, array in one.to_arrays()[1].items():
         np.testing.assert_array_equal(array, two.to_arrays()[1][name])
 
@@ -70,18 +69,18 @@ def test_threads_change_no_number():
 def test_masked_samples_are_left_out():
     holed = log(0)
     holed.measured[500:700, 0] = np.nan
-    assert np.isfinite(fit_governed([holed], NAMES, DT_S).lines).all()
+    assert np.isfinite(fit_engine([holed], NAMES, DT_S, FORM).theta).all()
 
 
 def test_engines_that_never_move_are_refused():
     one = log(0)
     still = LagSamples(one.inputs[:300] * 0.0, one.ss[:1].repeat(300, 0), one.ss[:1].repeat(300, 0))
     with pytest.raises(DataError, match="the outputs never move"):
-        fit_governed([still], NAMES, DT_S)
+        fit_engine([still], NAMES, DT_S, FORM)
 
 
 def test_an_engine_without_a_fan_is_refused():
     one = log(0)
     one = LagSamples(one.inputs, one.ss[:, 1:], one.measured[:, 1:])
     with pytest.raises(ModelError, match="the speeds of a fan and a core"):
-        fit_governed([one], (NAMES[0], NAMES[1][1:]), DT_S)
+        fit_engine([one], (NAMES[0], NAMES[1][1:]), DT_S, FORM)

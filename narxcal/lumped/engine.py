@@ -1,0 +1,261 @@
+"""The lumped two-spool engine: parameters by name, start, free run, slopes, storage.
+
+`narxcal.lumped.rotors` has the equations and the names of the parameters. The deviation from the
+steady state decays wherever the inputs are constant, so the steady state is an exact equilibrium.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+
+from narxcal.atmosphere import air_at
+from narxcal.lumped.rotors import (
+    CASING,
+    EXTRA,
+    FAST,
+    HEAT,
+    LIMITED,
+    LINES,
+    OTHER_LINES,
+    REGRESSORS,
+    ROWS,
+    SLOPES,
+    Drive,
+    Engine,
+    run,
+)
+from narxcal.narx.network import AT_START
+from narxcal.support.arrays import BoolArray, FloatArray, IntArray
+from narxcal.support.dual import WIDTH, seeded
+from narxcal.support.errors import ModelError
+
+Starts = tuple[IntArray, FloatArray]  # positions (n,) of windows, and states (n, ROWS, n_out)
+_SCALES = ("centre", "half", "limit")
+_FORM = "governed"  # `form` in the stored structure; the limited form has none
+_WITHOUT_HEAT = list(LIMITED[: LIMITED.index("heat")])  # in folders older than heat
+
+
+class Slopes(NamedTuple):
+    """Which slopes: by the parameters `free` (P,), of `columns` (c,), in one row of `every`.
+
+    Only `outputs` are run; see `LumpedEngine.compiled`.
+    """
+
+    free: IntArray
+    columns: IntArray
+    every: int = 1
+    outputs: IntArray | None = None
+
+
+def shapes_of(count: int, *, governed: bool) -> dict[str, tuple[int, ...]]:
+    """Shapes of the stored arrays of parameters of `count` outputs; `theta` has them in a row."""
+    if not governed:
+        return {"parameters": (count, len(LIMITED))}
+    return {
+        "lines": (len(LINES) + len(OTHER_LINES) * (count - 2), len(REGRESSORS)),
+        "slopes": (count - 1, len(SLOPES)),
+        "heat": (count, len(HEAT)),
+        "extra": (len(EXTRA) + count - 2,),
+    }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LumpedEngine:
+    """Dynamics of all outputs about their steady state.
+
+    | field | meaning |
+    |---|---|
+    | `governed` | whether a control holds N1 (two outputs at least are speeds then), else limited |
+    | `theta` (P,) | parameters; `arrays` are views of them by stored name |
+    | `centre`, `half` (n_out,) | scale the corrected outputs to [-1, 1] |
+    | `limit` (n_out,) | bounds the magnitude of each deviation |
+
+    The core is the last output that is a speed, or the first output of an engine without one.
+    """
+
+    output_names: tuple[str, ...]
+    governed: bool
+    theta: FloatArray
+    centre: FloatArray
+    half: FloatArray
+    limit: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        output_names: tuple[str, ...],
+        arrays: Mapping[str, FloatArray],
+        scales: Mapping[str, FloatArray],
+    ) -> Self:
+        """Build an engine from its stored arrays; `scales` are centre, half and limit."""
+        governed = "lines" in arrays
+        shapes = shapes_of(len(output_names), governed=governed)
+        theta = np.concatenate([np.ravel(arrays[name]) for name in shapes])
+        scaling = {name: scales[name] for name in _SCALES}
+        return cls(output_names=output_names, governed=governed, theta=theta, **scaling)
+
+    @cached_property
+    def arrays(self) -> dict[str, FloatArray]:
+        """Views of `theta` in the shapes of `shapes_of`."""
+        views, at = {}, 0
+        for name, shape in shapes_of(len(self.output_names), governed=self.governed).items():
+            size = int(np.prod(shape))
+            views[name] = self.theta[at : at + size].reshape(shape)
+            at += size
+        return views
+
+    @property
+    def speeds(self) -> BoolArray:
+        """Which outputs (n_out,) are spool speeds."""
+        return speeds_of(self.output_names)
+
+    @property
+    def core(self) -> int:
+        """Column of the core spool."""
+        return core_of(self.output_names)
+
+    @cached_property
+    def order(self) -> IntArray:
+        """Columns with the core first, then the fan (if there is one), then the others.
+
+        Raises `ModelError` for a governed engine without the speeds of a fan and a core.
+        """
+        columns, speeds = np.arange(len(self.output_names)), np.flatnonzero(self.speeds)
+        if self.governed and len(speeds) < 2:
+            raise ModelError(
+                "a governed engine has the speeds of a fan and a core, found "
+                f"{', '.join(self.output_names)}",
+                hint="Add N1_pct and N2_pct to [narx] outputs, or set lag_governed = false",
+            )
+        first = [self.core, *([int(speeds[0])] if len(speeds) > 1 else [])]
+        return np.array([*first, *np.setdiff1d(columns, first)], dtype=np.int64)
+
+    def drive(self, inputs: FloatArray, names: Sequence[str], ss: FloatArray) -> Drive:
+        """What the engine follows, from inputs (T, n_in) called `names` and ss (T, n_out)."""
+        air = air_at(inputs, names)
+        root = np.sqrt(air.theta2)
+        mach = inputs[:, list(names).index("Mach")] if "Mach" in names else np.zeros(len(root))
+        logs = np.stack([np.log(root / air.delta2), np.log(root), mach], axis=1)
+        scale = root[:, None]
+        target = (ss / scale - self.centre) / self.half
+        return Drive(np.ascontiguousarray(ss), target, 1.0 / (scale * self.half), logs)
+
+    def compiled(self, outputs: IntArray | None = None) -> Engine:
+        """The numbers that compiled functions take, to run all outputs or some.
+
+        The core has to be among `outputs`; a fan or another output acts on no temperature.
+        """
+        order, columns = self.order, np.arange(len(self.output_names))
+        wanted = order if outputs is None else order[np.isin(order, outputs)]
+        own = np.where(self.speeds, columns, self.core)
+        return Engine(self.theta, self.limit, wanted, own, np.argsort(order), self.governed)
+
+    def start(self, deviation: FloatArray) -> FloatArray:
+        """States (..., ROWS, n_out) at which a run begins with `deviation` (..., n_out).
+
+        Engines mostly are in equilibrium at the start of a log. What deviates then is the metal's
+        heat, where the model has it, which decays in minutes; under a governor the fan has none.
+        """
+        states = np.zeros((*deviation.shape[:-1], ROWS, deviation.shape[-1]))
+        if self.governed:
+            slow = np.arange(deviation.shape[-1]) != self.order[1]
+        else:
+            slow = self.arrays["parameters"][:, LIMITED.index("casing_share")] != 0.0
+        states[..., FAST, :] = np.where(slow, 0.0, deviation)
+        states[..., CASING, :] = np.where(slow, deviation, 0.0)
+        return states
+
+    def run(
+        self,
+        drive: Drive,
+        starts: Starts,
+        dt_s: float,
+        measured: FloatArray | None = None,
+        outputs: IntArray | None = None,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Deviations (T, n_out) and last states (ROWS, n_out) of a free run.
+
+        `measured` (T, n_out) deviations, where they are finite, replace the model's own before each
+        step (one-step prediction). Of `outputs` see `compiled`.
+        """
+        return run(self.compiled(outputs), drive, starts, _rows(measured, drive), dt_s)
+
+    def slopes(
+        self,
+        wanted: Slopes,
+        drive: Drive,
+        starts: Starts,
+        dt_s: float,
+        measured: FloatArray | None = None,
+    ) -> FloatArray:
+        """Slopes (n, c, P) of the deviations that `run` gives, by parameters."""
+        free, columns, every, outputs = wanted
+        engine, parts = self.compiled(outputs), []
+        for first in range(0, len(free), WIDTH):
+            some = free[first : first + WIDTH]
+            dual = engine._replace(theta=seeded(self.theta, some))
+            numbers, _ = run(dual, drive, starts, _rows(measured, drive), dt_s)
+            parts.append(numbers[::every, columns, 1 : 1 + len(some)])
+        return np.concatenate(parts, axis=2)
+
+    def deviations(
+        self, drive: Drive, start: FloatArray, dt_s: float, measured: FloatArray | None = None
+    ) -> FloatArray:
+        """Deviations (T, n_out) from `start` (n_out,) on; a NaN there counts as zero."""
+        first = self.start(np.nan_to_num(start))
+        return self.run(drive, (AT_START, first[None]), dt_s, measured)[0]
+
+    def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
+        """Split into JSON-able structure and named arrays, for the bundle."""
+        names = {"output_names": list(self.output_names)}
+        own = {"form": _FORM} if self.governed else {"parameter_names": list(LIMITED)}
+        return {**own, **names}, {**self.arrays, **{name: getattr(self, name) for name in _SCALES}}
+
+    @classmethod
+    def from_arrays(cls, meta: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> Self:
+        """Rebuild from `to_arrays`; `ModelError` where an array is missing or misshapen.
+
+        Parameters of heat, which older folders lack, are zero.
+        """
+        names = tuple(meta["output_names"])
+        shapes = shapes_of(len(names), governed=meta.get("form") == _FORM)
+        if meta.get("parameter_names") == _WITHOUT_HEAT:
+            shapes["parameters"] = (len(names), len(_WITHOUT_HEAT))
+        scales = dict.fromkeys(_SCALES, (len(names),))
+        found = {name: _checked(name, shape, arrays) for name, shape in (shapes | scales).items()}
+        if "parameters" in shapes:
+            missing = len(LIMITED) - shapes["parameters"][1]
+            found["parameters"] = np.pad(found["parameters"], ((0, 0), (0, missing)))
+        return cls.of(names, found, found)
+
+
+def speeds_of(names: Sequence[str]) -> BoolArray:
+    """Which outputs are spool speeds."""
+    return np.array([name.endswith("_pct") for name in names])
+
+
+def core_of(names: Sequence[str]) -> int:
+    """Column of the core spool: the last speed, or 0."""
+    speeds = np.flatnonzero(speeds_of(names))
+    return int(speeds[-1]) if len(speeds) else 0
+
+
+def _rows(measured: FloatArray | None, drive: Drive) -> FloatArray:
+    none = np.empty((0, drive.ss.shape[1]))
+    return none if measured is None else np.ascontiguousarray(measured)
+
+
+def _checked(name: str, shape: tuple[int, ...], arrays: Mapping[str, FloatArray]) -> FloatArray:
+    found = arrays.get(name)
+    if found is None or found.shape != shape:
+        given = None if found is None else found.shape
+        raise ModelError(
+            f"lag array '{name}' has to be of shape {shape}, found {given}",
+            hint="Train again if another version of narxcal wrote the folder",
+        )
+    return np.array(found, dtype=np.float64)

@@ -1,0 +1,493 @@
+"""Equations of the lumped two-spool engine, and its free run.
+
+The deviation d = ss - y of an output y from its steady-state value follows a lag. Over a step h in
+which ss changes by D and the pull is constant it has the closed form of `follow`:
+
+    dd/dt = dss/dt - (d - pull) / tau
+
+| symbol | meaning | unit |
+|---|---|---|
+| v, u | corrected speeds of core and fan, scaled to [-1, 1] over the training logs | - |
+| w, s | their steady-state values | - |
+| d_c, d_f | deviations w - v of the core and s - u of the fan | - |
+| thin, hot | ln(sqrt(theta2) / delta2), ln sqrt(theta2) of the air | - |
+| z(x, y) | [1, thin, hot, x, y, x^2, x y, y^2] | - |
+
+Coefficients go by speeds and air (NACA TR-1011: corrected for altitude like steady-state data).
+One of two forms applies; parameters stand in `theta` in the order of the names below.
+
+**Limited** (`LIMITED` per output): each spool returns to its equilibrium by itself, no faster than
+the acceleration and deceleration r that the control's schedules allow (one q each):
+
+    tau    = tau0 (1 + |x / r|^n)^(1/n),   x = (w - v) / tau0,   n = 2
+    ln tau0 = p . z(v, w),   ln r = q . z(v, u)     u: the other spool, whose pressure counts
+    pull   = -lead D / h - heat tau (change of soak) / h
+             + (core + core_speed (v + w)) d_c + rate exp(rate_air thin + rate_speed v) dN2/dt
+    d      = fast + soak + casing
+
+The second line couples fan and temperatures to the core. `lead` is the lag of the meter that ss is
+computed from. Heat `soak` drives a spool by `heat` and grows with s = exp(heat_speed w): its share
+is s(k), what is left of it s(k) / s(k-1). Without limits ln r = 20.
+
+**Governed** (`LINES`, `OTHER_LINES`, `SLOPES`, `HEAT`, `EXTRA`): a control holds N1. Under N1
+governing N2 does not relax to its equilibrium by itself: fuel accelerates the slow fan until N1
+meets its demand, and N2 overshoots meanwhile. Fuel f is measured as the core speed it sustains:
+
+    f_d   = r + gain (s - u - lead du/dt)           a governor with reset r, limited so that
+    dv/dt = (f - v) / core_s                        -down e^c < (f_d - v) / core_s < up e^-c
+    df/dt = (f_d - f) / valve,   dr/dt = (f_d - r) / reset_s       external reset: no wind-up
+    pull  = c_f d_c - push dv/dt                    on the fan, with tau = fan_s
+    pull  = c_T d_c - push dv/dt + share (d_f - c_f d_c)       on others, with tau = probe_s
+    c     = clearance open                          `narxcal.lumped.heat`
+    ln (core_s, gain, ..., push) = q . [z(v, u), Mach]
+
+The chord c_f, c_T is a settled engine's slope over the core's speed, the mean of a cubic's slope
+between v and w. To d of core and temperatures is added heat `soak`, and `casing`: what open
+clearances move, and what a run began with. Sources: governor and schedules in Jaw & Mattingly,
+*Aircraft Engine Controls*, ch. 5 and 6; external reset in Shinskey, *Process Control Systems*;
+state-dependent parameters in Young, McKenna and Bruun, Int. J. Control 74 (2001).
+
+All functions are for floats and for dual numbers (`narxcal.support.dual`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from narxcal.lumped.heat import opening, soaked, warmed
+from narxcal.support.arrays import FloatArray, IntArray
+from narxcal.support.compiled import compiled
+from narxcal.support.dual import clip, get, put
+
+# Rows of the states. The first three add up to the deviation; the others are the core's under a
+# governor: fuel, reset, metal and casing as deviations from w, and du/dt.
+FAST, SOAK, CASING, FUEL, RESET, METAL, COVER, FAN_RATE, ROWS = range(9)
+
+LIMITED = (
+    "log_tau", "air", "speed", "target", "speed_speed", "speed_target", "target_target",
+    "lead_s", "core", "slow_share", "log_slow_tau",
+    "log_up", "up_air", "up_speed", "up_speed_speed",
+    "up_other", "up_speed_other", "up_other_other", "up_hot",
+    "log_down", "down_air", "down_speed", "down_speed_speed",
+    "down_other", "down_speed_other", "down_other_other", "down_hot",
+    "core_speed", "rate", "rate_air", "rate_speed", "casing_share", "log_casing_tau", "hot",
+    "heat", "heat_speed", "heat_rate", "heat_air",
+)  # fmt: skip
+UNLIMITED = 20.0  # ln r of a spool without limits
+_SIZE = len(LIMITED)
+_LEAD, _CORE, _SOAK, _PULL, _CASING, _HEAT = (
+    LIMITED.index(name)
+    for name in ("lead_s", "core", "slow_share", "core_speed", "casing_share", "heat")
+)
+# Where the coefficients of z are.
+_TAU = (0, 1, 33, 2, 3, 4, 5, 6)
+_UP = (11, 12, 18, 13, 15, 14, 16, 17)
+_DOWN = (19, 20, 26, 21, 23, 22, 24, 25)
+
+REGRESSORS = ("one", "thin", "hot", "Mach", "v", "u", "vv", "vu", "uu")
+LINES = ("core_s", "gain", "reset_s", "lead_s", "up", "down", "fan_s", "push")
+OTHER_LINES = ("probe_s", "push")  # of each other output, behind those of core and fan
+SLOPES = ("const", "thin", "Mach", "tilt", "tilt_Mach", "bend")  # of fan and others
+HEAT = ("soak_share", "log_soak_tau", "soak_speed", "soak_air", "open_share", "log_begun_tau")
+EXTRA = ("valve_s", "clearance")  # shares of the fan's deviation behind them, one per other output
+_TERMS = len(REGRESSORS)
+_CORE_S, _GAIN, _RESET_S, _LEAD_S, _UP_RATE, _DOWN_RATE, _FAN_S, _PUSH = (
+    _TERMS * k for k in range(len(LINES))
+)
+_MACH, _LINE = 3, (0, 1, 2, 4, 5, 6, 7, 8)
+_STEP_S = 0.04  # longest inner step under a governor
+
+# Bounds of scaled speeds, of logarithms, of what is carried from sample to sample.
+_SPEED, _LOG, _CARRIED, _RATE = 1.5, 5.0, 5.0, 20.0
+
+
+class Engine(NamedTuple):
+    """Numbers of an engine as compiled functions take them.
+
+    `theta` (P,) are floats or dual numbers, `limit` (o,) bounds each deviation. `outputs` are the
+    columns to be run: the core, then the fan, then others. `own` (o,) is the speed that an output
+    goes by: itself or the core. `rank` (o,) is its place among all outputs, core and fan first.
+    """
+
+    theta: FloatArray
+    limit: FloatArray
+    outputs: IntArray
+    own: IntArray
+    rank: IntArray
+    governed: bool
+
+
+class Drive(NamedTuple):
+    """What an engine follows, row by row; row 0 is the sample before the first step.
+
+    Steady-state values `ss` (T, o), the same corrected and scaled, `target` (T, o), the scaled
+    value per unit of the output, `per_unit` (T, o), and `air` (T, 3): thin, hot, Mach.
+    """
+
+    ss: FloatArray
+    target: FloatArray
+    per_unit: FloatArray
+    air: FloatArray
+
+    def rows(self, part: slice | IntArray) -> Drive:
+        """Some of the rows."""
+        return Drive(*(np.ascontiguousarray(column[part]) for column in self))
+
+    def after(self, before: Drive) -> Drive:
+        """These rows behind those of `before`."""
+        pairs = zip(before, self, strict=True)
+        return Drive(*(np.concatenate(pair) for pair in pairs))
+
+
+class Spools(NamedTuple):
+    """State of core, fan and control: v, u, f, r, du/dt, m, n."""
+
+    core: float
+    fan: float
+    fuel: float
+    reset: float
+    fan_rate: float
+    metal: float
+    casing: float
+
+
+@compiled(exact=False)
+def quadratic(
+    p: FloatArray, at: tuple[int, tuple[int, ...]], air: FloatArray, x: float, y: float
+) -> float:
+    """Polynomial `a . z(x, y)` of the parameters a at base + columns, which `at` gives."""
+    base, c = at[0], at[1]
+    level: float = get(p, base + c[0]) + get(p, base + c[1]) * air[0] + get(p, base + c[2]) * air[1]
+    by_x = get(p, base + c[3]) + get(p, base + c[5]) * x + get(p, base + c[6]) * y
+    return level + by_x * x + (get(p, base + c[4]) + get(p, base + c[7]) * y) * y
+
+
+@compiled(exact=False)
+def stretch(x: float, n: float) -> float:
+    """Divisor s = (1 + |x|^n)^(1/n), n = 2 or infinity, that limits x / s to [-1, 1]."""
+    size = abs(x)
+    if n == 2.0:
+        return math.sqrt(1.0 + size * size)
+    return clip(size, 1.0, math.inf)
+
+
+@compiled(exact=False)
+def follow(d: float, pull: float, step: float, times: tuple[float, float]) -> float:
+    """Deviation d after a step in which ss moves by `step`; `times` are tau and h."""
+    tau, h = times
+    a = math.exp(-h / tau)
+    return a * d + (1.0 - a) * (pull + step * tau / h)
+
+
+@compiled(exact=False)
+def deviation(x: FloatArray, o: int) -> float:
+    """Whole deviation of an output in the states `x`."""
+    return get(x, (FAST, o)) + get(x, (SOAK, o)) + get(x, (CASING, o))
+
+
+@compiled(exact=False)
+def _finish(x: FloatArray, o: int, soak: float, casing: float, most: float) -> None:
+    """Store the slow parts, and the fast one so that the sum stays within +-`most`."""
+    slow = soak + casing
+    put(x, (FAST, o), clip(get(x, (FAST, o)) + slow, -most, most) - slow)
+    put(x, (SOAK, o), soak)
+    put(x, (CASING, o), casing)
+
+
+# ---- limited
+
+
+@compiled(exact=False)
+def _speed(x: FloatArray, drive: Drive, k: int, o: int) -> float:
+    """Scaled speed at the end of sample k - 1."""
+    v = drive.target[k - 1, o] - get(x, (FAST, o)) * drive.per_unit[k, o]
+    return clip(v, -_SPEED, _SPEED)
+
+
+@compiled(exact=False)
+def free_tau(p: FloatArray, o: int, air: FloatArray, v: float, w: float) -> float:
+    """Time constant tau0 [s] of an output without limits."""
+    return math.exp(clip(quadratic(p, (_SIZE * o, _TAU), air, v, w), -2.5, 3.0))
+
+
+@compiled(exact=False)
+def limited_tau(
+    p: FloatArray, o: int, air: FloatArray, speeds: tuple[float, float, float]
+) -> float:
+    """Time constant tau [s] of a spool at v that approaches w, so that |dv/dt| < r.
+
+    `speeds` are v, w and the other spool's u.
+    """
+    v, w, u = speeds
+    tau0 = free_tau(p, o, air, v, w)
+    columns = _UP if w > v else _DOWN
+    r = math.exp(clip(quadratic(p, (_SIZE * o, columns), air, v, u), -5.0, UNLIMITED))
+    return tau0 * stretch((w - v) / (tau0 * r), 2.0)
+
+
+@compiled(exact=False)
+def _core_pull(
+    p: FloatArray, at: int, thin: float, core: tuple[float, float, float, float]
+) -> float:
+    """Pull of the core on another output; `core` are its deviation, dN/dt, v and w."""
+    d, rate, v, w = core
+    strength = math.exp(clip(get(p, at + _PULL + 2) * thin + get(p, at + _PULL + 3) * v, -3.0, 3.0))
+    coupling = get(p, at + _CORE) + get(p, at + _PULL) * (v + w)
+    return coupling * d + get(p, at + _PULL + 1) * strength * rate
+
+
+@compiled(exact=False)
+def _advance_limited(
+    engine: Engine,
+    drive: Drive,
+    x: FloatArray,
+    where: tuple[int, int],
+    motion: tuple[float, float, float],
+) -> None:
+    """Advance column o to row k; `motion` are tau, the core's pull and h."""
+    (k, o), (tau, pull, h), p = where, motion, engine.theta
+    own, at = engine.own[o], _SIZE * o
+    step, thin = drive.ss[k, o] - drive.ss[k - 1, o], drive.air[k, 0]
+    was = clip(drive.target[k - 1, own], -_SPEED, _SPEED)
+    w = clip(drive.target[k, own], -_SPEED, _SPEED)
+    log_tau = get(p, at + _SOAK + 1) - get(p, at + _HEAT + 2) * w + get(p, at + _HEAT + 3) * thin
+    left = math.exp(get(p, at + _HEAT + 1) * (w - was)) * get(x, (SOAK, o))
+    taken = math.exp(get(p, at + _HEAT + 1) * w) * get(p, at + _SOAK) * step
+    soak = soaked(left, taken, clip(log_tau, 0.0, 4.0), h)
+    log_tau = clip(get(p, at + _CASING + 1), 2.0, 5.0)
+    casing = soaked(get(x, (CASING, o)), get(p, at + _CASING) * step, log_tau, h)
+    released = get(p, at + _HEAT) * tau * (soak - get(x, (SOAK, o)))
+    pull = pull - (get(p, at + _LEAD) * step + released) / h
+    put(x, (FAST, o), follow(get(x, (FAST, o)), pull, step, (tau, h)))
+    _finish(x, o, soak, casing, engine.limit[o])
+
+
+@compiled(exact=False)
+def _limited(engine: Engine, drive: Drive, x: FloatArray, k: int, h: float) -> None:
+    """Advance all outputs to row k of an engine whose spools are limited."""
+    p, outputs, own, air = engine.theta, engine.outputs, engine.own, drive.air[k]
+    core = outputs[0]
+    fan = outputs[1] if len(outputs) > 1 and own[outputs[1]] == outputs[1] else core
+    v, u = _speed(x, drive, k, core), _speed(x, drive, k, fan)
+    w = clip(drive.target[k, core], -_SPEED, _SPEED)
+    before = deviation(x, core)
+    tau = limited_tau(p, core, air, (v, w, u))
+    _advance_limited(engine, drive, x, (k, core), (tau, 0.0, h))
+    d = deviation(x, core)
+    rate = (drive.ss[k, core] - drive.ss[k - 1, core] - d + before) / h
+    for j in range(1, len(outputs)):
+        o = outputs[j]
+        if own[o] == o:
+            settled = clip(drive.target[k, o], -_SPEED, _SPEED)
+            tau = limited_tau(p, o, air, (_speed(x, drive, k, o), settled, v))
+        else:
+            tau = free_tau(p, o, air, v, w)
+        pull = _core_pull(p, _SIZE * o, air[0], (d, rate, v, w))
+        _advance_limited(engine, drive, x, (k, o), (tau, pull, h))
+
+
+# ---- governed
+
+
+@compiled(exact=False)
+def line(p: FloatArray, at: int, air: FloatArray, v: float, u: float) -> float:
+    """A time, gain or limit exp(q . [z(v, u), Mach]); beyond e^5 it is bounded."""
+    log = quadratic(p, (at, _LINE), air, v, u) + get(p, at + _MACH) * air[2]
+    return math.exp(clip(log, -_LOG, _LOG))
+
+
+@compiled(exact=False)
+def chord(p: FloatArray, at: int, air: FloatArray, v: float, w: float) -> float:
+    """Mean slope of an output over the core's speed between v and w."""
+    flat: float = get(p, at) + get(p, at + 1) * air[0] + get(p, at + 2) * air[2]
+    tilt: float = get(p, at + 3) + get(p, at + 4) * air[2]
+    return flat + tilt * (v + w) + get(p, at + 5) * (v * v + v * w + w * w)
+
+
+@compiled(exact=False)
+def _governor(
+    p: FloatArray, air: FloatArray, x: Spools, s: float, clearance: float
+) -> tuple[float, float]:
+    """Fuel that the control demands, f_d, and core_s; `s` is the steady state of the fan."""
+    v, u = clip(x.core, -_SPEED, _SPEED), clip(x.fan, -_SPEED, _SPEED)
+    core_s = line(p, _CORE_S, air, v, u)
+    error = s - x.fan - line(p, _LEAD_S, air, v, u) * x.fan_rate
+    rate = (x.reset + line(p, _GAIN, air, v, u) * error - x.core) / core_s
+    cost = math.exp(clip(clearance * opening(x.metal, x.casing), -1.0, 1.0))
+    if rate > 0.0:
+        most = line(p, _UP_RATE, air, v, u) / cost
+    else:
+        most = line(p, _DOWN_RATE, air, v, u) * cost
+    return x.core + core_s * rate / stretch(rate / most, math.inf), core_s
+
+
+@compiled(exact=False)
+def _spools(
+    p: FloatArray,
+    air: FloatArray,
+    x: Spools,
+    s: float,
+    fixed: tuple[float, float, float],
+) -> Spools:
+    """Advance control, valve, core and metal; `fixed` are clearance, what the valve keeps, and h.
+
+    The fan stays as it is.
+    """
+    clearance, kept, h = fixed
+    demand, core_s = _governor(p, air, x, s, clearance)
+    v, u = clip(x.core, -_SPEED, _SPEED), clip(x.fan, -_SPEED, _SPEED)
+    reset = demand + (x.reset - demand) * math.exp(-h / line(p, _RESET_S, air, v, u))
+    fuel = demand + (x.fuel - demand) * kept
+    mean = 0.5 * (x.fuel + fuel)
+    core = mean + (x.core - mean) * math.exp(-h / core_s)
+    metal, casing = warmed(x.metal, x.casing, fuel, (v, air[0], h))
+    return Spools(core, x.fan, fuel, reset, x.fan_rate, metal, casing)
+
+
+@compiled(exact=False)
+def _opened(x: FloatArray, drive: Drive, k: int, columns: tuple[int, int]) -> Spools:
+    """State of the spools at the end of sample k - 1; `columns` are core and fan."""
+    core, fan = columns
+    w, s, unit = drive.target[k - 1, core], drive.target[k - 1, fan], drive.per_unit[k]
+    return Spools(
+        w - get(x, (FAST, core)) * unit[core],
+        s - get(x, (FAST, fan)) * unit[fan],
+        w - get(x, (FUEL, core)),
+        w - get(x, (RESET, core)),
+        get(x, (FAN_RATE, core)),
+        w - get(x, (METAL, core)),
+        w - get(x, (COVER, core)),
+    )
+
+
+@compiled(exact=False)
+def _closed(x: FloatArray, r: Spools, core: int, w: float) -> None:
+    """Store what only the next sample needs."""
+    put(x, (FUEL, core), clip(w - r.fuel, -_CARRIED, _CARRIED))
+    put(x, (RESET, core), clip(w - r.reset, -_CARRIED, _CARRIED))
+    put(x, (METAL, core), clip(w - r.metal, -_CARRIED, _CARRIED))
+    put(x, (COVER, core), clip(w - r.casing, -_CARRIED, _CARRIED))
+    put(x, (FAN_RATE, core), clip(r.fan_rate, -_RATE, _RATE))
+
+
+@compiled(exact=False)
+def _places(count: int) -> tuple[int, int, int]:
+    """Where `SLOPES`, `HEAT` and `EXTRA` begin in the parameters of `count` outputs."""
+    slopes = _TERMS * (len(LINES) + len(OTHER_LINES) * (count - 2))
+    heat = slopes + len(SLOPES) * (count - 1)
+    return slopes, heat, heat + len(HEAT) * count
+
+
+@compiled(exact=False)
+def _governed(engine: Engine, drive: Drive, x: FloatArray, k: int, dt_s: float) -> None:
+    """Advance all outputs to row k of an engine whose control holds N1, in equal inner steps."""
+    p, outputs, target, unit, air = (
+        engine.theta, engine.outputs, drive.target, drive.per_unit[k], drive.air[k]
+    )  # fmt: skip
+    core, fan, count = outputs[0], outputs[1], inner_steps(dt_s)
+    slopes, _, extra = _places(len(engine.rank))
+    h, start, end = dt_s / count, target[k - 1], target[k]
+    kept, r = math.exp(-h / clip(get(p, extra), 0.01, 1.0)), _opened(x, drive, k, (core, fan))
+    fixed, d_fan = (get(p, extra + 1), kept, h), get(x, (FAST, fan)) * unit[fan]
+    for i in range(count):
+        w_was = start[core] + i / count * (end[core] - start[core])
+        w = start[core] + (i + 1.0) / count * (end[core] - start[core])
+        s = start[fan] + (i + 1.0) / count * (end[fan] - start[fan])
+        v, u, settled = (
+            clip(r.core, -_SPEED, _SPEED),
+            clip(r.fan, -_SPEED, _SPEED),
+            clip(w, -_SPEED, _SPEED),
+        )
+        was, r = r, _spools(p, air, r, s, fixed)
+        power, d_core = (r.core - was.core) / h, 0.5 * (w_was - was.core + w - r.core)
+        c = chord(p, slopes, air, v, settled)
+        beside = d_fan - c * d_core
+        pull = c * d_core - line(p, _PUSH, air, v, u) * power
+        times = (line(p, _FAN_S, air, v, u), h)
+        d_fan = follow(d_fan, pull, (end[fan] - start[fan]) / count, times)
+        rate = (s - d_fan - was.fan) / h
+        r = Spools(r.core, s - d_fan, r.fuel, r.reset, rate, r.metal, r.casing)
+        for j in range(2, len(outputs)):
+            o = outputs[j]
+            rank = engine.rank[o]
+            at = _TERMS * (len(LINES) + len(OTHER_LINES) * (rank - 2))
+            c = chord(p, slopes + len(SLOPES) * (rank - 1), air, v, settled)
+            pull = c * d_core - line(p, at + _TERMS, air, v, u) * power
+            pull = (pull + get(p, extra + rank) * beside) / unit[o]
+            step, times = (drive.ss[k, o] - drive.ss[k - 1, o]) / count, (line(p, at, air, v, u), h)
+            put(x, (FAST, o), follow(get(x, (FAST, o)), pull, step, times))
+    put(x, (FAST, core), (end[core] - r.core) / unit[core])
+    put(x, (FAST, fan), d_fan / unit[fan])
+    was_open = opening(get(x, (COVER, core)), get(x, (METAL, core)))
+    _closed(x, r, core, end[core])
+    _governed_heat(engine, drive, x, k, (dt_s, was_open))
+
+
+@compiled(exact=False)
+def _governed_heat(
+    engine: Engine, drive: Drive, x: FloatArray, k: int, at: tuple[float, float]
+) -> None:
+    """Advance soak and casing of all outputs; `at` are h and how far clearances were open."""
+    (h, was_open), p, core = at, engine.theta, engine.outputs[0]
+    w, thin = clip(drive.target[k, core], -_SPEED, _SPEED), drive.air[k, 0]
+    is_open = opening(get(x, (COVER, core)), get(x, (METAL, core)))  # deviations: signs turn
+    for j in range(len(engine.outputs)):
+        o = engine.outputs[j]
+        heat = _places(len(engine.rank))[1] + len(HEAT) * engine.rank[o]
+        step = drive.ss[k, o] - drive.ss[k - 1, o]
+        log_tau = get(p, heat + 1) + get(p, heat + 2) * w + get(p, heat + 3) * thin
+        soak = soaked(get(x, (SOAK, o)), get(p, heat) * step, clip(log_tau, -0.5, 4.5), h)
+        share = get(p, heat + 4) / drive.per_unit[k, o]
+        left = soaked(get(x, (CASING, o)), -share * was_open, clip(get(p, heat + 5), 2.0, 5.0), h)
+        _finish(x, o, soak, left + share * is_open, engine.limit[o])
+
+
+@compiled(exact=False)
+def inner_steps(dt_s: float) -> int:
+    """How many inner steps a governed engine takes per sample."""
+    return max(1, math.ceil(dt_s / _STEP_S - 1e-9))
+
+
+# ---- both
+
+
+@compiled(exact=False)
+def run(
+    engine: Engine,
+    drive: Drive,
+    starts: tuple[IntArray, FloatArray],
+    measured: FloatArray,
+    dt_s: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Deviations (T, o) and the states (`ROWS`, o) at the end; of dual numbers with slopes behind.
+
+    `starts` are positions (n,) at which a window begins, and the states there (n, `ROWS`, o).
+    `measured` (T, o), if it has rows, replaces the deviation before each step where it is finite
+    (one-step prediction). Columns that are not in `engine.outputs` stay zero.
+    """
+    count = drive.ss.shape[1]
+    found = np.zeros(drive.ss.shape + engine.theta.shape[1:])
+    x = np.zeros((ROWS, count) + engine.theta.shape[1:])  # noqa: RUF005 (numba unpacks no tuples)
+    window = 0
+    for k in range(len(found)):
+        if window < len(starts[0]) and starts[0][window] == k:
+            for row in range(ROWS):
+                for o in range(count):
+                    put(x, (row, o), starts[1][window, row, o])
+            window += 1
+        else:
+            for o in range(count if len(measured) > 0 else 0):
+                if math.isfinite(measured[k - 1, o]):
+                    slow = get(x, (SOAK, o)) + get(x, (CASING, o))
+                    put(x, (FAST, o), measured[k - 1, o] - slow)
+            if engine.governed:
+                _governed(engine, drive, x, k, dt_s)
+            else:
+                _limited(engine, drive, x, k, dt_s)
+        for j in range(len(engine.outputs)):
+            o = engine.outputs[j]
+            put(found, (k, o), deviation(x, o))
+    return found, x

@@ -1,0 +1,511 @@
+"""Fit the lumped engine to training logs in free run, and choose its form.
+
+**Fit.** An output-error estimate (Jategaonkar, *Flight Vehicle System Identification*, chapter 4)
+by least squares with a soft-L1 loss, so that what no lag explains, an unlogged bleed, hardly biases
+it. Slopes are exact (`narxcal.support.dual`). With the deviation d of column o, its measured value
+dm, its weight g and the standard deviation S of dm, the residuals are
+
+    g (d - dm) / S        one sample in `_EVERY_S`
+    c (theta - start) / unit,    c = prior soft sqrt(n / per)      n: number of those samples
+
+| form | scored | weight g | fitted together |
+|---|---|---|---|
+| limited | stretches in which the core moves | 1, or of relative errors 0.3 / swing | each column |
+| governed | whole logs, for heat shows long after a move | 1 / level, down to 0.4 | core and fan |
+
+Core and fan of a governed engine close a loop. Otherwise the core comes first, since the others
+follow it; its limits depend on the fan, which is taken as measured meanwhile.
+
+**Choice.** How an engine settles depends on its control, which no log names. Where [narx] says
+"auto", each form is fitted to some of the recordings and judged by its free run over the others,
+where the core moves; a single recording is cut into stretches. Errors are compared by the geometric
+mean over the outputs of their RMS, and a richer form has to be better by two percent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import count, pairwise
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.ndimage import binary_dilation, maximum_filter1d, minimum_filter1d
+from scipy.optimize import least_squares
+
+from data_prep.log import Log
+from narxcal.atmosphere import air_at
+from narxcal.channels import CHANNELS
+from narxcal.lumped.engine import LumpedEngine, Slopes, Starts, core_of
+from narxcal.lumped.rotors import Drive
+from narxcal.steady.model import SteadyStateModel
+from narxcal.support.arrays import BoolArray, FloatArray, IntArray
+from narxcal.support.errors import DataError
+from training.config import NarxSection, RunConfig
+from training.folds import Turn, left_over, turns
+from training.lag_priors import Form, Priors, start_engine
+from training.records import LagSamples, lag_samples
+
+_GRID_S: Final = 0.1  # the limited form is exact between samples: no finer grid is needed
+_EVERY_S: Final = 0.2  # one sample in this time is scored
+_MARGIN: Final = 1.5  # the limit, as a multiple of the largest deviation of the logs
+_MOVING: Final = 0.03  # of the core's range within some seconds: the core moves
+_STRETCHES_S: Final = {False: (10.0, 3.0), True: (5.0, 1.0)}  # relative: these seconds, and around
+_SWING_S: Final = 15.0  # a response with its settling
+_LEAST_SWING, _USUAL_SWING = 0.05, 0.3  # shares of the output's range; the latter has weight 1
+_LEVEL: Final = (0.4, 1.0)  # shares of the largest value; below, weights grow no more
+_ROUNDS: Final = 3  # of lags and static error, each found with the other; more change little
+
+PLAIN, LIMITS, GOVERNED = "plain", "limits", "governed"
+_BETTER: Final = 0.98  # of the plainer form's error; fewer logs than in the end favour plain forms
+_FOLDS: Final = 3
+_STRETCH_S, _STRETCHES = 30.0, 15  # at least so long, at most so many, of a single recording
+_CHOICE_GRID_S: Final = 0.2  # forms compare alike on twice the grid of the fit
+_ENOUGH_S: Final = 3.0 * 3600.0  # of logs to choose by; more take long and change little
+
+
+class _Loss(NamedTuple):
+    """Scale of the soft-L1 loss, cost of a unit once `per` so many samples, evaluations at most."""
+
+    soft: float
+    prior: float
+    per: float
+    evaluations: int
+
+
+_LOSS: Final = {
+    PLAIN: _Loss(0.15, 2.0, 1000.0, 15),
+    LIMITS: _Loss(0.15, 2.0, 1000.0, 25),
+    GOVERNED: _Loss(0.1, 1.0, 3000.0, 10),
+}
+
+
+# ---- fit
+
+
+def fit_lags(
+    config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]
+) -> LumpedEngine | None:
+    """Fit the lumped engine in front of the network to training logs; None if [narx] wants none.
+
+    No form in [narx] may be "auto" any more (see `choose_form`). With heat, what the spools still
+    have before them is no static error, so that both are found in turn.
+    """
+    if not config.narx.lag:
+        return None
+    engine: LumpedEngine | None = None
+    heat = config.narx.lag_heat and not config.narx.lag_governed
+    for _ in range(_ROUNDS if heat else 1):
+        samples = [lag_samples(log, steady, config, engine) for log in logs]
+        engine = fitted_form(config, samples, steady, logs[0].dt_s)
+    return engine
+
+
+def fitted_form(
+    config: RunConfig, samples: Sequence[LagSamples], steady: SteadyStateModel, dt_s: float
+) -> LumpedEngine:
+    """Fit the form that [narx] names; errors are those of `fit_engine`."""
+    section = config.narx
+    form = Form(
+        governed=section.lag_governed is True,
+        limited=section.lag_limits is True,
+        heat=section.lag_heat,
+        relative=section.lag_errors == "relative",
+    )
+    names = (steady.input_names, tuple(steady.output_names))
+    return fit_engine(samples, names, dt_s, form, config.train.threads)
+
+
+def fit_engine(
+    samples: Sequence[LagSamples],
+    names: tuple[Sequence[str], tuple[str, ...]],
+    dt_s: float,
+    form: Form = Form(),  # noqa: B008 (immutable)
+    threads: int = 1,
+) -> LumpedEngine:
+    """Fit an engine of one form; `names` are those of the inputs and of the outputs.
+
+    The result does not depend on `threads`. Raises `ModelError` for a governed engine without the
+    speeds of a fan and a core, `DataError` where the core never moves.
+    """
+    input_names, output_names = names
+    samples, dt_s = thinned(samples, dt_s)
+    engine, table = start_engine(output_names, form, scales_of(samples, input_names))
+    weights = _levels(samples) if form.governed else _swings(samples, engine, form, dt_s)
+    full = 2.0 * engine.half[engine.core]
+    rows = [moving(one.ss[:, engine.core], full, dt_s, relative=form.relative) for one in samples]
+    if not any(moves.any() for moves in rows):
+        raise DataError(
+            "the outputs never move, so no lag can be fitted",
+            channel=output_names[engine.core],
+            hint="Add logs with lever moves, or set lag = false in [narx]",
+        )
+    parts = [
+        _part(engine, one, input_names, weight, np.ones_like(moves) if form.governed else moves)
+        for one, weight, moves in zip(samples, weights, rows, strict=True)
+    ]
+    with ThreadPoolExecutor(threads) as pool:  # compiled runs release Python's lock
+        for group in _groups(engine):
+            engine = _Fit(engine, table, form, parts, group, dt_s, pool).fitted()
+    return engine
+
+
+def thinned(
+    samples: Sequence[LagSamples], dt_s: float, grid_s: float = _GRID_S
+) -> tuple[list[LagSamples], float]:
+    """Take every so many-th sample, so that the grid is at most `grid_s`; return the grid, too."""
+    every = max(int(grid_s / dt_s + 1e-6), 1)
+    return [one.rows(slice(None, None, every)) for one in samples], every * dt_s
+
+
+def scales_of(samples: Sequence[LagSamples], input_names: Sequence[str]) -> dict[str, FloatArray]:
+    """Centre and half range of the corrected outputs, and the limit of deviations, (n_out,)."""
+    roots = [np.sqrt(air_at(one.inputs, input_names).theta2)[:, None] for one in samples]
+    corrected = np.concatenate([one.ss / root for one, root in zip(samples, roots, strict=True)])
+    low, high = corrected.min(axis=0), corrected.max(axis=0)
+    deviations = np.concatenate([one.ss - one.measured for one in samples])
+    largest = np.nanmax(np.abs(_zero_if_unknown(deviations)), axis=0)
+    return {
+        "centre": 0.5 * (low + high),
+        "half": np.maximum(0.5 * (high - low), 1e-9),
+        "limit": _MARGIN * np.maximum(largest, 1e-9),
+    }
+
+
+def moving(ss: FloatArray, full: float, dt_s: float, *, relative: bool = False) -> BoolArray:
+    """Rows (time,) in and around the moves of a steady-state value `ss` whose range is `full`."""
+    span_s, around_s = _STRETCHES_S[relative]
+    around = max(round(around_s / dt_s), 1)
+    rows: BoolArray = binary_dilation(_swing(ss, span_s, dt_s) > _MOVING * full, iterations=around)
+    return rows
+
+
+def _swing(values: FloatArray, span_s: float, dt_s: float) -> FloatArray:
+    """Largest minus smallest value (time, ...) within `span_s` around each sample."""
+    size = max(round(span_s / dt_s), 2)
+    swing: FloatArray = maximum_filter1d(values, size, axis=0)
+    swing -= minimum_filter1d(values, size, axis=0)
+    return swing
+
+
+def _zero_if_unknown(deviations: FloatArray) -> FloatArray:
+    """`deviations` (time, ...), 0 for an output without a single known sample."""
+    return np.where(np.isfinite(deviations).any(axis=0), deviations, 0.0)
+
+
+def _known(one: LagSamples) -> FloatArray:
+    """Measured outputs, or their steady-state values where masked."""
+    return np.where(np.isfinite(one.measured), one.measured, one.ss)
+
+
+def _swings(
+    samples: Sequence[LagSamples], engine: LumpedEngine, form: Form, dt_s: float
+) -> list[FloatArray]:
+    """Weights (time, n_out) of a limited engine: 1, or the smaller the larger the move."""
+    if not form.relative:
+        return [np.ones_like(one.ss) for one in samples]
+    shares = [_swing(_known(one), _SWING_S, dt_s) / (2.0 * engine.half) for one in samples]
+    return [_USUAL_SWING / np.maximum(share, _LEAST_SWING) for share in shares]
+
+
+def _levels(samples: Sequence[LagSamples]) -> list[FloatArray]:
+    """Weights (time, n_out) of a governed engine: the larger the lower the output."""
+    sizes = [np.abs(_known(one)) for one in samples]
+    largest = np.maximum(np.max([size.max(axis=0) for size in sizes], axis=0), 1e-9)
+    return [1.0 / np.clip(size / largest, *_LEVEL) for size in sizes]
+
+
+class _Part(NamedTuple):
+    """The scored rows of one log, end to end: drive, deviations and weights (time, n_out)."""
+
+    drive: Drive
+    deviation: FloatArray
+    weight: FloatArray
+    starts: Starts
+
+
+def _part(
+    engine: LumpedEngine,
+    one: LagSamples,
+    input_names: Sequence[str],
+    weight: FloatArray,
+    wanted: BoolArray,
+) -> _Part:
+    rows = np.flatnonzero(wanted)
+    begins = np.flatnonzero(np.diff(rows, prepend=-2) > 1)
+    deviation = (one.ss - one.measured)[rows]
+    starts = begins, engine.start(np.nan_to_num(deviation[begins]))
+    drive = engine.drive(one.inputs, input_names, one.ss).rows(rows)
+    return _Part(drive, deviation, weight[rows], starts)
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """The fit of one group of columns of `engine`, behind those that are fitted already."""
+
+    engine: LumpedEngine
+    table: Priors
+    form: Form
+    parts: Sequence[_Part]
+    group: IntArray
+    dt_s: float
+    pool: ThreadPoolExecutor
+
+    def fitted(self) -> LumpedEngine:
+        """The engine with the parameters of the group fitted."""
+        start, unit = self.engine.theta[self.free], self.table.unit[self.free]
+        prior = self.prior / unit
+
+        def residuals(values: FloatArray) -> FloatArray:
+            return np.concatenate([*self.errors(self.trial(values)), prior * (values - start)])
+
+        def slopes(values: FloatArray) -> FloatArray:
+            return np.concatenate([*self.slopes(self.trial(values)), np.diag(prior)])
+
+        found = least_squares(
+            residuals,
+            start,
+            slopes,
+            x_scale="jac",
+            loss="soft_l1",
+            f_scale=self.loss.soft,
+            max_nfev=self.loss.evaluations,
+        )
+        return self.trial(found.x)
+
+    @property
+    def loss(self) -> _Loss:
+        """Settings of the loss."""
+        if self.form.governed:
+            return _LOSS[GOVERNED]
+        return _LOSS[LIMITS if self.form.limited else PLAIN]
+
+    @cached_property
+    def free(self) -> IntArray:
+        """Numbers of the parameters that are fitted."""
+        # Core and fan of a governed engine count as the core's.
+        return np.flatnonzero(self.table.fitted & (self.table.column == self.group[0]))
+
+    @cached_property
+    def measured_fan(self) -> IntArray:
+        """Column of a fan that limits the core and is not fitted yet, if there is one."""
+        first = self.form.limited and self.group[0] == self.engine.core
+        fan = first and not self.engine.governed and self.engine.speeds.sum() > 1
+        return self.engine.order[1:2] if fan else self.engine.order[:0]
+
+    @cached_property
+    def outputs(self) -> IntArray:
+        """Columns to be run; none of the others acts on the group."""
+        before = self.engine.order[: 2 if self.engine.governed else 1]
+        return np.unique(np.concatenate([before, self.group, self.measured_fan]))
+
+    @cached_property
+    def every(self) -> int:
+        """One sample of so many is scored."""
+        return max(round(_EVERY_S / self.dt_s), 1)
+
+    @cached_property
+    def scored(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Deviations (n, c) of each part and weights over their spread, both 0 where masked."""
+        known = [part.deviation[:, self.group] for part in self.parts]
+        spread = np.nanstd(_zero_if_unknown(np.concatenate(known)), axis=0)
+        spread = np.where(spread > 1e-9, spread, 1.0)
+        weights = [part.weight[:, self.group] / spread for part in self.parts]
+        rows = slice(None, None, self.every)
+        return [
+            (np.nan_to_num(value)[rows], np.where(np.isfinite(value), weight, 0.0)[rows])
+            for value, weight in zip(known, weights, strict=True)
+        ]
+
+    @cached_property
+    def prior(self) -> float:
+        """Residual of a parameter that has moved by one unit."""
+        scored = sum(weight.size for _, weight in self.scored)
+        return float(self.loss.prior * self.loss.soft * np.sqrt(scored / self.loss.per))
+
+    def trial(self, values: FloatArray) -> LumpedEngine:
+        """The engine with other values of the free parameters."""
+        theta = self.engine.theta.copy()
+        theta[self.free] = values
+        return replace(self.engine, theta=theta)
+
+    def errors(self, engine: LumpedEngine) -> Iterator[FloatArray]:
+        """Weighted errors of each part."""
+
+        def of(part: _Part, scored: tuple[FloatArray, FloatArray]) -> FloatArray:
+            found, _ = engine.run(*self._arguments(part), outputs=self.outputs)
+            return np.ravel((found[:: self.every, self.group] - scored[0]) * scored[1])
+
+        return self.pool.map(of, self.parts, self.scored)
+
+    def slopes(self, engine: LumpedEngine) -> Iterator[FloatArray]:
+        """Slopes (errors, free parameters) of the errors of each part."""
+
+        def of(part: _Part, scored: tuple[FloatArray, FloatArray]) -> FloatArray:
+            wanted = Slopes(self.free, self.group, self.every, self.outputs)
+            found = engine.slopes(wanted, *self._arguments(part))
+            return (found * scored[1][:, :, None]).reshape(-1, len(self.free))
+
+        return self.pool.map(of, self.parts, self.scored)
+
+    def _arguments(self, part: _Part) -> tuple[Drive, Starts, float, FloatArray]:
+        taken = np.full_like(part.deviation, np.nan)
+        taken[:, self.measured_fan] = part.deviation[:, self.measured_fan]
+        return part.drive, part.starts, self.dt_s, taken
+
+
+def _groups(engine: LumpedEngine) -> list[IntArray]:
+    """Columns that are fitted together, in order."""
+    first = 2 if engine.governed else 1
+    return [engine.order[:first], *engine.order[first:, None]]
+
+
+# ---- choice
+
+
+@dataclass(frozen=True)
+class LagChoice:
+    """The `form` that was chosen, and the error that each form leaves, over the outputs' range.
+
+    `left` is empty where there was nothing to choose, `form` where [narx] wants no lags.
+    """
+
+    form: str
+    left: Mapping[str, float] = field(default_factory=dict)
+
+    def row(self) -> dict[str, object]:
+        """As JSON-able values."""
+        return {"form": self.form, "left": dict(self.left)}
+
+
+def choose_form(
+    config: RunConfig,
+    steady: SteadyStateModel,
+    logs: Sequence[Log],
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> tuple[RunConfig, LagChoice]:
+    """Replace "auto" in [narx] by the form that follows left-out logs best; raises no errors.
+
+    Where no form can be judged (some recording has no moves), it is the plainest. `progress` is
+    called with the fits done and the number of all.
+    """
+    forms = _offered(config, steady)
+    if len(forms) < 2:
+        return _with(config, forms[0]), LagChoice(forms[0] if config.narx.lag else "")
+    logs = _enough(logs)
+    samples = [lag_samples(log, steady, config) for log in logs]
+    samples, dt_s = thinned(samples, logs[0].dt_s, _CHOICE_GRID_S)
+    samples, recordings = _stretches(samples, [log.source.file for log in logs], dt_s)
+    trial = _Trial(steady, samples, turns(recordings, _FOLDS), dt_s)
+    total, done = len(forms) * len(trial.folds), count()
+
+    def begins() -> None:
+        progress(next(done), total)
+
+    left, best = {form: trial.left(_with(config, form), begins) for form in forms}, forms[0]
+    for form in forms[1:]:
+        if left[form] < _BETTER * left[best]:
+            best = form
+    known = {form: value for form, value in left.items() if np.isfinite(value)}
+    return _with(config, best), LagChoice(best, known)
+
+
+def _offered(config: RunConfig, steady: SteadyStateModel) -> list[str]:
+    """The forms that [narx] leaves open, the plainest first."""
+    section = config.narx
+    if not section.lag:
+        return [PLAIN]
+    if section.lag_governed is True:
+        return [GOVERNED]
+    if section.lag_limits != "auto":
+        return [LIMITS if section.lag_limits else PLAIN]
+    forms = [PLAIN, LIMITS]
+    if section.lag_governed == "auto" and _may_be_governed(config, steady):
+        forms.append(GOVERNED)
+    return forms
+
+
+def _may_be_governed(config: RunConfig, steady: SteadyStateModel) -> bool:
+    """Whether a lever drives a fan and a core, and [narx] sets nothing for the limited form."""
+    section = config.narx
+    driver = config.steady_state.driver or config.events.driver
+    spools = {"N1_pct", "N2_pct"} <= set(steady.output_names)
+    default = section.lag_errors == "absolute" and not section.lag_heat
+    return spools and default and CHANNELS[driver].role == "lever"
+
+
+def _with(config: RunConfig, form: str) -> RunConfig:
+    chosen = {"lag_limits": form == LIMITS, "lag_governed": form == GOVERNED}
+    section: NarxSection = config.narx.model_copy(update=chosen)
+    return config.model_copy(update={"narx": section})
+
+
+def _enough(logs: Sequence[Log]) -> list[Log]:
+    """Every so many-th recording, with all its engines, where there are hours of them."""
+    names = list(dict.fromkeys(log.source.file for log in logs))
+    every = int(sum(len(log) * log.dt_s for log in logs) // _ENOUGH_S) + 1
+    every = max(min(every, len(names) // _FOLDS), 1)
+    taken = set(names[::every])
+    return [log for log in logs if log.source.file in taken]
+
+
+def _stretches(
+    samples: Sequence[LagSamples], recordings: Sequence[str], dt_s: float
+) -> tuple[list[LagSamples], list[str]]:
+    """Samples with the names of their recordings; a single one is cut into stretches."""
+    if len(set(recordings)) > 1:
+        return list(samples), list(recordings)
+    parts, names = [], []
+    for one in samples:
+        many = int(np.clip(len(one.ss) * dt_s / _STRETCH_S, _FOLDS, _STRETCHES))
+        edges = np.linspace(0, len(one.ss), many + 1).astype(int).tolist()
+        for number, (start, stop) in enumerate(pairwise(edges)):
+            parts.append(one.rows(slice(start, stop)))
+            names.append(str(number % _FOLDS))
+    return parts, names
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """What forms are judged on: samples on the grid `dt_s`, in folds."""
+
+    steady: SteadyStateModel
+    samples: Sequence[LagSamples]
+    folds: Sequence[Turn]
+    dt_s: float
+
+    def left(self, config: RunConfig, begins: Callable[[], None]) -> float:
+        """Error of a form in free run on left-out samples, as a share of the outputs' range.
+
+        `begins` is called as each fit begins. An output without a known sample to fit is left out.
+        """
+        errors: list[FloatArray] = []
+        for fold in self.folds:
+            begins()
+            fitted, judged = fold.of(self.samples)
+            try:
+                engine = fitted_form(config, fitted, self.steady, self.dt_s)
+            except DataError:  # the core never moves without what is judged
+                return np.inf
+            known = np.concatenate([np.isfinite(one.measured) for one in fitted]).any(axis=0)
+            errors += [np.where(known, self._error(engine, one), np.nan) for one in judged]
+        return left_over(errors)
+
+    def _error(self, engine: LumpedEngine, one: LagSamples) -> FloatArray:
+        """Error (rows, outputs) of the free run where the core moves, over the outputs' range."""
+        deviation = one.ss - one.measured
+        drive = engine.drive(one.inputs, self.steady.input_names, one.ss)
+        error = engine.deviations(drive, deviation[0], self.dt_s) - deviation
+        core = core_of(tuple(self.steady.output_names))
+        rows = moving(one.ss[:, core], self._range[core], self.dt_s)
+        share: FloatArray = error[rows] / self._range
+        return share
+
+    @property
+    def _range(self) -> FloatArray:
+        """Of each output over all samples (outputs,)."""
+        ss = np.concatenate([one.ss for one in self.samples])
+        width: FloatArray = np.maximum(np.ptp(ss, axis=0), 1e-9)
+        return width
