@@ -153,8 +153,6 @@ def rest_records(
     return drawn
 
 
-
-
 def material(
     config: RunConfig,
     steady: SteadyStateModel,
