@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal, Self
 from pydantic import Field
 
 from data_prep.config import LogsConfig
-from narxcal.calibration.fuser_config import FuserConfig
+from narxcal.calibration.fuser import FuserConfig
 from narxcal.calibration.noise import NoiseModel
 from narxcal.support.arrays import BoolArray, FloatArray, last_true, spans
 from narxcal.support.settings import Section
@@ -26,8 +26,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from narxcal.calibration.fuser import FastFuser, estimate_noise
-from narxcal.calibration.noise import MIN_SAMPLES
+from narxcal.calibration.fuser import FastFuser
+from narxcal.calibration.noise import MIN_SAMPLES, STORED, estimate_noise
 from narxcal.support.errors import DataError
 
 if TYPE_CHECKING:
@@ -286,7 +286,7 @@ class EngineReplay:
         part = estimate_noise(
             [z[:, fit] for z in measured], [p[:, fit] for p in predicted], found.dt_s
         )
-        for name in ("retention", "process", "motion", "linger", "measurement", "spread"):
+        for name in STORED:
             getattr(found, name)[fit] = getattr(part, name)
         if self._model.noise is None:
             return found
@@ -302,9 +302,10 @@ class EngineReplay:
         slow = np.array([name in self.slow for name in self.outputs])
         parts = {
             name: np.where(slow, getattr(found, name), getattr(stored, name))
-            for name in ("retention", "process", "motion", "linger", "spread")
+            for name in STORED
+            if name != "measurement_variance"
         }
-        return replace(stored, measurement=found.measurement, **parts)
+        return replace(stored, measurement_variance=found.measurement_variance, **parts)
 
     def _fuse(self, each: _Predicted, fuser: FastFuser) -> Rows:
         measured = np.where(self._fusable, each.measured, np.nan)
@@ -321,17 +322,8 @@ class EngineReplay:
 
 def _blind(n_out: int, dt_s: float) -> NoiseModel:
     """Noise with which a fuser repeats the prediction, as it must where nothing was measured."""
-    zero = [np.zeros(n_out) for _ in range(5)]
-    return NoiseModel(
-        dt_s,
-        retention=zero[0],
-        process=zero[1],
-        motion=zero[2],
-        linger=zero[3],
-        measurement=np.ones(n_out),
-        spread=zero[4],
-        correlation=np.eye(n_out),
-    )
+    zero = {name: np.zeros(n_out) for name in STORED}
+    return NoiseModel(dt_s, **{**zero, "measurement_variance": np.ones(n_out)})
 
 
 __all__ = ["Clock", "ReplayModel", "ReplayOptions", "ReplaySummary", "replay"]

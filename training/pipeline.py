@@ -207,7 +207,7 @@ def fuser_noise(calibration: DynamicCalibration, split: Split) -> NoiseModel:
         predicted.append(own.simulate(log.matrix(own.input_names), measured[-1][0]))
     found = estimate_noise(measured, predicted, calibration.dt_s)
     removed = [_smoothed_away(name, logs) for name in outputs]
-    return replace(found, measurement=np.maximum(found.measurement, removed))
+    return replace(found, measurement_variance=np.maximum(found.measurement_variance, removed))
 
 
 def _smoothed_away(name: str, logs: Sequence[Log]) -> float:

@@ -24,7 +24,8 @@ from eval.benchmarks.row import Row
 from eval.replay import ReplayModel, replay
 from eval.reproduce.data import flown
 from narxcal.calibration.bundle import Bundle
-from narxcal.calibration.fuser import KalmanFuser, NoiseModel
+from narxcal.calibration.fuser import KalmanFuser
+from narxcal.calibration.noise import NoiseModel
 from narxcal.flight_test.fly import load_scenario, write_flights
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxConfig, NarxModel

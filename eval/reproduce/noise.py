@@ -31,7 +31,8 @@ from eval.report.style import Picture, unit, with_unit
 from eval.report.tables import Cell, Table, figure
 from eval.reproduce.data import DataSets, Effort, numbered, truth_of
 from narxcal.calibration.bundle import Bundle
-from narxcal.calibration.fuser import FastFuser, estimate_noise
+from narxcal.calibration.fuser import FastFuser
+from narxcal.calibration.noise import estimate_noise
 from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
 

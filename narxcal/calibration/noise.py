@@ -1,97 +1,122 @@
-"""How far a model's prediction and a sensor may be trusted, estimated from both by likelihood."""
+"""Noise of a model's prediction and of a sensor, estimated from both by maximum likelihood.
+
+Per channel, in channel units; k counts samples of the sampling interval `dt_s`:
+
+    y[k] = p[k] + b[k]                           the model's error is b
+    b[k] = phi b[k-1] + w[k]                     var w = q + g a[k]
+    a[k] = rho a[k-1] + (1 - rho) (p[k] - p[k-1])^2
+    z[k] = y[k] + v[k]                           var v = r
+
+| symbol | field of `NoiseModel` | meaning | unit |
+|---|---|---|---|
+| p, y, z | | prediction, truth, measurement | channel |
+| phi | `bias_decay` | share of the model's error that lasts to the next sample | - |
+| q | `process_variance` | variance of its changes in equilibrium | channel^2 |
+| g | `transient_gain` | how far that variance grows with the activity a | - |
+| rho | `activity_decay` | share of the activity that lasts to the next sample | - |
+| r | `measurement_variance` | variance of the sensor's noise | channel^2 |
+| p0 | `initial_variance` | mean square of b, where a filter starts | channel^2 |
+
+Process noise grows during transients: a dynamic model's error changes while the engine moves and
+shortly after, and hardly in equilibrium. With constant process noise a filter either lags a slam or
+follows the noise.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Self
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
 
-import numba
 import numpy as np
 from scipy.optimize import minimize
 
 from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.compiled import compiled
 from narxcal.support.errors import DataError, ModelError
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-
 MIN_SAMPLES = 50
-# Bounds of log(variance / R): outside them one of the two sources carries no information.
+# Bounds of log(variance / r): outside them one of the two sources carries no information.
 _LOG_RATIO = (-25.0, 15.0)
-_LOG_LINGER = np.log(100.0)  # samples that a move may be felt
+_LOG_ACTIVITY = float(np.log(100.0))  # longest time constant of the activity, in samples
 _STARTS = (-1.0, -4.0, -8.0)
+# Fields, and their names in a bundle.
+STORED = {
+    "bias_decay": "retention",
+    "process_variance": "process",
+    "transient_gain": "motion",
+    "activity_decay": "linger",
+    "measurement_variance": "measurement",
+    "initial_variance": "spread",
+}
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
-    """Noise of `n_out` channels: prediction `p`, truth `y`, measurement `z`, all in channel units.
+    """Noise of `n_out` channels (see the module): arrays (n_out,), valid at `dt_s` only.
 
-    ```
-    y[k] = p[k] + b[k]                       the model is off by b
-    b[k] = retention * b[k-1] + w[k]         var w = process + motion * a[k]
-    a[k] = linger * a[k-1] + (1 - linger) * (p[k] - p[k-1])**2
-    z[k] = y[k] + v[k]                       var v = measurement
-    ```
-
-    The error of a dynamic model grows while the engine moves, and a little after, and hardly
-    changes while it is settled; `motion` and the activity `a` say so. Without them a filter
-    either lags a slam or follows the noise.
-    `spread` is the mean square of `b`, where a filter starts. `correlation` `(n_out, n_out)` is
-    that of `w` between channels. All others are `(n_out,)`, and hold at the raster `dt_s` only.
+    Raises `ModelError` for shapes that differ and values out of range.
     """
 
     dt_s: float
-    retention: FloatArray
-    process: FloatArray
-    motion: FloatArray
-    linger: FloatArray
-    measurement: FloatArray
-    spread: FloatArray
-    correlation: FloatArray
+    bias_decay: FloatArray
+    process_variance: FloatArray
+    transient_gain: FloatArray
+    activity_decay: FloatArray
+    measurement_variance: FloatArray
+    initial_variance: FloatArray
 
     def __post_init__(self) -> None:
-        n_out = len(self.retention)
-        for name in ("retention", "process", "motion", "linger", "measurement", "spread"):
-            _check(name, getattr(self, name), (n_out,))
-        _check("correlation", self.correlation, (n_out, n_out), low=-1.0)
-        if not np.all(self.measurement > 0.0):
+        shape = (len(self.bias_decay),)
+        for name in STORED:
+            values, words = getattr(self, name), name.replace("_", " ")
+            if values.shape != shape:
+                raise ModelError(
+                    f"the fuser's {words} should have shape {shape}, found {values.shape}"
+                )
+            if not np.all(np.isfinite(values)) or np.any(values < 0.0):
+                raise ModelError(
+                    f"the fuser's {words} must be finite and at least 0, found {values}"
+                )
+        if not np.all(self.measurement_variance > 0.0):
             raise ModelError("the measurement variance of a fuser must be positive")
-        if np.any(self.retention > 1.0) or np.any(self.linger > 1.0):
-            raise ModelError("the retention and linger of a fuser must not exceed 1")
-
-    def activity(self, before: FloatArray, moved: FloatArray) -> FloatArray:
-        """a[k] `(n_out,)` from a[k-1] and the prediction's move since then."""
-        return self.linger * before + (1.0 - self.linger) * moved * moved
-
-    def process_covariance(self, activity: FloatArray) -> FloatArray:
-        """Q `(n_out, n_out)` of a step at which the activity is `activity` `(n_out,)`."""
-        deviation = np.sqrt(self.process + self.motion * activity)
-        covariance: FloatArray = self.correlation * np.outer(deviation, deviation)
-        return covariance
+        if np.any(self.bias_decay > 1.0) or np.any(self.activity_decay > 1.0):
+            raise ModelError("the bias decay and activity decay of a fuser must not exceed 1")
 
     def to_dict(self) -> dict[str, Any]:
         """Plain lists and numbers, for a bundle's JSON."""
-        return {f.name: np.asarray(getattr(self, f.name)).tolist() for f in fields(self)}
+        return {
+            "dt_s": self.dt_s,
+            **{key: getattr(self, name).tolist() for name, key in STORED.items()},
+        }
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Self:
-        """Inverse of `to_dict`; raises `ModelError` where a part is missing."""
-        missing = [f.name for f in fields(cls) if f.name not in table]
+        """Inverse of `to_dict`; raises `ModelError` where a part is missing or no number."""
+        missing = [key for key in ("dt_s", *STORED.values()) if key not in table]
+        hint = "Train the model again, or let the fuser estimate its noise from the log"
         if missing:
-            raise ModelError(
-                f"the fuser's noise model lacks {', '.join(missing)}",
-                hint="Train the model again, or let the fuser estimate its noise from the log",
-            )
-        arrays = [np.asarray(table[f.name], dtype=float) for f in fields(cls)[1:]]
-        return cls(float(table["dt_s"]), *arrays)
+            raise ModelError(f"the fuser's noise model lacks {', '.join(missing)}", hint=hint)
+        try:
+            arrays = [np.array(table[key], dtype=float).reshape(-1) for key in STORED.values()]
+            dt_s = float(table["dt_s"])
+        except (TypeError, ValueError) as error:
+            problem = f"the fuser's noise model is no table of numbers: {error}"
+            raise ModelError(problem, hint=hint) from None
+        return cls(dt_s, *arrays)
 
 
-def _check(name: str, values: FloatArray, shape: tuple[int, ...], low: float = 0.0) -> None:
-    if values.shape != shape:
-        raise ModelError(f"the fuser's {name} should have shape {shape}, found {values.shape}")
-    if not np.all(np.isfinite(values)) or np.any(values < low):
-        raise ModelError(f"the fuser's {name} must be finite and at least {low:g}, found {values}")
+@compiled
+def activity(before: float, change: float, decay: float) -> float:
+    """a[k] from a[k-1] and p[k] - p[k-1]."""
+    return decay * before + (1.0 - decay) * change * change
+
+
+@compiled
+def updated(x: float, variance: float, z: float, r: float) -> tuple[float, float]:
+    """Estimate and variance of a scalar Kalman filter after measurement `z` of variance `r`."""
+    total = variance + r
+    return x + variance / total * (z - x), variance * r / total
 
 
 def estimate_noise(
@@ -100,13 +125,12 @@ def estimate_noise(
     dt_s: float,
     names: Sequence[str] = (),
 ) -> NoiseModel:
-    """Maximum-likelihood `NoiseModel` from the noisy measurement and the free run beside it.
+    """Estimate a `NoiseModel` from noisy measurements and the free run over the same samples.
 
     Both are `(time, n_out)`, or several such records; NaN marks a missing measurement. Per channel
     the likelihood is that of the innovations of the scalar Kalman filter (Harvey, Forecasting,
     Structural Time Series Models, 1989, section 3.4) with the measurement variance concentrated
-    out, so that the mean normalised innovation squared is one on the data it was estimated from.
-    Correlations between the channels follow in `correlate`.
+    out, so that the mean normalised innovation squared is one on the data of the estimate.
 
     Raises `DataError` where a channel has too few measured samples.
     """
@@ -115,15 +139,13 @@ def estimate_noise(
     if shapes[0] != shapes[1] or not z:
         raise DataError(f"measured and predicted differ in shape: {shapes[0]} against {shapes[1]}")
     starts = np.concatenate([np.arange(len(a)) == 0 for a in z])
-    moved = np.concatenate([np.diff(a, axis=0, prepend=a[:1]) for a in p])
+    change = np.concatenate([np.diff(a, axis=0, prepend=a[:1]) for a in p])
     deviation = np.concatenate(z) - np.concatenate(p)
     columns = [
-        _channel(deviation[:, i], moved[:, i], starts, names[i] if names else f"number {i}")
+        _channel(deviation[:, i], change[:, i], starts, names[i] if names else f"number {i}")
         for i in range(deviation.shape[1])
     ]
-    retention, process, motion, linger, measurement, spread = np.array(columns).T
-    unrelated = np.eye(deviation.shape[1])
-    return NoiseModel(dt_s, retention, process, motion, linger, measurement, spread, unrelated)
+    return NoiseModel(dt_s, *np.array(columns).T)
 
 
 def _records(values: FloatArray | Sequence[FloatArray]) -> list[FloatArray]:
@@ -132,9 +154,9 @@ def _records(values: FloatArray | Sequence[FloatArray]) -> list[FloatArray]:
 
 
 def _channel(
-    deviation: FloatArray, moved: FloatArray, starts: BoolArray, name: str
+    deviation: FloatArray, change: FloatArray, starts: BoolArray, name: str
 ) -> tuple[float, float, float, float, float, float]:
-    """Find the parts of a noise model, in their order there, for one channel `(time,)`."""
+    """Estimate the fields of a noise model, in their order there, for one channel `(time,)`."""
     known = np.isfinite(deviation)
     if known.sum() < MIN_SAMPLES:
         raise DataError(
@@ -143,68 +165,65 @@ def _channel(
             hint="Leave the channel out of the fuser, or fuse a longer log",
         )
     square = float(np.mean(deviation[known] ** 2)) + np.finfo(float).tiny
-    motion_square = float(np.mean(moved**2)) + np.finfo(float).tiny
-    unit = deviation / np.sqrt(square), moved / np.sqrt(motion_square), starts
+    change_square = float(np.mean(change**2)) + np.finfo(float).tiny
+    unit = deviation / np.sqrt(square), change / np.sqrt(change_square), starts
 
     def cost(theta: FloatArray) -> float:
         return float(_likelihood(*unit, _parameters(theta))[0])
 
-    # A bias that lives longer than the record cannot be told from a constant one.
-    memory = np.log(max(4.0, float(known.sum())))
-    bounds = [(np.log(2.0), memory), _LOG_RATIO, _LOG_RATIO, (0.0, _LOG_LINGER)]
+    # A bias that lasts longer than the record cannot be distinguished from a constant one.
+    longest = np.log(max(4.0, float(known.sum())))
+    bounds = [(np.log(2.0), longest), _LOG_RATIO, _LOG_RATIO, (0.0, _LOG_ACTIVITY)]
     fits = [
-        minimize(cost, (0.8 * memory, start, start, 1.5), method="L-BFGS-B", bounds=bounds)
+        minimize(cost, (0.8 * longest, start, start, 1.5), method="L-BFGS-B", bounds=bounds)
         for start in _STARTS
     ]
     best = _parameters(min(fits, key=lambda fit: float(fit.fun)).x)
-    retention, process, motion, linger = (float(v) for v in best)
-    measurement = max(float(_likelihood(*unit, best)[1]) * square, np.finfo(float).tiny)
-    process *= measurement
-    motion *= measurement / motion_square
-    return retention, process, motion, linger, measurement, max(square - measurement, process)
+    phi, q, g, rho = (float(v) for v in best)
+    r = max(float(_likelihood(*unit, best)[1]) * square, np.finfo(float).tiny)
+    q *= r
+    g *= r / change_square
+    return phi, q, g, rho, r, max(square - r, q)
 
 
 def _parameters(theta: FloatArray) -> FloatArray:
-    """Retention, process, motion and linger from what the search works in: logarithms."""
-    memory, process, motion, lasting = np.exp(theta)
-    return np.array([1.0 - 1.0 / memory, process, motion, 1.0 - 1.0 / lasting])
+    """Phi, q, g and rho from the logarithms in which the search works."""
+    lasting, q, g, activity_s = np.exp(theta)
+    return np.array([1.0 - 1.0 / lasting, q, g, 1.0 - 1.0 / activity_s])
 
 
-def _likelihood_loop(
-    deviation: FloatArray, moved: FloatArray, starts: BoolArray, parameters: FloatArray
+@compiled
+def _likelihood(
+    deviation: FloatArray, change: FloatArray, starts: BoolArray, parameters: FloatArray
 ) -> tuple[float, float]:
     """Mean concentrated negative log-likelihood, and the measurement variance that maximises it.
 
     All variances are in units of the measurement's; the first sample of a record has a
     diffuse prior: it sets the state and does not count.
     """
-    retention, process, motion, linger = parameters
-    state, variance, logs, squares, count = 0.0, 0.0, 0.0, 0.0, 0
-    activity = 0.0
+    phi, q, g, rho = parameters
+    x, variance, logs, squares, count = 0.0, 0.0, 0.0, 0.0, 0
+    a = 0.0
     fresh = True
     for k in range(len(deviation)):
         if starts[k]:
-            fresh, activity = True, 0.0
+            fresh, a = True, 0.0
         else:
-            activity = linger * activity + (1.0 - linger) * moved[k] * moved[k]
+            a = activity(a, change[k], rho)
         if not fresh:
-            state *= retention
-            variance = retention * retention * variance + process + motion * activity
+            x *= phi
+            variance = phi * phi * variance + q + g * a
         z = deviation[k]
         if np.isnan(z):
             continue
         if fresh:
-            state, variance, fresh = z, 1.0, False
+            x, variance, fresh = z, 1.0, False
             continue
         total = variance + 1.0
-        innovation = z - state
+        innovation = z - x
         logs += np.log(total)
         squares += innovation * innovation / total
         count += 1
-        state += variance / total * innovation
-        variance /= total
+        x, variance = updated(x, variance, z, 1.0)
     scale = squares / max(count, 1) + 1e-30
     return logs / max(count, 1) + np.log(scale), scale
-
-
-_likelihood = numba.njit(cache=True)(_likelihood_loop)

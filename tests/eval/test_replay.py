@@ -17,7 +17,8 @@ from data_prep.config import LogsConfig
 from data_prep.reading import read_logs
 from data_prep.stream import GridStream
 from eval.replay import Clock, ReplayModel, ReplayOptions, replay
-from narxcal.calibration.fuser import KalmanFuser, NoiseModel, estimate_noise
+from narxcal.calibration.fuser import KalmanFuser
+from narxcal.calibration.noise import NoiseModel, estimate_noise
 from narxcal.support.errors import ConfigError, DataError, ModelError
 
 DT = 0.1
@@ -77,9 +78,7 @@ STORED = ReplayOptions(noise="stored")
 
 def noise_model():
     ones = np.ones(2)
-    return NoiseModel(
-        DT, 0.99 * ones, 0.01 * ones, 0.1 * ones, 0.5 * ones, 0.04 * ones, ones, np.eye(2)
-    )
+    return NoiseModel(DT, 0.99 * ones, 0.01 * ones, 0.1 * ones, 0.5 * ones, 0.04 * ones, ones)
 
 
 MODEL = ReplayModel(FirstOrder(), noise=noise_model())
@@ -290,7 +289,7 @@ def test_the_sensors_noise_is_the_logs_own_and_the_models_is_the_bundles(tmp_pat
     [batch] = read_logs(log)
     predicted = FirstOrder().simulate(batch.matrix(FirstOrder.input_names))
     measured = batch.matrix(FirstOrder.output_names)
-    own = estimate_noise(measured, predicted, DT).measurement
+    own = estimate_noise(measured, predicted, DT).measurement_variance
     np.testing.assert_allclose(own, 0.04, rtol=0.15)
     fused = KalmanFuser(replace(stored, measurement=own)).run(predicted, measured)
     np.testing.assert_allclose(found["N1_pct_fused"], fused.values[:, 0], rtol=1e-8)

@@ -149,7 +149,7 @@ def test_the_stored_noise_is_that_of_rows_as_they_are_recorded(bundle):
     logs = [smooth(log, SmoothConfig(window=window)) for window in (1, 5)]
     noises = [fuser_noise(model, Split((), (each,), ())) for each in logs]
     for noise in noises:
-        np.testing.assert_allclose(noise.measurement, [0.05**2, 0.5**2], rtol=0.1)
+        np.testing.assert_allclose(noise.measurement_variance, [0.05**2, 0.5**2], rtol=0.1)
     measured = log.matrix(model.output_names)
     predicted = model.simulate(log.matrix(model.input_names), measured[0])
     fused = FastFuser(noises[1]).run(predicted, measured)
@@ -330,9 +330,9 @@ def test_what_smoothing_took_is_that_of_the_logs_that_record_the_channel():
         ("N1_pct", "EGT_C")
     )
     found = fuser_noise(bundle.calibration, lacking)
-    assert found.measurement[1] >= usual[0].noise["EGT_C"]
+    assert found.measurement_variance[1] >= usual[0].noise["EGT_C"]
     stopped_by = Split(lacking.train, lacking.train[1:], ())
-    assert fuser_noise(bundle.calibration, stopped_by).measurement[1] > 0.0
+    assert fuser_noise(bundle.calibration, stopped_by).measurement_variance[1] > 0.0
 
 
 def test_an_output_that_no_training_log_records_is_refused():

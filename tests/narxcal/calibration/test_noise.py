@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from narxcal.calibration.fuser import KalmanFuser, NoiseModel, estimate_noise
-from narxcal.calibration.noise import _likelihood, _likelihood_loop
+from narxcal.calibration.fuser import KalmanFuser
+from narxcal.calibration.noise import NoiseModel, _likelihood, estimate_noise
 from narxcal.support.errors import DataError, ModelError
 
 
@@ -29,12 +29,12 @@ def record(time, seed, *, linger=0.8, measurement=0.3):
 def test_true_parameters_are_found_at_every_noise_level(measurement):
     p, _, z = record(20_000, 1, measurement=measurement)
     found = estimate_noise(z, p, 0.1)
-    assert found.measurement[0] == pytest.approx(measurement, rel=0.1)
-    assert found.motion[0] == pytest.approx(0.5, rel=0.35)
+    assert found.measurement_variance[0] == pytest.approx(measurement, rel=0.1)
+    assert found.transient_gain[0] == pytest.approx(0.5, rel=0.35)
     if measurement < 1.0:
-        assert found.process[0] == pytest.approx(0.01, rel=0.25)
-        assert found.retention[0] == pytest.approx(0.99, abs=0.004)
-        assert found.linger[0] == pytest.approx(0.8, abs=0.12)
+        assert found.process_variance[0] == pytest.approx(0.01, rel=0.25)
+        assert found.bias_decay[0] == pytest.approx(0.99, abs=0.004)
+        assert found.activity_decay[0] == pytest.approx(0.8, abs=0.12)
 
 
 def test_estimated_noise_makes_the_innovations_consistent():
@@ -48,8 +48,8 @@ def test_missing_samples_do_not_bias_the_estimate():
     z[np.random.default_rng(4).random(len(z)) < 0.4] = np.nan
     z[5_000:7_000] = np.nan
     found = estimate_noise(z, p, 0.1)
-    assert found.measurement[0] == pytest.approx(0.3, rel=0.1)
-    assert found.process[0] == pytest.approx(0.01, rel=0.4)
+    assert found.measurement_variance[0] == pytest.approx(0.3, rel=0.1)
+    assert found.process_variance[0] == pytest.approx(0.01, rel=0.4)
 
 
 def test_records_are_never_joined_across_their_border():
@@ -57,11 +57,15 @@ def test_records_are_never_joined_across_their_border():
     far = (second[0] + 500.0, second[2] + 470.0)
     found = estimate_noise([first[2], far[1]], [first[0], far[0]], 0.1)
     alone = estimate_noise(first[2], first[0], 0.1)
-    assert found.measurement[0] == pytest.approx(alone.measurement[0], rel=0.1)
+    assert found.measurement_variance[0] == pytest.approx(alone.measurement_variance[0], rel=0.1)
     joined = estimate_noise(
         np.concatenate([first[2], far[1]]), np.concatenate([first[0], far[0]]), 0.1
     )
-    assert found.process[0] < 2.0 * alone.process[0] < joined.process[0] + joined.motion[0]
+    assert (
+        found.process_variance[0]
+        < 2.0 * alone.process_variance[0]
+        < joined.process_variance[0] + joined.transient_gain[0]
+    )
 
 
 def test_channels_are_estimated_one_by_one():
@@ -69,23 +73,25 @@ def test_channels_are_estimated_one_by_one():
     both = estimate_noise(np.column_stack([a[2], b[2]]), np.column_stack([a[0], b[0]]), 0.1)
     for i, each in enumerate((a, b)):
         one = estimate_noise(each[2], each[0], 0.1)
-        assert both.measurement[i] == pytest.approx(one.measurement[0])
-        assert both.process[i] == pytest.approx(one.process[0])
+        assert both.measurement_variance[i] == pytest.approx(one.measurement_variance[0])
+        assert both.process_variance[i] == pytest.approx(one.process_variance[0])
 
 
 def test_scale_of_a_channel_does_not_matter():
     p, _, z = record(4_000, 9)
     one, other = estimate_noise(z, p, 0.1), estimate_noise(1e3 * z, 1e3 * p, 0.1)
-    assert other.measurement[0] == pytest.approx(1e6 * one.measurement[0], rel=1e-2)
-    assert other.motion[0] == pytest.approx(one.motion[0], rel=2e-2)
+    assert other.measurement_variance[0] == pytest.approx(
+        1e6 * one.measurement_variance[0], rel=1e-2
+    )
+    assert other.transient_gain[0] == pytest.approx(one.transient_gain[0], rel=2e-2)
 
 
 def test_a_perfect_sensor_and_a_perfect_model_give_finite_noise():
     p, y, _ = record(2_000, 10)
     exact = estimate_noise(y, p, 0.1)
-    assert exact.measurement[0] < 1e-3
+    assert exact.measurement_variance[0] < 1e-3
     same = estimate_noise(p, p, 0.1)
-    assert np.isfinite(same.process).all()
+    assert np.isfinite(same.process_variance).all()
     still = estimate_noise(np.full(200, 5.0), np.full(200, 4.0), 0.1)
     run = KalmanFuser(still).run(np.full((200, 1), 4.0), np.full((200, 1), 5.0))
     assert run.values[-1, 0] == pytest.approx(5.0, abs=0.05)
@@ -96,7 +102,7 @@ def test_compiled_likelihood_is_the_plain_one():
     z[100:130] = np.nan
     starts = np.arange(400) % 200 == 0
     arguments = (z - p, np.diff(p, prepend=p[0]), starts, np.array([0.97, 0.2, 0.5, 0.8]))
-    np.testing.assert_allclose(_likelihood(*arguments), _likelihood_loop(*arguments), rtol=1e-12)
+    np.testing.assert_allclose(_likelihood(*arguments), _likelihood.py_func(*arguments), rtol=1e-12)
 
 
 def test_too_few_samples_are_refused_by_name():
@@ -130,6 +136,21 @@ def test_a_noise_model_survives_json(model):
     assert again.to_dict() == model.to_dict()
 
 
+def test_a_noise_model_of_an_older_version_with_correlations_is_read(model):
+    table = {**model.to_dict(), "correlation": [[1.0]]}
+    assert NoiseModel.from_dict(table).to_dict() == model.to_dict()
+
+
+def test_a_noise_model_that_is_no_table_of_numbers_is_refused(model):
+    message = (
+        "the fuser's noise model is no table of numbers: could not convert string to float: 'x'. "
+        "Train the model again, or let the fuser estimate its noise from the log"
+    )
+    with pytest.raises(ModelError) as error:
+        NoiseModel.from_dict({**model.to_dict(), "motion": ["x"]})
+    assert str(error.value) == message
+
+
 def test_an_incomplete_noise_model_is_refused(model):
     table = model.to_dict()
     del table["motion"], table["spread"]
@@ -145,25 +166,28 @@ def test_an_incomplete_noise_model_is_refused(model):
     ("change", "message"),
     [
         (
-            {"measurement": np.zeros(1)},
+            {"measurement_variance": np.zeros(1)},
             "the measurement variance of a fuser must be positive",
         ),
         (
-            {"retention": np.array([1.5])},
-            "the retention and linger of a fuser must not exceed 1",
-        ),
-        ({"linger": np.array([2.0])}, "the retention and linger of a fuser must not exceed 1"),
-        (
-            {"process": np.zeros(2)},
-            "the fuser's process should have shape (1,), found (2,)",
+            {"bias_decay": np.array([1.5])},
+            "the bias decay and activity decay of a fuser must not exceed 1",
         ),
         (
-            {"motion": np.array([-1.0])},
-            "the fuser's motion must be finite and at least 0, found [-1.]",
+            {"activity_decay": np.array([2.0])},
+            "the bias decay and activity decay of a fuser must not exceed 1",
         ),
         (
-            {"spread": np.array([np.nan])},
-            "the fuser's spread must be finite and at least 0, found [nan]",
+            {"process_variance": np.zeros(2)},
+            "the fuser's process variance should have shape (1,), found (2,)",
+        ),
+        (
+            {"transient_gain": np.array([-1.0])},
+            "the fuser's transient gain must be finite and at least 0, found [-1.]",
+        ),
+        (
+            {"initial_variance": np.array([np.nan])},
+            "the fuser's initial variance must be finite and at least 0, found [nan]",
         ),
     ],
 )
