@@ -14,9 +14,7 @@ from narxcal.cli.console import Console
 from narxcal.cli.options import add_overwrite, add_trust, count, path
 from narxcal.export import ExportOptions, ExportReport, Grid, export_fmu, export_table
 from narxcal.export.report import ADVICE
-from narxcal.steady.fmu import SteadyFmu
-from narxcal.steady.function import SteadyCallable
-from narxcal.steady.model import SteadyStateModel
+from narxcal.steady.model import SteadyStateModel, open_steady
 from narxcal.steady.table import read_steady_table
 from narxcal.support.errors import ConfigError, ModelError
 from narxcal.support.files import check_file
@@ -120,7 +118,7 @@ def open_source(
                 file=path,
                 hint="Name them with --inputs and --outputs",
             )
-        return SteadyFmu(path, (inputs, outputs))
+        return open_steady("fmu", source, (inputs, outputs))
     if ":" in source:
         return _function(source, inputs or INPUT_NAMES, outputs)
     raise ConfigError(
@@ -134,10 +132,10 @@ def _function(
 ) -> SteadyStateModel:
     """Open a function; without `outputs` its columns are the first ones of the virtual engine."""
     if outputs:
-        return SteadyCallable.load(source, (inputs, outputs))
+        return open_steady("callable", source, (inputs, outputs))
     problem = ""
     for width in range(len(OUTPUT_NAMES), 0, -1):
-        model = SteadyCallable.load(source, (inputs, OUTPUT_NAMES[:width]))
+        model = open_steady("callable", source, (inputs, OUTPUT_NAMES[:width]))
         try:
             model.outputs(np.zeros((1, len(inputs))))
         except ModelError as error:
