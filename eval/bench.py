@@ -60,8 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _short(data: Path) -> list[Row]:
     return [
-        *speed.kernel_rows(),
-        *speed.replay_rows(),
+        *speed.rows(),
         *virtual_engine.rows(),
         *public_sets.rows(data / "bench"),
     ]

@@ -1,4 +1,4 @@
-"""`narxcal crossval`: how the calibration fares on data that it was not fitted to, fold by fold."""
+"""Cross-validation: errors and Ti/Tt on data that the calibration was not fitted to, by fold."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ import numpy as np
 
 from data_prep.log import Log
 from data_prep.prepare import with_outputs
-from eval.evaluate import EvaluateConfig, LogEvaluation, Task, judge_log, run_config
+from eval.evaluate import EvaluateConfig, LogEvaluation, assess_log, run_config
+from eval.outcome import Outcome
 from eval.scores import score
-from eval.tally import tally
+from eval.transients import tally
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.errors import DataError
-from narxcal.support.files import versions
+from narxcal.support.files import finite, versions
 from training.config import RunConfig
 from training.crossval import (
     LEAVE_ONE_OUT,
@@ -34,14 +35,14 @@ REMARKS = {
     LEAVE_ONE_OUT: "A whole flight is held back at a time, with all its engines; free run over "
     "the whole flight.",
     RANDOM: "Whole events are held back, each engine's for itself; free run over each event, from "
-    "its first measured values. Other events of the same flight were trained on, so this asks less "
+    "its first measured values. Other events of the same flight were trained on, so this is easier "
     "than leaving a flight out.",
 }
 
 
 @dataclass(frozen=True)
 class FoldResult:
-    """One division and its figures on the test part; `values` are None where not defined.
+    """One division and its figures on the test part; `figures` are None where not defined.
 
     Keys are `rmse.CHANNEL`, `worst_rmse.CHANNEL` (of a single log or event), `max_rel_pct.CHANNEL`,
     `max_error.CHANNEL`, `mean_relative_Ti_pct`, `mean_relative_Tt_pct`, `passed_pct`, `assessed`
@@ -53,8 +54,19 @@ class FoldResult:
     seed: int | None
     train: tuple[str, ...]
     test: tuple[str, ...]
-    values: dict[str, float | None]
+    figures: dict[str, float | None]
     not_judged: tuple[str, ...] = ()
+
+    def row(self) -> dict[str, Any]:
+        """One entry of `folds` in `crossval.json`."""
+        return {
+            "name": self.name,
+            "seed": self.seed,
+            "train": list(self.train),
+            "test": list(self.test),
+            "not_judged": list(self.not_judged),
+            "values": self.figures,
+        }
 
 
 @dataclass(frozen=True)
@@ -72,41 +84,64 @@ class CrossValidation:
         names = dict.fromkeys(fold.scheme for fold in self.folds)
         return {name: tuple(f for f in self.folds if f.scheme == name) for name in names}
 
+    def spread(self, scheme: str) -> dict[str, dict[str, float | None]]:
+        """As `spread`, over the folds of one scheme."""
+        return spread(self.schemes[scheme])
+
+    def remark(self, scheme: str) -> str:
+        """How a scheme divides, and what it has to reach."""
+        least = f"At least {self.settings.least_passed_pct:g} % of all assessed events of a scheme"
+        return f"{REMARKS.get(scheme, '')} {least} have to pass.".strip()
+
     def missed(self) -> list[str]:
-        """Say which scheme or fold misses what `evaluate` would ask for; empty if none does."""
+        """Each requirement of [evaluate] that a scheme or a fold does not meet."""
         texts = []
+        least = self.settings.least_passed_pct
         for name, folds in self.schemes.items():
-            assessed, passed = (_total(folds, key) for key in ("assessed", "passed"))
-            least = self.settings.least_passed_pct
+            assessed, passed = (total(folds, key) for key in ("assessed", "passed"))
             if assessed and 100.0 * passed / assessed < least:
                 texts.append(
                     f"{name}: {passed} of {assessed} transients pass "
                     f"({100.0 * passed / assessed:.1f} %), at least {least:g} % have to"
                 )
+            if not assessed and (least > 0.0 or not self.settings.largest_rmse):
+                texts.append(f"{name}: no transient could be assessed")
             for channel, bound in self.settings.largest_rmse.items():
                 texts += [
                     f"{name}, {fold.name}: {channel} RMSE {value:.3g}, at most {bound:g} allowed"
                     for fold in folds
-                    if (value := fold.values.get(f"rmse.{channel}")) is not None and value > bound
+                    if (value := fold.figures.get(f"rmse.{channel}")) is not None and value > bound
                 ]
         return texts
 
-    def document(self) -> dict[str, Any]:
-        """`crossval.json`."""
+    @property
+    def outcome(self) -> Outcome:
+        """The verdict: transients over the folds of each scheme, then what is missed."""
+        counts = [
+            f"{total(folds, 'passed')} of {total(folds, 'assessed')} in {name}"
+            for name, folds in self.schemes.items()
+        ]
         missed = self.missed()
+        headline = f"Transients that meet the rules for Ti and Tt: {', '.join(counts)}"
+        return Outcome(not missed, headline, tuple(f"{text}." for text in missed))
+
+    def document(self) -> dict[str, Any]:
+        """`crossval.json`; None where a figure does not exist."""
+        missed = self.missed()
+        schemes = [
+            {
+                "name": name,
+                "remark": REMARKS.get(name, ""),
+                "folds": [fold.row() for fold in folds],
+                "spread": spread(folds),
+            }
+            for name, folds in self.schemes.items()
+        ]
         return {
             "schema": SCHEMA,
             "ok": not missed,
             "missed": missed,
-            "schemes": [
-                {
-                    "name": name,
-                    "remark": REMARKS.get(name, ""),
-                    "folds": [_fold_row(fold) for fold in folds],
-                    "spread": spread(folds),
-                }
-                for name, folds in self.schemes.items()
-            ],
+            "schemes": schemes,
             "skipped": self.skipped,
             **self.provenance,
         }
@@ -119,7 +154,7 @@ def cross_validate(
     jobs: int = -1,
     watch: Callable[[FoldResult, int, int], None] | None = None,
 ) -> CrossValidation:
-    """Calibrate and judge once per fold; `watch` is told each fold, its number and how many.
+    """Calibrate and judge once per fold; `watch` is called with each fold, its number, how many.
 
     `logs` are prepared as by `eval.evaluate.evaluation_logs`: masked inputs still NaN. [split]
     plays no part. Raises `DataError` where no scheme can be run.
@@ -142,30 +177,30 @@ def cross_validate(
 
 def judge_fold(bundle: Bundle, plan: Plan) -> FoldResult:
     """Judge a fold's calibration on its test segments."""
-    config, settings = run_config(bundle)
+    _, settings = run_config(bundle)
     inputs = bundle.calibration.input_names
     usable = [part for part in plan.test if _has_inputs(part, inputs)]
-    judged = [
-        judge_log(bundle, config, part.log, Task(settings, events=part.own_events))
-        for part in usable
-    ]
+    judged = [assess_log(bundle, part.log, settings, events=part.own_events) for part in usable]
     return FoldResult(
-        plan.scheme,
-        plan.name,
-        plan.seed,
-        tuple(part.log.name for part in plan.train),
-        tuple(part.log.name for part in plan.test),
-        _values(judged),
-        tuple(part.log.name for part in plan.test if part not in usable),
+        scheme=plan.scheme,
+        name=plan.name,
+        seed=plan.seed,
+        train=tuple(part.log.name for part in plan.train),
+        test=tuple(part.log.name for part in plan.test),
+        figures=_figures(judged),
+        not_judged=tuple(part.log.name for part in plan.test if part not in usable),
     )
 
 
 def spread(folds: Sequence[FoldResult]) -> dict[str, dict[str, float | None]]:
-    """Mean, sample standard deviation, least and greatest of every figure over the folds."""
-    keys = dict.fromkeys(key for fold in folds for key in fold.values)
+    """Mean, sample standard deviation, least and greatest of every figure over the folds.
+
+    Folds without the figure are left out.
+    """
+    keys = dict.fromkeys(key for fold in folds for key in fold.figures)
     found = {}
     for key in keys:
-        given = [value for fold in folds if (value := fold.values.get(key)) is not None]
+        given = [value for fold in folds if (value := fold.figures.get(key)) is not None]
         found[key] = {
             "mean": float(np.mean(given)) if given else None,
             "std": float(np.std(given, ddof=1)) if len(given) > 1 else None,
@@ -173,6 +208,11 @@ def spread(folds: Sequence[FoldResult]) -> dict[str, dict[str, float | None]]:
             "max": max(given, default=None),
         }
     return found
+
+
+def total(folds: Sequence[FoldResult], key: str) -> int:
+    """Sum of a count over folds."""
+    return sum(int(fold.figures.get(key) or 0) for fold in folds)
 
 
 def _plans(
@@ -206,7 +246,7 @@ def _learnable(plans: Sequence[Plan], outputs: Sequence[str]) -> Sequence[Plan]:
                 raise DataError(
                     f"{plan.name}, no sample of this output is left to learn from",
                     channel=name,
-                    hint="Take it out of [narx] outputs, or add logs that hold it",
+                    hint="Take it out of [narx] outputs, or add logs that have it",
                 )
     return plans
 
@@ -215,34 +255,19 @@ def _has_inputs(part: Segment, names: Sequence[str]) -> bool:
     return bool(np.isfinite(part.log.matrix(names)).any(axis=0).all())
 
 
-def _values(judged: Sequence[LogEvaluation]) -> dict[str, float | None]:
+def _figures(judged: Sequence[LogEvaluation]) -> dict[str, float | None]:
     found: dict[str, float | None] = {}
-    for name, figures in score([one.runs for one in judged]).items():
+    for name, figures in score([one.run for one in judged]).items():
         single = [one.scores[name].rmse for one in judged]
         worst = max((value for value in single if math.isfinite(value)), default=math.nan)
-        row = figures.row()
-        found[f"rmse.{name}"] = row["rmse"]
-        found[f"worst_rmse.{name}"] = worst if math.isfinite(worst) else None
-        found[f"max_rel_pct.{name}"] = row["max_rel_pct"]
-        found[f"max_error.{name}"] = row["max_error"]
+        found[f"rmse.{name}"] = figures.rmse
+        found[f"worst_rmse.{name}"] = worst
+        found[f"max_rel_pct.{name}"] = figures.max_rel_pct
+        found[f"max_error.{name}"] = figures.max_error
     counts = tally([each for one in judged for each in one.assessments])
-    found["mean_relative_Ti_pct"] = counts.mean_relative_Ti_pct
-    found["mean_relative_Tt_pct"] = counts.mean_relative_Tt_pct
-    found["passed_pct"] = counts.passed_pct
-    found["assessed"], found["passed"] = counts.assessed, counts.passed
-    return found
-
-
-def _fold_row(fold: FoldResult) -> dict[str, Any]:
-    return {
-        "name": fold.name,
-        "seed": fold.seed,
-        "train": list(fold.train),
-        "test": list(fold.test),
-        "not_judged": list(fold.not_judged),
-        "values": fold.values,
-    }
-
-
-def _total(folds: Sequence[FoldResult], key: str) -> int:
-    return sum(int(fold.values.get(key) or 0) for fold in folds)
+    for name in (
+        "mean_relative_Ti_pct", "mean_relative_Tt_pct", "passed_pct", "assessed", "passed",
+    ):  # fmt: skip
+        found[name] = getattr(counts, name)
+    values: dict[str, float | None] = finite(found)
+    return values

@@ -1,4 +1,4 @@
-"""The paper's noise experiment: how far the fuser brings a noisy channel back to the truth.
+"""The paper's noise experiment: how near the fuser brings a noisy channel to the truth.
 
 Section 3.3: Gaussian noise is added to the smoothed high-pressure speed, the noisy signal is fused
 with the model's free run, and the network is fed with either in turn (figure 13).
@@ -14,6 +14,8 @@ import pandas as pd
 from pydantic import Field
 
 from data_prep.prepare import hold_inputs
+from eval.outcome import Outcome
+from eval.scores import rmse
 from narxcal.calibration.fuser import FastFuser, FuserConfig
 from narxcal.calibration.noise import estimate_noise
 from narxcal.support.arrays import FloatArray
@@ -21,7 +23,7 @@ from narxcal.support.errors import DataError
 from narxcal.support.settings import Section
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from data_prep.log import Log
     from narxcal.calibration.bundle import Bundle
@@ -95,7 +97,7 @@ def snr_sweep(flight: Flight, config: SweepConfig | None = None) -> pd.DataFrame
     Columns: `snr_db`, `seed`, `noise_sd`; `raw`, `fused` and `free_run` (the model alone);
     `fed_raw` and `fed_fused`, the network's one-step prediction from either history (NaN without
     `feed`); `mean_nis` with its 95 % bounds `nis_low` and `nis_high`; `gated` samples. R and Q are
-    estimated afresh from each noisy signal; nothing is tuned, and nothing knows the ratio.
+    estimated from each noisy signal; nothing is tuned, and the ratio is not used.
 
     Raises `DataError` for a channel that the flight has not, or has no truth of.
     """
@@ -135,6 +137,36 @@ def summarise(sweep: pd.DataFrame) -> pd.DataFrame:
         beats_both=groups["beats_both"].all(),
         consistent=groups["consistent"].all(),
     ).reset_index()
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseSweep:
+    """The experiment on one log; `table` is that of `summarise`."""
+
+    log: str
+    channel: str
+    table: pd.DataFrame
+
+    @property
+    def curves(self) -> dict[str, FloatArray]:
+        """Label -> RMSE at each ratio (snr,), for what was computed."""
+        return {
+            label: self.table[name].to_numpy(dtype=np.float64)
+            for name, label in CURVES.items()
+            if self.table[name].notna().any()
+        }
+
+
+def noise_outcome(sweeps: Sequence[NoiseSweep]) -> Outcome:
+    """Pass where the fused value beats measurement and free run at every ratio of every log."""
+    every = pd.concat([sweep.table for sweep in sweeps])
+    won, consistent = int(every["beats_both"].sum()), int(every["consistent"].sum())
+    headline = (
+        f"At {won} of {len(every)} signal-to-noise ratios the fused value is nearer to the truth "
+        "than both the measurement and the free run"
+    )
+    lines = (f"The filter is consistent (mean NIS within its 95 % band) at {consistent}.",)
+    return Outcome(won == len(every), headline, lines)
 
 
 def noisy(truth: FloatArray, setting: tuple[float, int], power: Power) -> FloatArray:
@@ -179,4 +211,4 @@ def _fed(flight: Flight, at: int, history: FloatArray) -> float:
 
 
 def _rmse(values: FloatArray, truth: FloatArray) -> float:
-    return float(np.sqrt(np.nanmean((values - truth) ** 2)))
+    return float(rmse(truth[:, None], values[:, None])[0])

@@ -1,19 +1,15 @@
-"""`narxcal evaluate`: free-run errors, Ti and Tt of every event, baselines on the same rows.
+"""Evaluate a calibration on logs: free-run errors, Ti and Tt of every event, one verdict.
 
-One log under judgement: its runs, its figures and its events, with what they are judged by.
-
-Rows of `evaluate.json`: values that JSON can hold, None where a figure does not exist.
-
-What to say of a log that the steady-state model was not made for.
+`assess_log` makes a `LogEvaluation` of one log; an `Evaluation` pools them. `Evaluation.outcome`
+is the only place where pass or fail is decided: terminal, page, JSON and exit code show it.
 """
 
 from __future__ import annotations
 
 import math
-import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,21 +20,35 @@ from data_prep.events import Event, find_events
 from data_prep.log import Log
 from data_prep.prepare import prepare, with_outputs
 from data_prep.reading import read_logs
-from eval.free_run import BASELINES, MODEL, Runs, run_log, trimmed
-from eval.rules import rules as rules_of
+from eval.free_run import BASELINES, MODEL, FreeRun, run_log, trimmed
+from eval.outcome import Outcome, plural
+from eval.rules import rules
 from eval.scores import ChannelScores, score
-from eval.tally import Tally, tally
-from eval.transients import Assessment, Overlay, TransientsConfig, assess_events
-from eval.trim import Trim, TrimConfig, rows_for_trim
+from eval.transients import (
+    AssessedEvent,
+    Assessment,
+    Overlay,
+    Tally,
+    TransientsConfig,
+    assess_events,
+    assessed,
+    not_assessable,
+    tally,
+)
+from eval.trim import TrimConfig, rows_for_trim
 from narxcal.calibration.bundle import Bundle
+from narxcal.channels import symbol
 from narxcal.steady.model import Envelope, SteadyStateModel
 from narxcal.support.errors import ConfigError, ModelError
+from narxcal.support.files import finite
 from narxcal.support.settings import Section
 from training.config import RunConfig
 from training.crossval import CrossvalConfig
 from training.records import split_logs
 
+SCHEMA = "narxcal.evaluate/1"
 NEW = "new"
+_MANY_OUTSIDE = 0.1  # share of a log's samples outside the envelope from which on it is reported
 
 
 class EvaluateConfig(Section):
@@ -59,91 +69,128 @@ class EvaluateConfig(Section):
 
 @dataclass(frozen=True, eq=False)
 class LogEvaluation:
-    """One log: its runs, scores per channel, events with their assessments.
+    """One log: its free run, scores per channel, events with their assessments.
 
     `role` says what the bundle did with the log: train, validate, test, or new to it.
     `untrimmed` are the scores on the same rows before trim, where there was one. `rivals` are
     the baselines' Ti/Tt counts on the same events.
     """
 
-    runs: Runs
+    run: FreeRun
     role: str
     scores: Mapping[str, ChannelScores]
-    events: tuple[Event, ...]
-    assessments: tuple[Assessment, ...]
+    events: tuple[AssessedEvent, ...]
     rivals: Mapping[str, Tally]
-    untrimmed: Mapping[str, ChannelScores]
+    untrimmed: Mapping[str, ChannelScores] = field(default_factory=dict)
 
     @property
     def log(self) -> Log:
         """The prepared log, masked samples still NaN."""
-        return self.runs.log
+        return self.run.log
+
+    @property
+    def assessments(self) -> list[Assessment]:
+        """Those of all events, event by event."""
+        return [each for event in self.events for each in event.assessments]
+
+    def row(self) -> dict[str, Any]:
+        """One entry of `logs` in `evaluate.json`."""
+        run, log = self.run, self.log
+        channels = {name: figures.row() for name, figures in self.scores.items()}
+        for name, before in self.untrimmed.items():
+            channels[name]["untrimmed_rmse"] = before.rmse
+        return {
+            "log": log.name,
+            "role": self.role,
+            "file": log.source.file,
+            "sha256": log.source.sha256,
+            "samples": len(log),
+            "dt_s": log.dt_s,
+            "channels": channels,
+            "events": [each.row() for each in self.assessments],
+            "ti_tt": tally_row(self.assessments),
+            "baselines": {name: rival.row() for name, rival in self.rivals.items()},
+            "masked": {
+                channel: {"samples": sum(reasons.values()), "reasons": reasons}
+                for channel, reasons in log.audit.masked().items()
+            },
+            "inputs": {
+                "held_samples": int(np.count_nonzero(~run.inputs_known)),
+                "outside_envelope_share": float(np.mean(~run.in_envelope)),
+                "quasi_steady_share": float(np.mean(run.quasi_steady)),
+            },
+            "trim": self._trim_row(),
+        }
+
+    def _trim_row(self) -> dict[str, Any] | None:
+        trim, names = self.run.trim, self.run.channels
+        if trim is None:
+            return None
+        return {
+            "scored_from_s": float(self.log.time_s[min(trim.until, len(self.log) - 1)]),
+            "levels": trim.nodes.tolist(),
+            "offsets": dict(zip(names, trim.offsets.T.tolist(), strict=True)),
+            "samples": dict(zip(names, trim.samples, strict=True)),
+        }
 
 
-@dataclass(frozen=True)
-class Task:
-    """How one log is judged; `events` are those to judge where they are already found."""
+def tally_row(assessments: Sequence[Assessment]) -> dict[str, Any]:
+    """Counts over all, then per channel and per direction, and why events were not assessed."""
+    channels = dict.fromkeys(each.channel for each in assessments)
+    return {
+        **tally(assessments).row(),
+        "channels": {
+            name: tally([each for each in assessments if each.channel == name]).row()
+            for name in channels
+        },
+        "push": tally([each for each in assessments if each.label == 0]).row(),
+        "pull": tally([each for each in assessments if each.label == 1]).row(),
+        "not_assessable_reasons": not_assessable(assessments),
+    }
 
-    settings: EvaluateConfig
-    trim: float | None = None
-    events: Sequence[Event] | None = None
 
+def assess_log(
+    bundle: Bundle,
+    log: Log,
+    settings: EvaluateConfig,
+    *,
+    trim: float | None = None,
+    events: Sequence[Event] | None = None,
+) -> LogEvaluation:
+    """Run and score one prepared log; `events` are those to judge where they are already found.
 
-def judge_log(bundle: Bundle, config: RunConfig, log: Log, task: Task) -> LogEvaluation:
-    """Run and score one prepared log; raises `DataError` as `eval.free_run.run_log`.
-
-    An output that the log lacks has no figures, and no event waits for it to settle.
+    An output that the log lacks has no figures, and no event waits for it to settle. Raises
+    `DataError` as `eval.free_run.run_log`, `ConfigError` for a trim outside of 0 to 1.
     """
-    settings, outputs = task.settings, bundle.calibration.output_names
+    config, _ = run_config(bundle)
+    outputs = bundle.calibration.output_names
     log = with_outputs(log, outputs)
-    runs, untrimmed = run_log(bundle, config, log), {}
-    responses = config.events.for_log(log, outputs)
-    events = find_events(log, responses) if task.events is None else task.events
-    if task.trim is not None:
-        until = rows_for_trim(task.trim, len(log))
-        runs, as_is = trimmed(runs, until, settings.trim), runs
-        untrimmed = score([_from_row(as_is, until)])
+    run = run_log(bundle, config, log)
+    if events is None:
+        events = find_events(log, config.events.for_log(log, outputs))
+    untrimmed: Mapping[str, ChannelScores] = {}
+    if trim is not None:
+        until = rows_for_trim(trim, len(log))
+        untrimmed = score([replace(run, scored_from=until)])
+        run = trimmed(run, until, settings.trim)
         events = [event for event in events if event.start >= until]
     return LogEvaluation(
-        runs=runs,
+        run=run,
         role=_role(bundle, log),
-        scores=score([runs]),
-        events=tuple(events),
-        assessments=tuple(_assess(runs, MODEL, events, settings)),
+        scores=score([run]),
+        events=assessed(events, _overlay(run, MODEL), settings.transients),
         rivals={
-            name: tally(_assess(runs, name, events, settings))
+            name: tally(assess_events(events, _overlay(run, name), settings.transients))
             for name in BASELINES
-            if name in runs.outputs
+            if name in run.outputs
         },
         untrimmed=untrimmed,
     )
 
 
-def _from_row(runs: Runs, until: int) -> Runs:
-    return Runs(
-        runs.log,
-        runs.channels,
-        runs.measured,
-        runs.outputs,
-        runs.known,
-        runs.still,
-        runs.inside,
-        runs.level,
-        until,
-    )
-
-
-def _assess(
-    runs: Runs, name: str, events: Sequence[Event], settings: EvaluateConfig
-) -> list[Assessment]:
-    overlay = Overlay(
-        time_s=runs.log.time_s,
-        flight=runs.measured,
-        model=runs.outputs[name],
-        channels=runs.channels,
-        inputs_known=runs.known,
-    )
-    return assess_events(events, overlay, settings.transients)
+def _overlay(run: FreeRun, name: str) -> Overlay:
+    model = run.outputs[name]
+    return Overlay(run.log.time_s, run.measured, model, run.channels, run.inputs_known)
 
 
 def _role(bundle: Bundle, log: Log) -> str:
@@ -154,118 +201,45 @@ def _role(bundle: Bundle, log: Log) -> str:
     return next((role for role in split if log.name in split[role]), NEW)
 
 
-# What was measured in one event; reasons that differ in nothing else are counted together.
-_MEASURED = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
-
-
-def log_row(one: LogEvaluation) -> dict[str, Any]:
-    """One entry of `logs`."""
-    runs = one.runs
-    channels = {}
-    for name, figures in one.scores.items():
-        channels[name] = figures.row()
-        if name in one.untrimmed:
-            channels[name]["untrimmed_rmse"] = one.untrimmed[name].row()["rmse"]
-    return {
-        "log": one.log.name,
-        "role": one.role,
-        "file": one.log.source.file,
-        "sha256": one.log.source.sha256,
-        "samples": len(one.log),
-        "dt_s": one.log.dt_s,
-        "channels": channels,
-        "events": [each.row() for each in one.assessments],
-        "ti_tt": tally_rows(one.assessments),
-        "baselines": {name: rival.row() for name, rival in one.rivals.items()},
-        "masked": _masked_rows(one.log),
-        "inputs": {
-            "held_samples": int(np.count_nonzero(~runs.known)),
-            "outside_envelope_share": float(np.mean(~runs.inside)),
-            "quasi_steady_share": float(np.mean(runs.still)),
-        },
-        "trim": _trim_row(runs, one.log),
-    }
-
-
-def tally_rows(assessments: Sequence[Assessment]) -> dict[str, Any]:
-    """Counts over all, then per channel and per direction, and why events were not assessed."""
-    channels = list(dict.fromkeys(each.channel for each in assessments))
-    reasons = Counter(
-        _MEASURED.sub("..", str(each.verdict.reason), count=1)
-        for each in assessments
-        if each.verdict.ok is None
-    )
-    return {
-        **tally(assessments).row(),
-        "channels": {
-            name: tally([each for each in assessments if each.channel == name]).row()
-            for name in channels
-        },
-        "push": tally([each for each in assessments if each.label == 0]).row(),
-        "pull": tally([each for each in assessments if each.label == 1]).row(),
-        "not_assessable_reasons": dict(sorted(reasons.items())),
-    }
-
-
-def _masked_rows(log: Log) -> dict[str, Any]:
-    return {
-        channel: {"samples": sum(reasons.values()), "reasons": reasons}
-        for channel, reasons in log.audit.masked().items()
-    }
-
-
-def _trim_row(runs: Runs, log: Log) -> dict[str, Any] | None:
-    trim: Trim | None = (runs.trims or {}).get(MODEL)
-    if trim is None:
-        return None
-    return {
-        "scored_from_s": float(log.time_s[min(trim.until, len(log) - 1)]),
-        "levels": trim.nodes.tolist(),
-        "offsets": dict(zip(runs.channels, trim.offsets.T.tolist(), strict=True)),
-        "samples": dict(zip(runs.channels, trim.samples, strict=True)),
-    }
-
-
-__all__ = [
-    "EvaluateConfig",
-    "Evaluation",
-    "LogEvaluation",
-    "evaluate",
-    "evaluation_logs",
-    "run_config",
-]
-
-SCHEMA = "narxcal.evaluate/1"
-
-
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """All logs and what they have to reach; `document` is `evaluate.json`."""
+    """All logs and what they have to reach."""
 
     logs: tuple[LogEvaluation, ...]
     config: EvaluateConfig
     trim: float | None = None
 
     @property
-    def tally(self) -> Tally:
-        """Ti/Tt over all logs and channels."""
-        return tally([each for log in self.logs for each in log.assessments])
+    def assessments(self) -> list[Assessment]:
+        """Those of all logs."""
+        return [each for log in self.logs for each in log.assessments]
 
     @property
+    def tally(self) -> Tally:
+        """Ti/Tt over all logs and channels."""
+        return tally(self.assessments)
+
+    @cached_property
     def pooled(self) -> dict[str, ChannelScores]:
         """Scores per channel over all logs as one recording."""
-        return score([log.runs for log in self.logs])
+        return score([log.run for log in self.logs])
 
     def missed(self) -> list[str]:
-        """Say each tolerance that was missed; empty if the evaluation is passed."""
-        found, texts = self.tally, []
-        least = self.config.least_passed_pct
-        if found.passed_pct is not None and found.passed_pct < least:
-            texts.append(
-                f"Ti/Tt: {found.passed} of {found.assessed} transients pass "
-                f"({found.passed_pct:.1f} %), at least {least:g} % have to"
-            )
-        pooled = self.pooled
+        """Each requirement that is not met; empty if the evaluation is passed.
+
+        Raises `ConfigError` for a bound on a channel that the model does not give.
+        """
+        return [*self._failed_times(), *self._large_errors(), *self._without_evidence()]
+
+    def _failed_times(self) -> list[str]:
+        found, least = self.tally, self.config.least_passed_pct
+        if found.passed_pct is None or found.passed_pct >= least:
+            return []
+        share = f"({found.passed_pct:.1f} %), at least {least:g} % have to"
+        return [f"Ti/Tt: {found.passed} of {found.assessed} transients pass {share}"]
+
+    def _large_errors(self) -> list[str]:
+        pooled, texts = self.pooled, []
         for name, bound in self.config.largest_rmse.items():
             if name not in pooled:
                 raise ConfigError(
@@ -279,22 +253,76 @@ class Evaluation:
                 texts.append(f"{name}: RMSE {pooled[name].rmse:.3g}, at most {bound:g} allowed")
         return texts
 
+    def _without_evidence(self) -> list[str]:
+        """Engines of which no transient could be assessed, with the most frequent reason.
+
+        `least_passed_pct = 0` demands no transients where errors are bounded instead.
+        """
+        if self.config.least_passed_pct == 0.0 and self.config.largest_rmse:
+            return []
+        texts = []
+        for engine in dict.fromkeys(one.log.source.engine for one in self.logs):
+            own = [one for one in self.logs if one.log.source.engine == engine]
+            found = [each for one in own for each in one.assessments]
+            if any(each.verdict.ok is not None for each in found):
+                continue
+            reasons = not_assessable(found)
+            most = max(reasons, key=lambda name: reasons[name], default="no event was found")
+            whose = f"Ti/Tt of engine {engine}" if engine else "Ti/Tt"
+            texts.append(f"{whose}: no transient could be assessed ({most})")
+        return texts
+
+    @property
+    def outcome(self) -> Outcome:
+        """The verdict: what is missed, then what was counted, then how the baselines do."""
+        missed, found = self.missed(), self.tally
+        rivals = tuple(_against_baselines(one) for one in self.logs)
+        lines = tuple(f"{text.rstrip('.')}." for text in missed)
+        if not found.assessed:
+            open_ = bool(missed) and missed == self._without_evidence()
+            headline = "No event could be assessed for Ti and Tt"
+            return Outcome(None if open_ else not missed, headline, (*lines, *rivals))
+        share = 100.0 * found.passed / found.assessed
+        headline = (
+            f"{found.passed} of {found.assessed} assessable transients ({share:.0f} %) meet the "
+            f"'{self.config.transients.rules}' rules for Ti and Tt"
+        )
+        whole = [ok for log in self.logs for event in log.events if (ok := event.ok) is not None]
+        counts = [f"{sum(whole)} of {plural(len(whole), 'event')} pass in every channel."]
+        if found.not_assessable:
+            counts.append(
+                f"{plural(found.not_assessable, 'transient')} could not be assessed and count "
+                "neither way."
+            )
+        return Outcome(not missed, headline, (*lines, *counts, *rivals))
+
     def document(self) -> dict[str, Any]:
-        """Everything as JSON-able values; None where a figure does not exist."""
-        rules = rules_of(self.config.transients.rules)
-        missed = self.missed()
-        return {
-            "schema": SCHEMA,
-            "ok": not missed,
-            "missed": missed,
-            "trim": self.trim,
-            "rules": {"name": rules.name, "source": rules.source, "tt_origin": rules.tt_origin},
-            "logs": [log_row(log) for log in self.logs],
-            "pooled": {
-                "channels": {name: one.row() for name, one in self.pooled.items()},
-                "ti_tt": tally_rows([each for log in self.logs for each in log.assessments]),
-            },
-        }
+        """`evaluate.json`; None where a figure does not exist."""
+        used, missed = rules(self.config.transients.rules), self.missed()
+        found: dict[str, Any] = finite(
+            {
+                "schema": SCHEMA,
+                "ok": not missed,
+                "missed": missed,
+                "trim": self.trim,
+                "rules": {"name": used.name, "source": used.source, "tt_origin": used.tt_origin},
+                "logs": [log.row() for log in self.logs],
+                "pooled": {
+                    "channels": {name: one.row() for name, one in self.pooled.items()},
+                    "ti_tt": tally_row(self.assessments),
+                },
+            }
+        )
+        return found
+
+
+def _against_baselines(one: LogEvaluation) -> str:
+    """In which channels the model beats every baseline, and in which it does not."""
+    best = {name: (found.rmse, found.best_rmse) for name, found in one.scores.items()}
+    won = [symbol(name) for name, (own, least) in best.items() if own == least]
+    lost = [symbol(name) for name, (own, least) in best.items() if own > least]
+    text = f"{one.log.name}: lowest free-run RMSE of all models in {', '.join(won) or 'no channel'}"
+    return f"{text}; a baseline does better in {', '.join(lost)}." if lost else f"{text}."
 
 
 def run_config(bundle: Bundle) -> tuple[RunConfig, EvaluateConfig]:
@@ -312,8 +340,8 @@ def evaluation_logs(bundle: Bundle, files: Sequence[Path] | None = None) -> list
     """Read `files` with the column mapping of the bundle, cleaned and smoothed as for training.
 
     Without `files`, the configured test logs (all configured ones where the split leaves none).
-    Masked inputs stay NaN here, so that the evaluation knows them; so are outputs that a file
-    lacks. Raises `DataError` for a file without any output.
+    Masked inputs and outputs that a file lacks stay NaN. Raises `DataError` for a file without any
+    output.
     """
     config, _ = run_config(bundle)
     outputs = bundle.calibration.output_names
@@ -339,40 +367,36 @@ def evaluate(
     Raises `DataError` for logs that the model cannot be run on, `ConfigError` for a trim
     outside of 0 to 1.
     """
-    config, stored = run_config(bundle)
-    settings = settings or stored
-    task = Task(settings, trim)
-    return Evaluation(tuple(judge_log(bundle, config, log, task) for log in logs), settings, trim)
+    settings = settings or run_config(bundle)[1]
+    found = tuple(assess_log(bundle, log, settings, trim=trim) for log in logs)
+    return Evaluation(found, settings, trim)
 
 
-_MANY = 0.1  # share of a log's samples
+def outside_envelope(run: FreeRun, steady: SteadyStateModel) -> str:
+    """Warn of a log with more than 10 % of its samples outside the envelope of `steady`.
 
-
-def outside_envelope(runs: Runs, steady: SteadyStateModel) -> str:
-    """How much of a log lies outside the model's envelope, and by which inputs; empty for little.
-
-    `steady` is that of the log's engine. There the model stays bounded, but does not know the
-    engine.
+    `steady` is that of the log's engine. Names the inputs and their ranges where the envelope is
+    a box; empty for a log that is inside.
     """
-    out = runs.known & ~runs.inside
-    if out.sum() <= _MANY * runs.known.sum():
+    outside, known = run.inputs_known & ~run.in_envelope, run.inputs_known
+    if outside.sum() <= _MANY_OUTSIDE * known.sum():
         return ""
     return (
-        f"{runs.log.name}: {100.0 * out.sum() / runs.known.sum():.0f} % of the samples are outside "
-        f"what the steady-state model knows{_by_what(runs, steady)}"
+        f"{run.log.name}: {100.0 * outside.sum() / known.sum():.0f} % of the samples are outside "
+        f"the envelope of the steady-state model{_by_inputs(run, steady)}"
     )
 
 
-def _by_what(runs: Runs, steady: SteadyStateModel) -> str:
-    """Ranges of the inputs that leave the envelope, where it is a box."""
+def _by_inputs(run: FreeRun, steady: SteadyStateModel) -> str:
     box = getattr(steady, "envelope", None)
     if not isinstance(box, Envelope):
         return ""
-    told = []
+    ranges = []
     for name, low, high in zip(steady.input_names, box.low, box.high, strict=True):
-        values = runs.log[name][runs.known]
-        if np.mean((values < low) | (values > high)) > _MANY:
-            told.append(
-                f"{name} is {values.min():.5g} to {values.max():.5g}, known {low:.5g} to {high:.5g}"
+        values = run.log[name][run.inputs_known]
+        if np.mean((values < low) | (values > high)) > _MANY_OUTSIDE:
+            ranges.append(
+                f"{name} is {values.min():.5g} to {values.max():.5g}, "
+                f"the envelope {low:.5g} to {high:.5g}"
             )
-    return f" ({'; '.join(told)})" if told else ""
+    return f" ({'; '.join(ranges)})" if ranges else ""

@@ -1,9 +1,9 @@
-"""Runs the calibration and the baselines over one log, side by side on the same rows."""
+"""Run the calibration and the baselines over one log, on the same rows."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,50 +25,67 @@ SPEEDS = ("N1_pct", "N2_pct")
 
 
 @dataclass(frozen=True, eq=False)
-class Runs:
-    """One log, what was measured and what each model makes of its inputs, (time, channel) each.
+class FreeRun:
+    """One log, its measured outputs and those of each model over the same inputs.
 
-    `outputs` maps `model` (free run), `one_step` and the baselines to their outputs. Rows (time,):
-    `known` where the inputs were recorded and not held, `still` where the log is quasi-steady,
-    `inside` where the inputs lie in the steady-state model's envelope. `level` is the power
-    level of `eval.trim`. `trims` holds what was added to an output, and only rows from
-    `scored_from` on count.
+    | field | shape | meaning |
+    |---|---|---|
+    | `measured` | (time, channel) | measured outputs, NaN where masked |
+    | `outputs` | name -> (time, channel) | `model` in free run, `one_step`, the baselines |
+    | `inputs_known` | (time,) | inputs were recorded, not carried over a gap |
+    | `quasi_steady` | (time,) | the log is in equilibrium |
+    | `in_envelope` | (time,) | inputs lie in the steady-state model's envelope |
+    | `level` | (time,) | power level of `eval.trim` |
+    | `scored_from` | | first row that is scored; earlier ones were used for the trim |
+    | `trims` | name -> `Trim` | offsets that were added to an output |
     """
 
     log: Log
     channels: tuple[str, ...]
     measured: FloatArray
     outputs: Mapping[str, FloatArray]
-    known: BoolArray
-    still: BoolArray
-    inside: BoolArray
+    inputs_known: BoolArray
+    quasi_steady: BoolArray
+    in_envelope: BoolArray
     level: FloatArray
     scored_from: int = 0
-    trims: Mapping[str, Trim] | None = None
+    trims: Mapping[str, Trim] = field(default_factory=dict)
+
+    @property
+    def model(self) -> FloatArray:
+        """The calibration's free run (time, channel)."""
+        return self.outputs[MODEL]
+
+    @property
+    def steady(self) -> FloatArray:
+        """The steady-state model alone (time, channel)."""
+        return self.outputs[STEADY_STATE]
+
+    @property
+    def trim(self) -> Trim | None:
+        """Offsets that were added to the free run; None without trim."""
+        return self.trims.get(MODEL)
 
     @property
     def scored(self) -> BoolArray:
-        """Rows (time,) that count: inputs known, and not used up by the trim."""
-        rows = self.known.copy()
+        """Rows (time,) that count: inputs known, and not used for the trim."""
+        rows = self.inputs_known.copy()
         rows[: self.scored_from] = False
         return rows
 
 
-def run_log(bundle: Bundle, config: RunConfig, log: Log) -> Runs:
-    """Run everything over one prepared log; masked inputs are held and their rows not scored.
+def run_log(bundle: Bundle, config: RunConfig, log: Log) -> FreeRun:
+    """Run everything over one prepared log; masked inputs are filled and their rows not scored.
 
-    Raises `DataError` for a log without the model's channels or on another raster.
+    Raises `DataError` for a log without the model's channels or on another sampling grid.
     """
     own = bundle.calibration.for_engine(log.source.engine)
-    _check_raster(own, log)
+    _check_interval(own, log)
     known = np.asarray(np.isfinite(log.matrix(own.input_names)).all(axis=1))
     inputs = hold_inputs(log, own.input_names).matrix(own.input_names)
     measured = log.matrix(own.output_names)
     steady = np.asarray(own.steady.outputs(inputs), dtype=np.float64)
-    outputs = {
-        MODEL: own.simulate(inputs, measured[0]),
-        STEADY_STATE: steady,
-    }
+    outputs = {MODEL: own.simulate(inputs, measured[0]), STEADY_STATE: steady}
     outputs[ONE_STEP] = _one_step(own, inputs, measured, outputs[MODEL])
     level = np.zeros(len(log))
     if "baselines" in bundle.meta:
@@ -77,54 +94,49 @@ def run_log(bundle: Bundle, config: RunConfig, log: Log) -> Runs:
         outputs[ARX] = fitted.arx.simulate(steady, measured[0])
         level = (steady[:, 0] - fitted.low[0]) / max(fitted.high[0] - fitted.low[0], 1e-9)
     speeds = tuple(name for name in own.output_names if name in SPEEDS)
-    still = quasi_steady(log, config.events.driver, speeds, config.quasi_steady)
-    inside = np.asarray(own.steady.inside(inputs))
-    return Runs(log, own.output_names, measured, outputs, known, still, inside, level)
+    return FreeRun(
+        log=log,
+        channels=own.output_names,
+        measured=measured,
+        outputs=outputs,
+        inputs_known=known,
+        quasi_steady=quasi_steady(log, config.events.driver, speeds, config.quasi_steady),
+        in_envelope=np.asarray(own.steady.inside(inputs)),
+        level=level,
+    )
 
 
 def _one_step(
     own: DynamicCalibration, inputs: FloatArray, measured: FloatArray, free: FloatArray
 ) -> FloatArray:
-    """Prediction (time, n_out) from measured outputs; what has no sample stays that of `free`.
+    """One-step prediction (time, n_out); NaN for an output without a single measured sample.
 
-    Otherwise a flight without a probe would have no one-step figure of its spools either.
+    Such an output feeds back its free run, so that the others still have a one-step figure.
     """
     there = np.isfinite(measured).any(axis=0)
     return np.where(there, own.predict(inputs, np.where(there, measured, free)), np.nan)
 
 
-def trimmed(runs: Runs, until: int, config: TrimConfig) -> Runs:
+def trimmed(run: FreeRun, until: int, config: TrimConfig) -> FreeRun:
     """Trim the free run and every baseline, each by its own error over the first rows.
 
     The one-step prediction starts from measured values and needs none.
     """
-    outputs, trims = dict(runs.outputs), {}
+    outputs, trims = dict(run.outputs), {}
     for name in (MODEL, *BASELINES):
         if name not in outputs:
             continue
-        seen = TrimSamples(
-            runs.measured - outputs[name], runs.level, runs.still & runs.known, runs.log.dt_s
-        )
-        trims[name] = estimate_trim(seen, until, runs.channels, config)
-        outputs[name] = outputs[name] + trims[name].at(runs.level)
-    return Runs(
-        runs.log,
-        runs.channels,
-        runs.measured,
-        outputs,
-        runs.known,
-        runs.still,
-        runs.inside,
-        runs.level,
-        until,
-        trims,
-    )
+        usable = run.quasi_steady & run.inputs_known
+        seen = TrimSamples(run.measured - outputs[name], run.level, usable, run.log.dt_s)
+        trims[name] = estimate_trim(seen, until, run.channels, config)
+        outputs[name] = outputs[name] + trims[name].at(run.level)
+    return replace(run, outputs=outputs, scored_from=until, trims=trims)
 
 
-def _check_raster(calibration: DynamicCalibration, log: Log) -> None:
+def _check_interval(calibration: DynamicCalibration, log: Log) -> None:
     if abs(log.dt_s - calibration.dt_s) > 1e-3 * calibration.dt_s:
         raise DataError(
-            f"the model runs on a raster of {calibration.dt_s:g} s, found {log.dt_s:g} s",
+            f"the model samples every {calibration.dt_s:g} s, this log every {log.dt_s:g} s",
             file=log.name,
-            hint="Read the log on the model's raster: raster_hz in [logs]",
+            hint="Resample the log to the model's interval: raster_hz in [logs]",
         )

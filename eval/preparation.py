@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -15,8 +15,9 @@ from data_prep.log import Log
 from data_prep.prepare import Prepared
 from data_prep.ranking import STRONG, pearson, ranked
 from data_prep.smooth import compare_windows, frequency_response, moving_average, smooth
-from eval.report.building import log_page, traces_of
-from eval.report.content import LogPage, WindowTrial
+from eval.report.figures import WindowTrial
+from eval.report.view import LogView
+from eval.transients import AssessedEvent
 from narxcal.support.errors import DataError
 from training.config import RunConfig
 
@@ -49,11 +50,15 @@ class LogReport:
         """Its pushes and pulls."""
         return self.prepared.events
 
-    def page(self) -> LogPage:
-        """Turn into the record that the HTML page shows."""
-        traces = traces_of(self.log, list(self.ranking.columns))
-        driver = self.prepared.tables.events.driver
-        return replace(log_page(self.log, driver, traces, self.events), pearson=self.ranking)
+    def view(self) -> LogView:
+        """The log as pages show it."""
+        return LogView(
+            log=self.log,
+            driver=self.prepared.tables.events.driver,
+            outputs=tuple(self.ranking.columns),
+            events=[AssessedEvent(event) for event in self.events],
+            pearson=self.ranking,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON: the log in figures, its audit, its events by kind."""

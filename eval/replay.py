@@ -1,68 +1,54 @@
-"""Replay: a flight streamed through the model and the fuser, as it would run beside the engine.
+"""Replay: a flight streamed through model and fuser, sample by sample, as beside the engine.
 
-One engine of a replay: inputs held over gaps, the model stepped, its prediction fused.
-
-What a replay is told: the model and its fuser, and how to treat the log.
+`replay` reads a CSV as a stream, puts each engine's rows on the model's sampling grid, runs one
+`EngineReplay` per engine over them and writes the results as CSV.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal, Self
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, Self
 
+import numpy as np
 from pydantic import Field
 
 from data_prep.config import LogsConfig
-from narxcal.calibration.fuser import FuserConfig
-from narxcal.calibration.noise import NoiseModel
+from data_prep.csv_source import Pace
+from data_prep.reading import LogFile
+from narxcal.calibration.fuser import FastFuser, FuserConfig
+from narxcal.calibration.noise import MIN_SAMPLES, STORED, NoiseModel, estimate_noise
+from narxcal.channels import CHANNELS
 from narxcal.support.arrays import BoolArray, FloatArray, last_true, spans
+from narxcal.support.errors import ConfigError, DataError
+from narxcal.support.files import TIME_FORMAT, atomic_stream
+from narxcal.support.interrupt import held_interrupt
 from narxcal.support.settings import Section
 
 if TYPE_CHECKING:
-    from narxcal.calibration.bundle import Bundle
-    from narxcal.calibration.calibration import DynamicCalibration
-from dataclasses import replace
-from typing import TYPE_CHECKING
-
-import numpy as np
-
-from narxcal.calibration.fuser import FastFuser
-from narxcal.calibration.noise import MIN_SAMPLES, STORED, estimate_noise
-from narxcal.support.errors import DataError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from typing import TextIO
 
     from data_prep.stream import Piece
-import time
-from collections.abc import Callable
-from dataclasses import asdict
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+    from narxcal.calibration.bundle import Bundle
+    from narxcal.calibration.calibration import DynamicCalibration
 
-from data_prep.csv_source import Pace
-from data_prep.reading import LogFile
-from narxcal.channels import CHANNELS
-from narxcal.support.errors import ConfigError
-from narxcal.support.files import TIME_FORMAT, atomic_stream
-from narxcal.support.interrupt import held_interrupt
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from typing import TextIO
+# At full speed rows can wait until the next measurement of a slow channel is known.
+_LOOK_AHEAD_S = 5.0
 
 
 class ReplayOptions(Section):
     """How to replay.
 
-    `engine` picks one of several engines; else all are replayed. An input that is missing keeps
-    its last value up to `hold_s`. `start` says where the model begins after a gap: settled, or at
-    the measured outputs. With `follow` a growing file is read until it stood still for `idle_s`.
+    `engine` picks one of several engines; else all are replayed. A missing input keeps its last
+    value up to `hold_s`. `start` says where the model begins after a gap: in equilibrium, or at the
+    measured outputs. With `follow` a growing file is read until it has not grown for `idle_s`.
 
     `noise` is that of the bundle (`stored`), or (`log`) the sensors' is estimated from the first
-    `warmup_s` of the log itself, which delays the output so long; the model's stays that of the
-    bundle, which has seen whole flights. `auto` is `log` at full speed and `stored` live. A
-    bundle without noise is always `log`, for both.
+    `warmup_s` of the log itself, which delays the output so long, and the model's is that of the
+    bundle, which was estimated from whole flights. `auto` is `log` at full speed and `stored`
+    live. For a bundle without noise both are estimated from the log.
     """
 
     engine: str | None = None
@@ -76,12 +62,12 @@ class ReplayOptions(Section):
 
     @property
     def live(self) -> bool:
-        """Whether rows are wanted as soon as they are known."""
+        """Whether rows are written as soon as they are known."""
         return self.realtime or self.follow
 
     @property
     def stored_noise(self) -> bool:
-        """Whether the bundle's noise serves as it is, if there is any."""
+        """Whether the bundle's noise is used, if there is any."""
         return self.noise == "stored" or (self.noise == "auto" and self.live)
 
 
@@ -110,52 +96,40 @@ class ReplayModel:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Finished samples: `time_s` `(time,)`, the three results `(time, n_out)`, flags `(time,)`."""
+    """Samples of one engine, `(time,)` or `(time, n_out)`; NaN until they are fused.
+
+    `runs` are (start, stop, fresh) without a gap inside; with `fresh` the model starts anew.
+    """
 
     time_s: FloatArray
+    measured: FloatArray
     prediction: FloatArray
     fused: FloatArray
     innovation: FloatArray
     inside: BoolArray
     held: BoolArray
     gap: BoolArray
-
-
-@dataclass(frozen=True, eq=False)
-class _Predicted:
-    """Samples that wait for the fuser; `runs` are (start, stop, fresh) without a break inside."""
-
-    piece: Piece
-    measured: FloatArray
-    prediction: FloatArray
     runs: list[tuple[int, int, bool]]
-    inside: BoolArray
-    held: BoolArray
-    gap: BoolArray
 
 
 class EngineReplay:
-    """Feeds the pieces of one engine's log through a calibration and a fuser of its own.
+    """One engine: run the pieces of its log through a calibration and a fuser of its own.
 
     A missing input keeps its last value up to `hold_s`; after that there is no prediction until
     all inputs are back, and the model starts anew there, as it does after a gap of the log.
     """
 
     def __init__(self, model: ReplayModel, options: ReplayOptions, engine: str, file: str) -> None:
-        # A copy: each engine has a register of its own.
-        self._calibration = calibration = model.calibration.for_engine(engine)
-        self._model = model
-        self._options = options
-        self._file = file
+        self._calibration = calibration = model.calibration.for_engine(engine)  # own register
+        self._model, self._options, self._file = model, options, file
         self._inputs = tuple(calibration.input_names)
         self.outputs = tuple(calibration.output_names)
-        steady = calibration.steady.input_names
-        self._steady = [self._inputs.index(name) for name in steady]
-        self._hold_samples = round(options.hold_s / calibration.dt_s)
-        self._carried = np.full(len(self._inputs), np.nan)
+        self._steady = [self._inputs.index(name) for name in calibration.steady.input_names]
+        self._longest = round(options.hold_s / calibration.dt_s)  # samples
+        self._last = np.full(len(self._inputs), np.nan)  # last known inputs, and samples since
         self._age = np.zeros(len(self._inputs), dtype=np.intp)
         self._running = self._begun = False
-        self._waiting: list[_Predicted] = []
+        self._waiting: list[Rows] = []
         stored = model.noise if options.stored_noise else None
         self.fuser = None if stored is None else FastFuser(stored, model.fuser)
         self._fusable = np.ones(len(self.outputs), dtype=np.bool_)
@@ -166,27 +140,27 @@ class EngineReplay:
 
     @property
     def held(self) -> dict[str, int]:
-        """Samples at which an input's last value stood in."""
+        """Input -> samples at which its last value was used."""
         return {name: int(n) for name, n in zip(self._inputs, self._held, strict=True) if n}
 
     @property
     def slow(self) -> dict[str, float]:
-        """Mean time in s between two measurements of a channel slower than the model's raster."""
+        """Channel slower than the sampling grid -> mean time between two measurements in s."""
         return {
-            name: self._calibration.dt_s * self._samples / (self._samples - count)
-            for name, count in self._interpolated.items()
-            if count
+            name: self._calibration.dt_s * self._samples / (self._samples - interpolated)
+            for name, interpolated in self._interpolated.items()
+            if interpolated
         }
 
     @property
     def gated(self) -> dict[str, int]:
-        """Measurements that the fuser refused."""
+        """Output -> measurements that the fuser rejected as outliers."""
         counts = self.fuser.gated_samples if self.fuser else np.zeros(len(self.outputs))
         return {name: int(n) for name, n in zip(self.outputs, counts, strict=True)}
 
     @property
     def unfused(self) -> tuple[str, ...]:
-        """Outputs that were not measured well enough to know their noise."""
+        """Outputs with too few measurements to estimate their noise."""
         known = zip(self.outputs, self._fusable, strict=True)
         return tuple(name for name, fusable in known if not fusable)
 
@@ -206,7 +180,7 @@ class EngineReplay:
         return np.column_stack([piece.channels.get(name, missing) for name in names])
 
     def _measured(self, piece: Piece) -> FloatArray:
-        """Outputs (time, n_out), NaN where nothing was measured: a straight line tells no news."""
+        """Outputs (time, n_out), NaN where not measured: interpolated values are no information."""
         never = np.zeros(len(piece.time_s), dtype=np.bool_)
         self._samples += len(never)
         for name in (*self._inputs, *self.outputs):
@@ -215,7 +189,7 @@ class EngineReplay:
         between = np.column_stack([piece.interpolated.get(name, never) for name in self.outputs])
         return np.where(between, np.nan, self._matrix(piece, self.outputs))
 
-    def _predict(self, piece: Piece) -> _Predicted:
+    def _predict(self, piece: Piece) -> Rows:
         for name in self._inputs:
             if name not in piece.channels:
                 raise DataError(
@@ -225,8 +199,8 @@ class EngineReplay:
                     hint=f"The log has {', '.join(piece.channels)}",
                 )
         if piece.starts:
-            self._carried[:], self._running = np.nan, False
-        inputs, held, alive = self._hold(self._matrix(piece, self._inputs))
+            self._last[:], self._running = np.nan, False
+        inputs, held, alive = self._filled(self._matrix(piece, self._inputs))
         measured = self._measured(piece)
         prediction = np.full(measured.shape, np.nan)
         gap = ~alive
@@ -242,22 +216,25 @@ class EngineReplay:
                 prediction[rest] = self._calibration.extend(inputs[rest])
         inside = alive & self._calibration.steady.inside(inputs[:, self._steady])
         self.outside += int((alive & ~inside).sum())
-        return _Predicted(piece, measured, prediction, runs, inside, held & alive, gap)
+        blank = np.full(measured.shape, np.nan)
+        return Rows(
+            piece.time_s, measured, prediction, blank, blank, inside, held & alive, gap, runs
+        )
 
-    def _hold(self, inputs: FloatArray) -> tuple[FloatArray, BoolArray, BoolArray]:
-        """Fill inputs with their last values; say where that was done, and where it may be."""
-        rows = np.vstack([self._carried, inputs])
+    def _filled(self, inputs: FloatArray) -> tuple[FloatArray, BoolArray, BoolArray]:
+        """Inputs filled with their last values, where that was done, and where all are usable."""
+        rows = np.vstack([self._last, inputs])
         at = np.maximum(last_true(np.isfinite(rows)), 0)
         age = (np.arange(len(rows))[:, None] - at + np.where(at == 0, self._age, 0))[1:]
         filled = np.take_along_axis(rows, at, axis=0)[1:]
-        alive: BoolArray = (np.isfinite(filled) & (age <= self._hold_samples)).all(axis=1)
-        self._carried, self._age = filled[-1].copy(), age[-1]
+        alive: BoolArray = (np.isfinite(filled) & (age <= self._longest)).all(axis=1)
+        self._last, self._age = filled[-1].copy(), age[-1]
         self._held += ((age > 0) & alive[:, None]).sum(axis=0)
         held = np.asarray((age > 0).any(axis=1))
         return filled, held, alive
 
     def _runs(self, alive: BoolArray) -> Iterator[tuple[int, int, bool]]:
-        """Stretches the model can run, and whether it starts anew there."""
+        """Runs of usable inputs, and whether the model starts anew there."""
         for start, stop in spans(alive):
             yield start, stop, start > 0 or not self._running
         self._running = bool(alive[-1])
@@ -267,7 +244,7 @@ class EngineReplay:
         return self._calibration.reset(inputs, measured if known else None)
 
     def _noise(self) -> NoiseModel:
-        """Estimate the noise from what waits; a channel hardly ever measured is left out."""
+        """Estimate the noise from the waiting samples, channels with too few of them left out."""
         records: list[tuple[list[FloatArray], list[FloatArray]]] = []
         for each in self._waiting:
             for start, stop, fresh in each.runs:
@@ -280,7 +257,7 @@ class EngineReplay:
         seen = sum((np.isfinite(z).sum(axis=0) for z in measured), np.zeros(len(self.outputs)))
         self._fusable = seen >= MIN_SAMPLES
         fit = np.flatnonzero(self._fusable)
-        found = _blind(len(self.outputs), self._calibration.dt_s)
+        found = _no_fusion(len(self.outputs), self._calibration.dt_s)
         if not len(fit):
             return found
         part = estimate_noise(
@@ -293,11 +270,11 @@ class EngineReplay:
         return self._with_stored(self._model.noise, found)
 
     def _with_stored(self, stored: NoiseModel, found: NoiseModel) -> NoiseModel:
-        """The log's own sensors beside the model's errors as the bundle knows them.
+        """Sensor noise from the log, model errors from the bundle.
 
-        Those are of steps of the raster. Errors of a model go on in one direction for a while, so
-        that over the longer way to the next measurement of a slow channel they grow by more than
-        such steps add up to: what its own measurements say holds there.
+        The bundle's model errors are per sample. They are correlated over time, so that over the
+        many samples between two measurements of a slow channel they grow by more than independent
+        steps would: for slow channels those estimated from the log are used.
         """
         slow = np.array([name in self.slow for name in self.outputs])
         parts = {
@@ -307,42 +284,38 @@ class EngineReplay:
         }
         return replace(stored, measurement_variance=found.measurement_variance, **parts)
 
-    def _fuse(self, each: _Predicted, fuser: FastFuser) -> Rows:
-        measured = np.where(self._fusable, each.measured, np.nan)
-        fused = np.full(measured.shape, np.nan)
-        innovation = fused.copy()
-        for start, stop, fresh in each.runs:
+    def _fuse(self, rows: Rows, fuser: FastFuser) -> Rows:
+        measured = np.where(self._fusable, rows.measured, np.nan)
+        fused, innovation = rows.fused.copy(), rows.innovation.copy()
+        for start, stop, fresh in rows.runs:
             fuse = fuser.run if fresh else fuser.extend
-            result = fuse(each.prediction[start:stop], measured[start:stop])
+            result = fuse(rows.prediction[start:stop], measured[start:stop])
             fused[start:stop], innovation[start:stop] = result.values, result.innovations
-        return Rows(
-            each.piece.time_s, each.prediction, fused, innovation, each.inside, each.held, each.gap
-        )
+        return replace(rows, fused=fused, innovation=innovation)
 
 
-def _blind(n_out: int, dt_s: float) -> NoiseModel:
-    """Noise with which a fuser repeats the prediction, as it must where nothing was measured."""
+def _no_fusion(n_out: int, dt_s: float) -> NoiseModel:
+    """Noise with which a fuser repeats the prediction, for outputs that are not measured."""
     zero = {name: np.zeros(n_out) for name in STORED}
     return NoiseModel(dt_s, **{**zero, "measurement_variance": np.ones(n_out)})
-
-
-__all__ = ["Clock", "ReplayModel", "ReplayOptions", "ReplaySummary", "replay"]
-
-# At full speed there is no hurry: blanks of slow channels are waited for.
-_LOOK_AHEAD_S = 5.0
 
 
 @dataclass(frozen=True)
 class ReplaySummary:
     """What a replay did.
 
-    `held` counts, per engine and input, samples at which its last value stood in; `restarts`
-    the gaps after which the model began anew; `outside` samples outside the envelope; `gated`,
-    per engine and output, measurements that the fuser refused; `unfused` outputs that were never
-    measured well enough to fuse. `slow` is, per engine and channel, the time in s between
-    two measurements of a channel slower than the raster: an input is on the straight line there,
-    an output is not fused. `dropped` rows had no usable stamp; `truncated` says that
-    the file broke off in mid-line, which was left out.
+    | field | meaning |
+    |---|---|
+    | `held` | engine -> input -> samples at which its last value was used |
+    | `restarts` | engine -> gaps after which the model began anew |
+    | `outside` | engine -> samples outside the steady-state model's envelope |
+    | `gated` | engine -> output -> measurements that the fuser rejected |
+    | `unfused` | engine -> outputs with too few measurements to fuse |
+    | `slow` | engine -> channel slower than the sampling grid -> s between measurements |
+    | `dropped` | rows without a usable time stamp |
+    | `truncated` | the file ends in mid-line, and that line was left out |
+
+    Inputs are interpolated between slow measurements; outputs are not fused there.
     """
 
     rows: int
@@ -365,35 +338,32 @@ class ReplaySummary:
 
     @property
     def cautions(self) -> list[str]:
-        """Sentences without a full stop on what the model was not told."""
-        said = [_too_slow(name, slow) for name, slow in self.slow.items()]
-        return [text for text in said if text]
+        """Warnings of slow channels; ambient ones change slowly, and nothing is lost there."""
+        texts = []
+        for engine, slow in self.slow.items():
+            named = [
+                f"{name} about every {every_s:.2g} s"
+                for name, every_s in slow.items()
+                if CHANNELS[name].role != "ambient"
+            ]
+            if named:
+                texts.append(
+                    f"{f'{engine}: ' if engine else ''}sampled more coarsely than the model's grid "
+                    f"are {', '.join(named)}: outputs are fused only where they were measured, "
+                    "inputs are interpolated between"
+                )
+        return texts
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
-        own = asdict(self)
-        return {**own, "times_real_time": self.times_real_time, "cautions": self.cautions}
-
-
-def _too_slow(engine: str, slow: dict[str, float]) -> str:
-    """What to say of slow channels; the air changes slowly, and nothing is lost there."""
-    told = [
-        f"{name} about every {every_s:.2g} s"
-        for name, every_s in slow.items()
-        if CHANNELS[name].role != "ambient"
-    ]
-    if not told:
-        return ""
-    whose = f"{engine}: " if engine else ""
-    return (
-        f"{whose}slower than the model's raster are recorded {', '.join(told)}: outputs are fused "
-        "only where they were measured, inputs are on straight lines between"
-    )
+        return {
+            **asdict(self), "times_real_time": self.times_real_time, "cautions": self.cautions
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Clock:
-    """Wall time and waiting; a test brings its own."""
+    """Wall time and waiting; tests replace it."""
 
     now: Callable[[], float] = time.monotonic
     sleep: Callable[[float], None] = time.sleep
@@ -408,16 +378,19 @@ def replay(
 ) -> ReplaySummary:
     """Stream the CSV `log` through model and fuser, and write the CSV `out`.
 
-    Columns: `time_s`; `engine`, where several are replayed; per output channel
-    `X_prediction` (free run), `X_fused` and `X_innovation` (measured minus expected, blank where
-    not measured, as between two measurements of a channel slower than the raster);
-    `inside_envelope` (1 inside that of the steady-state model); `held` (1 where a missing input's
-    last value stood in); `gap` (1 where the model started anew, or, with blank predictions, where
-    it could not run). Samples are those of `data_prep.read_logs` on the
-    model's raster; the prediction at a sample uses the inputs up to and including it.
+    | column | meaning |
+    |---|---|
+    | `time_s` | time on the model's sampling grid, as of `data_prep.read_logs` |
+    | `engine` | its name, where several are replayed |
+    | `X_prediction` | free run of output X, from inputs up to and including this sample |
+    | `X_fused` | prediction and measurement merged |
+    | `X_innovation` | measured minus expected, blank where not measured or only interpolated |
+    | `inside_envelope` | 1 inside the envelope of the steady-state model |
+    | `held` | 1 where the last value of a missing input was used |
+    | `gap` | 1 where the model started anew, or, with blank predictions, could not run |
 
     `OUT` appears when all rows are there; live, they can be read in `OUT.part` as they come. Ctrl-C
-    ends a `follow` well and any other replay with nothing left behind.
+    ends a `follow` with the rows so far, and any other replay with no file.
 
     Raises `DataError` for the log, `ConfigError` for options or an output that cannot be written.
     """

@@ -1,4 +1,4 @@
-"""Residual tests: what is left in the residual that the model should have described.
+"""Residual tests: what remains in the residual that the model should have described.
 
 Whiteness (autocorrelation) and independence of the inputs (cross-correlation at lags of both
 signs: a positive lag is an effect of the input that the model misses, a negative one is feedback
@@ -13,7 +13,7 @@ what the two autocorrelations allow (Bartlett's formula).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +28,7 @@ Records = Sequence[FloatArray]
 
 # Chance of calling a white or independent residual dependent, over all lags of one test.
 FALSE_ALARM = 0.01
+_LONGEST_LAG_S = 10.0  # several time constants of a spool
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +69,32 @@ class Dependence:
     outside_99: float | None
     worst_lag: int | None
     worst_value: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualTests:
+    """Residual of one channel with itself and with each input, lags in samples of `dt_s`."""
+
+    channel: str
+    dt_s: float
+    auto: Correlation
+    cross: Mapping[str, Correlation]
+
+
+def residual_tests(
+    channel: str, residual: FloatArray, inputs: Mapping[str, FloatArray], dt_s: float
+) -> ResidualTests:
+    """Correlate one log's residual (time,) with itself and with `inputs` (time,), up to 10 s.
+
+    Inputs that never change are left out: they correlate with nothing.
+    """
+    lags = max(1, round(_LONGEST_LAG_S / dt_s))
+    cross = {
+        name: cross_correlation([values], [residual], lags, coloured=True)
+        for name, values in inputs.items()
+        if np.isfinite(values).any() and np.nanmax(values) > np.nanmin(values)
+    }
+    return ResidualTests(channel, dt_s, autocorrelation([residual], lags), cross)
 
 
 def autocorrelation(residuals: Records, lags: int) -> Correlation:

@@ -1,4 +1,4 @@
-"""The Ti/Tt rule sets: where Tt starts and how far the model may be from the flight.
+"""The Ti/Tt rule sets, and the verdict on one transient: how far the model may be off the flight.
 
 Ti is the time from the lever movement to 10 % of the response. Sources disagree on Tt:
 
@@ -10,19 +10,21 @@ Ti is the time from the lever movement to 10 % of the response. Sources disagree
   both within +-10 % or 0.25 s.
 
 Where two tolerances are given, the less restrictive applies (Part 60 App. A Att. 2, section 2).
-
-The time bands a Ti/Tt plot shades: where the model may cross 10 % and 90 %.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 from eval.response import Transient
-from narxcal.support.errors import ConfigError, DataError
+from narxcal.support.errors import ConfigError
 
 RulesName = Literal["paper", "part60", "icao"]
+
+# Decimal times are not exact in binary: an error of exactly the tolerance passes.
+_SLACK_S = 1e-9
 
 
 @dataclass(frozen=True)
@@ -92,29 +94,104 @@ def rules(name: str) -> Rules:
 
 
 @dataclass(frozen=True)
-class Band:
-    """From `start_s` to `stop_s` on the log's clock, at `level` in the channel's unit."""
+class TimeCheck:
+    """One of Ti and Tt, in seconds; `error_s` is model minus flight.
 
-    start_s: float
-    stop_s: float
-    level: float
+    `relative` is the error's size as a share of the flight's time, but of no less than the
+    sampling interval: a shorter time is not resolved, and a driver that lags (a fuel meter) can
+    make Ti zero or negative.
+    """
+
+    flight_s: float
+    model_s: float
+    error_s: float
+    allowed_s: float
+    relative: float
+    ok: bool
 
 
-def tolerance_windows(flight: Transient, rules: Rules) -> tuple[Band, Band]:
-    """Bands around the flight's t10 and t90 for an assessable flight transient.
+@dataclass(frozen=True)
+class Verdict:
+    """Result of one event on one channel.
 
-    Where Tt starts at t10, the second band holds for a model that is on time at 10 %: one that
-    is early or late there may be as early or late at 90 %. Raises `DataError` for a transient
-    that is not assessable.
+    `ok` is None where the flight's transient is not assessable. `reason` says why it is not, or
+    why the model failed before its times could be compared (then `Ti` and `Tt` are None).
+    """
+
+    rules: str
+    ok: bool | None
+    Ti: TimeCheck | None = None
+    Tt: TimeCheck | None = None
+    reason: str | None = None
+
+
+def compare_transients(flight: Transient, model: Transient, rules: Rules) -> Verdict:
+    """Judge the model's transient against the flight's.
+
+    Each curve is read between its own settled values, as on a regulator's over-plot: a wrong
+    steady level, which RMSE shows, stays apart from wrong timing. The flight alone decides
+    whether there is anything to assess; whatever is wrong with the model is a failure.
     """
     if flight.reason is not None:
-        raise DataError(f"a transient that is not assessable has no windows: {flight.reason}")
-    total_s = rules.total_s(flight.Ti_s, flight.Tt_s)
-    return (
-        _band(flight.t10_s, rules.Ti.allowed_s(flight.Ti_s), flight.before + 0.1 * flight.response),
-        _band(flight.t90_s, rules.Tt.allowed_s(total_s), flight.before + 0.9 * flight.response),
+        return Verdict(rules.name, None, reason=flight.reason)
+    failure = _failure(flight, model, rules)
+    if failure is not None:
+        return Verdict(rules.name, ok=False, reason=f"model: {failure}")
+    initial = _check(flight.Ti_s, model.Ti_s, rules.Ti, flight.dt_s)
+    flight_s, model_s = (rules.total_s(one.Ti_s, one.Tt_s) for one in (flight, model))
+    total = _check(flight_s, model_s, rules.Tt, flight.dt_s)
+    return Verdict(rules.name, initial.ok and total.ok, initial, total)
+
+
+def _failure(flight: Transient, model: Transient, rules: Rules) -> str | None:
+    """Why the model cannot pass whatever its times are."""
+    if math.isfinite(model.response):
+        percent = 100.0 * model.response / flight.response
+        if percent < 0.0:
+            return (
+                f"it moves by {model.response:.3g} where the flight moves by {flight.response:.3g}"
+            )
+        least = 100.0 * rules.least_model_share
+        if percent < least:
+            return (
+                f"its response {abs(model.response):.3g} is {abs(percent):.0f} % of the flight's, "
+                f"less than {least:.0f} %"
+            )
+    return model.reason
+
+
+def _check(flight_s: float, model_s: float, tolerance: Tolerance, dt_s: float) -> TimeCheck:
+    error_s = model_s - flight_s
+    allowed_s = tolerance.allowed_s(flight_s)
+    return TimeCheck(
+        flight_s=flight_s,
+        model_s=model_s,
+        error_s=error_s,
+        allowed_s=allowed_s,
+        relative=abs(error_s) / max(abs(flight_s), dt_s),
+        ok=abs(error_s) <= allowed_s + _SLACK_S,
     )
 
 
-def _band(centre_s: float, allowed_s: float, level: float) -> Band:
-    return Band(centre_s - allowed_s, centre_s + allowed_s, level)
+def time_bands(flight: Transient, model: Transient, verdict: Verdict) -> list[tuple[float, float]]:
+    """(start, stop) on the log's clock in which the model may reach 10 % and 90 %.
+
+    Empty for a transient that was not assessed. Where the rule set counts Tt from 10 %, the
+    second band starts from the model's own t10, so that a curve inside its bands is one that
+    passed; a model that could not be compared is taken to be on time there.
+    """
+    if verdict.ok is None:
+        return []
+    if verdict.Ti is None or verdict.Tt is None:
+        used = rules(verdict.rules)
+        total_s = used.total_s(flight.Ti_s, flight.Tt_s)
+        bands = (
+            (flight.t10_s, used.Ti.allowed_s(flight.Ti_s)),
+            (flight.t90_s, used.Tt.allowed_s(total_s)),
+        )
+    else:
+        bands = (
+            (model.t10_s - verdict.Ti.error_s, verdict.Ti.allowed_s),
+            (model.t90_s - verdict.Tt.error_s, verdict.Tt.allowed_s),
+        )
+    return [(centre_s - allowed_s, centre_s + allowed_s) for centre_s, allowed_s in bands]

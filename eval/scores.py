@@ -1,11 +1,9 @@
 """Errors of the free run and of the baselines, channel by channel: one log, or many pooled.
 
-How far a model is from the measurement, channel by channel.
-
-Every function takes `measured` and `model`, both `(time, channel)`, and an optional `mask` of
-that shape or `(time,)`, true where a sample counts; it returns `(channel,)`. Samples where either
-is NaN or the mask is false are left out of that channel only. A figure that the remaining samples
-do not define is NaN.
+Every function but `score` takes `measured` and `model`, both `(time, channel)`, and an optional
+`mask` of that shape or `(time,)`, true where a sample counts; it returns `(channel,)`. Samples
+where either is NaN or the mask is false are left out of that channel only. A figure that the
+remaining samples do not define is NaN.
 """
 
 from __future__ import annotations
@@ -17,7 +15,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eval.free_run import BASELINES, MODEL, ONE_STEP, Runs
+from eval.free_run import BASELINES, MODEL, ONE_STEP, FreeRun
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 
@@ -25,21 +23,6 @@ from narxcal.support.errors import DataError
 _RELATIVE_FLOOR = 0.05
 # A variance below this share of the mean square is the rounding of a constant.
 _ROUNDING = 1e-24
-
-
-@dataclass(frozen=True, eq=False)
-class Theil:
-    """Theil's inequality coefficient and how the squared error divides, each `(channel,)`.
-
-    `inequality` is 0 for a perfect and 1 for a useless model; `bias + variance + covariance` is
-    1: wrong mean, wrong size of the swings, and the rest, which a good model has most of. The
-    shares of a zero error are NaN.
-    """
-
-    inequality: FloatArray
-    bias: FloatArray
-    variance: FloatArray
-    covariance: FloatArray
 
 
 def counted(
@@ -89,27 +72,6 @@ def max_relative_percent(
     relative = np.where(valid & (error == 0.0), 0.0, relative)
     worst = np.max(relative, axis=0, where=valid, initial=0.0)
     return np.where(valid.any(axis=0), 100.0 * worst, np.nan)
-
-
-def theil(measured: FloatArray, model: FloatArray, mask: BoolArray | None = None) -> Theil:
-    """Split the mean square error (Theil 1966; Jategaonkar, Flight Vehicle SysID, ch. 11).
-
-    `mse = (mean_m - mean)^2 + (s_m - s)^2 + 2 (1 - r) s_m s`, with the standard deviations `s`
-    of measurement and model and their correlation `r`.
-    """
-    valid = _valid(measured, model, mask)
-    error = model - measured
-    mse = _mean(error**2, valid)
-    spread, own_spread = (np.sqrt(_variance(values, valid)) for values in (measured, model))
-    size, own_size = (np.sqrt(_mean(values**2, valid)) for values in (measured, model))
-    swing = (own_spread - spread) ** 2
-    return Theil(
-        inequality=_ratio(np.sqrt(mse), size + own_size),
-        bias=_ratio(_mean(error, valid) ** 2, mse),
-        variance=_ratio(swing, mse),
-        # The error's variance holds both; 2 (1 - r) s_m s would cancel where r is near 1.
-        covariance=_ratio(np.maximum(_variance(error, valid) - swing, 0.0), mse),
-    )
 
 
 def _valid(measured: FloatArray, model: FloatArray, mask: BoolArray | None) -> BoolArray:
@@ -170,18 +132,28 @@ class ChannelScores:
     first_order_rmse: float
     arx_rmse: float
 
-    def row(self) -> dict[str, float | int | None]:
-        """JSON-able values; None where there is no figure."""
+    @property
+    def best_rmse(self) -> float:
+        """Lowest RMSE of free run and baselines; NaN where none is defined."""
+        known = [self.rmse, *self.baselines.values()]
+        return min((value for value in known if math.isfinite(value)), default=math.nan)
+
+    @property
+    def baselines(self) -> dict[str, float]:
+        """Baseline -> its RMSE on the same samples."""
+        return {name: getattr(self, f"{name}_rmse") for name in BASELINES}
+
+    def row(self) -> dict[str, float | int]:
+        """As a table; NaN where there is no figure."""
         counts = {"samples": int(self.samples), "static_samples": int(self.static_samples)}
-        return {**{name: _known(value) for name, value in asdict(self).items()}, **counts}
+        return {**asdict(self), **counts}
 
 
-def score(runs: Sequence[Runs]) -> dict[str, ChannelScores]:
+def score(runs: Sequence[FreeRun]) -> dict[str, ChannelScores]:
     """Score one log, or several as if they were one long recording.
 
-    Of a channel slower than the raster the samples that were measured count, not those between.
-
-    Raises `DataError` without runs, or where they are of different channels.
+    Of a channel slower than the sampling grid only measured samples count, not those interpolated
+    between them. Raises `DataError` without runs, or where they are of different channels.
     """
     if not runs:
         raise DataError("expected at least one log to score, found none")
@@ -199,32 +171,32 @@ def score(runs: Sequence[Runs]) -> dict[str, ChannelScores]:
     }
 
 
-def _columns(runs: Sequence[Runs]) -> Mapping[str, FloatArray]:
+def _columns(runs: Sequence[FreeRun]) -> Mapping[str, FloatArray]:
     """Every figure as (channel,)."""
     measured = np.concatenate([one.log.measured(one.channels) for one in runs])
     scored = np.concatenate([one.scored for one in runs])
-    still = np.concatenate([one.still for one in runs]) & scored
+    static = np.concatenate([one.quasi_steady for one in runs]) & scored
     model = _joined(runs, MODEL)
-    wrong = np.where((np.isfinite(model - measured)) & scored[:, None], model - measured, np.nan)
+    error = np.where(np.isfinite(model - measured) & scored[:, None], model - measured, np.nan)
     figures: dict[str, FloatArray] = {
         "samples": counted(measured, model, scored).astype(np.float64),
         "rmse": rmse(measured, model, scored),
         "nrmse": nrmse(measured, model, scored),
         "fit_pct": fit_percent(measured, model, scored),
         "max_rel_pct": max_relative_percent(measured, model, scored),
-        "max_error": _reduced(np.abs(wrong), "max"),
-        "bias": _reduced(wrong, "mean"),
-        "static_samples": counted(measured, model, still).astype(np.float64),
-        "static_rmse": rmse(measured, model, still),
-        "static_bias": _reduced(wrong[still], "mean"),
-        "dynamic_rmse": rmse(measured, model, scored & ~still),
+        "max_error": _reduced(np.abs(error), "max"),
+        "bias": _reduced(error, "mean"),
+        "static_samples": counted(measured, model, static).astype(np.float64),
+        "static_rmse": rmse(measured, model, static),
+        "static_bias": _reduced(error[static], "mean"),
+        "dynamic_rmse": rmse(measured, model, scored & ~static),
     }
     for name in (ONE_STEP, *BASELINES):
         figures[f"{name}_rmse"] = rmse(measured, _joined(runs, name), scored)
     return figures
 
 
-def _joined(runs: Sequence[Runs], name: str) -> FloatArray:
+def _joined(runs: Sequence[FreeRun], name: str) -> FloatArray:
     """Outputs of one model over all logs; NaN for logs it was not run on."""
     return np.concatenate(
         [one.outputs.get(name, np.full_like(one.measured, np.nan)) for one in runs]
@@ -235,8 +207,3 @@ def _reduced(values: FloatArray, how: str) -> FloatArray:
     """Mean or largest of the finite values (channel,); NaN where there is none."""
     found = [column[np.isfinite(column)] for column in values.T]
     return np.array([getattr(part, how)() if len(part) else np.nan for part in found])
-
-
-def _known(value: float) -> float | None:
-    """JSON has no NaN."""
-    return value if math.isfinite(value) else None

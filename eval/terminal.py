@@ -4,52 +4,46 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from eval.report.content import LogPage, Scheme, Score
-from eval.report.page import Outcome
+from eval.outcome import Outcome
 from eval.report.style import with_unit
-from eval.report.tables import best_of, number, summary
+from eval.report.tables import measures, number
+from eval.transients import Assessment
 from narxcal.channels import symbol
 
+if TYPE_CHECKING:
+    from eval.crossval import CrossValidation
+    from eval.evaluate import LogEvaluation
+
 _WORDS = {True: ("PASS", "bold green"), False: ("FAIL", "bold red"), None: ("NOT ASSESSED", "bold")}
-_SHORT = {"steady state": "steady", "first order": "1st order"}
+_BASELINES = ("steady", "1st order", "ARX")
 
 
-def print_scores(console: Console, pages: Sequence[LogPage]) -> None:
+def print_scores(console: Console, logs: Sequence[LogEvaluation]) -> None:
     """One table per log: free run beside the baselines, the lowest RMSE in bold."""
-    for page in pages:
-        console.print(scores_table(page))
-
-
-def scores_table(page: LogPage) -> Table:
-    """Errors of one log by channel, RMSE in the channel's unit."""
-    names = list(dict.fromkeys(name for score in page.scores for name in score.baselines))
-    table = _table(page.name)
-    table.add_column("RMSE of", no_wrap=True)
-    for head in ("free run", "max rel", "1 step", "static", "dynamic"):
-        table.add_column(head, justify="right", no_wrap=True)
-    for name in names:
-        table.add_column(_SHORT.get(name, name), justify="right", no_wrap=True)
-    for score in page.scores:
-        table.add_row(*_score_cells(score, names))
-    return table
-
-
-def _score_cells(score: Score, names: Sequence[str]) -> list[Text]:
-    best = best_of(score)
-    return [
-        Text(with_unit(score.channel)),
-        _figure(score.rmse, best),
-        Text(_measure(score.max_rel_pct, "%")),
-        Text(number(score.one_step_rmse)),
-        Text(number(score.static_rmse)),
-        Text(number(score.dynamic_rmse)),
-        *(_figure(score.baselines.get(name, math.nan), best) for name in names),
-    ]
+    for one in logs:
+        table = _table(one.log.name)
+        table.add_column("RMSE of", no_wrap=True)
+        for head in ("free run", "max rel", "1 step", "static", "dynamic", *_BASELINES):
+            table.add_column(head, justify="right", no_wrap=True)
+        for name, found in one.scores.items():
+            best = found.best_rmse
+            table.add_row(
+                Text(with_unit(name)),
+                _figure(found.rmse, best),
+                Text(_measure(found.max_rel_pct, "%")),
+                *(
+                    Text(number(value))
+                    for value in (found.one_step_rmse, found.static_rmse, found.dynamic_rmse)
+                ),
+                *(_figure(value, best) for value in found.baselines.values()),
+            )
+        console.print(table)
 
 
 def _measure(value: float, unit: str) -> str:
@@ -60,28 +54,24 @@ def _figure(value: float, best: float) -> Text:
     return Text(number(value), style="bold green" if value == best else "")
 
 
-def print_transients(console: Console, pages: Sequence[LogPage]) -> None:
+def print_transients(console: Console, logs: Sequence[LogEvaluation]) -> None:
     """Ti and Tt, one table per log: passed of assessed, worst errors, not assessable."""
-    for page in pages:
-        if not _judged(page):
+    for one in logs:
+        channels = dict.fromkeys(each.channel for each in one.assessments)
+        if not channels:
             continue
-        table = _table(page.name)
+        table = _table(one.log.name)
         table.add_column("Ti and Tt of", no_wrap=True)
         for head in ("passed", "worst Ti error", "worst Tt error", "not assessable"):
             table.add_column(head, justify="right", no_wrap=True)
-        for channel in _judged(page):
-            table.add_row(*_transient_cells(page, channel))
+        for channel in channels:
+            own = [each for each in one.assessments if each.channel == channel]
+            table.add_row(Text(symbol(channel)), *_transient_cells(own))
         console.print(table)
 
 
-def _judged(page: LogPage) -> list[str]:
-    return list(dict.fromkeys(name for trace in page.events for name in trace.responses))
-
-
-def _transient_cells(page: LogPage, channel: str) -> list[Text]:
-    found = [trace.responses[channel] for trace in page.events if channel in trace.responses]
-    verdicts = [response.verdict for response in found if response.verdict is not None]
-    assessed = [verdict for verdict in verdicts if verdict.ok is not None]
+def _transient_cells(found: Sequence[Assessment]) -> list[Text]:
+    assessed = [one.verdict for one in found if one.verdict.ok is not None]
     passed = sum(verdict.ok is True for verdict in assessed)
     colour = "green" if passed == len(assessed) else "red"
     worst = [
@@ -89,10 +79,9 @@ def _transient_cells(page: LogPage, channel: str) -> list[Text]:
         for checks in ([part.Ti for part in assessed], [part.Tt for part in assessed])
     ]
     return [
-        Text(symbol(channel)),
         Text(f"{passed}/{len(assessed)}", style=colour if assessed else ""),
         *(Text(_measure(value, "s")) for value in worst),
-        Text(str(len(verdicts) - len(assessed))),
+        Text(str(len(found) - len(assessed))),
     ]
 
 
@@ -104,18 +93,18 @@ def print_outcome(console: Console, outcome: Outcome) -> None:
         console.print(Text(f"  {line}"))
 
 
-def print_crossval(console: Console, schemes: Sequence[Scheme]) -> None:
+def print_crossval(console: Console, found: CrossValidation) -> None:
     """Print the spread of every measure over the folds, one table per scheme."""
-    for scheme in schemes:
-        table = _table(f"{scheme.name}, {len(scheme.folds)} folds")
+    for name, folds in found.schemes.items():
+        table = _table(f"{name}, {len(folds)} folds")
         table.add_column("measure", overflow="fold")
-        spread = summary(scheme)
-        for head in (*spread, "limit"):
+        for head in ("mean", "std", "min", "max", "limit"):
             table.add_column(head, justify="right", no_wrap=True)
-        for column, measure in enumerate(scheme.measures):
-            values = [number(part[column]) for part in spread.values()]
-            label = f"{measure.label} [{measure.unit}]" if measure.unit else measure.label
-            table.add_row(Text(label), *values, number(measure.limit))
+        spread = found.spread(name)
+        for measure in measures(found):
+            own = spread.get(measure.key, {})
+            figures = [own.get(head) for head in ("mean", "std", "min", "max")]
+            table.add_row(Text(measure.title), *map(number, (*figures, measure.limit)))
         console.print(table)
 
 

@@ -1,63 +1,46 @@
-"""Ti/Tt validator over the events of a log: what is assessed, what passes, and why not."""
+"""Ti and Tt of every event of a log: what is assessed, what passes, why not, and how many."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from data_prep.events import Event, Speed
-from eval.response import ReadingMode, Transient, TransientConfig, measure_transient
-from eval.rules import RulesName
-from eval.rules import rules as rules_of
-from eval.verdict import TimeCheck, Verdict, compare_transients
+from eval.response import Reading, Transient, TransientConfig, measure_transient
+from eval.rules import RulesName, TimeCheck, Verdict, compare_transients, rules
 from narxcal.channels import channel as channel_of
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import ConfigError, DataError
-from narxcal.support.settings import Section
 
-__all__ = [
-    "Assessment",
-    "Overlay",
-    "TimeCheck",
-    "Transient",
-    "TransientConfig",
-    "TransientsConfig",
-    "Verdict",
-    "assess_events",
-    "compare_transients",
-    "measure_transient",
-]
-
+# A measured figure in a reason; reasons that differ in nothing else are counted together.
+_FIGURE = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
 
 # In the channel's unit: some thirty times the recording noise of FACTS.md A8, so that 10 % of
 # the response stands clear of it.
 LEAST_RESPONSE = {"N1_pct": 5.0, "N2_pct": 3.0, "EGT_C": 30.0}
 
 
-class TransientsConfig(Section):
+class TransientsConfig(Reading):
     """Which channels are judged by which rules, and how their transients are read.
 
     The rules are written for rapid movements: `speeds = ["fast"]` keeps to those, while by
-    default every movement is judged and none is spared. `least_response` (channel -> value in
-    its unit) adds to and overrides the built-in values.
+    default every movement is judged. `least_response` (channel -> value in its unit) adds to and
+    overrides the built-in values.
     """
 
     rules: RulesName = "paper"
-    reading: ReadingMode = "interpolated"
     channels: tuple[str, ...] = ("N1_pct", "N2_pct")
     speeds: tuple[Speed, ...] = ("fast", "slow", "small")
-    before_s: float = Field(default=1.0, gt=0.0)
-    after_s: float = Field(default=1.0, gt=0.0)
     least_response: Mapping[str, float] = Field(default_factory=dict)
 
     def reading_of(self, channel: str) -> TransientConfig:
-        """Return the reading of one channel; `ConfigError` if its least response is not known."""
+        """How one channel is read; `ConfigError` if its least response is not known."""
         least = {**LEAST_RESPONSE, **self.least_response}
         if channel not in least:
             raise ConfigError(
@@ -78,15 +61,15 @@ class TransientsConfig(Section):
 class Overlay:
     """Flight and free-run model of one log, both `(time, channel)`, on `time_s (time,)`.
 
-    `inputs_known (time,)` is false where the model's inputs are missing: it was not asked there.
-    Where it was asked, a model value that is not finite is the model's failure.
+    `inputs_known (time,)` is false where an input of the model is missing: nothing is assessed
+    there. Elsewhere a model value that is not finite is a failure of the model.
     """
 
     time_s: FloatArray
     flight: FloatArray
     model: FloatArray
     channels: tuple[str, ...]
-    inputs_known: NDArray[np.bool_] | None = None
+    inputs_known: BoolArray | None = None
 
     def __post_init__(self) -> None:
         shape = (len(self.time_s), len(self.channels))
@@ -110,9 +93,9 @@ class Assessment:
     verdict: Verdict
 
     def row(self) -> dict[str, Any]:
-        """Return the JSON row of `evaluate.json`; times in seconds, None where there is none."""
+        """One entry of `events` in `evaluate.json`; times in seconds."""
         verdict = self.verdict
-        total_s = rules_of(verdict.rules).total_s(self.flight.Ti_s, self.flight.Tt_s)
+        total_s = rules(verdict.rules).total_s(self.flight.Ti_s, self.flight.Tt_s)
         return {
             "start_s": self.start_s,
             "label": ("push", "pull")[self.label],
@@ -122,20 +105,62 @@ class Assessment:
             "reason": verdict.reason,
             "Ti": _time_row(verdict.Ti, self.flight.Ti_s, verdict.ok),
             "Tt": _time_row(verdict.Tt, total_s, verdict.ok),
-            "raw": {"flight": _raw(self.flight), "model": _raw(self.model)},
+            "raw": {"flight": asdict(self.flight), "model": asdict(self.model)},
         }
+
+
+@dataclass(frozen=True)
+class AssessedEvent:
+    """One event with its assessments, at most one per channel; none where there is no model."""
+
+    event: Event
+    assessments: tuple[Assessment, ...] = ()
+
+    @property
+    def ok(self) -> bool | None:
+        """True if every channel that could be assessed passes, None if none could."""
+        verdicts = [one.verdict.ok for one in self.assessments if one.verdict.ok is not None]
+        return all(verdicts) if verdicts else None
+
+    @property
+    def severity(self) -> float:
+        """Largest error in units of what is allowed; infinite for a failure without times."""
+        worst = 0.0
+        for verdict in (one.verdict for one in self.assessments):
+            if verdict.ok is None:
+                continue
+            if verdict.Ti is None or verdict.Tt is None:
+                return float("inf")
+            for check in (verdict.Ti, verdict.Tt):
+                worst = max(worst, abs(check.error_s) / max(check.allowed_s, 1e-9))
+        return worst
+
+    @property
+    def move(self) -> str:
+        """`fast push`, `slow pull`."""
+        return f"{self.event.speed} {('push', 'pull')[self.event.label]}"
+
+    def of(self, channel: str) -> Assessment | None:
+        """Its assessment on one channel."""
+        return next((one for one in self.assessments if one.channel == channel), None)
 
 
 def assess_events(
     events: Sequence[Event], overlay: Overlay, config: TransientsConfig
 ) -> list[Assessment]:
     """Judge every event on every configured channel that `overlay` has, event by event."""
-    return [
-        _assess(event, overlay, column, config)
+    return [each for one in assessed(events, overlay, config) for each in one.assessments]
+
+
+def assessed(
+    events: Sequence[Event], overlay: Overlay, config: TransientsConfig
+) -> tuple[AssessedEvent, ...]:
+    """As `assess_events`, with the assessments of each event together."""
+    columns = [k for k, name in enumerate(overlay.channels) if name in config.channels]
+    return tuple(
+        AssessedEvent(event, tuple(_assess(event, overlay, k, config) for k in columns))
         for event in events
-        for column, name in enumerate(overlay.channels)
-        if name in config.channels
-    ]
+    )
 
 
 def _assess(event: Event, overlay: Overlay, column: int, config: TransientsConfig) -> Assessment:
@@ -148,13 +173,13 @@ def _assess(event: Event, overlay: Overlay, column: int, config: TransientsConfi
     obstacle = _obstacle(event, config) or _unknown_inputs(overlay, rows)
     if obstacle is not None:
         flight = Transient(t0_s=t0_s, dt_s=flight.dt_s, reason=obstacle)
-    # What is worth assessing, and whether it is settled enough, is decided on the flight. A model
-    # beside a flight that just passes must not fail for a hair's breadth.
+    # The flight decides what can be assessed; a model that is just below the limits of its
+    # reading, next to a flight just above them, must not fail for that.
     own = reading.model_copy(
         update={"least_response": 0.0, "drift_share": 2.0 * reading.drift_share}
     )
     model = measure_transient(time_s, overlay.model[rows, column], t0_s, own)
-    verdict = compare_transients(flight, model, rules_of(config.rules))
+    verdict = compare_transients(flight, model, rules(config.rules))
     name = overlay.channels[column]
     return Assessment(t0_s, event.label, event.speed, name, flight, model, verdict)
 
@@ -179,7 +204,7 @@ def _unknown_inputs(overlay: Overlay, rows: slice) -> str | None:
 
 def _time_row(check: TimeCheck | None, flight_s: float, ok: bool | None) -> dict[str, Any]:
     if check is None:
-        return {"flight": _known(flight_s), "model": None, "error": None, "allowed": None, "ok": ok}
+        return {"flight": flight_s, "model": None, "error": None, "allowed": None, "ok": ok}
     return {
         "flight": check.flight_s,
         "model": check.model_s,
@@ -189,13 +214,75 @@ def _time_row(check: TimeCheck | None, flight_s: float, ok: bool | None) -> dict
     }
 
 
-def _raw(transient: Transient) -> dict[str, float | str | None]:
-    return {
-        name: _known(value) if isinstance(value, float) else value
-        for name, value in asdict(transient).items()
-    }
+@dataclass(frozen=True)
+class Tally:
+    """Counts and means over assessments; a mean over nothing is None.
+
+    `mean_relative_*_pct` averages `TimeCheck.relative`; an event that the model failed before
+    its times could be compared enters with 100 %, so that failing never improves the mean.
+    `mean_absolute_*_s` averages over the `compared` events. Events that are not assessable enter
+    neither count nor mean; `not_assessable` is how many those are.
+    """
+
+    events: int
+    assessed: int
+    passed: int
+    compared: int
+    not_assessable: int
+    mean_relative_Ti_pct: float | None
+    mean_relative_Tt_pct: float | None
+    mean_absolute_Ti_s: float | None
+    mean_absolute_Tt_s: float | None
+
+    @property
+    def passed_pct(self) -> float | None:
+        """Passed among assessed events, in percent."""
+        return 100.0 * self.passed / self.assessed if self.assessed else None
+
+    def row(self) -> dict[str, Any]:
+        """Return the tally as JSON-able values."""
+        return {**asdict(self), "passed_pct": self.passed_pct}
 
 
-def _known(value: float) -> float | None:
-    """JSON has no NaN."""
-    return value if math.isfinite(value) else None
+def tally(assessments: Sequence[Assessment]) -> Tally:
+    """Count over any selection of assessments: one log, one channel, pushes only, all."""
+    verdicts = [one.verdict for one in assessments]
+    assessable = [verdict for verdict in verdicts if verdict.ok is not None]
+    initial, total = _checks(assessable, "Ti"), _checks(assessable, "Tt")
+    return Tally(
+        events=len(verdicts),
+        assessed=len(assessable),
+        passed=sum(verdict.ok is True for verdict in assessable),
+        compared=sum(check is not None for check in initial),
+        not_assessable=len(verdicts) - len(assessable),
+        mean_relative_Ti_pct=_mean(_percent(check) for check in initial),
+        mean_relative_Tt_pct=_mean(_percent(check) for check in total),
+        mean_absolute_Ti_s=_mean(abs(c.error_s) for c in initial if c is not None),
+        mean_absolute_Tt_s=_mean(abs(c.error_s) for c in total if c is not None),
+    )
+
+
+def not_assessable(assessments: Sequence[Assessment]) -> dict[str, int]:
+    """Reason -> number of transients that could not be assessed for it, measured figures as `..`.
+
+    In the order of the reasons.
+    """
+    reasons = Counter(
+        _FIGURE.sub("..", str(each.verdict.reason), count=1)
+        for each in assessments
+        if each.verdict.ok is None
+    )
+    return dict(sorted(reasons.items()))
+
+
+def _checks(verdicts: Sequence[Verdict], name: Literal["Ti", "Tt"]) -> list[TimeCheck | None]:
+    return [getattr(verdict, name) for verdict in verdicts]
+
+
+def _percent(check: TimeCheck | None) -> float:
+    return 100.0 if check is None else 100.0 * check.relative
+
+
+def _mean(values: Iterable[float]) -> float | None:
+    known = list(values)
+    return sum(known) / len(known) if known else None

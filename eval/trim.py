@@ -2,15 +2,15 @@
 
 Fuel meters and temperature probes differ between flights and engines. From the quasi-steady
 samples of the first part of a log, an offset of every output is estimated as a function of the
-power level, and added to the model over the rest of the log, which alone is scored.
+power level, and added to the model over the rest of the log; only that rest is scored.
 
 The offset is a Gaussian process over the level (Rasmussen and Williams 2006, section 2.2; the
 same as ridge regression with documented prior widths):
 
     offset(x) ~ N( 0, width^2 (common^2 + exp(-(x - x')^2 / (2 length^2))) )
 
-What was seen at ground idle is thus not carried to cruise: where no sample of a similar level was
-seen, the offset goes back to the common part, which is small. The level x is the steady-state
+An offset at ground idle thus does not apply at cruise: where there is no sample of a similar level,
+the offset goes back to the common part, which is small. The level x is the steady-state
 value of the first output between its 1 % and 99 % quantiles in the training logs.
 """
 
@@ -27,16 +27,16 @@ from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section
 
 _BIN = 0.1
-# More widths than this are no offset but a model that went astray, at levels it may not go to
-# again: such an error must not spread over the common part.
+# A larger error is no offset but a model that is wrong at this level: it must not spread to other
+# levels through the common part.
 _MOST_WIDTHS = 4.0
 
 
 class OffsetPrior(Section):
     """What is assumed of one channel's offset before the log is seen.
 
-    `width` is its standard deviation in the channel's unit, `common` the share of it that holds
-    at every level, `length` how far in level an offset reaches.
+    `width` is its standard deviation in the channel's unit, `common` the share of it that is the
+    same at every level, `length` the correlation length in level.
     """
 
     width: float = Field(gt=0.0)
@@ -46,8 +46,8 @@ class OffsetPrior(Section):
 
 # Fuel meters a year apart differ by 2 to 3 %, and not alike at all flows; 1 % of fuel flow moves
 # N1 by 0.3 % and N2 by 0.2 %. A temperature probe and the build of an engine make 15 K, and reach
-# further. Round values that served two measured flights in both directions, between neighbours
-# that serve them nearly as well.
+# further in level. Round values, good for two measured flights in both directions; neighbouring
+# values are nearly as good.
 PRIORS = {
     "N1_pct": OffsetPrior(width=0.5),
     "N2_pct": OffsetPrior(width=0.3),
@@ -82,7 +82,7 @@ class TrimConfig(Section):
 class Trim:
     """The offsets to be added to a model, (nodes, channel) in the channels' units.
 
-    `samples` quasi-steady samples (channel,) of the first `until` rows decided them.
+    They were estimated from `samples` (channel,) quasi-steady samples of the first `until` rows.
     """
 
     nodes: FloatArray
@@ -91,22 +91,21 @@ class Trim:
     until: int
 
     def at(self, level: FloatArray) -> FloatArray:
-        """Offsets (time, channel) at `level` (time,), held beyond the outermost nodes."""
+        """Offsets (time, channel) at `level` (time,), constant outside the outermost nodes."""
         columns = [np.interp(level, self.nodes, column) for column in self.offsets.T]
         return np.stack(columns, axis=1)
 
 
 @dataclass(frozen=True, eq=False)
 class TrimSamples:
-    """What a trim may look at, on a raster of `dt_s`.
+    """What a trim is estimated from, one row per `dt_s`.
 
-    `error` (time, channel) is measured minus model; `level` and `still`, the quasi-steady
-    samples, are (time,).
+    `error` (time, channel) is measured minus model; `level` and `quasi_steady` are (time,).
     """
 
     error: FloatArray
     level: FloatArray
-    still: BoolArray
+    quasi_steady: BoolArray
     dt_s: float
 
 
@@ -123,14 +122,14 @@ def rows_for_trim(fraction: float, samples: int) -> int:
 def estimate_trim(
     seen: TrimSamples, until: int, channels: tuple[str, ...], config: TrimConfig
 ) -> Trim:
-    """Estimate the offsets from the first `until` rows; nothing later is looked at.
+    """Estimate the offsets from the first `until` rows alone.
 
     A channel without quasi-steady samples there, or without a prior width, gets no offset.
     """
     nodes = config.nodes
     columns, counts = [], []
     for k, name in enumerate(channels):
-        rows = np.flatnonzero(seen.still[:until] & np.isfinite(seen.error[:until, k]))
+        rows = np.flatnonzero(seen.quasi_steady[:until] & np.isfinite(seen.error[:until, k]))
         prior = config.prior(name)
         if prior is None or not len(rows):
             counts.append(0)

@@ -22,11 +22,9 @@ from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
 from eval.benchmarks.row import Bound, Row
 from eval.evaluate import Evaluation, evaluate, evaluation_logs, run_config
-from eval.free_run import MODEL
-from eval.report.content import EventTrace
-from eval.report.evaluation import page_of
 from eval.report.event_figures import summary_figure
-from eval.tally import Tally, tally
+from eval.report.view import view_of
+from eval.transients import AssessedEvent, Tally, tally
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.channels import channel
 from narxcal.support.errors import DataError
@@ -149,12 +147,12 @@ def _outside(
     group, found = judged[0] + ", outside unlogged loads", judged[1]
     squares, events = [], []
     for log in found.logs:
-        runs, time_s = log.runs, log.log.time_s
+        run, time_s = log.run, log.log.time_s
         loaded = np.any([(time_s >= start) & (time_s <= stop) for start, stop in windows], axis=0)
-        squares.append(np.square(runs.outputs[MODEL] - runs.measured)[runs.scored & ~loaded])
+        squares.append(np.square(run.model - run.measured)[run.scored & ~loaded])
         events += [one for one in log.assessments if not loaded[time_s.searchsorted(one.start_s)]]
     rmse = np.sqrt(np.nanmean(np.concatenate(squares), axis=0))
-    for output, value in zip(found.logs[0].runs.channels, rmse.tolist(), strict=True):
+    for output, value in zip(found.logs[0].run.channels, rmse.tolist(), strict=True):
         yield Row(
             group, f"RMSE {output}", value, channel(output).unit,
             targets[output], "at most", _SOURCE, "pooled over the engines",
@@ -207,27 +205,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     bundle = load_bundle(options.bundle)
     config, settings = run_config(bundle)
     [one] = evaluate(bundle, evaluation_logs(bundle)[:1], None, settings).logs
-    page = page_of(one, config.events.driver, bundle.calibration.input_names)
-    picture = summary_figure(largest_push(page.events), config.events.driver)
-    atomic_write_bytes(options.out, picture)
+    view = view_of(one, config.events.driver, bundle.calibration.input_names)
+    atomic_write_bytes(options.out, summary_figure(view, largest_push(view.events)))
     return 0
 
 
-def largest_push(traces: Sequence[EventTrace]) -> EventTrace:
+def largest_push(events: Sequence[AssessedEvent]) -> AssessedEvent:
     """The fast push, assessed in every channel, that moves the driver most; or `DataError`."""
     pushes = [
-        trace
-        for trace in traces
-        if trace.event.label == 0 and trace.event.speed == "fast" and _assessed(trace)
+        one
+        for one in events
+        if one.move == "fast push" and all(each.verdict.ok is not None for each in one.assessments)
     ]
     if not pushes:
         raise DataError("no fast push could be assessed in every channel")
-    return max(pushes, key=lambda trace: trace.event.lever_after - trace.event.lever_before)
-
-
-def _assessed(trace: EventTrace) -> bool:
-    verdicts = [response.verdict for response in trace.responses.values()]
-    return all(verdict is not None and verdict.ok is not None for verdict in verdicts)
+    return max(pushes, key=lambda one: one.event.lever_after - one.event.lever_before)
 
 
 if __name__ == "__main__":

@@ -57,6 +57,11 @@ def simulate_slowly(net: NarxNet, y_start: Tensor, u: Tensor) -> Tensor:
     return torch.stack(y, dim=1)
 
 
+def rows() -> list[Row]:
+    """Kernels against PyTorch, then replay against the clock."""
+    return [*kernel_rows(), *replay_rows()]
+
+
 def record_of(samples: int) -> Record:
     """A stable non-linear system driven by filtered noise, the same every time."""
     random = np.random.default_rng(0)

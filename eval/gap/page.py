@@ -11,8 +11,7 @@ from eval.gap.evidence import Evidence
 from eval.gap.overlays import event_picture, flight_picture, views
 from eval.gap.summary import effect_name
 from eval.gap.verdict_box import next_flights, tiles, verdict_box
-from eval.report.content import RunHeader
-from eval.report.page import render
+from eval.report.page import RunHeader, render
 from eval.report.style import Picture
 from narxcal.effects.library import effect
 from training.gap.finding import Interval

@@ -1,14 +1,11 @@
-"""Figures about one whole log: free-run overlay, residual correlation, Pearson heat map.
-
-Figures about many runs: smoothing windows, cross-validation spread, denoising sweep.
-
-Figures of a reproduced paper that no other page has.
-"""
+"""Figures of whole logs, of cross-validation and noise, and of reproduced studies."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -17,113 +14,112 @@ from matplotlib.axes import Axes
 from data_prep.events import Event
 from data_prep.log import Log
 from eval.report import style
-from eval.report.content import (
-    ChannelTrace,
-    LogPage,
-    Measure,
-    NoiseSweep,
-    ResidualTests,
-    Scheme,
-    WindowTrial,
-)
 from eval.report.style import Picture, envelope, picture
-from eval.residuals import Correlation, independence, whiteness
+from eval.report.tables import Measure, measures
+from eval.report.view import Curves, LogView
+from eval.residuals import Correlation, ResidualTests, independence, whiteness
 from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from eval.crossval import CrossValidation, FoldResult
+    from eval.denoising import NoiseSweep
 
 _LAGS = 160  # drawn per correlation; a reader sees no more
 
 
-def overlay(page: LogPage) -> Picture:
+def overlay(view: LogView) -> Picture:
     """Draw the whole log: driver, then per output flight over model and the deviation below it."""
-    outputs, compared = page.channels, any(part.model is not None for part in page.channels)
+    outputs, compared = view.curves(), view.model is not None
     ratios = [0.6] + [part for _ in outputs for part in ((1.6, 0.6) if compared else (1.4,))]
     figure, rows = style.stack(10.0, ratios)
-    step = 2 if compared else 1
-    _driver(rows[0], page)
-    for position, trace in enumerate(outputs):
-        _output(rows[1 + step * position], page.time_s, trace)
-        if compared:
-            _deviation(rows[2 + step * position], page.time_s, trace)
+    time_s, step = view.log.time_s, 2 if compared else 1
+    _driver(rows[0], view)
+    for position, curves in enumerate(outputs):
+        _output(rows[1 + step * position], time_s, curves)
+        if curves.model is not None:
+            _deviation(
+                rows[2 + step * position], time_s, curves.name, curves.model - curves.measured
+            )
     style.legend(rows[1], columns=5)
     for axes in rows:
         style.dress(axes)
         axes.margins(x=0.0)
-        _mark_trim(axes, page.scored_from_s)
+        if view.scored_from_s is not None:
+            axes.axvline(view.scored_from_s, color="#24292f", lw=0.9, ls=":")
     rows[-1].set_xlabel("time [s]")
-    names = ", ".join(symbol(trace.name) for trace in outputs)
+    names = ", ".join(symbol(name) for name in view.outputs)
     shown = "measured and model, with deviation" if compared else "as measured"
-    alt = f"{names} over the whole log {page.name}: {shown}"
-    return picture(figure, alt, _overlay_caption(page))
+    alt = f"{names} over the whole log {view.name}: {shown}"
+    return picture(figure, alt, _overlay_caption(view))
 
 
-def _overlay_caption(page: LogPage) -> str:
-    if all(trace.model is None for trace in page.channels):
+def _overlay_caption(view: LogView) -> str:
+    if view.model is None:
         return "Thin lines in the driver strip: pushes (orange) and pulls (blue). Grey: masked."
     text = (
         "Measured: the thin line on top of the free run in blue; below each, model minus measured. "
         "Grey: masked by cleaning, not scored."
     )
     trim = " Left of the dotted line trim offsets are estimated; only what follows is scored."
-    return text if page.scored_from_s is None else text + trim
+    return text if view.scored_from_s is None else text + trim
 
 
-def _driver(axes: Axes, page: LogPage) -> None:
-    style.curve(axes, page.time_s, page.driver, style.DRIVER, lw=0.9)
-    axes.set_ylabel(style.with_unit(page.driver_name))
-    for trace in page.events:
-        colour = style.BAD if trace.event.label == 0 else style.MODEL
-        axes.axvline(trace.event.start_s, color=colour, lw=0.5, alpha=0.6)
+def _driver(axes: Axes, view: LogView) -> None:
+    style.curve(axes, view.log.time_s, view.log[view.driver], style.DRIVER, lw=0.9)
+    axes.set_ylabel(style.with_unit(view.driver))
+    for event in (one.event for one in view.events):
+        colour = style.BAD if event.label == 0 else style.MODEL
+        axes.axvline(event.start_s, color=colour, lw=0.5, alpha=0.6)
 
 
-def _output(axes: Axes, time: FloatArray, trace: ChannelTrace) -> None:
-    style.shade_missing(axes, time, trace.measured)
-    if trace.steady is not None:
-        style.curve(axes, time, trace.steady, style.STEADY, lw=0.8, ls="--", label="steady state")
-    if trace.model is not None:
+def _output(axes: Axes, time: FloatArray, curves: Curves) -> None:
+    style.shade_missing(axes, time, curves.measured)
+    if curves.steady is not None:
+        style.curve(axes, time, curves.steady, style.STEADY, lw=0.8, ls="--", label="steady state")
+    if curves.model is not None:
         style.curve(
-            axes, time, trace.model, style.MODEL, lw=2.0, alpha=0.75, label="model, free run"
+            axes, time, curves.model, style.MODEL, lw=2.0, alpha=0.75, label="model, free run"
         )
-    style.curve(axes, time, trace.measured, style.MEASURED, lw=0.7, label="measured")
-    axes.set_ylabel(style.with_unit(trace.name))
+    style.curve(axes, time, curves.measured, style.MEASURED, lw=0.7, label="measured")
+    axes.set_ylabel(style.with_unit(curves.name))
 
 
-def _deviation(axes: Axes, time: FloatArray, trace: ChannelTrace) -> None:
+def _deviation(axes: Axes, time: FloatArray, name: str, deviation: FloatArray) -> None:
     axes.axhline(0.0, color="#8c959f", lw=0.6)
-    style.shade_missing(axes, time, trace.measured)
-    if trace.model is not None:
-        style.curve(axes, time, trace.model - trace.measured, style.MODEL, lw=0.7)
-    axes.set_ylabel(f"Δ{style.with_unit(trace.name)}")
+    style.shade_missing(axes, time, deviation)
+    style.curve(axes, time, deviation, style.MODEL, lw=0.7)
+    axes.set_ylabel(f"Δ{style.with_unit(name)}")
 
 
-def _mark_trim(axes: Axes, scored_from_s: float | None) -> None:
-    if scored_from_s is not None:
-        axes.axvline(scored_from_s, color="#24292f", lw=0.9, ls=":")
-
-
-def residual_tests(page: LogPage) -> list[Picture]:
+def residual_tests(view: LogView) -> list[Picture]:
     """Residual autocorrelation and input cross-correlations of every channel with 95 % bands."""
-    return [_residual_test(page.name, part) for part in page.residuals]
+    return [_residual_test(view.name, part) for part in view.residuals]
 
 
 def _residual_test(log: str, part: ResidualTests) -> Picture:
-    figure, left, right = style.pair(10.0, 2.5)
+    entries = len(part.cross) + 1  # one line of the legend per input, and the band
+    figure, left, right = style.pair(10.0, 2.5, legend_rows=-(-entries // _LEGEND_COLUMNS))
     _band(left, part.auto, part.dt_s)
     _stems(left, part.auto, part.dt_s)
     left.set(xlabel="lag [s]", ylabel="autocorrelation [-]", ylim=(-1.05, 1.05))
-    for colour, (name, cross) in zip(style.CYCLE * 4, part.cross.items(), strict=False):
+    for (colour, dashes), (name, cross) in zip(_INPUT_STYLES, part.cross.items(), strict=False):
         _band(right, cross, part.dt_s, None if right.lines else "95 % band")
-        label = symbol(name)
         lags, values = envelope(cross.lags * part.dt_s, cross.values, 2 * _LAGS)
-        right.plot(lags, values, color=colour, lw=1.2, label=label)
+        right.plot(lags, values, color=colour, ls=dashes, lw=1.2, label=symbol(name))
     right.set(xlabel="lag [s] (positive: the input comes first)", ylabel="cross-correlation [-]")
     for axes in (left, right):
         style.dress(axes)
         axes.margins(x=0.0)
-        style.legend(axes, columns=6)
+        style.legend(axes, columns=_LEGEND_COLUMNS)
     name = symbol(part.channel)
     alt = f"Correlation of the {name} residual of {log} with itself and with each input"
     return picture(figure, alt, _judgement(part))
+
+
+# More inputs than colours are told apart by their dashes.
+_INPUT_STYLES = [(colour, dashes) for dashes in ("-", "--", ":", "-.") for colour in style.CYCLE]
+_LEGEND_COLUMNS = 5  # in the width of one of two axes
 
 
 def _stems(axes: Axes, part: Correlation, dt_s: float) -> None:
@@ -195,6 +191,25 @@ def _coefficient(axes: Axes, row: int, column: int, value: float, strong: float)
     )  # fmt: skip
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WindowTrial:
+    """Moving averages of several widths on one log, as the paper's Fig. 5 compares them.
+
+    `rms` is channel -> window (samples) -> RMS of the smoothed minus the unsmoothed signal;
+    `gain` is window -> magnitude response at `frequency_hz` (the closed form for that width).
+    `excerpt` shows the same seconds unsmoothed (`0`) and with each window, `(time,)` each.
+    """
+
+    log: str
+    chosen: int
+    rms: Mapping[str, Mapping[int, float]]
+    frequency_hz: FloatArray
+    gain: Mapping[int, FloatArray]
+    excerpt_channel: str
+    excerpt_time_s: FloatArray
+    excerpt: Mapping[int, FloatArray]
+
+
 def windows(trial: WindowTrial) -> Picture:
     """Show what each moving-average window does to the signal and to its spectrum."""
     figure = style.figure(10.0, 2.9)
@@ -226,24 +241,15 @@ def windows(trial: WindowTrial) -> Picture:
 
 
 def _excerpt(axes: Axes, trial: WindowTrial) -> None:
-    if trial.excerpt_time_s is None:
-        return
     colours = dict(zip(trial.gain, style.CYCLE * 4, strict=False))
     for window, values in trial.excerpt.items():
         if window == 0:
-            axes.plot(
-                trial.excerpt_time_s,
-                values,
-                color="#8c959f",
-                lw=0.8,
-                label="not smoothed",
-                zorder=1,
-            )
+            look: dict[str, Any] = {"color": "#8c959f", "lw": 0.8, "zorder": 1}
+            label = "not smoothed"
         else:
-            axes.plot(
-                trial.excerpt_time_s, values, color=colours.get(window, style.MODEL),
-                lw=_weight(window, trial), label=_window(window, trial),
-            )  # fmt: skip
+            look = {"color": colours[window], "lw": _weight(window, trial)}
+            label = _window(window, trial)
+        axes.plot(trial.excerpt_time_s, values, label=label, **look)
     axes.set(xlabel="time [s]", ylabel=style.with_unit(trial.excerpt_channel))
     axes.margins(x=0.0)
 
@@ -256,17 +262,20 @@ def _weight(window: int, trial: WindowTrial) -> float:
     return 2.0 if window == trial.chosen else 1.1
 
 
-def spread(schemes: Sequence[Scheme], measures: Sequence[Measure]) -> Picture:
+def spread(found: CrossValidation) -> Picture | None:
     """Draw one panel per measure: a box over the folds and every fold as a dot, per scheme."""
-    columns = min(4, len(measures))
-    rows = -(-len(measures) // columns)
+    shown = measures(found)
+    if not found.folds:
+        return None
+    columns = min(4, len(shown))
+    rows = -(-len(shown) // columns)
     figure = style.figure(10.0, 2.3 * rows)
     grid = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes, measure in zip(grid, measures, strict=False):
-        _strip(axes, schemes, measure)
-    for axes in grid[len(measures) :]:
+    for axes, measure in zip(grid, shown, strict=False):
+        _strip(axes, found.schemes, measure)
+    for axes in grid[len(shown) :]:
         axes.set_visible(False)
-    labels = ", ".join(measure.label for measure in measures)
+    labels = ", ".join(measure.label for measure in shown)
     caption = (
         "Every dot is one fold, the box spans the quartiles and the line in it is the median; "
         "a dotted line is the limit."
@@ -274,33 +283,31 @@ def spread(schemes: Sequence[Scheme], measures: Sequence[Measure]) -> Picture:
     return picture(figure, f"Spread over the folds of {labels}", caption)
 
 
-def _strip(axes: Axes, schemes: Sequence[Scheme], measure: Measure) -> None:
-    kept = [(scheme, _values(scheme, measure)) for scheme in schemes]
-    kept = [(scheme, values) for scheme, values in kept if len(values)]
+def _strip(axes: Axes, schemes: Mapping[str, Sequence[FoldResult]], measure: Measure) -> None:
+    found = {
+        name: [value for fold in folds if (value := fold.figures.get(measure.key)) is not None]
+        for name, folds in schemes.items()
+    }
+    kept = {name: values for name, values in found.items() if values}
     if kept:
         axes.boxplot(
-            [values for _, values in kept], widths=0.5, showfliers=False, patch_artist=True,
+            list(kept.values()), widths=0.5, showfliers=False, patch_artist=True,
             boxprops={"facecolor": "#dbe9f4", "edgecolor": style.MODEL, "linewidth": 0.8},
             medianprops={"color": style.MODEL, "linewidth": 1.5},
             whiskerprops={"color": style.MODEL, "linewidth": 0.8},
             capprops={"color": style.MODEL, "linewidth": 0.8},
         )  # fmt: skip
-    for position, (_, values) in enumerate(kept, start=1):
-        # A fixed fan instead of random jitter: the same folds give the same drawing.
+    for position, values in enumerate(kept.values(), start=1):
+        # Evenly spread instead of random jitter: the same folds give the same drawing.
         aside = np.linspace(-0.16, 0.16, len(values)) if len(values) > 1 else np.zeros(1)
         axes.plot(position + aside, values, "o", ms=3.2, color=style.MEASURED, alpha=0.75, mew=0,
                   clip_on=False)  # fmt: skip
     if measure.limit is not None:
         axes.axhline(measure.limit, color=style.BAD, lw=1.0, ls=":")
     axes.set_ylim(bottom=0.0)
-    axes.set_xticks(range(1, len(kept) + 1), [_short(scheme.name) for scheme, _ in kept])
-    axes.set_ylabel(f"{measure.label} [{measure.unit}]" if measure.unit else measure.label)
+    axes.set_xticks(range(1, len(kept) + 1), [_short(name) for name in kept])
+    axes.set_ylabel(measure.title)
     style.dress(axes, size=7.5, grid="y")
-
-
-def _values(scheme: Scheme, measure: Measure) -> FloatArray:
-    values = [float(fold.results.get(measure.key, np.nan)) for fold in scheme.folds]
-    return np.array([value for value in values if np.isfinite(value)])
 
 
 def _short(name: str) -> str:
@@ -309,31 +316,24 @@ def _short(name: str) -> str:
 
 def noise(sweep: NoiseSweep) -> Picture:
     """Plot RMSE against signal-to-noise ratio, and the filter's consistency beside it."""
-    consistent = sweep.nis is not None
-    figure = style.figure(10.0 if consistent else 6.0, 2.9)
-    panels = figure.subplots(1, 2 if consistent else 1, squeeze=False).ravel()
-    for colour, marker, (name, values) in zip(
+    table, name = sweep.table, symbol(sweep.channel)
+    figure = style.figure(10.0, 2.9)
+    left, right = figure.subplots(1, 2)
+    for colour, marker, (label, values) in zip(
         style.CYCLE, "osD^vP", sweep.curves.items(), strict=False
     ):
-        panels[0].plot(sweep.snr_db, values, color=colour, marker=marker, ms=4, lw=1.3, label=name)
-    panels[0].set(
-        xlabel="signal-to-noise ratio [dB]",
-        ylabel=f"RMSE of {style.with_unit(sweep.channel)}",
-        yscale="log",
+        left.plot(table["snr_db"], values, color=colour, marker=marker, ms=4, lw=1.3, label=label)
+    left.set(ylabel=f"RMSE of {style.with_unit(sweep.channel)}", yscale="log")
+    band = float(table["nis_low"].mean()), float(table["nis_high"].mean())
+    right.plot(
+        table["snr_db"], table["mean_nis"], color=style.MODEL, marker="o", ms=4, label="mean NIS"
     )
-    if sweep.nis is not None:
-        panels[1].plot(
-            sweep.snr_db, sweep.nis, color=style.MODEL, marker="o", ms=4, label="mean NIS"
-        )
-        if sweep.nis_band is not None:
-            panels[1].axhspan(*sweep.nis_band, color=style.MASK, alpha=0.6, lw=0, label="95 % band")
-        panels[1].set(
-            xlabel="signal-to-noise ratio [dB]", ylabel="normalised innovation squared [-]"
-        )
-    for axes in panels:
+    right.axhspan(*band, color=style.MASK, alpha=0.6, lw=0, label="95 % band")
+    right.set(ylabel="normalised innovation squared [-]")
+    for axes in (left, right):
+        axes.set(xlabel="signal-to-noise ratio [dB]")
         style.dress(axes)
         style.legend(axes, columns=3)
-    name = symbol(sweep.channel)
     alt = f"RMSE of {name} in {sweep.log} against signal-to-noise ratio"
     caption = f"{sweep.log}: Gaussian noise added to {name}; errors against the clean signal."
     return picture(figure, alt, caption)

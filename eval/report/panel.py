@@ -13,9 +13,10 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.ticker import MaxNLocator
 
-from eval.report.content import ChannelTrace, EventTrace, Response
 from eval.report.style import AnyFloats, Picture, envelope, spans, with_unit
-from eval.report.windows import allowed_times
+from eval.report.view import Curves, LogView
+from eval.rules import time_bands
+from eval.transients import AssessedEvent, Assessment
 from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
 
@@ -45,25 +46,24 @@ class _Axes:
         return np.asarray(self.bottom - share * (self.bottom - self.top))
 
 
-def panel(trace: EventTrace, driver_name: str) -> Picture:
+def panel(view: LogView, one: AssessedEvent) -> Picture:
     """Draw the driver above and the first output below, with t10, t90 and their windows."""
-    time = trace.time_s - trace.event.start_s
+    rows, t0_s = view.rows(one.event), one.event.start_s
+    time, driver = view.log.time_s[rows] - t0_s, view.log[view.driver][rows]
     reach = (float(time[0]), max(float(time[-1]), float(time[0]) + 1e-9))
-    output = trace.channels[0]
-    upper = _Axes(reach, _range([trace.driver]), 6.0, 50.0)
+    output = view.curves(rows)[0]
+    upper = _Axes(reach, _range([driver]), 6.0, 50.0)
     curves = [part for part in (output.measured, output.model, output.steady) if part is not None]
     lower = _Axes(reach, _range(curves), 60.0, 164.0)
     parts = [
-        *_frame(upper, driver_name),
-        _path(upper, time, trace.driver, "drv"),
-        *_marks(lower, trace.responses.get(output.name), trace.event.start_s),
+        *_frame(upper, view.driver),
+        _path(upper, time, driver, "drv"),
+        *_marks(lower, one.of(output.name), t0_s),
         *_frame(lower, output.name),
         *_output(lower, time, output),
         *_time_axis(lower, upper),
     ]
-    kind = f"{trace.event.speed} {'push' if trace.event.label == 0 else 'pull'}"
-    names = f"{symbol(driver_name)} and {symbol(output.name)}"
-    alt = f"{kind} at {trace.event.start_s:.1f} s: {names}"
+    alt = f"{one.move} at {t0_s:.1f} s: {symbol(view.driver)} and {symbol(output.name)}"
     head = (
         f'<svg class="panel" role="img" aria-label={quoteattr(alt)} '
         f'viewBox="0 0 {_WIDTH:g} {_HEIGHT:g}" xmlns="http://www.w3.org/2000/svg">'
@@ -112,15 +112,16 @@ def _time_axis(lower: _Axes, upper: _Axes) -> list[str]:
     return [*parts, f'<text class="xtk" x="{middle:g}" y="{lower.bottom + 26:g}">{label}</text>']
 
 
-def _output(axes: _Axes, time: FloatArray, trace: ChannelTrace) -> list[str]:
+def _output(axes: _Axes, time: FloatArray, curves: Curves) -> list[str]:
     parts = [
-        _rectangle(axes, start, end, "mask") for start, end in spans(time, np.isnan(trace.measured))
+        _rectangle(axes, start, end, "mask")
+        for start, end in spans(time, np.isnan(curves.measured))
     ]
-    if trace.steady is not None:
-        parts.append(_path(axes, time, trace.steady, "std"))
-    if trace.model is not None:
-        parts.append(_path(axes, time, trace.model, "mod"))
-    return [*parts, _path(axes, time, trace.measured, "mea")]
+    if curves.steady is not None:
+        parts.append(_path(axes, time, curves.steady, "std"))
+    if curves.model is not None:
+        parts.append(_path(axes, time, curves.model, "mod"))
+    return [*parts, _path(axes, time, curves.measured, "mea")]
 
 
 def _path(axes: _Axes, time: FloatArray, values: FloatArray, kind: str) -> str:
@@ -144,18 +145,20 @@ def _rectangle(axes: _Axes, start: float, end: float, kind: str) -> str:
     )
 
 
-def _marks(axes: _Axes, response: Response | None, start_s: float) -> list[str]:
+def _marks(axes: _Axes, one: Assessment | None, t0_s: float) -> list[str]:
     """10 % and 90 % levels, the flight's times at them, and where the model's may be."""
-    if response is None or response.flight.reason is not None:
+    if one is None or one.flight.reason is not None:
         return []
-    flight = response.flight
+    flight = one.flight
     parts = [
-        _rectangle(axes, start - start_s, end - start_s, kind)
-        for (start, end), kind in zip(allowed_times(response), ("ti", "tt"), strict=False)
+        _rectangle(axes, start - t0_s, end - t0_s, kind)
+        for (start, end), kind in zip(
+            time_bands(flight, one.model, one.verdict), ("ti", "tt"), strict=False
+        )
     ]
     for share, reached_s in ((0.1, flight.t10_s), (0.9, flight.t90_s)):
         height = float(axes.y(flight.before + share * flight.response))
-        across = float(axes.x(reached_s - start_s))
+        across = float(axes.x(reached_s - t0_s))
         parts.append(f'<path class="lev" d="M{_LEFT:g} {height:.1f}H{_RIGHT:g}"/>')
         parts.append(f'<path class="t" d="M{across:.1f} {axes.top:g}V{axes.bottom:g}"/>')
     return parts

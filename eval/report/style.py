@@ -37,7 +37,7 @@ _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 @dataclass(frozen=True)
 class Picture:
-    """An inline SVG with what a reader who cannot see it is told, and its caption."""
+    """An inline SVG, its text for readers who cannot see it, and its caption."""
 
     svg: Markup
     alt: str
@@ -124,7 +124,7 @@ def _private_ids(body: str, alt: str) -> str:
     return re.sub(r"(href=\"#|url\(#)", rf"\g<1>{key}", body)
 
 
-# Okabe and Ito's colours, told apart with every common colour-vision deficiency and in grey print.
+# Okabe and Ito's colours, distinct with every common colour-vision deficiency and in grey print.
 MEASURED = "#000000"
 MODEL = "#0072b2"
 STEADY = "#e69f00"
@@ -133,6 +133,7 @@ GOOD = "#009e73"
 BAD = "#d55e00"
 MASK = "#d0d7de"
 CYCLE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+_LEGEND_LINE = 0.18  # inches per line of a legend
 _INK, _GRID = "#24292f", "#e4e8ec"
 _UNITS = {"degC": "°C", "deg": "°", "-": "", "0/1": ""}
 
@@ -173,10 +174,11 @@ def stack(width: float, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
     return drawn, rows
 
 
-def pair(width: float, height: float) -> tuple[Figure, Axes, Axes]:
+def pair(width: float, height: float, legend_rows: int = 1) -> tuple[Figure, Axes, Axes]:
     """Two axes side by side with room for a legend above, margins fixed as in `stack`."""
+    height += _LEGEND_LINE * (legend_rows - 1)
     drawn = Figure(figsize=(width, height), facecolor="white")
-    low, tall = 0.42 / height, (height - 0.42 - 0.24) / height
+    low, tall = 0.42 / height, (height - 0.42 - 0.24 - _LEGEND_LINE * (legend_rows - 1)) / height
     wide = (width - 1.4) / 2  # and room for the half of the last tick's label
     left = drawn.add_axes((0.62 / width, low, wide / width, tall))
     right = drawn.add_axes((1.25 / width + wide / width, low, wide / width, tall))
@@ -198,7 +200,7 @@ def dress(axes: Axes, *, size: float = 8.0, grid: Literal["both", "x", "y"] = "b
 
 
 def legend(axes: Axes, columns: int = 4, size: float = 8.0) -> None:
-    """One line of entries above the axes, where it hides no data."""
+    """Entries above the axes, where they hide no data."""
     axes.legend(
         loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, fontsize=size, frameon=False,
         borderaxespad=0.2, handlelength=1.8, columnspacing=1.4, labelcolor=_INK,

@@ -1,35 +1,32 @@
-"""Tables of a page as records of text cells: what is in them, not how they look.
-
-Tables of Ti and Tt: all events of a run, and one event beside its overlay.
-"""
+"""Tables of a page as records of text cells: what is in them, not how they look."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import pandas as pd
 
 from data_prep.log import Audit, AuditEntry, Source
-from eval.report.content import (
-    EventTrace,
-    LogPage,
-    NoiseSweep,
-    Offsets,
-    Response,
-    Scheme,
-    Score,
-    WindowTrial,
-)
 from eval.report.style import unit, with_unit
-from eval.transients import TimeCheck
+from eval.report.view import LogView
+from eval.rules import TimeCheck
+from eval.transients import AssessedEvent, Assessment, not_assessable, tally
 from narxcal.channels import symbol
 
+if TYPE_CHECKING:
+    from eval.crossval import CrossValidation, FoldResult
+    from eval.denoising import NoiseSweep
+    from eval.report.figures import WindowTrial
+    from eval.scores import ChannelScores
+    from eval.trim import Trim
+
 Mark = Literal["", "best", "good", "bad", "none", "strong", "head", "group"]
-_OPTIONAL = {"untrimmed_rmse": "before trim", "bias": "bias"}
+BASELINES = {"steady_state": "steady state", "first_order": "first order", "arx": "ARX"}
 NOTHING = "\N{EN DASH}"
 _MOST_NAMED = 2  # logs of a fold
 
@@ -75,66 +72,49 @@ def figure(value: float | None, mark: Mark = "", digits: int = 3) -> Cell:
     return Cell(number(value, digits), mark, number=True)
 
 
-def baseline_names(scores: Iterable[Score]) -> tuple[str, ...]:
-    """All baselines that occur, in order of first appearance."""
-    return tuple(dict.fromkeys(name for score in scores for name in score.baselines))
-
-
-def scores(pages: Sequence[LogPage]) -> Table:
+def scores(views: Sequence[LogView]) -> Table:
     """Free-run errors per log and channel beside the baselines; the lowest RMSE is marked."""
-    every = [part for page in pages for part in page.scores]
-    names = baseline_names(every)
-    # A column is shown if any log has the figure.
-    optional = [
-        name
-        for name in ("untrimmed_rmse", "bias")
-        if any(math.isfinite(getattr(part, name)) for part in every)
-    ]
+    trim = any(one.evaluation.untrimmed for one in views if one.evaluation is not None)
     head = (
-        "channel", "free run RMSE", *(_OPTIONAL[name] for name in optional), "NRMSE [%]",
+        "channel", "free run RMSE", *(("before trim",) if trim else ()), "bias", "NRMSE [%]",
         "max rel. [%]", "one step RMSE", "static part", "dynamic part",
-        *(f"{name} RMSE" for name in names),
+        *(f"{name} RMSE" for name in BASELINES.values()),
     )  # fmt: skip
     rows: list[tuple[Cell, ...]] = []
-    for page in pages:
-        role = f" ({page.role})" if page.role else ""
-        rows.append((Cell(page.name + role, "group"),))
-        rows += [_score_row(part, names, optional) for part in page.scores]
+    for view in views:
+        if view.evaluation is None:
+            continue
+        rows.append((Cell(f"{view.name} ({view.evaluation.role})", "group"),))
+        for name, found in view.evaluation.scores.items():
+            before = view.evaluation.untrimmed.get(name)
+            untrimmed = (figure(None if before is None else before.rmse),) if trim else ()
+            rows.append(_score_row(name, found, untrimmed))
     return Table("RMSE, bias and parts in the unit of the channel", head, tuple(rows))
 
 
-def best_of(score: Score) -> float:
-    """Lowest RMSE among free run and baselines."""
-    known = [score.rmse, *score.baselines.values()]
-    return min((value for value in known if math.isfinite(value)), default=math.nan)
-
-
-def _score_row(score: Score, names: Sequence[str], optional: Sequence[str]) -> tuple[Cell, ...]:
-    best = best_of(score)
-    others = [score.baselines.get(name, math.nan) for name in names]
+def _score_row(name: str, found: ChannelScores, untrimmed: tuple[Cell, ...]) -> tuple[Cell, ...]:
+    best = found.best_rmse
     return (
-        Cell(with_unit(score.channel), "head"),
-        figure(score.rmse, "best" if score.rmse == best else ""),
-        *(figure(getattr(score, name)) for name in optional),
-        figure(100.0 * score.nrmse),
-        figure(score.max_rel_pct),
-        figure(score.one_step_rmse),
-        figure(score.static_rmse),
-        figure(score.dynamic_rmse),
-        *(figure(value, "best" if value == best else "") for value in others),
+        Cell(with_unit(name), "head"),
+        figure(found.rmse, "best" if found.rmse == best else ""),
+        *untrimmed,
+        figure(found.bias),
+        figure(100.0 * found.nrmse),
+        figure(found.max_rel_pct),
+        figure(found.one_step_rmse),
+        figure(found.static_rmse),
+        figure(found.dynamic_rmse),
+        *(figure(value, "best" if value == best else "") for value in found.baselines.values()),
     )
 
 
-def offsets(part: Offsets, caption: str) -> Table:
+def offsets(trim: Trim, channels: Sequence[str], caption: str) -> Table:
     """Trim offsets per channel across the power levels (0 is idle, 1 is full power)."""
     rows = [
-        (
-            Cell(with_unit(name), "head"),
-            *(Cell(f"{value:+.3g}", number=True) for value in values),
-        )
-        for name, values in part.added.items()
+        (Cell(with_unit(name), "head"), *(Cell(f"{value:+.3g}", number=True) for value in values))
+        for name, values in zip(channels, trim.offsets.T.tolist(), strict=True)
     ]
-    return Table(caption, ("level", *(f"{level:.2g}" for level in part.levels)), tuple(rows))
+    return Table(caption, ("level", *(f"{level:.2g}" for level in trim.nodes)), tuple(rows))
 
 
 def pearson(table: pd.DataFrame, caption: str, strong: float = 0.8) -> Table:
@@ -219,113 +199,167 @@ def windows(trials: Sequence[WindowTrial]) -> Table:
     return Table("RMS of smoothed minus unsmoothed signal, by window", head, tuple(rows))
 
 
-def folds(scheme: Scheme) -> Table:
-    """Every fold, then mean, standard deviation, least and greatest of each measure."""
-    head = (
-        "fold",
-        "test data",
-        *(f"{part.label} [{part.unit}]" if part.unit else part.label for part in scheme.measures),
+@dataclass(frozen=True)
+class Measure:
+    """One column of a cross-validation: `key` into the values of a fold, and how to print it."""
+
+    key: str
+    label: str
+    unit: str = ""
+    limit: float | None = None
+
+    @property
+    def title(self) -> str:
+        """The label with its unit."""
+        return f"{self.label} [{self.unit}]" if self.unit else self.label
+
+
+def measures(found: CrossValidation) -> list[Measure]:
+    """Columns of all schemes: errors of every channel, then the response times."""
+    keys = dict.fromkeys(key for fold in found.folds for key in fold.figures)
+    columns = []
+    for kind, label in _KINDS.items():
+        for key in keys:
+            head, _, channel = key.partition(".")
+            if head == kind:
+                of = "%" if kind == "max_rel_pct" else unit(channel)
+                bound = found.settings.largest_rmse.get(channel) if kind == "rmse" else None
+                columns.append(Measure(key, f"{symbol(channel)} {label}", of, bound))
+    columns += [Measure(key, label, "%") for key, label in _TIMES.items()]
+    return [*columns, Measure("passed_pct", "Ti/Tt passed", "%")]
+
+
+_KINDS = {"rmse": "RMSE", "worst_rmse": "worst RMSE", "max_rel_pct": "max rel. error"}
+_TIMES = {
+    "mean_relative_Ti_pct": "mean rel. error of Ti",
+    "mean_relative_Tt_pct": "mean rel. error of Tt",
+}
+
+
+def folds(found: CrossValidation, scheme: str) -> Table:
+    """Every fold of a scheme, then mean, standard deviation, least and greatest."""
+    columns, rows = measures(found), []
+    for fold in found.schemes[scheme]:
+        cells = []
+        for column in columns:
+            value = fold.figures.get(column.key)
+            bad = value is not None and column.limit is not None and value > column.limit
+            cells.append(figure(value, "bad" if bad else ""))
+        rows.append((Cell(fold_name(fold), "head"), Cell(_brief(fold.test)), *cells))
+    spread = found.spread(scheme)
+    for name in ("mean", "std", "min", "max"):
+        values = [spread.get(column.key, {}).get(name) for column in columns]
+        cells = [Cell(number(value), "strong", number=True) for value in values]
+        rows.append((Cell(name, "strong"), Cell("", "strong"), *cells))
+    return Table("", ("fold", "test data", *(column.title for column in columns)), tuple(rows))
+
+
+def fold_name(fold: FoldResult) -> str:
+    """Its name, and the seed that drew it."""
+    return fold.name if fold.seed is None else f"{fold.name}, seed {fold.seed}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Name whole logs; of segments cut from logs, how many there are from each."""
+    counts = _segments(names)
+    cut = any("[" in name for name in names)
+    return ", ".join(
+        f"{name} ({n} {'part' if n == 1 else 'parts'})" if cut else name
+        for name, n in counts.items()
     )
-    rows = []
-    for fold in scheme.folds:
-        values = [fold.results.get(part.key, math.nan) for part in scheme.measures]
-        marks: list[Mark] = [
-            "bad" if part.limit is not None and value > part.limit else ""
-            for part, value in zip(scheme.measures, values, strict=True)
-        ]
-        cells = [figure(value, mark) for value, mark in zip(values, marks, strict=True)]
-        rows.append((Cell(fold.name, "head"), Cell(_brief(fold.test)), *cells))
-    for name, spread in summary(scheme).items():
-        rows.append(
-            (
-                Cell(name, "strong"),
-                Cell("", "strong"),
-                *(Cell(number(value), "strong", number=True) for value in spread),
-            )
-        )
-    return Table("", head, tuple(rows))
 
 
-def _brief(data: str) -> str:
-    """Test data of a fold, counted where they are too many to name in a cell."""
-    names = data.split(", ")
-    if len(names) <= _MOST_NAMED:
-        return data
-    parts = sum(int(found) for found in re.findall(r"\((\d+) parts?\)", data))
-    return f"{len(names)} logs" + (f" ({parts} parts)" if parts else "")
+def _brief(names: Sequence[str]) -> str:
+    """As `listed`, but counted where they are too many to name in a cell."""
+    counts = _segments(names)
+    if len(counts) <= _MOST_NAMED:
+        return listed(names)
+    cut = any("[" in name for name in names)
+    return f"{len(counts)} logs" + (f" ({len(names)} parts)" if cut else "")
 
 
-def summary(scheme: Scheme) -> Mapping[str, list[float]]:
-    """Mean, sample standard deviation, least and greatest per measure, missing folds left out."""
-    table = pd.DataFrame(
-        [
-            [fold.results.get(part.key, math.nan) for part in scheme.measures]
-            for fold in scheme.folds
-        ]
-    )
-    columns = {"mean": table.mean(), "std": table.std(), "min": table.min(), "max": table.max()}
-    return {name: [float(value) for value in part] for name, part in columns.items()}
+def _segments(names: Sequence[str]) -> Counter[str]:
+    """Log -> how many of `names` are segments of it (or itself), in order of appearance."""
+    return Counter(name.partition("[")[0] for name in names)
 
 
 def noise(sweep: NoiseSweep) -> Table:
     """RMSE against the clean signal at each signal-to-noise ratio; the lowest is marked."""
-    head = ("SNR [dB]", *sweep.curves, *(("mean NIS",) if sweep.nis is not None else ()))
+    curves = sweep.curves
     rows = []
-    for at, ratio in enumerate(sweep.snr_db):
-        values = [float(curve[at]) for curve in sweep.curves.values()]
+    for at, (ratio, nis) in enumerate(
+        zip(sweep.table["snr_db"], sweep.table["mean_nis"], strict=True)
+    ):
+        values = [float(curve[at]) for curve in curves.values()]
         least = min((value for value in values if math.isfinite(value)), default=math.nan)
         cells = [figure(value, "best" if value == least else "") for value in values]
-        check = [figure(float(sweep.nis[at]))] if sweep.nis is not None else []
-        rows.append((Cell(f"{ratio:g}", "head"), *cells, *check))
+        rows.append((Cell(f"{ratio:g}", "head"), *cells, figure(float(nis))))
     caption = f"{sweep.log}: RMSE of {with_unit(sweep.channel)} against the clean signal"
-    return Table(caption, head, tuple(rows))
+    return Table(caption, ("SNR [dB]", *curves, "mean NIS"), tuple(rows))
 
 
-def transients(pages: Sequence[LogPage]) -> Table:
-    """Ti and Tt of every event and channel: flight, model, difference, allowed, outcome."""
+def transients(views: Sequence[LogView], *, assessable: bool) -> Table:
+    """Ti and Tt of every event and channel that could be assessed, or of those that could not."""
     head = (
         "start [s]", "move", "channel", "Ti flight [s]", "Ti model [s]", "ΔTi [s]", "allowed [s]",
         "Tt flight [s]", "Tt model [s]", "ΔTt [s]", "allowed [s]", "outcome",
     )  # fmt: skip
     rows: list[tuple[Cell, ...]] = []
-    for page in pages:
-        rows.append((Cell(page.name, "group"),))
-        rows += [
-            _transient_row(trace, channel, response)
-            for trace in page.events
-            for channel, response in trace.responses.items()
+    for view in views:
+        own = [
+            _transient_row(event, one)
+            for event in view.events
+            for one in event.assessments
+            if (one.verdict.ok is not None) is assessable
         ]
-    return Table("Ti and Tt of every event; differences are model minus flight", head, tuple(rows))
+        rows += [(Cell(view.name, "group"),), *own] if own else []
+    caption = "Differences are model minus flight" if assessable else ""
+    return Table(caption, head, tuple(rows))
 
 
-def tallies(pages: Sequence[LogPage]) -> Table:
+def reasons(assessments: Sequence[Assessment]) -> Table:
+    """Why transients could not be assessed, the most frequent reason first.
+
+    Events of different lengths count together.
+    """
+    found: Counter[str] = Counter()
+    for reason, count in not_assessable(assessments).items():
+        found[re.sub(r"\.\. of \d+ samples", ".. samples", reason)] += count
+    rows = [(Cell(reason), Cell(str(count), number=True)) for reason, count in found.most_common()]
+    return Table("", ("reason", "transients"), tuple(rows))
+
+
+def tallies(views: Sequence[LogView]) -> Table:
     """Ti and Tt of the model beside those of the baselines, on the same events."""
     head = (
         "model", "passed", "assessed", "passed [%]", "mean |ΔTi| [%]", "mean |ΔTt| [%]",
         "mean |ΔTi| [s]", "mean |ΔTt| [s]",
     )  # fmt: skip
     rows: list[tuple[Cell, ...]] = []
-    for page in pages:
-        rows.append((Cell(page.name, "group"),))
-        for name, part in page.tallies.items():
+    for view in views:
+        if view.evaluation is None:
+            continue
+        rows.append((Cell(view.name, "group"),))
+        rivals = {BASELINES[name]: part for name, part in view.evaluation.rivals.items()}
+        for name, part in {"model": tally(view.assessments), **rivals}.items():
             values = (
                 part.passed_pct, part.mean_relative_Ti_pct, part.mean_relative_Tt_pct,
                 part.mean_absolute_Ti_s, part.mean_absolute_Tt_s,
             )  # fmt: skip
-            counts = [Cell(str(number), number=True) for number in (part.passed, part.assessed)]
+            counts = [Cell(str(count), number=True) for count in (part.passed, part.assessed)]
             rows.append((Cell(name, "head"), *counts, *(figure(value) for value in values)))
     caption = "Times read as 100 % wrong where a model failed before they could be compared"
     return Table(caption, head, tuple(rows))
 
 
-def event_times(trace: EventTrace) -> Table:
-    """Build the same figures for one event, to stand beside its overlay."""
+def event_times(event: AssessedEvent) -> Table:
+    """Ti and Tt of one event, to stand beside its overlay."""
     head = ("channel", "", "flight [s]", "model [s]", "Δ [s]", "|Δ| [%]", "allowed [s]", "outcome")
     rows: list[tuple[Cell, ...]] = []
-    for channel, response in trace.responses.items():
-        verdict, name = response.verdict, Cell(symbol(channel), "head")
-        if verdict is None or verdict.Ti is None or verdict.Tt is None:
-            rows.append((name, *[Cell(NOTHING, number=True)] * 6, outcome(response)))
+    for one in event.assessments:
+        verdict, name = one.verdict, Cell(symbol(one.channel), "head")
+        if verdict.Ti is None or verdict.Tt is None:
+            rows.append((name, *[Cell(NOTHING, number=True)] * 6, outcome(one)))
             continue
         rows += [
             (name, Cell(time), *_check_cells(check), _passed(check))
@@ -334,21 +368,17 @@ def event_times(trace: EventTrace) -> Table:
     return Table("", head, tuple(rows))
 
 
-def outcome(response: Response) -> Cell:
+def outcome(one: Assessment) -> Cell:
     """`pass`, `fail` or `not assessable`, with the reason where there is one."""
-    verdict = response.verdict
-    if verdict is None:
-        return Cell(response.flight.reason or NOTHING, "none")
-    reason = f": {verdict.reason}" if verdict.reason else ""
-    if verdict.ok is None:
+    reason = f": {one.verdict.reason}" if one.verdict.reason else ""
+    if one.verdict.ok is None:
         return Cell(f"not assessable{reason}", "none")
-    return Cell(f"✓ pass{reason}", "good") if verdict.ok else Cell(f"✗ fail{reason}", "bad")
+    return Cell(f"✓ pass{reason}", "good") if one.verdict.ok else Cell(f"✗ fail{reason}", "bad")
 
 
-def move(trace: EventTrace) -> str:
+def move(event: AssessedEvent) -> str:
     """`fast push`, `slow pull, interrupted`."""
-    text = f"{trace.event.speed} {'push' if trace.event.label == 0 else 'pull'}"
-    return f"{text}, interrupted" if trace.event.interrupted else text
+    return f"{event.move}, interrupted" if event.event.interrupted else event.move
 
 
 def _check_cells(check: TimeCheck) -> tuple[Cell, ...]:
@@ -365,20 +395,19 @@ def _passed(check: TimeCheck) -> Cell:
     return Cell("✓ pass", "good") if check.ok else Cell("✗ fail", "bad")
 
 
-def _transient_row(trace: EventTrace, channel: str, response: Response) -> tuple[Cell, ...]:
-    verdict, flight, model = response.verdict, response.flight, response.model
-    own = (model.Ti_s, model.Tt_s) if model else (None, None)
+def _transient_row(event: AssessedEvent, one: Assessment) -> tuple[Cell, ...]:
+    verdict, flight, model = one.verdict, one.flight, one.model
     return (
-        Cell(f"{trace.event.start_s:.1f}", number=True),
-        Cell(move(trace)),
-        Cell(symbol(channel)),
-        *_times(verdict.Ti if verdict else None, flight.Ti_s, own[0]),
-        *_times(verdict.Tt if verdict else None, flight.Tt_s, own[1]),
-        outcome(response),
+        Cell(f"{event.event.start_s:.1f}", number=True),
+        Cell(move(event)),
+        Cell(symbol(one.channel)),
+        *_times(verdict.Ti, flight.Ti_s, model.Ti_s),
+        *_times(verdict.Tt, flight.Tt_s, model.Tt_s),
+        outcome(one),
     )
 
 
-def _times(check: TimeCheck | None, flight_s: float, model_s: float | None) -> tuple[Cell, ...]:
+def _times(check: TimeCheck | None, flight_s: float, model_s: float) -> tuple[Cell, ...]:
     """Flight, model, difference and allowed; what was read though it was not compared."""
     if check is None:
         return (

@@ -1,10 +1,10 @@
 """Our own goal, which takes in what the paper left open: take-off, approach, throttle rate.
 
-The paper's structure and segments do not reach it. The control holds N1, so that after a pull N2
-and the temperature fall below where they settle; slams from ground idle ride on its schedule of
-acceleration: a lag to where each output settles knows neither. And on whole circuits a switch moves
-the engine between two moves of the lever (wheels that touch the ground, the approach idle), which
-segments cut round the lever's moves leave out.
+The paper's structure and segments do not reach it. The control governs N1, so that after a pull N2
+and the temperature undershoot; fast pushes from ground idle are limited by its acceleration
+schedule: a first-order lag to the equilibrium of each output describes neither. And on whole
+circuits a switch moves the engine between two moves of the lever (weight on wheels, approach idle),
+which segments cut round the lever's moves leave out.
 """
 
 from __future__ import annotations
@@ -15,30 +15,30 @@ from typing import Any
 
 from data_prep.log import Log
 from eval.evaluate import LogEvaluation
-from eval.report.page import Claim, Study, or_nan
 from eval.reproduce.data import FAMILIES, DataSets, cut
 from eval.reproduce.response import (
     Classed,
+    assessments_of,
     class_rows,
     class_table,
     classed,
+    error_claims,
     figures_of,
     judged,
     passed_claim,
     times_table,
-    worst_class,
 )
+from eval.reproduce.study import Claim, Study, or_nan
 from eval.scores import score
 from narxcal.calibration.bundle import Bundle
-from narxcal.channels import symbol
 from training.config import RunConfig
 from training.records import Split
 
 ERROR_PCT, TIMES_PCT = 2.0, 3.0
 _PAPER_FAMILY = "the paper's data sets"
-_WHOLE = "take_off_approach/"  # records that are learned from whole
-_EVERY = 2  # samples: as good for seconds, and half the time
-# Many steps, over stretches so long that what does not come to rest by itself is seen to stay.
+_WHOLE = "take_off_approach/"  # training records that are not cut into segments
+_EVERY = 2  # every second sample: dynamics of seconds lose nothing, training takes half the time
+# Many steps, over windows so long that a state that does not decay shows.
 _TRAIN = {
     "horizons_s": (5.0, 240.0),
     "iterations": (8, 24),
@@ -49,9 +49,9 @@ _TRAIN = {
 
 
 def goal_config(config: RunConfig) -> RunConfig:
-    """What `goal` is calibrated with: lags that know the control, where there are lags; more steps.
+    """Configuration of `goal`: lags under N1 governing, where there are lags, and more steps.
 
-    A control can only hold the fan of an engine whose two speeds are outputs.
+    N1 governing can be described only for an engine whose two speeds are outputs.
     """
     spools = {"N1_pct", "N2_pct"} <= set(config.narx.outputs)
     form = {"lag_governed": True, "linear_feedback": True} if spools else {"lag_limits": True}
@@ -60,7 +60,7 @@ def goal_config(config: RunConfig) -> RunConfig:
 
 
 def goal_training(data: DataSets) -> Split:
-    """All records at half their raster: segments of most, circuits whole."""
+    """All records at half their sampling rate: segments of most, circuits whole."""
     split = data.whole_split
     whole = [log for log in split.train if log.name.startswith(_WHOLE)]
     parts = [log for log in split.train if not log.name.startswith(_WHOLE)]
@@ -81,10 +81,10 @@ def goal(data: DataSets, bundle: Bundle) -> Study:
     tests = [thinned(log, step) for log in tests]
     found = judged(bundle, tests)
     events = classed(data.config.events.driver, found)
-    pooled = {name: one.max_rel_pct for name, one in score([one.runs for one in found]).items()}
+    pooled = {name: one.max_rel_pct for name, one in score([one.run for one in found]).items()}
     classes = class_rows(events)
     rows = _families(found, events)
-    every = figures_of([each for one in events for each in one.assessments])
+    every = figures_of(assessments_of(events))
     return Study(
         key="goal",
         title="Our own goal: every phase and every throttle rate",
@@ -92,7 +92,11 @@ def goal(data: DataSets, bundle: Bundle) -> Study:
         text="A calibration from the training part of all records, judged in free run on whole "
         f"records that it has not seen: {_tested(data, tests)}. Pushes and pulls, fast, slow and "
         "small, on the ground and in the air.",
-        claims=[*_errors(pooled, classes), passed_claim(every, "our goal"), *_times(every)],
+        claims=[
+            *error_claims(pooled, classes, ERROR_PCT, "our goal"),
+            passed_claim(every, "our goal"),
+            *_times(every),
+        ],
         tables=[times_table(rows), class_table(pooled, classes, ERROR_PCT)],
         results={"families": rows, "max_rel_pct": pooled, "classes": classes, "all": every},
     )
@@ -107,8 +111,8 @@ def _families(found: Sequence[LogEvaluation], events: Sequence[Classed]) -> list
     rows = []
     for family in dict.fromkeys(family_of(one.log.name) for one in found):
         own = [one for one in events if family_of(one.log.log.name) == family]
-        times = figures_of([each for one in own for each in one.assessments])
-        runs = [one.runs for one in found if family_of(one.log.name) == family]
+        times = figures_of(assessments_of(own))
+        runs = [one.run for one in found if family_of(one.log.name) == family]
         worst = {name: one.max_rel_pct for name, one in score(runs).items()}
         rows.append({"group": family, **times, "max_rel_pct": worst})
     return rows
@@ -121,21 +125,6 @@ def _tested(data: DataSets, tests: Sequence[Log]) -> str:
             count = sum(family_of(log.name) == family for log in tests)
             parts.append(f"{count} of {family}")
     return "; ".join(parts)
-
-
-def _errors(pooled: dict[str, float], classes: Sequence[dict[str, Any]]) -> list[Claim]:
-    return [
-        Claim(
-            what=f"Largest relative error of {symbol(name)} in free run",
-            origin="our goal",
-            claimed=f"< {ERROR_PCT:g} %",
-            value=value,
-            bound=ERROR_PCT,
-            unit="%",
-            remark="" if value < ERROR_PCT else worst_class(classes, name),
-        )
-        for name, value in pooled.items()
-    ]
 
 
 def _times(every: dict[str, Any]) -> list[Claim]:

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from data_prep.log import Log
-from eval.report import figures as paper_figures
-from eval.report.page import Claim, Study
+from eval.report import figures
 from eval.report.style import Picture, unit
 from eval.report.tables import Cell, Table, figure
 from eval.reproduce.data import DataSets, Effort, Task, cut, fit_all, within
+from eval.reproduce.study import Claim, Study
 from eval.scores import max_relative_percent, rmse
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import steady_for_engine
@@ -172,8 +172,8 @@ def _pictures(data: DataSets, found: Sequence[Variant], output: str) -> list[Pic
     log = data.split.test[0]
     shown = {one.name: one.runs[0] for one in found}
     return [
-        paper_figures.bars(labels, groups, what, CRITERION),
-        paper_figures.free_runs(log.time_s, output, log[output], shown),
+        figures.bars(labels, groups, what, CRITERION),
+        figures.free_runs(log.time_s, output, log[output], shown),
     ]
 
 

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from eval.report.page import Claim, Study
 from eval.reproduce.data import DataSets, Effort, within
 from eval.reproduce.goal import goal, goal_config, goal_training
 from eval.reproduce.inputs import deviations, inputs
 from eval.reproduce.noise import correlation, noise, segments, smoothing
 from eval.reproduce.response import accuracy, classed, judged, response_times, splits
+from eval.reproduce.study import Claim, Study
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.files import versions
 from training.config import RunConfig

@@ -1,10 +1,8 @@
-"""Section 3.3 of the paper: N2 with strong noise, fused with the model, fed to the network.
+"""Studies of the flights, and of noise.
 
-Section 2.4 of the paper: moving averages of 3, 11 and 21 samples compared.
-
-Sections 2.5 and 3.1 of the paper: pushes and pulls cut out of the flights.
-
-Tables 1 and 2 of the paper: Pearson's coefficient of N1 and of N2 with each input.
+`correlation`: tables 1 and 2 of the paper. `smoothing`: section 2.4, moving averages compared.
+`segments`: sections 2.5 and 3.1, pushes and pulls cut out of the flights. `noise`: section 3.3, N2
+with strong noise, fused with the model and fed to the network.
 """
 
 from __future__ import annotations
@@ -20,16 +18,22 @@ from data_prep.events import PULL, PUSH
 from data_prep.log import Log
 from data_prep.ranking import STRONG, flight_table, is_strong
 from data_prep.smooth import cutoff_hz, frequency_response, moving_average
-from eval.denoising import CURVES, Flight, SweepConfig, flight_of, noisy, snr_sweep, summarise
+from eval.denoising import (
+    CURVES,
+    Flight,
+    NoiseSweep,
+    SweepConfig,
+    flight_of,
+    noisy,
+    snr_sweep,
+    summarise,
+)
 from eval.preparation import WINDOWS, LogReport
-from eval.report import figures as paper_figures
-from eval.report import figures as study_figures
-from eval.report import tables
-from eval.report.building import noise_curves
-from eval.report.page import Claim, Study
+from eval.report import figures, tables
 from eval.report.style import Picture, unit, with_unit
 from eval.report.tables import Cell, Table, figure
 from eval.reproduce.data import DataSets, Effort, numbered, truth_of
+from eval.reproduce.study import Claim, Study
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.fuser import FastFuser
 from narxcal.calibration.noise import estimate_noise
@@ -57,8 +61,7 @@ def noise(
             watch(count, len(logs))
         found[data.label(log.name)] = summarise(snr_sweep(flight_of(bundle, log), config))
     sweeps = [
-        noise_curves(f"Data set {name}", config.channel, table, CURVES)
-        for name, table in found.items()
+        NoiseSweep(f"Data set {name}", config.channel, table) for name, table in found.items()
     ]
     return Study(
         key="noise",
@@ -67,11 +70,11 @@ def noise(
         text=f"Gaussian noise is added to the smoothed {symbol(config.channel)}; the Kalman fuser "
         "merges it with the model's free run; the network is then fed a step at a time with either "
         "as its past. Errors are against the smoothed signal. Noise variances are estimated from "
-        "the noisy signal; nothing knows the ratio.",
+        "the noisy signal; the ratio is not used.",
         claims=_claims(found),
         tables=[tables.noise(sweep) for sweep in sweeps],
         pictures=[
-            *(study_figures.noise(sweep) for sweep in sweeps[:1]),
+            *(figures.noise(sweep) for sweep in sweeps[:1]),
             _excerpt(data, logs[0], flight_of(bundle, logs[0]), config),
         ],
         results={
@@ -150,7 +153,7 @@ def _excerpt(data: DataSets, log: Log, flight: Flight, config: SweepConfig) -> P
     rows = _shown(data, log)
     caption = f"Data set {data.label(log.name)} at {SHOWN_DB:g} dB."
     shown = {name: values[rows] for name, values in curves.items()}
-    return paper_figures.fused(log.time_s[rows], config.channel, shown, caption)
+    return figures.fused(log.time_s[rows], config.channel, shown, caption)
 
 
 def _shown(data: DataSets, log: Log) -> slice:
@@ -179,7 +182,7 @@ def smoothing(data: DataSets) -> Study:
            "the window, and says how much is taken away, noise and signal together."),
         claims=_smoothing_claims(rows, data) if known else [],
         tables=[_smoothing_table(rows)],
-        pictures=[study_figures.windows(data.prepared[0].trial)],
+        pictures=[figures.windows(data.prepared[0].trial)],
         results={"against_truth": known, "windows": rows},
     )  # fmt: skip
 
@@ -307,7 +310,7 @@ def segments(data: DataSets) -> Study:
         ],
         tables=[_segment_table(data)],
         pictures=_firsts(data),
-        sheets=[one.page() for one in data.prepared],
+        sheets=[one.view() for one in data.prepared],
         results={"pushes": pushes, "data_sets": [_row(data, one) for one in data.prepared]},
     )
 
@@ -348,7 +351,7 @@ def _firsts(data: DataSets) -> list[Picture]:
                 names = (data.config.events.driver, *data.speeds)
                 what = f"First {'push' if label == PUSH else 'pull'}, data set "
                 title = what + str(data.number(one.log.name))
-                drawn.append(paper_figures.segment(one.log, fast[0], names, title))
+                drawn.append(figures.segment(one.log, fast[0], names, title))
                 break
     return drawn
 

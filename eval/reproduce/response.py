@@ -1,10 +1,7 @@
-"""Largest relative errors of the calibrated model, over the tests and per class of event.
+"""Sections 3.2 of the paper: accuracy and Ti/Tt of the calibrated model, by class of event.
 
-The calibrated model over the test data sets, and every event of them with its class.
-
-Ti and Tt of the calibrated model, per test data set and class of event.
-
-Section 3.2 of the paper: ten random 7:3 divisions of the events.
+`accuracy`: largest relative errors over whole test data sets and per class. `response_times`: Ti
+and Tt per data set and class. `splits`: ten random 7:3 divisions of the events.
 """
 
 from __future__ import annotations
@@ -15,23 +12,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from data_prep.events import PUSH, Event, find_events
+from data_prep.events import find_events
 from data_prep.log import Log
-from eval.crossval import CrossValidation, FoldResult, judge_fold
-from eval.evaluate import EvaluateConfig, LogEvaluation, Task, judge_log, run_config
-from eval.free_run import MODEL
+from eval.crossval import CrossValidation, FoldResult, judge_fold, total
+from eval.crossval import spread as spread_of
+from eval.evaluate import EvaluateConfig, LogEvaluation, assess_log, run_config
 from eval.report import event_figures, figures, tables
-from eval.report import figures as study_figures
-from eval.report.content import Scheme
-from eval.report.crossvalidation import schemes_of
-from eval.report.evaluation import page_of
-from eval.report.page import Claim, Study, or_nan, worst_events
+from eval.report.page import worst_events
 from eval.report.style import Picture, unit
 from eval.report.tables import NOTHING, Cell, Table, figure
+from eval.report.view import LogView, view_of
 from eval.reproduce.data import PHASES, SPEEDS, DataSets, Effort, phase_of, pieces, within
+from eval.reproduce.study import Claim, Study, or_nan
 from eval.scores import max_relative_percent, score
-from eval.tally import Tally, tally
-from eval.transients import Assessment
+from eval.transients import AssessedEvent, Assessment, tally
 from narxcal.calibration.bundle import Bundle
 from narxcal.channels import symbol
 from training.crossval import divide, run_plans
@@ -49,41 +43,40 @@ class EventClass(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Classed:
-    """One event, its log, its class and its Ti/Tt assessments (one per judged channel)."""
+    """One event of an evaluated log, and its class."""
 
     log: LogEvaluation
-    event: Event
+    event: AssessedEvent
     kind: EventClass
-    assessments: tuple[Assessment, ...]
 
 
 def judged(bundle: Bundle, logs: Sequence[Log]) -> list[LogEvaluation]:
     """Evaluate `logs`; events on the ground are judged too, whatever [events] says of them."""
     config, settings = run_config(bundle)
     wider = config.events.model_copy(update={"condition": ""})
-    return [
-        judge_log(bundle, config, log, Task(settings, events=find_events(log, wider)))
-        for log in logs
-    ]
+    return [assess_log(bundle, log, settings, events=find_events(log, wider)) for log in logs]
 
 
 def classed(driver: str, found: Sequence[LogEvaluation]) -> list[Classed]:
     """Sort every event of the lever `driver` into its class."""
     return [
-        Classed(one, event, _kind(one, event, driver), _own(one, event))
+        Classed(
+            one,
+            event,
+            EventClass(
+                phase_of(one.log, event.event, driver),
+                ("push", "pull")[event.event.label],
+                event.event.speed,
+            ),
+        )
         for one in found
         for event in one.events
     ]
 
 
-def _kind(one: LogEvaluation, event: Event, driver: str) -> EventClass:
-    direction = "push" if event.label == PUSH else "pull"
-    return EventClass(phase_of(one.log, event, driver), direction, event.speed)
-
-
-def _own(one: LogEvaluation, event: Event) -> tuple[Assessment, ...]:
-    near = 0.5 * one.log.dt_s
-    return tuple(each for each in one.assessments if abs(each.start_s - event.start_s) < near)
+def assessments_of(events: Sequence[Classed]) -> list[Assessment]:
+    """The Ti/Tt assessments of these events, one per judged channel."""
+    return [each for one in events for each in one.event.assessments]
 
 
 def by(
@@ -98,25 +91,23 @@ def by(
 
 def worst_relative_pct(events: Sequence[Classed]) -> dict[str, float]:
     """Largest relative error per channel over the samples of these events, in percent."""
-    channels = events[0].log.runs.channels
-    measured, model, scored = [], [], []
-    for one in events:
-        rows = slice(one.event.start, one.event.stop)
-        runs = one.log.runs
-        measured.append(runs.measured[rows])
-        model.append(runs.outputs[MODEL][rows])
-        scored.append(runs.scored[rows])
+    runs = [one.log.run for one in events]
+    rows = [slice(one.event.event.start, one.event.event.stop) for one in events]
+    pairs = list(zip(runs, rows, strict=True))
     worst = max_relative_percent(
-        np.concatenate(measured), np.concatenate(model), np.concatenate(scored)
+        np.concatenate([run.measured[part] for run, part in pairs]),
+        np.concatenate([run.model[part] for run, part in pairs]),
+        np.concatenate([run.scored[part] for run, part in pairs]),
     )
-    return {name: float(value) for name, value in zip(channels, worst, strict=True)}
+    return dict(zip(runs[0].channels, worst.tolist(), strict=True))
 
 
 def accuracy(
     data: DataSets, bundle: Bundle, found: Sequence[LogEvaluation], events: Sequence[Classed]
 ) -> Study:
     """Say how far the free run is off, at worst."""
-    pooled = {name: one.max_rel_pct for name, one in score([log.runs for log in found]).items()}
+    scores = score([log.run for log in found])
+    pooled = {name: one.max_rel_pct for name, one in scores.items()}
     classes = class_rows(events)
     return Study(
         key="accuracy",
@@ -126,12 +117,12 @@ def accuracy(
         "against the prepared measurement; temperatures count in °C. The classes are over "
         "the samples of their events; the phases that the paper left out, and slow and small "
         "movements, are in.",
-        claims=_claims(pooled, classes),
+        claims=error_claims(pooled, classes, PAPER_PCT, "paper"),
         tables=[class_table(pooled, classes, PAPER_PCT)],
-        pictures=_pictures(data, bundle, found),
+        pictures=[figures.overlay(view) for view in _views(data, bundle, found[:1])],
         results={
             "max_rel_pct": pooled,
-            "rmse": {name: one.rmse for name, one in score([x.runs for x in found]).items()},
+            "rmse": {name: one.rmse for name, one in scores.items()},
             "classes": classes,
         },
     )
@@ -153,15 +144,19 @@ def _both(names: Sequence[str]) -> list[str]:
     return [f"{name}, {direction}" for name in names for direction in ("push", "pull")]
 
 
-def _claims(pooled: Mapping[str, float], classes: Sequence[dict[str, Any]]) -> list[Claim]:
+def error_claims(
+    pooled: Mapping[str, float], classes: Sequence[dict[str, Any]], bound: float, origin: str
+) -> list[Claim]:
+    """One claim per channel: its largest relative error stays below `bound` percent."""
     return [
         Claim(
             what=f"Largest relative error of {symbol(name)} in free run",
-            claimed=f"< {PAPER_PCT:g} %",
+            origin=origin,
+            claimed=f"< {bound:g} %",
             value=value,
-            bound=PAPER_PCT,
+            bound=bound,
             unit="%",
-            remark="" if value < PAPER_PCT else worst_class(classes, name),
+            remark="" if value < bound else worst_class(classes, name),
         )
         for name, value in pooled.items()
     ]
@@ -197,9 +192,9 @@ def _percent(value: float, bound: float) -> Cell:
     return figure(value, "bad" if value >= bound else "good")
 
 
-def _pictures(data: DataSets, bundle: Bundle, found: Sequence[LogEvaluation]) -> list[Picture]:
+def _views(data: DataSets, bundle: Bundle, found: Sequence[LogEvaluation]) -> list[LogView]:
     inputs, driver = bundle.calibration.input_names, data.config.events.driver
-    return [figures.overlay(page_of(one, driver, inputs)) for one in found[:1]]
+    return [view_of(one, driver, inputs) for one in found]
 
 
 def response_times(
@@ -207,7 +202,7 @@ def response_times(
 ) -> Study:
     """Judge every event of the tests by the paper's rule: 10 % or 0.25 s."""
     groups = groups_of(data, events)
-    every = figures_of([each for one in events for each in one.assessments])
+    every = figures_of(assessments_of(events))
     rows = [{"group": name, **figures_of(group)} for name, group in groups.items()]
     largest = [_largest_claim(every, name) for name in ("Ti", "Tt")]
     return Study(
@@ -220,7 +215,7 @@ def response_times(
         "raster of 1/32 s can hardly be read to 5 %.",
         claims=[passed_claim(every, "paper"), *largest],
         tables=[times_table(rows)],
-        pictures=_time_pictures(data, bundle, found),
+        pictures=_nearest(_views(data, bundle, found[:1])),
         results={"groups": rows, "all": every},
     )
 
@@ -234,9 +229,7 @@ def groups_of(data: DataSets, events: Sequence[Classed]) -> dict[str, list[Asses
         **by(events, lambda e: e.kind.phase, PHASES),
         **by(events, lambda e: f"{e.kind.speed} lever", [f"{name} lever" for name in SPEEDS]),
     }
-    return {
-        name: [each for one in group for each in one.assessments] for name, group in split.items()
-    }
+    return {name: assessments_of(group) for name, group in split.items()}
 
 
 def figures_of(assessments: Sequence[Assessment]) -> dict[str, Any]:
@@ -244,7 +237,7 @@ def figures_of(assessments: Sequence[Assessment]) -> dict[str, Any]:
 
     The largest ones are over the events whose times could be compared at all.
     """
-    counts: Tally = tally(assessments)
+    counts = tally(assessments)
     return {
         "events": counts.events,
         "assessed": counts.assessed,
@@ -320,11 +313,9 @@ def _passed(row: dict[str, Any]) -> Cell:
     return Cell(str(row["passed"]), "good" if whole else "bad", number=True)
 
 
-def _time_pictures(data: DataSets, bundle: Bundle, found: Sequence[LogEvaluation]) -> list[Picture]:
+def _nearest(views: Sequence[LogView]) -> list[Picture]:
     """The event nearest to its tolerance in the first test data set, as figure 12."""
-    driver, inputs = data.config.events.driver, bundle.calibration.input_names
-    traces = [trace for one in found[:1] for trace in worst_events(page_of(one, driver, inputs))]
-    return [event_figures.large(trace, driver) for trace in traces[:1]]
+    return [event_figures.large(view, event) for view in views for event in worst_events(view)[:1]]
 
 
 TIMES_PCT = 5.0
@@ -336,7 +327,8 @@ def splits(
     """Calibrate once per division and judge the held-back events."""
     found = divided(data, effort, watch)
     worst = worst_of(found)
-    scheme = schemes_of(found)[0]
+    [scheme] = found.schemes
+    spread = figures.spread(found)
     return Study(
         key="splits",
         title=f"{effort.splits} random 7:3 divisions",
@@ -344,8 +336,8 @@ def splits(
         text="Whole events are held back, never parts of one; free run over each held-back event. "
         "The figures are the worst of all divisions, the times the mean over them.",
         claims=_split_claims(worst),
-        tables=[tables.folds(scheme)],
-        pictures=_split_pictures(scheme),
+        tables=[tables.folds(found, scheme)],
+        pictures=[] if spread is None else [spread],
         results={"worst": worst, "folds": found.document()["schemes"][0]["folds"]},
     )
 
@@ -368,19 +360,14 @@ def divided(
 
 def worst_of(found: CrossValidation) -> dict[str, Any]:
     """What the paper states: worst relative errors and RMSE, mean relative errors of Ti and Tt."""
-    keys = dict.fromkeys(key for fold in found.folds for key in fold.values)
-    given = {
-        key: [value for fold in found.folds if (value := fold.values.get(key)) is not None]
-        for key in keys
+    over = spread_of(found.folds)
+    worst = {
+        key: part["max"] for key, part in over.items() if key.startswith(("max_rel_pct.", "rmse."))
     }
-    worst = {key: max(values, default=None) for key, values in given.items()}
-    means = {
-        key: sum(given[key]) / len(given[key]) if given.get(key) else None
-        for key in ("mean_relative_Ti_pct", "mean_relative_Tt_pct")
-    }
-    kept = {key: value for key, value in worst.items() if key.startswith(("max_rel_pct.", "rmse."))}
-    passed, assessed = (int(sum(given.get(key, []))) for key in ("passed", "assessed"))
-    return {**kept, **means, "passed": passed, "assessed": assessed}
+    times = ("mean_relative_Ti_pct", "mean_relative_Tt_pct")
+    means = {key: over[key]["mean"] if key in over else None for key in times}
+    counts = {key: total(found.folds, key) for key in ("passed", "assessed")}
+    return {**worst, **means, **counts}
 
 
 def _split_claims(worst: dict[str, Any]) -> list[Claim]:
@@ -410,7 +397,3 @@ def _time(worst: dict[str, Any], name: str) -> Claim:
         unit="%",
         remark=f"{worst['passed']} of {worst['assessed']} readings pass",
     )
-
-
-def _split_pictures(scheme: Scheme) -> list[Picture]:
-    return [study_figures.spread([scheme], list(scheme.measures))] if scheme.measures else []

@@ -10,8 +10,7 @@ from data_prep.prepare import cautions, prepare
 from data_prep.reading import read_logs
 from eval import terminal
 from eval.crossval import SCHEMA, CrossValidation, FoldResult, cross_validate
-from eval.report.content import RunHeader
-from eval.report.crossvalidation import crossvalidation_page, schemes_of
+from eval.report.page import RunHeader, crossval_page
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config, add_jobs
 from narxcal.cli.results import data_files, now, read_config
@@ -46,32 +45,32 @@ def run(options: Namespace, console: Console) -> int:
 
         found = cross_validate(config, base, logs, options.jobs, watch)
     document = found.document()
-    html = crossvalidation_page(_header(config, logs), found)
+    warnings = cautions(logs, config, config.narx.outputs)
+    html = crossval_page(_header(config, logs, warnings), found)
     with RESULTS.writing(options.out) as folder:
         (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
         (folder / PAGE).write_text(html, encoding="utf-8")
     _show(console, found)
-    for caution in cautions(logs, config, config.narx.outputs):
-        console.warn(caution)
+    for text in warnings:
+        console.warn(text)
     console.say(f"Page: {options.out / PAGE}")
     console.document(document)
-    return 1 if document["missed"] else 0
+    return found.outcome.exit_code
 
 
-def _header(config: RunConfig, logs: Sequence[Log]) -> RunHeader:
+def _header(config: RunConfig, logs: Sequence[Log], warnings: Sequence[str]) -> RunHeader:
     return RunHeader(
         title=f"Cross-validation: {config.name}",
         created=now(),
         sources=data_files(logs),
         versions=versions(),
         config=config.model_dump_json(by_alias=True, indent=1),
-        cautions=cautions(logs, config, config.narx.outputs),
+        cautions=warnings,
     )
 
 
 def _show(console: Console, found: CrossValidation) -> None:
-    terminal.print_crossval(console.page, schemes_of(found))
+    terminal.print_crossval(console.page, found)
+    terminal.print_outcome(console.page, found.outcome)
     for scheme, reason in found.skipped.items():
         console.warn(f"{scheme} was left out: {reason}")
-    for text in found.missed():
-        console.say(f"Missed: {text}")

@@ -51,7 +51,7 @@ def run(options: Namespace, console: Console) -> int:
     console.say("This engine is a virtual one: draw no conclusions about any real one.")
     console.say(f"Page: {options.out / PAGES / PAGE}")
     console.document(document)
-    return found.exit_code
+    return found.outcome.exit_code
 
 
 def _begin(folder: Path) -> None:

@@ -12,9 +12,9 @@ from data_prep.log import Log
 from data_prep.prepare import cautions
 from eval import terminal
 from eval.evaluate import SCHEMA, Evaluation, LogEvaluation, evaluate, outside_envelope, run_config
-from eval.report.content import LogPage
-from eval.report.evaluation import page_of, verdict_of
-from eval.report.page import Outcome, evaluate_page
+from eval.outcome import Outcome
+from eval.report.page import evaluate_page
+from eval.report.view import view_of
 from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_run, fraction, path
@@ -27,18 +27,12 @@ RESULTS = Results(SCHEMA, DOCUMENT, (PAGE,))
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """An evaluation in all its forms: figures, JSON, page, and the records of the tables."""
+    """An evaluation with its verdict, its JSON document and its page."""
 
     evaluation: Evaluation
+    outcome: Outcome
     document: dict[str, Any]
     html: str
-    pages: Sequence[LogPage]
-    outcome: Outcome
-
-    @property
-    def exit_code(self) -> int:
-        """1 where a tolerance was missed."""
-        return 1 if self.evaluation.missed() else 0
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -67,7 +61,7 @@ def run(options: Namespace, console: Console) -> int:
     show(console, found)
     console.say(f"Page: {out / PAGE}")
     console.document(found.document)
-    return found.exit_code
+    return found.outcome.exit_code
 
 
 def judge(
@@ -77,43 +71,38 @@ def judge(
     run_folder, trim = how
     config, settings = run_config(bundle)
     parts: list[LogEvaluation] = []
-    pages: list[LogPage] = []
     with console.progress("Evaluating") as advance:
         for number, log in enumerate(logs):
             advance(number, len(logs), log.name)
             parts += evaluate(bundle, [log], trim or None, settings).logs
-            pages.append(page_of(parts[-1], config.events.driver, bundle.calibration.input_names))
     evaluation = Evaluation(tuple(parts), settings, trim or None)
-    title = f"Evaluation: {config.name}"
-    told = [
+    outcome = evaluation.outcome
+    warnings = [
         *cautions(logs, config, config.narx.outputs),
-        *_unknown(bundle, parts),
+        *_outside(bundle, parts),
     ]
-    header = header_of(title, run_folder, bundle, logs, settings.transients.rules)
-    header = replace(header, cautions=told)
-    outcome = verdict_of(header, evaluation, pages)
+    header = header_of(
+        f"Evaluation: {config.name}", run_folder, bundle, logs, settings.transients.rules
+    )
     with console.progress("Drawing the page"):
-        html = evaluate_page(header, pages, outcome)
+        inputs = bundle.calibration.input_names
+        views = [view_of(part, config.events.driver, inputs) for part in parts]
+        html = evaluate_page(replace(header, cautions=warnings), views, outcome)
     document = {
         **evaluation.document(),
         "run": str(run_folder),
-        "weights_sha256": weights_hash(run_folder),
+        "weights_sha256": str(read_document(run_folder)["weights"]["sha256"]),
         "changed": changed(bundle, logs),
-        "cautions": told,
+        "cautions": warnings,
     }
-    return Judgement(evaluation, document, html, pages, outcome)
+    return Judgement(evaluation, outcome, document, html)
 
 
-def _unknown(bundle: Bundle, parts: Sequence[LogEvaluation]) -> list[str]:
-    """What to say of logs outside the envelope of the steady-state model."""
-    own = [bundle.calibration.for_engine(part.log.source.engine).steady for part in parts]
-    found = (outside_envelope(part.runs, one) for part, one in zip(parts, own, strict=True))
+def _outside(bundle: Bundle, parts: Sequence[LogEvaluation]) -> list[str]:
+    """Warnings of logs outside the envelope of their engine's steady-state model."""
+    models = [bundle.calibration.for_engine(part.log.source.engine).steady for part in parts]
+    found = (outside_envelope(part.run, model) for part, model in zip(parts, models, strict=True))
     return [text for text in found if text]
-
-
-def weights_hash(run_folder: Path) -> str:
-    """What tells one model from another."""
-    return str(read_document(run_folder)["weights"]["sha256"])
 
 
 def write(folder: Path, found: Judgement) -> None:
@@ -124,8 +113,8 @@ def write(folder: Path, found: Judgement) -> None:
 
 def show(console: Console, found: Judgement) -> None:
     """Print the tables and the verdict."""
-    terminal.print_scores(console.page, found.pages)
-    terminal.print_transients(console.page, found.pages)
+    terminal.print_scores(console.page, found.evaluation.logs)
+    terminal.print_transients(console.page, found.evaluation.logs)
     terminal.print_outcome(console.page, found.outcome)
     for caution in found.document["cautions"]:
         console.warn(caution)

@@ -15,8 +15,7 @@ from data_prep.log import Log
 from data_prep.prepare import cautions
 from data_prep.reading import read_logs
 from eval.preparation import LogReport, events_table, examine, pearson_table, windows_table
-from eval.report.content import RunHeader
-from eval.report.page import prepare_page, write_page
+from eval.report.page import RunHeader, prepare_page, write_page
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config
 from narxcal.cli.results import data_files, now, read_config
@@ -122,7 +121,7 @@ def _page(config: RunConfig, reports: Sequence[LogReport]) -> str:
         config=config.model_dump_json(by_alias=True, indent=1),
         cautions=_cautions(config, reports),
     )
-    return prepare_page(header, [one.page() for one in reports], [one.trial for one in reports])
+    return prepare_page(header, [one.view() for one in reports], [one.trial for one in reports])
 
 
 def _cautions(config: RunConfig, reports: Sequence[LogReport]) -> list[str]:

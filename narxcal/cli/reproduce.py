@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from eval import terminal
-from eval.report.content import RunHeader
-from eval.report.page import counts, outcome_of, reproduction_page
+from eval.report.page import RunHeader
 from eval.reproduce.data import (
     TABLE,
     DataSets,
@@ -26,6 +25,7 @@ from eval.reproduce.data import (
     write_records,
 )
 from eval.reproduce.narx_paper import SCHEMA, Reproduction, Watch, reproduce
+from eval.reproduce.study import counts, outcome_of, reproduction_page
 from eval.rules import rules
 from narxcal.calibration.bundle import write_bundle
 from narxcal.cli.console import Console
@@ -70,7 +70,7 @@ def run(options: Namespace, console: Console) -> int:
     _show(console, found)
     console.say(f"Page: {options.out / PAGE}")
     console.document(_document(found, options))
-    return 1 if found.missed() else 0
+    return outcome_of(found.studies).exit_code
 
 
 def _begin(out: Path) -> None:

@@ -18,7 +18,7 @@ from typing import Any
 
 from data_prep.log import Log, Source
 from eval.evaluate import evaluation_logs
-from eval.report.content import RunHeader
+from eval.report.page import RunHeader
 from eval.rules import Tolerance, rules
 from narxcal.calibration.bundle import Bundle, read_document
 from narxcal.channels import CHANNELS

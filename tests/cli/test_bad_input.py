@@ -163,14 +163,16 @@ def test_a_log_of_another_rate_is_put_on_the_model_s_raster(narxcal, project, fl
     assert json.loads(done.out)["logs"][0]["dt_s"] == pytest.approx(0.125)
 
 
-def test_a_constant_lever_gives_no_events_and_no_false_pass(narxcal, project, flight, tmp_path):
+def test_a_constant_lever_gives_no_events_and_no_pass(narxcal, project, flight, tmp_path):
     file = tmp_path / "still.csv"
     flight.assign(TRA_deg=30.0).to_csv(file, index=False)
     done = narxcal("evaluate", project / "run", "--logs", file, "--out", tmp_path / "out")
-    assert done.code == 0
+    assert done.code == 1
+    assert "Ti/Tt: no transient could be assessed (no event was found)." in done.out
     assert "NOT ASSESSED  No event could be assessed for Ti and Tt" in done.out
     assert "Ti and Tt of" not in done.out  # a table without rows
     document = json.loads((tmp_path / "out" / "evaluate.json").read_text("utf-8"))
+    assert document["ok"] is False
     assert document["logs"][0]["ti_tt"]["assessed"] == 0
 
 

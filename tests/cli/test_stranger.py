@@ -139,8 +139,8 @@ def test_a_log_from_another_air_is_told_by_what_is_unknown(folder, narxcal):
     flight.assign(ALT_ft=20000.0 + flight["ALT_ft"]).to_csv(file, index=False)
     done = narxcal("evaluate", run, "--logs", file, "--out", folder / "ev", "--json")
     said = (
-        "high.csv: 100 % of the samples are outside what the steady-state model knows "
-        "(ALT_ft is 25000 to 26998, known 3002.5 to 8995)"
+        "high.csv: 100 % of the samples are outside the envelope of the steady-state model "
+        "(ALT_ft is 25000 to 26998, the envelope 3002.5 to 8995)"
     )
     assert json.loads(done.out)["cautions"] == [said]
     assert done.err == f"narxcal: warning: {said}\n"
@@ -153,6 +153,6 @@ def test_an_envelope_that_is_no_box_is_told_without_its_inputs(project, narxcal,
     flight.assign(ALT_ft=55000.0).to_csv(file, index=False)
     done = narxcal("evaluate", project / "run", "--logs", file, "--out", tmp_path / "ev", "--quiet")
     assert done.err == (
-        "narxcal: warning: high.csv: 100 % of the samples are outside what the steady-state model "
-        "knows\n"
+        "narxcal: warning: high.csv: 100 % of the samples are outside the envelope of the "
+        "steady-state model\n"
     )

@@ -9,11 +9,14 @@ import pandas as pd
 import pytest
 import torch
 
+from data_prep.events import Event
 from eval import bench
 from eval.benchmarks import flights as picture
 from eval.benchmarks import public_sets, speed
 from eval.benchmarks.public_sets import Candidate, Material, PublicSet, Target
 from eval.benchmarks.row import Row
+from eval.rules import Verdict
+from eval.transients import AssessedEvent
 from narxcal.narx.network import NarxConfig
 from narxcal.record import Record
 from narxcal.support.errors import DataError
@@ -166,7 +169,6 @@ def test_a_target_is_kept_on_its_side(value, bound, reached):
 
 def test_json_is_one_document_without_nan(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(bench.speed, "rows", lambda: [Row("speed", "x", 2.0, "us")])
-    monkeypatch.setattr(bench.speed, "rows", list)
     monkeypatch.setattr(bench.virtual_engine, "rows", list)
     assert bench.main(["--json", "--data", str(tmp_path)]) == 0
     document = json.loads(capsys.readouterr().out)
@@ -183,18 +185,17 @@ def test_the_table_says_why_a_figure_is_missing(monkeypatch, capsys, tmp_path):
     assert shown.count("the folder of the logs does not exist") == 2
 
 
-def trace(label=0, speed="fast", moved=10.0, ok=True):
-    event = SimpleNamespace(label=label, speed=speed, lever_before=0.0, lever_after=moved)
-    verdict = SimpleNamespace(ok=ok)
-    return SimpleNamespace(event=event, responses={"N1_pct": SimpleNamespace(verdict=verdict)})
+def moved(label=0, speed="fast", by=10.0, ok=True):
+    event = Event("a", 0, 9, label, speed, 0.0, 0.0, by, settled=True, interrupted=False)
+    return AssessedEvent(event, (SimpleNamespace(verdict=Verdict("paper", ok)),))
 
 
 def test_the_picture_is_of_the_largest_assessed_push_even_a_failed_one():
-    failed = trace(moved=50.0, ok=False)
-    others = [trace(), trace(moved=90.0, ok=None), trace(label=1), trace(speed="slow", moved=99.0)]
+    failed = moved(by=50.0, ok=False)
+    others = [moved(), moved(by=90.0, ok=None), moved(label=1), moved(speed="slow", by=99.0)]
     assert picture.largest_push([*others, failed]) is failed
 
 
 def test_a_log_without_such_a_push_has_no_picture():
     with pytest.raises(DataError, match=r"^no fast push could be assessed in every channel$"):
-        picture.largest_push([trace(label=1)])
+        picture.largest_push([moved(label=1)])

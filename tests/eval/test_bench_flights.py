@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eval.benchmarks.flights import CAMPAIGNS, Campaign, _outside, _windows
-from eval.verdict import TimeCheck, Verdict
+from eval.rules import TimeCheck, Verdict
 
 WINDOWS = ((10.0, 20.0),)
 CAMPAIGN = Campaign("two", "two.toml", {"N1_pct": 1.0}, {}, unlogged={"second": WINDOWS})
@@ -21,8 +21,8 @@ def log(name, error):
     scored = time_s < 90.0
     measured = np.full((100, 1), 50.0)
     measured[50] = np.nan
-    runs = SimpleNamespace(
-        channels=("N1_pct",), outputs={"model": 50.0 + wrong}, measured=measured, scored=scored
+    run = SimpleNamespace(
+        channels=("N1_pct",), model=50.0 + wrong, measured=measured, scored=scored
     )
     check = TimeCheck(1.0, 1.1, 0.1, 0.25, 0.1, ok=True)
     events = [
@@ -31,7 +31,7 @@ def log(name, error):
     ]
     source = SimpleNamespace(file=f"folder/{name}.csv")
     return SimpleNamespace(
-        runs=runs, assessments=events, log=SimpleNamespace(time_s=time_s, source=source)
+        run=run, assessments=events, log=SimpleNamespace(time_s=time_s, source=source)
     )
 
 

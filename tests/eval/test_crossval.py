@@ -10,8 +10,8 @@ import pytest
 
 from eval.crossval import CrossValidation, FoldResult, cross_validate, spread
 from eval.evaluate import EvaluateConfig
-from eval.report.content import RunHeader
-from eval.report.crossvalidation import crossvalidation_page, schemes_of
+from eval.report.page import RunHeader, crossval_page
+from eval.report.tables import measures
 from narxcal.support.errors import DataError
 from training.config import RunConfig
 
@@ -63,7 +63,7 @@ def test_folds_are_judged_and_do_not_depend_on_the_number_of_processes(config, f
             assert values["mean_relative_Tt_pct"] is not None
             assert values["worst_rmse.N1_pct"] >= values["rmse.N1_pct"]
         assert set(scheme["spread"]["rmse.N1_pct"]) == {"mean", "std", "min", "max"}
-    page = crossvalidation_page(RunHeader(title="Folds", created="today"), one)
+    page = crossval_page(RunHeader(title="Folds", created="today"), one)
     assert "without a.csv:left" in page
     assert "split 2, seed 1" in page
 
@@ -77,7 +77,7 @@ def test_a_segment_without_valid_inputs_is_named_and_the_rest_judged(config, fli
     named = {name for fold in found.folds for name in fold.not_judged}
     assert named
     assert all(name.startswith("a.csv:left[") for name in named)
-    assert all(fold.values["rmse.N1_pct"] is not None for fold in found.folds)
+    assert all(fold.figures["rmse.N1_pct"] is not None for fold in found.folds)
 
 
 def test_one_flight_alone_is_divided_by_event_and_says_so(config, flights):
@@ -120,8 +120,14 @@ def test_what_is_missed_names_scheme_and_fold():
         "leave one flight out: 18 of 20 transients pass (90.0 %), at least 95 % have to",
         "leave one flight out, 1: N1_pct RMSE 6, at most 5 allowed",
     ]
-    (scheme,) = schemes_of(found)
-    assert [part.limit for part in scheme.measures if part.key == "rmse.N1_pct"] == [5.0]
+    assert found.outcome.exit_code == 1
+    assert [part.limit for part in measures(found) if part.key == "rmse.N1_pct"] == [5.0]
+
+
+def test_a_scheme_without_an_assessed_transient_is_no_pass():
+    found = CrossValidation((fold("1", assessed=0, passed=0),), EvaluateConfig())
+    assert found.missed() == ["leave one flight out: no transient could be assessed"]
+    assert found.outcome.exit_code == 1
 
 
 def test_a_configuration_that_asks_for_no_division_is_refused(config, flights):
@@ -140,7 +146,7 @@ def test_an_output_that_a_flight_lacks_is_learned_from_the_others(config, make_l
     flights[0] = without(flights[0], "N1_pct")
     whole_flights = config.model_copy(update={"evaluate": {"crossval": {"random_splits": 0}}})
     folds = cross_validate(whole_flights, Path(), flights, 1).folds
-    values = {fold.name: fold.values for fold in folds}
+    values = {fold.name: fold.figures for fold in folds}
     assert values["without a.csv:left"]["rmse.N1_pct"] is None
     assert values["without a.csv:left"]["assessed"] > 0
     assert values["without b.csv:left"]["rmse.N1_pct"] < 1.0
@@ -153,5 +159,5 @@ def test_a_division_that_holds_back_all_of_an_output_is_told_before_the_work(con
         cross_validate(whole_flights, Path(), flights, 1)
     assert str(caught.value) == (
         "no division of the logs is possible: channel N1_pct: without b.csv:left, no sample of "
-        "this output is left to learn from. Take it out of [narx] outputs, or add logs that hold it"
+        "this output is left to learn from. Take it out of [narx] outputs, or add logs that have it"
     )

@@ -192,12 +192,12 @@ def test_a_trim_that_leaves_nothing_is_refused(make_bundle, make_log, fraction):
         evaluate(make_bundle(), [make_log()], trim=fraction)
 
 
-def test_a_log_on_another_raster_is_refused(make_bundle, make_log):
+def test_a_log_at_another_interval_is_refused(make_bundle, make_log):
     log = make_log()
     log = replace(log, time_s=log.time_s * 2.0)
     expected = (
-        "flight.csv:left: the model runs on a raster of 0.1 s, found 0.2 s. "
-        "Read the log on the model's raster: raster_hz in [logs]"
+        "flight.csv:left: the model samples every 0.1 s, this log every 0.2 s. "
+        "Resample the log to the model's interval: raster_hz in [logs]"
     )
     with pytest.raises(DataError, match=f"^{re.escape(expected)}$"):
         evaluate(make_bundle(), [log])
@@ -244,10 +244,10 @@ def test_nothing_to_score_is_refused(make_bundle):
 
 def test_logs_of_different_channels_are_not_pooled(make_bundle, make_log):
     (found,) = evaluate(make_bundle(), [make_log()]).logs
-    other = replace(found.runs, channels=("N1_pct", "EGT_C"))
+    other = replace(found.run, channels=("N1_pct", "EGT_C"))
     expected = "flight.csv:left: expected the channels N1_pct, N2_pct, found N1_pct, EGT_C"
     with pytest.raises(DataError, match=f"^{re.escape(expected)}$"):
-        score([found.runs, other])
+        score([found.run, other])
 
 
 def without(log, *names):
@@ -267,7 +267,7 @@ def test_a_log_that_lacks_an_output_is_judged_by_the_others(make_bundle, make_lo
     assert found["ti_tt"]["channels"]["N2_pct"]["assessed"] >= 5
     assert found["ti_tt"]["channels"]["N1_pct"]["assessed"] == 0
     # Without a measured start the engine begins settled, as this log does.
-    free = [one.logs[0].runs.outputs["model"] for one in (lacking, usual)]
+    free = [one.logs[0].run.model for one in (lacking, usual)]
     assert free[0] == pytest.approx(free[1])
 
 

@@ -449,8 +449,8 @@ def test_live_rows_can_be_read_while_they_come_and_belong_to_one_replay(tmp_path
             with pytest.raises(ConfigError) as error:
                 replay(MODEL, log, out, ReplayOptions(realtime=True))
             assert str(error.value) == (
-                f"{part}: the file exists. Another run writes it, or one was killed: remove it, or "
-                "choose another name"
+                f"{part}: the file exists. Another command writes it, or one was killed: remove "
+                "it, or choose another name"
             )
 
     replay(MODEL, log, out, ReplayOptions(realtime=True), Clock(sleep=wait))
@@ -515,8 +515,8 @@ def test_a_channel_slower_than_the_raster_is_fused_where_it_was_measured(tmp_pat
     assert summary.slow == {"": {"N2_pct": pytest.approx(1.0)}}
     (said,) = summary.cautions
     assert said == (
-        "slower than the model's raster are recorded N2_pct about every 1 s: outputs are fused "
-        "only where they were measured, inputs are on straight lines between"
+        "sampled more coarsely than the model's grid are N2_pct about every 1 s: outputs are fused "
+        "only where they were measured, inputs are interpolated between"
     )
     assert summary.to_dict()["cautions"] == summary.cautions
 

@@ -11,10 +11,10 @@ NAMES = ("N1_pct", "EGT_C")
 DT_S = 0.1
 
 
-def seen(level, error, still=True):
+def seen(level, error, quasi_steady=True):
     count = len(level)
     errors = np.column_stack([error * np.ones(count), 10.0 * error * np.ones(count)])
-    return TrimSamples(errors, np.asarray(level), np.full(count, still), DT_S)
+    return TrimSamples(errors, np.asarray(level), np.full(count, quasi_steady), DT_S)
 
 
 def test_one_level_alone_gives_the_closed_form():
@@ -52,7 +52,7 @@ def test_seconds_count_less_than_minutes():
 
 
 def test_without_quasi_steady_samples_nothing_is_added():
-    trim = estimate_trim(seen(np.full(500, 0.5), 1.0, still=False), 500, NAMES, TrimConfig())
+    trim = estimate_trim(seen(np.full(500, 0.5), 1.0, quasi_steady=False), 500, NAMES, TrimConfig())
     assert np.array_equal(trim.offsets, np.zeros((11, 2)))
     assert trim.samples == (0, 0)
 
@@ -76,7 +76,7 @@ def test_masked_samples_take_no_part():
     holes = samples.error.copy()
     holes[::2, 0] = np.nan
     trim = estimate_trim(
-        TrimSamples(holes, samples.level, samples.still, DT_S), 2000, NAMES, TrimConfig()
+        TrimSamples(holes, samples.level, samples.quasi_steady, DT_S), 2000, NAMES, TrimConfig()
     )
     assert trim.samples == (1000, 2000)
     assert np.isfinite(trim.offsets).all()

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from eval.report import page
 from eval.report import tables as tables_of_pages
-from eval.report.content import RunHeader
+from eval.report.page import RunHeader
 
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 _COLUMNS: Final = 4  # of shares side by side, beside their names, in 80 columns of a terminal

@@ -1,4 +1,4 @@
-"""Hand-made page content: one log, a push that passes, a pull that fails, one not assessable."""
+"""A hand-made evaluation: one log, a push that passes, a pull that fails, one not assessable."""
 
 from __future__ import annotations
 
@@ -10,9 +10,14 @@ import pytest
 
 from data_prep.events import Event
 from data_prep.log import Audit, AuditEntry, Log, Source
-from eval.report.building import log_page, residual_tests, traces_of
-from eval.report.content import LogPage, RunHeader, Score
-from eval.transients import Overlay, TransientsConfig, assess_events
+from eval.evaluate import EvaluateConfig, Evaluation, LogEvaluation
+from eval.free_run import FreeRun
+from eval.report.page import RunHeader
+from eval.report.view import LogView
+from eval.residuals import residual_tests
+from eval.scores import ChannelScores
+from eval.transients import Overlay, TransientsConfig, assessed
+from eval.trim import Trim
 
 HOSTILE = '<script>alert("x")</script> & co.csv:left'
 DT_S = 0.1
@@ -67,36 +72,49 @@ def model_of(log: Log) -> np.ndarray:
     return model[:, None]
 
 
-def make_page(name: str = HOSTILE) -> LogPage:
+def make_score(**changed: float) -> ChannelScores:
+    figures = dict.fromkeys(ChannelScores.__dataclass_fields__, float("nan"))
+    figures |= {"samples": 881, "rmse": 0.8123, "nrmse": 0.05, "max_rel_pct": 4.2}
+    figures |= {"one_step_rmse": 0.1, "steady_state_rmse": 1.5, "arx_rmse": 0.9}
+    return ChannelScores(**figures | changed)
+
+
+def make_evaluation(name: str = HOSTILE, trim: Trim | None = None) -> LogEvaluation:
     log, events = log_and_events(name)
-    model = model_of(log)
-    traces = traces_of(log, ["N1_pct"], model, log["TRA_deg"][:, None])
-    overlay = Overlay(log.time_s, log.matrix(["N1_pct"]), model, ("N1_pct",))
-    made = log_page(
-        log, "TRA_deg", traces, events, assess_events(events, overlay, TransientsConfig())
+    model, rows = model_of(log), np.ones(len(log), dtype=bool)
+    measured = log.matrix(["N1_pct"])
+    run = FreeRun(
+        log=log,
+        channels=("N1_pct",),
+        measured=measured,
+        outputs={"model": model, "steady_state": log["TRA_deg"][:, None]},
+        inputs_known=rows,
+        quasi_steady=~rows,
+        in_envelope=rows,
+        level=np.zeros(len(log)),
+        scored_from=0 if trim is None else trim.until,
+        trims={} if trim is None else {"model": trim},
     )
-    fields = {field: getattr(made, field) for field in made.__dataclass_fields__}
-    return LogPage(
-        **fields
-        | {
-            "scores": (make_score(),),
-            "residuals": residual_tests(log, traces, ["TRA_deg", "ALT_ft"], lag_s=3.0),
-            "pearson": pd.DataFrame({"N1_pct": [0.93, np.nan]}, index=["TRA_deg", "ALT_ft"]),
-        }
-    )
+    overlay = Overlay(log.time_s, measured, model, ("N1_pct",))
+    found = assessed(events, overlay, TransientsConfig())
+    return LogEvaluation(run, "new", {"N1_pct": make_score()}, found, {})
 
 
-def make_score(**changed: object) -> Score:
-    figures = {
-        "channel": "N1_pct",
-        "samples": 881,
-        "rmse": 0.8123,
-        "nrmse": 0.05,
-        "max_rel_pct": 4.2,
-        "one_step_rmse": 0.1,
-        "baselines": {"steady state": 1.5, "ARX": 0.9},
-    }
-    return Score(**figures | changed)
+def make_view(name: str = HOSTILE, one: LogEvaluation | None = None) -> LogView:
+    one = one or make_evaluation(name)
+    log, residual = one.log, (one.run.model - one.run.measured)[:, 0]
+    inputs = {name: log[name] for name in ("TRA_deg", "ALT_ft")}
+    return LogView(
+        log=log,
+        driver="TRA_deg",
+        outputs=("N1_pct",),
+        events=one.events,
+        pearson=pd.DataFrame({"N1_pct": [0.93, np.nan]}, index=["TRA_deg", "ALT_ft"]),
+        model=one.run.model,
+        steady=one.run.steady,
+        evaluation=one,
+        residuals=[residual_tests("N1_pct", residual, inputs, log.dt_s)],
+    )
 
 
 @pytest.fixture(scope="session")
@@ -105,12 +123,24 @@ def header() -> RunHeader:
 
 
 @pytest.fixture(scope="session")
-def page() -> Callable[..., LogPage]:
-    """Makes a page record of one log."""
-    return make_page
+def evaluated() -> Callable[..., LogEvaluation]:
+    """Makes the evaluation of one log."""
+    return make_evaluation
 
 
 @pytest.fixture(scope="session")
-def score() -> Callable[..., Score]:
-    """Makes a score, changed as asked."""
+def view() -> Callable[..., LogView]:
+    """Makes the view of one log."""
+    return make_view
+
+
+@pytest.fixture(scope="session")
+def outcome_of():
+    """The verdict on evaluated logs."""
+    return lambda *logs: Evaluation(logs, EvaluateConfig()).outcome
+
+
+@pytest.fixture(scope="session")
+def score() -> Callable[..., ChannelScores]:
+    """Makes the scores of a channel."""
     return make_score

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eval.report.figures import bars, free_runs, fused
-from eval.report.page import (
+from eval.reproduce.study import (
     Claim,
     Study,
     claim_table,
@@ -94,7 +94,7 @@ def test_figures_name_what_they_show():
     assert ">MSE<" in grouped.svg
 
 
-def test_a_browser_shows_the_page_without_complaint(header, page, sound_in_a_browser):
+def test_a_browser_shows_the_page_without_complaint(header, view, sound_in_a_browser):
     drawn = bars(["No. 5", "No. 6"], {"one": np.array([3.0, 4.0])}, "MSE", 5.0)
-    told = replace(study(claim(1.0), claim(9.0)), pictures=(drawn,), sheets=(page(),))
-    sound_in_a_browser({"reproduce": reproduction_page(header, [told])})
+    whole = replace(study(claim(1.0), claim(9.0)), pictures=(drawn,), sheets=(view(),))
+    sound_in_a_browser({"reproduce": reproduction_page(header, [whole])})

@@ -16,6 +16,7 @@ from eval.reproduce.inputs import deviations, fed_record, fed_variants, inputs, 
 from eval.reproduce.noise import noise, share_better
 from eval.reproduce.response import (
     accuracy,
+    assessments_of,
     by,
     class_rows,
     classed,
@@ -116,8 +117,8 @@ def test_events_are_classed_with_their_own_assessments(data, found):
     on_ground = data.config.events.model_copy(update={"condition": ""})
     assert len(events) == sum(len(find_events(log, on_ground)) for log in data.tests)
     for one in events:
-        assert {each.channel for each in one.assessments} == {"N1_pct", "N2_pct"}
-        assert all(each.start_s == one.event.start_s for each in one.assessments)
+        assert {each.channel for each in one.event.assessments} == {"N1_pct", "N2_pct"}
+        assert all(each.start_s == one.event.event.start_s for each in one.event.assessments)
     groups = by(events, lambda one: one.kind.direction, ("push", "pull", "none"))
     assert list(groups) == ["push", "pull"]
     assert sum(map(len, groups.values())) == len(events)
@@ -128,10 +129,10 @@ def test_worst_errors_of_a_class_are_those_of_its_samples(found):
     for channel, value in worst_relative_pct(events).items():
         worst = 0.0
         for one in events:
-            runs, column = one.log.runs, one.log.runs.channels.index(channel)
-            for row in range(one.event.start, one.event.stop):
-                truth = runs.measured[row, column]
-                worst = max(worst, abs(runs.outputs["model"][row, column] - truth) / truth)
+            run, column = one.log.run, one.log.run.channels.index(channel)
+            for row in range(one.event.event.start, one.event.event.stop):
+                truth = run.measured[row, column]
+                worst = max(worst, abs(run.model[row, column] - truth) / truth)
         assert value == pytest.approx(100.0 * worst)
 
 
@@ -151,7 +152,7 @@ def test_accuracy_names_the_worst_class(data, bundle, found):
 
 def test_times_are_averaged_over_what_was_assessed(data, bundle, found):
     events = classed("TRA_deg", found)
-    every = [each for one in events for each in one.assessments]
+    every = assessments_of(events)
     figures = figures_of(every)
     judged_ones = [one.verdict for one in every if one.verdict.ok is not None]
     shares = [100.0 * (v.Ti.relative if v.Ti else 1.0) for v in judged_ones]

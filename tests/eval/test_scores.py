@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose
 
-from eval.scores import counted, fit_percent, max_relative_percent, nrmse, rmse, theil
+from eval.scores import counted, fit_percent, max_relative_percent, nrmse, rmse
 from narxcal.support.errors import DataError
 
 ALL = (rmse, nrmse, fit_percent, max_relative_percent)
@@ -40,8 +40,6 @@ def test_a_perfect_model_has_no_error():
     assert_allclose(nrmse(MEASURED, MEASURED), 0.0)
     assert_allclose(fit_percent(MEASURED, MEASURED), 100.0)
     assert_allclose(max_relative_percent(MEASURED, MEASURED), 0.0)
-    assert_allclose(theil(MEASURED, MEASURED).inequality, 0.0)
-    assert np.isnan(theil(MEASURED, MEASURED).bias).all()
 
 
 def test_the_mean_as_model_has_fit_zero():
@@ -56,7 +54,7 @@ def test_nan_and_mask_leave_out_samples_of_their_channel_only(pair, data):
     keep = data.draw(arrays(bool, measured.shape))
     holes = data.draw(arrays(bool, measured.shape))
     gappy = np.where(holes, np.nan, measured)
-    for metric in (*ALL, lambda *args: theil(*args).covariance):
+    for metric in ALL:
         found = metric(gappy, model, keep)
         for column in range(2):
             rows = keep[:, column] & ~holes[:, column]
@@ -70,35 +68,6 @@ def test_nan_and_mask_leave_out_samples_of_their_channel_only(pair, data):
 def test_a_mask_of_rows_counts_for_all_channels():
     rows = np.array([True, True, False, False])
     assert_allclose(rmse(MEASURED, MODEL, rows), rmse(MEASURED[:2], MODEL[:2]))
-
-
-@given(pairs)
-def test_theil_shares_are_shares_of_the_textbook_decomposition(pair):
-    measured, model = pair
-    mse = ((model - measured) ** 2).mean(axis=0)
-    split = theil(measured, model)
-    for column in np.flatnonzero(mse > 1e-6):
-        y, own = measured[:, column], model[:, column]
-        product = np.mean((y - y.mean()) * (own - own.mean()))
-        expected = (
-            (own.mean() - y.mean()) ** 2,
-            (own.std() - y.std()) ** 2,
-            2.0 * (own.std() * y.std() - product),
-        )
-        shares = (split.bias[column], split.variance[column], split.covariance[column])
-        scale = 1e-9 * (y @ y + own @ own) / mse[column]
-        assert_allclose(shares, np.array(expected) / mse[column], atol=scale)
-        assert sum(shares) == pytest.approx(1.0, abs=1e-9 + scale)
-        assert 0.0 <= split.inequality[column] <= 1.0 + 1e-12
-
-
-def test_theil_tells_bias_gain_and_scatter_apart():
-    y = np.sin(np.linspace(0.0, 20.0 * np.pi, 2001))[:-1, None] + 5.0
-    scatter = np.cos(np.linspace(0.0, 20.0 * np.pi, 2001))[:-1, None]
-    assert theil(y, y + 1.0).bias[0] == pytest.approx(1.0)
-    assert theil(y, 5.0 + 1.5 * (y - 5.0)).variance[0] == pytest.approx(1.0)
-    rotated = 5.0 + np.cos(0.1) * (y - 5.0) + np.sin(0.1) * scatter
-    assert theil(y, rotated).covariance[0] == pytest.approx(1.0, abs=1e-6)
 
 
 def test_a_stopped_engine_does_not_make_the_relative_error_infinite():
