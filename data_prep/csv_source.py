@@ -116,7 +116,7 @@ class CsvSource:
         positions = {name: self._position(name) for name in names}
         row = 0
         for lines in self._line_blocks(pace or Pace()):
-            rows = [line for line in lines if self._is_row(line)]
+            rows = self._rows(lines)
             if rows:
                 self._blank_short(rows, row)
                 yield self._numbers(rows, positions, row)
@@ -164,11 +164,13 @@ class CsvSource:
             self.truncated = True
         return lines
 
-    def _is_row(self, line: str) -> bool:
-        comment = self.dialect.comment
-        if comment and line.lstrip().startswith(comment):
-            return False
-        return bool(line.strip(" \r\n") if self.dialect.delimiter == "\t" else line.strip())
+    def _rows(self, lines: list[str]) -> list[str]:
+        """Leave out blank lines and comments; where tabs delimit, a line of tabs is a row."""
+        blanks = " \r\n" if self.dialect.delimiter == "\t" else None
+        rows = [line for line in lines if line.strip(blanks)]
+        if comment := self.dialect.comment:
+            rows = [row for row in rows if not row.lstrip().startswith(comment)]
+        return rows
 
     def _is_complete(self, line: str) -> bool:
         """Whether a last line without an end has all its fields, so far as can be seen."""
@@ -180,9 +182,13 @@ class CsvSource:
         """Blank the rows with fewer fields than the others."""
         delimiter, width = self.dialect.delimiter, self.dialect.width
         for k, row in enumerate(rows):
-            if self._width(row) >= width:
+            # Fields are counted exactly only where delimiters may be quoted or repeated.
+            if row.count(delimiter) >= width - 1 and delimiter != " " and '"' not in row:
                 continue
-            other = [each for each in DELIMITERS if row.count(each) + 1 >= max(width, 2)]
+            if len(fields(row, delimiter)) >= width:
+                continue
+            counts = {each: row.count(each) + 1 for each in DELIMITERS if each != delimiter}
+            other = [each for each, count in counts.items() if count >= max(width, 2)]
             if other:
                 raise DataError(
                     f"the header is separated by {delimiter!r}, this row by {other[0]!r}",
@@ -192,12 +198,6 @@ class CsvSource:
                 )
             rows[k] = delimiter.join(["nan"] * width) + "\n"
             self.short_rows += 1
-
-    def _width(self, row: str) -> int:
-        delimiter = self.dialect.delimiter
-        if delimiter == " " or '"' in row:
-            return len(fields(row, delimiter))
-        return row.count(delimiter) + 1
 
     def _numbers(
         self, rows: list[str], positions: dict[str, int], before: int

@@ -85,7 +85,8 @@ def interpolated(time: FloatArray, values: FloatArray, grid: Grid) -> BoolArray:
 
     They are nearest to none of the channel's own samples; `resample` interpolates there.
     """
-    steps = np.unique(grid.steps(time[np.abs(values) < LARGEST]))
+    steps = grid.steps(time[np.abs(values) < LARGEST])
+    steps = steps[np.diff(steps, prepend=-np.inf) > 0.0]
     if not _slow(steps):
         return np.zeros(grid.samples, dtype=np.bool_)
     flags = np.ones(grid.samples, dtype=np.bool_)

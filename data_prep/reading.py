@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
 __all__ = ["LogFile", "LogsConfig", "open_table", "read_logs"]
 
-# Numbers in a block: 160 MB. A recording of hours is one block, so that the rate of the rows and of
+# Numbers in a block: 40 MB. A recording of hours is one block, so that the rate of the rows and of
 # each channel is found from all of it; in a larger file they are found from blocks of this size.
-BLOCK_CELLS = 20_000_000
+BLOCK_CELLS = 5_000_000
 _LEAST_AHEAD_S = 5.0  # of rows in the next block, to bridge blanks of slow channels
 SHORT_ROW = "row with a missing field"
 
