@@ -283,7 +283,7 @@ def test_noise_is_estimated_from_the_start_of_the_log_where_none_is_stored(tmp_p
 
 def test_the_sensors_noise_is_the_logs_own_and_the_models_is_the_bundles(tmp_path):
     log = write(tmp_path / "log.csv", flight())
-    stored = replace(noise_model(), measurement=np.full(2, 1e-6))
+    stored = replace(noise_model(), measurement_variance=np.full(2, 1e-6))
     replay(ReplayModel(FirstOrder(), noise=stored), log, tmp_path / "out.csv")
     found, _ = read(tmp_path / "out.csv")
     [batch] = read_logs(log)
@@ -291,7 +291,7 @@ def test_the_sensors_noise_is_the_logs_own_and_the_models_is_the_bundles(tmp_pat
     measured = batch.matrix(FirstOrder.output_names)
     own = estimate_noise(measured, predicted, DT).measurement_variance
     np.testing.assert_allclose(own, 0.04, rtol=0.15)
-    fused = KalmanFuser(replace(stored, measurement=own)).run(predicted, measured)
+    fused = KalmanFuser(replace(stored, measurement_variance=own)).run(predicted, measured)
     np.testing.assert_allclose(found["N1_pct_fused"], fused.values[:, 0], rtol=1e-8)
     # Live rows are not kept back for it.
     options = ReplayOptions(follow=True, idle_s=0.01)
@@ -527,7 +527,7 @@ def test_slow_rows_off_the_raster_are_each_fused_once_and_hardly_refused(tmp_pat
     log = write(tmp_path / "log.csv", columns)
     config = LogsConfig(raster_hz=10.0)
     # Errors of a real model go on in one direction: steps of the raster say little of a second.
-    timid = replace(noise_model(), process=np.full(2, 1e-6), motion=np.zeros(2))
+    timid = replace(noise_model(), process_variance=np.full(2, 1e-6), transient_gain=np.zeros(2))
     summary = replay(ReplayModel(FirstOrder(), config, noise=timid), log, tmp_path / "out.csv")
     found, _ = read(tmp_path / "out.csv")
     assert np.isfinite(found["N1_pct_innovation"]).sum() in {299, 300}
