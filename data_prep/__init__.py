@@ -6,6 +6,7 @@ Steps whose module bears their own name come from there: `from data_prep.clean i
 from data_prep.config import LogsConfig
 from data_prep.events import Event, EventsConfig, find_events
 from data_prep.log import Audit, AuditEntry, Log, Source
+from data_prep.prepare import Prepared
 from data_prep.ranking import pearson
 from data_prep.reading import read_logs
 
@@ -16,6 +17,7 @@ __all__ = [
     "EventsConfig",
     "Log",
     "LogsConfig",
+    "Prepared",
     "Source",
     "find_events",
     "pearson",

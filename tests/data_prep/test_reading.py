@@ -463,6 +463,25 @@ def test_a_row_with_a_missing_field_is_masked_and_never_shifted(tmp_path):
     assert counts(log, "EGT_C") == {("filled", "blank"): 3}
 
 
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(lost=st.dictionaries(st.integers(1, 38), st.integers(0, 3), max_size=6))
+def test_whatever_field_is_missing_no_value_gets_into_another_column(tmp_path, lost):
+    rows = [[f"{k / 10}", f"{80 + k / 10}", f"{500 + k}", f"{2000 + k}"] for k in range(40)]
+    for row, field in lost.items():
+        del rows[row][field]
+    text = "\n".join(["time_s,N1_pct,EGT_C,ALT_ft", *map(",".join, rows)])
+    (log,) = read_logs(write(tmp_path, text), LogsConfig(raster_hz=10.0))
+    time = np.arange(40) / 10
+    np.testing.assert_allclose(log.time_s, time)
+    for name, values in (("N1_pct", 80 + time), ("EGT_C", 500 + 10 * time)):
+        known = np.isfinite(log[name])
+        np.testing.assert_allclose(log[name][known], values[known])
+    masked = counts(log, "*").get(("masked", "row with a missing field"), 0)
+    assert masked == len(lost)
+
+
 @pytest.mark.parametrize("delimiter", [",", ";", "\t", " "])
 def test_a_delimiter_that_ends_rows_or_the_header_is_no_field(tmp_path, delimiter):
     for header_end, row_end in ((delimiter, ""), ("", delimiter), (delimiter, delimiter)):
