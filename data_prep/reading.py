@@ -6,7 +6,6 @@ that memory holds the logs and one block. `narxcal replay` reads by the same two
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +20,7 @@ from data_prep.parquet_source import MAGIC, ParquetSource
 from data_prep.stamps import Passed, all_apart, clock_goes_on, ordered_rows, usual_interval
 from data_prep.stream import GridStream
 from narxcal.support.errors import DataError
+from narxcal.support.files import sha256_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from data_prep.columns import Table
     from data_prep.stream import Piece
     from narxcal.support.arrays import FloatArray
-
-__all__ = ["LogFile", "LogsConfig", "open_table", "read_logs"]
 
 # Numbers in a block: 40 MB. A recording of hours is one block, so that the rate of the rows and of
 # each channel is found from all of it; in a larger file they are found from blocks of this size.
@@ -128,7 +126,8 @@ def _joined(blocks: list[dict[str, Rows]]) -> dict[str, Rows]:
 
 def _file_logs(path: Path, config: LogsConfig) -> list[Log]:
     file = LogFile(path, config)
-    digest = _sha256(path)
+    with readable(path):
+        digest = sha256_of(path)
     growing: dict[str, _Growing] = {}
     short_rows = 0
     for block, last in _with_last(file.large_blocks()):
@@ -158,11 +157,6 @@ def _with_last(blocks: Iterable[dict[str, Rows]]) -> Iterator[tuple[dict[str, Ro
         before = block
     if before is not None:
         yield before, True
-
-
-def _sha256(path: Path) -> str:
-    with readable(path), path.open("rb") as raw:
-        return hashlib.file_digest(raw, "sha256").hexdigest()
 
 
 def _stream(file: LogFile, rows: Rows) -> GridStream:

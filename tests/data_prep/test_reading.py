@@ -12,7 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from data_prep import units
-from data_prep.reading import LogsConfig, read_logs
+from data_prep.config import LogsConfig
+from data_prep.reading import read_logs
 from narxcal.support.errors import ConfigError, DataError, NarxcalError
 
 ROOT = Path(__file__).parents[2]

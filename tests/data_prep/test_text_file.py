@@ -5,8 +5,9 @@ import codecs
 import numpy as np
 import pytest
 
+from data_prep.config import LogsConfig
 from data_prep.csv_source import Pace
-from data_prep.reading import LogFile, LogsConfig, read_logs
+from data_prep.reading import LogFile, read_logs
 from data_prep.units import is_unit_text, named_unit
 from narxcal.support.errors import NarxcalError
 
