@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from narxcal.atmosphere import air_at
+from narxcal.atmosphere import air_columns
 from narxcal.lumped.rotors import (
     CASING,
     EXTRA,
@@ -27,6 +27,7 @@ from narxcal.lumped.rotors import (
     SLOPES,
     Drive,
     Engine,
+    conditions,
     run,
 )
 from narxcal.narx.network import AT_START
@@ -137,23 +138,25 @@ class LumpedEngine:
 
     def drive(self, inputs: FloatArray, names: Sequence[str], ss: FloatArray) -> Drive:
         """What the engine follows, from inputs (T, n_in) called `names` and ss (T, n_out)."""
-        air = air_at(inputs, names)
-        root = np.sqrt(air.theta2)
-        mach = inputs[:, list(names).index("Mach")] if "Mach" in names else np.zeros(len(root))
-        logs = np.stack([np.log(root / air.delta2), np.log(root), mach], axis=1)
-        scale = root[:, None]
-        target = (ss / scale - self.centre) / self.half
-        return Drive(np.ascontiguousarray(ss), target, 1.0 / (scale * self.half), logs)
+        ss = np.ascontiguousarray(ss)
+        air = np.ascontiguousarray(inputs[:, air_columns(names)])
+        air[:, air_columns(names) < 0] = 0.0
+        return Drive(ss, *conditions(air, ss, self.centre, self.half))
+
+    @cached_property
+    def _all(self) -> Engine:
+        columns = np.arange(len(self.output_names))
+        own, rank = np.where(self.speeds, columns, self.core), np.argsort(self.order)
+        return Engine(self.theta, self.limit, self.order, own, rank, self.governed)
 
     def compiled(self, outputs: IntArray | None = None) -> Engine:
         """The numbers that compiled functions take, to run all outputs or some.
 
-        The core has to be among `outputs`; a fan or another output acts on no temperature.
+        The core has to be among `outputs`; under a governor, the fan as well.
         """
-        order, columns = self.order, np.arange(len(self.output_names))
-        wanted = order if outputs is None else order[np.isin(order, outputs)]
-        own = np.where(self.speeds, columns, self.core)
-        return Engine(self.theta, self.limit, wanted, own, np.argsort(order), self.governed)
+        if outputs is None:
+            return self._all
+        return self._all._replace(outputs=self.order[np.isin(self.order, outputs)])
 
     def start(self, deviation: FloatArray) -> FloatArray:
         """States (..., ROWS, n_out) at which a run begins with `deviation` (..., n_out).

@@ -57,6 +57,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from narxcal.atmosphere import total_ratios
 from narxcal.lumped.heat import opening, soaked, warmed
 from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.compiled import compiled
@@ -140,6 +141,21 @@ class Drive(NamedTuple):
         """These rows behind those of `before`."""
         pairs = zip(before, self, strict=True)
         return Drive(*(np.concatenate(pair) for pair in pairs))
+
+
+@compiled(exact=False)
+def conditions(
+    inputs: FloatArray, ss: FloatArray, centre: FloatArray, half: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What `Drive` has beside ss, from altitude, Mach and dT (T, 3), ss (T, o) and scales (o,)."""
+    target, per_unit, air = np.empty(ss.shape), np.empty(ss.shape), np.empty((len(ss), 3))
+    for k in range(len(ss)):
+        theta2, delta2 = total_ratios(inputs[k, 0], inputs[k, 1], inputs[k, 2])
+        root = math.sqrt(theta2)
+        air[k, 0], air[k, 1], air[k, 2] = math.log(root / delta2), math.log(root), inputs[k, 1]
+        target[k] = (ss[k] / root - centre) / half
+        per_unit[k] = 1.0 / (root * half)
+    return target, per_unit, air
 
 
 class Spools(NamedTuple):
