@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass
 from typing import Literal
 
-from narxcal.support.errors import ConfigError
+from narxcal.support.errors import ConfigError, did_you_mean
 
 Role = Literal["time", "lever", "ambient", "switch", "output", "auxiliary"]
 
@@ -15,7 +14,7 @@ Role = Literal["time", "lever", "ambient", "switch", "output", "auxiliary"]
 class Channel:
     """One signal: its canonical name is also its CSV header.
 
-    `low` and `high` bound what any turbofan can physically show; a sample outside is a
+    `low` and `high` bound what is physically possible for any turbofan; a sample outside is a
     recording fault, not an extreme manoeuvre.
     """
 
@@ -55,8 +54,8 @@ _TABLE = (
 CHANNELS: dict[str, Channel] = {channel.name: channel for channel in _TABLE}
 
 
-# What other houses call them, so that who writes it is told our name.
-_ELSEWHERE = {
+# Names in use elsewhere, for the hint at ours.
+_SYNONYMS = {
     "EGT_C": ("ITT", "TGT", "TOT", "MGT", "T45", "T5", "TIT"),
     "FF_kgph": ("WF", "FMF", "FUELFLOW", "FF"),
     "TRA_deg": ("PLA", "TLA", "THROTTLE", "LEVER", "POWERLEVER"),
@@ -72,20 +71,14 @@ _ELSEWHERE = {
 }
 
 
-def _likely(name: str) -> list[str]:
-    """The channel that is meant by `name`, if any is."""
-    written = (name, name.partition("_")[0])  # a unit may follow: ITT_C
-    plain = {"".join(filter(str.isalnum, text)).upper() for text in written}
-    known = [own for own, others in _ELSEWHERE.items() if plain & {*others}]
-    return known or difflib.get_close_matches(name, CHANNELS, n=1, cutoff=0.4)
-
-
 def channel(name: str) -> Channel:
     """Look a canonical channel up; raises `ConfigError` naming the nearest known one."""
     if name in CHANNELS:
         return CHANNELS[name]
-    near = _likely(name)
-    hint = f"Did you mean '{near[0]}'?" if near else f"Known channels: {', '.join(CHANNELS)}"
+    written = (name, name.partition("_")[0])  # a unit may follow: ITT_C
+    plain = {"".join(filter(str.isalnum, text)).upper() for text in written}
+    meant = next((own for own, others in _SYNONYMS.items() if plain & {*others}), name)
+    hint = did_you_mean(meant, CHANNELS, "Known channels:")
     raise ConfigError(f"unknown channel '{name}'", hint=hint)
 
 

@@ -201,11 +201,9 @@ _OURS = (
     "schema", "sha256", "dt_s", "channels", "units", "weights", "files", "calibration",
     "calibration_sha256",
 )  # fmt: skip
-# Parts that others read as tables of keys.
-_TABLES = (
-    "units", "config", "split", "data", "hardware", "versions", "training", "steady_state",
-    "lag_form", "fuser_noise", "baselines",
-)  # fmt: skip
+# Parts that others read as tables of keys; the second ones may be null.
+_TABLES = ("units", "config", "data", "hardware", "versions")
+_OPTIONAL = ("split", "training", "steady_state", "lag_form", "fuser_noise", "baselines")
 _FORM = ModelFolder(
     what="bundle",
     document=DOCUMENT,
@@ -316,8 +314,9 @@ def read_document(folder: str | PathLike[str]) -> dict[str, Any]:
         problem = "the document is nested too deeply"
     if problem:
         raise ModelError(problem, file=file, hint=_FORM.again)
-    for key in _TABLES:
-        if not isinstance(document.get(key), dict | None):
+    for key in (*_TABLES, *_OPTIONAL):
+        null = key in document and document[key] is None
+        if (null and key in _TABLES) or not isinstance(document.get(key), dict | None):
             raise ModelError(f"'{key}' is no table of keys", file=file, hint=_FORM.again)
     return document
 

@@ -98,7 +98,7 @@ def _document(run: str, bundle: Bundle, stored: dict[str, Any]) -> dict[str, Any
 
 
 def _metrics(run: Path, weights: str) -> dict[str, Any] | None:
-    """What `evaluate` last found for these weights, if it wrote into its usual place."""
+    """Read the figures of the last `evaluate` of these weights from RUN/evaluate; None without."""
     try:
         found = json.loads((run / "evaluate" / "evaluate.json").read_text(encoding="utf-8"))
         if found["weights_sha256"] != weights:
@@ -120,7 +120,7 @@ def _facts(document: dict[str, Any]) -> dict[str, str]:
         "Inputs": ", ".join(document["channels"]["inputs"]),
         "Outputs": ", ".join(document["channels"]["outputs"]),
         "Schedule": ", ".join(document["schedule"]) or "none",
-        "Raster": f"{document['dt_s']:.6g} s ({1.0 / document['dt_s']:.4g} Hz)",
+        "Sampling": f"{document['dt_s']:.6g} s ({1.0 / document['dt_s']:.4g} Hz)",
         "Network": f"lags {document['lags']}, hidden units {document['hidden']}, "
         f"weights {document['weights']}",
         "Bundle": hash_words(document["sha256"]),

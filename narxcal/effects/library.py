@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
-
 from narxcal.effects.base import Effect, Signals
 from narxcal.effects.dynamic import (
     AccelDecelAsymmetry,
@@ -35,7 +33,7 @@ from narxcal.effects.steady import (
     TemperatureEffect,
     UnloggedSwitch,
 )
-from narxcal.support.errors import ConfigError
+from narxcal.support.errors import ConfigError, did_you_mean
 
 ENGINE_WIDE: tuple[type[Effect], ...] = (
     ThrottleBacklash,
@@ -73,9 +71,7 @@ def effect(name: str) -> Effect:
     """Effect called `id` or `id:channel`; raises `ConfigError` naming the nearest id."""
     kind, _, channel = name.partition(":")
     if kind not in LIBRARY:
-        near = difflib.get_close_matches(kind, LIBRARY, n=1, cutoff=0.4)
-        hint = f"Did you mean '{near[0]}'?" if near else f"Known: {', '.join(LIBRARY)}"
-        raise ConfigError(f"unknown effect '{kind}'", hint=hint)
+        raise ConfigError(f"unknown effect '{kind}'", hint=did_you_mean(kind, LIBRARY, "Known:"))
     if issubclass(LIBRARY[kind], SensorEffect) != bool(channel):
         wants = "needs a channel, as in sensor_lag:EGT_C" if not channel else "has no channel"
         raise ConfigError(f"effect '{kind}' {wants}")

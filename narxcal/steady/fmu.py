@@ -8,7 +8,6 @@ before. An FMU is native code: one stored in a bundle is opened only with trust 
 from __future__ import annotations
 
 import contextlib
-import difflib
 import shutil
 import weakref
 from collections.abc import Mapping, Sequence
@@ -31,7 +30,7 @@ from narxcal.steady.model import (
     stored_names,
 )
 from narxcal.support.arrays import FloatArray
-from narxcal.support.errors import ModelError
+from narxcal.support.errors import ModelError, did_you_mean
 from narxcal.support.files import sha256_of
 
 _REAL = ("Real", "Float64")
@@ -112,10 +111,11 @@ class SteadyFmu(BoxModel):
         wanted = self.options.variables.get(name, name)
         known = {variable.name: variable for variable in self._unit.variables}
         if wanted not in known:
-            near = difflib.get_close_matches(wanted, known, n=1, cutoff=0.4)
-            hint = f"Did you mean '{near[0]}'?" if near else f"It has {', '.join(known)}"
             raise ModelError(
-                f"the FMU has no variable '{wanted}'", file=self.path, channel=name, hint=hint
+                f"the FMU has no variable '{wanted}'",
+                file=self.path,
+                channel=name,
+                hint=did_you_mean(wanted, known, "It has"),
             )
         if known[wanted].type not in _REAL:
             raise ModelError(

@@ -1,7 +1,9 @@
-"""The three errors a user can cause, all children of `NarxcalError`."""
+"""The three errors a user can cause, children of `NarxcalError`; hints at misspelt names."""
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from os import PathLike
 
 
@@ -51,4 +53,14 @@ class ConfigError(NarxcalError):
 
 
 class ModelError(NarxcalError):
-    """A model or a bundle cannot be used as asked."""
+    """A model or a bundle cannot be used as requested."""
+
+
+def did_you_mean(name: str, known: Iterable[str], otherwise: str, cutoff: float = 0.4) -> str:
+    """Hint at the nearest of the `known` names.
+
+    Where none is similar by `cutoff` (`difflib`, 0 to 1), list them after the words `otherwise`.
+    """
+    names = list(known)
+    near = difflib.get_close_matches(name, names, n=1, cutoff=cutoff)
+    return f"Did you mean '{near[0]}'?" if near else f"{otherwise} {', '.join(names)}"

@@ -1,8 +1,7 @@
-"""Base class of all configuration sections; their files, and what is wrong with them, in words."""
+"""Base class of configuration tables, their TOML files, and what is wrong with them in words."""
 
 from __future__ import annotations
 
-import difflib
 import tomllib
 from collections.abc import Iterator, Mapping
 from os import PathLike
@@ -11,7 +10,7 @@ from typing import Any, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from narxcal.support.errors import ConfigError
+from narxcal.support.errors import ConfigError, did_you_mean
 
 
 class Section(BaseModel):
@@ -35,9 +34,9 @@ class Section(BaseModel):
         except ValidationError as error:
             typed = (options or {}).get(_key(error))
             if typed is not None:
-                raise ConfigError(f"{typed}: {_said(error)}") from None
+                raise ConfigError(f"{typed}: {_problem_and_value(error)}") from None
             raise _explain(cls, error, file) from None
-        except ConfigError as error:  # from a validator, which does not know the file
+        except ConfigError as error:  # from a validator, which has no file
             raise ConfigError(
                 error.problem, file=error.file or file, channel=error.channel, hint=error.hint
             ) from None
@@ -51,7 +50,7 @@ def read_toml(file: Path, schema: str) -> dict[str, Any]:
         raise ConfigError(f"cannot be read: {error.strerror}", file=file) from None
     except UnicodeDecodeError:
         raise ConfigError("expected a TOML file, found no text in UTF-8", file=file) from None
-    except (ValueError, RecursionError) as error:  # a number or a nesting beyond all reason too
+    except (ValueError, RecursionError) as error:  # also for a number too long, nesting too deep
         raise ConfigError(f"not TOML: {error}", file=file) from None
     if table.get("schema") != schema:
         found = repr(table["schema"]) if "schema" in table else "nothing"
@@ -69,26 +68,24 @@ def _explain(
     first, key = error.errors()[0], _key(error)
     path = key.split(".")
     if first["type"] == "extra_forbidden":
-        return ConfigError(f"unknown key '{key}'", file=file, hint=_meant(section, path))
+        return ConfigError(f"unknown key '{key}'", file=file, hint=_hint(section, path))
     if first["type"] == "missing":
         return ConfigError(f"key '{key}' is missing", file=file, hint="Add it")
     if not key:  # of the table as a whole
         return ConfigError(_problem(error), file=file)
-    return ConfigError(f"key '{key}': {_said(error)}", file=file)
+    return ConfigError(f"key '{key}': {_problem_and_value(error)}", file=file)
 
 
-def _meant(section: type[BaseModel], path: list[str]) -> str:
-    """Where the last key of `path` belongs, or what it may be a slip of the pen for."""
+def _hint(section: type[BaseModel], path: list[str]) -> str:
+    """Say where the last key of `path` belongs, or which key it may be misspelt for."""
     tables = [f"[{table}]" for table in _tables_with(path[-1], section) if table]
     if tables:
         return f"It is a key of {' and of '.join(tables)}"
-    known = _known_keys(section, path[:-1])
-    near = difflib.get_close_matches(path[-1], known, n=1, cutoff=0.5)
-    return f"Did you mean '{near[0]}'?" if near else f"Known keys: {', '.join(known)}"
+    return did_you_mean(path[-1], _known_keys(section, path[:-1]), "Known keys:", cutoff=0.5)
 
 
 def _tables_with(key: str, section: type[BaseModel], at: str = "") -> Iterator[str]:
-    """Tables of a configuration, as `logs.derive`, that know `key`."""
+    """Tables of a configuration, as `logs.derive`, that have `key`."""
     if key in _keys(section):
         yield at
     for name, field in section.model_fields.items():
@@ -113,7 +110,7 @@ def _problem(error: ValidationError) -> str:
     return first["msg"].removeprefix("Value error, ")
 
 
-def _said(error: ValidationError) -> str:
+def _problem_and_value(error: ValidationError) -> str:
     first = error.errors()[0]
     if first["type"] == "value_error" and isinstance(first["input"], dict):
         return _problem(error)  # of several keys of a table, and it names them

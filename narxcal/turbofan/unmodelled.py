@@ -8,14 +8,13 @@ diagnosis fly this engine, so its effects share no equation with `narxcal.effect
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from narxcal.effects import LIBRARY
-from narxcal.support.errors import ConfigError
+from narxcal.support.errors import ConfigError, did_you_mean
 from narxcal.turbofan.cycle import Health
 from narxcal.turbofan.fadec import FuelValveParameters
 from narxcal.turbofan.lever import LeverParameters
@@ -96,9 +95,7 @@ def check_sizes(
 
 
 def _nearest(name: str, known: Iterable[str]) -> str:
-    names = sorted(known)
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    return f"Did you mean '{near[0]}'?" if near else f"Known are {', '.join(names)}"
+    return did_you_mean(name, sorted(known), "Known are", cutoff=0.5)
 
 
 @dataclass(frozen=True)
