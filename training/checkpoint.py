@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors import SafetensorError
-from safetensors.numpy import load, save
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
 
 from narxcal.support.errors import ModelError
 from narxcal.support.files import atomic_write_bytes
@@ -84,14 +84,12 @@ def read_checkpoint(file: Path, key: str) -> Progress:
 
 def _read(file: Path) -> tuple[dict[str, Any], dict[str, Any], str | None]:
     """Arrays and state of a checkpoint, and the key of its training."""
-    data = file.read_bytes()
     try:
-        arrays = load(data)
-        # A safetensors file begins with the length of its JSON header (8 bytes), then the header.
-        length = int.from_bytes(data[:8], "little")
-        header = json.loads(data[8 : 8 + length])["__metadata__"]
+        with safe_open(file, framework="numpy") as stored:
+            header = stored.metadata()
+            arrays = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
         return arrays, json.loads(header["state"]), header.get("key")
-    except (SafetensorError, ValueError, KeyError) as error:
+    except (SafetensorError, ValueError, KeyError, TypeError) as error:
         raise ModelError(
             f"the checkpoint cannot be read: {error}", file=file, hint="Train without --resume"
         ) from None

@@ -19,7 +19,7 @@ from eval.report.page import RunHeader, prepare_page, write_page
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config
 from narxcal.cli.results import data_files, now, read_config
-from narxcal.support.files import TIME_FORMAT, Results, log_csv, to_json, versions
+from narxcal.support.files import TIME_FORMAT, Results, log_csv, text_cell, to_json, versions
 from training.config import RunConfig
 
 SCHEMA = "narxcal.prepare/1"
@@ -90,6 +90,7 @@ def _write(
         ("pearson.csv", pearson_table(reports)),
         ("windows.csv", windows_table(reports)),
     ):
+        table["log"] = table["log"].map(text_cell)
         table.to_csv(folder / name, index=False, float_format="%.8g", lineterminator="\n")
     (folder / "prepare.json").write_text(to_json(document), encoding="utf-8")
 

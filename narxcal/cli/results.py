@@ -1,11 +1,4 @@
-"""What a command reads first: the configuration, with the folder of the logs overridden.
-
-The logs that a bundle is judged on: those named, or those that its training held out.
-
-What every page says about the model it judges and where it comes from.
-
-Where a model's steady state and its lags come from, in words: for `train`, `info`, the pages.
-"""
+"""What commands share around a run: configuration, held-out logs, provenance in words."""
 
 from __future__ import annotations
 
@@ -58,7 +51,7 @@ def logs_for(
 ) -> list[Log]:
     """Read `files`, or the held-out logs; `data` says where the latter are now.
 
-    Warns of a held-out log whose file is not the one that training saw. Raises `DataError`.
+    Warns of a held-out log whose file has changed since the training. Raises `DataError`.
     """
     with console.progress("Reading the logs"):
         if files:
@@ -72,7 +65,7 @@ def logs_for(
 
 
 def _once(files: Sequence[Path], console: Console) -> list[Path]:
-    """Each file once: a log that is judged twice would count twice in what is pooled."""
+    """Each file once: a log that is judged twice would count twice in pooled figures."""
     chosen = list({file.resolve(): file for file in files}.values())
     if len(chosen) < len(files):
         console.warn("a file that is named twice is read once")
@@ -80,7 +73,7 @@ def _once(files: Sequence[Path], console: Console) -> list[Path]:
 
 
 def changed(bundle: Bundle, logs: Sequence[Log]) -> list[str]:
-    """Say which logs come from files with other bytes than at the time of the training."""
+    """Warnings about logs whose files have changed since the training."""
     known = {Path(file).name: digest for file, digest in bundle.meta.get("data", {}).items()}
     found = {log.source.file: log.source.sha256 for log in logs}
     return [
@@ -97,7 +90,7 @@ def _held_out(bundle: Bundle, data: Path | None) -> list[Log]:
     except DataError as error:
         if not (error.hint or "").startswith(("Set [logs] folder", "Set [logs] files")):
             raise
-        hint = "Say where the held-out logs are by --data, or name others by --logs"
+        hint = "Name their folder by --data, or other logs by --logs"
         raise DataError(error.problem, file=error.file, hint=hint) from None
 
 
@@ -110,13 +103,13 @@ def _moved(bundle: Bundle, data: Path) -> Bundle:
 _LAGS = {
     "plain": "without limits of acceleration",
     "limits": "with limits of acceleration and deceleration",
-    "governed": "behind a control that holds N1",
+    "governed": "with N1 governed by the control",
 }
 _KINDS = {"fmu": "FMU", "callable": "function"}
 
 
 def steady_words(meta: Mapping[str, Any]) -> str:
-    """What the steady-state model of a bundle rests on; empty where the bundle does not say."""
+    """Describe where the steady-state model of a bundle comes from; empty if it is not recorded."""
     found = meta.get("steady_state") or {}
     if not found:
         return ""
@@ -135,7 +128,7 @@ def steady_words(meta: Mapping[str, Any]) -> str:
 
 
 def _form(found: Mapping[str, Any]) -> str:
-    """How the curves were chosen to be; empty for a bundle of before there was a choice."""
+    """Describe the form of the fitted curves; empty for a bundle that does not record it."""
     if "corrected" not in found:
         return ""
     words = ["corrected parameters" if found["corrected"] else "parameters as they are"]
@@ -147,24 +140,24 @@ def _form(found: Mapping[str, Any]) -> str:
 
 
 def lag_words(meta: Mapping[str, Any]) -> str:
-    """Which lags stand in front of the network, and what spoke for them; empty without any."""
+    """Describe the form of the lags and how it was chosen; empty without lags."""
     found = meta.get("lag_form") or {}
     if not found.get("form"):
         return ""
     left = ", ".join(f"{form} {100.0 * share:.2g} %" for form, share in found["left"].items())
-    chosen = f"; chosen by what is left of logs not fitted to: {left}" if left else ""
+    chosen = f"; chosen by the error on logs that were left out: {left}" if left else ""
     return f"{_LAGS[found['form']]}{chosen}"
 
 
 def now() -> str:
-    """The time that a page bears."""
+    """Time stamp of a page."""
     return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
 def header_of(
     title: str, run: Path, bundle: Bundle, logs: Sequence[Log], rule_set: str
 ) -> RunHeader:
-    """Fill a header from what the bundle in `run` holds; `rule_set` names the Ti/Tt rules."""
+    """Header of a page about the bundle in `run`; `rule_set` names the Ti/Tt rules."""
     meta, found = bundle.meta, rules(rule_set)
     narx = bundle.calibration.narx.config
     return RunHeader(

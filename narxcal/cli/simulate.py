@@ -19,7 +19,7 @@ from narxcal.cli import simulate_effects
 from narxcal.cli.console import Console
 from narxcal.cli.options import SIMULATOR, add_mapping, add_overwrite, add_trust, path
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import TIME_FORMAT, atomic_write_text, check_file
+from narxcal.support.files import TIME_FORMAT, atomic_write_text, check_file, text_cell
 from training.config import RunConfig
 from training.pipeline import calibration_for, prepare_logs
 
@@ -119,7 +119,7 @@ def _simulated(calibration: DynamicCalibration, log: Log) -> _Run:
     inputs = log.matrix(own.input_names)
     table = pd.DataFrame(own.simulate(inputs), columns=list(own.output_names))
     table.insert(0, "time_s", log.time_s)
-    table.insert(1, "engine", log.source.engine)
+    table.insert(1, "engine", text_cell(log.source.engine))
     table["inside_envelope"] = own.steady.inside(inputs).astype(int)
     return _Run(log, table)
 

@@ -30,7 +30,7 @@ def test_lags_that_the_logs_chose_tell_what_each_form_left():
     left = {"plain": 0.0381, "limits": 0.02655}
     assert lag_words({"lag_form": {"form": "limits", "left": left}}) == (
         "with limits of acceleration and deceleration; "
-        "chosen by what is left of logs not fitted to: plain 3.8 %, limits 2.7 %"
+        "chosen by the error on logs that were left out: plain 3.8 %, limits 2.7 %"
     )
 
 
@@ -39,7 +39,7 @@ def test_lags_that_the_logs_chose_tell_what_each_form_left():
     [
         ("", ""),
         ("plain", "without limits of acceleration"),
-        ("governed", "behind a control that holds N1"),
+        ("governed", "with N1 governed by the control"),
     ],
 )
 def test_lags_that_the_configuration_says_are_named(form, words):
