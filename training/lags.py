@@ -133,7 +133,7 @@ def fit_engine(
     input_names, output_names = names
     samples, dt_s = thinned(samples, dt_s)
     engine, table = start_engine(output_names, form, scales_of(samples, input_names))
-    weights = _levels(samples) if form.governed else _swings(samples, engine, form, dt_s)
+    weights = _weights(samples, engine, form, dt_s)
     full = 2.0 * engine.half[engine.core]
     rows = [moving(one.ss[:, engine.core], full, dt_s, relative=form.relative) for one in samples]
     if not any(moves.any() for moves in rows):
@@ -147,7 +147,8 @@ def fit_engine(
         for one, weight, moves in zip(samples, weights, rows, strict=True)
     ]
     with ThreadPoolExecutor(threads) as pool:  # compiled runs release Python's lock
-        for group in _groups(engine):
+        first = 2 if form.governed else 1
+        for group in [engine.order[:first], *engine.order[first:, None]]:
             engine = _Fit(engine, table, form, parts, group, dt_s, pool).fitted()
     return engine
 
@@ -195,26 +196,19 @@ def _zero_if_unknown(deviations: FloatArray) -> FloatArray:
     return np.where(np.isfinite(deviations).any(axis=0), deviations, 0.0)
 
 
-def _known(one: LagSamples) -> FloatArray:
-    """Measured outputs, or their steady-state values where masked."""
-    return np.where(np.isfinite(one.measured), one.measured, one.ss)
-
-
-def _swings(
+def _weights(
     samples: Sequence[LagSamples], engine: LumpedEngine, form: Form, dt_s: float
 ) -> list[FloatArray]:
-    """Weights (time, n_out) of a limited engine: 1, or the smaller the larger the move."""
-    if not form.relative:
-        return [np.ones_like(one.ss) for one in samples]
-    shares = [_swing(_known(one), _SWING_S, dt_s) / (2.0 * engine.half) for one in samples]
-    return [_USUAL_SWING / np.maximum(share, _LEAST_SWING) for share in shares]
-
-
-def _levels(samples: Sequence[LagSamples]) -> list[FloatArray]:
-    """Weights (time, n_out) of a governed engine: the larger the lower the output."""
-    sizes = [np.abs(_known(one)) for one in samples]
-    largest = np.maximum(np.max([size.max(axis=0) for size in sizes], axis=0), 1e-9)
-    return [1.0 / np.clip(size / largest, *_LEVEL) for size in sizes]
+    """Weights g (time, n_out) of the errors of each log."""
+    known = [np.where(np.isfinite(one.measured), one.measured, one.ss) for one in samples]
+    if form.governed:
+        largest = np.max([np.abs(values).max(axis=0) for values in known], axis=0)
+        levels = [np.abs(values) / np.maximum(largest, 1e-9) for values in known]
+        return [1.0 / np.clip(level, *_LEVEL) for level in levels]
+    if form.relative:
+        shares = [_swing(values, _SWING_S, dt_s) / (2.0 * engine.half) for values in known]
+        return [_USUAL_SWING / np.maximum(share, _LEAST_SWING) for share in shares]
+    return [np.ones_like(values) for values in known]
 
 
 class _Part(NamedTuple):
@@ -243,7 +237,7 @@ def _part(
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """The fit of one group of columns of `engine`, behind those that are fitted already."""
+    """The fit of one `group` of columns (c,) of `engine`; those before it are fitted already."""
 
     engine: LumpedEngine
     table: Priors
@@ -284,8 +278,7 @@ class _Fit:
 
     @cached_property
     def free(self) -> IntArray:
-        """Numbers of the parameters that are fitted."""
-        # Core and fan of a governed engine count as the core's.
+        """Numbers of the parameters that are fitted; a governed fan's count as the core's."""
         return np.flatnonzero(self.table.fitted & (self.table.column == self.group[0]))
 
     @cached_property
@@ -335,7 +328,7 @@ class _Fit:
         """Weighted errors of each part."""
 
         def of(part: _Part, scored: tuple[FloatArray, FloatArray]) -> FloatArray:
-            found, _ = engine.run(*self._arguments(part), outputs=self.outputs)
+            found, _ = engine.run(*self._course(part), self.outputs)
             return np.ravel((found[:: self.every, self.group] - scored[0]) * scored[1])
 
         return self.pool.map(of, self.parts, self.scored)
@@ -345,21 +338,18 @@ class _Fit:
 
         def of(part: _Part, scored: tuple[FloatArray, FloatArray]) -> FloatArray:
             wanted = Slopes(self.free, self.group, self.every, self.outputs)
-            found = engine.slopes(wanted, *self._arguments(part))
+            found = engine.slopes(wanted, *self._course(part))
             return (found * scored[1][:, :, None]).reshape(-1, len(self.free))
 
         return self.pool.map(of, self.parts, self.scored)
 
-    def _arguments(self, part: _Part) -> tuple[Drive, Starts, float, FloatArray]:
-        taken = np.full_like(part.deviation, np.nan)
-        taken[:, self.measured_fan] = part.deviation[:, self.measured_fan]
+    def _course(self, part: _Part) -> tuple[Drive, Starts, float, FloatArray | None]:
+        """Arguments of a run: drive, starts, grid in s and what is taken as measured."""
+        taken = None
+        if len(self.measured_fan):
+            taken = np.full_like(part.deviation, np.nan)
+            taken[:, self.measured_fan] = part.deviation[:, self.measured_fan]
         return part.drive, part.starts, self.dt_s, taken
-
-
-def _groups(engine: LumpedEngine) -> list[IntArray]:
-    """Columns that are fitted together, in order."""
-    first = 2 if engine.governed else 1
-    return [engine.order[:first], *engine.order[first:, None]]
 
 
 # ---- choice
@@ -421,19 +411,12 @@ def _offered(config: RunConfig, steady: SteadyStateModel) -> list[str]:
         return [GOVERNED]
     if section.lag_limits != "auto":
         return [LIMITS if section.lag_limits else PLAIN]
-    forms = [PLAIN, LIMITS]
-    if section.lag_governed == "auto" and _may_be_governed(config, steady):
-        forms.append(GOVERNED)
-    return forms
-
-
-def _may_be_governed(config: RunConfig, steady: SteadyStateModel) -> bool:
-    """Whether a lever drives a fan and a core, and [narx] sets nothing for the limited form."""
-    section = config.narx
+    # Governed: a lever drives a fan and a core, and [narx] sets nothing of the limited form alone.
     driver = config.steady_state.driver or config.events.driver
     spools = {"N1_pct", "N2_pct"} <= set(steady.output_names)
-    default = section.lag_errors == "absolute" and not section.lag_heat
-    return spools and default and CHANNELS[driver].role == "lever"
+    unset = section.lag_errors == "absolute" and not section.lag_heat
+    governed = spools and unset and CHANNELS[driver].role == "lever"
+    return [PLAIN, LIMITS, *([GOVERNED] if governed and section.lag_governed == "auto" else [])]
 
 
 def _with(config: RunConfig, form: str) -> RunConfig:
