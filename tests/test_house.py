@@ -42,6 +42,16 @@ def test_imports_go_down_the_floors():
         ("eval/a.py", "import narxcal.cli", "Nothing rests on the command line"),
         ("narxcal/a.py", "import narxcal.cli", "Nothing rests on the command line"),
         ("data_prep/a.py", "import narxcal.b", "Data preparation shares only words"),
+        (
+            "narxcal/turbofan/a.py",
+            "import narxcal.lumped.b",
+            "The virtual engine shares no equation",
+        ),
+        (
+            "narxcal/turbofan/a.py",
+            "import narxcal.effects.b",
+            "The virtual engine shares no equation",
+        ),
         ("narxcal/cli.py", "import eval.b, training.b, data_prep.b, narxcal.b", None),
         (
             "data_prep/a.py",
@@ -53,7 +63,8 @@ def test_imports_go_down_the_floors():
 )
 def test_an_import_up_the_floors_is_caught(tmp_path, module, planted, contract):
     names = ("__init__", "a", "b")
-    for file in [f"{package}/{name}.py" for package in PACKAGES for name in names]:
+    rooms = (*PACKAGES, "narxcal/turbofan", "narxcal/lumped", "narxcal/effects")
+    for file in [f"{room}/{name}.py" for room in rooms for name in names]:
         (tmp_path / file).parent.mkdir(exist_ok=True)
         (tmp_path / file).touch()
     for name in ("__main__", "cli", "channels", "errors", "settings"):
