@@ -23,7 +23,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from narxcal.channels import CHANNELS, symbol
-from narxcal.support.arrays import FloatArray, runs
+from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.arrays import spans as runs_of
 
 AnyFloats = NDArray[np.floating[Any]]
 
@@ -74,13 +75,10 @@ def envelope(
     return time[keep], values[keep]
 
 
-def spans(time: FloatArray, flagged: np.ndarray) -> list[tuple[float, float]]:
+def spans(time: FloatArray, flagged: BoolArray) -> list[tuple[float, float]]:
     """(start, end) times of the runs of True in `flagged` `(time,)`."""
-    if not len(time):
-        return []
-    starts, stops = runs(np.asarray(flagged, dtype=np.bool_))
-    ends = np.minimum(stops, len(time) - 1)
-    return list(zip(time[starts].tolist(), time[ends].tolist(), strict=True))
+    last = len(time) - 1
+    return [(float(time[a]), float(time[min(b, last)])) for a, b in runs_of(flagged)]
 
 
 def _shrink(svg: str, alt: str) -> str:
@@ -200,7 +198,9 @@ def dress(axes: Axes, *, size: float = 8.0, grid: Literal["both", "x", "y"] = "b
 
 
 def legend(axes: Axes, columns: int = 4, size: float = 8.0) -> None:
-    """Entries above the axes, where they hide no data."""
+    """Entries above the axes, where they hide no data; nothing where no curve has a label."""
+    if not axes.get_legend_handles_labels()[0]:  # the plotting library would warn
+        return
     axes.legend(
         loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, fontsize=size, frameon=False,
         borderaxespad=0.2, handlelength=1.8, columnspacing=1.4, labelcolor=_INK,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -215,6 +216,15 @@ def test_a_log_without_events_or_residuals_or_audit_still_makes_a_page(view, sou
     assert "No event was found in this log." in html
     assert "Not computed." in html
     sound_page(html)
+
+
+def test_drawing_a_log_in_which_no_input_moves_leaks_no_warning(view):
+    made = view()
+    alone = replace(made, residuals=[replace(made.residuals[0], cross={})])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        [drawn] = residual_tests(alone)
+    assert "autocorrelation" in drawn.svg
 
 
 def test_a_channel_that_is_masked_throughout_still_makes_a_page(header, view, sound_page):
