@@ -7,7 +7,6 @@ taken from a file: every figure is measured when the command runs.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import platform
 import sys
@@ -22,7 +21,7 @@ from rich.text import Text
 
 from eval.benchmarks import flights, public_sets, speed, untuned, virtual_engine
 from eval.benchmarks.row import Row
-from narxcal.support.files import versions
+from narxcal.support.files import to_json, versions
 
 SCHEMA = "narxcal.bench/1"
 _SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -52,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         found = _flights(options.data) if options.flights else _short(options.data)
     document = describe(found, time.perf_counter() - began)
     if options.json:
-        sys.stdout.write(json.dumps(document, indent=1, allow_nan=False) + "\n")
+        sys.stdout.write(to_json(document))
     else:
         show(Console(), found, document)
     return 0

@@ -1,9 +1,7 @@
 """Leave one flight out, with the shipped configurations as they stand, against the targets.
 
-The README's picture: `python -m eval.benchmarks.flights RUN OUT.png`.
-
-Shows the fast push with the largest lever movement of the first held-out log, whatever the model
-makes of it.
+`python -m eval.benchmarks.flights RUN OUT.png` draws the README's picture: the fast push with the
+largest lever movement of the first held-out log, whatever the model's error.
 """
 
 from __future__ import annotations

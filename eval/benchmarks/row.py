@@ -1,10 +1,12 @@
-"""One line of the benchmark table."""
+"""One row of the benchmark table."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
+
+from narxcal.support.files import finite
 
 Bound = Literal["at most", "at least", ""]
 
@@ -35,9 +37,6 @@ class Row:
         return self.value <= self.target if self.bound == "at most" else self.value >= self.target
 
     def document(self) -> dict[str, Any]:
-        """As JSON can hold it: None for what does not exist."""
-        table = {**asdict(self), "reached": self.reached}
-        return {
-            key: None if isinstance(value, float) and not math.isfinite(value) else value
-            for key, value in table.items()
-        }
+        """As JSON; None for a figure that does not exist."""
+        table: dict[str, Any] = finite({**asdict(self), "reached": self.reached})
+        return table

@@ -1,10 +1,9 @@
-"""Compiled kernels against PyTorch, both on this machine and in this run: ratios, not promises.
+"""Speed as ratios and against the clock, measured on this machine in this run.
 
-The network is that of the public comparison: one input, one output, 30 tanh units, here with
-two lags. PyTorch runs eagerly on one thread, a step per call, as the exact twin in
-`narxcal.narx.module` does.
-
-Replay with the fuser against the clock, on a virtual flight at 32 Hz.
+Kernels: compiled against PyTorch. The network is that of the public comparison: one input, one
+output, 30 tanh units, here with two lags. PyTorch runs eagerly on one thread, a step per call, as
+the exact twin `simulate_slowly` does. Replay: CSV to CSV with the fuser on a virtual flight at 32
+Hz.
 """
 
 from __future__ import annotations

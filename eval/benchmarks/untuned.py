@@ -1,13 +1,10 @@
-"""What a configuration of columns and split alone is worth: `python -m eval.bench --untuned`.
+"""Accuracy of configurations that name columns and split alone: `python -m eval.bench --untuned`.
 
 On every set one recording takes no part in training. The figures of the model stand beside those
-of the better baseline (first-order lag or linear ARX, channel by channel).
-
-Engines and recorders on which a configuration of columns and split alone is tried.
-
-Virtual ones are flown and written as a recorder would; of the real ones, and of those simulated by
-others, the logs are read where they are. A set's configuration says which columns there are, which
-log is judged, what moves the engine, and nothing about the model.
+of the better baseline (first-order lag or linear ARX, channel by channel). Virtual engines are
+flown and written as a recorder would; logs of real engines, and of those simulated by others, are
+read where they are. A set's configuration says which columns there are, which log is judged and
+what drives the engine, and nothing about the model.
 """
 
 from __future__ import annotations

@@ -1,10 +1,7 @@
 """The virtual engine against published figures: `python -m eval.benchmarks.virtual_engine`.
 
-Prints the table of `docs/virtual_engine.md`; `--figures FOLDER` draws its pictures as well.
-
-Pictures of the virtual engine: its compressor maps with running lines, and slams.
-
-Manoeuvres that show what the virtual engine is like: slams, and points of equal thrust.
+Prints the table of `docs/virtual_engine.md`; `--figures FOLDER` draws its pictures as well:
+compressor maps with running lines, and slams.
 """
 
 from __future__ import annotations
@@ -38,7 +35,7 @@ CONDITIONS = {
     "35 kft": {"ALT_ft": 35000.0, "Mach": 0.8},
 }
 _UP_S, _DOWN_S, _END_S = 2.0, 42.0, 82.0
-_MANOEUVRE_N1, _MANOEUVRE_EGT, _MANOEUVRE_FN = 0, 2, 4
+_N1, _N2, _EGT, _FF, _FN = range(5)
 
 
 class Slam(NamedTuple):
@@ -60,7 +57,7 @@ def log(angle: FloatArray, condition: str) -> dict[str, FloatArray]:
 
 
 def weaving(duration_s: float) -> FloatArray:
-    """A lever that never rests, at 32 Hz: (time,)."""
+    """A lever that always moves, at 32 Hz: (time,)."""
     t = np.arange(int(duration_s * HZ)) / HZ
     return np.asarray(42.5 - 42.5 * np.cos(0.25 * t) * np.cos(0.031 * t))
 
@@ -78,12 +75,11 @@ def slam(engine: VirtualEngine, condition: str) -> Slam:
     idle, top = (at(engine, TRA_deg=a, **CONDITIONS[condition]) for a in (0.0, 85.0))
     pushed = (t >= _UP_S) & (t < _DOWN_S)
     return Slam(
-        idle_share=idle[_MANOEUVRE_FN] / top[_MANOEUVRE_FN],
-        rise_s=float(t[np.argmax(pushed & (run["FN_kN"] >= 0.95 * top[_MANOEUVRE_FN]))]) - _UP_S,
-        fall_s=float(t[np.argmax((t >= _DOWN_S) & (run["N1_pct"] <= idle[_MANOEUVRE_N1] + 5.0))])
-        - _DOWN_S,
-        overshoot_pct=float(run["N1_pct"][pushed].max()) - top[_MANOEUVRE_N1],
-        bloom_C=float(np.interp(_UP_S + 15.0, t, run["EGT_C"])) - top[_MANOEUVRE_EGT],
+        idle_share=idle[_FN] / top[_FN],
+        rise_s=float(t[np.argmax(pushed & (run["FN_kN"] >= 0.95 * top[_FN]))]) - _UP_S,
+        fall_s=float(t[np.argmax((t >= _DOWN_S) & (run["N1_pct"] <= idle[_N1] + 5.0))]) - _DOWN_S,
+        overshoot_pct=float(run["N1_pct"][pushed].max()) - top[_N1],
+        bloom_C=float(np.interp(_UP_S + 15.0, t, run["EGT_C"])) - top[_EGT],
         surge_share=float(run["hpc_angle"].max()) / SURGE,
     )
 
@@ -97,7 +93,7 @@ def at_thrust(
     """
     u = np.zeros((300, 9))
     u[:, 0], u[:, 1], u[:, 2], u[:, 4] = np.linspace(0.0, 85.0, len(u)), *place, 1.0
-    thrust = engine.outputs(u)[:, _MANOEUVRE_FN]
+    thrust = engine.outputs(u)[:, _FN]
     found = u[: len(shares)].copy()
     found[:, 0] = np.interp(np.array(shares) * thrust[-1], thrust, u[:, 0])
     return found
@@ -111,11 +107,11 @@ def likeness(engine: VirtualEngine, altitude_ft: float) -> float:
     air = air_state(altitude_ft)
     up = np.zeros((1, 9))
     up[0, :2] = 40.0, altitude_ft
-    wanted = float(engine.outputs(up)[0, _MANOEUVRE_N1] / np.sqrt(air.theta2))
+    wanted = float(engine.outputs(up)[0, _N1] / np.sqrt(air.theta2))
     u = np.zeros((300, 9))
     u[:, 0] = np.linspace(0.0, 85.0, len(u))
     low = u[:1].copy()
-    low[0, 0] = np.interp(wanted, engine.outputs(u)[:, _MANOEUVRE_N1], u[:, 0])
+    low[0, 0] = np.interp(wanted, engine.outputs(u)[:, _N1], u[:, 0])
     ratio = engine.linearised(up)[0].lags_s[0] / engine.linearised(low)[0].lags_s[0]
     return float(ratio * air.delta2 / np.sqrt(air.theta2))
 
@@ -200,7 +196,6 @@ def slams() -> Figure:
 
 
 GROUP = "virtual engine"
-_N1, _N2, _EGT, _FF, _FN = range(5)
 
 
 class PublishedFigure(NamedTuple):
@@ -253,7 +248,7 @@ def rows(duration_s: float = 600.0, points: int = 1000) -> list[Row]:
 
 
 def _speed(engine: VirtualEngine, duration_s: float) -> tuple[float, str]:
-    """Simulated over wall time of a lever that never rests, after a run that compiles."""
+    """Simulated over wall time of a lever that always moves, after a run that compiles."""
     u = log(weaving(duration_s), "sea level")
     engine.simulate({name: value[:64] for name, value in u.items()}, 1.0 / 32.0)
     wall, busy = time.perf_counter(), time.process_time()
@@ -335,7 +330,7 @@ _PUBLISHED = (
     ("ground idle fuel", "kg/h", "300", "A320, FACTS A8"),
     ("take-off thrust", "kN", "11.12; 120.1", "ICAO databank"),
     ("take-off fuel", "kg/s", "0.1697; 1.142", "ICAO databank"),
-    ("largest map angle at rest over surge", "-", "< 1", "own"),
+    ("largest map angle in equilibrium over surge", "-", "< 1", "own"),
 )
 
 
@@ -395,7 +390,7 @@ def _wear(engine: VirtualEngine) -> list[float]:
 
 
 def _class(engine: VirtualEngine) -> list[float]:
-    """Ground idle, take-off, and how near to surge the engine ever rests."""
+    """Ground idle, take-off, and the equilibrium nearest to surge."""
     idle, top = at(engine, TRA_deg=0.0, WOW=1), at(engine)
     return [*idle[[_N1, _N2, _EGT, _FF]], top[_FN], top[_FF] / 3600.0, surge_share(engine)]
 

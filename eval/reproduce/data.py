@@ -1,12 +1,7 @@
-"""The numbered data sets that the paper's studies run on: one log is one data set.
+"""Data sets of the paper's studies: read, flown, cut into segments, and networks fitted to them.
 
-Flies the paper's data sets and the records of what it left open, and tabulates the engine.
-
-How much work the studies may take, and fitting many networks side by side.
-
-The segments that the paper's networks are trained on: one event each, with a short lead.
-
-In which phase of the flight an event lies.
+One log of one engine is one data set, numbered from 1. The flights are the user's, or those of the
+virtual engine with its steady-state model as a table.
 """
 
 from __future__ import annotations
@@ -50,8 +45,8 @@ LEAD_S = 3.0
 def pieces(log: Log, config: EventsConfig) -> list[Segment]:
     """Cut a log into one piece per event, from `LEAD_S` before it to its end; they never overlap.
 
-    What lies between the events, long flights at rest, belongs to none. Events are those of the
-    whole log, on the ground too.
+    The samples between events, long stretches in equilibrium, belong to none. Events are those of
+    the whole log, on the ground too.
     """
     found, last = [], 0
     lead = round(LEAD_S / log.dt_s)
@@ -86,7 +81,7 @@ FAMILIES = {
 
 @dataclass(frozen=True, eq=False)
 class DataSets:
-    """All data sets in order of their numbers, each with what `prepare` found in it.
+    """All data sets in order of their numbers, each with its report of `prepare`.
 
     `truth` maps a log's name to its outputs without sensors, where a virtual engine wrote them;
     it is empty for real flights. `further` are prepared logs of the families that the paper left
@@ -354,8 +349,8 @@ class Effort(NamedTuple):
     jobs: int = 1
 
 
-class Task(NamedTuple):
-    """One network to fit: its records, its structure and the raster."""
+class NetworkFit(NamedTuple):
+    """One network to fit: its records, its structure and the sampling interval."""
 
     records: Sequence[Record]
     structure: NarxConfig
@@ -372,16 +367,17 @@ def within(config: RunConfig, effort: Effort) -> RunConfig:
     return config.model_copy(update={"train": train})
 
 
-def fit_all(tasks: Sequence[Task], config: RunConfig, jobs: int) -> list[NarxModel]:
+def fit_all(tasks: Sequence[NetworkFit], config: RunConfig, jobs: int) -> list[NarxModel]:
     """Fit one network per task, in processes of one thread each; the order is kept.
 
-    An anchored structure (`moving` > 0) is also shown how to come to rest, as `train` does.
+    A structure with fixed equilibrium (`moving` > 0) is also trained on settling records, as in
+    `train`.
     """
     train = config.train.model_copy(update={"threads": 1})
     return list(in_processes(partial(_fit, train=train), tasks, jobs))
 
 
-def _fit(task: Task, train: TrainConfig) -> NarxModel:
+def _fit(task: NetworkFit, train: TrainConfig) -> NarxModel:
     steps, moving = round(train.rest_s / task.dt_s), task.structure.moving
     rest = rest_records(task.records, moving, steps, train.seed) if moving and steps > 1 else []
     return fit_narx(Material(task.records, [], task.dt_s, rest), task.structure, train).model

@@ -1,11 +1,12 @@
-"""Section 3.1 of the paper: one or many data sets times one or many inputs, N1 as output.
+"""Studies of what networks are fed.
 
-Section 3.2 of the paper: networks on the deviation from steady state, by what they are fed.
+`inputs`, section 3.1 of the paper: one or many data sets times one or many inputs, N1 as output.
 
-The paper feeds dN1, dN2 and dEGT to predict dN1, then dEGT alone. Here each variant knows the
-steady-state values and its own past dN1; the other deviations, where a variant has them, are the
-*measured* ones of the sample before, as the paper's are. The last variant is the product's: all
-three deviations in free run, nothing measured but the start.
+`deviations`, section 3.2: networks on the deviation from steady state. The paper feeds dN1, dN2 and
+dEGT to predict dN1, then dEGT alone. Here each variant has the steady-state values and its own past
+dN1 as inputs; the other deviations, where a variant has them, are the *measured* ones of the sample
+before, as the paper's are. The last variant is the product's: all three deviations in free run,
+nothing measured but the start.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from data_prep.log import Log
 from eval.report import figures
 from eval.report.style import Picture, unit
 from eval.report.tables import Cell, Table, figure
-from eval.reproduce.data import DataSets, Effort, Task, cut, fit_all, within
+from eval.reproduce.data import DataSets, Effort, NetworkFit, cut, fit_all, within
 from eval.reproduce.study import Claim, Study
 from eval.scores import max_relative_percent, rmse
 from narxcal.calibration.bundle import Bundle
@@ -39,7 +40,7 @@ CRITERION = 5.0  # mean square error in %^2, section 3.1
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """One of the four: what it is trained on, what it sees, and its free runs on the tests.
+    """One of the four: its training data, its inputs, and its free runs on the tests.
 
     `runs` are `(time,)` per test log; `mse` is per test log and `pooled` over all of them.
     """
@@ -83,7 +84,7 @@ def variants(data: DataSets, effort: Effort, output: str) -> list[Variant]:
     structure = NarxConfig(lags=2, taps=(0, 1), hidden=config.narx.hidden)
     dt_s = train[0].dt_s
     tasks = [
-        Task([record(log, chosen, output) for log in cut(logs, events)], structure, dt_s)
+        NetworkFit([record(log, chosen, output) for log in cut(logs, events)], structure, dt_s)
         for _, logs, chosen in plans
     ]
     models = fit_all(tasks, config, effort.jobs)
@@ -94,7 +95,7 @@ def variants(data: DataSets, effort: Effort, output: str) -> list[Variant]:
 
 
 def record(log: Log, names: Sequence[str], output: str) -> Record:
-    """What a plain network learns from; `log` has its masked inputs held."""
+    """Training record of a plain network; `log` has its masked inputs filled."""
     return Record(log.matrix(names), log.matrix([output]), log.name)
 
 
@@ -242,7 +243,7 @@ def fed_variants(data: DataSets, bundle: Bundle, effort: Effort) -> list[Fed]:
     plans = list(dict.fromkeys([(), others[-1:], others]))
     tests = data.split.test
     tasks = [
-        Task(
+        NetworkFit(
             [fed_record(log, steady, config, plan) for log in data.training.train],
             _structure(config, moving=len(outputs) + len(plan)),
             bundle.calibration.dt_s,
@@ -280,7 +281,7 @@ def fed_record(
 ) -> Record:
     """The first output's record with measured deviations of the sample before among the inputs.
 
-    They vanish at rest like the increments of the steady-state values, and so stand before them.
+    They vanish in equilibrium like the increments of the steady-state values, and so come first.
     """
     whole = deviation_record(log, steady, config)
     columns = [config.narx.outputs.index(name) for name in measured]

@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from eval.outcome import Outcome
 from eval.reproduce.data import DataSets, Effort, within
 from eval.reproduce.goal import goal, goal_config, goal_training
 from eval.reproduce.inputs import deviations, inputs
 from eval.reproduce.noise import correlation, noise, segments, smoothing
 from eval.reproduce.response import accuracy, classed, judged, response_times, splits
-from eval.reproduce.study import Claim, Study
+from eval.reproduce.study import Claim, Study, outcome_of
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.files import versions
 from training.config import RunConfig
@@ -24,7 +25,7 @@ PAPER = "narx-paper"
 
 
 class Watch(Protocol):
-    """Told what is being worked on, and how far that is."""
+    """Called with the name of a step, and with the work done and in all where it is known."""
 
     def __call__(self, what: str, done: int = 0, total: int = 0) -> None: ...  # noqa: D102
 
@@ -41,6 +42,11 @@ class Reproduction:
     def claims(self) -> tuple[Claim, ...]:
         """All claims in the order of the studies."""
         return tuple(claim for study in self.studies for claim in study.claims)
+
+    @property
+    def outcome(self) -> Outcome:
+        """The verdict: it passes where no claim was missed."""
+        return outcome_of(self.studies)
 
     def missed(self) -> list[str]:
         """Say which claims were not reached, with our figure."""
@@ -77,18 +83,20 @@ def reproduce(data: DataSets, effort: Effort, watch: Watch | None = None) -> Rep
     Raises what the studies raise: `DataError` for logs that they cannot be run on, `ConfigError`
     for a configuration that does not fit the logs.
     """
-    tell = watch or _ignore
-    tell("Reading what the flights show")
+    report = watch or _ignore
+    report("Reading the flights")
     first = [correlation(data), smoothing(data), segments(data)]
     config = within(data.config, effort)
-    bundle = _calibrated(data, (config, data.training), (tell, "Calibrating"))
-    return Reproduction((*first, *_judging(data, bundle, effort, tell)), bundle, data)
+    bundle = _calibrated(data, (config, data.training), (report, "Calibrating"))
+    return Reproduction((*first, *_judging(data, bundle, effort, report)), bundle, data)
 
 
-def _calibrated(data: DataSets, given: tuple[RunConfig, Split], told: tuple[Watch, str]) -> Bundle:
-    """Calibrate as `given`, on the training part; `told` is the watch and what to tell it."""
+def _calibrated(
+    data: DataSets, given: tuple[RunConfig, Split], progress: tuple[Watch, str]
+) -> Bundle:
+    """Calibrate as `given`, on the training part; `progress` is a watch and the step's name."""
     config, split = given
-    tell, what = told
+    report, what = progress
     total = sum(config.train.iterations) * config.train.starts
     if not config.narx.joint:
         total *= len(config.narx.outputs)
@@ -97,34 +105,34 @@ def _calibrated(data: DataSets, given: tuple[RunConfig, Split], told: tuple[Watc
     def watch(progress: Progress) -> None:
         nonlocal seen
         seen += bool(progress.history)
-        tell(what, min(seen, total), total)
+        report(what, min(seen, total), total)
 
     return calibrate(config, data.base, split, TrainOptions(watch))
 
 
-def _judging(data: DataSets, bundle: Bundle, effort: Effort, tell: Watch) -> Iterator[Study]:
-    tell("Comparing inputs")
+def _judging(data: DataSets, bundle: Bundle, effort: Effort, report: Watch) -> Iterator[Study]:
+    report("Comparing inputs")
     yield inputs(data, effort)
-    tell("Comparing deviations")
+    report("Comparing deviations")
     yield deviations(data, bundle, effort)
     found = judged(bundle, data.tests)
     events = classed(data.config.events.driver, found)
     yield accuracy(data, bundle, found, events)
     yield response_times(data, bundle, found, events)
     what = "Dividing at random"
-    tell(what)
-    yield splits(data, effort, lambda _fold, done, total: tell(what, done, total))
-    yield noise(data, bundle, effort, lambda done, total: tell("Adding noise", done, total))
-    yield goal(data, _widened(data, bundle, effort, tell))
+    report(what)
+    yield splits(data, effort, lambda _fold, done, total: report(what, done, total))
+    yield noise(data, bundle, effort, lambda done, total: report("Adding noise", done, total))
+    yield goal(data, _widened(data, bundle, effort, report))
 
 
-def _widened(data: DataSets, bundle: Bundle, effort: Effort, tell: Watch) -> Bundle:
+def _widened(data: DataSets, bundle: Bundle, effort: Effort, report: Watch) -> Bundle:
     """The calibration of all records, which is `bundle` where there are no further ones."""
     if not data.further:
         return bundle
     config = within(goal_config(data.config), effort)
-    told = (tell, "Calibrating on all records")
-    return _calibrated(data, (config, goal_training(data)), told)
+    progress = (report, "Calibrating on all records")
+    return _calibrated(data, (config, goal_training(data)), progress)
 
 
 def _ignore(what: str, done: int = 0, total: int = 0) -> None:

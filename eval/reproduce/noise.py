@@ -163,7 +163,7 @@ def _shown(data: DataSets, log: Log) -> slice:
 
 
 CHOSEN = 11
-_PACE_S = 0.5  # over which a signal's pace is taken, the same for every window
+_CHANGE_S = 0.5  # over which the change of a signal is taken, the same for every window
 _FAST = 0.95  # the twentieth of the samples that move fastest
 
 
@@ -180,7 +180,7 @@ def smoothing(data: DataSets) -> Study:
         "is over the twentieth of the samples that move fastest within half a second. "
         + ("" if known else "The truth of a real flight is not known: this RMS can only grow with "
            "the window, and says how much is taken away, noise and signal together."),
-        claims=_smoothing_claims(rows, data) if known else [],
+        claims=[_window_claim(rows, name) for name in data.config.narx.outputs] if known else [],
         tables=[_smoothing_table(rows)],
         pictures=[figures.windows(data.prepared[0].trial)],
         results={"against_truth": known, "windows": rows},
@@ -188,21 +188,22 @@ def smoothing(data: DataSets) -> Study:
 
 
 def errors(data: DataSets, name: str, window: int) -> tuple[FloatArray, FloatArray]:
-    """Smoothed minus truth (the raw signal where there is none), and the pace of that reference.
+    """Smoothed minus truth (the raw signal where there is none), and the change of that reference.
 
     Both (time,) over all data sets; NaN where samples are missing.
     """
-    error, pace = [], []
+    error, change = [], []
     for log in data.cleaned:
         raw, truth = log[name], truth_of(data, log, name)
         reference = raw if truth is None else truth
         error.append(moving_average(raw, window) - reference)
-        pace.append(_pace(reference, log))
-    return np.concatenate(error), np.concatenate(pace)
+        change.append(_change(reference, log))
+    return np.concatenate(error), np.concatenate(change)
 
 
-def _pace(values: FloatArray, log: Log) -> FloatArray:
-    span = max(1, round(0.5 * _PACE_S / log.dt_s))
+def _change(values: FloatArray, log: Log) -> FloatArray:
+    """Size of the change (time,) over half a second round each sample."""
+    span = max(1, round(0.5 * _CHANGE_S / log.dt_s))
     padded = np.concatenate((np.full(span, np.nan), values, np.full(span, np.nan)))
     return np.asarray(np.abs(padded[2 * span :] - padded[: -2 * span]))
 
@@ -211,8 +212,8 @@ def _channel(data: DataSets, name: str, *, known: bool) -> list[dict[str, Any]]:
     windows = (1, *WINDOWS) if known else WINDOWS
     dt_s, rows = data.raw[0].dt_s, []
     for window in windows:
-        error, pace = errors(data, name, window)
-        fast = pace >= np.nanquantile(pace, _FAST)
+        error, change = errors(data, name, window)
+        fast = change >= np.nanquantile(change, _FAST)
         gain = frequency_response(window, np.array([1.0]), dt_s)
         rows.append(
             {
@@ -238,11 +239,7 @@ def best_window(rows: list[dict[str, Any]], name: str) -> int:
     return int(min(own, key=lambda row: float(row["rms"]))["window"])
 
 
-def _smoothing_claims(rows: list[dict[str, Any]], data: DataSets) -> list[Claim]:
-    return [_claim(rows, name) for name in data.config.narx.outputs]
-
-
-def _claim(rows: list[dict[str, Any]], name: str) -> Claim:
+def _window_claim(rows: list[dict[str, Any]], name: str) -> Claim:
     own = {row["window"]: row["rms"] for row in rows if row["channel"] == name}
     best = best_window(rows, name)
     lost = f"{best} samples leave {own[best]:.3g} {unit(name)} and {CHOSEN} leave {own[CHOSEN]:.3g}"

@@ -93,7 +93,7 @@ class Study:
 
 
 def or_nan(value: float | None) -> float:
-    """Turn what a table leaves out into what a claim leaves open."""
+    """None, a figure that does not exist, as NaN."""
     return math.nan if value is None else float(value)
 
 

@@ -25,7 +25,7 @@ from eval.reproduce.data import (
     write_records,
 )
 from eval.reproduce.narx_paper import SCHEMA, Reproduction, Watch, reproduce
-from eval.reproduce.study import counts, outcome_of, reproduction_page
+from eval.reproduce.study import counts, reproduction_page
 from eval.rules import rules
 from narxcal.calibration.bundle import write_bundle
 from narxcal.cli.console import Console
@@ -70,7 +70,7 @@ def run(options: Namespace, console: Console) -> int:
     _show(console, found)
     console.say(f"Page: {options.out / PAGE}")
     console.document(_document(found, options))
-    return outcome_of(found.studies).exit_code
+    return found.outcome.exit_code
 
 
 def _begin(out: Path) -> None:
@@ -159,10 +159,9 @@ def _show(console: Console, found: Reproduction) -> None:
         ]
         if rows:
             console.table(study.title, ["claim", "claimed", "ours", ""], rows)
-    outcome = outcome_of(found.studies)
     # The tables have said already which claims are missed.
     lines = tuple(counts([claim for claim in found.claims if claim.met is not None]))
-    terminal.print_outcome(console.page, replace(outcome, lines=lines))
+    terminal.print_outcome(console.page, replace(found.outcome, lines=lines))
 
 
 _OUTCOME = {True: "reached", False: "missed", None: "not measured"}

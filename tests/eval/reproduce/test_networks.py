@@ -56,6 +56,7 @@ def test_a_plain_network_learns_from_inputs_as_they_are(data):
     assert np.array_equal(made.y[:, 0], log["N1_pct"])
 
 
+@pytest.mark.slow
 def test_the_four_variants_are_scored_as_a_loop_would(data, effort):
     four = variants(data, effort, "N1_pct")
     assert [one.name for one in four] == [
@@ -75,6 +76,7 @@ def test_the_four_variants_are_scored_as_a_loop_would(data, effort):
     assert [one.mse for one in again] == [one.mse for one in four]
 
 
+@pytest.mark.slow
 def test_the_study_of_inputs_says_which_variant_is_best(data, effort):
     study = inputs(data, effort)
     rows = study.results["variants"]
@@ -86,6 +88,7 @@ def test_the_study_of_inputs_says_which_variant_is_best(data, effort):
     assert len(study.pictures) == 2
 
 
+@pytest.mark.slow
 def test_measured_deviations_are_those_of_the_sample_before(data, bundle):
     log, steady = data.split.train[0], bundle.calibration.steady
     ss = steady.outputs(log.matrix(steady.input_names))
@@ -98,6 +101,7 @@ def test_measured_deviations_are_those_of_the_sample_before(data, bundle):
     assert made.u[:, 2:] == pytest.approx(narx_features(ss, schedule))
 
 
+@pytest.mark.slow
 def test_the_last_variant_is_the_calibration_itself(data, bundle, effort, found):
     *fed, own = fed_variants(data, bundle, effort)
     assert [one.measured for one in fed] == [(), ("EGT_C",), ("N2_pct", "EGT_C")]
@@ -112,6 +116,7 @@ def test_the_last_variant_is_the_calibration_itself(data, bundle, effort, found)
     ]
 
 
+@pytest.mark.slow
 def test_events_are_classed_with_their_own_assessments(data, found):
     events = classed("TRA_deg", found)
     on_ground = data.config.events.model_copy(update={"condition": ""})
@@ -124,6 +129,7 @@ def test_events_are_classed_with_their_own_assessments(data, found):
     assert sum(map(len, groups.values())) == len(events)
 
 
+@pytest.mark.slow
 def test_worst_errors_of_a_class_are_those_of_its_samples(found):
     events = classed("TRA_deg", found)[:3]
     for channel, value in worst_relative_pct(events).items():
@@ -136,6 +142,7 @@ def test_worst_errors_of_a_class_are_those_of_its_samples(found):
         assert value == pytest.approx(100.0 * worst)
 
 
+@pytest.mark.slow
 def test_accuracy_names_the_worst_class(data, bundle, found):
     events = classed("TRA_deg", found)
     study = accuracy(data, bundle, found, events)
@@ -150,6 +157,7 @@ def test_accuracy_names_the_worst_class(data, bundle, found):
     assert worst_class([], "N1_pct") == ""
 
 
+@pytest.mark.slow
 def test_times_are_averaged_over_what_was_assessed(data, bundle, found):
     events = classed("TRA_deg", found)
     every = assessments_of(events)
@@ -176,6 +184,7 @@ def test_nothing_assessed_is_nothing_claimed():
     assert passed_claim(every, "paper").met is None
 
 
+@pytest.mark.slow
 def test_the_goal_is_judged_on_every_family(data, bundle):
     study = goal(data, bundle)
     rows = study.results["families"]
@@ -234,6 +243,7 @@ def test_the_worst_of_all_divisions_is_told():
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_divisions_hold_back_three_tenths_of_the_events(data, effort):
     seen = []
     study = splits(data, effort, lambda *told: seen.append(told))
@@ -248,6 +258,7 @@ def test_divisions_hold_back_three_tenths_of_the_events(data, effort):
     json.dumps(study.results)
 
 
+@pytest.mark.slow
 def test_noise_is_swept_over_the_papers_data_sets(data, bundle, effort):
     seen = []
     study = noise(data, bundle, effort, lambda *told: seen.append(told))

@@ -125,6 +125,7 @@ def test_a_set_that_is_missing_becomes_a_row_that_says_so(tmp_path):
     assert row.reached is None
 
 
+@pytest.mark.slow
 def test_kernel_rows_are_finite_and_ratios_fit_their_parts():
     rows = {row.name: row for row in speed.kernel_rows(400, 120)}
     assert all(math.isfinite(row.value) and row.value > 0.0 for row in rows.values())
@@ -147,6 +148,7 @@ def test_the_slow_training_step_has_the_loss_and_gradient_of_the_fast_one():
     np.testing.assert_allclose(slow, gradient, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_replay_rows_are_finite(monkeypatch):
     """Without lags, whose fit takes longer than all else."""
     config, base = load_config("demo.toml")

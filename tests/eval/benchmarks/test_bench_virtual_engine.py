@@ -10,7 +10,7 @@ from eval.benchmarks import virtual_engine as engine_figures
 from eval.benchmarks import virtual_engine as engine_manoeuvres
 from narxcal.turbofan import VirtualEngine
 
-PAGE = Path(__file__).parents[2] / "docs" / "virtual_engine.md"
+PAGE = Path(__file__).parents[3] / "docs" / "virtual_engine.md"
 
 
 def test_what_has_to_hold_exactly_holds():
