@@ -28,7 +28,7 @@ from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 class Form(NamedTuple):
     """Form of a lumped engine, and how it is fitted.
 
-    `governed`: a control holds N1; the rest is for the other form. `limited`: its control limits
+    `governed`: a control governs N1; the rest is for the other form. `limited`: its control limits
     acceleration and deceleration; `heat`: the metal's heat drives the spools; `relative`: errors
     count as shares of the response that they belong to.
     """
@@ -107,9 +107,9 @@ casing_share       .      .      .      0.02
 log_casing_tau     .      .      .      4.3
 hot                0/5    0/5    0/5    0/5
 """
-# Of speeds where heat drives them. Heat goes between gas and metal as flow^0.8: corrected flow
-# triples from idle to full power, over w from -1 to 1, which is exp(2 * 0.4); flow goes by the air.
-# What heat does falls with power, for speeds answer to shares of the fuel.
+# Of speeds where heat drives them. Heat transfer goes as flow^0.8: corrected flow triples from idle
+# to full power, over w from -1 to 1, which is exp(2 * 0.4); flow also depends on the air.
+# The effect of heat falls with power, since speeds respond to shares of the fuel.
 _HEAT: Final = {"heat": 1.0, "heat_speed": -0.5, "heat_rate": 0.4, "heat_air": 0.8}
 
 _BY_CORE: Final = ("core", "core_speed", "rate", "rate_air", "rate_speed")  # not of the core itself
@@ -135,7 +135,7 @@ _SLOPES: Final = """
 fan      0.96   0.0    -0.55  0.17   0.07       0.0
 other    0.79   0.0    0.5    0.37   -0.3       0.04
 """
-# The times that metal takes to heat up are not fitted; the fan, which the control holds, has none.
+# The times that metal takes to heat up are not fitted; the governed fan has no heat.
 _GOVERNED_HEAT: Final = """
          soak_share  log_soak_tau  soak_speed  soak_air  open_share  log_begun_tau
 core     0.0         =2.85         =-0.5       =0.8      0.05        2.5

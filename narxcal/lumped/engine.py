@@ -71,7 +71,7 @@ class LumpedEngine:
 
     | field | meaning |
     |---|---|
-    | `governed` | whether a control holds N1 (two outputs at least are speeds then), else limited |
+    | `governed` | whether a control governs N1 (two outputs at least are speeds), else limited |
     | `theta` (P,) | parameters; `arrays` are views of them by stored name |
     | `centre`, `half` (n_out,) | scale the corrected outputs to [-1, 1] |
     | `limit` (n_out,) | bounds the magnitude of each deviation |

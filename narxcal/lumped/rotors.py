@@ -1,7 +1,7 @@
 """Equations of the lumped two-spool engine, and its free run.
 
-The deviation d = ss - y of an output y from its steady-state value follows a lag. Over a step h in
-which ss changes by D and the pull is constant it has the closed form of `follow`:
+The deviation d = ss - y of an output y from its steady-state value ss follows a lag tau, in closed
+form over a step h in which ss changes by D and the pull is constant (`follow`):
 
     dd/dt = dss/dt - (d - pull) / tau
 
@@ -12,40 +12,43 @@ which ss changes by D and the pull is constant it has the closed form of `follow
 | d_c, d_f | deviations w - v of the core and s - u of the fan | - |
 | thin, hot | ln(sqrt(theta2) / delta2), ln sqrt(theta2) of the air | - |
 | z(x, y) | [1, thin, hot, x, y, x^2, x y, y^2] | - |
+| f, r | fuel and governor's reset, as the core speed that they sustain | - |
+| e | opening of the clearances (`narxcal.lumped.heat`) | - |
 
-Coefficients go by speeds and air (NACA TR-1011: corrected for altitude like steady-state data).
-One of two forms applies; parameters stand in `theta` in the order of the names below.
+Times, gains and limits are exponentials of polynomials in speeds and air (NACA TR-1011: dynamic
+coefficients are corrected for altitude like steady-state data). An engine has one of two forms;
+`theta` has its parameters in the order of the names below.
 
-**Limited** (`LIMITED` per output): each spool returns to its equilibrium by itself, no faster than
-the acceleration and deceleration r that the control's schedules allow (one q each):
+**Limited** (`LIMITED` per output). Each spool returns to its equilibrium by itself, no faster than
+the rates r of acceleration and of deceleration that the control's schedules allow:
 
-    tau    = tau0 (1 + |x / r|^n)^(1/n),   x = (w - v) / tau0,   n = 2
-    ln tau0 = p . z(v, w),   ln r = q . z(v, u)     u: the other spool, whose pressure counts
-    pull   = -lead D / h - heat tau (change of soak) / h
-             + (core + core_speed (v + w)) d_c + rate exp(rate_air thin + rate_speed v) dN2/dt
-    d      = fast + soak + casing
+    tau  = tau0 (1 + |x / r|^n)^(1/n),   x = (w - v) / tau0,   n = 2
+    ln tau0 = p . z(v, w),   ln r = q . z(v, u),   u the other spool
+    pull = -lead D / h - heat tau (change of soak) / h
+           + (core + core_speed (v + w)) d_c + rate exp(rate_air thin + rate_speed v) dN2/dt
+    d    = fast + soak + casing
 
-The second line couples fan and temperatures to the core. `lead` is the lag of the meter that ss is
-computed from. Heat `soak` drives a spool by `heat` and grows with s = exp(heat_speed w): its share
-is s(k), what is left of it s(k) / s(k-1). Without limits ln r = 20.
+The schedules limit fuel over pressure, to which both spools contribute; without limits ln r = 20.
+The second line couples fan and temperatures to the core: equilibria lie on a parabola over its
+speed, and its acceleration takes fuel. `lead` is the lag of the meter from which ss is computed.
+Soak is multiplied by s(k) / s(k-1) and its share by s(k), s = exp(heat_speed w).
 
-**Governed** (`LINES`, `OTHER_LINES`, `SLOPES`, `HEAT`, `EXTRA`): a control holds N1. Under N1
-governing N2 does not relax to its equilibrium by itself: fuel accelerates the slow fan until N1
-meets its demand, and N2 overshoots meanwhile. Fuel f is measured as the core speed it sustains:
+**Governed** (`LINES`, `OTHER_LINES`, `SLOPES`, `HEAT`, `EXTRA`). A control governs N1, and N2 does
+not relax to its equilibrium by itself: fuel accelerates the slow fan until N1 meets its demand, and
+N2 overshoots meanwhile.
 
-    f_d   = r + gain (s - u - lead du/dt)           a governor with reset r, limited so that
-    dv/dt = (f - v) / core_s                        -down e^c < (f_d - v) / core_s < up e^-c
-    df/dt = (f_d - f) / valve,   dr/dt = (f_d - r) / reset_s       external reset: no wind-up
-    pull  = c_f d_c - push dv/dt                    on the fan, with tau = fan_s
-    pull  = c_T d_c - push dv/dt + share (d_f - c_f d_c)       on others, with tau = probe_s
-    c     = clearance open                          `narxcal.lumped.heat`
-    ln (core_s, gain, ..., push) = q . [z(v, u), Mach]
+    f_d   = r + gain (s - u - lead du/dt)       demand, limited (n infinite) so that
+            -down exp(clearance e) <= (f_d - v) / core_s <= up exp(-clearance e)
+    df/dt = (f_d - f) / valve,   dv/dt = (f - v) / core_s,   dr/dt = (f_d - r) / reset
+    pull  = c_f d_c - push dv/dt                             of the fan, tau = fan
+    pull  = c d_c - push dv/dt + share (d_f - c_f d_c)       of other outputs, tau = probe
+    ln (core_s, gain, reset, ...) = q . [z(v, u), Mach]
 
-The chord c_f, c_T is a settled engine's slope over the core's speed, the mean of a cubic's slope
-between v and w. To d of core and temperatures is added heat `soak`, and `casing`: what open
-clearances move, and what a run began with. Sources: governor and schedules in Jaw & Mattingly,
-*Aircraft Engine Controls*, ch. 5 and 6; external reset in Shinskey, *Process Control Systems*;
-state-dependent parameters in Young, McKenna and Bruun, Int. J. Control 74 (2001).
+The reset follows the limited demand, so that it does not wind up. The chord c of an output is the
+mean slope of its equilibria over the core's speed between v and w. Core and other outputs also have
+heat: soak, and casing, which is share e plus what a run began with. Sources: governor and schedules
+in Jaw and Mattingly, *Aircraft Engine Controls*, ch. 5 and 6; external reset in Shinskey, *Process
+Control Systems*; state-dependent parameters in Young, McKenna and Bruun, Int. J. Control 74 (2001).
 
 All functions are for floats and for dual numbers (`narxcal.support.dual`).
 """
@@ -83,10 +86,18 @@ _LEAD, _CORE, _SOAK, _PULL, _CASING, _HEAT = (
     LIMITED.index(name)
     for name in ("lead_s", "core", "slow_share", "core_speed", "casing_share", "heat")
 )
+_TAU_OF_Z = (
+    "log_tau", "air", "hot", "speed", "target", "speed_speed", "speed_target", "target_target",
+)  # fmt: skip
+_RATE_OF_Z = (
+    "log_{}", "{}_air", "{}_hot", "{}_speed", "{}_other",
+    "{}_speed_speed", "{}_speed_other", "{}_other_other",
+)  # fmt: skip
 # Where the coefficients of z are.
-_TAU = (0, 1, 33, 2, 3, 4, 5, 6)
-_UP = (11, 12, 18, 13, 15, 14, 16, 17)
-_DOWN = (19, 20, 26, 21, 23, 22, 24, 25)
+_TAU = tuple(LIMITED.index(name) for name in _TAU_OF_Z)
+_UP, _DOWN = (
+    tuple(LIMITED.index(name.format(way)) for name in _RATE_OF_Z) for way in ("up", "down")
+)
 
 REGRESSORS = ("one", "thin", "hot", "Mach", "v", "u", "vv", "vu", "uu")
 LINES = ("core_s", "gain", "reset_s", "lead_s", "up", "down", "fan_s", "push")
@@ -98,7 +109,8 @@ _TERMS = len(REGRESSORS)
 _CORE_S, _GAIN, _RESET_S, _LEAD_S, _UP_RATE, _DOWN_RATE, _FAN_S, _PUSH = (
     _TERMS * k for k in range(len(LINES))
 )
-_MACH, _LINE = 3, (0, 1, 2, 4, 5, 6, 7, 8)
+_MACH = REGRESSORS.index("Mach")
+_LINE = tuple(k for k in range(_TERMS) if k != _MACH)
 _STEP_S = 0.04  # longest inner step under a governor
 
 # Bounds of scaled speeds, of logarithms, of what is carried from sample to sample.
@@ -109,8 +121,8 @@ class Engine(NamedTuple):
     """Numbers of an engine as compiled functions take them.
 
     `theta` (P,) are floats or dual numbers, `limit` (o,) bounds each deviation. `outputs` are the
-    columns to be run: the core, then the fan, then others. `own` (o,) is the speed that an output
-    goes by: itself or the core. `rank` (o,) is its place among all outputs, core and fan first.
+    columns to be run: the core, then the fan, then others. `own` (o,) is the speed on which an
+    output depends: itself or the core. `rank` (o,) is its place in the order core, fan, others.
     """
 
     theta: FloatArray
@@ -182,6 +194,12 @@ def quadratic(
 
 
 @compiled(exact=False)
+def _bounded(speed: float) -> float:
+    """A scaled speed as polynomials take it."""
+    return clip(speed, -_SPEED, _SPEED)
+
+
+@compiled(exact=False)
 def stretch(x: float, n: float) -> float:
     """Divisor s = (1 + |x|^n)^(1/n), n = 2 or infinity, that limits x / s to [-1, 1]."""
     size = abs(x)
@@ -220,7 +238,7 @@ def _finish(x: FloatArray, o: int, soak: float, casing: float, most: float) -> N
 def _speed(x: FloatArray, drive: Drive, k: int, o: int) -> float:
     """Scaled speed at the end of sample k - 1."""
     v = drive.target[k - 1, o] - get(x, (FAST, o)) * drive.per_unit[k, o]
-    return clip(v, -_SPEED, _SPEED)
+    return _bounded(v)
 
 
 @compiled(exact=False)
@@ -267,8 +285,8 @@ def _advance_limited(
     (k, o), (tau, pull, h), p = where, motion, engine.theta
     own, at = engine.own[o], _SIZE * o
     step, thin = drive.ss[k, o] - drive.ss[k - 1, o], drive.air[k, 0]
-    was = clip(drive.target[k - 1, own], -_SPEED, _SPEED)
-    w = clip(drive.target[k, own], -_SPEED, _SPEED)
+    was = _bounded(drive.target[k - 1, own])
+    w = _bounded(drive.target[k, own])
     log_tau = get(p, at + _SOAK + 1) - get(p, at + _HEAT + 2) * w + get(p, at + _HEAT + 3) * thin
     left = math.exp(get(p, at + _HEAT + 1) * (w - was)) * get(x, (SOAK, o))
     taken = math.exp(get(p, at + _HEAT + 1) * w) * get(p, at + _SOAK) * step
@@ -283,12 +301,12 @@ def _advance_limited(
 
 @compiled(exact=False)
 def _limited(engine: Engine, drive: Drive, x: FloatArray, k: int, h: float) -> None:
-    """Advance all outputs to row k of an engine whose spools are limited."""
+    """Advance all outputs to row k of a limited engine."""
     p, outputs, own, air = engine.theta, engine.outputs, engine.own, drive.air[k]
     core = outputs[0]
     fan = outputs[1] if len(outputs) > 1 and own[outputs[1]] == outputs[1] else core
     v, u = _speed(x, drive, k, core), _speed(x, drive, k, fan)
-    w = clip(drive.target[k, core], -_SPEED, _SPEED)
+    w = _bounded(drive.target[k, core])
     before = deviation(x, core)
     tau = limited_tau(p, core, air, (v, w, u))
     _advance_limited(engine, drive, x, (k, core), (tau, 0.0, h))
@@ -297,7 +315,7 @@ def _limited(engine: Engine, drive: Drive, x: FloatArray, k: int, h: float) -> N
     for j in range(1, len(outputs)):
         o = outputs[j]
         if own[o] == o:
-            settled = clip(drive.target[k, o], -_SPEED, _SPEED)
+            settled = _bounded(drive.target[k, o])
             tau = limited_tau(p, o, air, (_speed(x, drive, k, o), settled, v))
         else:
             tau = free_tau(p, o, air, v, w)
@@ -328,7 +346,7 @@ def _governor(
     p: FloatArray, air: FloatArray, x: Spools, s: float, clearance: float
 ) -> tuple[float, float]:
     """Fuel that the control demands, f_d, and core_s; `s` is the steady state of the fan."""
-    v, u = clip(x.core, -_SPEED, _SPEED), clip(x.fan, -_SPEED, _SPEED)
+    v, u = _bounded(x.core), _bounded(x.fan)
     core_s = line(p, _CORE_S, air, v, u)
     error = s - x.fan - line(p, _LEAD_S, air, v, u) * x.fan_rate
     rate = (x.reset + line(p, _GAIN, air, v, u) * error - x.core) / core_s
@@ -354,7 +372,7 @@ def _spools(
     """
     clearance, kept, h = fixed
     demand, core_s = _governor(p, air, x, s, clearance)
-    v, u = clip(x.core, -_SPEED, _SPEED), clip(x.fan, -_SPEED, _SPEED)
+    v, u = _bounded(x.core), _bounded(x.fan)
     reset = demand + (x.reset - demand) * math.exp(-h / line(p, _RESET_S, air, v, u))
     fuel = demand + (x.fuel - demand) * kept
     mean = 0.5 * (x.fuel + fuel)
@@ -399,7 +417,7 @@ def _places(count: int) -> tuple[int, int, int]:
 
 @compiled(exact=False)
 def _governed(engine: Engine, drive: Drive, x: FloatArray, k: int, dt_s: float) -> None:
-    """Advance all outputs to row k of an engine whose control holds N1, in equal inner steps."""
+    """Advance all outputs to row k of a governed engine, in equal inner steps."""
     p, outputs, target, unit, air = (
         engine.theta, engine.outputs, drive.target, drive.per_unit[k], drive.air[k]
     )  # fmt: skip
@@ -412,11 +430,7 @@ def _governed(engine: Engine, drive: Drive, x: FloatArray, k: int, dt_s: float) 
         w_was = start[core] + i / count * (end[core] - start[core])
         w = start[core] + (i + 1.0) / count * (end[core] - start[core])
         s = start[fan] + (i + 1.0) / count * (end[fan] - start[fan])
-        v, u, settled = (
-            clip(r.core, -_SPEED, _SPEED),
-            clip(r.fan, -_SPEED, _SPEED),
-            clip(w, -_SPEED, _SPEED),
-        )
+        v, u, settled = _bounded(r.core), _bounded(r.fan), _bounded(w)
         was, r = r, _spools(p, air, r, s, fixed)
         power, d_core = (r.core - was.core) / h, 0.5 * (w_was - was.core + w - r.core)
         c = chord(p, slopes, air, v, settled)
@@ -426,15 +440,10 @@ def _governed(engine: Engine, drive: Drive, x: FloatArray, k: int, dt_s: float) 
         d_fan = follow(d_fan, pull, (end[fan] - start[fan]) / count, times)
         rate = (s - d_fan - was.fan) / h
         r = Spools(r.core, s - d_fan, r.fuel, r.reset, rate, r.metal, r.casing)
+        core_now = (v, u, settled, d_core, power, beside)
         for j in range(2, len(outputs)):
-            o = outputs[j]
-            rank = engine.rank[o]
-            at = _TERMS * (len(LINES) + len(OTHER_LINES) * (rank - 2))
-            c = chord(p, slopes + len(SLOPES) * (rank - 1), air, v, settled)
-            pull = c * d_core - line(p, at + _TERMS, air, v, u) * power
-            pull = (pull + get(p, extra + rank) * beside) / unit[o]
-            step, times = (drive.ss[k, o] - drive.ss[k - 1, o]) / count, (line(p, at, air, v, u), h)
-            put(x, (FAST, o), follow(get(x, (FAST, o)), pull, step, times))
+            step = (drive.ss[k, outputs[j]] - drive.ss[k - 1, outputs[j]]) / count
+            _governed_output(engine, drive, x, (k, outputs[j]), (core_now, step, h))
     put(x, (FAST, core), (end[core] - r.core) / unit[core])
     put(x, (FAST, fan), d_fan / unit[fan])
     was_open = opening(get(x, (COVER, core)), get(x, (METAL, core)))
@@ -443,12 +452,35 @@ def _governed(engine: Engine, drive: Drive, x: FloatArray, k: int, dt_s: float) 
 
 
 @compiled(exact=False)
+def _governed_output(
+    engine: Engine,
+    drive: Drive,
+    x: FloatArray,
+    where: tuple[int, int],
+    motion: tuple[tuple[float, float, float, float, float, float], float, float],
+) -> None:
+    """Advance a column behind core and fan over an inner step; `where` are row and column.
+
+    `motion` are v, u, w, d_c, dv/dt and d_f - c_f d_c; the step of ss; and h.
+    """
+    (k, o), ((v, u, w, d_core, power, beside), step, h), p = where, motion, engine.theta
+    slopes, _, extra = _places(len(engine.rank))
+    rank, air = engine.rank[o], drive.air[k]
+    at = _TERMS * (len(LINES) + len(OTHER_LINES) * (rank - 2))
+    c = chord(p, slopes + len(SLOPES) * (rank - 1), air, v, w)
+    pull = c * d_core - line(p, at + _TERMS, air, v, u) * power
+    pull = (pull + get(p, extra + rank) * beside) / drive.per_unit[k, o]
+    times = (line(p, at, air, v, u), h)
+    put(x, (FAST, o), follow(get(x, (FAST, o)), pull, step, times))
+
+
+@compiled(exact=False)
 def _governed_heat(
     engine: Engine, drive: Drive, x: FloatArray, k: int, at: tuple[float, float]
 ) -> None:
     """Advance soak and casing of all outputs; `at` are h and how far clearances were open."""
     (h, was_open), p, core = at, engine.theta, engine.outputs[0]
-    w, thin = clip(drive.target[k, core], -_SPEED, _SPEED), drive.air[k, 0]
+    w, thin = _bounded(drive.target[k, core]), drive.air[k, 0]
     is_open = opening(get(x, (COVER, core)), get(x, (METAL, core)))  # deviations: signs turn
     for j in range(len(engine.outputs)):
         o = engine.outputs[j]
