@@ -149,7 +149,7 @@ def test_logs_of_mixed_rates(narxcal, project, tmp_path):
     done = narxcal("train", tmp_path / "run.toml", "--out", tmp_path / "run")
     refused(
         done,
-        "expected all logs on one raster, found 0.03125 s in flight_1.csv, "
+        "expected all logs at one sampling interval, found 0.03125 s in flight_1.csv, "
         "0.0625 s in flight_2.csv. Set raster_hz in [logs]",
     )
     assert not (tmp_path / "run").exists()
@@ -314,7 +314,7 @@ def test_the_same_json_of_another_command_is_other_content(narxcal, project, tmp
     )
 
 
-TRIM = "argument --trim: expected a fraction from 0 to below 1, found 1.5"
+TRIM = "argument --trim: expected a fraction from 0 to 0.9, found 1.5"
 
 
 @pytest.mark.parametrize(
@@ -326,7 +326,7 @@ TRIM = "argument --trim: expected a fraction from 0 to below 1, found 1.5"
         ("evaluate run --trim 1.5", TRIM, "narxcal evaluate"),
         (
             "evaluate run --trim much",
-            "argument --trim: expected a fraction from 0 to below 1, found much",
+            "argument --trim: expected a fraction from 0 to 0.9, found much",
             "narxcal evaluate",
         ),
         (
