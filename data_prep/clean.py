@@ -27,7 +27,7 @@ from data_prep.faults import (
     resolution,
     role,
 )
-from data_prep.log import Action, AuditEntry, Log
+from data_prep.log import LONG_SPAN_S, Action, AuditEntry, Log
 from narxcal.support.arrays import (
     BoolArray,
     FloatArray,
@@ -52,8 +52,6 @@ _ALPHA = 0.05
 _BURST_FACTOR = 2.0
 # Slack when a span is compared with a limit that it just reaches.
 _ROUNDING = 1e-9
-# Shorter spans are only counted.
-_SPAN_S = 1.0
 
 
 class CleanConfig(Section):
@@ -172,7 +170,7 @@ class _Work:
         long = tuple(
             (float(time_s[start]) - half, float(time_s[stop - 1]) + half)
             for start, stop in spans(mask)
-            if (stop - start) * self.log.dt_s >= _SPAN_S
+            if (stop - start) * self.log.dt_s >= LONG_SPAN_S
         )
         count = int(mask.sum())
         self.entries.append(AuditEntry(self.name, action, reason, count, long))

@@ -72,8 +72,8 @@ def _swing(values: FloatArray, size: int, origin: int, longest_gap: int) -> Floa
     return np.where(maximum_filter1d(gaps, size, origin=origin) == 1, np.inf, width)
 
 
-# Below any idle, and about where starters let go.
-USUAL: Mapping[str, float] = MappingProxyType({"N1_pct": 12.0, "N2_pct": 40.0})
+# Below any idle, and about where starters disengage.
+BELOW_IDLE: Mapping[str, float] = MappingProxyType({"N1_pct": 12.0, "N2_pct": 40.0})
 
 
 class RunningConfig(Section):
@@ -84,7 +84,7 @@ class RunningConfig(Section):
     there. An empty `above` keeps everything; so does a log in which the engine never runs.
     """
 
-    above: Mapping[str, float] = Field(default_factory=lambda: dict(USUAL))
+    above: Mapping[str, float] = Field(default_factory=lambda: dict(BELOW_IDLE))
     least_s: float = Field(default=5.0, ge=0.0)
     margin_s: float = Field(default=20.0, ge=0.0)
 

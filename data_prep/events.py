@@ -21,7 +21,7 @@ Speed = Literal["fast", "slow", "small"]
 
 PUSH, PULL = 0, 1
 AUTO = "auto"
-_USUAL = "WOW"
+_ON_GROUND = "WOW"
 
 # A lever that is not moved may toggle by its resolution; smaller changes than this part of the
 # channel's physical range are none. Outputs used as driver are judged by their own noise.
@@ -134,14 +134,14 @@ def _condition(log: Log, config: EventsConfig) -> str:
     """The channel that allows events; empty where they may be everywhere."""
     if config.condition != AUTO:
         return config.condition
-    return _USUAL if _USUAL in log.channels else ""
+    return _ON_GROUND if _ON_GROUND in log.channels else ""
 
 
 def needs_condition(log: Log, config: EventsConfig) -> str:
     """Warn of a log in which nothing separates the ground from flight; empty for others."""
-    if config.condition != AUTO or _USUAL in log.channels:
+    if config.condition != AUTO or _ON_GROUND in log.channels:
         return ""
-    return f"there is no {_USUAL} channel: events on the ground count like those in flight"
+    return f"there is no {_ON_GROUND} channel: events on the ground count like those in flight"
 
 
 def _least(driver: Driver, config: EventsConfig) -> float:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from data_prep.log import Audit, AuditEntry
+from data_prep.log import LONG_SPAN_S, Audit, AuditEntry
 from narxcal.support.arrays import BoolArray, FloatArray, runs
 
 if TYPE_CHECKING:
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 ON_GRID = 0.01  # of the interval: samples closer than this to a grid time are on it
 OWN_INTERVALS = 2.5  # a slower channel may miss one of its own samples
-LONG_SPAN_S = 1.0  # shorter ones are only counted
 SLOW = "slower than the grid"  # why a sample lies between two of its channel's own
 LARGEST = 1e30  # beyond it a number is a fault, and its arithmetic would overflow
 

@@ -11,6 +11,7 @@ import numpy as np
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 
+LONG_SPAN_S = 1.0  # an audit lists spans of this length, and only counts shorter ones
 Action = Literal["masked", "repaired", "filled", "dropped"]
 
 

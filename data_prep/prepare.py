@@ -12,7 +12,7 @@ import numpy as np
 from data_prep.clean import CleanConfig, clean
 from data_prep.config import ENGINE, LogsConfig
 from data_prep.equilibrium import (
-    USUAL,
+    BELOW_IDLE,
     QuasiSteadyConfig,
     RunningConfig,
     quasi_steady,
@@ -168,8 +168,8 @@ def _crowded(log: Log) -> str:
 
 def _never_runs(log: Log) -> str:
     """Warn of speeds that stay below any idle: they may be ratios, not percent."""
-    highest = {name: float(np.nanmax(log[name])) for name in log.recorded(tuple(USUAL))}
-    if not highest or any(value >= USUAL[name] for name, value in highest.items()):
+    highest = {name: float(np.nanmax(log[name])) for name in log.recorded(tuple(BELOW_IDLE))}
+    if not highest or any(value >= BELOW_IDLE[name] for name, value in highest.items()):
         return ""
     most = " and ".join(f"{name} {value:.3g} %" for name, value in highest.items())
     return f"the engine never runs, at most {most}: is the unit right?"

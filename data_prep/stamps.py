@@ -256,8 +256,7 @@ def undo_rounding(time: FloatArray, interval: float) -> FloatArray:
     Row `k` belongs to a whole number of intervals `n_k`, strictly increasing, with
     `n_k * interval` within the rounding of its stamp. Where such numbers exist they are the
     simplest explanation of uneven (0.03, 0.06, 0.09, 0.13) or equal stamps, and are taken; else
-    the stamps are returned as they are. The earliest possible `n_k` is chosen:
-    `n_k = k + max_{j<=k}(low_j - j)`.
+    the stamps are returned as they are.
     """
     rounding = printed_step(time)
     shared = len(time) > _SHARED * len(np.unique(time))  # whole seconds lie on any grid of Hz
@@ -267,15 +266,20 @@ def undo_rounding(time: FloatArray, interval: float) -> FloatArray:
     steps = (time - time[0]) / interval
     low = np.ceil(steps - slack / interval)
     high = np.floor(steps + slack / interval)
-    count = np.arange(len(time))
-    number = count + np.maximum.accumulate(low - count)
+    number = earliest_numbers(low)
     if (number > high).any():
         return time
     if shared and time[-1] > time[0]:
         # A recording begins within a second: its first rows lie at the end of that.
         first = int(np.count_nonzero(time == time[0]))
-        number[:first] = np.minimum(number[first] - first, high[0]) + count[:first]
+        number[:first] = np.minimum(number[first] - first, high[0]) + np.arange(first)
     return np.asarray(time[0] + (number - number[0]) * interval)
+
+
+def earliest_numbers(low: FloatArray) -> FloatArray:
+    """Find the least strictly increasing `n_k >= low_k`: `n_k = k + max_{j<=k}(low_j - j)`."""
+    count = np.arange(len(low))
+    return np.asarray(count + np.maximum.accumulate(low - count))
 
 
 def printed_step(time: FloatArray) -> FloatArray:

@@ -13,6 +13,7 @@ from data_prep.log import Audit
 from data_prep.stamps import (
     Passed,
     clock_goes_on,
+    earliest_numbers,
     ordered_rows,
     printed_step,
     row_interval,
@@ -216,8 +217,7 @@ class GridStream:
         slack = 0.5001 * (step[at + 1 :] + self._first_step) / interval + ON_GRID
         steps = (stamps[at + 1 :] - self._origin) / interval
         low = np.append((exact[at] - self._origin) / interval, np.ceil(steps - slack))
-        count = np.arange(len(low))
-        number = (count + np.maximum.accumulate(low - count))[1:]
+        number = earliest_numbers(low)[1:]
         if (number <= np.floor(steps + slack)).all():
             exact[at + 1 :] = self._origin + number * interval
         return exact

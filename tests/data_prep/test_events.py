@@ -367,7 +367,7 @@ def test_several_logs_at_once_are_no_log():
         find_events([moves_log(PUSH_PULL)])
     assert str(error.value) == (
         "events are those of one log, found a list. "
-        "Ask for each: [find_events(log) for log in logs]"
+        "Call it for each: [find_events(log) for log in logs]"
     )
 
 
