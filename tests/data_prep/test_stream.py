@@ -177,7 +177,7 @@ def assert_same_audit(found, expected):
         np.testing.assert_allclose(found[key][1], spans, atol=1e-6)
 
 
-@pytest.mark.parametrize("lines", [1, 7, 4096, 100_000])
+@pytest.mark.parametrize("lines", [pytest.param(1, marks=pytest.mark.slow), 7, 4096, 100_000])
 @pytest.mark.parametrize("raster_hz", [20.0, 8.0])
 def test_samples_and_audit_are_those_of_the_whole_for_any_block(tmp_path, lines, raster_hz):
     path, config = faulty(tmp_path / "log.csv"), LogsConfig(raster_hz=raster_hz)

@@ -217,7 +217,7 @@ def test_a_worksheet_s_clock_without_hours_goes_on_each_hour(tmp_path):
     assert moved["clock of minutes starts anew each hour"] == 36_100
     file = LogFile(path, config())
     stream = file.stream(0.1, 0.0)
-    blocks = file.blocks([""], Pace(lines=50))
+    blocks = file.blocks([""], Pace(lines=2000))
     pieces = [piece for block in blocks for piece in stream.push(block[""])]
     pieces += stream.push({}, last=True)
     live = np.concatenate([piece.time_s for piece in pieces])
