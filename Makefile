@@ -15,7 +15,7 @@ PIP := $(BIN)/python -m pip install --disable-pip-version-check --no-compile --q
 
 PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile
 
-.PHONY: demo test test-slow test-all lint ruff types floors bench map clean
+.PHONY: demo test test-slow test-all lint ruff types floors bench figures map clean
 
 demo: $(DEMO)
 	$(BIN)/narxcal demo
@@ -44,6 +44,11 @@ floors: $(STAMP)
 
 bench: $(STAMP)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m eval.bench
+
+# What a change may move: make figures OUT=before.json; then make figures AGAINST=before.json.
+figures: $(STAMP)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m eval.benchmarks.figures \
+		$(if $(FAST),--fast) $(if $(OUT),--out $(OUT)) $(if $(AGAINST),--against $(AGAINST))
 
 map: $(STAMP)
 	$(BIN)/python docs/make_map.py
