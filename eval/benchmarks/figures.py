@@ -21,7 +21,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from eval.benchmarks import kernel_speed, public_sets, replay_speed
+from eval.benchmarks import public_sets, speed
 from eval.benchmarks.row import Row
 
 _SHARED: Final = Path(__file__).resolve().parents[3] / "shared" / "data"
@@ -85,7 +85,7 @@ def _measured(part: str, data: Path, *, fast: bool) -> Figures:
     if part == "public":
         yield from _rows(public_sets.rows(data / "bench", public_sets.SETS[: 2 if fast else None]))
     elif part == "speed":
-        yield from _rows([*kernel_speed.rows(), *replay_speed.rows()])
+        yield from _rows([*speed.kernel_rows(), *speed.replay_rows()])
     else:
         with tempfile.TemporaryDirectory() as folder:
             if part == "demo":
