@@ -232,7 +232,7 @@ def _plans(
         except DataError as error:
             skipped[RANDOM] = str(error)
     if not plans:
-        why = "; ".join(skipped.values()) or "[evaluate.crossval] asks for none"
+        why = "; ".join(skipped.values()) or "[evaluate.crossval] demands none"
         raise DataError(f"no division of the logs is possible: {why}")
     return plans, skipped
 

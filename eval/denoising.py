@@ -15,7 +15,7 @@ from pydantic import Field
 
 from data_prep.prepare import hold_inputs
 from eval.outcome import Outcome
-from eval.scores import rmse
+from eval.scores import rms
 from narxcal.calibration.fuser import FastFuser, FuserConfig
 from narxcal.calibration.noise import estimate_noise
 from narxcal.support.arrays import FloatArray
@@ -189,9 +189,9 @@ def _trial(
     fused, check = run.values[:, 0], run.consistency()  # noqa: PD011 -- no data frame
     return {
         "noise_sd": deviation,
-        "raw": _rmse(measured, truth),
-        "fused": _rmse(fused, truth),
-        "free_run": _rmse(free_run, truth),
+        "raw": rms(measured - truth),
+        "fused": rms(fused - truth),
+        "free_run": rms(free_run - truth),
         "fed_raw": _fed(flight, at, measured),
         "fed_fused": _fed(flight, at, fused),
         "mean_nis": check.mean_nis,
@@ -207,8 +207,4 @@ def _fed(flight: Flight, at: int, history: FloatArray) -> float:
         return float("nan")
     measured = flight.truth.copy()
     measured[:, at] = history
-    return _rmse(flight.feed(measured)[:, at], flight.truth[:, at])
-
-
-def _rmse(values: FloatArray, truth: FloatArray) -> float:
-    return float(rmse(truth[:, None], values[:, None])[0])
+    return rms(flight.feed(measured)[:, at] - flight.truth[:, at])

@@ -71,7 +71,7 @@ class EvaluateConfig(Section):
 class LogEvaluation:
     """One log: its free run, scores per channel, events with their assessments.
 
-    `role` says what the bundle did with the log: train, validate, test, or new to it.
+    `role` is what the bundle used the log for: train, validate, test, or new to it.
     `untrimmed` are the scores on the same rows before trim, where there was one. `rivals` are
     the baselines' Ti/Tt counts on the same events.
     """

@@ -59,7 +59,7 @@ class Dependence:
     """Verdict on a set of lags.
 
     `outside_95` and `outside_99` are shares of lags outside their band (5 % and 1 % expected of
-    white noise). `ok` is false if the worst lag stands out of what the largest of that many would
+    white noise). `ok` is false if the worst lag exceeds what the largest of that many would
     reach with a chance of 1 % (Bonferroni: holds for correlated lags too). Without a lag that
     could be computed, the shares and `worst_lag` are None and `ok` is None.
     """

@@ -1,9 +1,9 @@
 """Errors of the free run and of the baselines, channel by channel: one log, or many pooled.
 
-Every function but `score` takes `measured` and `model`, both `(time, channel)`, and an optional
-`mask` of that shape or `(time,)`, true where a sample counts; it returns `(channel,)`. Samples
-where either is NaN or the mask is false are left out of that channel only. A figure that the
-remaining samples do not define is NaN.
+Functions take `measured` and `model`, both `(time, channel)`, and an optional `mask` of that shape
+or `(time,)`, true where a sample counts; they return `(channel,)`. Samples where either is NaN or
+the mask is false are left out of that channel only. A figure that the remaining samples do not
+define is NaN.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from eval.free_run import BASELINES, MODEL, ONE_STEP, FreeRun
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 
-# Below this share of the channel's largest magnitude a relative error says nothing.
+# Below this share of the channel's largest magnitude a relative error has no meaning.
 _RELATIVE_FLOOR = 0.05
 # A variance below this share of the mean square is the rounding of a constant.
 _ROUNDING = 1e-24
@@ -28,8 +28,13 @@ _ROUNDING = 1e-24
 def counted(
     measured: FloatArray, model: FloatArray, mask: BoolArray | None = None
 ) -> NDArray[np.intp]:
-    """Return how many samples of each channel the figures rest on, `(channel,)`."""
+    """Return how many samples of each channel are scored, `(channel,)`."""
     return np.asarray(_valid(measured, model, mask).sum(axis=0))
+
+
+def rms(error: FloatArray) -> float:
+    """Root mean square of the samples of one error signal that are not NaN."""
+    return float(np.sqrt(np.nanmean(error**2)))
 
 
 def rmse(measured: FloatArray, model: FloatArray, mask: BoolArray | None = None) -> FloatArray:

@@ -22,7 +22,7 @@ from narxcal.support.errors import ConfigError, DataError
 _FIGURE = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
 
 # In the channel's unit: some thirty times the recording noise of FACTS.md A8, so that 10 % of
-# the response stands clear of it.
+# the response is well above it.
 LEAST_RESPONSE = {"N1_pct": 5.0, "N2_pct": 3.0, "EGT_C": 30.0}
 
 
@@ -44,7 +44,7 @@ class TransientsConfig(Reading):
         least = {**LEAST_RESPONSE, **self.least_response}
         if channel not in least:
             raise ConfigError(
-                "the smallest response worth assessing is not known",
+                "the smallest response to assess is not set",
                 channel=channel,
                 hint=f"Set least_response.{channel}",
             )

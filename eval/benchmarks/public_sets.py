@@ -19,6 +19,7 @@ import numpy as np
 import pandas as pd
 
 from eval.benchmarks.row import Row
+from eval.scores import rms
 from narxcal.narx.network import NarxConfig
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray
@@ -81,7 +82,7 @@ class Material:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SetResult:
     """The chosen candidate, test RMSE per recording and pooled, and processor time.
 
     `fit_s` is that of the last fit, `search_s` that of the choice before it.
@@ -115,8 +116,8 @@ _TANK = tuple(
 _TANKS = TrainConfig(
     horizons_s=(20.0, 100.0, 0.0), iterations=(10, 15, 30), score_every_s=1.0, starts=3, threads=1
 )
-# With past outputs in the linear path alone there is one place to rest; others had more, and fell
-# into the wrong one on what was held back.
+# With past outputs in the linear path alone there is one equilibrium; other structures had several,
+# and converged to the wrong one on held-out recordings.
 _GAS = tuple(
     NarxConfig(lags=3, taps=tuple(range(n + 1)), hidden=8, linear_feedback=True) for n in (8, 20)
 )
@@ -169,18 +170,18 @@ def rows(folder: Path, sets: Sequence[PublicSet] = SETS) -> list[Row]:
 
 def read(folder: Path, name: str) -> Material:
     """Read a set with its official ranges."""
-    said = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
+    ranges = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
     table = pd.read_csv(folder / f"{name}.csv.gz")
     u, y = table["u"].to_numpy(), table["y"].to_numpy()
 
     def records(part: str) -> tuple[Record, ...]:
-        ranges = said[part] if isinstance(said[part], dict) else {"": said[part]}
-        return tuple(Record(u[a:b], y[a:b], key) for key, (a, b) in ranges.items())
+        found = ranges[part] if isinstance(ranges[part], dict) else {"": ranges[part]}
+        return tuple(Record(u[a:b], y[a:b], key) for key, (a, b) in found.items())
 
-    return Material(records("train"), records("test"), said["init_window"])
+    return Material(records("train"), records("test"), ranges["init_window"])
 
 
-def measure(one: PublicSet, material: Material) -> Outcome:
+def measure(one: PublicSet, material: Material) -> SetResult:
     """Choose by cross-validation, fit again, then run the test range once."""
     pieces = _pieces(material.train, one.use)
     began = time.process_time()
@@ -194,8 +195,8 @@ def measure(one: PublicSet, material: Material) -> Outcome:
         record.name: one.factor * _free_run_error(model, record, material.init)
         for record in material.test
     }
-    rmse = {name: _rms(error) for name, error in errors.items()}
-    return Outcome(chosen, rmse, _rms(np.concatenate(list(errors.values()))), fit_s, search_s)
+    rmse = {name: rms(error) for name, error in errors.items()}
+    return SetResult(chosen, rmse, rms(np.concatenate(list(errors.values()))), fit_s, search_s)
 
 
 def _held_back_rmse(candidate: Candidate, pieces: Sequence[Record], init: int) -> float:
@@ -206,10 +207,10 @@ def _held_back_rmse(candidate: Candidate, pieces: Sequence[Record], init: int) -
         fit = [record for k, record in enumerate(pieces) if k % TURNS != turn]
         model = Narx(candidate.structure, candidate.train).fit(fit)
         errors += [_free_run_error(model, record, init) for record in held]
-    return _rms(np.concatenate(errors))
+    return rms(np.concatenate(errors))
 
 
-def rows_of(one: PublicSet, outcome: Outcome) -> list[Row]:
+def rows_of(one: PublicSet, outcome: SetResult) -> list[Row]:
     """One row per test recording, the pooled figure and the processor time."""
     name = one.name
     note = (
@@ -253,7 +254,3 @@ def _head(record: Record, use: int) -> Record:
 
 def _free_run_error(model: Narx, record: Record, init: int) -> FloatArray:
     return (model.simulate(record.u, record.y[:init]) - record.y)[init:]
-
-
-def _rms(error: FloatArray) -> float:
-    return float(np.sqrt(np.mean(error**2)))

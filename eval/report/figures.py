@@ -117,7 +117,7 @@ def _residual_test(log: str, part: ResidualTests) -> Picture:
     return picture(figure, alt, _judgement(part))
 
 
-# More inputs than colours are told apart by their dashes.
+# More inputs than colours: the dashes differ.
 _INPUT_STYLES = [(colour, dashes) for dashes in ("-", "--", ":", "-.") for colour in style.CYCLE]
 _LEGEND_COLUMNS = 5  # in the width of one of two axes
 

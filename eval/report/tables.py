@@ -33,7 +33,7 @@ _MOST_NAMED = 2  # logs of a fold
 
 @dataclass(frozen=True)
 class Cell:
-    """Text of one cell; `mark` says what it means, which the page turns into a look."""
+    """Text of one cell; `mark` is its meaning, which the page turns into a style."""
 
     text: str
     mark: Mark = ""

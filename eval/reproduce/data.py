@@ -224,7 +224,7 @@ def numbered(data: DataSets, wanted: Sequence[int]) -> tuple[Log, ...]:
 
 
 def truth_of(data: DataSets, log: Log, channel: str) -> FloatArray | None:
-    """Noise-free values `(time,)` on the raster of `log`, None where they are not known."""
+    """Noise-free values `(time,)` on the sampling grid of `log`, None where they are not known."""
     known = data.truth.get(log.name)
     return known[channel] if known is not None and channel in known.channels else None
 
@@ -280,10 +280,10 @@ _START = {
 
 
 def paper_scenario(seed: int) -> FlightScenario:
-    """The shipped scenario at another seed, with an engine that is just as its maker says.
+    """The shipped scenario at another seed, with an engine that equals its steady-state model.
 
-    The scatter between engines of one type is a static error of the maker's model. The paper's
-    model was of the very engines flown; what the scatter does is for `evaluate --trim`.
+    Build tolerance between engines of one type is a static error of the steady-state model. The
+    paper's model was of the very engines flown; for build tolerance see `evaluate --trim`.
     """
     outputs = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
     changed = {"seed": seed, "build_scatter_pct": 0.0, "outputs": outputs}

@@ -34,6 +34,7 @@ from eval.report.style import Picture, unit, with_unit
 from eval.report.tables import Cell, Table, figure
 from eval.reproduce.data import DataSets, Effort, numbered, truth_of
 from eval.reproduce.study import Claim, Study
+from eval.scores import rms
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.fuser import FastFuser
 from narxcal.calibration.noise import estimate_noise
@@ -179,7 +180,7 @@ def smoothing(data: DataSets) -> Study:
         text=f"RMS of the smoothed signal against {against}, pooled over the data sets; 'moving' "
         "is over the twentieth of the samples that move fastest within half a second. "
         + ("" if known else "The truth of a real flight is not known: this RMS can only grow with "
-           "the window, and says how much is taken away, noise and signal together."),
+           "the window, and measures how much is removed, noise and signal together."),
         claims=[_window_claim(rows, name) for name in data.config.narx.outputs] if known else [],
         tables=[_smoothing_table(rows)],
         pictures=[figures.windows(data.prepared[0].trial)],
@@ -219,18 +220,14 @@ def _channel(data: DataSets, name: str, *, known: bool) -> list[dict[str, Any]]:
             {
                 "channel": name,
                 "window": window,
-                "rms": _rms(error),
-                "rms_moving": _rms(error[fast]),
-                "rms_rest": _rms(error[~fast]),
+                "rms": rms(error),
+                "rms_moving": rms(error[fast]),
+                "rms_rest": rms(error[~fast]),
                 "cutoff_hz": cutoff_hz(window, dt_s),
                 "gain_1_hz": float(gain[0]),
             }
         )
     return rows
-
-
-def _rms(error: FloatArray) -> float:
-    return float(np.sqrt(np.nanmean(error**2)))
 
 
 def best_window(rows: list[dict[str, Any]], name: str) -> int:

@@ -212,7 +212,7 @@ def response_times(
         text="Ti runs from the lever's movement to 10 % of the response, Tt from 10 to 90 %; both "
         "have to agree within 10 % or 0.25 s. Speeds are judged, in free run over whole data "
         "sets. A relative error is that of one reading; a Ti of half a second resolved by a "
-        "raster of 1/32 s can hardly be read to 5 %.",
+        "sampling interval of 1/32 s can hardly be read to 5 %.",
         claims=[passed_claim(every, "paper"), *largest],
         tables=[times_table(rows)],
         pictures=_nearest(_views(data, bundle, found[:1])),

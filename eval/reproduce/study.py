@@ -17,7 +17,7 @@ from narxcal.support.files import finite
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """One claim and what we found; `origin` says who makes it: the paper, or our own goal.
+    """One claim and what we found; `origin` is who makes it: the paper, or our own goal.
 
     `value` in `unit` has to be below `bound`, or not below it where `below` is False. `met` is None
     where there was nothing to measure. `remark` explains above all where ours is the worse figure.

@@ -159,7 +159,7 @@ def _show(console: Console, found: Reproduction) -> None:
         ]
         if rows:
             console.table(study.title, ["claim", "claimed", "ours", ""], rows)
-    # The tables have said already which claims are missed.
+    # The tables above name the missed claims already.
     lines = tuple(counts([claim for claim in found.claims if claim.met is not None]))
     terminal.print_outcome(console.page, replace(found.outcome, lines=lines))
 

@@ -130,9 +130,9 @@ def test_a_scheme_without_an_assessed_transient_is_no_pass():
     assert found.outcome.exit_code == 1
 
 
-def test_a_configuration_that_asks_for_no_division_is_refused(config, flights):
+def test_a_configuration_without_any_division_is_refused(config, flights):
     none = {"crossval": {"leave_one_flight_out": False, "random_splits": 0}}
-    expected = "no division of the logs is possible: [evaluate.crossval] asks for none"
+    expected = "no division of the logs is possible: [evaluate.crossval] demands none"
     with pytest.raises(DataError, match=f"^{re.escape(expected)}$"):
         cross_validate(config.model_copy(update={"evaluate": none}), Path(), flights, 1)
 

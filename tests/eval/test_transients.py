@@ -318,7 +318,7 @@ def test_a_channel_without_a_least_response_is_refused():
     config = TransientsConfig(channels=("FN_kN",))
     with pytest.raises(
         ConfigError,
-        match=r"^channel FN_kN: the smallest response worth assessing is not known. "
+        match=r"^channel FN_kN: the smallest response to assess is not set. "
         r"Set least_response.FN_kN$",
     ):
         config.reading_of("FN_kN")
