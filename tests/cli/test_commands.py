@@ -152,7 +152,10 @@ def test_info_shows_the_last_evaluation_of_these_weights_only(project, narxcal, 
     run = tmp_path / "run"
     shutil.copytree(project / "run", run, ignore=shutil.ignore_patterns("evaluate"))
     assert strict(narxcal("info", run, "--json").out)["metrics"] is None
-    assert f"No figures yet: narxcal evaluate {run}\n" in narxcal("info", run).out
+    assert (
+        f"No figures in {run / 'evaluate'}. Write them by narxcal evaluate {run}; those of "
+        "evaluate --out DIR are in DIR/evaluate.json\n"
+    ) in narxcal("info", run).out
     done = narxcal("evaluate", run, "--json")
     metrics = strict(narxcal("info", run, "--json").out)["metrics"]
     assert metrics["channels"] == strict(done.out)["pooled"]["channels"]
