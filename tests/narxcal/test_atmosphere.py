@@ -7,7 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.atmosphere import FT_M, P0_PA, T0_K, air_state, isa, mach_of_cas, total_ratios
+from narxcal.atmosphere import (
+    FT_M,
+    P0_PA,
+    T0_K,
+    air_at,
+    air_state,
+    corrected_scale,
+    isa,
+    mach_of_cas,
+    static_temperature,
+    total_ratios,
+)
 
 # ICAO Doc 7488: geopotential altitude m, temperature K, pressure hPa.
 ICAO = [
@@ -111,3 +122,32 @@ def test_at_sea_level_calibrated_is_true_airspeed():
 
 def test_one_airspeed_is_a_higher_mach_higher_up():
     assert (np.diff(mach_of_cas(250.0, np.linspace(0.0, 40_000.0, 50))) > 0.0).all()
+
+
+def test_air_of_a_matrix_takes_missing_channels_as_zero():
+    inputs = np.array([[30.0, 35000.0], [60.0, 0.0]])
+    found = air_at(inputs, ("TRA_deg", "ALT_ft"))
+    np.testing.assert_array_equal(found.T2_K, air_state([35000.0, 0.0]).T2_K)
+    assert air_at(inputs[0], ("TRA_deg", "Mach")).theta2 > 1e8  # a Mach number of 35000
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "corrected"),
+    [
+        # At Mach 0.8 and FL 350: theta2 = 0.7594 * 1.128, delta2 = 0.2353 * 1.128^3.5.
+        ("N1_pct", 80.0, 80.0 / 0.92555),
+        ("EGT_C", 500.0, 773.15 / 0.85661),
+        ("FF_kgph", 900.0, 900.0 / (0.35868 * 0.92555)),
+        ("FN_kN", 12.0, 12.0 / 0.35868),
+        ("EPR", 1.4, 1.4),
+    ],
+)
+def test_corrected_values_refer_to_sea_level(name, value, corrected):
+    scale, offset = corrected_scale(name, air_state(35000.0, 0.8))
+    assert (value + offset) / scale == pytest.approx(corrected, rel=2e-4)
+
+
+@given(st.floats(-70.0, 50.0), st.floats(0.0, 1.0), st.floats(0.5, 1.0))
+def test_a_total_probe_is_undone(static_c, mach, recovery):
+    total_c = (static_c + 273.15) * (1.0 + 0.2 * recovery * mach**2) - 273.15
+    assert static_temperature(total_c, mach, recovery) == pytest.approx(static_c, abs=1e-9)
