@@ -77,6 +77,12 @@ class Log:
     noise: Mapping[str, float] = field(default_factory=dict)
     interpolated: Mapping[str, BoolArray] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        # The rounding of a sum depends on the memory layout, and a copy in another process is
+        # contiguous: so is every log, for the same bits in any number of processes.
+        packed = {name: np.ascontiguousarray(values) for name, values in self.channels.items()}
+        object.__setattr__(self, "channels", packed)
+
     def __len__(self) -> int:
         return len(self.time_s)
 

@@ -42,6 +42,7 @@ def flights(make_log):
     return [make_log(f"{name}.csv:left", 200.0) for name in ("a", "b")]
 
 
+@pytest.mark.slow
 def test_folds_are_judged_and_do_not_depend_on_the_number_of_processes(config, flights):
     seen = []
     one = cross_validate(config, Path(), flights, 1, lambda *told: seen.append(told))

@@ -40,6 +40,7 @@ def flown(one, folder, seed=5, rate_hz=8.0):
     one.logs.func({**scenario, "flights": 1, "plan": plan}, engine, folder, seed, folder)
 
 
+@pytest.mark.slow
 def test_an_airline_recorder_keeps_some_rows_in_imperial_units_and_no_fuel_flow(tmp_path):
     [one] = [one for one in SETS if one.name.startswith("airline")]
     flown(one, tmp_path, rate_hz=16.0)

@@ -1,8 +1,11 @@
 """The table of what the library's forms explain on a physical engine is measured, not told."""
 
+import pytest
+
 from eval.benchmarks import effect_forms
 
 
+@pytest.mark.slow
 def test_a_delay_of_the_physical_engine_is_the_delay_of_the_library(monkeypatch):
     monkeypatch.setattr(effect_forms, "_FLIGHTS", 1)
     (found,) = effect_forms.explained("business_jet", ("throttle_delay",))
