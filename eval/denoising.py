@@ -16,7 +16,8 @@ from pydantic import Field
 from data_prep.prepare import hold_inputs
 from eval.outcome import Outcome
 from eval.scores import rms
-from narxcal.calibration.fuser import FastFuser, FuserConfig
+from narxcal.calibration.fuser import FastFuser
+from narxcal.calibration.fuser_config import FuserConfig
 from narxcal.calibration.noise import estimate_noise
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError

@@ -18,7 +18,8 @@ from pydantic import Field
 from data_prep.config import LogsConfig
 from data_prep.csv_source import Pace
 from data_prep.reading import LogFile
-from narxcal.calibration.fuser import FastFuser, FuserConfig
+from narxcal.calibration.fuser import FastFuser
+from narxcal.calibration.fuser_config import FuserConfig
 from narxcal.calibration.noise import MIN_SAMPLES, STORED, NoiseModel, estimate_noise
 from narxcal.channels import CHANNELS
 from narxcal.support.arrays import BoolArray, FloatArray, last_true, spans

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from narxcal.calibration.calibration import DynamicCalibration
     from narxcal.calibration.fuser import KalmanFuser
     from narxcal.calibration.noise import NoiseModel
-    from narxcal.narx.network import NarxConfig
+    from narxcal.narx.config import NarxConfig
     from narxcal.record import Record
     from narxcal.support.errors import ConfigError, DataError, ModelError, NarxcalError
     from training.estimator import Narx
@@ -42,7 +42,7 @@ _MODULE_OF = {
     "DynamicCalibration": "narxcal.calibration.calibration",
     "KalmanFuser": "narxcal.calibration.fuser",
     "ModelError": "narxcal.support.errors",
-    "NarxConfig": "narxcal.narx.network",
+    "NarxConfig": "narxcal.narx.config",
     "NarxcalError": "narxcal.support.errors",
     "NoiseModel": "narxcal.calibration.noise",
     "Record": "narxcal.record",

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from narxcal.support.arrays import FloatArray, IntArray
-from narxcal.support.compiled import compiled
 
 T0_K = 288.15
 P0_PA = 101325.0
@@ -151,9 +150,8 @@ def static_temperature(total_c: ArrayLike, mach: ArrayLike, recovery: float = 1.
     return np.asarray((np.asarray(total_c, dtype=np.float64) + KELVIN) / rise - KELVIN)
 
 
-@compiled
 def total_ratios(alt_ft: float, mach: float, dt_c: float) -> tuple[float, float]:
-    """`theta2` and `delta2` of `air_state` for one sample, compiled: the same formulas."""
+    """`theta2` and `delta2` of `air_state` for one sample, in scalar code that numba compiles."""
     height = min(alt_ft * FT_M, _TOP_M)
     standard = T0_K - _LAPSE * min(height, _TROPOPAUSE_M)
     pressure = (standard / T0_K) ** (_G / (_R * _LAPSE))

@@ -16,9 +16,9 @@ from data_prep.config import LogsConfig
 from data_prep.equilibrium import QuasiSteadyConfig, RunningConfig
 from data_prep.events import EventsConfig
 from data_prep.smooth import SmoothConfig
-from narxcal.calibration.fuser import FuserConfig
+from narxcal.calibration.fuser_config import FuserConfig
 from narxcal.channels import CHANNELS, channel
-from narxcal.narx.network import Taps
+from narxcal.narx.config import Taps
 from narxcal.steady.model import SteadyOptions
 from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section, read_toml

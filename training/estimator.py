@@ -29,7 +29,8 @@ from sklearn.base import BaseEstimator
 from sklearn.exceptions import NotFittedError
 
 from narxcal.calibration.bundle import WEIGHTS, ModelFolder, packed, seal
-from narxcal.narx.network import NarxConfig, NarxModel
+from narxcal.narx.config import NarxConfig
+from narxcal.narx.network import NarxModel
 from narxcal.record import Record, RecordLike, as_records, check_records, columns
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, ModelError

@@ -15,7 +15,8 @@ from typing import Protocol
 
 import numpy as np
 
-from narxcal.narx.network import NarxConfig, NarxModel, Scaling, Weights, history_before, tap
+from narxcal.narx.config import NarxConfig
+from narxcal.narx.network import NarxModel, Scaling, Weights, history_before, tap
 from narxcal.record import Record, check_measured, check_records
 from narxcal.support.arrays import FloatArray
 from narxcal.support.interrupt import Interrupt, held_interrupt

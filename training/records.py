@@ -33,7 +33,7 @@ from data_prep.log import Log
 from data_prep.prepare import hold_inputs, with_outputs
 from narxcal.calibration.calibration import narx_features, steady_for_engine
 from narxcal.lumped.engine import LumpedEngine
-from narxcal.narx.network import NarxConfig
+from narxcal.narx.config import NarxConfig
 from narxcal.record import Record
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import BoolArray, FloatArray

@@ -20,7 +20,7 @@ import pandas as pd
 
 from eval.benchmarks.row import Row
 from eval.scores import rms
-from narxcal.narx.network import NarxConfig
+from narxcal.narx.config import NarxConfig
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray
 from training.config import TrainConfig

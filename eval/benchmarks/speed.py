@@ -26,8 +26,9 @@ from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.fuser import KalmanFuser
 from narxcal.calibration.noise import NoiseModel
 from narxcal.flight_test.fly import load_scenario, write_flights
+from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
-from narxcal.narx.network import NarxConfig, NarxModel
+from narxcal.narx.network import NarxModel
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray
 from training.config import RunConfig, load_config

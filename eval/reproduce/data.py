@@ -27,7 +27,8 @@ from narxcal.export.report import ExportOptions, ExportReport
 from narxcal.export.table import export_table
 from narxcal.flight_test.fly import WriteOptions, load_scenario, write_flights
 from narxcal.flight_test.scenario import FlightScenario
-from narxcal.narx.network import NarxConfig, NarxModel
+from narxcal.narx.config import NarxConfig
+from narxcal.narx.network import NarxModel
 from narxcal.record import Record
 from narxcal.steady.model import open_steady
 from narxcal.support.arrays import FloatArray

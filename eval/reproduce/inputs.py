@@ -27,7 +27,8 @@ from eval.scores import max_relative_percent, rmse
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import steady_for_engine
 from narxcal.channels import symbol
-from narxcal.narx.network import NarxConfig, NarxModel
+from narxcal.narx.config import NarxConfig
+from narxcal.narx.network import NarxModel
 from narxcal.record import Record
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import FloatArray

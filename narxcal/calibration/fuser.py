@@ -13,30 +13,18 @@ has its rows of H and R left out.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
-from pydantic import Field
 from scipy.special import gammaincinv
 
+from narxcal.calibration.fuser_config import FuserConfig
 from narxcal.calibration.noise import NoiseModel, activity, updated
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 from narxcal.support.compiled import compiled
 from narxcal.support.errors import DataError, ModelError
-from narxcal.support.settings import Section
-
-
-class FuserConfig(Section):
-    """Table `[fuser]`.
-
-    A measurement whose innovation a correct filter would show less often than
-    `1 - gate_probability` is left out; innovations that stay outside, on one side, for `relock_s`
-    are a real change and the channel starts again from its measurement.
-    """
-
-    gate_probability: float = Field(default=1.0 - 1e-6, gt=0.5, lt=1.0)
-    relock_s: float = Field(default=0.3, gt=0.0)
 
 
 def chi2_quantile(probability: float, dof: float) -> float:
@@ -134,7 +122,7 @@ class Consistency:
         return self.low <= self.mean_nis <= self.high
 
 
-class Fuser:
+class Fuser(ABC):
     """Methods of both fusers; a sample is `(n_out,)`, a record `(time, n_out)`.
 
     NaN is a missing measurement, and so is an infinite one. `gated_samples` `(n_out,)` counts the
@@ -179,12 +167,13 @@ class Fuser:
             raise ModelError("the fuser has no past", hint="Call reset with the first sample")
         return self._counted(self._fuse(predictions, measurements, fresh=False))
 
+    @abstractmethod
     def _start(self, prediction: FloatArray) -> None:
-        raise NotImplementedError
+        """Begin a record at its first prediction."""
 
+    @abstractmethod
     def _fuse(self, predictions: FloatArray, measurements: FloatArray, *, fresh: bool) -> FusedRun:
         """Fuse rows; `fresh`: the first one starts a record, so that no step leads to it."""
-        raise NotImplementedError
 
     def _counted(self, run: FusedRun) -> FusedRun:
         self.gated_samples += run.gated.sum(axis=0)

@@ -1,19 +1,23 @@
-"""`narxcal reproduce narx-paper`: the paper's tables and figures, our numbers beside its claims.
+"""`narxcal reproduce PAPER`: a paper's tables and figures, our numbers beside its claims.
 
-OUT holds the page, its JSON, the flights (unless the user brought some) and the model.
+OUT holds the page and its JSON; of the calibration paper also the flights (unless the user brought
+some) and the model.
 """
 
 from __future__ import annotations
 
 import shutil
 from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from eval import terminal
+from eval.outcome import Outcome
 from eval.report.page import RunHeader
+from eval.reproduce.citation_x import reproduce as citation_x
 from eval.reproduce.data import (
     TABLE,
     DataSets,
@@ -24,8 +28,10 @@ from eval.reproduce.data import (
     with_table,
     write_records,
 )
+from eval.reproduce.mesh import KINDS
 from eval.reproduce.narx_paper import SCHEMA, Reproduction, Watch, reproduce
-from eval.reproduce.study import counts, reproduction_page
+from eval.reproduce.spey import spey_studies
+from eval.reproduce.study import Study, counts, outcome_of, reproduction_page
 from eval.rules import rules
 from narxcal.calibration.bundle import write_bundle
 from narxcal.cli.console import Console
@@ -38,11 +44,13 @@ DOCUMENT, PAGE, FLIGHTS, MODEL = "reproduce.json", "reproduce.html", "flights", 
 RESULTS = Results(SCHEMA, DOCUMENT, (PAGE, FLIGHTS, MODEL))
 OWN = "narx_paper.toml"
 QUICK = ((2, 2), 2)  # iterations per horizon, random divisions
+PAPERS = ("narx-paper", "spey", "citation-x")
+SPEY_SEEDS, SPEY_QUICK_SEEDS = 100, 4
 
 
 def add_options(parser: ArgumentParser) -> None:
     """Add what the command takes to `parser`."""
-    parser.add_argument("paper", metavar="PAPER", choices=("narx-paper",), help="narx-paper")
+    parser.add_argument("paper", metavar="PAPER", choices=PAPERS, help=", ".join(PAPERS))
     add_out(parser)
     parser.add_argument(
         "--config", metavar="CONFIG", default="narx_paper.toml", help="default narx_paper.toml"
@@ -54,9 +62,11 @@ def add_options(parser: ArgumentParser) -> None:
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Fly or read the data sets, run every study; 1 where a claim was not reached."""
+    """Run every study of the paper; 1 where a claim was not reached."""
     out: Path = options.out.resolve()
     RESULTS.check(out)
+    if options.paper != PAPERS[0]:
+        return _identification_paper(options, out, console)
     config, base = read_config(options.config, options.data)
     _warn(options, console)
     _begin(out)
@@ -67,10 +77,49 @@ def run(options: Namespace, console: Console) -> int:
     iterations, splits = QUICK if options.quick else ((), 10)
     found = _studied(data, Effort(iterations, splits, options.jobs), console)
     _write(out, found, options)
-    _show(console, found)
+    _show_studies(console, found.studies, found.outcome)
     console.say(f"Page: {options.out / PAGE}")
     console.document(_document(found, options))
     return found.outcome.exit_code
+
+
+def _identification_paper(options: Namespace, out: Path, console: Console) -> int:
+    """Studies of the two older papers, which need neither flights nor a trained network."""
+    with console.progress("Identifying") as advance:
+        if options.paper == "spey":
+            title = "Output-error identification of the Spey reproduced"
+            seeds = SPEY_QUICK_SEEDS if options.quick else SPEY_SEEDS
+            studies = spey_studies(
+                seeds,
+                jobs=options.jobs,
+                watch=lambda what, done, total: advance(done, total, f"({what})"),
+            )
+            contradictions: tuple[str, ...] = ()
+        else:
+            title = "Identification of the Citation X engine reproduced"
+            kinds = KINDS[:1] if options.quick else KINDS
+            found = citation_x(kinds=kinds, watch=lambda what: advance(0, 0, what))
+            studies, contradictions = found.studies, found.contradictions
+    outcome = outcome_of(studies)
+    document = {
+        "schema": SCHEMA,
+        "paper": options.paper,
+        "ok": bool(outcome.passed),
+        "missed": list(outcome.lines),
+        "studies": [study.row() for study in studies],
+        "contradictions": list(contradictions),
+        "versions": versions(),
+        "complete": True,
+        "quick": options.quick,
+    }
+    header = RunHeader(title=title, created=now(), versions=versions())
+    with RESULTS.writing(out) as folder:
+        (folder / PAGE).write_text(reproduction_page(header, studies), encoding="utf-8")
+        (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
+    _show_studies(console, studies, outcome)
+    console.say(f"Page: {options.out / PAGE}")
+    console.document(document)
+    return outcome.exit_code
 
 
 def _begin(out: Path) -> None:
@@ -152,16 +201,16 @@ def _header(found: Reproduction, options: Namespace) -> RunHeader:
     )
 
 
-def _show(console: Console, found: Reproduction) -> None:
-    for study in found.studies:
+def _show_studies(console: Console, studies: Sequence[Study], outcome: Outcome) -> None:
+    for study in studies:
         rows = [
             [claim.what, claim.claimed, claim.ours, _OUTCOME[claim.met]] for claim in study.claims
         ]
         if rows:
             console.table(study.title, ["claim", "claimed", "ours", ""], rows)
     # The tables above name the missed claims already.
-    lines = tuple(counts([claim for claim in found.claims if claim.met is not None]))
-    terminal.print_outcome(console.page, replace(found.outcome, lines=lines))
+    judged = [claim for study in studies for claim in study.claims if claim.met is not None]
+    terminal.print_outcome(console.page, replace(outcome, lines=tuple(counts(judged))))
 
 
 _OUTCOME = {True: "reached", False: "missed", None: "not measured"}

@@ -7,17 +7,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from data_prep.log import Log, Source
-from eval.evaluate import evaluation_logs
 from eval.report.page import RunHeader
 from eval.rules import Tolerance, rules
-from narxcal.calibration.bundle import Bundle, read_document
 from narxcal.channels import CHANNELS
 from narxcal.cli.console import Console
 from narxcal.support.errors import ConfigError, DataError
 from training.config import RunConfig, load_config
+
+if TYPE_CHECKING:
+    from narxcal.calibration.bundle import Bundle
 
 
 def read_config(path: str, data: Path | None) -> tuple[RunConfig, Path]:
@@ -53,6 +54,8 @@ def logs_for(
 
     Warns of a held-out log whose file has changed since the training. Raises `DataError`.
     """
+    from eval.evaluate import evaluation_logs  # noqa: PLC0415 -- `prepare` needs no model
+
     with console.progress("Reading the logs"):
         if files:
             return evaluation_logs(bundle, _once(files, console))
@@ -85,6 +88,8 @@ def changed(bundle: Bundle, logs: Sequence[Log]) -> list[str]:
 
 
 def _held_out(bundle: Bundle, data: Path | None) -> list[Log]:
+    from eval.evaluate import evaluation_logs  # noqa: PLC0415 -- `prepare` needs no model
+
     try:
         return evaluation_logs(_moved(bundle, data) if data else bundle)
     except DataError as error:
@@ -158,6 +163,8 @@ def header_of(
     title: str, run: Path, bundle: Bundle, logs: Sequence[Log], rule_set: str
 ) -> RunHeader:
     """Header of a page about the bundle in `run`; `rule_set` names the Ti/Tt rules."""
+    from narxcal.calibration.bundle import read_document  # noqa: PLC0415 -- likewise
+
     meta, found = bundle.meta, rules(rule_set)
     narx = bundle.calibration.narx.config
     return RunHeader(

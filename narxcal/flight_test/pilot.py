@@ -257,7 +257,7 @@ class _Setting:
     high: float
 
 
-# Chosen; climb is the Citation X paper's TLA of 50 on this scale (see `mesh`).
+# Chosen; climb is the Citation X paper's TLA of 50 on this scale.
 _SETTINGS = {
     "taxi_out": _Setting(4.0, 0.0, 24.0),
     "take_off": _Setting(80.0, 55.0, 85.0),

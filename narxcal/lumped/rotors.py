@@ -60,7 +60,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from narxcal.atmosphere import total_ratios
+from narxcal import atmosphere
 from narxcal.lumped.heat import opening, soaked, warmed
 from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.compiled import compiled
@@ -155,6 +155,9 @@ class Drive(NamedTuple):
         return Drive(*(np.concatenate(pair) for pair in pairs))
 
 
+_total_ratios = compiled(atmosphere.total_ratios)
+
+
 @compiled(exact=False)
 def conditions(
     inputs: FloatArray, ss: FloatArray, centre: FloatArray, half: FloatArray
@@ -162,7 +165,7 @@ def conditions(
     """What `Drive` has beside ss, from altitude, Mach and dT (T, 3), ss (T, o) and scales (o,)."""
     target, per_unit, air = np.empty(ss.shape), np.empty(ss.shape), np.empty((len(ss), 3))
     for k in range(len(ss)):
-        theta2, delta2 = total_ratios(inputs[k, 0], inputs[k, 1], inputs[k, 2])
+        theta2, delta2 = _total_ratios(inputs[k, 0], inputs[k, 1], inputs[k, 2])
         root = math.sqrt(theta2)
         air[k, 0], air[k, 1], air[k, 2] = math.log(root / delta2), math.log(root), inputs[k, 1]
         target[k] = (ss[k] / root - centre) / half

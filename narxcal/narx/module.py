@@ -12,7 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from narxcal.narx.network import NarxConfig, Weights
+from narxcal.narx.config import NarxConfig
+from narxcal.narx.network import Weights
 from narxcal.support.arrays import FloatArray
 
 PARAMETER_ORDER = ("hidden.weight", "hidden.bias", "output.weight", "output.bias", "linear.weight")

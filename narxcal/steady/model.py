@@ -7,6 +7,7 @@ as a table, a fit to flights, a Python function or an FMU; all meet `SteadyState
 from __future__ import annotations
 
 import importlib
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -145,7 +146,7 @@ class Envelope:
         return np.clip(inputs, self.low, self.high)
 
 
-class BoxModel:
+class BoxModel(ABC):
     """Base of models that evaluate a function inside a box of inputs.
 
     A subclass sets the names and `_box` and defines `_evaluate((n, n_in)) -> (n, n_out)` for finite
@@ -156,8 +157,9 @@ class BoxModel:
     output_names: tuple[str, ...]
     _box: Envelope
 
+    @abstractmethod
     def _evaluate(self, inputs: FloatArray) -> FloatArray:
-        raise NotImplementedError
+        """Outputs `(..., n_out)` at inputs inside the envelope."""
 
     def outputs(self, inputs: ArrayLike) -> FloatArray:
         """Steady-state outputs `(..., n_out)` at `inputs` `(..., n_in)`, clamped to the envelope.

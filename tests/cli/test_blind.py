@@ -28,7 +28,7 @@ class LagEngine:
 
     def __init__(self, name="", build=None, unmodelled=()):
         self.words = (name, build)
-        self.fit = Fit(Body(probe_tau_s=0.7))
+        self.settings = Fit(Body(probe_tau_s=0.7))
         self.more = sum(abs(v) for effect in unmodelled for v in effect.parameters.values())
 
     def simulate(self, inputs, dt_s):
@@ -36,7 +36,7 @@ class LagEngine:
         return {
             "N1_pct": 25.0 + 70.0 * power,
             "N2_pct": 55.0 + 40.0 * power,
-            "EGT_C": 400.0 + 350.0 * first_order(power, self.fit.body.probe_tau_s, dt_s),
+            "EGT_C": 400.0 + 350.0 * first_order(power, self.settings.body.probe_tau_s, dt_s),
             "FF_kgph": 100.0 + 400.0 * power,
         }
 

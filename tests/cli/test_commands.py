@@ -349,7 +349,10 @@ def test_replay_writes_prediction_fused_value_and_flags(project, narxcal, tmp_pa
     assert document["rows"] == len(table)
     assert {"N1_pct_prediction", "N1_pct_fused", "N1_pct_innovation"} <= set(table)
     assert {"inside_envelope", "held", "gap"} <= set(table)
-    assert f"Replayed: {out}\n" in narxcal("replay", project / "run", log, "--out", out).out
+    assert (
+        f"Replayed: {out}\n"
+        in narxcal("replay", project / "run", log, "--out", out, "--overwrite").out
+    )
 
 
 def test_crossval_writes_folds_and_page(project, narxcal, tmp_path):

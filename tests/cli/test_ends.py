@@ -193,7 +193,7 @@ def test_a_disk_that_fills_while_the_model_is_written_leaves_no_model(
     done = narxcal("train", project / "tiny.toml", "--out", run)
     assert done.code == 2
     assert done.err == (
-        f"narxcal: error: {run / 'weights.safetensors'}: cannot write: No space left on device. "
+        f"narxcal: error: {run / 'weights.safetensors.new'}: cannot write: No space left on device. "
         "Nothing was changed; free some space or choose another place\n"
     )
     monkeypatch.undo()

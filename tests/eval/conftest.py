@@ -9,8 +9,9 @@ import torch
 from data_prep.log import Log, Source
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
-from narxcal.narx.network import NarxConfig, NarxModel, Scaling
+from narxcal.narx.network import NarxModel, Scaling
 from narxcal.steady.table import SteadyTable
 from training.baselines import fit_baselines
 from training.config import RunConfig

@@ -13,8 +13,9 @@ from narxcal.atmosphere import air_state
 from narxcal.calibration.register import Parts, Register, Sample
 from narxcal.lumped.engine import LumpedEngine, shapes_of
 from narxcal.lumped.rotors import LIMITED, LINES, inner_steps
+from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
-from narxcal.narx.network import NarxConfig, NarxModel, Scaling
+from narxcal.narx.network import NarxModel, Scaling
 from narxcal.support.errors import ModelError
 from training.lag_priors import Form, start_engine
 

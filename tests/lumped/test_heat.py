@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
-from narxcal.narx.network import NarxConfig, NarxModel, Scaling
+from narxcal.narx.network import NarxModel, Scaling
 from narxcal.steady.table import SteadyTable
 from training.lag_priors import Form, start_engine
 

@@ -5,8 +5,9 @@ import pytest
 import torch
 
 from narxcal.calibration.calibration import DynamicCalibration, narx_features
+from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
-from narxcal.narx.network import NarxConfig, NarxModel, Scaling
+from narxcal.narx.network import NarxModel, Scaling
 from narxcal.steady.table import SteadyTable
 
 

@@ -8,7 +8,7 @@ import threading
 import numpy as np
 import pytest
 
-from narxcal.narx.network import NarxConfig
+from narxcal.narx.config import NarxConfig
 from narxcal.record import Record
 from narxcal.support.interrupt import held_interrupt, is_interrupt, safe_interrupt
 from training.config import TrainConfig

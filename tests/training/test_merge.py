@@ -6,8 +6,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
-from narxcal.narx.network import NarxConfig, NarxModel, Scaling
+from narxcal.narx.network import NarxModel, Scaling
 from narxcal.record import Record
 from training.network import Material, merge_models
 

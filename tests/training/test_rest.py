@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from narxcal.narx.network import NarxConfig
+from narxcal.narx.config import NarxConfig
 from narxcal.record import Record
 from training.config import TrainConfig
 from training.network import Material, fit_narx

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from narxcal.narx.network import NarxConfig
+from narxcal.narx.config import NarxConfig
 from narxcal.record import Record
 from narxcal.support.errors import DataError
 from training.config import TrainConfig

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.narx.network import NarxConfig
+from narxcal.narx.config import NarxConfig
 from narxcal.record import Record
 from training.free_run import FreeRunProblem, cut_windows
 from training.network import new_model, start_linear

@@ -17,7 +17,7 @@ from eval.benchmarks.public_sets import Candidate, Material, PublicSet, Target
 from eval.benchmarks.row import Row
 from eval.rules import Verdict
 from eval.transients import AssessedEvent
-from narxcal.narx.network import NarxConfig
+from narxcal.narx.config import NarxConfig
 from narxcal.record import Record
 from narxcal.support.errors import DataError
 from training.config import TrainConfig, load_config

@@ -7,8 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from narxcal.calibration.calibration import DynamicCalibration, narx_features
+from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
-from narxcal.narx.network import NarxConfig, NarxModel, Scaling
+from narxcal.narx.network import NarxModel, Scaling
 from narxcal.steady.fitted import FittedSteadyState, Layout
 from narxcal.steady.model import Envelope
 from narxcal.steady.table import SteadyTable

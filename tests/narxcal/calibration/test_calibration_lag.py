@@ -7,8 +7,9 @@ import torch
 from narxcal.calibration.calibration import DynamicCalibration, narx_features
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.lumped.rotors import LIMITED
+from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
-from narxcal.narx.network import NarxConfig, NarxModel, Scaling
+from narxcal.narx.network import NarxModel, Scaling
 from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import ModelError
 

@@ -6,8 +6,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
-from narxcal.narx.network import NarxConfig, NarxModel, Scaling, history_before, tap
+from narxcal.narx.network import NarxModel, Scaling, history_before, tap
 from narxcal.support.errors import ConfigError, DataError, ModelError
 
 

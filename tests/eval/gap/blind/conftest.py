@@ -31,7 +31,7 @@ class LagEngine:
 
     def __init__(self, name="business_jet", build=None, unmodelled=()):
         self.name = name
-        self.fit = Fit(Body(probe_tau_s=0.7))
+        self.settings = Fit(Body(probe_tau_s=0.7))
         self.worth = 1.0 if build is None else build.hpt_efficiency
         self.effects = {effect.id: effect for effect in unmodelled}
 
@@ -54,7 +54,7 @@ class LagEngine:
         return {
             "N1_pct": 25.0 + 70.0 * power,
             "N2_pct": 55.0 + 40.0 * power * self.worth,
-            "EGT_C": 400.0 + 350.0 * first_order(power, self.fit.body.probe_tau_s, dt_s),
+            "EGT_C": 400.0 + 350.0 * first_order(power, self.settings.body.probe_tau_s, dt_s),
             "FF_kgph": 100.0 + (400.0 + 10.0 * more) * power,
         }
 

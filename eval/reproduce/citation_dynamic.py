@@ -1,0 +1,278 @@
+"""Dynamic models of the Citation X paper on virtual flights: figures 10 to 21 and table 14.
+
+At every identification flight a model is fitted to the response scaled to 0 .. 1; its parameters,
+with the ratio at both ends, are interpolated over altitude and amplitude for the validation
+flights. Steps and impulses are scaled as the ratio to the static model (eqs 21, 22), ramps as the
+output itself, and taken for slow steps, as the paper does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from eval.reproduce.citation_static import RegionStudy
+from eval.reproduce.mesh import KINDS, OUTPUTS, T_S, Disturbance, Kind, Role, disturbances
+from narxcal.transfer.response import Scale
+from narxcal.transfer.state_space import (
+    FloatArray,
+    Form,
+    Schedule,
+    coordinates,
+    from_coordinates,
+)
+from narxcal.turbofan import VirtualEngine
+from training.subspace import SubspaceSettings, subspace
+from training.transfer_fit import ResponseKind, fit_response, rise_times_agree, system_of
+
+BLOCK_ROWS = 10
+_QUIET = np.zeros(2 * BLOCK_ROWS)
+GROUPS: Mapping[str, tuple[tuple[str, ...], ...]] = {
+    "1/O": tuple((name,) for name in OUTPUTS),
+    "2/O": (("FPR", "EPR"), ("FN_kN", "FF_kgph"), ("EGT_C",)),
+    "3/O": (("FPR", "EPR", "FN_kN"), ("EGT_C", "FF_kgph")),
+    "5/O": (OUTPUTS,),
+}
+STATIC = "static model"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One dynamic model: fits y (time, outputs) to parameters (P,), and back."""
+
+    name: str
+    group: tuple[tuple[str, ...], ...]
+    fit: Callable[[FloatArray], FloatArray] = field(repr=False)
+    response: Callable[[FloatArray, int], FloatArray] = field(repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Scaled:
+    """Response of one flight from its onset: y (time, outputs) and how it was scaled."""
+
+    flight: Disturbance
+    static: Mapping[str, FloatArray]
+    scales: Mapping[str, Scale]
+    y: FloatArray
+
+    def output(self, name: str, y: FloatArray, ends: FloatArray) -> FloatArray:
+        """Output (time,) of a scaled response between the ratios (or values) `ends`."""
+        scaled = Scale(*ends).ratio(y)
+        return scaled if self.flight.kind == "ramp" else scaled * self.static[name]
+
+
+@dataclass(frozen=True)
+class DynamicRow:
+    """One model of one output over the validation flights of all regions."""
+
+    kind: Kind
+    model: str
+    output: str
+    mean_pct: float
+    worst_pct: float  # largest error of a sample
+    success_pct: float
+    identified_pct: float  # success at the identification flights, without interpolation
+    flights: int
+
+
+def grey_boxes(kind: Kind) -> list[Candidate]:
+    """First and second order; the impulse has no delayed one (the paper: too fast)."""
+    single = GROUPS["1/O"]
+    names: dict[ResponseKind, str] = {
+        "first": "order 1",
+        "first t90": "order 1 (t90)",
+        "delayed": "order 1 delayed",
+        "second": "order 2",
+    }
+    return [
+        Candidate(name, single, partial(_grey_fit, law), partial(_grey_response, law))
+        for law, name in names.items()
+        if not (kind == "impulse" and law == "delayed")
+    ]
+
+
+def black_boxes() -> list[Candidate]:
+    """State space by group of outputs and order, in modal form; canonical and C = I beside it."""
+    pairs = [("1/O", 1), ("1/O", 2), ("1/O", 3), ("1/O", 4), ("2/O", 2), ("2/O", 3), ("3/O", 3),
+             ("5/O", 2), ("5/O", 5)]  # fmt: skip
+    found = [_black_box(outputs, order, "modal") for outputs, order in pairs]
+    return [
+        *found, _black_box("1/O", 4, "canonical"), _black_box("5/O", 5, "output"),
+    ]  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class DynamicStudy:
+    """Rows of all models in one region, and of the steps the flights and the parameter tables.
+
+    A table (altitude, amplitude, P) belongs to a model and a group of outputs.
+    """
+
+    rows: list[DynamicRow]
+    steps: list[Scaled]
+    tables: dict[tuple[str, str], FloatArray]
+
+
+def dynamic_study(
+    study: RegionStudy, engine: VirtualEngine, kinds: Sequence[Kind] = KINDS
+) -> DynamicStudy:
+    """Fit every dynamic model to disturbances of each kind and score it on others."""
+    rows: list[DynamicRow] = []
+    steps: list[Scaled] = []
+    tables: dict[tuple[str, str], FloatArray] = {}
+    for kind in kinds:
+        known = scaled_flights(study, engine, kind, "identification")
+        new = scaled_flights(study, engine, kind, "validation")
+        rows += _static_rows(kind, new)
+        steps += known if kind == "step" else []
+        for candidate in [*grey_boxes(kind), *black_boxes()]:
+            for group in candidate.group:
+                found, table = _group_rows(study, candidate, group, (known, new))
+                rows += found
+                if kind == "step":
+                    tables[candidate.name, "+".join(group)] = table
+    return DynamicStudy(rows, steps, tables)
+
+
+def scaled_flights(
+    study: RegionStudy, engine: VirtualEngine, kind: Kind, role: Role
+) -> list[Scaled]:
+    """Fly one kind of disturbance and scale its responses."""
+    flown = disturbances(engine, study.region, role, kind)
+    return [_scaled(study, flight) for flight in flown]
+
+
+def merged(rows: Sequence[DynamicRow]) -> list[DynamicRow]:
+    """Rows of several regions pooled by kind, model and output, weighted by flights."""
+    keys = dict.fromkeys((row.kind, row.model, row.output) for row in rows)
+    return [_pooled([r for r in rows if (r.kind, r.model, r.output) == key]) for key in keys]
+
+
+def _pooled(rows: Sequence[DynamicRow]) -> DynamicRow:
+    flights = np.array([row.flights for row in rows], dtype=float)
+    values = np.array([[r.mean_pct, r.success_pct, r.identified_pct] for r in rows])
+    mean, success, identified = (flights @ values / flights.sum()).tolist()
+    worst = max(row.worst_pct for row in rows)
+    first = rows[0]
+    return DynamicRow(
+        first.kind, first.model, first.output, mean, worst, success, identified, int(flights.sum())
+    )
+
+
+def _scaled(study: RegionStudy, flight: Disturbance) -> Scaled:
+    whole, at = study.static(flight.columns), flight.onset
+    static = {name: values[at:] for name, values in whole.items()}
+    scales, y = {}, []
+    for name in OUTPUTS:
+        values = flight.columns[name][at:]
+        ratio = values if flight.kind == "ramp" else values / static[name]
+        scales[name] = Scale.of(ratio, name=f"{name} of the {flight.kind}")
+        y.append(scales[name].scaled(ratio))
+    return Scaled(flight, static, scales, np.column_stack(y))
+
+
+def _static_rows(kind: Kind, new: Sequence[Scaled]) -> list[DynamicRow]:
+    rows = []
+    for name in OUTPUTS:
+        errors = np.array([_errors(s, name, s.static[name]) for s in new])
+        mean, worst = float(errors.mean()), float(errors.max())
+        rows.append(DynamicRow(kind, STATIC, name, mean, worst, np.nan, np.nan, len(new)))
+    return rows
+
+
+def _group_rows(
+    study: RegionStudy,
+    candidate: Candidate,
+    group: tuple[str, ...],
+    flights: tuple[Sequence[Scaled], Sequence[Scaled]],
+) -> tuple[list[DynamicRow], FloatArray]:
+    """Fit at every identification flight, interpolate at the validation flights, score."""
+    known, new = flights
+    at, count = [OUTPUTS.index(name) for name in group], len(known[0].y)
+    axes = study.region.conditions("identification")
+    fitted = np.array([candidate.fit(s.y[:, at]) for s in known])
+    ends = np.array([[(s.scales[n].start, s.scales[n].end) for n in group] for s in known])
+    schedule, limits = (
+        Schedule(axes, values.reshape(*map(len, axes), -1)) for values in (fitted, ends)
+    )
+    identified = [_agree(candidate.response(p, count), s.y[:, at])
+                  for p, s in zip(fitted, known, strict=True)]  # fmt: skip
+    errors, agreed = [], []
+    for s in new:
+        condition = s.flight.altitude_ft, s.flight.amplitude_deg
+        with np.errstate(over="ignore", invalid="ignore"):
+            y = candidate.response(schedule.at(condition), count)
+        edges = limits.at(condition).reshape(-1, 2)
+        errors.append([
+            _errors(s, name, s.output(name, y[:, k], edges[k])) for k, name in enumerate(group)
+        ])  # fmt: skip
+        agreed.append(_agree(y, s.y[:, at]))
+    cube = np.array(errors)
+    columns = zip(
+        cube.mean(axis=(0, 2)), cube.max(axis=(0, 2)), 100.0 * np.mean(agreed, axis=0),
+        100.0 * np.mean(identified, axis=0), strict=True,
+    )  # fmt: skip
+    kind = known[0].flight.kind
+    rows = [
+        DynamicRow(kind, candidate.name, name, mean, worst, success, known_success, len(new))
+        for name, (mean, worst, success, known_success) in zip(
+            group, ([float(x) for x in column] for column in columns), strict=True
+        )
+    ]
+    return rows, schedule.values
+
+
+def _agree(model: FloatArray, data: FloatArray) -> list[bool]:
+    """Whether t10 and t90 agree, output by output."""
+    t = _times(len(data))
+    return [rise_times_agree(t, y, z) for y, z in zip(model.T, data.T, strict=True)]
+
+
+def _errors(flight: Scaled, name: str, predicted: FloatArray) -> FloatArray:
+    """Relative error (time,) in % from the onset; at most 1e6, so that a divergence has a mean."""
+    measured = flight.flight.columns[name][flight.flight.onset :]
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.abs(predicted - measured) / np.abs(measured)
+    return 100.0 * np.minimum(np.nan_to_num(error, nan=1e4), 1e4)
+
+
+def _times(count: int) -> FloatArray:
+    return T_S * np.arange(count, dtype=np.float64)
+
+
+def _grey_fit(law: ResponseKind, y: FloatArray) -> FloatArray:
+    found = fit_response(_times(len(y)), y[:, 0], law).values
+    return np.log(found) if law != "delayed" else np.array([np.log(found[0]), found[1]])
+
+
+def _grey_response(law: ResponseKind, values: FloatArray, count: int) -> FloatArray:
+    found = np.exp(values) if law != "delayed" else np.array([np.exp(values[0]), values[1]])
+    return system_of(law, found).step(_times(count))[:, np.newaxis]
+
+
+def _black_box(outputs: str, order: int, form: Form) -> Candidate:
+    suffix = {"modal": "", "canonical": " (canonical)", "output": " (C = I)"}[form]
+    return Candidate(
+        f"{outputs} O/{order}{suffix}",
+        GROUPS[outputs],
+        partial(_black_fit, order, form),
+        partial(_black_response, order, form),
+    )
+
+
+def _black_fit(order: int, form: Form, y: FloatArray) -> FloatArray:
+    """Subspace fit to a unit step after 2 s quiet samples; the sizes follow the coordinates."""
+    quiet = np.zeros((len(_QUIET), y.shape[1]))
+    u = np.concatenate([_QUIET, np.ones(len(y))])[:, np.newaxis]
+    settings = SubspaceSettings(dt_s=T_S, polish=False)
+    fitted = subspace([(u, np.concatenate([quiet, y]))], order, BLOCK_ROWS, settings)
+    return np.concatenate([coordinates(fitted.model, form), [y.shape[1]]])
+
+
+def _black_response(order: int, form: Form, values: FloatArray, count: int) -> FloatArray:
+    outputs = round(values[-1])
+    model = from_coordinates(values[:-1], (order, outputs, 1), T_S, form)
+    return model.simulate(np.ones((count, 1)))

@@ -1,0 +1,260 @@
+"""Static models of the Citation X paper on virtual flights: tables 5, 6 and 8 to 13."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from eval.reproduce.mesh import DRIVERS, TRA_PER_TLA, Region, static_flights
+from narxcal import static_models as models
+from narxcal.static_models.model import Columns, FloatArray, StaticModel
+from narxcal.support.errors import DataError, ModelError
+from narxcal.turbofan import VirtualEngine, build_scatter
+from training.static_fit import (
+    SEARCHES,
+    Estimator,
+    FitSettings,
+    StaticFit,
+    StaticScore,
+    fit,
+    fit_correction,
+    score,
+)
+
+PRESSURES = ("FPR", "EPR", "EGT_C")  # modelled by black boxes alone, as in the paper
+_BUILD = 1  # seed of the flown engine's build; the CLM is the engine as designed
+_AREA_PER_KN = 0.01  # m^2/kN: start value of the cold stream's area
+_MOST_DEGREE = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Engines:
+    """Flown engine, its design (the CLM), and the ratings that the laws start from."""
+
+    name: str
+
+    @cached_property
+    def flown(self) -> VirtualEngine:
+        """Engine with the build scatter of 0.5 % in every component."""
+        return VirtualEngine(self.name, build_scatter(np.random.default_rng(_BUILD)))
+
+    @cached_property
+    def designed(self) -> VirtualEngine:
+        """Engine of the preset."""
+        return VirtualEngine(self.name)
+
+    @cached_property
+    def F0_kN(self) -> float:  # noqa: N802 - the paper's symbol
+        """Take-off thrust at sea level."""
+        take_off = np.array([[85.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]])
+        return round(float(self.designed.outputs(take_off)[0, 4]), 1)
+
+    @property
+    def bypass_ratio(self) -> float:
+        """Bypass ratio of the design."""
+        return float(self.designed.preset.point.bypass_ratio)
+
+
+@dataclass(frozen=True, eq=False)
+class StaticRow:
+    """One model in one region: its fit, and its score on identification and validation flights.
+
+    `chained` is the validation score with FPR, EPR, ITT (and thrust) predicted too, as in Fig. 9.
+    `failure` says why a model has no fit.
+    """
+
+    region: str
+    output: str
+    model: str
+    fit: StaticFit | None = None
+    validation: StaticScore | None = None
+    chained: StaticScore | None = None
+    failure: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class RegionStudy:
+    """Flights of one region and what was fitted to them."""
+
+    region: Region
+    identification: Columns
+    validation: Columns
+    rows: tuple[StaticRow, ...]
+    chain: tuple[StaticFit, ...]  # FPR, EPR, ITT, thrust, fuel: each fed by those before it
+    searches: tuple[StaticRow, ...]  # every grey box by every estimator, without drag
+    degrees: tuple[
+        tuple[int, float, float, float], ...
+    ]  # of the correction, see `correction_degrees`
+
+    def row(self, output: str, model: str) -> StaticRow:
+        """Row of a model by its name."""
+        return next(r for r in self.rows if (r.output, r.model) == (output, model))
+
+    def search(self, model: str, estimator: str) -> StaticRow | None:
+        """Row of a model by one estimator; None where it was not run or has no fit."""
+        wanted = (
+            r for r in self.searches if r.fit and (r.model, r.fit.estimator) == (model, estimator)
+        )
+        return next(wanted, None)
+
+    def static(self, columns: Columns) -> dict[str, FloatArray]:
+        """Outputs of the whole static model at the drivers of `columns` (Fig. 9)."""
+        return chained(self.chain, columns)
+
+
+def static_study(
+    engines: Engines, region: Region, estimators: Sequence[Estimator] = SEARCHES
+) -> RegionStudy:
+    """Fit every static model to the identification flights and score it on the others."""
+    known = static_flights(engines.flown, region, "identification")
+    new = static_flights(engines.flown, region, "validation")
+    nodes = {"TRA_deg": [TRA_PER_TLA * tla for tla in region.tla_deg],
+             "ALT_ft": region.altitudes_ft}  # fmt: skip
+    tables = [fit(models.spline_table(known, name, nodes), known) for name in PRESSURES]
+    degrees = correction_degrees(cold_thrust(engines), known)
+    best = min(degrees, key=lambda row: row[2])[0]
+    thrust = with_correction(fit(cold_thrust(engines), known), known, best)
+    chain = (*tables, thrust, fit(models.yoder_plus(engines.F0_kN), known))
+    flights = known, new, {**new, **chained(chain, new)}
+    grey = [*thrust_models(engines), *fuel_models(engines)]
+    rows = [
+        *_black_boxes(region, (known, new), nodes),
+        *(_attempt(region, *laws, flights) for laws in grey),
+        _scored(region, thrust, flights[1:], "Cold Thrust + correction (M, FPR)"),
+    ]
+    searches = [
+        _attempt(region, model, replace(settings, estimator=name), flights)
+        for model, settings in grey
+        if "CLM" not in model.name and "drag" not in model.name
+        for name in estimators
+    ]
+    return RegionStudy(region, known, new, tuple(rows), chain, tuple(searches), tuple(degrees))
+
+
+def chained(chain: Sequence[StaticFit], columns: Columns) -> dict[str, FloatArray]:
+    """Predict output by output, each from the drivers and the outputs predicted before."""
+    known = {name: columns[name] for name in DRIVERS}
+    for part in chain:
+        known[part.model.output] = part.predict(known)
+    return {part.model.output: known[part.model.output] for part in chain}
+
+
+def correction_degrees(
+    base: StaticModel, columns: Columns
+) -> list[tuple[int, float, float, float]]:
+    """Degree, identification error, and mean and largest error of a flight left out, in %."""
+    degrees = range(1, _MOST_DEGREE + 1)
+    predicted = np.empty((_MOST_DEGREE, len(columns["flight"])))
+    for flight in np.unique(columns["flight"]):
+        out = columns["flight"] == flight
+        rest = {name: values[~out] for name, values in columns.items()}
+        left = {name: values[out] for name, values in columns.items()}
+        theory = fit(base, rest)
+        for k, degree in enumerate(degrees):
+            predicted[k, out] = with_correction(theory, rest, degree).predict(left)
+    theory, table = fit(base, columns), []
+    for k, degree in enumerate(degrees):
+        left_out = score(predicted[k], columns[base.output])
+        known = with_correction(theory, columns, degree).score
+        table.append((degree, known.mean_pct, left_out.mean_pct, left_out.max_pct))
+    return table
+
+
+def with_correction(theory: StaticFit, columns: Columns, degree: int) -> StaticFit:
+    """Add to a fitted model a correction in (Mach, FPR) of one degree in both."""
+    term = models.polynomial(columns, theory.model.output, {"Mach": degree, "FPR": degree})
+    return fit_correction(models.corrected(theory.model, term), theory, columns)
+
+
+def thrust_models(engines: Engines) -> list[tuple[StaticModel, FitSettings]]:
+    """Thrust laws with and without drag, Cold Thrust in its forms, CLM.
+
+    Torenbeek's law has its bypass ratio free: with the EPR of a turbofan for the pressure ratio of
+    its gas generator, the true one leaves no fit.
+    """
+    F0, B, S = engines.F0_kN, engines.bypass_ratio, _AREA_PER_KN * engines.F0_kN
+    laws = [
+        models.mattingly(F0),
+        models.torenbeek(F0, B, density_exponent=True, throttle_degree=2).with_start("B", 1.0),
+        models.aerospatiale(F0),
+        models.wanner(F0),
+    ]
+    free_B = FitSettings(fixed={"eta_j": 0.97, "eta_t": 0.88, "eta_c": 0.85, "eta_i": 0.97})
+    settings = [FitSettings(), free_B, FitSettings(), FitSettings()]
+    cold = [
+        models.cold_thrust(2.0 * S, variant="paper").renamed("Cold Thrust (paper)"),
+        models.cold_thrust(2.0 * S).renamed("Cold Thrust (full)"),
+        cold_thrust(engines),
+    ]
+    drag = [models.with_drag(law, 2, 3.0 * S) for law in laws]
+    clm = models.component_level(engines.designed, "FN_kN", DRIVERS)
+    pairs = [*zip(laws, settings, strict=True), *zip(drag, settings, strict=True)]
+    return [*pairs, *((model, FitSettings()) for model in (*cold, clm))]
+
+
+def cold_thrust(engines: Engines) -> StaticModel:
+    """Cold Thrust that is chosen: full, with the flow that a fixed fan nozzle passes."""
+    return models.cold_thrust(_AREA_PER_KN * engines.F0_kN, flow="nozzle")
+
+
+def fuel_models(engines: Engines) -> list[tuple[StaticModel, FitSettings]]:
+    """Torenbeek with free scale and bypass ratio, BADA, Yoder, Yoder+, CLM."""
+    F0, B = engines.F0_kN, engines.bypass_ratio
+    torenbeek = models.torenbeek_fuel(B).with_start("k", 0.3).with_start("B", 1.0)
+    free = FitSettings(fixed={"eta_c": 0.85, "eta_j": 0.97, "eta_t": 0.88, "eta_i": 0.97})
+    rest = [
+        models.bada3(),
+        models.yoder(F0),
+        models.yoder_plus(F0),
+        models.component_level(engines.designed, "FF_kgph", DRIVERS),
+    ]
+    return [(torenbeek, free), *((model, FitSettings()) for model in rest)]
+
+
+def _black_boxes(
+    region: Region, flights: tuple[Columns, Columns], nodes: dict[str, Sequence[float]]
+) -> list[StaticRow]:
+    """Polynomials of degree 1 to 3 in every input, and tables with lines and splines."""
+    known, new = flights
+    rows = []
+    for output in (*PRESSURES, "FN_kN", "FF_kgph"):
+        boxes = {
+            f"polynomial {n}": models.polynomial(
+                known, output, {"Mach": n, "ALT_ft": n, "TRA_deg": n}
+            )
+            for n in (1, 2, 3)
+        } | {
+            "linear table": models.spline_table(known, output, nodes, degree=1),
+            "spline table": models.spline_table(known, output, nodes),
+        }
+        rows += [_scored(region, fit(box, known), (new, new), name) for name, box in boxes.items()]
+    return rows
+
+
+def _attempt(
+    region: Region,
+    model: StaticModel,
+    settings: FitSettings,
+    flights: tuple[Columns, Columns, Columns],
+) -> StaticRow:
+    """Row of a grey box, with the reason where it has no fit."""
+    known, new, through = flights
+    try:
+        return _scored(region, fit(model, known, settings), (new, through))
+    except (DataError, ModelError) as error:
+        return StaticRow(region.name, model.output, model.name, failure=str(error))
+
+
+def _scored(
+    region: Region, fitted: StaticFit, flights: tuple[Columns, Columns], name: str = ""
+) -> StaticRow:
+    new, through = flights
+    output = fitted.model.output
+    return StaticRow(
+        region.name, output, name or fitted.model.name, fitted,
+        score(fitted.predict(new), new[output]),
+        score(fitted.predict(through), new[output]),
+    )  # fmt: skip

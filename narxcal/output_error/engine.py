@@ -1,0 +1,308 @@
+"""The Spey engine with its controls in four chains, each from its inputs to measured outputs.
+
+| chain | inputs | outputs |
+|---|---|---|
+| `ThrottleLinkage` | delta_c | delta_TM |
+| `DuctPressures` | N_H, N_L as measured | P_TM, P_DM |
+| `EngineFromFuel` | W_F as measured | N_HM, N_LM and P_TM, P_DM or T_M |
+| `EngineAndControl` | delta_c | delta_TM, W_FM, N_HM, N_LM, P_TM, P_DM (Table 2) |
+
+The chain of blocks is delta_c -> play -> delta_T -> K_TH -> N_c -> governor -> W_F -> rotors ->
+pressures, with the sensors beside it. All are deviations from 100 % power. Units: percent of the
+full-power value for N, P, W; degrees for delta; counts for the throttle pickoff; the paper prints
+none, these are inferred.
+
+A run starts in the equilibrium of its first input plus N_H_start, N_L_start (and for the linkage
+delta_T_start inside the play). A record that starts steady does not determine those beside offsets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from narxcal.output_error.blocks import (
+    Governor,
+    LinearSystem,
+    Rotors,
+    Values,
+    flowmeter,
+    lag,
+    play,
+    scheduled_lag,
+)
+
+FloatArray = NDArray[np.float64]
+Parameters = Mapping[str, complex]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A named quantity of a model: start value, bounds, unit, and whether it is estimated.
+
+    With `tied_to` it takes the value of that parameter.
+    """
+
+    name: str
+    start: float
+    low: float = -np.inf
+    high: float = np.inf
+    unit: str = "-"
+    meaning: str = ""
+    free: bool = True
+    tied_to: str = ""
+
+
+def _fixed(name: str, value: float, unit: str, meaning: str) -> Parameter:
+    return Parameter(name, value, -np.inf, np.inf, unit, meaning, free=False)
+
+
+# Start values and bounds after the paper's nomenclature and the magnitudes of its Table 4.
+_LINKAGE: Final = (
+    Parameter("a_fixed", 0.3, 0.0, 3.0, "deg", "throttle hysteresis (a0), half width of the play"),
+    Parameter("a_prop", 0.0, 0.0, 0.5, "-", "hysteresis per throttle level (a1)", free=False),
+    Parameter("b0", 960.0, 0.0, 2000.0, "count", "throttle pickoff bias"),
+    Parameter("b1", -25.0, -200.0, 200.0, "count/deg", "throttle pickoff slope"),
+    _fixed("delta_T_start", 0.0, "deg", "position in the play before the first sample"),
+)
+_ROTORS: Final = (
+    Parameter("tau_H", 0.3, 0.05, 3.0, "s", "collective time constant"),
+    Parameter("tau_L", 0.4, 0.05, 3.0, "s", "differential time constant"),
+    Parameter("C_FH", 0.1, 0.01, 1.0, "%/unit", "steady N_H per fuel flow"),
+    Parameter("C_HL", 3.0, 0.5, 6.0, "%/%", "steady N_L per N_H"),
+    Parameter("alpha", 0.5, 0.0, 1.2, "-", "share of N_L that follows fuel flow directly"),
+)
+_PRESSURES: Final = (
+    Parameter("K_EH", 4.0, 0.3, 12.0, "%/%", "tailpipe pressure per N_H"),
+    Parameter("K_DL", 1.3, 0.1, 5.0, "%/%", "duct pressure per N_L"),
+    # A free time constant stays positive; 0 is for a fixed one and drops the state.
+    Parameter("tau_E", 0.0, 1e-3, 1.0, "s", "tailpipe pressure time constant", free=False),
+    Parameter("tau_D", 0.05, 1e-3, 1.0, "s", "duct pressure time constant", free=False),
+    Parameter("P_TO", 0.0, -15.0, 15.0, "%", "offset of the tailpipe pressure"),
+    Parameter("P_DO", 0.0, -15.0, 15.0, "%", "offset of the duct pressure"),
+)
+_OFFSETS: Final = (
+    Parameter("N_HO", 0.0, -15.0, 15.0, "%", "offset of N_H", free=False),
+    Parameter("N_LO", 0.0, -15.0, 15.0, "%", "offset of N_L"),
+    _fixed("N_H_start", 0.0, "%", "N_H at the first sample, from its equilibrium"),
+    _fixed("N_L_start", 0.0, "%", "N_L at the first sample, from its equilibrium"),
+)
+_STARTS: Final = ("N_H_start", "N_L_start", "T_start")  # the order of the first states
+_METER_LAG: Final = Parameter("tau_M", 0.0, -1.0, 3.0, "s", "lag of the fuel meter", free=False)
+_TEMPERATURE: Final = (
+    Parameter("K_TN", 5.0, -50.0, 50.0, "degC/%", "steady temperature per N_H"),
+    Parameter("beta", 1.0, -5.0, 10.0, "-", "share of it that follows fuel flow directly"),
+    Parameter("tau_T", 0.5, 1e-3, 60.0, "s", "lag of the temperature probe"),
+    Parameter("T_O", 0.0, -100.0, 100.0, "degC", "offset of the temperature"),
+    _fixed("T_start", 0.0, "degC", "temperature at the first sample, from its equilibrium"),
+)
+_CONTROL: Final = (
+    _fixed("K_TH", 0.7212, "%/deg", "N_H commanded per throttle angle, steady operating line"),
+    Parameter("K_AF", 3.0, 0.1, 20.0, "unit/%", "fuel flow per governor error"),
+    Parameter(
+        "C_FB", 0.1, 0.01, 1.0, "%/unit", "1/C_FB: feedback of the pressure drop", tied_to="C_FH"
+    ),
+    _fixed("W_F0", 0.0, "unit", "fuel flow offset; with N_HO a single parameter"),
+    _fixed("d1", 0.0, "%", "hysteresis outside the governor, half width"),
+    _fixed("d2", 0.0, "%", "hysteresis inside the governor, half width"),
+    _fixed("mu", 0.0, "1/%", "quadratic term of the orifice"),
+    _fixed("A_low", -np.inf, "%", "lower saturation of the metering area"),
+    _fixed("A_high", np.inf, "%", "upper saturation of the metering area"),
+    Parameter("zeta", 0.3, 0.02, 1.5, "-", "damping ratio of the flowmeter"),
+    Parameter("omega", 13.0, 2.0, 60.0, "rad/s", "natural frequency of the flowmeter"),
+    _fixed("K_SF", 1.0, "-", "scale factor of the flowmeter; with C_FH a single parameter"),
+)
+
+
+@dataclass(frozen=True)
+class ThrottleLinkage:
+    """delta_c -> play -> delta_T; pickoff delta_TM = b0 + b1 delta_T."""
+
+    parameters: Sequence[Parameter] = _LINKAGE
+    input_names: Sequence[str] = ("delta_c",)
+    output_names: Sequence[str] = ("delta_TM",)
+
+    def simulate(self, values: Parameters, u: FloatArray) -> Values:
+        """Pickoff counts (time, 1) for commanded deflections u (time, 1) in degrees."""
+        return (values["b0"] + values["b1"] * deflection(values, u[:, 0]))[:, None]
+
+
+def deflection(values: Parameters, delta_c: FloatArray) -> Values:
+    """Throttle deflection delta_T (time,) behind the play."""
+    start = delta_c[0] + values["delta_T_start"]
+    return play(delta_c, values["a_fixed"], values["a_prop"], start)
+
+
+@dataclass(frozen=True)
+class DuctPressures:
+    """Measured N_H, N_L -> P_T, P_D (equation 2)."""
+
+    dt_s: float
+    parameters: Sequence[Parameter] = _PRESSURES
+    input_names: Sequence[str] = ("N_HM", "N_LM")
+    output_names: Sequence[str] = ("P_TM", "P_DM")
+
+    def simulate(self, values: Parameters, u: FloatArray) -> Values:
+        """Pressures (time, 2) for speeds u (time, 2)."""
+        tailpipe = lag(values["K_EH"], values["tau_E"]).respond(u[:, :1], self.dt_s)
+        duct = lag(values["K_DL"], values["tau_D"]).respond(u[:, 1:], self.dt_s)
+        return np.hstack([tailpipe + values["P_TO"], duct + values["P_DO"]])
+
+
+@dataclass(frozen=True)
+class EngineFromFuel:
+    """Measured fuel flow -> N_H, N_L and, as `extra` says, pressures or a gas temperature.
+
+    The temperature (no part of the paper) follows N_H and fuel flow as N_L does:
+    tau_T T' = -T + K_TN ((1 - beta) N_H + beta C_FH W_F).
+
+    `tau_M` is a first-order lag of the fuel meter, undone by W_F = W_M + tau_M W_M' on the line
+    between samples; at low frequency it is 2 zeta / omega of a flowmeter.
+    """
+
+    dt_s: float
+    extra: Literal["", "pressures", "temperature"] = "pressures"
+    input_names: Sequence[str] = ("W_FM",)
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """Rotors, offsets, meter and what `extra` adds."""
+        more = {"": (), "pressures": _PRESSURES, "temperature": _TEMPERATURE}[self.extra]
+        return (*_ROTORS, *_OFFSETS, _METER_LAG, *more)
+
+    @property
+    def output_names(self) -> Sequence[str]:
+        """N_HM, N_LM and what `extra` adds."""
+        more = {"": (), "pressures": ("P_TM", "P_DM"), "temperature": ("T_M",)}[self.extra]
+        return ("N_HM", "N_LM", *more)
+
+    def simulate(self, values: Parameters, u: FloatArray) -> Values:
+        """Outputs (time, p) for fuel flow u (time, 1)."""
+        system = self._chain(values).lead(values["tau_M"])
+        start = system.equilibrium(u[0]) + _state(values, _STARTS, len(system.A))
+        more = {"": (), "pressures": ("P_TO", "P_DO"), "temperature": ("T_O",)}[self.extra]
+        offsets = np.array([values[name] for name in ("N_HO", "N_LO", *more)])
+        return np.asarray(system.respond(u, self.dt_s, start=start) + offsets)
+
+    def _chain(self, values: Parameters) -> LinearSystem:
+        rotors = rotor_block(values)
+        if self.extra == "pressures":
+            return rotors.then(speeds_and_pressures(values, 2))
+        if self.extra == "temperature":
+            by_fuel = values["beta"] * values["C_FH"]
+            drive = LinearSystem.gain([[1.0 - values["beta"], 0.0, by_fuel]])
+            probe = drive.then(lag(values["K_TN"], values["tau_T"]))
+            speeds = LinearSystem.gain(np.eye(3)[:2])
+            return rotors.beside(LinearSystem.gain([[1.0]])).then(speeds.beside(probe))
+        return rotors
+
+
+@dataclass(frozen=True)
+class EngineAndControl:
+    """Commanded deflection -> all measurements of Table 2, with the loop of the governor closed.
+
+    C_FB is tied to C_FH, which makes the steady N_H equal to the commanded one and
+    tau_engine = tau_H / (K_AF C_FB). With `printed_eq1` the rows of equation 1 are as printed.
+    """
+
+    dt_s: float
+    printed_eq1: bool = False
+    substeps: int = 4
+    parameters: Sequence[Parameter] = (*_LINKAGE, *_CONTROL, *_ROTORS, *_PRESSURES, *_OFFSETS)
+    input_names: Sequence[str] = ("delta_c",)
+    output_names: Sequence[str] = ("delta_TM", "W_FM", "N_HM", "N_LM", "P_TM", "P_DM")
+
+    def simulate(self, values: Parameters, u: FloatArray) -> Values:
+        """Outputs (time, 6) for commanded deflections u (time, 1) in degrees."""
+        delta_T = deflection(values, u[:, 0])
+        N_c = play(values["K_TH"] * delta_T, values["d1"])
+        names = ("K_AF", "C_FB", "d2", "mu", "A_low", "A_high", "W_F0")
+        governor = Governor(**{name: values[name] for name in names})
+        engine = governor.engine(rotor_block(values, printed_eq1=self.printed_eq1))
+        fuel = LinearSystem.gain(np.eye(3)[2:])
+        meter = fuel.then(flowmeter(*(values[name] for name in ("zeta", "omega", "K_SF"))))
+        plant = engine.then(speeds_and_pressures(values, 3).beside(meter))
+        shift = _state(values, _STARTS, len(plant.A))
+        N_H, N_L, P_E, P_D, W_m = governor.respond(plant, N_c, self.dt_s, self.substeps, shift).T
+        return np.column_stack([
+            values["b0"] + values["b1"] * delta_T,
+            W_m,
+            N_H + values["N_HO"],
+            N_L + values["N_LO"],
+            P_E + values["P_TO"],
+            P_D + values["P_DO"],
+        ])  # fmt: skip
+
+
+_SCHEDULED: Final = (
+    Parameter("tau_H", 0.7, 0.02, 10.0, "s", "collective time constant at the reference N_H"),
+    Parameter("tau_L", 0.7, 0.02, 10.0, "s", "differential time constant there"),
+    Parameter("alpha", 0.5, -2.0, 3.0, "-", "share of N_L that follows fuel flow directly"),
+    Parameter("tau_T", 1.0, 0.02, 60.0, "s", "lag of the temperature probe"),
+    Parameter("beta", 1.0, -5.0, 10.0, "-", "share of T that follows fuel flow directly"),
+    Parameter("rate_H", 0.03, -0.3, 0.3, "1/%", "tau_H falls by exp(-rate_H) per % N_H"),
+    Parameter("rate_L", 0.03, -0.3, 0.3, "1/%", "tau_L falls by exp(-rate_L) per % N_H"),
+    *_OFFSETS[:2],
+    _TEMPERATURE[3],
+    _METER_LAG,
+    Parameter("square_M", 0.0, -2.0, 2.0, "s2", "1/omega^2 of the fuel meter", free=False),
+)
+
+
+@dataclass(frozen=True)
+class EngineFromSteady:
+    """Steady values -> N_H, N_L, T: equation 1 with steady-state curves for C_FH and C_HL.
+
+    For whole flights, where gains and time constants change with power:
+
+        tau_H N_H' = H - N_H,                 tau_L N_L' = L + (1 - alpha) c_L (N_H - H) - N_L
+        tau_T T' = S + (1 - beta) c_T (N_H - H) - T,   tau_{H,L} = tau exp(-rate (N_H - reference))
+
+    Inputs (time, 5): steady N_H, N_L and T of the present fuel flow (H, L, S), and the slopes
+    c_L = dL/dH, c_T = dS/dH. On linear curves this is `EngineFromFuel`. The fuel
+    meter, whose output is the input here, is undone by W_F = W_M + tau_M W_M' + square_M W_M'',
+    with tau_M = 2 zeta / omega and square_M = 1 / omega^2 of a flowmeter.
+    """
+
+    dt_s: float
+    reference: float = 80.0
+    parameters: Sequence[Parameter] = _SCHEDULED
+    output_names: Sequence[str] = ("N_HM", "N_LM", "T_M")
+
+    def simulate(self, values: Parameters, u: FloatArray) -> Values:
+        """Outputs (time, 3) in the units of the steady values, from equilibrium."""
+        slope = np.gradient(u[:, :3], self.dt_s, axis=0)
+        curvature = np.gradient(slope, self.dt_s, axis=0)
+        steady = u[:, :3] + values["tau_M"] * slope + values["square_M"] * curvature
+        H, L, S = steady.T
+        N_H = scheduled_lag(H, values["tau_H"], self.dt_s, (values["rate_H"], self.reference))
+        behind = N_H - H
+        tau_L = values["tau_L"] * np.exp(-values["rate_L"] * (N_H - self.reference))
+        N_L = scheduled_lag(L + (1.0 - values["alpha"]) * u[:, 3] * behind, tau_L, self.dt_s)
+        T = scheduled_lag(S + (1.0 - values["beta"]) * u[:, 4] * behind, values["tau_T"], self.dt_s)
+        offsets = np.array([values[name] for name in ("N_HO", "N_LO", "T_O")])
+        return np.asarray(np.column_stack([N_H, N_L, T]) + offsets)
+
+
+def _state(values: Parameters, names: Sequence[str], size: int) -> Values:
+    """State of `size` with the named values first and zeros behind them."""
+    given = [values.get(name, 0.0) for name in names][:size]
+    return np.array([*given, *[0.0] * (size - len(given))])
+
+
+def rotor_block(values: Parameters, *, printed_eq1: bool = False) -> LinearSystem:
+    """Rotors W_F -> (N_H, N_L) of named parameters."""
+    names = ("tau_H", "tau_L", "C_FH", "C_HL", "alpha")
+    return Rotors(**{name: values[name] for name in names}, printed_eq1=printed_eq1).system()
+
+
+def speeds_and_pressures(values: Parameters, inputs: int) -> LinearSystem:
+    """(N_H, N_L, ...) -> (N_H, N_L, P_E, P_D); further inputs are not used."""
+    n_h, n_l = np.eye(inputs)[:1], np.eye(inputs)[1:2]
+    tailpipe = LinearSystem.gain(n_h).then(lag(values["K_EH"], values["tau_E"]))
+    duct = LinearSystem.gain(n_l).then(lag(values["K_DL"], values["tau_D"]))
+    return LinearSystem.gain(np.vstack([n_h, n_l])).beside(tailpipe).beside(duct)

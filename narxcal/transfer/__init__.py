@@ -1,0 +1,1 @@
+"""Linear responses: first and second order, and state-space models with scheduling."""

@@ -1,0 +1,265 @@
+"""Blocks of the Spey model against closed forms, slow twins and finite differences."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from narxcal.output_error.blocks import (
+    Governor,
+    LinearSystem,
+    Rotors,
+    flowmeter,
+    lag,
+    play,
+    recursion,
+    scheduled_lag,
+)
+from narxcal.support.errors import ModelError
+
+DT = 0.05
+TIME = np.arange(400) * DT
+STEP = np.ones(400)
+LEFT = {"tau_H": 0.232, "tau_L": 0.437, "C_FH": 0.114, "C_HL": 3.39, "alpha": 0.64}
+RIGHT = {"tau_H": 0.312, "tau_L": 0.423, "C_FH": 0.118, "C_HL": 3.02, "alpha": 0.56}
+K_AF = {"left": 3.11, "right": 2.96}
+ENGINES = [(LEFT, 3.11, 0.654), (RIGHT, 2.96, 0.893)]
+
+
+def from_rest(system, u, hold):
+    return system.respond(u, DT, hold, np.zeros(len(system.A)))
+
+
+def test_a_step_through_a_lag_is_exact_under_zero_order_hold():
+    y = from_rest(lag(1.36, 0.4), STEP, "zoh")[:, 0]
+    np.testing.assert_allclose(y, 1.36 * (1.0 - np.exp(-TIME / 0.4)), atol=1e-12)
+
+
+def test_a_ramp_through_a_lag_is_exact_under_first_order_hold():
+    y = from_rest(lag(2.0, 0.4), TIME, "foh")[:, 0]
+    expected = 2.0 * (TIME - 0.4 * (1.0 - np.exp(-TIME / 0.4)))
+    np.testing.assert_allclose(y, expected, atol=1e-12)
+
+
+def test_both_holds_agree_on_a_constant_input():
+    system = Rotors(**LEFT).system()
+    zoh, foh = (from_rest(system, STEP, hold) for hold in ("zoh", "foh"))
+    np.testing.assert_allclose(zoh, foh, atol=1e-12)
+
+
+def test_on_a_ramp_zero_order_hold_lags_by_about_half_a_sample_more():
+    zoh, foh = (from_rest(lag(1.0, 0.3), TIME, hold)[-1, 0] for hold in ("zoh", "foh"))
+    assert TIME[-1] - foh == pytest.approx(0.3)
+    assert TIME[-1] - zoh == pytest.approx(DT / (1.0 - np.exp(-DT / 0.3)))
+
+
+def test_a_time_constant_of_zero_drops_the_state():
+    assert lag(4.1, 0.0).A.shape == (0, 0)
+    np.testing.assert_array_equal(lag(4.1, 0.0).respond(TIME, DT)[:, 0], 4.1 * TIME)
+    series = Rotors(**LEFT).system().then(LinearSystem.gain([[4.1, 0.0]]))
+    np.testing.assert_allclose(
+        series.respond(STEP, DT)[:, 0], 4.1 * 0.114 * np.ones(400), atol=1e-12
+    )
+
+
+def test_a_run_without_a_start_begins_in_equilibrium():
+    y = Rotors(**LEFT).system().respond(5.0 * STEP, DT)
+    np.testing.assert_allclose(y, np.tile([0.57, 0.57 * 3.39], (400, 1)), atol=1e-12)
+
+
+def test_the_flowmeter_overshoots_by_53_percent_and_lags_a_ramp_by_two_zeta_over_omega():
+    time = np.arange(4000) * 0.002
+    step = flowmeter(0.2, 13.0).respond(np.ones(4000), 0.002, "zoh", np.zeros(2))[:, 0]
+    assert step.max() - 1.0 == pytest.approx(np.exp(-np.pi * 0.2 / np.sqrt(0.96)), abs=1e-4)
+    assert step.max() - 1.0 == pytest.approx(0.527, abs=5e-4)
+    ramp = flowmeter(0.2, 13.0).respond(time, 0.002, "foh", np.zeros(2))[:, 0]
+    assert time[-1] - ramp[-1] == pytest.approx(2 * 0.2 / 13.0, rel=1e-4)
+
+
+def test_rotors_with_equal_time_constants_have_their_critical_response():
+    system = Rotors(**{**LEFT, "tau_L": 0.3, "tau_H": 0.3, "alpha": 0.0}).system()
+    y = from_rest(system, STEP, "zoh")[:, 1]
+    s = TIME / 0.3
+    np.testing.assert_allclose(y, 3.39 * 0.114 * (1 - (1 + s) * np.exp(-s)), atol=1e-12)
+
+
+def test_only_equation_1_as_printed_has_gains_that_depend_on_the_time_constants():
+    printed = Rotors(**LEFT, printed_eq1=True).system().equilibrium([1.0])
+    assert printed[0] == pytest.approx(0.232 * 0.114)
+    assert Rotors(**LEFT).system().equilibrium([1.0])[0] == pytest.approx(0.114)
+
+
+def loop(values, k_af, **more):
+    governor = Governor(**{"K_AF": k_af, "C_FB": values["C_FH"], **more})
+    return governor, governor.engine(Rotors(**values).system())
+
+
+@pytest.mark.parametrize(("values", "k_af", "tau"), ENGINES)
+def test_engine_and_governor_are_one_lag_of_tau_engine(values, k_af, tau):
+    governor, plant = loop(values, k_af)
+    closed = governor.closed_loop(plant)
+    y = closed.respond(k_af * STEP, DT, "zoh", np.zeros(2))
+    exact = values["tau_H"] / (k_af * values["C_FH"])
+    assert exact == pytest.approx(tau, abs=5e-4)
+    np.testing.assert_allclose(y[:, 0], 1.0 - np.exp(-TIME / exact), atol=1e-12)
+    first_jump, final = y[0, 2], 1.0 / values["C_FH"]
+    assert first_jump / final == pytest.approx(k_af * values["C_FH"])
+    assert y[-1, 2] == pytest.approx(final, rel=1e-6)
+
+
+def test_the_first_jump_of_fuel_flow_is_035_of_its_final_value():
+    governor, plant = loop(LEFT, 3.11)
+    fuel = governor.closed_loop(plant).respond(3.11 * STEP, DT, "zoh", np.zeros(2))[:, 2]
+    assert fuel[0] / fuel[-1] == pytest.approx(0.3545, abs=5e-5)
+
+
+def test_feedback_of_another_size_gives_the_general_time_constant_and_gain():
+    governor, plant = loop(LEFT, 3.11, C_FB=0.15)
+    y = governor.closed_loop(plant).respond(3.11 * STEP, DT, "zoh", np.zeros(2))[:, 0]
+    stiffness = 1.0 - 0.114 / 0.15 + 0.114 * 3.11
+    expected = 0.114 * 3.11 / stiffness * (1.0 - np.exp(-TIME * stiffness / 0.232))
+    np.testing.assert_allclose(y, expected, atol=1e-12)
+
+
+def test_in_saturation_speed_has_no_restoring_force():
+    governor, plant = loop(LEFT, 3.11, A_low=-1.0, A_high=1.0)
+    y = governor.respond(plant, 1e6 * (TIME > 1.0), DT)[:, 0]
+    slope = np.diff(y)[25:] / DT  # the area stands at its limit: N_H integrates it
+    np.testing.assert_allclose(slope, 0.114 * 3.11 * 1.0 / 0.232, rtol=1e-9)
+
+
+def test_a_governor_with_all_nonlinearities_matches_an_integrator_of_small_steps():
+    values = {"d2": 0.3, "mu": 0.05, "A_low": -2.0, "A_high": 1.5, "W_F0": 0.4}
+    governor, plant = loop(LEFT, 3.11, **values)
+    command = 3.0 * np.sin(0.8 * TIME)
+    y = governor.respond(plant, command, DT, substeps=8)[:, 0]
+
+    n, w = y[0], values
+    steps, dt = 200, DT / 200
+    backlash, slow = command[0] - n, [n]
+    for k in range(len(command) - 1):
+        for s in range(steps):
+            error = command[k] + (command[k + 1] - command[k]) * s / steps - n
+            backlash = max(error - w["d2"], min(error + w["d2"], backlash))
+            area = np.clip(backlash + w["mu"] * backlash * abs(backlash), w["A_low"], w["A_high"])
+            fuel = 3.11 * area + n / 0.114 + w["W_F0"]
+            n += dt / 0.232 * (-n + 0.114 * fuel)
+        slow.append(n)
+    np.testing.assert_allclose(y, slow, atol=4e-3)
+
+
+def test_substeps_of_a_nonlinear_governor_converge_with_the_second_order():
+    command = np.random.default_rng(0).normal(size=400).cumsum() * 0.2
+    linear, plant = loop(LEFT, 3.11)
+    exact = linear.respond(plant, command, DT)[:, 0]
+    stepped, _ = loop(LEFT, 3.11, A_high=1e9)
+    errors = [np.abs(stepped.respond(plant, command, DT, n)[:, 0] - exact).max() for n in (2, 8)]
+    assert errors[1] < errors[0] / 12.0
+
+
+@settings(deadline=None)
+@given(
+    u=st.lists(st.floats(-10, 10), min_size=2, max_size=60),
+    r=st.floats(0, 3),
+    proportional=st.floats(0, 0.5),
+)
+def test_play_equals_a_machine_of_three_contacts(u, r, proportional):
+    w, expected = u[0], []
+    for value in u:
+        width = r + proportional * abs(value)
+        gap = value - w
+        if gap > width:  # pushes at the upper contact
+            w = value - width
+        elif gap < -width:
+            w = value + width
+        expected.append(w)
+    np.testing.assert_allclose(play(np.array(u), r, proportional), expected, atol=1e-12)
+
+
+def test_play_of_no_width_is_no_play():
+    np.testing.assert_array_equal(play(np.sin(TIME), 0.0), np.sin(TIME))
+
+
+def test_play_has_its_one_sided_derivative_by_complex_step():
+    u = np.array([0.0, 0.1, 2.0, 1.9, -2.0, -1.9, -1.2])
+    w = play(u, 0.5 + 1e-20j)
+    np.testing.assert_array_equal(w.imag / 1e-20, [0, 0, -1, -1, 1, 1, 1])
+    np.testing.assert_allclose(w.real, [0, 0, 1.5, 1.5, -1.5, -1.5, -1.5])
+
+
+def test_complex_steps_equal_central_differences_through_the_nonlinear_loop():
+    names = ["tau_H", "tau_L", "C_FH", "C_HL", "alpha", "K_AF", "d2", "mu"]
+    base = np.array([*LEFT.values(), 3.11, 0.2, 0.03])
+    command = np.random.default_rng(1).normal(size=300).cumsum() * 0.2
+
+    def run(point):
+        values = dict(zip(names, point, strict=True))
+        more = {key: values.pop(key) for key in ("d2", "mu")}
+        k_af = values.pop("K_AF")
+        governor, plant = loop(values, k_af, **more)
+        return governor.respond(plant, command, DT)
+
+    for j in range(len(base)):
+        unit = np.eye(len(base))[j]
+        exact = run(base + 1e-20j * unit).imag / 1e-20
+        h = 1e-6
+        difference = (run(base + h * unit) - run(base - h * unit)) / (2 * h)
+        # Contacts that change inside the difference leave a trace of its size.
+        np.testing.assert_allclose(exact, difference, atol=2e-3 * np.abs(exact).max())
+
+
+def test_a_lead_undoes_a_lag():
+    u = np.cumsum(np.random.default_rng(2).normal(size=2000)) * 0.1
+    system = Rotors(**LEFT).system()
+    fine = 0.005
+    exact = lag(1.0, 0.6).then(system).lead(0.6).respond(u, fine)
+    np.testing.assert_allclose(exact, system.respond(u, fine), atol=1e-9)
+
+
+@settings(max_examples=20, deadline=None)  # the first call compiles
+@given(tau=st.floats(0.02, 5.0))
+def test_a_scheduled_lag_of_constant_time_is_the_lag(tau):
+    u = np.sin(TIME)
+    np.testing.assert_allclose(
+        scheduled_lag(u, tau, DT), lag(1.0, tau).respond(u, DT)[:, 0], atol=1e-9
+    )
+
+
+def test_a_scheduled_lag_converges_to_its_differential_equation():
+    end = 12.0
+
+    def slope(t, state):
+        return (10.0 * np.sin(0.5 * t) - state) / (0.5 * np.exp(-0.1 * (state - 2.0)))
+
+    exact = solve_ivp(slope, (0.0, end), [0.0], rtol=1e-10, atol=1e-10).y[0, -1]
+    errors = []
+    for dt in (0.05, 0.005):
+        u = 10.0 * np.sin(0.5 * np.linspace(0.0, end, round(end / dt) + 1))
+        errors.append(abs(scheduled_lag(u, 0.5, dt, (0.1, 2.0))[-1] - exact))
+    assert errors[0] < 0.1
+    assert errors[1] == pytest.approx(0.1 * errors[0], rel=0.1)  # first order in the step
+
+
+def test_recursion_equals_a_plain_loop():
+    rng = np.random.default_rng(3)
+    phi, drive, x = 0.3 * rng.normal(size=(3, 3)), rng.normal(size=(50, 3)), rng.normal(size=3)
+    expected = [x]
+    for row in drive:
+        expected.append(phi @ expected[-1] + row)
+    np.testing.assert_allclose(recursion(phi, drive, x), expected, atol=1e-12)
+
+
+def test_what_a_linear_system_refuses():
+    with pytest.raises(ModelError) as error:
+        LinearSystem.gain([[1.0]]).feedback([[0.5]])
+    assert str(error.value) == ("an output with direct feedthrough is fed back: an algebraic loop")
+    with pytest.raises(ModelError) as error:
+        LinearSystem.gain([[1.0]]).lead(0.1)
+    assert str(error.value) == "a lead needs a system without direct feedthrough"
+    integrator = LinearSystem(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))
+    with pytest.raises(ModelError) as error:
+        integrator.respond(STEP, DT)
+    assert str(error.value) == (
+        "the system integrates its input and has no equilibrium. Give the initial state"
+    )
