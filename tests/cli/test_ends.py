@@ -193,8 +193,8 @@ def test_a_disk_that_fills_while_the_model_is_written_leaves_no_model(
     done = narxcal("train", project / "tiny.toml", "--out", run)
     assert done.code == 2
     assert done.err == (
-        f"narxcal: error: {run / 'weights.safetensors.new'}: cannot write: No space left on device. "
-        "Nothing was changed; free some space or choose another place\n"
+        f"narxcal: error: {run / 'weights.safetensors.new'}: cannot write: "
+        "No space left on device. Nothing was changed; free some space or choose another place\n"
     )
     monkeypatch.undo()
     assert narxcal("info", run).code == 2
