@@ -79,6 +79,7 @@ def test_an_import_up_the_floors_is_caught(tmp_path, module, planted, contract):
         assert any(line.startswith(contract) for line in broken), result.stdout
 
 
+@pytest.mark.slow
 def test_preparing_data_does_not_wait_for_torch():
     script = (
         "import importlib, pkgutil, sys, data_prep\n"

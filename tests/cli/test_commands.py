@@ -130,6 +130,7 @@ def test_info_tells_what_the_model_is_and_where_it_comes_from(project, narxcal):
     assert widest(shown) <= 80
 
 
+@pytest.mark.slow
 def test_evaluate_judges_the_held_out_log_and_says_that_a_tolerance_was_missed(project, narxcal):
     done = narxcal("evaluate", project / "run")
     assert done.code == 1  # four steps of training are not enough
@@ -355,6 +356,7 @@ def test_replay_writes_prediction_fused_value_and_flags(project, narxcal, tmp_pa
     )
 
 
+@pytest.mark.slow
 def test_crossval_writes_folds_and_page(project, narxcal, tmp_path):
     out = tmp_path / "folds"
     done = narxcal("crossval", project / "tiny.toml", "--out", out, "--jobs", "1", "--json")
@@ -370,6 +372,7 @@ def test_noise_goes_onto_n2_or_the_only_spool():
     assert usual_channel(("N1_pct", "EGT_C")) == "N1_pct"
 
 
+@pytest.mark.slow
 def test_denoise_reports_raw_fused_and_free_run_at_each_ratio(project, narxcal, tmp_path):
     out = tmp_path / "noise"
     done = narxcal("denoise", project / "run", "--out", out, "--json")

@@ -181,6 +181,7 @@ def answered(narxcal, words, out):
     return json.loads(done.out), done.err
 
 
+@pytest.mark.slow
 def test_one_short_flight_gets_no_firm_answer(flights, narxcal, tmp_path):
     document, said = answered(narxcal, flights(count=1), tmp_path / "gap")
     assert document["verdict"]["kind"] == "unknown"
@@ -189,6 +190,7 @@ def test_one_short_flight_gets_no_firm_answer(flights, narxcal, tmp_path):
     assert said == "narxcal: warning: 1 flight: the uncertainty is wider\n"
 
 
+@pytest.mark.slow
 def test_a_channel_that_is_not_on_both_sides_is_left_out_and_said(flights, narxcal, tmp_path):
     words = flights(lambda _, real, sim: (real.assign(FF_kgph=300.0), sim.drop(columns="EGT_C")))
     document, said = answered(narxcal, words, tmp_path / "gap")

@@ -41,6 +41,7 @@ def weights(run):
     return json.loads((run / "bundle.json").read_text("utf-8"))["weights"]["sha256"]
 
 
+@pytest.mark.slow
 def test_a_killed_training_leaves_no_model_and_resumes_to_the_same_one(long, start, narxcal):
     config, run = long
     process = start("train", config, "--out", run)
@@ -66,6 +67,7 @@ def test_a_killed_training_leaves_no_model_and_resumes_to_the_same_one(long, sta
     assert weights(run) == weights(whole)
 
 
+@pytest.mark.slow
 def test_an_interrupted_training_keeps_the_best_and_can_go_on(long, start, narxcal):
     config, run = long
     process = start("train", config, "--out", run, "--json")
@@ -150,6 +152,7 @@ def small_disk():
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_no_half_of_a_folder(project, shell, tmp_path):
     out = tmp_path / "prepared"
     done = shell("prepare", project / "tiny.toml", "--out", out, preexec_fn=small_disk)
@@ -203,12 +206,14 @@ def test_a_disk_that_fills_while_the_model_is_written_leaves_no_model(
     assert weights(run) == weights(project / "run")
 
 
+@pytest.mark.slow
 def test_a_full_standard_output_ends_in_one_line(project, shell):
     with Path("/dev/full").open("w", encoding="utf-8") as full:
         done = shell("info", project / "run", "--json", stdout=full)
     assert (done.returncode, done.stderr) == (2, "narxcal: error: No space left on device\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [(), ("--json",)])
 def test_a_reader_that_goes_away_is_no_error(project, start, more):
     process = start("info", project / "run", *more)

@@ -72,6 +72,7 @@ def test_the_document_is_the_truth_file(narxcal, quick, tmp_path):
     assert (document["seed"], len(document["logs"])) == (3, 2)
 
 
+@pytest.mark.slow
 def test_options_take_the_place_of_what_the_file_says(narxcal, quick, tmp_path):
     quick.write_text(
         QUICK + "[[effects]]\nid = 'sensor_bias'\nchannel = 'N1_pct'\n"

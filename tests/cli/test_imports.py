@@ -10,6 +10,7 @@ ROOT = Path(__file__).parents[2]
 HEAVY = {"torch", "numba", "sklearn", "filterpy", "scipy.stats", "scipy.optimize", "scipy.signal"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "module", ["narxcal", "data_prep", "training.config", "eval.report.page", "narxcal.cli.prepare"]
 )

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from markupsafe import escape
 
 from narxcal.calibration.bundle import load_bundle
 from narxcal.cli import main
@@ -93,6 +94,7 @@ def test_every_study_is_in_the_document_with_claims_and_outcome(document):
     assert len(document["missed"]) == sum(claim["met"] is False for claim in claims)
 
 
+@pytest.mark.slow
 def test_the_same_data_give_the_same_numbers(place, document, tmp_path, capsys):
     assert main(arguments(place, tmp_path / "again", "--json")) == 1
     again = strict(capsys.readouterr().out)
@@ -125,8 +127,22 @@ def test_a_result_may_be_replaced_but_nothing_else(place, out, tmp_path, capsys)
 
 
 def test_an_unknown_paper_is_refused(capsys):
-    assert main(["reproduce", "spey", "--out", "x"]) == 2
-    assert "invalid choice: 'spey'" in capsys.readouterr().err
+    assert main(["reproduce", "magna-carta", "--out", "x"]) == 2
+    assert "invalid choice: 'magna-carta'" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("paper", ["spey", "citation-x"])
+def test_an_older_paper_makes_a_page_and_a_document_that_agree(paper, tmp_path, capsys):
+    out = tmp_path / "out"
+    code = main(["reproduce", paper, "--quick", "--out", str(out), "--json"])
+    document = json.loads(capsys.readouterr().out)
+    assert code == (0 if document["ok"] else 1)
+    assert document == json.loads((out / "reproduce.json").read_text("utf-8"))
+    claims = [claim for study in document["studies"] for claim in study["claims"]]
+    page = (out / "reproduce.html").read_text("utf-8")
+    assert len(claims) > 5
+    assert all(str(escape(claim["what"])) in page for claim in claims)
 
 
 def test_too_few_data_sets_end_in_one_line(place, tmp_path, capsys):

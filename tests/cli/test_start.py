@@ -9,6 +9,7 @@ import pytest
 from narxcal.cli.app import main
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", ["narxcal", "narxcal.cli"])
 def test_it_runs_as_a_module_where_no_script_is_installed(module, tmp_path):
     def run(*arguments):

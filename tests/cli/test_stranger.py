@@ -35,6 +35,7 @@ def folder(slow_probe, tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_without_weight_on_wheels_every_event_counts_which_is_said(folder, narxcal):
     logs = [f"flight_{seed}.csv" for seed in (1, 2, 3)]
     done = narxcal("prepare", folder / "mine.toml", "--out", folder / "prepared")

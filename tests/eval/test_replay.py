@@ -363,6 +363,7 @@ def test_interrupting_a_follow_ends_it_well_and_any_other_replay_leaves_nothing(
     assert sorted(each.name for each in tmp_path.iterdir()) == ["live.csv", "log.csv"]
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_log(tmp_path):
     peaks = []
     for samples in (8_500, 17_000):

@@ -96,6 +96,7 @@ def test_effects_and_sensors_of_one_channel_leave_the_other_columns_as_they_were
 # Logs and truth
 
 
+@pytest.mark.slow
 def test_logs_read_back_as_they_were_flown_and_no_pattern_finds_the_truth(tmp_path):
     given = scenario(sensors={"channels": {"EGT_C": {"dropouts_per_h": 60.0}}})
     write_flights(tmp_path, given, WriteOptions(true_channels=True))

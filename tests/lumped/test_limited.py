@@ -100,6 +100,7 @@ def slowly(model, inputs, ss, start):
     return np.array(fast) + np.array(soaks) + np.array(casings)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=25)
 @given(seed=st.integers(0, 200))
 def test_the_kernel_is_the_equations(seed):

@@ -87,6 +87,7 @@ def test_some_slopes_are_a_part_of_all(governed):
     np.testing.assert_allclose(part, whole, rtol=1e-9, atol=1e-9 * np.abs(whole).max())
 
 
+@pytest.mark.slow
 def test_the_order_of_the_outputs_does_not_matter():
     model = engine(2)
     turned = engine(2, names=("EGT_C", "N1_pct", "N2_pct"))

@@ -164,6 +164,7 @@ for call in (array, several, named, nested):
 """
 
 
+@pytest.mark.slow
 def test_a_signal_that_arrives_inside_compiled_code_is_a_keyboard_interrupt_behind_it():
     done = subprocess.run(
         [sys.executable, "-c", COMPILED + GUARDED],
@@ -173,6 +174,7 @@ def test_a_signal_that_arrives_inside_compiled_code_is_a_keyboard_interrupt_behi
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 def test_the_virtual_engine_hands_python_nothing_that_a_signal_could_break():
     code = (
         "import numpy as np\n"

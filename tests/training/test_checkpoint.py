@@ -113,6 +113,7 @@ def training(file, optimiser, pause_s=0.0):
     return fit_narx(material, structure, config, watch, resume).model.net.get_theta()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("optimiser", ["lm", "geodesic", "adam"])
 def test_killed_and_resumed_gives_the_weights_of_the_uninterrupted_run(optimiser, tmp_path):
     killed = tmp_path / "killed"

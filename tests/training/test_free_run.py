@@ -212,6 +212,7 @@ def test_windows_do_not_change_the_set_of_scored_samples():
     np.testing.assert_array_equal(roots > 0, expected > 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["lm", "adam"])
 def test_linear_feedback_stays_linear_whatever_trains_it(how):
     config = NarxConfig(lags=2, taps=(0, 1), hidden=3, moving=1, linear_feedback=True)

@@ -128,6 +128,7 @@ def test_masked_samples_count_as_little_as_absent_ones():
     assert with_gaps.aic == pytest.approx(without.aic)
 
 
+@pytest.mark.slow
 def test_parameters_of_a_lag_come_back():
     found = fit(Lag(), lag_record())
     truth = np.array([2.0, 0.6, 3.0])

@@ -18,6 +18,7 @@ def rmse(error):
     return np.sqrt(np.nanmean(error**2, axis=0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["citation2", "jetcat", "agtf30"])
 def test_a_held_out_flight_is_followed_better_than_by_its_steady_state(name, tmp_path):
     if not DATA.is_dir():

@@ -64,6 +64,7 @@ def test_a_known_system_is_recovered_from_noisy_records(lag_record):
     assert pole == pytest.approx(0.9, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("optimiser", OPTIMISERS)
 def test_the_same_seed_gives_the_same_network_and_another_one_does_not(optimiser, lag_record):
     config = SHORT.model_copy(update={"optimiser": optimiser, "starts": 1})

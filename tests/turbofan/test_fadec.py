@@ -132,6 +132,7 @@ def settling_s(flight, target, share=0.01, dt=DT):
 MOVES = [(25, 95), (95, 25), (25, 60), (60, 63), (80, 78), (90, 95), (40, 100)]
 
 
+@pytest.mark.slow
 @PLACES
 @pytest.mark.parametrize(("start", "end"), MOVES)
 def test_every_move_settles_on_its_command_without_overshoot(start, end, place):

@@ -59,6 +59,7 @@ def test_points_of_equal_thrust_have_it():
     assert thrust[0] / thrust[1] == pytest.approx(0.3, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_pictures_are_drawn_into_the_folder(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(virtual_engine, "figures", list)
     assert virtual_engine.main(["--figures", str(tmp_path)]) == 0

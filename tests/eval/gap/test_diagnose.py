@@ -186,6 +186,7 @@ def misread(fly, record, log_of):
     return build
 
 
+@pytest.mark.slow
 def test_what_an_effect_does_on_held_out_flights_the_simulators_own_logs_say(
     misread, monkeypatch, make_finding, make_model
 ):

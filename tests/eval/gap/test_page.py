@@ -87,6 +87,7 @@ def bare(evidence):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_verdict_makes_a_sound_page_that_needs_nothing_else(evidence, kind, sound_page):
     evidence = with_verdict(evidence, kind)
@@ -319,6 +320,7 @@ def test_a_simulator_that_is_run_again_is_said_to_be(evidence, kind, said):
     assert ("This simulator can be run again" in html) == said
 
 
+@pytest.mark.slow
 def test_a_browser_shows_the_page_without_complaint(evidence, sound_in_a_browser):
     told = {kind: with_verdict(evidence, kind) for kind in ("ambiguous", "unknown")}
     told["bare"] = bare(evidence)

@@ -21,6 +21,7 @@ def slow(make_bundle, make_log):
     return evaluate(make_bundle(), [log], trim=0.2)
 
 
+@pytest.mark.slow
 def test_page_and_document_agree(slow, header):
     document = slow.document()
     view = view_of(slow.logs[0], "TRA_deg", INPUTS)

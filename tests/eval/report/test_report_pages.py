@@ -321,6 +321,7 @@ def test_the_summary_picture_is_a_png(view):
     assert summary_figure(made, made.events[1]).startswith(b"\x89PNG\r\n")
 
 
+@pytest.mark.slow
 def test_a_browser_shows_the_pages_from_files_without_complaint(
     evaluation, header, view, sound_in_a_browser
 ):
@@ -334,6 +335,7 @@ def test_a_browser_shows_the_pages_from_files_without_complaint(
     )
 
 
+@pytest.mark.slow
 def test_the_browser_sees_what_is_wrong_with_a_page(browse):
     html = """<!DOCTYPE html><html><body><a href="#gone">to nothing</a>
     <svg width="0" height="9" aria-label="flat"></svg><div style="width: 2000px">broad</div>

@@ -94,6 +94,7 @@ def test_figures_name_what_they_show():
     assert ">MSE<" in grouped.svg
 
 
+@pytest.mark.slow
 def test_a_browser_shows_the_page_without_complaint(header, view, sound_in_a_browser):
     drawn = bars(["No. 5", "No. 6"], {"one": np.array([3.0, 4.0])}, "MSE", 5.0)
     whole = replace(study(claim(1.0), claim(9.0)), pictures=(drawn,), sheets=(view(),))

@@ -45,6 +45,7 @@ def test_each_family_is_written_into_its_folder(monkeypatch):
     assert {s.build_scatter_pct for s, _ in seen.values()} == {0.0}
 
 
+@pytest.mark.slow
 def test_the_table_takes_the_place_of_the_makers_function(tmp_path, make_config):
     by_function = make_config("elsewhere", steady_state=MAKER)
     config, report = flown(by_function, Path(), tmp_path)

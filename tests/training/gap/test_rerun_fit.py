@@ -39,6 +39,7 @@ class Asked:
         return self.engine.run(flights, told, pace)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lever", [("throttle_backlash", 3.0), ("throttle_rate_limit", 12.0)])
 def test_sizes_are_the_simulators_own(lever, flights, engine, coarse, recorded):
     name, size = lever
@@ -70,6 +71,7 @@ def test_an_offset_that_says_all_needs_no_help(lag, flights, engine, coarse, rec
     assert fits[0].theta == pytest.approx([3.0], rel=0.01)
 
 
+@pytest.mark.slow
 def test_nothing_is_run_again_for_what_acts_on_readings(flights, engine, coarse, recorded):
     again = Asked(engine)
     real = recorded({"sensor_lag:EGT_C": [1.2, 0.5]})

@@ -165,6 +165,7 @@ def test_a_small_effect_is_claimed_of_the_same_engine_alone(other, said, flights
     assert said or found.kind == "none"
 
 
+@pytest.mark.slow
 def test_without_an_effect_the_same_engine_has_none(flights):
     for seed in range(3):
         measured = noisy(flights.y, seed), NOISE

@@ -167,6 +167,7 @@ def test_what_comes_otherwise_is_no_unlogged_load(windows, shift, reason):
     assert reason in found.reason
 
 
+@pytest.mark.slow
 def test_a_second_channel_that_hardly_answers_is_heard_at_the_edges():
     """A control that holds N1: the load is a thousand squares of noise in EGT, and few in N2."""
     on, reasons = on_in(WINDOWS), []

@@ -141,6 +141,7 @@ def test_what_acts_inside_is_the_difference_that_it_makes_in_a_lumped_engine(dri
     assert not possible(driver, ("N1_pct", "EGT_C"), "throttle_backlash")
 
 
+@pytest.mark.slow
 def test_the_same_plan_gives_the_same_bytes(cases, simulator, tmp_path):
     again = tmp_path / "again"
     again.mkdir()

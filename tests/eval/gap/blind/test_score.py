@@ -245,5 +245,6 @@ def test_how_numbers_are_shown():
     assert shown({"value": 0.5, "of": 2, "low": 0.1, "high": 0.9}) == "0.50 [0.10, 0.90]"
 
 
+@pytest.mark.slow
 def test_a_browser_shows_the_page_without_complaint(outcomes, sound_in_a_browser):
     sound_in_a_browser({"score": render(scored(outcomes, {}))})

@@ -33,6 +33,7 @@ def test_another_secret_or_salt_does_not_open_it(secret, salt):
 SEALED = sealed(KEY, "secret", SALT)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 255))
 def test_any_changed_byte_is_noticed(place, flip):
