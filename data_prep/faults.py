@@ -131,7 +131,7 @@ def _stands_off(log: Log, name: str, span: tuple[int, int], height: float) -> bo
 
 
 def followed(log: Log, name: str, start: int, stop: int) -> bool:
-    """Whether a spool ran down below everything it runs at: then a cut of fuel was real."""
+    """Whether a spool fell below its whole operating range: then a cut of fuel was real."""
     if name in _INERTIAL or role(name) != "output":
         return False
     for spool in SPOOLS:

@@ -18,7 +18,7 @@ from data_prep.events import EventsConfig
 from data_prep.smooth import SmoothConfig
 from narxcal.calibration.fuser_config import FuserConfig
 from narxcal.channels import CHANNELS, channel
-from narxcal.narx.config import Taps
+from narxcal.narx.config import MOST_HIDDEN, MOST_LAGS, Taps
 from narxcal.steady.model import SteadyOptions
 from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section, read_toml
@@ -125,9 +125,9 @@ class NarxSection(Section):
 
     outputs: tuple[str, ...] = Field(default=("N1_pct", "N2_pct", "EGT_C"), min_length=1)
     schedule: tuple[str, ...] = _SCHEDULE
-    lags: int = Field(default=1, ge=1, le=1000)
+    lags: int = Field(default=1, ge=1, le=MOST_LAGS)
     taps: Taps = (0,)
-    hidden: int = Field(default=6, ge=1, le=1000)
+    hidden: int = Field(default=6, ge=1, le=MOST_HIDDEN)
     margin: float = Field(default=0.25, ge=0)
     anchored: bool = True
     settle_s: float = Field(default=60.0, ge=0)

@@ -1,4 +1,4 @@
-"""Judging choices on recordings that took no part: who is left out when, and what is left over."""
+"""Held-out folds of recordings, and the score by which choices on them are compared."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ T = TypeVar("T")
 _LEAST = 1e-18  # of a mean square: outputs without any error compare, too
 
 
-class Turn(NamedTuple):
-    """Indices of what is fitted to, and of what is judged."""
+class Fold(NamedTuple):
+    """Indices of the items to fit to and of those to judge on."""
 
     fitted: list[int]
     judged: list[int]
 
     def of(self, items: Sequence[T]) -> tuple[list[T], list[T]]:
-        """The items of each."""
+        """Items to fit to, and items to judge on."""
         return [items[k] for k in self.fitted], [items[k] for k in self.judged]
 
 
-def turns(recordings: Sequence[str], most: int) -> list[Turn]:
-    """Leave recordings out, each once, in at most `most` turns.
+def held_out_folds(recordings: Sequence[str], most: int) -> list[Fold]:
+    """Leave each recording out once, in at most `most` folds.
 
     `recordings` names the recording of each item; those of one recording stay together.
     """
     names = list(dict.fromkeys(recordings))
-    turn = {name: number % most for number, name in enumerate(names)}
-    of = [turn[name] for name in recordings]
+    fold = {name: number % most for number, name in enumerate(names)}
+    of = [fold[name] for name in recordings]
     return [
-        Turn(
+        Fold(
             [k for k, one in enumerate(of) if one != number],
             [k for k, one in enumerate(of) if one == number],
         )
@@ -41,7 +41,7 @@ def turns(recordings: Sequence[str], most: int) -> list[Turn]:
     ]
 
 
-def left_over(errors: Sequence[FloatArray]) -> float:
+def geometric_rms(errors: Sequence[FloatArray]) -> float:
     """Geometric mean over the outputs of the RMS of `errors`, (time, outputs) each.
 
     Infinite where an output has no error that is a number.

@@ -216,7 +216,7 @@ def _curvature(batch: _Batch, along: tuple[Weights, Weights, Weights]) -> FloatA
 def _pulled_back(
     batch: _Batch, run: kernels.Run, weights: Weights, outer: FloatArray
 ) -> FloatArray:
-    """J' `outer` (P,), from what the outputs (T, o) count to what the weights do."""
+    """Back-propagate `outer`, dLoss/d(outputs) (T, o), to dLoss/d(weights) (P,)."""
     _, active, fed = run
     total, hidden = kernels.adjoint(outer, run, weights.feedback, batch.positions, weights.bounds)
     phi, rest, rest_active = _features(batch, fed, weights)

@@ -44,7 +44,7 @@ from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 from narxcal.support.errors import DataError
 from training.config import NarxSection, RunConfig
-from training.folds import Turn, left_over, turns
+from training.folds import Fold, geometric_rms, held_out_folds
 from training.lag_priors import Form, Priors, start_engine
 from training.records import LagSamples, lag_samples
 
@@ -59,10 +59,10 @@ _LEVEL: Final = (0.4, 1.0)  # shares of the largest value; below, weights grow n
 _ROUNDS: Final = 3  # of lags and static error, each found with the other; more change little
 
 PLAIN, LIMITS, GOVERNED = "plain", "limits", "governed"
-_BETTER: Final = 0.98  # of the plainer form's error; fewer logs than in the end favour plain forms
+_BETTER: Final = 0.98  # of the plainer form's error; folds have fewer logs than the final fit
 _FOLDS: Final = 3
 _STRETCH_S, _STRETCHES = 30.0, 15  # at least so long, at most so many, of a single recording
-_CHOICE_GRID_S: Final = 0.2  # forms compare alike on twice the grid of the fit
+_CHOICE_GRID_S: Final = 0.2  # the ranking is the same on a grid twice as coarse as the fit's
 _ENOUGH_S: Final = 3.0 * 3600.0  # of logs to choose by; more take long and change little
 
 
@@ -388,7 +388,7 @@ def choose_form(
     samples = [lag_samples(log, steady, config) for log in logs]
     samples, dt_s = thinned(samples, logs[0].dt_s, _CHOICE_GRID_S)
     samples, recordings = _stretches(samples, [log.source.file for log in logs], dt_s)
-    trial = _Trial(steady, samples, turns(recordings, _FOLDS), dt_s)
+    trial = _Trial(steady, samples, held_out_folds(recordings, _FOLDS), dt_s)
     total, done = len(forms) * len(trial.folds), count()
 
     def begins() -> None:
@@ -456,7 +456,7 @@ class _Trial:
 
     steady: SteadyStateModel
     samples: Sequence[LagSamples]
-    folds: Sequence[Turn]
+    folds: Sequence[Fold]
     dt_s: float
 
     def left(self, config: RunConfig, begins: Callable[[], None]) -> float:
@@ -474,7 +474,7 @@ class _Trial:
                 return np.inf
             known = np.concatenate([np.isfinite(one.measured) for one in fitted]).any(axis=0)
             errors += [np.where(known, self._error(engine, one), np.nan) for one in judged]
-        return left_over(errors)
+        return geometric_rms(errors)
 
     def _error(self, engine: LumpedEngine, one: LagSamples) -> FloatArray:
         """Error (rows, outputs) of the free run where the core moves, over the outputs' range."""

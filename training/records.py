@@ -80,7 +80,7 @@ def _moving(share: FloatArray, dt_s: float) -> BoolArray:
 
 
 def _onset(moving: BoolArray, dt_s: float) -> BoolArray:
-    """Samples soon after a move out of equilibrium; the centred window finds it half too early."""
+    """Samples just after a move out of equilibrium; the centred window finds it half too early."""
     still, length = round(_STILL_S / dt_s), round((_ONSET_S + 0.5 * _WITHIN_S) / dt_s)
     seen = np.concatenate([[0], np.cumsum(moving)])
     rows = np.arange(len(moving))

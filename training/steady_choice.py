@@ -32,7 +32,7 @@ from narxcal.steady.model import SteadyStateModel, open_steady
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from training.config import RunConfig
-from training.folds import left_over, turns
+from training.folds import geometric_rms, held_out_folds
 from training.records import speeds
 from training.steady_fit import SteadyQuality, SteadySamples, fit_steady_state
 
@@ -143,7 +143,7 @@ def _better(known: tuple[Layout, float], trial: Layout, folds: _Folds) -> tuple[
 
 
 def _folds(taken: Sequence[_Taken]) -> list[tuple[list[_Taken], list[_Taken]]]:
-    """Fit to all recordings but some, judge on these; stretches of it where there is but one."""
+    """Folds by recording; a single recording is cut into stretches."""
     if len({one.recording for one in taken}) == 1:
         taken = [
             _Taken(SteadySamples(inputs, outputs, one.samples.engine), str(part))
@@ -156,7 +156,7 @@ def _folds(taken: Sequence[_Taken]) -> list[tuple[list[_Taken], list[_Taken]]]:
                 )
             )
         ]
-    return [turn.of(taken) for turn in turns([one.recording for one in taken], _FOLDS)]
+    return [turn.of(taken) for turn in held_out_folds([one.recording for one in taken], _FOLDS)]
 
 
 def _left(layout: Layout, folds: _Folds) -> float:
@@ -171,7 +171,7 @@ def _left(layout: Layout, folds: _Folds) -> float:
             model.for_engine(one.samples.engine).outputs(one.samples.inputs) - one.samples.outputs
             for one in judged
         ]
-    return left_over(errors)
+    return geometric_rms(errors)
 
 
 def _samples(config: RunConfig, layout: Layout, log: Log) -> SteadySamples:

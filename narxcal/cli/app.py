@@ -49,7 +49,8 @@ COMMANDS = {
 }
 _EPILOG = """\
 exit codes: 0 good, 1 a tolerance was missed, 2 bad input or configuration,
-3 internal error (NARXCAL_TRACEBACK=1 shows where), 130 interrupted.
+3 internal error (NARXCAL_TRACEBACK=1 shows where), 130 interrupted,
+141 nobody read the output, 143 terminated.
 --json prints one JSON document to stdout and nothing else.
 """
 

@@ -25,7 +25,7 @@ def path(text: str) -> Path:
 
 
 def fraction(text: str) -> float:
-    """Fraction from 0 to 0.9, as `--trim` takes it: what is left has to be worth a score."""
+    """Fraction from 0 to 0.9, as `--trim` takes it: the rest has to be long enough to score."""
     value = _number(text)
     if not 0.0 <= value <= 0.9:
         raise ArgumentTypeError(f"expected a fraction from 0 to 0.9, found {text}")

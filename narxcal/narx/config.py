@@ -9,12 +9,12 @@ from pydantic import AfterValidator, Field
 from narxcal.support.settings import Section
 
 # Far beyond any use, and still in memory: 65536 samples are half an hour at 32 Hz.
-_MOST_LAGS, _MOST_DELAY, _MOST_HIDDEN = 1024, 65536, 4096
+MOST_LAGS, MOST_DELAY, MOST_HIDDEN = 1024, 65536, 4096
 
 
 def _increasing(taps: tuple[int, ...]) -> tuple[int, ...]:
-    if taps and taps[-1] > _MOST_DELAY:
-        raise ValueError(f"has to list delays of at most {_MOST_DELAY} samples")
+    if taps and taps[-1] > MOST_DELAY:
+        raise ValueError(f"has to list delays of at most {MOST_DELAY} samples")
     if not taps or taps[0] < 0 or list(taps) != sorted(set(taps)):
         raise ValueError("has to list increasing delays >= 0, for example [0, 1]")
     return taps
@@ -38,9 +38,9 @@ class NarxConfig(Section):
     no other equilibrium.
     """
 
-    lags: int = Field(default=2, ge=1, le=_MOST_LAGS)
+    lags: int = Field(default=2, ge=1, le=MOST_LAGS)
     taps: Taps = (0, 1)
-    hidden: int = Field(default=8, ge=1, le=_MOST_HIDDEN)
+    hidden: int = Field(default=8, ge=1, le=MOST_HIDDEN)
     margin: float = Field(default=0.25, ge=0)
     moving: int = Field(default=0, ge=0)
     linear_feedback: bool = False

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from training.folds import left_over, turns
+from training.folds import geometric_rms, held_out_folds
 
 
 def test_each_recording_is_judged_once_and_stays_whole():
     recordings = ["a", "a", "b", "c", "c", "d"]
-    found = turns(recordings, 3)
+    found = held_out_folds(recordings, 3)
     assert [turn.judged for turn in found] == [[0, 1, 5], [2], [3, 4]]
     for turn in found:
         assert sorted(turn.fitted + turn.judged) == list(range(6))
@@ -16,16 +16,16 @@ def test_each_recording_is_judged_once_and_stays_whole():
 
 
 def test_fewer_recordings_than_turns_take_a_turn_each():
-    assert [turn.judged for turn in turns(["a", "b"], 5)] == [[0], [1]]
+    assert [turn.judged for turn in held_out_folds(["a", "b"], 5)] == [[0], [1]]
 
 
 def test_outputs_of_different_size_count_alike():
     errors = np.array([[3.0, 0.5], [-4.0, np.nan]])
     expected = np.sqrt(np.sqrt(12.5) * 0.5)
-    assert left_over([errors[:1], errors[1:]]) == pytest.approx(expected)
-    assert left_over([errors * [1.0, 10.0]]) == pytest.approx(np.sqrt(10.0) * expected)
+    assert geometric_rms([errors[:1], errors[1:]]) == pytest.approx(expected)
+    assert geometric_rms([errors * [1.0, 10.0]]) == pytest.approx(np.sqrt(10.0) * expected)
 
 
 @pytest.mark.parametrize("errors", [[], [np.full((3, 2), np.nan)], [np.array([[1.0, np.nan]])]])
 def test_without_a_number_there_is_no_judgement(errors):
-    assert left_over(errors) == np.inf
+    assert geometric_rms(errors) == np.inf
