@@ -72,7 +72,7 @@ class LogEvaluation:
     """One log: its free run, scores per channel, events with their assessments.
 
     `role` is what the bundle used the log for: train, validate, test, or new to it.
-    `untrimmed` are the scores on the same rows before trim, where there was one. `rivals` are
+    `untrimmed` are the scores on the same rows before trim, where there was one. `baselines` are
     the baselines' Ti/Tt counts on the same events.
     """
 
@@ -80,7 +80,7 @@ class LogEvaluation:
     role: str
     scores: Mapping[str, ChannelScores]
     events: tuple[AssessedEvent, ...]
-    rivals: Mapping[str, Tally]
+    baselines: Mapping[str, Tally]
     untrimmed: Mapping[str, ChannelScores] = field(default_factory=dict)
 
     @property
@@ -109,7 +109,7 @@ class LogEvaluation:
             "channels": channels,
             "events": [each.row() for each in self.assessments],
             "ti_tt": tally_row(self.assessments),
-            "baselines": {name: rival.row() for name, rival in self.rivals.items()},
+            "baselines": {name: baseline.row() for name, baseline in self.baselines.items()},
             "masked": {
                 channel: {"samples": sum(reasons.values()), "reasons": reasons}
                 for channel, reasons in log.audit.masked().items()
@@ -179,7 +179,7 @@ def assess_log(
         role=_role(bundle, log),
         scores=score([run]),
         events=assessed(events, _overlay(run, MODEL), settings.transients),
-        rivals={
+        baselines={
             name: tally(assess_events(events, _overlay(run, name), settings.transients))
             for name in BASELINES
             if name in run.outputs
@@ -276,12 +276,12 @@ class Evaluation:
     def outcome(self) -> Outcome:
         """The verdict: what is missed, then what was counted, then how the baselines do."""
         missed, found = self.missed(), self.tally
-        rivals = tuple(_against_baselines(one) for one in self.logs)
+        baselines = tuple(_against_baselines(one) for one in self.logs)
         lines = tuple(f"{text.rstrip('.')}." for text in missed)
         if not found.assessed:
             open_ = bool(missed) and missed == self._without_evidence()
             headline = "No event could be assessed for Ti and Tt"
-            return Outcome(None if open_ else not missed, headline, (*lines, *rivals))
+            return Outcome(None if open_ else not missed, headline, (*lines, *baselines))
         share = 100.0 * found.passed / found.assessed
         headline = (
             f"{found.passed} of {found.assessed} assessable transients ({share:.0f} %) meet the "
@@ -294,7 +294,7 @@ class Evaluation:
                 f"{plural(found.not_assessable, 'transient')} could not be assessed and count "
                 "neither way."
             )
-        return Outcome(not missed, headline, (*lines, *counts, *rivals))
+        return Outcome(not missed, headline, (*lines, *counts, *baselines))
 
     def document(self) -> dict[str, Any]:
         """`evaluate.json`; None where a figure does not exist."""

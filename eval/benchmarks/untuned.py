@@ -219,16 +219,16 @@ def rows_of(group: str, found: Evaluation) -> Iterator[Row]:
         best = min(pooled.first_order_rmse, pooled.arx_rmse, key=_known)
         unit = channel(name).unit
         yield Row(group, f"RMSE {name}", pooled.rmse, unit, best, "at most", _SOURCE)
-    rivals = [_passed(found, name) for name in (FIRST_ORDER, ARX)]
+    baselines = [_passed(found, name) for name in (FIRST_ORDER, ARX)]
     counts = found.tally
     passed = math.nan if counts.passed_pct is None else counts.passed_pct
-    best = max(rivals) * 100.0 / counts.assessed if counts.assessed else math.nan
-    note = f"{counts.passed} of {counts.assessed}; best baseline {max(rivals)}"
+    best = max(baselines) * 100.0 / counts.assessed if counts.assessed else math.nan
+    note = f"{counts.passed} of {counts.assessed}; best baseline {max(baselines)}"
     yield Row(group, "Ti and Tt passed", passed, "%", best, "at least", _SOURCE, note)
 
 
-def _passed(found: Evaluation, rival: str) -> int:
-    return sum(log.rivals[rival].passed for log in found.logs if rival in log.rivals)
+def _passed(found: Evaluation, baseline: str) -> int:
+    return sum(log.baselines[baseline].passed for log in found.logs if baseline in log.baselines)
 
 
 def _known(value: float) -> float:

@@ -340,8 +340,8 @@ def tallies(views: Sequence[LogView]) -> Table:
         if view.evaluation is None:
             continue
         rows.append((Cell(view.name, "group"),))
-        rivals = {BASELINES[name]: part for name, part in view.evaluation.rivals.items()}
-        for name, part in {"model": tally(view.assessments), **rivals}.items():
+        baselines = {BASELINES[name]: part for name, part in view.evaluation.baselines.items()}
+        for name, part in {"model": tally(view.assessments), **baselines}.items():
             values = (
                 part.passed_pct, part.mean_relative_Ti_pct, part.mean_relative_Tt_pct,
                 part.mean_absolute_Ti_s, part.mean_absolute_Tt_s,
