@@ -11,9 +11,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
+from scipy.ndimage import median_filter
 from scipy.special import stdtrit
 
+from data_prep.equilibrium import peak_to_peak
 from data_prep.faults import (
     SPOOLS,
     FaultsConfig,
@@ -197,7 +198,7 @@ def gross_errors(
     filled = bridge_gaps(values)
     median = running_median(filled, window)
     residual = filled - median
-    swing = maximum_filter1d(median, window) - minimum_filter1d(median, window)
+    swing = peak_to_peak(median, window)
     least = _LEAST_PART * (high - low)
     if method == "grubbs":
         flagged = _grubbs(np.where(known, residual, np.nan), window * _SPREAD_WINDOWS)

@@ -59,17 +59,21 @@ def in_equilibrium(
     """
     found = np.ones(len(log), dtype=np.bool_)
     for name, band in bands.items():
-        found &= _swing(log[name], size, -(size // 2) if ahead else 0, longest_gap) <= band
+        origin = -(size // 2) if ahead else 0
+        gaps = long_runs(~np.isfinite(log[name]), longest_gap).view(np.int8)
+        found &= maximum_filter1d(gaps, size, origin=origin) == 0
+        found &= peak_to_peak(bridge_gaps(log[name]), size, origin) <= band
     return found
 
 
-def _swing(values: FloatArray, size: int, origin: int, longest_gap: int) -> FloatArray:
-    """Peak to peak (time,) in each window; infinite where it has a gap longer than that."""
-    filled = bridge_gaps(values)
-    width = maximum_filter1d(filled, size, origin=origin)
-    width = width - minimum_filter1d(filled, size, origin=origin)
-    gaps = long_runs(~np.isfinite(values), longest_gap).view(np.int8)
-    return np.where(maximum_filter1d(gaps, size, origin=origin) == 1, np.inf, width)
+def peak_to_peak(values: FloatArray, size: int, origin: int = 0) -> FloatArray:
+    """Largest minus smallest value (time, ...) in the window of `size` samples about each one.
+
+    The window is centred at `origin` 0 and begins at the sample at -(size // 2).
+    """
+    swing: FloatArray = maximum_filter1d(values, size, axis=0, origin=origin)
+    swing -= minimum_filter1d(values, size, axis=0, origin=origin)
+    return swing
 
 
 # Below any idle, and about where starters disengage.

@@ -32,9 +32,10 @@ from itertools import count, pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.ndimage import binary_dilation, maximum_filter1d, minimum_filter1d
+from scipy.ndimage import binary_dilation
 from scipy.optimize import least_squares
 
+from data_prep.equilibrium import peak_to_peak
 from data_prep.log import Log
 from narxcal.atmosphere import air_at
 from narxcal.channels import CHANNELS
@@ -179,16 +180,9 @@ def moving(ss: FloatArray, full: float, dt_s: float, *, relative: bool = False) 
     """Rows (time,) in and around the moves of a steady-state value `ss` whose range is `full`."""
     span_s, around_s = _STRETCHES_S[relative]
     around = max(round(around_s / dt_s), 1)
-    rows: BoolArray = binary_dilation(_swing(ss, span_s, dt_s) > _MOVING * full, iterations=around)
+    moves = peak_to_peak(ss, max(round(span_s / dt_s), 2)) > _MOVING * full
+    rows: BoolArray = binary_dilation(moves, iterations=around)
     return rows
-
-
-def _swing(values: FloatArray, span_s: float, dt_s: float) -> FloatArray:
-    """Largest minus smallest value (time, ...) within `span_s` around each sample."""
-    size = max(round(span_s / dt_s), 2)
-    swing: FloatArray = maximum_filter1d(values, size, axis=0)
-    swing -= minimum_filter1d(values, size, axis=0)
-    return swing
 
 
 def _zero_if_unknown(deviations: FloatArray) -> FloatArray:
@@ -206,7 +200,8 @@ def _weights(
         levels = [np.abs(values) / np.maximum(largest, 1e-9) for values in known]
         return [1.0 / np.clip(level, *_LEVEL) for level in levels]
     if form.relative:
-        shares = [_swing(values, _SWING_S, dt_s) / (2.0 * engine.half) for values in known]
+        size = max(round(_SWING_S / dt_s), 2)
+        shares = [peak_to_peak(values, size) / (2.0 * engine.half) for values in known]
         return [_USUAL_SWING / np.maximum(share, _LEAST_SWING) for share in shares]
     return [np.ones_like(values) for values in known]
 

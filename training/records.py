@@ -26,9 +26,8 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
-from data_prep.equilibrium import quasi_steady
+from data_prep.equilibrium import peak_to_peak, quasi_steady
 from data_prep.log import Log
 from data_prep.prepare import hold_inputs, with_outputs
 from narxcal.calibration.calibration import narx_features, steady_for_engine
@@ -61,7 +60,8 @@ def motion_weight(
 
     `scale` (n_out,) are the `largest` values.
     """
-    moving = _moving(target / scale, dt_s)
+    within = round(_WITHIN_S / dt_s) | 1
+    moving = peak_to_peak(target / scale, within).max(axis=1) > _MOVES
     rows = np.arange(len(moving))
     never = len(rows) + round(_AFTER_S / dt_s) + 1
     last = np.maximum.accumulate(np.where(moving, rows, -never))
@@ -71,12 +71,6 @@ def motion_weight(
     weight = np.where(near, 1.0, _STEADY)
     weight = weight * np.where(_onset(moving, dt_s), _ONSET, 1.0)
     return np.asarray(weight / np.clip(level, *_LEVEL))
-
-
-def _moving(share: FloatArray, dt_s: float) -> BoolArray:
-    size = round(_WITHIN_S / dt_s) | 1
-    swing = maximum_filter1d(share, size, axis=0) - minimum_filter1d(share, size, axis=0)
-    return np.asarray(swing.max(axis=1) > _MOVES)
 
 
 def _onset(moving: BoolArray, dt_s: float) -> BoolArray:
