@@ -218,7 +218,9 @@ def _pulled_back(
 ) -> FloatArray:
     """Back-propagate `outer`, dLoss/d(outputs) (T, o), to dLoss/d(weights) (P,)."""
     _, active, fed = run
-    total, hidden = kernels.adjoint(outer, run, weights.feedback, batch.positions, weights.bounds)
+    total, hidden, _ = kernels.adjoint(
+        outer, run, weights.feedback, batch.positions, weights.bounds
+    )
     phi, rest, rest_active = _features(batch, fed, weights)
     parts = [hidden.T @ phi, hidden.sum(0), total.T @ active, total.sum(0), total.T @ phi]
     if len(rest):

@@ -1,9 +1,8 @@
 """Speed as ratios and against the clock, measured on this machine in this run.
 
 Kernels: compiled against PyTorch. The network is that of the public comparison: one input, one
-output, 30 tanh units, here with two lags. PyTorch runs eagerly on one thread, a step per call, as
-the exact twin `simulate_slowly` does. Replay: CSV to CSV with the fuser on a virtual flight at 32
-Hz.
+output, 30 tanh units, here with two lags. PyTorch runs eagerly on one thread, a step per call:
+`NarxNet.free_run_by_steps`. Replay: CSV to CSV with the fuser on a virtual flight at 32 Hz.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from data_prep.log import Log
 from eval.benchmarks.row import Row
@@ -27,7 +25,6 @@ from narxcal.calibration.fuser import KalmanFuser
 from narxcal.calibration.noise import NoiseModel
 from narxcal.flight_test.fly import load_scenario, write_flights
 from narxcal.narx.config import NarxConfig
-from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxModel
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray
@@ -39,22 +36,6 @@ from training.records import Split
 
 _KERNEL_GROUP = "speed"
 _NETWORK = NarxConfig(lags=2, taps=(0, 1), hidden=30)
-
-
-def simulate_slowly(net: NarxNet, y_start: Tensor, u: Tensor) -> Tensor:
-    """Free run by one PyTorch call a step: the exact twin of the compiled kernels.
-
-    `y_start` (batch, n, outputs) are the first n samples, `u` (batch, time, inputs); returns
-    (batch, time, outputs) whose first n samples are `y_start`. Inputs and outputs
-    are constant before their first sample.
-    """
-    lags, taps = net.config.lags, net.config.taps
-    y = [y_start[:, k] for k in range(y_start.shape[1])]
-    for k in range(len(y), u.shape[1]):
-        past_y = torch.stack([y[max(k - j, 0)] for j in range(1, lags + 1)], dim=1)
-        past_u = torch.stack([u[:, max(k - d, 0)] for d in taps], dim=1)
-        y.append(net(past_y, past_u))
-    return torch.stack(y, dim=1)
 
 
 def rows() -> list[Row]:
@@ -86,7 +67,7 @@ def _simulation(model: NarxModel, record: Record, short: Record) -> list[Row]:
 
     def twin() -> None:
         with torch.no_grad():
-            simulate_slowly(model.net, start, u)
+            model.net.free_run_by_steps(start, u)
 
     slow = _seconds(twin, repeats=1) / len(short)
     note = "2 lags, 30 tanh units, one thread"
@@ -124,7 +105,7 @@ def autograd_loss(model: NarxModel, record: Record, horizon: int) -> float:
     for first in range(1, len(y) - 1, horizon):
         part = slice(first - 1, min(first + horizon, len(y)))
         drive, target = torch.from_numpy(u[part])[None], torch.from_numpy(y[part])[None]
-        run = simulate_slowly(model.net, target[:, :1], drive)
+        run = model.net.free_run_by_steps(target[:, :1], drive)
         loss = 0.5 * ((run - target) ** 2).sum() / (len(y) - 1)
         torch.autograd.backward(loss)
         total += float(loss.detach())

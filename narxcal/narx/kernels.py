@@ -16,6 +16,9 @@ is the slow exact twin of these functions and their test.
 Several windows are run as one: `restarts` is (positions (n,), histories (n, m)), the steps at
 which a window begins and the outputs just before it.
 
+Loops over the hidden units are innermost and contiguous, so that they run in the processor's
+vector registers: W1y is stored transposed, and tanh is evaluated for all units at once.
+
 Shapes: T steps, o outputs, h hidden units, m = lags * o feedback entries (newest lag first),
 f = m + input taps features, P parameters in the order W1 (h, f), b1 (h), W2 (o, h), b2 (o),
 A (o, f), each flattened by rows.
@@ -31,6 +34,42 @@ from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.compiled import compiled
 
 Run = tuple[FloatArray, FloatArray, FloatArray]
+Feedback = tuple[FloatArray, FloatArray, FloatArray]
+
+_LOG2_E = 1.4426950408889634
+# ln 2 in two parts, the first with trailing zeros, so that k ln 2 is exact to the last digit.
+_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+_ROUND = 1.5 * 2.0**52  # x + this has the nearest integer to x in its lowest bits
+_EXPONENT, _BIAS = 52, 1023 << 52  # where a double keeps the power of two, and that of 1
+_FLAT = 20.0  # tanh is 1 to the last digit from here on
+# 1 / n! for n = 2 to 13; with |r| <= ln 2 / 2 the first term left out is 4e-18 of the value.
+_F2, _F3, _F4, _F5, _F6, _F7, _F8, _F9, _F10, _F11, _F12, _F13 = (
+    1.0 / math.factorial(n) for n in range(2, 14)
+)
+
+
+@compiled  # exact: with its sums reordered, x + _ROUND - _ROUND would be x
+def tanh_of(x: FloatArray, found: FloatArray, power: FloatArray) -> None:
+    """Write tanh(x) to `found`, to 5e-16 of its value; `power` is scratch; all are (n,).
+
+    With d = 2 x = k ln 2 + r, expm1(d) = 2^k expm1(r) + (2^k - 1), expm1(r) by its power series,
+    and tanh(x) = expm1(d) / (expm1(d) + 2). No branch and no call, so that the loops are
+    vectorised: 10 times faster at 30 units than one call of `math.tanh` each. NaN stays NaN.
+    """
+    bits = power.view(np.int64)
+    for i in range(len(x)):
+        d = 2.0 * min(max(x[i], -_FLAT), _FLAT)
+        power[i] = d * _LOG2_E + _ROUND
+        k = power[i] - _ROUND
+        r = (d - k * _LN2_HIGH) - k * _LN2_LOW
+        p = ((((_F13 * r + _F12) * r + _F11) * r + _F10) * r + _F9) * r + _F8
+        p = (((((p * r + _F7) * r + _F6) * r + _F5) * r + _F4) * r + _F3) * r + _F2
+        found[i] = p * r * r + r
+    for i in range(len(x)):
+        bits[i] = (bits[i] << _EXPONENT) + _BIAS
+    for i in range(len(x)):
+        e = power[i] * found[i] + (power[i] - 1.0)
+        found[i] = e / (e + 2.0)
 
 
 @compiled(exact=False)
@@ -47,17 +86,17 @@ def _push(register: FloatArray, newest: FloatArray) -> None:
 def free_run(
     drive_hidden: FloatArray,
     drive_linear: FloatArray,
-    feedback: tuple[FloatArray, FloatArray, FloatArray],
+    feedback: Feedback,
     restarts: tuple[IntArray, FloatArray],
     bounds: tuple[FloatArray, FloatArray, FloatArray],
 ) -> Run:
     """Run the network on its own outputs.
 
-    `feedback` is (W1y (h, m), W2 (o, h), Ay (o, m)); `bounds` are low (o,), high (o,) and a
+    `feedback` is (W1y' (m, h), W2 (o, h), Ay (o, m)); `bounds` are low (o,), high (o,) and a
     limit (T, o) on the magnitude at each step, which has no rows where there is none. Returns
     outputs (T, o), tanh activations (T, h) and what was fed back into each step (T, m).
     """
-    w1y, w2, ay = feedback
+    w1y, w2, ay = feedback  # w1y is transposed
     positions, histories = restarts
     low, high, limit = bounds
     steps, hidden = drive_hidden.shape
@@ -67,17 +106,18 @@ def free_run(
     y = np.empty((steps, outputs))
     active = np.empty((steps, hidden))
     fed = np.empty((steps, m))
+    z, power = np.empty(hidden), np.empty(hidden)
     window = 0
     for k in range(steps):
         if window < len(positions) and positions[window] == k:
             history[:] = histories[window]
             window += 1
         fed[k] = history
-        for i in range(hidden):
-            z = drive_hidden[k, i]
-            for j in range(m):
-                z += w1y[i, j] * history[j]
-            active[k, i] = math.tanh(z)
+        z[:] = drive_hidden[k]
+        for j in range(m):
+            for i in range(hidden):
+                z[i] += w1y[j, i] * history[j]
+        tanh_of(z, active[k], power)
         for o in range(outputs):
             v = drive_linear[k, o]
             for j in range(m):
@@ -111,63 +151,61 @@ def fading(increments: FloatArray, state: FloatArray, keep: float) -> FloatArray
 
 
 @compiled(exact=False)
-def _gain(
-    active: FloatArray, feedback: tuple[FloatArray, FloatArray, FloatArray], gain: FloatArray
-) -> None:
+def _gain(active: FloatArray, feedback: Feedback, gain: FloatArray) -> None:
     """Fill `gain` (o, m) with dy(k)/dhistory at tanh activations `active` (h,)."""
     w1y, w2, ay = feedback
-    gain[:] = ay
-    for i in range(active.shape[0]):
-        slope = 1.0 - active[i] * active[i]
-        for o in range(gain.shape[0]):
-            c = w2[o, i] * slope
-            for j in range(gain.shape[1]):
-                gain[o, j] += c * w1y[i, j]
+    for o in range(gain.shape[0]):
+        for j in range(gain.shape[1]):
+            gain[o, j] = ay[o, j]
+            for i in range(len(active)):
+                gain[o, j] += w2[o, i] * (1.0 - active[i] * active[i]) * w1y[j, i]
 
 
 @compiled(exact=False)
 def adjoint(
     outer: FloatArray,
     run: Run,
-    feedback: tuple[FloatArray, FloatArray, FloatArray],
+    feedback: Feedback,
     positions: IntArray,
     bounds: tuple[FloatArray, FloatArray],
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Back-propagate through time: from dLoss/dy (T, o) to the loss's sensitivities.
 
-    `run` is what `free_run` returned, `positions` are its restarts. Returns `total` (T, o) =
-    dLoss/d(drive_linear) and `hidden` (T, h) = dLoss/d(drive_hidden).
+    `run` is what `free_run` returned, `positions` (n,) are its restarts. Returns `total` (T, o) =
+    dLoss/d(drive_linear), `hidden` (T, h) = dLoss/d(drive_hidden) and dLoss/d(histories) (n, m).
     """
     y, active, _ = run
-    _, w2, ay = feedback
+    w1y, w2, ay = feedback
     low, high = bounds
     steps, outputs = outer.shape
-    units = active.shape[1]
     m = ay.shape[1]
-    gain = np.empty((outputs, m))
     # pending[j] is dLoss/d(history entry j) as seen from the step in hand.
     pending = np.zeros(m + outputs)
     total = np.zeros((steps, outputs))
-    hidden = np.zeros((steps, units))
+    hidden = np.zeros(active.shape)
+    before = np.zeros((len(positions), m))
     window = len(positions) - 1
     for k in range(steps - 1, -1, -1):
-        _gain(active[k], feedback, gain)
+        back = hidden[k]
         for o in range(outputs):
-            inside = low[o] < y[k, o] < high[o]
-            total[k, o] = outer[k, o] + pending[o] if inside else 0.0
+            if low[o] < y[k, o] < high[o]:
+                total[k, o] = outer[k, o] + pending[o]
+                for i in range(len(back)):
+                    back[i] += total[k, o] * w2[o, i]
+        for i in range(len(back)):
+            back[i] *= 1.0 - active[k, i] * active[k, i]
         for j in range(m):
-            pending[j] = pending[j + outputs]
+            passed = pending[j + outputs]
             for o in range(outputs):
-                pending[j] += total[k, o] * gain[o, j]
-        for i in range(units):
-            back = 0.0
-            for o in range(outputs):
-                back += total[k, o] * w2[o, i]
-            hidden[k, i] = back * (1.0 - active[k, i] * active[k, i])
+                passed += total[k, o] * ay[o, j]
+            for i in range(len(back)):
+                passed += back[i] * w1y[j, i]
+            pending[j] = passed
         if window >= 0 and positions[window] == k:
+            before[window] = pending[:m]
             pending[:] = 0.0
             window -= 1
-    return total, hidden
+    return total, hidden, before
 
 
 @compiled(exact=False)
@@ -221,7 +259,7 @@ def _recall(row: FloatArray, gain: FloatArray, ring: FloatArray, slot: int) -> N
 def jacobian(
     features: tuple[FloatArray, FloatArray, FloatArray],
     run: Run,
-    feedback: tuple[FloatArray, FloatArray, FloatArray],
+    feedback: Feedback,
     restarts: tuple[IntArray, FloatArray],
     scored: tuple[FloatArray, FloatArray, FloatArray],
 ) -> FloatArray:

@@ -6,12 +6,13 @@ hidden layer is that of Billings (2013), Nonlinear System Identification, sectio
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from narxcal.narx import kernels
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.network import Weights
 from narxcal.support.arrays import FloatArray
@@ -86,6 +87,47 @@ class NarxNet(nn.Module):
         value: Tensor = self.output(torch.tanh(self.hidden(phi))) + self.linear(phi)
         return value
 
+    def free_run(self, start: Tensor, u: Tensor) -> Tensor:
+        """Run the network on its own outputs; differentiable, for any optimiser and loss.
+
+        `start` (batch, n, outputs) are the first n samples, `u` (batch, time, inputs); returns
+        (batch, time, outputs) whose first n samples are `start`. Inputs and outputs are constant
+        before their first sample. In double precision on a CPU it is the compiled kernels, forward
+        and back; elsewhere it is `free_run_by_steps`.
+        """
+        if u.device.type != "cpu" or u.dtype != torch.float64:
+            return self.free_run_by_steps(start, u)
+        (batch, time, _), first = u.shape, start.shape[1]
+        m, rows = self.config.lags * self.outputs, torch.arange(first, time)
+        tapped = torch.cat([u[:, torch.clamp(rows - d, min=0)] for d in self.config.taps], dim=2)
+        past = [max(first - j, 0) for j in range(1, self.config.lags + 1)]
+        weights = self.hidden.weight[:, m:], self.linear.weight[:, m:]
+        hidden = tapped @ weights[0].T + self.hidden.bias
+        linear = tapped @ weights[1].T + self.output.bias
+        if self.config.moving:
+            moving = torch.arange(tapped.shape[2]) % self.inputs < self.config.moving
+            rest = torch.where(moving, 0.0, tapped)
+            linear = linear - self.output(torch.tanh(rest @ weights[0].T + self.hidden.bias))
+            linear = linear - rest @ weights[1].T
+        feedback = self.hidden.weight[:, :m], self.output.weight, self.linear.weight[:, :m]
+        y: Tensor = _FreeRun.apply(  # type: ignore[no-untyped-call]
+            hidden.flatten(0, 1),
+            linear.flatten(0, 1),
+            *feedback,
+            start[:, past].flatten(1),
+            (self.low.numpy(), self.high.numpy()),
+        )
+        return torch.cat([start, y.reshape(batch, time - first, -1)], dim=1)
+
+    def free_run_by_steps(self, start: Tensor, u: Tensor) -> Tensor:
+        """As `free_run`, by one PyTorch call a step: on any device, in any precision."""
+        y = [start[:, k] for k in range(start.shape[1])]
+        for k in range(len(y), u.shape[1]):
+            past_y = torch.stack([y[max(k - j, 0)] for j in range(1, self.config.lags + 1)], dim=1)
+            past_u = torch.stack([u[:, max(k - d, 0)] for d in self.config.taps], dim=1)
+            y.append(self(past_y, past_u))
+        return torch.stack(y, dim=1)
+
     def get_theta(self) -> FloatArray:
         """All weights as one vector (P,), in the order of `PARAMETER_ORDER`."""
         return self.weights().theta
@@ -106,3 +148,31 @@ class NarxNet(nn.Module):
                 part = torch.from_numpy(np.array(theta[at : at + size]))
                 weights[name].copy_(part.reshape(weights[name].shape))
                 at += size
+
+
+class _FreeRun(torch.autograd.Function):
+    """The compiled free run of windows of equal length, end to end, and its adjoint."""
+
+    @staticmethod
+    def forward(ctx: Any, *given: Any) -> Tensor:
+        hidden, linear, w1y, w2, ay, histories, bounds = given
+        feedback = w1y.numpy().T.copy(), w2.numpy().copy(), ay.numpy().copy()
+        positions = np.arange(len(histories)) * (len(linear) // max(len(histories), 1))
+        run = kernels.free_run(
+            hidden.numpy(),
+            linear.numpy(),
+            feedback,
+            (positions, np.ascontiguousarray(histories.numpy())),
+            (*bounds, np.empty((0, linear.shape[1]))),
+        )
+        ctx.run, ctx.feedback, ctx.positions, ctx.bounds = run, feedback, positions, bounds
+        return torch.from_numpy(run[0])
+
+    @staticmethod
+    def backward(ctx: Any, *outer: Tensor) -> tuple[Tensor | None, ...]:
+        _, active, fed = ctx.run
+        total, hidden, before = kernels.adjoint(
+            np.ascontiguousarray(outer[0].numpy()), ctx.run, ctx.feedback, ctx.positions, ctx.bounds
+        )
+        found = hidden, total, hidden.T @ fed, total.T @ active, total.T @ fed, before
+        return (*(torch.from_numpy(slope) for slope in found), None)

@@ -69,10 +69,10 @@ class Weights:
         return np.concatenate([array.ravel() for array in arrays])
 
     @cached_property
-    def feedback(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(W1y, W2, Ay) as the kernels take them."""
+    def feedback(self) -> kernels.Feedback:
+        """(W1y', W2, Ay) as the kernels take them."""
         m = self.config.lags * self.outputs
-        return self.w1[:, :m].copy(), self.w2, self.a[:, :m].copy()
+        return self.w1[:, :m].T.copy(), self.w2, self.a[:, :m].copy()
 
     @cached_property
     def drive(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -233,7 +233,8 @@ class NarxModel:
         if len(measured) < 2:
             return result
         scaled, lags = self.output_scaling.down(measured), self.config.lags
-        past = np.array([history_before(scaled, k, lags) for k in range(1, len(scaled))])
+        rows = np.maximum(np.arange(len(scaled) - 1)[:, None] - np.arange(lags), 0)
+        past = scaled[rows].reshape(len(rows), -1)
         tapped = tap(self.input_scaling.down(inputs), self.config.taps)[1:]
         # A free run that starts anew from measured outputs at every sample.
         steps, _, _ = self.weights.run(tapped, (np.arange(len(past)), past))

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eval.benchmarks.speed import simulate_slowly
+from narxcal.narx import kernels
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import AT_START, NarxConfig, NarxModel, Scaling
 from narxcal.record import Record
@@ -51,12 +51,41 @@ def test_compiled_free_run_equals_one_pytorch_call_a_step(config, given_samples,
     start = np.nan_to_num(record.y[:given_samples])
     fast = model.simulate(record.u, start)
     with torch.no_grad():
-        slow = simulate_slowly(
-            model.net,
+        slow = model.net.free_run_by_steps(
             torch.from_numpy(model.output_scaling.down(start))[None],
             torch.from_numpy(model.input_scaling.down(record.u))[None],
         )[0].numpy()
     np.testing.assert_allclose(fast, model.output_scaling.up(slow), rtol=1e-10, atol=1e-10)
+
+
+@settings(max_examples=15, deadline=None)
+@given(config=configs, first=st.integers(1, 6), seed=st.integers(0, 99))
+def test_the_differentiable_free_run_is_that_of_the_steps_and_so_are_its_slopes(
+    config, first, seed
+):
+    net = make_model(config, seed=seed).net
+    found = []
+    for run in (net.free_run, net.free_run_by_steps):
+        random = np.random.default_rng(seed)
+        start = torch.tensor(random.normal(size=(3, first, 2)) * 0.2, requires_grad=True)
+        u = torch.tensor(random.normal(size=(3, 25, 3)), requires_grad=True)
+        net.zero_grad()
+        y = run(start, u)
+        (y**2 * torch.arange(25.0, dtype=torch.float64)[:, None]).sum().backward()
+        slopes = [start.grad, u.grad, *(weights.grad for weights in net.parameters())]
+        found.append([y.detach(), *slopes])
+    for fast, slow in zip(*found, strict=True):
+        np.testing.assert_allclose(fast.numpy(), slow.numpy(), rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("values", [np.linspace(-30, 30, 4001), np.linspace(-1e-3, 1e-3, 4001)])
+def test_tanh_of_all_units_at_once_is_exact_to_the_last_digits(values):
+    found, scratch = np.empty_like(values), np.empty_like(values)
+    kernels.tanh_of(values, found, scratch)
+    np.testing.assert_allclose(found, np.tanh(values), rtol=1e-15, atol=0.0)
+    limits = np.array([np.nan, np.inf, -np.inf, 0.0, 1e-300])
+    kernels.tanh_of(limits, found[:5], scratch[:5])
+    np.testing.assert_array_equal(found[:5], np.tanh(limits))
 
 
 def autograd(model, windows, theta):
