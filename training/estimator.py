@@ -1,148 +1,34 @@
-"""`Narx`: a scikit-learn estimator of the network for any records, and its folder.
-
-The folder of a trained one holds `narx.json` and `weights.safetensors`.
-
-    schema      "narxcal.narx/1"
-    parameters  structure, train and dt_s as given, null for what was left to the default
-    network     structure and width of the trained network
-    result      how the training ended: status, score, every step
-    weights     file, SHA-256, shapes; the arrays themselves are in that file
-    sha256      of parameters, network and result
-    versions    of Python and the packages that made it
-
-A number that is not finite, such as a validation error without validation records, is null.
-"""
+"""`Narx`: a scikit-learn estimator for any records; `training.estimator_folder` stores it."""
 
 from __future__ import annotations
 
-import json
-import math
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable
 from os import PathLike
-from pathlib import Path
-from typing import Any, Self, TypeAlias, TypeVar
+from typing import Any, Self, TypeAlias, overload
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
+from rich.progress import Progress
 from sklearn.base import BaseEstimator
 from sklearn.exceptions import NotFittedError
 
-from narxcal.calibration.bundle import WEIGHTS, ModelFolder, packed, seal
 from narxcal.narx.config import NarxConfig
-from narxcal.narx.network import NarxModel
-from narxcal.record import Record, RecordLike, as_records, check_records, columns
+from narxcal.narx.forms import Band, DynamicModel
+from narxcal.record import (
+    Record,
+    RecordLike,
+    as_records,
+    check_measured,
+    check_records,
+    columns,
+)
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, ModelError
-from narxcal.support.files import atomic_folder, atomic_write_bytes, atomic_write_text, versions
+from training.choice import Choice, choose, known_start
 from training.config import TrainConfig
-from training.network import FitResult, HistoryRow, Material, Watch, fit_narx
-
-_FORM = ModelFolder(
-    what="stored Narx",
-    document="narx.json",
-    schemas=("narxcal.narx/1",),
-    made_by="Narx.save",
-    again="Copy the folder again, or train anew",
-)
-T = TypeVar("T", NarxConfig, TrainConfig)
-_SEALED = ("parameters", "network", "result")
-
-
-@dataclass(frozen=True, eq=False)
-class Stored:
-    """What a trained estimator is made of: its parameters as given, and the result of `fit`."""
-
-    structure: NarxConfig | None
-    train: TrainConfig | None
-    dt_s: float
-    result: FitResult
-
-
-def save(folder: str | PathLike[str], stored: Stored, *, replace: bool = False) -> None:
-    """Write a new folder, whole or not at all; raises as `narxcal.support.files.atomic_folder`."""
-    network, arrays = stored.result.model.to_arrays()
-    weights, entry = packed(arrays)
-    sealed = {
-        "parameters": {
-            "structure": _dumped(stored.structure),
-            "train": _dumped(stored.train),
-            "dt_s": float(stored.dt_s),
-        },
-        "network": network,
-        "result": {
-            "status": stored.result.status,
-            "score": _number(stored.result.score),
-            "history": [
-                {key: _number(value) for key, value in asdict(row).items()}
-                for row in stored.result.history
-            ],
-        },
-    }
-    document = {
-        "schema": _FORM.schemas[0],
-        **sealed,
-        "sha256": seal(json.loads(json.dumps(sealed))),
-        "weights": entry,
-        "versions": versions(),
-    }
-    with atomic_folder(folder, replace) as part:
-        atomic_write_bytes(part / WEIGHTS, weights)
-        text = json.dumps(document, indent=1, allow_nan=False) + "\n"
-        atomic_write_text(part / _FORM.document, text)
-
-
-def load(folder: str | PathLike[str]) -> Stored:
-    """Read what `save` wrote; `ModelError` for a folder that is another, damaged or altered."""
-    source = Path(folder)
-    document = _FORM.read_document(source)
-    arrays = _FORM.read_arrays(source, document)
-    sealed = {key: _FORM.part(source, document, key) for key in _SEALED}
-    file = source / _FORM.document
-    if seal(sealed) != document.get("sha256"):
-        problem = f"{', '.join(_SEALED[:-1])} or {_SEALED[-1]} were altered"
-        raise ModelError(problem, file=file, hint=_FORM.again)
-    try:
-        return _stored(sealed, NarxModel.from_arrays(sealed["network"], arrays))
-    except (KeyError, TypeError, ConfigError) as error:
-        raise ModelError(f"a part cannot be read: {error}", file=file, hint=_FORM.again) from None
-
-
-def _stored(sealed: Mapping[str, Any], model: NarxModel) -> Stored:
-    given, result = sealed["parameters"], sealed["result"]
-    return Stored(
-        structure=_parsed(NarxConfig, given["structure"]),
-        train=_parsed(TrainConfig, given["train"]),
-        dt_s=given["dt_s"],
-        result=FitResult(
-            model=model,
-            status=result["status"],
-            score=_known(result["score"]),
-            history=tuple(_row(row) for row in result["history"]),
-        ),
-    )
-
-
-def _row(row: Mapping[str, Any]) -> HistoryRow:
-    return HistoryRow(**{key: _known(value) for key, value in row.items()})
-
-
-def _dumped(section: NarxConfig | TrainConfig | None) -> dict[str, Any] | None:
-    return None if section is None else section.model_dump(mode="json", by_alias=True)
-
-
-def _parsed(kind: type[T], given: Any) -> T | None:
-    return None if given is None else kind.parse(given)
-
-
-def _number(value: float) -> float | None:
-    """JSON has no NaN."""
-    return value if math.isfinite(value) else None
-
-
-def _known(value: Any) -> Any:
-    return math.nan if value is None else value
-
+from training.estimator_folder import TIME_LIMIT_S, Stored, Structure, load, save
+from training.network import FitResult, Material, Watch, fit_narx
 
 Records: TypeAlias = RecordLike | Iterable[RecordLike]
 
@@ -159,12 +45,18 @@ class NotTrainedError(ModelError, NotFittedError):  # type: ignore[misc]  # scik
 
 
 class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
-    """NARX network trained on its free run over one or several records.
+    """Model of a dynamic system, fitted to its free run over one or several records.
 
-    `structure` holds lags, input taps and width, `train` the optimiser and its horizons (in the
-    unit of `dt_s`, which is 1 by default: then horizons count samples). Tap 0 is the input at
-    the predicted sample itself; leave it out where that must not be used. Left out, they are
-    8 lags, taps 0 to 8 and 8 hidden units; fewer do for a system of low order.
+    With `structure="auto"` (and no `train`) the form is chosen by held-out free runs, from a
+    first-order lag to a network with latent states (see `training.choice`): `choice_` lists what
+    was tried, `reason_` says in a sentence why, `status_` how the search ended. `time_limit_s` is
+    turned into a number of sample-steps once: the same records and `seed` give the same model.
+    `verbose` shows a progress bar.
+
+    A `NarxConfig` is the NARX network of this structure: lags, input taps and width; `train` holds
+    the optimiser and its horizons (in the unit of `dt_s`, which is 1 by default: then horizons
+    count samples). Tap 0 is the input at the predicted sample itself; leave it out where that must
+    not be used. `None`, or "auto" with a `train`, is 8 lags, taps 0 to 8 and 8 hidden units.
 
     A record is a pair of arrays `(u, y)` (time, inputs) and (time, outputs), or a `Record`, which
     also has a name; methods take one of these or several. Searches of scikit-learn reach into
@@ -183,13 +75,20 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
 
     def __init__(
         self,
-        structure: NarxConfig | None = None,
+        structure: Structure = "auto",
         train: TrainConfig | None = None,
         dt_s: float = 1.0,
+        *,
+        time_limit_s: float = TIME_LIMIT_S,
+        seed: int = 0,
+        verbose: bool = False,
     ) -> None:
         self.structure = structure
         self.train = train
         self.dt_s = dt_s
+        self.time_limit_s = time_limit_s
+        self.seed = seed
+        self.verbose = verbose
 
     def fit(
         self,
@@ -197,26 +96,72 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         validation: Records | None = None,
         watch: Watch | None = None,
     ) -> Self:
-        """Train on whole records; stop and select by `validation` records where given.
+        """Fit to whole records; stop and select by `validation` records where given.
 
-        NaN outputs are masked. Raises `DataError` for what is no record, and for records that do
-        not fit each other, `ConfigError` for parameters that are none.
+        `watch` is called after every step of a network. NaN outputs are masked. Raises `DataError`
+        for what is no record, and for records that do not fit each other, `ConfigError` for
+        parameters that are none.
         """
         structure, train = self._sections()
         if not self.dt_s > 0.0 or not np.isfinite(self.dt_s):
             raise ConfigError(f"key 'dt_s': expected a time above 0, found {self.dt_s}")
         learned = as_records(records)
         held_out = [] if validation is None else as_records(validation, "validation record")
-        material = Material(learned, held_out, self.dt_s)
-        self.result_: FitResult = fit_narx(material, structure, train, watch)
+        self.result_: FitResult | Choice
+        if self.structure == "auto" and self.train is None:
+            self.result_ = self._chosen(learned, held_out)
+        else:
+            material = Material(learned, held_out, self.dt_s)
+            self.result_ = fit_narx(material, structure, train, watch)
         return self
 
+    def _chosen(self, learned: list[Record], held_out: list[Record]) -> Choice:
+        if not self.time_limit_s > 0.0 or not np.isfinite(self.time_limit_s):
+            raise ConfigError(
+                f"key 'time_limit_s': expected a time above 0, found {self.time_limit_s}"
+            )
+        check_records([*learned, *held_out], 0)
+        check_measured(learned, "training")
+        if not self.verbose:
+            return choose(learned, self.time_limit_s, self.seed, validation=held_out)
+        with Progress(transient=True) as bar:
+            task = bar.add_task("choosing", total=1.0)
+
+            def show(share: float, what: str) -> None:
+                bar.update(task, completed=share, description=what)
+
+            return choose(learned, self.time_limit_s, self.seed, show, held_out)
+
     @property
-    def model(self) -> NarxModel:
-        """The trained network; raises `NotTrainedError` before `fit`."""
+    def model(self) -> DynamicModel:
+        """The fitted model; raises `NotTrainedError` before `fit`."""
+        return self._fitted().model
+
+    @property
+    def choice_(self) -> pd.DataFrame:
+        """Everything that was tried, best first: rung, form, score, standard_error, chosen."""
+        return self._choice().tried
+
+    @property
+    def reason_(self) -> str:
+        """One sentence that says why this form was chosen."""
+        return self._choice().reason
+
+    @property
+    def status_(self) -> str:
+        """How fitting ended."""
+        return self._fitted().status
+
+    def _fitted(self) -> FitResult | Choice:
         if not hasattr(self, "result_"):
             raise _not_trained()
-        return self.result_.model
+        return self.result_
+
+    def _choice(self) -> Choice:
+        found = self._fitted()
+        if not isinstance(found, Choice):
+            raise ModelError("the structure was given, so nothing was chosen")
+        return found
 
     def save(self, folder: str | PathLike[str], *, replace: bool = False) -> None:
         """Write the trained network and all parameters to a new folder, without pickle.
@@ -225,9 +170,9 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         `replace`, other than narxcal's) or cannot be written.
         """
         self._sections()
-        if not hasattr(self, "result_"):
-            raise _not_trained()
-        stored = Stored(self.structure, self.train, self.dt_s, self.result_)
+        stored = Stored(
+            self.structure, self.train, self.dt_s, self.time_limit_s, self.seed, self._fitted()
+        )
         save(folder, stored, replace=replace)
 
     @classmethod
@@ -237,22 +182,52 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         Raises `ModelError` for a folder that is another, damaged or altered.
         """
         stored = load(folder)
-        loaded = cls(stored.structure, stored.train, stored.dt_s)
+        loaded = cls(
+            stored.structure, stored.train, stored.dt_s,
+            time_limit_s=stored.time_limit_s, seed=stored.seed,
+        )  # fmt: skip
         loaded.result_ = stored.result
         return loaded
 
-    def simulate(self, u: ArrayLike, start: ArrayLike) -> FloatArray:
+    @overload
+    def simulate(self, u: ArrayLike, start: ArrayLike) -> FloatArray: ...
+    @overload
+    def simulate(self, u: ArrayLike, start: ArrayLike, interval: float) -> Band: ...
+    def simulate(
+        self, u: ArrayLike, start: ArrayLike, interval: float | None = None
+    ) -> FloatArray | Band:
         """Free run (time, outputs) over `u` (time, inputs); `start` are its first n samples.
 
         `start` is (n, outputs); of one dimension it is (n,) where there is one output, and one
-        sample (outputs,) where there are several.
+        sample (outputs,) where there are several. With `interval`, such as 0.9, a `Band` that
+        covers this share of samples, by the errors of held-out free runs at the same horizon.
         """
-        single = self.model.outputs == 1
-        return self.model.simulate(columns(u), columns(start) if single else start)
+        model = self.model
+        inputs, first = _checked(columns(u), start, model)
+        free_run = model.simulate(inputs, first)
+        if interval is None:
+            return free_run
+        if not 0.0 < interval < 1.0:
+            raise DataError(f"expected an interval between 0 and 1, found {interval}")
+        found = self._fitted()
+        if not isinstance(found, Choice) or found.intervals.runs == 0:
+            raise ModelError(
+                "nothing was held out, so there is no interval", hint='Use structure="auto"'
+            )
+        half = np.zeros_like(free_run)
+        steps = max(len(free_run) - len(first), 0)
+        half[len(free_run) - steps :] = found.intervals.half_width(steps, interval)
+        return Band(free_run, free_run - half, free_run + half)
 
     def predict(self, u: ArrayLike, y: ArrayLike) -> FloatArray:
         """One-step-ahead prediction (time, outputs) from measured outputs (time, outputs)."""
-        return self.model.predict(columns(u), columns(y))
+        model, inputs, measured = self.model, columns(u), columns(y)
+        _check_inputs(inputs, model)
+        if measured.shape != (len(inputs), model.outputs):
+            raise DataError(
+                f"expected outputs of shape {(len(inputs), model.outputs)}, found {measured.shape}"
+            )
+        return model.predict(inputs, measured)
 
     def score(self, records: Records, y: None = None, *, start: int = 1) -> float:
         """Coefficient of determination of the free run, pooled over records and outputs.
@@ -267,7 +242,7 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         del y
         error, spread = 0.0, 0.0
         for record in self._scorable(records, start):
-            free_run = self.model.simulate(record.u, _known_start(record.y, start))
+            free_run = self.model.simulate(record.u, known_start(record.y, start))
             scored = slice(start, None)
             centre = np.nanmean(record.y, axis=0)
             error += float(np.nansum((free_run[scored] - record.y[scored]) ** 2))
@@ -326,7 +301,9 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         return self
 
     def _sections(self) -> tuple[NarxConfig, TrainConfig]:
-        structure = _STRUCTURE if self.structure is None else self.structure
+        structure = (
+            _STRUCTURE if self.structure is None or self.structure == "auto" else self.structure
+        )
         train = _TRAIN if self.train is None else self.train
         for name, given, kind in (
             ("structure", structure, NarxConfig),
@@ -350,6 +327,30 @@ def _not_trained() -> NotTrainedError:
     return NotTrainedError("the NARX network is not trained yet", hint="Call fit first")
 
 
-def _known_start(y: FloatArray, samples: int) -> FloatArray:
-    first = y[np.isfinite(y).argmax(axis=0), np.arange(y.shape[1])]
-    return np.where(np.isfinite(y[:samples]), y[:samples], first)
+def _check_inputs(inputs: FloatArray, model: DynamicModel) -> None:
+    if inputs.shape[1] != model.inputs:
+        raise DataError(f"expected inputs of shape (time, {model.inputs}), found {inputs.shape}")
+    unknown = np.flatnonzero(~np.isfinite(inputs).all(axis=1))
+    if len(unknown):
+        raise DataError(
+            "an input is not a finite number",
+            row=int(unknown[0]),
+            hint="A free run cannot step over a hole: fill it, or cut the record there",
+        )
+
+
+def _checked(
+    inputs: FloatArray, start: ArrayLike, model: DynamicModel
+) -> tuple[FloatArray, FloatArray]:
+    """Inputs and start (n, outputs) that a free run can use."""
+    _check_inputs(inputs, model)
+    single = model.outputs == 1
+    first = columns(start) if single else np.atleast_2d(np.asarray(start, dtype=np.float64))
+    if not len(first):
+        raise DataError("a free run needs at least one start sample, found none")
+    if first.shape[1] != model.outputs or not np.isfinite(first).all():
+        raise DataError(
+            f"expected finite start values of shape (n, {model.outputs}), "
+            f"found {first.shape} with {int((~np.isfinite(first)).sum())} not finite"
+        )
+    return inputs, first[: len(inputs)]

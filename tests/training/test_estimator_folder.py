@@ -62,7 +62,7 @@ def test_defaults_stay_defaults_and_a_subclass_stays_one(trained, tmp_path):
     plain.save(tmp_path / "model")
     loaded = Own.load(tmp_path / "model")
     assert type(loaded) is Own
-    assert (loaded.structure, loaded.train, loaded.dt_s) == (None, None, 1.0)
+    assert (loaded.structure, loaded.train, loaded.dt_s) == ("auto", None, 1.0)
 
 
 def test_a_loaded_model_can_be_saved_again_to_the_same_bytes(saved, tmp_path):

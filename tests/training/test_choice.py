@@ -1,0 +1,158 @@
+"""The form of a model is chosen by held-out free runs: what wins where, why, and bad input."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from sklearn.base import clone
+
+from narxcal import Narx, Record
+from narxcal.narx.network import Scaling
+from narxcal.support.errors import ConfigError, DataError, ModelError
+from training.choice import choose, folds_of
+from training.latent import Data, Shape, fit_linear, grown, path
+
+BUDGET_S = 1.0
+
+
+def linear_system(seed, length=300, noise=0.02):
+    """y = second-order lag of u, measured with noise."""
+    draw = np.random.default_rng(seed)
+    u = np.repeat(draw.standard_normal(length // 20 + 1), 20)[:length]
+    y = np.zeros(length)
+    for k in range(2, length):
+        y[k] = 1.5 * y[k - 1] - 0.56 * y[k - 2] + 0.06 * u[k - 1]
+    return Record(u, y + noise * draw.standard_normal(length), f"linear {seed}")
+
+
+def curved_system(seed, length=400, noise=0.01):
+    """A first-order lag whose output saturates."""
+    draw = np.random.default_rng(seed)
+    u = 2.0 * np.repeat(draw.standard_normal(length // 10 + 1), 10)[:length]
+    x = np.zeros(length)
+    for k in range(1, length):
+        x[k] = 0.8 * x[k - 1] + 0.2 * u[k - 1]
+    return Record(u, np.tanh(2.0 * x) + noise * draw.standard_normal(length), f"curved {seed}")
+
+
+def test_held_out_pieces_never_touch_what_is_fitted():
+    record = Record(np.arange(600.0), np.arange(600.0), "ramp")
+    folds = folds_of([record], gap=10)
+    assert len(folds) == 8
+    for fold in folds:
+        held = np.concatenate([run.record.u[:, 0] for run in fold.held])
+        fitted = np.concatenate([part.u[:, 0] for part in fold.fit])
+        nearest = np.abs(fitted[:, None] - np.unique(held)[None]).min()
+        assert nearest > 10
+    assert {run.begin for fold in folds for run in fold.held} == {0, 33}
+
+
+def test_whole_records_are_held_out_where_there_are_four():
+    records = [linear_system(seed) for seed in range(5)]
+    folds = folds_of(records, gap=10)
+    assert len(folds) == 5
+    for fold in folds:
+        names = {run.record.name.split("[")[0] for run in fold.held}
+        assert len(names) == 1
+        assert names.isdisjoint(part.name.split("[")[0] for part in fold.fit)
+
+
+def test_a_linear_model_is_recovered_from_several_records():
+    records = [linear_system(seed, noise=0.0) for seed in range(2)]
+    ones = (Scaling(np.zeros(1), np.ones(1)), Scaling(np.zeros(1), np.ones(1)))
+    shape = Shape(2, 1, 1, 0, (0,))
+    fitted = fit_linear(Data.of(records, (0,), ones), shape)
+    poles = np.linalg.eigvals(shape.parts(fitted.z)[0][:2, :2])
+    np.testing.assert_allclose(np.sort(poles.real), [0.7, 0.8], atol=1e-3)
+
+
+def test_falling_decays_never_raise_the_loss():
+    record = curved_system(0)
+    scalings = (Scaling.of(record.u), Scaling.of(record.y))
+    data = Data.of([record], (0,), scalings)
+    linear = fit_linear(data, Shape(1, 1, 1, 0, (0,)))
+    losses = [fit.loss for fit, _ in path(grown(linear, 4, 0), data, (1e-1, 1e-3, 1e-5), 20)]
+    assert losses[0] <= linear.loss * 1.001
+    assert all(after <= before * 1.001 for before, after in pairwise(losses))
+    assert losses[-1] < 0.2 * linear.loss
+
+
+@pytest.mark.slow
+def test_a_linear_system_gets_a_linear_model_and_a_curved_one_more():
+    straight = choose([linear_system(0, 400)], BUDGET_S)
+    assert straight.rung in {"first-order lag", "ARX", "linear output error"}
+    bent = choose([curved_system(0, 500)], BUDGET_S)
+    assert bent.rung in {"latent states", "NARX network", "mean"}
+    assert bent.tried["chosen"].sum() == 1
+    unseen = curved_system(9)
+    error = bent.model.simulate(unseen.u, unseen.y[:20])[20:] - unseen.y[20:]
+    assert np.sqrt(np.mean(error**2)) < 0.05
+    assert bent.rung in bent.reason
+
+
+@pytest.mark.slow
+def test_the_same_records_and_seed_give_the_same_model_stored_or_not(tmp_path):
+    records = [curved_system(seed, 200) for seed in range(2)]
+    one, two = (Narx(time_limit_s=0.3, seed=3).fit(records) for _ in range(2))
+    unseen = curved_system(9)
+    free = one.simulate(unseen.u, unseen.y[:9])
+    np.testing.assert_array_equal(free, two.simulate(unseen.u, unseen.y[:9]))
+    one.save(tmp_path / "model")
+    loaded = Narx.load(tmp_path / "model")
+    np.testing.assert_array_equal(free, loaded.simulate(unseen.u, unseen.y[:9]))
+    assert loaded.get_params() == one.get_params() == clone(one).get_params()
+    assert loaded.reason_ == one.reason_
+    assert loaded.choice_["form"].tolist() == one.choice_["form"].tolist()
+    band = loaded.simulate(unseen.u, unseen.y[:9], interval=0.9)
+    np.testing.assert_array_equal(band.y, free)
+    assert np.all(band.low[:9] == band.high[:9])
+    covered = (band.low <= unseen.y) & (unseen.y <= band.high)
+    assert covered[9:].mean() > 0.8
+
+
+def test_a_record_of_two_samples_is_left_out_and_alone_refused():
+    short = (np.zeros(2), np.zeros(2))
+    with pytest.raises(DataError) as caught:
+        Narx(time_limit_s=0.1).fit([short])
+    assert str(caught.value) == (
+        "the longest record has 2 samples with outputs, and at least 8 are needed to fit and to "
+        "hold something out. Add longer records"
+    )
+    model = Narx(time_limit_s=0.05).fit([linear_system(0, 60), short])
+    assert np.isfinite(model.simulate(np.ones(9), [0.0])).all()
+
+
+def test_an_output_that_never_varies_and_an_input_that_never_moves_give_finite_models():
+    record = linear_system(0, 100)
+    constant = Narx(time_limit_s=0.05).fit([(record.u, np.full(100, 0.7))])
+    np.testing.assert_allclose(constant.simulate(record.u, [0.7]), 0.7, atol=1e-6)
+    still = Narx(time_limit_s=0.05).fit([(np.ones(100), record.y)])
+    assert np.isfinite(still.simulate(np.ones(50), record.y[:5])).all()
+
+
+def test_a_budget_too_small_for_anything_but_linear_models_says_so():
+    model = Narx(time_limit_s=0.01).fit([linear_system(0, 200)])
+    assert "left out: the budget is too small" in model.status_
+    assert np.isfinite(model.score([linear_system(1)]))
+
+
+def test_masked_outputs_and_several_channels_are_fitted():
+    one, two = linear_system(0, 200), linear_system(1, 200)
+    y = np.column_stack([one.y, 2.0 * one.y])
+    y[50:60, 0] = np.nan
+    model = Narx(time_limit_s=0.05).fit([Record(np.column_stack([one.u, two.u]), y)])
+    assert model.score([(np.column_stack([one.u, two.u]), y)]) > 0.9
+
+
+def test_without_a_choice_there_is_no_interval_and_no_table():
+    record = linear_system(0, 100)
+    model = Narx(structure=None).fit([record])
+    with pytest.raises(ModelError, match=r"^the structure was given, so nothing was chosen$"):
+        _ = model.choice_
+    with pytest.raises(ModelError, match="nothing was held out, so there is no interval"):
+        model.simulate(record.u, record.y[:2], interval=0.9)
+
+
+def test_a_time_limit_has_to_be_one():
+    with pytest.raises(ConfigError, match=r"^key 'time_limit_s': expected a time above 0, found 0"):
+        Narx(time_limit_s=0.0).fit([linear_system(0, 100)])
