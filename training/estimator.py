@@ -73,7 +73,7 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
     True
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 (scikit-learn wants all settings here)
         self,
         structure: Structure = "auto",
         train: TrainConfig | None = None,
