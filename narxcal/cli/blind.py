@@ -6,12 +6,12 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import Any, Final
 
+from eval.gap.blind.altered import make_altered
 from eval.gap.blind.cases import BlindPlan
 from eval.gap.blind.files import CASES, KEY, SCHEMA
 from eval.gap.blind.make import make_cases, write_key
 from eval.gap.blind.page import render, tables
-from eval.gap.blind.plasmode import Real, make_real_cases
-from eval.gap.blind.run import Limits, run_cases
+from eval.gap.blind.run import Judge, Limits, run_cases
 from eval.gap.blind.score import SCHEMA as SCORE_SCHEMA
 from eval.gap.blind.score import CaseSet, score_answers
 from eval.gap.blind.sim_logs import make_log_cases
@@ -20,7 +20,6 @@ from narxcal.cli.options import (
     add_jobs,
     add_mapping,
     add_output,
-    add_trust,
     count,
     path,
     seconds,
@@ -95,17 +94,19 @@ def _add_make(parser: ArgumentParser) -> None:
     parser.add_argument("--seed", metavar="N", type=seed, default=0, help="default 0")
     parser.add_argument("--secret", metavar="WORD", help="opens the key; the seed if left out")
     add_jobs(parser, "cases")
-    real = parser.add_argument_group("from real flights, instead of the virtual engine's")
-    real.add_argument("--real", metavar="DIR", type=path, help="folder of recorded logs")
-    real.add_argument("--sim", metavar="SIM", help="run folder, FMU or module:function")
-    real.add_argument(
+    other = parser.add_argument_group("instead of flights of an engine that is made up")
+    other.add_argument(
+        "--altered",
+        metavar="CONFIG",
+        type=path,
+        help="recorded flights of a configuration, a channel or two of each made wrong",
+    )
+    other.add_argument(
         "--sim-logs",
         metavar="DIR",
         type=path,
-        help="instead: logs of any simulator, without noise, onto which effects are put",
+        help="logs of any simulator, without noise, onto which effects are put",
     )
-    add_mapping(parser)
-    add_trust(parser)
 
 
 def _add_run(parser: ArgumentParser) -> None:
@@ -120,12 +121,9 @@ def _add_run(parser: ArgumentParser) -> None:
         help="for one case, default 900; a case that takes longer has no answer",
     )
     parser.add_argument(
-        "--seeds",
-        metavar="N",
-        type=count,
-        default=1,
-        help="answer each case N times, flights in another order: does the answer change?",
+        "--sim", metavar="SIM", help="simulator of altered flights: run folder, FMU, function"
     )
+    add_mapping(parser)
     add_jobs(parser, "cases")
 
 
@@ -150,6 +148,14 @@ def _add_score(parser: ArgumentParser) -> None:
         help="further cases with their answers, scored together with these; as often as wanted",
     )
     parser.add_argument(
+        "--against",
+        metavar="ANSWERS",
+        type=path,
+        action="append",
+        default=[],
+        help="another product's answers to the same cases: is it to be replaced? Once per folder",
+    )
+    parser.add_argument(
         "--out", metavar="DIR", type=path, help="folder of the score; ANSWERS if left out"
     )
 
@@ -161,14 +167,10 @@ def run(options: Namespace, console: Console) -> int:
 
 
 def _make(options: Namespace, console: Console) -> None:
-    if (options.real is None) != (options.sim is None):
-        raise ConfigError("--real and --sim belong together", hint="Give both, or neither")
-    if options.sim_logs is not None and options.real is not None:
-        raise ConfigError("--sim-logs and --real exclude each other", hint="Give one of them")
-    if options.config is not None and options.real is None:
-        raise ConfigError("--config maps the columns of --real, which is missing", hint="Give it")
-    if options.build == "same" and options.real is not None:
-        raise ConfigError("--build same is for simulated flights", hint="Leave out --real")
+    if options.sim_logs is not None and options.altered is not None:
+        raise ConfigError("--sim-logs and --altered exclude each other", hint="Give one of them")
+    if options.build == "same" and options.altered is not None:
+        raise ConfigError("--build same is for simulated flights", hint="Leave out --altered")
     plan = BlindPlan.parse({key: getattr(options, key) for key in _PLANNED}, options=_PLANNED)
     results = _results(options.out)
     results.check(options.out)
@@ -181,20 +183,16 @@ def _make(options: Namespace, console: Console) -> None:
         if options.sim_logs is not None:
             made = make_log_cases(folder, plan, options.sim_logs)
             document = write_key(folder, plan, secret, made, watch)
-        elif options.real is None:
-            document = make_cases(folder, plan, secret, options.jobs, watch)
-        else:
-            made = make_real_cases(folder, plan, _real(options))
+        elif options.altered is not None:
+            config, base = read_config(options.altered, None)
+            made = make_altered(folder, plan, config.logs, base)
             document = write_key(folder, plan, secret, made, watch)
+        else:
+            document = make_cases(folder, plan, secret, options.jobs, watch)
     console.say(f"Cases: {options.out}. Sealed key: {options.out / KEY}")
     if options.secret is None:
         console.say("The secret is the seed: keep it from whoever answers.")
     console.document({**document, "out": str(options.out)})
-
-
-def _real(options: Namespace) -> Real:
-    config = None if options.config is None else read_config(options.config, None)[0]
-    return Real(options.real, options.sim, config, options.trust)
 
 
 def _run(options: Namespace, console: Console) -> None:
@@ -203,8 +201,10 @@ def _run(options: Namespace, console: Console) -> None:
         def watch(name: str, done: int, total: int) -> None:
             advance(done, total, f"({name})")
 
-        limits = Limits(options.jobs, options.timeout_s, options.seeds)
-        summary = run_cases(options.folder, options.out, limits, watch)
+        config = None if options.config is None else read_config(options.config, None)[0]
+        judge = None if options.sim is None else Judge(options.sim, config)
+        limits = Limits(options.jobs, options.timeout_s)
+        summary = run_cases(options.folder, options.out, limits, judge, watch)
     ends = {end: str(count) for end, count in summary["ends"].items()}
     console.facts({"Cases": str(len(summary["cases"])), **ends})
     console.document({**summary, "out": str(options.out)})
@@ -215,6 +215,13 @@ def _score(options: Namespace, console: Console) -> None:
     if options.out is not None:
         results.check(options.out)
     sets = [CaseSet(options.folder, options.answers), *(CaseSet(*each) for each in options.also)]
+    if options.against and len(options.against) != len(sets):
+        raise ConfigError(
+            f"there are {len(sets)} folders of cases and {len(options.against)} --against",
+            hint="Give --against once for each, in their order",
+        )
+    if options.against:
+        sets = [each._replace(against=own) for each, own in zip(sets, options.against, strict=True)]
     document = score_answers(sets, options.secrets)
     folder = options.out or options.answers
     folder.mkdir(parents=True, exist_ok=True)

@@ -74,11 +74,11 @@ def test_make_run_score(narxcal, cases, monkeypatch, tmp_path):
     assert "answered  2" in done.out
     scored = narxcal("blind", "score", cases, answers, "--secret", "3")
     assert (scored.code, scored.err) == (0, "")
-    assert "false claims on nulls" in scored.out
+    assert "nulls claimed" in scored.out
     assert max(map(len, scored.out.splitlines()[:-1])) <= 80
     assert "Case by case" in (answers / "score.html").read_text("utf-8")
     document = json.loads((answers / "score.json").read_text("utf-8"))
-    assert document["schema"] == "narxcal.blind_score/1"
+    assert document["schema"] == "narxcal.blind_score/2"
     # A score beside the answers does not keep a run from going on.
     again = narxcal("blind", "run", cases, "--out", answers, "--jobs", 1, "--json")
     assert json.loads(again.out)["resumed"] == 2
@@ -150,10 +150,6 @@ def test_earlier_cases_are_replaced_and_other_content_is_not(narxcal, cases, tmp
         (("make", "--out", "o", "--jobs", "0"), "expected a whole number of 1 or more, found 0"),
         (("make", "--out", "o", "--engine", "steam"), "invalid choice: 'steam'"),
         (("make", "--out", "o", "--sim-logs", "l"), "l: the folder of the logs does not exist"),
-        (
-            ("run", "c", "--out", "o", "--seeds", "0"),
-            "expected a whole number of 1 or more, found 0",
-        ),
         (("run", "nowhere", "--out", "o"), "cases.json: cannot be read: No such file"),
         (("run", "c", "--out", "o", "--timeout", "0"), "expected more than 0 s, found 0"),
         (("run", "c", "--out", "o", "--timeout", "long"), "expected more than 0 s, found long"),
@@ -171,26 +167,49 @@ def test_what_it_refuses(narxcal, tmp_path, monkeypatch, words, said):
     assert not (tmp_path / "o").exists()
 
 
-def test_real_flights_need_a_simulator(narxcal, tmp_path):
-    for words in (("--real", tmp_path), ("--sim", "business_jet")):
-        done = narxcal("blind", "make", "--out", tmp_path / "o", *words)
-        assert done.code == 2
-        assert "--real and --sim belong together. Give both, or neither" in done.err
-
-
-def test_logs_of_a_simulator_are_no_real_flights(narxcal, tmp_path):
-    words = ("--real", tmp_path, "--sim", "business_jet", "--sim-logs", tmp_path)
+def test_altered_flights_are_made_from_a_configuration(narxcal, tmp_path):
+    log = "time_s,FF_kgph,N1_pct,N2_pct,EGT_C\n" + "".join(
+        f"{k / 10},{300 + k},{50 + k / 10},80,500\n" for k in range(100)
+    )
+    (tmp_path / "flight_1.csv").write_text(log, "utf-8")
+    (tmp_path / "flights.toml").write_text(CONFIG, "utf-8")
+    words = ("--altered", tmp_path / "flights.toml", "--cases", 8)
     done = narxcal("blind", "make", "--out", tmp_path / "o", *words)
-    assert done.code == 2
-    assert "--sim-logs and --real exclude each other" in done.err
+    assert (done.code, done.err) == (0, "")
+    assert len(list((tmp_path / "o").glob("case_*/real/flight_1.csv.gz"))) == 8
+    refused = narxcal("blind", "run", tmp_path / "o", "--out", tmp_path / "a")
+    assert refused.code == 2
+    assert "Name the simulator by --sim: a run identified on other flights" in refused.err
 
 
-def test_real_flights_are_of_no_simulators_build(narxcal, tmp_path):
-    words = ("--real", tmp_path, "--sim", "business_jet", "--build", "same")
-    done = narxcal("blind", "make", "--out", tmp_path / "o", *words)
+CONFIG = """
+schema = "narxcal.config/1"
+[logs]
+files = ["flight_*.csv"]
+[split]
+train = ["*"]
+"""
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--sim-logs", "l"), "--sim-logs and --altered exclude each other. Give one of them"),
+        (("--build", "same"), "--build same is for simulated flights. Leave out --altered"),
+    ],
+)
+def test_recorded_flights_have_an_engine_of_their_own(narxcal, tmp_path, words, said):
+    done = narxcal("blind", "make", "--out", tmp_path / "o", "--altered", "c.toml", *words)
     assert done.code == 2
-    assert "--build same is for simulated flights" in done.err
+    assert said in done.err
     assert not (tmp_path / "o").exists()
+
+
+def test_a_product_to_compare_with_answers_every_folder(narxcal, cases, tmp_path):
+    also = ("--also", tmp_path / "b", tmp_path / "c", "--against", tmp_path / "old")
+    done = narxcal("blind", "score", cases, tmp_path / "a", *also, "--secret", "3")
+    assert done.code == 2
+    assert "there are 2 folders of cases and 1 --against. Give --against once for each" in done.err
 
 
 @pytest.mark.slow

@@ -87,6 +87,12 @@ ALTERATIONS: Final = (
 _SIGNED: Final = ("sensor_bias", "sensor_drift", "sensor_gain", "driver_gain")
 
 
+_ALSO: Final = {
+    "throttle_delay": (("time_skew", "skew_s", -1.0),),
+    "driver_gain": (("sensor_gain", "gain", 1.0),),
+}
+
+
 class Altered(NamedTuple):
     """What to make of one flight: alterations with their sizes, none for a null."""
 
@@ -94,14 +100,18 @@ class Altered(NamedTuple):
     parts: tuple[tuple[Alteration, float], ...]
     times: float  # the nameable size
 
-    def row(self) -> dict[str, Any]:
-        """Give it as a row of the key."""
+    def row(self, driver: str) -> dict[str, Any]:
+        """Give it as a row of the key; an effect of the `driver` may be named after its sensor."""
         kind = ("null", "single", "pair")[len(self.parts)]
         effects = [
             {
                 "id": each.id,
                 "channel": None if each.channel == DRIVER else each.channel,
                 "parameters": {each.parameter: size},
+                "also": {
+                    f"{own}:{driver}": {parameter: sign * size}
+                    for own, parameter, sign in _ALSO.get(each.id, ())
+                },
             }
             for each, size in self.parts
         ]
@@ -156,7 +166,7 @@ def make_altered(folder: Path, plan: BlindPlan, logs: LogsConfig, base: Path) ->
         log = f"real/{case.file.name.removesuffix('.gz')}.gz"
         (folder / name / log).parent.mkdir(parents=True, exist_ok=True)
         (folder / name / log).write_bytes(content)
-        yield Made(name, case.row(), {log: hashlib.sha256(content).hexdigest()})
+        yield Made(name, case.row(driver), {log: hashlib.sha256(content).hexdigest()})
 
 
 def alter(case: Altered, logs: LogsConfig, driver: str) -> bytes:

@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from eval.gap.blind.cases import BlindPlan, Case, draw_cases
-from eval.gap.blind.files import CASES, FOLDERS, KEY, KEY_SCHEMA, SCHEMA, salt_of, write_log
-from eval.gap.blind.oracle import located
-from eval.gap.blind.seal import sealed
-from eval.gap.blind.sizes import gap_share, sized
-from eval.gap.blind.truth import NOTHING, Channels, Content, Specimen
+from eval.gap.blind.files import CASES, FOLDERS, KEY, KEY_SCHEMA, SCHEMA, salt_of, sealed, write_log
+from eval.gap.blind.shares import budget, gap_share, sized
+from eval.gap.blind.truth import Channels, Content, Specimen
 from narxcal.support.errors import ModelError
 from narxcal.support.files import atomic_write_bytes, atomic_write_text
 from narxcal.support.parallel import in_processes
@@ -82,14 +80,12 @@ def made_from(folder: Path, plan: BlindPlan, specimen: Any) -> Made:
     content = sized(specimen, flights[-_SIZED_ON:], simulated[-_SIZED_ON:])
     real = [specimen.both(flight, content) for flight in flights]
     recorded = [each[1] for each in real]
-    own, held = slice(0, plan.flights), slice(plan.flights, None)
+    held = slice(plan.flights, None)
     told = [specimen.simulated(flight, content) for flight in flights[held]]
-    bare = [specimen.true(flight, NOTHING) for flight in flights[own]] if content != NOTHING else []
-    effect = [(with_it[0], without) for with_it, without in zip(real, bare, strict=False)]
     row = {
         **_facts(case, content, flights),
         "gap_share": gap_share(recorded[held], simulated[held], told),
-        **located(effect, simulated[own], recorded[own]),
+        "budget": budget(specimen, flights[held], content, simulated[held], real[held]),
     }
     return Made(case.name, row, _written(folder / case.name, plan.flights, simulated, recorded))
 

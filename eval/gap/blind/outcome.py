@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
-
-from eval.gap.blind.oracle import bin_name, channel_of_most, core, share_of_most
-from narxcal.effects.library import LIBRARY
 
 FLOOR: Final = 0.05  # share of the gap below which nobody has to find an effect
 NONE, UNKNOWN, FAILED = "none", "unknown", "failed"
-# Effect -> name of its size in the engines, and in the library.
-SAME: Final = {
-    "throttle_backlash": ("width_deg", "width_deg"),
-    "throttle_delay": ("delay_s", "delay_s"),
-    "throttle_rate_limit": ("rate_degps", "rate_degps"),
-    "throttle_bias": ("bias_deg", "bias_deg"),
-    "actuator_lag": ("tau_s", "tau_s"),
-    "sensor_lag": ("tau_s", "tau_s"),
-    "sensor_bias": ("offset", "bias"),
-    "sensor_drift": ("rate_per_h", "rate_per_h"),
-    "time_skew": ("skew_s", "skew_s"),
-}
+NO_EFFECT: Final = ("build", "offsets", "noise", "unexplained")  # other causes of a budget
+_FAMILIES: Final = {"business_jet": "virtual", "single_aisle": "virtual"}
+# Names of sizes in the engines, and in the library.
+_SAME: Final = {"offset": "bias"}
+_SIZED: Final = (
+    "throttle_backlash",
+    "throttle_delay",
+    "throttle_rate_limit",
+    "throttle_bias",
+    "actuator_lag",
+    "sensor_lag",
+    "sensor_bias",
+    "sensor_drift",
+    "sensor_gain",
+    "driver_gain",
+    "time_skew",
+)  # effects whose parameters mean the same in an engine or a recording as in the library
 
 
 class Magnitude(NamedTuple):
@@ -36,7 +38,7 @@ class Magnitude(NamedTuple):
 
     @property
     def inside(self) -> bool:
-        """Whether the interval holds the truth."""
+        """Whether the interval contains the truth."""
         return self.low <= self.true <= self.high
 
     def row(self) -> dict[str, Any]:
@@ -45,15 +47,15 @@ class Magnitude(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """`truth` is the row of the key, `answer` a document of narxcal.gap/1, or why there is none.
+    """`truth` is the row of the key, `answer` a document of narxcal.gap/1 or /2, or a failure.
 
-    `reruns` are answers to the same case with other seeds.
+    An effect of the truth may have further names, in the row `also`, under which it is the same
+    signal: a driver that is recorded late is an engine that answers early.
     """
 
     name: str
     truth: Mapping[str, Any]
     answer: Mapping[str, Any]
-    reruns: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def kind(self) -> str:
@@ -61,19 +63,36 @@ class Outcome(NamedTuple):
         return str(self.truth["kind"])
 
     @property
+    def family(self) -> str:
+        """Kind of engine: virtual, lumped, maker, real, or the name of a foreign one."""
+        engine = str(self.truth["engine"])
+        return _FAMILIES.get(engine, "lumped" if engine.startswith("lumped") else engine)
+
+    @property
+    def altered(self) -> bool:
+        """Whether it is a recorded flight, altered or not: further causes may act there."""
+        return "times_nameable" in self.truth
+
+    @property
     def gap_share(self) -> float:
-        """Share of the squared gap that the true content makes."""
-        return float(self.truth["gap_share"])
+        """Share of the squared gap that the true content makes; NaN where it is not known."""
+        return float(self.truth.get("gap_share", float("nan")))
 
     @property
     def in_library(self) -> bool:
-        """Whether it holds effects that can be named."""
+        """Whether it contains effects that can be named."""
         return self.kind in ("single", "pair")
 
     @property
+    def nameable(self) -> bool:
+        """Whether an answer has to name what acts: enough of the gap, or a nameable size."""
+        enough = self.truth["times_nameable"] >= 1.0 if self.altered else self.gap_share >= FLOOR
+        return self.in_library and bool(enough)
+
+    @property
     def true_effects(self) -> tuple[str, ...]:
-        """Names of the effects that it holds."""
-        return tuple(_name(row) for row in self.truth["effects"])
+        """Names of the effects that act."""
+        return tuple(name_of(row) for row in self.truth["effects"])
 
     @property
     def failed(self) -> bool:
@@ -88,34 +107,43 @@ class Outcome(NamedTuple):
     @property
     def claims(self) -> bool:
         """Whether effects are named."""
-        return self.verdict in ("effects", "ambiguous")
+        return len(self.claimed) > 0
+
+    @property
+    def firm(self) -> bool:
+        """Whether effects are named without an alternative."""
+        return self.claims and self.verdict == "effects"
 
     @property
     def claimed(self) -> tuple[str, ...]:
         """Effects that are named; nothing where the verdict names none."""
-        return tuple(self.answer["verdict"]["effects"]) if self.claims else ()
+        if self.verdict not in ("effects", "ambiguous"):
+            return ()
+        return tuple(map(self._true_name, self.answer["verdict"]["effects"]))
 
     @property
     def named_set(self) -> tuple[str, ...]:
         """Effects that are named, with those that they cannot be told from."""
         if not self.claims:
             return ()
-        return (*self.claimed, *self.answer["verdict"]["ambiguous_with"])
+        return (*self.claimed, *map(self._true_name, self.answer["verdict"]["ambiguous_with"]))
 
     @property
     def ranked(self) -> tuple[str, ...]:
         """All effects in the order of the answer, whatever the verdict."""
-        return tuple(_name(row) for row in self.answer.get("effects", ()))
+        return tuple(self._true_name(name_of(row)) for row in self.answer.get("effects", ()))
 
     @property
-    def probabilities(self) -> dict[str, float]:
-        """Probability of each effect."""
-        return {_name(row): float(row["probability"]) for row in self.answer.get("effects", ())}
+    def sureness(self) -> float:
+        """Probability of the effect that is named first; 0 where none is."""
+        if not self.claims:
+            return 0.0
+        return float(self._rows().get(self.claimed[0], {}).get("probability") or 0.0)
 
     @property
     def said(self) -> str:
         """The answer as one label: the effect named first, none, unknown or failed."""
-        return self.claimed[0] if self.claimed else self.verdict
+        return self.claimed[0] if self.claims else self.verdict
 
     @property
     def true_label(self) -> str:
@@ -124,82 +152,69 @@ class Outcome(NamedTuple):
             return NONE if self.kind == "null" else UNKNOWN
         return self.said if self.said in self.true_effects else self.true_effects[0]
 
-    def first(self, count: int) -> bool:
-        """Whether a true effect is among the first `count` of the ranking."""
-        return any(name in self.true_effects for name in self.ranked[:count])
+    @property
+    def found(self) -> bool:
+        """Whether a true effect is ranked first; among other real causes: is named."""
+        ranked = self.claimed if self.altered else self.ranked[:1]
+        return any(name in self.true_effects for name in ranked)
 
     @property
-    def family_first(self) -> bool:
-        """Whether the effect ranked first is of a true one's family."""
-        families = {LIBRARY[name.partition(":")[0]].family for name in self.true_effects}
-        return any(LIBRARY[n.partition(":")[0]].family in families for n in self.ranked[:1])
+    def exact(self) -> bool:
+        """Whether the verdict names what acts and nothing else."""
+        return {*self.claimed} == {*self.true_effects}
 
     @property
-    def overlap_of(self) -> tuple[set[str], set[str]]:
-        """Bins that hold 70 % of the energy: said, and true."""
-        return core(self._said_shares()), core(self.truth["where"])
+    def others(self) -> int:
+        """How many effects are named that were not put in."""
+        return len({*self.claimed} - {*self.true_effects})
 
     @property
-    def channel_right(self) -> bool:
-        """Whether most energy is said to be in the channel that truly has most."""
-        return channel_of_most(self._said_shares()) == channel_of_most(self.truth["where"])
-
-    @property
-    def direction_right(self) -> bool:
-        """Whether push, pull or rest is said to hold most energy, as it truly does."""
-        return share_of_most(self._said_shares(), 1) == share_of_most(self.truth["where"], 1)
-
-    @property
-    def has_bands(self) -> bool:
-        """Whether the key knows bands of frequency, and the answer has any."""
-        return bool(self.truth.get("bands")) and bool(self._said_bands())
-
-    @property
-    def band_right(self) -> bool:
-        """Whether most energy of the channel with most is said to be in the band that it is in."""
-        channel = channel_of_most(self.truth["where"]) or ""
-        true = self.truth["bands"].get(channel, ())
-        said = self._said_bands().get(channel, ())
-        return len(true) > 0 and len(said) > 0 and _largest(true) == _largest(said)
-
-    @property
-    def strength(self) -> float:
-        """The largest gain that any effect has: what a claim would rest on."""
-        gains = [row.get("gain", {}).get("value") for row in self.answer.get("effects", ())]
-        return max((float(gain) for gain in gains if gain is not None), default=0.0)
-
-    @property
-    def sureness(self) -> float:
-        """Probability of the effect that is named first; 0 where none is."""
-        return self.probabilities.get(self.claimed[0], 0.0) if self.claimed else 0.0
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """The answer and those of the reruns in short: verdict and effects."""
-        every = (self, *(self._replace(answer=each) for each in self.reruns))
-        return tuple(" ".join([each.verdict, *sorted(each.claimed)]) for each in every)
+    def channel_right(self) -> bool | None:
+        """Whether most energy of what acts is said to be in its channel; None if not known."""
+        true, said = _most(self._true_channels()), _most(self._said_channels())
+        return None if true is None or self.failed else said == true
 
     @property
     def magnitudes(self) -> list[Magnitude]:
         """Sizes of effects that are rightly named, where engine and library mean the same."""
-        rows = {_name(row): row for row in self.answer.get("effects", ())}
-        found = []
+        rows, found = self._rows(), []
         for true in self.truth["effects"]:
-            own, theirs = SAME.get(true["id"], ("", ""))
-            said = rows.get(_name(true), {}).get("parameters", {}).get(theirs)
-            size = true.get("parameters", {}).get(own)
-            if said is not None and size and _name(true) in self.claimed:
-                sizes = (float(size), *(float(said[each]) for each in ("value", "low", "high")))
-                found.append(Magnitude(_name(true), theirs, *sizes))
+            name = name_of(true)
+            said = rows.get(name, {})
+            own = name_of(said) if said else name
+            sizes = true.get("also", {}).get(own) or true.get("parameters", {})
+            for parameter, size in sizes.items():
+                of = said.get("parameters", {}).get(_SAME.get(parameter, parameter))
+                if of is not None and size and true["id"] in _SIZED and name in self.claimed:
+                    values = (float(size), *(float(of[each]) for each in ("value", "low", "high")))
+                    found.append(Magnitude(name, parameter, *values))
         return found
 
     @property
-    def shrinkage(self) -> tuple[Mapping[str, float], float] | None:
-        """Predicted shrinkage with its interval, and the realised one; None without a claim."""
-        shrink = self.answer.get("shrink", {})
+    def shrinkage(self) -> tuple[float, float] | None:
+        """Predicted and realised shrinkage; None without a claim."""
+        shrink = self.answer.get("shrink") or {}
         if not self.claims or shrink.get("realised") is None:
             return None
-        return shrink["predicted"], float(shrink["realised"])
+        return float(shrink["predicted"]["value"]), float(shrink["realised"])
+
+    @property
+    def share_errors(self) -> dict[str, float]:
+        """Said less true share of every cause of the budget; none where either has no budget.
+
+        An effect that is not in the answer has no share there, and the other way round.
+        """
+        true, rows = self.truth.get("budget"), self.answer.get("budget")
+        if not true or not rows:
+            return {}
+        said: dict[str, float] = {}
+        for row in rows:
+            name = self._true_name(row["cause"])
+            said[name] = said.get(name, 0.0) + float(row["share"])
+        return {
+            name: said.get(name, 0.0) - true.get(name, {}).get("share", 0.0)
+            for name in sorted({*said, *true})
+        }
 
     @property
     def seconds(self) -> float | None:
@@ -207,21 +222,41 @@ class Outcome(NamedTuple):
         found = self.answer.get("seconds")
         return None if found is None else float(found)
 
-    def _said_bands(self) -> dict[str, list[float]]:
-        bands = self.answer.get("quality", {}).get("bands", {})
-        return {name: [float(row["share"]) for row in rows] for name, rows in bands.items()}
+    def _true_name(self, said: str) -> str:
+        """Name of the true effect that bears this name as well, or the name itself."""
+        for row in self.truth["effects"]:
+            if said in row.get("also", {}):
+                return name_of(row)
+        return said
 
-    def _said_shares(self) -> dict[str, float]:
-        return {
-            bin_name(row["channel"], row["direction"], row["phase"]): float(row["share"])
-            for row in self.answer.get("where", ())
-            if row["share"] > 0.0
-        }
+    def _rows(self) -> dict[str, Mapping[str, Any]]:
+        return {self._true_name(name_of(row)): row for row in self.answer.get("effects", ())}
+
+    def _true_channels(self) -> dict[str, float]:
+        if "budget" not in self.truth:  # keys of before: channel|direction|phase -> share
+            return _summed((n.partition("|")[0], v) for n, v in self.truth.get("where", {}).items())
+        rows = [self.truth["budget"].get(name, {}) for name in self.true_effects]
+        return _summed(each for row in rows for each in row.get("channels", {}).items())
+
+    def _said_channels(self) -> dict[str, float]:
+        rows = [row for row in self.answer.get("budget", ()) if row["cause"] not in NO_EFFECT]
+        if rows:
+            return _summed(each for row in rows for each in (row["channels"] or {}).items())
+        return _summed((row["channel"], row["share"]) for row in self.answer.get("where", ()))
 
 
-def _largest(values: Sequence[float]) -> int:
-    return max(range(len(values)), key=lambda k: values[k])
-
-
-def _name(row: Mapping[str, Any]) -> str:
+def name_of(row: Mapping[str, Any]) -> str:
+    """Name of an effect from its row, `id` or `id:channel`."""
     return row["id"] if row.get("channel") is None else f"{row['id']}:{row['channel']}"
+
+
+def _summed(rows: Any) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for name, value in rows:
+        found[name] = found.get(name, 0.0) + float(value)
+    return found
+
+
+def _most(shares: Mapping[str, float]) -> str | None:
+    """The name with the largest share; None where there is nothing."""
+    return max(shares, key=lambda name: shares[name]) if any(shares.values()) else None

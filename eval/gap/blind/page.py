@@ -18,24 +18,23 @@ _NUMBER: Final = re.compile(r"[-+]?[\d.]+( ?%| s)?( ?[\[/] ?[-\d., ]+\]?)?( of \
 
 
 def tables(document: Mapping[str, Any], columns: int = _COLUMNS) -> list[Table]:
-    """Tables of the score: by folder, or by engine where there is but one.
+    """Tables of the score: by folder, or by family where there is but one; the gate if any.
 
-    At most `columns` folders or engines stand side by side, by default as many as a terminal holds.
+    At most `columns` folders stand side by side, by default as many as a terminal shows.
     """
-    split = _split(document, "folder", columns) or _split(document, "engine", columns)
-    return [_main(document), _by_gap_share(document), *split, _confused(document)]
+    split = _split(document, "folder", columns) or _split(document, "family", columns)
+    return [*_gate(document), _main(document), *split, _confused(document)]
 
 
 def render(document: Mapping[str, Any]) -> str:
     """The score as an HTML page that needs nothing else."""
-    engines = _split(document, "engine", _WIDE) if len(document["by_folder"]) > 1 else []
-    every = (*tables(document, _WIDE), *engines, _sizes(document), _case_by_case(document))
+    families = _split(document, "family", _WIDE) if len(document["by_folder"]) > 1 else []
+    every = (*tables(document, _WIDE), *families, _sizes(document), _case_by_case(document))
     counts = ", ".join(f"{count} {kind}" for kind, count in document["cases"].items())
     return page.render(
         "score.html.j2",
         header=RunHeader(title="Blind test of the gap diagnosis", created=""),
-        words=f"{counts} cases; in {document['wrong_base']} the simulator has other parameters or "
-        "another structure than the real engine. Intervals are 95 %, Wilson's.",
+        words=f"{counts} cases. Intervals are 95 %, Wilson's.",
         parts=[{"caption": each[0], "table": _cells(each)} for each in every if each[2]],
     )
 
@@ -45,28 +44,45 @@ def shown(row: Mapping[str, Any]) -> str:
     value = row.get("value")
     if value is None or not math.isfinite(value):
         return "-"
-    if "of" not in row:
+    if "low" not in row:
         return f"{value:.3g} {row.get('unit', '')}".rstrip()
     return f"{value:.2f} [{row['low']:.2f}, {row['high']:.2f}]"
 
 
-def _main(document: Mapping[str, Any]) -> Table:
-    styles = document["by_style"] if len(document["by_style"]) > 1 else {}
-    styles = dict(sorted(styles.items()))
+def _gate(document: Mapping[str, Any]) -> list[Table]:
+    """Two products on the same cases, the difference with its interval, then by family."""
+    gate = document.get("gate")
+    if gate is None:
+        return []
     rows = [
-        [
-            _named(row),
-            shown({**row, "unit": ""}),
-            _counted(row) if "of" in row else "",
-            *(_plain(rows[k]["value"]) for rows in styles.values()),
-        ]
-        for k, row in enumerate(document["table"])
+        [name, _plain(gate["new"][name]), _plain(gate["old"][name]), shown(row)]
+        for name, row in gate["difference"].items()
     ]
-    return "Blind test", ("", "all [95 %]", "n", *styles), rows
+    caption = f"Gate: {'' if gate['switch'] else 'no '}switch"
+    families = [
+        [family, str(row["cases"]), *(_both(row, name) for name in gate["difference"])]
+        for family, row in gate["by_family"].items()
+    ]
+    return [
+        (caption, ("", "new", "old", "difference [95 %]"), rows),
+        ("Gate by family, new / old", ("", "cases", *gate["difference"]), families),
+    ]
+
+
+def _both(row: Mapping[str, Any], name: str) -> str:
+    return f"{_plain(row['new'][name])} / {_plain(row['old'][name])}"
+
+
+def _main(document: Mapping[str, Any]) -> Table:
+    rows = [
+        [_named(row), shown({**row, "unit": ""}), _counted(row) if "of" in row else ""]
+        for row in document["table"]
+    ]
+    return "Blind test", ("", "all [95 %]", "n"), rows
 
 
 def _split(document: Mapping[str, Any], fact: str, columns: int) -> list[Table]:
-    """Every measure by folder or engine where there are several."""
+    """Every measure by folder or family where there are several."""
     by = document[f"by_{fact}"]
     if len(by) < 2:
         return []
@@ -74,28 +90,11 @@ def _split(document: Mapping[str, Any], fact: str, columns: int) -> list[Table]:
     found: list[Table] = []
     for start in range(0, len(names), columns):
         some = names[start : start + columns]
-        lines = [
-            [_named(row), *(_counted(by[name][k]) for name in some)]
-            for k, row in enumerate(document["table"])
-        ]
+        rows = {row["name"]: _named(row) for name in names for row in by[name]}
+        cells = {n: {row["name"]: _counted(row) for row in by[n]} for n in some}
+        lines = [[text, *(cells[n].get(row, "-") for n in some)] for row, text in rows.items()]
         found.append((f"By {fact}", ("", *some), lines))
     return found
-
-
-def _by_gap_share(document: Mapping[str, Any]) -> Table:
-    names = ("detected", "claimed", "top_1", "top_2", "family", "channel")
-    rows = [
-        [
-            row["gap_share"],
-            str(row["cases"]),
-            *(_plain(row[name]["value"]) for name in names),
-            _plain(row["overlap"]),
-            _plain(row["shrinkage_error"]),
-        ]
-        for row in document["by_gap_share"]
-    ]
-    head = ("gap share", "cases", "seen", "claimed", "top-1", "top-2", "family", "channel")
-    return "By share of the gap", (*head, "IoU", "shrink MAE"), rows
 
 
 def _confused(document: Mapping[str, Any]) -> Table:
@@ -113,8 +112,7 @@ def _case_by_case(document: Mapping[str, Any]) -> Table:
         [
             row["case"],
             row["kind"],
-            row["style"],
-            f"{100 * row['gap_share']:.0f} %",
+            "-" if row["gap_share"] is None else f"{100 * row['gap_share']:.0f} %",
             " + ".join(row["true"]) or "-",
             row["verdict"],
             " + ".join(row["claimed"]) or "-",
@@ -123,7 +121,7 @@ def _case_by_case(document: Mapping[str, Any]) -> Table:
         ]
         for row in document["outcomes"]
     ]
-    head = ("case", "kind", "style", "g", "truth", "verdict", "claimed", "or", "shrinkage")
+    head = ("case", "kind", "g", "truth", "verdict", "claimed", "or", "shrinkage")
     return "Case by case", head, rows
 
 

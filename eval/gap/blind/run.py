@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 import signal
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -19,32 +17,32 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-import numpy as np
-
-from eval.gap.blind.files import FOLDERS, read_cases
+from eval.gap.blind.files import read_cases
 from eval.gap.diagnose import Request, diagnose_folders
 from narxcal.support.errors import ConfigError, NarxcalError
 from narxcal.support.files import atomic_write_text
 from narxcal.support.interrupt import is_interrupt, put_off, safe_interrupt
 from narxcal.support.parallel import in_processes
+from training.config import RunConfig
 
 SCHEMA: Final = "narxcal.blind_answers/1"
 FAILED_SCHEMA: Final = "narxcal.blind_failed/1"
 ANSWERS, ANSWER, FAILED = "answers.json", "gap.json", "failed.json"
 Watch = Callable[[str, int, int], None]
-Task = tuple[str, int]  # a case, and the seed to answer it with
 
 
 class Limits(NamedTuple):
-    """How many cases at a time, how many seconds each may take, and how often each is answered.
-
-    The first answer counts; further `seeds` show whether it would have been another. Each hands
-    over the flights in another order, which draws all pseudo-nulls and intervals anew.
-    """
+    """How many cases at a time, and how many seconds each may take."""
 
     jobs: int = 1
     timeout_s: float = 900.0
-    seeds: int = 1
+
+
+class Judge(NamedTuple):
+    """The simulator of cases that bring none (altered flights), and how their columns map."""
+
+    sim: str
+    config: RunConfig | None = None
 
 
 class _Late(Exception):  # noqa: N818 - no error of anyone's
@@ -52,24 +50,36 @@ class _Late(Exception):  # noqa: N818 - no error of anyone's
 
 
 def run_cases(
-    folder: Path, out: Path, limits: Limits | None = None, watch: Watch | None = None
+    folder: Path,
+    out: Path,
+    limits: Limits | None = None,
+    judge: Judge | None = None,
+    watch: Watch | None = None,
 ) -> dict[str, Any]:
     """Diagnose all cases of `folder` that have no answer in `out` yet; returns the summary.
 
     A case that takes too long or fails is an answer too: none. Raises `DataError` for what is no
-    blind test, and `ConfigError` for an `out` that holds something else.
+    blind test, and `ConfigError` for an `out` that holds something else, and where cases without
+    simulated logs have no `judge`.
     """
     limits = limits or Limits()
     cases = list(read_cases(folder)["logs"])
+    if judge is None and not (folder / cases[0] / "sim").is_dir():
+        raise ConfigError(
+            "the cases are recorded flights alone",
+            file=folder,
+            hint="Name the simulator by --sim: a run identified on other flights",
+        )
     _check_out(out)
     out.mkdir(parents=True, exist_ok=True)
     atomic_write_text(out / ANSWERS, json.dumps({"schema": SCHEMA, "cases": cases}) + "\n")
-    every = [(name, seed) for seed in range(limits.seeds) for name in cases]
-    left = [task for task in every if not _answered(out / task[0], task[1])]
-    done = len(every) - len(left)
-    for number, name in enumerate(_all_run(folder, out, left, limits), start=done + 1):
+    left = [name for name in cases if read_answer(out, name) is None]
+    done = len(cases) - len(left)
+    run = partial(_run_case, folder, out, limits.timeout_s, judge)
+    each = in_processes(run, left, max(1, min(limits.jobs, len(left))), ordered=False)
+    for number, name in enumerate(each, start=done + 1):
         if watch is not None:
-            watch(name, number, len(every))
+            watch(name, number, len(cases))
     summary = {"schema": SCHEMA, "cases": cases, **_counted(out, cases), "resumed": done}
     atomic_write_text(out / ANSWERS, json.dumps(summary, indent=1) + "\n")
     return summary
@@ -77,29 +87,11 @@ def run_cases(
 
 def read_answer(out: Path, name: str) -> dict[str, Any] | None:
     """Read the answer to a case, its failure included; None where there is none yet."""
-    return _read(out / name, 0)
-
-
-def read_reruns(out: Path, name: str) -> tuple[dict[str, Any], ...]:
-    """Read the answers with other seeds."""
-    found: list[dict[str, Any]] = []
-    while (answer := _read(out / name, len(found) + 1)) is not None:
-        found.append(answer)
-    return tuple(found)
-
-
-def _read(folder: Path, seed: int) -> dict[str, Any] | None:
-    for file in _files(folder, seed):
+    for file in (out / name / ANSWER, out / name / FAILED):
         if file.is_file():
             document: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
             return document
     return None
-
-
-def _files(folder: Path, seed: int) -> tuple[Path, Path]:
-    """Where an answer is, and where the reason is that there is none."""
-    start = "" if seed == 0 else f"seed_{seed}_"
-    return folder / f"{start}{ANSWER}", folder / f"{start}{FAILED}"
 
 
 def _check_out(out: Path) -> None:
@@ -116,22 +108,12 @@ def _check_out(out: Path) -> None:
         )
 
 
-def _answered(folder: Path, seed: int) -> bool:
-    return any(file.is_file() for file in _files(folder, seed))
-
-
-def _all_run(folder: Path, out: Path, left: list[Task], limits: Limits) -> Iterator[str]:
-    run = partial(_run_case, folder, out, limits.timeout_s)
-    return in_processes(run, left, max(1, min(limits.jobs, len(left))), ordered=False)
-
-
-def _run_case(folder: Path, out: Path, timeout_s: float, task: Task) -> str:
+def _run_case(folder: Path, out: Path, timeout_s: float, judge: Judge | None, name: str) -> str:
     """Diagnose one case and write what came of it; runs in a process of its own."""
-    name, seed = task
     began = time.perf_counter()
     try:
-        with safe_interrupt(), _at_most(timeout_s), _shuffled(folder / name, seed) as case:
-            found = {**diagnose_folders(_request(case)).document}
+        with safe_interrupt(), _at_most(timeout_s):
+            found = {**diagnose_folders(_request(folder / name, judge)).document}
         took = time.perf_counter() - began
         if took > timeout_s:
             found = _failure("timeout", f"took {took:.0f} s of {timeout_s:g} s")
@@ -144,36 +126,21 @@ def _run_case(folder: Path, out: Path, timeout_s: float, task: Task) -> str:
         said = str(error) if refused else f"{type(error).__name__}: {error}"
         found = _failure("refused" if refused else "error", said)
     found["seconds"] = round(time.perf_counter() - began, 2)
-    answer, failed = _files(out / name, seed)
     text = json.dumps(_finite(found), indent=1, allow_nan=False) + "\n"
-    atomic_write_text(failed if found["schema"] == FAILED_SCHEMA else answer, text)
+    file = FAILED if found["schema"] == FAILED_SCHEMA else ANSWER
+    atomic_write_text(out / name / file, text)
     return name
 
 
-def _request(case: Path) -> Request:
+def _request(case: Path, judge: Judge | None) -> Request:
+    if judge is not None:
+        return Request(case / "real", judge.sim, judge.config)
     return Request(
         real=case / "real",
         sim=str(case / "sim"),
         held_real=case / "real_heldout",
         held_sim=str(case / "sim_heldout"),
     )
-
-
-@contextmanager
-def _shuffled(case: Path, seed: int) -> Iterator[Path]:
-    """The case with its flights in another order, by new names; as it is for seed 0."""
-    if seed == 0:
-        yield case
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        for sides in (FOLDERS[:2], FOLDERS[2:]):
-            logs = sorted(file.name for file in (case / sides[0]).iterdir())
-            order = np.random.default_rng(seed).permutation(len(logs)).tolist()
-            for side in sides:
-                (Path(folder) / side).mkdir()
-                for log, place in zip(logs, order, strict=True):
-                    shutil.copyfile(case / side / log, Path(folder) / side / logs[place])
-        yield Path(folder)
 
 
 def _failure(kind: str, reason: str) -> dict[str, Any]:

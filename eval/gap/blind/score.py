@@ -1,47 +1,85 @@
-"""Scores the answers to a blind test with its key: the table of GAP section 2, and by gap share."""
+"""Scores the answers to a blind test with its key, and one set of answers against another."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from eval.gap.blind.files import open_key, read_json
-from eval.gap.blind.measures import Cases, detected, shrinkage_error, table
-from eval.gap.blind.metrics import mean, overlap, rate
 from eval.gap.blind.outcome import Outcome
-from eval.gap.blind.run import ANSWERS, read_answer, read_reruns
+from eval.gap.blind.run import ANSWERS, read_answer
 from eval.gap.blind.run import SCHEMA as ANSWERS_SCHEMA
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError
 
-SCHEMA: Final = "narxcal.blind_score/1"
-EDGES: Final = (0.02, 0.05, 0.10, 0.25)
-GROUPS: Final = ("below 2 %", "2-5 %", "5-10 %", "10-25 %", "above 25 %")
+SCHEMA: Final = "narxcal.blind_score/2"
+FIVE: Final = ("top-1", "exact", "pairs", "nulls", "calibration")
+LOSS: Final = 0.03  # the largest loss of the mean with which a new product replaces an old one
+_DRAWS, _BINS = 4000, 5
+_Z = 1.959964  # two-sided 95 %
+Cases = Sequence[Outcome]
 
 
 class CaseSet(NamedTuple):
-    """A folder of cases that `blind make` wrote, and the folder of the answers to them."""
+    """A folder of cases that `blind make` wrote, and the folders of answers to them."""
 
     folder: Path
     answers: Path
+    against: Path | None = None
+
+
+class Rate(NamedTuple):
+    """A share `hits / of` with its 95 % interval by Wilson; NaN of nothing."""
+
+    hits: int
+    of: int
+    value: float
+    low: float
+    high: float
+
+
+class Measure(NamedTuple):
+    """One line of the table: its group, what it is, and its value.
+
+    `value` is a share with its interval, or a number in `unit`.
+    """
+
+    group: str
+    name: str
+    value: Rate | float
+    unit: str = ""
+
+    def row(self) -> dict[str, Any]:
+        """Give it as plain values."""
+        found = self.value._asdict() if isinstance(self.value, Rate) else {"value": self.value}
+        return {"group": self.group, "name": self.name, "unit": self.unit, **found}
 
 
 def score_answers(sets: Sequence[CaseSet], secrets: Sequence[str]) -> dict[str, Any]:
     """Open the keys of all sets and score the answers together; returns the document.
 
     Each key opens by whichever of the `secrets` fits. Of several sets the cases are named
-    `folder/case`. Raises `DataError` for a case without an answer, `ConfigError` for a folder
-    that is given twice, and as `open_key`.
+    `folder/case`. Where the sets have answers to compare `against`, the document has the gate as
+    well. Raises `DataError` for a case without an answer, `ConfigError` for a folder that is given
+    twice, and as `open_key`.
     """
-    names = _names(sets)
-    plans, outcomes = {}, []
-    for name, each in zip(names, sets, strict=True):
-        found, plans[name] = _opened(each, secrets)
+    plans, own, other = {}, [], []
+    for name, each in zip(_names(sets), sets, strict=True):
+        for answers in (each.answers, each.against):
+            if answers is not None:
+                read_json(answers / ANSWERS, ANSWERS_SCHEMA)
+        key = open_key(each.folder, *secrets)
         lead = f"{name}/" if len(sets) > 1 else ""
-        outcomes += [outcome._replace(name=lead + outcome.name) for outcome in found]
-    return scored(outcomes, plans)
+        plans[name] = dict(key["plan"])
+        own += _outcomes(key, each.answers, lead)
+        if each.against is not None:
+            other += _outcomes(key, each.against, lead)
+    document = scored(own, plans)
+    return document | ({"gate": gate(own, other)} if other else {})
 
 
 def _names(sets: Sequence[CaseSet]) -> list[str]:
@@ -56,11 +94,8 @@ def _names(sets: Sequence[CaseSet]) -> list[str]:
     return short if len({*short}) == len(sets) else [str(each.folder) for each in sets]
 
 
-def _opened(cases: CaseSet, secrets: Sequence[str]) -> tuple[list[Outcome], dict[str, Any]]:
-    """All cases of a folder with their answers, and the plan that they were made by."""
-    folder, answers = cases
-    read_json(answers / ANSWERS, ANSWERS_SCHEMA)
-    key = open_key(folder, *secrets)
+def _outcomes(key: Mapping[str, Any], answers: Path, lead: str) -> list[Outcome]:
+    """All cases of a key with their answers."""
     outcomes = []
     for name, truth in key["cases"].items():
         answer = read_answer(answers, name)
@@ -70,100 +105,269 @@ def _opened(cases: CaseSet, secrets: Sequence[str]) -> tuple[list[Outcome], dict
                 file=answers / name,
                 hint="Go on with `narxcal blind run`, then score",
             )
-        outcomes.append(Outcome(name, truth, answer, read_reruns(answers, name)))
-    return outcomes, dict(key["plan"])
+        outcomes.append(Outcome(lead + name, truth, answer))
+    return outcomes
 
 
 def scored(outcomes: Cases, plans: Mapping[str, Any]) -> dict[str, Any]:
-    """Put all that is measured over outcomes into a document of schema narxcal.blind_score/1.
+    """Put all that is measured over outcomes into a document of schema narxcal.blind_score/2.
 
     `plans` are those that the cases were made by, by the name of their folder.
     """
-    groups = {
-        "by_style": [str(o.truth["style"]) for o in outcomes],
-        "by_engine": [str(o.truth["engine"]) for o in outcomes],
-        "by_folder": [o.name.rpartition("/")[0] for o in outcomes],
-    }
     return {
         "schema": SCHEMA,
         "plans": dict(plans),
-        "cases": {kind: sum(o.kind == kind for o in outcomes) for kind in _kinds(outcomes)},
-        "wrong_base": sum(bool(o.truth["base"]["differs"]) for o in outcomes),
+        "cases": {kind: len(every) for kind, every in _by(outcomes, lambda o: o.kind).items()},
         "table": [each.row() for each in table(outcomes)],
-        **{name: _by(outcomes, group) for name, group in groups.items()},
-        "by_gap_share": by_gap_share(outcomes),
+        **{
+            name: {g: [each.row() for each in table(o)] for g, o in _by(outcomes, of).items()}
+            for name, of in (
+                ("by_family", lambda o: o.family),
+                ("by_folder", lambda o: o.name.rpartition("/")[0]),
+            )
+        },
+        "five": five(outcomes),
         "confusion": confusion(outcomes),
         "outcomes": [_outcome(each) for each in outcomes],
     }
 
 
-def by_gap_share(outcomes: Cases) -> list[dict[str, Any]]:
-    """The main shares over cases of the library, by the share of the gap that the effect makes."""
-    inside = [o for o in outcomes if o.in_library]
-    place = np.digitize([o.gap_share for o in inside], EDGES).tolist()
+def table(outcomes: Cases) -> list[Measure]:
+    """Every measure; those on effects over cases in which an effect has to be named."""
+    above = [o for o in outcomes if o.nameable and not o.altered]
+    singles = [o for o in above if o.kind == "single"]
+    pairs = [o for o in above if o.kind == "pair"]
+    nulls = [o for o in outcomes if o.kind == "null" and not o.altered]
+    strange = [o for o in outcomes if o.kind == "outside"]
+    claims = [o for o in outcomes if o.claims and not o.altered]
+    channels = [o.channel_right for o in above if o.channel_right is not None]
+    seconds = [o.seconds for o in outcomes if o.seconds is not None]
+    sure = ([o.sureness for o in claims], [o.said in o.true_effects for o in claims])
+    return [
+        Measure("detection", "nulls claimed", rate(o.claims for o in nulls)),
+        Measure("detection", "firm claims out of library", rate(o.firm for o in strange)),
+        Measure("attribution", "top-1, ranked first", rate(o.found for o in above)),
+        Measure("attribution", "top-1, as answered", rate(o.said in o.true_effects for o in above)),
+        Measure("attribution", "exact verdict of singles", rate(o.exact for o in singles)),
+        Measure("attribution", "claims right", rate(sure[1])),
+        Measure(
+            "attribution",
+            "true effects in the named set",
+            rate({*o.true_effects} <= {*o.named_set} for o in above if o.claims),
+        ),
+        Measure("attribution", "size of the set, mean", mean(len(o.named_set) for o in claims)),
+        Measure("attribution", "calibration error (ECE)", calibration_error(*sure)),
+        Measure("pairs", "exact pair", rate(o.exact for o in pairs)),
+        Measure("pairs", "both found", rate({*o.true_effects} <= {*o.claimed} for o in pairs)),
+        Measure("where", "channel of most energy", rate(channels)),
+        *_of_budgets(outcomes),
+        *_of_altered([o for o in outcomes if o.altered]),
+        Measure("cost", "cases without an answer", rate(o.failed for o in outcomes)),
+        Measure("cost", "median time per case", _median(seconds), "s"),
+        Measure("cost", "longest time", max(seconds, default=math.nan), "s"),
+    ]
+
+
+def _of_budgets(outcomes: Cases) -> list[Measure]:
+    """Shares, shrinkage and sizes against the truth."""
+    effects = [abs(e) for o in outcomes for n, e in o.share_errors.items() if n in o.true_effects]
+    every = [abs(e) for o in outcomes for e in o.share_errors.values()]
+    shrunk = [o.shrinkage for o in outcomes]
+    sizes = [each for o in outcomes for each in o.magnitudes]
+    return [
+        Measure("budget", "error of shares of true effects, mean", 100.0 * mean(effects), "points"),
+        Measure("budget", "error of all shares, mean", 100.0 * mean(every), "points"),
+        Measure(
+            "budget",
+            "predicted less realised shrinkage, mean",
+            mean(abs(each[0] - each[1]) for each in shrunk if each is not None),
+        ),
+        Measure("budget", "true size within its interval", rate(s.inside for s in sizes)),
+        Measure(
+            "budget",
+            "relative error of the size, median",
+            _median([abs(s.value / s.true - 1.0) for s in sizes]),
+        ),
+    ]
+
+
+def _of_altered(altered: Cases) -> list[Measure]:
+    """Recorded flights: named with its size, and what else is named."""
+    put_in = [o for o in altered if o.in_library]
+    rows = [
+        (o.truth["times_nameable"], name, o.claimed, [m for m in o.magnitudes if m.effect == name])
+        for o in put_in
+        for name in o.true_effects
+    ]
     found = []
-    for number, name in enumerate(GROUPS):
-        group = [o for o, at in zip(inside, place, strict=True) if at == number]
-        singles = [o for o in group if o.kind == "single"]
-        found.append(
-            {
-                "gap_share": name,
-                "cases": len(group),
-                "detected": rate([detected(o) for o in group]).row(),
-                "claimed": rate([o.claims for o in group]).row(),
-                "top_1": rate([o.first(1) for o in group]).row(),
-                "top_2": rate([o.first(2) for o in group]).row(),
-                "family": rate([o.family_first for o in group]).row(),
-                "as_answered": rate([o.said in o.true_effects for o in singles]).row(),
-                "channel": rate([o.channel_right for o in group]).row(),
-                "overlap": mean([overlap(*o.overlap_of) for o in group]),
-                "shrinkage_error": shrinkage_error(group),
-            }
-        )
-    return found
+    for times in sorted({row[0] for row in rows}, reverse=True):
+        own = [row for row in rows if row[0] == times]
+        sized = [all(m.inside for m in row[3]) and row[1] in row[2] for row in own]
+        found += [
+            Measure("altered", f"named, {times:g} x nameable", rate(r[1] in r[2] for r in own)),
+            Measure("altered", f"named with its size, {times:g} x nameable", rate(sized)),
+        ]
+    return [
+        *found,
+        Measure("altered", "other claims per altered flight", mean(o.others for o in put_in)),
+        Measure("altered", "unaltered claimed", rate(o.claims for o in altered if o not in put_in)),
+    ]
+
+
+def five(outcomes: Cases) -> dict[str, float]:
+    """The five measures of the gate, and their mean; NaN of those that no case has."""
+    return _five(_facts(outcomes), np.arange(len(outcomes)))
+
+
+def gate(new: Cases, old: Cases) -> dict[str, Any]:
+    """Two products on the same cases: both fives, and the difference with its 95 % interval.
+
+    Bootstrap over cases within family and kind, the same draws for both. `switch` where the
+    interval of the difference of means excludes a loss of more than 3 points.
+    """
+    if [o.name for o in new] != [o.name for o in old]:
+        raise DataError("the two sets of answers are not to the same cases")
+    own, other = _facts(new), _facts(old)
+    every = np.arange(len(new))
+    random = np.random.default_rng(0)
+    strata = [
+        np.array(g) for g in _by(every.tolist(), lambda k: (new[k].family, new[k].kind)).values()
+    ]
+    drawn = []
+    for _ in range(_DRAWS):
+        at = np.concatenate([random.choice(each, len(each)) for each in strata])
+        drawn.append(_difference(_five(own, at), _five(other, at)))
+    value = _difference(_five(own, every), _five(other, every))
+    bounds = {name: _interval([row[name] for row in drawn]) for name in value}
+    families = {
+        family: {"cases": len(k), "new": _five(own, np.array(k)), "old": _five(other, np.array(k))}
+        for family, k in _by(every.tolist(), lambda k: new[k].family).items()
+    }
+    return {
+        "new": _five(own, every),
+        "old": _five(other, every),
+        "difference": {
+            name: {"value": value[name], "low": low, "high": high}
+            for name, (low, high) in bounds.items()
+        },
+        "switch": bounds["mean"][0] > -LOSS,
+        "by_family": families,
+    }
+
+
+def _interval(drawn: Sequence[float]) -> tuple[float, float]:
+    """95 % interval of what was drawn; NaN of nothing."""
+    known = np.array([each for each in drawn if math.isfinite(each)] or [math.nan])
+    low, high = np.percentile(known, (2.5, 97.5))
+    return float(low), float(high)
+
+
+def _facts(outcomes: Cases) -> dict[str, FloatArray]:
+    """What each case contributes to the five: 1 or 0 `(cases,)`, NaN where it has no part."""
+
+    def over(part: Callable[[Outcome], bool], hit: Callable[[Outcome], float]) -> FloatArray:
+        return np.array([float(hit(o)) if part(o) else np.nan for o in outcomes])
+
+    def single(o: Outcome) -> bool:
+        return o.nameable and o.kind == "single"
+
+    return {
+        "top-1": over(single, lambda o: o.found),
+        "exact": over(single, lambda o: o.exact),
+        "pairs": over(lambda o: o.nameable and o.kind == "pair", lambda o: o.exact),
+        "nulls": over(lambda o: o.kind == "null", lambda o: not o.claims),
+        "sure": over(lambda o: o.claims and not o.altered, lambda o: o.sureness),
+        "right": over(lambda o: o.claims and not o.altered, lambda o: o.said in o.true_effects),
+    }
+
+
+def _five(facts: Mapping[str, FloatArray], at: Any) -> dict[str, float]:
+    found = {}
+    for name in FIVE[:-1]:
+        of = facts[name][at]
+        of = of[np.isfinite(of)]
+        found[name] = float(of.mean()) if len(of) else math.nan
+    sure, right = facts["sure"][at], facts["right"][at]
+    known = np.isfinite(sure)
+    found[FIVE[-1]] = 1.0 - calibration_error(sure[known], right[known])
+    return found | {"mean": mean(v for v in found.values() if math.isfinite(v))}
+
+
+def _difference(one: Mapping[str, float], other: Mapping[str, float]) -> dict[str, float]:
+    return {name: one[name] - other[name] for name in one}
 
 
 def confusion(outcomes: Cases) -> dict[str, dict[str, int]]:
     """True label -> label of the answer -> count; pairs count by the effect that was named."""
-    found: dict[str, dict[str, int]] = {}
-    for outcome in sorted(outcomes, key=lambda o: o.true_label):
-        row = found.setdefault(outcome.true_label, {})
-        row[outcome.said] = row.get(outcome.said, 0) + 1
+    return {
+        true: {said: len(each) for said, each in _by(rows, lambda o: o.said).items()}
+        for true, rows in sorted(_by(outcomes, lambda o: o.true_label).items())
+    }
+
+
+def rate(hits: Iterable[bool]) -> Rate:
+    """Share of hits with its interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927, 209)."""
+    every = [bool(hit) for hit in hits]
+    n, k = len(every), sum(every)
+    if n == 0:
+        return Rate(0, 0, math.nan, math.nan, math.nan)
+    p = k / n
+    middle = (p + _Z**2 / (2 * n)) / (1 + _Z**2 / n)
+    half = _Z / (1 + _Z**2 / n) * math.sqrt(p * (1 - p) / n + _Z**2 / (4 * n**2))
+    return Rate(k, n, p, max(0.0, middle - half), min(1.0, middle + half))
+
+
+def calibration_error(probabilities: Any, hits: Any) -> float:
+    """Expected calibration error: |share of hits - mean probability| over five bins of equal mass.
+
+    Bins of equal mass have less bias than bins of equal width where probabilities crowd near 1
+    (K. Nguyen, B. O'Connor, EMNLP 2015). NaN of nothing.
+    """
+    p, hit = np.asarray(probabilities, np.float64), np.asarray(hits, np.float64)
+    if len(p) == 0:
+        return math.nan
+    off = np.array_split((hit - p)[np.argsort(p, kind="stable")], _BINS)
+    return float(sum(abs(each.sum()) for each in off if len(each)) / len(p))
+
+
+def mean(values: Iterable[float]) -> float:
+    """Arithmetic mean; NaN of nothing."""
+    every = list(values)
+    return float(np.mean(every)) if every else math.nan
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(np.median(values)) if values else math.nan
+
+
+def _by(items: Iterable[Any], group: Callable[[Any], Any]) -> dict[Any, list[Any]]:
+    """Items by their group, in the order in which the groups come up."""
+    found: dict[Any, list[Any]] = {}
+    for item in items:
+        found.setdefault(group(item), []).append(item)
     return found
-
-
-def _by(outcomes: Cases, groups: Sequence[str]) -> dict[str, list[dict[str, Any]]]:
-    """The whole table over the cases of each group, in the order in which they come up."""
-    found: dict[str, list[Outcome]] = {}
-    for outcome, group in zip(outcomes, groups, strict=True):
-        found.setdefault(group, []).append(outcome)
-    return {name: [each.row() for each in table(cases)] for name, cases in found.items()}
-
-
-def _kinds(outcomes: Cases) -> list[str]:
-    return sorted({o.kind for o in outcomes})
 
 
 def _outcome(outcome: Outcome) -> dict[str, Any]:
     """One case in a line: what was true, and what was said."""
     strange = outcome.truth["outside"]
-    said = outcome.shrinkage
+    said = outcome.shrinkage or (None, None)
+    share = outcome.gap_share
     return {
         "case": outcome.name,
         "kind": outcome.kind,
         "style": outcome.truth["style"],
         "engine": outcome.truth["engine"],
-        "wrong_base": outcome.truth["base"]["differs"],
-        "gap_share": outcome.gap_share,
+        "gap_share": share if math.isfinite(share) else None,
         "true": list(outcome.true_effects) or ([strange["id"]] if strange else []),
         "verdict": outcome.verdict,
         "claimed": list(outcome.claimed),
         "ambiguous_with": list(outcome.named_set[len(outcome.claimed) :]),
         "ranked": list(outcome.ranked[:3]),
-        "reason": outcome.answer.get("reason") or outcome.answer["verdict"]["reason"],
-        "predicted": None if said is None else float(said[0]["value"]),
-        "realised": None if said is None else said[1],
+        "reason": outcome.answer.get("reason") or outcome.answer["verdict"].get("reason", ""),
+        "predicted": said[0],
+        "realised": said[1],
+        "shares": outcome.share_errors,
         "sizes": [each.row() for each in outcome.magnitudes],
         "seconds": outcome.seconds,
-        "labels": list(outcome.labels),
     }

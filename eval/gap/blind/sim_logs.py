@@ -1,31 +1,33 @@
 """Cases from another maker's simulator, of which there are only logs: what can be put onto them.
 
 Only what needs no second run of that simulator is used. Exact are effects of sensors and a delay
-of the lever (it commutes with an engine that does not change with time). Nearly exact are effects
-on where the engine settles, if its control holds its first output (`log_shifts`). On top come a
-build, a structural misfit, and the noise of the instrumentation.
+of the lever (it commutes with an engine that does not change with time). Nearly exact are steady
+effects, if the control holds its first output: how many degrees or percent belong to one is that of
+a typical two-spool turbofan, and nothing has the form that the diagnosis fits. On top come a build,
+a structural misfit, and the noise of the instrumentation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from data_prep.log import Log
 from eval.gap.blind.cases import (
+    CATALOGUE,
     Base,
     BlindPlan,
     Case,
     Offer,
+    Scale,
+    Windows,
     draw_contents,
     draw_share,
     draw_signs,
 )
-from eval.gap.blind.catalogue import CATALOGUE, Scale
-from eval.gap.blind.log_shifts import SHIFTS, View, switches_of
 from eval.gap.blind.make import Made, made_from
 from eval.gap.blind.outside import MIMICS, MISFIT, OTHERS, applied
 from eval.gap.blind.truth import (
@@ -38,8 +40,94 @@ from eval.gap.blind.truth import (
     outputs_for,
 )
 from eval.gap.pairs import read_folder
-from narxcal.flight_test.sensors import ChannelSensor, SensorConfig, Streams, record
+from narxcal.flight_test.sensors import ChannelSensor, SensorConfig, Streams, first_order, record
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
+
+_SPOOL_S, _GAS_S = 1.6, 0.8  # after a bleed opens, N2 and exhaust temperature take so long
+_SWITCHES: Final = ("NAI", "WAI", "ECS")
+
+
+class View(NamedTuple):
+    """One simulated flight, `(time,)` each; `power` goes from 0 to 1, `windows` are hidden."""
+
+    number: int
+    channels: Channels
+    dt_s: float
+    power: FloatArray
+    windows: Windows
+
+
+def switches_of(channels: Channels) -> tuple[str, ...]:
+    """Bleed switches that change in a flight."""
+    return tuple(n for n in _SWITCHES if n in channels and np.ptp(channels[n]) > 0.0)
+
+
+def _bled(view: View, share: FloatArray) -> Channels:
+    """A share of the core's air is taken away: hotter, and N2 up a little to keep N1."""
+    p = np.clip(view.power, 0.0, 1.2)
+    slow = first_order(share, _SPOOL_S, view.dt_s)
+    fast = first_order(share, _GAS_S, view.dt_s)
+    return {
+        "EGT_C": 1100.0 * fast * (0.65 + 0.35 * p**1.5),
+        "N2_pct": 16.0 * slow * (1.0 - 0.5 * p),
+        "FF_kgph": view.channels.get("FF_kgph", np.zeros(1)) * 1.6 * fast,
+    }
+
+
+def _bleed(view: View, size: float) -> Channels:
+    on = sum(view.channels[name] for name in switches_of(view.channels))
+    return _bled(view, size * np.minimum(np.asarray(on, np.float64) + 0.0 * view.power, 1.0))
+
+
+def _hidden(view: View, size: float) -> Channels:
+    time_s = np.arange(len(view.power)) * view.dt_s
+    on = np.zeros(len(time_s))
+    for start, stop in view.windows:
+        on[(time_s >= start) & (time_s < stop)] = 1.0
+    return _bled(view, size * on)
+
+
+def _worn(view: View, size: float) -> Channels:
+    """Efficiency lost in compressor and turbine: hotter with power, N2 a little down."""
+    p = np.clip(view.power, 0.0, 1.2)
+    fuel = view.channels.get("FF_kgph", np.zeros(1))
+    return {
+        "EGT_C": size * (4.0 + 5.0 * p**1.3),
+        "N2_pct": -size * (0.05 + 0.12 * p),
+        "FF_kgph": fuel * 0.011 * size,
+    }
+
+
+def _day(view: View, size: float) -> Channels:
+    """The control's N1 is off by `size` percent per degC of the day, and all else goes along."""
+    more = size * view.channels["dT_C"]
+    p = np.clip(view.power, 0.0, 1.2)
+    return {"N1_pct": more, "N2_pct": more * (0.55 - 0.2 * p), "EGT_C": more * (3.0 + 4.0 * p)}
+
+
+def _soaked(view: View, size: float) -> Channels:
+    """Metal that is colder than the gas cools it; it heats up the faster the higher the power."""
+    egt = view.channels["EGT_C"]
+    lag_s = 45.0 + 110.0 * (1.0 - np.clip(view.power, 0.0, 1.0))
+    keep = np.exp(-view.dt_s / lag_s)
+    metal = np.empty_like(egt)
+    state = float(egt[0])
+    for k, (gas, share) in enumerate(zip(egt.tolist(), keep.tolist(), strict=True)):
+        metal[k] = state
+        state = gas + (state - gas) * share
+    cold = 0.035 * size * (egt - metal)
+    return {"EGT_C": -cold, "N2_pct": -0.004 * cold}
+
+
+SHIFTS: Final[dict[str, Callable[[View, float], Channels]]] = {
+    "bleed_extraction": _bleed,
+    "unlogged_switch": _hidden,
+    "deterioration": _worn,
+    "temperature_effect": _day,
+    "heat_soak": _soaked,
+}
+
 
 ENGINE: Final = "maker"
 _FOLDERS: Final = ("sim", "sim_heldout")
@@ -94,17 +182,18 @@ class LogSpecimen:
         windows = hidden_windows(self._random(2, number), float(time_s[-1] - time_s[0]))
         return View(number, channels, float(time_s[1] - time_s[0]), power, windows)
 
-    def simulated(self, flight: View, content: Content = NOTHING) -> Channels:
-        """What the simulator says, `(time,)`, with the case's content added where it is given."""
-        seen = self._with(flight, content)
+    def simulated(
+        self, flight: View, content: Content = NOTHING, *, built: bool = False
+    ) -> Channels:
+        """What the simulator says, `(time,)`, with the case's content added where it is given.
+
+        With `built` it has the build of the real engine.
+        """
+        seen = self._built(flight, content) if built else self._with(flight, content)
         return seen if content == NOTHING else self._shown(seen, flight, content, _PERFECT)
 
-    def true(self, flight: View, content: Content) -> Channels:
-        """What is so, as sensors without noise would show it, with their faults."""
-        return self._shown(self._real(flight, content), flight, content, _PERFECT)
-
     def both(self, flight: View, content: Content) -> tuple[Channels, Channels]:
-        """What is so, and what is recorded of it."""
+        """What is so, as sensors without noise show it with their faults; and what is recorded."""
         real = self._real(flight, content)
         return (
             self._shown(real, flight, content, _PERFECT),
@@ -113,14 +202,19 @@ class LogSpecimen:
 
     def _real(self, flight: View, content: Content) -> Channels:
         """With the content, and with a build and a structure of its own."""
+        real = self._built(flight, content)
+        for what, size in MISFIT if self.case.base.misfit else ():
+            real = applied(what, "output", real, size)
+        return real
+
+    def _built(self, flight: View, content: Content) -> Channels:
+        """With the content, and with a build of its own."""
         real = self._with(flight, content)
         p = flight.power - 0.5
         for name, (a, b, c) in self._build.items():
             if name in real and name in outputs_for(real):
                 span = float(np.ptp(flight.channels[name]))
                 real[name] = real[name] + span * (a + 2.0 * b * p + 4.0 * c * p**2)
-        for what, size in MISFIT if self.case.base.misfit else ():
-            real = applied(what, "output", real, size)
         return real
 
     def _with(self, flight: View, content: Content) -> Channels:

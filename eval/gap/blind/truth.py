@@ -8,8 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from eval.gap.blind.cases import BlindPlan, Case
-from eval.gap.blind.catalogue import Dose, Windows
+from eval.gap.blind.cases import Base, BlindPlan, Case, Dose, Windows
 from eval.gap.blind.lumped import KINDS, LumpedEngine
 from eval.gap.blind.outside import MISFIT, applied
 from narxcal.flight_test.plan import FlightPlan, plan_flight
@@ -105,22 +104,23 @@ class Specimen:
             inputs = _fuelled(inputs)
         return Flight(number, inputs, hidden_windows(random, float(inputs["time_s"][-1])))
 
-    def simulated(self, flight: Flight, content: Content = NOTHING) -> Channels:
-        """What the simulator says, `(time,)`, with the case's content added where it is given."""
-        base = self.case.base
+    def simulated(
+        self, flight: Flight, content: Content = NOTHING, *, built: bool = False
+    ) -> Channels:
+        """What the simulator says, `(time,)`, with the case's content added where it is given.
+
+        With `built` it has the build and the parameters of the real engine.
+        """
+        base = Base(0.0) if built else self.case.base
         inside = [each.unmodelled(flight.windows) for each in content.doses if not each.on_sensor]
         ids = {each.id: each for each in inside}
         for name, factor in (("heat_soak", base.soak), ("spool_lag", base.inertia)):
             ids[name] = _multiplied(ids.get(name), name, factor)
-        engine = self._engine(None, list(ids.values()), base.probe)
+        engine = self._engine(self.build if built else None, list(ids.values()), base.probe)
         return self._shown(self._run(engine, flight, content), flight, content, _KNOWN)
 
-    def true(self, flight: Flight, content: Content) -> Channels:
-        """What is so, as sensors without noise would show it, with their faults."""
-        return self._shown(self._real(flight, content), flight, content, _KNOWN)
-
     def both(self, flight: Flight, content: Content) -> tuple[Channels, Channels]:
-        """What is so, and what is recorded of it."""
+        """What is so, as sensors without noise show it with their faults; and what is recorded."""
         real = self._real(flight, content)
         sensors = _WHITE_BEHIND_LAGS if self.plan.build == "same" else _MEASURED
         return (

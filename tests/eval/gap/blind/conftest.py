@@ -84,7 +84,7 @@ def made(quick, made_once, tmp_path):
     return shutil.copytree(made_once, tmp_path / "cases")
 
 
-def truth_row(kind="single", effects=("spool_lag",), gap_share=0.2, where=None, like=()):
+def truth_row(kind="single", effects=("spool_lag",), gap_share=0.2, like=(), budget=None):
     families = {"spool_lag": "transit", "sensor_lag:EGT_C": "channel lag"}
     rows = []
     for name in effects:
@@ -99,7 +99,8 @@ def truth_row(kind="single", effects=("spool_lag",), gap_share=0.2, where=None, 
         "outside": outside,
         "base": {"differs": True},
         "gap_share": gap_share,
-        "where": where or {"N1_pct|push|transit": 0.8, "EGT_C|steady|steady": 0.2},
+        "where": {"N1_pct|push|transit": 0.8, "EGT_C|steady|steady": 0.2},
+        **({} if budget is None else {"budget": budget}),
     }
 
 

@@ -4,8 +4,7 @@ from collections import Counter
 
 import pytest
 
-from eval.gap.blind.cases import BINS, BlindPlan, draw_cases
-from eval.gap.blind.catalogue import CATALOGUE, Dose
+from eval.gap.blind.cases import BINS, CATALOGUE, BlindPlan, Dose, draw_cases
 from eval.gap.blind.lumped import KINDS, applies
 from eval.gap.blind.outside import MIMICS
 from narxcal.effects.library import LIBRARY

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from eval.gap.blind.lumped import KINDS, LumpedEngine, applies
-from eval.gap.blind.lumped_run import fuel_needed, speed_followed
+from eval.gap.blind.lumped import KINDS, LumpedEngine, applies, fuel_needed, speed_followed
 from narxcal.turbofan import Unmodelled
 from narxcal.turbofan.cycle import Health
 from narxcal.turbofan.unmodelled import PARAMETERS

@@ -8,19 +8,18 @@ import numpy as np
 import pytest
 
 from eval.gap.blind import truth
-from eval.gap.blind.cases import Base, BlindPlan, Case, draw_cases
-from eval.gap.blind.catalogue import CATALOGUE, Dose
+from eval.gap.blind.cases import CATALOGUE, Base, BlindPlan, Case, Dose, draw_cases
 from eval.gap.blind.files import open_key, read_cases
 from eval.gap.blind.make import make_case, make_cases
-from eval.gap.blind.oracle import true_shares
 from eval.gap.blind.outside import CYCLE, DEADBAND, STRANGE, applied
-from eval.gap.blind.sizes import energy, gap_share, ranges, size_for, sized
+from eval.gap.blind.shares import budget, energy, gap_share, ranges, size_for, sized
 from eval.gap.blind.truth import Content, Specimen
 from eval.gap.pairs import read_pairs
 from narxcal.support.errors import ConfigError, DataError, ModelError
 
 LAG = next(scale for scale in CATALOGUE if scale.id == "spool_lag")
 BIAS = next(scale for scale in CATALOGUE if scale.name == "sensor_bias:EGT_C")
+DRIFT = next(scale for scale in CATALOGUE if scale.name == "sensor_drift:EGT_C")
 PLAN = BlindPlan(cases=1, flights=2, held_out=1, rate_hz=8.0)
 
 
@@ -70,7 +69,11 @@ def test_the_key_tells_all(made):
     assert list(key["cases"]) == ["case_001", "case_002", "case_003"]
     for row in key["cases"].values():
         assert row["gap_share"] <= 1.0
-        assert sum(row["where"].values()) == pytest.approx(0.0 if row["kind"] == "null" else 1.0)
+        shares = [cause["share"] for cause in row["budget"].values()]
+        assert sum(shares) == pytest.approx(1.0)
+        channels = [sum(cause["channels"].values()) for cause in row["budget"].values()]
+        assert channels == pytest.approx(shares)
+        assert len(row["effects"]) == len(row["budget"]) - 4
         assert bool(row["effects"]) == (row["kind"] in ("single", "pair"))
     assert key["plan"]["seed"] == 4
 
@@ -91,17 +94,50 @@ def test_a_case_made_alone_is_the_one_made_with_others(made, plan, tmp_path):
     assert hashlib.sha256(file.read_bytes()).hexdigest() == alone.logs["sim/flight_0.csv.gz"]
 
 
-def test_where_is_what_the_content_does_and_not_the_build(quick):
-    heavy = Base(1.5, soak=1.1, misfit=True)
-    specimen = Specimen(case(effects=(BIAS,), base=heavy), PLAN)
+def flown(specimen, content):
+    """The true budget on two flights."""
     flights = [specimen.flight(k) for k in (0, 1)]
-    content = Content((Dose(BIAS, 8.0),))
     simulated = [specimen.simulated(each) for each in flights]
-    recorded = [specimen.both(each, content)[1] for each in flights]
-    effect = [(specimen.true(each, content), specimen.true(each, Content())) for each in flights]
-    shares = true_shares(effect, simulated, recorded)
-    assert sum(v for name, v in shares.items() if name.startswith("EGT_C|")) == pytest.approx(1.0)
-    assert shares["EGT_C|steady|steady"] == max(shares.values())
+    real = [specimen.both(each, content) for each in flights]
+    return budget(specimen, flights, content, simulated, real), simulated, real
+
+
+def test_an_effect_alone_is_the_whole_budget_but_for_what_the_sensors_add(quick):
+    specimen = Specimen(case(effects=(BIAS,), base=Base(0.0)), PLAN)
+    found, simulated, real = flown(specimen, Content((Dose(BIAS, 8.0),)))
+    spans = ranges(simulated)
+    whole = sum(energy(r, s, spans) for (_, r), s in zip(real, simulated, strict=True)) / 2.0
+    bias = (8.0 / spans["EGT_C"]) ** 2 / 4.0  # of four channels
+    assert found["sensor_bias:EGT_C"]["share"] == pytest.approx(bias / whole)
+    assert found["sensor_bias:EGT_C"]["channels"]["N1_pct"] == pytest.approx(0.0, abs=1e-12)
+    for name in ("build", "unexplained"):
+        assert found[name]["share"] == pytest.approx(0.0, abs=1e-12)
+    assert found["noise"]["share"] + found["offsets"]["share"] == pytest.approx(1.0 - bias / whole)
+
+
+def test_causes_share_what_they_do_together_in_equal_parts(quick):
+    """Two biases of one channel, b and c: b^2 + b c and c^2 + b c, in any order's mean."""
+    specimen = Specimen(case(effects=(BIAS, DRIFT), base=Base(0.0)), PLAN)
+    doses = (Dose(BIAS, 8.0), Dose(DRIFT, 90.0))
+    found, simulated, _ = flown(specimen, Content(doses))
+    spans, flight = ranges(simulated), specimen.flight(0)
+    drift = 90.0 * flight.inputs["time_s"] / 3600.0
+    parts = {"sensor_bias:EGT_C": 64.0 + 8.0 * drift.mean()}
+    parts["sensor_drift:EGT_C"] = (drift**2).mean() + 8.0 * drift.mean()
+    ratio = found["sensor_bias:EGT_C"]["share"] / found["sensor_drift:EGT_C"]["share"]
+    assert ratio == pytest.approx(parts["sensor_bias:EGT_C"] / parts["sensor_drift:EGT_C"])
+    assert spans["EGT_C"] > 0.0
+
+
+def test_a_wrong_simulator_is_build_and_another_structure_is_unexplained(quick):
+    specimen = Specimen(case(base=Base(1.5, probe=1.3)), PLAN)
+    found, *_ = flown(specimen, Content((Dose(LAG, 0.3),)))
+    # Below zero where the build opposes the effect: the gap is smaller than the effect alone.
+    assert abs(found["build"]["share"]) > 0.01
+    assert found["unexplained"]["share"] == pytest.approx(0.0, abs=1e-12)
+    other = Specimen(case(base=Base(1.5, probe=1.3, misfit=True)), PLAN)
+    found, *_ = flown(other, Content((Dose(LAG, 0.3),)))
+    assert found["unexplained"]["share"] > 1e-4
 
 
 @pytest.mark.parametrize("engine", ["lumped_n1", "lumped_n2", "lumped_fuel"])
@@ -163,7 +199,7 @@ def test_a_pair_and_something_strange_get_sizes(quick):
 def test_a_perfect_simulator_with_the_effect_takes_all_away(quick):
     specimen = Specimen(case(base=Base(0.0)), PLAN)
     flight, content = specimen.flight(0), Content((Dose(LAG, 0.8),))
-    true = specimen.true(flight, content)
+    true = specimen.both(flight, content)[0]
     simulated, told = specimen.simulated(flight), specimen.simulated(flight, content)
     assert gap_share([true], [simulated], [told]) == pytest.approx(1.0)
     assert gap_share([simulated], [simulated], [simulated]) == 0.0
@@ -220,8 +256,8 @@ def test_the_simulator_is_wrong_where_it_should_be(quick):
     assert np.abs(one["EGT_C"] - two["EGT_C"]).max() > 0.1
     np.testing.assert_array_equal(one["N1_pct"], two["N1_pct"])
     # The misfit is in the real engine: its lever has a deadband.
-    assert np.abs(right.true(flight, Content())["N1_pct"] - two["N1_pct"]).max() < 1e-9
-    assert np.abs(wrong.true(flight, Content())["N1_pct"] - two["N1_pct"]).max() > 0.01
+    assert np.abs(right.both(flight, Content())[0]["N1_pct"] - two["N1_pct"]).max() < 1e-9
+    assert np.abs(wrong.both(flight, Content())[0]["N1_pct"] - two["N1_pct"]).max() > 0.01
 
 
 @pytest.mark.parametrize("what", STRANGE.values(), ids=lambda each: each.id)

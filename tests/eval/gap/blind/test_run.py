@@ -5,7 +5,6 @@ import json
 import signal
 import time
 from contextlib import suppress
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,8 +13,9 @@ from numba import njit
 
 from eval.gap.blind import run
 from eval.gap.blind.make import make_cases
-from eval.gap.blind.run import Limits, read_answer, read_reruns, run_cases
+from eval.gap.blind.run import Judge, Limits, read_answer, run_cases
 from eval.gap.blind.score import CaseSet, score_answers
+from eval.gap.diagnose import Request
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.interrupt import safe_interrupt
 
@@ -49,33 +49,19 @@ def test_every_case_gets_an_answer_and_nobody_needs_the_key(made, asked, tmp_pat
     assert first.held_sim == str(made / "case_001" / "sim_heldout")
 
 
-def test_other_seeds_hand_over_the_same_flights_in_another_order(
-    made, monkeypatch, answer, tmp_path
-):
-    seen = []
-
-    def diagnose(request):
-        logs = [
-            [file.read_bytes() for file in sorted(folder.iterdir())]
-            for folder in (request.real, Path(request.sim), request.held_real)
-        ]
-        seen.append(logs)
-        return SimpleNamespace(document=answer("none", ()) if len(seen) > 3 else answer())
-
-    monkeypatch.setattr(run, "diagnose_folders", diagnose)
-    out = tmp_path / "out"
-    run_cases(made, out)
-    run_cases(made, out, Limits(seeds=4))
-    assert len(seen) == 12
-    firsts = [seen[k] for k in (0, 3, 6, 9)]
-    assert all(sorted(each[0]) == sorted(firsts[0][0]) for each in firsts)
-    assert len({each[0][0] for each in firsts}) == 2
-    for each in firsts:
-        assert firsts[0][1].index(each[1][0]) == firsts[0][0].index(each[0][0])
-    assert [a["verdict"]["kind"] for a in read_reruns(out, "case_001")] == ["none"] * 3
-    table = score_answers([CaseSet(made, out)], ["4"])["table"]
-    changed = next(row for row in table if row["name"] == "cases whose answer changes")
-    assert (changed["hits"], changed["of"]) == (3, 3)
+def test_altered_flights_need_a_simulator_to_be_judged_by(made, asked, tmp_path):
+    for side in ("sim", "sim_heldout"):
+        for file in (made / "case_001" / side).iterdir():
+            file.unlink()
+        (made / "case_001" / side).rmdir()
+    document = json.loads((made / "cases.json").read_text("utf-8"))
+    logs = document["logs"]["case_001"]
+    document["logs"] = {"case_001": {n: logs[n] for n in logs if n.startswith("real/")}}
+    (made / "cases.json").write_text(json.dumps(document), "utf-8")
+    with pytest.raises(ConfigError, match=r"recorded flights alone. Name the simulator by --sim"):
+        run_cases(made, tmp_path / "out")
+    run_cases(made, tmp_path / "out", judge=Judge("RUN"))
+    assert asked == [Request(made / "case_001" / "real", "RUN")]
 
 
 def test_several_folders_are_scored_together_each_under_its_own_secret(
@@ -92,7 +78,8 @@ def test_several_folders_are_scored_together_each_under_its_own_secret(
     assert both["outcomes"][0]["case"] == "cases/case_001"
     assert [row["case"] for row in both["outcomes"][3:]] == ["other/case_001", "other/case_002"]
     assert (both["plans"]["cases"]["seed"], both["plans"]["other"]["seed"]) == (4, 5)
-    assert both["by_folder"] == {"cases": one["table"], "other": more["table"]}
+    expected = {"cases": one["table"], "other": more["table"]}
+    assert json.dumps(both["by_folder"]) == json.dumps(expected)  # nothing of nothing is NaN
     for first, second, together in zip(one["table"], more["table"], both["table"], strict=True):
         if "of" in together:
             assert together["of"] == first["of"] + second["of"]
@@ -103,9 +90,21 @@ def test_several_folders_are_scored_together_each_under_its_own_secret(
             score_answers(sets, secrets)
 
 
+def test_two_products_are_compared_case_by_case(made, asked, answer, monkeypatch, tmp_path):
+    run_cases(made, tmp_path / "old")
+    nothing = SimpleNamespace(document=answer("none", ()))
+    monkeypatch.setattr(run, "diagnose_folders", lambda _: nothing)
+    run_cases(made, tmp_path / "new")
+    sets = [CaseSet(made, tmp_path / "new", tmp_path / "old")]
+    gate = score_answers(sets, ["4"])["gate"]
+    assert gate["new"]["nulls"] == 1.0
+    assert gate["old"]["nulls"] == 0.0
+    assert gate["difference"]["nulls"]["value"] == 1.0
+
+
 def test_folders_of_one_name_are_told_apart_and_none_counts_twice(quick, plan, asked, tmp_path):
     sets = [CaseSet(tmp_path / seed / "L", tmp_path / f"answers_{seed}") for seed in "45"]
-    for (folder, answers), seed in zip(sets, "45", strict=True):
+    for (folder, answers, _), seed in zip(sets, "45", strict=True):
         folder.mkdir(parents=True)
         make_cases(folder, plan.model_copy(update={"cases": 1, "seed": int(seed)}), seed)
         run_cases(folder, answers)

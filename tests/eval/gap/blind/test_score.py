@@ -1,11 +1,25 @@
-"""The table over outcomes whose every number a person can count."""
+"""The table over outcomes whose every number a person can count, and two products compared."""
 
 import math
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from eval.gap.blind.page import render, shown, tables
-from eval.gap.blind.score import by_gap_share, confusion, scored, table
+from eval.gap.blind.score import (
+    FIVE,
+    calibration_error,
+    confusion,
+    five,
+    gate,
+    mean,
+    rate,
+    scored,
+    table,
+)
+from narxcal.support.errors import DataError
 
 FAILED = {"schema": "narxcal.blind_failed/1", "kind": "timeout", "reason": "was stopped"}
 
@@ -36,25 +50,16 @@ def value(outcomes, name):
 @pytest.mark.parametrize(
     ("name", "hits", "of"),
     [
-        ("false claims on nulls", 1, 2),
-        ("firm false claims on nulls", 1, 2),
-        ("gap seen, g >= 5 %", 3, 4),
-        ("effect claimed, g >= 5 %", 3, 4),
+        ("nulls claimed", 1, 2),
         ("firm claims out of library", 0, 1),
-        ("firm claims on mimics", 0, 1),
         ("top-1, ranked first", 2, 4),  # right, pair; the rival came second, one failed
         ("top-1, as answered", 2, 4),
-        ("top-2", 3, 4),
-        ("family of the first", 2, 4),
-        ("right where it claims", 2, 4),
-        ("true effect in the named set", 3, 3),
-        ("precision of none and unknown", 3, 3),
-        ("unknown out of library, g >= 5 %", 1, 1),
+        ("exact verdict of singles", 1, 3),
+        ("claims right", 2, 4),
+        ("true effects in the named set", 3, 3),
         ("channel of most energy", 3, 3),
-        ("realised within the interval", 4, 4),
         ("exact pair", 1, 1),
-        ("at least one of two", 1, 1),
-        ("second effect claimed on one", 0, 2),
+        ("both found", 1, 1),
         ("cases without an answer", 1, 8),
     ],
 )
@@ -66,13 +71,10 @@ def test_shares_are_counted_over_the_right_cases(outcomes, name, hits, of):
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("mean probability of the true effect", (0.9 + 0.1 + 0.9 + 0.0) / 4),
-        ("mean size", (1 + 2 + 2) / 3),
-        ("overlap (IoU) of 70 % bins", 0.5),
-        ("mean absolute error", 0.05),
-        ("bias (predicted - realised)", 0.05),
-        # Claims are at 0.9 and half of them right.
-        ("calibration error (ECE) of claims", 0.4),
+        ("size of the set, mean", (1 + 2 + 1 + 2) / 4),
+        ("predicted less realised shrinkage, mean", 0.05),
+        # Four claims at 0.9, each a bin of its own: two right, two wrong.
+        ("calibration error (ECE)", (2 * 0.1 + 2 * 0.9) / 4),
         ("median time per case", 12.0),
     ],
 )
@@ -80,87 +82,114 @@ def test_means_are_taken_over_the_right_cases(outcomes, name, expected):
     assert value(outcomes, name) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("AUC of the best gain, g >= 5 % against nulls", 0.5),
-        ("log score (-ln p of the true effect)", -(2 * math.log(0.9) + 2 * math.log(0.1)) / 4),
-        ("right among the surest 80 %", 2 / 4),
-        ("recovered (realised over g), median", 0.75 / 0.2),
-        ("relative error of the size, median", 0.1),
-    ],
-)
-def test_what_is_only_defined_for_some(outcome, answer, name, expected):
-    sized = {"value": 1.8, "low": 1.5, "high": 1.9}
-    told = answer(effects=("sensor_lag:EGT_C",))
-    row = {"id": "sensor_lag", "channel": "EGT_C", "probability": 0.9}
-    told["effects"] = [row | {"parameters": {"tau_s": sized}, "gain": {"value": 0.5}}]
-    right = outcome({"effects": ("sensor_lag:EGT_C",)}, told, "right")
-    right.truth["effects"][0]["parameters"] = {"tau_s": 2.0}
-    wrong = outcome({"effects": ("sensor_lag:EGT_C",), "gap_share": 0.2}, answer(), "wrong")
-    null = outcome({"kind": "null", "effects": (), "gap_share": 0.0}, told, "null")
-    cases = [right, wrong, right._replace(name="again"), wrong._replace(name="again wrong"), null]
-    found = value(cases, name)
-    if name.startswith("AUC"):  # gains of 0.5, 0, 0.5, 0 against one of 0.5
-        expected = (0.5 + 0.0 + 0.5 + 0.0) / 4
-    assert found == pytest.approx(expected)
-
-
-def test_sizes_within_their_intervals_and_slopes(outcome, answer):
-    low = answer(shrink={"predicted": {"value": 0.2, "low": 0.1, "high": 0.3}, "realised": 0.1})
-    high = answer(shrink={"predicted": {"value": 0.8, "low": 0.7, "high": 0.9}, "realised": 0.7})
-    cases = [outcome(answer=low, name="low"), outcome(answer=high, name="high")]
-    assert value(cases, "slope of realised over predicted") == pytest.approx(1.0)
-    assert math.isnan(value(cases[:1], "slope of realised over predicted"))
-    assert value(cases, "true size within its interval").of == 0
-
-
-def test_where_by_direction_and_band(outcome, answer):
-    bands = {"N1_pct": [{"share": 0.7}, {"share": 0.3}]}
-    told = answer(quality={"bands": bands})
-    known = outcome(answer=told)
-    for shares, right in (([0.6, 0.4], 1), ([0.2, 0.8], 0)):
-        truth = {**known.truth, "bands": {"N1_pct": shares}}
-        assert value([known._replace(truth=truth)], "band of most energy").hits == right
-    assert value([known], "band of most energy").of == 0
-    assert value([known], "direction of most energy").hits == 1
-    rest = {**known.truth, "where": {"N1_pct|steady|steady": 1.0}}
-    assert value([known._replace(truth=rest)], "direction of most energy").hits == 0
-
-
-def test_answers_that_change_are_counted(outcome, answer):
-    same, other = answer(), answer("ambiguous", ("spool_lag",), ("sensor_lag:EGT_C",))
-    cases = [
-        outcome(name="steady")._replace(reruns=(same, same)),
-        outcome(name="flips")._replace(reruns=(same, other)),
-        outcome(name="once"),
+def test_errors_of_shares_are_in_points(outcome, answer):
+    true = {"spool_lag": {"share": 0.5, "channels": {}}, "build": {"share": 0.5, "channels": {}}}
+    said = [
+        {"cause": n, "share": s, "channels": {}} for n, s in (("spool_lag", 0.4), ("build", 0.3))
     ]
-    assert (value(cases, "cases whose answer changes").hits) == 1
-    assert (value(cases, "cases whose answer changes").of) == 2
-    assert (value(cases, "reruns with another answer").hits) == 1
-    assert (value(cases, "reruns with another answer").of) == 4
+    found = [outcome({"budget": true}, answer(budget=said))]
+    assert value(found, "error of shares of true effects, mean") == pytest.approx(10.0)
+    assert value(found, "error of all shares, mean") == pytest.approx(15.0)
+
+
+def altered(build, effects, claimed, times, interval=(0.9, 1.1)):
+    """A recorded flight with `effects` of `times` the nameable size, 1 s each."""
+    rows = {"effects": [], "times_nameable": times, "engine": "real"}
+    outcome, answer = build
+    told = answer(effects=claimed, listed=dict.fromkeys(claimed or ("spool_lag",), 0.9))
+    for name in effects:
+        effect, _, channel = name.partition(":")
+        parameters = {"skew_s": 1.0}
+        rows["effects"].append({"id": effect, "channel": channel, "parameters": parameters})
+    for row in told["effects"]:
+        low, high = interval
+        row["parameters"] = {"skew_s": {"value": 1.0, "low": low, "high": high}}
+    found = outcome({"kind": ("null", "single", "pair")[len(effects)]}, told)
+    return found._replace(truth={**found.truth, **rows})
+
+
+def test_altered_flights_count_by_themselves(outcome, answer):
+    n1, n2 = "time_skew:N1_pct", "time_skew:N2_pct"
+    cases = [
+        altered((outcome, answer), (n1,), (n1,), 2.0),
+        altered((outcome, answer), (n1,), ("heat_soak", n1), 2.0, (1.2, 1.4)),
+        altered((outcome, answer), (n1, n2), (n1,), 2.0),
+        altered((outcome, answer), (n1,), (), 0.5),
+        altered((outcome, answer), (), (), 0.0),
+    ]
+    found = {each.name: each.value for each in table(cases)}
+    assert found["named, 2 x nameable"][:2] == (3, 4)
+    assert found["named with its size, 2 x nameable"][:2] == (2, 4)
+    assert found["named, 0.5 x nameable"][:2] == (0, 1)
+    assert found["other claims per altered flight"] == pytest.approx(1 / 4)
+    assert found["unaltered claimed"][:2] == (0, 1)
+    assert found["nulls claimed"].of == 0
+    measures = five(cases)
+    assert (measures["top-1"], measures["exact"], measures["pairs"]) == (1.0, 0.5, 0.0)
+    assert measures["nulls"] == 1.0
+    assert math.isnan(measures["calibration"])
+    assert measures["mean"] == pytest.approx(2.5 / 4)
+
+
+def test_the_five_measures_and_their_mean(outcomes):
+    found = five(outcomes)
+    assert tuple(found) == (*FIVE, "mean")
+    assert [found[name] for name in FIVE] == pytest.approx([1 / 3, 1 / 3, 1.0, 0.5, 0.5])
+    assert found["mean"] == pytest.approx(8 / 15)
+
+
+def test_the_gate_opens_for_the_same_answers_and_shuts_for_worse_ones(outcomes, outcome, answer):
+    same = gate(outcomes, outcomes)
+    assert same["switch"]
+    assert {(r["value"], r["low"], r["high"]) for r in same["difference"].values()} == {(0, 0, 0)}
+    right = [outcome(name=f"{k}") for k in range(40)]
+    mute = [o._replace(answer=answer("none", ())) for o in right[:10]] + right[10:]
+    worse = gate(mute, right)
+    assert worse["difference"]["exact"]["value"] == pytest.approx(-0.25)
+    assert worse["difference"]["exact"]["low"] < -0.25 < worse["difference"]["exact"]["high"] < 0.0
+    assert not worse["switch"]
+    assert gate(right, mute)["switch"]
+    assert worse["by_family"]["virtual"]["cases"] == 40
+    with pytest.raises(DataError, match="not to the same cases"):
+        gate(right, mute[1:])
+
+
+def test_the_interval_of_a_paired_difference_is_that_of_the_cases_that_differ(outcome, answer):
+    """Of n cases d differ: the variance of the mean difference is (d/n)(1 - d/n)/n."""
+    old = [outcome(name=f"{k}") for k in range(100)]
+    new = [o._replace(answer=answer("none", ())) for o in old[:20]] + old[20:]
+    row = gate(new, old)["difference"]["exact"]
+    width = 2 * 1.96 * math.sqrt(0.2 * 0.8 / 100)
+    assert row["high"] - row["low"] == pytest.approx(width, rel=0.1)
+
+
+def test_the_gate_stands_first_in_the_tables(outcomes):
+    document = scored(outcomes, {}) | {"gate": gate(outcomes, outcomes)}
+    found = tables(document)
+    assert found[0][0] == "Gate: switch"
+    assert found[0][2][0] == ["top-1", "0.33", "0.33", "0.00 [0.00, 0.00]"]
+    assert found[1][2][0][:3] == ["virtual", "8", "0.33 / 0.33"]
+    assert "Gate by family" in render(document)
 
 
 def test_several_engines_stand_side_by_side(outcomes, outcome):
     other = outcome(name="lumped")
     other = other._replace(truth={**other.truth, "engine": "lumped_n1"})
     found = tables(scored([*outcomes, other], {}))
-    assert [each[0] for each in found] == [
-        "Blind test", "By share of the gap", "By engine", "What was said of what"
-    ]  # fmt: skip
-    assert found[2][1] == ("", "business_jet", "lumped_n1")
+    assert [each[0] for each in found] == ["Blind test", "By family", "What was said of what"]
+    assert found[1][1] == ("", "virtual", "lumped")
 
 
 def test_folders_stand_side_by_side_four_to_a_table(outcome):
-    engines = [f"lumped_n{k}" for k in range(5)]
+    engines = [f"engine_{k}" for k in range(5)]
     rows = [outcome(name=f"{folder}/case_001") for folder in "ABCDE"]
     rows = [o._replace(truth=o.truth | {"engine": e}) for o, e in zip(rows, engines, strict=True)]
     document = scored(rows, {})
     heads = [each[1] for each in tables(document) if each[0].startswith("By f")]
     assert heads == [("", "A", "B", "C", "D"), ("", "E")]
-    # By engine as well on the page, where there is room.
-    assert not any("By engine" in each[0] for each in tables(document))
-    assert "lumped_n4" in render(document)
+    # By family as well on the page, where there is room.
+    assert not any("By family" in each[0] for each in tables(document))
+    assert "engine_4" in render(document)
 
 
 def test_every_size_stands_beside_the_one_that_was_put_in(outcome, answer):
@@ -184,16 +213,6 @@ def test_every_size_stands_beside_the_one_that_was_put_in(outcome, answer):
     assert '<td class=" num">1.8 [1.5, 1.9]</td><td class="">no</td>' in render(document)
 
 
-def test_groups_by_share_of_the_gap(outcomes):
-    groups = by_gap_share(outcomes)
-    assert [row["gap_share"] for row in groups] == [
-        "below 2 %", "2-5 %", "5-10 %", "10-25 %", "above 25 %"
-    ]  # fmt: skip
-    assert [row["cases"] for row in groups] == [0, 1, 1, 2, 1]
-    assert [row["top_1"]["hits"] for row in groups] == [0, 1, 0, 1, 1]
-    assert [row["claimed"]["hits"] for row in groups] == [0, 0, 1, 1, 1]
-
-
 def test_the_confusion_matrix_counts_every_case_once(outcomes):
     found = confusion(outcomes)
     assert found == {
@@ -204,6 +223,42 @@ def test_the_confusion_matrix_counts_every_case_once(outcomes):
     }
 
 
+def test_wilson_as_tabulated():
+    # 81 of 263, z = 1.96: [0.2553, 0.3662] (R. G. Newcombe, Stat. Med. 17, 1998, 857, table I).
+    found = rate([True] * 81 + [False] * 182)
+    assert (found.hits, found.of) == (81, 263)
+    assert (found.low, found.high) == pytest.approx((0.2553, 0.3662), abs=5e-5)
+    # 0 of 20 and 15 of 148, from the same table.
+    assert rate([False] * 20)[2:] == pytest.approx((0.0, 0.0, 0.1611), abs=5e-5)
+    assert rate([True] * 15 + [False] * 133)[3:] == pytest.approx((0.0624, 0.1605), abs=5e-5)
+
+
+@given(st.integers(0, 40), st.integers(0, 40))
+def test_the_interval_contains_the_rate_and_mirrors(hits, misses):
+    if hits + misses == 0:
+        return
+    found, mirrored = rate([True] * hits + [False] * misses), rate([True] * misses + [False] * hits)
+    assert 0.0 <= found.low <= found.value + 1e-12
+    assert found.value <= found.high + 1e-12
+    assert found.high <= 1.0
+    assert found.low == pytest.approx(1.0 - mirrored.high, abs=1e-12)
+
+
+def test_calibration_error_over_bins_of_equal_mass():
+    # Two cases a bin: |1 - 0.1| + |0 - 0.3| ... by hand.
+    p = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]
+    hit = [1, 0, 0, 0, 1, 0, 1, 1, 1, 1]
+    bins = [abs(1 - 0.3), abs(0 - 0.7), abs(1 - 1.1), abs(2 - 1.5), abs(2 - 1.9)]
+    assert calibration_error(p, hit) == pytest.approx(sum(bins) / 10)
+    order = np.random.default_rng(0).permutation(10)
+    assert calibration_error(np.take(p, order), np.take(hit, order)) == pytest.approx(
+        sum(bins) / 10
+    )
+    assert calibration_error([1.0], [True]) == 0.0
+    assert math.isnan(calibration_error([], []))
+    assert math.isnan(mean([]))
+
+
 def test_nothing_at_all_has_no_numbers():
     for each in table([]):
         number = each.value if isinstance(each.value, float) else each.value.value
@@ -212,29 +267,19 @@ def test_nothing_at_all_has_no_numbers():
 
 def test_document_and_page_show_it_all(outcomes, sound_page):
     document = scored(outcomes, {"cases": {"seed": 1}})
-    assert document["schema"] == "narxcal.blind_score/1"
-    assert document["cases"] == {"null": 2, "outside": 1, "pair": 1, "single": 4}
-    assert document["wrong_base"] == 8
-    assert list(document["by_style"]) == ["line"]
+    assert document["schema"] == "narxcal.blind_score/2"
+    assert document["cases"] == {"single": 4, "null": 2, "outside": 1, "pair": 1}
     assert document["outcomes"][-1]["reason"] == "was stopped"
     assert document["outcomes"][5]["true"] == ["map_kink"]
     assert document["outcomes"][1]["ambiguous_with"] == ["sensor_lag:EGT_C"]
     page = render(document)
-    for words in ("Blind test", "top-1, ranked first", "map_kink", "spool_lag", "10-25 %"):
+    for words in ("Blind test", "top-1, ranked first", "map_kink", "spool_lag"):
         assert words in page
     sound_page(page)
     assert document["plans"] == {"cases": {"seed": 1}}
-    main, shares, confused = tables(document)
-    assert ["top-2", "0.75 [0.30, 0.95]", "3 of 4"] in main[2]
-    assert len(shares[2]) == 5
+    main, confused = tables(document)
+    assert ["claims right", "0.50 [0.15, 0.85]", "2 of 4"] in main[2]
     assert ["spool_lag", "4", "2", "failed 1, none 1"] in confused[2]
-
-
-def test_both_styles_stand_side_by_side(outcomes, outcome):
-    other = outcome(name="rich")
-    other = other._replace(truth={**other.truth, "style": "enriched"})
-    main = tables(scored([*outcomes, other], {}))[0]
-    assert main[1] == ("", "all [95 %]", "n", "enriched", "line")
 
 
 def test_how_numbers_are_shown():

@@ -6,9 +6,15 @@ import pytest
 
 from eval.gap.blind.cases import OFFSETS, BlindPlan, draw_cases
 from eval.gap.blind.files import open_key
-from eval.gap.blind.log_shifts import SHIFTS, View, switches_of
 from eval.gap.blind.make import write_key
-from eval.gap.blind.sim_logs import LogSpecimen, drawn_cases, make_log_cases
+from eval.gap.blind.sim_logs import (
+    SHIFTS,
+    LogSpecimen,
+    View,
+    drawn_cases,
+    make_log_cases,
+    switches_of,
+)
 from eval.gap.blind.truth import NOTHING
 from eval.gap.pairs import read_folder
 from narxcal.flight_test.sensors import first_order
@@ -71,7 +77,10 @@ def test_the_key_says_what_and_where(cases):
     rows = list(open_key(cases, "3")["cases"].values())
     assert {row["kind"] for row in rows} == {"null", "single", "pair", "outside"}
     for row in rows:
-        assert sum(row["where"].values()) == pytest.approx(0.0 if row["kind"] == "null" else 1.0)
+        assert sum(cause["share"] for cause in row["budget"].values()) == pytest.approx(1.0)
+        assert all(
+            f"{e['id']}:{e['channel']}" in row["budget"] for e in row["effects"] if e["channel"]
+        )
         assert row["base"]["misfit"] or row["kind"] != "null"
 
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eval.gap.blind.seal import MARK, opened, sealed
+from eval.gap.blind.files import MARK, opened, sealed
 from narxcal.support.errors import ConfigError, DataError
 
 KEY = {"cases": {"case_001": {"kind": "null"}}, "numbers": [1, 2.5, None]}

@@ -1,20 +1,30 @@
-"""Finds sizes that make a wanted share of the squared gap, and says what share a content makes.
+"""Shares of the gap: sizes that make a wanted one, and the true budget of a case.
 
     g = 1 - MSE(recorded - (simulated with the effect)) / MSE(recorded - simulated)
 
-GAP section 2; the MSE of a channel counts over the square of its simulated range, channels alike.
+The MSE of a channel counts over the square of its simulated range, channels alike. The true budget
+is a Shapley mean (L. S. Shapley, 1953) over the orders in which effects and build enter, on
+re-simulations without noise:
+
+    share_k = sum_S |S|! (n - |S| - 1)! / n! (v(S) - v(S + k)) / MSE(recorded - simulated)
+
+where v(S) is the MSE of what is true less the simulator with the causes S. What they leave is
+unexplained: another structure, and what is in no library. The recording adds offsets (the mean of
+its errors in a flight) and noise. All shares sum to 1.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
 
-from eval.gap.blind.catalogue import Dose
+from eval.gap.blind.cases import Dose
 from eval.gap.blind.truth import NOTHING, Channels, Content, outputs_of
+from narxcal.support.arrays import FloatArray
 
 _TRIES: Final = 3
 _CLOSE: Final = 0.1  # of the energy: the next size will do
@@ -34,8 +44,12 @@ def ranges(simulated: Sequence[Channels]) -> dict[str, float]:
 
 def energy(one: Channels, other: Channels, spans: Mapping[str, float]) -> float:
     """Mean over the outputs of the squared difference, in squares of their ranges."""
-    squares = [np.nanmean((one[name] - other[name]) ** 2) / spans[name] ** 2 for name in spans]
-    return float(np.mean(squares))
+    return float(np.mean(_squares(one, other, spans)))
+
+
+def _squares(one: Channels, other: Channels, spans: Mapping[str, float]) -> FloatArray:
+    """Mean squared difference of each output, in squares of its range: `(outputs,)`."""
+    return np.array([np.nanmean((one[n] - other[n]) ** 2) / spans[n] ** 2 for n in spans])
 
 
 def gap_share(
@@ -105,3 +119,65 @@ def size_for(measured: Measure, wanted: float, sizes: tuple[float, float]) -> fl
         if abs(math.log(wanted / made)) < _CLOSE:
             break
     return size
+
+
+def budget(
+    specimen: Any,
+    flights: Sequence[Any],
+    content: Content,
+    simulated: Sequence[Channels],
+    real: Sequence[tuple[Channels, Channels]],
+) -> dict[str, dict[str, Any]]:
+    """Give the true budget of a case on some flights: cause -> its share, and that by channel.
+
+    Causes are the effects by name, `build`, `offsets`, `noise` and `unexplained`. `real` are true
+    and recorded channels, `simulated` those of the simulator as it is.
+    """
+    spans = ranges(simulated)
+    names = [dose.scale.name for dose in content.doses]
+    players = [*names, "build"]
+
+    def left(entered: frozenset[str]) -> FloatArray:
+        doses = tuple(dose for dose in content.doses if dose.scale.name in entered)
+        models = simulated
+        if entered:
+            built = "build" in entered
+            models = [specimen.simulated(f, Content(doses), built=built) for f in flights]
+        each = [_squares(r[0], m, spans) for r, m in zip(real, models, strict=True)]
+        return np.asarray(np.mean(each, axis=0))
+
+    values = {
+        frozenset(s): left(frozenset(s))
+        for size in range(len(players) + 1)
+        for s in combinations(players, size)
+    }
+    found = {name: _shapley(name, values, len(players)) for name in players}
+    found["unexplained"] = values[frozenset(players)]
+    found["offsets"] = np.mean([_offsets(*each, spans) for each in real], axis=0)
+    whole = [_squares(r[1], s, spans) for r, s in zip(real, simulated, strict=True)]
+    total = np.mean(whole, axis=0)
+    found["noise"] = total - values[frozenset()] - found["offsets"]
+    scale = max(float(total.sum()), 1e-300)
+    return {
+        name: {
+            "share": float(each.sum()) / scale,
+            "channels": dict(zip(spans, (each / scale).tolist(), strict=True)),
+        }
+        for name, each in found.items()
+    }
+
+
+def _shapley(name: str, values: Mapping[frozenset[str], FloatArray], n: int) -> FloatArray:
+    """What one cause takes away, on average over the orders in which the `n` causes enter."""
+    own = [
+        (without, math.factorial(len(without)) * math.factorial(n - len(without) - 1))
+        for without in values
+        if name not in without
+    ]
+    parts = [count * (values[s] - values[s | {name}]) for s, count in own]
+    return np.asarray(np.sum(parts, axis=0) / math.factorial(n))
+
+
+def _offsets(true: Channels, recorded: Channels, spans: Mapping[str, float]) -> FloatArray:
+    """Squared mean error of a recording, by output."""
+    return np.array([np.nanmean(recorded[n] - true[n]) ** 2 / spans[n] ** 2 for n in spans])
