@@ -7,7 +7,6 @@ import pytest
 from eval.gap.blind.cases import OFFSETS, BlindPlan, draw_cases
 from eval.gap.blind.files import open_key
 from eval.gap.blind.make import write_key
-from eval.gap.blind.outcome import name_of
 from eval.gap.blind.sim_logs import (
     SHIFTS,
     LogSpecimen,
