@@ -7,11 +7,11 @@ is the only place where pass or fail is decided: terminal, page, JSON and exit c
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from pydantic import Field
@@ -20,7 +20,17 @@ from data_prep.events import Event, find_events
 from data_prep.log import Log
 from data_prep.prepare import prepare, with_outputs
 from data_prep.reading import read_logs
-from eval.free_run import BASELINES, MODEL, FreeRun, run_log, trimmed
+from eval.free_run import (
+    ARX,
+    BASELINES,
+    FIRST_ORDER,
+    MODEL,
+    NETWORK,
+    STEADY_STATE,
+    FreeRun,
+    run_log,
+    trimmed,
+)
 from eval.outcome import Outcome, plural
 from eval.rules import rules
 from eval.scores import ChannelScores, score
@@ -37,7 +47,7 @@ from eval.transients import (
 )
 from eval.trim import TrimConfig, rows_for_trim
 from narxcal.calibration.bundle import Bundle
-from narxcal.channels import symbol
+from narxcal.channels import channel, symbol
 from narxcal.steady.model import Envelope, SteadyStateModel
 from narxcal.support.errors import ConfigError, ModelError
 from narxcal.support.files import finite
@@ -203,11 +213,12 @@ def _role(bundle: Bundle, log: Log) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """All logs and what they have to reach."""
+    """All logs and what they have to reach; `leads` says where a simple model leads."""
 
     logs: tuple[LogEvaluation, ...]
     config: EvaluateConfig
     trim: float | None = None
+    leads: tuple[str, ...] = ()
 
     @property
     def assessments(self) -> list[Assessment]:
@@ -316,6 +327,42 @@ class Evaluation:
         return found
 
 
+_SIMPLE: Final = {
+    STEADY_STATE: "the steady state alone",
+    FIRST_ORDER: "a first-order lag",
+    ARX: "a linear ARX model",
+}
+
+
+def _worse_than_simple(pooled: Mapping[str, ChannelScores]) -> Iterator[str]:
+    """Channels in which a simple model does better over all logs, and the best such model."""
+    for name, found in pooled.items():
+        known = {key: value for key, value in found.baselines.items() if math.isfinite(value)}
+        best = min(known, key=lambda key: known[key], default="")
+        if best and known[best] < found.rmse:
+            yield (
+                f"{symbol(name)} is worse than {_SIMPLE[best]}: RMSE {found.rmse:.3g} against "
+                f"{known[best]:.3g} {channel(name).unit}."
+            )
+
+
+def lead_sentences(bundle: Bundle) -> tuple[str, ...]:
+    """Where a simple model leads, and by which held-out errors."""
+    stored = (bundle.meta.get("lead") or {}).get("channels", {})
+    names, found = bundle.calibration.output_names, []
+    for lead in bundle.calibration.leads:
+        name = names[lead.channel]
+        errors = stored.get(name, {}).get("held_out_rmse", {})
+        figures = ""
+        if errors.get(lead.kind) is not None and errors.get(NETWORK) is not None:
+            figures = f" ({errors[lead.kind]:.3g} against {errors[NETWORK]:.3g})"
+        found.append(
+            f"{symbol(name)}: {_SIMPLE[lead.kind]} leads, for its error on held-out parts of the "
+            f"training logs is lower than the network's{figures}."
+        )
+    return tuple(found)
+
+
 def _against_baselines(one: LogEvaluation) -> str:
     """In which channels the model beats every baseline, and in which it does not."""
     best = {name: (found.rmse, found.best_rmse) for name, found in one.scores.items()}
@@ -369,7 +416,7 @@ def evaluate(
     """
     settings = settings or run_config(bundle)[1]
     found = tuple(assess_log(bundle, log, settings, trim=trim) for log in logs)
-    return Evaluation(found, settings, trim)
+    return Evaluation(found, settings, trim, lead_sentences(bundle))
 
 
 def outside_envelope(run: FreeRun, steady: SteadyStateModel) -> str:

@@ -18,7 +18,7 @@ from narxcal.support.errors import DataError
 from training.baselines import Baselines
 from training.config import RunConfig
 
-MODEL, ONE_STEP = "model", "one_step"
+MODEL, ONE_STEP, NETWORK = "model", "one_step", "network"
 STEADY_STATE, FIRST_ORDER, ARX = "steady_state", "first_order", "arx"
 BASELINES = (STEADY_STATE, FIRST_ORDER, ARX)
 SPEEDS = ("N1_pct", "N2_pct")
@@ -31,7 +31,7 @@ class FreeRun:
     | field | shape | meaning |
     |---|---|---|
     | `measured` | (time, channel) | measured outputs, NaN where masked |
-    | `outputs` | name -> (time, channel) | `model` in free run, `one_step`, the baselines |
+    | `outputs` | name -> (time, channel) | `model` in free run, `one_step`, `network`, baselines |
     | `inputs_known` | (time,) | inputs were recorded, not carried over a gap |
     | `quasi_steady` | (time,) | the log is in equilibrium |
     | `in_envelope` | (time,) | inputs lie in the steady-state model's envelope |
@@ -86,6 +86,9 @@ def run_log(bundle: Bundle, config: RunConfig, log: Log) -> FreeRun:
     measured = log.matrix(own.output_names)
     steady = np.asarray(own.steady.outputs(inputs), dtype=np.float64)
     outputs = {MODEL: own.simulate(inputs, measured[0]), STEADY_STATE: steady}
+    outputs[NETWORK] = outputs[MODEL]
+    if own.leads:
+        outputs[NETWORK] = own.network_alone().simulate(inputs, measured[0])
     outputs[ONE_STEP] = _one_step(own, inputs, measured, outputs[MODEL])
     level = np.zeros(len(log))
     if "baselines" in bundle.meta:
@@ -123,7 +126,7 @@ def trimmed(run: FreeRun, until: int, config: TrimConfig) -> FreeRun:
     The one-step prediction starts from measured values and needs none.
     """
     outputs, trims = dict(run.outputs), {}
-    for name in (MODEL, *BASELINES):
+    for name in (MODEL, NETWORK, *BASELINES):
         if name not in outputs:
             continue
         usable = run.quasi_steady & run.inputs_known

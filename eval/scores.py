@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eval.free_run import BASELINES, MODEL, ONE_STEP, FreeRun
+from eval.free_run import BASELINES, MODEL, NETWORK, ONE_STEP, FreeRun
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 
@@ -119,6 +119,7 @@ class ChannelScores:
     among them, `dynamic_rmse` over the rest. `bias` is the mean error, model minus measured.
     `max_rel_pct` is relative to the measured value at that time (temperatures in degC), which
     counts as no less than 5 % of the largest one; `max_error` is the largest error itself.
+    `network_rmse` is that of the network, which differs from `rmse` where a simple model leads.
     """
 
     samples: float
@@ -133,6 +134,7 @@ class ChannelScores:
     static_bias: float
     dynamic_rmse: float
     one_step_rmse: float
+    network_rmse: float
     steady_state_rmse: float
     first_order_rmse: float
     arx_rmse: float
@@ -196,7 +198,7 @@ def _columns(runs: Sequence[FreeRun]) -> Mapping[str, FloatArray]:
         "static_bias": _reduced(error[static], "mean"),
         "dynamic_rmse": rmse(measured, model, scored & ~static),
     }
-    for name in (ONE_STEP, *BASELINES):
+    for name in (ONE_STEP, NETWORK, *BASELINES):
         figures[f"{name}_rmse"] = rmse(measured, _joined(runs, name), scored)
     return figures
 

@@ -176,7 +176,9 @@ class TrainConfig(Section):
     the length of the synthetic records of the return to equilibrium; 0 means none; with `rest_far`
     there are more of them, they begin at large deviations, and the second half of each is scored.
     With `emphasis = "motion"` transients weigh more than equilibrium, their onset most, and low
-    power more than high.
+    power more than high. In each output the steady state, a first-order lag or an ARX model leads
+    where it does better than the network on held-out parts of the training logs (see
+    `training.lead`); `choice_s` are the nominal CPU seconds that this may take, 0 for the network.
     """
 
     optimiser: Literal["lm", "geodesic", "adam"] = "lm"
@@ -193,6 +195,7 @@ class TrainConfig(Section):
     rest_s: float = Field(default=20.0, ge=0)
     rest_far: bool = False
     emphasis: Literal["even", "motion"] = "even"
+    choice_s: float = Field(default=120.0, ge=0)
     still: QuasiSteadyConfig = QuasiSteadyConfig(window_s=4.0, speed_pct=0.4, driver_fraction=0.02)
 
     @model_validator(mode="after")

@@ -398,8 +398,9 @@ def model_of(
         states.append(run[0])
         errors.append(np.where(data.roots[k] > 0.0, run[2] - data.outputs[k], np.nan))
     seen, error = np.concatenate(states), np.concatenate(errors)
-    noise = np.sqrt(np.nanmean(error**2, axis=0))
-    lagged = np.nanmean(error[1:] * error[:-1], axis=0) / np.maximum(noise**2, 1e-30)
+    square, product = error**2, error[1:] * error[:-1]
+    noise = np.sqrt(_mean_known(square))
+    lagged = _mean_known(product) / np.maximum(noise**2, 1e-30)
     bounds = unbounded(n)
     if shape.hidden:
         low, high = seen.min(axis=0), seen.max(axis=0)
@@ -408,6 +409,13 @@ def model_of(
     pole = float(np.abs(np.linalg.eigvals(parts[0][:n, :n])).max())
     memory = int(np.clip(np.log(0.1) / np.log(np.clip(pole, 1e-3, 0.9999)), 20, 500))
     return LatentModel(
-        shape, fitted.theta.copy(), bounds, *scalings, noise, np.clip(np.nan_to_num(lagged), 0, 1),
+        shape, fitted.theta.copy(), bounds, *scalings, noise, np.clip(lagged, 0, 1),
         memory + max(shape.delay, default=0),
     )  # fmt: skip
+
+
+def _mean_known(values: FloatArray) -> FloatArray:
+    """Mean over time of the values (time, p) that are not NaN; 0 where none is."""
+    known = np.isfinite(values)
+    total = np.where(known, values, 0.0).sum(axis=0)
+    return np.asarray(total / np.maximum(known.sum(axis=0), 1))

@@ -1,6 +1,6 @@
 """The order of the steps of `narxcal train`: each takes values and returns one result.
 
-logs -> split -> steady state -> lags -> network -> noise -> bundle
+logs -> split -> steady state -> lags -> network -> what leads -> noise -> bundle
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ from training.baselines import fit_baselines
 from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import RunConfig
 from training.lags import choose_form, fit_lags
+from training.lead import Leading, choose_leads, network_leads
 from training.network import (
     FitResult,
     HistoryRow,
@@ -103,15 +104,43 @@ def calibrate(
     results = fit_networks(config, material(config, steady, lag, split), options)
     network = merge_models([result.model for result in results])
     calibration = _calibration(config, (steady, lag, network), dt_s)
+    baselines = fit_baselines(calibration, split.train)
+    leading = _leading(_resolved(config, steady), base, split, (calibration, baselines), options)
+    calibration = calibration.with_leads(leading.leads)
     meta = _provenance(given, base, split) | {
         "config": _resolved(config, steady).model_dump(mode="json", by_alias=True),
         "steady_state": _quality_row(quality, steady),
         "lag_form": choice.row(),
         "training": _training_row(results, time.perf_counter() - began),
         "fuser_noise": fuser_noise(calibration, split).to_dict(),
-        "baselines": fit_baselines(calibration, split.train),
+        "baselines": baselines,
+        "lead": leading.row(),
     }
     return Bundle(calibration, meta)
+
+
+def _leading(
+    config: RunConfig,
+    base: Path,
+    split: Split,
+    fitted: tuple[DynamicCalibration, dict[str, Any]],
+    options: TrainOptions,
+) -> Leading:
+    """Which model leads in each output, by folds of the training logs with everything refitted."""
+    if config.train.choice_s == 0.0:
+        return network_leads(fitted[0], "no choice: choice_s = 0")
+
+    def refit(logs: Sequence[Log]) -> tuple[DynamicCalibration, dict[str, Any]]:
+        part = Split(tuple(logs), split.validate, ())
+        steady, _ = steady_state(config, base, part.train)
+        lag = fit_lags(config, steady, part.train)
+        results = fit_networks(config, material(config, steady, lag, part), TrainOptions())
+        network = merge_models([result.model for result in results])
+        found = _calibration(config, (steady, lag, network), fitted[0].dt_s)
+        return found, fit_baselines(found, part.train)
+
+    watch = partial(options.stage, "judging on held-out parts")
+    return choose_leads(config, split.train, refit, fitted, watch)
 
 
 def _calibration(

@@ -75,8 +75,14 @@ def figure(value: float | None, mark: Mark = "", digits: int = 3) -> Cell:
 def scores(views: Sequence[LogView]) -> Table:
     """Free-run errors per log and channel beside the baselines; the lowest RMSE is marked."""
     trim = any(one.evaluation.untrimmed for one in views if one.evaluation is not None)
+    led = any(
+        found.network_rmse != found.rmse
+        for one in views if one.evaluation is not None
+        for found in one.evaluation.scores.values() if math.isfinite(found.rmse)
+    )  # fmt: skip
     head = (
-        "channel", "free run RMSE", *(("before trim",) if trim else ()), "bias", "NRMSE [%]",
+        "channel", "free run RMSE", *(("network RMSE",) if led else ()),
+        *(("before trim",) if trim else ()), "bias", "NRMSE [%]",
         "max rel. [%]", "one step RMSE", "static part", "dynamic part",
         *(f"{name} RMSE" for name in BASELINES.values()),
     )  # fmt: skip
@@ -87,17 +93,18 @@ def scores(views: Sequence[LogView]) -> Table:
         rows.append((Cell(f"{view.name} ({view.evaluation.role})", "group"),))
         for name, found in view.evaluation.scores.items():
             before = view.evaluation.untrimmed.get(name)
-            untrimmed = (figure(None if before is None else before.rmse),) if trim else ()
-            rows.append(_score_row(name, found, untrimmed))
+            more = (figure(found.network_rmse),) if led else ()
+            more += (figure(None if before is None else before.rmse),) if trim else ()
+            rows.append(_score_row(name, found, more))
     return Table("RMSE, bias and parts in the unit of the channel", head, tuple(rows))
 
 
-def _score_row(name: str, found: ChannelScores, untrimmed: tuple[Cell, ...]) -> tuple[Cell, ...]:
+def _score_row(name: str, found: ChannelScores, more: tuple[Cell, ...]) -> tuple[Cell, ...]:
     best = found.best_rmse
     return (
         Cell(with_unit(name), "head"),
         figure(found.rmse, "best" if found.rmse == best else ""),
-        *untrimmed,
+        *more,
         figure(found.bias),
         figure(100.0 * found.nrmse),
         figure(found.max_rel_pct),

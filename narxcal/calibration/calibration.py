@@ -22,6 +22,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from narxcal.calibration.lead import Lead, LeadState
 from narxcal.calibration.register import Parts, Register, Sample, stacked
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.narx.network import NarxModel
@@ -42,7 +43,8 @@ class DynamicCalibration:
     `settle_s` is the fading bound: the network's deviation may not be larger than twice that of a
     first-order lag of this time constant, so that it never outlives the movement that caused it. It
     needs a network whose outputs vanish in equilibrium (an anchored one); None means none.
-    `with_lag` puts lags in front of the network.
+    `with_lag` puts lags in front of the network; `with_leads` lets simple models lead in some
+    outputs, and `network_alone` is the same without them.
     """
 
     def __init__(
@@ -66,7 +68,9 @@ class DynamicCalibration:
         self.settle_s = settle_s
         self._columns = [steady.input_names.index(name) for name in schedule]
         self.lag: LumpedEngine | None = None
+        self.leads: tuple[Lead, ...] = ()
         self._register: Register | None = None
+        self._led: list[LeadState] = []
 
     def __repr__(self) -> str:
         names = f"{', '.join(self.input_names)} -> {', '.join(self.output_names)}"
@@ -80,6 +84,14 @@ class DynamicCalibration:
                 f"the steady-state model's outputs {', '.join(self.output_names)}"
             )
         return self._with(lag=lag)
+
+    def with_leads(self, leads: Sequence[Lead]) -> Self:
+        """The calibration with simple models in the place of the network in some outputs."""
+        return self._with(leads=tuple(leads))
+
+    def network_alone(self) -> Self:
+        """The calibration with the network leading in every output."""
+        return self.with_leads(())
 
     @property
     def input_names(self) -> tuple[str, ...]:
@@ -97,7 +109,7 @@ class DynamicCalibration:
 
     def _with(self, **changed: Any) -> Self:
         chosen = copy(self)
-        vars(chosen).update(changed, _register=None)
+        vars(chosen).update(changed, _register=None, _led=[])
         return chosen
 
     def simulate(self, inputs: ArrayLike, start: ArrayLike | None = None) -> FloatArray:
@@ -113,7 +125,10 @@ class DynamicCalibration:
         if len(given) > 1:
             later = self._started(given[0], ss[0], first).advance(given[1:], ss[1:])
             deviation = np.concatenate([deviation, later])
-        return ss - deviation
+        outputs: FloatArray = ss - deviation
+        for lead in self.leads:
+            outputs[:, lead.channel] = lead.simulate(ss, outputs[0, lead.channel])
+        return outputs
 
     def predict(self, inputs: ArrayLike, measured: ArrayLike) -> FloatArray:
         """One-step-ahead prediction (time, n_out) from measured outputs (time, n_out).
@@ -123,13 +138,21 @@ class DynamicCalibration:
         """
         given = self._checked(inputs)
         ss = self.steady.outputs(given)
-        deviation = ss - np.asarray(measured, dtype=np.float64)
+        known = np.asarray(measured, dtype=np.float64)
+        outputs = self._network_prediction(given, ss, ss - known)
+        for lead in self.leads:
+            outputs[:, lead.channel] = lead.predict(ss, known[:, lead.channel])
+        return outputs
+
+    def _network_prediction(
+        self, given: FloatArray, ss: FloatArray, deviation: FloatArray
+    ) -> FloatArray:
         if self.lag is None:
             features = narx_features(ss, given[:, self._columns])
-            return ss - self.narx.predict(features, deviation)
+            return np.asarray(ss - self.narx.predict(features, deviation))
         drive = self.lag.drive(given, self.input_names, ss)
         free = self.lag.deviations(drive, deviation[0], self.dt_s)
-        share = ss - free - self.simulate(given, ss[0] - deviation[0])
+        share = ss - free - self.network_alone().simulate(given, ss[0] - deviation[0])
         lagged = self.lag.deviations(drive, deviation[0], self.dt_s, deviation - share)
         unknown = np.ones(len(ss), dtype=np.bool_)
         unknown[1:] = np.isnan(deviation[:-1]).any(axis=1)
@@ -145,6 +168,7 @@ class DynamicCalibration:
         first = self._first_deviation(ss[0], start)
         self._register = self._started(given[0], ss[0], first)
         value: FloatArray = ss[0] - first
+        self._led = [lead.started(ss[0], value[lead.channel]) for lead in self.leads]
         return value
 
     def step(self, inputs: ArrayLike, correction: ArrayLike | None = None) -> FloatArray:
@@ -154,7 +178,10 @@ class DynamicCalibration:
         register before the step; NaN keeps the model's own. The first call resets.
         """
         if correction is not None and self._register is not None:
-            self._register.correct(np.asarray(correction, dtype=np.float64))
+            corrected = np.asarray(correction, dtype=np.float64)
+            self._register.correct(corrected)
+            for state in self._led:
+                state.correct(corrected[state.lead.channel])
         outputs: FloatArray = self.extend(np.asarray(inputs, dtype=np.float64)[None])[0]
         return outputs
 
@@ -165,7 +192,10 @@ class DynamicCalibration:
             first = self.reset(given[0])[None]
             return np.concatenate([first, self.extend(given[1:])]) if len(given) > 1 else first
         ss = self.steady.outputs(given)
-        return ss - self._register.advance(given, ss)
+        outputs: FloatArray = ss - self._register.advance(given, ss)
+        for state in self._led:
+            outputs[:, state.lead.channel] = state.advance(ss)
+        return outputs
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Guaranteed (low, high) of the deviation of each output, in the outputs' units."""
@@ -192,6 +222,8 @@ class DynamicCalibration:
             "steady": steady,
             "lag": lag_meta,
         }
+        if self.leads:
+            meta["leads"] = [lead.to_json() for lead in self.leads]
         return meta, arrays
 
     @classmethod
@@ -222,6 +254,7 @@ class DynamicCalibration:
             lag = meta.get("lag")
             if lag is not None:
                 loaded = loaded.with_lag(LumpedEngine.from_arrays(lag, part["lag"]))
+            loaded = loaded.with_leads([Lead.from_json(one) for one in meta.get("leads", ())])
         except KeyError as error:
             raise ModelError(f"the stored calibration has no {error}", hint=ALTERED) from None
         loaded.check()
@@ -237,6 +270,11 @@ class DynamicCalibration:
                 f"found one of {self.narx.inputs} and {self.narx.outputs}",
                 hint=ALTERED,
             )
+        for lead in self.leads:
+            widths = {len(row) for row in lead.gains}
+            shaped = len(lead.gains) in (0, len(lead.poles) + 1) and widths <= {count}
+            if not 0 <= lead.channel < count or not shaped:
+                raise ModelError("a leading model does not fit the outputs", hint=ALTERED)
         times: dict[str, Any] = {"dt_s": self.dt_s}
         if self.settle_s is not None:
             times["settle_s"] = self.settle_s

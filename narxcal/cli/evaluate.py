@@ -11,7 +11,15 @@ from typing import Any
 from data_prep.log import Log
 from data_prep.prepare import cautions
 from eval import terminal
-from eval.evaluate import SCHEMA, Evaluation, LogEvaluation, evaluate, outside_envelope, run_config
+from eval.evaluate import (
+    SCHEMA,
+    Evaluation,
+    LogEvaluation,
+    evaluate,
+    lead_sentences,
+    outside_envelope,
+    run_config,
+)
 from eval.outcome import Outcome
 from eval.report.page import evaluate_page
 from eval.report.view import view_of
@@ -75,7 +83,8 @@ def judge(
         for number, log in enumerate(logs):
             advance(number, len(logs), log.name)
             parts += evaluate(bundle, [log], trim or None, settings).logs
-    evaluation = Evaluation(tuple(parts), settings, trim or None)
+    leads = lead_sentences(bundle)
+    evaluation = Evaluation(tuple(parts), settings, trim or None, leads)
     outcome = evaluation.outcome
     warnings = [
         *cautions(logs, config, config.narx.outputs),

@@ -1,0 +1,192 @@
+"""Which model leads in each output: the network, or a simple one where held-out logs say so.
+
+The training logs are divided into folds: whole recordings, or thirds of a single one. In each fold
+steady state, lags, network and baselines are fitted anew to the rest, and all of them run free over
+what is held out. With e the RMS errors of a held-out log, a simple model can lead in an output if
+
+    mean r < -s,   r = ln(e_simple / e_network) by held-out log,   s = standard error of mean r
+
+Of those that can, the simplest within one standard error of the best leads: steady state before
+first-order lag before ARX. The test logs take no part. The network is trained and shown whatever
+leads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+
+from data_prep.log import Log
+from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.calibration.lead import KINDS, Kind, Lead
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
+from training.baselines import Baselines, run_of
+from training.config import RunConfig
+from training.folds import Fold, held_out_folds
+
+NETWORK: Final = "network"
+_FOLDS: Final = 3
+_UNIT_US: Final = 3.0  # nominal cost of a sample-step of the network behind lags
+_LEAST_ERROR: Final = 1e-9  # of the largest error: outputs without any error compare, too
+
+Refit = Callable[[Sequence[Log]], tuple[DynamicCalibration, Mapping[str, Any]]]
+
+
+@dataclass(frozen=True, eq=False)
+class Leading:
+    """What leads, and the held-out errors that say so.
+
+    `errors` (logs, 1 + kinds, outputs) are RMS errors of network, steady state, first-order lag and
+    ARX over the held-out `logs`; without any the network leads, and `status` says why.
+    """
+
+    leads: tuple[Lead, ...]
+    channels: tuple[str, ...]
+    logs: tuple[str, ...]
+    errors: FloatArray
+    status: str
+
+    def row(self) -> dict[str, Any]:
+        """JSON-able: per channel what leads, held-out errors and the standard error of ln ratio."""
+        chosen = {lead.channel: lead.kind for lead in self.leads}
+        found: dict[str, Any] = {}
+        for k, name in enumerate(self.channels):
+            found[name] = {"leads": chosen.get(k, NETWORK)}
+            if len(self.logs):
+                pairs = zip((NETWORK, *KINDS), self.errors[:, :, k].T, strict=True)
+                found[name]["held_out_rmse"] = {kind: _pooled(values) for kind, values in pairs}
+        return {"status": self.status, "held_out": list(self.logs), "channels": found}
+
+
+def network_leads(calibration: DynamicCalibration, status: str) -> Leading:
+    """No choice was made."""
+    empty = np.empty((0, 1 + len(KINDS), len(calibration.output_names)))
+    return Leading((), calibration.output_names, (), empty, status)
+
+
+def choose_leads(
+    config: RunConfig,
+    logs: Sequence[Log],
+    refit: Refit,
+    fitted: tuple[DynamicCalibration, Mapping[str, Any]],
+    watch: Callable[[int, int], None] = lambda _done, _total: None,
+) -> Leading:
+    """Judge all models on folds of the training `logs`; `fitted` is what was fitted to all of them.
+
+    `refit` fits calibration and baselines to some logs.
+    """
+    calibration, baselines = fitted
+    parts, folds = lead_folds(logs)
+    steps = sum(config.train.iterations) * config.train.starts
+    cost = 1e-6 * _UNIT_US * steps * sum(len(parts[k]) for fold in folds for k in fold.fitted)
+    if cost > config.train.choice_s:
+        limit = f"choice_s = {config.train.choice_s:g}"
+        return network_leads(calibration, f"no choice: folds take {cost:.0f} CPU s, {limit}")
+    names, errors, lost = [], [], []
+    for number, fold in enumerate(folds):
+        watch(number, len(folds))
+        fit, judged = fold.of(parts)
+        try:
+            found, simple = refit(fit)
+        except DataError as error:
+            lost.append(str(error.problem))
+            continue
+        names += [log.name for log in judged]
+        errors += [held_out_errors(found, Baselines.from_json(simple), log) for log in judged]
+    if not errors:
+        reason = lost[0] if lost else "nothing could be held out"
+        return network_leads(calibration, f"no choice: {reason}")
+    stacked = np.stack(errors)
+    fitted_baselines = Baselines.from_json(baselines)
+    leads = tuple(
+        lead_of(kind, k, fitted_baselines, calibration.dt_s)
+        for k in range(len(calibration.output_names))
+        if (kind := leading_kind(stacked[:, :, k])) is not None
+    )
+    status = f"chosen on {len(errors)} held-out parts of the training logs"
+    return Leading(leads, calibration.output_names, tuple(names), stacked, status)
+
+
+def lead_folds(logs: Sequence[Log]) -> tuple[list[Log], list[Fold]]:
+    """Logs and folds of whole recordings; of a single one, its thirds."""
+    files = [log.source.file for log in logs]
+    if len(set(files)) > 1:
+        return list(logs), held_out_folds(files, _FOLDS)
+    parts, numbers = [], []
+    for log in logs:
+        edges = np.linspace(0, len(log), _FOLDS + 1).astype(int).tolist()
+        for number, (a, b) in enumerate(pairwise(edges)):
+            parts.append(replace(log.part(a, b), name=f"{log.name}[{a}:{b}]"))
+            numbers.append(str(number))
+    return parts, held_out_folds(numbers, _FOLDS)
+
+
+def held_out_errors(calibration: DynamicCalibration, baselines: Baselines, log: Log) -> FloatArray:
+    """RMS errors (1 + kinds, n_out) of network and simple models over one log; NaN: unknown."""
+    own = calibration.for_engine(log.source.engine)
+    run = run_of(calibration, log)
+    models = (
+        own.simulate(log.matrix(own.input_names), run.measured[0]),
+        run.steady,
+        baselines.lag.simulate(run.steady, run.measured[0], own.dt_s),
+        baselines.arx.simulate(run.steady, run.measured[0]),
+    )
+    found = []
+    for model in models:
+        square = (model - run.measured) ** 2
+        known = np.isfinite(square)
+        count = known.sum(axis=0)
+        total = np.where(known, square, 0.0).sum(axis=0)
+        found.append(np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan))
+    return np.array(found)
+
+
+def leading_kind(errors: FloatArray) -> Kind | None:
+    """Simple model that leads by its held-out errors (logs, 1 + kinds); None for the network."""
+    errors = errors[np.isfinite(errors[:, 0])]
+    if not len(errors):
+        return None
+    floor = max(_LEAST_ERROR * float(np.nanmax(errors)), 1e-300)
+    logs = np.log(np.maximum(errors, floor))
+    ratios = logs[:, 1:] - logs[:, :1]
+    able = [k for k in range(len(KINDS)) if ratios[:, k].mean() < -_standard_error(ratios[:, k])]
+    if not able:
+        return None
+    best = min(able, key=lambda k: ratios[:, k].mean())
+    for k in able:
+        behind = ratios[:, k] - ratios[:, best]
+        if k == best or behind.mean() <= _standard_error(behind):
+            return KINDS[k]
+    return KINDS[best]
+
+
+def _pooled(values: FloatArray) -> float | None:
+    """Root mean square of the values (logs,) that are known; None without any."""
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else None
+
+
+def _standard_error(values: FloatArray) -> float:
+    return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
+
+
+def lead_of(kind: Kind, channel: int, baselines: Baselines, dt_s: float) -> Lead:
+    """The fitted simple model of one output."""
+    if kind == "first_order":
+        push, pull = (
+            float(-np.expm1(-dt_s / tau[channel]))
+            for tau in (baselines.lag.push_s, baselines.lag.pull_s)
+        )
+        return Lead(kind, channel, push, pull)
+    if kind == "arx":
+        arx = baselines.arx
+        return Lead(
+            kind, channel, poles=arx.poles[channel], gains=arx.gains[channel],
+            offset=arx.offsets[channel],
+        )  # fmt: skip
+    return Lead(kind, channel)
