@@ -93,7 +93,7 @@ def scores(views: Sequence[LogView]) -> Table:
         rows.append((Cell(f"{view.name} ({view.evaluation.role})", "group"),))
         for name, found in view.evaluation.scores.items():
             before = view.evaluation.untrimmed.get(name)
-            more = (figure(found.network_rmse),) if led else ()
+            more: tuple[Cell, ...] = (figure(found.network_rmse),) if led else ()
             more += (figure(None if before is None else before.rmse),) if trim else ()
             rows.append(_score_row(name, found, more))
     return Table("RMSE, bias and parts in the unit of the channel", head, tuple(rows))
