@@ -3,14 +3,14 @@
     g = 1 - MSE(recorded - (simulated with the effect)) / MSE(recorded - simulated)
 
 The MSE of a channel counts over the square of its simulated range, channels alike. The true budget
-is a Shapley mean (L. S. Shapley, 1953) over the orders in which effects and build enter, on
-re-simulations without noise:
+is a Shapley mean (L. S. Shapley, 1953) over the orders in which effects, build and offsets enter,
+on re-simulations without noise, `offsets` being the mean error of the recording in each flight:
 
     share_k = sum_S |S|! (n - |S| - 1)! / n! (v(S) - v(S + k)) / MSE(recorded - simulated)
 
 where v(S) is the MSE of what is true less the simulator with the causes S. What they leave is
-unexplained: another structure, and what is in no library. The recording adds offsets (the mean of
-its errors in a flight) and noise. All shares sum to 1.
+unexplained: another structure, and what is in no library; the rest of the recording's error is
+noise. All shares sum to 1; one below 0 opposes the others.
 """
 
 from __future__ import annotations
@@ -134,16 +134,18 @@ def budget(
     and recorded channels, `simulated` those of the simulator as it is.
     """
     spans = ranges(simulated)
-    names = [dose.scale.name for dose in content.doses]
-    players = [*names, "build"]
+    players = [*(dose.scale.name for dose in content.doses), "build", "offsets"]
+    shifted = [{n: t[n] + np.nanmean(r[n] - t[n]) for n in spans} for t, r in real]
+    models: dict[frozenset[str], Sequence[Channels]] = {frozenset(): simulated}
 
     def left(entered: frozenset[str]) -> FloatArray:
-        doses = tuple(dose for dose in content.doses if dose.scale.name in entered)
-        models = simulated
-        if entered:
-            built = "build" in entered
-            models = [specimen.simulated(f, Content(doses), built=built) for f in flights]
-        each = [_squares(r[0], m, spans) for r, m in zip(real, models, strict=True)]
+        inside = entered - {"offsets"}
+        if inside not in models:
+            doses = tuple(dose for dose in content.doses if dose.scale.name in inside)
+            built = "build" in inside
+            models[inside] = [specimen.simulated(f, Content(doses), built=built) for f in flights]
+        true = [each[0] for each in real] if "offsets" in entered else shifted
+        each = [_squares(t, m, spans) for t, m in zip(true, models[inside], strict=True)]
         return np.asarray(np.mean(each, axis=0))
 
     values = {
@@ -153,10 +155,9 @@ def budget(
     }
     found = {name: _shapley(name, values, len(players)) for name in players}
     found["unexplained"] = values[frozenset(players)]
-    found["offsets"] = np.mean([_offsets(*each, spans) for each in real], axis=0)
     whole = [_squares(r[1], s, spans) for r, s in zip(real, simulated, strict=True)]
     total = np.mean(whole, axis=0)
-    found["noise"] = total - values[frozenset()] - found["offsets"]
+    found["noise"] = total - values[frozenset()]
     scale = max(float(total.sum()), 1e-300)
     return {
         name: {
@@ -176,8 +177,3 @@ def _shapley(name: str, values: Mapping[frozenset[str], FloatArray], n: int) -> 
     ]
     parts = [count * (values[s] - values[s | {name}]) for s, count in own]
     return np.asarray(np.sum(parts, axis=0) / math.factorial(n))
-
-
-def _offsets(true: Channels, recorded: Channels, spans: Mapping[str, float]) -> FloatArray:
-    """Squared mean error of a recording, by output."""
-    return np.array([np.nanmean(recorded[n] - true[n]) ** 2 / spans[n] ** 2 for n in spans])

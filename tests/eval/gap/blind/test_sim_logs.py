@@ -7,6 +7,7 @@ import pytest
 from eval.gap.blind.cases import OFFSETS, BlindPlan, draw_cases
 from eval.gap.blind.files import open_key
 from eval.gap.blind.make import write_key
+from eval.gap.blind.outcome import name_of
 from eval.gap.blind.sim_logs import (
     SHIFTS,
     LogSpecimen,
@@ -78,9 +79,7 @@ def test_the_key_says_what_and_where(cases):
     assert {row["kind"] for row in rows} == {"null", "single", "pair", "outside"}
     for row in rows:
         assert sum(cause["share"] for cause in row["budget"].values()) == pytest.approx(1.0)
-        assert all(
-            f"{e['id']}:{e['channel']}" in row["budget"] for e in row["effects"] if e["channel"]
-        )
+        assert {name_of(effect) for effect in row["effects"]} <= {*row["budget"]}
         assert row["base"]["misfit"] or row["kind"] != "null"
 
 
