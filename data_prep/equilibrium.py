@@ -16,7 +16,14 @@ from scipy.ndimage import binary_dilation, binary_opening, maximum_filter1d, min
 
 from data_prep.log import Audit, AuditEntry, Log
 from narxcal.channels import channel
-from narxcal.support.arrays import BoolArray, FloatArray, bridge_gaps, long_runs, spans
+from narxcal.support.arrays import (
+    BoolArray,
+    FloatArray,
+    bridge_gaps,
+    long_runs,
+    robust_range,
+    spans,
+)
 from narxcal.support.settings import Section
 
 
@@ -83,8 +90,8 @@ BELOW_IDLE: Mapping[str, float] = MappingProxyType({"N1_pct": 12.0, "N2_pct": 40
 class RunningConfig(Section):
     """TOML table `[running]`: when an engine counts as running.
 
-    It does not where each of the channels of `above` that the log has is below its value for at
-    least `least_s`. That, and `margin_s` before and after, is left out of the log, which is split
+    It does not where each of the channels of `above` that the log has is below its value, or where
+    N2 is and no fuel flows, for at least `least_s`. That, and `margin_s` before and after, is left out of the log, which is split
     there. An empty `above` keeps everything; so does a log in which the engine never runs.
     """
 
@@ -131,12 +138,28 @@ def _parts(log: Log, config: RunningConfig) -> list[Log]:
     return parts
 
 
+_NO_FUEL = 0.02  # share of the largest fuel flow; idle takes about a tenth of it
+
+
+def _windmills(log: Log, config: RunningConfig) -> BoolArray:
+    """Mark the samples without fuel in which the core turns below idle.
+
+    In flight the wind keeps the fan above its limit. A core at speed contradicts a fuel flow of
+    zero: then the meter is at fault.
+    """
+    if not {"FF_kgph", "N2_pct"} <= log.channels.keys() or "N2_pct" not in config.above:
+        return np.zeros(len(log), dtype=np.bool_)
+    most = robust_range(log["FF_kgph"])[1]
+    return (log["FF_kgph"] < _NO_FUEL * most) & (log["N2_pct"] < config.above["N2_pct"])
+
+
 def _not_running(log: Log, config: RunningConfig) -> BoolArray:
     """Mark the samples to leave out; a missing reading is no sign that the engine does not run."""
     there = [name for name in config.above if name in log.channels]
     if not there:
         return np.zeros(len(log), dtype=np.bool_)
     below = np.all([log[name] < config.above[name] for name in there], axis=0)
+    below |= _windmills(log, config)
     least, margin = (round(time / log.dt_s) for time in (config.least_s, config.margin_s))
     # What is below at an end of the log was so before or goes on so.
     padded = np.pad(below, least, mode="edge")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 
@@ -13,6 +13,10 @@ from narxcal.support.errors import DataError
 
 LONG_SPAN_S = 1.0  # an audit lists spans of this length, and only counts shorter ones
 Action = Literal["masked", "repaired", "filled", "dropped"]
+Kind = Literal[
+    "unit", "scale", "bias", "drift", "stuck", "dead", "noise", "late", "held", "swapped",
+    "inconsistent",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,34 @@ class Audit:
 
 
 @dataclass(frozen=True)
+class Fault:
+    """A sensor fault of `channel` of a log, from `from_s` to `to_s` in the log's time.
+
+    `channels` are all that take part, such as two swapped ones. `confidence` is one minus the
+    probability of the finding on a sound log. The kinds are defined in docs/evaluate.md.
+    """
+
+    log: str
+    channel: str
+    channels: tuple[str, ...]
+    kind: Kind
+    from_s: float
+    to_s: float
+    confidence: float
+    detail: str
+
+    def row(self) -> dict[str, Any]:
+        """One entry of `faults` in JSON."""
+        return {**asdict(self), "channels": list(self.channels)}
+
+    @property
+    def caution(self) -> str:
+        """One line for a reader."""
+        when = f"{self.from_s:.6g} to {self.to_s:.6g} s"
+        return f"{self.log}: {' and '.join(self.channels)} {self.kind}, {when}: {self.detail}"
+
+
+@dataclass(frozen=True)
 class Source:
     """Where a log came from; `sha256` is of the file's bytes."""
 
@@ -67,6 +99,8 @@ class Log:
     `noise` is the variance of the white noise that was on each channel before it was smoothed.
     `interpolated` (channel -> bool `(time,)`) is True where the sample lies between two
     measurements of a channel slower than the grid; faster channels are not in it.
+    `faults` are those that its channels show by themselves and against physics
+    (`data_prep.plausibility`), `updates` (channel -> s) how often a channel changes.
     """
 
     name: str
@@ -76,6 +110,8 @@ class Log:
     source: Source = field(default_factory=Source)
     noise: Mapping[str, float] = field(default_factory=dict)
     interpolated: Mapping[str, BoolArray] = field(default_factory=dict)
+    faults: tuple[Fault, ...] = ()
+    updates: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         # The rounding of a sum depends on the memory layout, and a copy in another process is

@@ -21,6 +21,7 @@ from data_prep.equilibrium import (
 from data_prep.events import Event, EventsConfig, find_events, needs_condition
 from data_prep.grid import SLOW
 from data_prep.log import AuditEntry, Log
+from data_prep.plausibility import checked, of_cleaning
 from data_prep.smooth import SmoothConfig, blurs, smooth
 from narxcal.support.arrays import BoolArray, sample_and_hold
 from narxcal.support.errors import DataError
@@ -125,8 +126,8 @@ def prepare(
 ) -> list[Prepared]:
     """Leave out where the engine does not run, clean and smooth; the audit counts what changed."""
     wanted = tables or Preparation()
-    running = while_running(logs, wanted.running)
-    ready = (smooth(clean(log, wanted.clean), wanted.smooth) for log in running)
+    running = map(checked, while_running(logs, wanted.running))
+    ready = (smooth(of_cleaning(clean(log, wanted.clean)), wanted.smooth) for log in running)
     return [Prepared(log, wanted, tuple(outputs)) for log in ready]
 
 

@@ -1,0 +1,322 @@
+"""Check a log against physics: units, staircases, stuck air data, air data against each other.
+
+The first of three layers: nothing is learned, so that it serves every command. What the training
+logs say of a log is in `training.redundancy`. Signals are `(time,)`, NaN where nothing was
+measured; logs are those of `data_prep.reading`, before cleaning.
+
+Air data are redundant (any compressible-flow text; T in K):
+
+    M   = mach_of_cas(CAS, ALT)     CAS, ALT, Mach
+    TAS = a0 M sqrt(SAT / T0)       TAS, Mach, SAT
+    TAT = SAT (1 + 0.2 r M^2)       TAT, SAT, Mach
+    SAT = ISA(ALT) + slow           SAT, ALT
+
+Each relation that fails accuses its channels; the one that stands in all failed relations and in
+no other is at fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from data_prep.faults import out_of_range, repeats, resolution, role
+from data_prep.log import Fault, Kind, Log
+from narxcal.atmosphere import KELVIN, SOUND_KT, T0_K, isa, mach_of_cas
+from narxcal.channels import CHANNELS
+from narxcal.support.arrays import BoolArray, FloatArray, robust_range, spans
+
+SURE = 0.999
+# A recorder of an airline shows engine channels at least once per second (14 CFR 125 App. E).
+_SLOWEST_S = 1.5
+_STEPS = 3.0  # a staircase of a slow quantised channel has steps of one resolution, held ones more
+_MANY = 0.2  # share of the samples outside of the physical range: no single errors, another unit
+_FRACTION = 1.6  # a spool speed below this all along is a ratio, not percent
+
+# Conversions that are missed or made twice: kind of unit -> (name, scale, offset) of the right one.
+CONVERSIONS: Mapping[str, tuple[tuple[str, float, float], ...]] = {
+    "degC": (
+        ("kelvin", 1.0, -KELVIN),
+        ("degF", 5.0 / 9.0, -160.0 / 9.0),
+        ("degR", 5.0 / 9.0, -KELVIN),
+        ("degC, taken for kelvin", 1.0, KELVIN),
+        ("degC, taken for degF", 1.8, 32.0),
+    ),
+    "%": (("fraction", 100.0, 0.0), ("percent, taken for a fraction", 0.01, 0.0)),
+    "-": (("percent", 0.01, 0.0),),
+    "kg/h": (
+        ("lb/h", 0.45359237, 0.0),
+        ("kg/h, taken for lb/h", 1.0 / 0.45359237, 0.0),
+        ("kg/s", 3600.0, 0.0),
+        ("lb/s", 3600.0 * 0.45359237, 0.0),
+        ("kg/min", 60.0, 0.0),
+        ("g/s", 3.6, 0.0),
+        ("lb/min", 60.0 * 0.45359237, 0.0),
+    ),
+    "ft": (
+        ("m", 1.0 / 0.3048, 0.0),
+        ("ft, taken for m", 0.3048, 0.0),
+        ("km", 1000.0 / 0.3048, 0.0),
+        ("flight level", 100.0, 0.0),
+    ),
+    "kt": (
+        ("m/s", 3600.0 / 1852.0, 0.0),
+        ("km/h", 1000.0 / 1852.0, 0.0),
+        ("kt, taken for m/s", 1852.0 / 3600.0, 0.0),
+        ("mph", 0.868976, 0.0),
+    ),
+    "kN": (("lbf", 0.0044482216, 0.0), ("N", 0.001, 0.0)),
+}
+
+
+def conversions(channel: str) -> tuple[tuple[str, float, float], ...]:
+    """Units that `channel` may be in instead: name, scale, offset of value -> canonical value."""
+    if channel not in CHANNELS or channel == "dT_C":
+        return ()
+    return CONVERSIONS.get(CHANNELS[channel].unit, ())
+
+
+def checked(log: Log) -> Log:
+    """Return the log with its `faults` and `updates`; its values are unchanged."""
+    if len(log) < 3:
+        return log
+    updates = {name: update_interval(log[name]) * log.dt_s for name in log.channels}
+    log = replace(log, updates=updates)
+    found = [*_units(log), *_held(log), *_stuck_air(log)]
+    known = {fault.channel for fault in found}
+    found += [fault for fault in _air(log) if not known & {*fault.channels}]
+    return replace(log, faults=(*log.faults, *found))
+
+
+def of_cleaning(log: Log) -> Log:
+    """Return the cleaned log with what cleaning masked for long as faults."""
+    kinds: dict[str, tuple[Kind, str]] = {
+        "frozen": ("stuck", "one value is repeated while others change"),
+        "out of range": ("inconsistent", "no engine and no atmosphere shows such values"),
+    }
+    found = []
+    for entry in log.audit.entries:
+        if entry.action != "masked" or entry.reason not in kinds:
+            continue
+        kind, text = kinds[entry.reason]
+        of_unit = any(each.channel == entry.channel and each.kind == "unit" for each in log.faults)
+        for start_s, stop_s in () if of_unit else entry.spans_s:
+            found.append(fault(log, (entry.channel,), kind, text, (start_s, stop_s)))
+    return replace(log, faults=(*log.faults, *found)) if found else log
+
+
+def fault(
+    log: Log,
+    channels: tuple[str, ...],
+    kind: Kind,
+    detail: str,
+    span_s: tuple[float, float] | None = None,
+    confidence: float = SURE,
+) -> Fault:
+    """Make a fault of the log, of all of it if no (from, to) times are given."""
+    start_s, stop_s = span_s or (float(log.time_s[0]), float(log.time_s[-1]))
+    return Fault(log.name, channels[0], channels, kind, start_s, stop_s, float(confidence), detail)
+
+
+def update_interval(values: FloatArray) -> float:
+    """Samples between two changes of a channel, weighted by the size of the changes.
+
+    1 for a channel that is measured at every sample, N for one that is held for N. A channel whose
+    changes are of the size of its resolution shows its quantisation and nothing else: 1.
+    """
+    known = np.flatnonzero(np.isfinite(values))
+    step = np.abs(np.diff(values[known]))
+    changed = np.flatnonzero(step > 0.0)
+    if len(changed) < 3:
+        return 1.0
+    size, gap = step[changed][1:], np.diff(known[1:][changed])
+    if np.sum(size**2) <= _STEPS * resolution(values) * np.sum(size):
+        return 1.0
+    return float(np.sum(size * gap) / np.sum(size))
+
+
+def _units(log: Log) -> Iterator[Fault]:
+    """Channels outside of their physical range that another unit brings back into it."""
+    for name in log.channels:
+        values = log[name]
+        known = values[np.isfinite(values)]
+        if not len(known) or name not in CHANNELS:
+            continue
+        unit, high = CHANNELS[name].unit, float(robust_range(known)[1])
+        level = f"median {np.median(known):.4g}"
+        if unit == "%" and 0.2 < high < _FRACTION:
+            yield fault(log, (name,), "unit", f"looks like a fraction: at most {high:.3g}, {level}")
+        elif np.mean(out_of_range(name, known)) > _MANY:
+            fits = [word for word, *how in conversions(name) if _fits(name, known, *how)]
+            if unit == "%" and high > 2.0 * CHANNELS[name].high:
+                fits = ["rpm"]
+            if fits:
+                yield fault(log, (name,), "unit", f"looks like {fits[0]}: {level} {unit}")
+
+
+def _fits(name: str, known: FloatArray, scale: float, offset: float) -> bool:
+    return not np.mean(out_of_range(name, scale * known + offset)) > 0.01  # noqa: PLR2004
+
+
+def _held(log: Log) -> Iterator[Fault]:
+    """Engine channels and air data in steps much longer than the sampling interval."""
+    for name, every_s in log.updates.items():
+        if name not in log.interpolated and every_s > max(_SLOWEST_S, 5.0 * log.dt_s):
+            if role(name) in {"output", "ambient", "auxiliary"}:
+                yield fault(
+                    log,
+                    (name,),
+                    "held",
+                    f"changes every {every_s:.2g} s only, rows come every {log.dt_s:.2g} s",
+                )
+
+
+# What a moving aircraft shows: while one of the others changes by so much, none stays exactly.
+_AIR = ("Mach", "ALT_ft", "CAS_kt", "TAS_kt", "SAT_C", "TAT_C", "dT_C")
+_AIR_MOVES: Mapping[str, float] = {
+    "ALT_ft": 1500.0, "Mach": 0.06, "CAS_kt": 30.0, "TAS_kt": 30.0, "SAT_C": 4.0, "TAT_C": 5.0,
+}  # fmt: skip
+# Channel -> those that cannot move by `_AIR_MOVES` while it stays.
+_CANNOT_STAY: Mapping[str, tuple[str, ...]] = {
+    "ALT_ft": ("SAT_C",),
+    "Mach": ("ALT_ft", "CAS_kt", "TAS_kt"),
+    "CAS_kt": ("ALT_ft", "Mach", "TAS_kt"),
+    "TAS_kt": ("ALT_ft", "Mach", "CAS_kt"),
+    "SAT_C": ("ALT_ft",),
+    "TAT_C": ("ALT_ft",),
+}
+_STUCK_S = 20.0
+
+
+def _stuck_air(log: Log) -> Iterator[Fault]:
+    """Air data that repeat one value while the aircraft climbs, descends or changes speed."""
+    for name, others in _CANNOT_STAY.items():
+        if name not in log.channels:
+            continue
+        constant = np.zeros(len(log), dtype=np.bool_)
+        for start, stop in zip(*repeats(log[name]), strict=True):
+            if (stop - start) * log.dt_s >= _STUCK_S:
+                against = (other for other in others if other in log.channels)
+                constant[start:stop] = any(_moves(log, each, start, stop) for each in against)
+        yield from (_stuck(log, name, start, stop) for start, stop in spans(constant))
+
+
+def _moves(log: Log, name: str, start: int, stop: int) -> bool:
+    part = log[name][start:stop]
+    known = part[np.isfinite(part)]
+    if len(known) < 0.5 * len(part) or len(np.unique(known[:: max(1, len(known) // 50)])) < 5:  # noqa: PLR2004
+        return False
+    return bool(np.ptp(robust_range(known)) > _AIR_MOVES[name])
+
+
+def _stuck(log: Log, name: str, start: int, stop: int) -> Fault:
+    span = (float(log.time_s[start]), float(log.time_s[stop - 1]))
+    return fault(log, (name,), "stuck", f"stays at {log[name][start]:.4g} while others move", span)
+
+
+# Tolerances of the relations, in the unit of the residual, at which they fail (instrument errors
+# of RVSM aircraft and position error, doubled): Mach, kt, K.
+_MACH_TOLERANCE, _TAS_TOLERANCE, _TAT_TOLERANCE = 0.03, 12.0, 6.0
+_ISA_TOLERANCE = 15.0  # K: half of the change of the deviation from ISA over one flight
+_AIRBORNE_KT, _AIRBORNE_MACH = 80.0, 0.13  # pitot pressure is too low to be measured below
+_FAILED = 0.1  # share of the airborne samples from which on a relation fails
+_SCALES = (0.5, 2.0)
+
+
+def sound_air(log: Log) -> frozenset[str]:
+    """Air data that stand in a relation, and in none that fails."""
+    relations = dict(_relations(log.channels, len(log)))
+    failed = {name for names, share in relations.items() if share > _FAILED for name in names}
+    return frozenset({name for names in relations for name in names} - failed)
+
+
+def _air(log: Log) -> Iterator[Fault]:
+    """The channel that stands in every failed relation of air data and in no other.
+
+    Another unit or a factor is named where it is the only one that mends all relations.
+    """
+    relations = dict(_relations(log.channels, len(log)))
+    failed = {names for names, share in relations.items() if share > _FAILED}
+    if not failed:
+        return
+    mended = list(_mended(log, {name for names in failed for name in names}))
+    if len({name for name, *_ in mended}) == 1:
+        name, kind, text = mended[0]
+        yield fault(log, (name,), kind, text)
+        return
+    sound = {name for names in relations if names not in failed for name in names}
+    accused = set.intersection(*map(set, failed)) - sound
+    accused = accused or set.intersection(*map(set, failed))
+    accused = accused or {name for names in failed for name in names}
+    order = tuple(name for name in _AIR if name in accused)
+    text = "contradicts the other air data" if len(order) == 1 else "contradict each other"
+    yield fault(log, order, "inconsistent", f"{text}{_mach_ratio(log)}")
+
+
+def _mended(log: Log, accused: set[str]) -> Iterator[tuple[str, Kind, str]]:
+    """Conversions of one accused channel with which no relation fails."""
+    for name in (each for each in _AIR if each in accused):
+        level = f"median {np.nanmedian(log[name]):.4g}"
+        tried: list[tuple[Kind, str, float, float]] = [
+            ("unit", f"looks like {word}: {level}", scale, offset)
+            for word, scale, offset in conversions(name)
+        ]
+        tried += [("scale", f"looks scaled by {1.0 / scale:g}: {level}", scale, 0.0) for scale in _SCALES]
+        for kind, text, scale, offset in tried:
+            channels = {**log.channels, name: scale * log[name] + offset}
+            if all(share <= _FAILED for _, share in _relations(channels, len(log))):
+                yield name, kind, text
+
+
+def _mach_ratio(log: Log) -> str:
+    if not {"CAS_kt", "ALT_ft", "Mach"} <= log.channels.keys():
+        return ""
+    expected = mach_of_cas(log["CAS_kt"], log["ALT_ft"])
+    flies = expected > _AIRBORNE_MACH
+    if not flies.any():
+        return ""
+    ratio = float(np.nanmedian(log["Mach"][flies] / expected[flies]))
+    return f": Mach is {ratio:.2g} times what CAS and altitude say"
+
+
+def _relations(
+    channels: Mapping[str, FloatArray], count: int
+) -> Iterator[tuple[tuple[str, ...], float]]:
+    """The channels of each relation that there are, and the share of samples that break it."""
+    there = {name: channels[name] for name in _AIR if name in channels}
+    flies = _airborne(there, count)
+    mach, alt, static = (there.get(name) for name in ("Mach", "ALT_ft", "SAT_C"))
+    given = ("SAT_C",)
+    if static is None and alt is not None and "dT_C" in channels:
+        static, given = isa(alt)[0] - KELVIN + channels["dT_C"], ("dT_C", "ALT_ft")
+    if mach is not None and alt is not None and "CAS_kt" in there:
+        residual = mach_of_cas(np.abs(there["CAS_kt"]), alt) - mach
+        yield ("CAS_kt", "ALT_ft", "Mach"), _broken(residual, _MACH_TOLERANCE, flies)
+    if mach is not None and static is not None and "TAS_kt" in there:
+        sound_kt = SOUND_KT * np.sqrt(np.maximum(static + KELVIN, 1.0) / T0_K)
+        yield ("TAS_kt", "Mach", *given), _broken(
+            there["TAS_kt"] - sound_kt * mach, _TAS_TOLERANCE, flies
+        )
+    if mach is not None and static is not None and "TAT_C" in there:
+        residual = there["TAT_C"] + KELVIN - (static + KELVIN) * (1.0 + 0.2 * mach**2)
+        yield ("TAT_C", "Mach", *given), _broken(residual, _TAT_TOLERANCE, flies)
+    if alt is not None and "SAT_C" in there:
+        deviation = there["SAT_C"] + KELVIN - isa(alt)[0]
+        middle = 0.5 * (np.nanmax(deviation) + np.nanmin(deviation)) if len(deviation) else 0.0
+        every = np.ones(count, dtype=np.bool_)
+        yield ("SAT_C", "ALT_ft"), _broken(deviation - middle, _ISA_TOLERANCE, every)
+
+
+def _airborne(there: Mapping[str, FloatArray], count: int) -> BoolArray:
+    """Samples in which any airspeed shows a flight: one of them may be at fault."""
+    limits = {"CAS_kt": _AIRBORNE_KT, "TAS_kt": _AIRBORNE_KT, "Mach": _AIRBORNE_MACH}
+    flying = [there[name] > limit for name, limit in limits.items() if name in there]
+    return np.any(flying, axis=0) if flying else np.ones(count, dtype=np.bool_)
+
+
+def _broken(residual: FloatArray, tolerance: float, flies: BoolArray) -> float:
+    """Share of the testable samples at which a relation is broken."""
+    testable = flies & np.isfinite(residual)
+    return float(np.mean(np.abs(residual[testable]) > tolerance)) if testable.any() else 0.0

@@ -1,0 +1,906 @@
+"""Analytical redundancy: each engine channel predicted from each other one, learned from the logs.
+
+`learn` fits one small model per ordered pair of engine channels to the training logs, in corrected
+values (`narxcal.atmosphere`), and measures what is left on logs that were left out. `examine`
+compares a log with them and says which channel is wrong, since when and how.
+
+    x^_ij = b_ij . phi(x_j, M, ln delta),   e_ij = (x_i - x^_ij) / d_i
+    c_i   = sum_j w_ij e_ij, w_ij ~ 1 / s_ij^2
+    S_i   = the largest of the means of c_i over 20 s, 100 s and the log, each over its limit times
+            sigma_i
+
+A fault of channel k is in every e_kj, and in no residual that does not contain k: the channel is at
+fault without which all others agree (structured residuals; Gertler 1998, Fault Detection and
+Diagnosis in Engineering Systems, ch. 6). `s_ij` and `sigma_i` are the RMS of e_ij and c_i on
+left-out logs, combined with the scatter that engines of one type and their meters have (`_PRIOR`),
+as few logs say little about it.
+
+| symbol | meaning | unit |
+|---|---|---|
+| x_i | corrected channel i, mean of 1 s; temperatures in K | unit of i |
+| phi | cubic in x_j, its distance from three lags of itself, each also times x_j; M, M^2, ln delta | - |
+| d_i | half of x^_i and half of the mean of channel i | unit of i |
+
+A hypothesis about a whole log (another unit, two channels exchanged) is accepted where undoing it
+brings all |S_i| below 1. Late channels and stretched time show in the dynamics alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import Any, Self
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import lfilter
+from scipy.stats import t as student
+
+from data_prep.log import AuditEntry, Fault, Kind, Log
+from data_prep.plausibility import conversions, fault, sound_air
+from narxcal.atmosphere import air_state, corrected_scale
+from narxcal.channels import CHANNELS, symbol
+from narxcal.support.arrays import BoolArray, FloatArray, bridge_gaps, noise_level, spans
+
+_STEP_S = 1.0
+_LAGS_S = (2.0, 8.0, 30.0)
+# Means over short windows of transients scatter more than those over long ones: windows in s, and
+# the limits of S_i in them. The largest of left-out flights: 4.3 and 3.3.
+_WINDOWS_S, _LIMITS, _WHOLE_LIMIT = (20.0, 100.0), (5.5, 4.0), 2.5
+_RIDGE = 1e-4
+# Scatter between engines of a type and their meters, as a share of the level, until left-out logs
+# say more; it counts as `_PRIOR_LOGS` of them.
+_PRIOR = {"%": 0.01, "degC": 0.024, "kg/h": 0.03}
+_PRIOR_OTHER, _PRIOR_LOGS = 0.03, 1.5
+_AIR = ("ALT_ft", "Mach", "dT_C")
+_MOST_FOLDS = 8
+
+Values = Mapping[str, FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """One log in means over `step_s`: channel -> (time,), in canonical units."""
+
+    time_s: FloatArray
+    values: Values
+    step_s: float
+
+    @classmethod
+    def of(cls, log: Log, step_s: float = _STEP_S) -> Self:
+        """Means of the finite samples in each block; NaN where there are none."""
+        size = max(1, round(step_s / log.dt_s))
+        count = len(log) // size
+        names = [name for name in log.channels if name in CHANNELS]
+        values = {name: _block_means(log[name][: count * size], size) for name in names}
+        time_s = log.time_s[: count * size].reshape(count, size).mean(axis=1)
+        return cls(time_s, values, size * log.dt_s)
+
+    def having(self, **values: FloatArray) -> Signals:
+        """Signals with some channels replaced."""
+        return replace(self, values={**self.values, **values})
+
+
+def _block_means(values: FloatArray, size: int) -> FloatArray:
+    table = values.reshape(-1, size)
+    known = np.isfinite(table)
+    count = known.sum(axis=1)
+    total = np.where(known, table, 0.0).sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class _Corrected:
+    """Corrected engine channels, and the air they are in."""
+
+    x: Values
+    scale: Mapping[str, FloatArray]
+    offset: Mapping[str, float]
+    mach: FloatArray
+    log_delta: FloatArray
+
+    @classmethod
+    def of(cls, signals: Signals, names: Sequence[str]) -> Self:
+        zero = np.zeros(len(signals.time_s))
+        air_values = [bridge_gaps(signals.values.get(name, zero)) for name in _AIR]
+        air_values = [np.where(np.isfinite(each), each, 0.0) for each in air_values]
+        # A Mach number in percent, say, must not overflow before it is recognised.
+        mach = np.clip(air_values[1], 0.0, 3.0)
+        air = air_state(air_values[0], mach, np.clip(air_values[2], -150.0, 150.0))
+        x, scale, offset = {}, {}, {}
+        for name in names:
+            factor, offset[name] = corrected_scale(name, air)
+            scale[name] = np.broadcast_to(np.asarray(factor, dtype=np.float64), zero.shape)
+            x[name] = (signals.values[name] + offset[name]) / scale[name]
+        return cls(x, scale, offset, mach, np.log(air.delta))
+
+    def raw(self, name: str, corrected: FloatArray) -> FloatArray:
+        """Back to the canonical unit."""
+        return corrected * self.scale[name] - self.offset[name]
+
+
+def _features(z: FloatArray, air: _Corrected, step_s: float) -> FloatArray:
+    """phi (time, 18) of a channel scaled to zero mean and unit spread."""
+    mach, log_delta = air.mach, air.log_delta
+    apart = []
+    for lag_s in _LAGS_S:
+        a = np.exp(-step_s / lag_s)
+        apart.append(z - z[0] - lfilter([1.0 - a], [1.0, -a], z - z[0]))
+    columns = [np.ones_like(z), z, z**2, z**3, *apart, *(z * each for each in apart)]
+    columns += [mach, mach**2, mach * z, mach * z**2, log_delta, log_delta * z]
+    return np.column_stack(columns)
+
+
+@dataclass(frozen=True, eq=False)
+class Bank:
+    """The pair models with what they leave on left-out logs; stored with the bundle.
+
+    | field | meaning |
+    |---|---|
+    | `centre`, `spread` | mean and standard deviation of each corrected channel |
+    | `low`, `high` | its range in the training logs, scaled |
+    | `air` | ranges of Mach number and ln delta in the training logs |
+    | `models` | target -> source -> coefficients b |
+    | `pairs` | target -> source -> RMS of e on left-out logs, with the prior |
+    | `sigma` | RMS of c on left-out logs, with the prior |
+    | `levels` | channel -> median of c on each left-out log |
+    | `stretch` | k -> ln r(k), see `_stretched` |
+    | `delays` | target -> source -> (mean, standard deviation) of the delay in s |
+    | `noise`, `updates` | largest noise level, and update interval in s, of each channel |
+    | `logs` | number of logs that were left out |
+    """
+
+    channels: tuple[str, ...]
+    centre: Mapping[str, float]
+    spread: Mapping[str, float]
+    low: Mapping[str, float]
+    high: Mapping[str, float]
+    air: Mapping[str, tuple[float, float]]
+    models: Mapping[str, Mapping[str, tuple[float, ...]]]
+    pairs: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    sigma: Mapping[str, float] = field(default_factory=dict)
+    levels: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    stretch: Mapping[str, float] = field(default_factory=dict)
+    delays: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
+    updates: Mapping[str, float] = field(default_factory=dict)
+    logs: int = 0
+
+    def to_json(self) -> dict[str, Any]:
+        """For the bundle's document."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+    @classmethod
+    def from_json(cls, stored: Mapping[str, Any]) -> Self:
+        """Rebuild from `to_json`, also after a round trip through JSON."""
+        known = {name: stored[name] for name in cls.__dataclass_fields__}
+        return cls(**{**known, "channels": tuple(known["channels"])})
+
+    def predict(
+        self, air: _Corrected, target: str, source: str, step_s: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Corrected target (time,) and the side, 1 above and -1 below, that the source is beyond.
+
+        A source beyond its training range counts as at the limit: all engine channels rise with
+        power, so that the target is then at least (or at most) the prediction.
+        """
+        z = (bridge_gaps(air.x[source]) - self.centre[source]) / self.spread[source]
+        inside = np.clip(z, self.low[source], self.high[source])
+        found = _features(inside, air, step_s) @ np.asarray(self.models[target][source])
+        side = np.sign(z - inside)
+        return found * self.spread[target] + self.centre[target], side
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Residuals of one log, and the channels that took part; all values (time,)."""
+
+    bank: Bank
+    signals: Signals
+    channels: tuple[str, ...]
+    errors: Mapping[str, Values]  # e: target -> source
+    expected: Values  # corrected
+    consensus: Values  # c
+    smooth: Values  # S
+    corrected: _Corrected
+
+    @property
+    def flagged(self) -> dict[str, BoolArray]:
+        """Samples at which |S| exceeds 1."""
+        return {name: np.abs(self.smooth[name]) > 1.0 for name in self.channels}
+
+    @property
+    def misfit(self) -> float:
+        """Mean of S^2, bounded, over samples and channels."""
+        found = [np.minimum(each**2, 4.0) for each in self.smooth.values()]
+        found = [each[np.isfinite(each)] for each in found]
+        return float(np.mean([np.mean(each) if len(each) else 4.0 for each in found]))
+
+    @property
+    def sound(self) -> bool:
+        """Whether hardly any sample is flagged."""
+        return all(self.share(name) < _SOUND for name in self.channels)
+
+    def share(self, name: str) -> float:
+        """Share of the testable samples of a channel that are flagged."""
+        known = np.isfinite(self.smooth[name])
+        return float(self.flagged[name].sum() / max(known.sum(), 1))
+
+
+_SOUND = 0.02
+
+
+def residuals(
+    bank: Bank, signals: Signals, channels: Sequence[str], step_s: float = 0.0
+) -> Residuals:
+    """Compare the channels of one log with each other; `step_s` replaces that of the signals."""
+    step_s = step_s or signals.step_s
+    air = _Corrected.of(signals, channels)
+    testable = _inside_air(bank, air)
+    errors: dict[str, dict[str, FloatArray]] = {}
+    expected, consensus, smooth = {}, {}, {}
+    for i in channels:
+        others = [j for j in channels if j != i]
+        found = {j: bank.predict(air, i, j, step_s) for j in others}
+        weights = {j: bank.pairs[i][j] ** -2.0 if bank.pairs else 1.0 for j in others}
+        known = {j: np.where(np.isfinite(air.x[j]), found[j][0], np.nan) for j in others}
+        expected[i] = _weighted(known, weights)
+        scale = 0.5 * np.maximum(expected[i], 0.0) + 0.5 * abs(bank.centre[i])
+        errors[i] = {j: _one_sided((air.x[i] - known[j]) / scale, found[j][1]) for j in others}
+        consensus[i] = np.where(testable, _weighted(errors[i], weights), np.nan)
+        smooth[i] = _larger(consensus[i] / bank.sigma.get(i, 1.0), signals.step_s)
+    return Residuals(
+        bank, signals, tuple(channels), errors, expected, consensus, smooth, air
+    )
+
+
+def _one_sided(error: FloatArray, side: FloatArray) -> FloatArray:
+    error = np.where(side > 0.0, np.minimum(error, 0.0), error)
+    return np.where(side < 0.0, np.maximum(error, 0.0), error)
+
+
+def _weighted(values: Values, weights: Mapping[str, float]) -> FloatArray:
+    """Weighted mean of what is finite; NaN where nothing is."""
+    stack = np.stack(list(values.values()))
+    weight = np.array([weights[name] for name in values])[:, None] * np.isfinite(stack)
+    total = np.sum(np.where(weight > 0.0, stack, 0.0) * weight, axis=0)
+    size = weight.sum(axis=0)
+    return np.where(size > 0.0, total / np.maximum(size, 1e-300), np.nan)
+
+
+def _larger(deviation: FloatArray, step_s: float) -> FloatArray:
+    """S (time,): of the means over the windows, each over its limit, the one of larger size."""
+    short, long = (
+        _moving_mean(deviation, round(window_s / step_s)) / limit
+        for window_s, limit in zip(_WINDOWS_S, _LIMITS, strict=True)
+    )
+    found = np.where(np.abs(long) > np.abs(np.nan_to_num(short)), long, short)
+    known = deviation[np.isfinite(deviation)]
+    if len(known) * step_s < _LEAST_WHOLE_S or abs(np.mean(np.sign(known))) < _ONE_SIGN:
+        return found
+    whole = float(np.mean(known)) / _WHOLE_LIMIT
+    return np.where(np.isfinite(found) & (np.abs(found) < abs(whole)), whole, found)
+
+
+_LEAST_WHOLE_S = 300.0
+_ONE_SIGN = 0.6  # surplus of samples of one sign that a wrong level of a whole log has
+
+
+def _moving_mean(values: FloatArray, size: int) -> FloatArray:
+    """Centred mean of the finite samples; NaN where fewer than half are."""
+    known = np.isfinite(values)
+    weight = uniform_filter1d(known.astype(np.float64), size, mode="nearest")
+    total = uniform_filter1d(np.where(known, values, 0.0), size, mode="nearest")
+    return np.where(weight > 0.5, total / np.maximum(weight, 1e-9), np.nan)
+
+
+_MACH_MARGIN, _DELTA_MARGIN = 0.04, 0.1
+
+
+def _inside_air(bank: Bank, air: _Corrected) -> BoolArray:
+    """Samples in air like that of the training logs; elsewhere the models extrapolate."""
+    inside = np.ones(len(air.mach), dtype=np.bool_)
+    margins = {"mach": _MACH_MARGIN, "log_delta": _DELTA_MARGIN}
+    for name, margin in margins.items():
+        low, high = bank.air[name]
+        values = getattr(air, name)
+        inside &= (values > low - margin) & (values < high + margin)
+    return inside
+
+
+def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
+    """Fit the bank to the engine channels among `channels` that all prepared logs record.
+
+    None where these are fewer than two. Each log is left out once to measure `sigma`, of more than eight logs groups of them.
+    """
+    names = _engine_channels(logs, channels)
+    if len(names) < 2:
+        return None
+    all_signals = [Signals.of(log) for log in logs]
+    parts = all_signals if len(all_signals) > 1 else _halves(all_signals[0])
+    folds = [parts[k :: min(_MOST_FOLDS, len(parts))] for k in range(min(_MOST_FOLDS, len(parts)))]
+    partial = [(_fit(_others(parts, fold), names), fold) for fold in folds]
+    plain = [residuals(bank, one, names) for bank, fold in partial for one in fold]
+    pairs = {
+        i: {j: _rms(i, j, [one.errors[i][j] for one in plain]) for j in names if j != i}
+        for i in names
+    }
+    left_out = [
+        residuals(replace(bank, pairs=pairs), one, names) for bank, fold in partial for one in fold
+    ]
+    whole = replace(_fit(all_signals, names), pairs=pairs)
+    ratios = {k: [_log_ratio(whole, one, names, k) for one in all_signals] for k in _STRETCHES}
+    return replace(
+        whole,
+        stretch={str(k): float(np.mean(values)) for k, values in ratios.items()},
+        sigma={name: _rms(name, "", [one.consensus[name] for one in left_out]) for name in names},
+        levels={name: tuple(_level(one.consensus[name]) for one in left_out) for name in names},
+        delays=_delay_table([_delays(log, names) for log in logs], names),
+        noise={name: max(_noise(log, name) for log in logs) for name in names},
+        updates=_longest_updates(logs),
+        logs=len(parts),
+    )
+
+
+def _others(parts: Sequence[Signals], fold: Sequence[Signals]) -> list[Signals]:
+    return [one for one in parts if all(one is not other for other in fold)]
+
+
+def _engine_channels(logs: Sequence[Log], channels: Sequence[str]) -> tuple[str, ...]:
+    """Outputs and levers that every log records and that move."""
+    return tuple(
+        name
+        for name in CHANNELS
+        if name in channels
+        and CHANNELS[name].role in {"output", "lever"}
+        and all(log.recorded([name]) for log in logs)
+        and np.nanstd(np.concatenate([log[name] for log in logs])) > 0.0
+    )
+
+
+def _halves(signals: Signals) -> list[Signals]:
+    middle = len(signals.time_s) // 2
+    return [
+        Signals(
+            signals.time_s[part],
+            {name: values[part] for name, values in signals.values.items()},
+            signals.step_s,
+        )
+        for part in (slice(None, middle), slice(middle, None))
+    ]
+
+
+def _fit(logs: Sequence[Signals], names: Sequence[str]) -> Bank:
+    air = [_Corrected.of(one, names) for one in logs]
+    joined = {name: np.concatenate([one.x[name] for one in air]) for name in names}
+    centre = {name: float(np.nanmean(values)) for name, values in joined.items()}
+    spread = {name: max(float(np.nanstd(values)), 1e-9) for name, values in joined.items()}
+    low, high = {}, {}
+    for name, values in joined.items():
+        z = (values[np.isfinite(values)] - centre[name]) / spread[name]
+        ends = np.percentile(z, (0.1, 99.9))
+        low[name], high[name] = (
+            float(ends[0] - 0.05 * np.ptp(ends)),
+            float(ends[1] + 0.05 * np.ptp(ends)),
+        )
+    ranges = {
+        name: _range(np.concatenate([getattr(one, name) for one in air]))
+        for name in ("mach", "log_delta")
+    }
+    scaled = [{name: (one.x[name] - centre[name]) / spread[name] for name in names} for one in air]
+    models: dict[str, dict[str, tuple[float, ...]]] = {name: {} for name in names}
+    for j in names:
+        phi = np.concatenate(
+            [
+                _features(np.clip(bridge_gaps(z[j]), low[j], high[j]), one, part.step_s)
+                for z, one, part in zip(scaled, air, logs, strict=True)
+            ]
+        )
+        source = np.isfinite(np.concatenate([z[j] for z in scaled]))
+        for i in names:
+            if i != j:
+                target = np.concatenate([z[i] for z in scaled])
+                usable = source & np.isfinite(target)
+                models[i][j] = tuple(_robust_fit(phi[usable], target[usable]).tolist())
+    return Bank(tuple(names), centre, spread, low, high, ranges, models)
+
+
+def _range(values: FloatArray) -> tuple[float, float]:
+    low, high = np.percentile(values, (0.1, 99.9))
+    return float(low), float(high)
+
+
+def _robust_fit(phi: FloatArray, target: FloatArray) -> FloatArray:
+    """Ridge regression with soft-L1 weights, by reweighting."""
+    size = np.sqrt(np.mean(phi**2, axis=0)) + 1e-12
+    scaled, weight = phi / size, np.ones(len(target))
+    ridge = _RIDGE * len(target) * np.eye(phi.shape[1])
+    found = np.zeros(phi.shape[1])
+    for _ in range(4):
+        left = (scaled * weight[:, None]).T
+        found = np.linalg.solve(left @ scaled + ridge, left @ target)
+        error = target - scaled @ found
+        spread = 1.4826 * float(np.median(np.abs(error))) + 1e-12
+        weight = 1.0 / np.sqrt(1.0 + (error / (2.0 * spread)) ** 2)
+    return np.asarray(found / size)
+
+
+def _rms(target: str, source: str, left_out: Sequence[FloatArray]) -> float:
+    """RMS of residuals of the left-out logs and the prior ones, the larger prior of the two."""
+    known = [each[np.isfinite(each)] for each in left_out]
+    squares = [float(np.mean(each**2)) for each in known if len(each)]
+    units = [CHANNELS[name].unit for name in (target, source) if name]
+    prior = max(_PRIOR.get(unit, _PRIOR_OTHER) for unit in units)
+    count = len(squares)
+    # A model of all n logs is nearer to the next log than one of n - 1 is to the one left out.
+    nearer = (1.0 + 1.0 / count) / (1.0 + 1.0 / (count - 1)) if count > 1 else 1.0
+    total = _PRIOR_LOGS * prior**2 + nearer * sum(squares)
+    return float(np.sqrt(total / (_PRIOR_LOGS + count)))
+
+
+def _level(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else 0.0
+
+
+def _noise(log: Log, name: str) -> float:
+    """White noise of a channel: what smoothing removed, or what is left."""
+    return float(np.hypot(np.sqrt(log.noise.get(name, 0.0)), noise_level(log[name])))
+
+
+def _longest_updates(logs: Sequence[Log]) -> dict[str, float]:
+    names = {name for log in logs for name in log.updates}
+    return {name: max(log.updates.get(name, 0.0) for log in logs) for name in sorted(names)}
+
+
+_DELAY_STEP_S, _LONGEST_DELAY_S = 0.2, 12.0
+_LEAST_CORRELATION = 0.3
+
+
+def _delays(log: Log, names: Sequence[str]) -> dict[tuple[str, str], float]:
+    """Delay of channel i behind channel j in s, where their rates of change are correlated.
+
+    The largest value of the cross-correlation of the rates over 1 s, interpolated by a parabola.
+    """
+    fine = Signals.of(log, _DELAY_STEP_S)
+    width = max(1, round(1.0 / fine.step_s))
+    rates = {}
+    for name in names:
+        values = bridge_gaps(fine.values[name])
+        change = values[width:] - values[:-width]
+        spread = float(np.std(change)) if np.isfinite(change).all() and len(change) else 0.0
+        rates[name] = np.clip(change / spread, -8.0, 8.0) if spread > 0.0 else None
+    found = {}
+    reach = round(_LONGEST_DELAY_S / fine.step_s)
+    for i, j in combinations(names, 2):
+        a, b = rates[i], rates[j]
+        if a is None or b is None or len(a) < 4 * reach:
+            continue
+        delay, peak = _peak(a, b, reach)
+        if peak > _LEAST_CORRELATION:
+            found[i, j], found[j, i] = delay * fine.step_s, -delay * fine.step_s
+    return found
+
+
+def _peak(a: FloatArray, b: FloatArray, reach: int) -> tuple[float, float]:
+    """Where the correlation of a(t) with b(t - delay) is largest, in samples, and its value."""
+    size = 1 << (len(a) + reach).bit_length()
+    product = np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size))
+    whole = np.fft.irfft(product, size)
+    near = np.concatenate([whole[-reach:], whole[: reach + 1]])
+    near /= np.sqrt(np.sum(a**2) * np.sum(b**2))
+    best = int(np.argmax(near))
+    if not 0 < best < 2 * reach:
+        return float(best - reach), 0.0
+    left, top, right = near[best - 1 : best + 2]
+    bend = left - 2.0 * top + right
+    return best - reach + (0.5 * (left - right) / bend if bend < 0.0 else 0.0), float(top)
+
+
+_DELAY_PRIOR_S = 0.15
+
+
+def _delay_table(
+    found: Sequence[Mapping[tuple[str, str], float]], names: Sequence[str]
+) -> dict[str, dict[str, tuple[float, float]]]:
+    """Mean and standard deviation over logs, the latter with a prior that counts as three logs."""
+    table: dict[str, dict[str, tuple[float, float]]] = {name: {} for name in names}
+    for i in names:
+        for j in names:
+            seen = np.array([one[i, j] for one in found if (i, j) in one])
+            if len(seen):
+                square = _PRIOR_LOGS * _DELAY_PRIOR_S**2 + np.sum((seen - seen.mean()) ** 2)
+                spread = np.sqrt(square / (_PRIOR_LOGS + len(seen) - 1))
+                table[i][j] = (float(seen.mean()), float(spread))
+    return table
+
+
+# --- examination --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Subject:
+    """The log under examination, as it is after the faults found so far are undone."""
+
+    log: Log
+    signals: Signals
+    channels: tuple[str, ...]
+    faults: tuple[Fault, ...] = ()
+
+    def found(self, fault_: Fault, *, without: str = "", **values: FloatArray) -> _Subject:
+        return replace(
+            self,
+            signals=self.signals.having(**values),
+            channels=tuple(name for name in self.channels if name != without),
+            faults=(*self.faults, fault_),
+        )
+
+
+def examine(bank: Bank, log: Log) -> tuple[Fault, ...]:
+    """Find the faults of one prepared log that the bank shows, in addition to `log.faults`."""
+    lost = {each.channel for each in log.faults if each.kind in {"unit", "held"}}
+    channels = tuple(name for name in bank.channels if log.recorded([name]) and name not in lost)
+    subject = _Subject(log, Signals.of(log), channels)
+    if len(channels) < 2 or len(subject.signals.time_s) < _WINDOWS_S[0]:
+        return ()
+    for step in (_coarse, _stretched, _late, _whole, _motionless):
+        subject = step(bank, subject)
+    for _ in range(2):
+        subject = _isolated(bank, subject)
+    return _noisy(bank, subject).faults
+
+
+def _coarse(bank: Bank, subject: _Subject) -> _Subject:
+    """Channels that change much more seldom than in the training logs."""
+    for name in subject.channels:
+        every_s, usual_s = subject.log.updates.get(name, 0.0), bank.updates.get(name, 0.0)
+        if every_s > max(0.5, 3.0 * usual_s, 3.0 * subject.log.dt_s):
+            text = f"changes every {every_s:.2g} s only, every {usual_s:.2g} s in the training logs"
+            subject = subject.found(fault(subject.log, (name,), "held", text), without=name)
+    return subject
+
+
+_LEAST_DELAY_S = 0.4
+
+
+def _late(bank: Bank, subject: _Subject) -> _Subject:
+    """A channel that is later against all others than in the training logs."""
+    found = _delays(subject.log, subject.channels)
+    excess, spread = {}, {}
+    for i in subject.channels:
+        known = [
+            (found[i, j] - bank.delays[i][j][0], bank.delays[i][j][1])
+            for j in subject.channels
+            if (i, j) in found and j in bank.delays.get(i, {})
+        ]
+        if len(known) >= 2:
+            excess[i] = _agreed([error for error, _ in known])
+            spread[i] = float(np.median([each for _, each in known]))
+    late = {
+        name: delay
+        for name, delay in excess.items()
+        if abs(delay) > max(_LEAST_DELAY_S, 4.0 * spread[name])
+    }
+    if not late:
+        return subject
+    name = max(late, key=lambda each: abs(late[each]))
+    delay = late[name]
+    word = "late" if delay > 0.0 else "early"
+    shift = delay / subject.signals.step_s
+    values = subject.signals.values[name]
+    rows = np.arange(len(values)) + shift
+    shifted = np.interp(rows, np.arange(len(values)), bridge_gaps(values))
+    text = f"{abs(delay):.2g} s {word} against {_listed(subject.channels, name)}"
+    return subject.found(fault(subject.log, (name,), "late", text), **{name: shifted})
+
+
+def _agreed(errors: Sequence[float]) -> float:
+    """Median of three or more; of two, the smaller where both have one sign."""
+    if len(errors) != 2:
+        return float(np.median(errors))
+    return min(errors, key=abs) if errors[0] * errors[1] > 0.0 else 0.0
+
+
+def _listed(channels: Sequence[str], but: str) -> str:
+    return " and ".join(symbol(name) for name in channels if name != but)
+
+
+_STRETCHES = (0.5, 2.0)
+_DYNAMIC_S, _MOVING = 150.0, 0.8
+
+
+def _stretched(bank: Bank, subject: _Subject) -> _Subject:
+    """Time stamps by which all dynamics are too slow or too fast.
+
+    `r(k)` is the ratio of the dynamic residual, were the stamps stretched by k, to that as they
+    are. A sound log has the r(k) of the training logs; one that is stretched by k has 1 / r(1/k).
+    The log belongs to the nearer of both.
+    """
+    beyond = {}
+    for stretch in _STRETCHES:
+        usual, inverse = bank.stretch[str(stretch)], bank.stretch[str(1.0 / stretch)]
+        found = _log_ratio(bank, subject.signals, subject.channels, stretch)
+        beyond[stretch] = 0.5 * (usual - inverse) - found
+    best = max(beyond, key=lambda each: beyond[each])
+    if not beyond[best] > 0.0:
+        return subject
+    word = "long" if best > 1.0 else "short"
+    text = f"time stamps look stretched by {best:g}: all responses are so many times as {word}"
+    found_ = subject.found(fault(subject.log, ("time_s",), "scale", text))
+    return replace(
+        found_, signals=replace(subject.signals, step_s=subject.signals.step_s / best)
+    )
+
+
+def _log_ratio(
+    bank: Bank, signals: Signals, channels: Sequence[str], stretch: float
+) -> float:
+    """ln r(k): mean over the pairs of the log ratio of the RMS residual in the moving samples."""
+    sizes = []
+    for step_s in (signals.step_s / stretch, signals.step_s):
+        found = residuals(bank, signals, channels, step_s)
+        size = round(_DYNAMIC_S / signals.step_s)
+        first = found.corrected.x[channels[0]]
+        motion = np.abs(first - _moving_mean(first, size // 5))
+        moving = motion > np.nanpercentile(motion, 100.0 * _MOVING)
+        pairs = [each for errors in found.errors.values() for each in errors.values()]
+        rough = [(each - _moving_mean(each, size))[moving] for each in pairs]
+        sizes.append([np.sqrt(np.nanmean(each**2) + 1e-12) for each in rough])
+    return float(np.mean(np.log(np.array(sizes[0]) / np.array(sizes[1]))))
+
+
+def _whole(bank: Bank, subject: _Subject) -> _Subject:
+    """Another unit or two exchanged channels, which restore the whole log when undone."""
+    before = residuals(bank, subject.signals, subject.channels)
+    if before.sound:
+        return subject
+    best: tuple[float, Fault, dict[str, FloatArray]] | None = None
+    for kind, channels, text, values in _hypotheses(subject):
+        after = residuals(bank, subject.signals.having(**values), subject.channels)
+        if after.misfit > _RESTORED * before.misfit or not _mostly_sound(after):
+            continue
+        if best is None or after.misfit < best[0]:
+            best = (after.misfit, fault(subject.log, channels, kind, text), values)
+    return subject if best is None else subject.found(best[1], **best[2])
+
+
+_RESTORED = 0.35
+_MOSTLY = 0.15
+
+
+def _mostly_sound(found: Residuals) -> bool:
+    known = sum(float(np.isfinite(each).mean()) for each in found.smooth.values())
+    return known > 0.3 * len(found.channels) and all(
+        found.share(name) < _MOSTLY for name in found.channels
+    )
+
+
+_AIR_SCALES = (0.5, 2.0)
+
+
+def _hypotheses(
+    subject: _Subject,
+) -> Iterator[tuple[Kind, tuple[str, ...], str, dict[str, FloatArray]]]:
+    values = subject.signals.values
+    for a, b in combinations(subject.channels, 2):
+        if CHANNELS[a].unit == CHANNELS[b].unit:
+            text = f"{symbol(a)} and {symbol(b)} fit the training logs when exchanged"
+            yield "swapped", (a, b), text, {a: values[b], b: values[a]}
+    sound = sound_air(subject.log)
+    air = [name for name in ("ALT_ft", "Mach") if name in values and name not in sound]
+    for name in (*subject.channels, *air):
+        for word, scale, offset in conversions(name):
+            level = f"median {np.nanmedian(values[name]):.4g}"
+            yield (
+                "unit",
+                (name,),
+                f"looks like {word}: {level}",
+                {name: scale * values[name] + offset},
+            )
+    for name in air:
+        for factor in _AIR_SCALES:
+            text = f"looks scaled by {factor:g}"
+            yield "scale", (name,), text, {name: values[name] / factor}
+
+
+def _isolated(bank: Bank, subject: _Subject) -> _Subject:
+    """The channel without which the others agree, and how it is wrong."""
+    if len(subject.channels) < 2:
+        return subject
+    found = residuals(bank, subject.signals, subject.channels)
+    flagged = {name: each for name, each in found.flagged.items() if _lasting(each, found)}
+    if not flagged:
+        return subject
+    name = max(flagged, key=lambda each: _energy(found, each))
+    if len(subject.channels) > 3:
+        rest = {
+            each: residuals(
+                bank, subject.signals, [other for other in subject.channels if other != each]
+            ).misfit
+            for each in flagged
+        }
+        name = min(rest, key=lambda each: rest[each])
+    if len(subject.channels) == 2:
+        text = "contradict each other by more than in any training log"
+        return subject.found(
+            _spanned(subject.log, subject.channels, ("inconsistent", text), found, _span(found, name)),
+            without=name,
+        )
+    kind, text, rows = _kind(found, name)
+    return subject.found(_spanned(subject.log, (name,), (kind, text), found, rows), without=name)
+
+
+def _energy(found: Residuals, name: str) -> float:
+    return float(np.nansum(np.minimum(np.abs(found.smooth[name]), 4.0) ** 2))
+
+
+def _lasting(flags: BoolArray, found: Residuals) -> bool:
+    """Whether flags last for at least half a window."""
+    least = 0.5 * _WINDOWS_S[0] / found.signals.step_s
+    return any(stop - start >= least for start, stop in spans(flags))
+
+
+_WHOLE = 0.6
+
+
+def _span(found: Residuals, name: str) -> tuple[int, int]:
+    """First and last sample of the fault: the whole log if most testable samples are flagged."""
+    flags = found.flagged[name]
+    rows = np.flatnonzero(flags)
+    if found.share(name) > _WHOLE and rows[0] < 0.25 * len(flags):
+        return 0, len(flags) - 1
+    return int(rows[0]), int(rows[-1])
+
+
+def _spanned(
+    log: Log,
+    channels: tuple[str, ...],
+    words: tuple[Kind, str],
+    found: Residuals,
+    rows: tuple[int, int],
+) -> Fault:
+    """The fault in these rows, with the confidence of its largest S."""
+    first, last = rows
+    half = 0.5 * found.signals.step_s
+    time_s = found.signals.time_s
+    largest = _LIMITS[1] * float(np.nanmax(np.abs(found.smooth[channels[0]])))
+    dof = _PRIOR_LOGS + max(found.bank.logs - 1, 1)
+    confidence = 1.0 - 2.0 * float(student.sf(largest, dof))
+    span_s = (float(time_s[first]) - half, float(time_s[last]) + half)
+    return fault(log, channels, *words, span_s, min(confidence, 0.9999))
+
+
+def _kind(found: Residuals, name: str) -> tuple[Kind, str, tuple[int, int]]:
+    """How a channel is wrong, by what explains its difference from the expected one best; where."""
+    first, last = _span(found, name)
+    rows = np.arange(len(found.signals.time_s))
+    y, expected = found.signals.values[name], found.corrected.raw(name, found.expected[name])
+    usable = np.isfinite(y) & np.isfinite(expected) & np.isfinite(found.smooth[name])
+    against, unit = _listed(found.channels, name), CHANNELS[name].unit
+    before = usable & (rows <= last)
+    shapes = _shapes(rows, (y, expected), before, first)
+    misfits = {
+        kind: float(np.mean(np.abs(y - expected - error)[before])) * (1.0 if kind != "drift" else 1.2)
+        for kind, error in shapes.items()
+    }
+    best: Kind = min(misfits, key=lambda each: misfits[each])
+    at_end = shapes[best][last]
+    texts = {
+        "scale": f"{100.0 * at_end / expected[last]:+.1f} % against what {against} say",
+        "bias": f"{at_end:+.4g} {unit} against what {against} say",
+        "drift": f"drifts by {at_end:+.4g} {unit} against what {against} say",
+    }
+    if best == "drift":
+        noticed = np.abs(shapes[best]) > found.bank.sigma[name] * np.abs(expected)
+        first = int(np.argmax(noticed)) if noticed.any() else first
+    return best, texts[best], (first, last)
+
+
+_STILL = 0.2  # of the motion that the other channels show
+_STILL_S, _LEAST_STILL_S = 60.0, 30.0
+
+
+def _motionless(bank: Bank, subject: _Subject) -> _Subject:
+    """A channel that shows noise, or nothing, while the others say that it moves."""
+    if len(subject.channels) < 3:
+        return subject
+    found = residuals(bank, subject.signals, subject.channels)
+    still = {name: _without_motion(found, name) for name in subject.channels}
+    name = max(still, key=lambda each: int(still[each].sum()))
+    spread = spans(still[name])
+    if not spread or still[name].sum() * subject.signals.step_s < _LEAST_STILL_S:
+        return subject
+    y, first, last = subject.signals.values[name], spread[0][0], spread[-1][1] - 1
+    part = y[still[name]]
+    kind: Kind = "stuck" if np.ptp(part) == 0.0 else "dead"
+    against = _listed(subject.channels, name)
+    text = f"stays at {np.median(part):.4g} {CHANNELS[name].unit} while {against} move"
+    rows = (first, last)
+    return subject.found(_spanned(subject.log, (name,), (kind, text), found, rows), without=name)
+
+
+def _without_motion(found: Residuals, name: str) -> BoolArray:
+    """Samples at which the channel stays within 60 s, and the others say that it must move.
+
+    The level at which it stays is followed to both sides for as long as the channel does.
+    """
+    size = round(_STILL_S / found.signals.step_s)
+    y, expected = found.signals.values[name], found.corrected.raw(name, found.expected[name])
+    sigma = found.bank.sigma[name] * abs(found.bank.centre[name]) * found.corrected.scale[name]
+    own, other = _moving_spread(y, size), _moving_spread(expected, size)
+    quiet = (own < _STILL * other) & (other > 2.0 * sigma)
+    still = np.zeros(len(y), dtype=np.bool_)
+    half = size // 2
+    for start, stop in spans(quiet):
+        first, last = max(start - half, 0), min(stop + half, len(y))
+        level, width = np.nanmedian(y[first:last]), 4.0 * float(np.nanmax(own[start:stop]))
+        same = np.abs(_moving_mean(y, 5) - level) <= max(width, 1e-9)
+        while first > 0 and same[first - 1]:
+            first -= 1
+        while last < len(y) and same[last]:
+            last += 1
+        still[first:last] = True
+    return still
+
+
+def _moving_spread(values: FloatArray, size: int) -> FloatArray:
+    """Standard deviation in a centred window."""
+    centred = values - np.nanmean(values)
+    square = _moving_mean(centred**2, size) - _moving_mean(centred, size) ** 2
+    return np.sqrt(np.maximum(square, 0.0))
+
+
+def _shapes(
+    rows: FloatArray, signals: tuple[FloatArray, FloatArray], before: BoolArray, first: int
+) -> dict[Kind, FloatArray]:
+    """The error (time,) that a scale, a bias and a drift give at best, up to the end of a span."""
+    y, expected = signals
+    error, on = y - expected, (rows >= first).astype(np.float64)
+    shapes: dict[Kind, FloatArray] = {
+        "scale": _fitted(error, on * expected, before),
+        "bias": _fitted(error, on, before),
+    }
+    drifts = [
+        _fitted(error, np.maximum(rows - begin, 0.0) * factor, before)
+        for begin in np.linspace(0, first, 8)
+        for factor in (1.0, expected)
+    ]
+    shapes["drift"] = min(drifts, key=lambda each: float(np.mean(np.abs(error - each)[before])))
+    return shapes
+
+
+def _fitted(error: FloatArray, shape: FloatArray, usable: BoolArray) -> FloatArray:
+    """`shape` times the factor that fits the error in the least-squares sense."""
+    square = float(np.sum(shape[usable] ** 2))
+    return shape * (float(np.sum(shape[usable] * error[usable])) / square if square > 0.0 else 0.0)
+
+
+_NOISY = 6.0
+
+
+def _noisy(bank: Bank, subject: _Subject) -> _Subject:
+    """Channels with much more noise than in any training log, and enough to matter."""
+    for name in subject.channels:
+        own, usual = _noise(subject.log, name), bank.noise.get(name, 0.0)
+        matters = 0.5 * bank.sigma[name] * abs(bank.centre[name])
+        if own > _NOISY * max(usual, 1e-12) and own > matters:
+            text = f"noise of {own:.2g} {CHANNELS[name].unit}, {usual:.2g} in the training logs"
+            subject = subject.found(fault(subject.log, (name,), "noise", text), without=name)
+    return subject
+
+
+def masked(log: Log, faults: Sequence[Fault]) -> Log:
+    """Return the log with the channels of faults NaN from `from_s` to `to_s`, and that counted."""
+    changed: dict[str, FloatArray] = {}
+    entries = []
+    for each in faults:
+        inside = (log.time_s >= each.from_s) & (log.time_s <= each.to_s)
+        for name in each.channels:
+            if name in log.channels:
+                values = changed.get(name, log[name]).copy()
+                count = int((inside & np.isfinite(values)).sum())
+                values[inside] = np.nan
+                changed[name] = values
+                entries.append(AuditEntry(name, "masked", f"fault: {each.kind}", count))
+    return log.with_channels(changed, *entries) if changed else log
