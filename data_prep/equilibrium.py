@@ -91,8 +91,9 @@ class RunningConfig(Section):
     """TOML table `[running]`: when an engine counts as running.
 
     It does not where each of the channels of `above` that the log has is below its value, or where
-    N2 is and no fuel flows, for at least `least_s`. That, and `margin_s` before and after, is left out of the log, which is split
-    there. An empty `above` keeps everything; so does a log in which the engine never runs.
+    N2 is and no fuel flows, for at least `least_s`. That, and `margin_s` before and after, is left
+    out of the log, which is split there. An empty `above` keeps everything; so does a log in which
+    the engine never runs.
     """
 
     above: Mapping[str, float] = Field(default_factory=lambda: dict(BELOW_IDLE))

@@ -22,7 +22,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from data_prep.faults import out_of_range, repeats, resolution, role
+from data_prep.faults import out_of_range, repeats, role
 from data_prep.log import Fault, Kind, Log
 from narxcal.atmosphere import KELVIN, SOUND_KT, T0_K, isa, mach_of_cas
 from narxcal.channels import CHANNELS
@@ -31,7 +31,7 @@ from narxcal.support.arrays import BoolArray, FloatArray, robust_range, spans
 SURE = 0.999
 # A recorder of an airline shows engine channels at least once per second (14 CFR 125 App. E).
 _SLOWEST_S = 1.5
-_STEPS = 3.0  # a staircase of a slow quantised channel has steps of one resolution, held ones more
+_QUANTISED, _ONE_SIZE = 0.6, 0.02  # share of the changes that are of one size, to this part of it
 _MANY = 0.2  # share of the samples outside of the physical range: no single errors, another unit
 _FRACTION = 1.6  # a spool speed below this all along is a ratio, not percent
 
@@ -82,12 +82,22 @@ def checked(log: Log) -> Log:
     """Return the log with its `faults` and `updates`; its values are unchanged."""
     if len(log) < 3:
         return log
-    updates = {name: update_interval(log[name]) * log.dt_s for name in log.channels}
+    updates = {name: update_interval(values) * log.dt_s for name, values in _measured(log).items()}
     log = replace(log, updates=updates)
     found = [*_units(log), *_held(log), *_stuck_air(log)]
     known = {fault.channel for fault in found}
-    found += [fault for fault in _air(log) if not known & {*fault.channels}]
+    rest = {name: values for name, values in log.channels.items() if name not in known}
+    found += _air(replace(log, channels=rest))
     return replace(log, faults=(*log.faults, *found))
+
+
+def _measured(log: Log) -> dict[str, FloatArray]:
+    """Channels (time,), NaN between two measurements of a slow one."""
+    never = np.zeros(len(log), dtype=np.bool_)
+    return {
+        name: np.where(log.interpolated.get(name, never), np.nan, values)
+        for name, values in log.channels.items()
+    }
 
 
 def of_cleaning(log: Log) -> Log:
@@ -103,28 +113,29 @@ def of_cleaning(log: Log) -> Log:
         kind, text = kinds[entry.reason]
         of_unit = any(each.channel == entry.channel and each.kind == "unit" for each in log.faults)
         for start_s, stop_s in () if of_unit else entry.spans_s:
-            found.append(fault(log, (entry.channel,), kind, text, (start_s, stop_s)))
+            found.append(fault(log, (entry.channel,), (kind, text), (start_s, stop_s)))
     return replace(log, faults=(*log.faults, *found)) if found else log
 
 
 def fault(
     log: Log,
     channels: tuple[str, ...],
-    kind: Kind,
-    detail: str,
+    words: tuple[Kind, str],
     span_s: tuple[float, float] | None = None,
     confidence: float = SURE,
 ) -> Fault:
-    """Make a fault of the log, of all of it if no (from, to) times are given."""
+    """Make a fault of the log by its kind and detail, of all of it if no (from, to) are given."""
     start_s, stop_s = span_s or (float(log.time_s[0]), float(log.time_s[-1]))
-    return Fault(log.name, channels[0], channels, kind, start_s, stop_s, float(confidence), detail)
+    return Fault(
+        log.name, channels[0], channels, words[0], start_s, stop_s, float(confidence), words[1]
+    )
 
 
 def update_interval(values: FloatArray) -> float:
-    """Samples between two changes of a channel, weighted by the size of the changes.
+    """Samples between two changes of a channel, the median weighted by the size of the changes.
 
-    1 for a channel that is measured at every sample, N for one that is held for N. A channel whose
-    changes are of the size of its resolution shows its quantisation and nothing else: 1.
+    1 for a channel that is measured at every sample, N for one that is held for N. A slow channel
+    whose changes are all of one size shows its quantisation and nothing else: 1.
     """
     known = np.flatnonzero(np.isfinite(values))
     step = np.abs(np.diff(values[known]))
@@ -132,45 +143,48 @@ def update_interval(values: FloatArray) -> float:
     if len(changed) < 3:
         return 1.0
     size, gap = step[changed][1:], np.diff(known[1:][changed])
-    if np.sum(size**2) <= _STEPS * resolution(values) * np.sum(size):
+    if np.mean(np.abs(size - np.median(size)) < _ONE_SIZE * np.median(size)) > _QUANTISED:
         return 1.0
-    return float(np.sum(size * gap) / np.sum(size))
+    order = np.argsort(gap)
+    middle = np.searchsorted(np.cumsum(size[order]), 0.5 * np.sum(size))
+    return float(gap[order][min(int(middle), len(gap) - 1)])
 
 
 def _units(log: Log) -> Iterator[Fault]:
     """Channels outside of their physical range that another unit brings back into it."""
-    for name in log.channels:
-        values = log[name]
-        known = values[np.isfinite(values)]
-        if not len(known) or name not in CHANNELS:
-            continue
-        unit, high = CHANNELS[name].unit, float(robust_range(known)[1])
-        level = f"median {np.median(known):.4g}"
-        if unit == "%" and 0.2 < high < _FRACTION:
-            yield fault(log, (name,), "unit", f"looks like a fraction: at most {high:.3g}, {level}")
-        elif np.mean(out_of_range(name, known)) > _MANY:
-            fits = [word for word, *how in conversions(name) if _fits(name, known, *how)]
-            if unit == "%" and high > 2.0 * CHANNELS[name].high:
-                fits = ["rpm"]
-            if fits:
-                yield fault(log, (name,), "unit", f"looks like {fits[0]}: {level} {unit}")
+    for name in log.recorded(tuple(CHANNELS)):
+        known = log[name][np.isfinite(log[name])]
+        word = _unit(name, known)
+        if word:
+            text = f"looks like {word}: median {np.median(known):.4g} {CHANNELS[name].unit}"
+            yield fault(log, (name,), ("unit", text))
+
+
+def _unit(name: str, known: FloatArray) -> str:
+    """Name the unit that fits where the canonical one does not; empty where it does, or none."""
+    high = float(robust_range(known)[1])
+    if CHANNELS[name].unit == "%" and 0.2 < high < _FRACTION:
+        return "a fraction"
+    if not np.mean(out_of_range(name, known)) > _MANY:
+        return ""
+    if CHANNELS[name].unit == "%" and high > 2.0 * CHANNELS[name].high:
+        return "rpm"
+    fitting = [word for word, *how in conversions(name) if _fits(name, known, *how)]
+    return fitting[0] if fitting else ""
 
 
 def _fits(name: str, known: FloatArray, scale: float, offset: float) -> bool:
-    return not np.mean(out_of_range(name, scale * known + offset)) > 0.01  # noqa: PLR2004
+    return not np.mean(out_of_range(name, scale * known + offset)) > 0.01
 
 
 def _held(log: Log) -> Iterator[Fault]:
     """Engine channels and air data in steps much longer than the sampling interval."""
     for name, every_s in log.updates.items():
-        if name not in log.interpolated and every_s > max(_SLOWEST_S, 5.0 * log.dt_s):
-            if role(name) in {"output", "ambient", "auxiliary"}:
-                yield fault(
-                    log,
-                    (name,),
-                    "held",
-                    f"changes every {every_s:.2g} s only, rows come every {log.dt_s:.2g} s",
-                )
+        sensed = role(name) in {"output", "ambient", "auxiliary"}
+        slow = every_s > max(_SLOWEST_S, 5.0 * log.dt_s)
+        if sensed and slow and name not in log.interpolated:
+            text = f"changes every {every_s:.2g} s only, rows come every {log.dt_s:.2g} s"
+            yield fault(log, (name,), ("held", text))
 
 
 # What a moving aircraft shows: while one of the others changes by so much, none stays exactly.
@@ -206,14 +220,15 @@ def _stuck_air(log: Log) -> Iterator[Fault]:
 def _moves(log: Log, name: str, start: int, stop: int) -> bool:
     part = log[name][start:stop]
     known = part[np.isfinite(part)]
-    if len(known) < 0.5 * len(part) or len(np.unique(known[:: max(1, len(known) // 50)])) < 5:  # noqa: PLR2004
+    if len(known) < 0.5 * len(part) or len(np.unique(known[:: max(1, len(known) // 50)])) < 5:
         return False
     return bool(np.ptp(robust_range(known)) > _AIR_MOVES[name])
 
 
 def _stuck(log: Log, name: str, start: int, stop: int) -> Fault:
     span = (float(log.time_s[start]), float(log.time_s[stop - 1]))
-    return fault(log, (name,), "stuck", f"stays at {log[name][start]:.4g} while others move", span)
+    text = f"stays at {log[name][start]:.4g} while others move"
+    return fault(log, (name,), ("stuck", text), span)
 
 
 # Tolerances of the relations, in the unit of the residual, at which they fail (instrument errors
@@ -223,6 +238,7 @@ _ISA_TOLERANCE = 15.0  # K: half of the change of the deviation from ISA over on
 _AIRBORNE_KT, _AIRBORNE_MACH = 80.0, 0.13  # pitot pressure is too low to be measured below
 _FAILED = 0.1  # share of the airborne samples from which on a relation fails
 _SCALES = (0.5, 2.0)
+_EXACT = 0.4  # part of the tolerances that a right conversion leaves
 
 
 def sound_air(log: Log) -> frozenset[str]:
@@ -244,7 +260,7 @@ def _air(log: Log) -> Iterator[Fault]:
     mended = list(_mended(log, {name for names in failed for name in names}))
     if len({name for name, *_ in mended}) == 1:
         name, kind, text = mended[0]
-        yield fault(log, (name,), kind, text)
+        yield fault(log, (name,), (kind, text))
         return
     sound = {name for names in relations if names not in failed for name in names}
     accused = set.intersection(*map(set, failed)) - sound
@@ -252,7 +268,7 @@ def _air(log: Log) -> Iterator[Fault]:
     accused = accused or {name for names in failed for name in names}
     order = tuple(name for name in _AIR if name in accused)
     text = "contradicts the other air data" if len(order) == 1 else "contradict each other"
-    yield fault(log, order, "inconsistent", f"{text}{_mach_ratio(log)}")
+    yield fault(log, order, ("inconsistent", f"{text}{_mach_ratio(log)}"))
 
 
 def _mended(log: Log, accused: set[str]) -> Iterator[tuple[str, Kind, str]]:
@@ -263,10 +279,12 @@ def _mended(log: Log, accused: set[str]) -> Iterator[tuple[str, Kind, str]]:
             ("unit", f"looks like {word}: {level}", scale, offset)
             for word, scale, offset in conversions(name)
         ]
-        tried += [("scale", f"looks scaled by {1.0 / scale:g}: {level}", scale, 0.0) for scale in _SCALES]
+        tried += [
+            ("scale", f"looks scaled by {1.0 / scale:g}: {level}", scale, 0.0) for scale in _SCALES
+        ]
         for kind, text, scale, offset in tried:
             channels = {**log.channels, name: scale * log[name] + offset}
-            if all(share <= _FAILED for _, share in _relations(channels, len(log))):
+            if all(share <= _FAILED for _, share in _relations(channels, len(log), _EXACT)):
                 yield name, kind, text
 
 
@@ -282,26 +300,30 @@ def _mach_ratio(log: Log) -> str:
 
 
 def _relations(
-    channels: Mapping[str, FloatArray], count: int
+    channels: Mapping[str, FloatArray], count: int, part: float = 1.0
 ) -> Iterator[tuple[tuple[str, ...], float]]:
-    """The channels of each relation that there are, and the share of samples that break it."""
+    """The channels of each relation that there are, and the share of samples that break it.
+
+    `part` scales the tolerances.
+    """
     there = {name: channels[name] for name in _AIR if name in channels}
     flies = _airborne(there, count)
     mach, alt, static = (there.get(name) for name in ("Mach", "ALT_ft", "SAT_C"))
-    given = ("SAT_C",)
+    given: tuple[str, ...] = ("SAT_C",)
     if static is None and alt is not None and "dT_C" in channels:
         static, given = isa(alt)[0] - KELVIN + channels["dT_C"], ("dT_C", "ALT_ft")
     if mach is not None and alt is not None and "CAS_kt" in there:
         residual = mach_of_cas(np.abs(there["CAS_kt"]), alt) - mach
-        yield ("CAS_kt", "ALT_ft", "Mach"), _broken(residual, _MACH_TOLERANCE, flies)
+        yield ("CAS_kt", "ALT_ft", "Mach"), _broken(residual, part * _MACH_TOLERANCE, flies)
     if mach is not None and static is not None and "TAS_kt" in there:
         sound_kt = SOUND_KT * np.sqrt(np.maximum(static + KELVIN, 1.0) / T0_K)
-        yield ("TAS_kt", "Mach", *given), _broken(
-            there["TAS_kt"] - sound_kt * mach, _TAS_TOLERANCE, flies
+        yield (
+            ("TAS_kt", "Mach", *given),
+            _broken(there["TAS_kt"] - sound_kt * mach, part * _TAS_TOLERANCE, flies),
         )
     if mach is not None and static is not None and "TAT_C" in there:
         residual = there["TAT_C"] + KELVIN - (static + KELVIN) * (1.0 + 0.2 * mach**2)
-        yield ("TAT_C", "Mach", *given), _broken(residual, _TAT_TOLERANCE, flies)
+        yield ("TAT_C", "Mach", *given), _broken(residual, part * _TAT_TOLERANCE, flies)
     if alt is not None and "SAT_C" in there:
         deviation = there["SAT_C"] + KELVIN - isa(alt)[0]
         middle = 0.5 * (np.nanmax(deviation) + np.nanmin(deviation)) if len(deviation) else 0.0

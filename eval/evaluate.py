@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from data_prep.events import Event, find_events
-from data_prep.log import Log
+from data_prep.log import Fault, Log
 from data_prep.prepare import prepare, with_outputs
 from data_prep.reading import read_logs
 from eval.free_run import (
@@ -55,9 +55,11 @@ from narxcal.support.settings import Section
 from training.config import RunConfig
 from training.crossval import CrossvalConfig
 from training.records import split_logs
+from training.redundancy import Bank, masked, screened
 
 SCHEMA = "narxcal.evaluate/1"
 NEW = "new"
+_MOST_FAULTY = 0.05  # share of a channel that a fault masks, from which on nothing is judged by it
 _MANY_OUTSIDE = 0.1  # share of a log's samples outside the envelope from which on it is reported
 
 
@@ -83,7 +85,9 @@ class LogEvaluation:
 
     `role` is what the bundle used the log for: train, validate, test, or new to it.
     `untrimmed` are the scores on the same rows before trim, where there was one. `baselines` are
-    the baselines' Ti/Tt counts on the same events.
+    the baselines' Ti/Tt counts on the same events. `as_recorded` are the scores on the log before
+    its faults were masked, where there are some, and `faulty` the share of each channel's samples
+    that was masked so.
     """
 
     run: FreeRun
@@ -92,6 +96,8 @@ class LogEvaluation:
     events: tuple[AssessedEvent, ...]
     baselines: Mapping[str, Tally]
     untrimmed: Mapping[str, ChannelScores] = field(default_factory=dict)
+    as_recorded: Mapping[str, ChannelScores] = field(default_factory=dict)
+    faulty: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def log(self) -> Log:
@@ -109,6 +115,8 @@ class LogEvaluation:
         channels = {name: figures.row() for name, figures in self.scores.items()}
         for name, before in self.untrimmed.items():
             channels[name]["untrimmed_rmse"] = before.rmse
+        for name, with_faults in self.as_recorded.items():
+            channels[name]["as_recorded_rmse"] = with_faults.rmse
         return {
             "log": log.name,
             "role": self.role,
@@ -126,6 +134,7 @@ class LogEvaluation:
             },
             "inputs": {
                 "held_samples": int(np.count_nonzero(~run.inputs_known)),
+                "faulty_share": dict(self.faulty),
                 "outside_envelope_share": float(np.mean(~run.in_envelope)),
                 "quasi_steady_share": float(np.mean(run.quasi_steady)),
             },
@@ -174,10 +183,12 @@ def assess_log(
     """
     config, _ = run_config(bundle)
     outputs = bundle.calibration.output_names
-    log = with_outputs(log, outputs)
-    run = run_log(bundle, config, log)
+    recorded = with_outputs(log, outputs)
+    log = masked(recorded)
+    run = run_log(bundle, config, log, recorded)
     if events is None:
         events = find_events(log, config.events.for_log(log, outputs))
+    faulty = masked_shares(recorded, log, (*outputs, *bundle.calibration.input_names))
     untrimmed: Mapping[str, ChannelScores] = {}
     if trim is not None:
         until = rows_for_trim(trim, len(log))
@@ -195,6 +206,8 @@ def assess_log(
             if name in run.outputs
         },
         untrimmed=untrimmed,
+        as_recorded=score([run_log(bundle, config, recorded)]) if faulty else {},
+        faulty=faulty,
     )
 
 
@@ -240,7 +253,29 @@ class Evaluation:
 
         Raises `ConfigError` for a bound on a channel that the model does not give.
         """
-        return [*self._failed_times(), *self._large_errors(), *self._without_evidence()]
+        return [
+            *self._failed_times(),
+            *self._large_errors(),
+            *self._faulty(),
+            *self._without_evidence(),
+        ]
+
+    @property
+    def faults(self) -> list[Fault]:
+        """Those of all logs."""
+        return [fault for log in self.logs for fault in log.log.faults]
+
+    def _faulty(self) -> list[str]:
+        """Channels of which a fault masks too much for a verdict."""
+        texts = []
+        for one in self.logs:
+            for name, share in one.faulty.items():
+                if share > _MOST_FAULTY:
+                    texts.append(
+                        f"{one.log.name}: {name} is not assessable, a fault masks "
+                        f"{100.0 * share:.0f} % of it"
+                    )
+        return texts
 
     def _failed_times(self) -> list[str]:
         found, least = self.tally, self.config.least_passed_pct
@@ -316,6 +351,7 @@ class Evaluation:
                 "ok": not missed,
                 "missed": missed,
                 "trim": self.trim,
+                "faults": [fault.row() for fault in self.faults],
                 "rules": {"name": used.name, "source": used.source, "tt_origin": used.tt_origin},
                 "logs": [log.row() for log in self.logs],
                 "pooled": {
@@ -400,7 +436,24 @@ def evaluation_logs(bundle: Bundle, files: Sequence[Path] | None = None) -> list
     else:
         logs = read_logs(config.logs.resolve(Path(str(bundle.meta.get("base", ".")))), reading)
         chosen = split_logs(logs, config.split).test or logs
-    return [with_outputs(one.log, outputs) for one in prepare(chosen, config)]
+    logs = [with_outputs(one.log, outputs) for one in prepare(chosen, config)]
+    return screened(bank_of(bundle), logs)
+
+
+def bank_of(bundle: Bundle) -> Bank | None:
+    """The bank that the bundle's training logs taught; None for a bundle without one."""
+    stored = bundle.meta.get("redundancy")
+    return Bank.from_json(stored) if stored else None
+
+
+def masked_shares(recorded: Log, log: Log, names: Sequence[str]) -> dict[str, float]:
+    """Channel -> share of its recorded samples that are masked in `log`, where any are."""
+    shares = {}
+    for name in dict.fromkeys(names):
+        before, after = (np.isfinite(one[name]).sum() for one in (recorded, log))
+        if after < before:
+            shares[name] = float(1.0 - after / before)
+    return shares
 
 
 def evaluate(

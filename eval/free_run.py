@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from data_prep.prepare import hold_inputs
 from eval.trim import Trim, TrimConfig, TrimSamples, estimate_trim
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import DynamicCalibration
-from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray, spans
 from narxcal.support.errors import DataError
 from training.baselines import Baselines
 from training.config import RunConfig
@@ -74,21 +75,29 @@ class FreeRun:
         return rows
 
 
-def run_log(bundle: Bundle, config: RunConfig, log: Log) -> FreeRun:
+def run_log(bundle: Bundle, config: RunConfig, log: Log, recorded: Log | None = None) -> FreeRun:
     """Run everything over one prepared log; masked inputs are filled and their rows not scored.
 
-    Raises `DataError` for a log without the model's channels or on another sampling grid.
+    `recorded` is the log before its faults were masked, where there are some: an input of which
+    nothing is left runs as recorded, and after a masked input the free run starts anew from the
+    measured outputs. Raises `DataError` for a log without the model's channels or on another
+    sampling grid.
     """
     own = bundle.calibration.for_engine(log.source.engine)
     _check_interval(own, log)
     known = np.asarray(np.isfinite(log.matrix(own.input_names)).all(axis=1))
-    inputs = hold_inputs(log, own.input_names).matrix(own.input_names)
+    before = recorded or log
+    lost = [name for name in own.input_names if not log.recorded([name])]
+    filled = log.with_channels({name: before[name] for name in lost})
+    inputs = hold_inputs(filled, own.input_names).matrix(own.input_names)
+    faulty = np.isfinite(before.matrix(own.input_names)).all(axis=1) & ~known
     measured = log.matrix(own.output_names)
     steady = np.asarray(own.steady.outputs(inputs), dtype=np.float64)
-    outputs = {MODEL: own.simulate(inputs, measured[0]), STEADY_STATE: steady}
+    model = _restarted(own, inputs, measured, faulty)
+    outputs = {MODEL: model, STEADY_STATE: steady}
     outputs[NETWORK] = outputs[MODEL]
     if own.leads:
-        outputs[NETWORK] = own.network_alone().simulate(inputs, measured[0])
+        outputs[NETWORK] = _restarted(own.network_alone(), inputs, measured, faulty)
     outputs[ONE_STEP] = _one_step(own, inputs, measured, outputs[MODEL])
     level = np.zeros(len(log))
     if "baselines" in bundle.meta:
@@ -107,6 +116,15 @@ def run_log(bundle: Bundle, config: RunConfig, log: Log) -> FreeRun:
         in_envelope=np.asarray(own.steady.inside(inputs)),
         level=level,
     )
+
+
+def _restarted(
+    own: DynamicCalibration, inputs: FloatArray, measured: FloatArray, faulty: BoolArray
+) -> FloatArray:
+    """Free run (time, n_out) that starts anew after each stretch of faulty inputs."""
+    ends = [stop for _, stop in spans(faulty) if stop < len(faulty)]
+    parts = [slice(*pair) for pair in pairwise((0, *ends, len(faulty)))]
+    return np.concatenate([own.simulate(inputs[part], measured[part.start]) for part in parts])
 
 
 def _one_step(

@@ -44,6 +44,7 @@ from training.network import (
     merge_models,
 )
 from training.records import Split, material, structure_of
+from training.redundancy import learn
 from training.steady_choice import steady_state
 from training.steady_fit import SteadyQuality
 
@@ -115,6 +116,7 @@ def calibrate(
         "fuser_noise": fuser_noise(calibration, split).to_dict(),
         "baselines": baselines,
         "lead": leading.row(),
+        "redundancy": redundancy_of(calibration, split.train),
     }
     return Bundle(calibration, meta)
 
@@ -141,6 +143,12 @@ def _leading(
 
     watch = partial(options.stage, "judging on held-out parts")
     return choose_leads(config, split.train, refit, fitted, watch)
+
+
+def redundancy_of(calibration: DynamicCalibration, logs: Sequence[Log]) -> dict[str, Any] | None:
+    """The bank that `evaluate` and `replay` check logs by; None where there is too little."""
+    bank = learn(logs, (*calibration.output_names, *calibration.input_names))
+    return None if bank is None else bank.to_json()
 
 
 def _calibration(

@@ -18,7 +18,7 @@ as few logs say little about it.
 | symbol | meaning | unit |
 |---|---|---|
 | x_i | corrected channel i, mean of 1 s; temperatures in K | unit of i |
-| phi | cubic in x_j, its distance from three lags of itself, each also times x_j; M, M^2, ln delta | - |
+| phi | cubic in x_j, its distance from three lags of itself, also times x_j; M, ln delta | - |
 | d_i | half of x^_i and half of the mean of channel i | unit of i |
 
 A hypothesis about a whole log (another unit, two channels exchanged) is accepted where undoing it
@@ -27,7 +27,7 @@ brings all |S_i| below 1. Late channels and stretched time show in the dynamics 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, Self
@@ -39,7 +39,7 @@ from scipy.stats import t as student
 
 from data_prep.log import AuditEntry, Fault, Kind, Log
 from data_prep.plausibility import conversions, fault, sound_air
-from narxcal.atmosphere import air_state, corrected_scale
+from narxcal.atmosphere import air_state, corrected_scale, mach_of_cas
 from narxcal.channels import CHANNELS, symbol
 from narxcal.support.arrays import BoolArray, FloatArray, bridge_gaps, noise_level, spans
 
@@ -77,7 +77,7 @@ class Signals:
         time_s = log.time_s[: count * size].reshape(count, size).mean(axis=1)
         return cls(time_s, values, size * log.dt_s)
 
-    def having(self, **values: FloatArray) -> Signals:
+    def having(self, values: Values) -> Signals:
         """Signals with some channels replaced."""
         return replace(self, values={**self.values, **values})
 
@@ -121,7 +121,7 @@ class _Corrected:
 
 
 def _features(z: FloatArray, air: _Corrected, step_s: float) -> FloatArray:
-    """phi (time, 18) of a channel scaled to zero mean and unit spread."""
+    """Phi (time, 18) of a channel scaled to zero mean and unit spread."""
     mach, log_delta = air.mach, air.log_delta
     apart = []
     for lag_s in _LAGS_S:
@@ -250,9 +250,7 @@ def residuals(
         errors[i] = {j: _one_sided((air.x[i] - known[j]) / scale, found[j][1]) for j in others}
         consensus[i] = np.where(testable, _weighted(errors[i], weights), np.nan)
         smooth[i] = _larger(consensus[i] / bank.sigma.get(i, 1.0), signals.step_s)
-    return Residuals(
-        bank, signals, tuple(channels), errors, expected, consensus, smooth, air
-    )
+    return Residuals(bank, signals, tuple(channels), errors, expected, consensus, smooth, air)
 
 
 def _one_sided(error: FloatArray, side: FloatArray) -> FloatArray:
@@ -312,7 +310,8 @@ def _inside_air(bank: Bank, air: _Corrected) -> BoolArray:
 def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
     """Fit the bank to the engine channels among `channels` that all prepared logs record.
 
-    None where these are fewer than two. Each log is left out once to measure `sigma`, of more than eight logs groups of them.
+    None where these are fewer than two. Each log is left out once to measure `sigma`, of more than
+    eight logs groups of them.
     """
     names = _engine_channels(logs, channels)
     if len(names) < 2:
@@ -527,37 +526,53 @@ class _Subject:
     signals: Signals
     channels: tuple[str, ...]
     faults: tuple[Fault, ...] = ()
+    stretch: float = 1.0
 
-    def found(self, fault_: Fault, *, without: str = "", **values: FloatArray) -> _Subject:
+    def found(self, fault_: Fault, without: str = "", values: Values | None = None) -> _Subject:
+        """Add a fault, and go on without its channel or with the values before it."""
         return replace(
             self,
-            signals=self.signals.having(**values),
+            signals=self.signals.having(values or {}),
             channels=tuple(name for name in self.channels if name != without),
             faults=(*self.faults, fault_),
         )
 
 
+def screened(bank: Bank | None, logs: Sequence[Log]) -> list[Log]:
+    """Return prepared logs with the faults that the bank shows added to their own."""
+    if bank is None:
+        return list(logs)
+    return [replace(log, faults=examine(bank, log)) for log in logs]
+
+
 def examine(bank: Bank, log: Log) -> tuple[Fault, ...]:
-    """Find the faults of one prepared log that the bank shows, in addition to `log.faults`."""
+    """The faults of one prepared log: its own, and those that the bank shows."""
     lost = {each.channel for each in log.faults if each.kind in {"unit", "held"}}
     channels = tuple(name for name in bank.channels if log.recorded([name]) and name not in lost)
-    subject = _Subject(log, Signals.of(log), channels)
+    subject = _Subject(log, Signals.of(log), channels, log.faults)
     if len(channels) < 2 or len(subject.signals.time_s) < _WINDOWS_S[0]:
-        return ()
-    for step in (_coarse, _stretched, _late, _whole, _motionless):
+        return log.faults
+    for step in _STEPS:
         subject = step(bank, subject)
-    for _ in range(2):
-        subject = _isolated(bank, subject)
-    return _noisy(bank, subject).faults
+    return subject.faults
+
+
+_SELDOM = 1.6
 
 
 def _coarse(bank: Bank, subject: _Subject) -> _Subject:
-    """Channels that change much more seldom than in the training logs."""
+    """Channels, or whole rows, that change much more seldom than in the training logs."""
+    log = subject.log
+    seldom = [log.updates.get(name, 0.0) / bank.updates.get(name, 1.0) for name in subject.channels]
+    if min(seldom) > _SELDOM and max(seldom) < _SELDOM * min(seldom):
+        text = f"rows come {np.median(seldom):.2g} times as seldom as in the training logs"
+        doubtful = fault(log, ("time_s",), ("inconsistent", text), confidence=0.9)
+        return subject.found(doubtful)
     for name in subject.channels:
         every_s, usual_s = subject.log.updates.get(name, 0.0), bank.updates.get(name, 0.0)
         if every_s > max(0.5, 3.0 * usual_s, 3.0 * subject.log.dt_s):
             text = f"changes every {every_s:.2g} s only, every {usual_s:.2g} s in the training logs"
-            subject = subject.found(fault(subject.log, (name,), "held", text), without=name)
+            subject = subject.found(fault(subject.log, (name,), ("held", text)), without=name)
     return subject
 
 
@@ -566,7 +581,8 @@ _LEAST_DELAY_S = 0.4
 
 def _late(bank: Bank, subject: _Subject) -> _Subject:
     """A channel that is later against all others than in the training logs."""
-    found = _delays(subject.log, subject.channels)
+    log = subject.log
+    found = _delays(replace(log, time_s=log.time_s / subject.stretch), subject.channels)
     excess, spread = {}, {}
     for i in subject.channels:
         known = [
@@ -592,7 +608,7 @@ def _late(bank: Bank, subject: _Subject) -> _Subject:
     rows = np.arange(len(values)) + shift
     shifted = np.interp(rows, np.arange(len(values)), bridge_gaps(values))
     text = f"{abs(delay):.2g} s {word} against {_listed(subject.channels, name)}"
-    return subject.found(fault(subject.log, (name,), "late", text), **{name: shifted})
+    return subject.found(fault(subject.log, (name,), ("late", text)), values={name: shifted})
 
 
 def _agreed(errors: Sequence[float]) -> float:
@@ -627,16 +643,13 @@ def _stretched(bank: Bank, subject: _Subject) -> _Subject:
         return subject
     word = "long" if best > 1.0 else "short"
     text = f"time stamps look stretched by {best:g}: all responses are so many times as {word}"
-    found_ = subject.found(fault(subject.log, ("time_s",), "scale", text))
-    return replace(
-        found_, signals=replace(subject.signals, step_s=subject.signals.step_s / best)
-    )
+    found_ = subject.found(fault(subject.log, ("time_s",), ("scale", text)))
+    signals = replace(subject.signals, step_s=subject.signals.step_s / best)
+    return replace(found_, signals=signals, stretch=best)
 
 
-def _log_ratio(
-    bank: Bank, signals: Signals, channels: Sequence[str], stretch: float
-) -> float:
-    """ln r(k): mean over the pairs of the log ratio of the RMS residual in the moving samples."""
+def _log_ratio(bank: Bank, signals: Signals, channels: Sequence[str], stretch: float) -> float:
+    """Ln r(k): mean over the pairs of the log ratio of the RMS residual in the moving samples."""
     sizes = []
     for step_s in (signals.step_s / stretch, signals.step_s):
         found = residuals(bank, signals, channels, step_s)
@@ -657,12 +670,52 @@ def _whole(bank: Bank, subject: _Subject) -> _Subject:
         return subject
     best: tuple[float, Fault, dict[str, FloatArray]] | None = None
     for kind, channels, text, values in _hypotheses(subject):
-        after = residuals(bank, subject.signals.having(**values), subject.channels)
+        after = residuals(bank, subject.signals.having(values), subject.channels)
         if after.misfit > _RESTORED * before.misfit or not _mostly_sound(after):
             continue
         if best is None or after.misfit < best[0]:
-            best = (after.misfit, fault(subject.log, channels, kind, text), values)
-    return subject if best is None else subject.found(best[1], **best[2])
+            best = (after.misfit, fault(subject.log, channels, (kind, text)), values)
+    if best is None:
+        return subject
+    if best[1].kind == "swapped":
+        a, b = best[1].channels
+        log = subject.log.with_channels({a: subject.log[b], b: subject.log[a]})
+        subject = replace(subject, log=log)
+    return subject.found(best[1], values=best[2])
+
+
+def _airspeed(bank: Bank, subject: _Subject) -> _Subject:
+    """Which of Mach and CAS is wrong, where they contradict each other: what the engine says."""
+    values = subject.signals.values
+    open_ = [each for each in subject.faults if {"Mach", "CAS_kt", "ALT_ft"} >= {*each.channels}]
+    open_ = [each for each in open_ if each.kind == "inconsistent" and len(each.channels) > 1]
+    if not open_ or not {"Mach", "CAS_kt", "ALT_ft"} <= values.keys():
+        return subject
+    implied = {"Mach": mach_of_cas(np.abs(values["CAS_kt"]), values["ALT_ft"])}
+    mended = replace(subject, signals=subject.signals.having(implied))
+    recorded, other = (
+        _wander(residuals(bank, each.signals, each.channels)) for each in (subject, mended)
+    )
+    if max(recorded, other) < _DECIDED * min(recorded, other):
+        return subject
+    name = "Mach" if other < recorded else "CAS_kt"
+    flies = implied["Mach"] > _AIRBORNE
+    ratio = (values["Mach"] / np.maximum(implied["Mach"], 1e-9))[flies]
+    constant = len(ratio) and np.std(ratio) < _CONSTANT * np.mean(ratio)
+    wrong = replace(
+        open_[0], channel=name, channels=(name,), kind="scale" if constant else "inconsistent"
+    )
+    faults = tuple(wrong if each is open_[0] else each for each in subject.faults)
+    return replace(mended if name == "Mach" else subject, faults=faults)
+
+
+_DECIDED, _AIRBORNE, _CONSTANT = 1.15, 0.2, 0.1
+
+
+def _wander(found: Residuals) -> float:
+    """RMS of the residuals, each over its sigma."""
+    parts = [found.consensus[name] / found.bank.sigma[name] for name in found.channels]
+    return float(np.sqrt(np.nanmean(np.stack(parts) ** 2)))
 
 
 _RESTORED = 0.35
@@ -724,7 +777,9 @@ def _isolated(bank: Bank, subject: _Subject) -> _Subject:
     if len(subject.channels) == 2:
         text = "contradict each other by more than in any training log"
         return subject.found(
-            _spanned(subject.log, subject.channels, ("inconsistent", text), found, _span(found, name)),
+            _spanned(
+                subject.log, subject.channels, ("inconsistent", text), found, _span(found, name)
+            ),
             without=name,
         )
     kind, text, rows = _kind(found, name)
@@ -768,20 +823,21 @@ def _spanned(
     dof = _PRIOR_LOGS + max(found.bank.logs - 1, 1)
     confidence = 1.0 - 2.0 * float(student.sf(largest, dof))
     span_s = (float(time_s[first]) - half, float(time_s[last]) + half)
-    return fault(log, channels, *words, span_s, min(confidence, 0.9999))
+    return fault(log, channels, words, span_s, min(confidence, 0.9999))
 
 
 def _kind(found: Residuals, name: str) -> tuple[Kind, str, tuple[int, int]]:
     """How a channel is wrong, by what explains its difference from the expected one best; where."""
     first, last = _span(found, name)
-    rows = np.arange(len(found.signals.time_s))
+    rows = np.arange(len(found.signals.time_s), dtype=np.float64)
     y, expected = found.signals.values[name], found.corrected.raw(name, found.expected[name])
     usable = np.isfinite(y) & np.isfinite(expected) & np.isfinite(found.smooth[name])
     against, unit = _listed(found.channels, name), CHANNELS[name].unit
     before = usable & (rows <= last)
     shapes = _shapes(rows, (y, expected), before, first)
     misfits = {
-        kind: float(np.mean(np.abs(y - expected - error)[before])) * (1.0 if kind != "drift" else 1.2)
+        kind: float(np.mean(np.abs(y - expected - error)[before]))
+        * (1.0 if kind != "drift" else 1.2)
         for kind, error in shapes.items()
     }
     best: Kind = min(misfits, key=lambda each: misfits[each])
@@ -851,6 +907,10 @@ def _moving_spread(values: FloatArray, size: int) -> FloatArray:
     return np.sqrt(np.maximum(square, 0.0))
 
 
+# A drift has one parameter more: it has to explain so much more.
+_CAUTION: Mapping[Kind, float] = {"scale": 1.0, "bias": 1.0, "drift": 1.25}
+
+
 def _shapes(
     rows: FloatArray, signals: tuple[FloatArray, FloatArray], before: BoolArray, first: int
 ) -> dict[Kind, FloatArray]:
@@ -880,26 +940,47 @@ _NOISY = 6.0
 
 
 def _noisy(bank: Bank, subject: _Subject) -> _Subject:
-    """Channels with much more noise than in any training log, and enough to matter."""
+    """Channels that follow the others with much more noise than in any training log."""
     for name in subject.channels:
         own, usual = _noise(subject.log, name), bank.noise.get(name, 0.0)
         matters = 0.5 * bank.sigma[name] * abs(bank.centre[name])
-        if own > _NOISY * max(usual, 1e-12) and own > matters:
+        if own > _NOISY * max(usual, 1e-12) and own > matters and _follows(bank, subject, name):
             text = f"noise of {own:.2g} {CHANNELS[name].unit}, {usual:.2g} in the training logs"
-            subject = subject.found(fault(subject.log, (name,), "noise", text), without=name)
+            subject = subject.found(fault(subject.log, (name,), ("noise", text)), without=name)
     return subject
 
 
-def masked(log: Log, faults: Sequence[Fault]) -> Log:
-    """Return the log with the channels of faults NaN from `from_s` to `to_s`, and that counted."""
+def _follows(bank: Bank, subject: _Subject, name: str) -> bool:
+    """Whether a channel is correlated with what the others say, in means over 10 s."""
+    found = residuals(bank, subject.signals, subject.channels)
+    size = round(10.0 / subject.signals.step_s)
+    pair = [_moving_mean(each[name], size) for each in (found.corrected.x, found.expected)]
+    known = np.isfinite(pair[0]) & np.isfinite(pair[1])
+    spread = min((float(np.std(each[known])) for each in pair), default=0.0) if known.any() else 0.0
+    return spread > 0.0 and bool(np.corrcoef(pair[0][known], pair[1][known])[0, 1] > _FOLLOWS)
+
+
+_FOLLOWS = 0.5
+_STEPS: tuple[Callable[[Bank, _Subject], _Subject], ...] = (
+    _coarse, _noisy, _stretched, _airspeed, _whole, _late, _motionless, _isolated, _isolated,
+)  # fmt: skip
+_MASK = 0.95  # least confidence of what is masked
+
+
+def masked(log: Log) -> Log:
+    """Return the log with the channels of its faults NaN from `from_s` to `to_s`, and that counted.
+
+    A fault of the time stamps masks every channel: none can be compared with a model.
+    """
     changed: dict[str, FloatArray] = {}
     entries = []
-    for each in faults:
+    for each in log.faults:
         inside = (log.time_s >= each.from_s) & (log.time_s <= each.to_s)
-        for name in each.channels:
-            if name in log.channels:
-                values = changed.get(name, log[name]).copy()
-                count = int((inside & np.isfinite(values)).sum())
+        names = tuple(log.channels) if "time_s" in each.channels else each.channels
+        for name in names if each.confidence >= _MASK else ():
+            values = changed.get(name, log.channels.get(name, np.empty(0))).copy()
+            count = int((inside & np.isfinite(values)).sum()) if len(values) else 0
+            if count:
                 values[inside] = np.nan
                 changed[name] = values
                 entries.append(AuditEntry(name, "masked", f"fault: {each.kind}", count))

@@ -8,20 +8,15 @@ logs and the delay of detection.
 
 from __future__ import annotations
 
-import argparse
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from data_prep.log import Fault, Kind, Log
-from data_prep.prepare import prepare
+from data_prep.log import Kind, Log
 from narxcal.atmosphere import KELVIN, isa
 from narxcal.support.arrays import FloatArray
-from training.config import RunConfig
 
 Apply = Callable[[FloatArray, FloatArray], FloatArray]
 
@@ -81,7 +76,7 @@ def _dead(level: float, noise: float) -> Apply:
 
 
 def _late(delay_s: float) -> Apply:
-    return lambda x, t: np.interp(t - delay_s, t, x)
+    return lambda x, t: np.asarray(np.interp(t - delay_s, t, x))
 
 
 def _held(every_s: float) -> Apply:
@@ -100,7 +95,7 @@ def _affine(gain: float, offset: float = 0.0) -> Apply:
 def _drift(end: float, *, relative: bool = False) -> Apply:
     def change(x: FloatArray, t: FloatArray) -> FloatArray:
         grown = end * (t - t[0]) / (t[-1] - t[0])
-        return x * (1.0 + grown) if relative else x + grown
+        return np.asarray(x * (1.0 + grown) if relative else x + grown)
 
     return change
 
@@ -123,13 +118,24 @@ def injections(log: Log) -> Iterator[Injection]:
 
 def _all() -> Iterator[Injection]:
     yield from _units()
-    for gain in (1.025, 1.05, 1.1):
-        yield Injection("scale", ("N1_pct",), f"x {gain:g}", _affine(gain))
-    for gain in (1.05, 1.1, 1.2):
-        yield Injection("scale", ("FF_kgph",), f"x {gain:g}", _affine(gain))
-    for gain in (0.0, 0.5, 0.8):
-        kind: Kind = "stuck" if gain == 0.0 else "scale"
-        yield Injection(kind, ("Mach",), f"x {gain:g}", _affine(gain))
+    yield from _levels()
+    yield from _lost()
+    for delay in (1.0, 3.0, 6.0):
+        yield Injection("late", ("FF_kgph",), f"{delay:g} s", _late(delay))
+    yield Injection("late", ("N2_pct",), "2 s", _late(2.0))
+    yield Injection("noise", ("EGT_C",), "0.3 sd", _noise(0.3))
+    yield Injection("swapped", ("N1_pct", "N2_pct"), "", _affine(1.0))
+    for factor in (0.5, 2.0):
+        yield Injection("scale", ("time_s",), f"x {factor:g}", _affine(factor))
+
+
+def _levels() -> Iterator[Injection]:
+    """Scales, biases and drifts."""
+    for channel, gains in (("N1_pct", (1.025, 1.05, 1.1)), ("FF_kgph", (1.05, 1.1, 1.2))):
+        for gain in gains:
+            yield Injection("scale", (channel,), f"x {gain:g}", _affine(gain))
+    for gain in (0.5, 0.8):
+        yield Injection("scale", ("Mach",), f"x {gain:g}", _affine(gain))
     for bias in (50.0, 100.0):
         yield Injection("bias", ("EGT_C",), f"{bias:+g} K", _affine(1.0, bias))
     yield Injection("bias", ("N2_pct",), "+3 %", _affine(1.0, 3.0))
@@ -138,26 +144,21 @@ def _all() -> Iterator[Injection]:
     for end in (0.1, 0.2, 0.4):
         change = _drift(end, relative=True)
         yield Injection("drift", ("FF_kgph",), f"to {100.0 * end:+g} %", change, begins=0.2)
-    for share in (1.0, 0.3, 0.1):
-        for name in ("FF_kgph", "N1_pct"):
-            change = _dead(50.0, 0.01)
-            yield Injection(
-                "dead", (name,), f"{share:g} of log", change, 0.5 - share / 2, 0.5 + share / 2
-            )
-    for delay in (1.0, 3.0, 6.0):
-        yield Injection("late", ("FF_kgph",), f"{delay:g} s", _late(delay))
-    yield Injection("late", ("N2_pct",), "2 s", _late(2.0))
-    for every in (2.0, 5.0, 10.0):
-        for name in ("FF_kgph", "N1_pct"):
+
+
+def _lost() -> Iterator[Injection]:
+    """Channels that are dead, held or stuck."""
+    for name in ("FF_kgph", "N1_pct"):
+        for share in (1.0, 0.3, 0.1):
+            begins, ends = 0.5 - share / 2.0, 0.5 + share / 2.0
+            yield Injection("dead", (name,), f"{share:g} of log", _dead(50.0, 0.01), begins, ends)
+        for every in (2.0, 5.0, 10.0):
             yield Injection("held", (name,), f"{every:g} s", _held(every))
     for begins in (0.2, 0.5):
         for name in ("ALT_ft", "CAS_kt", "FF_kgph"):
             yield Injection("stuck", (name,), f"from {begins:g}", _stuck, begins)
-    yield Injection("stuck", ("CAS_kt",), "at 0", _affine(0.0))
-    yield Injection("noise", ("EGT_C",), "0.3 sd", _noise(0.3))
-    yield Injection("swapped", ("N1_pct", "N2_pct"), "", _affine(1.0))
-    for factor in (0.5, 2.0):
-        yield Injection("scale", ("time_s",), f"x {factor:g}", _affine(factor))
+    for name in ("CAS_kt", "Mach"):
+        yield Injection("stuck", (name,), "at 0", _affine(0.0))
 
 
 def _units() -> Iterator[Injection]:

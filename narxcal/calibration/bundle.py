@@ -203,7 +203,9 @@ _OURS = (
 )  # fmt: skip
 # Parts that others read as tables of keys; the second ones may be null.
 _TABLES = ("units", "config", "data", "hardware", "versions")
-_OPTIONAL = ("split", "training", "steady_state", "lag_form", "fuser_noise", "baselines")
+_OPTIONAL = (
+    "split", "training", "steady_state", "lag_form", "fuser_noise", "baselines", "redundancy",
+)  # fmt: skip
 _FORM = ModelFolder(
     what="bundle",
     document=DOCUMENT,

@@ -88,6 +88,7 @@ def judge(
     outcome = evaluation.outcome
     warnings = [
         *cautions(logs, config, config.narx.outputs),
+        *(fault.caution for fault in evaluation.faults),
         *_outside(bundle, parts),
     ]
     header = header_of(

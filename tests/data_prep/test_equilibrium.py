@@ -157,3 +157,25 @@ def test_preparation_cuts_before_it_cleans():
     kept = prepare([n2_log(speeds((0, 60), (70, 200)) + noise)])[0].log
     assert kept.time_s[0] == 80.0
     assert kept["N2_pct"].min() > 69.0
+
+
+def test_an_engine_that_windmills_does_not_run():
+    running = np.r_[np.full(200, 1.0), np.zeros(200), np.full(200, 1.0)]
+    channels = {
+        "N1_pct": 14.0 + 50.0 * running,
+        "N2_pct": 20.0 + 60.0 * running,
+        "FF_kgph": 300.0 * running,
+    }
+    parts = while_running([Log("flight", DT_S * np.arange(600), channels)], RunningConfig())
+    assert [part.name for part in parts] == ["flight", "flight#2"]
+    assert all(part["N2_pct"].min() > 40.0 for part in parts)
+
+
+def test_a_meter_that_fails_does_not_stop_an_engine():
+    channels = {
+        "N1_pct": np.full(300, 60.0),
+        "N2_pct": np.full(300, 80.0),
+        "FF_kgph": np.r_[np.full(100, 300.0), np.zeros(200)],
+    }
+    [kept] = while_running([Log("flight", DT_S * np.arange(300), channels)], RunningConfig())
+    assert len(kept) == 300

@@ -1,0 +1,137 @@
+"""A log against physics: units, staircases, stuck air data, air data against each other."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from data_prep.log import Log
+from data_prep.plausibility import checked, sound_air, update_interval
+from data_prep.prepare import prepare
+from narxcal.atmosphere import KELVIN, SOUND_KT, T0_K, isa, mach_of_cas
+
+DT_S = 0.5
+ROWS = 2400
+
+
+def flight(**changed):
+    """Twenty minutes of climb, cruise and descent with all air data, without noise but in them."""
+    draw = np.random.default_rng(3)
+    share = np.linspace(0.0, 1.0, ROWS)
+    alt = 25000.0 * np.minimum(1.0, 3.0 * np.minimum(share, 1.0 - share)) + 1000.0
+    alt += 3.0 * draw.standard_normal(ROWS)
+    cas = 180.0 + 60.0 * np.sin(3.0 * share) + 0.2 * draw.standard_normal(ROWS)
+    mach = mach_of_cas(cas, alt)
+    sat = isa(alt)[0] - KELVIN + 5.0
+    n1 = 70.0 + 20.0 * np.sin(20.0 * share) + 0.05 * draw.standard_normal(ROWS)
+    channels = {
+        "N1_pct": n1,
+        "N2_pct": 60.0 + 0.4 * n1,
+        "FF_kgph": 0.1 * n1**2,
+        "EGT_C": 300.0 + 4.0 * n1,
+        "ALT_ft": alt,
+        "CAS_kt": cas,
+        "Mach": mach,
+        "TAS_kt": SOUND_KT * mach * np.sqrt((sat + KELVIN) / T0_K),
+        "SAT_C": sat,
+        "TAT_C": (sat + KELVIN) * (1.0 + 0.2 * mach**2) - KELVIN,
+    }
+    for name, change in changed.items():
+        channels[name] = change(channels[name]) if callable(change) else change
+    return Log("flight", DT_S * np.arange(ROWS), channels)
+
+
+def found(log):
+    return [(fault.kind, fault.channels) for fault in checked(log).faults]
+
+
+def test_a_sound_flight_has_no_fault():
+    assert found(flight()) == []
+
+
+@pytest.mark.parametrize(
+    ("channel", "factor", "text"),
+    [
+        ("N1_pct", 0.01, "looks like a fraction: median 0.7 %"),
+        ("N1_pct", 60.0, "looks like rpm: median 4.2e+03 %"),
+        ("Mach", 100.0, "looks like percent: median 47 -"),
+    ],
+)
+def test_units_outside_of_the_physical_range_are_named(channel, factor, text):
+    [fault] = checked(flight(**{channel: lambda x: factor * x})).faults
+    assert (fault.kind, fault.channel, fault.from_s, fault.to_s) == ("unit", channel, 0.0, 1199.5)
+    assert fault.detail.split(":")[0] == text.split(":")[0]
+
+
+@pytest.mark.parametrize("channel", ["FF_kgph", "N1_pct", "EGT_C", "Mach"])
+def test_a_channel_that_is_held_changes_seldom(channel):
+    rows = np.arange(ROWS) // 12 * 12
+    [fault] = checked(flight(**{channel: lambda x: x[rows]})).faults
+    assert (fault.kind, fault.channel) == ("held", channel)
+    assert fault.detail == "changes every 6 s only, rows come every 0.5 s"
+
+
+def test_coarse_steps_of_a_slow_channel_are_its_resolution():
+    assert found(flight(SAT_C=lambda x: np.round(2.0 * x) / 2.0)) == []
+
+
+@pytest.mark.parametrize("channel", ["ALT_ft", "CAS_kt", "Mach", "SAT_C"])
+def test_air_data_that_stay_while_the_others_move_are_stuck(channel):
+    def stop(x):
+        return np.where(np.arange(ROWS) > 800, x[800], x)
+
+    faults = checked(flight(**{channel: stop})).faults
+    assert ("stuck", (channel,)) in [(fault.kind, fault.channels) for fault in faults]
+    stuck = next(fault for fault in faults if fault.kind == "stuck")
+    assert stuck.from_s == pytest.approx(400.0, abs=1.0)
+
+
+def test_airspeed_at_zero_all_along_is_stuck():
+    assert ("stuck", ("CAS_kt",)) in found(flight(CAS_kt=np.zeros(ROWS)))
+
+
+@pytest.mark.parametrize(
+    ("channel", "change", "expected"),
+    [
+        ("Mach", lambda x: 0.8 * x, ("inconsistent", ("Mach",))),
+        ("Mach", lambda x: 0.5 * x, ("scale", ("Mach",))),
+        ("CAS_kt", lambda x: 0.5 * x, ("scale", ("CAS_kt",))),
+        ("CAS_kt", lambda x: x * 1852.0 / 3600.0, ("unit", ("CAS_kt",))),
+        ("ALT_ft", lambda x: 0.3048 * x, ("unit", ("ALT_ft",))),
+        ("TAT_C", lambda x: x + KELVIN, ("unit", ("TAT_C",))),
+        ("TAS_kt", lambda x: x + 40.0, ("inconsistent", ("TAS_kt",))),
+    ],
+)
+def test_the_channel_of_all_failed_relations_is_at_fault(channel, change, expected):
+    log = flight(**{channel: change})
+    kinds = [(kind, channels) for kind, channels in found(log)]
+    assert expected[1] in [channels for _, channels in kinds]
+    assert channel not in sound_air(log)
+
+
+def test_two_airspeeds_alone_cannot_say_which_is_wrong():
+    log = flight(Mach=lambda x: 0.8 * x)
+    few = {name: log[name] for name in ("N1_pct", "ALT_ft", "CAS_kt", "Mach")}
+    [fault] = checked(Log("flight", log.time_s, few)).faults
+    assert (fault.kind, fault.channels) == ("inconsistent", ("Mach", "ALT_ft", "CAS_kt"))
+    expected = "contradict each other: Mach is 0.8 times what CAS and altitude say"
+    assert fault.detail == expected
+
+
+@given(st.integers(4, 40))
+def test_update_interval_of_a_staircase_is_its_step(size):
+    smooth = np.cumsum(np.random.default_rng(size).uniform(0.5, 1.5, 2000))
+    held = smooth[np.arange(2000) // size * size]
+    assert update_interval(held) == pytest.approx(size, rel=1e-9)
+
+
+def test_preparing_keeps_the_faults_and_adds_what_cleaning_masks():
+    draw = np.random.default_rng(0)
+    n2 = flight()["N2_pct"] + 0.05 * draw.standard_normal(ROWS)
+    n2[1000:1200] = n2[1000]
+    [one] = prepare([flight(N2_pct=n2)])
+    [fault] = [each for each in one.log.faults if each.channel == "N2_pct"]
+    assert fault.kind == "stuck"
+    assert (fault.from_s, fault.to_s) == pytest.approx((500.0, 600.0), abs=1.0)
+    assert fault.row()["channels"] == ["N2_pct"]
+    assert fault.caution.startswith("flight: N2_pct stuck, ")
