@@ -66,7 +66,7 @@ _ARX_ORDERS = (1, 2, 3, 5, 8, 15, 30)
 _HIDDEN = (4, 8, 16)
 _DECAYS = tuple(10.0**-k for k in range(2, 10))
 _STEPS = 8  # of Levenberg-Marquardt at each decay
-_DRAWS = 4  # of hidden units: their median is the model, so that it does not depend on one draw
+_DRAWS = 6  # of hidden units: their median is the model, so that it does not depend on one draw
 _LEAST = 5.0  # rows per parameter; fewer determine nothing
 _FEW = 400  # samples per fold on which no form is worth trying
 _PLENTY = 30.0  # rows per parameter beyond which every further one is skipped while searching
@@ -180,10 +180,18 @@ def known_start(y: FloatArray, samples: int) -> FloatArray:
     return np.where(np.isfinite(y[:samples]), y[:samples], np.nan_to_num(first))
 
 
+@dataclass(frozen=True)
+class Limits:
+    """CPU seconds of the search, seed of the draws, and whether only linear rungs are tried."""
+
+    time_limit_s: float = 120.0
+    seed: int = 0
+    linear: bool = False
+
+
 def choose(
     records: Sequence[Record],
-    time_limit_s: float,
-    seed: int = 0,
+    limits: Limits,
     watch: Watch | None = None,
     validation: Sequence[Record] = (),
 ) -> Choice:
@@ -192,7 +200,7 @@ def choose(
     With `validation` records these are held out in place of folds. Raises `DataError` where no
     record is long enough to fit.
     """
-    search = _Search(list(records), time_limit_s, seed, watch or (lambda _share, _what: None))
+    search = _Search(list(records), limits, watch or (lambda _share, _what: None))
     return search.run(validation)
 
 
@@ -262,7 +270,7 @@ def _runs(record: Record) -> list[Run]:
 class _Search:
     """One search: records, folds, what was tried and what was spent."""
 
-    def __init__(self, records: list[Record], time_limit_s: float, seed: int, watch: Watch) -> None:
+    def __init__(self, records: list[Record], limits: Limits, watch: Watch) -> None:
         self.records = [r for r in records if len(r) >= _SHORTEST and np.isfinite(r.y).any()]
         if not self.records:
             longest = max(len(record) for record in records)
@@ -271,8 +279,8 @@ class _Search:
                 "are needed to fit and to hold something out",
                 hint="Add longer records",
             )
-        self.work = _Work(time_limit_s * UNITS_PER_S, time_limit_s)
-        self.seed, self.watch = seed, watch
+        self.work = _Work(limits.time_limit_s * UNITS_PER_S, limits.time_limit_s)
+        self.limits, self.seed, self.watch = limits, limits.seed, watch
         u = np.concatenate([record.u for record in self.records])
         y = np.concatenate([record.y for record in self.records])
         self.scalings = (Scaling.of(u), Scaling.of(y))
@@ -293,7 +301,8 @@ class _Search:
             self.folds = folds_of(self.records, self._gap(), _FOLDS if many else 2 * _FOLDS)
         if not self.folds:
             return self._without_folds()
-        for rung in (self._arx, self._linear, self._latent, self._network, self._mean):
+        rungs = [self._arx, self._linear, self._latent, self._network, self._mean]
+        for rung in rungs[:2] if self.limits.linear else rungs:
             rung()
             self.watch(min(self.work.spent / self.work.budget, 0.9), "choosing")
         leader, reason = self._leader()
@@ -426,12 +435,15 @@ class _Search:
     def _within(
         self, share: float, forms: list[tuple[int, int, tuple[int, ...]]], draws: int
     ) -> tuple[list[tuple[int, int, tuple[int, ...]]], int, int]:
-        """Forms, draws and samples per fold within a share: fewer draws before fewer forms."""
-        enough = min(_FEW, self.samples // 2)
+        """Forms, draws and samples per fold within a share.
+
+        Fewer draws come before less data, and that before fewer forms.
+        """
+        whole = max(sum(map(len, fold.fit)) for fold in self.folds)
         while forms:
-            costs = sum(_cost(n, h, self.inputs, self.outputs) for n, h, _ in forms)
-            most = self._affordable(share, costs * len(_DECAYS) * _STEPS * draws)
-            if most >= enough:
+            steps = len(_DECAYS) * _STEPS * draws * len(self.folds)
+            most = self._most(share * self.work.budget / steps, [form[:2] for form in forms])
+            if most >= whole or (draws == 1 and most >= min(_FEW, whole)):
                 return forms, draws, most
             if draws > 1:
                 draws //= 2
@@ -464,25 +476,25 @@ class _Search:
     def _data(self, records: Sequence[Record], delay: tuple[int, ...], parameters: int) -> Data:
         """Scored are all rows, or about `_PLENTY` per parameter where there are more."""
         rows = sum(map(len, records)) * self.outputs
-        return Data.of(records, delay, self.scalings, max(int(rows / (_PLENTY * parameters)), 1))
+        return Data.of(records, delay, self.scalings, max(round(rows / (_PLENTY * parameters)), 1))
 
     def _paths(
         self, base: Fitted, data: Data, h: int, draws: int, decays: Sequence[float] = _DECAYS
     ) -> Iterator[list[Fitted]]:
         """Fits of every draw of hidden units, decay by decay."""
-        cost = _cost(base.shape.states, h, self.inputs, self.outputs)
-        samples = sum(map(len, data.inputs))
+        cost = self._step_cost(base.shape.states, h, sum(map(len, data.inputs)))
         starts = [grown(base, h, seed=self.seed * 1000 + k) for k in range(draws)]
         paths = [path(start, data, decays, _STEPS) for start in starts]
         for found in zip(*paths, strict=True):
-            self.work.spend(cost * samples * sum(used for _, used in found))
+            self.work.spend(cost * sum(used for _, used in found))
             yield [fitted for fitted, _ in found]
 
     def _final_latent(self, shape: Shape, level: int) -> DynamicModel:
         """The path to the chosen decay on as many records as the budget allows, then on all."""
-        cost = _cost(shape.states, shape.hidden, self.inputs, self.outputs)
+        n, h = shape.states, shape.hidden
         decays = _DECAYS[: level + 1]
-        most = self._affordable(0.15, cost * len(decays) * _STEPS * _DRAWS, folds=1)
+        units = 0.15 * self.work.budget / (len(decays) * _STEPS * _DRAWS)
+        most = max(self._most(units, [(n, h)]), min(_FEW, self.samples))
         linear = Shape(shape.states, self.inputs, self.outputs, 0, shape.delay)
         data = self._data(_thinned(self.records, most), shape.delay, shape.size)
         base = fit_linear(data, linear)
@@ -490,14 +502,15 @@ class _Search:
             raise DataError("no linear model could be fitted")
         fits = list(self._paths(base, data, shape.hidden, _DRAWS, decays))[-1]
         every = self._data(self.records, shape.delay, shape.size)
-        left = (self.work.budget - self.work.spent) / (cost * self.samples * _DRAWS)
-        steps = int(np.clip(left, 2, 8 * _STEPS))
+        cost = self._step_cost(n, h, self.samples)
+        left = (self.work.budget - self.work.spent) / (cost * _DRAWS)
+        steps = int(np.clip(left, 2, 8 * _STEPS)) if most < self.samples else 2
         members = []
         for number, fitted in enumerate(fits):
             self.watch(0.9 + 0.1 * number / len(fits), "fitting to all records")
             start = moved(fitted, self._model(fitted, data), every)
-            ended, _, used = at_decay(start, every, decays[-1], steps if most < self.samples else 2)
-            self.work.spend(cost * self.samples * used)
+            ended, _, used = at_decay(start, every, decays[-1], steps)
+            self.work.spend(cost * used)
             members.append(self._model(ended, every))
         return Ensemble.median(members)
 
@@ -627,19 +640,37 @@ class _Search:
             "nothing could be held out: add longer records", int(self.work.budget), 0, nothing,
         )  # fmt: skip
 
+    def _most(self, units: float, sizes: Sequence[tuple[int, int]]) -> int:
+        """Samples on which one step of all forms (states, hidden units) costs `units`."""
+        low, high = 0, self.samples
+        while low < high:
+            middle = (low + high + 1) // 2
+            if sum(self._step_cost(n, h, middle) for n, h in sizes) <= units:
+                low = middle
+            else:
+                high = middle - 1
+        return low
+
+    def _step_cost(self, n: int, h: int, samples: int) -> float:
+        """Nominal microseconds of a step of Levenberg-Marquardt on so many samples."""
+        size: int = Shape(n, self.inputs, self.outputs, h, (0,) * self.inputs).size
+        rows = min(float(self.outputs * samples), 2.0 * _PLENTY * size)
+        return samples * (0.6 + n * n * size / _MAC_RECURSION) + rows * size * size / _MAC_PRODUCT
+
     def _affordable(self, share: float, per_sample: float, folds: int | None = None) -> int:
         """Samples per fold within a share of the budget."""
         count = len(self.folds) if folds is None else folds
         return int(share * self.work.budget / max(per_sample * count, 1e-9))
 
 
-_MAC = 4000.0  # multiply-adds in a nominal microsecond
+_MAC = 4000.0  # multiply-adds in a nominal microsecond of a least-squares product
+_MAC_RECURSION, _MAC_PRODUCT = 10_000.0, 20_000.0  # of sensitivities, and of J'J (half is computed)
 
 
 def _cost(n: int, h: int, m: int, p: int) -> float:
-    """Nominal microseconds per sample-step of Levenberg-Marquardt on a latent model."""
+    """Nominal microseconds per sample-step where every row is scored."""
     size = Shape(n, m, p, h, (0,) * m).size + n
-    return 0.6 + (n * n * size + 0.5 * p * size * size) / (2.5 * _MAC)
+    return 0.6 + n * n * size / _MAC_RECURSION + p * size * size / _MAC_PRODUCT
 
 
 def _samples(datas: Sequence[Data]) -> int:

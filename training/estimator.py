@@ -25,7 +25,7 @@ from narxcal.record import (
 )
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, ModelError
-from training.choice import Choice, choose, known_start
+from training.choice import Choice, Limits, choose, known_start
 from training.config import TrainConfig
 from training.estimator_folder import TIME_LIMIT_S, Stored, Structure, load, save
 from training.network import FitResult, Material, Watch, fit_narx
@@ -122,15 +122,16 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
             )
         check_records([*learned, *held_out], 0)
         check_measured(learned, "training")
+        limits = Limits(self.time_limit_s, self.seed)
         if not self.verbose:
-            return choose(learned, self.time_limit_s, self.seed, validation=held_out)
+            return choose(learned, limits, validation=held_out)
         with Progress(transient=True) as bar:
             task = bar.add_task("choosing", total=1.0)
 
             def show(share: float, what: str) -> None:
                 bar.update(task, completed=share, description=what)
 
-            return choose(learned, self.time_limit_s, self.seed, show, held_out)
+            return choose(learned, limits, show, held_out)
 
     @property
     def model(self) -> DynamicModel:

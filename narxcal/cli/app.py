@@ -44,6 +44,7 @@ COMMANDS = {
     "fly": "Fly the virtual engine and write what its recorder measured.",
     "reproduce": "A paper's tables and figures, our numbers beside its claims.",
     "export": "Write a steady-state model as a table or an FMU.",
+    "benchmark": "One recipe on public system-identification sets, beside what others reach.",
     "diagnose": "Find where simulator and flights differ, by which effect, and how far it shrinks.",
     "blind": "Make cases whose effect is withheld, answer them without the key, score with it.",
 }

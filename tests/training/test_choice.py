@@ -9,10 +9,10 @@ from sklearn.base import clone
 from narxcal import Narx, Record
 from narxcal.narx.network import Scaling
 from narxcal.support.errors import ConfigError, DataError, ModelError
-from training.choice import choose, folds_of
+from training.choice import Limits, choose, folds_of
 from training.latent import Data, Shape, fit_linear, grown, path
 
-BUDGET_S = 1.0
+QUICK = Limits(1.0)
 
 
 def linear_system(seed, length=300, noise=0.02):
@@ -79,9 +79,9 @@ def test_falling_decays_never_raise_the_loss():
 
 @pytest.mark.slow
 def test_a_linear_system_gets_a_linear_model_and_a_curved_one_more():
-    straight = choose([linear_system(0, 400)], BUDGET_S)
+    straight = choose([linear_system(0, 400)], QUICK)
     assert straight.rung in {"first-order lag", "ARX", "linear output error"}
-    bent = choose([curved_system(0, 500)], BUDGET_S)
+    bent = choose([curved_system(0, 500)], QUICK)
     assert bent.rung in {"latent states", "NARX network", "mean"}
     assert bent.tried["chosen"].sum() == 1
     unseen = curved_system(9)

@@ -1,0 +1,55 @@
+"""`narxcal benchmark`: one recipe on public sets, beside what others reach."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from eval.benchmarks import recipe
+from narxcal.cli.console import Console
+from narxcal.support.errors import ConfigError
+from narxcal.support.files import finite
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    parser.add_argument(
+        "--data", metavar="DIR", type=Path, required=True,
+        help="folder with NAME.csv.gz (columns u, y) and NAME.json (train, test, init_window)",
+    )  # fmt: skip
+    parser.add_argument("--sets", metavar="NAME", nargs="+", default=[], help="default: all there")
+    parser.add_argument(
+        "--time-limit", metavar="S", type=float, default=120.0,
+        help="CPU seconds for the choice on each set, as Narx(time_limit_s=...) (default 120)",
+    )  # fmt: skip
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Fit and test each set; always 0, since a set on which another is better is a figure."""
+    if not options.time_limit > 0.0:
+        raise ConfigError(f"--time-limit: expected a time above 0, found {options.time_limit:g}")
+    names = recipe.names_in(options.data, options.sets)
+    found: list[recipe.Figure] = []
+    with console.progress("Benchmark") as advance:
+        for number, name in enumerate(names):
+
+            def watch(share: float, words: str, at: int = number, name: str = name) -> None:
+                advance(round(100 * (at + share)), 100 * len(names), f"{name}: {words}")
+
+            found += recipe.figures(options.data, name, options.time_limit, watch)
+    console.table(
+        "RMSE of the free run on the official test range",
+        ["set", "model", "recording", "RMSE", "NRMSE [%]", "CPU s"],
+        [_cells(one) for one in found],
+    )
+    for one in found:
+        if one.model == recipe.OURS and one.record == "":
+            console.say(f"{one.set}: {one.note}.")
+    limits = {"data": str(options.data), "time_limit_s": options.time_limit}
+    console.document(finite(recipe.document(found, limits)))
+    return 0
+
+
+def _cells(one: recipe.Figure) -> list[str]:
+    numbers = (f"{one.rmse:.4g} {one.unit}".strip(), f"{one.nrmse_pct:.2f}", f"{one.cpu_s:.0f}")
+    return [one.set, one.model, one.record or "all", *(x.replace("nan", "-") for x in numbers)]
