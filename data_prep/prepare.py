@@ -22,6 +22,7 @@ from data_prep.events import Event, EventsConfig, find_events, needs_condition
 from data_prep.grid import SLOW
 from data_prep.log import AuditEntry, Log
 from data_prep.plausibility import checked, of_cleaning
+from data_prep.ranking import other_driver
 from data_prep.smooth import SmoothConfig, blurs, smooth
 from narxcal.support.arrays import BoolArray, sample_and_hold
 from narxcal.support.errors import DataError
@@ -115,6 +116,7 @@ class Prepared:
             "masked": _all_masked(self.log),
             "outputs": _unrecorded(self.log, self.outputs, self.tables.logs),
             "rate": _seldom(self.log, self.tables.events),
+            "driver": other_driver(self.log, self.tables.events.driver),
             "condition": needs_condition(self.log, self.tables.events),
             "window": blurs(self.tables.smooth, self.log.dt_s),
         }

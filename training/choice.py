@@ -14,9 +14,9 @@ The ladder, each rung started from the one below:
 Folds are records, or blocks of them where there are fewer than four, with a gap of one memory
 length beside what is held out. Each held-out piece is simulated twice, from its beginning and from
 a third of it, after windows of measured outputs of two lengths. The score is the mean over pieces
-of the RMS error in standard deviations of the outputs. Of all rungs the simplest leads, the one of
-fewest parameters, whose score is within one standard error of the best, that of their difference
-piece by piece (Breiman et al. 1984, section 3.4.3, with paired errors).
+of the RMS error in standard deviations of the outputs. The simplest form leads, that of fewest
+parameters, that no other beats by more than one standard error of their difference piece by piece
+(Breiman et al. 1984, section 3.4.3, with paired errors).
 
 Work is counted in sample-steps of a nominal microsecond, so that the choice does not depend on how
 busy the machine is. Forms of the latent rung are halved: all of them on part of the data, the
@@ -78,7 +78,6 @@ _NETWORK_TRAIN = TrainConfig(
 _NETWORK_COST = 9.0  # nominal microseconds a sample-step (eval.benchmarks.speed)
 LAG, ARX, OUTPUT_ERROR = "first-order lag", "ARX", "linear output error"
 NETWORK, LATENT, MEAN = "NARX network", "latent states", "mean"
-RUNGS = (LAG, ARX, OUTPUT_ERROR, NETWORK, LATENT, MEAN)
 
 Watch = Callable[[float, str], None]
 Known = tuple[Fitted, LatentModel]
@@ -543,10 +542,10 @@ class _Search:
 
     def _mean(self) -> None:
         """Weighted mean of the best form of each rung, weights by least squares on other pieces."""
-        best = [one for one in self._best().values() if np.isfinite(one.score)]
+        best = self._best()
         if len(best) < 2:
             return
-        best = sorted(best, key=lambda one: one.score)[:3]
+        best = best[:3]
         runs = range(len(best[0].errors))
         pieces = [run for fold in self.folds for run in fold.held]
         names = [run.record.name for run in pieces]
@@ -573,30 +572,39 @@ class _Search:
 
         self.tried.append(Tried(form, np.array(scores), tuple(mixed), build))
 
-    def _best(self) -> dict[str, Tried]:
-        """Best form of each rung, simplest rung first."""
+    def _comparable(self) -> list[Tried]:
+        """Forms without those that were tried on much less data than others of their rung."""
+        most: dict[str, int] = {}
+        for one in self.tried:
+            most[one.form.rung] = max(most.get(one.form.rung, 0), one.form.samples)
+        return [
+            one
+            for one in self.tried
+            if one.form.samples >= 0.75 * most[one.form.rung] and np.isfinite(one.score)
+        ]
+
+    def _best(self) -> list[Tried]:
+        """Best form of each rung, best first."""
         found: dict[str, Tried] = {}
-        for rung in RUNGS:
-            own = [one for one in self.tried if one.form.rung == rung]
-            # Of one form on more and on less data the one on more counts.
-            most = max((one.form.samples for one in own), default=0)
-            own = [one for one in own if one.form.samples >= 0.75 * most]
-            if own:
-                found[rung] = min(own, key=lambda one: one.score)
-        return found
+        for one in sorted(self._comparable(), key=lambda one: one.score):
+            found.setdefault(one.form.rung, one)
+        return list(found.values())
 
     def _leader(self) -> tuple[Tried, str]:
-        """The form of fewest parameters within one standard error of the best, and why."""
-        best = sorted(self._best().values(), key=lambda one: one.form.parameters)
-        least = min(best, key=lambda one: one.score)
-        leader = next(one for one in best if _no_worse(one, least))
+        """The form of fewest parameters that none beats by a standard error, and why."""
+        forms = sorted(self._comparable(), key=lambda one: one.form.parameters)
+        if not forms:
+            raise DataError("no form has a finite free run over what was held out")
+        least = min(forms, key=lambda one: one.score)
+        leader = next(one for one in forms if not any(_beats(other, one) for other in forms))
         name = f"{leader.form.rung} ({leader.form.text})"
-        simpler = [one for one in best if one.form.parameters < leader.form.parameters]
+        simpler = [one for one in self._best() if one.form.rung != leader.form.rung]
+        simpler = [one for one in simpler if one.form.parameters < leader.form.parameters]
         if leader is not least:
             reason = (
-                f"{name} is the simplest within one standard error of the best, "
-                f"{least.form.rung}: {leader.score:.3g} against {least.score:.3g} standard "
-                "deviations of the outputs in held-out free runs"
+                f"{name} is the simplest form that none beats by more than one standard error: "
+                f"{leader.score:.3g} standard deviations of the outputs in held-out free runs, "
+                f"the best form, {least.form.rung}, {least.score:.3g}"
             )
         elif simpler:
             second = min(simpler, key=lambda each: each.score)
@@ -720,9 +728,9 @@ def _by_piece(runs: Sequence[Run], errors: Sequence[FloatArray]) -> list[float]:
     return [float(np.sqrt(np.nanmean(np.concatenate(each)))) for each in found.values()]
 
 
-def _no_worse(one: Tried, best: Tried) -> bool:
-    """Whether `one` is within one standard error of the difference to `best`."""
-    return one is best or one.score - best.score <= _standard_error(one.scores - best.scores)
+def _beats(one: Tried, other: Tried) -> bool:
+    """Whether `one` is better than `other` by more than one standard error of the difference."""
+    return other.score - one.score > _standard_error(other.scores - one.scores)
 
 
 def _standard_error(differences: FloatArray) -> float:

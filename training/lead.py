@@ -32,6 +32,8 @@ from training.folds import Fold, held_out_folds
 NETWORK: Final = "network"
 _FOLDS: Final = 3
 _UNIT_US: Final = 3.0  # nominal cost of a sample-step of the network behind lags
+# Error over the median of the others: errors of good logs scatter by a factor of about two.
+_SUSPECT: Final = 3.0
 _LEAST_ERROR: Final = 1e-9  # of the largest error: outputs without any error compare, too
 
 Refit = Callable[[Sequence[Log]], tuple[DynamicCalibration, Mapping[str, Any]]]
@@ -60,7 +62,31 @@ class Leading:
             if len(self.logs):
                 pairs = zip((NETWORK, *KINDS), self.errors[:, :, k].T, strict=True)
                 found[name]["held_out_rmse"] = {kind: _pooled(values) for kind, values in pairs}
-        return {"status": self.status, "held_out": list(self.logs), "channels": found}
+        return {
+            "status": self.status,
+            "held_out": list(self.logs),
+            "channels": found,
+            "suspects": list(self.suspects),
+        }
+
+    @property
+    def suspects(self) -> tuple[str, ...]:
+        """Held-out logs on which every model is far worse than on the others, one sentence each."""
+        if len(self.logs) < 3:
+            return ()
+        best = np.nanmin(np.where(np.isfinite(self.errors), self.errors, np.inf), axis=1)
+        found = []
+        for k, name in enumerate(self.logs):
+            others = np.median(np.delete(best, k, axis=0), axis=0)
+            ratios = np.where(np.isfinite(best[k]) & (others > 0.0), best[k] / others, 0.0)
+            worst = int(np.argmax(ratios))
+            if ratios[worst] > _SUSPECT:
+                found.append(
+                    f"{name} does not fit the other logs: held out, {self.channels[worst]} is "
+                    f"wrong by {best[k, worst]:.3g}, {ratios[worst]:.1f} times as much as usual, "
+                    "in every model; check it, or leave it out"
+                )
+        return tuple(found)
 
 
 def network_leads(calibration: DynamicCalibration, status: str) -> Leading:

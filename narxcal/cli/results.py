@@ -154,6 +154,16 @@ def lag_words(meta: Mapping[str, Any]) -> str:
     return f"{_LAGS[found['form']]}{chosen}"
 
 
+def lead_words(meta: Mapping[str, Any]) -> str:
+    """Say which model leads in each output, and on what grounds; empty for an older bundle."""
+    found = meta.get("lead") or {}
+    if not found:
+        return ""
+    leads = {name: one["leads"].replace("_", " ") for name, one in found["channels"].items()}
+    words = ", ".join(f"{name} {kind}" for name, kind in leads.items())
+    return f"{words} ({found['status']})"
+
+
 def now() -> str:
     """Time stamp of a page."""
     return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")

@@ -19,7 +19,7 @@ from data_prep.prepare import cautions
 from narxcal.calibration.bundle import DOCUMENT, Bundle, read_document, write_bundle
 from narxcal.cli.console import Advance, Console
 from narxcal.cli.options import add_config
-from narxcal.cli.results import lag_words, read_config, steady_words
+from narxcal.cli.results import lag_words, lead_words, read_config, steady_words
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import check_writable
 from narxcal.support.system import locked
@@ -87,6 +87,8 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
             resume=resume,
         )
         bundle = calibrate(config, base, split, options)
+    for warning in bundle.meta["lead"]["suspects"]:
+        console.warn(warning)
     write_bundle(folder, bundle)
     if not interrupted(bundle.meta):
         shutil.rmtree(checkpoints, ignore_errors=True)
@@ -176,7 +178,17 @@ def _where_it_stands(folder: Path) -> str:
 
 
 def _document(folder: Path, meta: dict[str, Any]) -> dict[str, Any]:
-    kept = ("training", "steady_state", "lag_form", "split", "seeds", "data", "metrics", "config")
+    kept = (
+        "training",
+        "steady_state",
+        "lag_form",
+        "lead",
+        "split",
+        "seeds",
+        "data",
+        "metrics",
+        "config",
+    )
     return {
         "schema": SCHEMA,
         "run": str(folder),
@@ -187,7 +199,11 @@ def _document(folder: Path, meta: dict[str, Any]) -> dict[str, Any]:
 
 def _show(console: Console, folder: Path, bundle: Bundle) -> None:
     training = bundle.meta["training"]
-    facts = {"Steady state": steady_words(bundle.meta), "Lags": lag_words(bundle.meta)}
+    facts = {
+        "Steady state": steady_words(bundle.meta),
+        "Lags": lag_words(bundle.meta),
+        "Leading": lead_words(bundle.meta),
+    }
     console.facts({name: words for name, words in facts.items() if words})
     rows = [
         [str(row["start"]), f"{row['horizon_s']:g}", str(row["iteration"]), *_errors(row)]

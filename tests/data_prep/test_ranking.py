@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from data_prep.log import Log
-from data_prep.ranking import flight_table, is_strong, pearson, ranked
+from data_prep.ranking import flight_table, is_strong, other_driver, pearson, ranked
 from narxcal.support.errors import DataError
 
 # A busy machine is no failure.
@@ -119,3 +119,18 @@ def test_a_missing_channel_is_an_error():
         "flight_0, channel WOW: the log has no such channel. "
         "It has TRA_deg, ALT_ft, Mach, N1_pct, N2_pct"
     )
+
+
+def test_the_channel_that_does_drive_the_engine_is_named():
+    draw = np.random.default_rng(0)
+    fuel = np.repeat(draw.uniform(200.0, 900.0, 20), 50)
+    lever = np.repeat(draw.uniform(0.0, 60.0, 20), 50)
+    channels = {"TRA_deg": lever, "FF_kgph": fuel, "N1_pct": 20.0 + 0.08 * fuel}
+    log = Log("a", 0.1 * np.arange(1000), channels)
+    assert other_driver(log, "FF_kgph") == ""
+    own = abs(np.corrcoef(lever, fuel)[0, 1])
+    assert other_driver(log, "TRA_deg") == (
+        f"N1_pct moves without TRA_deg (correlation {own:.2f}), FF_kgph drives it (1.00): "
+        "set [events] driver and [steady_state] inputs accordingly"
+    )
+    assert other_driver(log.with_channels({"TRA_deg": fuel / 10.0}), "TRA_deg") == ""

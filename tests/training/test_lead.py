@@ -7,7 +7,7 @@ from data_prep.log import Log, Source
 from narxcal.calibration.lead import KINDS, Lead
 from narxcal.support.errors import ModelError
 from training.baselines import FirstOrderLag, LinearArx
-from training.lead import lead_folds, leading_kind
+from training.lead import Leading, lead_folds, leading_kind
 
 RISE = np.column_stack([np.linspace(0.0, 1.0, 50) ** 2, np.linspace(1.0, 0.0, 50)])
 ARX = LinearArx(
@@ -94,3 +94,17 @@ def test_a_single_recording_is_divided_into_thirds():
     assert [len(part) for part in parts] == [30, 30, 30]
     assert len({part.name for part in parts}) == 3
     assert [fold.judged for fold in folds] == [[0], [1], [2]]
+
+
+def test_a_log_that_spoils_the_rest_is_named():
+    errors = np.ones((4, 4, 1)) * np.array([1.0, 1.2, 5.0, 0.9])[:, None, None]
+    found = Leading((), ("N1_pct",), ("a", "b", "c", "d"), errors, "")
+    assert found.suspects == (
+        (
+            "c does not fit the other logs: held out, N1_pct is wrong by 5, 5.0 times as much as "
+            "usual, in every model; check it, or leave it out"
+        ),
+    )
+    one_model = errors.copy()
+    one_model[2, 1:] = 1.0
+    assert Leading((), ("N1_pct",), ("a", "b", "c", "d"), one_model, "").suspects == ()
