@@ -107,7 +107,7 @@ def run(
 ) -> FloatArray:
     """Free runs of many rows, `(rows, time, 2 + flows)`.
 
-    `theta` (rows, SIZE + 12) holds the coefficients and the row's `Pace`; `thermal` (flows, FLOW)
+    `theta` (rows, SIZE + 13) holds the coefficients and the row's `Pace`; `thermal` (flows, FLOW)
     those of Y, b and tau_y. `flown` are the settled values (blocks, time, 2 + flows), L and the
     load in %/s (blocks, time) and the first row (rows, 2 + flows); `which` (rows,) the block of
     each row. `setting` is the raster in s, the bottom and the range of core speed, the speed that
@@ -181,6 +181,8 @@ def _advance(
     asked += state[flows + 6]
     limit = _limit(theta, UP if asked > 0.0 else DOWN, (x, air, behind))
     limit *= theta[SIZE + 5 if asked > 0.0 else SIZE + 8]
+    if asked > 0.0:
+        limit = min(limit, theta[SIZE + 12])
     if not holds_rate:
         limit = max(limit - (load if asked > 0.0 else -load) * power, _SPARED * limit)
     state[flows + 2] += h * theta[RESET] ** 2 * error / (1.0 + (asked / limit) ** 4)
@@ -234,7 +236,7 @@ class TwoSpool:
         pace: FloatArray,
         hot: int = -1,
     ) -> FloatArray:
-        """Runs (rows, time, 2 + flows) of `flown` and `which` (see `run`) at `pace` (rows, 12).
+        """Runs (rows, time, 2 + flows) of `flown` and `which` (see `run`) at `pace` (rows, 13).
 
         Metal follows the temperature in column `hot`.
         """

@@ -11,6 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -156,6 +157,11 @@ class Effect(ABC):
     def parameters(self, signals: Signals) -> tuple[Parameter, ...]:  # noqa: ARG002 - bounds of some go with the range of a signal
         """Parameters for runs of these signals."""
         return self.fixed
+
+    def nodes(self, signals: Signals) -> tuple[tuple[float, ...], ...]:
+        """Parameters to begin with: all combinations of starts, 0 for linear ones."""
+        choices = [(0.0,) if p.linear else p.starts for p in self.parameters(signals)]
+        return tuple(product(*choices))
 
     def applies(self, signals: Signals) -> bool:
         """Whether the signals hold what the effect acts on."""

@@ -8,10 +8,11 @@ import numpy as np
 
 from narxcal.effects.base import OutputEffect, Parameter, RateEffect, Run, Side, Signals
 from narxcal.effects.memory import Lag
-from narxcal.effects.pace import Pace, as_simulated
+from narxcal.effects.pace import UNLIMITED, Pace, as_simulated
 from narxcal.support.arrays import FloatArray
 
 SPEEDS = ("N1_pct", "N2_pct")
+FASTEST_PCTPS = 30.0  # of core speed: no control allows more
 _EITHER = 0.5  # of a share that is all or nothing
 
 
@@ -93,17 +94,27 @@ class AccelLimit(_Transit):
     """The control allows `share` of the acceleration that the simulator's allows.
 
     The limit keeps the shape of the simulator's own over speed and air. Where that never was
-    reached, it is the greatest acceleration of the logs, and goes with `delta / sqrt(theta)`.
+    reached, it is the greatest acceleration of the logs, and goes with `delta / sqrt(theta)`. Or it
+    allows no more than `most_pctps`, at any speed and altitude.
     """
 
     id: ClassVar[str] = "accel_limit"
     meaning: ClassVar[str] = "acceleration limited by the control"
     manoeuvre: ClassVar[str] = "slams of three sizes: only the large ones are slower"
-    fixed = (Parameter("share", "-", 0.1, 2.0, 1.0, (0.8, 0.5, 0.3)),)
+    fixed = (
+        Parameter("share", "-", 0.1, 2.0, 1.0, (0.8, 0.5, 0.3)),
+        Parameter("most_pctps", "%/s", 0.3, FASTEST_PCTPS, FASTEST_PCTPS, (FASTEST_PCTPS, 5.0)),
+    )
+
+    def nodes(self, signals: Signals) -> tuple[tuple[float, ...], ...]:  # noqa: ARG002 - of any engine
+        """A share alone, or an absolute limit alone."""
+        shares = tuple((share, FASTEST_PCTPS) for share in self.fixed[0].starts)
+        return (*shares, *((1.0, most) for most in (8.0, 4.0, 2.0)))
 
     def pace(self, theta: FloatArray, signals: Signals) -> Pace:  # noqa: ARG002 - of any engine
-        """`share` of the limit of acceleration."""
-        return as_simulated(len(theta))._replace(limit=theta[:, 0])
+        """`share` of the limit of acceleration, and the absolute one."""
+        most = np.where(theta[:, 1] < FASTEST_PCTPS, theta[:, 1], UNLIMITED)
+        return as_simulated(len(theta))._replace(limit=theta[:, 0], most=most)
 
 
 class AltitudeLag(_Transit):

@@ -88,6 +88,23 @@ class ThrottleRateLimit(_Lever):
         return run.memory.setdefault("limit", RateLimit(rate, run.signals.dt_s))(lever)
 
 
+class DriverGain(_Lever):
+    """What drives the engine is read `gain_pct` too large: a lever's scale, or a fuel meter's.
+
+    Where fuel is the driver, fuel of another heating value gives the same signals.
+    """
+
+    id: ClassVar[str] = "driver_gain"
+    family: ClassVar[str] = "offset"
+    meaning: ClassVar[str] = "scale of the lever or fuel meter (or the fuel's heating value)"
+    manoeuvre: ClassVar[str] = "holds over the whole range of the driver, on both engines"
+    fixed = (Parameter("gain_pct", "%", -15.0, 15.0, 0.0, (-2.5, 2.5)),)
+
+    def arrived(self, run: Run, lever: FloatArray) -> FloatArray:
+        """The driver times a constant."""
+        return lever * (1.0 + 0.01 * run.theta[:, :1])
+
+
 class ThrottleBias(_Lever):
     """The control reads the lever `bias_deg` too high."""
 

@@ -12,6 +12,7 @@ from narxcal.effects.dynamic import (
     SpoolLag,
 )
 from narxcal.effects.input_side import (
+    DriverGain,
     ThrottleBacklash,
     ThrottleBias,
     ThrottleDelay,
@@ -22,6 +23,7 @@ from narxcal.effects.sensor_side import (
     SensorBias,
     SensorDrift,
     SensorEffect,
+    SensorGain,
     SensorLag,
     TimeSkew,
 )
@@ -54,7 +56,9 @@ ENGINE_WIDE: tuple[type[Effect], ...] = (
     IdleSchedule,
 )
 PER_CHANNEL: tuple[type[Effect], ...] = (SensorLag, SensorBias, SensorDrift, TimeSkew)
-ALL: tuple[type[Effect], ...] = (*ENGINE_WIDE, *PER_CHANNEL, FlowmeterDynamics)
+# Judged by the budget alone: the diagnosis by rules has none for them.
+SCALES: tuple[type[Effect], ...] = (DriverGain, SensorGain)
+ALL: tuple[type[Effect], ...] = (*ENGINE_WIDE, *PER_CHANNEL, FlowmeterDynamics, *SCALES)
 LIBRARY: dict[str, type[Effect]] = {kind.id: kind for kind in ALL}
 
 
@@ -65,6 +69,13 @@ def candidates(signals: Signals) -> tuple[Effect, ...]:
     meter = [FlowmeterDynamics("FF_kgph")]
     # A flow meter lags as any sensor does: of two that are one the more telling name stands.
     return tuple(effect for effect in (*wide, *meter, *each) if effect.applies(signals))
+
+
+def hypotheses(signals: Signals) -> tuple[Effect, ...]:
+    """Every effect that a budget weighs: candidates and scales, a flow meter's lag once."""
+    scales = [DriverGain(), *(SensorGain(channel) for channel in signals.outputs)]
+    once = [each for each in candidates(signals) if each.name != "sensor_lag:FF_kgph"]
+    return tuple(each for each in (*once, *scales) if each.id != UnloggedSwitch.id)
 
 
 def effect(name: str) -> Effect:

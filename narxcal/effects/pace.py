@@ -9,11 +9,13 @@ colder than the gas, or warmer, takes of the power or gives to it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from narxcal.support.arrays import FloatArray
+
+UNLIMITED: Final = 1e6  # %/s: no limit at all
 
 
 class Pace(NamedTuple):
@@ -25,7 +27,8 @@ class Pace(NamedTuple):
     deceleration; `valve_s` is a further lag between what it asks for and the fuel. What fuel does
     to the core depends on the core's own time constant `core_s` at constant fuel, which no log of a
     governed engine shows. The core lacks `loss` (%/s) per unit of a temperature by which the
-    metal, behind a lag of `metal_s`, trails the blades, behind one of `rise_s`.
+    metal, behind a lag of `metal_s`, trails the blades, behind one of `rise_s`. `most` is the greatest
+    acceleration (%/s) that the control asks for at any speed and altitude.
     """
 
     fan_up: FloatArray
@@ -40,12 +43,13 @@ class Pace(NamedTuple):
     loss: FloatArray
     metal_s: FloatArray
     rise_s: FloatArray
+    most: FloatArray
 
 
 def as_simulated(batch: int) -> Pace:
     """The simulator's own pace."""
     one, none = np.ones(batch), np.zeros(batch)
-    return Pace(one, one, one, one, none, one, none, one, one, none, one, one)
+    return Pace(one, one, one, one, none, one, none, one, one, none, one, one, UNLIMITED * one)
 
 
 def together(paces: Sequence[Pace]) -> Pace:
@@ -60,5 +64,6 @@ def together(paces: Sequence[Pace]) -> Pace:
             thin_air=found.thin_air + other.thin_air,
             valve_s=found.valve_s + other.valve_s,
             loss=found.loss + other.loss,
+            most=np.minimum(found.most, other.most),
         )
     return found

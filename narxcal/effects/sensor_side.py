@@ -90,6 +90,20 @@ class SensorBias(SensorEffect):
         return value + run.theta[:, :1]
 
 
+class SensorGain(SensorEffect):
+    """The sensor reads `gain_pct` too much of its value, in all flights alike."""
+
+    id: ClassVar[str] = "sensor_gain"
+    family: ClassVar[str] = "offset"
+    meaning: ClassVar[str] = "scale of one sensor"
+    manoeuvre: ClassVar[str] = "holds over the whole range, on both engines"
+    fixed = (Parameter("gain_pct", "%", -20.0, 20.0, 0.0, linear=True),)
+
+    def reading(self, run: Run, value: FloatArray) -> FloatArray:
+        """The channel times a constant."""
+        return value * (1.0 + 0.01 * run.theta[:, :1])
+
+
 class SensorDrift(SensorEffect):
     """The sensor's offset grows with time, from nothing at the start of each flight."""
 

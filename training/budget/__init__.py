@@ -1,0 +1,1 @@
+"""The diagnosis as a budget: a sum of single effects over learned or assumed discrepancy."""

@@ -1,0 +1,297 @@
+"""Which effects act, how much of the gap each takes, and what is left: from record to budget."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from narxcal.effects.library import LIBRARY, hypotheses
+from narxcal.effects.running import Emulator
+from narxcal.support.arrays import FloatArray, IntArray
+from training.budget.dictionary import Dictionary
+from training.budget.fitting import Frame, Single
+from training.budget.joint import Joint, budget_of, by_others, interval, together
+from training.budget.layers import Layer, Setting, candidate, further
+from training.budget.metric import Metric, Record, assumed_variance
+from training.budget.nuisances import nuisances
+from training.budget.odds import Odds, load
+from training.budget.quadratic import solve
+from training.budget.result import (
+    BUILD,
+    NOISE,
+    OFFSETS,
+    UNEXPLAINED,
+    Budget,
+    Cause,
+    Interval,
+    Verdict,
+    Weighed,
+)
+
+_SURE: Final = 0.5  # probability below which the first effect is not named alone
+_SET: Final = 0.8  # of a credible set
+_NOTHING: Final = 0.03  # of the noise's energy: less is no gap
+_NAMEABLE: Final = 8.0**0.5  # standard errors of a size that could be named
+
+
+@dataclass(frozen=True, eq=False)
+class Phases:
+    """`names` of what moves, and the number of each sample's, (flights, time), -1 for none."""
+
+    names: tuple[str, ...]
+    index: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Everything that probabilities are made of: single fits, layers, and their features."""
+
+    frame: Frame
+    singles: tuple[Single, ...]
+    effects: FloatArray
+    case: FloatArray
+    setting: Setting
+
+    @property
+    def energy(self) -> float:
+        """Energy of the gap beside nuisances."""
+        return self.frame.energy(self.frame.none)
+
+
+def weigh(record: Record, emulator: Emulator | None, probe_s: float = 1.0) -> Evidence:
+    """Fit every effect by itself, beside what builds and flights differ by."""
+    noise = nuisances(record, emulator, probe_s)
+    dictionary = Dictionary(hypotheses(record.flights.signals), record.flights, emulator)
+    variance = assumed_variance(record)
+    frame = Frame(record, Metric(record, variance), record.gap, noise)
+    singles = [frame.refined(frame.fit(nodes), dictionary) for nodes in dictionary.nodes.values()]
+    effects, case = _features(frame, singles)
+    return Evidence(
+        frame, tuple(singles), effects, case, Setting(record, variance, noise, dictionary)
+    )
+
+
+def _features(frame: Frame, singles: Sequence[Single]) -> tuple[FloatArray, FloatArray]:
+    """Features (effects, ...) and those of the case, in the order of `odds`."""
+    before, floor, bare = frame.energy(frame.none), frame.floor, frame.bare()
+    without = bare.energy(bare.none)
+    rows = []
+    for one in singles:
+        alone = solve(bare.grams, one.columns, begin=bare.none.tau)
+        gain = before - frame.energy(one.solved)
+        known = frame.record.known
+        size = np.sqrt(np.mean(((one.response / frame.record.span) ** 2)[known]))
+        rows.append(
+            (
+                np.log(without / bare.energy(alone)),
+                np.log(before / frame.energy(one.solved)),
+                frame.explained(one),
+                len(one.solved.x) / 5.0,
+                np.log10(max(gain, 0.0) / floor + 0.01),
+                np.log10(size + 1e-5),
+            )
+        )
+    effects = np.array(rows)
+    case = (1.0, np.log10(before / floor), effects[:, 0].max(), effects[:, 2].max())
+    return effects, np.array(case)
+
+
+def diagnose(
+    record: Record,
+    emulator: Emulator | None,
+    phases: Phases,
+    odds: Odds | None = None,
+    probe_s: float = 1.0,
+) -> Budget:
+    """Say which effects act in recorded flights, and what share of the gap each cause takes."""
+    evidence = weigh(record, emulator, probe_s)
+    return concluded(evidence, phases, odds or load())
+
+
+def concluded(evidence: Evidence, phases: Phases, odds: Odds) -> Budget:
+    """The budget that follows from the evidence."""
+    frame, singles = evidence.frame, evidence.singles
+    chances = odds.probabilities(evidence.effects, evidence.case)
+    none, unknown = float(chances[-2]), float(chances[-1])
+    if evidence.energy < _NOTHING * frame.floor:
+        chances = np.zeros_like(chances)
+        none, unknown = 1.0, 0.0
+    order = np.argsort(-chances[:-2], kind="stable")
+    layers: list[Layer] = []
+    names = [one.name for one in singles]
+    known = {name: float(p) for name, p in zip(names, chances[:-2], strict=True)}
+    if none < 1.0:
+        layers = further(evidence.setting, singles[order[0]], evidence.energy)
+    verdict = _verdict(known, none, unknown, layers)
+    claimed = [one.single for one in layers if one.name in verdict.effects]
+    joint = together(frame, claimed)
+    return Budget(
+        verdict,
+        _causes(frame, claimed, phases, known),
+        _weighed(evidence, joint, known),
+        none,
+        unknown,
+        _gap_share(frame),
+        _facts(evidence, layers),
+        by_others(joint),
+    )
+
+
+def _verdict(
+    known: dict[str, float], none: float, unknown: float, layers: Sequence[Layer]
+) -> Verdict:
+    """The most probable answer; a set where the first effect is not likelier than the others."""
+    first = max(known, key=lambda name: known[name])
+    if none >= max(unknown, known[first]):
+        return Verdict("none", (), (), "nothing acts beyond what builds and flights differ by")
+    if unknown > known[first]:
+        return Verdict("unknown", (), (), "something acts that no effect of the library explains")
+    effects = tuple(one.name for one in layers)
+    rivals = credible(known, first)
+    rivals = tuple(name for name in rivals if name not in effects)
+    manoeuvre = LIBRARY[first.partition(":")[0]].manoeuvre
+    if known[first] < _SURE and rivals:
+        return Verdict("ambiguous", effects, rivals, "several effects explain the gap", manoeuvre)
+    return Verdict("effects", effects, (), "", manoeuvre)
+
+
+def credible(known: dict[str, float], first: str) -> tuple[str, ...]:
+    """The 80 % credible set of the place that `first` has, without it, likeliest first."""
+    whole, total, found = sum(known.values()), known[first], []
+    for name in sorted(known, key=lambda n: -known[n]):
+        if total >= _SET * whole:
+            break
+        if name != first:
+            found.append(name)
+            total += known[name]
+    return tuple(found)
+
+
+def _gap_share(frame: Frame) -> float:
+    """Share of the squared gap, over ranges squared, that is no noise."""
+    energy, noise = _energies(frame.record)
+    return float(max(0.0, 1.0 - noise.sum() / max(energy.sum(), 1e-300)))
+
+
+def _energies(record: Record) -> tuple[FloatArray, FloatArray]:
+    """Squared gap and squared noise per output, each over ranges squared."""
+    scale = 1.0 / record.span**2
+    energy = (record.gap**2 * scale * record.known).sum(axis=(0, 1))
+    return energy, record.known.sum(axis=(0, 1)) * record.noise**2 * scale
+
+
+def _causes(
+    frame: Frame, singles: Sequence[Single], phases: Phases, known: dict[str, float]
+) -> tuple[Cause, ...]:
+    """Rows of the budget: effects, build, offsets, noise, unexplained."""
+    record = frame.record
+    split = budget_of(frame, singles, phases.index)
+    scale = 1.0 / record.span**2
+    one_hot = np.eye(len(phases.names))[np.maximum(phases.index, 0)] * (phases.index >= 0)[..., None]
+    whole = np.einsum("ftc,ftp->cp", record.gap**2 * record.known * scale, one_hot)
+    count = np.einsum("ftc,ftp->cp", record.known.astype(float), one_hot)
+    noise = np.minimum(count * (record.noise**2 * scale)[:, None], whole)
+    total = max(float(whole.sum()), 1e-300)
+    names = [*(one.name for one in singles), BUILD, OFFSETS]
+    rest = whole - split.shares.sum(axis=0) - noise
+    rows = [
+        (name, *(each / total for each in three))
+        for name, *three in zip(names, split.shares, split.first, split.last, strict=True)
+    ]
+    rows += [(NOISE, noise / total, noise / total, noise / total)]
+    rows += [(UNEXPLAINED, rest / total, rest / total, rest / total)]
+    outputs = record.flights.signals.outputs
+    return tuple(
+        Cause(
+            name,
+            float(share.sum()),
+            min(float(first.sum()), float(last.sum()), float(share.sum())),
+            max(float(first.sum()), float(last.sum()), float(share.sum())),
+            dict(zip(outputs, share.sum(axis=1).tolist(), strict=True)),
+            dict(zip(phases.names, share.sum(axis=0).tolist(), strict=True)),
+            known.get(name),
+            (name, *credible(known, name)) if name in known else (),
+        )
+        for name, share, first, last in rows
+    )
+
+
+def _weighed(
+    evidence: Evidence, joint: Joint, known: dict[str, float]
+) -> tuple[Weighed, ...]:
+    """Every effect; claimed ones by their joint fit, the others by their own."""
+    claimed = {node.name: k for k, node in enumerate(joint.nodes)}
+    rows = [_one(evidence, single, joint, claimed, known[single.name]) for single in evidence.singles]
+    names = tuple(claimed)
+    place = {name: k for k, name in enumerate(names)}
+    return tuple(sorted(rows, key=lambda row: (place.get(row.name, len(names)), -row.probability)))
+
+
+def _one(
+    evidence: Evidence, single: Single, joint: Joint, claimed: dict[str, int], chance: float
+) -> Weighed:
+    frame, grams = evidence.frame, evidence.frame.grams
+    before, name = frame.none.rss, single.name
+    units = len(before)
+    noise = grams.floor
+    held = [solve(grams, single.columns, u).rss[u] for u in range(units)] if units > 1 else []
+    none = [solve(grams, _nothing(frame), u).rss[u] for u in range(units)] if units > 1 else []
+    flights = tuple(
+        float((n - h) / max(n - f, 1e-9)) for n, h, f in zip(none, held, noise, strict=False)
+    )
+    gain = 1.0 - frame.energy(single.solved) / evidence.energy
+    if name in claimed:
+        k = claimed[name]
+        node, theta, spread = joint.nodes[k], joint.theta[k], joint.spread[k]
+    else:
+        node, theta = single.node, single.theta
+        spread = np.zeros(len(theta))
+        spread[list(node.free)] = np.sqrt(np.maximum(np.diag(single.solved.covariance), 0.0))
+    parameters = {
+        p.name: Interval(*interval(float(v), float(s), p.low, p.high))
+        for p, v, s in zip(node.parameters, theta, spread, strict=True)
+    }
+    return Weighed(
+        name,
+        chance,
+        parameters,
+        {p.name: p.unit for p in node.parameters},
+        float(gain),
+        flights,
+        None if name in claimed else _NAMEABLE * float(spread[0]),
+        (),
+        tuple(
+            f"{name}.{p.name}"
+            for p, v in zip(node.parameters, theta, strict=True)
+            if v in (p.low, p.high) and v != p.neutral
+        ),
+        tuple(other for other in claimed if other != name) if name in claimed else (),
+    )
+
+
+def _nothing(frame: Frame) -> Any:
+    from training.budget.quadratic import no_columns
+
+    return no_columns(frame.grams)
+
+
+def _facts(evidence: Evidence, layers: Sequence[Layer]) -> dict[str, Any]:
+    names = [one.name for one in evidence.singles]
+    more = candidate(evidence.setting, layers, evidence.energy) if layers else None
+    rows = [(one.name, one.ratio, one.share) for one in layers]
+    return {
+        "features": {n: row.tolist() for n, row in zip(names, evidence.effects, strict=True)},
+        "case_features": evidence.case.tolist(),
+        "layers": rows,
+        "next": None if more is None else (more.name, more.ratio, more.share),
+        "temper": evidence.frame.none.tau,
+        "nuisances": dict(_sizes(evidence.frame)),
+    }
+
+
+def _sizes(frame: Frame) -> list[tuple[str, float]]:
+    kinds, nu = np.array(frame.nuisances.kind), frame.none.nu
+    return [(k, float(np.abs(nu[kinds == k]).max())) for k in dict.fromkeys(kinds.tolist())]
