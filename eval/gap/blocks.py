@@ -18,13 +18,15 @@ _SILENT = 1e-5  # of a channel's range: logs that agree to the digit have no les
 _TRIMMED = 90.0  # percentile of the second differences that counts where their median is none
 
 
-def batch(pairs: Sequence[Pair], rate_hz: float = RATE_HZ) -> GapData:
+def batch(
+    pairs: Sequence[Pair], rate_hz: float = RATE_HZ, keep_hz: float = KEEP_HZ
+) -> GapData:
     """Put all pairs on one raster of about `rate_hz`, by means over whole blocks of samples.
 
-    Logs of up to 12 Hz keep their own. Means do not shift recorded against simulated, and white
+    Logs of up to `keep_hz` keep their own. Means do not shift recorded against simulated, and white
     noise falls with the root of the block. A block is known where at least half of it is.
     """
-    size = block_size(pairs[0].dt_s, rate_hz)
+    size = block_size(pairs[0].dt_s, rate_hz, keep_hz)
     inputs, outputs = tuple(pairs[0].inputs), tuple(pairs[0].sim)
     u = [_blocks(pair.inputs, inputs, size) for pair in pairs]
     y = [_blocks(pair.sim, outputs, size) for pair in pairs]
@@ -43,9 +45,9 @@ def batch(pairs: Sequence[Pair], rate_hz: float = RATE_HZ) -> GapData:
     return GapData(flights, measured, noise, tuple(pair.name for pair in pairs))
 
 
-def block_size(dt_s: float, rate_hz: float = RATE_HZ) -> int:
+def block_size(dt_s: float, rate_hz: float = RATE_HZ, keep_hz: float = KEEP_HZ) -> int:
     """Samples in a block."""
-    return 1 if 1.0 / dt_s <= KEEP_HZ else max(1, round(1.0 / (dt_s * rate_hz)))
+    return 1 if 1.0 / dt_s <= keep_hz else max(1, round(1.0 / (dt_s * rate_hz)))
 
 
 def block_means(values: FloatArray, size: int) -> FloatArray:

@@ -2,26 +2,210 @@
 
 from __future__ import annotations
 
+import json
+import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
-from eval.gap.blocks import batch, block_size
 from eval.gap.bins import MOVES, sort_samples
+from eval.gap.blocks import batch, block_size
+from eval.gap.cautions import cautions
+from eval.gap.claimed import with_effects
 from eval.gap.data import GapData, Pair
+from eval.gap.document import document
+from eval.gap.evidence import Evidence
 from eval.gap.excitation import check_excitation, events_of
+from eval.gap.expected import expected, seen, unseen
+from eval.gap.held_flights import in_terms_of
+from eval.gap.pairs import check_apart, read_pairs
+from eval.gap.realised import channel_shrink, held_out, time_shrink
 from eval.gap.rerun import Rerun
-from eval.gap.simulators import Simulate
-from narxcal.support.arrays import IntArray
-from training.budget.diagnosis import Phases, concluded, weigh, Evidence
+from eval.gap.simulators import Simulate, open_simulator
+from eval.gap.stored_emulator import signals_to_json
+from eval.gap.where import locate
+from narxcal.effects.running import Emulator, Flights
+from narxcal.support.errors import DataError
+from narxcal.support.files import versions
+from training.budget.control import suited
+from training.budget.diagnosis import Engines, Phases, diagnose
+from training.budget.discrepancy import Discrepancy, read
 from training.budget.metric import Record
-from training.budget.odds import Odds, load
+from training.budget.odds import Odds
 from training.budget.result import Budget
+from training.gap import finding as old
 from training.gap.emulator import GreyBoxEmulator, fit_emulators
 
+SCHEMA: Final = "narxcal.gap/2"
+LEARNED: Final = "discrepancy.json"  # in a run folder
 RATE_HZ = 4.0
+KEEP_HZ = 5.0  # slower logs are taken as they are
 _BLOCK_S, _MOST = 300.0, 6  # of a flight, where fewer than three stand for themselves
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The document of schema narxcal.gap/2, the budget it tells of, and what both rest on."""
+
+    document: dict[str, Any]
+    budget: Budget
+    evidence: Evidence
+    emulator: GreyBoxEmulator
+
+
+def diagnose_folders(request: Any, watch: Any = None) -> Answer:
+    """Read the logs of a `Request` and diagnose; raises as `eval.gap.diagnose`."""
+    began = time.perf_counter()
+    simulator = open_simulator(request.sim, trust=request.trust)
+    pairs = read_pairs(request.real, simulator.how, request.config)
+    held: list[Pair] = []
+    if request.held_real is not None:
+        source = request.sim if request.held_sim is None else request.held_sim
+        other = open_simulator(source, trust=request.trust)
+        if request.held_sim is None and isinstance(other.how, Path):
+            raise DataError(
+                "held-out flights need their simulated logs", hint="Name them by --heldout-sim"
+            )
+        held = read_pairs(request.held_real, other.how, request.config)
+    check_apart(pairs, held)
+    again = None if isinstance(simulator.how, Path) else simulator.how
+    answer = diagnose_pairs(pairs, held, again, learned_by(request.sim))
+    facts = {"simulator": simulator.kind, "wall_s": round(time.perf_counter() - began, 1)}
+    quality = {**facts, **answer.document["quality"]}
+    return replace(answer, document={**answer.document, "quality": quality})
+
+
+def learned_by(source: str) -> Discrepancy | None:
+    """What a run folder knows of its own errors; None where it knows nothing."""
+    file = Path(source or "nothing") / LEARNED
+    return read(json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else None
+
+
+def diagnose_pairs(
+    pairs: Sequence[Pair],
+    held: Sequence[Pair] = (),
+    again: Simulate | None = None,
+    learned: Discrepancy | None = None,
+    odds: Odds | None = None,
+) -> Answer:
+    """Diagnose pairs that are already read; `held` are flights that take no part."""
+    data = batched(pairs)
+    check_excitation(data, events_of(data))
+    record = record_of(data)
+    emulator = suited(fit_emulators(data.flights), record)
+    itself = None if again is None else Rerun(emulator, again, _block(pairs))
+    found = diagnose(record, Engines(emulator, itself), phases_of(data), learned, odds)
+    stand_in: Emulator = itself or emulator
+    evidence = _evidence(data, found, emulator, stand_in)
+    if held:
+        evidence = _with_held_out(evidence, found, in_terms_of(data, batched(held)), stand_in)
+    facts = _facts(pairs, data, held, found)
+    evidence = replace(evidence, facts=facts)
+    told = document(evidence) | {
+        "schema": SCHEMA,
+        "verdict": found.verdict_row(),
+        "budget": found.rows(),
+        "effects": found.effect_rows(),
+    }
+    return Answer(told, found, evidence, emulator)
+
+
+def batched(pairs: Sequence[Pair]) -> GapData:
+    """All pairs on one raster of about 4 Hz."""
+    return batch(pairs, RATE_HZ, KEEP_HZ)
+
+
+def _block(pairs: Sequence[Pair]) -> int:
+    return block_size(pairs[0].dt_s, RATE_HZ, KEEP_HZ)
+
+
+def _evidence(
+    data: GapData, found: Budget, emulator: GreyBoxEmulator, stand_in: Emulator
+) -> Evidence:
+    values = found.claimed
+    after = with_effects(values, data.flights, stand_in)
+    none = old.Interval(0.0, 0.0, 0.0)
+    predicted = expected(seen(data, after, found.by_others)) if values else none
+    errors = dict(
+        zip(data.flights.signals.outputs, emulator.errors(data.flights).tolist(), strict=True)
+    )
+    channels = channel_shrink(data, after)
+    verdict = found.verdict
+    finding = old.Finding(
+        verdict.kind,
+        verdict.effects,
+        verdict.ambiguous_with,
+        verdict.reason,
+        verdict.separating_manoeuvre,
+        tuple(_tried(found)),
+        predicted,
+        channels,
+        found.gap_share,
+        next(one.share for one in found.causes if one.cause == "unexplained"),
+        0.0,
+        errors,
+        by_others=found.by_others,
+    )
+    where = locate(data, after - data.flights.y)
+    times = time_shrink(data, after, where.events)
+    return Evidence(data, finding, where, after, times, predicted, channels)
+
+
+def _tried(found: Budget) -> list[old.Tried]:
+    """Effects in the form of the page that is to be written anew."""
+    return [
+        old.Tried(
+            (one.name,),
+            "",
+            one.gain,
+            one.flights,
+            one.probability,
+            {
+                one.name: {
+                    key: old.Interval(each.value, each.low, each.high)
+                    for key, each in one.parameters.items()
+                }
+            },
+            {one.name: dict(one.units)},
+            one.at_bound,
+        )
+        for one in found.effects
+    ]
+
+
+def _with_held_out(
+    evidence: Evidence, found: Budget, data: GapData, stand_in: Emulator
+) -> Evidence:
+    there = held_out(found.claimed, data, stand_in)
+    evidence = replace(
+        evidence, held_out=there, times=time_shrink(data, there.after, events_of(data))
+    )
+    if not found.claimed:
+        return evidence
+    here = seen(evidence.data, evidence.after, found.by_others)
+    return replace(evidence, predicted=expected(here, unseen(data, there.after)))
+
+
+def _facts(
+    pairs: Sequence[Pair], data: GapData, held: Sequence[Pair], found: Budget
+) -> dict[str, Any]:
+    return {
+        "flights": [pair.name for pair in pairs],
+        "held_out": [pair.name for pair in held],
+        "duration_s": round(sum(len(pair.time_s) * pair.dt_s for pair in pairs), 6),
+        "rate_hz": round(1.0 / pairs[0].dt_s, 6),
+        "worked_at_hz": round(1.0 / data.flights.signals.dt_s, 6),
+        "driver": data.flights.signals.driver,
+        "noise": dict(zip(data.flights.signals.outputs, data.noise.tolist(), strict=True)),
+        "changed": {pair.name: dict(pair.counts) for pair in pairs if pair.counts},
+        "warnings": cautions(pairs, data),
+        "signals": signals_to_json(data.flights.signals),
+        "versions": versions(),
+        "core": dict(found.facts),
+    }
 
 
 def record_of(data: GapData) -> Record:
@@ -36,7 +220,19 @@ def record_of(data: GapData) -> Record:
             parts = int(np.clip(length * flights.signals.dt_s / _BLOCK_S, 2, _MOST))
         unit[f, :length] = start + np.arange(length) * parts // length
         start += parts
-    return Record(flights, data.real, data.noise, unit)
+    return Record(flights, data.real, data.noise, unit, _groups(flights))
+
+
+def _groups(flights: Flights) -> tuple[int, ...]:
+    """Which logs are of one flight, and so of several engines: those flown alike."""
+    signals = flights.signals
+    if "ALT_ft" not in signals.active:
+        return tuple(range(len(flights.u)))
+    flown = flights.u[..., signals.u("ALT_ft")]
+    return tuple(
+        next(g for g in range(f + 1) if np.array_equal(flown[g], flown[f]))
+        for f in range(len(flown))
+    )
 
 
 def phases_of(data: GapData) -> Phases:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 
-from narxcal.effects.base import InputEffect, Parameter, Run, ShiftEffect, Side
-from narxcal.effects.memory import Delay, Play, RateLimit
+from narxcal.effects.base import InputEffect, Parameter, Run, ShiftEffect, Side, Signals
+from narxcal.effects.memory import Delay, Play, RateLimit, SmoothDelay
 from narxcal.support.arrays import FloatArray
 
 LONGEST_S = 2.0
@@ -49,13 +50,23 @@ class ThrottleBacklash(_Lever):
 
 
 class ThrottleDelay(_Lever, ShiftEffect):
-    """Transport delay between lever and control, any length: straight lines between samples."""
+    """Transport delay between lever and control, of any length.
+
+    Where fuel is the driver it may be negative: a meter that is late makes the engine early.
+    """
 
     id: ClassVar[str] = "throttle_delay"
     family: ClassVar[str] = "initiation"
     meaning: ClassVar[str] = "transport delay between throttle and control"
     manoeuvre: ClassVar[str] = "fast steps recorded at 4 Hz or more, on all channels"
     fixed = (Parameter("delay_s", "s", 0.0, LONGEST_S, 0.0, (0.1, 0.3, 0.8)),)
+
+    def parameters(self, signals: Signals) -> tuple[Parameter, ...]:
+        """The delay, of both signs where fuel is the driver."""
+        if signals.governed:
+            return self.fixed
+        starts = (-0.3, -0.1, *self.fixed[0].starts)
+        return (replace(self.fixed[0], low=-LONGEST_S, starts=starts),)
 
     def arrived(self, run: Run, lever: FloatArray) -> FloatArray:
         """Where the lever was `delay_s` ago."""
@@ -65,7 +76,7 @@ class ThrottleDelay(_Lever, ShiftEffect):
     def on_log(self, run: Run, y: FloatArray) -> FloatArray:
         """What the outputs were `delay_s` ago; conditions change little meanwhile."""
         columns = [
-            run.memory.setdefault(f"delay {j}", Delay(run.theta[:, 0], run.signals.dt_s))(y[..., j])
+            run.memory.setdefault(f"delay {j}", SmoothDelay(run.theta[:, 0], run.signals.dt_s))(y[..., j])
             for j in range(y.shape[-1])
         ]
         return np.stack(columns, axis=-1)

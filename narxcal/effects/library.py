@@ -72,10 +72,15 @@ def candidates(signals: Signals) -> tuple[Effect, ...]:
 
 
 def hypotheses(signals: Signals) -> tuple[Effect, ...]:
-    """Every effect that a budget weighs: candidates and scales, a flow meter's lag once."""
+    """Every effect that a budget weighs: candidates and scales, a flow meter's lag once.
+
+    Where fuel is the driver there is no lever, and no control that limits anything.
+    """
     scales = [DriverGain(), *(SensorGain(channel) for channel in signals.outputs)]
-    once = [each for each in candidates(signals) if each.name != "sensor_lag:FF_kgph"]
-    return tuple(each for each in (*once, *scales) if each.id != UnloggedSwitch.id)
+    lever = (ThrottleBacklash, ThrottleRateLimit, ThrottleBias, AccelLimit)
+    left_out = (UnloggedSwitch, *(() if signals.governed else lever))
+    every = [each for each in (*candidates(signals), *scales) if not isinstance(each, left_out)]
+    return tuple(each for each in every if each.name != "sensor_lag:FF_kgph")
 
 
 def effect(name: str) -> Effect:

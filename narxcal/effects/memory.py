@@ -90,14 +90,17 @@ class SmoothLag(_Recursion):
 
 
 class Delay:
-    """The input `delay_s` ago, on straight lines between samples."""
+    """The input `delay_s` ago, on straight lines between samples.
+
+    A negative delay looks ahead: in one block for the whole log, its last sample goes on.
+    """
 
     reach: ClassVar[int] = 1  # samples before the delayed one that are looked at
 
     def __init__(self, delay_s: FloatArray, dt_s: float) -> None:
         self._whole = np.floor(delay_s / dt_s).astype(int)
         self._part = (delay_s / dt_s - self._whole)[:, None]
-        self._longest = int(self._whole.max()) + self.reach
+        self._longest = max(int(self._whole.max()), 0) + self.reach
         self._past: FloatArray | None = None
 
     def __call__(self, value: FloatArray) -> FloatArray:
@@ -107,7 +110,10 @@ class Delay:
         known = np.concatenate([self._past, value], axis=1)
         self._past = known[:, -self._longest :]
         at = self._longest + np.arange(value.shape[1]) - self._whole[:, None]
-        samples = [np.take_along_axis(known, at - k, 1) for k in range(self.reach + 1)]
+        last = known.shape[1] - 1
+        samples = [
+            np.take_along_axis(known, np.minimum(at - k, last), 1) for k in range(self.reach + 1)
+        ]
         return self._between(samples, self._part)
 
     def _between(self, samples: Sequence[FloatArray], part: FloatArray) -> FloatArray:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy.special import softmax
 
 from narxcal.effects.library import LIBRARY, hypotheses
 from narxcal.effects.running import Emulator
 from narxcal.support.arrays import FloatArray, IntArray
 from training.budget.dictionary import Dictionary
+from training.budget.discrepancy import Discrepancy
 from training.budget.fitting import Frame, Single
 from training.budget.joint import Joint, budget_of, by_others, interval, together
-from training.budget.layers import Layer, Setting, candidate, further
+from training.budget.layers import EVIDENCE, PER_PARAMETER, Layer, Setting, candidate, further
 from training.budget.metric import Metric, Record, assumed_variance
 from training.budget.nuisances import nuisances
 from training.budget.odds import Odds, load
@@ -61,22 +63,39 @@ class Evidence:
         return self.frame.energy(self.frame.none)
 
 
-def weigh(record: Record, emulator: Emulator | None, probe_s: float = 1.0) -> Evidence:
-    """Fit every effect by itself, beside what builds and flights differ by."""
-    noise = nuisances(record, emulator, probe_s)
-    dictionary = Dictionary(hypotheses(record.flights.signals), record.flights, emulator)
-    variance = assumed_variance(record)
-    frame = Frame(record, Metric(record, variance), record.gap, noise)
+class Engines(NamedTuple):
+    """What answers for the simulator: an emulator, and itself where it can be run again."""
+
+    emulator: Emulator | None
+    itself: Emulator | None = None
+
+
+def weigh(
+    record: Record, engines: Engines, learned: Discrepancy | None = None, probe_s: float = 1.0
+) -> Evidence:
+    """Fit every effect by itself, beside what builds and flights differ by, or what was learned."""
+    flights = record.flights
+    dictionary = Dictionary(hypotheses(flights.signals), flights, *engines)
+    if learned is None:
+        noise, variance = nuisances(record, engines.emulator, probe_s), assumed_variance(record)
+    else:
+        noise, variance = learned.nuisances(record, record.group), learned.variance(record)
+    metric = Metric(record, variance)
+    frame = Frame(record, metric, record.gap, noise, assumed=learned is None)
     singles = [frame.refined(frame.fit(nodes), dictionary) for nodes in dictionary.nodes.values()]
     effects, case = _features(frame, singles)
     return Evidence(
-        frame, tuple(singles), effects, case, Setting(record, variance, noise, dictionary)
+        frame,
+        tuple(singles),
+        effects,
+        case,
+        Setting(record, variance, noise, dictionary, learned),
     )
 
 
 def _features(frame: Frame, singles: Sequence[Single]) -> tuple[FloatArray, FloatArray]:
     """Features (effects, ...) and those of the case, in the order of `odds`."""
-    before, floor, bare = frame.energy(frame.none), frame.floor, frame.bare()
+    before, floor, bare = frame.energy(frame.none), max(frame.floor, 1.0), frame.bare()
     without = bare.energy(bare.none)
     rows = []
     for one in singles:
@@ -101,31 +120,28 @@ def _features(frame: Frame, singles: Sequence[Single]) -> tuple[FloatArray, Floa
 
 def diagnose(
     record: Record,
-    emulator: Emulator | None,
+    engines: Engines,
     phases: Phases,
+    learned: Discrepancy | None = None,
     odds: Odds | None = None,
-    probe_s: float = 1.0,
 ) -> Budget:
-    """Say which effects act in recorded flights, and what share of the gap each cause takes."""
-    evidence = weigh(record, emulator, probe_s)
+    """Say which effects act in recorded flights, and what share of the gap each cause takes.
+
+    `learned` is what the simulator gets wrong by itself, where that is known.
+    """
+    evidence = weigh(record, engines, learned)
     return concluded(evidence, phases, odds or load())
 
 
 def concluded(evidence: Evidence, phases: Phases, odds: Odds) -> Budget:
     """The budget that follows from the evidence."""
     frame, singles = evidence.frame, evidence.singles
-    chances = odds.probabilities(evidence.effects, evidence.case)
-    none, unknown = float(chances[-2]), float(chances[-1])
-    if evidence.energy < _NOTHING * frame.floor:
-        chances = np.zeros_like(chances)
-        none, unknown = 1.0, 0.0
-    order = np.argsort(-chances[:-2], kind="stable")
-    layers: list[Layer] = []
-    names = [one.name for one in singles]
-    known = {name: float(p) for name, p in zip(names, chances[:-2], strict=True)}
-    if none < 1.0:
-        layers = further(evidence.setting, singles[order[0]], evidence.energy)
-    verdict = _verdict(known, none, unknown, layers)
+    if evidence.setting.learned is None:
+        known, none, unknown, layers = _assumed(evidence, odds)
+        verdict = _verdict(known, none, unknown, layers)
+    else:
+        known, none, layers = _learned(evidence)
+        unknown, verdict = 0.0, _found(layers)
     claimed = [one.single for one in layers if one.name in verdict.effects]
     joint = together(frame, claimed)
     return Budget(
@@ -138,6 +154,49 @@ def concluded(evidence: Evidence, phases: Phases, odds: Odds) -> Budget:
         _facts(evidence, layers),
         by_others(joint),
     )
+
+
+def _assumed(
+    evidence: Evidence, odds: Odds
+) -> tuple[dict[str, float], float, float, list[Layer]]:
+    """Probabilities of effects, of none and of unknown by the logit, and layers on the likeliest."""
+    chances = odds.probabilities(evidence.effects, evidence.case)
+    if evidence.energy < _NOTHING * evidence.frame.floor:
+        chances = np.zeros_like(chances)
+        chances[-2] = 1.0
+    names = [one.name for one in evidence.singles]
+    known = {name: float(p) for name, p in zip(names, chances[:-2], strict=True)}
+    none, unknown = float(chances[-2]), float(chances[-1])
+    if none == 1.0:
+        return known, none, unknown, []
+    first = Layer(evidence.singles[int(np.argmax(chances[:-2]))], 0.0, 0.0, ())
+    return known, none, unknown, further(evidence.setting, first, evidence.energy)
+
+
+def _learned(evidence: Evidence) -> tuple[dict[str, float], float, list[Layer]]:
+    """Layers by evidence; an effect's probability is that of its place, against none."""
+    layers = further(evidence.setting, None, evidence.energy)
+    more = candidate(evidence.setting, layers, evidence.energy)
+    known = {one.name: 0.0 for one in evidence.singles}
+    none = 1.0
+    for place in (*layers, *(() if more is None else (more,))):
+        names, scores = zip(*place.rivals, strict=True)
+        chances = softmax(0.5 * np.array([*scores, EVIDENCE]))
+        none *= float(chances[-1])
+        for name, chance in zip(names, chances, strict=False):
+            known[name] = max(known[name], float(chance))
+    return known, none, layers
+
+
+def _found(layers: Sequence[Layer]) -> Verdict:
+    """Every layer is named; what is nearly as likely in a layer's place is named with it."""
+    if not layers:
+        return Verdict("none", (), (), "nothing acts beyond what this simulator gets wrong by itself")
+    effects = tuple(one.name for one in layers)
+    rivals = [n for one in layers for n, score in one.rivals if score > one.ratio - PER_PARAMETER]
+    alike = tuple(dict.fromkeys(name for name in rivals if name not in effects))
+    manoeuvre = LIBRARY[effects[0].partition(":")[0]].manoeuvre
+    return Verdict("ambiguous" if alike else "effects", effects, alike, "", manoeuvre)
 
 
 def _verdict(

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from narxcal.effects.base import Effect, Parameter
+from narxcal.effects.base import Effect, InputEffect, Parameter
 from narxcal.effects.running import Emulator, Flights, respond
 from narxcal.support.arrays import FloatArray
 
@@ -56,9 +56,13 @@ class Dictionary:
     """All nodes of all effects: `nodes` maps an effect's name to its own."""
 
     def __init__(
-        self, effects: Sequence[Effect], flights: Flights, emulator: Emulator | None
+        self,
+        effects: Sequence[Effect],
+        flights: Flights,
+        emulator: Emulator | None,
+        itself: Emulator | None = None,
     ) -> None:
-        self._flights, self._emulator = flights, emulator
+        self._flights, self._emulator, self._itself = flights, emulator, itself
         self.nodes: dict[str, list[Node]] = {}
         for effect in effects:
             parameters = effect.parameters(flights.signals)
@@ -93,11 +97,13 @@ class Dictionary:
         return nodes
 
     def _responses(self, effect: Effect, thetas: FloatArray) -> FloatArray:
-        y = self._flights.y
+        y, emulator = self._flights.y, self._emulator
+        if self._itself is not None and isinstance(effect, InputEffect):
+            emulator = self._itself
         found = np.empty((len(thetas), *y.shape))
         for k in range(0, len(thetas), 8):
             part = thetas[k : k + 8]
-            found[k : k + 8] = respond([(effect, part)], self._flights, self._emulator) - y
+            found[k : k + 8] = respond([(effect, part)], self._flights, emulator) - y
         return np.where(np.isfinite(found), found, 1e6)
 
 

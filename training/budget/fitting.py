@@ -44,13 +44,22 @@ class Single:
 class Frame:
     """One metric and one gap: fits effects there, with the nuisances."""
 
-    def __init__(self, record: Record, metric: Metric, gap: FloatArray, noise: Nuisances) -> None:
+    def __init__(
+        self,
+        record: Record,
+        metric: Metric,
+        gap: FloatArray,
+        noise: Nuisances,
+        *,
+        assumed: bool = True,
+    ) -> None:
         self.record, self.nuisances, self.gap = record, noise, gap
         self._metric = metric
         self._n = metric.whiten(noise.columns)
         self._d = metric.whiten(gap[None])
         level = np.broadcast_to(record.noise, gap.shape)[None]
-        floor = metric.gram(metric.whiten(level), metric.whiten(level))[:, 0, 0]
+        # What was learned is the floor itself.
+        floor = float(assumed) * metric.gram(metric.whiten(level), metric.whiten(level))[:, 0, 0]
         self.grams = Grams(
             metric.gram(self._n, self._n),
             metric.gram(self._n, self._d)[..., 0],

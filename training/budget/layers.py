@@ -16,6 +16,7 @@ from scipy.ndimage import uniform_filter1d
 
 from narxcal.support.arrays import FloatArray
 from training.budget.dictionary import Dictionary
+from training.budget.discrepancy import Discrepancy, activities
 from training.budget.fitting import Frame, Single
 from training.budget.metric import Metric, Record
 from training.budget.nuisances import Nuisances
@@ -24,6 +25,8 @@ FORM: Final = 0.3  # share by which the form of a response is wrong
 _FORM_S: Final = 4.0
 MOST: Final = 4
 _ENTERS: Final = 0.42  # log ratio of what is left, where form error counts
+EVIDENCE: Final = 8.0  # that a layer has, where it was learned what chance has
+PER_PARAMETER: Final = 6.0
 _SHARE: Final = 0.005  # of the first energy
 
 
@@ -54,24 +57,47 @@ class Setting:
     variance: Sequence[FloatArray]
     nuisances: Nuisances
     dictionary: Dictionary
+    learned: Discrepancy | None = None
 
     def beside(self, others: Sequence[Single]) -> Frame:
         """The frame of what `others` leave, their form error counted as variance."""
-        gap = self.record.gap - sum((one.response for one in others), np.zeros_like(self.record.gap))
-        size = max(1, round(_FORM_S / self.record.flights.signals.dt_s))
-        variance = self.variance[0]
+        gap, variance = self.record.gap, list(self.variance)
         for one in others:
-            square = uniform_filter1d(one.response**2, size, axis=1, mode="nearest")
-            variance = variance + FORM**2 * square
-        return Frame(self.record, Metric(self.record, [variance]), gap, self.nuisances)
+            response = one.response
+            gap = gap - response
+            for b, square in enumerate(self._squares(response)):
+                variance[b] = variance[b] + FORM**2 * square
+        metric = Metric(self.record, variance)
+        return Frame(self.record, metric, gap, self.nuisances, assumed=self.learned is None)
+
+    def _squares(self, response: FloatArray) -> list[FloatArray]:
+        """Mean squares of a response per band, over about four seconds or the band's own time."""
+        if self.learned is not None:
+            return activities(response)
+        size = max(1, round(_FORM_S / self.record.flights.signals.dt_s))
+        return [uniform_filter1d(response**2, size, axis=1, mode="nearest")]
+
+    def score(self, frame: Frame, one: Single) -> float:
+        """What an effect's place is worth: evidence where it was learned what none would gain."""
+        if self.learned is None:
+            return float(np.log(frame.energy(frame.none) / frame.energy(one.solved)))
+        gain = (frame.none.cost - one.solved.cost) / one.solved.tau
+        size = self.learned.spread(one.name)
+        return gain / size - PER_PARAMETER * (len(one.node.parameters) - 1)
+
+    def enters(self, layer: Layer) -> bool:
+        """Whether a layer is evidence enough, and no trifle."""
+        if self.learned is not None:
+            return layer.ratio >= EVIDENCE
+        return layer.ratio > _ENTERS and layer.share > _SHARE
 
 
-def further(setting: Setting, first: Single, energy: float) -> list[Layer]:
-    """Layers from the `first` effect on; `energy` is that of the whole gap."""
-    layers = [Layer(first, 0.0, 0.0, ())]
+def further(setting: Setting, first: Layer | None, energy: float) -> list[Layer]:
+    """Layers from the `first` one on; `energy` is that of the whole gap."""
+    layers = [] if first is None else [first]
     while len(layers) < MOST:
         found = _best(setting, [one.single for one in layers], energy)
-        if found is None or found.ratio <= _ENTERS or found.share <= _SHARE:
+        if found is None or not setting.enters(found):
             break
         layers.append(found)
         layers = _anew(setting, layers, energy)
@@ -97,12 +123,14 @@ def _best(setting: Setting, others: Sequence[Single], energy: float) -> Layer | 
     """The effect that takes most of what `others` leave."""
     frame = setting.beside(others)
     names = {one.name for one in others}
-    before = frame.energy(frame.none)
     tried = [frame.fit(nodes) for name, nodes in setting.dictionary.nodes.items() if name not in names]
     tried.sort(key=lambda one: one.solved.cost)
     tried[:3] = [frame.refined(one, setting.dictionary, 1) for one in tried[:3]]
-    scored = [(float(np.log(before / frame.energy(one.solved))), one) for one in tried]
-    scored.sort(key=lambda pair: -pair[0] * frame.explained(pair[1]))
+    scored = [(setting.score(frame, one), one) for one in tried]
+    if setting.learned is None:
+        scored.sort(key=lambda pair: -pair[0] * frame.explained(pair[1]))
+    else:
+        scored.sort(key=lambda pair: -pair[0])
     if not scored:
         return None
     ratio, best = scored[0]

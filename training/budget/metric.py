@@ -30,13 +30,15 @@ class Record:
     """Flights with what was recorded, (flights, time, outputs), NaN where unknown.
 
     `noise` (outputs,) is its standard deviation on the raster; `unit` (flights, time) the number
-    of the unit that each sample belongs to, -1 beyond a flight's end.
+    of the unit that each sample belongs to, -1 beyond a flight's end; `group` (flights,) says which
+    logs are of engines of one flight.
     """
 
     flights: Flights
     real: FloatArray
     noise: FloatArray
     unit: IntArray
+    group: tuple[int, ...] = ()
 
     @property
     def known(self) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
@@ -88,6 +90,13 @@ class Metric:
         ends = np.searchsorted(unit[self._order], np.arange(record.units + 1))
         self.slices = tuple(slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True))
         self._known = known
+        cell = np.concatenate(
+            [(np.zeros(r.shape, dtype=int) + np.arange(r.shape[2]) + b * r.shape[2]).reshape(-1) for b, r in enumerate(roots)]
+        )
+        flight = np.concatenate(
+            [(np.zeros(r.shape, dtype=int) + np.arange(len(r))[:, None, None]).reshape(-1) for r in roots]
+        )
+        self.cell, self.flight = cell[self._order], flight[self._order]
 
     def whiten(self, v: FloatArray) -> FloatArray:
         """Whitened columns (n, m) of vectors `v` (n, flights, time, outputs)."""
