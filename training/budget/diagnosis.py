@@ -79,7 +79,7 @@ def weigh(
     if learned is None:
         noise, variance = nuisances(record, engines.emulator, probe_s), assumed_variance(record)
     else:
-        noise, variance = learned.nuisances(record, record.group), learned.variance(record)
+        noise, variance = learned.nuisances(record), learned.variance(record)
     metric = Metric(record, variance)
     frame = Frame(record, metric, record.gap, noise, assumed=learned is None)
     singles = [frame.refined(frame.fit(nodes), dictionary) for nodes in dictionary.nodes.values()]
@@ -108,7 +108,7 @@ def _features(frame: Frame, singles: Sequence[Single]) -> tuple[FloatArray, Floa
                 np.log(without / bare.energy(alone)),
                 np.log(before / frame.energy(one.solved)),
                 frame.explained(one),
-                len(one.solved.x) / 5.0,
+                max(1, sum(p.linear for p in one.node.parameters)) / 5.0,
                 np.log10(max(gain, 0.0) / floor + 0.01),
                 np.log10(size + 1e-5),
             )
@@ -160,11 +160,11 @@ def _assumed(
     evidence: Evidence, odds: Odds
 ) -> tuple[dict[str, float], float, float, list[Layer]]:
     """Probabilities of effects, of none and of unknown by the logit, and layers on the likeliest."""
-    chances = odds.probabilities(evidence.effects, evidence.case)
+    names = [one.name for one in evidence.singles]
+    chances = odds.probabilities(names, evidence.effects, evidence.case)
     if evidence.energy < _NOTHING * evidence.frame.floor:
         chances = np.zeros_like(chances)
         chances[-2] = 1.0
-    names = [one.name for one in evidence.singles]
     known = {name: float(p) for name, p in zip(names, chances[:-2], strict=True)}
     none, unknown = float(chances[-2]), float(chances[-1])
     if none == 1.0:

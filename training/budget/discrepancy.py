@@ -14,7 +14,7 @@ that seem to act in all of them are the simulator's own error.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -23,6 +23,7 @@ from scipy.optimize import minimize
 
 from narxcal.support.arrays import FloatArray
 from training.budget.dictionary import Dictionary, Node
+from training.budget.fitting import Frame
 from training.budget.metric import BLOCK, Metric, Record, bands_of
 from training.budget.nuisances import BUILD, OFFSET, Nuisances
 
@@ -43,7 +44,7 @@ class Discrepancy:
     `noise` holds A and K per band, `tau` the overdispersion per band; `basis` the coefficients of
     the orthonormal polynomials of power, (terms, terms); `common` and `own` their standard
     deviations between flights and between engines; `natural` what every effect gained, summed over
-    the flights.
+    the `logs` and divided by the `overdispersion` that all have in common.
     """
 
     flights: int
@@ -53,6 +54,7 @@ class Discrepancy:
     common: Mapping[str, tuple[float, ...]]
     own: Mapping[str, tuple[float, ...]]
     natural: Mapping[str, float]
+    logs: int = 1
     overdispersion: float = 1.0
 
     def variance(self, record: Record) -> list[FloatArray]:
@@ -68,8 +70,9 @@ class Discrepancy:
             found.append(np.stack(rows, axis=-1))
         return found
 
-    def nuisances(self, record: Record, group: Sequence[int]) -> Nuisances:
-        """Maps of each flight and of each log of it; `group` says which logs are one flight's."""
+    def nuisances(self, record: Record) -> Nuisances:
+        """Maps of each flight and of each log of it, Gaussian and not bounded."""
+        group = record.group
         flights, outputs = record.flights, record.flights.signals.outputs
         powers = _polynomials(record, np.array(self.basis))
         columns, kinds = [], []
@@ -87,8 +90,12 @@ class Discrepancy:
         return Nuisances(np.stack(columns), tuple(kinds), ("",) * len(columns), limit)
 
     def spread(self, name: str) -> float:
-        """How much more than chance an effect gains on flights in which nothing acts."""
-        return max(1.0, (1.0 + self.natural.get(name, 0.0)) / (1.0 + self.flights))
+        """How much more than chance an effect gains on flights in which nothing acts.
+
+        A further flight differs from n by 1 + 1 / n times the variance that these showed.
+        """
+        own = max(1.0, (1.0 + self.natural.get(name, 0.0)) / (1.0 + self.logs))
+        return own * (1.0 + 1.0 / self.flights)
 
     def document(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -101,6 +108,7 @@ class Discrepancy:
             "common": {name: list(rows) for name, rows in self.common.items()},
             "own": {name: list(rows) for name, rows in self.own.items()},
             "natural": dict(self.natural),
+            "logs": self.logs,
             "overdispersion": self.overdispersion,
         }
 
@@ -116,12 +124,64 @@ def read(found: Mapping[str, Any]) -> Discrepancy:
             for key in ("tau", "common", "own")
         ),
         dict(found["natural"]),
+        int(found["logs"]),
         float(found["overdispersion"]),
     )
 
 
-def learn(record: Record, group: Sequence[int], dictionary: Dictionary) -> Discrepancy:
-    """Learn from flights that the simulator was not identified on."""
+def learn(record: Record, dictionary: Dictionary) -> Discrepancy:
+    """Learn from flights that the simulator was not identified on.
+
+    What each effect gains by itself is found on every log with what the other logs taught; one log
+    alone is judged by what it taught itself, and everything counts for a twelfth.
+    """
+    nodes = dictionary.nodes
+    found = _once(record, nodes)
+    rows = range(len(record.real))
+    if len(rows) < 2:
+        return replace(found, overdispersion=_FEW)
+    gains = [_gains(record, nodes, f) for f in rows]
+    natural = {name: float(sum(each[name] for each in gains)) for name in nodes}
+    mean = float(np.mean([natural[name] for name in nodes if _moves(name)])) / len(rows)
+    dispersion = max(1.0, mean)
+    natural = {name: gain / dispersion for name, gain in natural.items()}
+    return replace(found, natural=natural, logs=len(rows), overdispersion=dispersion)
+
+
+def _gains(record: Record, nodes: Mapping[str, list[Node]], f: int) -> dict[str, float]:
+    """What each effect gains on log f by what the others taught, per linear parameter."""
+    others = [k for k in range(len(record.real)) if k != f]
+    taught = _once(_some(record, others), {n: _of(each, others) for n, each in nodes.items()})
+    one = _some(record, [f])
+    noise, metric = taught.nuisances(one), Metric(one, taught.variance(one))
+    frame = Frame(one, metric, one.gap, noise, assumed=False)
+    found = {}
+    for name, each in nodes.items():
+        best = frame.fit(_of(each, [f]))
+        count = max(1, sum(p.linear for p in best.node.parameters))
+        gain = (frame.none.cost - best.solved.cost) / best.solved.tau
+        found[name] = max(gain, 0.0) / count
+    return found
+
+
+def _some(record: Record, rows: Sequence[int]) -> Record:
+    """Some logs of a record."""
+    at, flights = list(rows), record.flights
+    few = replace(flights, u=flights.u[at], y=flights.y[at], lengths=flights.lengths[at])
+    unit = record.unit[at]
+    known, numbers = np.unique(unit, return_inverse=True)
+    numbers = numbers.reshape(unit.shape) - int(known[0] < 0)
+    return Record(few, record.real[at], record.noise, numbers, tuple(record.group[k] for k in at))
+
+
+def _of(nodes: Sequence[Node], rows: Sequence[int]) -> list[Node]:
+    """The nodes on some logs."""
+    return [replace(node, rows=node.rows[:, list(rows)]) for node in nodes]
+
+
+def _once(record: Record, nodes: Mapping[str, list[Node]]) -> Discrepancy:
+    """Noise, maps and overdispersion of a record."""
+    group = record.group
     outputs = record.flights.signals.outputs
     basis = _basis(record)
     powers = _polynomials(record, basis)
@@ -138,15 +198,15 @@ def learn(record: Record, group: Sequence[int], dictionary: Dictionary) -> Discr
         {n: tuple(own[:, c].tolist()) for c, n in enumerate(outputs)},
         {},
     )
-    return _dispersed(plain, record, gap, powers, dictionary)
+    return _dispersed(plain, record, gap, powers, nodes)
 
 
 def _dispersed(
-    plain: Discrepancy, record: Record, gap: FloatArray, powers: FloatArray, dictionary: Dictionary
+    plain: Discrepancy, record: Record, gap: FloatArray, powers: FloatArray, nodes: Mapping[str, list[Node]]
 ) -> Discrepancy:
     """With the overdispersion per cell that effects find, and what each gains by itself."""
     outputs = record.flights.signals.outputs
-    moving = [n for name, nodes in dictionary.nodes.items() if _moves(name) for n in nodes]
+    moving = [n for name, each in nodes.items() if _moves(name) for n in each]
     shapes = [_without_maps(record, _shape(node), powers)[0] for node in moving]
     metric = Metric(record, plain.variance(record))
     rest, tau = metric.whiten(gap[None])[0], np.ones((BANDS, len(outputs)))
@@ -161,16 +221,7 @@ def _dispersed(
                     ratios[cell].append(float(s[here] @ rest[here]) ** 2 / size)
     for cell, found in enumerate(ratios):
         tau[cell // len(outputs), cell % len(outputs)] = max(1.0, float(np.mean(found or [1.0])))
-    return Discrepancy(
-        plain.flights,
-        plain.basis,
-        plain.noise,
-        {n: tuple(tau[:, c].tolist()) for c, n in enumerate(outputs)},
-        plain.common,
-        plain.own,
-        {},
-        1.0,
-    )
+    return replace(plain, tau={n: tuple(tau[:, c].tolist()) for c, n in enumerate(outputs)})
 
 
 def _moves(name: str) -> bool:

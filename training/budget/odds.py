@@ -12,12 +12,15 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from scipy.special import softmax
 
 from narxcal.support.arrays import FloatArray
 
+_SCALES: Final = ("sensor_gain", "driver_gain")
+_RARE: Final = -1.6  # one to five
 FEATURES = ("bare", "ratio", "explained", "size", "gain", "response")
 OF_CASE = ("one", "energy", "bare", "explained")
 
@@ -30,10 +33,20 @@ class Odds:
     none: tuple[float, ...]
     unknown: tuple[float, ...]
 
-    def probabilities(self, effects: FloatArray, case: FloatArray) -> FloatArray:
+    def probabilities(
+        self, names: Sequence[str], effects: FloatArray, case: FloatArray
+    ) -> FloatArray:
         """Probabilities (n + 2,) of n effects of features (n, ...), of none, and of unknown."""
-        scores = [*(effects @ np.array(self.effect)), case @ self.none, case @ self.unknown]
-        return np.asarray(softmax(scores))
+        own = effects @ np.array(self.effect) + np.array([prior(name) for name in names])
+        return np.asarray(softmax([*own, case @ self.none, case @ self.unknown]))
+
+
+def prior(name: str) -> float:
+    """Log odds of an effect before anything is seen, against one of the calibration's catalogue.
+
+    No case there has a wrong scale; a scale is rarer than an offset.
+    """
+    return _RARE if name.partition(":")[0] in _SCALES else 0.0
 
 
 def load(path: Path | None = None) -> Odds:
