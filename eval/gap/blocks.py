@@ -18,9 +18,7 @@ _SILENT = 1e-5  # of a channel's range: logs that agree to the digit have no les
 _TRIMMED = 90.0  # percentile of the second differences that counts where their median is none
 
 
-def batch(
-    pairs: Sequence[Pair], rate_hz: float = RATE_HZ, keep_hz: float = KEEP_HZ
-) -> GapData:
+def batch(pairs: Sequence[Pair], rate_hz: float = RATE_HZ, keep_hz: float = KEEP_HZ) -> GapData:
     """Put all pairs on one raster of about `rate_hz`, by means over whole blocks of samples.
 
     Logs of up to `keep_hz` keep their own. Means do not shift recorded against simulated, and white

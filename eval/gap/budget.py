@@ -56,7 +56,7 @@ class Answer:
     emulator: GreyBoxEmulator
 
 
-def diagnose_folders(request: Any, watch: Any = None) -> Answer:
+def diagnose_folders(request: Any) -> Answer:
     """Read the logs of a `Request` and diagnose; raises as `eval.gap.diagnose`."""
     began = time.perf_counter()
     simulator = open_simulator(request.sim, trust=request.trust)

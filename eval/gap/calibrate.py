@@ -1,17 +1,20 @@
-"""Writes the weights of the conditional logit: `python -m eval.gap.calibrate FEATURES [OUT]`.
+"""Writes the weights of the budget's conditional logit, from blind cases with an open key.
 
-FEATURES is a folder of `*.json` with the features and the truth of blind cases, as
-`--features` of this command leaves them beside the cases: reading, emulating and fitting a case takes
-ten seconds, the weights of all less than one. The file that it writes says when, on which seeds and
-on how many cases of which engines they were fitted, and what the same fit reaches on engines of a
-family that it has not seen.
+    python -m eval.gap.calibrate weigh FEATURES CASE...
+    python -m eval.gap.calibrate fit FEATURES [OUT]
+
+`weigh` reads, emulates and fits each case (ten seconds) and leaves its features and its truth in a
+folder; `fit` finds the weights (a second). The file that it writes says when, on how many cases of
+which engines they were fitted, and what such weights reach on engines of a family left out.
 """
 
 from __future__ import annotations
 
 import argparse
-import datetime
+import datetime as dt
 import json
+import os
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,8 +24,13 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import log_softmax, logsumexp
 
+from eval.gap.budget import batched, phases_of, record_of
+from eval.gap.pairs import read_pairs
 from narxcal.support.arrays import FloatArray
+from training.budget.control import suited
+from training.budget.diagnosis import Engines, diagnose
 from training.budget.odds import FEATURES, OF_CASE, Odds, prior
+from training.gap.emulator import fit_emulators
 
 RIDGE: Final = 0.1
 _SMALL: Final = 0.05  # share of the gap below which nobody has to name an effect
@@ -114,7 +122,7 @@ def _design(one: Case, n: int, m: int) -> FloatArray:
 
 
 def judged(one: Case, odds: Odds) -> dict[str, Any]:
-    """What the weights say of a case: the likeliest answer, its probability, whether it is right."""
+    """What the weights say of a case, how probable it is, and whether it is right."""
     chances = odds.probabilities(one.effects, one.features, one.case)
     first = int(np.argmax(chances[:-2]))
     says = int(np.argmax(chances))
@@ -175,26 +183,23 @@ def left_out(cases: Sequence[Case]) -> list[dict[str, Any]]:
     return rows
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Fit, report, write."""
-    parser = argparse.ArgumentParser(description="Fit the weights of the budget's probabilities")
-    parser.add_argument("features", type=Path)
-    parser.add_argument("out", type=Path, nargs="?")
-    given = parser.parse_args(arguments)
-    cases = [read_case(file) for file in sorted(given.features.glob("*.json"))]
-    rows = left_out(cases)
-    print(json.dumps(figures(rows), indent=1))
-    for row in rows:
-        if not row["right"] and row["kind"] in ("single", "pair") and row["share"] >= _SMALL:
-            print(row["name"], row["true"], round(row["share"], 2), "->", row["first"], round(row["probability"], 2))
-    if given.out is None:
-        return
-    odds = fit(cases)
-    families = {f: sum(one.family == f for one in cases) for f in FAMILIES.values()}
+def weigh_case(case: Path) -> dict[str, Any]:
+    """Features and layers of one case, with its truth."""
+    data = batched(read_pairs(case / "real", case / "sim"))
+    record = record_of(data)
+    emulator = suited(fit_emulators(data.flights), record)
+    found = diagnose(record, Engines(emulator), phases_of(data))
+    truth = json.loads((case / "truth.json").read_text(encoding="utf-8"))
+    return {"truth": truth, "verdict": found.verdict_row(), "facts": dict(found.facts)}
+
+
+def written(cases: Sequence[Case], out: Path) -> dict[str, Any]:
+    """Fit the weights, write them, and give the figures with each family left out."""
+    rows, odds = left_out(cases), fit(cases)
     text = {
-        "date": datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
+        "date": dt.datetime.now(tz=dt.UTC).date().isoformat(),
         "cases": len(cases),
-        "families": families,
+        "families": {f: sum(one.family == f for one in cases) for f in FAMILIES.values()},
         "family_left_out": figures(rows),
         "features": list(FEATURES),
         "of_case": list(OF_CASE),
@@ -202,7 +207,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "none": list(odds.none),
         "unknown": list(odds.unknown),
     }
-    given.out.write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
+    out.write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
+    return text
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Weigh cases, or fit the weights and report."""
+    parser = argparse.ArgumentParser(description="The weights of the budget's probabilities")
+    parser.add_argument("do", choices=("weigh", "fit"))
+    parser.add_argument("features", type=Path)
+    parser.add_argument("more", type=Path, nargs="*")
+    given = parser.parse_args(arguments)
+    if given.do == "weigh":
+        given.features.mkdir(parents=True, exist_ok=True)
+        for case in given.more:
+            found = json.dumps(weigh_case(case), default=float)
+            name = f"{case.parent.name}_{case.name}.json"
+            (given.features / name).write_text(found, encoding="utf-8")
+        return
+    cases = [read_case(file) for file in sorted(given.features.glob("*.json"))]
+    out = given.more[0] if given.more else Path(os.devnull)
+    sys.stdout.write(json.dumps(written(cases, out)["family_left_out"], indent=1) + "\n")
 
 
 if __name__ == "__main__":

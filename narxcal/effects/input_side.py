@@ -76,7 +76,9 @@ class ThrottleDelay(_Lever, ShiftEffect):
     def on_log(self, run: Run, y: FloatArray) -> FloatArray:
         """What the outputs were `delay_s` ago; conditions change little meanwhile."""
         columns = [
-            run.memory.setdefault(f"delay {j}", SmoothDelay(run.theta[:, 0], run.signals.dt_s))(y[..., j])
+            run.memory.setdefault(f"delay {j}", SmoothDelay(run.theta[:, 0], run.signals.dt_s))(
+                y[..., j]
+            )
             for j in range(y.shape[-1])
         ]
         return np.stack(columns, axis=-1)

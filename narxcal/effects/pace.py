@@ -27,8 +27,8 @@ class Pace(NamedTuple):
     deceleration; `valve_s` is a further lag between what it asks for and the fuel. What fuel does
     to the core depends on the core's own time constant `core_s` at constant fuel, which no log of a
     governed engine shows. The core lacks `loss` (%/s) per unit of a temperature by which the
-    metal, behind a lag of `metal_s`, trails the blades, behind one of `rise_s`. `most` is the greatest
-    acceleration (%/s) that the control asks for at any speed and altitude.
+    metal, behind a lag of `metal_s`, trails the blades, behind one of `rise_s`. `most` is the
+    greatest acceleration (%/s) that the control asks for at any speed and altitude.
     """
 
     fan_up: FloatArray

@@ -20,7 +20,7 @@ from training.budget.layers import EVIDENCE, PER_PARAMETER, Layer, Setting, cand
 from training.budget.metric import Metric, Record, assumed_variance
 from training.budget.nuisances import nuisances
 from training.budget.odds import Odds, load
-from training.budget.quadratic import solve
+from training.budget.quadratic import no_columns, solve
 from training.budget.result import (
     BUILD,
     NOISE,
@@ -135,7 +135,7 @@ def diagnose(
 
 def concluded(evidence: Evidence, phases: Phases, odds: Odds) -> Budget:
     """The budget that follows from the evidence."""
-    frame, singles = evidence.frame, evidence.singles
+    frame = evidence.frame
     if evidence.setting.learned is None:
         known, none, unknown, layers = _assumed(evidence, odds)
         verdict = _verdict(known, none, unknown, layers)
@@ -156,10 +156,8 @@ def concluded(evidence: Evidence, phases: Phases, odds: Odds) -> Budget:
     )
 
 
-def _assumed(
-    evidence: Evidence, odds: Odds
-) -> tuple[dict[str, float], float, float, list[Layer]]:
-    """Probabilities of effects, of none and of unknown by the logit, and layers on the likeliest."""
+def _assumed(evidence: Evidence, odds: Odds) -> tuple[dict[str, float], float, float, list[Layer]]:
+    """Probabilities of effects, none and unknown by the logit; layers on the likeliest."""
     names = [one.name for one in evidence.singles]
     chances = odds.probabilities(names, evidence.effects, evidence.case)
     if evidence.energy < _NOTHING * evidence.frame.floor:
@@ -191,7 +189,9 @@ def _learned(evidence: Evidence) -> tuple[dict[str, float], float, list[Layer]]:
 def _found(layers: Sequence[Layer]) -> Verdict:
     """Every layer is named; what is nearly as likely in a layer's place is named with it."""
     if not layers:
-        return Verdict("none", (), (), "nothing acts beyond what this simulator gets wrong by itself")
+        return Verdict(
+            "none", (), (), "nothing acts beyond what this simulator gets wrong by itself"
+        )
     effects = tuple(one.name for one in layers)
     rivals = [n for one in layers for n, score in one.rivals if score > one.ratio - PER_PARAMETER]
     alike = tuple(dict.fromkeys(name for name in rivals if name not in effects))
@@ -249,7 +249,9 @@ def _causes(
     record = frame.record
     split = budget_of(frame, singles, phases.index)
     scale = 1.0 / record.span**2
-    one_hot = np.eye(len(phases.names))[np.maximum(phases.index, 0)] * (phases.index >= 0)[..., None]
+    one_hot = (
+        np.eye(len(phases.names))[np.maximum(phases.index, 0)] * (phases.index >= 0)[..., None]
+    )
     whole = np.einsum("ftc,ftp->cp", record.gap**2 * record.known * scale, one_hot)
     count = np.einsum("ftc,ftp->cp", record.known.astype(float), one_hot)
     noise = np.minimum(count * (record.noise**2 * scale)[:, None], whole)
@@ -278,12 +280,12 @@ def _causes(
     )
 
 
-def _weighed(
-    evidence: Evidence, joint: Joint, known: dict[str, float]
-) -> tuple[Weighed, ...]:
+def _weighed(evidence: Evidence, joint: Joint, known: dict[str, float]) -> tuple[Weighed, ...]:
     """Every effect; claimed ones by their joint fit, the others by their own."""
     claimed = {node.name: k for k, node in enumerate(joint.nodes)}
-    rows = [_one(evidence, single, joint, claimed, known[single.name]) for single in evidence.singles]
+    rows = [
+        _one(evidence, single, joint, claimed, known[single.name]) for single in evidence.singles
+    ]
     names = tuple(claimed)
     place = {name: k for k, name in enumerate(names)}
     return tuple(sorted(rows, key=lambda row: (place.get(row.name, len(names)), -row.probability)))
@@ -297,7 +299,7 @@ def _one(
     units = len(before)
     noise = grams.floor
     held = [solve(grams, single.columns, u).rss[u] for u in range(units)] if units > 1 else []
-    none = [solve(grams, _nothing(frame), u).rss[u] for u in range(units)] if units > 1 else []
+    none = [solve(grams, no_columns(grams), u).rss[u] for u in range(units)] if units > 1 else []
     flights = tuple(
         float((n - h) / max(n - f, 1e-9)) for n, h, f in zip(none, held, noise, strict=False)
     )
@@ -329,12 +331,6 @@ def _one(
         ),
         tuple(other for other in claimed if other != name) if name in claimed else (),
     )
-
-
-def _nothing(frame: Frame) -> Any:
-    from training.budget.quadratic import no_columns
-
-    return no_columns(frame.grams)
 
 
 def _facts(evidence: Evidence, layers: Sequence[Layer]) -> dict[str, Any]:

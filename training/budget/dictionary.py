@@ -66,7 +66,9 @@ class Dictionary:
         self.nodes: dict[str, list[Node]] = {}
         for effect in effects:
             parameters = effect.parameters(flights.signals)
-            self.nodes[effect.name] = self._run(effect, parameters, np.array(effect.nodes(flights.signals)))
+            self.nodes[effect.name] = self._run(
+                effect, parameters, np.array(effect.nodes(flights.signals))
+            )
 
     def add(self, node: Node, theta: FloatArray) -> Node | None:
         """A further node of the same effect at `theta`; None where there is one already."""
@@ -85,7 +87,9 @@ class Dictionary:
         """Run nodes with the differences for their slopes, all in one batch."""
         free = tuple(j for j, p in enumerate(parameters) if not p.all_or_nothing)
         tried = [_differences(parameters, theta, free) for theta in thetas]
-        batch = np.concatenate([np.vstack([theta, *each]) for theta, each in zip(thetas, tried, strict=True)])
+        batch = np.concatenate(
+            [np.vstack([theta, *each]) for theta, each in zip(thetas, tried, strict=True)]
+        )
         found = self._responses(effect, batch)
         nodes, size = [], 1 + len(free)
         for k, theta in enumerate(thetas):

@@ -33,7 +33,13 @@ _FINEST: Final = 3e-4  # of a range: a recorder's digits
 _SMOOTH: Final = (33, 9, 3, 1)  # samples of a band that its activity is averaged over
 _WEAK: Final = 1e-3  # of a column of a polynomial: powers that were hardly flown
 _UNBOUND: Final = 1e3
-_STEADY: Final = ("deterioration", "sensor_bias", "sensor_gain", "throttle_bias", "temperature_effect")
+_STEADY: Final = (
+    "deterioration",
+    "sensor_bias",
+    "sensor_gain",
+    "throttle_bias",
+    "temperature_effect",
+)
 _FEW: Final = 12.0  # overdispersion of two flights judged with what the other taught
 
 
@@ -80,11 +86,15 @@ class Discrepancy:
             for j in range(len(powers)):
                 for which in dict.fromkeys(group):
                     at = np.array([g == which for g in group])
-                    columns.append(_placed(powers[j] * self.common[name][j] * at[:, None], c, flights.y))
+                    columns.append(
+                        _placed(powers[j] * self.common[name][j] * at[:, None], c, flights.y)
+                    )
                     kinds.append(BUILD)
                 for f in range(len(flights.y)):
                     at = np.arange(len(flights.y)) == f
-                    columns.append(_placed(powers[j] * self.own[name][j] * at[:, None], c, flights.y))
+                    columns.append(
+                        _placed(powers[j] * self.own[name][j] * at[:, None], c, flights.y)
+                    )
                     kinds.append(OFFSET)
         limit = np.full(len(columns), _UNBOUND)
         return Nuisances(np.stack(columns), tuple(kinds), ("",) * len(columns), limit)
@@ -115,14 +125,16 @@ class Discrepancy:
 
 def read(found: Mapping[str, Any]) -> Discrepancy:
     """From the plain values of `document`."""
+    tau, common, own = (
+        {name: tuple(rows) for name, rows in found[key].items()} for key in ("tau", "common", "own")
+    )
     return Discrepancy(
         int(found["flights"]),
         tuple(tuple(row) for row in found["basis"]),
         {name: tuple((a, k) for a, k in rows) for name, rows in found["noise"].items()},
-        *(
-            {name: tuple(rows) for name, rows in found[key].items()}
-            for key in ("tau", "common", "own")
-        ),
+        tau,
+        common,
+        own,
         dict(found["natural"]),
         int(found["logs"]),
         float(found["overdispersion"]),
@@ -188,7 +200,7 @@ def _once(record: Record, nodes: Mapping[str, list[Node]]) -> Discrepancy:
     gap, coefficients = _without_maps(record, record.gap, powers)
     noise = _noises(record, gap)
     common, own = _variances(coefficients, group)
-    ones = {name: (1.0,) * BANDS for name in outputs}
+    ones = dict.fromkeys(outputs, (1.0,) * BANDS)
     plain = Discrepancy(
         len(set(group)),
         tuple(map(tuple, basis.tolist())),
@@ -202,7 +214,11 @@ def _once(record: Record, nodes: Mapping[str, list[Node]]) -> Discrepancy:
 
 
 def _dispersed(
-    plain: Discrepancy, record: Record, gap: FloatArray, powers: FloatArray, nodes: Mapping[str, list[Node]]
+    plain: Discrepancy,
+    record: Record,
+    gap: FloatArray,
+    powers: FloatArray,
+    nodes: Mapping[str, list[Node]],
 ) -> Discrepancy:
     """With the overdispersion per cell that effects find, and what each gains by itself."""
     outputs = record.flights.signals.outputs

@@ -83,7 +83,7 @@ class Frame:
     def columns(self, node: Node) -> Columns:
         """Inner products of a node."""
         absent = np.array([name == node.name for name in self.nuisances.effect])
-        return Columns(*self.inner(node.rows), node.box, absent)
+        return Columns(*self.inner(node.rows.astype(np.float64)), node.box, absent)
 
     def inner(self, rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Inner products of rows among themselves, with the nuisances, and with the gap."""
@@ -92,14 +92,11 @@ class Frame:
 
     def fit(self, nodes: list[Node]) -> Single:
         """The best of the nodes of one effect."""
-        best: Single | None = None
+        fits = []
         for node in nodes:
             columns = self.columns(node)
-            found = solve(self.grams, columns, begin=self.none.tau)
-            if best is None or found.cost < best.solved.cost:
-                best = Single(node, columns, found)
-        assert best is not None
-        return best
+            fits.append(Single(node, columns, solve(self.grams, columns, begin=self.none.tau)))
+        return min(fits, key=lambda one: one.solved.cost)
 
     def refined(self, one: Single, dictionary: Dictionary, rounds: int = 2) -> Single:
         """The same effect with nodes where its steps end."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, IntArray
 from training.budget.dictionary import Node
 from training.budget.fitting import Frame, Single
 from training.budget.nuisances import BUILD, OFFSET, SMALL, START
@@ -34,9 +34,10 @@ class Joint:
 
     def responses(self, steps: FloatArray) -> list[FloatArray]:
         """What each effect does after the steps of all."""
-        return [n.response(x) for n, x in zip(self.nodes, self._parts(steps), strict=True)]
+        return [n.response(x) for n, x in zip(self.nodes, self.parts(steps), strict=True)]
 
-    def _parts(self, x: FloatArray) -> list[FloatArray]:
+    def parts(self, x: FloatArray) -> list[FloatArray]:
+        """The step of each effect out of that of all."""
         ends = np.cumsum([len(n.free) for n in self.nodes])[:-1]
         return list(np.split(x, ends))
 
@@ -82,14 +83,14 @@ def together(frame: Frame, singles: Sequence[Single]) -> Joint:
     joint = Joint(nodes, frame, found, (), (), ())
     theta = _thetas(joint, found.x)
     spread = [np.zeros(len(t)) for t in theta]
-    for node, into, sd in zip(nodes, spread, joint._parts(np.sqrt(variance)), strict=True):
+    for node, into, sd in zip(nodes, spread, joint.parts(np.sqrt(variance)), strict=True):
         into[list(node.free)] = sd
     others = tuple(_thetas(joint, x) for x in steps)
     return replace(joint, theta=theta, spread=tuple(spread), others=others)
 
 
 def _thetas(joint: Joint, x: FloatArray) -> tuple[FloatArray, ...]:
-    return tuple(n.at(part) for n, part in zip(joint.nodes, joint._parts(x), strict=True))
+    return tuple(n.at(part) for n, part in zip(joint.nodes, joint.parts(x), strict=True))
 
 
 def by_others(joint: Joint) -> FloatArray | None:
@@ -98,17 +99,17 @@ def by_others(joint: Joint) -> FloatArray | None:
         return None
     record = joint.frame.record
     change = np.zeros_like(record.gap)
-    mine = sum(joint.responses(joint.solved.x))
+    mine = np.sum(joint.responses(joint.solved.x), axis=0)
     for u, thetas in enumerate(joint.others):
         pairs = zip(joint.nodes, thetas, strict=True)
         steps = np.concatenate([(t - n.theta)[list(n.free)] for n, t in pairs])
-        theirs = sum(joint.responses(steps))
+        theirs = np.sum(joint.responses(steps), axis=0)
         here = record.unit == u
         change[here] = (theirs - mine)[here]
     return change
 
 
-def budget_of(frame: Frame, singles: Sequence[Single], cells: FloatArray) -> Split:
+def budget_of(frame: Frame, singles: Sequence[Single], cells: IntArray) -> Split:
     """Shares (effects, build, offsets; outputs, cells) of the squared gap over ranges squared.
 
     `cells` (flights, time) is the number of the phase of each sample, -1 for none.

@@ -110,7 +110,7 @@ def candidate(setting: Setting, layers: Sequence[Layer], energy: float) -> Layer
 
 
 def _anew(setting: Setting, layers: list[Layer], energy: float) -> list[Layer]:
-    """Each layer fitted again to what the others leave; another effect takes its place if better."""
+    """Each layer fitted again to what the others leave, by whichever effect is better now."""
     for k in range(len(layers)):
         others = [one.single for j, one in enumerate(layers) if j != k]
         found = _best(setting, others, energy)
@@ -123,7 +123,9 @@ def _best(setting: Setting, others: Sequence[Single], energy: float) -> Layer | 
     """The effect that takes most of what `others` leave."""
     frame = setting.beside(others)
     names = {one.name for one in others}
-    tried = [frame.fit(nodes) for name, nodes in setting.dictionary.nodes.items() if name not in names]
+    tried = [
+        frame.fit(nodes) for name, nodes in setting.dictionary.nodes.items() if name not in names
+    ]
     tried.sort(key=lambda one: one.solved.cost)
     tried[:3] = [frame.refined(one, setting.dictionary, 1) for one in tried[:3]]
     scored = [(setting.score(frame, one), one) for one in tried]

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -88,13 +89,19 @@ class Metric:
         self._order = order[unit[order] >= 0]
         self._root = root[self._order]
         ends = np.searchsorted(unit[self._order], np.arange(record.units + 1))
-        self.slices = tuple(slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True))
+        self.slices = tuple(slice(a, b) for a, b in pairwise(ends.tolist()))
         self._known = known
         cell = np.concatenate(
-            [(np.zeros(r.shape, dtype=int) + np.arange(r.shape[2]) + b * r.shape[2]).reshape(-1) for b, r in enumerate(roots)]
+            [
+                (np.zeros(r.shape, dtype=int) + np.arange(r.shape[2]) + b * r.shape[2]).reshape(-1)
+                for b, r in enumerate(roots)
+            ]
         )
         flight = np.concatenate(
-            [(np.zeros(r.shape, dtype=int) + np.arange(len(r))[:, None, None]).reshape(-1) for r in roots]
+            [
+                (np.zeros(r.shape, dtype=int) + np.arange(len(r))[:, None, None]).reshape(-1)
+                for r in roots
+            ]
         )
         self.cell, self.flight = cell[self._order], flight[self._order]
 

@@ -1,11 +1,13 @@
 """What two builds and two flights of one engine differ in, as Gaussian columns beside any effect.
 
-| column | prior (one standard deviation) | source |
-|---|---|---|
-| steady maps per channel, {1, p - 1/2, (p - 1/2)^2 - 1/12} of the power p | {s, s, 2 s} of the level: N1 0.4 %, N2 0.15 %, EGT 1 %, fuel flow 2 % | build scatter of new engines, FACTS A5 |
-| offset of a flight and channel | 0.3 of that | trim and weather between flights |
-| hidden thermal start of a flight, exp(-t / 30 s) and exp(-t / 120 s) | 1 % of the temperature's level | FACTS A4 |
-| small dynamics | see `_SMALL` | tolerances of linkages, valves and probes |
+| column | one standard deviation of its prior |
+|---|---|
+| steady maps, {1, p - 1/2, (p - 1/2)^2 - 1/12} of power p | {s, s, 2 s} of the level |
+| offset of a flight and channel | 0.3 s of the level |
+| hidden thermal start, exp(-t / 30 s), exp(-t / 120 s) | 1 % of the temperature's level |
+| small dynamics: tolerances of linkages, valves, probes | as in `_small` |
+
+s is the scatter of new engines: N1 0.4 %, N2 0.15 %, EGT 1 % in kelvin, fuel flow 2 % (FACTS A5).
 """
 
 from __future__ import annotations
@@ -48,7 +50,10 @@ class Nuisances:
 
 
 def nuisances(record: Record, emulator: Emulator | None, probe_s: float) -> Nuisances:
-    """Assumed nuisances of flights of which nothing was learned; `probe_s` is the hot probe's lag."""
+    """Assumed nuisances of flights of which nothing was learned.
+
+    `probe_s` is the lag of the hot probe.
+    """
     level = levels(record.flights)
     steady = _maps(record, level)
     offsets = _offsets(record, level)

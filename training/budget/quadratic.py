@@ -84,9 +84,7 @@ def no_columns(grams: Grams) -> Columns:
     )
 
 
-def solve(
-    grams: Grams, columns: Columns, without: int | None = None, begin: float = 1.0
-) -> Solved:
+def solve(grams: Grams, columns: Columns, without: int | None = None, begin: float = 1.0) -> Solved:
     """Fit a hypothesis to all units, or to all `without` one; rss is that of every unit."""
     h, g, c = _assembled(grams, columns)
     kept = np.ones(len(c), dtype=bool)

@@ -22,7 +22,7 @@ Worth = Callable[[frozenset[int]], FloatArray]  # what a set of causes takes, of
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Shares of each cause, (causes, ...); `first` and `last` with the causes before all or after."""
+    """Shares of each cause, (causes, ...): by Shapley, entering first, and entering last."""
 
     shares: FloatArray
     first: FloatArray

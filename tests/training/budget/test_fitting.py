@@ -1,0 +1,83 @@
+"""Known faults of one sensor are found with their size inside the interval, nulls are nulls."""
+
+import numpy as np
+import pytest
+
+from narxcal.effects import effect, respond
+from tests.training.budget.conftest import recorded
+from training.budget.dictionary import Dictionary
+from training.budget.fitting import Frame
+from training.budget.joint import budget_of, together
+from training.budget.layers import Layer, Setting, further
+from training.budget.metric import Metric, assumed_variance
+from training.budget.nuisances import nuisances
+
+NAMES = [
+    f"{kind}:{channel}"
+    for kind in ("time_skew", "sensor_lag", "sensor_bias", "sensor_drift", "sensor_gain")
+    for channel in ("N1_pct", "N2_pct", "EGT_C")
+]
+PLANTED = {
+    "time_skew:N2_pct": {"skew_s": 0.13},
+    "sensor_lag:N1_pct": {"tau_s": 0.4},
+    "sensor_gain:EGT_C": {"gain_pct": 4.0},
+    "sensor_drift:N2_pct": {"rate_per_h": 20.0},
+}
+
+
+@pytest.fixture(name="dictionary", scope="module")
+def given_dictionary(flights):
+    return Dictionary([effect(name) for name in NAMES], flights, None)
+
+
+def planted(flights, *names):
+    y = flights.y
+    for name in names:
+        one = effect(name)
+        own = [PLANTED[name].get(p.name, p.neutral) for p in one.parameters(flights.signals)]
+        y = y + respond([(one, np.array([own]))], flights, None)[0] - flights.y
+    return recorded(flights, y)
+
+
+def frame_of(record):
+    metric = Metric(record, assumed_variance(record))
+    return Frame(record, metric, record.gap, nuisances(record, None, 1.0))
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_a_planted_fault_is_first_with_its_size_inside_the_interval(name, flights, dictionary):
+    record = planted(flights, name)
+    frame = frame_of(record)
+    fits = [frame.refined(frame.fit(nodes), dictionary) for nodes in dictionary.nodes.values()]
+    best = min(fits, key=lambda one: one.solved.cost)
+    assert best.name == name
+    joint = together(frame, [best])
+    (key, size), *_ = PLANTED[name].items()
+    place = [p.name for p in best.node.parameters].index(key)
+    assert joint.theta[0][place] == pytest.approx(
+        size, abs=max(3 * joint.spread[0][place], 0.03 * size)
+    )
+
+
+def test_nothing_takes_anything_of_noise(flights, dictionary):
+    frame = frame_of(recorded(flights, flights.y))
+    before = frame.energy(frame.none)
+    for nodes in dictionary.nodes.values():
+        assert before - frame.energy(frame.fit(nodes).solved) < 0.01 * frame.floor
+
+
+def test_two_faults_are_two_layers_and_their_shares_add_up(flights, dictionary):
+    names = ("time_skew:N2_pct", "sensor_lag:N1_pct")
+    record = planted(flights, *names)
+    frame = frame_of(record)
+    setting = Setting(record, assumed_variance(record), frame.nuisances, dictionary)
+    first = frame.refined(frame.fit(dictionary.nodes[names[1]]), dictionary)
+    layers = further(setting, Layer(first, 0.0, 0.0, ()), frame.energy(frame.none))
+    assert {one.name for one in layers} == set(names)
+    split = budget_of(
+        frame, [one.single for one in layers], np.zeros(flights.y.shape[:2], dtype=int)
+    )
+    whole = (record.gap**2 / record.span**2).sum()
+    effects = split.shares[:2].sum(axis=(1, 2)) / whole
+    assert effects.sum() > 0.8
+    assert split.shares.sum() / whole <= 1.0

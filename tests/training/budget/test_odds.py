@@ -1,0 +1,24 @@
+"""Probabilities of the conditional logit."""
+
+import numpy as np
+import pytest
+
+from training.budget.odds import FEATURES, OF_CASE, Odds, load, prior
+
+
+def test_probabilities_are_one_softmax_over_effects_none_and_unknown():
+    odds = Odds((1.0,), (np.log(2.0),), (np.log(3.0),))
+    found = odds.probabilities(["a", "sensor_gain:b"], np.array([[0.0], [1.6]]), np.array([1.0]))
+    assert found == pytest.approx(np.array([1.0, 1.0, 2.0, 3.0]) / 7.0)
+
+
+def test_a_scale_is_rarer_than_an_offset():
+    assert prior("sensor_gain:N1_pct") == prior("driver_gain") < prior("sensor_bias:N1_pct") == 0.0
+
+
+def test_the_weights_that_are_shipped_fit_the_features():
+    odds = load()
+    assert (len(odds.effect), len(odds.none), len(odds.unknown)) == (
+        len(FEATURES),
+        *[len(OF_CASE)] * 2,
+    )
