@@ -16,6 +16,7 @@ from eval.gap.blocks import batch, block_size
 from eval.gap.cautions import cautions
 from eval.gap.claimed import with_effects
 from eval.gap.data import GapData, Pair
+from eval.gap.diagnose import Request
 from eval.gap.document import document
 from eval.gap.evidence import Evidence
 from eval.gap.excitation import check_excitation, events_of
@@ -56,7 +57,7 @@ class Answer:
     emulator: GreyBoxEmulator
 
 
-def diagnose_folders(request: Any) -> Answer:
+def diagnose_folders(request: Request) -> Answer:
     """Read the logs of a `Request` and diagnose; raises as `eval.gap.diagnose`."""
     began = time.perf_counter()
     simulator = open_simulator(request.sim, trust=request.trust)

@@ -5,11 +5,12 @@ OUT holds `gap.json`, `gap.html` and, for `simulate --effects`, the emulator of 
 
 from __future__ import annotations
 
-from argparse import ArgumentParser, Namespace
+from argparse import SUPPRESS, ArgumentParser, Namespace
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from eval.gap import budget
 from eval.gap.diagnose import Diagnosis, Request, diagnose_folders
 from eval.gap.document import SCHEMA
 from eval.gap.page import gap_page
@@ -50,6 +51,8 @@ def add_options(parser: ArgumentParser) -> None:
         "--heldout-real", metavar="DIR", type=path, help="flights to check the shrinkage on"
     )
     parser.add_argument("--heldout-sim", metavar="SIM", help="their simulated logs")
+    # Both are there until the budget has taken the place of the rules.
+    parser.add_argument("--core", choices=("rules", "budget"), default="rules", help=SUPPRESS)
 
 
 def run(options: Namespace, console: Console) -> int:
@@ -61,7 +64,11 @@ def run(options: Namespace, console: Console) -> int:
         def watch(step: str, done: int, total: int) -> None:
             advance(done, total, f"({step})")
 
-        found = diagnose_folders(request, watch)
+        found: Diagnosis | budget.Answer
+        if options.core == "budget":
+            found = budget.diagnose_folders(request)
+        else:
+            found = diagnose_folders(request, watch)
     with RESULTS.writing(options.out) as folder:
         write(folder, found)
     show(console, found.document)
@@ -70,7 +77,7 @@ def run(options: Namespace, console: Console) -> int:
     return 0
 
 
-def write(folder: Path, found: Diagnosis) -> None:
+def write(folder: Path, found: Diagnosis | budget.Answer) -> None:
     """Write document, page and emulator into a folder."""
     (folder / DOCUMENT).write_text(to_json(found.document), encoding="utf-8")
     write_page(folder / PAGE, gap_page(found.document, found.evidence, now()))

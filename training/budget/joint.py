@@ -38,8 +38,8 @@ class Joint:
 
     def parts(self, x: FloatArray) -> list[FloatArray]:
         """The step of each effect out of that of all."""
-        ends = np.cumsum([len(n.free) for n in self.nodes])[:-1]
-        return list(np.split(x, ends))
+        ends = np.cumsum([len(n.free) for n in self.nodes])
+        return list(np.split(x, ends)[:-1])
 
 
 class _Rows:

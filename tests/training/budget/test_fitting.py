@@ -81,3 +81,9 @@ def test_two_faults_are_two_layers_and_their_shares_add_up(flights, dictionary):
     effects = split.shares[:2].sum(axis=(1, 2)) / whole
     assert effects.sum() > 0.8
     assert split.shares.sum() / whole <= 1.0
+
+
+def test_no_effect_at_all_is_a_joint_fit_of_nuisances(flights):
+    joint = together(frame_of(recorded(flights, flights.y)), [])
+    assert joint.theta == ()
+    assert joint.responses(joint.solved.x) == []
