@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -13,7 +14,7 @@ from data_prep.log import Log
 from data_prep.prepare import hold_inputs
 from eval.trim import Trim, TrimConfig, TrimSamples, estimate_trim
 from narxcal.calibration.bundle import Bundle
-from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.calibration.calibration import Calibration
 from narxcal.support.arrays import BoolArray, FloatArray, spans
 from narxcal.support.errors import DataError
 from training.baselines import Baselines
@@ -39,6 +40,7 @@ class FreeRun:
     | `level` | (time,) | power level of `eval.trim` |
     | `scored_from` | | first row that is scored; earlier ones were used for the trim |
     | `trims` | name -> `Trim` | offsets that were added to an output |
+    | `simulate_s` | | time that the free run took |
     """
 
     log: Log
@@ -51,6 +53,7 @@ class FreeRun:
     level: FloatArray
     scored_from: int = 0
     trims: Mapping[str, Trim] = field(default_factory=dict)
+    simulate_s: float = 0.0
 
     @property
     def model(self) -> FloatArray:
@@ -75,12 +78,19 @@ class FreeRun:
         return rows
 
 
-def run_log(bundle: Bundle, config: RunConfig, log: Log, recorded: Log | None = None) -> FreeRun:
+def run_log(
+    bundle: Bundle,
+    config: RunConfig,
+    log: Log,
+    recorded: Log | None = None,
+    *,
+    one_step: bool = True,
+) -> FreeRun:
     """Run everything over one prepared log; masked inputs are filled and their rows not scored.
 
     `recorded` is the log before its faults were masked, where there are some: an input of which
     nothing is left runs as recorded, and after a masked input the free run starts anew from the
-    measured outputs. Raises `DataError` for a log without the model's channels or on another
+    measured outputs. Without `one_step` that prediction is left out. Raises `DataError` for a log without the model's channels or on another
     sampling grid.
     """
     own = bundle.calibration.for_engine(log.source.engine)
@@ -93,12 +103,15 @@ def run_log(bundle: Bundle, config: RunConfig, log: Log, recorded: Log | None = 
     faulty = np.isfinite(before.matrix(own.input_names)).all(axis=1) & ~known
     measured = log.matrix(own.output_names)
     steady = np.asarray(own.steady.outputs(inputs), dtype=np.float64)
+    began = time.perf_counter()
     model = _restarted(own, inputs, measured, faulty)
+    took_s = time.perf_counter() - began
     outputs = {MODEL: model, STEADY_STATE: steady}
     outputs[NETWORK] = outputs[MODEL]
     if own.leads:
         outputs[NETWORK] = _restarted(own.network_alone(), inputs, measured, faulty)
-    outputs[ONE_STEP] = _one_step(own, inputs, measured, outputs[MODEL])
+    if one_step:
+        outputs[ONE_STEP] = _one_step(own, inputs, measured, outputs[MODEL])
     level = np.zeros(len(log))
     if "baselines" in bundle.meta:
         fitted = Baselines.from_json(bundle.meta["baselines"])
@@ -115,11 +128,12 @@ def run_log(bundle: Bundle, config: RunConfig, log: Log, recorded: Log | None = 
         quasi_steady=quasi_steady(log, config.events.driver, speeds, config.quasi_steady),
         in_envelope=np.asarray(own.steady.inside(inputs)),
         level=level,
+        simulate_s=took_s,
     )
 
 
 def _restarted(
-    own: DynamicCalibration, inputs: FloatArray, measured: FloatArray, faulty: BoolArray
+    own: Calibration, inputs: FloatArray, measured: FloatArray, faulty: BoolArray
 ) -> FloatArray:
     """Free run (time, n_out) that starts anew after each stretch of faulty inputs."""
     ends = [stop for _, stop in spans(faulty) if stop < len(faulty)]
@@ -128,7 +142,7 @@ def _restarted(
 
 
 def _one_step(
-    own: DynamicCalibration, inputs: FloatArray, measured: FloatArray, free: FloatArray
+    own: Calibration, inputs: FloatArray, measured: FloatArray, free: FloatArray
 ) -> FloatArray:
     """One-step prediction (time, n_out); NaN for an output without a single measured sample.
 
@@ -154,7 +168,7 @@ def trimmed(run: FreeRun, until: int, config: TrimConfig) -> FreeRun:
     return replace(run, outputs=outputs, scored_from=until, trims=trims)
 
 
-def _check_interval(calibration: DynamicCalibration, log: Log) -> None:
+def _check_interval(calibration: Calibration, log: Log) -> None:
     if abs(log.dt_s - calibration.dt_s) > 1e-3 * calibration.dt_s:
         raise DataError(
             f"the model samples every {calibration.dt_s:g} s, this log every {log.dt_s:g} s",

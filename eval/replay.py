@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from data_prep.stream import Piece
     from narxcal.calibration.bundle import Bundle
-    from narxcal.calibration.calibration import DynamicCalibration
+    from narxcal.calibration.calibration import Calibration
 
 # At full speed rows can wait until the next measurement of a slow channel is known.
 _LOOK_AHEAD_S = 5.0
@@ -76,7 +76,7 @@ class ReplayOptions(Section):
 class ReplayModel:
     """What a replay needs of a bundle: the model, the columns of its logs, and the fuser."""
 
-    calibration: DynamicCalibration
+    calibration: Calibration
     logs: LogsConfig = field(default_factory=LogsConfig)
     fuser: FuserConfig = field(default_factory=FuserConfig)
     noise: NoiseModel | None = None

@@ -17,6 +17,7 @@ from eval.transients import Assessment
 from narxcal.channels import symbol
 
 if TYPE_CHECKING:
+    from eval.compare import Comparison
     from eval.crossval import CrossValidation
     from eval.evaluate import LogEvaluation
 
@@ -106,6 +107,34 @@ def print_crossval(console: Console, found: CrossValidation) -> None:
             figures = [own.get(head) for head in ("mean", "std", "min", "max")]
             table.add_row(Text(measure.title), *map(number, (*figures, measure.limit)))
         console.print(table)
+
+
+def print_comparison(console: Console, found: Comparison) -> None:
+    """Print one row per model, the least RMSE of each channel in bold."""
+    table = Table(
+        title=Text("RMSE of the free run on the same rows", style="bold"),
+        title_justify="left", box=None, pad_edge=False, padding=(0, 1, 0, 0),
+    )  # fmt: skip
+    table.add_column("run", overflow="fold", max_width=18)
+    heads = ("Ti, Tt", "size", "fit [s]", "us", "in 90 %")
+    for head in (*map(with_unit, found.channels), *heads):
+        table.add_column(head, justify="right", no_wrap=True)
+    least = {
+        name: min(row.channels[name]["rmse"] for row in found.rows if name in row.channels)
+        for name in found.channels
+    }
+    for row in found.rows:
+        errors = [row.channels.get(name, {}).get("rmse", math.nan) for name in found.channels]
+        passed = None if row.ti_tt is None else f"{row.ti_tt.passed}/{row.ti_tt.assessed}"
+        coverage = None if row.coverage_90 is None else 100.0 * row.coverage_90
+        table.add_row(
+            Text(row.run),
+            *(_figure(value, best) for value, best in zip(errors, least.values(), strict=True)),
+            Text(passed or number(None)),
+            Text(number(None) if row.parameters is None else str(row.parameters)),
+            *(Text(number(value, 2)) for value in (row.fit_s, row.simulate_us, coverage)),
+        )
+    console.print(table)
 
 
 def _table(title: str) -> Table:

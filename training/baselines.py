@@ -24,7 +24,7 @@ from scipy.optimize import minimize
 from scipy.signal import lfilter, lfiltic
 
 from data_prep.log import Log
-from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.calibration.calibration import Calibration
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 
@@ -113,7 +113,7 @@ class Baselines:
             ) from None
 
 
-def fit_baselines(calibration: DynamicCalibration, logs: Sequence[Log]) -> dict[str, Any]:
+def fit_baselines(calibration: Calibration, logs: Sequence[Log]) -> dict[str, Any]:
     """Fit both baselines to the training logs; returns JSON-able parameters.
 
     `logs` are prepared as for training: their inputs are complete, masked outputs are NaN.
@@ -136,7 +136,7 @@ def fit_baselines(calibration: DynamicCalibration, logs: Sequence[Log]) -> dict[
     }
 
 
-def run_of(calibration: DynamicCalibration, log: Log) -> Run:
+def run_of(calibration: Calibration, log: Log) -> Run:
     """Steady-state values of the log's own engine beside what was measured."""
     own = calibration.for_engine(log.source.engine)
     steady = own.steady.outputs(log.matrix(own.input_names))

@@ -6,6 +6,7 @@ Table [steady_state]: which steady-state model, and how a fitted one is fitted.
 from __future__ import annotations
 
 from importlib.resources import files
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -23,7 +24,7 @@ from narxcal.steady.model import SteadyOptions
 from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section, read_toml
 
-Kind = Literal["fitted", "table", "callable", "fmu"]
+Kind = Literal["fitted", "table", "callable", "fmu", "static"]
 Auto = Literal["auto"]
 
 
@@ -208,6 +209,43 @@ class TrainConfig(Section):
         return self
 
 
+METHODS: Final = ("narx", "output-error", "transfer", "subspace")
+STATIC: Final = "static:"
+
+
+class IdentifyConfig(Section):
+    """Table [identify]: by which method a model is identified, and what single methods take.
+
+    `method` is one of `METHODS` or static:NAME. `response` is the order of a transfer function,
+    chosen by its free-run error where it is "auto"; `levels` (steady values of the output) and
+    `altitudes_ft` are the nodes of its parameters, chosen by the motion in the logs where they are
+    empty. `order` is that of a state space (0: chosen), `block_rows` its window. `static` are
+    arguments of a static law, such as F0_kN, or output and degrees of a polynomial.
+    """
+
+    method: str = "narx"
+    response: Literal["auto", "first", "second"] = "auto"
+    levels: tuple[float, ...] = ()
+    altitudes_ft: tuple[float, ...] = ()
+    order: int = Field(default=0, ge=0, le=20)
+    block_rows: int = Field(default=12, ge=2, le=200)
+    static: dict[str, Any] = Field(default_factory=dict)
+
+    @field_validator("method")
+    @classmethod
+    def _is_known(cls, name: str) -> str:
+        if name not in METHODS and not name.startswith(STATIC):
+            raise ValueError(f"expected {', '.join(METHODS)} or {STATIC}NAME")
+        return name
+
+    @field_validator("levels", "altitudes_ft")
+    @classmethod
+    def _ascend(cls, nodes: tuple[float, ...]) -> tuple[float, ...]:
+        if any(b <= a for a, b in pairwise(nodes)):
+            raise ValueError("nodes have to ascend")
+        return nodes
+
+
 class SplitConfig(Section):
     """Table [split]: patterns of log names (FILE:engine); a log's first match decides.
 
@@ -234,6 +272,7 @@ class RunConfig(Section):
     steady_state: SteadyStateConfig = SteadyStateConfig()
     narx: NarxSection = NarxSection()
     train: TrainConfig = TrainConfig()
+    identify: IdentifyConfig = IdentifyConfig()
     split: SplitConfig = SplitConfig()
     fuser: FuserConfig = FuserConfig()
     evaluate: dict[str, Any] = Field(default_factory=dict)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data_prep.log import Log
-from narxcal.output_error.engine import EngineFromSteady
+from narxcal.output_error.engine import STEADY_OUTPUTS, EngineFromSteady, steady_drive
 from narxcal.record import Record
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.errors import DataError
@@ -24,34 +24,23 @@ from training.output_error_result import OutputErrorFit
 from training.spey import Repeated, repeatability
 
 FloatArray = NDArray[np.float64]
-OUTPUTS: Final = ("N2_pct", "N1_pct", "EGT_C")
+OUTPUTS: Final = STEADY_OUTPUTS
 # The meter's second derivative is offered apart: it takes a bandwidth that 10 Hz logs rarely have.
 _METER: Final = ("tau_M",)
-_OFFSETS: Final = ("N_HO", "N_LO", "T_O")
+OFFSETS: Final = ("N_HO", "N_LO", "T_O")
 
 
 def steady_record(log: Log, steady: SteadyStateModel, driver: str) -> Record:
-    """Inputs of `EngineFromSteady` from the model's inputs, and the log's outputs.
-
-    The slopes dN1/dN2 and dT/dN2 are those of the steady-state model over 1 % of the driver's range
-    to either side, within that range; where N2 does not move with the driver they are 0. Raises
-    `DataError` for a log or a model without one of the channels.
-    """
-    missing = [name for name in OUTPUTS if name not in steady.output_names]
-    if missing:
+    """Record of a log for `EngineFromSteady`; raises `DataError` as `steady_drive` does."""
+    moved = log[driver]
+    span = float(moved.min()), float(moved.max())
+    try:
+        drive = steady_drive(steady, log.matrix(steady.input_names), driver, span)
+    except DataError as error:
         raise DataError(
-            "the steady-state model does not give this output", file=log.name, channel=missing[0]
-        )
-    columns = [steady.output_names.index(name) for name in OUTPUTS]
-    inputs = log.matrix(steady.input_names)
-    values = steady.outputs(inputs)[:, columns]
-    more, less = inputs.copy(), inputs.copy()
-    k, step, moved = steady.input_names.index(driver), 0.01 * np.ptp(log[driver]), log[driver]
-    more[:, k], less[:, k] = (np.clip(moved + d, moved.min(), moved.max()) for d in (step, -step))
-    rise = (steady.outputs(more) - steady.outputs(less))[:, columns]
-    moves = np.abs(rise[:, :1]) > 1e-6
-    slopes = np.where(moves, rise[:, 1:] / np.where(moves, rise[:, :1], 1.0), 0.0)
-    return Record(np.hstack([values, slopes]), log.measured(OUTPUTS), log.name)
+            error.problem, file=log.name, channel=error.channel, hint=error.hint
+        ) from None
+    return Record(drive, log.measured(OUTPUTS), log.name)
 
 
 def parts_of_equal_motion(record: Record, count: int = 3) -> list[Record]:
@@ -101,7 +90,7 @@ class FlightFit:
 def identify_flight(record: Record, dt_s: float, parts: int = 3) -> FlightFit:
     """Fit the whole record and each part, noise estimated; raises as `fit` does."""
     model = EngineFromSteady(dt_s)
-    free = tuple(one.name for one in model.parameters if one.free or one.name in _OFFSETS)
+    free = tuple(one.name for one in model.parameters if one.free or one.name in OFFSETS)
     lagged = Plan(free=(*free, *_METER), iterations=100)
     whole = fit(model, [record], lagged)
     start = whole.parameters()
@@ -137,4 +126,4 @@ def meter(found: FlightFit) -> str:
 
 def common_parameters(fits: Sequence[OutputErrorFit]) -> list[str]:
     """Free parameters without offsets, in order."""
-    return [name for name in fits[0].names if name not in _OFFSETS]
+    return [name for name in fits[0].names if name not in OFFSETS]

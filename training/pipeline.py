@@ -1,6 +1,9 @@
 """The order of the steps of `narxcal train`: each takes values and returns one result.
 
 logs -> split -> steady state -> lags -> network -> what leads -> noise -> bundle
+
+With [identify] another method takes the place of lags and network (`training.identify`); the rest
+is the same.
 """
 
 from __future__ import annotations
@@ -21,7 +24,8 @@ from data_prep.log import Log
 from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
 from narxcal.calibration.bundle import Bundle
-from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.calibration.calibration import Calibration, DynamicCalibration
+from narxcal.calibration.identified import IdentifiedCalibration
 from narxcal.calibration.noise import NoiseModel, estimate_noise
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.narx.network import NarxModel
@@ -31,7 +35,8 @@ from narxcal.steady.model import SteadyStateModel
 from narxcal.support.errors import DataError
 from training.baselines import fit_baselines
 from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
-from training.config import RunConfig
+from training.config import METHODS, STATIC, RunConfig
+from training.identify import identify, static_laws
 from training.lags import choose_form, fit_lags
 from training.lead import Leading, choose_leads, network_leads
 from training.network import (
@@ -83,7 +88,7 @@ def prepare_logs(config: RunConfig, files: Sequence[Path], dt_s: float | None = 
 def calibrate(
     config: RunConfig, base: Path, split: Split, options: TrainOptions | None = None
 ) -> Bundle:
-    """Fit or load the steady-state model, fit lags and network, estimate the fuser's noise.
+    """Fit or load the steady-state model, identify the dynamics, estimate the fuser's noise.
 
     The bundle's `config` is the resolved one, in which nothing is "auto"; `configured` is the one
     given.
@@ -93,10 +98,41 @@ def calibrate(
     """
     options, began, given = options or TrainOptions(), time.perf_counter(), config
     dt_s = _common_interval([*split.train, *split.validate])
-    split = split.with_outputs(config.narx.outputs)
+    method, law, quality = config.identify.method, None, None
+    steady: SteadyStateModel
     options.stage("fitting the steady state", 0, 1)
-    steady, quality = steady_state(config, base, split.train)
+    if method.startswith(STATIC):
+        config, steady, law = static_laws(config, split.train)
+        split = split.with_outputs(config.narx.outputs)
+    else:
+        split = split.with_outputs(config.narx.outputs)
+        steady, quality = steady_state(config, base, split.train)
     split = split.held(steady.input_names)
+    if method == METHODS[0]:
+        config, calibration, found = _narx(config, base, steady, split, options)
+    else:
+        options.stage(f"identifying by {method}", 0, 1)
+        known = law or identify(config, steady, split.train)
+        calibration = IdentifiedCalibration(steady, known.dynamics, dt_s)
+        found = {"training": {"status": known.status, "score": [], "history": []}}
+        found["identify"] = known.document()
+        found["baselines"] = fit_baselines(calibration, split.train)
+    found["training"]["wall_s"] = time.perf_counter() - began
+    meta = _provenance(given, base, split) | {
+        "config": _resolved(config, steady).model_dump(mode="json", by_alias=True),
+        "steady_state": _quality_row(quality, steady),
+        **found,
+        "free_run": free_run_fit(calibration, split.train),
+        "fuser_noise": fuser_noise(calibration, split).to_dict(),
+        "redundancy": redundancy_of(calibration, split.train),
+    }
+    return Bundle(calibration, meta)
+
+
+def _narx(
+    config: RunConfig, base: Path, steady: SteadyStateModel, split: Split, options: TrainOptions
+) -> tuple[RunConfig, Calibration, dict[str, Any]]:
+    """Fit lags and network, choose what leads; returns the configuration with the lags' form."""
     config, choice = choose_form(
         config, steady, split.train, partial(options.stage, "choosing the lags")
     )
@@ -104,21 +140,16 @@ def calibrate(
     lag = fit_lags(config, steady, split.train)
     results = fit_networks(config, material(config, steady, lag, split), options)
     network = merge_models([result.model for result in results])
-    calibration = _calibration(config, (steady, lag, network), dt_s)
+    calibration = _calibration(config, (steady, lag, network), split.train[0].dt_s)
     baselines = fit_baselines(calibration, split.train)
     leading = _leading(_resolved(config, steady), base, split, (calibration, baselines), options)
-    calibration = calibration.with_leads(leading.leads)
-    meta = _provenance(given, base, split) | {
-        "config": _resolved(config, steady).model_dump(mode="json", by_alias=True),
-        "steady_state": _quality_row(quality, steady),
+    rows = {
         "lag_form": choice.row(),
-        "training": _training_row(results, time.perf_counter() - began),
-        "fuser_noise": fuser_noise(calibration, split).to_dict(),
+        "training": _training_row(results),
         "baselines": baselines,
         "lead": leading.row(),
-        "redundancy": redundancy_of(calibration, split.train),
     }
-    return Bundle(calibration, meta)
+    return config, calibration.with_leads(leading.leads), rows
 
 
 def _leading(
@@ -145,10 +176,34 @@ def _leading(
     return choose_leads(config, split.train, refit, fitted, watch)
 
 
-def redundancy_of(calibration: DynamicCalibration, logs: Sequence[Log]) -> dict[str, Any] | None:
+def redundancy_of(calibration: Calibration, logs: Sequence[Log]) -> dict[str, Any] | None:
     """The bank that `evaluate` and `replay` check logs by; None where there is too little."""
     bank = learn(logs, (*calibration.output_names, *calibration.input_names))
     return None if bank is None else bank.to_json()
+
+
+def free_run_fit(calibration: Calibration, logs: Sequence[Log]) -> dict[str, Any]:
+    """Samples, RMSE per output and AIC of the free run over the training logs.
+
+    AIC = sum_j N_j ln mse_j + 2 (parameters + outputs), with errors taken as white: compare it
+    between models of the same logs and outputs alone. None where an output has no error.
+    """
+    errors = []
+    for log in logs:
+        own = calibration_for(calibration, log)
+        measured = log.matrix(own.output_names)
+        errors.append(own.simulate(log.matrix(own.input_names), measured[0]) - measured)
+    error = np.concatenate(errors)
+    count = np.isfinite(error).sum(axis=0)
+    mse = np.nanmean(error**2, axis=0)
+    names = calibration.output_names
+    penalty = 2.0 * (calibration.size + len(names))
+    return {
+        "samples": dict(zip(names, count.tolist(), strict=True)),
+        "rmse": dict(zip(names, np.sqrt(mse).tolist(), strict=True)),
+        "parameters": calibration.size,
+        "aic": float(count @ np.log(mse) + penalty) if (mse > 0.0).all() else None,
+    }
 
 
 def _calibration(
@@ -170,7 +225,7 @@ def _resolved(config: RunConfig, steady: SteadyStateModel) -> RunConfig:
     return config.model_copy(update={"steady_state": section})
 
 
-def calibration_for(calibration: DynamicCalibration, log: Log) -> DynamicCalibration:
+def calibration_for(calibration: Calibration, log: Log) -> Calibration:
     """Calibration for the engine of `log`."""
     return calibration.for_engine(log.source.engine)
 
@@ -227,7 +282,7 @@ def _record_hash(record: Record) -> str:
     return hashlib.sha256(shapes + record.u.tobytes() + record.y.tobytes()).hexdigest()
 
 
-def fuser_noise(calibration: DynamicCalibration, split: Split) -> NoiseModel:
+def fuser_noise(calibration: Calibration, split: Split) -> NoiseModel:
     """Estimate the fuser's noise from logs the network was not fitted to, where there are any.
 
     The logs are smoothed, while online the fuser gets raw measurements: the measurement noise is
@@ -286,11 +341,10 @@ def _quality_row(quality: SteadyQuality | None, steady: SteadyStateModel) -> dic
     }
 
 
-def _training_row(results: Sequence[FitResult], wall_s: float) -> dict[str, Any]:
+def _training_row(results: Sequence[FitResult]) -> dict[str, Any]:
     return {
         "status": "; ".join(sorted({result.status for result in results})),
         "score": [result.score for result in results],
-        "wall_s": wall_s,
         "history": [[_history_row(row) for row in result.history] for result in results],
     }
 

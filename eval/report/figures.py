@@ -22,6 +22,7 @@ from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
 
 if TYPE_CHECKING:
+    from eval.compare import Comparison, Recording
     from eval.crossval import CrossValidation, FoldResult
     from eval.denoising import NoiseSweep
 
@@ -380,6 +381,46 @@ def free_runs(
     return picture(
         figure, alt, "Measured: the line without a colour; below, each model minus measured."
     )
+
+
+def compared(found: Comparison) -> Picture:
+    """Free runs of all models, a row per channel: the log with most events, and its largest move.
+
+    The move is that with the largest change of the first channel within 20 s of an event's start.
+    """
+    one = max(found.recordings, key=lambda each: len(each.blocks))
+    rows, names = len(one.channels), [row.run for row in found.rows]
+    figure = style.figure(10.0, 0.5 + 1.9 * rows)
+    grid = figure.subplots(rows, 2, squeeze=False, width_ratios=(1.0, 1.2))
+    near = _largest_move(one)
+    for k, name in enumerate(one.channels):
+        for axes, part in zip(grid[k], (slice(None), near), strict=True):
+            time_s, alone = one.time_s[part], one.measured[part, k]
+            for number, model in enumerate(names):
+                colour = style.CYCLE[number % len(style.CYCLE)]
+                dashes = ("-", "--", ":")[number // len(style.CYCLE) % 3]
+                values = one.outputs[model][part, k]
+                if np.isfinite(values).any():
+                    style.curve(axes, time_s, values, colour, lw=1.1, ls=dashes, label=model)
+            style.curve(axes, time_s, alone, style.MEASURED, lw=0.9, label="measured")
+            axes.set_ylabel(style.with_unit(name))
+            style.dress(axes)
+            axes.margins(x=0.0)
+    for axes in grid[-1]:
+        axes.set_xlabel("time [s]")
+    style.legend(grid[0][0], columns=4, size=7.0)
+    alt = f"{', '.join(map(symbol, one.channels))} of {one.name}, measured and in free run"
+    caption = f"{one.name}: the whole log, and its largest move. Black: measured."
+    return picture(figure, alt, caption)
+
+
+def _largest_move(one: Recording) -> slice:
+    dt_s = float(np.median(np.diff(one.time_s)))
+    reach, first = round(20.0 / dt_s), np.nan_to_num(one.measured[:, 0])
+    starts = one.blocks or (0,)
+    size = [abs(float(first[min(at + reach, len(first) - 1)] - first[at])) for at in starts]
+    at = starts[int(np.argmax(size))]
+    return slice(max(at - round(5.0 / dt_s), 0), at + 2 * reach)
 
 
 def fused(

@@ -21,6 +21,7 @@ from narxcal.channels import symbol
 from narxcal.support.files import atomic_write_text
 
 if TYPE_CHECKING:
+    from eval.compare import Comparison
     from eval.crossval import CrossValidation
     from eval.denoising import NoiseSweep
 
@@ -75,6 +76,11 @@ def prepare_page(
 def crossval_page(header: RunHeader, found: CrossValidation) -> str:
     """Build the page of `crossval`: the verdict, every fold, and the spread over the folds."""
     return render("crossval.html.j2", header=header, outcome=found.outcome, found=found)
+
+
+def compare_page(header: RunHeader, found: Comparison) -> str:
+    """Build the page of `compare`: one table, one figure, the significant differences."""
+    return render("compare.html.j2", header=header, found=found)
 
 
 def noise_page(header: RunHeader, outcome: Outcome, sweeps: Sequence[NoiseSweep]) -> str:

@@ -9,7 +9,7 @@
     units        {channel: unit}
     weights      {"file", "sha256", "arrays": {name: {"dtype", "shape"}}}
     files        {"steady/NAME": sha256} of what the steady-state model needs, such as an FMU
-    calibration  lags, widths, names and whatever `DynamicCalibration` needs beside arrays
+    calibration  lags, widths, names and whatever the `Calibration` needs beside arrays
     versions     of Python and the packages that made it
     ...          what the trainer adds: config, data hashes, split, seeds, metrics
 
@@ -41,7 +41,8 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_arrays
 from safetensors.numpy import save as save_arrays
 
-from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.calibration.calibration import Calibration
+from narxcal.calibration.identified import calibration_from_arrays
 from narxcal.channels import CHANNELS
 from narxcal.steady.model import CarriesFiles
 from narxcal.support.errors import ModelError, NarxcalError
@@ -223,7 +224,7 @@ class Bundle:
     the hash of the stored bundle; empty for one that was not loaded, or is unverified.
     """
 
-    calibration: DynamicCalibration
+    calibration: Calibration
     meta: dict[str, Any] = field(default_factory=dict, repr=False)
     sha256: str = ""
 
@@ -280,7 +281,7 @@ def load_bundle(folder: str | PathLike[str], *, trust: bool = False) -> Bundle:
     meta = _with_own_files(source, document)
     file = source / DOCUMENT
     try:
-        calibration = DynamicCalibration.from_arrays(meta, arrays, trust=trust)
+        calibration = calibration_from_arrays(meta, arrays, trust=trust)
         stored = {"dt_s": float(document["dt_s"]), "channels": document["channels"]}
         named = {"dt_s": calibration.dt_s, "channels": _channels(calibration)["channels"]}
     except NarxcalError as error:
@@ -343,7 +344,7 @@ def _warn_once(text: str) -> None:
     _LOG.warning(text)
 
 
-def _channels(calibration: DynamicCalibration) -> dict[str, Any]:
+def _channels(calibration: Calibration) -> dict[str, Any]:
     inputs, outputs = list(calibration.input_names), list(calibration.output_names)
     units = {name: CHANNELS[name].unit for name in (*inputs, *outputs) if name in CHANNELS}
     return {"channels": {"inputs": inputs, "outputs": outputs}, "units": units}

@@ -1,4 +1,4 @@
-"""Dynamic calibration: a steady-state model and the NARX network that predicts its deviation.
+"""A dynamic model behind a steady state (`Calibration`), and the one with a NARX network.
 
 Source: papers/narx calibration, section 2.1 and figure 1.
 
@@ -15,9 +15,10 @@ Source: papers/narx calibration, section 2.1 and figure 1.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from copy import copy
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,63 +35,69 @@ from narxcal.support.errors import DataError, ModelError
 _UNBOUNDED = ("narx/low", "narx/high", "steady/low", "steady/high")
 
 
-class DynamicCalibration:
+class Running(Protocol):
+    """State of a calibration between samples."""
+
+    def correct(self, outputs: FloatArray) -> None:
+        """Replace the newest outputs by measured ones (n_out,); NaN keeps the model's own."""
+
+    def advance(self, inputs: FloatArray, ss: FloatArray) -> FloatArray:
+        """Deviations (n, n_out) at the next samples: inputs (n, n_in), steady states (n, n_out)."""
+
+
+class Calibration(ABC):
     """Turns inputs into outputs over time: `simulate` for whole logs, `step` for one sample.
 
     All methods give the same numbers. Columns are canonical channels: `input_names` are those of
     the steady-state model, `output_names` those that it gives. `dt_s` is the sampling interval.
-
-    `settle_s` is the fading bound: the network's deviation may not be larger than twice that of a
-    first-order lag of this time constant, so that it never outlives the movement that caused it. It
-    needs a network whose outputs vanish in equilibrium (an anchored one); None means none.
-    `with_lag` puts lags in front of the network; `with_leads` lets simple models lead in some
-    outputs, and `network_alone` is the same without them.
+    A subclass has a dynamic model of its own behind the steady state; `with_leads` lets simple
+    models lead in some outputs, and `network_alone` is the same without them.
     """
 
-    def __init__(
-        self,
-        steady: SteadyStateModel,
-        narx: NarxModel,
-        dt_s: float,
-        schedule: Sequence[str] = (),
-        settle_s: float | None = None,
-    ) -> None:
-        unknown = [name for name in schedule if name not in steady.input_names]
-        if unknown:
-            raise ModelError(
-                f"the schedule names '{unknown[0]}', which is no input of the steady-state model",
-                hint=f"Inputs are {', '.join(steady.input_names)}",
-            )
+    def __init__(self, steady: SteadyStateModel, dt_s: float) -> None:
         self.steady = steady
-        self.narx = narx
         self.dt_s = dt_s
-        self.schedule = tuple(schedule)
-        self.settle_s = settle_s
-        self._columns = [steady.input_names.index(name) for name in schedule]
-        self.lag: LumpedEngine | None = None
         self.leads: tuple[Lead, ...] = ()
-        self._register: Register | None = None
+        self._register: Running | None = None
         self._led: list[LeadState] = []
 
     def __repr__(self) -> str:
         names = f"{', '.join(self.input_names)} -> {', '.join(self.output_names)}"
-        return f"<DynamicCalibration {names} every {self.dt_s:.6g} s>"
+        return f"<{type(self).__name__} {names} every {self.dt_s:.6g} s>"
 
-    def with_lag(self, lag: LumpedEngine | None) -> Self:
-        """The calibration with `lag` in front of a network that was trained for that."""
-        if lag is not None and lag.output_names != self.output_names:
-            raise ModelError(
-                f"the lags are those of {', '.join(lag.output_names)}, "
-                f"the steady-state model's outputs {', '.join(self.output_names)}"
-            )
-        return self._with(lag=lag)
+    @property
+    @abstractmethod
+    def words(self) -> str:
+        """Describe the dynamic model."""
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Number of parameters of the dynamic model."""
+
+    @abstractmethod
+    def _started(self, inputs: FloatArray, ss: FloatArray, deviation: FloatArray) -> Running:
+        """State at inputs (n_in,) that were constant, with this deviation (n_out,)."""
+
+    @abstractmethod
+    def _prediction(self, given: FloatArray, ss: FloatArray, known: FloatArray) -> FloatArray:
+        """One-step prediction from measured outputs `known`, before simple models lead."""
+
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Guaranteed (low, high) of the deviation of each output; infinite where there are none."""
+        none = np.full(len(self.output_names), np.inf)
+        return -none, none
+
+    @abstractmethod
+    def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+        """Split into JSON-able structure and named arrays, for the bundle."""
 
     def with_leads(self, leads: Sequence[Lead]) -> Self:
-        """The calibration with simple models in the place of the network in some outputs."""
+        """The calibration with simple models in the place of its own in some outputs."""
         return self._with(leads=tuple(leads))
 
     def network_alone(self) -> Self:
-        """The calibration with the network leading in every output."""
+        """The calibration with its own model leading in every output."""
         return self.with_leads(())
 
     @property
@@ -134,29 +141,13 @@ class DynamicCalibration:
         """One-step-ahead prediction (time, n_out) from measured outputs (time, n_out).
 
         NaN where the past is unknown: at sample 0 and after a masked one.
-        With lags in front of the network, the network's own share is that of the free run.
         """
         given = self._checked(inputs)
-        ss = self.steady.outputs(given)
-        known = np.asarray(measured, dtype=np.float64)
-        outputs = self._network_prediction(given, ss, ss - known)
+        ss, known = self.steady.outputs(given), np.asarray(measured, dtype=np.float64)
+        outputs = self._prediction(given, ss, known)
         for lead in self.leads:
             outputs[:, lead.channel] = lead.predict(ss, known[:, lead.channel])
         return outputs
-
-    def _network_prediction(
-        self, given: FloatArray, ss: FloatArray, deviation: FloatArray
-    ) -> FloatArray:
-        if self.lag is None:
-            features = narx_features(ss, given[:, self._columns])
-            return np.asarray(ss - self.narx.predict(features, deviation))
-        drive = self.lag.drive(given, self.input_names, ss)
-        free = self.lag.deviations(drive, deviation[0], self.dt_s)
-        share = ss - free - self.network_alone().simulate(given, ss[0] - deviation[0])
-        lagged = self.lag.deviations(drive, deviation[0], self.dt_s, deviation - share)
-        unknown = np.ones(len(ss), dtype=np.bool_)
-        unknown[1:] = np.isnan(deviation[:-1]).any(axis=1)
-        return np.where(unknown[:, None], np.nan, ss - lagged - share)
 
     def reset(self, inputs: ArrayLike, start: ArrayLike | None = None) -> FloatArray:
         """Fill the register as if the inputs had been constant at `inputs` (n_in,).
@@ -196,6 +187,99 @@ class DynamicCalibration:
         for state in self._led:
             outputs[:, state.lead.channel] = state.advance(ss)
         return outputs
+
+    def _checked(self, inputs: ArrayLike) -> FloatArray:
+        given = np.asarray(inputs, dtype=np.float64)
+        if given.ndim != 2 or given.shape[1] != len(self.input_names) or not len(given):
+            raise DataError(
+                f"expected inputs of shape (time, {len(self.input_names)}) "
+                f"({', '.join(self.input_names)}), found {given.shape}"
+            )
+        if not np.isfinite(given).all():
+            row, column = np.argwhere(~np.isfinite(given))[0]
+            raise DataError(
+                f"expected a finite input, found {given[row, column]}",
+                channel=self.input_names[column],
+                row=int(row),
+                hint="Hold the last good value, or cut the log there",
+            )
+        return given
+
+    def _first_deviation(self, ss: FloatArray, start: ArrayLike | None) -> FloatArray:
+        if start is None:
+            return np.zeros(len(self.output_names))
+        given = np.asarray(start, dtype=np.float64)
+        if given.shape != ss.shape:
+            raise DataError(
+                f"expected start values of shape ({len(ss)},) ({', '.join(self.output_names)}), "
+                f"found {given.shape}"
+            )
+        return np.where(np.isfinite(given), ss - given, 0.0)
+
+
+class DynamicCalibration(Calibration):
+    """Steady-state model, lags and NARX network.
+
+    `settle_s` is the fading bound: the network's deviation may not be larger than twice that of a
+    first-order lag of this time constant, so that it never outlives the movement that caused it. It
+    needs a network whose outputs vanish in equilibrium (an anchored one); None means none.
+    `with_lag` puts lags in front of the network.
+    """
+
+    def __init__(
+        self,
+        steady: SteadyStateModel,
+        narx: NarxModel,
+        dt_s: float,
+        schedule: Sequence[str] = (),
+        settle_s: float | None = None,
+    ) -> None:
+        unknown = [name for name in schedule if name not in steady.input_names]
+        if unknown:
+            raise ModelError(
+                f"the schedule names '{unknown[0]}', which is no input of the steady-state model",
+                hint=f"Inputs are {', '.join(steady.input_names)}",
+            )
+        super().__init__(steady, dt_s)
+        self.narx = narx
+        self.schedule = tuple(schedule)
+        self.settle_s = settle_s
+        self._columns = [steady.input_names.index(name) for name in schedule]
+        self.lag: LumpedEngine | None = None
+
+    @property
+    def words(self) -> str:
+        """Lags and hidden units of the network."""
+        return f"NARX, lags {self.narx.config.lags}, hidden units {self.narx.config.hidden}"
+
+    @property
+    def size(self) -> int:
+        """Weights of the network, and what the lags have that is not zero."""
+        lag = 0 if self.lag is None else np.count_nonzero(self.lag.theta)
+        return int(self.narx.weights.theta.size + lag)
+
+    def with_lag(self, lag: LumpedEngine | None) -> Self:
+        """The calibration with `lag` in front of a network that was trained for that."""
+        if lag is not None and lag.output_names != self.output_names:
+            raise ModelError(
+                f"the lags are those of {', '.join(lag.output_names)}, "
+                f"the steady-state model's outputs {', '.join(self.output_names)}"
+            )
+        return self._with(lag=lag)
+
+    def _prediction(self, given: FloatArray, ss: FloatArray, known: FloatArray) -> FloatArray:
+        """With lags in front of the network, the network's own share is that of the free run."""
+        deviation = ss - known
+        if self.lag is None:
+            features = narx_features(ss, given[:, self._columns])
+            return np.asarray(ss - self.narx.predict(features, deviation))
+        drive = self.lag.drive(given, self.input_names, ss)
+        free = self.lag.deviations(drive, deviation[0], self.dt_s)
+        share = ss - free - self.network_alone().simulate(given, ss[0] - deviation[0])
+        lagged = self.lag.deviations(drive, deviation[0], self.dt_s, deviation - share)
+        unknown = np.ones(len(ss), dtype=np.bool_)
+        unknown[1:] = np.isnan(deviation[:-1]).any(axis=1)
+        return np.where(unknown[:, None], np.nan, ss - lagged - share)
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Guaranteed (low, high) of the deviation of each output, in the outputs' units."""
@@ -288,34 +372,6 @@ class DynamicCalibration:
             self.narx, self.lag, self.dt_s, self.settle_s, self.input_names, self._columns
         )
         return Register(parts, Sample(inputs, ss, deviation))
-
-    def _checked(self, inputs: ArrayLike) -> FloatArray:
-        given = np.asarray(inputs, dtype=np.float64)
-        if given.ndim != 2 or given.shape[1] != len(self.input_names) or not len(given):
-            raise DataError(
-                f"expected inputs of shape (time, {len(self.input_names)}) "
-                f"({', '.join(self.input_names)}), found {given.shape}"
-            )
-        if not np.isfinite(given).all():
-            row, column = np.argwhere(~np.isfinite(given))[0]
-            raise DataError(
-                f"expected a finite input, found {given[row, column]}",
-                channel=self.input_names[column],
-                row=int(row),
-                hint="Hold the last good value, or cut the log there",
-            )
-        return given
-
-    def _first_deviation(self, ss: FloatArray, start: ArrayLike | None) -> FloatArray:
-        if start is None:
-            return np.zeros(len(self.output_names))
-        given = np.asarray(start, dtype=np.float64)
-        if given.shape != ss.shape:
-            raise DataError(
-                f"expected start values of shape ({len(ss)},) ({', '.join(self.output_names)}), "
-                f"found {given.shape}"
-            )
-        return np.where(np.isfinite(given), ss - given, 0.0)
 
 
 def narx_features(

@@ -12,8 +12,8 @@ from eval import terminal
 from eval.crossval import SCHEMA, CrossValidation, FoldResult, cross_validate
 from eval.report.page import RunHeader, crossval_page
 from narxcal.cli.console import Console
-from narxcal.cli.options import add_config, add_jobs
-from narxcal.cli.results import data_files, now, read_config
+from narxcal.cli.options import add_config, add_jobs, add_method
+from narxcal.cli.results import data_files, now, read_config, with_method
 from narxcal.support.files import Results, to_json, versions
 from training.config import RunConfig
 from training.pipeline import configured_files
@@ -25,6 +25,7 @@ RESULTS = Results(SCHEMA, DOCUMENT, (PAGE,))
 def add_options(parser: ArgumentParser) -> None:
     """Add what the command takes to `parser`."""
     add_config(parser, "DIR", "folder for the tables and the page")
+    add_method(parser)
     add_jobs(parser, "folds")
 
 
@@ -32,6 +33,7 @@ def run(options: Namespace, console: Console) -> int:
     """Cross-validate the configured logs; writes JSON and HTML, 1 where a tolerance was missed."""
     RESULTS.check(options.out)
     config, base = read_config(options.config, options.data)
+    config = with_method(config, options.method)
     logs: list[Log] = []
     files = configured_files(config, base)
     with console.progress("Reading the logs") as advance:

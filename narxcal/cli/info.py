@@ -7,10 +7,13 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from narxcal.calibration.bundle import Bundle, load_bundle, read_document
+from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_run
-from narxcal.cli.results import hash_words, lag_words, steady_words
+from narxcal.cli.results import hash_words, lag_words, method_of, steady_words
 
 SCHEMA = "narxcal.info/1"
 _KEPT = ("split", "seeds", "steady_state", "lag_form", "training")
@@ -70,7 +73,7 @@ def _number(value: float | None) -> str:
 def _document(run: str, bundle: Bundle, stored: dict[str, Any]) -> dict[str, Any]:
     calibration, meta = bundle.calibration, bundle.meta
     low, high = calibration.bounds()
-    narx = calibration.narx.config
+    network = calibration if isinstance(calibration, DynamicCalibration) else None
     return {
         "schema": SCHEMA,
         "run": run,
@@ -78,15 +81,16 @@ def _document(run: str, bundle: Bundle, stored: dict[str, Any]) -> dict[str, Any
         "channels": stored["channels"],
         "units": stored["units"],
         "dt_s": calibration.dt_s,
-        "schedule": list(calibration.schedule),
-        "lags": narx.lags,
-        "taps": list(narx.taps),
-        "hidden": narx.hidden,
-        "weights": int(calibration.narx.weights.theta.size),
+        "method": method_of(meta),
+        "model": calibration.words,
+        "parameters": calibration.size,
+        **({} if network is None else _network(network)),
         "weights_sha256": stored["weights"]["sha256"],
         "sha256": bundle.sha256 or None,
         "deviation_bounds": {
-            name: [float(low[k]), float(high[k])] for k, name in enumerate(calibration.output_names)
+            name: [float(low[k]), float(high[k])]
+            for k, name in enumerate(calibration.output_names)
+            if np.isfinite(low[k])
         },
         **{key: meta.get(key) for key in _KEPT},
         "metrics": _metrics(Path(run), stored["weights"]["sha256"]),
@@ -94,6 +98,17 @@ def _document(run: str, bundle: Bundle, stored: dict[str, Any]) -> dict[str, Any
         "hardware": meta.get("hardware", {}),
         "versions": meta.get("versions", {}),
         "config": meta.get("config", {}),
+    }
+
+
+def _network(calibration: DynamicCalibration) -> dict[str, Any]:
+    narx = calibration.narx.config
+    return {
+        "schedule": list(calibration.schedule),
+        "lags": narx.lags,
+        "taps": list(narx.taps),
+        "hidden": narx.hidden,
+        "weights": int(calibration.narx.weights.theta.size),
     }
 
 
@@ -119,10 +134,9 @@ def _facts(document: dict[str, Any]) -> dict[str, str]:
         "Model": document["name"] or document["run"],
         "Inputs": ", ".join(document["channels"]["inputs"]),
         "Outputs": ", ".join(document["channels"]["outputs"]),
-        "Schedule": ", ".join(document["schedule"]) or "none",
         "Sampling": f"{document['dt_s']:.6g} s ({1.0 / document['dt_s']:.4g} Hz)",
-        "Network": f"lags {document['lags']}, hidden units {document['hidden']}, "
-        f"weights {document['weights']}",
+        "Method": document["method"],
+        "Dynamics": f"{document['model']}; {document['parameters']} parameters",
         "Bundle": hash_words(document["sha256"]),
         "Steady state": steady_words(document),
         "Lags": lag_words(document),

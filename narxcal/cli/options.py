@@ -80,6 +80,15 @@ def add_config(parser: ArgumentParser, out: str, text: str) -> None:
     add_data(parser, "folder of the logs, instead of the configuration's")
 
 
+def add_method(parser: ArgumentParser) -> None:
+    """--method: how the model is identified."""
+    parser.add_argument(
+        "--method",
+        metavar="METHOD",
+        help="output-error, transfer, subspace, static:NAME or narx, instead of [identify]",
+    )
+
+
 def add_data(parser: ArgumentParser, text: str) -> None:
     """--data, or NARXCAL_DATA."""
     parser.add_argument(

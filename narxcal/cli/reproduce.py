@@ -180,13 +180,12 @@ def _write(out: Path, found: Reproduction, options: Namespace) -> None:
 def _header(found: Reproduction, options: Namespace) -> RunHeader:
     config = found.data.config
     rule_set = rules(config.evaluate.get("transients", {}).get("rules", "paper"))
-    narx = found.bundle.calibration.narx.config
     origin = "the user's own" if options.data else f"virtual flights, seed {options.seed}"
     return RunHeader(
         title="The calibration paper reproduced",
         created=now(),
         run=config.name,
-        model=f"NARX, lags {narx.lags}, hidden units {narx.hidden}",
+        model=found.bundle.calibration.words,
         rules=rule_set.name,
         tolerances=f"Ti {words(rule_set.Ti)}; Tt {words(rule_set.Tt)} ({rule_set.source})",
         sources=data_files(found.data.logs),

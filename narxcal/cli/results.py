@@ -15,7 +15,7 @@ from eval.rules import Tolerance, rules
 from narxcal.channels import CHANNELS
 from narxcal.cli.console import Console
 from narxcal.support.errors import ConfigError, DataError
-from training.config import RunConfig, load_config
+from training.config import IdentifyConfig, RunConfig, load_config
 
 if TYPE_CHECKING:
     from narxcal.calibration.bundle import Bundle
@@ -45,6 +45,15 @@ def read_config(path: str, data: Path | None) -> tuple[RunConfig, Path]:
         return config, base
     logs = config.logs.model_copy(update={"folder": str(data.resolve())})
     return config.model_copy(update={"logs": logs}), base
+
+
+def with_method(config: RunConfig, method: str | None) -> RunConfig:
+    """Return the configuration with [identify] method, if one is given; raises `ConfigError`."""
+    if method is None:
+        return config
+    table = {**config.identify.model_dump(), "method": method}
+    section = IdentifyConfig.parse(table, options={"method": f"--method {method}"})
+    return config.model_copy(update={"identify": section})
 
 
 def logs_for(
@@ -176,13 +185,11 @@ def header_of(
     from narxcal.calibration.bundle import read_document  # noqa: PLC0415 -- likewise
 
     meta, found = bundle.meta, rules(rule_set)
-    narx = bundle.calibration.narx.config
     return RunHeader(
         title=title,
         created=now(),
         run=str(run),
-        model=f"NARX, lags {narx.lags}, hidden units {narx.hidden}, over "
-        f"{', '.join(bundle.calibration.input_names)}",
+        model=f"{bundle.calibration.words}, over {', '.join(bundle.calibration.input_names)}",
         rules=found.name,
         tolerances=f"Ti {words(found.Ti)}; Tt {words(found.Tt)} ({found.source})",
         sources=data_files(logs),
@@ -190,6 +197,11 @@ def header_of(
         facts={"Bundle": hash_words(read_document(run).get("sha256")), **_facts(meta)},
         config=json.dumps(meta.get("config", {}), indent=1),
     )
+
+
+def method_of(meta: Mapping[str, Any]) -> str:
+    """By which method a bundle was identified; "narx" for one that `train` wrote."""
+    return str(meta.get("config", {}).get("identify", {}).get("method", "narx"))
 
 
 def hash_words(sha256: str | None) -> str:

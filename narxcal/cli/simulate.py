@@ -14,7 +14,7 @@ from data_prep.config import LogsConfig
 from data_prep.log import Log
 from data_prep.reading import open_table
 from narxcal.calibration.bundle import Bundle, load_bundle
-from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.calibration.calibration import Calibration
 from narxcal.cli import simulate_effects
 from narxcal.cli.console import Console
 from narxcal.cli.options import SIMULATOR, add_mapping, add_overwrite, add_trust, path
@@ -114,7 +114,7 @@ def read_inputs(bundle: Bundle, file: Path) -> list[Log]:
     return prepare_logs(reading, [file], bundle.calibration.dt_s)
 
 
-def _simulated(calibration: DynamicCalibration, log: Log) -> _Run:
+def _simulated(calibration: Calibration, log: Log) -> _Run:
     own = calibration_for(calibration, log)
     inputs = log.matrix(own.input_names)
     table = pd.DataFrame(own.simulate(inputs), columns=list(own.output_names))

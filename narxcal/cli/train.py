@@ -42,21 +42,26 @@ def run(options: Namespace, console: Console) -> int:
     """Train, or go on with a training; an interrupted one ends well with its best network."""
     run_folder: Path = options.out
     config, base = read_config(options.config, options.data)
-    _check(run_folder, resume=options.resume)
+    check(run_folder, resume=options.resume)
     if options.resume and _complete(run_folder, config):
         console.say(f"{run_folder} is complete; nothing is left to do.")
         console.document(_document(run_folder, read_document(run_folder)))
         return 0
     if options.resume and not (run_folder / CHECKPOINTS).is_dir():
         console.warn(f"nothing to resume in {run_folder}: the training begins anew")
-    with locked(run_folder):
-        try:
-            bundle = train(config, base, run_folder, (options.resume, console))
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(_where_it_stands(run_folder)) from None
+    bundle = train_locked(config, base, run_folder, (options.resume, console))
     _show(console, run_folder, bundle)
     console.document(_document(run_folder, bundle.meta))
     return 0
+
+
+def train_locked(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]) -> Bundle:
+    """As `train`, alone in the folder; Ctrl-C says where the training stands."""
+    with locked(folder):
+        try:
+            return train(config, base, folder, how)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(_where_it_stands(folder)) from None
 
 
 def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]) -> Bundle:
@@ -116,7 +121,7 @@ def interrupted(meta: dict[str, Any]) -> bool:
     return "interrupted" in (meta.get("training") or {}).get("status", "")
 
 
-def _check(folder: Path, *, resume: bool) -> None:
+def check(folder: Path, *, resume: bool) -> None:
     """Refuse a folder that cannot be written or, but for a training to resume, holds anything."""
     check_writable(folder)
     if not folder.exists():

@@ -186,32 +186,11 @@ def lag(gain: complex, tau_s: complex) -> LinearSystem:
     )
 
 
-def scheduled_lag(
-    target: ArrayLike, tau_s: ArrayLike, dt_s: float, shape: tuple[complex, float] = (0.0, 0.0)
-) -> Values:
-    """First-order lag (time,) of a target (time,), linear between samples, from its first value.
-
-    The time constant of a step is tau(k) exp(-rate (y(k) - reference)) with `shape` = (rate,
-    reference), constant over the step, within which the response is exact.
-    """
-    goal, tau = np.asarray(target), np.broadcast_to(tau_s, np.shape(target))
-    rate, reference = shape
-    result = _scheduled_lag(_complex(goal), _complex(tau / dt_s), complex(rate), complex(reference))
-    return _as_given(result, goal, tau, rate)
-
-
 @compiled
-def _scheduled_lag(target: Values, steps: Values, rate: complex, reference: complex) -> Values:
-    result = np.empty_like(target)
-    y = target[0]
-    result[0] = y
-    for k in range(len(target) - 1):
-        tau = steps[k] * np.exp(-rate * (y - reference))
-        keep = np.exp(-1.0 / tau)
-        ramp = target[k + 1] - target[k]
-        y = target[k + 1] - ramp * tau + (y - target[k] + ramp * tau) * keep
-        result[k + 1] = y
-    return result
+def lag_step(y: complex, ends: tuple[complex, complex], steps: complex) -> complex:
+    """Output of a lag of time constant `steps` * dt, one dt later, behind a straight line."""
+    behind = steps * (ends[1] - ends[0])
+    return complex(ends[1] - behind + (y - ends[0] + behind) * np.exp(-1.0 / steps))
 
 
 def flowmeter(zeta: complex, omega: complex, K_SF: complex = 1.0) -> LinearSystem:

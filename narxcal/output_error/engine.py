@@ -32,11 +32,15 @@ from narxcal.output_error.blocks import (
     Values,
     flowmeter,
     lag,
+    lag_step,
     play,
-    scheduled_lag,
 )
+from narxcal.steady.model import SteadyStateModel
+from narxcal.support.compiled import compiled
+from narxcal.support.errors import DataError
 
 FloatArray = NDArray[np.float64]
+STEADY_OUTPUTS: Final = ("N2_pct", "N1_pct", "EGT_C")  # N_H, N_L, T of `EngineFromSteady`
 Parameters = Mapping[str, complex]
 
 
@@ -275,17 +279,99 @@ class EngineFromSteady:
 
     def simulate(self, values: Parameters, u: FloatArray) -> Values:
         """Outputs (time, 3) in the units of the steady values, from equilibrium."""
-        slope = np.gradient(u[:, :3], self.dt_s, axis=0)
-        curvature = np.gradient(slope, self.dt_s, axis=0)
-        steady = u[:, :3] + values["tau_M"] * slope + values["square_M"] * curvature
-        H, L, S = steady.T
-        N_H = scheduled_lag(H, values["tau_H"], self.dt_s, (values["rate_H"], self.reference))
-        behind = N_H - H
-        tau_L = values["tau_L"] * np.exp(-values["rate_L"] * (N_H - self.reference))
-        N_L = scheduled_lag(L + (1.0 - values["alpha"]) * u[:, 3] * behind, tau_L, self.dt_s)
-        T = scheduled_lag(S + (1.0 - values["beta"]) * u[:, 4] * behind, values["tau_T"], self.dt_s)
+        outputs = self.run(values, u)[0]
         offsets = np.array([values[name] for name in ("N_HO", "N_LO", "T_O")])
-        return np.asarray(np.column_stack([N_H, N_L, T]) + offsets)
+        return np.asarray(outputs + offsets)
+
+    def run(
+        self,
+        values: Parameters,
+        u: FloatArray,
+        start: FloatArray | None = None,
+        measured: FloatArray | None = None,
+    ) -> tuple[Values, Values]:
+        """Outputs (time, 3) without offsets, and those (3,) that the next step starts from.
+
+        The run starts at `start` (3,) or in equilibrium. A finite value of `measured` (time, 3)
+        replaces an output after its sample.
+        """
+        curvature = np.gradient(np.gradient(u[:, :3], axis=0), axis=0) if len(u) > 1 else 0.0
+        steady = u[:, :3] + values["square_M"] / self.dt_s**2 * curvature
+        drive = np.hstack([steady, u[:, 3:]]).astype(np.complex128)
+        numbers = np.array([values[name] for name in _IN_STEP], dtype=np.complex128)
+        numbers[:4] /= self.dt_s
+        known = np.full((len(u), 3), np.nan) if measured is None else measured
+        state = drive[0, :3] if start is None else np.asarray(start, dtype=np.complex128)
+        outputs, end = _engine(numbers, drive, (state, known, self.reference))
+        if any(np.iscomplexobj(value) for value in values.values()):
+            return outputs, end
+        return outputs.real.copy(), end.real.copy()
+
+
+_IN_STEP: Final = ("tau_H", "tau_L", "tau_T", "tau_M", "rate_H", "rate_L", "alpha", "beta")
+
+
+@compiled
+def _engine(
+    p: NDArray[np.complex128],
+    drive: NDArray[np.complex128],
+    more: tuple[NDArray[np.complex128], FloatArray, float],
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Step N_H, N_L, T; times in p are in samples, the meter's lead is that of each interval."""
+    start, measured, reference = more
+    tau_H, tau_L, tau_T, tau_M, rate_H, rate_L, alpha, beta = p
+    outputs, y = np.empty((len(drive), 3), dtype=np.complex128), start.copy()
+    for k in range(len(drive)):
+        if k > 0:
+            lead = tau_M * (drive[k, :3] - drive[k - 1, :3])
+            before, after = drive[k - 1, :3] + lead, drive[k, :3] + lead
+            behind, above = y[0] - before[0], y[0] - reference
+            y[0] = lag_step(y[0], (before[0], after[0]), tau_H * np.exp(-rate_H * above))
+            c_L, c_T = (1.0 - alpha) * drive[k - 1, 3], (1.0 - beta) * drive[k - 1, 4]
+            d_L, d_T = (1.0 - alpha) * drive[k, 3], (1.0 - beta) * drive[k, 4]
+            left = y[0] - after[0]
+            ends = before[1] + c_L * behind, after[1] + d_L * left
+            y[1] = lag_step(y[1], ends, tau_L * np.exp(-rate_L * above))
+            ends = before[2] + c_T * behind, after[2] + d_T * left
+            y[2] = lag_step(y[2], ends, tau_T)
+        outputs[k] = y
+        for j in range(3):
+            if np.isfinite(measured[k, j]):
+                y[j] = complex(measured[k, j])
+    return outputs, y
+
+
+def steady_drive(
+    steady: SteadyStateModel, inputs: FloatArray, driver: str, span: tuple[float, float]
+) -> FloatArray:
+    """Inputs (time, 5) of `EngineFromSteady` at inputs (time, n_in) of a steady-state model.
+
+    The slopes dN1/dN2 and dT/dN2 are those over 1 % of the driver's range `span` to either side,
+    within that range; where N2 does not move with the driver they are 0. Raises `DataError` for a
+    model without one of the outputs or the driver.
+    """
+    missing = [name for name in STEADY_OUTPUTS if name not in steady.output_names]
+    if missing:
+        raise DataError(
+            "the steady-state model does not give this output",
+            channel=missing[0],
+            hint=f"Output error needs {', '.join(STEADY_OUTPUTS)}: choose another method",
+        )
+    if driver not in steady.input_names:
+        raise DataError(
+            "output error needs the driver among the inputs of the steady-state model",
+            channel=driver,
+            hint=f"Inputs are {', '.join(steady.input_names)}: set [steady_state] driver",
+        )
+    columns = [steady.output_names.index(name) for name in STEADY_OUTPUTS]
+    values = steady.outputs(inputs)[:, columns]
+    k, step = steady.input_names.index(driver), 0.01 * (span[1] - span[0])
+    more, less = inputs.copy(), inputs.copy()
+    more[:, k], less[:, k] = (np.clip(inputs[:, k] + d, *span) for d in (step, -step))
+    rise = (steady.outputs(more) - steady.outputs(less))[:, columns]
+    moves = np.abs(rise[:, :1]) > 1e-6
+    slopes = np.where(moves, rise[:, 1:] / np.where(moves, rise[:, :1], 1.0), 0.0)
+    return np.hstack([values, slopes])
 
 
 def _state(values: Parameters, names: Sequence[str], size: int) -> Values:

@@ -204,6 +204,7 @@ _MODULES = {
     "callable": "narxcal.steady.function",
     "fmu": "narxcal.steady.fmu",
     "fitted": "narxcal.steady.fitted",
+    "static": "narxcal.steady.laws",
 }
 _REGISTRY: dict[str, type[StorableSteadyState]] = {}
 

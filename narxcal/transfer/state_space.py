@@ -24,7 +24,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.linalg import block_diag
 
@@ -192,10 +192,27 @@ class Schedule:
                 f"{int((~np.isfinite(self.values)).any(axis=-1).sum())} are not: the mesh has holes"
             )
 
-    def at(self, condition: Sequence[float]) -> FloatArray:
-        """Parameters (P,) at a condition, linear between grid values, constant beyond them."""
-        inside = [np.clip(x, a[0], a[-1]) for x, a in zip(condition, self.axes, strict=True)]
-        return np.asarray(RegularGridInterpolator(self.axes, self.values)(np.array(inside))[0])
+    def at(self, conditions: ArrayLike) -> FloatArray:
+        """Parameters (.., P) at conditions (.., axes), linear between, constant beyond nodes."""
+        return np.asarray(_between(self.axes, conditions, self.values))
+
+
+def node_weights(axes: Sequence[Sequence[float]], conditions: ArrayLike) -> FloatArray:
+    """Weights (.., nodes) of the nodes of a grid at conditions (.., axes); they sum to one."""
+    shape = tuple(map(len, axes))
+    return _between(axes, conditions, np.eye(int(np.prod(shape))).reshape(*shape, -1))
+
+
+def _between(
+    axes: Sequence[Sequence[float]], conditions: ArrayLike, values: FloatArray
+) -> FloatArray:
+    """Multilinear interpolation of values (grid.., P) at conditions (.., axes)."""
+    at = np.asarray(conditions, dtype=np.float64)
+    if not axes:
+        return np.broadcast_to(values, (*at.shape[:-1], values.shape[-1]))
+    inside = np.stack([np.clip(at[..., k], a[0], a[-1]) for k, a in enumerate(axes)], axis=-1)
+    found = RegularGridInterpolator(tuple(axes), values)(inside)
+    return np.asarray(found).reshape(*at.shape[:-1], values.shape[-1])
 
 
 def _output_coordinates(model: StateSpace) -> FloatArray:

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
 
 from narxcal.output_error.blocks import (
     Governor,
@@ -14,7 +13,6 @@ from narxcal.output_error.blocks import (
     lag,
     play,
     recursion,
-    scheduled_lag,
 )
 from narxcal.support.errors import ModelError
 
@@ -215,30 +213,6 @@ def test_a_lead_undoes_a_lag():
     fine = 0.005
     exact = lag(1.0, 0.6).then(system).lead(0.6).respond(u, fine)
     np.testing.assert_allclose(exact, system.respond(u, fine), atol=1e-9)
-
-
-@settings(max_examples=20, deadline=None)  # the first call compiles
-@given(tau=st.floats(0.02, 5.0))
-def test_a_scheduled_lag_of_constant_time_is_the_lag(tau):
-    u = np.sin(TIME)
-    np.testing.assert_allclose(
-        scheduled_lag(u, tau, DT), lag(1.0, tau).respond(u, DT)[:, 0], atol=1e-9
-    )
-
-
-def test_a_scheduled_lag_converges_to_its_differential_equation():
-    end = 12.0
-
-    def slope(t, state):
-        return (10.0 * np.sin(0.5 * t) - state) / (0.5 * np.exp(-0.1 * (state - 2.0)))
-
-    exact = solve_ivp(slope, (0.0, end), [0.0], rtol=1e-10, atol=1e-10).y[0, -1]
-    errors = []
-    for dt in (0.05, 0.005):
-        u = 10.0 * np.sin(0.5 * np.linspace(0.0, end, round(end / dt) + 1))
-        errors.append(abs(scheduled_lag(u, 0.5, dt, (0.1, 2.0))[-1] - exact))
-    assert errors[0] < 0.1
-    assert errors[1] == pytest.approx(0.1 * errors[0], rel=0.1)  # first order in the step
 
 
 def test_recursion_equals_a_plain_loop():

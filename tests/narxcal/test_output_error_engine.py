@@ -4,6 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from narxcal.output_error.blocks import lag
 from narxcal.output_error.engine import (
@@ -87,6 +88,24 @@ def test_the_engine_from_steady_values_is_the_engine_from_fuel_on_straight_curve
     own = {**values, "rate_H": 0.0, "rate_L": 0.0, "square_M": 0.0}
     # Within a sample N_H is a line here and an exponential there.
     np.testing.assert_allclose(whole.simulate(own, u), linear.simulate(values, fuel), atol=0.02)
+
+
+def test_a_scheduled_time_constant_converges_to_its_differential_equation():
+    end = 12.0
+
+    def slope(t, state):
+        return (10.0 * np.sin(0.5 * t) - state) / (0.5 * np.exp(-0.1 * (state - 2.0)))
+
+    exact = solve_ivp(slope, (0.0, end), [0.0], rtol=1e-10, atol=1e-10).y[0, -1]
+    errors = []
+    for dt in (0.05, 0.005):
+        model = EngineFromSteady(dt, reference=2.0)
+        u = np.zeros((round(end / dt) + 1, 5))
+        u[:, 0] = 10.0 * np.sin(0.5 * np.linspace(0.0, end, len(u)))
+        y = model.simulate(values_of(model, tau_H=0.5, rate_H=0.1), u)
+        errors.append(abs(y[-1, 0] - exact))
+    assert errors[0] < 0.1
+    assert errors[1] == pytest.approx(0.1 * errors[0], rel=0.1)  # first order in the step
 
 
 @pytest.mark.parametrize("side", ["left", "right"])

@@ -104,7 +104,8 @@ def test_a_channel_that_is_not_there_is_named():
     with pytest.raises(DataError) as error:
         steady_record(made_log(), Speeds(), "FF_kgph")
     assert str(error.value) == (
-        "log, channel EGT_C: the steady-state model does not give this output"
+        "log, channel EGT_C: the steady-state model does not give this output. Output error needs "
+        "N2_pct, N1_pct, EGT_C: choose another method"
     )
     short = Log("log", np.arange(9.0), {"FF_kgph": np.arange(9.0)})
     with pytest.raises(DataError) as error:

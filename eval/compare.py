@@ -1,0 +1,470 @@
+"""Compare models in free run on the same rows: errors, Ti/Tt, significant differences.
+
+`compare` takes any models as arrays; `compare_runs` makes these of run folders and their baselines.
+Significance is that of ln(RMSE_a / RMSE_b) per channel, by a bootstrap over events:
+
+| step | how |
+|---|---|
+| block | the rows from the start of one event to that of the next, or to the end of the log |
+| draw | as many blocks as there are, with replacement; RMSE of every model over the drawn rows |
+| t | ln ratio over its standard deviation over the draws |
+| p | share of draws whose largest |t - t_draw| over all pairs and channels is at least |t| |
+
+The largest over all pairs and channels makes 5 % the probability of any false claim in the whole
+table (Romano and Wolf, Econometrica 73(4), 2005, single step). Blocks are exchangeable within these
+logs alone: another flight differs by more than another event does, so that a significant difference
+is one on these logs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from data_prep.events import Event, find_events
+from data_prep.log import Log
+from eval.evaluate import run_config
+from eval.free_run import ARX, FIRST_ORDER, MODEL, STEADY_STATE, FreeRun, run_log
+from eval.report.tables import Cell, Table, figure, number
+from eval.scores import max_relative_percent, nrmse, rmse
+from eval.transients import Assessment, Overlay, Tally, TransientsConfig, assess_events, tally
+from narxcal.calibration.bundle import Bundle
+from narxcal.calibration.noise import NoiseModel
+from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.errors import DataError
+from narxcal.support.files import finite, versions
+from training.baselines import Baselines
+
+SCHEMA = "narxcal.compare/1"
+LEVEL = 0.05  # family-wise
+_DRAWS = 4000
+_FEWEST_BLOCKS = 10  # with fewer, the deviation over draws is itself uncertain by a quarter
+_Z_90 = 1.6449  # half width of a 90 % interval in standard deviations
+_NAMES = {STEADY_STATE: "steady state", FIRST_ORDER: "first-order lag", ARX: "ARX"}
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One log: measured (time, channel), the free run of every model, and where blocks begin.
+
+    A model gives NaN for a channel that it does not have. `scored` (time,) are the rows that count,
+    `events` those to judge Ti and Tt by.
+    """
+
+    name: str
+    time_s: FloatArray
+    channels: tuple[str, ...]
+    measured: FloatArray
+    outputs: Mapping[str, FloatArray]
+    scored: BoolArray
+    events: tuple[Event, ...] = ()
+    blocks: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One model: errors per channel, Ti/Tt, and what it took; None where it does not exist."""
+
+    run: str
+    method: str
+    channels: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    ti_tt: Tally | None = None
+    parameters: int | None = None
+    aic: float | None = None
+    fit_s: float | None = None
+    simulate_us: float | None = None
+    coverage_90: float | None = None
+
+    def document(self) -> dict[str, Any]:
+        """One entry of `rows`."""
+        return {**vars(self), "ti_tt": None if self.ti_tt is None else self.ti_tt.row()}
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A significant difference of two models in one channel; `ratio` of RMSE, better over worse.
+
+    `low` and `high` bound the ratio with 95 % probability for this pair alone; `p` is of the whole
+    table.
+    """
+
+    channel: str
+    better: str
+    worse: str
+    ratio: float
+    low: float
+    high: float
+    p: float
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Rows of all models on the same rows of the same logs."""
+
+    rows: tuple[Row, ...]
+    recordings: tuple[Recording, ...]
+    significant: tuple[Difference, ...]
+    blocks: int
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channels of all models."""
+        return self.recordings[0].channels
+
+    def summary(self) -> list[str]:
+        """Per channel the least RMSE, what is significantly more, and what may be equal."""
+        lines = []
+        for name in self.channels:
+            known = {
+                row.run: row.channels[name]["rmse"] for row in self.rows if name in row.channels
+            }
+            known = {run: value for run, value in known.items() if math.isfinite(value)}
+            if len(known) < 2:
+                continue
+            best = min(known, key=lambda run: known[run])
+            worse = {
+                one.worse for one in self.significant if one.channel == name and one.better == best
+            }
+            close = [run for run in known if run != best and run not in worse]
+            text = f"{name}: least {best} ({number(known[best])})"
+            if worse:
+                text += f"; significantly more: {', '.join(run for run in known if run in worse)}"
+            if close:
+                text += f"; not significantly different: {', '.join(close)}"
+            lines.append(text)
+        return lines
+
+    def table(self) -> Table:
+        """Every figure of every row; the least RMSE of a channel is marked."""
+        least = {
+            name: min((row.channels[name]["rmse"] for row in self.rows if name in row.channels),
+                      default=math.nan)
+            for name in self.channels
+        }  # fmt: skip
+        head = ("run", "method", *(f"{name} RMSE" for name in self.channels),
+                *(f"{name} [%]" for name in self.channels), "Ti, Tt passed", "parameters", "AIC",
+                "fit [s]", "sample [us]", "in 90 % [%]")  # fmt: skip
+        return Table(
+            "Free run on the same rows; [%] is RMSE over the standard deviation of the channel",
+            head, tuple(self._cells(row, least) for row in self.rows),
+        )  # fmt: skip
+
+    def _cells(self, row: Row, least: Mapping[str, float]) -> tuple[Cell, ...]:
+        found = [row.channels.get(name, {}) for name in self.channels]
+        errors = [one.get("rmse") for one in found]
+        marks = [error == least[name] for name, error in zip(self.channels, errors, strict=True)]
+        coverage = None if row.coverage_90 is None else 100.0 * row.coverage_90
+        return (
+            Cell(row.run, "head"),
+            Cell(row.method),
+            *(figure(error, "best" if mark else "")
+              for error, mark in zip(errors, marks, strict=True)),
+            *(figure(None if not one else 100.0 * one["nrmse"]) for one in found),
+            Cell(_passed(row.ti_tt), number=True),
+            Cell(number(None) if row.parameters is None else str(row.parameters), number=True),
+            Cell(number(None) if row.aic is None else f"{row.aic:.0f}", number=True),
+            figure(row.fit_s),
+            figure(row.simulate_us),
+            figure(coverage),
+        )  # fmt: skip
+
+    def differences(self) -> Table:
+        """Significant differences, with the interval of each pair alone."""
+        head = ("channel", "less", "more", "RMSE less by [%]", "95 % from", "to", "p of the table")
+        rows = tuple(
+            (
+                Cell(one.channel, "head"),
+                Cell(one.better),
+                Cell(one.worse),
+                *(figure(100.0 * (1.0 - ratio)) for ratio in (one.ratio, one.high, one.low)),
+                figure(one.p, digits=2),
+            )
+            for one in self.significant
+        )
+        return Table("", head, rows)
+
+    def document(self) -> dict[str, Any]:
+        """`compare.json`; None where a figure does not exist."""
+        found: dict[str, Any] = finite({
+            "schema": SCHEMA,
+            "rows": [row.document() for row in self.rows],
+            "significant": [asdict(one) for one in self.significant],
+            "bootstrap": {"blocks": self.blocks, "draws": _DRAWS, "family_wise": LEVEL},
+            "summary": self.summary(),
+            "remarks": list(self.remarks),
+            "logs": {
+                one.name: {"rows": len(one.measured), "scored": int(one.scored.sum())}
+                for one in self.recordings
+            },
+            "versions": versions(),
+        })  # fmt: skip
+        return found
+
+
+def _passed(found: Tally | None) -> str:
+    return number(None) if found is None else f"{found.passed} of {found.assessed}"
+
+
+def compare(
+    recordings: Sequence[Recording], rows: Sequence[Row], remarks: Sequence[str] = ()
+) -> Comparison:
+    """Score every model of `rows` on the rows that all models share; blocks of all recordings.
+
+    Rows of `Recording.scored` at which a model has no value in a channel that it has elsewhere are
+    left out for all. Raises `DataError` where no row is left.
+    """
+    common = tuple(_shared(one) for one in recordings)
+    if not any(one.scored.any() for one in common):
+        raise DataError("there is no row at which every model has a value: nothing to compare")
+    scored = [replace(row, channels=_errors(common, row.run)) for row in rows]
+    sums, counts = _sums(common, [row.run for row in rows])
+    texts = list(remarks)
+    if len(counts) < _FEWEST_BLOCKS:
+        texts.append(
+            f"{len(counts)} events are too few to say which differences are significant "
+            f"(at least {_FEWEST_BLOCKS})"
+        )
+    significant = significance(sums, counts, [row.run for row in rows], common[0].channels)
+    return Comparison(tuple(scored), common, tuple(significant), len(counts), tuple(texts))
+
+
+def _shared(one: Recording) -> Recording:
+    """The recording with only those rows scored at which all models have their values."""
+    scored = one.scored.copy()
+    for outputs in one.outputs.values():
+        known = np.isfinite(outputs)
+        scored &= known[:, known.any(axis=0)].all(axis=1)
+    return replace(one, scored=scored)
+
+
+def _errors(recordings: Sequence[Recording], model: str) -> dict[str, dict[str, float]]:
+    measured = np.concatenate([one.measured for one in recordings])
+    outputs = np.concatenate([one.outputs[model] for one in recordings])
+    scored = np.concatenate([one.scored for one in recordings])
+    figures = {"rmse": rmse, "nrmse": nrmse, "max_rel_pct": max_relative_percent}
+    columns = {name: of(measured, outputs, scored).tolist() for name, of in figures.items()}
+    return {
+        channel: {name: column[k] for name, column in columns.items()}
+        for k, channel in enumerate(recordings[0].channels)
+        if math.isfinite(columns["rmse"][k])
+    }
+
+
+def _sums(recordings: Sequence[Recording], models: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+    """Sums of squared errors (blocks, models, channels) and samples (blocks, channels)."""
+    sums, counts = [], []
+    for one in recordings:
+        edges = sorted({0, *one.blocks})
+        known = np.isfinite(one.measured) & one.scored[:, None]
+        stacked = np.stack([one.outputs[model] for model in models], axis=1)
+        square = np.where(known[:, None], (stacked - one.measured[:, None]) ** 2, 0.0)
+        sums.append(np.add.reduceat(square, edges, axis=0))
+        counts.append(np.add.reduceat(known.astype(np.float64), edges, axis=0))
+    kept = np.concatenate(counts).any(axis=1)
+    return np.concatenate(sums)[kept], np.concatenate(counts)[kept]
+
+
+def significance(
+    sums: FloatArray,
+    counts: FloatArray,
+    models: Sequence[str],
+    channels: Sequence[str],
+    seed: int = 0,
+) -> list[Difference]:
+    """Differences that are significant at 5 % in the whole table (see the module).
+
+    `sums` (blocks, models, channels) of squared errors, NaN for a channel that a model lacks, and
+    `counts` (blocks, channels). None with fewer than ten blocks.
+    """
+    blocks = len(counts)
+    if blocks < _FEWEST_BLOCKS or len(models) < 2:
+        return []
+    draws = np.random.default_rng(seed).multinomial(blocks, np.full(blocks, 1.0 / blocks), _DRAWS)
+    pairs = list(combinations(range(len(models)), 2))
+    a, b = np.array(pairs).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = _log_rmse(sums.sum(axis=0), counts.sum(axis=0))
+        drawn = _log_rmse(
+            np.einsum("db,bmc->dmc", draws, sums), np.einsum("db,bc->dc", draws, counts)[:, None]
+        )
+    found, spread = logs[a] - logs[b], drawn[:, a] - drawn[:, b]
+    sd = spread.std(axis=0)
+    usable = np.isfinite(found) & np.isfinite(sd) & (sd > 1e-12)
+    if not usable.any():
+        return []
+    t = np.abs(found[usable] / sd[usable])
+    largest = np.abs((spread[:, usable] - found[usable]) / sd[usable]).max(axis=1)
+    rows = []
+    for (pair, k), value in zip(np.argwhere(usable).tolist(), t.tolist(), strict=True):
+        p = float((1 + np.sum(largest >= value)) / (1 + _DRAWS))
+        if p > LEVEL:
+            continue
+        sign = 1.0 if found[pair, k] < 0.0 else -1.0
+        low, high = np.exp(np.percentile(sign * spread[:, pair, k], (2.5, 97.5))).tolist()
+        first, second = (models[m] for m in pairs[pair])
+        better, worse = (first, second) if sign > 0.0 else (second, first)
+        ratio = float(np.exp(sign * found[pair, k]))
+        rows.append(Difference(channels[k], better, worse, ratio, low, high, p))
+    return rows
+
+
+def _log_rmse(sums: FloatArray, counts: FloatArray) -> FloatArray:
+    return np.asarray(0.5 * np.log(sums / counts))
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A bundle under the name of its row, with the logs that are held out, prepared for it."""
+
+    name: str
+    method: str
+    bundle: Bundle
+    logs: tuple[Log, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the logs."""
+        return tuple(log.name for log in self.logs)
+
+
+def compare_runs(runs: Sequence[Run]) -> Comparison:
+    """Compare runs on the logs that all of them have.
+
+    Events, Ti/Tt rules and the rows of steady state, first-order lag and ARX are those of the run
+    with most outputs, the first of several. Raises `DataError` where the runs share no log, or
+    sample one differently.
+    """
+    names = [log.name for log in runs[0].logs if all(log.name in run.names for run in runs)]
+    if not names:
+        raise DataError(
+            "no log is held out of all runs", hint="Name the logs to compare on by --logs"
+        )
+    lead = max(runs, key=lambda run: len(run.bundle.calibration.output_names))
+    found = {run.name: [_free_run(run, name) for name in names] for run in runs}
+    recordings = [
+        _recording({run: each[k] for run, each in found.items()}, lead) for k in range(len(names))
+    ]
+    rows = [_row(run, found[run.name], recordings) for run in runs]
+    if "baselines" in lead.bundle.meta:
+        rows += _baseline_rows(lead)
+    settings = run_config(lead.bundle)[1].transients
+    rows = [replace(row, ti_tt=_ti_tt(row.run, recordings, settings)) for row in rows]
+    return compare(recordings, rows, _remarks(runs, lead, names))
+
+
+def _free_run(run: Run, name: str) -> FreeRun:
+    log = next(log for log in run.logs if log.name == name)
+    return run_log(run.bundle, run_config(run.bundle)[0], log, one_step=False)
+
+
+def _recording(found: Mapping[str, FreeRun], lead: Run) -> Recording:
+    """One log with the free runs of all runs, and the baselines of `lead`."""
+    own = found[lead.name]
+    log, names = own.log, [name for one in found.values() for name in one.channels]
+    channels = tuple(dict.fromkeys(names))
+    for run, other in found.items():
+        same = len(other.log) == len(log) and np.allclose(
+            other.log.time_s, log.time_s, atol=1e-3 * log.dt_s
+        )
+        if not same:
+            raise DataError(
+                f"{lead.name} samples it every {log.dt_s:g} s from {log.time_s[0]:g} s on, {run} "
+                f"every {other.log.dt_s:g} s from {other.log.time_s[0]:g} s on",
+                file=log.name,
+                hint="Identify both with one raster_hz in [logs] and one [running]",
+            )
+    outputs = {run: _by_channel(one, MODEL, channels) for run, one in found.items()}
+    for key, name in _NAMES.items():
+        if key in own.outputs:
+            outputs[name] = _by_channel(own, key, channels)
+    measured = np.column_stack([
+        next(one.log.measured([name])[:, 0] for one in found.values() if name in one.channels)
+        for name in channels
+    ])  # fmt: skip
+    known = np.logical_and.reduce([one.inputs_known for one in found.values()])
+    events = tuple(find_events(log, run_config(lead.bundle)[0].events.for_log(log, own.channels)))
+    return Recording(
+        log.name, log.time_s, channels, measured, outputs, known, events,
+        tuple(event.start for event in events),
+    )  # fmt: skip
+
+
+def _by_channel(run: FreeRun, name: str, channels: Sequence[str]) -> FloatArray:
+    values = dict(zip(run.channels, run.outputs[name].T, strict=True))
+    blank = np.full(len(run.log), np.nan)
+    return np.column_stack([values.get(channel, blank) for channel in channels])
+
+
+def _ti_tt(
+    model: str,
+    recordings: Sequence[Recording],
+    settings: TransientsConfig,
+) -> Tally | None:
+    """Ti/Tt of a model over all events, in the channels that it has; None without any."""
+    found: list[Assessment] = []
+    for one in recordings:
+        outputs = one.outputs[model]
+        at = [k for k in range(len(one.channels)) if np.isfinite(outputs[:, k]).any()]
+        channels = tuple(one.channels[k] for k in at)
+        overlay = Overlay(one.time_s, one.measured[:, at], outputs[:, at], channels, one.scored)
+        found += assess_events(one.events, overlay, settings)
+    return tally(found) if found else None
+
+
+def _row(run: Run, found: Sequence[FreeRun], recordings: Sequence[Recording]) -> Row:
+    meta, size = run.bundle.meta, run.bundle.calibration.size
+    return Row(
+        run=run.name,
+        method=run.method,
+        parameters=size,
+        aic=(meta.get("free_run") or {}).get("aic"),
+        fit_s=(meta.get("training") or {}).get("wall_s"),
+        simulate_us=min(1e6 * one.simulate_s / len(one.log) for one in found),
+        coverage_90=_coverage(run, recordings),
+    )
+
+
+def _coverage(run: Run, recordings: Sequence[Recording]) -> float | None:
+    """Share of measurements within 90 % of the free run, by the noise that training estimated."""
+    if "fuser_noise" not in run.bundle.meta:
+        return None
+    noise = NoiseModel.from_dict(run.bundle.meta["fuser_noise"])
+    names = run.bundle.calibration.output_names
+    half = _Z_90 * np.sqrt(noise.initial_variance + noise.measurement_variance)
+    inside = []
+    for one in recordings:
+        at = [one.channels.index(name) for name in names]
+        error = (one.outputs[run.name] - one.measured)[one.scored][:, at]
+        inside.append((np.abs(error) <= half)[np.isfinite(error)])
+    return float(np.mean(np.concatenate(inside)))
+
+
+def _baseline_rows(lead: Run) -> list[Row]:
+    found = Baselines.from_json(lead.bundle.meta["baselines"])
+    arx = sum(np.size(part) for row in (found.arx.poles, found.arx.gains) for part in row)
+    sizes = (0, 2 * len(found.lag.push_s), int(arx) + len(found.arx.offsets))
+    return [
+        Row(name, "baseline", parameters=size)
+        for name, size in zip(_NAMES.values(), sizes, strict=True)
+    ]
+
+
+def _remarks(runs: Sequence[Run], lead: Run, names: Sequence[str]) -> list[str]:
+    """What a reader has to know: logs that a run was fitted to, and logs not compared on."""
+    texts = []
+    for run in runs:
+        split = run.bundle.meta.get("split") or {}
+        seen = [name for name in names if name in split.get("train", [])]
+        if seen:
+            texts.append(f"{run.name} was identified from {', '.join(seen)}")
+        left = [log.name for log in run.logs if log.name not in names]
+        if left:
+            texts.append(f"{', '.join(left)} of {run.name} is not held out of every run")
+    texts.append(f"baselines stand on the steady state of {lead.name}")
+    return texts

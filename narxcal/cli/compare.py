@@ -1,0 +1,81 @@
+"""`narxcal compare`: several runs in free run on the same held-out rows, in one table."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
+from pathlib import Path
+
+from eval import terminal
+from eval.compare import SCHEMA, Comparison, Run, compare_runs
+from eval.evaluate import run_config
+from eval.report.page import RunHeader, compare_page
+from narxcal.calibration.bundle import Bundle, load_bundle
+from narxcal.cli.console import Console
+from narxcal.cli.options import add_data, add_logs, add_out, add_trust, path
+from narxcal.cli.results import data_files, hash_words, logs_for, method_of, now
+from narxcal.support.errors import ConfigError
+from narxcal.support.files import Results, to_json, versions
+
+DOCUMENT, PAGE = "compare.json", "compare.html"
+RESULTS = Results(SCHEMA, DOCUMENT, (PAGE,))
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    parser.add_argument(
+        "runs", metavar="RUN", type=path, nargs="+", help="folders of train or identify"
+    )
+    add_trust(parser)
+    add_logs(parser)
+    add_out(parser)
+    add_data(parser, "folder of the held-out logs, if they have moved")
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Compare runs; writes JSON and HTML."""
+    RESULTS.check(options.out)
+    runs = [
+        Run(name, method_of(bundle.meta), bundle,
+            tuple(logs_for(bundle, options.logs, options.data, console)))
+        for name, bundle in _opened(options.runs, trust=options.trust).items()
+    ]  # fmt: skip
+    with console.progress("Comparing"):
+        found = compare_runs(runs)
+    document = found.document()
+    with RESULTS.writing(options.out) as folder:
+        (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
+        html = compare_page(_header(runs), found)
+        (folder / PAGE).write_text(html, encoding="utf-8")
+    _show(console, found)
+    console.say(f"Page: {options.out / PAGE}")
+    console.document(document)
+    return 0
+
+
+def _opened(folders: Sequence[Path], *, trust: bool) -> dict[str, Bundle]:
+    """Bundles by the names of their folders, or by their paths where names are equal."""
+    if len({folder.resolve() for folder in folders}) < len(folders):
+        raise ConfigError("a run is named twice", hint="Name each once")
+    names = [folder.resolve().name for folder in folders]
+    return {
+        name if names.count(name) == 1 else str(folder): load_bundle(folder, trust=trust)
+        for folder, name in zip(folders, names, strict=True)
+    }
+
+
+def _header(runs: Sequence[Run]) -> RunHeader:
+    return RunHeader(
+        title=f"Comparison: {run_config(runs[0].bundle)[0].name}",
+        created=now(),
+        sources=data_files(runs[0].logs),
+        versions=versions(),
+        facts={one.name: f"{one.bundle.calibration.words}; {hash_words(one.bundle.sha256)}"
+               for one in runs},
+    )  # fmt: skip
+
+
+def _show(console: Console, found: Comparison) -> None:
+    terminal.print_comparison(console.page, found)
+    for line in (*found.summary(), *found.remarks):
+        console.say(line)
