@@ -7,13 +7,15 @@ Significance is that of ln(RMSE_a / RMSE_b) per channel, by a bootstrap over eve
 |---|---|
 | block | the rows from the start of one event to that of the next, or to the end of the log |
 | draw | as many blocks as there are, with replacement; RMSE of every model over the drawn rows |
-| t | ln ratio over its standard deviation over the draws |
-| p | share of draws whose largest |t - t_draw| over all pairs and channels is at least |t| |
+| t | ln ratio over its standard deviation, which is that of its linearisation in the blocks |
+| t of a draw | (its ln ratio - the one of all blocks) over its own standard deviation |
+| own p | share of draws whose t is at least that of the pair |
+| p | share of draws whose least own p over all pairs and channels is at most that of the pair |
 
-The largest over all pairs and channels makes 5 % the probability of any false claim in the whole
-table (Romano and Wolf, Econometrica 73(4), 2005, single step). Blocks are exchangeable within these
-logs alone: another flight differs by more than another event does, so that a significant difference
-is one on these logs.
+The least over all pairs and channels makes 5 % the probability of any false claim in the whole
+table (Westfall and Young, Resampling-Based Multiple Testing, 1993, single-step min p). Blocks are
+exchangeable within these logs alone: another flight differs by more than another event does, so
+that a significant difference is one on these logs.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ from training.baselines import Baselines
 
 SCHEMA = "narxcal.compare/1"
 LEVEL = 0.05  # family-wise
-_DRAWS = 4000
+_DRAWS = 9999
 _FEWEST_BLOCKS = 10  # with fewer, the deviation over draws is itself uncertain by a quarter
 _Z_90 = 1.6449  # half width of a 90 % interval in standard deviations
 _NAMES = {STEADY_STATE: "steady state", FIRST_ORDER: "first-order lag", ARX: "ARX"}
@@ -223,15 +225,15 @@ def compare(
     if not any(one.scored.any() for one in common):
         raise DataError("there is no row at which every model has a value: nothing to compare")
     scored = [replace(row, channels=_errors(common, row.run)) for row in rows]
-    sums, counts = _sums(common, [row.run for row in rows])
+    sums = _sums(common, [row.run for row in rows])
     texts = list(remarks)
-    if len(counts) < _FEWEST_BLOCKS:
+    if len(sums) < _FEWEST_BLOCKS:
         texts.append(
-            f"{len(counts)} events are too few to say which differences are significant "
+            f"{len(sums)} events are too few to say which differences are significant "
             f"(at least {_FEWEST_BLOCKS})"
         )
-    significant = significance(sums, counts, [row.run for row in rows], common[0].channels)
-    return Comparison(tuple(scored), common, tuple(significant), len(counts), tuple(texts))
+    significant = significance(sums, [row.run for row in rows], common[0].channels)
+    return Comparison(tuple(scored), common, tuple(significant), len(sums), tuple(texts))
 
 
 def _shared(one: Recording) -> Recording:
@@ -256,66 +258,72 @@ def _errors(recordings: Sequence[Recording], model: str) -> dict[str, dict[str, 
     }
 
 
-def _sums(recordings: Sequence[Recording], models: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-    """Sums of squared errors (blocks, models, channels) and samples (blocks, channels)."""
-    sums, counts = [], []
+def _sums(recordings: Sequence[Recording], models: Sequence[str]) -> FloatArray:
+    """Sums of squared errors (blocks, models, channels) of blocks that have a scored sample."""
+    sums = []
     for one in recordings:
         edges = sorted({0, *one.blocks})
         known = np.isfinite(one.measured) & one.scored[:, None]
         stacked = np.stack([one.outputs[model] for model in models], axis=1)
         square = np.where(known[:, None], (stacked - one.measured[:, None]) ** 2, 0.0)
-        sums.append(np.add.reduceat(square, edges, axis=0))
-        counts.append(np.add.reduceat(known.astype(np.float64), edges, axis=0))
-    kept = np.concatenate(counts).any(axis=1)
-    return np.concatenate(sums)[kept], np.concatenate(counts)[kept]
+        kept = np.add.reduceat(known.any(axis=1), edges) > 0
+        sums.append(np.add.reduceat(square, edges, axis=0)[kept])
+    return np.concatenate(sums)
 
 
 def significance(
-    sums: FloatArray,
-    counts: FloatArray,
-    models: Sequence[str],
-    channels: Sequence[str],
-    seed: int = 0,
+    sums: FloatArray, models: Sequence[str], channels: Sequence[str], seed: int = 0
 ) -> list[Difference]:
     """Differences that are significant at 5 % in the whole table (see the module).
 
-    `sums` (blocks, models, channels) of squared errors, NaN for a channel that a model lacks, and
-    `counts` (blocks, channels). None with fewer than ten blocks.
+    `sums` (blocks, models, channels) are of squared errors over rows that all models share, NaN for
+    a channel that a model lacks. None with fewer than ten blocks.
     """
-    blocks = len(counts)
+    blocks = len(sums)
     if blocks < _FEWEST_BLOCKS or len(models) < 2:
         return []
-    draws = np.random.default_rng(seed).multinomial(blocks, np.full(blocks, 1.0 / blocks), _DRAWS)
     pairs = list(combinations(range(len(models)), 2))
-    a, b = np.array(pairs).T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        logs = _log_rmse(sums.sum(axis=0), counts.sum(axis=0))
-        drawn = _log_rmse(
-            np.einsum("db,bmc->dmc", draws, sums), np.einsum("db,bc->dc", draws, counts)[:, None]
-        )
-    found, spread = logs[a] - logs[b], drawn[:, a] - drawn[:, b]
-    sd = spread.std(axis=0)
-    usable = np.isfinite(found) & np.isfinite(sd) & (sd > 1e-12)
+    first, second = (sums[:, list(side)].reshape(blocks, -1) for side in zip(*pairs, strict=True))
+    names = [(pair, channel) for pair in pairs for channel in channels]
+    usable = np.isfinite(first + second).all(axis=0)
+    usable &= (first.sum(axis=0) > 0.0) & (second.sum(axis=0) > 0.0)
+    usable &= np.abs(first - second).sum(axis=0) > 0.0
     if not usable.any():
         return []
-    t = np.abs(found[usable] / sd[usable])
-    largest = np.abs((spread[:, usable] - found[usable]) / sd[usable]).max(axis=1)
+    parts = first[:, usable], second[:, usable]
+    weights = np.random.default_rng(seed).multinomial(blocks, np.full(blocks, 1 / blocks), _DRAWS)
+    found, sd = (each[0] for each in _log_ratio(np.ones((1, blocks)), *parts))
+    drawn, spread = _log_ratio(weights.astype(np.float64), *parts)
+    t = np.abs(found) / sd
+    scaled = np.abs(drawn - found) / np.maximum(spread, 1e-300)
+    own = (1 + (scaled >= t).sum(axis=0)) / (1 + _DRAWS)
+    ranks = np.empty_like(scaled)
+    order = np.arange(1, 1 + _DRAWS)[:, None] / _DRAWS
+    np.put_along_axis(ranks, np.argsort(-scaled, axis=0), order, axis=0)
+    least = ranks.min(axis=1)
     rows = []
-    for (pair, k), value in zip(np.argwhere(usable).tolist(), t.tolist(), strict=True):
-        p = float((1 + np.sum(largest >= value)) / (1 + _DRAWS))
+    for at, k in enumerate(np.flatnonzero(usable).tolist()):
+        p = float((1 + np.sum(least <= own[at])) / (1 + _DRAWS))
         if p > LEVEL:
             continue
-        sign = 1.0 if found[pair, k] < 0.0 else -1.0
-        low, high = np.exp(np.percentile(sign * spread[:, pair, k], (2.5, 97.5))).tolist()
-        first, second = (models[m] for m in pairs[pair])
-        better, worse = (first, second) if sign > 0.0 else (second, first)
-        ratio = float(np.exp(sign * found[pair, k]))
-        rows.append(Difference(channels[k], better, worse, ratio, low, high, p))
+        (a, b), channel = names[k]
+        half = float(np.quantile(scaled[:, at], 0.95)) * sd[at]
+        size = abs(float(found[at]))
+        better, worse = (a, b) if found[at] < 0.0 else (b, a)
+        low, ratio, high = np.exp([-size - half, -size, half - size]).tolist()
+        rows.append(Difference(channel, models[better], models[worse], ratio, low, high, p))
     return rows
 
 
-def _log_rmse(sums: FloatArray, counts: FloatArray) -> FloatArray:
-    return np.asarray(0.5 * np.log(sums / counts))
+def _log_ratio(weights: FloatArray, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """ln(RMSE_a/RMSE_b) (draws, pairs) from sums (blocks, pairs), and its deviation by linearity.
+
+    The samples are the same for both, so that ln ratio = ln(A/B)/2 with A = sum w a, and a block
+    moves it by w (a/A - b/B)/2.
+    """
+    A, B = weights @ a, weights @ b
+    square = (weights @ a**2) / A**2 - 2.0 * (weights @ (a * b)) / (A * B) + weights @ b**2 / B**2
+    return 0.5 * np.log(A / B), 0.5 * np.sqrt(np.maximum(square, 0.0))
 
 
 @dataclass(frozen=True, eq=False)

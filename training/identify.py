@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
@@ -34,7 +34,7 @@ from narxcal.record import Record
 from narxcal.static_models.model import MODELS, Columns, StaticModel
 from narxcal.steady.laws import StaticLaws
 from narxcal.steady.model import Envelope, SteadyStateModel
-from narxcal.support.arrays import FloatArray, spans
+from narxcal.support.arrays import FloatArray, IntArray, spans
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.transfer.scheduled import ResponseFromSteady
 from narxcal.transfer.state_space import Schedule, node_weights
@@ -49,6 +49,7 @@ from training.subspace import SubspaceSettings, subspace
 _ENOUGH = 1.05  # the simpler response is kept up to this ratio of errors, as in training.subspace
 _TALL_FT = 5000.0  # altitude range from which on parameters are scheduled over altitude
 _LEAST_MOTION = 0.02  # share of all motion below which a node of a schedule is a hole
+_APART = 1e-3  # singular value over the largest from which on outputs count as moving apart
 _ENDS = (10.0, 90.0)  # percentiles of the motion at which a schedule has its nodes
 _LAW_ROWS = 20000  # more quasi-steady samples than this tell nothing new
 _COMPOSED = ("tensor", "corrected", "drag")  # made of other models or of fitted axes
@@ -115,12 +116,33 @@ def _of_fits(
     )
 
 
-def _samples(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> list[LagSamples]:
-    return [lag_samples(log, steady, config) for log in logs]
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Trimmed samples of one log, and its steady state (time, n_out) as the model has it."""
+
+    trimmed: LagSamples
+    ss: FloatArray
+
+
+def _parts(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> list[_Part]:
+    """Samples of logs; raises `DataError` where no steady state moves."""
+    parts = []
+    for log in logs:
+        own = steady_for_engine(steady, log.source.engine)
+        parts.append(
+            _Part(lag_samples(log, steady, config), own.outputs(log.matrix(own.input_names)))
+        )
+    if not any(np.ptp(part.ss, axis=0).any() for part in parts):
+        raise DataError(
+            "the steady state never moves in the training logs: no response can be identified",
+            file=logs[0].name,
+            hint="Choose logs with transients",
+        )
+    return parts
 
 
 def _transfer(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> Identified:
-    parts, dt_s = _samples(config, steady, logs), logs[0].dt_s
+    parts, dt_s = _parts(config, steady, logs), logs[0].dt_s
     names = steady.input_names
     conditions, axes, warnings = _mesh(config, steady, parts)
     fits, schedules = {}, []
@@ -128,7 +150,7 @@ def _transfer(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) 
         grid = tuple(axes[name] if name != "level" else axes[f"level {k}"] for name in conditions)
         nodes = [_node(conditions, at) for at in product(*grid)]
         records = []
-        for part, log in zip(parts, logs, strict=True):
+        for part, log in zip((one.trimmed for one in parts), logs, strict=True):
             named = [part.inputs[:, names.index(name)] for name in conditions if name != "level"]
             level = [part.ss[:, k]] if "level" in conditions else []
             at = np.column_stack([np.empty((len(part.ss), 0)), *level, *named])
@@ -162,7 +184,7 @@ def _response(
 
 
 def _mesh(
-    config: RunConfig, steady: SteadyStateModel, parts: Sequence[LagSamples]
+    config: RunConfig, steady: SteadyStateModel, parts: Sequence[_Part]
 ) -> tuple[tuple[str, ...], dict[str, tuple[float, ...]], list[str]]:
     """Conditions that parameters are scheduled over, their nodes, and warnings.
 
@@ -170,31 +192,22 @@ def _mesh(
     an error where the configuration names the nodes, else the altitude is left out with a warning.
     """
     section, count = config.identify, len(steady.output_names)
-    inputs, ss = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("inputs", "ss")
+    inputs = np.concatenate([part.trimmed.inputs for part in parts])
+    ss = np.concatenate([part.ss for part in parts])
+    motion = np.concatenate(
+        [np.abs(np.diff(part.ss, axis=0, prepend=part.ss[:1])) for part in parts]
     )
-    motion = np.concatenate([
-        np.abs(np.diff(part.ss, axis=0, prepend=part.ss[:1])) for part in parts
-    ])  # fmt: skip
     axes = {f"level {k}": section.levels or _nodes(ss[:, k], motion[:, k]) for k in range(count)}
-    conditions: tuple[str, ...] = ("level",)
-    if "ALT_ft" in steady.input_names:
-        altitude = inputs[:, steady.input_names.index("ALT_ft")]
-        axes["ALT_ft"] = section.altitudes_ft or _nodes(altitude, motion.sum(axis=1))
-        if section.altitudes_ft or np.ptp(axes["ALT_ft"]) >= _TALL_FT:
-            conditions = ("level", "ALT_ft")
-    if not all(len(axes[f"level {k}"]) > 1 for k in range(count)):
-        raise DataError(
-            "the steady state never moves in the training logs: no response can be identified",
-            channel=steady.output_names[0],
-            hint="Choose logs with transients",
-        )
-    if conditions == ("level",):
-        return conditions, axes, []
+    if "ALT_ft" not in steady.input_names:
+        return ("level",), axes, []
+    altitude = inputs[:, steady.input_names.index("ALT_ft")]
+    axes["ALT_ft"] = section.altitudes_ft or _nodes(altitude, motion.sum(axis=1))
+    if not section.altitudes_ft and np.ptp(axes["ALT_ft"]) < _TALL_FT:
+        return ("level",), axes, []
     holes = _holes((ss, altitude, motion), axes)
     if not holes:
-        return conditions, axes, []
-    text = f"the mesh of level x altitude has holes: hardly any motion at {'; '.join(holes[:3])}"
+        return ("level", "ALT_ft"), axes, []
+    text = f"the mesh of level x altitude has holes: hardly any motion near {'; '.join(holes[:3])}"
     if section.altitudes_ft:
         raise DataError(text, hint="Leave an altitude out of [identify] altitudes_ft, or add logs")
     return ("level",), axes, [f"{text}; parameters are not scheduled over altitude"]
@@ -214,15 +227,22 @@ def _nodes(values: FloatArray, motion: FloatArray) -> tuple[float, ...]:
 def _holes(
     found: tuple[FloatArray, FloatArray, FloatArray], axes: Mapping[str, tuple[float, ...]]
 ) -> list[str]:
+    """Nodes nearest to which less than a fiftieth of the motion is."""
     ss, altitude, motion = found
     holes = []
     for k in range(ss.shape[1]):
         grid = (axes[f"level {k}"], axes["ALT_ft"])
-        weights = node_weights(grid, np.column_stack([ss[:, k], altitude]))
-        share = weights.T @ motion[:, k] / motion[:, k].sum()
-        at = np.flatnonzero(share < _LEAST_MOTION)
-        holes += [_node(("level", "ALT_ft"), list(product(*grid))[node]) for node in at]
+        near = [_nearest(nodes, at) for nodes, at in zip(grid, (ss[:, k], altitude), strict=True)]
+        for i, node in enumerate(product(*grid)):
+            here = near[0] * len(grid[1]) + near[1] == i
+            if motion[here, k].sum() < _LEAST_MOTION * motion[:, k].sum():
+                holes.append(_node(("level", "ALT_ft"), node))
     return list(dict.fromkeys(holes))
+
+
+def _nearest(nodes: Sequence[float], values: FloatArray) -> IntArray:
+    middles = 0.5 * (np.array(nodes[1:]) + np.array(nodes[:-1]))
+    return np.searchsorted(middles, values)
 
 
 def _node(conditions: Sequence[str], at: Sequence[float]) -> str:
@@ -231,9 +251,11 @@ def _node(conditions: Sequence[str], at: Sequence[float]) -> str:
 
 def _subspace(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> Identified:
     section, records = config.identify, []
-    for part in _samples(config, steady, logs):
-        deviation = (part.ss - part.measured)[:-1]
-        moved = np.diff(part.ss, axis=0)
+    parts = _parts(config, steady, logs)
+    ways = _ways(np.concatenate([np.diff(part.ss, axis=0) for part in parts]))
+    for part in parts:
+        deviation = (part.trimmed.ss - part.trimmed.measured)[:-1]
+        moved = np.diff(part.ss, axis=0) @ ways
         for start, stop in spans(np.asarray(np.isfinite(deviation).all(axis=1))):
             if stop - start >= 4 * section.block_rows:
                 records.append((moved[start:stop], deviation[start:stop]))
@@ -244,12 +266,27 @@ def _subspace(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) 
         )
     settings = SubspaceSettings(dt_s=logs[0].dt_s, polish=False, most=6)
     found = subspace(records, section.order or None, section.block_rows, settings)
-    taus = found.model.time_constants_s.tolist()
+    model = replace(
+        found.model, B=found.model.B @ ways.T, D=np.zeros((len(found.model.C), len(ways)))
+    )
+    taus = model.time_constants_s.tolist()
     parameters = {
         f"tau_{k}": _row(value, "s") for k, value in enumerate(taus, 1) if np.isfinite(value)
     }
     advice = "; ".join(found.advice) or "none"
-    return Identified(StateSpaceDynamics(found.model), parameters, found.status, advice)
+    return Identified(StateSpaceDynamics(model), parameters, found.status, advice)
+
+
+def _ways(moved: FloatArray) -> FloatArray:
+    """Directions (n_out, k) in which increments of the steady state (time, n_out) move apart.
+
+    Outputs that move together, as straight lines over one driver do, are one input: two would make
+    the Hankel matrix of the inputs rank-deficient whatever was flown.
+    """
+    size = np.sqrt(np.mean(moved**2, axis=0))
+    size = np.where(size > 0.0, size, 1.0)
+    _, singular, rows = np.linalg.svd(moved / size, full_matrices=False)
+    return np.asarray((rows[singular > _APART * singular[0]] / size).T)
 
 
 def _row(value: float, unit: str, **known: Any) -> dict[str, Any]:

@@ -48,7 +48,7 @@ def information(matrix: FloatArray, names: Sequence[str]) -> Information:
     diagonal = np.diag(matrix)
     scale = np.where(diagonal > 0, 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 1.0)
     values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
-    known = values > _RANK * max(values[-1], 0.0)
+    known = values > _RANK * values.max(initial=0.0)
     inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
     covariance = inverse * np.outer(scale, scale)
     # A parameter with a part in the null space of more than rounding can take any value.

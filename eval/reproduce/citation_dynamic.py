@@ -108,12 +108,14 @@ def black_boxes() -> list[Candidate]:
 class DynamicStudy:
     """Rows of all models in one region, and of the steps the flights and the parameter tables.
 
-    A table (altitude, amplitude, P) belongs to a model and a group of outputs.
+    A table (altitude, amplitude, P) belongs to a model and a group of outputs; `shown` is the last
+    identification flight of each kind, at the highest altitude and largest amplitude.
     """
 
     rows: list[DynamicRow]
     steps: list[Scaled]
     tables: dict[tuple[str, str], FloatArray]
+    shown: dict[Kind, Scaled]
 
 
 def dynamic_study(
@@ -123,10 +125,12 @@ def dynamic_study(
     rows: list[DynamicRow] = []
     steps: list[Scaled] = []
     tables: dict[tuple[str, str], FloatArray] = {}
+    shown: dict[Kind, Scaled] = {}
     for kind in kinds:
         known = scaled_flights(study, engine, kind, "identification")
         new = scaled_flights(study, engine, kind, "validation")
         rows += _static_rows(kind, new)
+        shown[kind] = known[-1]
         steps += known if kind == "step" else []
         for candidate in [*grey_boxes(kind), *black_boxes()]:
             for group in candidate.group:
@@ -134,7 +138,7 @@ def dynamic_study(
                 rows += found
                 if kind == "step":
                     tables[candidate.name, "+".join(group)] = table
-    return DynamicStudy(rows, steps, tables)
+    return DynamicStudy(rows, steps, tables, shown)
 
 
 def scaled_flights(

@@ -20,6 +20,7 @@ from eval.reproduce.citation_dynamic import (
     dynamic_study,
     merged,
 )
+from eval.reproduce.citation_figures import dynamic_pictures
 from eval.reproduce.citation_static import (
     PRESSURES,
     Engines,
@@ -156,6 +157,7 @@ def _dynamic(regions: Sequence[DynamicStudy]) -> Study:
         "run diverges, an error counts as 1e6 %.",
         claims=dynamic_claims(rows, steps, [region.tables for region in regions]),
         tables=[*(_responses(rows, kind) for kind in kinds), _combinations(rows, kinds)],
+        pictures=dynamic_pictures(rows, regions),
         results={"rows": [asdict(row) for row in rows]},
     )
 

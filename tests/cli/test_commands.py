@@ -22,7 +22,8 @@ from narxcal.cli.prepare import file_names
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = (
-    "demo", "prepare", "train", "evaluate", "crossval", "replay", "simulate", "info", "denoise",
+    "demo", "prepare", "train", "identify", "evaluate", "compare", "crossval", "replay",
+    "simulate", "info", "denoise",
     "fly", "export", "reproduce", "diagnose", "blind", "benchmark",
 )  # fmt: skip
 

@@ -184,6 +184,13 @@ def test_a_minimum_beyond_a_bound_ends_on_it_and_says_so():
         assert found.advice == "Widen the bounds of b, or fix it there"
 
 
+def test_parameters_that_all_end_on_their_bounds_are_named():
+    bounds = {"a": (0.0, 0.5), "b": (0.0, 1.5)}
+    found = fit(Line(), line_record(), Plan(bounds=bounds))
+    np.testing.assert_array_equal(found.values, [0.5, 1.5])
+    assert found.advice == "Widen the bounds of a, b, or fix it there"
+
+
 def test_directions_that_change_nothing_are_named():
     record = line_record()
     found = fit(Product(), record)

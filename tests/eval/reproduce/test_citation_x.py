@@ -111,6 +111,14 @@ def found():
 
 
 @pytest.mark.slow
+def test_figures_10_to_21_are_drawn(found):
+    captions = " ".join(picture.caption for picture in found.studies[1].pictures)
+    assert captions.startswith("Figures 10 and 11")
+    assert all(f"Figure {number}:" in captions for number in range(12, 22))
+    assert all("<svg" in picture.svg for picture in found.studies[1].pictures)
+
+
+@pytest.mark.slow
 def test_the_reach_is_met(found):
     claims = {claim.what: claim for claim in found.claims}
     for what in (

@@ -49,7 +49,7 @@ class Calibration:
 
 @pytest.fixture(autouse=True)
 def _calibration(monkeypatch):
-    monkeypatch.setattr(module, "DynamicCalibration", Calibration)
+    monkeypatch.setattr(module, "calibration_from_arrays", Calibration.from_arrays)
 
 
 def names(folder):
@@ -430,7 +430,7 @@ def test_wherever_a_writer_is_killed_one_bundle_is_whole(saved, monkeypatch, eve
         write_bundle(saved, newer)
     monkeypatch.undo()
     expected = np.ones(3) if event == 2 else np.arange(6.0).reshape(2, 3)
-    monkeypatch.setattr(module, "DynamicCalibration", Calibration)
+    monkeypatch.setattr(module, "calibration_from_arrays", Calibration.from_arrays)
     np.testing.assert_array_equal(load_bundle(saved).calibration.arrays["narx/weight"], expected)
 
 
