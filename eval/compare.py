@@ -46,6 +46,7 @@ SCHEMA = "narxcal.compare/1"
 LEVEL = 0.05  # family-wise
 _DRAWS = 9999
 _FEWEST_BLOCKS = 10  # with fewer, the deviation over draws is itself uncertain by a quarter
+_EQUAL = 1e-9  # of the squared error: models that differ by rounding are one
 _Z_90 = 1.6449  # half width of a 90 % interval in standard deviations
 _NAMES = {STEADY_STATE: "steady state", FIRST_ORDER: "first-order lag", ARX: "ARX"}
 
@@ -287,7 +288,7 @@ def significance(
     names = [(pair, channel) for pair in pairs for channel in channels]
     usable = np.isfinite(first + second).all(axis=0)
     usable &= (first.sum(axis=0) > 0.0) & (second.sum(axis=0) > 0.0)
-    usable &= np.abs(first - second).sum(axis=0) > 0.0
+    usable &= np.abs(first - second).sum(axis=0) > _EQUAL * first.sum(axis=0)
     if not usable.any():
         return []
     parts = first[:, usable], second[:, usable]

@@ -98,3 +98,10 @@ def test_the_table_marks_the_least_error():
     found = compare([recording(good=1.0, bad=3.0)], rows("good", "bad")).table()
     assert [row[2].mark for row in found.rows] == ["best", ""]
     assert len(found.head) == len(found.rows[0])
+
+
+def test_models_that_differ_by_rounding_are_not_different():
+    one = recording(first=1.0, bad=3.0)
+    one.outputs["again"] = one.outputs["first"] * (1.0 + 1e-14)
+    found = compare([one], rows("first", "again", "bad"))
+    assert {(d.better, d.worse) for d in found.significant} == {("first", "bad"), ("again", "bad")}
