@@ -90,8 +90,8 @@ def run_log(
 
     `recorded` is the log before its faults were masked, where there are some: an input of which
     nothing is left runs as recorded, and after a masked input the free run starts anew from the
-    measured outputs. Without `one_step` that prediction is left out. Raises `DataError` for a log without the model's channels or on another
-    sampling grid.
+    measured outputs. Without `one_step` that prediction is left out. Raises `DataError` for a log
+    without the model's channels or on another sampling grid.
     """
     own = bundle.calibration.for_engine(log.source.engine)
     _check_interval(own, log)
