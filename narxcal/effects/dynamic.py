@@ -103,7 +103,7 @@ class AccelLimit(_Transit):
     manoeuvre: ClassVar[str] = "slams of three sizes: only the large ones are slower"
     fixed = (
         Parameter("share", "-", 0.1, 2.0, 1.0, (0.8, 0.5, 0.3)),
-        Parameter("most_pctps", "%/s", 0.3, FASTEST_PCTPS, FASTEST_PCTPS, (FASTEST_PCTPS, 5.0)),
+        Parameter("most_pctps", "%/s", 0.3, FASTEST_PCTPS, FASTEST_PCTPS, (8.0,)),
     )
 
     def nodes(self, signals: Signals) -> tuple[tuple[float, ...], ...]:  # noqa: ARG002 - of any engine
@@ -113,7 +113,8 @@ class AccelLimit(_Transit):
 
     def pace(self, theta: FloatArray, signals: Signals) -> Pace:  # noqa: ARG002 - of any engine
         """`share` of the limit of acceleration, and the absolute one."""
-        most = np.where(theta[:, 1] < FASTEST_PCTPS, theta[:, 1], UNLIMITED)
+        bounded = np.where(theta[:, 1:] < FASTEST_PCTPS, theta[:, 1:], UNLIMITED)
+        most = bounded.min(axis=1, initial=UNLIMITED)
         return as_simulated(len(theta))._replace(limit=theta[:, 0], most=most)
 
 

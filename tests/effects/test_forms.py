@@ -67,6 +67,7 @@ def test_a_delay_and_a_limit_and_a_bias_of_the_lever(flights):
         ("accel_decel_asymmetry", [2.0, 0.0], {"fan_up": 0.5, "core_up": 0.5}),
         ("accel_decel_asymmetry", [2.0, 1.0], {"fall": 2.0}),
         ("accel_limit", [0.4], {"limit": 0.4}),
+        ("accel_limit", [1.0, 3.0], {"most": 3.0}),
         ("altitude_lag", [0.8], {"thin_air": 0.8}),
         ("actuator_lag", [0.6, 2.0, 0.0], {"valve_s": 0.6, "core_s": 2.0}),
         ("actuator_lag", [0.6, 2.0, 1.0], {"core_s": 2.0}),

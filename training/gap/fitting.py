@@ -146,8 +146,8 @@ def _best_starts(
     effects: Sequence[Effect], parameters: Sequence[Parameter], problem: Problem
 ) -> list[FloatArray]:
     """Best of all combinations of starts, of each mechanism; linear parameters solved at each."""
-    choices = [(0.0,) if p.linear else p.starts for p in parameters]
-    thetas = np.array(list(product(*choices)))
+    nodes = (effect.nodes(problem.flights.signals) for effect in effects)
+    thetas = np.array([sum(each, ()) for each in product(*nodes)])
     linear = [j for j, p in enumerate(parameters) if p.linear]
     base = () if linear else _run(effects, thetas, problem)
     mechanism = [j for j, p in enumerate(parameters) if p.all_or_nothing]

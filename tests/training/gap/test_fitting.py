@@ -15,7 +15,7 @@ KNOWN = {
     "throttle_rate_limit": [12.0],
     "spool_lag": [1.4],
     "spool_coupling": [1.5],
-    "accel_limit": [0.6],
+    "accel_limit": [0.6, 30.0],
     "actuator_lag": [0.4, 1.6, 0.0],
     "accel_decel_asymmetry": [1.5, 0.0],
     "altitude_lag": [0.6],
