@@ -92,7 +92,7 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
             resume=resume,
         )
         bundle = calibrate(config, base, split, options)
-    for warning in bundle.meta["lead"]["suspects"]:
+    for warning in (bundle.meta.get("lead") or {}).get("suspects", ()):
         console.warn(warning)
     write_bundle(folder, bundle)
     if not interrupted(bundle.meta):
