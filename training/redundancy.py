@@ -41,7 +41,7 @@ from data_prep.log import AuditEntry, Fault, Kind, Log
 from data_prep.plausibility import conversions, fault, sound_air
 from narxcal.atmosphere import air_state, corrected_scale, mach_of_cas
 from narxcal.channels import CHANNELS, symbol
-from narxcal.support.arrays import BoolArray, FloatArray, bridge_gaps, noise_level, spans
+from narxcal.support.arrays import BoolArray, FloatArray, IntArray, bridge_gaps, noise_level, spans
 
 _STEP_S = 1.0
 _LAGS_S = (2.0, 8.0, 30.0)
@@ -144,11 +144,13 @@ class Bank:
     | `models` | target -> source -> coefficients b |
     | `pairs` | target -> source -> RMS of e on left-out logs, with the prior |
     | `sigma` | RMS of c on left-out logs, with the prior |
+    | `edges`, `regimes` | power limits of the regimes, and RMS of c in each over that in all |
     | `levels` | channel -> median of c on each left-out log |
     | `stretch` | k -> ln r(k), see `_stretched` |
     | `delays` | target -> source -> (mean, standard deviation) of the delay in s |
     | `noise`, `updates` | largest noise level, and update interval in s, of each channel |
     | `logs` | number of logs that were left out |
+    | `used` | the channels that the model uses |
     """
 
     channels: tuple[str, ...]
@@ -160,12 +162,15 @@ class Bank:
     models: Mapping[str, Mapping[str, tuple[float, ...]]]
     pairs: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     sigma: Mapping[str, float] = field(default_factory=dict)
+    edges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    regimes: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     levels: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     stretch: Mapping[str, float] = field(default_factory=dict)
     delays: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
     updates: Mapping[str, float] = field(default_factory=dict)
     logs: int = 0
+    used: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """For the bundle's document."""
@@ -249,8 +254,50 @@ def residuals(
         scale = 0.5 * np.maximum(expected[i], 0.0) + 0.5 * abs(bank.centre[i])
         errors[i] = {j: _one_sided((air.x[i] - known[j]) / scale, found[j][1]) for j in others}
         consensus[i] = np.where(testable, _weighted(errors[i], weights), np.nan)
-        smooth[i] = _larger(consensus[i] / bank.sigma.get(i, 1.0), signals.step_s)
+        smooth[i] = _larger(consensus[i] / _tolerance(bank, i, expected[i], step_s), signals.step_s)
     return Residuals(bank, signals, tuple(channels), errors, expected, consensus, smooth, air)
+
+
+_LOW_HIGH = (15.0, 85.0)  # percentiles of power
+_REGIME_STEPS, _MOST_TOLERANT = 100.0, 3.0
+
+
+def _regimes(bank: Bank, name: str, expected: FloatArray, step_s: float) -> IntArray:
+    """Low, middle or high power (0 to 2), plus 3 while it changes: models are unequally good there.
+
+    Bleeds, valves and idle schedules act at low power, and slams excite what lags leave out.
+    """
+    z = bridge_gaps((expected - bank.centre[name]) / bank.spread[name])
+    z = np.where(np.isfinite(z), z, 0.0)
+    level = (z > bank.edges[name][0]).astype(np.int64) + (z > bank.edges[name][1])
+    size = max(3, round(30.0 / step_s))
+    moving = np.abs(z - uniform_filter1d(z, size, mode="nearest")) > 0.1
+    reach = uniform_filter1d(moving.astype(np.float64), size, mode="nearest") > 0.01
+    return np.asarray(level + 3 * reach)
+
+
+def _tolerance(bank: Bank, name: str, expected: FloatArray, step_s: float) -> FloatArray:
+    """Sigma (time,) in the regime of each sample."""
+    if name not in bank.regimes:
+        return np.full(len(expected), bank.sigma.get(name, 1.0))
+    ratios = np.asarray(bank.regimes[name])
+    return np.asarray(bank.sigma[name] * ratios[_regimes(bank, name, expected, step_s)])
+
+
+def _regime_ratios(name: str, left_out: Sequence[Residuals]) -> tuple[float, ...]:
+    """RMS of c in each regime over that of all, at least 1, from the left-out logs."""
+    where = [_regimes(one.bank, name, one.expected[name], one.signals.step_s) for one in left_out]
+    regime = np.concatenate(where)
+    squares = np.concatenate([one.consensus[name] for one in left_out]) ** 2
+    known = np.isfinite(squares)
+    whole = float(np.mean(squares[known])) if known.any() else 1.0
+    ratios = []
+    for k in range(6):
+        own = squares[known & (regime == k)]
+        total = np.sum(own) + _REGIME_STEPS * whole
+        ratio = np.sqrt(total / ((len(own) + _REGIME_STEPS) * max(whole, 1e-300)))
+        ratios.append(float(np.clip(ratio, 1.0, _MOST_TOLERANT)))
+    return tuple(ratios)
 
 
 def _one_sided(error: FloatArray, side: FloatArray) -> FloatArray:
@@ -308,12 +355,13 @@ def _inside_air(bank: Bank, air: _Corrected) -> BoolArray:
 
 
 def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
-    """Fit the bank to the engine channels among `channels` that all prepared logs record.
+    """Fit the bank to the engine channels that all prepared logs record.
 
-    None where these are fewer than two. Each log is left out once to measure `sigma`, of more than
-    eight logs groups of them.
+    `channels` are those of the model: the others support the comparison, and no fault of them is
+    reported. None where there are fewer than two. Each log is left out once to measure `sigma`, of
+    more than eight logs groups of them.
     """
-    names = _engine_channels(logs, channels)
+    names = _engine_channels(logs)
     if len(names) < 2:
         return None
     all_signals = [Signals.of(log) for log in logs]
@@ -334,11 +382,13 @@ def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
         whole,
         stretch={str(k): float(np.mean(values)) for k, values in ratios.items()},
         sigma={name: _rms(name, "", [one.consensus[name] for one in left_out]) for name in names},
+        regimes={name: _regime_ratios(name, left_out) for name in names},
         levels={name: tuple(_level(one.consensus[name]) for one in left_out) for name in names},
         delays=_delay_table([_delays(log, names) for log in logs], names),
         noise={name: max(_noise(log, name) for log in logs) for name in names},
         updates=_longest_updates(logs),
         logs=len(parts),
+        used=tuple(name for name in names if name in channels),
     )
 
 
@@ -346,13 +396,12 @@ def _others(parts: Sequence[Signals], fold: Sequence[Signals]) -> list[Signals]:
     return [one for one in parts if all(one is not other for other in fold)]
 
 
-def _engine_channels(logs: Sequence[Log], channels: Sequence[str]) -> tuple[str, ...]:
+def _engine_channels(logs: Sequence[Log]) -> tuple[str, ...]:
     """Outputs and levers that every log records and that move."""
     return tuple(
         name
         for name in CHANNELS
-        if name in channels
-        and CHANNELS[name].role in {"output", "lever"}
+        if CHANNELS[name].role in {"output", "lever"}
         and all(log.recorded([name]) for log in logs)
         and np.nanstd(np.concatenate([log[name] for log in logs])) > 0.0
     )
@@ -384,7 +433,7 @@ def _fit(logs: Sequence[Signals], names: Sequence[str]) -> Bank:
             float(ends[1] + 0.05 * np.ptp(ends)),
         )
     ranges = {
-        name: _range(np.concatenate([getattr(one, name) for one in air]))
+        name: _percentiles(np.concatenate([getattr(one, name) for one in air]), (0.1, 99.9))
         for name in ("mach", "log_delta")
     }
     scaled = [{name: (one.x[name] - centre[name]) / spread[name] for name in names} for one in air]
@@ -402,11 +451,15 @@ def _fit(logs: Sequence[Signals], names: Sequence[str]) -> Bank:
                 target = np.concatenate([z[i] for z in scaled])
                 usable = source & np.isfinite(target)
                 models[i][j] = tuple(_robust_fit(phi[usable], target[usable]).tolist())
-    return Bank(tuple(names), centre, spread, low, high, ranges, models)
+    edges = {
+        name: _percentiles(each / spread[name] - centre[name] / spread[name], _LOW_HIGH)
+        for name, each in joined.items()
+    }
+    return Bank(tuple(names), centre, spread, low, high, ranges, models, edges=edges)
 
 
-def _range(values: FloatArray) -> tuple[float, float]:
-    low, high = np.percentile(values, (0.1, 99.9))
+def _percentiles(values: FloatArray, shares: tuple[float, float]) -> tuple[float, float]:
+    low, high = np.percentile(values[np.isfinite(values)], shares)
     return float(low), float(high)
 
 
@@ -554,7 +607,8 @@ def examine(bank: Bank, log: Log) -> tuple[Fault, ...]:
         return log.faults
     for step in _STEPS:
         subject = step(bank, subject)
-    return subject.faults
+    used = {*bank.used, *_AIR, "CAS_kt", "time_s"}
+    return tuple(each for each in subject.faults if each in log.faults or used & {*each.channels})
 
 
 _SELDOM = 1.6

@@ -65,10 +65,17 @@ def test_it_survives_json(bank):
     assert examine(stored, log) == examine(bank, log)
 
 
-def test_it_takes_the_engine_channels_of_the_model(bank):
-    assert bank.channels == CHANNELS
+def test_it_takes_the_engine_channels_and_needs_two(bank):
+    assert bank.channels == bank.used == CHANNELS
     assert bank.logs == 4
-    assert learn([engine(1)], ("N1_pct", "ALT_ft")) is None
+    log = engine(1)
+    single = Log("flight", log.time_s, {"N1_pct": log["N1_pct"], "ALT_ft": log["ALT_ft"]})
+    assert learn([single], ("N1_pct", "ALT_ft")) is None
+
+
+def test_a_channel_that_the_model_does_not_use_is_not_reported():
+    bank = learn([engine(seed) for seed in range(3)], ("N1_pct", "N2_pct", "EGT_C"))
+    assert examine(bank, with_fault("FF_kgph", lambda x: 1.5 * x)) == ()
 
 
 NOISE = DRAW.standard_normal(ROWS)
