@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
@@ -74,6 +75,11 @@ class Fault:
     def row(self) -> dict[str, Any]:
         """One entry of `faults` in JSON."""
         return {**asdict(self), "channels": list(self.channels)}
+
+    @property
+    def engine(self) -> str:
+        """The engine of its log; empty for a log without engines."""
+        return re.sub(r"#\d+$", "", self.log).rpartition(":")[2] if ":" in self.log else ""
 
     @property
     def caution(self) -> str:

@@ -49,13 +49,13 @@ from eval.trim import TrimConfig, rows_for_trim
 from narxcal.calibration.bundle import Bundle
 from narxcal.channels import channel, symbol
 from narxcal.steady.model import Envelope, SteadyStateModel
-from narxcal.support.errors import ConfigError, ModelError
+from narxcal.support.errors import ConfigError, DataError, ModelError
 from narxcal.support.files import finite
 from narxcal.support.settings import Section
 from training.config import RunConfig
 from training.crossval import CrossvalConfig
 from training.records import split_logs
-from training.redundancy import Bank, masked, screened
+from training.redundancy import MASK, Bank, masked, screened
 
 SCHEMA = "narxcal.evaluate/1"
 NEW = "new"
@@ -438,6 +438,27 @@ def evaluation_logs(bundle: Bundle, files: Sequence[Path] | None = None) -> list
         chosen = split_logs(logs, config.split).test or logs
     logs = [with_outputs(one.log, outputs) for one in prepare(chosen, config)]
     return screened(bank_of(bundle), logs)
+
+
+def file_faults(bundle: Bundle, file: Path) -> tuple[Fault, ...]:
+    """Faults of the logs in a file that are masked; raises `DataError` as `evaluation_logs`.
+
+    Raises `DataError`, too, for an input of the model that is at fault throughout.
+    """
+    logs = evaluation_logs(bundle, [file])
+    faults = tuple(each for log in logs for each in log.faults if each.confidence >= MASK)
+    for log in logs:
+        after = masked(log)
+        for name in bundle.calibration.input_names:
+            if name in log.channels and log.recorded([name]) and not after.recorded([name]):
+                why = next(each for each in log.faults if {name, "time_s"} & {*each.channels})
+                raise DataError(
+                    f"an input of the model is at fault throughout ({why.kind}: {why.detail})",
+                    file=log.name,
+                    channel=name,
+                    hint="Correct its column or unit under [logs.columns], or repair the log",
+                )
+    return faults
 
 
 def bank_of(bundle: Bundle) -> Bank | None:

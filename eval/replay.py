@@ -17,6 +17,8 @@ from pydantic import Field
 
 from data_prep.config import LogsConfig
 from data_prep.csv_source import Pace
+from data_prep.faults import out_of_range
+from data_prep.log import Fault
 from data_prep.reading import LogFile
 from narxcal.calibration.fuser import FastFuser
 from narxcal.calibration.fuser_config import FuserConfig
@@ -74,12 +76,16 @@ class ReplayOptions(Section):
 
 @dataclass(frozen=True)
 class ReplayModel:
-    """What a replay needs of a bundle: the model, the columns of its logs, and the fuser."""
+    """What a replay needs of a bundle: the model, the columns of its logs, and the fuser.
+
+    `faults` are those of the log; their channels count as not measured.
+    """
 
     calibration: Calibration
     logs: LogsConfig = field(default_factory=LogsConfig)
     fuser: FuserConfig = field(default_factory=FuserConfig)
     noise: NoiseModel | None = None
+    faults: tuple[Fault, ...] = ()
 
     @classmethod
     def of(cls, bundle: Bundle) -> Self:
@@ -99,6 +105,8 @@ class ReplayModel:
 class Rows:
     """Samples of one engine, `(time,)` or `(time, n_out)`; NaN until they are fused.
 
+    `valid` (time, n_out) is true where the inputs were measured and no fault masks the output.
+
     `runs` are (start, stop, fresh) without a gap inside; with `fresh` the model starts anew.
     """
 
@@ -110,6 +118,7 @@ class Rows:
     inside: BoolArray
     held: BoolArray
     gap: BoolArray
+    valid: BoolArray
     runs: list[tuple[int, int, bool]]
 
 
@@ -131,6 +140,7 @@ class EngineReplay:
         self._age = np.zeros(len(self._inputs), dtype=np.intp)
         self._running = self._begun = False
         self._waiting: list[Rows] = []
+        self._faults = [one for one in model.faults if one.engine == engine]
         stored = model.noise if options.stored_noise else None
         self.fuser = None if stored is None else FastFuser(stored, model.fuser)
         self._fusable = np.ones(len(self.outputs), dtype=np.bool_)
@@ -178,7 +188,22 @@ class EngineReplay:
 
     def _matrix(self, piece: Piece, names: Sequence[str]) -> FloatArray:
         missing = np.full(len(piece.time_s), np.nan)
-        return np.column_stack([piece.channels.get(name, missing) for name in names])
+        return np.column_stack(
+            [
+                np.where(self._faulty(piece, name), np.nan, piece.channels.get(name, missing))
+                for name in names
+            ]
+        )
+
+    def _faulty(self, piece: Piece, name: str) -> BoolArray:
+        """Where a fault masks a channel, or its values are physically impossible (time,)."""
+        bad = np.zeros(len(piece.time_s), dtype=np.bool_)
+        if name in piece.channels:
+            bad |= out_of_range(name, piece.channels[name])
+        for one in self._faults:
+            if name in one.channels or "time_s" in one.channels:
+                bad |= (piece.time_s >= one.from_s) & (piece.time_s <= one.to_s)
+        return bad
 
     def _measured(self, piece: Piece) -> FloatArray:
         """Outputs (time, n_out), NaN where not measured: interpolated values are no information."""
@@ -218,8 +243,10 @@ class EngineReplay:
         inside = alive & self._calibration.steady.inside(inputs[:, self._steady])
         self.outside += int((alive & ~inside).sum())
         blank = np.full(measured.shape, np.nan)
+        faulty = np.column_stack([self._faulty(piece, name) for name in self.outputs])
+        valid = np.isfinite(prediction) & ~faulty & ~held[:, None]
         return Rows(
-            piece.time_s, measured, prediction, blank, blank, inside, held & alive, gap, runs
+            piece.time_s, measured, prediction, blank, blank, inside, held & alive, gap, valid, runs
         )
 
     def _filled(self, inputs: FloatArray) -> tuple[FloatArray, BoolArray, BoolArray]:
@@ -315,6 +342,7 @@ class ReplaySummary:
     | `slow` | engine -> channel slower than the sampling grid -> s between measurements |
     | `dropped` | rows without a usable time stamp |
     | `truncated` | the file ends in mid-line, and that line was left out |
+    | `faults` | faults of the log, as in `evaluate.json` |
 
     Inputs are interpolated between slow measurements; outputs are not fused there.
     """
@@ -331,6 +359,7 @@ class ReplaySummary:
     slow: dict[str, dict[str, float]]
     dropped: int
     truncated: bool
+    faults: tuple[Fault, ...] = ()
 
     @property
     def times_real_time(self) -> float:
@@ -339,8 +368,8 @@ class ReplaySummary:
 
     @property
     def cautions(self) -> list[str]:
-        """Warnings of slow channels; ambient ones change slowly, and nothing is lost there."""
-        texts = []
+        """Faults, and slow channels; ambient ones change slowly, and nothing is lost there."""
+        texts = [fault.caution for fault in self.faults]
         for engine, slow in self.slow.items():
             named = [
                 f"{name} about every {every_s:.2g} s"
@@ -358,7 +387,8 @@ class ReplaySummary:
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         return {
-            **asdict(self), "times_real_time": self.times_real_time, "cautions": self.cautions
+            **asdict(self), "faults": [fault.row() for fault in self.faults],
+            "times_real_time": self.times_real_time, "cautions": self.cautions
         }  # fmt: skip
 
 
@@ -389,6 +419,7 @@ def replay(
     | `inside_envelope` | 1 inside the envelope of the steady-state model |
     | `held` | 1 where the last value of a missing input was used |
     | `gap` | 1 where the model started anew, or, with blank predictions, could not run |
+    | `X_valid` | 1 where all inputs were measured and no fault masks output X |
 
     `OUT` appears when all rows are there; live, they can be read in `OUT.part` as they come. Ctrl-C
     ends a `follow` with the rows so far, and any other replay with no file.
@@ -401,6 +432,7 @@ def replay(
 class _Replay:
     def __init__(self, model: ReplayModel, log: Path, options: ReplayOptions, clock: Clock) -> None:
         self.options = options
+        self.model = model
         self.clock = clock
         self.pace = Pace(
             lines=1 if options.realtime else 4096,
@@ -456,7 +488,8 @@ class _Replay:
         parts = ("prediction", "fused", "innovation")
         per_channel = [f"{name}_{part}" for name in self.outputs for part in parts]
         engine = ["engine"] if len(self.engines) > 1 else []
-        return ["time_s", *engine, *per_channel, "inside_envelope", "held", "gap"]
+        valid = [f"{name}_valid" for name in self.outputs]
+        return ["time_s", *engine, *per_channel, "inside_envelope", "held", "gap", *valid]
 
     def _samples(self) -> Iterator[dict[str, list[Rows]]]:
         """Finished rows per engine, as they become certain."""
@@ -516,6 +549,7 @@ class _Replay:
             slow={name: engine.slow for name, engine in engines.items()},
             dropped=sum(stream.dropped for stream in self.streams.values()),
             truncated=self.file.table.truncated,
+            faults=self.model.faults,
         )
 
 
@@ -523,9 +557,9 @@ def _lines(rows: Rows, engine: str | None) -> list[tuple[float, str]]:
     n_out = rows.prediction.shape[1]
     results = np.stack([rows.prediction, rows.fused, rows.innovation], axis=2)
     table = np.column_stack([rows.time_s, results.reshape(len(rows.time_s), 3 * n_out)]).tolist()
-    flags = np.column_stack([rows.inside, rows.held, rows.gap]).astype(int).tolist()
+    flags = np.column_stack([rows.inside, rows.held, rows.gap, rows.valid]).astype(int).tolist()
     form = ",".join([TIME_FORMAT, *([engine] if engine else []), *["%.10g"] * (3 * n_out)])
-    tail = ",%d,%d,%d\n"
+    tail = ",%d" * (3 + n_out) + "\n"
     return [
         (row[0], (form % tuple(row)).replace("nan", "") + tail % tuple(flag))
         for row, flag in zip(table, flags, strict=True)

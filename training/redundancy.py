@@ -47,7 +47,7 @@ _STEP_S = 1.0
 _LAGS_S = (2.0, 8.0, 30.0)
 # Means over short windows of transients scatter more than those over long ones: windows in s, and
 # the limits of S_i in them. The largest of left-out flights: 4.3 and 3.3.
-_WINDOWS_S, _LIMITS, _WHOLE_LIMIT = (20.0, 100.0), (5.5, 4.0), 2.5
+_WINDOWS_S, _LIMITS, _WHOLE_LIMIT = (20.0, 100.0), (6.0, 4.4), 2.7
 _RIDGE = 1e-4
 # Scatter between engines of a type and their meters, as a share of the level, until left-out logs
 # say more; it counts as `_PRIOR_LOGS` of them.
@@ -1018,7 +1018,7 @@ _FOLLOWS = 0.5
 _STEPS: tuple[Callable[[Bank, _Subject], _Subject], ...] = (
     _coarse, _noisy, _stretched, _airspeed, _whole, _late, _motionless, _isolated, _isolated,
 )  # fmt: skip
-_MASK = 0.95  # least confidence of what is masked
+MASK = 0.95  # least confidence of what is masked
 
 
 def masked(log: Log) -> Log:
@@ -1031,7 +1031,7 @@ def masked(log: Log) -> Log:
     for each in log.faults:
         inside = (log.time_s >= each.from_s) & (log.time_s <= each.to_s)
         names = tuple(log.channels) if "time_s" in each.channels else each.channels
-        for name in names if each.confidence >= _MASK else ():
+        for name in names if each.confidence >= MASK else ():
             values = changed.get(name, log.channels.get(name, np.empty(0))).copy()
             count = int((inside & np.isfinite(values)).sum()) if len(values) else 0
             if count:

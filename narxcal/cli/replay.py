@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
+from dataclasses import replace
 
+from data_prep.log import Fault
+from eval.evaluate import file_faults
 from eval.replay import ReplayModel, ReplayOptions, ReplaySummary, replay
-from narxcal.calibration.bundle import load_bundle
+from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_overwrite, add_run, path
 from narxcal.support.files import check_file
@@ -32,14 +35,27 @@ def run(options: Namespace, console: Console) -> int:
     """Replay a log and write one CSV."""
     console = console.beside(options.out)
     check_file(options.out, options.log, options.bundle, overwrite=options.overwrite)
-    model = ReplayModel.of(load_bundle(options.bundle, trust=options.trust))
+    bundle = load_bundle(options.bundle, trust=options.trust)
+    model = ReplayModel.of(bundle)
     how = ReplayOptions(engine=options.engine, realtime=options.realtime, follow=options.follow)
+    if not how.live and options.log.is_file():
+        model = replace(model, faults=_faults(bundle, options, console))
     with console.progress("Replaying"):
         summary = replay(model, options.log, options.out, how)
     _show(console, summary)
     console.say(f"Replayed: {options.out}")
     console.document({"schema": SCHEMA, "out": str(options.out), **summary.to_dict()})
     return 0
+
+
+def _faults(bundle: Bundle, options: Namespace, console: Console) -> tuple[Fault, ...]:
+    """Faults of the log, found before it is streamed; none of a log that only replay can read."""
+    if "config" not in bundle.meta:
+        return ()
+    with console.progress("Checking the log"):
+        found = file_faults(bundle, options.log)
+    engine = options.engine
+    return tuple(one for one in found if engine is None or one.engine == engine)
 
 
 def _show(console: Console, summary: ReplaySummary) -> None:

@@ -8,11 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from data_prep.config import LogsConfig
 from data_prep.log import Log
-from data_prep.reading import open_table
+from data_prep.prepare import hold_inputs, prepare
+from data_prep.reading import open_table, read_logs
+from eval.evaluate import bank_of
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.calibration.calibration import Calibration
 from narxcal.cli import simulate_effects
@@ -21,14 +24,15 @@ from narxcal.cli.options import SIMULATOR, add_mapping, add_overwrite, add_trust
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import TIME_FORMAT, atomic_write_text, check_file, text_cell
 from training.config import RunConfig
-from training.pipeline import calibration_for, prepare_logs
+from training.pipeline import calibration_for
+from training.redundancy import masked, screened
 
 SCHEMA = "narxcal.simulate/1"
 
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """One log simulated: a table with `inside_envelope`, and the log it came from."""
+    """One log simulated: a table with `inside_envelope` and flags, and the log it came from."""
 
     log: Log
     table: pd.DataFrame
@@ -91,6 +95,9 @@ def run(options: Namespace, console: Console) -> int:
     for row in document["logs"]:
         outside = f", {row['outside']} outside the envelope" if row["outside"] else ""
         console.say(f"{row['log']}: {row['samples']} samples{outside}")
+    for one in runs:
+        for fault in one.log.faults:
+            console.warn(fault.caution)
     console.say(f"Simulated: {options.out}")
     console.document(document)
     return 0
@@ -100,7 +107,7 @@ def read_inputs(bundle: Bundle, file: Path) -> list[Log]:
     """Read the inputs in `file` by the bundle's column mapping, or by canonical headers.
 
     Outputs need not be there. The logs are on the model's raster, prepared as those that the
-    model was trained on. Raises `DataError`.
+    model was trained on; masked samples stay NaN. Raises `DataError`.
     """
     config = RunConfig.parse(bundle.meta["config"])
     names = bundle.calibration.input_names
@@ -110,17 +117,23 @@ def read_inputs(bundle: Bundle, file: Path) -> list[Log]:
         logs = LogsConfig(max_gap_s=logs.max_gap_s, bridge_s=logs.bridge_s)
     else:
         logs = logs.sparing(set(bundle.calibration.output_names) - set(names))
-    reading = config.model_copy(update={"logs": logs})
-    return prepare_logs(reading, [file], bundle.calibration.dt_s)
+    reading = logs.model_copy(update={"raster_hz": 1.0 / bundle.calibration.dt_s})
+    prepared = prepare(read_logs([file], reading), config)
+    return screened(bank_of(bundle), [one.log for one in prepared])
 
 
 def _simulated(calibration: Calibration, log: Log) -> _Run:
     own = calibration_for(calibration, log)
+    used = masked(log)
+    known = np.isfinite(used.matrix([name for name in own.input_names if name in used.channels]))
+    log = hold_inputs(used, own.input_names)
     inputs = log.matrix(own.input_names)
     table = pd.DataFrame(own.simulate(inputs), columns=list(own.output_names))
     table.insert(0, "time_s", log.time_s)
     table.insert(1, "engine", text_cell(log.source.engine))
     table["inside_envelope"] = own.steady.inside(inputs).astype(int)
+    for name in own.output_names:
+        table[f"{name}_valid"] = known.all(axis=1).astype(int)
     return _Run(log, table)
 
 
@@ -134,6 +147,7 @@ def _document(out: str, runs: Sequence[_Run]) -> dict[str, Any]:
                 "sha256": one.log.source.sha256,
                 "samples": len(one.table),
                 "outside": int((one.table["inside_envelope"] == 0).sum()),
+                "faults": [fault.row() for fault in one.log.faults],
                 "audit": [
                     {
                         "channel": entry.channel,

@@ -251,7 +251,10 @@ def test_simulate_gives_the_free_run_and_needs_no_outputs(project, narxcal, tmp_
     done = narxcal("simulate", project / "run", inputs, "--out", out, "--json")
     assert (done.code, done.err) == (0, "")
     table = pd.read_csv(out)
-    assert list(table) == ["time_s", "N1_pct", "N2_pct", "EGT_C", "inside_envelope"]
+    outputs = ["N1_pct", "N2_pct", "EGT_C"]
+    valid = [f"{name}_valid" for name in outputs]
+    assert list(table) == ["time_s", *outputs, "inside_envelope", *valid]
+    assert (table[valid] == 1).all(axis=None)
     assert strict(done.out)["logs"][0]["samples"] == len(table)
     measured = np.interp(table["time_s"], flight["time_s"], flight["N1_pct"])
     assert math.sqrt(np.mean((table["N1_pct"] - measured) ** 2)) < 6.0

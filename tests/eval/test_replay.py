@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from data_prep.config import LogsConfig
+from data_prep.log import Fault
 from data_prep.reading import read_logs
 from data_prep.stream import GridStream
 from eval.replay import Clock, ReplayModel, ReplayOptions, replay
@@ -252,6 +253,42 @@ def test_samples_outside_the_envelope_are_flagged_and_counted(tmp_path):
     found, _ = read(tmp_path / "out.csv")
     assert np.flatnonzero(found["inside_envelope"] == 0.0).tolist() == list(range(500, 520))
     assert summary.outside == {"": 20}
+
+
+def test_a_faulty_output_is_not_fused_and_flagged(tmp_path):
+    fault = Fault("log.csv", "N1_pct", ("N1_pct",), "bias", 20.0, 30.0, 0.99, "+40 %")
+    model = replace(MODEL, faults=(fault,))
+    columns = flight()
+    rows = (columns["time_s"] >= 20.0) & (columns["time_s"] <= 30.0)
+    columns["N1_pct"][rows] += 40.0
+    summary = replay(model, write(tmp_path / "log.csv", columns), tmp_path / "out.csv", STORED)
+    found, _ = read(tmp_path / "out.csv")
+    np.testing.assert_array_equal(found["N1_pct_valid"] == 0.0, rows)
+    assert found["N2_pct_valid"].all()
+    assert np.isnan(found["N1_pct_innovation"][rows]).all()
+    assert np.abs(found["N1_pct_fused"] - found["N1_pct_prediction"])[rows].max() < 3.0
+    assert summary.to_dict()["faults"] == [fault.row()]
+    assert summary.cautions[0] == "log.csv: N1_pct bias, 20 to 30 s: +40 %"
+
+
+def test_a_faulty_input_is_held_and_then_pauses_the_model(tmp_path):
+    fault = Fault("log.csv", "Mach", ("Mach",), "unit", 20.0, 30.0, 0.99, "looks like percent")
+    log = write(tmp_path / "log.csv", flight())
+    replay(replace(MODEL, faults=(fault,)), log, tmp_path / "out.csv", STORED)
+    found, _ = read(tmp_path / "out.csv")
+    inside = (found["time_s"] >= 20.0) & (found["time_s"] <= 30.0)
+    assert (found["N1_pct_valid"][inside] == 0.0).all()
+    assert np.isnan(found["N1_pct_prediction"][inside & (found["time_s"] > 22.5)]).all()
+    assert found["N1_pct_valid"][~inside].all()
+
+
+def test_a_physically_impossible_value_is_not_fused(tmp_path):
+    columns = flight()
+    columns["N1_pct"] *= 160.0
+    replay(MODEL, write(tmp_path / "log.csv", columns), tmp_path / "out.csv", STORED)
+    found, _ = read(tmp_path / "out.csv")
+    np.testing.assert_allclose(found["N1_pct_fused"], found["N1_pct_prediction"])
+    assert not found["N1_pct_valid"].any()
 
 
 def test_an_output_the_log_lacks_is_predicted_and_not_fused(tmp_path):
