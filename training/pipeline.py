@@ -27,11 +27,13 @@ from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration, DynamicCalibration
 from narxcal.calibration.identified import IdentifiedCalibration
 from narxcal.calibration.noise import NoiseModel, estimate_noise
+from narxcal.channels import CHANNELS
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.narx.network import NarxModel
 from narxcal.record import Record
 from narxcal.steady.fitted import FittedSteadyState
 from narxcal.steady.model import SteadyStateModel
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from training.baselines import fit_baselines
 from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
@@ -117,6 +119,7 @@ def calibrate(
         found = {"training": {"status": known.status, "score": [], "history": []}}
         found["identify"] = known.document()
         found["baselines"] = fit_baselines(calibration, split.train)
+    calibration = calibration.reaching(*input_reach(split.train, calibration.input_names))
     found["training"]["wall_s"] = time.perf_counter() - began
     meta = _provenance(given, base, split) | {
         "config": _resolved(config, steady).model_dump(mode="json", by_alias=True),
@@ -174,6 +177,18 @@ def _leading(
 
     watch = partial(options.stage, "judging on held-out parts")
     return choose_leads(config, split.train, refit, fitted, watch)
+
+
+def input_reach(logs: Sequence[Log], names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+    """Where inputs saturate (n_in,): one width beyond the training logs, within physical ranges."""
+    seen = [np.concatenate([log[name] for log in logs]) for name in names]
+    low, high = (np.array([end(values) for values in seen]) for end in (np.nanmin, np.nanmax))
+    width = high - low
+    known = [CHANNELS.get(name) for name in names]
+    least = np.array([-np.inf if one is None else one.low for one in known])
+    most = np.array([np.inf if one is None else one.high for one in known])
+    beyond = np.maximum(low - width, least), np.minimum(high + width, most)
+    return np.minimum(low, beyond[0]), np.maximum(high, beyond[1])
 
 
 def redundancy_of(calibration: Calibration, logs: Sequence[Log]) -> dict[str, Any] | None:

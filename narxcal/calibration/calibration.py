@@ -27,7 +27,13 @@ from narxcal.calibration.lead import Lead, LeadState
 from narxcal.calibration.register import Parts, Register, Sample, stacked
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.narx.network import NarxModel
-from narxcal.steady.model import ALTERED, SteadyStateModel, steady_from_json, steady_to_json
+from narxcal.steady.model import (
+    ALTERED,
+    Envelope,
+    SteadyStateModel,
+    steady_from_json,
+    steady_to_json,
+)
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError, ModelError
 
@@ -57,6 +63,7 @@ class Calibration(ABC):
     def __init__(self, steady: SteadyStateModel, dt_s: float) -> None:
         self.steady = steady
         self.dt_s = dt_s
+        self.reach: Envelope | None = None
         self.leads: tuple[Lead, ...] = ()
         self._register: Running | None = None
         self._led: list[LeadState] = []
@@ -99,6 +106,24 @@ class Calibration(ABC):
     def network_alone(self) -> Self:
         """The calibration with its own model leading in every output."""
         return self.with_leads(())
+
+    def reaching(self, low: ArrayLike, high: ArrayLike) -> Self:
+        """The calibration with inputs (n_in,) that saturate at these limits.
+
+        Whatever the inputs, the outputs are then those of conditions in a box: bounded. Raises
+        `ModelError` for limits that are no range for each input.
+        """
+        box = Envelope(*(np.asarray(limit, dtype=np.float64) for limit in (low, high)))
+        fits = box.low.shape == box.high.shape == (len(self.input_names),)
+        if not fits or not (box.low <= box.high).all():
+            raise ModelError("'reach' is no range for each input", hint=ALTERED)
+        return self._with(reach=box)
+
+    def reach_row(self) -> dict[str, Any]:
+        """The limits of the inputs as JSON can hold them; empty where there are none."""
+        if self.reach is None:
+            return {}
+        return {"reach": {"low": self.reach.low.tolist(), "high": self.reach.high.tolist()}}
 
     @property
     def input_names(self) -> tuple[str, ...]:
@@ -203,7 +228,7 @@ class Calibration(ABC):
                 row=int(row),
                 hint="Hold the last good value, or cut the log there",
             )
-        return given
+        return given if self.reach is None else self.reach.clamp(given)
 
     def _first_deviation(self, ss: FloatArray, start: ArrayLike | None) -> FloatArray:
         if start is None:

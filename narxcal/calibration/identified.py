@@ -376,7 +376,11 @@ class _Running:
 def calibration_from_arrays(
     meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], *, trust: bool = False
 ) -> Calibration:
-    """Rebuild a calibration of any kind from its `to_arrays`."""
+    """Rebuild a calibration of any kind from its `to_arrays` and `reach_row`."""
+    found: Calibration
     if "dynamics" in meta:
-        return IdentifiedCalibration.from_arrays(meta, arrays, trust=trust)
-    return DynamicCalibration.from_arrays(meta, arrays, trust=trust)
+        found = IdentifiedCalibration.from_arrays(meta, arrays, trust=trust)
+    else:
+        found = DynamicCalibration.from_arrays(meta, arrays, trust=trust)
+    reach = meta.get("reach")
+    return found if reach is None else found.reaching(reach["low"], reach["high"])

@@ -21,6 +21,7 @@ from training.pipeline import (
     calibration_for,
     configured_files,
     fuser_noise,
+    input_reach,
     prepare_logs,
 )
 from training.records import Split, deviation_record, split_logs
@@ -357,3 +358,15 @@ def test_weights_do_not_depend_on_the_number_of_threads(tmp_path, bundle):
     again = calibrate(config().model_copy(update={"train": table}), tmp_path, split(2, 1, 1))
     u = split(2, 1, 1).test[0].matrix(bundle.calibration.input_names)
     np.testing.assert_array_equal(again.calibration.simulate(u), bundle.calibration.simulate(u))
+
+
+def test_inputs_reach_one_width_beyond_the_logs_within_physical_ranges():
+    columns = {
+        "ALT_ft": np.array([0.0, 8000.0]),
+        "Mach": np.array([0.1, 0.4]),
+        "X": np.array([1.0, 3.0]),
+    }
+    log = Log("flight", np.arange(2.0), columns)
+    low, high = input_reach([log], ("ALT_ft", "Mach", "X"))
+    assert low.tolist() == pytest.approx([-2000.0, 0.0, -1.0])
+    assert high.tolist() == pytest.approx([16000.0, 0.7, 5.0])

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from narxcal.calibration.calibration import DynamicCalibration, narx_features
+from narxcal.calibration.identified import calibration_from_arrays
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxModel, Scaling
@@ -253,3 +254,25 @@ def test_unfit_inputs_are_refused(inputs, start, message):
     with pytest.raises(DataError) as error:
         calibration().simulate(inputs, start)
     assert str(error.value) == message
+
+
+def test_inputs_saturate_at_the_reach_and_nowhere_else():
+    free = calibration()
+    bounded = free.reaching([-10.0, 0.0], [90.0, 1.0])
+    inside = log()
+    np.testing.assert_array_equal(bounded.simulate(inside), free.simulate(inside))
+    beyond = log()
+    beyond[30:] = [1e9, -40.0]
+    limit = log()
+    limit[30:] = [90.0, 0.0]
+    np.testing.assert_array_equal(bounded.simulate(beyond), free.simulate(limit))
+    np.testing.assert_array_equal(bounded.predict(beyond, inside), free.predict(limit, inside))
+
+
+def test_the_reach_is_stored_and_checked():
+    bounded = calibration().reaching([-10.0, 0.0], [90.0, 1.0])
+    meta, arrays = bounded.to_arrays()
+    again = calibration_from_arrays(meta | bounded.reach_row(), arrays)
+    np.testing.assert_array_equal(again.reach.low, [-10.0, 0.0])
+    with pytest.raises(ModelError, match="^'reach' is no range for each input"):
+        calibration_from_arrays({**meta, "reach": {"low": [0.0], "high": [1.0]}}, arrays)
