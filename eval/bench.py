@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from eval.benchmarks import flights, public_sets, speed, untuned, virtual_engine
+from eval.benchmarks import faults, flights, public_sets, speed, untuned, virtual_engine
 from eval.benchmarks.row import Row
 from narxcal.support.files import to_json, versions
 
@@ -62,6 +62,7 @@ def _short(data: Path) -> list[Row]:
         *speed.rows(),
         *virtual_engine.rows(),
         *public_sets.rows(data / "bench"),
+        *faults.rows(data),
     ]
 
 

@@ -331,6 +331,8 @@ class DynamicCalibration(Calibration):
             "steady": steady,
             "lag": lag_meta,
         }
+        if self.reach is not None:
+            meta["reach"] = {"low": self.reach.low.tolist(), "high": self.reach.high.tolist()}
         if self.leads:
             meta["leads"] = [lead.to_json() for lead in self.leads]
         return meta, arrays
