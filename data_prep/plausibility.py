@@ -231,47 +231,84 @@ def _stuck(log: Log, name: str, start: int, stop: int) -> Fault:
     return fault(log, (name,), ("stuck", text), span)
 
 
-# Tolerances of the relations, in the unit of the residual, at which they fail (instrument errors
-# of RVSM aircraft and position error, doubled): Mach, kt, K.
-_MACH_TOLERANCE, _TAS_TOLERANCE, _TAT_TOLERANCE = 0.03, 12.0, 6.0
+# Tolerances of the relations, at which they fail: Mach (plus a share of it), kt, K. About twice the
+# errors of instruments and of their position; what flights and weather differ by, for ISA.
+_MACH_TOLERANCE, _MACH_SHARE, _TAS_TOLERANCE, _TAT_TOLERANCE = 0.01, 0.025, 12.0, 6.0
 _ISA_TOLERANCE = 15.0  # K: half of the change of the deviation from ISA over one flight
 _AIRBORNE_KT, _AIRBORNE_MACH = 80.0, 0.13  # pitot pressure is too low to be measured below
 _FAILED = 0.1  # share of the airborne samples from which on a relation fails
 _SCALES = (0.5, 2.0)
 _EXACT = 0.4  # part of the tolerances that a right conversion leaves
+_STOPPED_S, _EXPLAINED = 60.0, 0.8  # a constant channel, and the share of a failure in that time
+
+Relation = tuple[str, ...]
 
 
 def sound_air(log: Log) -> frozenset[str]:
-    """Air data that stand in a relation, and in none that fails."""
-    relations = dict(_relations(log.channels, len(log)))
-    failed = {name for names, share in relations.items() if share > _FAILED for name in names}
-    return frozenset({name for names in relations for name in names} - failed)
+    """Air data that stand in a relation which holds closely, and in none that fails."""
+    flies = _airborne(log)
+    return frozenset(_close(log, flies) - set().union(*_failed(log.channels, flies)[1]))
+
+
+def _close(log: Log, flies: BoolArray) -> set[str]:
+    """Air data that stand in a relation which holds closely."""
+    relations, loose = _failed(log.channels, flies, _EXACT)
+    return {name for names in relations if names not in loose for name in names}
+
+
+def _failed(
+    channels: Mapping[str, FloatArray], flies: BoolArray, part: float = 1.0
+) -> tuple[dict[Relation, BoolArray], set[Relation]]:
+    """Where each relation is broken (time,), and those that are for too long.
+
+    `part` scales the tolerances, `flies` (time,) are the samples that can be tested.
+    """
+    broken, failed = {}, set()
+    for names, residual in _relations(channels):
+        testable = np.isfinite(residual) & (flies if names != _ISA else True)
+        broken[names] = testable & (np.abs(residual) > part)
+        if broken[names].sum() > _FAILED * testable.sum():
+            failed.add(names)
+    return broken, failed
 
 
 def _air(log: Log) -> Iterator[Fault]:
     """The channel that stands in every failed relation of air data and in no other.
 
-    Another unit or a factor is named where it is the only one that mends all relations.
+    Named is, in this order: a channel that is constant where they fail; another unit or a factor
+    that mends them all, if it is one channel's alone; the accused ones.
     """
-    relations = dict(_relations(log.channels, len(log)))
-    failed = {names for names, share in relations.items() if share > _FAILED}
+    flies = _airborne(log)
+    broken, failed = _failed(log.channels, flies)
     if not failed:
         return
-    mended = list(_mended(log, {name for names in failed for name in names}))
-    if len({name for name, *_ in mended}) == 1:
+    accused = set.intersection(*map(set, failed)) - _close(log, flies)
+    accused = accused or set.intersection(*map(set, failed))
+    accused = accused or set().union(*failed)
+    wrong = np.any([broken[names] for names in failed], axis=0)
+    stopped = list(_stopped(log, accused, wrong))
+    mended = list(_mended(log, accused, flies))
+    if stopped:
+        yield from stopped
+    elif len({name for name, *_ in mended}) == 1:
         name, kind, text = mended[0]
         yield fault(log, (name,), (kind, text))
-        return
-    sound = {name for names in relations if names not in failed for name in names}
-    accused = set.intersection(*map(set, failed)) - sound
-    accused = accused or set.intersection(*map(set, failed))
-    accused = accused or {name for names in failed for name in names}
-    order = tuple(name for name in _AIR if name in accused)
-    text = "contradicts the other air data" if len(order) == 1 else "contradict each other"
-    yield fault(log, order, ("inconsistent", f"{text}{_mach_ratio(log)}"))
+    else:
+        order = tuple(name for name in _AIR if name in accused)
+        text = "contradicts the other air data" if len(order) == 1 else "contradict each other"
+        yield fault(log, order, ("inconsistent", f"{text}{_mach_ratio(log)}"))
 
 
-def _mended(log: Log, accused: set[str]) -> Iterator[tuple[str, Kind, str]]:
+def _stopped(log: Log, accused: set[str], wrong: BoolArray) -> Iterator[Fault]:
+    """Accused channels that repeat one value for most of the time in which relations fail."""
+    for name in (each for each in _AIR if each in accused):
+        for start, stop in zip(*repeats(log[name]), strict=True):
+            long = (stop - start) * log.dt_s > _STOPPED_S
+            if long and wrong[start:stop].sum() > _EXPLAINED * wrong.sum():
+                yield _stuck(log, name, int(start), int(stop))
+
+
+def _mended(log: Log, accused: set[str], flies: BoolArray) -> Iterator[tuple[str, Kind, str]]:
     """Conversions of one accused channel with which no relation fails."""
     for name in (each for each in _AIR if each in accused):
         level = f"median {np.nanmedian(log[name]):.4g}"
@@ -284,7 +321,7 @@ def _mended(log: Log, accused: set[str]) -> Iterator[tuple[str, Kind, str]]:
         ]
         for kind, text, scale, offset in tried:
             channels = {**log.channels, name: scale * log[name] + offset}
-            if all(share <= _FAILED for _, share in _relations(channels, len(log), _EXACT)):
+            if not _failed(channels, flies, _EXACT)[1]:
                 yield name, kind, text
 
 
@@ -299,46 +336,37 @@ def _mach_ratio(log: Log) -> str:
     return f": Mach is {ratio:.2g} times what CAS and altitude say"
 
 
-def _relations(
-    channels: Mapping[str, FloatArray], count: int, part: float = 1.0
-) -> Iterator[tuple[tuple[str, ...], float]]:
-    """The channels of each relation that there are, and the share of samples that break it.
+_ISA: Relation = ("SAT_C", "ALT_ft")
 
-    `part` scales the tolerances.
-    """
+
+def _relations(channels: Mapping[str, FloatArray]) -> Iterator[tuple[Relation, FloatArray]]:
+    """The channels of each relation that there are, and its residual over its tolerance (time,)."""
     there = {name: channels[name] for name in _AIR if name in channels}
-    flies = _airborne(there, count)
     mach, alt, static = (there.get(name) for name in ("Mach", "ALT_ft", "SAT_C"))
-    given: tuple[str, ...] = ("SAT_C",)
+    given: Relation = ("SAT_C",)
     if static is None and alt is not None and "dT_C" in channels:
         static, given = isa(alt)[0] - KELVIN + channels["dT_C"], ("dT_C", "ALT_ft")
     if mach is not None and alt is not None and "CAS_kt" in there:
-        residual = mach_of_cas(np.abs(there["CAS_kt"]), alt) - mach
-        yield ("CAS_kt", "ALT_ft", "Mach"), _broken(residual, part * _MACH_TOLERANCE, flies)
+        expected = mach_of_cas(np.abs(there["CAS_kt"]), alt)
+        yield (
+            ("CAS_kt", "ALT_ft", "Mach"),
+            (expected - mach) / (_MACH_TOLERANCE + _MACH_SHARE * expected),
+        )
     if mach is not None and static is not None and "TAS_kt" in there:
         sound_kt = SOUND_KT * np.sqrt(np.maximum(static + KELVIN, 1.0) / T0_K)
-        yield (
-            ("TAS_kt", "Mach", *given),
-            _broken(there["TAS_kt"] - sound_kt * mach, part * _TAS_TOLERANCE, flies),
-        )
+        yield ("TAS_kt", "Mach", *given), (there["TAS_kt"] - sound_kt * mach) / _TAS_TOLERANCE
     if mach is not None and static is not None and "TAT_C" in there:
-        residual = there["TAT_C"] + KELVIN - (static + KELVIN) * (1.0 + 0.2 * mach**2)
-        yield ("TAT_C", "Mach", *given), _broken(residual, part * _TAT_TOLERANCE, flies)
+        total = (static + KELVIN) * (1.0 + 0.2 * mach**2)
+        yield ("TAT_C", "Mach", *given), (there["TAT_C"] + KELVIN - total) / _TAT_TOLERANCE
     if alt is not None and "SAT_C" in there:
         deviation = there["SAT_C"] + KELVIN - isa(alt)[0]
-        middle = 0.5 * (np.nanmax(deviation) + np.nanmin(deviation)) if len(deviation) else 0.0
-        every = np.ones(count, dtype=np.bool_)
-        yield ("SAT_C", "ALT_ft"), _broken(deviation - middle, _ISA_TOLERANCE, every)
+        known = deviation[np.isfinite(deviation)]
+        middle = 0.5 * (known.max() + known.min()) if len(known) else 0.0
+        yield _ISA, (deviation - middle) / _ISA_TOLERANCE
 
 
-def _airborne(there: Mapping[str, FloatArray], count: int) -> BoolArray:
+def _airborne(log: Log) -> BoolArray:
     """Samples in which any airspeed shows a flight: one of them may be at fault."""
     limits = {"CAS_kt": _AIRBORNE_KT, "TAS_kt": _AIRBORNE_KT, "Mach": _AIRBORNE_MACH}
-    flying = [there[name] > limit for name, limit in limits.items() if name in there]
-    return np.any(flying, axis=0) if flying else np.ones(count, dtype=np.bool_)
-
-
-def _broken(residual: FloatArray, tolerance: float, flies: BoolArray) -> float:
-    """Share of the testable samples at which a relation is broken."""
-    testable = flies & np.isfinite(residual)
-    return float(np.mean(np.abs(residual[testable]) > tolerance)) if testable.any() else 0.0
+    flying = [log[name] > limit for name, limit in limits.items() if name in log.channels]
+    return np.any(flying, axis=0) if flying else np.ones(len(log), dtype=np.bool_)

@@ -99,10 +99,12 @@ class _Corrected:
     offset: Mapping[str, float]
     mach: FloatArray
     log_delta: FloatArray
+    known: BoolArray
 
     @classmethod
     def of(cls, signals: Signals, names: Sequence[str]) -> Self:
         zero = np.zeros(len(signals.time_s))
+        known = np.all([np.isfinite(signals.values.get(name, zero)) for name in _AIR], axis=0)
         air_values = [bridge_gaps(signals.values.get(name, zero)) for name in _AIR]
         air_values = [np.where(np.isfinite(each), each, 0.0) for each in air_values]
         # A Mach number in percent, say, must not overflow before it is recognised.
@@ -113,7 +115,7 @@ class _Corrected:
             factor, offset[name] = corrected_scale(name, air)
             scale[name] = np.broadcast_to(np.asarray(factor, dtype=np.float64), zero.shape)
             x[name] = (signals.values[name] + offset[name]) / scale[name]
-        return cls(x, scale, offset, mach, np.log(air.delta))
+        return cls(x, scale, offset, mach, np.log(air.delta), known)
 
     def raw(self, name: str, corrected: FloatArray) -> FloatArray:
         """Back to the canonical unit."""
@@ -345,7 +347,7 @@ _MACH_MARGIN, _DELTA_MARGIN = 0.04, 0.1
 
 def _inside_air(bank: Bank, air: _Corrected) -> BoolArray:
     """Samples in air like that of the training logs; elsewhere the models extrapolate."""
-    inside = np.ones(len(air.mach), dtype=np.bool_)
+    inside = air.known.copy()
     margins = {"mach": _MACH_MARGIN, "log_delta": _DELTA_MARGIN}
     for name, margin in margins.items():
         low, high = bank.air[name]
@@ -580,6 +582,7 @@ class _Subject:
     channels: tuple[str, ...]
     faults: tuple[Fault, ...] = ()
     stretch: float = 1.0
+    mended: tuple[str, ...] = ()
 
     def found(self, fault_: Fault, without: str = "", values: Values | None = None) -> _Subject:
         """Add a fault, and go on without its channel or with the values before it."""
@@ -606,7 +609,8 @@ def examine(bank: Bank, log: Log) -> tuple[Fault, ...]:
     if len(channels) < 2 or len(subject.signals.time_s) < _WINDOWS_S[0]:
         return log.faults
     for step in _STEPS:
-        subject = step(bank, subject)
+        if len(subject.channels) > 1:
+            subject = step(bank, subject)
     used = {*bank.used, *_AIR, "CAS_kt", "time_s"}
     return tuple(each for each in subject.faults if each in log.faults or used & {*each.channels})
 
@@ -760,10 +764,30 @@ def _airspeed(bank: Bank, subject: _Subject) -> _Subject:
         open_[0], channel=name, channels=(name,), kind="scale" if constant else "inconsistent"
     )
     faults = tuple(wrong if each is open_[0] else each for each in subject.faults)
-    return replace(mended if name == "Mach" else subject, faults=faults)
+    if name == "Mach":
+        return replace(mended, faults=faults, mended=("Mach",))
+    return replace(subject, faults=faults)
 
 
-_DECIDED, _AIRBORNE, _CONSTANT = 1.15, 0.2, 0.1
+_DECIDED, _AIRBORNE, _CONSTANT = 1.1, 0.2, 0.1
+
+
+def _without_air(_bank: Bank, subject: _Subject) -> _Subject:
+    """Samples in which air data are at fault say nothing of the engine; what is mended does."""
+    blanked = {}
+    for each in subject.faults:
+        for name in {*_AIR} & {*each.channels} - {*subject.mended}:
+            if name in subject.signals.values:
+                time_s = subject.signals.time_s
+                inside = (time_s >= each.from_s) & (time_s <= each.to_s)
+                before = blanked.get(name, subject.signals.values[name])
+                blanked[name] = np.where(inside, np.nan, before)
+    lost = np.any([~np.isfinite(each) for each in blanked.values()], axis=0)
+    channels = () if np.mean(lost) > 1.0 - _LEAST_TESTABLE else subject.channels
+    return replace(subject, signals=subject.signals.having(blanked), channels=channels)
+
+
+_LEAST_TESTABLE = 0.1  # share of a log's samples below which the bank says nothing of it
 
 
 def _wander(found: Residuals) -> float:
@@ -1022,7 +1046,8 @@ def _follows(bank: Bank, subject: _Subject, name: str) -> bool:
 
 _FOLLOWS = 0.5
 _STEPS: tuple[Callable[[Bank, _Subject], _Subject], ...] = (
-    _coarse, _noisy, _stretched, _airspeed, _whole, _late, _motionless, _isolated, _isolated,
+    _airspeed, _without_air, _coarse, _noisy, _stretched, _whole, _late, _motionless, _isolated,
+    _isolated,
 )  # fmt: skip
 MASK = 0.95  # least confidence of what is masked
 
