@@ -247,7 +247,6 @@ def write_bundle(folder: str | PathLike[str], bundle: Bundle) -> None:
     """
     target = Path(folder)
     meta, arrays = bundle.calibration.to_arrays()
-    meta |= bundle.calibration.reach_row()
     weights, entry = packed(arrays)
     taken = sorted(set(bundle.meta) & set(_OURS))
     if taken:

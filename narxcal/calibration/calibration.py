@@ -119,7 +119,7 @@ class Calibration(ABC):
             raise ModelError("'reach' is no range for each input", hint=ALTERED)
         return self._with(reach=box)
 
-    def reach_row(self) -> dict[str, Any]:
+    def _reach_row(self) -> dict[str, Any]:
         """The limits of the inputs as JSON can hold them; empty where there are none."""
         if self.reach is None:
             return {}
@@ -333,6 +333,7 @@ class DynamicCalibration(Calibration):
         }
         if self.reach is not None:
             meta["reach"] = {"low": self.reach.low.tolist(), "high": self.reach.high.tolist()}
+        meta |= self._reach_row()
         if self.leads:
             meta["leads"] = [lead.to_json() for lead in self.leads]
         return meta, arrays

@@ -328,6 +328,7 @@ class IdentifiedCalibration(Calibration):
         steady, arrays = steady_to_json(self.steady)
         dynamics = {"kind": self.dynamics.kind, **self.dynamics.to_json()}
         meta = {"dt_s": self.dt_s, "steady": steady, "dynamics": dynamics}
+        meta |= self._reach_row()
         return meta, {f"steady/{name}": value for name, value in arrays.items()}
 
     @classmethod
@@ -376,7 +377,7 @@ class _Running:
 def calibration_from_arrays(
     meta: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], *, trust: bool = False
 ) -> Calibration:
-    """Rebuild a calibration of any kind from its `to_arrays` and `reach_row`."""
+    """Rebuild a calibration of any kind from its `to_arrays`."""
     found: Calibration
     if "dynamics" in meta:
         found = IdentifiedCalibration.from_arrays(meta, arrays, trust=trust)
