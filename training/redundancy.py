@@ -774,7 +774,7 @@ _DECIDED, _AIRBORNE, _CONSTANT = 1.1, 0.2, 0.1
 
 def _without_air(_bank: Bank, subject: _Subject) -> _Subject:
     """Samples in which air data are at fault say nothing of the engine; what is mended does."""
-    blanked = {}
+    blanked: dict[str, FloatArray] = {}
     for each in subject.faults:
         for name in {*_AIR} & {*each.channels} - {*subject.mended}:
             if name in subject.signals.values:

@@ -27,7 +27,7 @@ from data_prep.reading import read_logs
 from eval.benchmarks.row import Row
 from narxcal.atmosphere import KELVIN, isa
 from narxcal.calibration.bundle import Bundle
-from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.calibration.calibration import Calibration
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from training.config import RunConfig, load_config
@@ -319,12 +319,12 @@ def _trials(
         yield trial
 
 
-def _run(own: DynamicCalibration, log: Log) -> FloatArray:
+def _run(own: Calibration, log: Log) -> FloatArray:
     filled = hold_inputs(log, own.input_names)
     return own.simulate(filled.matrix(own.input_names), log.matrix(own.output_names)[0])
 
 
-def _moved(own: DynamicCalibration, logs: tuple[Log, Log], reference: FloatArray) -> FloatArray:
+def _moved(own: Calibration, logs: tuple[Log, Log], reference: FloatArray) -> FloatArray:
     """By how much a fault moves the free run against the measurement, (time, n_out)."""
     clean, faulty = logs
     if len(faulty) != len(clean):
