@@ -21,7 +21,6 @@ from data_prep.log import Log
 from data_prep.prepare import hold_inputs
 from eval.gap.blocks import block_means
 from eval.gap.claimed import Values, claimed_in, settings, with_effects
-from eval.gap.document import SCHEMA
 from eval.gap.simulators import Simulate
 from eval.gap.stored_emulator import read_emulator, signals_from_json
 from eval.gap.summary import EMULATOR
@@ -40,6 +39,8 @@ OUTPUTS = "on its outputs"
 _ONE_RASTER = 0.01
 _AIR = ("ALT_ft", "Mach", "dT_C")
 Windows = Mapping[str, tuple[tuple[float, float], ...]]  # log -> seconds since it began
+
+SCHEMAS = ("narxcal.gap/1", "narxcal.gap/2")
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,9 +284,9 @@ def _document(file: Path) -> Mapping[str, Any]:
     except ValueError as error:
         raise ConfigError(f"not JSON: {error}", file=file) from None
     found = document.get("schema") if isinstance(document, dict) else None
-    if found != SCHEMA:
+    if found not in SCHEMAS:
         raise ConfigError(
-            f"expected schema '{SCHEMA}', found {found!r}",
+            f"expected schema '{SCHEMAS[-1]}', found {found!r}",
             file=file,
             hint="Name the gap.json that narxcal diagnose wrote",
         )

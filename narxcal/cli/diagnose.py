@@ -5,14 +5,15 @@ OUT holds `gap.json`, `gap.html` and, for `simulate --effects`, the emulator of 
 
 from __future__ import annotations
 
-from argparse import SUPPRESS, ArgumentParser, Namespace
+from argparse import ArgumentParser, Namespace
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from eval.evaluate import run_config
 from eval.gap import budget
+from eval.gap.budget_page import budget_page, console_tables, outcome
 from eval.gap.diagnose import Diagnosis, Request, diagnose_folders
-from eval.gap.document import SCHEMA
 from eval.gap.page import gap_page
 from eval.gap.stored_emulator import write_emulator
 from eval.gap.summary import (
@@ -26,14 +27,17 @@ from eval.gap.summary import (
     window_table,
 )
 from eval.report.page import write_page
+from narxcal.calibration.bundle import DOCUMENT as BUNDLE
+from narxcal.calibration.bundle import load_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import SIMULATOR, add_mapping, add_out, add_trust, path
 from narxcal.cli.results import now, read_config
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import Results, to_json
+from training.config import RunConfig
 
 DOCUMENT, PAGE = "gap.json", "gap.html"
-RESULTS = Results(SCHEMA, DOCUMENT, (PAGE, EMULATOR))
+RESULTS = Results("narxcal.gap/", DOCUMENT, (PAGE, EMULATOR))
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -51,8 +55,12 @@ def add_options(parser: ArgumentParser) -> None:
         "--heldout-real", metavar="DIR", type=path, help="flights to check the shrinkage on"
     )
     parser.add_argument("--heldout-sim", metavar="SIM", help="their simulated logs")
-    # Both are there until the budget has taken the place of the rules.
-    parser.add_argument("--core", choices=("rules", "budget"), default="rules", help=SUPPRESS)
+    parser.add_argument(
+        "--core",
+        choices=("rules", "budget"),
+        default="rules",
+        help="decide by rules (narxcal.gap/1), or by the budget of the gap (narxcal.gap/2)",
+    )
 
 
 def run(options: Namespace, console: Console) -> int:
@@ -64,11 +72,9 @@ def run(options: Namespace, console: Console) -> int:
         def watch(step: str, done: int, total: int) -> None:
             advance(done, total, f"({step})")
 
-        found: Diagnosis | budget.Answer
         if options.core == "budget":
-            found = budget.diagnose_folders(request)
-        else:
-            found = diagnose_folders(request, watch)
+            return _budget(options, console, budget.diagnose_folders(request))
+        found = diagnose_folders(request, watch)
     with RESULTS.writing(options.out) as folder:
         write(folder, found)
     show(console, found.document)
@@ -77,7 +83,26 @@ def run(options: Namespace, console: Console) -> int:
     return 0
 
 
-def write(folder: Path, found: Diagnosis | budget.Answer) -> None:
+def _budget(options: Namespace, console: Console, found: budget.Answer) -> int:
+    """Write and print a budget."""
+    with RESULTS.writing(options.out) as folder:
+        (folder / DOCUMENT).write_text(to_json(found.document), encoding="utf-8")
+        write_page(folder / PAGE, budget_page(found.document, found.evidence, now()))
+        (folder / EMULATOR).mkdir()
+        write_emulator(folder / EMULATOR, found.emulator)
+    answer = outcome(found.document)
+    for text in (answer.headline, *answer.lines):
+        console.say(text)
+    for title, head, rows in console_tables(found.document):
+        console.table(title, head, rows)
+    for text in found.document["quality"]["warnings"]:
+        console.warn(text)
+    console.say(f"Page: {options.out / PAGE}")
+    console.document(found.document)
+    return 0
+
+
+def write(folder: Path, found: Diagnosis) -> None:
     """Write document, page and emulator into a folder."""
     (folder / DOCUMENT).write_text(to_json(found.document), encoding="utf-8")
     write_page(folder / PAGE, gap_page(found.document, found.evidence, now()))
@@ -107,12 +132,20 @@ def show(console: Console, document: Mapping[str, Any]) -> None:
 def _request(options: Namespace) -> Request:
     if options.heldout_sim is not None and options.heldout_real is None:
         raise ConfigError("--heldout-sim needs --heldout-real")
-    config = None if options.config is None else read_config(options.config, None)[0]
     return Request(
         options.real,
         options.sim,
-        config,
+        _mapping(options),
         options.heldout_real,
         options.heldout_sim,
         options.trust,
     )
+
+
+def _mapping(options: Namespace) -> RunConfig | None:
+    """The configuration that maps columns: the one given, or that of a run folder."""
+    if options.config is not None:
+        return read_config(options.config, None)[0]
+    if (Path(options.sim or "nothing") / BUNDLE).is_file():
+        return run_config(load_bundle(options.sim, trust=options.trust))[0]
+    return None

@@ -434,7 +434,7 @@ def _has_schema(file: Path, schema: str) -> bool:
     except (OSError, ValueError, RecursionError):
         return False
     found = document.get("schema") if isinstance(document, dict) else None
-    return found == schema or (schema.endswith(".") and str(found).startswith(schema))
+    return found == schema or (schema[-1] in "/." and str(found).startswith(schema))
 
 
 def _flush(stream: IO[Any]) -> None:

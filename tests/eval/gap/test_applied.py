@@ -133,7 +133,7 @@ def test_logs_that_do_not_fit_are_refused(signals, fly, log_of):
     ("text", "problem"),
     [
         ("{", "not JSON"),
-        ("[]", "expected schema 'narxcal.gap/1', found None"),
+        ("[]", "expected schema 'narxcal.gap/2', found None"),
         ('{"schema": "narxcal.evaluate/1"}', "found 'narxcal.evaluate/1'. Name the gap.json"),
         ('{"schema": "narxcal.gap/1"}', "a part is missing or damaged: KeyError: 'quality'"),
         (

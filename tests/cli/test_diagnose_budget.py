@@ -1,0 +1,88 @@
+"""`narxcal diagnose --core budget` from end to end, its page, and `simulate --effects` on it."""
+
+import json
+
+import pandas as pd
+import pytest
+
+from eval.gap.budget_page import budget_table, console_tables, outcome, sentences, sizes_table
+from narxcal.cli import main
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def case(slow_probe, tmp_path_factory):
+    """Three flights with a probe that lags by 1.2 s, one held out, and the same without it."""
+    folder = tmp_path_factory.mktemp("case")
+    for seed in range(4):
+        real, sim = slow_probe(seed, 200.0, stay_s=20.0)
+        held = "_held" if seed == 3 else ""
+        for kind, table in (("sim", sim), ("real", real)):
+            (folder / f"{kind}{held}").mkdir(exist_ok=True)
+            table.to_csv(folder / f"{kind}{held}" / f"f{seed}.csv", index=False)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def diagnosed(case):
+    held = ["--heldout-real", str(case / "real_held"), "--heldout-sim", str(case / "sim_held")]
+    where = ["--real", str(case / "real"), "--sim", str(case / "sim")]
+    out = ["--out", str(case / "gap"), "--quiet", "--core", "budget"]
+    assert main(["diagnose", *where, *held, *out]) == 0
+    return case / "gap"
+
+
+@pytest.fixture(scope="module")
+def document(diagnosed):
+    return json.loads((diagnosed / "gap.json").read_text("utf-8"))
+
+
+def test_the_slow_probe_is_named_with_its_size_and_closes_the_gap_on_another_flight(document):
+    assert document["schema"] == "narxcal.gap/2"
+    assert document["verdict"]["effects"] == ["sensor_lag:EGT_C"]
+    [row] = [row for row in document["effects"] if row["id"] == "sensor_lag"][:1]
+    size = row["parameters"]["tau_s"]
+    assert size["low"] <= 1.2 <= size["high"]
+    assert document["shrink"]["realised"] > 0.9
+
+
+def test_shares_add_up_to_the_whole_gap_by_channel_and_by_phase(document):
+    rows = document["budget"]
+    assert sum(row["share"] for row in rows) == pytest.approx(1.0, abs=1e-6)
+    for row in rows:
+        assert sum(row["channels"].values()) == pytest.approx(row["share"], abs=1e-9)
+        assert sum(row["phases"].values()) == pytest.approx(row["share"], abs=1e-9)
+        assert row["low"] <= row["share"] <= row["high"]
+
+
+def test_the_page_says_what_the_document_says(diagnosed, document):
+    html = (diagnosed / "gap.html").read_text("utf-8")
+    first, *rest = sentences(document)
+    assert first.startswith("Lag of the EGT sensor (sensor_lag:EGT_C), tau_s 1.")
+    assert rest[-1].endswith("% of the whole gap is explained by nothing in the library.")
+    assert outcome(document).headline == first
+    assert first in html
+    for table in (budget_table(document), sizes_table(document)):
+        assert all(row[0].text in html for row in table.rows)
+
+
+def test_tables_of_the_terminal_name_every_cause_and_fit_it(document):
+    (_, _, causes), (_, _, others) = console_tables(document)
+    assert len(causes) == len(document["budget"])
+    assert all(row[0] != "sensor_lag:EGT_C" for row in others)
+    assert all(len("  ".join(row)) <= 100 for row in (*causes, *others))
+
+
+def test_the_named_effect_is_added_to_a_simulation(case, diagnosed):
+    out = case / "with_effects"
+    code = main(
+        ["simulate", "--sim", str(case / "sim_held"), "--effects", str(diagnosed / "gap.json"),
+         "--inputs", str(case / "real_held"), "--out", str(out), "--quiet"]
+    )  # fmt: skip
+    assert code == 0
+    made, real, sim = (
+        pd.read_csv(folder / "f3.csv")["EGT_C"]
+        for folder in (out, case / "real_held", case / "sim_held")
+    )
+    assert (made - real).std() < 0.2 * (sim - real).std()
