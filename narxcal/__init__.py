@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from eval.gap.budget import diagnose
     from narxcal.calibration.bundle import Bundle, load_bundle, save_bundle
     from narxcal.calibration.calibration import DynamicCalibration
     from narxcal.calibration.fuser import KalmanFuser
@@ -31,6 +32,7 @@ __all__ = [
     "NarxcalError",
     "NoiseModel",
     "Record",
+    "diagnose",
     "load_bundle",
     "save_bundle",
 ]
@@ -53,11 +55,15 @@ _MODULE_OF = {
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used (PEP 562)."""
+    # The two imports upwards are declared to import-linter in pyproject.toml.
     if name == "Narx":
-        # The one import upwards, declared to import-linter in pyproject.toml.
         from training import estimator  # noqa: PLC0415
 
         value: object = estimator.Narx
+    elif name == "diagnose":
+        from eval.gap import budget  # noqa: PLC0415
+
+        value = budget.diagnose
     elif name in _MODULE_OF:
         value = getattr(import_module(_MODULE_OF[name]), name)
     else:

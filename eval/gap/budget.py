@@ -6,13 +6,18 @@ import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
 
+from eval.evaluate import run_config
 from eval.gap.bins import MOVES, sort_samples
 from eval.gap.blocks import batch, block_size
+from eval.gap.budget_page import budget_figure
 from eval.gap.cautions import cautions
 from eval.gap.claimed import with_effects
 from eval.gap.data import GapData, Pair
@@ -28,15 +33,18 @@ from eval.gap.rerun import Rerun
 from eval.gap.simulators import Simulate, open_simulator
 from eval.gap.stored_emulator import signals_to_json
 from eval.gap.where import locate
+from narxcal.calibration.bundle import DOCUMENT, load_bundle
 from narxcal.effects.running import Emulator, Flights
 from narxcal.support.errors import DataError
 from narxcal.support.files import versions
 from training.budget.control import suited
-from training.budget.diagnosis import Engines, Phases, diagnose
+from training.budget.diagnosis import Engines, Phases
+from training.budget.diagnosis import diagnose as weighed
 from training.budget.discrepancy import Discrepancy, read
 from training.budget.metric import Record
 from training.budget.odds import Odds
 from training.budget.result import Budget
+from training.config import RunConfig
 from training.gap import finding as old
 from training.gap.emulator import GreyBoxEmulator, fit_emulators
 
@@ -49,12 +57,61 @@ _BLOCK_S, _MOST = 300.0, 6  # of a flight, where fewer than three stand for them
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """The document of schema narxcal.gap/2, the budget it tells of, and what both rest on."""
+    """The document of schema narxcal.gap/2, the budget it states, and what both rest on."""
 
     document: dict[str, Any]
     budget: Budget
     evidence: Evidence
     emulator: GreyBoxEmulator
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """The budget: a row per cause, its share, low, high, probability and channels' shares."""
+        rows = [
+            {key: row[key] for key in ("cause", "share", "low", "high", "probability")}
+            | row["channels"]
+            for row in self.budget.rows()
+        ]
+        return pd.DataFrame(rows).set_index("cause")
+
+    def plot(self) -> Figure:
+        """Draw the budget as bars: the whole gap, each channel, each phase."""
+        return budget_figure(self.budget.rows())
+
+
+def diagnose(
+    real: str | PathLike[str],
+    sim: str | PathLike[str],
+    *,
+    heldout: tuple[str | PathLike[str], str | PathLike[str] | None] | None = None,
+    config: RunConfig | None = None,
+    trust: bool = False,
+) -> Answer:
+    """Say which unmodelled effects make flights and a simulator differ, and by what shares.
+
+    `real` is a folder of the flights' logs; `sim` a folder of simulated logs of the same names, a
+    run folder, an FMU, `module:function` or a virtual engine's name; `heldout` the same two of
+    flights to check on, None for the same simulator. Without `config` columns are mapped as the run
+    folder does, else they bear canonical names. Raises `DataError`, `ConfigError`, `ModelError`.
+    """
+    config = config or mapping_of(fspath(sim), trust=trust)
+    held_real, held_sim = (None, None) if heldout is None else heldout
+    request = Request(
+        Path(real),
+        fspath(sim),
+        config,
+        None if held_real is None else Path(held_real),
+        None if held_sim is None else fspath(held_sim),
+        trust,
+    )
+    return diagnose_folders(request)
+
+
+def mapping_of(sim: str, *, trust: bool = False) -> RunConfig | None:
+    """The configuration of a run folder, which maps the columns of its logs; None of others."""
+    if not (Path(sim or "nothing") / DOCUMENT).is_file():
+        return None
+    return run_config(load_bundle(Path(sim), trust=trust))[0]
 
 
 def diagnose_folders(request: Request) -> Answer:
@@ -98,7 +155,7 @@ def diagnose_pairs(
     record = record_of(data)
     emulator = suited(fit_emulators(data.flights), record)
     itself = None if again is None else Rerun(emulator, again, _block(pairs))
-    found = diagnose(record, Engines(emulator, itself), phases_of(data), learned, odds)
+    found = weighed(record, Engines(emulator, itself), phases_of(data), learned, odds)
     stand_in: Emulator = itself or emulator
     evidence = _evidence(data, found, emulator, stand_in)
     if held:

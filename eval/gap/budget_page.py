@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from eval.gap import heat_maps
 from eval.gap.effect_words import in_words, listed, size_words, surest_words
@@ -172,9 +173,16 @@ def console_tables(document: Row) -> Iterator[tuple[str, Sequence[str], list[lis
 def budget_picture(document: Row) -> Picture | None:
     """Bars of the whole gap, of each channel and of each phase, divided by cause; None without."""
     rows = document["budget"]
-    total = sum(row["share"] for row in rows)
-    if not rows or total <= 0.0:
+    if not rows or sum(row["share"] for row in rows) <= 0.0:
         return None
+    names = listed([_cause(row["cause"]) for row in rows])
+    caption = "Squared gap, each channel over its range squared; 1 is the whole gap."
+    alt = f"Shares of {names} in the gap, by channel and by phase"
+    return picture(budget_figure(rows), alt, caption)
+
+
+def budget_figure(rows: Sequence[Row]) -> Figure:
+    """The same as a matplotlib figure, from the rows of `budget`."""
     effects = [row["cause"] for row in rows if row["cause"] not in _OTHERS]
     colours = dict(zip(effects, style.CYCLE * (1 + len(effects) // len(style.CYCLE)), strict=False))
     bars = {"whole gap": [row["share"] for row in rows]}
@@ -196,9 +204,7 @@ def budget_picture(document: Row) -> Picture | None:
     axes.set_xlabel("share of the energy of the whole gap")
     style.dress(axes, grid="x")
     style.legend(axes, columns=3)
-    names = listed([_cause(row["cause"]) for row in rows])
-    caption = "Squared gap, each channel over its range squared; 1 is the whole gap."
-    return picture(drawn, f"Shares of {names} in the gap, by channel and by phase", caption)
+    return drawn
 
 
 def _bar(axes: Axes, place: int, shares: Sequence[float], colours: Sequence[str]) -> None:

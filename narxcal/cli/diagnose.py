@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from eval.evaluate import run_config
 from eval.gap import budget
 from eval.gap.budget_page import budget_page, console_tables, outcome
 from eval.gap.diagnose import Diagnosis, Request, diagnose_folders
@@ -27,14 +26,11 @@ from eval.gap.summary import (
     window_table,
 )
 from eval.report.page import write_page
-from narxcal.calibration.bundle import DOCUMENT as BUNDLE
-from narxcal.calibration.bundle import load_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import SIMULATOR, add_mapping, add_out, add_trust, path
 from narxcal.cli.results import now, read_config
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import Results, to_json
-from training.config import RunConfig
 
 DOCUMENT, PAGE = "gap.json", "gap.html"
 RESULTS = Results("narxcal.gap/", DOCUMENT, (PAGE, EMULATOR))
@@ -132,20 +128,15 @@ def show(console: Console, document: Mapping[str, Any]) -> None:
 def _request(options: Namespace) -> Request:
     if options.heldout_sim is not None and options.heldout_real is None:
         raise ConfigError("--heldout-sim needs --heldout-real")
+    if options.config is None:
+        config = budget.mapping_of(options.sim, trust=options.trust)
+    else:
+        config = read_config(options.config, None)[0]
     return Request(
         options.real,
         options.sim,
-        _mapping(options),
+        config,
         options.heldout_real,
         options.heldout_sim,
         options.trust,
     )
-
-
-def _mapping(options: Namespace) -> RunConfig | None:
-    """The configuration that maps columns: the one given, or that of a run folder."""
-    if options.config is not None:
-        return read_config(options.config, None)[0]
-    if (Path(options.sim or "nothing") / BUNDLE).is_file():
-        return run_config(load_bundle(options.sim, trust=options.trust))[0]
-    return None

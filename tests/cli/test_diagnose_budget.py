@@ -5,6 +5,7 @@ import json
 import pandas as pd
 import pytest
 
+import narxcal
 from eval.gap.budget_page import budget_table, console_tables, outcome, sentences, sizes_table
 from narxcal.cli import main
 
@@ -86,3 +87,11 @@ def test_the_named_effect_is_added_to_a_simulation(case, diagnosed):
         for folder in (out, case / "real_held", case / "sim_held")
     )
     assert (made - real).std() < 0.2 * (sim - real).std()
+
+
+def test_python_gives_the_budget_as_a_table_and_a_figure(case):
+    found = narxcal.diagnose(case / "real", case / "sim")
+    assert found.table["share"].sum() == pytest.approx(1.0, abs=1e-6)
+    assert found.table.index[0] == "sensor_lag:EGT_C"
+    [axes] = found.plot().axes
+    assert axes.get_xlabel() == "share of the energy of the whole gap"
