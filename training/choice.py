@@ -15,8 +15,8 @@ Folds are records, or blocks of them where there are fewer than four, with a gap
 length beside what is held out. Each held-out piece is simulated twice, from its beginning and from
 a third of it, after windows of measured outputs of two lengths. The score is the mean over pieces
 of the RMS error in standard deviations of the outputs. The simplest form leads, that of fewest
-parameters, that no other beats by more than one standard error of their difference piece by piece
-(Breiman et al. 1984, section 3.4.3, with paired errors).
+parameters, that no other beats by two percent and by more than one standard error of their
+difference piece by piece (Breiman et al. 1984, section 3.4.3, with paired errors).
 
 Work is counted in sample-steps of a nominal microsecond, so that the choice does not depend on how
 busy the machine is. Forms of the latent rung are halved: all of them on part of the data, the
@@ -67,6 +67,8 @@ _HIDDEN = (4, 8, 16)
 _DECAYS = tuple(10.0**-k for k in range(2, 10))
 _STEPS = 8  # of Levenberg-Marquardt at each decay
 _DRAWS = 6  # of hidden units: their median is the model, so that it does not depend on one draw
+_BETTER = 0.98  # of a simpler form's score, as in training.lags: folds have less data than the fit
+_FAR = 3.0  # times the lowest loss of the draws: twice its error or nearly so
 _LEAST = 5.0  # rows per parameter; fewer determine nothing
 _FEW = 400  # samples per fold on which no form is worth trying
 _PLENTY = 30.0  # rows per parameter beyond which every further one is skipped while searching
@@ -442,10 +444,10 @@ class _Search:
         while forms:
             steps = len(_DECAYS) * _STEPS * draws * len(self.folds)
             most = self._most(share * self.work.budget / steps, [form[:2] for form in forms])
-            if most >= whole or (draws == 1 and most >= min(_FEW, whole)):
+            if most >= whole or (draws <= 2 and most >= min(_FEW, whole)):
                 return forms, draws, most
-            if draws > 1:
-                draws //= 2
+            if draws > 2:
+                draws = max(draws // 2, 2)
             else:
                 forms = forms[: len(forms) // 2]
         note = "latent forms were left out: the budget is too small"
@@ -463,7 +465,7 @@ class _Search:
             base = moved(*self.bases[n, delay][number], data)
             samples += sum(map(len, records))
             for level, fits in zip(levels, self._paths(base, data, h, draws), strict=True):
-                members = [self._model(fitted, data) for fitted in fits]
+                members = [self._model(fitted, data) for fitted in _near_the_best(fits)]
                 level.append(Ensemble.median(members))
         tried = []
         for k, (decay, models) in enumerate(zip(_DECAYS, levels, strict=True)):
@@ -505,13 +507,14 @@ class _Search:
         left = (self.work.budget - self.work.spent) / (cost * _DRAWS)
         steps = int(np.clip(left, 2, 8 * _STEPS)) if most < self.samples else 2
         members = []
-        for number, fitted in enumerate(fits):
+        for number, fitted in enumerate(_near_the_best(fits)):
             self.watch(0.9 + 0.1 * number / len(fits), "fitting to all records")
             start = moved(fitted, self._model(fitted, data), every)
             ended, _, used = at_decay(start, every, decays[-1], steps)
             self.work.spend(cost * used)
-            members.append(self._model(ended, every))
-        return Ensemble.median(members)
+            members.append((ended, self._model(ended, every)))
+        kept = _near_the_best([ended for ended, _ in members])
+        return Ensemble.median([model for ended, model in members if ended in kept])
 
     def _network(self) -> None:
         """The NARX network of eight lags, where the budget lets it be trained on every fold."""
@@ -681,6 +684,12 @@ def _cost(n: int, h: int, m: int, p: int) -> float:
     return 0.6 + n * n * size / _MAC_RECURSION + p * size * size / _MAC_PRODUCT
 
 
+def _near_the_best(fits: Sequence[Fitted]) -> list[Fitted]:
+    """Fits of several draws without those that ended in a minimum far above the lowest one."""
+    least = min(fitted.loss for fitted in fits)
+    return [fitted for fitted in fits if fitted.loss <= _FAR * least]
+
+
 def _samples(datas: Sequence[Data]) -> int:
     return sum(len(u) for data in datas for u in data.inputs)
 
@@ -729,8 +738,9 @@ def _by_piece(runs: Sequence[Run], errors: Sequence[FloatArray]) -> list[float]:
 
 
 def _beats(one: Tried, other: Tried) -> bool:
-    """Whether `one` is better than `other` by more than one standard error of the difference."""
-    return other.score - one.score > _standard_error(other.scores - one.scores)
+    """Whether `one` is better than `other` by two percent and one standard error at least."""
+    clear = other.score - one.score > _standard_error(other.scores - one.scores)
+    return clear and one.score < _BETTER * other.score
 
 
 def _standard_error(differences: FloatArray) -> float:
