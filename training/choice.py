@@ -636,16 +636,24 @@ class _Search:
         return pd.DataFrame(rows).sort_values("score", ignore_index=True, kind="stable")
 
     def _intervals(self, leader: Tried) -> Conformal:
-        after = [np.arange(1, len(error) + 1) for error in leader.errors]
+        names = [run.record.name for fold in self.folds for run in fold.held]
+        numbers = {name: number for number, name in enumerate(dict.fromkeys(names))}
+        after = [np.arange(1.0, len(error) + 1.0) for error in leader.errors]
+        piece = [
+            np.full(len(error), numbers[name])
+            for name, error in zip(names, leader.errors, strict=True)
+        ]
         errors = np.abs(np.concatenate(leader.errors)) * self.scalings[1].scale
-        return Conformal(np.concatenate(after).astype(float), errors, len(leader.scores))
+        return Conformal(np.concatenate(after), errors, np.concatenate(piece))
 
     def _without_folds(self) -> Choice:
         """Too little to hold anything out: a first-order lag, and a status that says so."""
         shape = Shape(1, self.inputs, self.outputs, 0, (0,) * self.inputs)
         table = pd.DataFrame([{"rung": LAG, "form": "1 state", "chosen": True}])
         reason = "the records are too short to hold anything out, so the simplest form is fitted"
-        nothing = Conformal(np.ones(1), np.full((1, self.outputs), np.nan), 0)
+        nothing = Conformal(
+            np.ones(1), np.full((1, self.outputs), np.nan), np.zeros(1, dtype=np.int64)
+        )
         return Choice(
             self._final_linear(shape), LAG, table, reason,
             "nothing could be held out: add longer records", int(self.work.budget), 0, nothing,

@@ -211,7 +211,7 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         if not 0.0 < interval < 1.0:
             raise DataError(f"expected an interval between 0 and 1, found {interval}")
         found = self._fitted()
-        if not isinstance(found, Choice) or found.intervals.runs == 0:
+        if not isinstance(found, Choice) or found.intervals.pieces == 0:
             raise ModelError(
                 "nothing was held out, so there is no interval", hint='Use structure="auto"'
             )

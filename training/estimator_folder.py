@@ -159,18 +159,19 @@ def _chosen_parts(
         "reason": choice.reason,
         "budget": choice.budget,
         "spent": choice.spent,
-        "runs": choice.intervals.runs,
         "tried": tried,
     }
     arrays = dict(arrays)
     arrays[f"{_INTERVALS}after"] = choice.intervals.after
     arrays[f"{_INTERVALS}errors"] = choice.intervals.errors
+    arrays[f"{_INTERVALS}piece"] = choice.intervals.piece.astype(np.float64)
     return network, result, arrays
 
 
 def _choice(sealed: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> Choice:
     result = sealed["result"]
-    after, errors = (np.asarray(arrays[f"{_INTERVALS}{name}"]) for name in ("after", "errors"))
+    parts = ("after", "errors", "piece")
+    after, errors, piece = (np.asarray(arrays[f"{_INTERVALS}{name}"]) for name in parts)
     own = {name: array for name, array in arrays.items() if not name.startswith(_INTERVALS)}
     rows = [{key: _known(value) for key, value in row.items()} for row in result["tried"]]
     return Choice(
@@ -181,7 +182,7 @@ def _choice(sealed: Mapping[str, Any], arrays: Mapping[str, FloatArray]) -> Choi
         status=result["status"],
         budget=result["budget"],
         spent=result["spent"],
-        intervals=Conformal(after, errors, result["runs"]),
+        intervals=Conformal(after, errors, piece.astype(np.int64)),
     )
 
 

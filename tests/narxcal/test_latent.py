@@ -133,12 +133,28 @@ def test_the_median_of_members_does_not_follow_one_that_leaves():
     )
 
 
-def test_intervals_widen_with_the_horizon_and_cover_their_share():
-    draw = np.random.default_rng(0)
-    after = np.tile(np.arange(1.0, 1001.0), 20)
-    scale = np.sqrt(after)
-    errors = np.abs(scale * draw.standard_normal(len(after)))[:, None]
-    wide = Conformal(after, errors, runs=20).half_width(1000, 0.9)
-    assert np.all(np.diff(wide[:, 0]) >= 0.0)
-    new = np.abs(np.sqrt(np.arange(1.0, 1001.0)) * draw.standard_normal((200, 1000)))
-    assert 0.88 < np.mean(new <= wide[:, 0]) < 0.97
+@pytest.mark.parametrize(("logs", "spread"), [(20, 0.0), (20, 0.5), (10, 0.5)])
+def test_intervals_widen_with_the_horizon_and_cover_new_logs_to_their_share(logs, spread):
+    """Errors grow with the horizon; logs differ in their level by a log-normal factor."""
+    draw, horizon = np.random.default_rng(0), np.arange(1.0, 101.0)
+
+    def runs(count):
+        level = np.exp(spread * draw.standard_normal((count, 1)))
+        return np.abs(level * np.sqrt(horizon) * draw.standard_normal((count, 100)))
+
+    covered, piece = [], np.repeat(np.arange(logs), 100)
+    for _ in range(20):  # fleets: the coverage of a single one hangs on its logs
+        fleet = Conformal(np.tile(horizon, logs), runs(logs).reshape(-1, 1), piece)
+        wide = fleet.half_width(100, 0.9)
+        assert np.all(np.diff(wide[:, 0]) >= 0.0)
+        covered.append(np.mean(runs(100) <= wide[:, 0]))
+    assert 0.87 < np.mean(covered) < 0.93
+
+
+def test_intervals_of_few_pieces_are_wider():
+    draw, after = np.random.default_rng(1), np.tile(np.arange(1.0, 101.0), 4)
+    errors = np.abs(draw.standard_normal((400, 1)))
+    few = Conformal(after, errors, np.repeat(np.arange(4), 100))
+    many = Conformal(after, errors, np.arange(400) // 40)
+    assert few.pieces == 4
+    assert few.half_width(100, 0.9).mean() > 1.1 * many.half_width(100, 0.9).mean()
