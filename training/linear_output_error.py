@@ -15,44 +15,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from narxcal.output_error.blocks import recursion
 from narxcal.output_error.engine import Parameter
 from narxcal.record import Record
-from narxcal.support.errors import ConfigError
+from narxcal.transfer.state_space import StateSpace
 from training.output_error import Plan, fit
 from training.output_error_result import OutputErrorFit
 
 FloatArray = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class StateSpace:
-    """Matrices A (n, n), B (n, m), C (p, n), D (p, m) of a discrete linear system."""
-
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    D: FloatArray
-
-    def __post_init__(self) -> None:
-        n, m, p = len(self.A), np.shape(self.B)[-1], len(self.C)
-        wanted = {"A": (n, n), "B": (n, m), "C": (p, n), "D": (p, m)}
-        for name, shape in wanted.items():
-            found = np.shape(getattr(self, name))
-            if found != shape:
-                raise ConfigError(f"{name} has shape {found}, expected {shape}")
-
-    @property
-    def poles(self) -> NDArray[np.complex128]:
-        """Eigenvalues of A."""
-        return np.asarray(np.linalg.eigvals(self.A), dtype=np.complex128)
-
-    def simulate(self, u: FloatArray, x0: ArrayLike) -> NDArray[Any]:
-        """Outputs (time, p) for inputs (time, m) from the state x0 (n,); complex matrices too."""
-        states = recursion(self.A, u[:-1] @ np.transpose(self.B), np.asarray(x0))
-        return states @ np.transpose(self.C) + u @ np.transpose(self.D)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,19 +58,20 @@ class LinearOutputError:
         for (i, j), value in np.ndenumerate(getattr(self.start, matrix)):
             yield f"{matrix}_{i}_{j}", float(value)
 
-    def system(self, values: Mapping[str, complex]) -> StateSpace:
-        """Matrices from entries by name."""
-        return StateSpace(*(
+    def matrices(self, values: Mapping[str, complex]) -> list[NDArray[Any]]:
+        """A, B, C, D from entries by name."""
+        return [
             np.array([values[name] for name, _ in self._entries(matrix)]).reshape(
                 getattr(self.start, matrix).shape
             )
             for matrix in "ABCD"
-        ))  # fmt: skip
+        ]
 
     def simulate(self, values: Mapping[str, complex], u: FloatArray) -> NDArray[Any]:
-        """Outputs (time, p) for inputs (time, m)."""
-        x0 = np.array([values[name] for name in self.states])
-        return self.system(values).simulate(u, x0)
+        """Outputs (time, p) for inputs (time, m); complex where a value is."""
+        A, B, C, D = self.matrices(values)
+        states = recursion(A, u[:-1] @ B.T, np.array([values[name] for name in self.states]))
+        return np.asarray(states @ C.T + u @ D.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,4 +104,5 @@ def polish(
         name: np.array([values[state] for state in model.states])
         for name, values in found.by_record.items()
     }
-    return LinearFit(model.system(found.parameters()), x0, found)
+    A, B, C, D = model.matrices(found.parameters())
+    return LinearFit(StateSpace(A, B, C, D, start.dt_s), x0, found)
