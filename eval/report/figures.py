@@ -420,7 +420,7 @@ def _largest_move(one: Recording) -> slice:
     starts = one.blocks or (0,)
     size = [abs(float(first[min(at + reach, len(first) - 1)] - first[at])) for at in starts]
     at = starts[int(np.argmax(size))]
-    return slice(max(at - round(5.0 / dt_s), 0), at + 2 * reach)
+    return slice(max(at - round(5.0 / dt_s), 0), at + reach)
 
 
 def fused(
