@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from narxcal.effects.base import Effect
-from narxcal.effects.dynamic import AccelDecelAsymmetry, AccelLimit
+from narxcal.effects.dynamic import FASTEST_PCTPS, AccelDecelAsymmetry, AccelLimit
 from narxcal.effects.steady import IdleSchedule
 from training.gap.fitting import Fit, Problem
 from training.gap.scatter import build_scatter
@@ -44,7 +44,8 @@ def of_the_build(tried: Fit, beside: Sequence[Effect], problem: Problem) -> str:
 def _within(effect: Effect, values: dict[str, float], *, by_control: bool) -> str:
     """The effect in words if it is within what a build may have; empty if it is more, or other."""
     if isinstance(effect, AccelLimit):
-        return _limit("acceleration", values["share"])
+        absolute = values["most_pctps"] < FASTEST_PCTPS
+        return "" if absolute else _limit("acceleration", values["share"])
     if isinstance(effect, AccelDecelAsymmetry) and by_control:
         return _limit("deceleration", values["ratio"])
     if isinstance(effect, IdleSchedule):

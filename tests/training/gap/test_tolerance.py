@@ -49,9 +49,10 @@ LIMIT = "but a limit of acceleration 15 % off may be the build's own"
 @pytest.mark.parametrize(
     ("name", "theta", "said"),
     [
-        ("accel_limit", [0.85], LIMIT),
-        ("accel_limit", [1.15], LIMIT),
-        ("accel_limit", [0.75], ""),
+        ("accel_limit", [0.85, 30.0], LIMIT),
+        ("accel_limit", [1.15, 30.0], LIMIT),
+        ("accel_limit", [0.75, 30.0], ""),
+        ("accel_limit", [1.0, 4.0], ""),  # an absolute one
         ("accel_decel_asymmetry", [1.15, 1.0], LIMIT.replace("accel", "decel")),
         ("accel_decel_asymmetry", [1.15, 0.0], ""),  # of the rotors, not of the control
         ("accel_decel_asymmetry", [1.3, 1.0], ""),
@@ -70,7 +71,7 @@ def test_what_a_build_may_have_is_said(name, theta, said, flights, problem_of):
 
 
 def test_in_the_simulators_own_build_all_of_it_is_news(flights, problem_of):
-    tried = fit_of(flights, ("accel_limit", [0.85]))
+    tried = fit_of(flights, ("accel_limit", [0.85, 30.0]))
     assert of_the_build(tried, (), problem_of(0.02 * OTHER)) == ""
     one_sensor = np.array([0.0, 0.0, 8.0])
     assert of_the_build(tried, (), problem_of(one_sensor)) == ""
@@ -86,7 +87,7 @@ def test_rotors_of_an_engine_without_a_control_have_no_limit_of_it(flights, prob
 
 def test_beside_another_effect_it_is_asked_of_what_is_more(flights, problem_of):
     """What leads is judged by itself, and two that were found together are no limit's doing."""
-    lag, limit = ("sensor_lag:EGT_C", [1.0, 0.5]), ("accel_limit", [0.85])
+    lag, limit = ("sensor_lag:EGT_C", [1.0, 0.5]), ("accel_limit", [0.85, 30.0])
     pair, problem = fit_of(flights, lag, limit), problem_of(OTHER)
     assert of_the_build(pair, (effect("sensor_lag:EGT_C"),), problem) == LIMIT
     assert of_the_build(pair, (effect("accel_limit"),), problem) == ""
