@@ -44,7 +44,8 @@ class Leading:
     """What leads, and the held-out errors that say so.
 
     `errors` (logs, 1 + kinds, outputs) are RMS errors of network, steady state, first-order lag and
-    ARX over the held-out `logs`; without any the network leads, and `status` says why.
+    ARX over the held-out `logs`; without any the network leads, and `status` says why. `whole`
+    tells recordings from parts of a single one, of which each has conditions of its own.
     """
 
     leads: tuple[Lead, ...]
@@ -52,6 +53,7 @@ class Leading:
     logs: tuple[str, ...]
     errors: FloatArray
     status: str
+    whole: bool = True
 
     def row(self) -> dict[str, Any]:
         """JSON-able: per channel what leads, held-out errors and the standard error of ln ratio."""
@@ -72,7 +74,7 @@ class Leading:
     @property
     def suspects(self) -> tuple[str, ...]:
         """Held-out logs on which every model is far worse than on the others, one sentence each."""
-        if len(self.logs) < 3:
+        if len(self.logs) < 3 or not self.whole:
             return ()
         best = np.nanmin(np.where(np.isfinite(self.errors), self.errors, np.inf), axis=1)
         found = []
@@ -135,7 +137,8 @@ def choose_leads(
         if (kind := leading_kind(stacked[:, :, k])) is not None
     )
     status = f"chosen on {len(errors)} held-out parts of the training logs"
-    return Leading(leads, calibration.output_names, tuple(names), stacked, status)
+    whole = len({log.source.file for log in logs}) > 1
+    return Leading(leads, calibration.output_names, tuple(names), stacked, status, whole)
 
 
 def lead_folds(logs: Sequence[Log]) -> tuple[list[Log], list[Fold]]:

@@ -105,6 +105,8 @@ def test_a_log_that_spoils_the_rest_is_named():
             "usual, in every model; check it, or leave it out"
         ),
     )
+    parts = Leading((), ("N1_pct",), ("a", "b", "c", "d"), errors, "", whole=False)
+    assert parts.suspects == ()
     one_model = errors.copy()
     one_model[2, 1:] = 1.0
     assert Leading((), ("N1_pct",), ("a", "b", "c", "d"), one_model, "").suspects == ()
