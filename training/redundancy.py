@@ -256,7 +256,8 @@ def residuals(
         scale = 0.5 * np.maximum(expected[i], 0.0) + 0.5 * abs(bank.centre[i])
         errors[i] = {j: _one_sided((air.x[i] - known[j]) / scale, found[j][1]) for j in others}
         consensus[i] = np.where(testable, _weighted(errors[i], weights), np.nan)
-        smooth[i] = _larger(consensus[i] / _tolerance(bank, i, expected[i], step_s), signals.step_s)
+        tolerance = _tolerance(bank, i, expected[i], step_s) * _fewer(bank, i, others)
+        smooth[i] = _larger(consensus[i] / tolerance, signals.step_s)
     return Residuals(bank, signals, tuple(channels), errors, expected, consensus, smooth, air)
 
 
@@ -284,6 +285,16 @@ def _tolerance(bank: Bank, name: str, expected: FloatArray, step_s: float) -> Fl
         return np.full(len(expected), bank.sigma.get(name, 1.0))
     ratios = np.asarray(bank.regimes[name])
     return np.asarray(bank.sigma[name] * ratios[_regimes(bank, name, expected, step_s)])
+
+
+def _fewer(bank: Bank, name: str, others: Sequence[str]) -> float:
+    """Factor by which sigma grows with fewer sources: that of independent errors s_ij."""
+    if not bank.pairs:
+        return 1.0
+    every, some = (
+        sum(bank.pairs[name][j] ** -2.0 for j in sources) for sources in (bank.pairs[name], others)
+    )
+    return float(np.sqrt(every / some)) if some else 1.0
 
 
 def _regime_ratios(name: str, left_out: Sequence[Residuals]) -> tuple[float, ...]:
@@ -754,7 +765,7 @@ def _airspeed(bank: Bank, subject: _Subject) -> _Subject:
     recorded, other = (
         _wander(residuals(bank, each.signals, each.channels)) for each in (subject, mended)
     )
-    if max(recorded, other) < _DECIDED * min(recorded, other):
+    if _DECIDED[0] * other > recorded and _DECIDED[1] * recorded > other:
         return subject
     name = "Mach" if other < recorded else "CAS_kt"
     flies = implied["Mach"] > _AIRBORNE
@@ -769,7 +780,8 @@ def _airspeed(bank: Bank, subject: _Subject) -> _Subject:
     return replace(subject, faults=faults)
 
 
-_DECIDED, _AIRBORNE, _CONSTANT = 1.1, 0.2, 0.1
+# Ratios of the engine's residuals from which on Mach, or CAS, is at fault.
+_DECIDED, _AIRBORNE, _CONSTANT = (1.1, 1.25), 0.2, 0.1
 
 
 def _without_air(_bank: Bank, subject: _Subject) -> _Subject:
@@ -992,7 +1004,9 @@ def _caution(kind: Kind, unit: str) -> float:
     """
     if kind == "drift":
         return 1.25
-    return 1.15 if (kind == "scale") == (unit == "degC") else 1.0
+    if unit == "degC":
+        return 1.5 if kind == "scale" else 1.0
+    return 1.15 if kind == "bias" else 1.0
 
 
 def _shapes(
