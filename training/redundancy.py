@@ -41,7 +41,9 @@ from data_prep.log import AuditEntry, Fault, Kind, Log
 from data_prep.plausibility import conversions, fault, sound_air
 from narxcal.atmosphere import air_state, corrected_scale, mach_of_cas
 from narxcal.channels import CHANNELS, symbol
+from narxcal.steady.model import ALTERED
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray, bridge_gaps, noise_level, spans
+from narxcal.support.errors import ModelError
 
 _STEP_S = 1.0
 _LAGS_S = (2.0, 8.0, 30.0)
@@ -153,6 +155,7 @@ class Bank:
     | `noise`, `updates` | largest noise level, and update interval in s, of each channel |
     | `logs` | number of logs that were left out |
     | `used` | the channels that the model uses |
+    | `spoiling` | training logs that differ from the others and were left out -> in what |
     """
 
     channels: tuple[str, ...]
@@ -173,6 +176,7 @@ class Bank:
     updates: Mapping[str, float] = field(default_factory=dict)
     logs: int = 0
     used: tuple[str, ...] = ()
+    spoiling: Mapping[str, str] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """For the bundle's document."""
@@ -180,7 +184,13 @@ class Bank:
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any]) -> Self:
-        """Rebuild from `to_json`, also after a round trip through JSON."""
+        """Rebuild from `to_json`, also after a round trip through JSON.
+
+        Raises `ModelError` where a part is missing.
+        """
+        lacking = [name for name in cls.__dataclass_fields__ if name not in stored]
+        if lacking:
+            raise ModelError(f"the part 'redundancy' has no '{lacking[0]}'", hint=ALTERED)
         known = {name: stored[name] for name in cls.__dataclass_fields__}
         return cls(**{**known, "channels": tuple(known["channels"])})
 
@@ -389,6 +399,13 @@ def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
     left_out = [
         residuals(replace(bank, pairs=pairs), one, names) for bank, fold in partial for one in fold
     ]
+    order = [log.name for log in logs] if len(logs) > 1 else [logs[0].name] * 2
+    by_part = dict(zip(map(id, parts), order, strict=True))
+    titles = [by_part[id(one)] for fold in folds for one in fold]
+    spoiling = _spoiling(titles, left_out)
+    if spoiling:
+        rest = learn([log for log in logs if log.name not in spoiling], channels)
+        return None if rest is None else replace(rest, spoiling=spoiling)
     whole = replace(_fit(all_signals, names), pairs=pairs)
     ratios = {k: [_log_ratio(whole, one, names, k) for one in all_signals] for k in _STRETCHES}
     return replace(
@@ -402,7 +419,30 @@ def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
         updates=_longest_updates(logs),
         logs=len(parts),
         used=tuple(name for name in names if name in channels),
+        spoiling=spoiling,
     )
+
+
+_SPOILT, _LEAST_LOGS = 3.0, 3
+
+
+def _spoiling(titles: Sequence[str], left_out: Sequence[Residuals]) -> dict[str, str]:
+    """Log -> channel, of logs that differ from all others by far more than these do.
+
+    The RMS of c of the left-out log is compared with the median of the others' and with the prior
+    scatter. Two logs cannot say which of them is odd.
+    """
+    if len(left_out) < _LEAST_LOGS:
+        return {}
+    found: dict[str, str] = {}
+    for name in left_out[0].channels:
+        sizes = np.sqrt([np.nanmean(np.append(one.consensus[name] ** 2, 0.0)) for one in left_out])
+        prior = _PRIOR.get(CHANNELS[name].unit, _PRIOR_OTHER)
+        for k, title in enumerate(titles):
+            usual = max(float(np.median(np.delete(sizes, k))), prior)
+            if sizes[k] > _SPOILT * usual:
+                found.setdefault(title, f"{symbol(name)} by {sizes[k] / usual:.2g} times as much")
+    return found if len(found) < 0.5 * len(titles) else {}
 
 
 def _others(parts: Sequence[Signals], fold: Sequence[Signals]) -> list[Signals]:

@@ -336,6 +336,41 @@ def reasons(assessments: Sequence[Assessment]) -> Table:
     return Table("", ("reason", "transients"), tuple(rows))
 
 
+def faults(views: Sequence[LogView]) -> Table:
+    """Sensor faults of the logs."""
+    rows: list[tuple[Cell, ...]] = []
+    for view in views:
+        own = [
+            (
+                Cell(", ".join(symbol(name) for name in each.channels), "head"),
+                Cell(each.kind),
+                Cell(f"{each.from_s:.1f}", number=True),
+                Cell(f"{each.to_s:.1f}", number=True),
+                Cell(f"{each.confidence:.3f}", number=True),
+                Cell(each.detail),
+            )
+            for each in view.log.faults
+        ]
+        rows += [(Cell(view.name, "group"),), *own] if own else []
+    return Table("", ("channel", "kind", "from [s]", "to [s]", "confidence", "what"), tuple(rows))
+
+
+def masked_scores(views: Sequence[LogView]) -> Table:
+    """RMSE with faults masked, and on the logs as recorded."""
+    rows: list[tuple[Cell, ...]] = []
+    for view in views:
+        found = view.evaluation
+        if found is None or not found.as_recorded:
+            continue
+        rows.append((Cell(view.name, "group"),))
+        for name, before in found.as_recorded.items():
+            share = Cell(f"{100.0 * found.faulty.get(name, 0.0):.1f}", number=True)
+            pair = figure(found.scores[name].rmse), figure(before.rmse)
+            rows.append((Cell(with_unit(name), "head"), share, *pair))
+    head = ("RMSE of", "masked [%]", "faults masked", "as recorded")
+    return Table("Masking improves a score by itself: both stand here", head, tuple(rows))
+
+
 def tallies(views: Sequence[LogView]) -> Table:
     """Ti and Tt of the model beside those of the baselines, on the same events."""
     head = (

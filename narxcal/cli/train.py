@@ -80,6 +80,7 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
     said = [
         *left_out(logs, split, config.split),
         *cautions(logs, config, config.narx.outputs),
+        *(fault.caution for log in logs for fault in log.faults),
     ]
     for warning in said:
         console.warn(warning)
@@ -94,6 +95,10 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
         bundle = calibrate(config, base, split, options)
     for warning in (bundle.meta.get("lead") or {}).get("suspects", ()):
         console.warn(warning)
+    for log, text in ((bundle.meta.get("redundancy") or {}).get("spoiling") or {}).items():
+        console.warn(
+            f"{log} spoils the training: it differs from the other logs in {text} as they do"
+        )
     write_bundle(folder, bundle)
     if not interrupted(bundle.meta):
         shutil.rmtree(checkpoints, ignore_errors=True)

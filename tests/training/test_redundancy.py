@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 from data_prep.log import Log
 from data_prep.plausibility import checked
 from narxcal.atmosphere import KELVIN
+from narxcal.support.errors import ModelError
 from training.redundancy import Bank, examine, learn, masked, screened
 
 DT_S = 0.2
@@ -63,6 +64,12 @@ def test_it_survives_json(bank):
     stored = Bank.from_json(json.loads(json.dumps(bank.to_json())))
     log = with_fault("EGT_C", lambda x: x + KELVIN)
     assert examine(stored, log) == examine(bank, log)
+
+
+def test_a_bank_without_a_part_is_refused(bank):
+    stored = {name: value for name, value in bank.to_json().items() if name != "sigma"}
+    with pytest.raises(ModelError, match=r"^the part 'redundancy' has no 'sigma'"):
+        Bank.from_json(stored)
 
 
 def test_it_takes_the_engine_channels_and_needs_two(bank):
@@ -143,3 +150,12 @@ def test_what_is_found_is_masked_and_counted(bank):
 def test_without_a_bank_nothing_is_added():
     log = engine(25)
     assert screened(None, [log]) == [log]
+
+
+def test_a_log_that_differs_from_all_others_is_named_and_sets_no_limits(bank):
+    logs = [*(engine(seed) for seed in range(4)), with_fault("N1_pct", lambda x: 1.3 * x)]
+    found = learn(logs, CHANNELS)
+    assert list(found.spoiling) == ["flight 21"]
+    assert found.spoiling["flight 21"].startswith("N1 by ")
+    assert found.sigma["N1_pct"] < 2.0 * bank.sigma["N1_pct"]
+    assert bank.spoiling == {}
