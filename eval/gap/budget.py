@@ -34,13 +34,15 @@ from eval.gap.simulators import Simulate, open_simulator
 from eval.gap.stored_emulator import signals_to_json
 from eval.gap.where import locate
 from narxcal.calibration.bundle import DOCUMENT, load_bundle
+from narxcal.effects.library import hypotheses
 from narxcal.effects.running import Emulator, Flights
 from narxcal.support.errors import DataError
-from narxcal.support.files import versions
+from narxcal.support.files import to_json, versions
 from training.budget.control import suited
 from training.budget.diagnosis import Engines, Phases
 from training.budget.diagnosis import diagnose as weighed
-from training.budget.discrepancy import Discrepancy, read
+from training.budget.dictionary import Dictionary
+from training.budget.discrepancy import Discrepancy, learn, read
 from training.budget.metric import Record
 from training.budget.odds import Odds
 from training.budget.result import Budget
@@ -134,6 +136,22 @@ def diagnose_folders(request: Request) -> Answer:
     facts = {"simulator": simulator.kind, "wall_s": round(time.perf_counter() - began, 1)}
     quality = {**facts, **answer.document["quality"]}
     return replace(answer, document={**answer.document, "quality": quality})
+
+
+def learn_folders(request: Request, run: Path) -> Discrepancy:
+    """Learn what a simulator gets wrong by itself, and keep it in the folder of a run.
+
+    `request` names flights and a simulator that was identified without them; `run` is a run of the
+    same kind that is to be diagnosed with, on further flights. Raises as `diagnose_folders`.
+    """
+    simulator = open_simulator(request.sim, trust=request.trust)
+    data = batched(read_pairs(request.real, simulator.how, request.config))
+    record = record_of(data)
+    emulator = suited(fit_emulators(data.flights), record)
+    every = hypotheses(data.flights.signals)
+    found = learn(record, Dictionary(every, data.flights, emulator))
+    (run / LEARNED).write_text(to_json(found.document()), encoding="utf-8")
+    return found
 
 
 def learned_by(source: str) -> Discrepancy | None:
