@@ -649,7 +649,50 @@ def screened(bank: Bank | None, logs: Sequence[Log]) -> list[Log]:
     """Return prepared logs with the faults that the bank shows added to their own."""
     if bank is None:
         return list(logs)
-    return [replace(log, faults=examine(bank, log)) for log in logs]
+    found = [replace(log, faults=examine(bank, log)) for log in logs]
+    for i, k in combinations(range(len(found)), 2):
+        if _of_one_flight(found[i], found[k]):
+            found[i], found[k] = _exchanged(bank, found[i], found[k])
+    return found
+
+
+def _of_one_flight(a: Log, b: Log) -> bool:
+    """Whether two logs are those of two engines at the same times."""
+    apart = a.source.engine != b.source.engine and a.source.file == b.source.file
+    return apart and len(a) == len(b) and bool(a.time_s[0] == b.time_s[0])
+
+
+# Kinds of fault that an exchange may explain.
+_LEVELS = frozenset({"scale", "bias", "drift", "dead", "inconsistent"})
+_EXCHANGED = 0.85  # of the residual, at most, that an exchange leaves in both logs together
+
+
+def _exchanged(bank: Bank, a: Log, b: Log) -> tuple[Log, Log]:
+    """Name a channel of wrong level that fits when both engines' readings are exchanged."""
+    names = {each.channel for log in (a, b) for each in log.faults if each.kind in _LEVELS}
+    for name in sorted(names & {*bank.channels}):
+        channels = tuple(one for one in bank.channels if a.recorded([one]) and b.recorded([one]))
+        if name not in channels:
+            continue
+        pair = Signals.of(a), Signals.of(b)
+        mended = (
+            pair[0].having({name: pair[1].values[name]}),
+            pair[1].having({name: pair[0].values[name]}),
+        )
+        before, after = (
+            [residuals(bank, one, channels) for one in signals] for signals in (pair, mended)
+        )
+        left = sum(_wander(one) ** 2 for one in after) / sum(_wander(one) ** 2 for one in before)
+        if left < _EXCHANGED**2 and all(_mostly_sound(one) for one in after):
+            return _with_exchange(a, b, name), _with_exchange(b, a, name)
+    return a, b
+
+
+def _with_exchange(log: Log, other: Log, name: str) -> Log:
+    """The log with its faults of level replaced by the exchange that explains them."""
+    kept = tuple(each for each in log.faults if each.kind not in _LEVELS)
+    text = f"fits the training logs when exchanged with that of {other.source.engine}"
+    return replace(log, faults=(*kept, fault(log, (name,), ("swapped", text))))
 
 
 def examine(bank: Bank, log: Log) -> tuple[Fault, ...]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from data_prep.log import Log
+from data_prep.log import Log, Source
 from data_prep.plausibility import checked
 from narxcal.atmosphere import KELVIN
 from narxcal.support.errors import ModelError
@@ -159,3 +159,20 @@ def test_a_log_that_differs_from_all_others_is_named_and_sets_no_limits(bank):
     assert found.spoiling["flight 21"].startswith("N1 by ")
     assert found.sigma["N1_pct"] < 2.0 * bank.sigma["N1_pct"]
     assert bank.spoiling == {}
+
+
+def test_a_channel_exchanged_between_two_engines_is_named_in_both(bank):
+    pair = [
+        replace(engine(seed), name=f"flight:{side}", source=Source("flight", "", side))
+        for seed, side in ((31, "left"), (32, "right"))
+    ]
+    fuel = [log["FF_kgph"] for log in reversed(pair)]
+    exchanged = [
+        log.with_channels({"FF_kgph": values}) for log, values in zip(pair, fuel, strict=True)
+    ]
+    found = screened(bank, exchanged)
+    assert [[(one.kind, one.channel) for one in log.faults] for log in found] == [
+        [("swapped", "FF_kgph")],
+        [("swapped", "FF_kgph")],
+    ]
+    assert all(log.faults == () for log in screened(bank, pair))
