@@ -54,7 +54,7 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--core",
         choices=("rules", "budget"),
-        default="rules",
+        default="budget",
         help="decide by rules (narxcal.gap/1), or by the budget of the gap (narxcal.gap/2)",
     )
 
