@@ -576,15 +576,8 @@ class _Search:
         self.tried.append(Tried(form, np.array(scores), tuple(mixed), build))
 
     def _comparable(self) -> list[Tried]:
-        """Forms without those that were tried on much less data than others of their rung."""
-        most: dict[str, int] = {}
-        for one in self.tried:
-            most[one.form.rung] = max(most.get(one.form.rung, 0), one.form.samples)
-        return [
-            one
-            for one in self.tried
-            if one.form.samples >= 0.75 * most[one.form.rung] and np.isfinite(one.score)
-        ]
+        """Forms with a finite score: all of them are judged on the same held-out pieces."""
+        return [one for one in self.tried if np.isfinite(one.score)]
 
     def _best(self) -> list[Tried]:
         """Best form of each rung, best first."""
