@@ -37,7 +37,7 @@ class Alteration(NamedTuple):
     """A fault of a recording: what it does to a channel, and the smallest size that is named.
 
     `nameable` is what a model of two other flights of this aircraft can name (sqrt(8 v) standard
-    errors, v the spread of this effect's gain over unaltered flights); a gain is in parts of 1.
+    errors, v the spread of this effect's gain over unaltered flights), by the library's parameter.
     """
 
     id: str
@@ -66,14 +66,16 @@ class Alteration(NamedTuple):
             found = complete + size
         elif self.id == "sensor_drift":
             found = complete + size * (time_s - time_s[0]) / 3600.0
+        elif self.id == "driver_gain":  # the engine gets more than is recorded
+            found = complete / (1.0 + 0.01 * size)
         else:
-            found = complete * (1.0 + size)
+            found = complete * (1.0 + 0.01 * size)
         return np.where(known, found, np.nan)
 
 
 ALTERATIONS: Final = (
     Alteration("time_skew", "N1_pct", "skew_s", 0.08),
-    Alteration("driver_gain", DRIVER, "gain", 0.025),
+    Alteration("driver_gain", DRIVER, "gain_pct", 2.5),
     Alteration("sensor_lag", "EGT_C", "tau_s", 0.8),
     Alteration("sensor_bias", "N2_pct", "bias", 0.65),
     Alteration("throttle_delay", DRIVER, "delay_s", -0.07),
@@ -81,16 +83,10 @@ ALTERATIONS: Final = (
     Alteration("time_skew", "N2_pct", "skew_s", 0.11),
     Alteration("sensor_bias", "EGT_C", "bias", 37.0),
     # A gain acts as a bias of its mean: 0.65 % of 85 % N2, 37 of 600 degC.
-    Alteration("sensor_gain", "N2_pct", "gain", 0.008),
-    Alteration("sensor_gain", "EGT_C", "gain", 0.06),
+    Alteration("sensor_gain", "N2_pct", "gain_pct", 0.8),
+    Alteration("sensor_gain", "EGT_C", "gain_pct", 6.0),
 )
 _SIGNED: Final = ("sensor_bias", "sensor_drift", "sensor_gain", "driver_gain")
-
-
-_ALSO: Final = {
-    "throttle_delay": (("time_skew", "skew_s", -1.0),),
-    "driver_gain": (("sensor_gain", "gain", 1.0),),
-}
 
 
 class Altered(NamedTuple):
@@ -100,18 +96,14 @@ class Altered(NamedTuple):
     parts: tuple[tuple[Alteration, float], ...]
     times: float  # the nameable size
 
-    def row(self, driver: str) -> dict[str, Any]:
-        """Give it as a row of the key; an effect of the `driver` may be named after its sensor."""
+    def row(self) -> dict[str, Any]:
+        """Give it as a row of the key."""
         kind = ("null", "single", "pair")[len(self.parts)]
         effects = [
             {
                 "id": each.id,
                 "channel": None if each.channel == DRIVER else each.channel,
                 "parameters": {each.parameter: size},
-                "also": {
-                    f"{own}:{driver}": {parameter: sign * size}
-                    for own, parameter, sign in _ALSO.get(each.id, ())
-                },
             }
             for each, size in self.parts
         ]
@@ -166,7 +158,7 @@ def make_altered(folder: Path, plan: BlindPlan, logs: LogsConfig, base: Path) ->
         log = f"real/{case.file.name.removesuffix('.gz')}.gz"
         (folder / name / log).parent.mkdir(parents=True, exist_ok=True)
         (folder / name / log).write_bytes(content)
-        yield Made(name, case.row(driver), {log: hashlib.sha256(content).hexdigest()})
+        yield Made(name, case.row(), {log: hashlib.sha256(content).hexdigest()})
 
 
 def alter(case: Altered, logs: LogsConfig, driver: str) -> bytes:

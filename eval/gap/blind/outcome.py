@@ -47,11 +47,7 @@ class Magnitude(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """`truth` is the row of the key, `answer` a document of narxcal.gap/1 or /2, or a failure.
-
-    An effect of the truth may have further names, in the row `also`, under which it is the same
-    signal: a driver that is recorded late is an engine that answers early.
-    """
+    """`truth` is the row of the key, `answer` a document of narxcal.gap/1 or /2, or a failure."""
 
     name: str
     truth: Mapping[str, Any]
@@ -119,19 +115,19 @@ class Outcome(NamedTuple):
         """Effects that are named; nothing where the verdict names none."""
         if self.verdict not in ("effects", "ambiguous"):
             return ()
-        return tuple(map(self._true_name, self.answer["verdict"]["effects"]))
+        return tuple(self.answer["verdict"]["effects"])
 
     @property
     def named_set(self) -> tuple[str, ...]:
         """Effects that are named, with those that they cannot be told from."""
         if not self.claims:
             return ()
-        return (*self.claimed, *map(self._true_name, self.answer["verdict"]["ambiguous_with"]))
+        return (*self.claimed, *self.answer["verdict"]["ambiguous_with"])
 
     @property
     def ranked(self) -> tuple[str, ...]:
         """All effects in the order of the answer, whatever the verdict."""
-        return tuple(self._true_name(name_of(row)) for row in self.answer.get("effects", ()))
+        return tuple(name_of(row) for row in self.answer.get("effects", ()))
 
     @property
     def sureness(self) -> float:
@@ -180,11 +176,9 @@ class Outcome(NamedTuple):
         rows, found = self._rows(), []
         for true in self.truth["effects"]:
             name = name_of(true)
-            said = rows.get(name, {})
-            own = name_of(said) if said else name
-            sizes = true.get("also", {}).get(own) or true.get("parameters", {})
-            for parameter, size in sizes.items():
-                of = said.get("parameters", {}).get(_SAME.get(parameter, parameter))
+            fitted = rows.get(name, {}).get("parameters", {})
+            for parameter, size in true.get("parameters", {}).items():
+                of = fitted.get(_SAME.get(parameter, parameter))
                 if of is not None and size and true["id"] in _SIZED and name in self.claimed:
                     values = (float(size), *(float(of[each]) for each in ("value", "low", "high")))
                     found.append(Magnitude(name, parameter, *values))
@@ -209,8 +203,7 @@ class Outcome(NamedTuple):
             return {}
         said: dict[str, float] = {}
         for row in rows:
-            name = self._true_name(row["cause"])
-            said[name] = said.get(name, 0.0) + float(row["share"])
+            said[row["cause"]] = said.get(row["cause"], 0.0) + float(row["share"])
         return {
             name: said.get(name, 0.0) - true.get(name, {}).get("share", 0.0)
             for name in sorted({*said, *true})
@@ -222,15 +215,8 @@ class Outcome(NamedTuple):
         found = self.answer.get("seconds")
         return None if found is None else float(found)
 
-    def _true_name(self, said: str) -> str:
-        """Name of the true effect that bears this name as well, or the name itself."""
-        for row in self.truth["effects"]:
-            if said in row.get("also", {}):
-                return name_of(row)
-        return said
-
     def _rows(self) -> dict[str, Mapping[str, Any]]:
-        return {self._true_name(name_of(row)): row for row in self.answer.get("effects", ())}
+        return {name_of(row): row for row in self.answer.get("effects", ())}
 
     def _true_channels(self) -> dict[str, float]:
         if "budget" not in self.truth:  # keys of before: channel|direction|phase -> share

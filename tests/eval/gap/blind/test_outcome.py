@@ -2,8 +2,7 @@
 
 import pytest
 
-FUEL = {"id": "throttle_delay", "channel": None, "parameters": {"delay_s": -0.14}}
-FUEL_LATE = FUEL | {"also": {"time_skew:FF_kgph": {"skew_s": 0.14}}}
+FUEL_LATE = {"id": "throttle_delay", "channel": None, "parameters": {"delay_s": -0.14}}
 
 
 def test_a_right_answer(outcome):
@@ -66,20 +65,20 @@ def test_an_effect_has_to_be_named_from_five_percent_of_the_gap_on(outcome):
 def test_on_a_real_flight_it_is_the_size_that_counts_and_being_named(
     outcome, answer, times, nameable
 ):
-    listed = {"heat_soak": 0.99, "time_skew:FF_kgph": 0.95}
+    listed = {"heat_soak": 0.99, "throttle_delay": 0.95}
     told = answer(effects=tuple(listed), listed=listed)
-    told["effects"][1]["parameters"] = {"skew_s": {"value": 0.15, "low": 0.13, "high": 0.18}}
+    told["effects"][1]["parameters"] = {"delay_s": {"value": -0.15, "low": -0.18, "high": -0.13}}
     found = outcome(answer=told)
     truth = {**found.truth, "effects": [FUEL_LATE], "times_nameable": times, "engine": "real"}
     found = found._replace(truth=truth)
     assert (found.altered, found.family, found.nameable) == (True, "real", nameable)
-    # Heat soak stands first; the late fuel meter is among those named, by another name.
+    # Heat soak stands first; the late fuel meter is among those named.
     assert found.found
     assert not found.exact
     assert found.claimed == ("heat_soak", "throttle_delay")
     assert found.others == 1
     assert [(m.effect, m.true, m.inside) for m in found.magnitudes] == [
-        ("throttle_delay", 0.14, True)
+        ("throttle_delay", -0.14, True)
     ]
 
 
