@@ -63,16 +63,18 @@ class Data:
     ) -> Data:
         """Scale, delay, and normalise the weights to a mean over outputs and samples.
 
-        One row in `every` is scored.
+        One row in `every` is scored, drawn at random: at regular rows a mode that alternates
+        between them would not be seen.
         """
         inputs, outputs, roots, measured = [], [], [], []
+        draw = np.random.default_rng(0)
         for record in records:
             y = scalings[1].down(record.y)
             weight = np.ones(len(y)) if record.weight is None else record.weight
             inputs.append(delayed(scalings[0].down(record.u), delay))
             outputs.append(np.nan_to_num(y))
             measured.append(y)
-            scored = np.arange(len(y)) % every == 0
+            scored = draw.random(len(y)) < 1.0 / every
             roots.append(np.sqrt(weight * scored)[:, None] * np.isfinite(y))
         total = np.sqrt(max(sum(float((root**2).sum()) for root in roots), 1e-12))
         weights = tuple(root / total for root in roots)
