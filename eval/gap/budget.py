@@ -36,8 +36,8 @@ from eval.gap.where import locate
 from narxcal.calibration.bundle import DOCUMENT, load_bundle
 from narxcal.effects.library import hypotheses
 from narxcal.effects.running import Emulator, Flights
-from narxcal.support.errors import DataError
-from narxcal.support.files import to_json, versions
+from narxcal.support.errors import DataError, ModelError
+from narxcal.support.files import atomic_write_text, to_json, versions
 from training.budget.control import suited
 from training.budget.diagnosis import Engines, Phases
 from training.budget.diagnosis import diagnose as weighed
@@ -150,14 +150,19 @@ def learn_folders(request: Request, run: Path) -> Discrepancy:
     emulator = suited(fit_emulators(data.flights), record)
     every = hypotheses(data.flights.signals)
     found = learn(record, Dictionary(every, data.flights, emulator))
-    (run / LEARNED).write_text(to_json(found.document()), encoding="utf-8")
+    atomic_write_text(run / LEARNED, to_json(found.document()))
     return found
 
 
 def learned_by(source: str) -> Discrepancy | None:
-    """What a run folder knows of its own errors; None where it knows nothing."""
+    """What `learn_folders` left in a run folder; None where it left nothing, or `ModelError`."""
     file = Path(source or "nothing") / LEARNED
-    return read(json.loads(file.read_text(encoding="utf-8"))) if file.is_file() else None
+    if not file.is_file():
+        return None
+    try:
+        return read(json.loads(file.read_text(encoding="utf-8")))
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ModelError(f"is unusable: {error!r}", file=file, hint="Learn it again") from None
 
 
 def diagnose_pairs(

@@ -26,6 +26,7 @@ from eval.gap.summary import (
     window_table,
 )
 from eval.report.page import write_page
+from narxcal.calibration.bundle import DOCUMENT as BUNDLE
 from narxcal.cli.console import Console
 from narxcal.cli.options import SIMULATOR, add_mapping, add_out, add_trust, path
 from narxcal.cli.results import now, read_config
@@ -53,22 +54,32 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument("--heldout-sim", metavar="SIM", help="their simulated logs")
     parser.add_argument(
         "--core",
-        choices=("rules", "budget"),
-        default="budget",
-        help="decide by rules (narxcal.gap/1), or by the budget of the gap (narxcal.gap/2)",
+        choices=("auto", "rules", "budget"),
+        default="auto",
+        help="decide by rules (narxcal.gap/1) or by the budget of the gap (narxcal.gap/2); auto: "
+        "by the budget where --learn left what the simulator gets wrong by itself",
+    )
+    parser.add_argument(
+        "--learn",
+        action="store_true",
+        help="diagnose nothing: learn what the simulator gets wrong by itself from these flights, "
+        "which it was not fitted to and in which nothing unusual acts, and keep it in the run OUT",
     )
 
 
 def run(options: Namespace, console: Console) -> int:
     """Diagnose and write document, page and emulator; 0 whatever the verdict."""
-    RESULTS.check(options.out)
     request = _request(options)
+    if options.learn:
+        return _learn(options, console, request)
+    RESULTS.check(options.out)
     with console.progress("Diagnosing") as advance:
 
         def watch(step: str, done: int, total: int) -> None:
             advance(done, total, f"({step})")
 
-        if options.core == "budget":
+        learned = options.core == "auto" and budget.learned_by(options.sim) is not None
+        if learned or options.core == "budget":
             return _budget(options, console, budget.diagnose_folders(request))
         found = diagnose_folders(request, watch)
     with RESULTS.writing(options.out) as folder:
@@ -76,6 +87,19 @@ def run(options: Namespace, console: Console) -> int:
     show(console, found.document)
     console.say(f"Page: {options.out / PAGE}")
     console.document(found.document)
+    return 0
+
+
+def _learn(options: Namespace, console: Console, request: Request) -> int:
+    """Keep in a run folder what a simulator of its kind gets wrong by itself."""
+    if not (options.out / BUNDLE).is_file():
+        raise ConfigError("--learn needs a run folder as --out", file=options.out)
+    with console.progress("Learning") as advance:
+        advance(0, 1, "")
+        found = budget.learn_folders(request, options.out)
+    flights = "1 flight" if found.flights == 1 else f"{found.flights} flights"
+    console.say(f"Learned from {flights}: {options.out / budget.LEARNED}")
+    console.document(found.document())
     return 0
 
 

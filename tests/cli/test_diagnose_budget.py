@@ -6,8 +6,10 @@ import pandas as pd
 import pytest
 
 import narxcal
+from eval.gap import budget
 from eval.gap.budget_page import budget_table, console_tables, outcome, sentences, sizes_table
 from narxcal.cli import main
+from narxcal.support.errors import ModelError
 
 pytestmark = pytest.mark.slow
 
@@ -95,3 +97,20 @@ def test_python_gives_the_budget_as_a_table_and_a_figure(case):
     assert found.table.index[0] == "sensor_lag:EGT_C"
     [axes] = found.plot().axes
     assert axes.get_xlabel() == "share of the energy of the whole gap"
+
+
+def test_what_a_simulator_gets_wrong_by_itself_is_learned_and_then_no_finding(
+    case, tmp_path, capsys
+):
+    run = tmp_path / "run"
+    run.mkdir()
+    arguments = ["diagnose", "--real", str(case / "real"), "--sim", str(case / "sim"), "--quiet"]
+    assert main([*arguments, "--learn", "--out", str(run)]) == 2
+    assert capsys.readouterr().err.startswith(f"narxcal: error: {run}: --learn needs a run folder")
+    (run / "bundle.json").write_text("{}")
+    assert main([*arguments, "--learn", "--out", str(run)]) == 0
+    learned = budget.learned_by(str(run))
+    assert learned.logs == 3
+    (run / "discrepancy.json").write_text('{"flights": "x"}')
+    with pytest.raises(ModelError, match="Learn it again"):
+        budget.learned_by(str(run))
