@@ -46,6 +46,7 @@ from narxcal.support.arrays import BoolArray, FloatArray, IntArray, bridge_gaps,
 from narxcal.support.errors import ModelError
 
 _STEP_S = 1.0
+_LEAST_STEPS = 10  # of a log; fewer show no relation of channels
 _LAGS_S = (2.0, 8.0, 30.0)
 # Means over short windows of transients scatter more than those over long ones: windows in s, and
 # the limits of S_i in them. The largest of left-out flights: 4.3 and 3.3.
@@ -384,6 +385,7 @@ def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
     reported. None where there are fewer than two. Each log is left out once to measure `sigma`, of
     more than eight logs groups of them.
     """
+    logs = [log for log in logs if _long_enough(log)]
     names = _engine_channels(logs)
     if len(names) < 2:
         return None
@@ -410,7 +412,7 @@ def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
     ratios = {k: [_log_ratio(whole, one, names, k) for one in all_signals] for k in _STRETCHES}
     return replace(
         whole,
-        stretch={str(k): float(np.mean(values)) for k, values in ratios.items()},
+        stretch={str(k): _finite_mean(values) for k, values in ratios.items()},
         sigma={name: _rms(name, "", [one.consensus[name] for one in left_out]) for name in names},
         regimes={name: _regime_ratios(name, left_out) for name in names},
         levels={name: tuple(_level(one.consensus[name]) for one in left_out) for name in names},
@@ -421,6 +423,16 @@ def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
         used=tuple(name for name in names if name in channels),
         spoiling=spoiling,
     )
+
+
+def _finite_mean(values: Sequence[float]) -> float:
+    """Mean of the finite values; 0 where there are none."""
+    known = [each for each in values if np.isfinite(each)]
+    return float(np.mean(known)) if known else 0.0
+
+
+def _long_enough(log: Log) -> bool:
+    return len(log) * log.dt_s >= _LEAST_STEPS * _STEP_S
 
 
 _SPOILT, _LEAST_LOGS = 3.0, 3
@@ -776,6 +788,7 @@ def _listed(channels: Sequence[str], but: str) -> str:
 
 _STRETCHES = (0.5, 2.0)
 _DYNAMIC_S, _MOVING = 150.0, 0.8
+_MOSTLY = 0.5  # of a log in air of the training logs: dynamics of other air may be slower
 
 
 def _stretched(bank: Bank, subject: _Subject) -> _Subject:
@@ -785,6 +798,9 @@ def _stretched(bank: Bank, subject: _Subject) -> _Subject:
     are. A sound log has the r(k) of the training logs; one that is stretched by k has 1 / r(1/k).
     The log belongs to the nearer of both.
     """
+    inside = _inside_air(bank, _Corrected.of(subject.signals, subject.channels))
+    if inside.mean() < _MOSTLY:
+        return subject
     beyond = {}
     for stretch in _STRETCHES:
         usual, inverse = bank.stretch[str(stretch)], bank.stretch[str(1.0 / stretch)]
@@ -801,7 +817,10 @@ def _stretched(bank: Bank, subject: _Subject) -> _Subject:
 
 
 def _log_ratio(bank: Bank, signals: Signals, channels: Sequence[str], stretch: float) -> float:
-    """Ln r(k): mean over the pairs of the log ratio of the RMS residual in the moving samples."""
+    """Ln r(k): mean over the pairs of the log ratio of the RMS residual in the moving samples.
+
+    NaN where nothing moves.
+    """
     sizes = []
     for step_s in (signals.step_s / stretch, signals.step_s):
         found = residuals(bank, signals, channels, step_s)
@@ -811,6 +830,8 @@ def _log_ratio(bank: Bank, signals: Signals, channels: Sequence[str], stretch: f
         moving = motion > np.nanpercentile(motion, 100.0 * _MOVING)
         pairs = [each for errors in found.errors.values() for each in errors.values()]
         rough = [(each - _moving_mean(each, size))[moving] for each in pairs]
+        if not all(np.isfinite(each).any() for each in rough):
+            return float("nan")
         sizes.append([np.sqrt(np.nanmean(each**2) + 1e-12) for each in rough])
     return float(np.mean(np.log(np.array(sizes[0]) / np.array(sizes[1]))))
 

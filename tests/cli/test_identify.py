@@ -331,7 +331,9 @@ def test_bad_input_is_one_clear_error(project, narxcal, tmp_path, case):
     done = narxcal("identify", path, "--method", method, "--out", tmp_path / "run")
     assert done.code == 2
     assert message in done.err
-    assert done.err.count("\n") == 1
+    *warnings, error = done.err.splitlines()  # stairs are also coarse signals
+    assert error.startswith("narxcal: error: ")
+    assert all(line.startswith("narxcal: warning: ") for line in warnings)
     assert not (tmp_path / "run" / "bundle.json").exists()
 
 

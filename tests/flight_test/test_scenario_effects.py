@@ -11,8 +11,8 @@ from narxcal.flight_test.sensors import channels_of
 from narxcal.support.errors import ConfigError
 
 
-def test_the_whole_library_can_be_flown():
-    assert set(PARAMETERS) == set(LIBRARY)
+def test_the_whole_library_can_be_flown_but_for_scales_that_sensor_presets_have():
+    assert set(PARAMETERS) == set(LIBRARY) - {"sensor_gain", "driver_gain"}
 
 
 @pytest.mark.parametrize("effect", sorted(PARAMETERS))

@@ -44,7 +44,7 @@ def of_the_build(tried: Fit, beside: Sequence[Effect], problem: Problem) -> str:
 def _within(effect: Effect, values: dict[str, float], *, by_control: bool) -> str:
     """The effect in words if it is within what a build may have; empty if it is more, or other."""
     if isinstance(effect, AccelLimit):
-        absolute = values["most_pctps"] < FASTEST_PCTPS
+        absolute = values.get("most_pctps", FASTEST_PCTPS) < FASTEST_PCTPS
         return "" if absolute else _limit("acceleration", values["share"])
     if isinstance(effect, AccelDecelAsymmetry) and by_control:
         return _limit("deceleration", values["ratio"])

@@ -176,7 +176,7 @@ def test_json_is_one_document_without_nan(monkeypatch, capsys, tmp_path):
     document = json.loads(capsys.readouterr().out)
     assert document["schema"] == "narxcal.bench/1"
     assert document["rows"][0]["value"] == 2.0
-    assert [row["value"] for row in document["rows"][1:]] == [None, None, None]
+    assert {row["value"] for row in document["rows"][1:]} == {None}
 
 
 def test_the_table_says_why_a_figure_is_missing(monkeypatch, capsys, tmp_path):

@@ -75,10 +75,10 @@ def test_figures_stand_beside_the_better_baseline():
     def channel(rmse, lag, arx):
         return SimpleNamespace(rmse=rmse, first_order_rmse=lag, arx_rmse=arx)
 
-    def rival(passed):
+    def baseline(passed):
         return SimpleNamespace(passed=passed)
 
-    log = SimpleNamespace(rivals={"first_order": rival(1), "arx": rival(2)})
+    log = SimpleNamespace(baselines={"first_order": baseline(1), "arx": baseline(2)})
     found = SimpleNamespace(
         pooled={"N1_pct": channel(0.5, 2.0, math.nan), "EGT_C": channel(9.0, 8.0, 7.0)},
         tally=SimpleNamespace(passed=6, assessed=8, passed_pct=75.0),

@@ -132,7 +132,12 @@ def test_what_a_build_explains_as_well_is_no_claim(
     lag = fit([effect("altitude_lag")], work.problem)
     limit = effect("accel_limit")
     known = limit.parameters(flights.signals)
-    same = replace(lag, effects=(limit,), parameters=known, theta=np.array([share]))
+    same = replace(
+        lag,
+        effects=(limit,),
+        parameters=known,
+        theta=np.array([share, *(p.neutral for p in known[1:])]),
+    )
     work.fits = [lag, same]
     found = finding(work, lag, None, NOISE)
     assert found.kind == kind, found.reason

@@ -49,7 +49,8 @@ def test_singles_cover_the_catalogue_in_all_sizes():
 
 
 def test_every_effect_of_the_library_is_in_the_catalogue():
-    assert {scale.id for scale in CATALOGUE} == set(LIBRARY)
+    of_recorded_flights = {"sensor_gain", "driver_gain"}  # which `blind make --altered` has
+    assert {scale.id for scale in CATALOGUE} == set(LIBRARY) - of_recorded_flights
     for scale in CATALOGUE:
         assert library_effect(scale.name).family == scale.family
 
