@@ -124,7 +124,8 @@ def test_part_of_a_real_flight_is_identified_and_a_later_part_predicted():
     later = Record(record.u[17000:21000], record.y[17000:21000], "later")
     found = identify_flight(used, left.dt_s, parts=2)
     assert 0.3 < found.whole.parameters()["tau_M"] < 0.9
-    assert "unidentifiable" in meter(found)
+    # In whole flights omega is unidentifiable (docs/spey.md); in a part it is at the limit.
+    assert meter(found).startswith("2 zeta/omega = 0.")
     rms = prediction_error(EngineFromSteady(left.dt_s), found.whole.parameters(), later)
     alone = np.sqrt(np.mean((later.y - later.u[:, :3]) ** 2, axis=0))
     assert rms["N_HM"] < 0.6 * alone[0]
