@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from eval.gap.budget import diagnose
     from narxcal.calibration.bundle import Bundle, load_bundle, save_bundle
-    from narxcal.calibration.calibration import DynamicCalibration
+    from narxcal.calibration.calibration import Calibration, DynamicCalibration
     from narxcal.calibration.fuser import KalmanFuser
     from narxcal.calibration.noise import NoiseModel
     from narxcal.narx.config import NarxConfig
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Bundle",
+    "Calibration",
     "ConfigError",
     "DataError",
     "DynamicCalibration",
@@ -39,6 +40,7 @@ __all__ = [
 
 _MODULE_OF = {
     "Bundle": "narxcal.calibration.bundle",
+    "Calibration": "narxcal.calibration.calibration",
     "ConfigError": "narxcal.support.errors",
     "DataError": "narxcal.support.errors",
     "DynamicCalibration": "narxcal.calibration.calibration",

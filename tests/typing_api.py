@@ -19,6 +19,7 @@ from eval import transients
 from eval.transients import Assessment, Overlay, TransientsConfig
 from narxcal import (
     Bundle,
+    Calibration,
     ConfigError,
     DataError,
     DynamicCalibration,
@@ -72,7 +73,8 @@ found: list[Event] = find_events(smoothed, config.events)
 
 bundle: Bundle = load_bundle("run")
 save_bundle("copy", bundle)
-model: DynamicCalibration = bundle.calibration
+model: Calibration = bundle.calibration
+kind: type[Calibration] = DynamicCalibration
 inputs: Floats = smoothed.matrix(model.input_names)
 measured: Floats = smoothed.matrix(model.output_names)
 free_run: Floats = model.simulate(inputs, start=measured[0])
