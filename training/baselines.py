@@ -14,17 +14,16 @@ everyone fits one, by least squares on the one-step error (Ljung, System Identif
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy.optimize import minimize
-from scipy.signal import lfilter, lfiltic
 
 from data_prep.log import Log
 from narxcal.calibration.calibration import Calibration
+from narxcal.calibration.lead import Lead
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 
@@ -52,10 +51,15 @@ class FirstOrderLag:
     def simulate(self, steady: FloatArray, start: FloatArray, dt_s: float) -> FloatArray:
         """Free run (time, n_out) behind `steady` (time, n_out), from `start` (n_out,)."""
         columns = [
-            _lag(steady[:, k], _first(steady, start, k), _gain(push, dt_s), _gain(pull, dt_s))
-            for k, (push, pull) in enumerate(zip(self.push_s, self.pull_s, strict=True))
+            self.lead(k, dt_s).simulate(steady, _first(steady, start, k))
+            for k in range(len(self.push_s))
         ]
         return np.stack(columns, axis=1)
+
+    def lead(self, k: int, dt_s: float) -> Lead:
+        """The lag of one output."""
+        push, pull = _gain(self.push_s[k], dt_s), _gain(self.pull_s[k], dt_s)
+        return Lead("first_order", k, push, pull)
 
 
 @dataclass(frozen=True)
@@ -72,15 +76,16 @@ class LinearArx:
     def simulate(self, steady: FloatArray, start: FloatArray) -> FloatArray:
         """Free run (time, n_out) on `steady` (time, n_out), from `start` (n_out,)."""
         columns = [
-            _arx_run(
-                np.array(self.poles[k]),
-                np.array(self.gains[k]),
-                self.offsets[k],
-                (steady, _first(steady, start, k)),
-            )
+            self.lead(k).simulate(steady, _first(steady, start, k))
+            if len(self.poles[k])
+            else np.full(len(steady), np.nan)
             for k in range(steady.shape[1])
         ]
         return np.stack(columns, axis=1)
+
+    def lead(self, k: int) -> Lead:
+        """The model of one output."""
+        return Lead("arx", k, poles=self.poles[k], gains=self.gains[k], offset=self.offsets[k])
 
 
 @dataclass(frozen=True)
@@ -147,12 +152,13 @@ def _fit_lag(runs: Sequence[Run], k: int, dt_s: float) -> tuple[float, float]:
     """Time constants (push, pull) in s with the least free-run error, by Nelder-Mead."""
 
     def loss(log_tau: FloatArray) -> float:
-        push, pull = np.exp(np.clip(log_tau, np.log(SHORTEST_S), np.log(LONGEST_S)))
-        gains = (_gain(push, dt_s), _gain(pull, dt_s))
+        taus = np.exp(np.clip(log_tau, np.log(SHORTEST_S), np.log(LONGEST_S)))
+        push, pull = (_gain(tau, dt_s) for tau in taus.tolist())
+        lag = Lead("first_order", k, push, pull)
         total, count = 0.0, 0
         for run in runs:
             first = _first(run.steady, run.measured[0], k)
-            error = _lag(run.steady[:, k], first, *gains) - run.measured[:, k]
+            error = lag.simulate(run.steady, first) - run.measured[:, k]
             known = np.isfinite(error)
             total, count = total + float(error[known] @ error[known]), count + int(known.sum())
         return total / max(count, 1)
@@ -160,8 +166,8 @@ def _fit_lag(runs: Sequence[Run], k: int, dt_s: float) -> tuple[float, float]:
     found = minimize(
         loss, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-9}
     )
-    push, pull = np.exp(np.clip(found.x, np.log(SHORTEST_S), np.log(LONGEST_S)))
-    return float(push), float(pull)
+    push_s, pull_s = np.exp(np.clip(found.x, np.log(SHORTEST_S), np.log(LONGEST_S)))
+    return float(push_s), float(pull_s)
 
 
 def _fit_arx(runs: Sequence[Run], k: int) -> tuple[FloatArray, FloatArray, float]:
@@ -202,31 +208,14 @@ def _least_squares(runs: Sequence[Run], k: int, order: int) -> tuple[FloatArray,
 def _free_run_error(
     runs: Sequence[Run], k: int, model: tuple[FloatArray, FloatArray, float]
 ) -> float:
+    poles, gains, offset = model
+    arx = Lead("arx", k, poles=tuple(poles), gains=tuple(map(tuple, gains)), offset=offset)
     errors = []
     for run in runs:
         first = _first(run.steady, run.measured[0], k)
-        errors.append(_arx_run(*model, (run.steady, first)) - run.measured[:, k])
+        errors.append(arx.simulate(run.steady, first) - run.measured[:, k])
     error = np.concatenate(errors)
     return float(np.sqrt(np.nanmean(error**2)))
-
-
-def _arx_run(
-    poles: FloatArray, gains: FloatArray, offset: float, drive: tuple[FloatArray, float]
-) -> FloatArray:
-    """Free run (time,) of one channel, in equilibrium before it but for the output `first`."""
-    steady, first = drive
-    if not len(poles):
-        return np.full(len(steady), np.nan)
-    forced = np.full(len(steady), offset)
-    for i, gain in enumerate(gains):
-        rows = np.maximum(np.arange(len(steady)) - i, 0)
-        forced += steady[rows] @ gain
-    denominator = np.concatenate([[1.0], -poles])
-    state = lfiltic([1.0], denominator, np.full(len(poles), first))
-    y = np.empty(len(steady))
-    y[0] = first
-    y[1:] = lfilter([1.0], denominator, forced[1:], zi=state)[0]
-    return y
 
 
 def _gain(tau_s: float, dt_s: float) -> float:
@@ -236,18 +225,3 @@ def _gain(tau_s: float, dt_s: float) -> float:
 def _first(steady: FloatArray, start: FloatArray, k: int) -> float:
     """Start of a free run: the measured value, or the steady-state value where that is missing."""
     return float(start[k]) if np.isfinite(start[k]) else float(steady[0, k])
-
-
-def lag_steps(steady: FloatArray, first: float, push: float, pull: float) -> FloatArray:
-    """One channel (time,) sample by sample; `push` and `pull` are gains per sample."""
-    y = np.empty(len(steady))
-    y[0] = first
-    for k in range(1, len(steady)):
-        ahead = steady[k] - y[k - 1]
-        y[k] = y[k - 1] + (push if ahead > 0.0 else pull) * ahead
-    return y
-
-
-_lag: Callable[[FloatArray, float, float, float], FloatArray] = njit(cache=True, nogil=True)(
-    lag_steps
-)

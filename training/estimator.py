@@ -15,6 +15,7 @@ from sklearn.exceptions import NotFittedError
 
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.forms import Band, DynamicModel
+from narxcal.narx.network import checked_inputs, checked_start
 from narxcal.record import (
     Record,
     RecordLike,
@@ -204,7 +205,9 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         covers this share of samples, by the errors of held-out free runs at the same horizon.
         """
         model = self.model
-        inputs, first = _checked(columns(u), start, model)
+        inputs = checked_inputs(columns(u), model.inputs)
+        first = checked_start(columns(start) if model.outputs == 1 else start, model.outputs)
+        first = first[: len(inputs)]
         free_run = model.simulate(inputs, first)
         if interval is None:
             return free_run
@@ -223,7 +226,7 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
     def predict(self, u: ArrayLike, y: ArrayLike) -> FloatArray:
         """One-step-ahead prediction (time, outputs) from measured outputs (time, outputs)."""
         model, inputs, measured = self.model, columns(u), columns(y)
-        _check_inputs(inputs, model)
+        checked_inputs(inputs, model.inputs)
         if measured.shape != (len(inputs), model.outputs):
             raise DataError(
                 f"expected outputs of shape {(len(inputs), model.outputs)}, found {measured.shape}"
@@ -326,32 +329,3 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
 
 def _not_trained() -> NotTrainedError:
     return NotTrainedError("the NARX network is not trained yet", hint="Call fit first")
-
-
-def _check_inputs(inputs: FloatArray, model: DynamicModel) -> None:
-    if inputs.shape[1] != model.inputs:
-        raise DataError(f"expected inputs of shape (time, {model.inputs}), found {inputs.shape}")
-    unknown = np.flatnonzero(~np.isfinite(inputs).all(axis=1))
-    if len(unknown):
-        raise DataError(
-            "an input is not a finite number",
-            row=int(unknown[0]),
-            hint="A free run cannot step over a hole: fill it, or cut the record there",
-        )
-
-
-def _checked(
-    inputs: FloatArray, start: ArrayLike, model: DynamicModel
-) -> tuple[FloatArray, FloatArray]:
-    """Inputs and start (n, outputs) that a free run can use."""
-    _check_inputs(inputs, model)
-    single = model.outputs == 1
-    first = columns(start) if single else np.atleast_2d(np.asarray(start, dtype=np.float64))
-    if not len(first):
-        raise DataError("a free run needs at least one start sample, found none")
-    if first.shape[1] != model.outputs or not np.isfinite(first).all():
-        raise DataError(
-            f"expected finite start values of shape (n, {model.outputs}), "
-            f"found {first.shape} with {int((~np.isfinite(first)).sum())} not finite"
-        )
-    return inputs, first[: len(inputs)]

@@ -207,15 +207,5 @@ def _standard_error(values: FloatArray) -> float:
 def lead_of(kind: Kind, channel: int, baselines: Baselines, dt_s: float) -> Lead:
     """The fitted simple model of one output."""
     if kind == "first_order":
-        push, pull = (
-            float(-np.expm1(-dt_s / tau[channel]))
-            for tau in (baselines.lag.push_s, baselines.lag.pull_s)
-        )
-        return Lead(kind, channel, push, pull)
-    if kind == "arx":
-        arx = baselines.arx
-        return Lead(
-            kind, channel, poles=arx.poles[channel], gains=arx.gains[channel],
-            offset=arx.offsets[channel],
-        )  # fmt: skip
-    return Lead(kind, channel)
+        return baselines.lag.lead(channel, dt_s)
+    return baselines.arx.lead(channel) if kind == "arx" else Lead(kind, channel)

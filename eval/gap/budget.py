@@ -18,10 +18,9 @@ from eval.evaluate import run_config
 from eval.gap.bins import MOVES, sort_samples
 from eval.gap.blocks import batch, block_size
 from eval.gap.budget_page import budget_figure
-from eval.gap.cautions import cautions
 from eval.gap.claimed import with_effects
 from eval.gap.data import GapData, Pair
-from eval.gap.diagnose import Request
+from eval.gap.diagnose import Request, facts_of
 from eval.gap.document import document
 from eval.gap.evidence import Evidence
 from eval.gap.excitation import check_excitation, events_of
@@ -31,13 +30,12 @@ from eval.gap.pairs import check_apart, read_pairs
 from eval.gap.realised import channel_shrink, held_out, time_shrink
 from eval.gap.rerun import Rerun
 from eval.gap.simulators import Simulate, open_simulator
-from eval.gap.stored_emulator import signals_to_json
 from eval.gap.where import locate
 from narxcal.calibration.bundle import DOCUMENT, load_bundle
 from narxcal.effects.library import hypotheses
 from narxcal.effects.running import Emulator, Flights
 from narxcal.support.errors import DataError, ModelError
-from narxcal.support.files import atomic_write_text, to_json, versions
+from narxcal.support.files import atomic_write_text, to_json
 from training.budget.control import suited
 from training.budget.diagnosis import Engines, Phases
 from training.budget.diagnosis import diagnose as weighed
@@ -45,7 +43,7 @@ from training.budget.dictionary import Dictionary
 from training.budget.discrepancy import Discrepancy, learn, read
 from training.budget.metric import Record
 from training.budget.odds import Odds
-from training.budget.result import Budget
+from training.budget.result import Budget, Interval
 from training.config import RunConfig
 from training.gap import finding as old
 from training.gap.emulator import GreyBoxEmulator, fit_emulators
@@ -183,7 +181,7 @@ def diagnose_pairs(
     evidence = _evidence(data, found, emulator, stand_in)
     if held:
         evidence = _with_held_out(evidence, found, in_terms_of(data, batched(held)), stand_in)
-    facts = _facts(pairs, data, held, found)
+    facts = {**facts_of(pairs, data, held), "core": dict(found.facts)}
     evidence = replace(evidence, facts=facts)
     told = document(evidence) | {
         "schema": SCHEMA,
@@ -208,7 +206,7 @@ def _evidence(
 ) -> Evidence:
     values = found.claimed
     after = with_effects(values, data.flights, stand_in)
-    none = old.Interval(0.0, 0.0, 0.0)
+    none = Interval(0.0, 0.0, 0.0)
     predicted = expected(seen(data, after, found.by_others)) if values else none
     errors = dict(
         zip(data.flights.signals.outputs, emulator.errors(data.flights).tolist(), strict=True)
@@ -236,25 +234,14 @@ def _evidence(
 
 
 def _tried(found: Budget) -> list[old.Tried]:
-    """Effects in the form of the page that is to be written anew."""
+    """Effects in the form of the document of the rules."""
     return [
         old.Tried(
-            (one.name,),
-            "",
-            one.gain,
-            one.flights,
-            one.probability,
-            {
-                one.name: {
-                    key: old.Interval(each.value, each.low, each.high)
-                    for key, each in one.parameters.items()
-                }
-            },
-            {one.name: dict(one.units)},
-            one.at_bound,
+            (one.name,), "", one.gain, one.flights, one.probability,
+            {one.name: dict(one.parameters)}, {one.name: dict(one.units)}, one.at_bound,
         )
         for one in found.effects
-    ]
+    ]  # fmt: skip
 
 
 def _with_held_out(
@@ -268,25 +255,6 @@ def _with_held_out(
         return evidence
     here = seen(evidence.data, evidence.after, found.by_others)
     return replace(evidence, predicted=expected(here, unseen(data, there.after)))
-
-
-def _facts(
-    pairs: Sequence[Pair], data: GapData, held: Sequence[Pair], found: Budget
-) -> dict[str, Any]:
-    return {
-        "flights": [pair.name for pair in pairs],
-        "held_out": [pair.name for pair in held],
-        "duration_s": round(sum(len(pair.time_s) * pair.dt_s for pair in pairs), 6),
-        "rate_hz": round(1.0 / pairs[0].dt_s, 6),
-        "worked_at_hz": round(1.0 / data.flights.signals.dt_s, 6),
-        "driver": data.flights.signals.driver,
-        "noise": dict(zip(data.flights.signals.outputs, data.noise.tolist(), strict=True)),
-        "changed": {pair.name: dict(pair.counts) for pair in pairs if pair.counts},
-        "warnings": cautions(pairs, data),
-        "signals": signals_to_json(data.flights.signals),
-        "versions": versions(),
-        "core": dict(found.facts),
-    }
 
 
 def record_of(data: GapData) -> Record:

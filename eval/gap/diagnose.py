@@ -32,11 +32,12 @@ from narxcal.effects.steady import UnloggedSwitch
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.files import versions
+from training.budget.result import Interval
 from training.config import RunConfig
 from training.gap.control import suited
 from training.gap.diagnosis import diagnose
 from training.gap.emulator import GreyBoxEmulator, fit_emulators, widened
-from training.gap.finding import Finding, Interval
+from training.gap.finding import Finding
 from training.gap.unlogged import Load
 from training.gap.work import Simulators, Watch
 
@@ -119,7 +120,7 @@ def diagnose_pairs(
         evidence = _with_held_out(evidence, values, (held, other), stand_in)
     if wider:
         evidence = _with_errors(evidence, emulator)
-    facts = {**_facts(pairs, data, held), "unlogged_load": load.reason or "found"}
+    facts = {**facts_of(pairs, data, held), "unlogged_load": load.reason or "found"}
     facts["warnings"] += coarse_emulator(evidence, again=again is not None)
     evidence = replace(evidence, facts=facts)
     return Diagnosis(document(evidence), evidence, emulator)
@@ -228,7 +229,8 @@ def _bounded(finding: Finding, pairs: Sequence[Pair]) -> Finding:
     return replace(silent, reason=reason, besides="")
 
 
-def _facts(pairs: Sequence[Pair], data: GapData, held: Sequence[Pair]) -> dict[str, Any]:
+def facts_of(pairs: Sequence[Pair], data: GapData, held: Sequence[Pair]) -> dict[str, Any]:
+    """`quality` of `gap.json`, as far as it is of the logs."""
     return {
         "flights": [pair.name for pair in pairs],
         "parts": list(data.names) if len(data.names) > len(pairs) else [],

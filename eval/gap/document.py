@@ -14,7 +14,8 @@ from eval.gap.side import Sides
 from eval.gap.where import Row, Where
 from narxcal.effects.library import LIBRARY, effect
 from narxcal.effects.steady import UnloggedSwitch
-from training.gap.finding import ChannelShrink, Finding, Interval, Tried
+from training.budget.result import Interval
+from training.gap.finding import ChannelShrink, Finding, Tried
 
 HIDDEN = UnloggedSwitch.id
 SCHEMA = "narxcal.gap/1"

@@ -18,7 +18,7 @@ from eval.gap.shift_drawings import sensor_error, shift_bars, soak, wear
 from eval.gap.sketch import Sketch
 from eval.report.style import Picture, picture
 from narxcal.effects.base import Effect, Parameter, Signals
-from training.gap.finding import Interval
+from training.budget.result import Interval
 
 
 def drawing(acting: Effect, sizes: Mapping[str, Interval], signals: Signals) -> Picture:

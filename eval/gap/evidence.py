@@ -9,7 +9,8 @@ from eval.gap.data import GapData
 from eval.gap.hidden_load import Spell
 from eval.gap.where import Where
 from narxcal.support.arrays import FloatArray
-from training.gap.finding import ChannelShrink, Finding, Interval
+from training.budget.result import Interval
+from training.gap.finding import ChannelShrink, Finding
 
 
 @dataclass(frozen=True)

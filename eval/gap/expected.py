@@ -24,7 +24,7 @@ from scipy.stats import t
 from eval.gap.data import GapData
 from eval.gap.realised import pooled_share, squares
 from narxcal.support.arrays import FloatArray
-from training.gap.finding import Interval
+from training.budget.result import Interval
 from training.gap.quadratic import TOLERANCE
 
 _AT_ONCE = 2  # flights that are predicted by the others

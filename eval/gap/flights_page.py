@@ -14,7 +14,7 @@ from eval.gap.flights_steps import FlightStudy, level_interval
 from eval.report import style
 from narxcal.channels import symbol
 from narxcal.support.files import atomic_write_bytes
-from training.gap.finding import Interval
+from training.budget.result import Interval
 
 NAME = "citation_gap"
 GOALS = {"N1_pct": 0.6, "EGT_C": 10.0}

@@ -10,7 +10,7 @@ import numpy as np
 from narxcal.effects.memory import Lag
 from narxcal.effects.steady import FOLLOW_S
 from narxcal.support.arrays import FloatArray
-from training.gap.finding import Interval
+from training.budget.result import Interval
 from training.gap.path_windows import Windows
 
 METAL_S = (15.0, 60.0, 180.0)  # time constants tried for heat soak (FACTS A4: 30 to 300 s)

@@ -14,7 +14,7 @@ from eval.gap.verdict_box import next_flights, tiles, verdict_box
 from eval.report.page import RunHeader, render
 from eval.report.style import Picture
 from narxcal.effects.library import effect
-from training.gap.finding import Interval
+from training.budget.result import Interval
 
 _MOST_DRAWN = 4
 

@@ -11,7 +11,7 @@ from narxcal.channels import symbol
 from narxcal.effects.base import Signals
 from narxcal.effects.memory import Lag
 from narxcal.support.arrays import FloatArray
-from training.gap.finding import Interval
+from training.budget.result import Interval
 
 _EITHER = 0.5  # of a share that is all or nothing
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from eval.report import style
 from narxcal.effects.base import Effect, Signals
 from narxcal.support.arrays import FloatArray
-from training.gap.finding import Interval
+from training.budget.result import Interval
 
 WIDTH, HEIGHT = 4.6, 2.7  # in inches
 

@@ -21,7 +21,7 @@ from eval.gap.side import Sides, side_of
 from eval.gap.theil import Theil, theil_of
 from eval.gap.times import TimeErrors, time_errors
 from narxcal.support.arrays import FloatArray
-from training.gap.finding import Interval
+from training.budget.result import Interval
 from training.gap.quadratic import TOLERANCE, misfit
 
 CORE = 0.7  # the smallest set of bins that holds this share

@@ -1,4 +1,4 @@
-"""Simple models that lead in an output where held-out logs say that they do better.
+"""Simple models of one output: the baselines, which lead where held-out logs say so.
 
 Each is driven by the steady-state values `ss` (time, n_out) of all outputs, and runs free:
 
@@ -27,7 +27,7 @@ KINDS: tuple[Kind, ...] = ("steady_state", "first_order", "arx")
 
 @dataclass(frozen=True)
 class Lead:
-    """One output's leading model: `channel` is its column among the outputs.
+    """A simple model of one output: `channel` is its column among the outputs.
 
     `push` and `pull` are gains per sample of a first-order lag; `poles` (order,), `gains`
     (order + 1, n_out) and `offset` those of an ARX model.

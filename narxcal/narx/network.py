@@ -160,6 +160,34 @@ class Scaling:
         return values * self.scale + self.centre
 
 
+def checked_inputs(u: ArrayLike, count: int) -> FloatArray:
+    """Inputs (time, count) of a free run; raises `DataError` for another shape and for a hole."""
+    inputs = np.asarray(u, dtype=np.float64)
+    if inputs.ndim != 2 or inputs.shape[1] != count:
+        raise DataError(f"expected inputs of shape (time, {count}), found {inputs.shape}")
+    unknown = np.flatnonzero(~np.isfinite(inputs).all(axis=1))
+    if len(unknown):
+        raise DataError(
+            "an input is not a finite number",
+            row=int(unknown[0]),
+            hint="A free run cannot step over a hole: fill it, or cut the record there",
+        )
+    return inputs
+
+
+def checked_start(start: ArrayLike, count: int) -> FloatArray:
+    """First samples (n, count) of a free run; raises `DataError` for another shape and for NaN."""
+    first = np.atleast_2d(np.asarray(start, dtype=np.float64))
+    if not len(first):
+        raise DataError("a free run needs at least one start sample, found none")
+    if first.shape[1] != count or not np.isfinite(first).all():
+        raise DataError(
+            f"expected finite start values of shape (n, {count}), "
+            f"found {first.shape} with {int((~np.isfinite(first)).sum())} not finite"
+        )
+    return first
+
+
 class NarxModel:
     """A network with its scaling: simulates records in the units they came in.
 
@@ -212,7 +240,7 @@ class NarxModel:
         `start` (n, outputs) or (outputs,) are the first n samples (1 for a vector); they are
         returned as given and everything after is the model's own. Returns (time, outputs).
         """
-        inputs, first = self._checked_inputs(u), self._start(start)
+        inputs, first = checked_inputs(u, self.inputs), checked_start(start, self.outputs)
         scaled = self.output_scaling.down(first)
         tapped = tap(self.input_scaling.down(inputs), self.config.taps)[len(first) :]
         history = history_before(scaled, len(scaled), self.config.lags)
@@ -224,7 +252,7 @@ class NarxModel:
 
         Sample 0 has no past and is NaN, and so is every sample whose history holds a NaN.
         """
-        inputs, measured = self._checked_inputs(u), np.asarray(y, dtype=np.float64)
+        inputs, measured = checked_inputs(u, self.inputs), np.asarray(y, dtype=np.float64)
         if measured.shape != (len(inputs), self.outputs):
             raise DataError(
                 f"expected outputs of shape {(len(inputs), self.outputs)}, found {measured.shape}"
@@ -241,30 +269,6 @@ class NarxModel:
         known = np.isfinite(past).all(axis=1)
         result[1:][known] = self.output_scaling.up(steps)[known]
         return result
-
-    def _checked_inputs(self, u: ArrayLike) -> FloatArray:
-        inputs = np.asarray(u, dtype=np.float64)
-        if inputs.ndim != 2 or inputs.shape[1] != self.inputs:
-            raise DataError(f"expected inputs of shape (time, {self.inputs}), found {inputs.shape}")
-        unknown = np.flatnonzero(~np.isfinite(inputs).all(axis=1))
-        if len(unknown):
-            raise DataError(
-                "an input is not a finite number",
-                row=int(unknown[0]),
-                hint="A free run cannot step over a hole: fill it, or cut the record there",
-            )
-        return inputs
-
-    def _start(self, start: ArrayLike) -> FloatArray:
-        first = np.atleast_2d(np.asarray(start, dtype=np.float64))
-        if not len(first):
-            raise DataError("a free run needs at least one start sample, found none")
-        if first.shape[1] != self.outputs or not np.isfinite(first).all():
-            raise DataError(
-                f"expected finite start values of shape (n, {self.outputs}), "
-                f"found {first.shape} with {int((~np.isfinite(first)).sum())} not finite"
-            )
-        return first
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
         """Split into JSON-able structure and named arrays, for the bundle."""

@@ -178,7 +178,7 @@ def _learned(evidence: Evidence) -> tuple[dict[str, float], float, list[Layer]]:
     known = {one.name: 0.0 for one in evidence.singles}
     none = 1.0
     for place in (*layers, *(() if more is None else (more,))):
-        names, scores = zip(*place.rivals, strict=True)
+        names, scores = zip(*place.confusable, strict=True)
         chances = softmax(0.5 * np.array([*scores, EVIDENCE]))
         none *= float(chances[-1])
         for name, chance in zip(names, chances, strict=False):
@@ -193,8 +193,10 @@ def _found(layers: Sequence[Layer]) -> Verdict:
             "none", (), (), "nothing acts beyond what this simulator gets wrong by itself"
         )
     effects = tuple(one.name for one in layers)
-    rivals = [n for one in layers for n, score in one.rivals if score > one.ratio - PER_PARAMETER]
-    alike = tuple(dict.fromkeys(name for name in rivals if name not in effects))
+    confusable = [
+        n for one in layers for n, score in one.confusable if score > one.ratio - PER_PARAMETER
+    ]
+    alike = tuple(dict.fromkeys(name for name in confusable if name not in effects))
     manoeuvre = LIBRARY[effects[0].partition(":")[0]].manoeuvre
     return Verdict("ambiguous" if alike else "effects", effects, alike, "", manoeuvre)
 
@@ -209,11 +211,13 @@ def _verdict(
     if unknown > known[first]:
         return Verdict("unknown", (), (), "something acts that no effect of the library explains")
     effects = tuple(one.name for one in layers)
-    rivals = credible(known, first)
-    rivals = tuple(name for name in rivals if name not in effects)
+    confusable = credible(known, first)
+    confusable = tuple(name for name in confusable if name not in effects)
     manoeuvre = LIBRARY[first.partition(":")[0]].manoeuvre
-    if known[first] < _SURE and rivals:
-        return Verdict("ambiguous", effects, rivals, "several effects explain the gap", manoeuvre)
+    if known[first] < _SURE and confusable:
+        return Verdict(
+            "ambiguous", effects, confusable, "several effects explain the gap", manoeuvre
+        )
     return Verdict("effects", effects, (), "", manoeuvre)
 
 

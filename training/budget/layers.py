@@ -35,13 +35,13 @@ class Layer:
     """One effect of the sum, as fitted beside the others.
 
     `ratio` is the log ratio of what is left without and with it, `share` what it takes of the
-    first energy, `rivals` every effect in its place with its own log ratio, best first.
+    first energy, `confusable` every effect in its place with its own log ratio, best first.
     """
 
     single: Single
     ratio: float
     share: float
-    rivals: tuple[tuple[str, float], ...]
+    confusable: tuple[tuple[str, float], ...]
 
     @property
     def name(self) -> str:
@@ -59,7 +59,7 @@ class Setting:
     dictionary: Dictionary
     learned: Discrepancy | None = None
 
-    def beside(self, others: Sequence[Single]) -> Frame:
+    def without(self, others: Sequence[Single]) -> Frame:
         """The frame of what `others` leave, their form error counted as variance."""
         gap, variance = self.record.gap, list(self.variance)
         for one in others:
@@ -121,7 +121,7 @@ def _anew(setting: Setting, layers: list[Layer], energy: float) -> list[Layer]:
 
 def _best(setting: Setting, others: Sequence[Single], energy: float) -> Layer | None:
     """The effect that takes most of what `others` leave."""
-    frame = setting.beside(others)
+    frame = setting.without(others)
     names = {one.name for one in others}
     tried = [
         frame.fit(nodes) for name, nodes in setting.dictionary.nodes.items() if name not in names

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.stats import norm, t
 
 from narxcal.support.arrays import FloatArray
-from training.gap.finding import ChannelShrink, Interval, Tried
+from training.budget.result import Interval
+from training.gap.finding import ChannelShrink, Tried
 from training.gap.fitting import Fit
 from training.gap.quadratic import Misfit
 

@@ -4,20 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
 
 from narxcal.support.arrays import FloatArray
-
-Kind = Literal["none", "effects", "ambiguous", "unknown"]
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A value with the ends of its 90 % interval."""
-
-    value: float
-    low: float
-    high: float
+from training.budget.result import Interval, Kind
 
 
 @dataclass(frozen=True)

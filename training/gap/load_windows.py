@@ -10,7 +10,7 @@ import numpy as np
 
 from narxcal.effects.running import Flights
 from narxcal.support.arrays import BoolArray, FloatArray, spans
-from training.gap.finding import Interval
+from training.budget.result import Interval
 from training.gap.levels import Found, Levels, of_paths
 from training.gap.load_edges import Change, Heard, Moment, moments
 from training.gap.load_noise import restless

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from narxcal.support.arrays import FloatArray, spans
+from training.budget.result import Interval
 from training.gap.blocks import Blocks, centred, common_shift, moment, whitened
 from training.gap.coloured_noise import FOLLOW, Noise, gains, whiten
-from training.gap.finding import Interval
 from training.gap.switching import cost
 from training.gap.window_search import Options, Search
 

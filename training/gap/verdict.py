@@ -9,8 +9,9 @@ from scipy.stats import t
 
 from narxcal.effects.base import InputEffect, RateEffect
 from narxcal.support.arrays import FloatArray
+from training.budget.result import Interval, Kind
 from training.gap.answer import Worth, channels, probabilities, shrink, tried
-from training.gap.finding import Finding, Interval, Kind, Tried
+from training.gap.finding import Finding, Tried
 from training.gap.fitting import Fit
 from training.gap.foils import foil
 from training.gap.offsets import Offset, alike

@@ -8,7 +8,8 @@ import pytest
 from data_prep.log import Log
 from eval.gap.blocks import batch
 from eval.gap.pairs import pair_logs
-from training.gap.finding import ChannelShrink, Finding, Interval, Tried
+from training.budget.result import Interval
+from training.gap.finding import ChannelShrink, Finding, Tried
 
 RATE_HZ = 16.0
 NOISE = {"N1_pct": 0.05, "N2_pct": 0.04, "EGT_C": 0.8}

@@ -8,7 +8,7 @@ from eval.gap.cautions import cautions, coarse_emulator
 from eval.gap.evidence import Evidence
 from eval.gap.pairs import pair_logs, read_pairs
 from eval.gap.where import locate
-from training.gap.finding import Interval
+from training.budget.result import Interval
 
 
 def said(pairs):

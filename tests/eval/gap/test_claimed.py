@@ -12,7 +12,7 @@ from eval.gap.claimed import (
     with_effects,
 )
 from narxcal.support.errors import ConfigError
-from training.gap.finding import Interval
+from training.budget.result import Interval
 
 
 def test_each_effect_has_the_sizes_of_the_best_model_with_it(make_model, make_finding):

@@ -11,7 +11,7 @@ from eval.gap.diagnose import Request, diagnose_folders, diagnose_pairs
 from eval.gap.expected import expected, seen, unseen
 from eval.gap.pairs import pair_logs
 from narxcal.support.errors import ConfigError, DataError
-from training.gap.finding import Interval
+from training.budget.result import Interval
 
 NAME = "sensor_lag:EGT_C"
 

@@ -15,7 +15,7 @@ from eval.gap.summary import effect_table, sentence, shrink_table, where_table
 from eval.gap.verdict_box import next_flights
 from eval.gap.where import locate
 from narxcal.effects.library import effect
-from training.gap.finding import Interval
+from training.budget.result import Interval
 
 NAME = "sensor_lag:EGT_C"
 VALUES = {NAME: {"tau_s": 1.0}}

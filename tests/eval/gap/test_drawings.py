@@ -5,7 +5,7 @@ import pytest
 
 from eval.gap.drawings import drawing
 from narxcal.effects import Signals, candidates, effect
-from training.gap.finding import Interval
+from training.budget.result import Interval
 
 INPUTS = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "Approach", "ECS", "NAI", "WAI", "unlogged")
 OUTPUTS = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")

@@ -16,7 +16,7 @@ from eval.gap.page import gap_page
 from eval.gap.pairs import pair_logs
 from eval.gap.summary import window_table
 from tests.eval.gap.conftest import lagged
-from training.gap.finding import Interval
+from training.budget.result import Interval
 
 SIZES = {"on_N1_pct": -0.6, "on_N2_pct": -0.5, "on_EGT_C": 14.0}
 SLOW = {"tau_s": Interval(9.0, 8.9, 9.1)}

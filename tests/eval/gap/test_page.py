@@ -17,7 +17,7 @@ from eval.gap.page import drawn_effects, gap_page, header
 from eval.gap.realised import channel_shrink, held_out, time_shrink
 from eval.gap.verdict_box import next_flights, tiles, verdict_box
 from eval.gap.where import locate
-from training.gap.finding import Interval
+from training.budget.result import Interval
 
 NAME = "sensor_lag:EGT_C"
 VALUES = {NAME: {"tau_s": 1.0}}
