@@ -44,6 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--json", action="store_true", help="print one JSON document")
     options = parser.parse_args(arguments)
+    options.data = options.data.resolve()
     began = time.perf_counter()
     if options.untuned:
         found = list(untuned.rows(options.data, options.seed))

@@ -55,7 +55,8 @@ from narxcal.support.settings import Section
 from training.config import RunConfig
 from training.crossval import CrossvalConfig
 from training.records import split_logs
-from training.redundancy import MASK, Bank, masked, screened
+from training.redundancy import Bank
+from training.screening import MASK, masked, screened
 
 SCHEMA = "narxcal.evaluate/1"
 NEW = "new"

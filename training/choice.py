@@ -42,6 +42,16 @@ from narxcal.record import Record
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from training.config import TrainConfig
+from training.held_out import (
+    FOLDS,
+    SHORTEST,
+    WINDOW,
+    Fold,
+    by_piece,
+    folds_of,
+    runs_of,
+    thinned,
+)
 from training.latent import (
     Data,
     Fitted,
@@ -57,10 +67,8 @@ from training.network import Material, fit_narx
 
 UNITS_PER_S = 1_000_000  # sample-steps of one nominal microsecond in a CPU second
 _EMERGENCY = 4.0, 60.0  # the clock stops the search at so many times the limit and CPU s more
-_FOLDS = 4
 _UNITS_PER_SAMPLE = 6000.0  # of the budget; with less there are half as many folds
 _LEAST_LINEAR = 2000  # samples per fold that linear models get whatever they cost
-_WINDOW = 50  # measured samples before the longer of two held-out runs, at most a fifth of it
 _ORDERS = (1, 2, 3, 4, 5, 6, 8)
 _ARX_ORDERS = (1, 2, 3, 5, 8, 15, 30)
 _HIDDEN = (4, 8, 16)
@@ -72,7 +80,6 @@ _FAR = 3.0  # times the lowest loss of the draws: twice its error or nearly so
 _LEAST = 5.0  # rows per parameter; fewer determine nothing
 _FEW = 400  # samples per fold on which no form is worth trying
 _PLENTY = 30.0  # rows per parameter beyond which every further one is skipped while searching
-_SHORTEST = 8  # samples of a piece; fewer leave nothing to hold out
 _NETWORK = NarxConfig(lags=8, taps=tuple(range(9)), hidden=8)
 _NETWORK_TRAIN = TrainConfig(
     horizons_s=(20.0, 200.0, 0.0), iterations=(10, 15, 25), score_every_s=1.0, threads=1
@@ -83,29 +90,6 @@ NETWORK, LATENT, MEAN = "NARX network", "latent states", "mean"
 
 Watch = Callable[[float, str], None]
 Known = tuple[Fitted, LatentModel]
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """A held-out free run: all rows of `record` from `begin` on, `start` samples of it given."""
-
-    record: Record
-    begin: int
-    start: int
-
-    def error(self, model: DynamicModel) -> FloatArray:
-        """Free run less measurement (scored samples, outputs)."""
-        u, y = self.record.u[self.begin :], self.record.y[self.begin :]
-        free = model.simulate(u, known_start(y, self.start))
-        return (free - y)[self.start :]
-
-
-@dataclass(frozen=True, eq=False)
-class Fold:
-    """What is fitted and what is held out."""
-
-    fit: tuple[Record, ...]
-    held: tuple[Run, ...]
 
 
 @dataclass(frozen=True)
@@ -175,12 +159,6 @@ class _Work:
         return self.spent + units <= self.budget and not self.late
 
 
-def known_start(y: FloatArray, samples: int) -> FloatArray:
-    """The first `samples` outputs; a masked one takes its channel's first known value."""
-    first = y[np.isfinite(y).argmax(axis=0), np.arange(y.shape[1])]
-    return np.where(np.isfinite(y[:samples]), y[:samples], np.nan_to_num(first))
-
-
 @dataclass(frozen=True)
 class Limits:
     """CPU seconds of the search, seed of the draws, and whether only linear rungs are tried."""
@@ -205,78 +183,15 @@ def choose(
     return search.run(validation)
 
 
-def folds_of(records: Sequence[Record], gap: int, count: int = 2 * _FOLDS) -> list[Fold]:
-    """Held-out records, or blocks where there are fewer than four; `gap` samples beside left out.
-
-    Blocks are a sixth of all samples each and overlap by a third, so that what happens rarely is
-    not always at the edge of one.
-    """
-    if len(records) >= _FOLDS:
-        turns = min(count, len(records))
-        groups = [
-            [(k, 0, len(records[k])) for k in range(turn, len(records), turns)]
-            for turn in range(turns)
-        ]
-    else:
-        each = -(-count // len(records))
-        groups = [
-            [(k, first, first + _block(record, len(records), each))]
-            for k, record in enumerate(records)
-            for first in np.linspace(0, len(record) - _block(record, len(records), each), each)
-            .astype(int)
-            .tolist()
-        ]
-    found = []
-    for held in groups:
-        fit = [part for k, record in enumerate(records) for part in _without(record, k, held, gap)]
-        runs = [run for k, a, b in held for run in _runs(_cut(records[k], a, b))]
-        if fit and runs:
-            found.append(Fold(tuple(fit), tuple(runs)))
-    return found
-
-
-def _block(record: Record, records: int, each: int) -> int:
-    """Length of a held-out block of one of few records."""
-    return min(max(len(record) * records // 6, len(record) // each), len(record) // 2)
-
-
-def _cut(record: Record, a: int, b: int) -> Record:
-    weight = None if record.weight is None else record.weight[a:b]
-    return Record(record.u[a:b], record.y[a:b], f"{record.name}[{a}:{b}]", weight)
-
-
-def _without(
-    record: Record, number: int, held: Sequence[tuple[int, int, int]], gap: int
-) -> list[Record]:
-    """What is left of a record, in pieces long enough to fit."""
-    keep = np.ones(len(record), dtype=bool)
-    for k, a, b in held:
-        if k == number:
-            keep[max(a - gap, 0) if a else 0 : b + gap if b < len(record) else b] = False
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], keep.astype(int), [0]])))
-    parts = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-    return [_cut(record, a, b) for a, b in parts if b - a >= _SHORTEST]
-
-
-def _runs(record: Record) -> list[Run]:
-    """From the beginning with a window of outputs, from the middle with one sample."""
-    length = len(record)
-    if length < _SHORTEST:
-        return []
-    window = max(min(_WINDOW, length // 5), 1)
-    found = [Run(record, 0, window), Run(record, length // 3, max(window // 2, 1))]
-    return [run for run in found if np.isfinite(record.y[run.begin + run.start :]).any()]
-
-
 class _Search:
     """One search: records, folds, what was tried and what was spent."""
 
     def __init__(self, records: list[Record], limits: Limits, watch: Watch) -> None:
-        self.records = [r for r in records if len(r) >= _SHORTEST and np.isfinite(r.y).any()]
+        self.records = [r for r in records if len(r) >= SHORTEST and np.isfinite(r.y).any()]
         if not self.records:
             longest = max(len(record) for record in records)
             raise DataError(
-                f"the longest record has {longest} samples with outputs, and at least {_SHORTEST} "
+                f"the longest record has {longest} samples with outputs, and at least {SHORTEST} "
                 "are needed to fit and to hold something out",
                 hint="Add longer records",
             )
@@ -295,11 +210,11 @@ class _Search:
         self.watch(0.0, "dead time")
         self.delays = self._delays()
         if validation:
-            runs = tuple(run for record in validation for run in _runs(record))
+            runs = tuple(run for record in validation for run in runs_of(record))
             self.folds = [Fold(tuple(self.records), runs)] if runs else []
         else:
             many = self.samples > self.work.budget / _UNITS_PER_SAMPLE
-            self.folds = folds_of(self.records, self._gap(), _FOLDS if many else 2 * _FOLDS)
+            self.folds = folds_of(self.records, self._gap(), FOLDS if many else 2 * FOLDS)
         if not self.folds:
             return self._without_folds()
         rungs = [self._arx, self._linear, self._latent, self._network, self._mean]
@@ -325,12 +240,12 @@ class _Search:
 
     def _gap(self) -> int:
         """Samples left out beside a held-out block: until a start is forgotten, at most 2 %."""
-        return min(_WINDOW, self.samples // 50)
+        return min(WINDOW, self.samples // 50)
 
     def _delays(self) -> list[tuple[int, ...]]:
         """No dead time, and the one by which a short ARX model predicts best, if there is any."""
         none = (0,) * self.inputs
-        data = Data.of(_thinned(self.records, 20000), none, self.scalings)
+        data = Data.of(thinned(self.records, 20000), none, self.scalings)
         most = min(60, min(len(u) for u in data.inputs) // 10)
         found = list(none)
         for j in range(self.inputs):
@@ -347,7 +262,7 @@ class _Search:
         for model, fold in zip(fits, self.folds, strict=True):
             own = [run.error(model) / scale for run in fold.held]
             errors += own
-            scores += _by_piece(fold.held, own)
+            scores += by_piece(fold.held, own)
         return Tried(form, np.array(scores), tuple(errors), build)
 
     def _arx(self) -> None:
@@ -370,7 +285,7 @@ class _Search:
         most = max(self._affordable(0.12, costs * len(self.delays) * 20), _LEAST_LINEAR)
         self.bases: dict[tuple[int, tuple[int, ...]], list[Known]] = {}
         for delay in self.delays:
-            datas = [Data.of(_thinned(f.fit, most), delay, self.scalings) for f in self.folds]
+            datas = [Data.of(thinned(f.fit, most), delay, self.scalings) for f in self.folds]
             starts = [Starts.of(data) for data in datas]
             for n in _ORDERS:
                 shape = Shape(n, self.inputs, self.outputs, 0, delay)
@@ -460,7 +375,7 @@ class _Search:
         shape = Shape(n, self.inputs, self.outputs, h, delay)
         samples = 0
         for number, fold in enumerate(self.folds):
-            records = _thinned(fold.fit, most)
+            records = thinned(fold.fit, most)
             data = self._data(records, delay, shape.size)
             base = moved(*self.bases[n, delay][number], data)
             samples += sum(map(len, records))
@@ -497,7 +412,7 @@ class _Search:
         units = 0.15 * self.work.budget / (len(decays) * _STEPS * _DRAWS)
         most = max(self._most(units, [(n, h)]), min(_FEW, self.samples))
         linear = Shape(shape.states, self.inputs, self.outputs, 0, shape.delay)
-        data = self._data(_thinned(self.records, most), shape.delay, shape.size)
+        data = self._data(thinned(self.records, most), shape.delay, shape.size)
         base = fit_linear(data, linear)
         if base is None:  # cannot be: a fallback start exists for every order
             raise DataError("no linear model could be fitted")
@@ -527,7 +442,7 @@ class _Search:
             train = _NETWORK_TRAIN.model_copy(update={"decay": decay, "seed": self.seed})
             fits = []
             for fold in self.folds:
-                records = [r for r in _thinned(fold.fit, most) if len(r) > _NETWORK.taps[-1] + 1]
+                records = [r for r in thinned(fold.fit, most) if len(r) > _NETWORK.taps[-1] + 1]
                 fits.append(fit_narx(Material(records, (), 1.0), _NETWORK, train).model)
                 self.work.spend(_NETWORK_COST * steps * sum(map(len, records)))
             size = len(fits[0].weights.theta)
@@ -541,7 +456,7 @@ class _Search:
     def _final_network(self, train: TrainConfig) -> DynamicModel:
         records = [r for r in self.records if len(r) > _NETWORK.taps[-1] + 1]
         most = self._affordable(0.3, _NETWORK_COST * sum(train.iterations), folds=1)
-        return fit_narx(Material(_thinned(records, most), (), 1.0), _NETWORK, train).model
+        return fit_narx(Material(thinned(records, most), (), 1.0), _NETWORK, train).model
 
     def _mean(self) -> None:
         """Weighted mean of the best form of each rung, weights by least squares on other pieces."""
@@ -562,7 +477,7 @@ class _Search:
         used = [(one, w) for one, w in zip(best, weights, strict=True) if w > 0.02]
         if len(used) < 2:
             return
-        scores = _by_piece(pieces, mixed)
+        scores = by_piece(pieces, mixed)
         total = sum(w for _, w in used)
         text = " + ".join(f"{w / total:.2f} {one.form.rung}" for one, w in used)
         parameters = sum(one.form.parameters for one, _ in used)
@@ -695,23 +610,6 @@ def _samples(datas: Sequence[Data]) -> int:
     return sum(len(u) for data in datas for u in data.inputs)
 
 
-def _thinned(records: Sequence[Record], most: int) -> list[Record]:
-    """Records, or contiguous parts spread over each where all have more samples than `most`."""
-    total = sum(map(len, records))
-    if total <= most:
-        return list(records)
-    found = []
-    for record in records:
-        length = int(len(record) * most / total)
-        chunks = max(min(4, length // 1000), 1)
-        each = max(length // chunks, 4 * _SHORTEST)
-        for first in np.linspace(0, max(len(record) - each, 0), chunks).astype(int).tolist():
-            part = _cut(record, first, min(first + each, len(record)))
-            if np.isfinite(part.y).any():
-                found.append(part)
-    return found
-
-
 def _short_arx_error(data: Data, delay: tuple[int, ...]) -> float:
     """One-step error of an ARX model of two past outputs and two inputs behind dead times."""
     rows, targets = [], []
@@ -728,14 +626,6 @@ def _short_arx_error(data: Data, delay: tuple[int, ...]) -> float:
         return np.inf
     error = target - phi @ np.linalg.lstsq(phi, target, rcond=None)[0]
     return float(np.mean(error**2))
-
-
-def _by_piece(runs: Sequence[Run], errors: Sequence[FloatArray]) -> list[float]:
-    """Root mean square over the runs of each held-out piece."""
-    found: dict[str, list[FloatArray]] = {}
-    for run, error in zip(runs, errors, strict=True):
-        found.setdefault(run.record.name, []).append(error.ravel() ** 2)
-    return [float(np.sqrt(np.nanmean(np.concatenate(each)))) for each in found.values()]
 
 
 def _beats(one: Tried, other: Tried) -> bool:

@@ -27,7 +27,7 @@ brings all |S_i| below 1. Late channels and stretched time show in the dynamics 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, Self
@@ -35,14 +35,12 @@ from typing import Any, Self
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
-from scipy.stats import t as student
 
-from data_prep.log import AuditEntry, Fault, Kind, Log
-from data_prep.plausibility import conversions, fault, sound_air
-from narxcal.atmosphere import air_state, corrected_scale, mach_of_cas
+from data_prep.log import Log
+from narxcal.atmosphere import air_state, corrected_scale
 from narxcal.channels import CHANNELS, symbol
 from narxcal.steady.model import ALTERED
-from narxcal.support.arrays import BoolArray, FloatArray, IntArray, bridge_gaps, noise_level, spans
+from narxcal.support.arrays import BoolArray, FloatArray, IntArray, bridge_gaps, noise_level
 from narxcal.support.errors import ModelError
 
 _STEP_S = 1.0
@@ -50,13 +48,13 @@ _LEAST_STEPS = 10  # of a log; fewer show no relation of channels
 _LAGS_S = (2.0, 8.0, 30.0)
 # Means over short windows of transients scatter more than those over long ones: windows in s, and
 # the limits of S_i in them. The largest of left-out flights: 4.3 and 3.3.
-_WINDOWS_S, _LIMITS, _WHOLE_LIMIT = (20.0, 100.0), (6.0, 4.4), 2.7
+WINDOWS_S, LIMITS, _WHOLE_LIMIT = (20.0, 100.0), (6.0, 4.4), 2.7
 _RIDGE = 1e-4
 # Scatter between engines of a type and their meters, as a share of the level, until left-out logs
-# say more; it counts as `_PRIOR_LOGS` of them.
+# say more; it counts as `PRIOR_LOGS` of them.
 _PRIOR = {"%": 0.01, "degC": 0.024, "kg/h": 0.03}
-_PRIOR_OTHER, _PRIOR_LOGS = 0.03, 1.5
-_AIR = ("ALT_ft", "Mach", "dT_C")
+_PRIOR_OTHER, PRIOR_LOGS = 0.03, 1.5
+AIR = ("ALT_ft", "Mach", "dT_C")
 _MOST_FOLDS = 8
 
 Values = Mapping[str, FloatArray]
@@ -94,7 +92,7 @@ def _block_means(values: FloatArray, size: int) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class _Corrected:
+class Corrected:
     """Corrected engine channels, and the air they are in."""
 
     x: Values
@@ -106,9 +104,10 @@ class _Corrected:
 
     @classmethod
     def of(cls, signals: Signals, names: Sequence[str]) -> Self:
+        """Correct the channels `names`; where air data are missing their neighbours' are taken."""
         zero = np.zeros(len(signals.time_s))
-        known = np.all([np.isfinite(signals.values.get(name, zero)) for name in _AIR], axis=0)
-        air_values = [bridge_gaps(signals.values.get(name, zero)) for name in _AIR]
+        known = np.all([np.isfinite(signals.values.get(name, zero)) for name in AIR], axis=0)
+        air_values = [bridge_gaps(signals.values.get(name, zero)) for name in AIR]
         air_values = [np.where(np.isfinite(each), each, 0.0) for each in air_values]
         # A Mach number in percent, say, must not overflow before it is recognised.
         mach = np.clip(air_values[1], 0.0, 3.0)
@@ -125,7 +124,7 @@ class _Corrected:
         return corrected * self.scale[name] - self.offset[name]
 
 
-def _features(z: FloatArray, air: _Corrected, step_s: float) -> FloatArray:
+def _features(z: FloatArray, air: Corrected, step_s: float) -> FloatArray:
     """Phi (time, 18) of a channel scaled to zero mean and unit spread."""
     mach, log_delta = air.mach, air.log_delta
     apart = []
@@ -196,7 +195,7 @@ class Bank:
         return cls(**{**known, "channels": tuple(known["channels"])})
 
     def predict(
-        self, air: _Corrected, target: str, source: str, step_s: float
+        self, air: Corrected, target: str, source: str, step_s: float
     ) -> tuple[FloatArray, FloatArray]:
         """Corrected target (time,) and the side, 1 above and -1 below, that the source is beyond.
 
@@ -221,7 +220,7 @@ class Residuals:
     expected: Values  # corrected
     consensus: Values  # c
     smooth: Values  # S
-    corrected: _Corrected
+    corrected: Corrected
 
     @property
     def flagged(self) -> dict[str, BoolArray]:
@@ -254,8 +253,8 @@ def residuals(
 ) -> Residuals:
     """Compare the channels of one log with each other; `step_s` replaces that of the signals."""
     step_s = step_s or signals.step_s
-    air = _Corrected.of(signals, channels)
-    testable = _inside_air(bank, air)
+    air = Corrected.of(signals, channels)
+    testable = inside_air(bank, air)
     errors: dict[str, dict[str, FloatArray]] = {}
     expected, consensus, smooth = {}, {}, {}
     for i in channels:
@@ -341,8 +340,8 @@ def _weighted(values: Values, weights: Mapping[str, float]) -> FloatArray:
 def _larger(deviation: FloatArray, step_s: float) -> FloatArray:
     """S (time,): of the means over the windows, each over its limit, the one of larger size."""
     short, long = (
-        _moving_mean(deviation, round(window_s / step_s)) / limit
-        for window_s, limit in zip(_WINDOWS_S, _LIMITS, strict=True)
+        moving_mean(deviation, round(window_s / step_s)) / limit
+        for window_s, limit in zip(WINDOWS_S, LIMITS, strict=True)
     )
     found = np.where(np.abs(long) > np.abs(np.nan_to_num(short)), long, short)
     known = deviation[np.isfinite(deviation)]
@@ -356,7 +355,7 @@ _LEAST_WHOLE_S = 300.0
 _ONE_SIGN = 0.6  # surplus of samples of one sign that a wrong level of a whole log has
 
 
-def _moving_mean(values: FloatArray, size: int) -> FloatArray:
+def moving_mean(values: FloatArray, size: int) -> FloatArray:
     """Centred mean of the finite samples; NaN where fewer than half are."""
     known = np.isfinite(values)
     weight = uniform_filter1d(known.astype(np.float64), size, mode="nearest")
@@ -367,7 +366,7 @@ def _moving_mean(values: FloatArray, size: int) -> FloatArray:
 _MACH_MARGIN, _DELTA_MARGIN = 0.04, 0.1
 
 
-def _inside_air(bank: Bank, air: _Corrected) -> BoolArray:
+def inside_air(bank: Bank, air: Corrected) -> BoolArray:
     """Samples in air like that of the training logs; elsewhere the models extrapolate."""
     inside = air.known.copy()
     margins = {"mach": _MACH_MARGIN, "log_delta": _DELTA_MARGIN}
@@ -409,15 +408,15 @@ def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
         rest = learn([log for log in logs if log.name not in spoiling], channels)
         return None if rest is None else replace(rest, spoiling=spoiling)
     whole = replace(_fit(all_signals, names), pairs=pairs)
-    ratios = {k: [_log_ratio(whole, one, names, k) for one in all_signals] for k in _STRETCHES}
+    ratios = {k: [log_ratio(whole, one, names, k) for one in all_signals] for k in STRETCHES}
     return replace(
         whole,
         stretch={str(k): _finite_mean(values) for k, values in ratios.items()},
         sigma={name: _rms(name, "", [one.consensus[name] for one in left_out]) for name in names},
         regimes={name: _regime_ratios(name, left_out) for name in names},
         levels={name: tuple(_level(one.consensus[name]) for one in left_out) for name in names},
-        delays=_delay_table([_delays(log, names) for log in logs], names),
-        noise={name: max(_noise(log, name) for log in logs) for name in names},
+        delays=_delay_table([delays_between(log, names) for log in logs], names),
+        noise={name: max(noise_of(log, name) for log in logs) for name in names},
         updates=_longest_updates(logs),
         logs=len(parts),
         used=tuple(name for name in names if name in channels),
@@ -485,7 +484,7 @@ def _halves(signals: Signals) -> list[Signals]:
 
 
 def _fit(logs: Sequence[Signals], names: Sequence[str]) -> Bank:
-    air = [_Corrected.of(one, names) for one in logs]
+    air = [Corrected.of(one, names) for one in logs]
     joined = {name: np.concatenate([one.x[name] for one in air]) for name in names}
     centre = {name: float(np.nanmean(values)) for name, values in joined.items()}
     spread = {name: max(float(np.nanstd(values)), 1e-9) for name, values in joined.items()}
@@ -552,8 +551,8 @@ def _rms(target: str, source: str, left_out: Sequence[FloatArray]) -> float:
     count = len(squares)
     # A model of all n logs is nearer to the next log than one of n - 1 is to the one left out.
     nearer = (1.0 + 1.0 / count) / (1.0 + 1.0 / (count - 1)) if count > 1 else 1.0
-    total = _PRIOR_LOGS * prior**2 + nearer * sum(squares)
-    return float(np.sqrt(total / (_PRIOR_LOGS + count)))
+    total = PRIOR_LOGS * prior**2 + nearer * sum(squares)
+    return float(np.sqrt(total / (PRIOR_LOGS + count)))
 
 
 def _level(values: FloatArray) -> float:
@@ -561,7 +560,7 @@ def _level(values: FloatArray) -> float:
     return float(np.median(known)) if len(known) else 0.0
 
 
-def _noise(log: Log, name: str) -> float:
+def noise_of(log: Log, name: str) -> float:
     """White noise of a channel: what smoothing removed, or what is left."""
     return float(np.hypot(np.sqrt(log.noise.get(name, 0.0)), noise_level(log[name])))
 
@@ -575,7 +574,7 @@ _DELAY_STEP_S, _LONGEST_DELAY_S = 0.2, 12.0
 _LEAST_CORRELATION = 0.3
 
 
-def _delays(log: Log, names: Sequence[str]) -> dict[tuple[str, str], float]:
+def delays_between(log: Log, names: Sequence[str]) -> dict[tuple[str, str], float]:
     """Delay of channel i behind channel j in s, where their rates of change are correlated.
 
     The largest value of the cross-correlation of the rates over 1 s, interpolated by a parabola.
@@ -627,196 +626,17 @@ def _delay_table(
         for j in names:
             seen = np.array([one[i, j] for one in found if (i, j) in one])
             if len(seen):
-                square = _PRIOR_LOGS * _DELAY_PRIOR_S**2 + np.sum((seen - seen.mean()) ** 2)
-                spread = np.sqrt(square / (_PRIOR_LOGS + len(seen) - 1))
+                square = PRIOR_LOGS * _DELAY_PRIOR_S**2 + np.sum((seen - seen.mean()) ** 2)
+                spread = np.sqrt(square / (PRIOR_LOGS + len(seen) - 1))
                 table[i][j] = (float(seen.mean()), float(spread))
     return table
 
 
-# --- examination --------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class _Subject:
-    """The log under examination, as it is after the faults found so far are undone."""
-
-    log: Log
-    signals: Signals
-    channels: tuple[str, ...]
-    faults: tuple[Fault, ...] = ()
-    stretch: float = 1.0
-    mended: tuple[str, ...] = ()
-
-    def found(self, fault_: Fault, without: str = "", values: Values | None = None) -> _Subject:
-        """Add a fault, and go on without its channel or with the values before it."""
-        return replace(
-            self,
-            signals=self.signals.having(values or {}),
-            channels=tuple(name for name in self.channels if name != without),
-            faults=(*self.faults, fault_),
-        )
-
-
-def screened(bank: Bank | None, logs: Sequence[Log]) -> list[Log]:
-    """Return prepared logs with the faults that the bank shows added to their own."""
-    if bank is None:
-        return list(logs)
-    found = [replace(log, faults=examine(bank, log)) for log in logs]
-    for i, k in combinations(range(len(found)), 2):
-        if _of_one_flight(found[i], found[k]):
-            found[i], found[k] = _exchanged(bank, found[i], found[k])
-    return found
-
-
-def _of_one_flight(a: Log, b: Log) -> bool:
-    """Whether two logs are those of two engines at the same times."""
-    apart = a.source.engine != b.source.engine and a.source.file == b.source.file
-    return apart and len(a) == len(b) and bool(a.time_s[0] == b.time_s[0])
-
-
-# Kinds of fault that an exchange may explain.
-_LEVELS = frozenset({"scale", "bias", "drift", "dead", "inconsistent"})
-_EXCHANGED = 0.85  # of the residual, at most, that an exchange leaves in both logs together
-
-
-def _exchanged(bank: Bank, a: Log, b: Log) -> tuple[Log, Log]:
-    """Name a channel of wrong level that fits when both engines' readings are exchanged."""
-    names = {each.channel for log in (a, b) for each in log.faults if each.kind in _LEVELS}
-    for name in sorted(names & {*bank.channels}):
-        channels = tuple(one for one in bank.channels if a.recorded([one]) and b.recorded([one]))
-        if name not in channels:
-            continue
-        pair = Signals.of(a), Signals.of(b)
-        mended = (
-            pair[0].having({name: pair[1].values[name]}),
-            pair[1].having({name: pair[0].values[name]}),
-        )
-        before, after = (
-            [residuals(bank, one, channels) for one in signals] for signals in (pair, mended)
-        )
-        left = sum(_wander(one) ** 2 for one in after) / sum(_wander(one) ** 2 for one in before)
-        if left < _EXCHANGED**2 and all(_mostly_sound(one) for one in after):
-            return _with_exchange(a, b, name), _with_exchange(b, a, name)
-    return a, b
-
-
-def _with_exchange(log: Log, other: Log, name: str) -> Log:
-    """The log with its faults of level replaced by the exchange that explains them."""
-    kept = tuple(each for each in log.faults if each.kind not in _LEVELS)
-    text = f"fits the training logs when exchanged with that of {other.source.engine}"
-    return replace(log, faults=(*kept, fault(log, (name,), ("swapped", text))))
-
-
-def examine(bank: Bank, log: Log) -> tuple[Fault, ...]:
-    """The faults of one prepared log: its own, and those that the bank shows."""
-    lost = {each.channel for each in log.faults if each.kind in {"unit", "held"}}
-    channels = tuple(name for name in bank.channels if log.recorded([name]) and name not in lost)
-    subject = _Subject(log, Signals.of(log), channels, log.faults)
-    if len(channels) < 2 or len(subject.signals.time_s) < _WINDOWS_S[0]:
-        return log.faults
-    for step in _STEPS:
-        if len(subject.channels) > 1:
-            subject = step(bank, subject)
-    used = {*bank.used, *_AIR, "CAS_kt", "time_s"}
-    return tuple(each for each in subject.faults if each in log.faults or used & {*each.channels})
-
-
-_SELDOM = 1.6
-
-
-def _coarse(bank: Bank, subject: _Subject) -> _Subject:
-    """Channels, or whole rows, that change much more seldom than in the training logs."""
-    log = subject.log
-    seldom = [log.updates.get(name, 0.0) / bank.updates.get(name, 1.0) for name in subject.channels]
-    if min(seldom) > _SELDOM and max(seldom) < _SELDOM * min(seldom):
-        text = f"rows come {np.median(seldom):.2g} times as seldom as in the training logs"
-        doubtful = fault(log, ("time_s",), ("inconsistent", text), confidence=0.9)
-        return subject.found(doubtful)
-    for name in subject.channels:
-        every_s, usual_s = subject.log.updates.get(name, 0.0), bank.updates.get(name, 0.0)
-        if every_s > max(0.5, 3.0 * usual_s, 3.0 * subject.log.dt_s):
-            text = f"changes every {every_s:.2g} s only, every {usual_s:.2g} s in the training logs"
-            subject = subject.found(fault(subject.log, (name,), ("held", text)), without=name)
-    return subject
-
-
-_LEAST_DELAY_S = 0.4
-
-
-def _late(bank: Bank, subject: _Subject) -> _Subject:
-    """A channel that is later against all others than in the training logs."""
-    log = subject.log
-    found = _delays(replace(log, time_s=log.time_s / subject.stretch), subject.channels)
-    excess, spread = {}, {}
-    for i in subject.channels:
-        known = [
-            (found[i, j] - bank.delays[i][j][0], bank.delays[i][j][1])
-            for j in subject.channels
-            if (i, j) in found and j in bank.delays.get(i, {})
-        ]
-        if len(known) >= 2:
-            excess[i] = _agreed([error for error, _ in known])
-            spread[i] = float(np.median([each for _, each in known]))
-    late = {
-        name: delay
-        for name, delay in excess.items()
-        if abs(delay) > max(_LEAST_DELAY_S, 4.0 * spread[name])
-    }
-    if not late:
-        return subject
-    name = max(late, key=lambda each: abs(late[each]))
-    delay = late[name]
-    word = "late" if delay > 0.0 else "early"
-    shift = delay / subject.signals.step_s
-    values = subject.signals.values[name]
-    rows = np.arange(len(values)) + shift
-    shifted = np.interp(rows, np.arange(len(values)), bridge_gaps(values))
-    text = f"{abs(delay):.2g} s {word} against {_listed(subject.channels, name)}"
-    return subject.found(fault(subject.log, (name,), ("late", text)), values={name: shifted})
-
-
-def _agreed(errors: Sequence[float]) -> float:
-    """Median of three or more; of two, the smaller where both have one sign."""
-    if len(errors) != 2:
-        return float(np.median(errors))
-    return min(errors, key=abs) if errors[0] * errors[1] > 0.0 else 0.0
-
-
-def _listed(channels: Sequence[str], but: str) -> str:
-    return " and ".join(symbol(name) for name in channels if name != but)
-
-
-_STRETCHES = (0.5, 2.0)
+STRETCHES = (0.5, 2.0)
 _DYNAMIC_S, _MOVING = 150.0, 0.8
-_MOSTLY = 0.5  # of a log in air of the training logs: dynamics of other air may be slower
 
 
-def _stretched(bank: Bank, subject: _Subject) -> _Subject:
-    """Time stamps by which all dynamics are too slow or too fast.
-
-    `r(k)` is the ratio of the dynamic residual, were the stamps stretched by k, to that as they
-    are. A sound log has the r(k) of the training logs; one that is stretched by k has 1 / r(1/k).
-    The log belongs to the nearer of both.
-    """
-    inside = _inside_air(bank, _Corrected.of(subject.signals, subject.channels))
-    if inside.mean() < _MOSTLY:
-        return subject
-    beyond = {}
-    for stretch in _STRETCHES:
-        usual, inverse = bank.stretch[str(stretch)], bank.stretch[str(1.0 / stretch)]
-        found = _log_ratio(bank, subject.signals, subject.channels, stretch)
-        beyond[stretch] = 0.5 * (usual - inverse) - found
-    best = max(beyond, key=lambda each: beyond[each])
-    if not beyond[best] > 0.0:
-        return subject
-    word = "long" if best > 1.0 else "short"
-    text = f"time stamps look stretched by {best:g}: all responses are so many times as {word}"
-    found_ = subject.found(fault(subject.log, ("time_s",), ("scale", text)))
-    signals = replace(subject.signals, step_s=subject.signals.step_s / best)
-    return replace(found_, signals=signals, stretch=best)
-
-
-def _log_ratio(bank: Bank, signals: Signals, channels: Sequence[str], stretch: float) -> float:
+def log_ratio(bank: Bank, signals: Signals, channels: Sequence[str], stretch: float) -> float:
     """Ln r(k): mean over the pairs of the log ratio of the RMS residual in the moving samples.
 
     NaN where nothing moves.
@@ -826,365 +646,11 @@ def _log_ratio(bank: Bank, signals: Signals, channels: Sequence[str], stretch: f
         found = residuals(bank, signals, channels, step_s)
         size = round(_DYNAMIC_S / signals.step_s)
         first = found.corrected.x[channels[0]]
-        motion = np.abs(first - _moving_mean(first, size // 5))
+        motion = np.abs(first - moving_mean(first, size // 5))
         moving = motion > np.nanpercentile(motion, 100.0 * _MOVING)
         pairs = [each for errors in found.errors.values() for each in errors.values()]
-        rough = [(each - _moving_mean(each, size))[moving] for each in pairs]
+        rough = [(each - moving_mean(each, size))[moving] for each in pairs]
         if not all(np.isfinite(each).any() for each in rough):
             return float("nan")
         sizes.append([np.sqrt(np.nanmean(each**2) + 1e-12) for each in rough])
     return float(np.mean(np.log(np.array(sizes[0]) / np.array(sizes[1]))))
-
-
-def _whole(bank: Bank, subject: _Subject) -> _Subject:
-    """Another unit or two exchanged channels, which restore the whole log when undone."""
-    before = residuals(bank, subject.signals, subject.channels)
-    if before.sound:
-        return subject
-    best: tuple[float, Fault, dict[str, FloatArray]] | None = None
-    for kind, channels, text, values in _hypotheses(subject):
-        after = residuals(bank, subject.signals.having(values), subject.channels)
-        if after.misfit > _RESTORED * before.misfit or not _mostly_sound(after):
-            continue
-        if best is None or after.misfit < best[0]:
-            best = (after.misfit, fault(subject.log, channels, (kind, text)), values)
-    if best is None:
-        return subject
-    if best[1].kind == "swapped":
-        a, b = best[1].channels
-        log = subject.log.with_channels({a: subject.log[b], b: subject.log[a]})
-        subject = replace(subject, log=log)
-    return subject.found(best[1], values=best[2])
-
-
-def _airspeed(bank: Bank, subject: _Subject) -> _Subject:
-    """Which of Mach and CAS is wrong, where they contradict each other: what the engine says."""
-    values = subject.signals.values
-    open_ = [each for each in subject.faults if {"Mach", "CAS_kt", "ALT_ft"} >= {*each.channels}]
-    open_ = [each for each in open_ if each.kind == "inconsistent" and len(each.channels) > 1]
-    if not open_ or not {"Mach", "CAS_kt", "ALT_ft"} <= values.keys():
-        return subject
-    implied = {"Mach": mach_of_cas(np.abs(values["CAS_kt"]), values["ALT_ft"])}
-    mended = replace(subject, signals=subject.signals.having(implied))
-    recorded, other = (
-        _wander(residuals(bank, each.signals, each.channels)) for each in (subject, mended)
-    )
-    if _DECIDED[0] * other > recorded and _DECIDED[1] * recorded > other:
-        return subject
-    name = "Mach" if other < recorded else "CAS_kt"
-    flies = implied["Mach"] > _AIRBORNE
-    ratio = (values["Mach"] / np.maximum(implied["Mach"], 1e-9))[flies]
-    constant = len(ratio) and np.std(ratio) < _CONSTANT * np.mean(ratio)
-    wrong = replace(
-        open_[0], channel=name, channels=(name,), kind="scale" if constant else "inconsistent"
-    )
-    faults = tuple(wrong if each is open_[0] else each for each in subject.faults)
-    if name == "Mach":
-        return replace(mended, faults=faults, mended=("Mach",))
-    return replace(subject, faults=faults)
-
-
-# Ratios of the engine's residuals from which on Mach, or CAS, is at fault.
-_DECIDED, _AIRBORNE, _CONSTANT = (1.1, 1.25), 0.2, 0.1
-
-
-def _without_air(_bank: Bank, subject: _Subject) -> _Subject:
-    """Samples in which air data are at fault say nothing of the engine; what is mended does."""
-    blanked: dict[str, FloatArray] = {}
-    for each in subject.faults:
-        for name in {*_AIR} & {*each.channels} - {*subject.mended}:
-            if name in subject.signals.values:
-                time_s = subject.signals.time_s
-                inside = (time_s >= each.from_s) & (time_s <= each.to_s)
-                before = blanked.get(name, subject.signals.values[name])
-                blanked[name] = np.where(inside, np.nan, before)
-    lost = np.any([~np.isfinite(each) for each in blanked.values()], axis=0)
-    channels = () if np.mean(lost) > 1.0 - _LEAST_TESTABLE else subject.channels
-    return replace(subject, signals=subject.signals.having(blanked), channels=channels)
-
-
-_LEAST_TESTABLE = 0.1  # share of a log's samples below which the bank says nothing of it
-
-
-def _wander(found: Residuals) -> float:
-    """RMS of the residuals, each over its sigma."""
-    parts = [found.consensus[name] / found.bank.sigma[name] for name in found.channels]
-    return float(np.sqrt(np.nanmean(np.stack(parts) ** 2)))
-
-
-_RESTORED = 0.35
-_MOSTLY = 0.15
-
-
-def _mostly_sound(found: Residuals) -> bool:
-    known = sum(float(np.isfinite(each).mean()) for each in found.smooth.values())
-    return known > 0.3 * len(found.channels) and all(
-        found.share(name) < _MOSTLY for name in found.channels
-    )
-
-
-_AIR_SCALES = (0.5, 2.0)
-
-
-def _hypotheses(
-    subject: _Subject,
-) -> Iterator[tuple[Kind, tuple[str, ...], str, dict[str, FloatArray]]]:
-    values = subject.signals.values
-    for a, b in combinations(subject.channels, 2):
-        if CHANNELS[a].unit == CHANNELS[b].unit:
-            text = f"{symbol(a)} and {symbol(b)} fit the training logs when exchanged"
-            yield "swapped", (a, b), text, {a: values[b], b: values[a]}
-    sound = sound_air(subject.log)
-    air = [name for name in ("ALT_ft", "Mach") if name in values and name not in sound]
-    for name in (*subject.channels, *air):
-        for word, scale, offset in conversions(name):
-            level = f"median {np.nanmedian(values[name]):.4g}"
-            yield (
-                "unit",
-                (name,),
-                f"looks like {word}: {level}",
-                {name: scale * values[name] + offset},
-            )
-    for name in air:
-        for factor in _AIR_SCALES:
-            text = f"looks scaled by {factor:g}"
-            yield "scale", (name,), text, {name: values[name] / factor}
-
-
-def _isolated(bank: Bank, subject: _Subject) -> _Subject:
-    """The channel without which the others agree, and how it is wrong."""
-    if len(subject.channels) < 2:
-        return subject
-    found = residuals(bank, subject.signals, subject.channels)
-    flagged = {name: each for name, each in found.flagged.items() if _lasting(each, found)}
-    if not flagged:
-        return subject
-    name = max(flagged, key=lambda each: _energy(found, each))
-    if len(subject.channels) > 3:
-        rest = {
-            each: residuals(
-                bank, subject.signals, [other for other in subject.channels if other != each]
-            ).misfit
-            for each in flagged
-        }
-        name = min(rest, key=lambda each: rest[each])
-    if len(subject.channels) == 2:
-        text = "contradict each other by more than in any training log"
-        return subject.found(
-            _spanned(
-                subject.log, subject.channels, ("inconsistent", text), found, _span(found, name)
-            ),
-            without=name,
-        )
-    kind, text, rows = _kind(found, name)
-    return subject.found(_spanned(subject.log, (name,), (kind, text), found, rows), without=name)
-
-
-def _energy(found: Residuals, name: str) -> float:
-    return float(np.nansum(np.minimum(np.abs(found.smooth[name]), 4.0) ** 2))
-
-
-def _lasting(flags: BoolArray, found: Residuals) -> bool:
-    """Whether flags last for at least half a window."""
-    least = 0.5 * _WINDOWS_S[0] / found.signals.step_s
-    return any(stop - start >= least for start, stop in spans(flags))
-
-
-_WHOLE = 0.6
-
-
-def _span(found: Residuals, name: str) -> tuple[int, int]:
-    """First and last sample of the fault: the whole log if most testable samples are flagged."""
-    flags = found.flagged[name]
-    rows = np.flatnonzero(flags)
-    if found.share(name) > _WHOLE and rows[0] < 0.25 * len(flags):
-        return 0, len(flags) - 1
-    return int(rows[0]), int(rows[-1])
-
-
-def _spanned(
-    log: Log,
-    channels: tuple[str, ...],
-    words: tuple[Kind, str],
-    found: Residuals,
-    rows: tuple[int, int],
-) -> Fault:
-    """The fault in these rows, with the confidence of its largest S."""
-    first, last = rows
-    half = 0.5 * found.signals.step_s
-    time_s = found.signals.time_s
-    largest = _LIMITS[1] * float(np.nanmax(np.abs(found.smooth[channels[0]])))
-    dof = _PRIOR_LOGS + max(found.bank.logs - 1, 1)
-    confidence = 1.0 - 2.0 * float(student.sf(largest, dof))
-    span_s = (float(time_s[first]) - half, float(time_s[last]) + half)
-    return fault(log, channels, words, span_s, min(confidence, 0.9999))
-
-
-def _kind(found: Residuals, name: str) -> tuple[Kind, str, tuple[int, int]]:
-    """How a channel is wrong, by what explains its difference from the expected one best; where."""
-    first, last = _span(found, name)
-    rows = np.arange(len(found.signals.time_s), dtype=np.float64)
-    y, expected = found.signals.values[name], found.corrected.raw(name, found.expected[name])
-    usable = np.isfinite(y) & np.isfinite(expected) & np.isfinite(found.smooth[name])
-    against, unit = _listed(found.channels, name), CHANNELS[name].unit
-    before = usable & (rows <= last)
-    shapes = _shapes(rows, (y, expected), before, first)
-    misfits = {
-        kind: float(np.mean(np.abs(y - expected - error)[before]))
-        * (1.0 if kind != "drift" else 1.2)
-        for kind, error in shapes.items()
-    }
-    best: Kind = min(misfits, key=lambda each: misfits[each])
-    at_end = shapes[best][last]
-    texts = {
-        "scale": f"{100.0 * at_end / expected[last]:+.1f} % against what {against} say",
-        "bias": f"{at_end:+.4g} {unit} against what {against} say",
-        "drift": f"drifts by {at_end:+.4g} {unit} against what {against} say",
-    }
-    if best == "drift":
-        noticed = np.abs(shapes[best]) > found.bank.sigma[name] * np.abs(expected)
-        first = int(np.argmax(noticed)) if noticed.any() else first
-    return best, texts[best], (first, last)
-
-
-_STILL = 0.2  # of the motion that the other channels show
-_STILL_S, _LEAST_STILL_S = 60.0, 30.0
-
-
-def _motionless(bank: Bank, subject: _Subject) -> _Subject:
-    """A channel that shows noise, or nothing, while the others say that it moves."""
-    if len(subject.channels) < 3:
-        return subject
-    found = residuals(bank, subject.signals, subject.channels)
-    still = {name: _without_motion(found, name) for name in subject.channels}
-    name = max(still, key=lambda each: int(still[each].sum()))
-    spread = spans(still[name])
-    if not spread or still[name].sum() * subject.signals.step_s < _LEAST_STILL_S:
-        return subject
-    y, first, last = subject.signals.values[name], spread[0][0], spread[-1][1] - 1
-    part = y[still[name]]
-    kind: Kind = "stuck" if np.ptp(part) == 0.0 else "dead"
-    against = _listed(subject.channels, name)
-    text = f"stays at {np.median(part):.4g} {CHANNELS[name].unit} while {against} move"
-    rows = (first, last)
-    return subject.found(_spanned(subject.log, (name,), (kind, text), found, rows), without=name)
-
-
-def _without_motion(found: Residuals, name: str) -> BoolArray:
-    """Samples at which the channel stays within 60 s, and the others say that it must move.
-
-    The level at which it stays is followed to both sides for as long as the channel does.
-    """
-    size = round(_STILL_S / found.signals.step_s)
-    y, expected = found.signals.values[name], found.corrected.raw(name, found.expected[name])
-    sigma = found.bank.sigma[name] * abs(found.bank.centre[name]) * found.corrected.scale[name]
-    own, other = _moving_spread(y, size), _moving_spread(expected, size)
-    quiet = (own < _STILL * other) & (other > 2.0 * sigma)
-    still = np.zeros(len(y), dtype=np.bool_)
-    half = size // 2
-    for start, stop in spans(quiet):
-        first, last = max(start - half, 0), min(stop + half, len(y))
-        level, width = np.nanmedian(y[first:last]), 4.0 * float(np.nanmax(own[start:stop]))
-        same = np.abs(_moving_mean(y, 5) - level) <= max(width, 1e-9)
-        while first > 0 and same[first - 1]:
-            first -= 1
-        while last < len(y) and same[last]:
-            last += 1
-        still[first:last] = True
-    return still
-
-
-def _moving_spread(values: FloatArray, size: int) -> FloatArray:
-    """Standard deviation in a centred window."""
-    centred = values - np.nanmean(values)
-    square = _moving_mean(centred**2, size) - _moving_mean(centred, size) ** 2
-    return np.sqrt(np.maximum(square, 0.0))
-
-
-def _caution(kind: Kind, unit: str) -> float:
-    """Factor on the misfit of a kind: a drift has one parameter more.
-
-    Temperatures are wrong by an offset rather than by a factor, flows and speeds the other way.
-    """
-    if kind == "drift":
-        return 1.25
-    if unit == "degC":
-        return 1.5 if kind == "scale" else 1.0
-    return 1.15 if kind == "bias" else 1.0
-
-
-def _shapes(
-    rows: FloatArray, signals: tuple[FloatArray, FloatArray], before: BoolArray, first: int
-) -> dict[Kind, FloatArray]:
-    """The error (time,) that a scale, a bias and a drift give at best, up to the end of a span."""
-    y, expected = signals
-    error, on = y - expected, (rows >= first).astype(np.float64)
-    shapes: dict[Kind, FloatArray] = {
-        "scale": _fitted(error, on * expected, before),
-        "bias": _fitted(error, on, before),
-    }
-    drifts = [
-        _fitted(error, np.maximum(rows - begin, 0.0) * factor, before)
-        for begin in np.linspace(0, first, 8)
-        for factor in (1.0, expected)
-    ]
-    shapes["drift"] = min(drifts, key=lambda each: float(np.mean(np.abs(error - each)[before])))
-    return shapes
-
-
-def _fitted(error: FloatArray, shape: FloatArray, usable: BoolArray) -> FloatArray:
-    """`shape` times the factor that fits the error in the least-squares sense."""
-    square = float(np.sum(shape[usable] ** 2))
-    return shape * (float(np.sum(shape[usable] * error[usable])) / square if square > 0.0 else 0.0)
-
-
-_NOISY = 6.0
-
-
-def _noisy(bank: Bank, subject: _Subject) -> _Subject:
-    """Channels that follow the others with much more noise than in any training log."""
-    for name in subject.channels:
-        own, usual = _noise(subject.log, name), bank.noise.get(name, 0.0)
-        matters = 0.5 * bank.sigma[name] * abs(bank.centre[name])
-        if own > _NOISY * max(usual, 1e-12) and own > matters and _follows(bank, subject, name):
-            text = f"noise of {own:.2g} {CHANNELS[name].unit}, {usual:.2g} in the training logs"
-            subject = subject.found(fault(subject.log, (name,), ("noise", text)), without=name)
-    return subject
-
-
-def _follows(bank: Bank, subject: _Subject, name: str) -> bool:
-    """Whether a channel is correlated with what the others say, in means over 10 s."""
-    found = residuals(bank, subject.signals, subject.channels)
-    size = round(10.0 / subject.signals.step_s)
-    pair = [_moving_mean(each[name], size) for each in (found.corrected.x, found.expected)]
-    known = np.isfinite(pair[0]) & np.isfinite(pair[1])
-    spread = min((float(np.std(each[known])) for each in pair), default=0.0) if known.any() else 0.0
-    return spread > 0.0 and bool(np.corrcoef(pair[0][known], pair[1][known])[0, 1] > _FOLLOWS)
-
-
-_FOLLOWS = 0.5
-_STEPS: tuple[Callable[[Bank, _Subject], _Subject], ...] = (
-    _airspeed, _without_air, _coarse, _noisy, _stretched, _whole, _late, _motionless, _isolated,
-    _isolated,
-)  # fmt: skip
-MASK = 0.95  # least confidence of what is masked
-
-
-def masked(log: Log) -> Log:
-    """Return the log with the channels of its faults NaN from `from_s` to `to_s`, and that counted.
-
-    A fault of the time stamps masks every channel: none can be compared with a model.
-    """
-    changed: dict[str, FloatArray] = {}
-    entries = []
-    for each in log.faults:
-        inside = (log.time_s >= each.from_s) & (log.time_s <= each.to_s)
-        names = tuple(log.channels) if "time_s" in each.channels else each.channels
-        for name in names if each.confidence >= MASK else ():
-            values = changed.get(name, log.channels.get(name, np.empty(0))).copy()
-            count = int((inside & np.isfinite(values)).sum()) if len(values) else 0
-            if count:
-                values[inside] = np.nan
-                changed[name] = values
-                entries.append(AuditEntry(name, "masked", f"fault: {each.kind}", count))
-    return log.with_channels(changed, *entries) if changed else log

@@ -33,7 +33,8 @@ from narxcal.support.errors import DataError
 from training.config import RunConfig, load_config
 from training.pipeline import calibrate, configured_files
 from training.records import Split
-from training.redundancy import MASK, Bank, examine
+from training.redundancy import Bank
+from training.screening import MASK, examine
 
 Apply = Callable[[FloatArray, FloatArray], FloatArray]
 

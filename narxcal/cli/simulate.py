@@ -25,7 +25,7 @@ from narxcal.support.errors import ConfigError
 from narxcal.support.files import TIME_FORMAT, atomic_write_text, check_file, text_cell
 from training.config import RunConfig
 from training.pipeline import calibration_for
-from training.redundancy import masked, screened
+from training.screening import masked, screened
 
 SCHEMA = "narxcal.simulate/1"
 

@@ -9,7 +9,8 @@ from sklearn.base import clone
 from narxcal import Narx, Record
 from narxcal.narx.network import Scaling
 from narxcal.support.errors import ConfigError, DataError, ModelError
-from training.choice import Limits, choose, folds_of
+from training.choice import Limits, choose
+from training.held_out import folds_of
 from training.latent import Data, Shape, fit_linear, grown, path
 
 QUICK = Limits(1.0)

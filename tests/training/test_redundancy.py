@@ -11,7 +11,8 @@ from data_prep.log import Log, Source
 from data_prep.plausibility import checked
 from narxcal.atmosphere import KELVIN
 from narxcal.support.errors import ModelError
-from training.redundancy import Bank, examine, learn, masked, screened
+from training.redundancy import Bank, learn
+from training.screening import examine, masked, screened
 
 DT_S = 0.2
 ROWS = 6000  # twenty minutes
