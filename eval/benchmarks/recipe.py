@@ -145,8 +145,8 @@ def document(found: Sequence[Figure], limits: Mapping[str, Any]) -> dict[str, An
     ratios = []
     for name in dict.fromkeys(one.set for one in found):
         pooled = {one.model: one.rmse for one in found if one.set == name and one.record == ""}
-        rivals = [pooled[model] for model in (LINEAR, JAX) if model in pooled]
-        ratios.append(pooled[OURS] / min(rivals))
+        peers = [pooled[model] for model in (LINEAR, JAX) if model in pooled]
+        ratios.append(pooled[OURS] / min(peers))
     mean = float(np.exp(np.mean(np.log(ratios)))) if ratios else None
     return {
         "schema": SCHEMA,

@@ -93,12 +93,12 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
             resume=resume,
         )
         bundle = calibrate(config, base, split, options)
-    for warning in (bundle.meta.get("lead") or {}).get("suspects", ()):
+    suspects = (bundle.meta.get("lead") or {}).get("suspects", ())
+    for warning in suspects:
         console.warn(warning)
     for log, text in ((bundle.meta.get("redundancy") or {}).get("spoiling") or {}).items():
-        console.warn(
-            f"{log} spoils the training: it differs from the other logs in {text} as they do"
-        )
+        if not any(warning.startswith(f"{log} ") for warning in suspects):  # once is enough
+            console.warn(f"{log} does not fit the other logs: it differs in {text} as they do")
     write_bundle(folder, bundle)
     if not interrupted(bundle.meta):
         shutil.rmtree(checkpoints, ignore_errors=True)
