@@ -31,11 +31,11 @@ from eval.gap.realised import channel_shrink, held_out, time_shrink
 from eval.gap.rerun import Rerun
 from eval.gap.simulators import Simulate, open_simulator
 from eval.gap.where import locate
-from narxcal.calibration.bundle import DOCUMENT, load_bundle
+from narxcal.calibration.bundle import DOCUMENT, load_bundle, seal
 from narxcal.effects.library import hypotheses
 from narxcal.effects.running import Emulator, Flights
 from narxcal.support.errors import DataError, ModelError
-from narxcal.support.files import atomic_write_text, to_json
+from narxcal.support.files import atomic_write_text, sha256_of, to_json
 from training.budget.control import suited
 from training.budget.diagnosis import Engines, Phases
 from training.budget.diagnosis import diagnose as weighed
@@ -148,19 +148,34 @@ def learn_folders(request: Request, run: Path) -> Discrepancy:
     emulator = suited(fit_emulators(data.flights), record)
     every = hypotheses(data.flights.signals)
     found = learn(record, Dictionary(every, data.flights, emulator))
-    atomic_write_text(run / LEARNED, to_json(found.document()))
+    keep_learned(found, run)
     return found
 
 
+def keep_learned(found: Discrepancy, run: Path) -> None:
+    """Write what was learned into the folder of a run, with its own hash and that of the bundle."""
+    told = {**found.document(), "bundle_sha256": sha256_of(run / DOCUMENT)}
+    atomic_write_text(run / LEARNED, to_json({**told, "sha256": seal(told)}))
+
+
 def learned_by(source: str) -> Discrepancy | None:
-    """What `learn_folders` left in a run folder; None where it left nothing, or `ModelError`."""
+    """What `learn_folders` left in a run folder; None where it left nothing.
+
+    Raises `ModelError` for a file that was altered, or was learned for another run.
+    """
     file = Path(source or "nothing") / LEARNED
     if not file.is_file():
         return None
+    again = "Learn it again by diagnose --learn"
     try:
-        return read(json.loads(file.read_text(encoding="utf-8")))
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise ModelError(f"is unusable: {error!r}", file=file, hint="Learn it again") from None
+        told = json.loads(file.read_text(encoding="utf-8"))
+        intact = told.pop("sha256") == seal(told)
+        if intact and told["bundle_sha256"] == sha256_of(file.with_name(DOCUMENT)):
+            return read(told)
+    except (AttributeError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ModelError(f"is unusable: {error!r}", file=file, hint=again) from None
+    what = "was learned for another model" if intact else "was altered: its hash is another"
+    raise ModelError(what, file=file, hint=again)
 
 
 def diagnose_pairs(

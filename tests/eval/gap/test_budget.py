@@ -5,7 +5,16 @@ import json
 import numpy as np
 import pytest
 
-from eval.gap.budget import LEARNED, batched, diagnose_pairs, learned_by, phases_of, record_of
+from eval.gap.budget import (
+    LEARNED,
+    batched,
+    diagnose_pairs,
+    keep_learned,
+    learned_by,
+    phases_of,
+    record_of,
+)
+from narxcal.support.errors import ModelError
 from narxcal.support.files import to_json
 from tests.eval.gap.conftest import pair_of, probe_lag
 from training.budget.discrepancy import Discrepancy
@@ -47,8 +56,29 @@ def test_a_run_keeps_what_was_learned(tmp_path):
     learned = Discrepancy(
         1, ((1.0,),), {"N1_pct": ((0.1, 0.2),)}, {"N1_pct": (3.0,)}, {}, {}, {"spool_lag": 2.0}
     )
+    (tmp_path / "bundle.json").write_text("{}", encoding="utf-8")
     assert learned_by(str(tmp_path)) is None
-    (tmp_path / LEARNED).write_text(to_json(learned.document()), encoding="utf-8")
+    keep_learned(learned, tmp_path)
     assert learned_by(str(tmp_path)) == learned
     assert learned.spread("spool_lag") == pytest.approx(1.5 * 2.0)
     assert learned.spread("other") == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "problem"),
+    [
+        (LEARNED, '"flights": 1', '"flights": 9', "was altered"),
+        (LEARNED, '"sha256"', '"sha255"', "is unusable: KeyError"),
+        (LEARNED, "{", "[", "is unusable: JSONDecodeError"),
+        ("bundle.json", "{}", "{ }", "was learned for another model"),
+    ],
+)
+def test_what_was_learned_is_used_as_it_was_written_and_for_its_run_alone(
+    tmp_path, file, old, new, problem
+):
+    (tmp_path / "bundle.json").write_text("{}", encoding="utf-8")
+    keep_learned(Discrepancy(1, (), {}, {}, {}, {}, {}), tmp_path)
+    changed = (tmp_path / file).read_text(encoding="utf-8").replace(old, new, 1)
+    (tmp_path / file).write_text(changed, encoding="utf-8")
+    with pytest.raises(ModelError, match=rf"discrepancy\.json: {problem}.*diagnose --learn$"):
+        learned_by(str(tmp_path))
