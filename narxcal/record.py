@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 
-_LARGEST = 1e100  # squares, and sums of 1e100 of them, stay below the largest float64, 1.8e308
+LARGEST = 1e100  # squares, and sums of 1e100 of them, stay below the largest float64, 1.8e308
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +65,10 @@ class Record:
 
         both = np.abs(np.concatenate([self.u, self.y], axis=1))
         size = np.nanmax(both, axis=1, initial=0.0)
-        large = np.flatnonzero(size > _LARGEST)
+        large = np.flatnonzero(size > LARGEST)
         if len(large):
             raise DataError(
-                f"a value is beyond {_LARGEST:g}, so that its square is not a finite number",
+                f"a value is beyond {LARGEST:g}, so that its square is not a finite number",
                 file=self.name,
                 row=int(large[0]),
                 hint="Scale the channel, or mask what is no measurement",

@@ -64,6 +64,9 @@ _BETTER: Final = 0.98  # of the plainer form's error; folds have fewer logs than
 _FOLDS: Final = 3
 _STRETCH_S, _STRETCHES = 30.0, 15  # at least so long, at most so many, of a single recording
 _CHOICE_GRID_S: Final = 0.2  # the ranking is the same on a grid twice as coarse as the fit's
+_STEEPEST: Final = (
+    1e6  # limits per unit; a deviation moves by 2 limits at most, sound fits have < 5
+)
 _ENOUGH_S: Final = 3.0 * 3600.0  # of logs to choose by; more take long and change little
 
 
@@ -334,6 +337,9 @@ class _Fit:
         def of(part: _Part, scored: tuple[FloatArray, FloatArray]) -> FloatArray:
             wanted = Slopes(self.free, self.group, self.every, self.outputs)
             found = engine.slopes(wanted, *self._course(part))
+            # Slopes of an unstable trial grow until they overflow; the deviation stays bounded.
+            most = _STEEPEST * engine.limit[self.group, None]
+            found = np.clip(np.nan_to_num(found, nan=0.0), -most, most)
             return (found * scored[1][:, :, None]).reshape(-1, len(self.free))
 
         return self.pool.map(of, self.parts, self.scored)

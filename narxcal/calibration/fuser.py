@@ -22,6 +22,7 @@ from scipy.special import gammaincinv
 
 from narxcal.calibration.fuser_config import FuserConfig
 from narxcal.calibration.noise import NoiseModel, activity, updated
+from narxcal.record import LARGEST
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 from narxcal.support.compiled import compiled
 from narxcal.support.errors import DataError, ModelError
@@ -152,8 +153,8 @@ class Fuser(ABC):
     def run(self, predictions: FloatArray, measurements: FloatArray) -> FusedRun:
         """Fuse a whole record, as by `reset` with the first row and `step` with the others.
 
-        Raises `DataError` where the shapes differ or there is no sample, `ModelError` where a
-        prediction is not finite.
+        Raises `DataError` where the shapes differ, there is no sample, or a value is too large to
+        be squared, `ModelError` where a prediction is not finite.
         """
         self._check(predictions, measurements)
         self._start(predictions[0])
@@ -201,6 +202,14 @@ class Fuser(ABC):
         finite = np.isfinite(predictions).all(axis=1)
         if not finite.all():
             raise ModelError(f"the prediction to fuse is not finite: {predictions[~finite][0]}")
+        for what, values in (("prediction", predictions), ("measurement", measurements)):
+            large = np.abs(values) > LARGEST
+            if large.any() and (large := large & np.isfinite(values)).any():
+                raise DataError(
+                    f"a {what} to fuse is {values[large][0]:g}, beyond {LARGEST:g}",
+                    row=int(np.flatnonzero(large.any(axis=1))[0]),
+                    hint="Scale the channel, or mask by NaN what is no measurement",
+                )
 
 
 class KalmanFuser(Fuser):

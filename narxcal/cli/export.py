@@ -63,7 +63,7 @@ def run(options: Namespace, console: Console) -> int:
     _check_name(options.out, options.to)
     check_file(options.out, Path(options.source), overwrite=options.overwrite)
     model = open_source(options.source, options.inputs, options.outputs, trust=options.trust)
-    grid = Grid.of_model(model, _nodes(options.nodes or ()))
+    grid = Grid.of_model(model, _nodes(options.nodes or (), options.max_rows))
     with console.progress("Exporting") as advance:
         how = ExportOptions(
             tolerance_pct=options.tolerance,
@@ -145,15 +145,23 @@ def _function(
     raise ModelError(problem, hint="Name its columns with --inputs and --outputs")
 
 
-def _nodes(words: Sequence[str]) -> dict[str, tuple[float, ...]]:
-    """Read `NAME=V`, `NAME=V,V,...` and `NAME=LOW:HIGH:COUNT`; raises `ConfigError`."""
+def _nodes(words: Sequence[str], most: int) -> dict[str, tuple[float, ...]]:
+    """Read `NAME=V`, `NAME=V,V,...` and `NAME=LOW:HIGH:COUNT`, of at most `most` nodes each.
+
+    Raises `ConfigError`.
+    """
     found: dict[str, tuple[float, ...]] = {}
     for word in words:
         name, _, text = word.partition("=")
         try:
             if text.count(":") == 2:
-                low, high, count = text.split(":")
-                values = np.linspace(float(low), float(high), int(count)).tolist()
+                low, high, many = text.split(":")
+                if int(many) > most:
+                    raise ConfigError(
+                        f"the nodes '{word}' are more than the limit of {most} rows",
+                        hint="Give fewer nodes, or allow more rows by --max-rows",
+                    )
+                values = np.linspace(float(low), float(high), int(many)).tolist()
             else:
                 values = [float(part) for part in text.split(",")]
         except ValueError:

@@ -189,6 +189,14 @@ MODULES = {
         ),
         (
             MAKER,
+            ("--nodes", "Mach=0:1:1000000000"),
+            (
+                "the nodes 'Mach=0:1:1000000000' are more than the limit of 100000 rows. Give "
+                "fewer nodes, or allow more rows by --max-rows"
+            ),
+        ),
+        (
+            MAKER,
             ("--nodes", "Mach=0:1:0"),
             (
                 "cannot read the nodes 'Mach=0:1:0'. Write NAME=VALUE, NAME=VALUE,VALUE,... or "

@@ -84,3 +84,21 @@ def test_an_engine_without_a_fan_is_refused():
     one = LagSamples(one.inputs, one.ss[:, 1:], one.measured[:, 1:])
     with pytest.raises(ModelError, match="the speeds of a fan and a core"):
         fit_engine([one], (NAMES[0], NAMES[1][1:]), DT_S, FORM)
+
+
+def held_lever(seed, length=600):
+    """Samples (1 Hz) of a lever in its detents while an autothrottle moves the engine."""
+    random = np.random.default_rng(seed)
+    lever = np.repeat(random.choice([0.0, 25.0, 25.0, 35.0, 45.0, 60.0], length // 30), 30)
+    altitude = np.interp(np.arange(length), [0, 200, 400, 600], [0.0, 39e3, 39e3, 0.0])
+    air = np.stack([lever, altitude, altitude / 5e4, 0.0 * altitude], axis=1)
+    ss = np.array([20.0, 55.0, 300.0]) + lever[:, None] / 60.0 * np.array([80.0, 45.0, 600.0])
+    measured = np.roll(ss, 50, axis=0) + random.normal(0.0, 30.0, ss.shape)
+    return LagSamples(air, ss, measured)
+
+
+def test_an_engine_that_its_lever_does_not_move_gives_no_overflow():
+    """Slopes of unstable trials grow without bound; warnings are errors here."""
+    names = (("TRA_deg", "ALT_ft", "Mach", "dT_C"), ("N1_pct", "N2_pct", "EGT_C"))
+    found = fit_engine([held_lever(1), held_lever(2)], names, 1.0, Form(governed=True))
+    assert np.isfinite(found.theta).all()

@@ -278,6 +278,23 @@ def test_a_prediction_that_is_not_finite_is_refused(kind):
 
 
 @BOTH
+def test_a_value_whose_square_is_no_number_is_refused_and_not_followed(kind):
+    fuser = kind(noise(2))
+    fuser.reset(np.zeros(2), np.zeros(2))
+    with pytest.raises(DataError) as error:
+        fuser.step(np.zeros(2), np.array([0.0, 1e300]))
+    assert str(error.value) == (
+        "row 0: a measurement to fuse is 1e+300, beyond 1e+100. "
+        "Scale the channel, or mask by NaN what is no measurement"
+    )
+    predictions = np.zeros((4, 2))
+    predictions[3, 1] = -1e300
+    with pytest.raises(DataError, match=r"^row 3: a prediction to fuse is -1e\+300"):
+        fuser.run(predictions, np.zeros((4, 2)))
+    assert fuser.step(np.zeros(2), np.zeros(2)).value.tolist() == [0.0, 0.0]
+
+
+@BOTH
 def test_wrong_shapes_are_refused(kind):
     fuser = kind(noise(2))
     with pytest.raises(DataError) as error:
