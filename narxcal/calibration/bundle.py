@@ -28,7 +28,6 @@ import hashlib
 import json
 import logging
 import math
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os import PathLike
@@ -267,6 +266,18 @@ def write_bundle(folder: str | PathLike[str], bundle: Bundle) -> None:
     (target / _PENDING).replace(target / WEIGHTS)
 
 
+def settle_bundle(folder: str | PathLike[str]) -> None:
+    """Do what a writer that was killed at its end did no more; the bundle reads as before."""
+    source = Path(folder)
+    pending = source / _PENDING
+    if not pending.is_file():
+        return
+    if sha256_of(pending) == _FORM.read_document(source).get("weights", {}).get("sha256"):
+        pending.replace(source / WEIGHTS)
+    else:
+        pending.unlink()
+
+
 def load_bundle(folder: str | PathLike[str], *, trust: bool = False) -> Bundle:
     """Read a bundle and check it against its own hashes and shapes.
 
@@ -359,10 +370,11 @@ def _copied_files(target: Path, steady: object) -> dict[str, str]:
     for file in map(Path, steady.files() if isinstance(steady, CarriesFiles) else ()):
         if file.is_file():
             target.mkdir(exist_ok=True)
-            copy = target / file.name
-            if not (copy.exists() and copy.samefile(file)):
-                shutil.copyfile(file, copy)
-            copies[f"{STEADY_FILES}/{file.name}"] = sha256_of(copy)
+            copy, sha256 = target / file.name, sha256_of(file)
+            # What is there already may belong to the model that is about to be replaced.
+            if not (copy.is_file() and sha256_of(copy) == sha256):
+                atomic_write_bytes(copy, file.read_bytes())
+            copies[f"{STEADY_FILES}/{file.name}"] = sha256
     return copies
 
 

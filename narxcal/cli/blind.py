@@ -27,7 +27,7 @@ from narxcal.cli.options import (
 )
 from narxcal.cli.results import read_config
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import Results, atomic_write_text, to_json
+from narxcal.support.files import Results, atomic_write_text, recover, to_json
 
 SCORE, PAGE = "score.json", "score.html"
 # Keys of the plan, and what a person types for them.
@@ -235,6 +235,7 @@ def _score(options: Namespace, console: Console) -> None:
 
 def _results(folder: Path) -> Results:
     """What may stand in the folder: cases of any number are an earlier run's."""
+    recover(folder.resolve())
     found: Any = folder.iterdir() if folder.is_dir() else ()
     own = [entry.name for entry in found if entry.name.startswith("case_")]
     return Results(SCHEMA, CASES, (KEY, *own))

@@ -55,10 +55,10 @@ def run(options: Namespace, console: Console) -> int:
 
 
 def _begin(folder: Path) -> None:
-    """Delete the files of an earlier demonstration, and mark the folder as incomplete."""
+    """Mark the folder as incomplete, and delete the files of an earlier demonstration."""
+    atomic_write_text(folder / DOCUMENT, to_json({"schema": SCHEMA, "complete": False}))
     for name in (FLIGHTS, MODEL, PAGES):
         shutil.rmtree(folder / name, ignore_errors=True)
-    atomic_write_text(folder / DOCUMENT, to_json({"schema": SCHEMA, "complete": False}))
     shipped = files("configs").joinpath("demo.toml").read_text(encoding="utf-8")
     atomic_write_text(folder / CONFIG, shipped)
 

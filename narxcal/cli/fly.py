@@ -22,7 +22,7 @@ from narxcal.flight_test.fly import (
     write_flights,
 )
 from narxcal.flight_test.scenario import FlightScenario, parse_effects
-from narxcal.support.files import Results, to_json
+from narxcal.support.files import Results, recover, to_json
 
 _LOG = re.compile(r"(flight_\d+_(left|right)|data_set_\d+)\.csv(\.gz)?")
 
@@ -87,6 +87,7 @@ def read_scenario(options: Namespace) -> FlightScenario:
 
 def _results(folder: Path) -> Results:
     """Files that may be replaced: logs of any number of flights are those of an earlier run."""
+    recover(folder.resolve())
     found = folder.iterdir() if folder.is_dir() else ()
     logs = [entry.name for entry in found if _LOG.fullmatch(entry.name)]
     return Results(TRUTH_SCHEMA, TRUTH, (TRUE_CHANNELS, *logs))

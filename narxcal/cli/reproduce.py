@@ -123,11 +123,11 @@ def _identification_paper(options: Namespace, out: Path, console: Console) -> in
 
 
 def _begin(out: Path) -> None:
-    """Clear what an earlier run left, and mark the folder as one that is not done."""
+    """Mark the folder as one that is not done, and clear what an earlier run left."""
+    atomic_write_text(out / DOCUMENT, to_json({"schema": SCHEMA, "complete": False}))
     for name in (FLIGHTS, MODEL):
         shutil.rmtree(out / name, ignore_errors=True)
     (out / PAGE).unlink(missing_ok=True)
-    atomic_write_text(out / DOCUMENT, to_json({"schema": SCHEMA, "complete": False}))
 
 
 def _flown_before(folder: Path) -> bool:

@@ -25,7 +25,7 @@ from narxcal.cli.console import Console
 from narxcal.cli.results import read_config
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import TIME_FORMAT, Results, to_json
+from narxcal.support.files import TIME_FORMAT, Results, recover, to_json
 
 SCHEMA, DOCUMENT = "narxcal.simulate_effects/1", "simulated.json"
 
@@ -89,6 +89,7 @@ def _added(
 
 def _results(folder: Path) -> Results:
     """What may stand in the folder: the logs that an earlier run says it wrote there."""
+    recover(folder.resolve())
     try:
         logs = json.loads((folder / DOCUMENT).read_text(encoding="utf-8"))["logs"]
         names = tuple(f"{row['log']}.csv" for row in logs)

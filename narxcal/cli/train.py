@@ -10,18 +10,25 @@ import math
 import shutil
 from argparse import ArgumentParser, Namespace
 from collections.abc import Sequence
+from contextlib import suppress
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 from data_prep.log import Log
 from data_prep.prepare import cautions
-from narxcal.calibration.bundle import DOCUMENT, Bundle, read_document, write_bundle
+from narxcal.calibration.bundle import (
+    DOCUMENT,
+    Bundle,
+    read_document,
+    settle_bundle,
+    write_bundle,
+)
 from narxcal.cli.console import Advance, Console
 from narxcal.cli.options import add_config
 from narxcal.cli.results import lag_words, lead_words, read_config, steady_words
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import check_writable
+from narxcal.support.files import check_writable, recover
 from narxcal.support.system import locked
 from training.config import RunConfig, SplitConfig
 from training.network import Progress
@@ -44,6 +51,7 @@ def run(options: Namespace, console: Console) -> int:
     config, base = read_config(options.config, options.data)
     check(run_folder, resume=options.resume)
     if options.resume and _complete(run_folder, config):
+        _settle(run_folder)
         console.say(f"{run_folder} is complete; nothing is left to do.")
         console.document(_document(run_folder, read_document(run_folder)))
         return 0
@@ -128,6 +136,7 @@ def interrupted(meta: dict[str, Any]) -> bool:
 
 def check(folder: Path, *, resume: bool) -> None:
     """Refuse a folder that cannot be written or, but for a training to resume, holds anything."""
+    recover(folder)
     check_writable(folder)
     if not folder.exists():
         return
@@ -160,6 +169,13 @@ def _complete(folder: Path, config: RunConfig) -> bool:
             hint="Choose another name",
         )
     return not interrupted(stored)
+
+
+def _settle(folder: Path) -> None:
+    """Remove what a training left that was killed after its model was written."""
+    with suppress(OSError), locked(folder):  # a folder that can only be read stays as it is
+        settle_bundle(folder)
+        shutil.rmtree(folder / CHECKPOINTS, ignore_errors=True)
 
 
 def _watch(config: RunConfig, advance: Advance) -> Any:

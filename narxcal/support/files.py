@@ -62,6 +62,7 @@ def atomic_write_bytes(path: str | PathLike[str], data: bytes) -> None:
         with _reported(target), _opened_in_place(target) as stream:
             stream.buffer.write(data)
         return
+    recover(target)
     part = _temporary(target, "part")
     with _becoming(target, part):
         target.parent.mkdir(parents=True, exist_ok=True)

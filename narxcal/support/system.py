@@ -90,9 +90,11 @@ def locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         # Removed first, so that nobody can lock a file that is about to go.
-        with suppress(OSError):
-            file.unlink()
-        os.close(descriptor)
+        try:
+            with suppress(OSError):
+                file.unlink()
+        finally:
+            os.close(descriptor)
         with suppress(OSError):  # Windows removes no open file
             file.unlink(missing_ok=True)
 

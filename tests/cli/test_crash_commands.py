@@ -1,0 +1,169 @@
+"""Every writing command killed at every one of its file events: the old output or the new one.
+
+What takes long and writes no file (fitting, flying, judging) is done once and given again.
+"""
+
+import json
+import shutil
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from narxcal.calibration.bundle import load_bundle, write_bundle
+from narxcal.cli import evaluate, fly, main, train
+from narxcal.flight_test import fly as flying
+from tests.crash import killed_everywhere
+from training.checkpoint import read_checkpoint, write_checkpoint
+from training.network import Progress
+
+pytestmark = pytest.mark.slow
+HOW = pytest.mark.parametrize(("exchange", "power"), [(True, False), (True, True), (False, True)])
+STEPS = 3
+WHOLE_RUN = ["bundle.json", "weights.safetensors"]
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch):
+    """What is put right between two kills need not be flushed to the real disk."""
+    monkeypatch.setattr("os.fsync", lambda _: None)
+
+
+def names(folder):
+    return sorted(item.name for item in folder.iterdir())
+
+
+def tree(out):
+    """Content of a file, or of all files of a folder, by path."""
+    files = (path for path in (out, *out.rglob("*")) if path.is_file())
+    return {str(path.relative_to(out.parent)): path.read_bytes() for path in files}
+
+
+def quietly(*words):
+    assert main([*map(str, words), "--quiet"]) in {0, 1}
+
+
+@pytest.fixture
+def training(project, monkeypatch):
+    """The command `train`, whose fit is three checkpoints and then the model of the project."""
+    trained = load_bundle(project / "run")
+
+    def calibrate(_config, _base, _split, options):
+        file, first = options.checkpoints / "joint.safetensors", 0
+        if options.resume and file.is_file():
+            first = read_checkpoint(file, "key").iteration
+        for step in range(first, STEPS):
+            write_checkpoint(file, Progress(np.full(500, float(step)), iteration=step + 1), "key")
+        return trained
+
+    real = train.prepare_logs
+    once = cache(lambda file: real(train.read_config(project / "tiny.toml", None)[0], [file]))
+    monkeypatch.setattr(train, "prepare_logs", lambda _, files: once(files[0]))
+    monkeypatch.setattr(train, "calibrate", calibrate)
+    return "train", project / "tiny.toml", "--out"
+
+
+@HOW
+def test_a_training_killed_anywhere_is_resumed_to_the_same_model(
+    training, tmp_path, exchange, power
+):
+    run = tmp_path / "run"
+    kills = 0
+    for event in killed_everywhere(
+        tmp_path, lambda: quietly(*training, run), exchange=exchange, power=power
+    ):
+        if (run / "bundle.json").exists():
+            load_bundle(run)
+        kills += event is not None
+        quietly(*training, run, "--resume")
+        assert load_bundle(run).meta["training"]["status"]
+        assert (names(tmp_path), names(run)) == (["run"], WHOLE_RUN)
+        if event is not None:
+            shutil.rmtree(run)
+    assert kills >= 20
+
+
+@HOW
+def test_going_on_with_a_training_may_be_killed_anywhere(
+    project, training, tmp_path, exchange, power
+):
+    """What Ctrl-C kept, its best network and its checkpoints, is there until the new model is."""
+    run, kept = tmp_path / "run", tmp_path.with_name(f"{tmp_path.name}-kept")
+    trained = load_bundle(project / "run")
+    cut_short = {**trained.meta["training"], "status": "interrupted"}
+    kept.mkdir()
+    write_bundle(kept, replace(trained, meta={**trained.meta, "training": cut_short}))
+    write_checkpoint(kept / "checkpoints/joint.safetensors", Progress(np.ones(500)), "key")
+    shutil.copytree(kept, run)
+    seen = set()
+    for event in killed_everywhere(
+        tmp_path, lambda: quietly(*training, run, "--resume"), exchange=exchange, power=power
+    ):
+        seen.add(train.interrupted(load_bundle(run).meta))
+        quietly(*training, run, "--resume")
+        assert not train.interrupted(load_bundle(run).meta)
+        assert (names(tmp_path), names(run)) == (["run"], WHOLE_RUN)
+        if event is not None:
+            shutil.rmtree(run)
+            shutil.copytree(kept, run)
+    assert seen == {True, False}
+
+
+def replaced_or_not(folder, write, how):
+    """Kill `write`, which replaces `out` in `folder`, everywhere: its whole content or the old."""
+    out = folder / "out"
+    write()
+    new = tree(out)
+    former = {name: text + b"\n" for name, text in new.items()}
+    seen = []
+
+    def put_former():
+        for name, text in former.items():
+            (folder / name).write_bytes(text)
+
+    put_former()
+    for event in killed_everywhere(folder, write, exchange=how[0], power=how[1]):
+        if out.exists() or how[0]:
+            assert tree(out) in (former, new)
+            seen.append(tree(out) == new)
+        write()
+        assert tree(out) == new
+        assert names(folder) == ["out"]
+        if event is not None:
+            put_former()
+    assert set(seen) == {True, False}
+
+
+@HOW
+def test_results_of_an_evaluation(project, tmp_path, monkeypatch, exchange, power):
+    found = evaluate.Judgement(None, type("Outcome", (), {"exit_code": 0}), DOCUMENT, "<p>a: b</p>")
+    monkeypatch.setattr(evaluate, "logs_for", lambda *_: [])
+    monkeypatch.setattr(evaluate, "judge", lambda *_: found)
+    monkeypatch.setattr(evaluate, "show", lambda *_: None)
+    command = ("evaluate", project / "run", "--out", tmp_path / "out")
+    replaced_or_not(tmp_path, lambda: quietly(*command), (exchange, power))
+
+
+DOCUMENT = {"schema": "narxcal.evaluate/1", "logs": []}
+
+
+@HOW
+def test_logs_of_virtual_flights(tmp_path, monkeypatch, exchange, power):
+    log = flying._Written("flight_01_left.csv", b"time_s: 1\n" * 500, b"true: 1\n" * 500, {})
+    monkeypatch.setattr(flying, "in_processes", lambda *_: iter([[log]]))
+    monkeypatch.setattr(flying, "_truth", lambda *_: {"schema": fly.TRUTH_SCHEMA, "logs": []})
+    monkeypatch.setattr(fly, "_show", lambda *_: None)
+    command = ("fly", "fly_line", "--truth-channels", "--out", tmp_path / "out")
+    replaced_or_not(tmp_path, lambda: quietly(*command), (exchange, power))
+
+
+@HOW
+def test_a_replayed_log(project, tmp_path, monkeypatch, exchange, power):
+    monkeypatch.setattr("narxcal.cli.replay._faults", lambda *_: ())
+    table = (project / "flights" / "flight_3.csv").read_text(encoding="utf-8").splitlines()
+    log = tmp_path.with_name(f"{tmp_path.name}.csv")
+    log.write_text("\n".join(table[:400]), encoding="utf-8")
+    command = ("replay", project / "run", log, "--overwrite", "--out", tmp_path / "out")
+    replaced_or_not(tmp_path, lambda: quietly(*command), (exchange, power))
+    assert json.loads((project / "run/bundle.json").read_text(encoding="utf-8"))["sha256"]
