@@ -21,7 +21,8 @@ from eval.scores import rms
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
-from training.choice import Limits, Watch, choose
+from training.choice import Limits, choose
+from training.search import Watch
 
 SCHEMA = "narxcal.benchmark/1"
 OURS, LINEAR, JAX = "Narx()", "linear", "jax-sysid"

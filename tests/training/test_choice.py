@@ -9,7 +9,7 @@ from sklearn.base import clone
 from narxcal import Narx, Record
 from narxcal.narx.network import Scaling
 from narxcal.support.errors import ConfigError, DataError, ModelError
-from training.choice import Limits, choose
+from training.choice import Limits, choose, divide
 from training.held_out import folds_of
 from training.latent import Data, Shape, fit_linear, grown, path
 
@@ -34,6 +34,15 @@ def curved_system(seed, length=400, noise=0.01):
     for k in range(1, length):
         x[k] = 0.8 * x[k - 1] + 0.2 * u[k - 1]
     return Record(u, np.tanh(2.0 * x) + noise * draw.standard_normal(length), f"curved {seed}")
+
+
+def hammerstein(u, seed):
+    """A first-order lag behind a curve."""
+    draw = np.random.default_rng(100 + seed)
+    y = np.zeros(len(u))
+    for k in range(1, len(u)):
+        y[k] = 0.8 * y[k - 1] + 0.2 * (np.tanh(2.0 * u[k - 1]) + 0.3 * u[k - 1] ** 2)
+    return Record(u, y + 0.01 * draw.standard_normal(len(u)), f"pattern {seed}")
 
 
 def test_held_out_pieces_never_touch_what_is_fitted():
@@ -76,6 +85,32 @@ def test_falling_decays_never_raise_the_loss():
     assert losses[0] <= linear.loss * 1.001
     assert all(after <= before * 1.001 for before, after in pairwise(losses))
     assert losses[-1] < 0.2 * linear.loss
+
+
+def test_few_records_are_held_out_at_a_time_however_many_samples_they_have():
+    records = [Record(np.zeros(9000), np.arange(9000.0), f"long {k}") for k in range(6)]
+    folds = divide(records, 1e6, ())
+    assert [len(fold.fit) for fold in folds] == [5] * 6
+    assert len(divide(records[:1], 1e6, ())) == 4
+    assert len(divide(records[:1], 1e9, ())) == 8
+
+
+@pytest.mark.slow
+def test_records_of_different_patterns_get_a_model_that_is_good_on_all_of_them():
+    draw = np.random.default_rng(0)
+    patterns = [
+        np.repeat(draw.uniform(-1.0, 1.0, 30), 10),
+        np.repeat(draw.uniform(0.4, 1.0, 30), 10),
+        np.sin(np.arange(300) / 15.0),
+        np.sign(np.repeat(draw.standard_normal(10), 30)),
+    ]
+    records = [hammerstein(u, seed) for seed, u in enumerate(patterns)]
+    found = choose(records, Limits(2.0))
+    unseen = hammerstein(np.repeat(draw.uniform(0.4, 1.0, 30), 10), 9)
+    error = found.model.simulate(unseen.u, unseen.y[:20])[20:] - unseen.y[20:]
+    line = choose(records, Limits(2.0, linear=True))
+    straight = line.model.simulate(unseen.u, unseen.y[:20])[20:] - unseen.y[20:]
+    assert np.std(error) < 0.5 * np.std(straight)
 
 
 @pytest.mark.slow
@@ -133,7 +168,8 @@ def test_an_output_that_never_varies_and_an_input_that_never_moves_give_finite_m
 
 def test_a_budget_too_small_for_anything_but_linear_models_says_so():
     model = Narx(time_limit_s=0.01).fit([linear_system(0, 200)])
-    assert "left out: the budget is too small" in model.status_
+    assert "latent forms were left out: the budget is too small" in model.status_
+    assert "the NARX network was left out: the budget" in model.status_
     assert np.isfinite(model.score([linear_system(1)]))
 
 
@@ -157,3 +193,69 @@ def test_without_a_choice_there_is_no_interval_and_no_table():
 def test_a_time_limit_has_to_be_one():
     with pytest.raises(ConfigError, match=r"^key 'time_limit_s': expected a time above 0, found 0"):
         Narx(time_limit_s=0.0).fit([linear_system(0, 100)])
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("1 sample", "the longest record has 1 samples"),
+        ("8 samples", None),
+        ("fewer samples than lags", None),
+        ("both constant", None),
+        ("one output known in a part only", None),
+        ("three known samples", None),
+        ("an output masked throughout", "output 2 of 2 has no known sample in any training record"),
+        ("an input that is NaN", "an input is not a finite number"),
+        ("1e300", "a value is beyond 1e\\+100"),
+        ("1e-300", None),
+        ("an offset of 1e9", None),
+        ("many short records", None),
+        ("more inputs than samples", None),
+        ("growing without bound", None),
+        ("masked records beside a good one", None),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_records_that_hold_little_give_a_finite_model_or_one_clear_error(name, expected):
+    records = scarce(name)
+    if expected is not None:
+        with pytest.raises(DataError, match=expected):
+            Narx(time_limit_s=0.02).fit(records)
+        return
+    model = Narx(time_limit_s=0.02).fit(records)
+    u = np.random.default_rng(1).standard_normal((40, model.model.inputs))
+    for scale in (1.0, 1e6):
+        free = model.simulate(scale * u, np.zeros((1, model.model.outputs)))
+        assert np.isfinite(free).all()
+    assert model.reason_
+    assert model.status_
+
+
+def scarce(name):
+    """Records that hold little, by name."""
+    draw = np.random.default_rng(0)
+    noise = draw.standard_normal
+    part, known, masked, missing = noise((60, 2)), noise(60), noise((60, 2)), noise(60)
+    part[:40, 1], known[3:], masked[:, 1], missing[7] = np.nan, np.nan, np.nan, np.nan
+    large = noise(60)
+    large[5] = 1e300
+    return {
+        "1 sample": [(noise(1), noise(1))],
+        "8 samples": [(noise(8), noise(8))],
+        "fewer samples than lags": [(noise(14), noise(14))],
+        "both constant": [(np.ones(60), np.ones(60))],
+        "one output known in a part only": [(noise(60), part)],
+        "three known samples": [(noise(60), known)],
+        "an output masked throughout": [(noise(60), masked)],
+        "an input that is NaN": [(missing, noise(60))],
+        "1e300": [(noise(60), large)],
+        "1e-300": [(1e-300 * noise(60), 1e-300 * noise(60))],
+        "an offset of 1e9": [(noise(60), 1e9 + noise(60))],
+        "many short records": [(noise(9), noise(9)) for _ in range(12)],
+        "more inputs than samples": [(noise((20, 30)), noise(20))],
+        "growing without bound": [(noise(80), np.exp(0.2 * np.arange(80)))],
+        "masked records beside a good one": [
+            (noise(60), np.full(60, np.nan)),
+            (noise(60), noise(60)),
+        ],
+    }[name]

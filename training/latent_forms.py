@@ -1,0 +1,239 @@
+"""The latent rung of a choice: forms are halved, all with little effort, the better with more.
+
+Orders of the linear model first, then hidden units, then the best two. Every form falls along the
+decays; the median of several draws of hidden units is judged at each of them. Where the budget is
+short, effort is saved in this order: draws, every other decay, folds, forms, and samples last: what
+a record holds in one place only is missing in most parts of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from narxcal.narx.forms import DynamicModel, Ensemble
+from narxcal.narx.latent import Shape
+from narxcal.record import Record
+from narxcal.support.errors import DataError
+from training.held_out import thinned
+from training.latent import Data, Fitted, at_decay, fit_linear, grown, model_of, moved, path
+from training.linear_forms import ORDERS, Bases
+from training.ranking import Form, Tried
+from training.search import (
+    FEW,
+    LAG,
+    LATENT,
+    OUTPUT_ERROR,
+    PLENTY,
+    Search,
+    dead,
+    most_samples,
+    step_cost,
+)
+
+_HIDDEN = (4, 8, 16)
+_DECAYS = tuple(10.0**-k for k in range(2, 10))
+_STEPS = 8  # of Levenberg-Marquardt at each decay
+_DRAWS = 6  # of hidden units: their median is the model, so that it does not depend on one draw
+_FAR = 3.0  # times the lowest loss of the draws: twice its error or nearly so
+_FEWEST = 3  # forms of a round: then samples are saved
+_LEAST = 5.0  # rows per parameter; fewer determine nothing
+_SHARES = 0.15, 0.15, 0.2  # of the budget for orders, hidden units, and the best two
+_FINAL_SHARE = 0.15
+
+Sizes = tuple[int, int, tuple[int, ...]]  # states, hidden units, dead times
+
+
+@dataclass(frozen=True)
+class _Effort:
+    """Folds by number, decays, draws of hidden units, and samples per fold."""
+
+    folds: tuple[int, ...]
+    decays: tuple[float, ...]
+    draws: int
+    samples: int = 0
+
+    @property
+    def steps(self) -> int:
+        """Steps of Levenberg-Marquardt for one form."""
+        return len(self.folds) * len(self.decays) * _STEPS * self.draws
+
+
+def _efforts(folds: int, draws: int) -> list[_Effort]:
+    """From the largest to the least."""
+    every, two = tuple(range(folds)), tuple(sorted({0, folds // 2}))
+    coarse = _DECAYS[::2]
+    return [
+        _Effort(every, _DECAYS, draws),
+        _Effort(every, _DECAYS, min(draws, 2)),
+        _Effort(every, coarse, min(draws, 2)),
+        _Effort(two, coarse, min(draws, 2)),
+        _Effort(two, coarse, 1),
+    ]
+
+
+def try_latent(search: Search, bases: Bases) -> None:
+    """Halve the forms: orders, hidden units, the best two."""
+    linear = [one for one in search.tried if one.form.rung in (LAG, OUTPUT_ERROR)]
+    if not linear:
+        return
+    delay = min(linear, key=lambda one: one.score).form.delay
+    best = {one.form.order: one.score for one in linear if one.form.delay == delay}
+    orders = sorted((n for n in ORDERS if (n, delay) in bases), key=lambda n: best[n])
+    rung = _Latent(search, bases)
+    widths = [h for h in _HIDDEN[1::-1] if any(rung.determined((n, h, delay)) for n in orders)]
+    if not widths:
+        search.note("latent forms were left out: there are too few samples")
+        return
+    found = rung.round([(n, widths[0], delay) for n in orders], _SHARES[0], _DRAWS)
+    orders = list(dict.fromkeys(one.form.order for one in found))[:2]
+    found = rung.round([(n, h, delay) for n in orders for h in _HIDDEN], _SHARES[1], _DRAWS)
+    forms = [(one.form.order, one.form.hidden, delay) for one in found[:2]]
+    rung.round(forms, _SHARES[2], 2 * _DRAWS, last=True)
+
+
+class _Latent:
+    """Rounds of one search."""
+
+    def __init__(self, search: Search, bases: Bases) -> None:
+        self.search, self.bases = search, bases
+
+    def round(
+        self, forms: Sequence[Sizes], share: float, draws: int, *, last: bool = False
+    ) -> list[Tried]:
+        """Try forms within a share of the budget; best first. Too large ones are left out.
+
+        The last round takes all folds.
+        """
+        search = self.search
+        able = [form for form in forms if self.determined(form)]
+        if not able:
+            return []
+        able, effort = self._within(share * search.work.budget, able, draws, last)
+        found = []
+        for form in able:
+            if search.work.late:
+                break
+            found.append(self._try(*form, effort))
+            search.show()
+        search.tried += found
+        return sorted(found, key=lambda one: one.score)
+
+    def determined(self, sizes: Sizes) -> bool:
+        """Whether there are enough rows for the parameters."""
+        return _LEAST * self._shape(*sizes).size <= self.search.samples * self.search.outputs
+
+    def _shape(self, n: int, h: int, delay: tuple[int, ...]) -> Shape:
+        return Shape(n, self.search.inputs, self.search.outputs, h, delay)
+
+    def _within(
+        self, units: float, forms: list[Sizes], draws: int, last: bool
+    ) -> tuple[list[Sizes], _Effort]:
+        """Forms and effort that so many units pay for."""
+        search = self.search
+        efforts = _efforts(len(search.folds), draws)[: 3 if last else None]
+        for effort in efforts:
+            most = self._most(units / effort.steps, forms)
+            if most >= search.whole:
+                return forms, replace(effort, samples=most)
+        least = efforts[-1]
+        while forms:
+            most = self._most(units / least.steps, forms)
+            if most >= search.whole or (len(forms) <= _FEWEST and most >= min(FEW, search.whole)):
+                return forms, replace(least, samples=most)
+            forms = forms[: max(len(forms) // 2, min(_FEWEST, len(forms) - 1))]
+        search.note("latent forms were left out: the budget is too small")
+        return [], least
+
+    def _most(self, units: float, forms: Sequence[Sizes]) -> int:
+        """Samples on which one step of all forms costs `units`."""
+
+        def cost(samples: int) -> float:
+            return sum(self._cost(self._shape(*form), samples) for form in forms)
+
+        return most_samples(cost, units, self.search.samples)
+
+    def _cost(self, shape: Shape, samples: int) -> float:
+        """Nominal microseconds of a step on so many samples."""
+        rows = min(float(shape.outputs * samples), 2.0 * PLENTY * shape.size)
+        return step_cost(samples, rows, shape.size, shape.states**2)
+
+    def _try(self, n: int, h: int, delay: tuple[int, ...], effort: _Effort) -> Tried:
+        """One form along falling decays; its best decay over the folds."""
+        search, shape = self.search, self._shape(n, h, delay)
+        levels: list[list[DynamicModel]] = [[] for _ in effort.decays]
+        samples = 0
+        for number in effort.folds:
+            records = thinned(search.folds[number].fit, effort.samples)
+            data = self._data(records, shape)
+            base = moved(*self.bases[n, delay][number], data)
+            samples += sum(map(len, records))
+            paths = self._paths(base, data, shape, effort.draws, effort.decays)
+            for level, fits in zip(levels, paths, strict=True):
+                members = [model_of(each, data, search.scalings) for each in _near_the_best(fits)]
+                level.append(Ensemble.median(members))
+        tried = []
+        for decay, models in zip(effort.decays, levels, strict=True):
+            text = f"{n} states, {h} hidden{dead(delay)}, decay {decay:g}"
+            form = Form(LATENT, text, shape.size, samples // len(effort.folds), delay, n, h)
+            build = partial(self._final, shape, decay)
+            tried.append(search.judge(form, models, build, effort.folds))
+        return min(tried, key=lambda one: one.score)
+
+    def _data(self, records: Sequence[Record], shape: Shape) -> Data:
+        """Scored are all rows, or about `PLENTY` per parameter where there are more."""
+        rows = sum(map(len, records)) * shape.outputs
+        every = max(round(rows / (PLENTY * shape.size)), 1)
+        return Data.of(records, shape.delay, self.search.scalings, every)
+
+    def _paths(
+        self,
+        base: Fitted,
+        data: Data,
+        shape: Shape,
+        draws: int,
+        decays: Sequence[float],
+    ) -> Iterator[list[Fitted]]:
+        """Fits of every draw of hidden units, decay by decay."""
+        cost = self._cost(shape, sum(map(len, data.inputs)))
+        seed = self.search.seed * 1000
+        starts = [grown(base, shape.hidden, seed=seed + k) for k in range(draws)]
+        paths = [path(start, data, decays, _STEPS) for start in starts]
+        for found in zip(*paths, strict=True):
+            self.search.work.spend(cost * sum(used for _, used in found))
+            yield [fitted for fitted, _ in found]
+
+    def _final(self, shape: Shape, decay: float) -> DynamicModel:
+        """The path to the chosen decay on as many records as the budget allows, then on all."""
+        search, decays = self.search, [one for one in _DECAYS if one >= decay]
+        units = _FINAL_SHARE * search.work.budget / (len(decays) * _STEPS * _DRAWS)
+        sizes = (shape.states, shape.hidden, shape.delay)
+        most = max(self._most(units, [sizes]), min(FEW, search.samples))
+        data = self._data(thinned(search.records, most), shape)
+        linear = self._shape(shape.states, 0, shape.delay)
+        base = fit_linear(data, linear)
+        if base is None:  # cannot be: a fallback start exists for every order
+            raise DataError("no linear model could be fitted")
+        fits = list(self._paths(base, data, shape, _DRAWS, decays))[-1]
+        every = self._data(search.records, shape)
+        cost = self._cost(shape, search.samples)
+        left = (search.work.budget - search.work.spent) / (cost * _DRAWS)
+        steps = int(np.clip(left, 2, 8 * _STEPS)) if most < search.samples else 2
+        members = []
+        for number, fitted in enumerate(_near_the_best(fits)):
+            search.watch(0.9 + 0.1 * number / len(fits), "fitting to all records")
+            start = moved(fitted, model_of(fitted, data, search.scalings), every)
+            ended, _, used = at_decay(start, every, decays[-1], steps)
+            search.work.spend(cost * used)
+            members.append((ended, model_of(ended, every, search.scalings)))
+        kept = _near_the_best([ended for ended, _ in members])
+        return Ensemble.median([model for ended, model in members if ended in kept])
+
+
+def _near_the_best(fits: Sequence[Fitted]) -> list[Fitted]:
+    """Fits of several draws without those that ended in a minimum far above the lowest one."""
+    least = min(fitted.loss for fitted in fits)
+    return [fitted for fitted in fits if fitted.loss <= _FAR * least]
