@@ -15,7 +15,7 @@ PIP := $(BIN)/python -m pip install --disable-pip-version-check --no-compile --q
 
 PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile
 
-.PHONY: demo test test-slow test-all lint ruff types floors bench figures map clean
+.PHONY: demo test test-slow test-all fuzz lint ruff types floors bench figures map clean
 
 demo: $(DEMO)
 	$(BIN)/narxcal demo
@@ -28,6 +28,10 @@ test-slow: $(STAMP) $(BROWSER)
 	$(PYTEST) -m slow
 
 test-all: test test-slow
+
+# Changed logs, configurations and models against the readers: make fuzz N=1000 SEED=7.
+fuzz: $(STAMP)
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --cases $(or $(N),100000) --seed $(or $(SEED),1)
 
 lint: ruff types floors
 

@@ -5,13 +5,15 @@ The file is safetensors: the arrays as they are, everything else as one JSON tex
 
 from __future__ import annotations
 
-import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
@@ -26,7 +28,7 @@ _SCHEMA = "narxcal.checkpoint/1"
 
 def fingerprint(*parts: str) -> str:
     """One hash of all that decides a training: its configuration and its data."""
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+    return sha256("\n".join(parts).encode()).hexdigest()
 
 
 def write_checkpoint(file: Path, progress: Progress, key: str) -> None:
@@ -49,8 +51,18 @@ def write_checkpoint(file: Path, progress: Progress, key: str) -> None:
     }
     header = {"schema": _SCHEMA, "key": key, "state": json.dumps(state)}
     # A copy makes every array contiguous and its own, which is what gets written.
-    data = save({name: np.array(value) for name, value in arrays.items()}, header)
-    atomic_write_bytes(file, data)
+    arrays = {name: np.array(value) for name, value in arrays.items()}
+    header["sha256"] = _digest(arrays, header["state"])
+    atomic_write_bytes(file, save(arrays, header))
+
+
+def _digest(arrays: Mapping[str, NDArray[Any]], state: str) -> str:
+    """Hash of all that a training goes on from."""
+    parts = (
+        f"{name} {array.dtype} {array.shape} {sha256(array.tobytes()).hexdigest()}"
+        for name, array in sorted(arrays.items())
+    )
+    return fingerprint(state, *parts)
 
 
 def read_checkpoint(file: Path, key: str) -> Progress:
@@ -65,6 +77,13 @@ def read_checkpoint(file: Path, key: str) -> Progress:
             file=file,
             hint="Restore them, or train without --resume into another folder",
         )
+    try:
+        return _progress(arrays, state)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise _unreadable(file, error) from None
+
+
+def _progress(arrays: dict[str, Any], state: dict[str, Any]) -> Progress:
     moments = None
     if state["adam_steps"] is not None:
         moments = Moments(arrays["first"], arrays["second"], state["adam_steps"])
@@ -88,8 +107,14 @@ def _read(file: Path) -> tuple[dict[str, Any], dict[str, Any], str | None]:
         with safe_open(file, framework="numpy") as stored:
             header = stored.metadata()
             arrays = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
-        return arrays, json.loads(header["state"]), header.get("key")
-    except (SafetensorError, ValueError, KeyError, TypeError) as error:
-        raise ModelError(
-            f"the checkpoint cannot be read: {error}", file=file, hint="Train without --resume"
-        ) from None
+        state, stated, key = json.loads(header["state"]), header["sha256"], header.get("key")
+    except (SafetensorError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise _unreadable(file, error) from None
+    if stated != _digest(arrays, header["state"]):
+        raise _unreadable(file, ValueError("it was altered"))
+    return arrays, state, key
+
+
+def _unreadable(file: Path, error: Exception) -> ModelError:
+    problem = f"the checkpoint cannot be read: {type(error).__name__}: {error}"
+    return ModelError(problem, file=file, hint="Train without --resume")

@@ -93,6 +93,13 @@ def save(folder: str | PathLike[str], stored: Stored, *, replace: bool = False) 
         atomic_write_text(part / _FORM.document, text)
 
 
+# What a document of unforeseen types and values raises where it is taken apart.
+_UNREADABLE = (
+    LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError,
+    ConfigError,
+)  # fmt: skip
+
+
 def load(folder: str | PathLike[str]) -> Stored:
     """Read what `save` wrote; `ModelError` for a folder that is another, damaged or altered."""
     source = Path(folder)
@@ -105,7 +112,7 @@ def load(folder: str | PathLike[str]) -> Stored:
         raise ModelError(problem, file=file, hint=_FORM.again)
     try:
         return _stored(sealed, arrays, chosen=document["schema"] == _CHOSEN)
-    except (KeyError, TypeError, ValueError, ConfigError) as error:
+    except _UNREADABLE as error:
         raise ModelError(f"a part cannot be read: {error}", file=file, hint=_FORM.again) from None
 
 

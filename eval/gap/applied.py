@@ -281,7 +281,7 @@ def _document(file: Path) -> Mapping[str, Any]:
         document = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(f"cannot be read: {error.strerror}", file=file) from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"not JSON: {error}", file=file) from None
     found = document.get("schema") if isinstance(document, dict) else None
     if found not in SCHEMAS:

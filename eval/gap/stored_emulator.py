@@ -80,6 +80,9 @@ def read_emulator(folder: Path) -> GreyBoxEmulator:
         raise ModelError(
             f"the stored emulator has no {error}", file=folder / DOCUMENT, hint=_AGAIN
         ) from None
+    except (TypeError, ValueError, IndexError, OverflowError) as error:
+        problem = f"a part of the stored emulator is damaged: {error}"
+        raise ModelError(problem, file=folder / DOCUMENT, hint=_AGAIN) from None
     return GreyBoxEmulator(settled, engine)
 
 
@@ -108,7 +111,7 @@ def signals_from_json(stored: Mapping[str, Any]) -> Signals:
 def _document(file: Path) -> dict[str, Any]:
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ModelError(f"cannot be read: {error}", file=file, hint=_AGAIN) from None
     found = document.get("schema") if isinstance(document, dict) else None
     if found != SCHEMA:

@@ -118,13 +118,23 @@ def _metrics(run: Path, weights: str) -> dict[str, Any] | None:
         found = json.loads((run / "evaluate" / "evaluate.json").read_text(encoding="utf-8"))
         if found["weights_sha256"] != weights:
             return None
+        counts, channels = found["pooled"]["ti_tt"], found["pooled"]["channels"]
         return {
-            "logs": {log["log"]: log["role"] for log in found["logs"]},
-            "trim": found["trim"],
+            "logs": {str(log["log"]): log["role"] for log in found["logs"]},
+            "trim": None if found["trim"] is None else float(found["trim"]),
             **found["pooled"],
+            "channels": {
+                name: {**row, **{key: _finite(row[key]) for key in _FIGURES}}
+                for name, row in channels.items()
+            },
+            "ti_tt": {**counts, **{key: int(counts[key]) for key in ("passed", "assessed")}},
         }
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return None
+
+
+def _finite(value: Any) -> float | None:
+    return None if value is None else float(value)
 
 
 def _facts(document: dict[str, Any]) -> dict[str, str]:

@@ -9,7 +9,8 @@ than a tenth of the cost per call, which counts where samples arrive one by one.
 from __future__ import annotations
 
 import gzip
-from collections.abc import Mapping, Sequence
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
 from os import PathLike
@@ -40,6 +41,7 @@ from narxcal.support.errors import ConfigError, DataError
 
 _SUBDIVISIONS = 16  # of each interval of a cubic: its error is below 1/256 of a straight line's
 _CHUNK = 4096  # samples evaluated at a time, to bound memory
+_MOST_CHARACTERS = 200_000_000  # of a file: ten million numbers; a small archive may unpack to more
 
 
 @dataclass(frozen=True)
@@ -354,11 +356,8 @@ def _read_cells(file: Path) -> pd.DataFrame:
     """Columns as numbers, or as text where a cell is none; the index is the line of the file."""
     if not file.is_file():
         raise DataError("the table does not exist", file=file)
-    opener = gzip.open if file.suffix == ".gz" else open
     try:
-        with opener(file, "rt", encoding="utf-8-sig") as stream:
-            lines = {n: line for n, line in enumerate(stream, 1) if line.strip(" ,;\t\r\n")}
-        lines = {n: line for n, line in lines.items() if not line.startswith("#")}
+        lines = {n: line for n, line in _lines(file) if not line.startswith("#")}
         if len(lines) < 2:
             raise DataError("the table has no rows", file=file)
         header = next(iter(lines.values()))
@@ -370,12 +369,29 @@ def _read_cells(file: Path) -> pd.DataFrame:
         cells = pd.read_csv(
             StringIO(text), sep=separator, keep_default_na=False, skipinitialspace=True
         )
-    except (OSError, EOFError, UnicodeDecodeError, pd.errors.ParserError) as error:
+    except (OSError, EOFError, ValueError, zlib.error) as error:  # ValueError also of pandas
         raise DataError(f"the table cannot be read: {error}", file=file) from None
     if not isinstance(cells.index, pd.RangeIndex) or len(cells) != len(lines) - 1:
         raise DataError("the rows have more cells than the header", file=file)
     cells.index = pd.Index(list(lines)[1:])
     return cells.rename(columns=str.strip)
+
+
+def _lines(file: Path) -> Iterator[tuple[int, str]]:
+    """Lines with content and their numbers; raises `DataError` where they are too many."""
+    opener = gzip.open if file.suffix == ".gz" else open
+    with opener(file, "rt", encoding="utf-8-sig") as stream:
+        number, left = 0, _MOST_CHARACTERS
+        while line := stream.readline(left + 1):
+            number, left = number + 1, left - len(line)
+            if left < 0:
+                raise DataError(
+                    f"the table has more than {_MOST_CHARACTERS // 10**6} million characters",
+                    file=file,
+                    hint="Thin out its nodes",
+                )
+            if line.strip(" ,;\t\r\n"):
+                yield number, line
 
 
 def _numbers(column: pd.Series[Any], file: Path) -> FloatArray:

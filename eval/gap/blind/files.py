@@ -100,7 +100,10 @@ def read_cases(folder: Path) -> dict[str, Any]:
     Raises `DataError` for a folder that `blind make` did not write, and for a missing log.
     """
     document = read_json(folder / CASES, SCHEMA)
-    for case, logs in document["logs"].items():
+    listed = document.get("logs")
+    if not isinstance(listed, dict) or not all(isinstance(one, dict) for one in listed.values()):
+        raise DataError("'logs' is no table of cases and their logs", file=folder / CASES)
+    for case, logs in listed.items():
         for log in logs:
             if not (folder / case / log).is_file():
                 raise DataError("the log is gone", file=folder / case / log)
@@ -115,7 +118,7 @@ def read_json(file: Path, schema: str) -> dict[str, Any]:
         raise DataError(
             f"cannot be read: {error.strerror}", file=file, hint="Is this the right folder?"
         ) from None
-    except ValueError:
+    except (ValueError, RecursionError):
         raise DataError("is no JSON", file=file) from None
     if not isinstance(document, dict) or document.get("schema") != schema:
         raise DataError(f"is no document of schema {schema}", file=file)
