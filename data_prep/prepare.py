@@ -20,14 +20,15 @@ from data_prep.equilibrium import (
 )
 from data_prep.events import Event, EventsConfig, find_events, needs_condition
 from data_prep.grid import SLOW
-from data_prep.log import AuditEntry, Log
+from data_prep.log import LONG_SPAN_S, AuditEntry, Log
 from data_prep.plausibility import checked, of_cleaning
 from data_prep.ranking import other_driver
 from data_prep.smooth import SmoothConfig, blurs, smooth
-from narxcal.support.arrays import BoolArray, sample_and_hold
+from narxcal.support.arrays import BoolArray, sample_and_hold, spans
 from narxcal.support.errors import DataError
 
 NOT_RECORDED = "not recorded"
+HELD = "held for the model"
 _SPEEDS = ("N1_pct", "N2_pct")
 _MANY = 0.1  # share of a recording's rows
 _TOLERANCE_S = 0.25  # within which Ti and Tt have to agree (FAA 14 CFR part 60)
@@ -263,7 +264,8 @@ def hold_inputs(log: Log, names: Sequence[str]) -> Log:
                 f"or take it out of [steady_state] inputs. The log has {', '.join(log.channels)}",
             )
         values = log[name]
-        missing = int((~np.isfinite(values)).sum())
+        unknown = ~np.isfinite(values)
+        missing = int(unknown.sum())
         if not missing:
             continue
         if missing == len(values):
@@ -274,5 +276,10 @@ def hold_inputs(log: Log, names: Sequence[str]) -> Log:
                 hint="Map another column to it, or leave the log out",
             )
         completed[name] = sample_and_hold(values)
-        entries.append(AuditEntry(name, "filled", "held for the model", missing))
+        long = tuple(
+            (float(log.time_s[start]), float(log.time_s[stop - 1]))
+            for start, stop in spans(unknown)
+            if (stop - start) * log.dt_s >= LONG_SPAN_S
+        )
+        entries.append(AuditEntry(name, "filled", HELD, missing, long))
     return log.with_channels(completed, *entries) if completed else log

@@ -41,7 +41,7 @@ from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.files import finite, versions
 from training.baselines import Baselines
-from training.screening import masked
+from training.masking import masked
 
 SCHEMA = "narxcal.compare/1"
 LEVEL = 0.05  # family-wise

@@ -29,6 +29,7 @@ from training.crossval import (
     random_splits,
     run_plans,
 )
+from training.masking import by_each_other
 
 SCHEMA = "narxcal.crossval/1"
 REMARKS = {
@@ -161,6 +162,7 @@ def cross_validate(
     """
     settings = EvaluateConfig.parse(config.evaluate, "[evaluate]")
     logs = [with_outputs(log, config.narx.outputs) for log in logs]
+    logs = by_each_other(logs, (*config.narx.outputs, *config.steady_state.inputs))
     plans, skipped = _plans(config, settings, logs)
     folds = []
     for result in run_plans(plans, config, base, judge_fold, jobs):

@@ -54,9 +54,10 @@ from narxcal.support.files import finite
 from narxcal.support.settings import Section
 from training.config import RunConfig
 from training.crossval import CrossvalConfig
+from training.masking import MASK, masked
 from training.records import split_logs
 from training.redundancy import Bank
-from training.screening import MASK, masked, screened
+from training.screening import screened
 
 SCHEMA = "narxcal.evaluate/1"
 NEW = "new"

@@ -22,13 +22,12 @@ from pydantic import Field
 
 from data_prep.events import Event, EventsConfig, find_events
 from data_prep.log import Log
-from data_prep.prepare import hold_inputs
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.errors import DataError
 from narxcal.support.parallel import in_processes
 from narxcal.support.settings import Section
 from training.config import RunConfig
-from training.pipeline import calibrate
+from training.pipeline import TrainOptions, calibrate
 from training.records import Split
 
 T = TypeVar("T")
@@ -208,7 +207,7 @@ def run_plans(
 ) -> Iterator[T]:
     """Calibrate once per plan and yield what `judge` makes of it, in the order of the plans.
 
-    Logs are prepared, their masked inputs still NaN. Plans run in parallel processes of one
+    Logs are prepared and screened, masked inputs still NaN. Plans run in parallel processes of one
     thread each (all cores by default); the numbers do not depend on `jobs`.
     `judge` has to be a function of a module, and what it returns must be small.
     """
@@ -219,12 +218,6 @@ def run_plans(
 
 
 def _run_plan(plan: Plan, config: RunConfig, base: Path, judge: Callable[[Bundle, Plan], T]) -> T:
-    train, test = (
-        tuple(_held(part, config).log for part in parts) for parts in (plan.train, plan.test)
-    )
-    return judge(calibrate(config, base, Split(train, (), test)), plan)
-
-
-def _held(part: Segment, config: RunConfig) -> Segment:
-    """The same rows with masked inputs held, from before the segment where need be."""
-    return replace(part, whole=hold_inputs(part.whole, config.steady_state.inputs))
+    train, test = (tuple(part.log for part in parts) for parts in (plan.train, plan.test))
+    options = TrainOptions(screened=True)
+    return judge(calibrate(config, base, Split(train, (), test), options), plan)

@@ -1,6 +1,6 @@
 """The order of the steps of `narxcal train`: each takes values and returns one result.
 
-logs -> split -> steady state -> lags -> network -> what leads -> noise -> bundle
+logs -> split -> masks -> steady state -> lags -> network -> what leads -> noise -> bundle
 
 With [identify] another method takes the place of lags and network (`training.identify`); the rest
 is the same.
@@ -41,6 +41,7 @@ from training.config import METHODS, STATIC, RunConfig
 from training.identify import identify, static_laws
 from training.lags import choose_form, fit_lags
 from training.lead import Leading, choose_leads, network_leads
+from training.masking import learnable
 from training.network import (
     FitResult,
     HistoryRow,
@@ -64,12 +65,14 @@ class TrainOptions:
     """How to run a training: where checkpoints go, whether to resume from them, who shows progress.
 
     `watch` is called after each step of the network, `stage` before each other step with its name,
-    how much of it is done and how much there is.
+    how much of it is done and how much there is. `screened` logs have the faults that
+    `training.masking.by_each_other` finds, such as parts of logs that were screened whole.
     """
 
     watch: Watch | None = None
     checkpoints: Path | None = None
     resume: bool = False
+    screened: bool = False
     stage: Stage = lambda _name, _done, _total: None
 
 
@@ -92,14 +95,20 @@ def calibrate(
 ) -> Bundle:
     """Fit or load the steady-state model, identify the dynamics, estimate the fuser's noise.
 
+    Faults of the logs to learn from are masked first (`training.masking`).
+
     The bundle's `config` is the resolved one, in which nothing is "auto"; `configured` is the one
     given.
 
-    Raises `DataError` for logs of different sampling intervals or with too little in them,
+    Raises `DataError` for logs of different sampling intervals, with too little in them, or of
+    which a fault leaves nothing,
     `ConfigError` for a configuration that does not fit the logs.
     """
     options, began, given = options or TrainOptions(), time.perf_counter(), config
     dt_s = _common_interval([*split.train, *split.validate])
+    options.stage("comparing the logs with each other", 0, 1)
+    learned = learnable(split, config, screen=not options.screened)
+    split = learned.split
     method, law, quality = config.identify.method, None, None
     steady: SteadyStateModel
     options.stage("fitting the steady state", 0, 1)
@@ -127,7 +136,8 @@ def calibrate(
         **found,
         "free_run": free_run_fit(calibration, split.train),
         "fuser_noise": fuser_noise(calibration, split).to_dict(),
-        "redundancy": redundancy_of(calibration, split.train),
+        "screening": learned.row(),
+        "redundancy": redundancy_of(calibration, learned.train),
     }
     return Bundle(calibration, meta)
 

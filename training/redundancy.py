@@ -38,7 +38,7 @@ from scipy.signal import lfilter
 
 from data_prep.log import Log
 from narxcal.atmosphere import air_state, corrected_scale
-from narxcal.channels import CHANNELS, symbol
+from narxcal.channels import CHANNELS
 from narxcal.steady.model import ALTERED
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray, bridge_gaps, noise_level
 from narxcal.support.errors import ModelError
@@ -155,7 +155,6 @@ class Bank:
     | `noise`, `updates` | largest noise level, and update interval in s, of each channel |
     | `logs` | number of logs that were left out |
     | `used` | the channels that the model uses |
-    | `spoiling` | training logs that differ from the others and were left out -> in what |
     """
 
     channels: tuple[str, ...]
@@ -176,7 +175,6 @@ class Bank:
     updates: Mapping[str, float] = field(default_factory=dict)
     logs: int = 0
     used: tuple[str, ...] = ()
-    spoiling: Mapping[str, str] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
         """For the bundle's document."""
@@ -378,13 +376,13 @@ def inside_air(bank: Bank, air: Corrected) -> BoolArray:
 
 
 def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
-    """Fit the bank to the engine channels that all prepared logs record.
+    """Fit the bank to the engine channels that most of the prepared logs record.
 
     `channels` are those of the model: the others support the comparison, and no fault of them is
     reported. None where there are fewer than two. Each log is left out once to measure `sigma`, of
     more than eight logs groups of them.
     """
-    logs = [log for log in logs if _long_enough(log)]
+    logs = [log for log in logs if _tells(log)]
     names = _engine_channels(logs)
     if len(names) < 2:
         return None
@@ -400,13 +398,6 @@ def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
     left_out = [
         residuals(replace(bank, pairs=pairs), one, names) for bank, fold in partial for one in fold
     ]
-    order = [log.name for log in logs] if len(logs) > 1 else [logs[0].name] * 2
-    by_part = dict(zip(map(id, parts), order, strict=True))
-    titles = [by_part[id(one)] for fold in folds for one in fold]
-    spoiling = _spoiling(titles, left_out)
-    if spoiling:
-        rest = learn([log for log in logs if log.name not in spoiling], channels)
-        return None if rest is None else replace(rest, spoiling=spoiling)
     whole = replace(_fit(all_signals, names), pairs=pairs)
     ratios = {k: [log_ratio(whole, one, names, k) for one in all_signals] for k in STRETCHES}
     return replace(
@@ -416,11 +407,12 @@ def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
         regimes={name: _regime_ratios(name, left_out) for name in names},
         levels={name: tuple(_level(one.consensus[name]) for one in left_out) for name in names},
         delays=_delay_table([delays_between(log, names) for log in logs], names),
-        noise={name: max(noise_of(log, name) for log in logs) for name in names},
+        noise={
+            name: max(noise_of(log, name) for log in logs if log.recorded([name])) for name in names
+        },
         updates=_longest_updates(logs),
-        logs=len(parts),
+        logs=sum(any(np.isfinite(c).any() for c in one.consensus.values()) for one in left_out),
         used=tuple(name for name in names if name in channels),
-        spoiling=spoiling,
     )
 
 
@@ -430,30 +422,13 @@ def _finite_mean(values: Sequence[float]) -> float:
     return float(np.mean(known)) if known else 0.0
 
 
-def _long_enough(log: Log) -> bool:
-    return len(log) * log.dt_s >= _LEAST_STEPS * _STEP_S
+def _tells(log: Log) -> bool:
+    """Whether a log is long enough, and has samples of two engine channels."""
+    engine = tuple(name for name in CHANNELS if CHANNELS[name].role in _ENGINE)
+    return len(log) * log.dt_s >= _LEAST_STEPS * _STEP_S and len(log.recorded(engine)) > 1
 
 
-_SPOILT, _LEAST_LOGS = 3.0, 3
-
-
-def _spoiling(titles: Sequence[str], left_out: Sequence[Residuals]) -> dict[str, str]:
-    """Log -> channel, of logs that differ from all others by far more than these do.
-
-    The RMS of c of the left-out log is compared with the median of the others' and with the prior
-    scatter. Two logs cannot say which of them is odd.
-    """
-    if len(left_out) < _LEAST_LOGS:
-        return {}
-    found: dict[str, str] = {}
-    for name in left_out[0].channels:
-        sizes = np.sqrt([np.nanmean(np.append(one.consensus[name] ** 2, 0.0)) for one in left_out])
-        prior = _PRIOR.get(CHANNELS[name].unit, _PRIOR_OTHER)
-        for k, title in enumerate(titles):
-            usual = max(float(np.median(np.delete(sizes, k))), prior)
-            if sizes[k] > _SPOILT * usual:
-                found.setdefault(title, f"{symbol(name)} by {sizes[k] / usual:.2g} times as much")
-    return found if len(found) < 0.5 * len(titles) else {}
+_ENGINE = frozenset({"output", "lever"})
 
 
 def _others(parts: Sequence[Signals], fold: Sequence[Signals]) -> list[Signals]:
@@ -461,12 +436,13 @@ def _others(parts: Sequence[Signals], fold: Sequence[Signals]) -> list[Signals]:
 
 
 def _engine_channels(logs: Sequence[Log]) -> tuple[str, ...]:
-    """Outputs and levers that every log records and that move."""
+    """Outputs and levers that every log has, most with samples, and that move."""
     return tuple(
         name
         for name in CHANNELS
-        if CHANNELS[name].role in {"output", "lever"}
-        and all(log.recorded([name]) for log in logs)
+        if CHANNELS[name].role in _ENGINE
+        and all(name in log.channels for log in logs)
+        and 2 * sum(bool(log.recorded([name])) for log in logs) > len(logs)
         and np.nanstd(np.concatenate([log[name] for log in logs])) > 0.0
     )
 
@@ -484,20 +460,25 @@ def _halves(signals: Signals) -> list[Signals]:
 
 
 def _fit(logs: Sequence[Signals], names: Sequence[str]) -> Bank:
-    air = [Corrected.of(one, names) for one in logs]
+    air = [_in_known_air(Corrected.of(one, names)) for one in logs]
     joined = {name: np.concatenate([one.x[name] for one in air]) for name in names}
-    centre = {name: float(np.nanmean(values)) for name, values in joined.items()}
-    spread = {name: max(float(np.nanstd(values)), 1e-9) for name, values in joined.items()}
+    known = {name: values[np.isfinite(values)] for name, values in joined.items()}
+    centre = {name: float(np.mean(each)) if len(each) else 0.0 for name, each in known.items()}
+    spread = {
+        name: max(float(np.std(each)), 1e-9) if len(each) else 1.0 for name, each in known.items()
+    }
     low, high = {}, {}
-    for name, values in joined.items():
-        z = (values[np.isfinite(values)] - centre[name]) / spread[name]
-        ends = np.percentile(z, (0.1, 99.9))
+    for name in names:
+        ends = np.array(_percentiles((joined[name] - centre[name]) / spread[name], (0.1, 99.9)))
         low[name], high[name] = (
             float(ends[0] - 0.05 * np.ptp(ends)),
             float(ends[1] + 0.05 * np.ptp(ends)),
         )
     ranges = {
-        name: _percentiles(np.concatenate([getattr(one, name) for one in air]), (0.1, 99.9))
+        name: _percentiles(
+            np.concatenate([np.where(one.known, getattr(one, name), np.nan) for one in air]),
+            (0.1, 99.9),
+        )
         for name in ("mach", "log_delta")
     }
     scaled = [{name: (one.x[name] - centre[name]) / spread[name] for name in names} for one in air]
@@ -522,13 +503,22 @@ def _fit(logs: Sequence[Signals], names: Sequence[str]) -> Bank:
     return Bank(tuple(names), centre, spread, low, high, ranges, models, edges=edges)
 
 
+def _in_known_air(air: Corrected) -> Corrected:
+    """Corrected channels where the air is known: elsewhere they were corrected by a guess."""
+    return replace(air, x={name: np.where(air.known, x, np.nan) for name, x in air.x.items()})
+
+
 def _percentiles(values: FloatArray, shares: tuple[float, float]) -> tuple[float, float]:
-    low, high = np.percentile(values[np.isfinite(values)], shares)
+    """Percentiles of the finite values; zeros where there are none."""
+    known = values[np.isfinite(values)]
+    low, high = np.percentile(known, shares) if len(known) else (0.0, 0.0)
     return float(low), float(high)
 
 
 def _robust_fit(phi: FloatArray, target: FloatArray) -> FloatArray:
-    """Ridge regression with soft-L1 weights, by reweighting."""
+    """Ridge regression with soft-L1 weights, by reweighting; NaN where there is too little."""
+    if len(target) < phi.shape[1]:
+        return np.full(phi.shape[1], np.nan)
     size = np.sqrt(np.mean(phi**2, axis=0)) + 1e-12
     scaled, weight = phi / size, np.ones(len(target))
     ridge = _RIDGE * len(target) * np.eye(phi.shape[1])
@@ -566,8 +556,11 @@ def noise_of(log: Log, name: str) -> float:
 
 
 def _longest_updates(logs: Sequence[Log]) -> dict[str, float]:
-    names = {name for log in logs for name in log.updates}
-    return {name: max(log.updates.get(name, 0.0) for log in logs) for name in sorted(names)}
+    names = {name for log in logs for name in log.recorded(tuple(log.updates))}
+    return {
+        name: max(log.updates.get(name, 0.0) for log in logs if log.recorded([name]))
+        for name in sorted(names)
+    }
 
 
 _DELAY_STEP_S, _LONGEST_DELAY_S = 0.2, 12.0
@@ -645,7 +638,10 @@ def log_ratio(bank: Bank, signals: Signals, channels: Sequence[str], stretch: fl
     for step_s in (signals.step_s / stretch, signals.step_s):
         found = residuals(bank, signals, channels, step_s)
         size = round(_DYNAMIC_S / signals.step_s)
-        first = found.corrected.x[channels[0]]
+        shown = [x for x in found.corrected.x.values() if np.isfinite(x).any()]
+        if not shown:
+            return float("nan")
+        first = shown[0]
         motion = np.abs(first - moving_mean(first, size // 5))
         moving = motion > np.nanpercentile(motion, 100.0 * _MOVING)
         pairs = [each for errors in found.errors.values() for each in errors.values()]

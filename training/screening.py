@@ -1,4 +1,4 @@
-"""Screen a log by the bank of `training.redundancy`: name its faults, and mask them.
+"""Screen a log by the bank of `training.redundancy`: name its faults.
 
 Hypotheses about the whole log come first (rows, noise, stretched time, another unit, exchanged
 channels, delays), each accepted where undoing it brings all |S_i| below 1. Then channels are
@@ -14,7 +14,7 @@ from itertools import combinations
 import numpy as np
 from scipy.stats import t as student
 
-from data_prep.log import AuditEntry, Fault, Kind, Log
+from data_prep.log import Fault, Kind, Log
 from data_prep.plausibility import conversions, fault, sound_air
 from narxcal.atmosphere import mach_of_cas
 from narxcal.channels import CHANNELS, symbol
@@ -69,6 +69,15 @@ def screened(bank: Bank | None, logs: Sequence[Log]) -> list[Log]:
         if _of_one_flight(found[i], found[k]):
             found[i], found[k] = _exchanged(bank, found[i], found[k])
     return found
+
+
+def contradiction(bank: Bank, log: Log) -> float:
+    """RMS of the residuals of a prepared log, each over its sigma; 0 where none can be tested."""
+    channels = tuple(name for name in bank.channels if log.recorded([name]))
+    signals = Signals.of(log)
+    if len(channels) < 2 or len(signals.time_s) < WINDOWS_S[0]:
+        return 0.0
+    return _wander(residuals(bank, signals, channels))
 
 
 def _of_one_flight(a: Log, b: Log) -> bool:
@@ -289,8 +298,9 @@ _LEAST_TESTABLE = 0.1  # share of a log's samples below which the bank says noth
 
 def _wander(found: Residuals) -> float:
     """RMS of the residuals, each over its sigma."""
-    parts = [found.consensus[name] / found.bank.sigma[name] for name in found.channels]
-    return float(np.sqrt(np.nanmean(np.stack(parts) ** 2)))
+    parts = np.stack([found.consensus[name] / found.bank.sigma[name] for name in found.channels])
+    known = parts[np.isfinite(parts)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
 
 
 _RESTORED = 0.35
@@ -395,10 +405,19 @@ def _spanned(
     half = 0.5 * found.signals.step_s
     time_s = found.signals.time_s
     largest = LIMITS[1] * float(np.nanmax(np.abs(found.smooth[channels[0]])))
-    dof = PRIOR_LOGS + max(found.bank.logs - 1, 1)
-    confidence = 1.0 - 2.0 * float(student.sf(largest, dof))
     span_s = (float(time_s[first]) - half, float(time_s[last]) + half)
-    return fault(log, channels, words, span_s, min(confidence, 0.9999))
+    return fault(log, channels, words, span_s, _confidence(found, largest))
+
+
+def _confidence(found: Residuals, largest: float) -> float:
+    """Confidence of a deviation by `largest` sigma.
+
+    Sigma is known from few logs: the deviation has Student's distribution. A sound log may show it
+    in any of the m channels: m times the probability of one (Bonferroni).
+    """
+    dof = PRIOR_LOGS + max(found.bank.logs - 1, 1)
+    alarms = len(found.channels) * 2.0 * float(student.sf(largest, dof))
+    return min(max(1.0 - alarms, 0.0), 0.9999)
 
 
 def _kind(found: Residuals, name: str) -> tuple[Kind, str, tuple[int, int]]:
@@ -434,10 +453,12 @@ _STILL_S, _LEAST_STILL_S = 60.0, 30.0
 
 def _motionless(bank: Bank, subject: _Subject) -> _Subject:
     """A channel that shows noise, or nothing, while the others say that it moves."""
-    if len(subject.channels) < 3:
+    tested = [name for name in subject.channels if CHANNELS[name].role != "lever"]
+    if len(subject.channels) < 3 or not tested:
         return subject
     found = residuals(bank, subject.signals, subject.channels)
-    still = {name: _without_motion(found, name) for name in subject.channels}
+    motion = {name: _without_motion(found, name) for name in tested}
+    still = {name: each for name, (each, _) in motion.items()}
     name = max(still, key=lambda each: int(still[each].sum()))
     spread = spans(still[name])
     if not spread or still[name].sum() * subject.signals.step_s < _LEAST_STILL_S:
@@ -447,21 +468,27 @@ def _motionless(bank: Bank, subject: _Subject) -> _Subject:
     kind: Kind = "stuck" if np.ptp(part) == 0.0 else "dead"
     against = _listed(subject.channels, name)
     text = f"stays at {np.median(part):.4g} {CHANNELS[name].unit} while {against} move"
-    rows = (first, last)
-    return subject.found(_spanned(subject.log, (name,), (kind, text), found, rows), without=name)
+    dead = _spanned(subject.log, (name,), (kind, text), found, (first, last))
+    dead = replace(dead, confidence=_confidence(found, motion[name][1]))
+    return subject.found(dead, without=name)
 
 
-def _without_motion(found: Residuals, name: str) -> BoolArray:
+def _without_motion(found: Residuals, name: str) -> tuple[BoolArray, float]:
     """Samples at which the channel stays within 60 s, and the others say that it must move.
 
+    Also the largest move that they ask for, in sigma.
+
+    They say so where what they expect moves by the limit of S: a step of height h has a standard
+    deviation of h / 2. A switched load moves fuel and temperature alone, too, though by less.
     The level at which it stays is followed to both sides for as long as the channel does.
     """
     size = round(_STILL_S / found.signals.step_s)
     y, expected = found.signals.values[name], found.corrected.raw(name, found.expected[name])
     sigma = found.bank.sigma[name] * abs(found.bank.centre[name]) * found.corrected.scale[name]
     own, other = _moving_spread(y, size), _moving_spread(expected, size)
-    quiet = (own < _STILL * other) & (other > 2.0 * sigma)
+    quiet = (own < _STILL * other) & (other > 0.5 * LIMITS[0] * sigma)
     still = np.zeros(len(y), dtype=np.bool_)
+    largest = 2.0 * float(np.max((other / sigma)[quiet], initial=0.0))
     half = size // 2
     for start, stop in spans(quiet):
         first, last = max(start - half, 0), min(stop + half, len(y))
@@ -472,12 +499,12 @@ def _without_motion(found: Residuals, name: str) -> BoolArray:
         while last < len(y) and same[last]:
             last += 1
         still[first:last] = True
-    return still
+    return still, largest
 
 
 def _moving_spread(values: FloatArray, size: int) -> FloatArray:
     """Standard deviation in a centred window."""
-    centred = values - np.nanmean(values)
+    centred = values - (np.nanmean(values) if np.isfinite(values).any() else 0.0)
     square = moving_mean(centred**2, size) - moving_mean(centred, size) ** 2
     return np.sqrt(np.maximum(square, 0.0))
 
@@ -548,24 +575,3 @@ _STEPS: tuple[Callable[[Bank, _Subject], _Subject], ...] = (
     _airspeed, _without_air, _coarse, _noisy, _stretched, _whole, _late, _motionless, _isolated,
     _isolated,
 )  # fmt: skip
-MASK = 0.95  # least confidence of what is masked
-
-
-def masked(log: Log) -> Log:
-    """Return the log with the channels of its faults NaN from `from_s` to `to_s`, and that counted.
-
-    A fault of the time stamps masks every channel: none can be compared with a model.
-    """
-    changed: dict[str, FloatArray] = {}
-    entries = []
-    for each in log.faults:
-        inside = (log.time_s >= each.from_s) & (log.time_s <= each.to_s)
-        names = tuple(log.channels) if "time_s" in each.channels else each.channels
-        for name in names if each.confidence >= MASK else ():
-            values = changed.get(name, log.channels.get(name, np.empty(0))).copy()
-            count = int((inside & np.isfinite(values)).sum()) if len(values) else 0
-            if count:
-                values[inside] = np.nan
-                changed[name] = values
-                entries.append(AuditEntry(name, "masked", f"fault: {each.kind}", count))
-    return log.with_channels(changed, *entries) if changed else log

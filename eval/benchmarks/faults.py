@@ -31,10 +31,11 @@ from narxcal.calibration.calibration import Calibration
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from training.config import RunConfig, load_config
+from training.masking import MASK
 from training.pipeline import calibrate, configured_files
 from training.records import Split
 from training.redundancy import Bank
-from training.screening import MASK, examine
+from training.screening import examine
 
 Apply = Callable[[FloatArray, FloatArray], FloatArray]
 

@@ -205,6 +205,7 @@ _OURS = (
 _TABLES = ("units", "config", "data", "hardware", "versions")
 _OPTIONAL = (
     "split", "training", "steady_state", "lag_form", "fuser_noise", "baselines", "redundancy",
+    "screening",
 )  # fmt: skip
 _FORM = ModelFolder(
     what="bundle",

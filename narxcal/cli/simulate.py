@@ -24,8 +24,9 @@ from narxcal.cli.options import SIMULATOR, add_mapping, add_overwrite, add_trust
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import TIME_FORMAT, atomic_write_text, check_file, text_cell
 from training.config import RunConfig
+from training.masking import masked
 from training.pipeline import calibration_for
-from training.screening import masked, screened
+from training.screening import screened
 
 SCHEMA = "narxcal.simulate/1"
 

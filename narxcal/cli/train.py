@@ -15,7 +15,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
-from data_prep.log import Log
+from data_prep.log import Fault, Log
 from data_prep.prepare import cautions
 from narxcal.calibration.bundle import (
     DOCUMENT,
@@ -85,11 +85,9 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
             advance(number, len(files), file.name)
             logs += prepare_logs(config, [file])
     split = split_logs(logs, config.split)
-    said = [
-        *left_out(logs, split, config.split),
-        *cautions(logs, config, config.narx.outputs),
-        *(fault.caution for log in logs for fault in log.faults),
-    ]
+    said = (
+        *left_out(logs, split, config.split), *cautions(logs, config, config.narx.outputs),
+    )  # fmt: skip
     for warning in said:
         console.warn(warning)
     checkpoints = folder / CHECKPOINTS
@@ -101,16 +99,30 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
             resume=resume,
         )
         bundle = calibrate(config, base, split, options)
-    suspects = (bundle.meta.get("lead") or {}).get("suspects", ())
-    for warning in suspects:
+    for warning in (*masked_words(bundle.meta), *suspects(bundle.meta)):
         console.warn(warning)
-    for log, text in ((bundle.meta.get("redundancy") or {}).get("spoiling") or {}).items():
-        if not any(warning.startswith(f"{log} ") for warning in suspects):  # once is enough
-            console.warn(f"{log} does not fit the other logs: it differs in {text} as they do")
     write_bundle(folder, bundle)
     if not interrupted(bundle.meta):
         shutil.rmtree(checkpoints, ignore_errors=True)
     return bundle
+
+
+def suspects(meta: dict[str, Any]) -> list[str]:
+    """Logs that are far worse than the others in every model when they are held out."""
+    return list((meta.get("lead") or {}).get("suspects", ()))
+
+
+def masked_words(meta: dict[str, Any]) -> list[str]:
+    """What to say of the faults of the logs to learn from, and of what was masked for them."""
+    found = meta.get("screening") or {"faults": [], "logs": []}
+    said = [Fault(**{**row, "channels": tuple(row["channels"])}).caution for row in found["faults"]]
+    for row in found["logs"]:
+        parts = [f"{count} samples of {name}" for name, count in row["masked"].items()]
+        if row["left_out_rows"]:
+            parts.append(f"{row['left_out_rows']} of {row['rows']} rows")
+        if parts:
+            said.append(f"{row['log']}: not learned from {', '.join(parts)}")
+    return said
 
 
 def left_out(logs: Sequence[Log], split: Split, config: SplitConfig) -> list[str]:
@@ -209,6 +221,7 @@ def _document(folder: Path, meta: dict[str, Any]) -> dict[str, Any]:
         "steady_state",
         "lag_form",
         "lead",
+        "screening",
         "split",
         "seeds",
         "data",

@@ -286,8 +286,9 @@ BAD = {
     "not excited": (
         {"Mach": lambda log: 0.0 * log["Mach"] + 0.4}, "static:polynomial", "",
         (
-            "channel Mach: every row is 0.4: no polynomial can be fitted in it. "
-            "Leave it out or set its degree to 0"
+            "channel Mach: it is at fault in every training log, first in flight_1.csv (stuck: "
+            "stays at 0.4 while others move). Correct its column under [logs.columns], or leave "
+            "these logs out"
         ),
     ),
     "mesh with holes": (
@@ -306,7 +307,8 @@ BAD = {
         ),
     ),
     "generator below zero": (
-        {"FN_kN": lambda log: 0.5 * log["TRA_deg"], "EPR": lambda log: 1.0 + 0.0 * log["TRA_deg"]},
+        {"FN_kN": lambda log: 0.5 * log["N1_pct"] - 10.0,
+         "EPR": lambda log: 1.0 + 0.0 * log["TRA_deg"]},
         "static:torenbeek", "[identify.static]\nF_to_kN = 40.0\nbypass_ratio = 3.0\n",
         "generator function",
     ),

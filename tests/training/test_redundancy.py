@@ -11,8 +11,9 @@ from data_prep.log import Log, Source
 from data_prep.plausibility import checked
 from narxcal.atmosphere import KELVIN
 from narxcal.support.errors import ModelError
+from training.masking import masked
 from training.redundancy import Bank, learn
-from training.screening import examine, masked, screened
+from training.screening import examine, screened
 
 DT_S = 0.2
 ROWS = 6000  # twenty minutes
@@ -151,15 +152,6 @@ def test_what_is_found_is_masked_and_counted(bank):
 def test_without_a_bank_nothing_is_added():
     log = engine(25)
     assert screened(None, [log]) == [log]
-
-
-def test_a_log_that_differs_from_all_others_is_named_and_sets_no_limits(bank):
-    logs = [*(engine(seed) for seed in range(4)), with_fault("N1_pct", lambda x: 1.3 * x)]
-    found = learn(logs, CHANNELS)
-    assert list(found.spoiling) == ["flight 21"]
-    assert found.spoiling["flight 21"].startswith("N1 by ")
-    assert found.sigma["N1_pct"] < 2.0 * bank.sigma["N1_pct"]
-    assert bank.spoiling == {}
 
 
 def test_a_channel_exchanged_between_two_engines_is_named_in_both(bank):
