@@ -54,6 +54,7 @@ from narxcal.support.files import finite
 from narxcal.support.settings import Section
 from training.config import RunConfig
 from training.crossval import CrossvalConfig
+from training.levels import LEAST_LOGS, LevelCheck, checks, words
 from training.masking import MASK, masked
 from training.records import split_logs
 from training.redundancy import Bank
@@ -89,7 +90,7 @@ class LogEvaluation:
     `untrimmed` are the scores on the same rows before trim, where there was one. `baselines` are
     the baselines' Ti/Tt counts on the same events. `as_recorded` are the scores on the log before
     its faults were masked, where there are some, and `faulty` the share of each channel's samples
-    that was masked so.
+    that was masked so. `levels` are level and lag of the free run beside those of held-out logs.
     """
 
     run: FreeRun
@@ -100,6 +101,7 @@ class LogEvaluation:
     untrimmed: Mapping[str, ChannelScores] = field(default_factory=dict)
     as_recorded: Mapping[str, ChannelScores] = field(default_factory=dict)
     faulty: Mapping[str, float] = field(default_factory=dict)
+    levels: tuple[LevelCheck, ...] = ()
 
     @property
     def log(self) -> Log:
@@ -129,6 +131,7 @@ class LogEvaluation:
             "channels": channels,
             "events": [each.row() for each in self.assessments],
             "ti_tt": tally_row(self.assessments),
+            "levels": [each.row() for each in self.levels],
             "baselines": {name: baseline.row() for name, baseline in self.baselines.items()},
             "masked": {
                 channel: {"samples": sum(reasons.values()), "reasons": reasons}
@@ -210,7 +213,15 @@ def assess_log(
         untrimmed=untrimmed,
         as_recorded=score([run_log(bundle, config, recorded)]) if faulty else {},
         faulty=faulty,
+        levels=_levels(bundle, run),
     )
+
+
+def _levels(bundle: Bundle, run: FreeRun) -> tuple[LevelCheck, ...]:
+    """Level and lag of the scored rows, beside the training logs that were held out."""
+    stored = (bundle.meta.get("lead") or {}).get("channels") or {}
+    measured = np.where(run.scored[:, None], run.measured, np.nan)
+    return checks(stored, run.channels, (run.model, measured), run.log.dt_s)
 
 
 def _overlay(run: FreeRun, name: str) -> Overlay:
@@ -257,6 +268,7 @@ class Evaluation:
         """
         return [
             *self._failed_times(),
+            *self._wrong_levels(),
             *self._large_errors(),
             *self._faulty(),
             *self._without_evidence(),
@@ -285,6 +297,36 @@ class Evaluation:
             return []
         share = f"({found.passed_pct:.1f} %), at least {least:g} % have to"
         return [f"Ti/Tt: {found.passed} of {found.assessed} transients pass {share}"]
+
+    def _wrong_levels(self) -> list[str]:
+        """Outputs whose level is beyond the spread of the held-out training logs."""
+        return [
+            f"{one.log.name}: level error of {words(each)}, {each.allowed:.3g} is the spread of "
+            f"{each.held_out_logs} held-out training logs"
+            for one in self.logs
+            for each in one.levels
+            if each.ok is False
+        ]
+
+    @property
+    def level_cautions(self) -> list[str]:
+        """Levels that can't be judged, with their sizes, and lags beyond the spread."""
+        found = []
+        for one in self.logs:
+            open_ = [words(each) for each in one.levels if each.allowed is None and each.known]
+            if open_:
+                found.append(
+                    f"{one.log.name}: level error of {', '.join(open_)} is not judged: fewer than "
+                    f"{LEAST_LOGS} training logs were held out"
+                )
+            found += [
+                f"{one.log.name}: {each.channel} is {abs(each.lag_s):.2g} s "
+                f"{'late' if each.lag_s > 0.0 else 'early'} over the whole log, "
+                f"{each.allowed_lag_s:.2g} s is the spread of held-out training logs"
+                for each in one.levels
+                if each.late
+            ]
+        return found
 
     def _large_errors(self) -> list[str]:
         pooled, texts = self.pooled, []

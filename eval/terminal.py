@@ -71,6 +71,26 @@ def print_transients(console: Console, logs: Sequence[LogEvaluation]) -> None:
         console.print(table)
 
 
+def print_levels(console: Console, logs: Sequence[LogEvaluation]) -> None:
+    """Level and lag of the free run over each whole log, beside what held-out logs allow."""
+    for one in logs:
+        table = _table(one.log.name)
+        table.add_column("Level of", no_wrap=True)
+        for head in ("error", "allowed", "", "lag", "allowed lag"):
+            table.add_column(head, justify="right", no_wrap=True)
+        for each in one.levels:
+            word, look = _WORDS[each.ok]
+            table.add_row(
+                Text(with_unit(each.channel)),
+                *(Text(number(value)) for value in (each.error, each.allowed)),
+                Text(word, style=look),
+                Text(_measure(each.lag_s, "s")),
+                Text(_measure(math.nan if each.allowed_lag_s is None else each.allowed_lag_s, "s")),
+            )
+        if one.levels:
+            console.print(table)
+
+
 def _transient_cells(found: Sequence[Assessment]) -> list[Text]:
     assessed = [one.verdict for one in found if one.verdict.ok is not None]
     passed = sum(verdict.ok is True for verdict in assessed)

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from narxcal.support.errors import DataError
 from training.baselines import Baselines, run_of
 from training.config import RunConfig
 from training.folds import Fold, held_out_folds
+from training.levels import lag_of, level_of
 
 NETWORK: Final = "network"
 _FOLDS: Final = 3
@@ -39,21 +40,36 @@ _LEAST_ERROR: Final = 1e-9  # of the largest error: outputs without any error co
 Refit = Callable[[Sequence[Log]], tuple[DynamicCalibration, Mapping[str, Any]]]
 
 
+class HeldOut(NamedTuple):
+    """RMS errors, levels and lags in s, each (1 + kinds, outputs), over one held-out log.
+
+    Rows are network, steady state, first-order lag and ARX. With more logs (logs, ...).
+    """
+
+    errors: FloatArray
+    levels: FloatArray
+    lags_s: FloatArray
+
+
 @dataclass(frozen=True, eq=False)
 class Leading:
-    """What leads, and the held-out errors that say so.
+    """What leads, and the figures of all models over the held-out `logs` that say so.
 
-    `errors` (logs, 1 + kinds, outputs) are RMS errors of network, steady state, first-order lag and
-    ARX over the held-out `logs`; without any the network leads, and `status` says why. `whole`
-    tells recordings from parts of a single one, of which each has conditions of its own.
+    Without any the network leads, and `status` says why. `whole` tells recordings from parts of a
+    single one, of which each has conditions of its own.
     """
 
     leads: tuple[Lead, ...]
     channels: tuple[str, ...]
     logs: tuple[str, ...]
-    errors: FloatArray
+    held_out: HeldOut
     status: str
     whole: bool = True
+
+    @property
+    def errors(self) -> FloatArray:
+        """RMS errors (logs, 1 + kinds, outputs)."""
+        return self.held_out.errors
 
     def row(self) -> dict[str, Any]:
         """JSON-able: per channel what leads, held-out errors and the standard error of ln ratio."""
@@ -64,6 +80,10 @@ class Leading:
             if len(self.logs):
                 pairs = zip((NETWORK, *KINDS), self.errors[:, :, k].T, strict=True)
                 found[name]["held_out_rmse"] = {kind: _pooled(values) for kind, values in pairs}
+            if len(self.logs) and self.whole:
+                row = (NETWORK, *KINDS).index(found[name]["leads"])
+                found[name]["held_out_level"] = _known(self.held_out.levels[:, row, k])
+                found[name]["held_out_lag_s"] = _known(self.held_out.lags_s[:, row, k])
         return {
             "status": self.status,
             "held_out": list(self.logs),
@@ -94,7 +114,7 @@ class Leading:
 def network_leads(calibration: DynamicCalibration, status: str) -> Leading:
     """No choice was made."""
     empty = np.empty((0, 1 + len(KINDS), len(calibration.output_names)))
-    return Leading((), calibration.output_names, (), empty, status)
+    return Leading((), calibration.output_names, (), HeldOut(empty, empty, empty), status)
 
 
 def choose_leads(
@@ -115,7 +135,7 @@ def choose_leads(
     if cost > config.train.choice_s:
         limit = f"choice_s = {config.train.choice_s:g}"
         return network_leads(calibration, f"no choice: folds take {cost:.0f} CPU s, {limit}")
-    names, errors, lost = [], [], []
+    names, held, lost = [], [], []
     for number, fold in enumerate(folds):
         watch(number, len(folds))
         fit, judged = fold.of(parts)
@@ -125,18 +145,18 @@ def choose_leads(
             lost.append(str(error.problem))
             continue
         names += [log.name for log in judged]
-        errors += [held_out_errors(found, Baselines.from_json(simple), log) for log in judged]
-    if not errors:
+        held += [held_out(found, Baselines.from_json(simple), log) for log in judged]
+    if not held:
         reason = lost[0] if lost else "nothing could be held out"
         return network_leads(calibration, f"no choice: {reason}")
-    stacked = np.stack(errors)
+    stacked = HeldOut(*(np.stack(part) for part in zip(*held, strict=True)))
     fitted_baselines = Baselines.from_json(baselines)
     leads = tuple(
         lead_of(kind, k, fitted_baselines, calibration.dt_s)
         for k in range(len(calibration.output_names))
-        if (kind := leading_kind(stacked[:, :, k])) is not None
+        if (kind := leading_kind(stacked.errors[:, :, k])) is not None
     )
-    status = f"chosen on {len(errors)} held-out parts of the training logs"
+    status = f"chosen on {len(held)} held-out parts of the training logs"
     whole = len({log.source.file for log in logs}) > 1
     return Leading(leads, calibration.output_names, tuple(names), stacked, status, whole)
 
@@ -155,8 +175,8 @@ def lead_folds(logs: Sequence[Log]) -> tuple[list[Log], list[Fold]]:
     return parts, held_out_folds(numbers, _FOLDS)
 
 
-def held_out_errors(calibration: DynamicCalibration, baselines: Baselines, log: Log) -> FloatArray:
-    """RMS errors (1 + kinds, n_out) of network and simple models over one log; NaN: unknown."""
+def held_out(calibration: DynamicCalibration, baselines: Baselines, log: Log) -> HeldOut:
+    """Figures of network and simple models over one log; NaN: unknown."""
     own = calibration.for_engine(log.source.engine)
     run = run_of(calibration, log)
     models = (
@@ -165,14 +185,23 @@ def held_out_errors(calibration: DynamicCalibration, baselines: Baselines, log: 
         baselines.lag.simulate(run.steady, run.measured[0], own.dt_s),
         baselines.arx.simulate(run.steady, run.measured[0]),
     )
-    found = []
-    for model in models:
-        square = (model - run.measured) ** 2
-        known = np.isfinite(square)
-        count = known.sum(axis=0)
-        total = np.where(known, square, 0.0).sum(axis=0)
-        found.append(np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan))
-    return np.array(found)
+    return HeldOut(
+        np.array([_rms(model - run.measured) for model in models]),
+        np.array([level_of(model, run.measured) for model in models]),
+        np.array([lag_of(model, run.measured, own.dt_s) for model in models]),
+    )
+
+
+def _rms(error: FloatArray) -> FloatArray:
+    """RMS (n_out,) of what is known of (time, n_out); NaN where nothing is."""
+    known = np.isfinite(error)
+    count = known.sum(axis=0)
+    total = np.where(known, error**2, 0.0).sum(axis=0)
+    return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
+
+
+def _known(values: FloatArray) -> list[float]:
+    return [float(value) for value in values if np.isfinite(value)]
 
 
 def leading_kind(errors: FloatArray) -> Kind | None:

@@ -37,7 +37,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
 from data_prep.log import Log
-from narxcal.atmosphere import air_state, corrected_scale
+from narxcal.atmosphere import KELVIN, air_state, corrected_scale
 from narxcal.channels import CHANNELS
 from narxcal.steady.model import ALTERED
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray, bridge_gaps, noise_level
@@ -54,6 +54,7 @@ _RIDGE = 1e-4
 # say more; it counts as `PRIOR_LOGS` of them.
 _PRIOR = {"%": 0.01, "degC": 0.024, "kg/h": 0.03}
 _PRIOR_OTHER, PRIOR_LOGS = 0.03, 1.5
+DELAY_PRIOR_S = 0.15
 AIR = ("ALT_ft", "Mach", "dT_C")
 _MOST_FOLDS = 8
 
@@ -532,6 +533,12 @@ def _robust_fit(phi: FloatArray, target: FloatArray) -> FloatArray:
     return np.asarray(found / size)
 
 
+def prior_scatter(name: str, level: float) -> float:
+    """Scatter of a channel between engines of a type and their meters at a level, in its unit."""
+    unit = CHANNELS[name].unit if name in CHANNELS else ""
+    return _PRIOR.get(unit, _PRIOR_OTHER) * (level + (KELVIN if unit == "degC" else 0.0))
+
+
 def _rms(target: str, source: str, left_out: Sequence[FloatArray]) -> float:
     """RMS of residuals of the left-out logs and the prior ones, the larger prior of the two."""
     known = [each[np.isfinite(each)] for each in left_out]
@@ -573,23 +580,38 @@ def delays_between(log: Log, names: Sequence[str]) -> dict[tuple[str, str], floa
     The largest value of the cross-correlation of the rates over 1 s, interpolated by a parabola.
     """
     fine = Signals.of(log, _DELAY_STEP_S)
-    width = max(1, round(1.0 / fine.step_s))
-    rates = {}
-    for name in names:
-        values = bridge_gaps(fine.values[name])
-        change = values[width:] - values[:-width]
-        spread = float(np.std(change)) if np.isfinite(change).all() and len(change) else 0.0
-        rates[name] = np.clip(change / spread, -8.0, 8.0) if spread > 0.0 else None
+    rates = {name: _rates(fine.values[name], fine.step_s) for name in names}
     found = {}
-    reach = round(_LONGEST_DELAY_S / fine.step_s)
     for i, j in combinations(names, 2):
-        a, b = rates[i], rates[j]
-        if a is None or b is None or len(a) < 4 * reach:
-            continue
-        delay, peak = _peak(a, b, reach)
-        if peak > _LEAST_CORRELATION:
-            found[i, j], found[j, i] = delay * fine.step_s, -delay * fine.step_s
+        delay_s = _delay(rates[i], rates[j], fine.step_s)
+        if np.isfinite(delay_s):
+            found[i, j], found[j, i] = delay_s, -delay_s
     return found
+
+
+def delay_of(a: FloatArray, b: FloatArray, dt_s: float) -> float:
+    """Delay of signal `a` (time,) behind `b` in s; NaN where they are not correlated."""
+    size = max(1, round(_DELAY_STEP_S / dt_s))
+    count = len(a) // size * size
+    rates = [_rates(_block_means(each[:count], size), size * dt_s) for each in (a, b)]
+    return _delay(rates[0], rates[1], size * dt_s)
+
+
+def _rates(values: FloatArray, step_s: float) -> FloatArray | None:
+    """Changes over 1 s, each over their standard deviation; None where nothing changes."""
+    width = max(1, round(1.0 / step_s))
+    values = bridge_gaps(values)
+    change = values[width:] - values[:-width]
+    spread = float(np.std(change)) if np.isfinite(change).all() and len(change) else 0.0
+    return np.clip(change / spread, -8.0, 8.0) if spread > 0.0 else None
+
+
+def _delay(a: FloatArray | None, b: FloatArray | None, step_s: float) -> float:
+    reach = round(_LONGEST_DELAY_S / step_s)
+    if a is None or b is None or len(a) < 4 * reach:
+        return float("nan")
+    delay, peak = _peak(a, b, reach)
+    return delay * step_s if peak > _LEAST_CORRELATION else float("nan")
 
 
 def _peak(a: FloatArray, b: FloatArray, reach: int) -> tuple[float, float]:
@@ -607,9 +629,6 @@ def _peak(a: FloatArray, b: FloatArray, reach: int) -> tuple[float, float]:
     return best - reach + (0.5 * (left - right) / bend if bend < 0.0 else 0.0), float(top)
 
 
-_DELAY_PRIOR_S = 0.15
-
-
 def _delay_table(
     found: Sequence[Mapping[tuple[str, str], float]], names: Sequence[str]
 ) -> dict[str, dict[str, tuple[float, float]]]:
@@ -619,7 +638,7 @@ def _delay_table(
         for j in names:
             seen = np.array([one[i, j] for one in found if (i, j) in one])
             if len(seen):
-                square = PRIOR_LOGS * _DELAY_PRIOR_S**2 + np.sum((seen - seen.mean()) ** 2)
+                square = PRIOR_LOGS * DELAY_PRIOR_S**2 + np.sum((seen - seen.mean()) ** 2)
                 spread = np.sqrt(square / (PRIOR_LOGS + len(seen) - 1))
                 table[i][j] = (float(seen.mean()), float(spread))
     return table

@@ -371,6 +371,27 @@ def masked_scores(views: Sequence[LogView]) -> Table:
     return Table("Masking improves a score by itself: both stand here", head, tuple(rows))
 
 
+def levels(views: Sequence[LogView]) -> Table:
+    """Level and lag over each whole log, beside what held-out training logs allow."""
+    marks: dict[bool | None, tuple[str, Mark]] = {
+        True: ("pass", "good"), False: ("fail", "bad"), None: ("not judged", "none"),
+    }  # fmt: skip
+    rows: list[tuple[Cell, ...]] = []
+    for view in views:
+        if view.evaluation is None or not view.evaluation.levels:
+            continue
+        rows.append((Cell(view.name, "group"),))
+        for each in view.evaluation.levels:
+            word, mark = marks[each.ok]
+            pairs = figure(each.error), figure(each.allowed), Cell(word, mark)
+            lags = figure(each.lag_s, digits=2), figure(each.allowed_lag_s, digits=2)
+            logs = Cell(str(each.held_out_logs), number=True)
+            rows.append((Cell(with_unit(each.channel), "head"), *pairs, *lags, logs))
+    head = ("level of", "error", "allowed", "", "lag [s]", "allowed [s]", "held-out logs")
+    caption = "Median of model minus measured, and delay of the model, over the whole log"
+    return Table(caption, head, tuple(rows))
+
+
 def tallies(views: Sequence[LogView]) -> Table:
     """Ti and Tt of the model beside those of the baselines, on the same events."""
     head = (

@@ -89,6 +89,7 @@ def judge(
     warnings = [
         *cautions(logs, config, config.narx.outputs),
         *(fault.caution for fault in evaluation.faults),
+        *evaluation.level_cautions,
         *_outside(bundle, parts),
     ]
     header = header_of(
@@ -125,6 +126,7 @@ def show(console: Console, found: Judgement) -> None:
     """Print the tables and the verdict."""
     terminal.print_scores(console.page, found.evaluation.logs)
     terminal.print_transients(console.page, found.evaluation.logs)
+    terminal.print_levels(console.page, found.evaluation.logs)
     terminal.print_outcome(console.page, found.outcome)
     for caution in found.document["cautions"]:
         console.warn(caution)

@@ -305,3 +305,51 @@ def test_what_lies_between_two_measurements_is_not_scored(make_bundle, make_log)
     assert slow.part(5, 25).measured(["N1_pct"])[:, 0] == pytest.approx(
         np.where(seldom[5:25], np.nan, line[5:25]), nan_ok=True
     )
+
+
+def with_levels(bundle, levels, lags=(0.0, 0.0, 0.0, 0.0)):
+    """A bundle whose training held logs out, with these levels and lags in every output."""
+    own = {"leads": "network", "held_out_level": levels, "held_out_lag_s": list(lags)}
+    names = bundle.calibration.output_names
+    return replace(bundle, meta={**bundle.meta, "lead": {"channels": dict.fromkeys(names, own)}})
+
+
+def test_a_level_beyond_that_of_held_out_logs_fails_beside_right_times(make_bundle, make_log):
+    bundle = with_levels(make_bundle(), [0.3, -0.2, 0.4, -0.1])
+    sound = evaluate(bundle, [make_log()])
+    assert sound.missed() == []
+    wrong = evaluate(bundle, [make_log(offset=(-8.0, 0.1))])
+    (missed,) = wrong.missed()
+    assert re.fullmatch(
+        r"flight.csv:left: level error of N1_pct \+8 %, [\d.]+ is the spread of 4 held-out "
+        "training logs",
+        missed,
+    )
+    document = wrong.document()
+    assert document["ok"] is False
+    (n1, n2) = document["logs"][0]["levels"]
+    assert (n1["ok"], n2["ok"], n1["held_out_logs"]) == (False, True, 4)
+    assert n1["error"] == pytest.approx(8.0, abs=1e-6)
+    assert document["logs"][0]["ti_tt"]["passed"] == document["logs"][0]["ti_tt"]["assessed"]
+
+
+@pytest.mark.parametrize("levels", [[], [0.1, -0.2]])
+def test_with_few_held_out_logs_a_level_is_a_caution_with_its_size(make_bundle, make_log, levels):
+    found = evaluate(with_levels(make_bundle(), levels), [make_log(offset=(-8.0, 0.1))])
+    assert found.missed() == []
+    (caution,) = found.level_cautions
+    assert caution == (
+        "flight.csv:left: level error of N1_pct +8 %, N2_pct -0.1 % is not judged: fewer than 3 "
+        "training logs were held out"
+    )
+
+
+def test_a_lag_beyond_that_of_held_out_logs_is_a_caution(make_bundle, make_log):
+    bundle = with_levels(make_bundle(tau_s=(5.0, 0.8)), [0.1] * 4)
+    found = evaluate(bundle, [make_log()]).level_cautions
+    assert len(found) == 1
+    assert re.fullmatch(
+        r"flight.csv:left: N1_pct is [\d.]+ s late over the whole log, [\d.]+ s is the spread of "
+        "held-out training logs",
+        found[0],
+    )

@@ -7,7 +7,7 @@ from data_prep.log import Log, Source
 from narxcal.calibration.lead import KINDS, Lead
 from narxcal.support.errors import ModelError
 from training.baselines import FirstOrderLag, LinearArx
-from training.lead import Leading, lead_folds, leading_kind
+from training.lead import HeldOut, Leading, lead_folds, leading_kind
 
 RISE = np.column_stack([np.linspace(0.0, 1.0, 50) ** 2, np.linspace(1.0, 0.0, 50)])
 ARX = LinearArx(
@@ -98,15 +98,17 @@ def test_a_single_recording_is_divided_into_thirds():
 
 def test_a_log_that_spoils_the_rest_is_named():
     errors = np.ones((4, 4, 1)) * np.array([1.0, 1.2, 5.0, 0.9])[:, None, None]
-    found = Leading((), ("N1_pct",), ("a", "b", "c", "d"), errors, "")
+    held = HeldOut(errors, errors, errors)
+    found = Leading((), ("N1_pct",), ("a", "b", "c", "d"), held, "")
     assert found.suspects == (
         (
             "c does not fit the other logs: held out, N1_pct is wrong by 5, 5.0 times as much as "
             "usual, in every model; check it, or leave it out"
         ),
     )
-    parts = Leading((), ("N1_pct",), ("a", "b", "c", "d"), errors, "", whole=False)
+    parts = Leading((), ("N1_pct",), ("a", "b", "c", "d"), held, "", whole=False)
     assert parts.suspects == ()
     one_model = errors.copy()
     one_model[2, 1:] = 1.0
-    assert Leading((), ("N1_pct",), ("a", "b", "c", "d"), one_model, "").suspects == ()
+    held = HeldOut(one_model, errors, errors)
+    assert Leading((), ("N1_pct",), ("a", "b", "c", "d"), held, "").suspects == ()
