@@ -21,7 +21,8 @@ from scipy.stats import t as student
 
 from narxcal.channels import channel
 from narxcal.support.arrays import FloatArray
-from training.redundancy import DELAY_PRIOR_S, PRIOR_LOGS, delay_of, prior_scatter
+from training.delays import DELAY_PRIOR_S, delay_of
+from training.redundancy import PRIOR_LOGS, prior_scatter
 
 LEAST_LOGS = 3
 _FALSE_ALARMS = 0.05  # of one log in any output, as that of the faults that are masked

@@ -29,7 +29,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations
 from typing import Any, Self
 
 import numpy as np
@@ -42,6 +41,7 @@ from narxcal.channels import CHANNELS
 from narxcal.steady.model import ALTERED
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray, bridge_gaps, noise_level
 from narxcal.support.errors import ModelError
+from training.delays import DELAY_STEP_S, block_means, delay_table, delays_between
 
 _STEP_S = 1.0
 _LEAST_STEPS = 10  # of a log; fewer show no relation of channels
@@ -54,7 +54,6 @@ _RIDGE = 1e-4
 # say more; it counts as `PRIOR_LOGS` of them.
 _PRIOR = {"%": 0.01, "degC": 0.024, "kg/h": 0.03}
 _PRIOR_OTHER, PRIOR_LOGS = 0.03, 1.5
-DELAY_PRIOR_S = 0.15
 AIR = ("ALT_ft", "Mach", "dT_C")
 _MOST_FOLDS = 8
 
@@ -75,21 +74,13 @@ class Signals:
         size = max(1, round(step_s / log.dt_s))
         count = len(log) // size
         names = [name for name in log.channels if name in CHANNELS]
-        values = {name: _block_means(log[name][: count * size], size) for name in names}
+        values = {name: block_means(log[name][: count * size], size) for name in names}
         time_s = log.time_s[: count * size].reshape(count, size).mean(axis=1)
         return cls(time_s, values, size * log.dt_s)
 
     def having(self, values: Values) -> Signals:
         """Signals with some channels replaced."""
         return replace(self, values={**self.values, **values})
-
-
-def _block_means(values: FloatArray, size: int) -> FloatArray:
-    table = values.reshape(-1, size)
-    known = np.isfinite(table)
-    count = known.sum(axis=1)
-    total = np.where(known, table, 0.0).sum(axis=1)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -407,7 +398,7 @@ def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
         sigma={name: _rms(name, "", [one.consensus[name] for one in left_out]) for name in names},
         regimes={name: _regime_ratios(name, left_out) for name in names},
         levels={name: tuple(_level(one.consensus[name]) for one in left_out) for name in names},
-        delays=_delay_table([delays_between(log, names) for log in logs], names),
+        delays=delay_table([delays_of(log, names) for log in logs], names, PRIOR_LOGS),
         noise={
             name: max(noise_of(log, name) for log in logs if log.recorded([name])) for name in names
         },
@@ -557,6 +548,12 @@ def _level(values: FloatArray) -> float:
     return float(np.median(known)) if len(known) else 0.0
 
 
+def delays_of(log: Log, names: Sequence[str], stretch: float = 1.0) -> dict[tuple[str, str], float]:
+    """Delays between the channels of a log in s, were its time stamps `stretch` times as short."""
+    fine = Signals.of(log, DELAY_STEP_S * stretch)
+    return delays_between({name: fine.values[name] for name in names}, fine.step_s / stretch)
+
+
 def noise_of(log: Log, name: str) -> float:
     """White noise of a channel: what smoothing removed, or what is left."""
     return float(np.hypot(np.sqrt(log.noise.get(name, 0.0)), noise_level(log[name])))
@@ -568,80 +565,6 @@ def _longest_updates(logs: Sequence[Log]) -> dict[str, float]:
         name: max(log.updates.get(name, 0.0) for log in logs if log.recorded([name]))
         for name in sorted(names)
     }
-
-
-_DELAY_STEP_S, _LONGEST_DELAY_S = 0.2, 12.0
-_LEAST_CORRELATION = 0.3
-
-
-def delays_between(log: Log, names: Sequence[str]) -> dict[tuple[str, str], float]:
-    """Delay of channel i behind channel j in s, where their rates of change are correlated.
-
-    The largest value of the cross-correlation of the rates over 1 s, interpolated by a parabola.
-    """
-    fine = Signals.of(log, _DELAY_STEP_S)
-    rates = {name: _rates(fine.values[name], fine.step_s) for name in names}
-    found = {}
-    for i, j in combinations(names, 2):
-        delay_s = _delay(rates[i], rates[j], fine.step_s)
-        if np.isfinite(delay_s):
-            found[i, j], found[j, i] = delay_s, -delay_s
-    return found
-
-
-def delay_of(a: FloatArray, b: FloatArray, dt_s: float) -> float:
-    """Delay of signal `a` (time,) behind `b` in s; NaN where they are not correlated."""
-    size = max(1, round(_DELAY_STEP_S / dt_s))
-    count = len(a) // size * size
-    rates = [_rates(_block_means(each[:count], size), size * dt_s) for each in (a, b)]
-    return _delay(rates[0], rates[1], size * dt_s)
-
-
-def _rates(values: FloatArray, step_s: float) -> FloatArray | None:
-    """Changes over 1 s, each over their standard deviation; None where nothing changes."""
-    width = max(1, round(1.0 / step_s))
-    values = bridge_gaps(values)
-    change = values[width:] - values[:-width]
-    spread = float(np.std(change)) if np.isfinite(change).all() and len(change) else 0.0
-    return np.clip(change / spread, -8.0, 8.0) if spread > 0.0 else None
-
-
-def _delay(a: FloatArray | None, b: FloatArray | None, step_s: float) -> float:
-    reach = round(_LONGEST_DELAY_S / step_s)
-    if a is None or b is None or len(a) < 4 * reach:
-        return float("nan")
-    delay, peak = _peak(a, b, reach)
-    return delay * step_s if peak > _LEAST_CORRELATION else float("nan")
-
-
-def _peak(a: FloatArray, b: FloatArray, reach: int) -> tuple[float, float]:
-    """Where the correlation of a(t) with b(t - delay) is largest, in samples, and its value."""
-    size = 1 << (len(a) + reach).bit_length()
-    product = np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size))
-    whole = np.fft.irfft(product, size)
-    near = np.concatenate([whole[-reach:], whole[: reach + 1]])
-    near /= np.sqrt(np.sum(a**2) * np.sum(b**2))
-    best = int(np.argmax(near))
-    if not 0 < best < 2 * reach:
-        return float(best - reach), 0.0
-    left, top, right = near[best - 1 : best + 2]
-    bend = left - 2.0 * top + right
-    return best - reach + (0.5 * (left - right) / bend if bend < 0.0 else 0.0), float(top)
-
-
-def _delay_table(
-    found: Sequence[Mapping[tuple[str, str], float]], names: Sequence[str]
-) -> dict[str, dict[str, tuple[float, float]]]:
-    """Mean and standard deviation over logs, the latter with a prior that counts as three logs."""
-    table: dict[str, dict[str, tuple[float, float]]] = {name: {} for name in names}
-    for i in names:
-        for j in names:
-            seen = np.array([one[i, j] for one in found if (i, j) in one])
-            if len(seen):
-                square = PRIOR_LOGS * DELAY_PRIOR_S**2 + np.sum((seen - seen.mean()) ** 2)
-                spread = np.sqrt(square / (PRIOR_LOGS + len(seen) - 1))
-                table[i][j] = (float(seen.mean()), float(spread))
-    return table
 
 
 STRETCHES = (0.5, 2.0)

@@ -30,7 +30,7 @@ from training.redundancy import (
     Residuals,
     Signals,
     Values,
-    delays_between,
+    delays_of,
     inside_air,
     log_ratio,
     moving_mean,
@@ -158,7 +158,7 @@ _LEAST_DELAY_S = 0.4
 def _late(bank: Bank, subject: _Subject) -> _Subject:
     """A channel that is later against all others than in the training logs."""
     log = subject.log
-    found = delays_between(replace(log, time_s=log.time_s / subject.stretch), subject.channels)
+    found = delays_of(log, subject.channels, subject.stretch)
     excess, spread = {}, {}
     for i in subject.channels:
         known = [
@@ -507,18 +507,6 @@ def _moving_spread(values: FloatArray, size: int) -> FloatArray:
     centred = values - (np.nanmean(values) if np.isfinite(values).any() else 0.0)
     square = moving_mean(centred**2, size) - moving_mean(centred, size) ** 2
     return np.sqrt(np.maximum(square, 0.0))
-
-
-def _caution(kind: Kind, unit: str) -> float:
-    """Factor on the misfit of a kind: a drift has one parameter more.
-
-    Temperatures are wrong by an offset rather than by a factor, flows and speeds the other way.
-    """
-    if kind == "drift":
-        return 1.25
-    if unit == "degC":
-        return 1.5 if kind == "scale" else 1.0
-    return 1.15 if kind == "bias" else 1.0
 
 
 def _shapes(
