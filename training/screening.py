@@ -314,7 +314,7 @@ def _mostly_sound(found: Residuals) -> bool:
     )
 
 
-_AIR_SCALES = (0.5, 2.0)
+_AIR_SCALES = tuple(2.0 ** (k / 4.0) for k in range(-4, 5) if k)
 
 
 def _hypotheses(
@@ -338,7 +338,7 @@ def _hypotheses(
             )
     for name in air:
         for factor in _AIR_SCALES:
-            text = f"looks scaled by {factor:g}"
+            text = f"looks scaled by {factor:.2g}"
             yield "scale", (name,), text, {name: values[name] / factor}
 
 
