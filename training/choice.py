@@ -119,8 +119,8 @@ def _climb(search: Search, linear: bool) -> None:
     bases = try_linear(search, delays)
     search.show()
     if not linear:
-        try_latent(search, bases)
         try_network(search)
+        try_latent(search, bases)
         _try_mean(search)
 
 

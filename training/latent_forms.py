@@ -2,8 +2,9 @@
 
 Orders of the linear model first, then hidden units, then the best two. Every form falls along the
 decays; the median of several draws of hidden units is judged at each of them. Where the budget is
-short, effort is saved in this order: draws, every other decay, folds, forms, and samples last: what
-a record holds in one place only is missing in most parts of it.
+short, effort is saved in this order: draws, folds, three quarters of the samples, forms, and more
+samples last: what a record holds in one place only is missing in small parts of it. What a round
+leaves of the budget goes to the next.
 """
 
 from __future__ import annotations
@@ -41,38 +42,33 @@ _DRAWS = 6  # of hidden units: their median is the model, so that it does not de
 _FAR = 3.0  # times the lowest loss of the draws: twice its error or nearly so
 _FEWEST = 3  # forms of a round: then samples are saved
 _LEAST = 5.0  # rows per parameter; fewer determine nothing
-_SHARES = 0.15, 0.15, 0.2  # of the budget for orders, hidden units, and the best two
-_FINAL_SHARE = 0.15
+_SHARES = 0.3, 0.4, 0.9  # of what is left for orders, hidden units, and the best two
+_FINAL_SHARE = 0.15  # of the budget, for the fit to all records
+_SPARED = 0.25  # of the samples of a fold are kept before forms are left out
 
 Sizes = tuple[int, int, tuple[int, ...]]  # states, hidden units, dead times
 
 
 @dataclass(frozen=True)
 class _Effort:
-    """Folds by number, decays, draws of hidden units, and samples per fold."""
+    """Folds by number, draws of hidden units, and samples per fold."""
 
     folds: tuple[int, ...]
-    decays: tuple[float, ...]
     draws: int
     samples: int = 0
 
     @property
     def steps(self) -> int:
         """Steps of Levenberg-Marquardt for one form."""
-        return len(self.folds) * len(self.decays) * _STEPS * self.draws
+        return len(self.folds) * len(_DECAYS) * _STEPS * self.draws
 
 
-def _efforts(folds: int, draws: int) -> list[_Effort]:
-    """From the largest to the least."""
-    every, two = tuple(range(folds)), tuple(sorted({0, folds // 2}))
-    coarse = _DECAYS[::2]
-    return [
-        _Effort(every, _DECAYS, draws),
-        _Effort(every, _DECAYS, min(draws, 2)),
-        _Effort(every, coarse, min(draws, 2)),
-        _Effort(two, coarse, min(draws, 2)),
-        _Effort(two, coarse, 1),
-    ]
+def _efforts(folds: int, draws: int, *, last: bool) -> list[_Effort]:
+    """From the largest to the least; the last round takes all folds."""
+    every = tuple(range(folds))
+    some = every if last else tuple(sorted({0, folds // 2}))
+    found = [_Effort(every, n) for n in range(draws, 1, -1)]
+    return [*found, _Effort(some, 2), _Effort(some, 1)]
 
 
 def try_latent(search: Search, bases: Bases) -> None:
@@ -112,7 +108,10 @@ class _Latent:
         able = [form for form in forms if self.determined(form)]
         if not able:
             return []
-        able, effort = self._within(share * search.work.budget, able, draws, last)
+        left = (1.0 - _FINAL_SHARE) * search.work.budget - search.work.spent
+        able, effort = self._within(
+            share * left, able, _efforts(len(search.folds), draws, last=last)
+        )
         found = []
         for form in able:
             if search.work.late:
@@ -130,22 +129,21 @@ class _Latent:
         return Shape(n, self.search.inputs, self.search.outputs, h, delay)
 
     def _within(
-        self, units: float, forms: list[Sizes], draws: int, last: bool
+        self, units: float, forms: list[Sizes], efforts: Sequence[_Effort]
     ) -> tuple[list[Sizes], _Effort]:
         """Forms and effort that so many units pay for."""
-        search = self.search
-        efforts = _efforts(len(search.folds), draws)[: 3 if last else None]
+        whole = self.search.whole
         for effort in efforts:
             most = self._most(units / effort.steps, forms)
-            if most >= search.whole:
+            if most >= whole:
                 return forms, replace(effort, samples=most)
         least = efforts[-1]
         while forms:
             most = self._most(units / least.steps, forms)
-            if most >= search.whole or (len(forms) <= _FEWEST and most >= min(FEW, search.whole)):
+            if most >= _SPARED * whole or (len(forms) <= _FEWEST and most >= min(FEW, whole)):
                 return forms, replace(least, samples=most)
             forms = forms[: max(len(forms) // 2, min(_FEWEST, len(forms) - 1))]
-        search.note("latent forms were left out: the budget is too small")
+        self.search.note("latent forms were left out: the budget is too small")
         return [], least
 
     def _most(self, units: float, forms: Sequence[Sizes]) -> int:
@@ -164,19 +162,19 @@ class _Latent:
     def _try(self, n: int, h: int, delay: tuple[int, ...], effort: _Effort) -> Tried:
         """One form along falling decays; its best decay over the folds."""
         search, shape = self.search, self._shape(n, h, delay)
-        levels: list[list[DynamicModel]] = [[] for _ in effort.decays]
+        levels: list[list[DynamicModel]] = [[] for _ in _DECAYS]
         samples = 0
         for number in effort.folds:
             records = thinned(search.folds[number].fit, effort.samples)
             data = self._data(records, shape)
             base = moved(*self.bases[n, delay][number], data)
             samples += sum(map(len, records))
-            paths = self._paths(base, data, shape, effort.draws, effort.decays)
+            paths = self._paths(base, data, shape, effort.draws)
             for level, fits in zip(levels, paths, strict=True):
                 members = [model_of(each, data, search.scalings) for each in _near_the_best(fits)]
                 level.append(Ensemble.median(members))
         tried = []
-        for decay, models in zip(effort.decays, levels, strict=True):
+        for decay, models in zip(_DECAYS, levels, strict=True):
             text = f"{n} states, {h} hidden{dead(delay)}, decay {decay:g}"
             form = Form(LATENT, text, shape.size, samples // len(effort.folds), delay, n, h)
             build = partial(self._final, shape, decay)
@@ -195,7 +193,7 @@ class _Latent:
         data: Data,
         shape: Shape,
         draws: int,
-        decays: Sequence[float],
+        decays: Sequence[float] = _DECAYS,
     ) -> Iterator[list[Fitted]]:
         """Fits of every draw of hidden units, decay by decay."""
         cost = self._cost(shape, sum(map(len, data.inputs)))

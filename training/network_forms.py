@@ -30,7 +30,7 @@ _DECAYS = (1e-3, 1e-5, 1e-7)
 _FURTHER = 15  # steps over whole records at every further decay
 _STEPS = sum(_TRAIN.iterations) + (len(_DECAYS) - 1) * _FURTHER
 _DRAWS = 3
-_SHARE, _FINAL_SHARE = 0.25, 0.15  # of the budget
+_SHARE, _FINAL_SHARE = 0.2, 0.15  # of the budget
 _LEAST_PART = 0.5  # of the samples of a fold; on fewer the network is not what it would be on all
 _SHORTEST = STRUCTURE.lags + STRUCTURE.taps[-1] + 1  # samples that a record needs
 
