@@ -109,9 +109,8 @@ class _Latent:
         if not able:
             return []
         left = (1.0 - _FINAL_SHARE) * search.work.budget - search.work.spent
-        able, effort = self._within(
-            share * left, able, _efforts(len(search.folds), draws, last=last)
-        )
+        efforts = _efforts(len(search.folds), draws, last=last)
+        able, effort = self._within(share * left, able, efforts, 1 if last else _FEWEST)
         found = []
         for form in able:
             if search.work.late:
@@ -129,7 +128,7 @@ class _Latent:
         return Shape(n, self.search.inputs, self.search.outputs, h, delay)
 
     def _within(
-        self, units: float, forms: list[Sizes], efforts: Sequence[_Effort]
+        self, units: float, forms: list[Sizes], efforts: Sequence[_Effort], fewest: int
     ) -> tuple[list[Sizes], _Effort]:
         """Forms and effort that so many units pay for."""
         whole = self.search.whole
@@ -140,9 +139,9 @@ class _Latent:
         least = efforts[-1]
         while forms:
             most = self._most(units / least.steps, forms)
-            if most >= _SPARED * whole or (len(forms) <= _FEWEST and most >= min(FEW, whole)):
+            if most >= _SPARED * whole or (len(forms) <= fewest and most >= min(FEW, whole)):
                 return forms, replace(least, samples=most)
-            forms = forms[: max(len(forms) // 2, min(_FEWEST, len(forms) - 1))]
+            forms = forms[: max(len(forms) // 2, min(fewest, len(forms) - 1))]
         self.search.note("latent forms were left out: the budget is too small")
         return [], least
 
