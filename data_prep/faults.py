@@ -231,7 +231,7 @@ def frozen(log: Log, name: str, config: FaultsConfig) -> BoolArray:
         return mask
     if _dead(log, name):
         return np.isfinite(values)
-    for start, stop in _unnatural(values, config.frozen_s / log.dt_s):
+    for start, stop in unnatural(values, config.frozen_s / log.dt_s):
         if _standstill(values, start) or not _others_change(log, name, start, stop):
             continue
         if abs(values[start]) < 1e-9 and followed(log, name, start, stop):
@@ -252,7 +252,11 @@ def _constant(values: FloatArray) -> bool:
     return len(repeats(values)[0]) == 1
 
 
-def _unnatural(values: FloatArray, least: float) -> list[tuple[int, int]]:
+def unnatural(values: FloatArray, least: float) -> list[tuple[int, int]]:
+    """Find runs of one value, of more than `least` samples, in a signal that else has noise.
+
+    They are five times as long as the longest natural run; (start, stop) in samples.
+    """
     starts, stops = repeats(values)
     if len(starts) <= _FREEZES:
         return []

@@ -22,7 +22,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from data_prep.faults import out_of_range, repeats, role
+from data_prep.faults import out_of_range, repeats, role, unnatural
 from data_prep.log import Fault, Kind, Log
 from narxcal.atmosphere import KELVIN, SOUND_KT, T0_K, isa, mach_of_cas
 from narxcal.channels import CHANNELS
@@ -205,16 +205,27 @@ _STUCK_S = 20.0
 
 
 def _stuck_air(log: Log) -> Iterator[Fault]:
-    """Air data that repeat one value while the aircraft climbs, descends or changes speed."""
+    """Air data that repeat one value while the aircraft climbs, descends or changes speed.
+
+    Or whose noise stops in flight.
+    """
     for name, others in _CANNOT_STAY.items():
         if name not in log.channels:
             continue
-        constant = np.zeros(len(log), dtype=np.bool_)
+        constant = _without_noise(log, name)
         for start, stop in zip(*repeats(log[name]), strict=True):
             if (stop - start) * log.dt_s >= _STUCK_S:
                 against = (other for other in others if other in log.channels)
-                constant[start:stop] = any(_moves(log, each, start, stop) for each in against)
+                constant[start:stop] |= any(_moves(log, each, start, stop) for each in against)
         yield from (_stuck(log, name, start, stop) for start, stop in spans(constant))
+
+
+def _without_noise(log: Log, name: str) -> BoolArray:
+    """Samples (time,) in flight at which a channel that has noise repeats one value."""
+    flies, found = _airborne(log), np.zeros(len(log), dtype=np.bool_)
+    for start, stop in unnatural(log[name], _STUCK_S / log.dt_s):
+        found[start:stop] = bool(flies[start:stop].all())
+    return found
 
 
 def _moves(log: Log, name: str, start: int, stop: int) -> bool:
@@ -248,6 +259,13 @@ def sound_air(log: Log) -> frozenset[str]:
     """Air data that stand in a relation which holds closely, and in none that fails."""
     flies = _airborne(log)
     return frozenset(_close(log, flies) - set().union(*_failed(log.channels, flies)[1]))
+
+
+def unchecked_air(log: Log) -> tuple[str, ...]:
+    """Altitude and airspeeds of a log that no other air data can contradict closely."""
+    there = log.recorded(("ALT_ft", "Mach", "CAS_kt", "TAS_kt"))
+    related = {name for names, _ in _relations(log.channels) if names != _ISA for name in names}
+    return tuple(name for name in there if name not in related)
 
 
 def _close(log: Log, flies: BoolArray) -> set[str]:

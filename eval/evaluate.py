@@ -18,6 +18,7 @@ from pydantic import Field
 
 from data_prep.events import Event, find_events
 from data_prep.log import Fault, Log
+from data_prep.plausibility import unchecked_air
 from data_prep.prepare import prepare, with_outputs
 from data_prep.reading import read_logs
 from eval.free_run import (
@@ -140,6 +141,7 @@ class LogEvaluation:
             "inputs": {
                 "held_samples": int(np.count_nonzero(~run.inputs_known)),
                 "faulty_share": dict(self.faulty),
+                "unchecked": list(unchecked_air(log)),
                 "outside_envelope_share": float(np.mean(~run.in_envelope)),
                 "quasi_steady_share": float(np.mean(run.quasi_steady)),
             },

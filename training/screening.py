@@ -478,14 +478,14 @@ def _without_motion(found: Residuals, name: str) -> tuple[BoolArray, float]:
 
     Also the largest move that they ask for, in sigma.
 
-    They say so where what they expect moves by the limit of S: a step of height h has a standard
-    deviation of h / 2. A switched load moves fuel and temperature alone, too, though by less.
+    They say so where most of them ask for a move by the limit of S: a step of height h has a
+    standard deviation of h / 2. A switched load moves fuel and temperature, too, though by less.
     The level at which it stays is followed to both sides for as long as the channel does.
     """
     size = round(_STILL_S / found.signals.step_s)
-    y, expected = found.signals.values[name], found.corrected.raw(name, found.expected[name])
+    y = found.signals.values[name]
     sigma = found.bank.sigma[name] * abs(found.bank.centre[name]) * found.corrected.scale[name]
-    own, other = _moving_spread(y, size), _moving_spread(expected, size)
+    own, other = _moving_spread(y, size), _asked_motion(found, name, size)
     quiet = (own < _STILL * other) & (other > 0.5 * LIMITS[0] * sigma)
     still = np.zeros(len(y), dtype=np.bool_)
     largest = 2.0 * float(np.max((other / sigma)[quiet], initial=0.0))
@@ -500,6 +500,20 @@ def _without_motion(found: Residuals, name: str) -> tuple[BoolArray, float]:
             last += 1
         still[first:last] = True
     return still, largest
+
+
+def _asked_motion(found: Residuals, name: str, size: int) -> FloatArray:
+    """Standard deviation in a window (time,) that the middle one of the other channels asks for.
+
+    A step of one of them, such as the begin of its own fault, is no reason for this one to move.
+    """
+    x, expected = found.corrected.x[name], found.expected[name]
+    scale = 0.5 * np.maximum(expected, 0.0) + 0.5 * abs(found.bank.centre[name])
+    asked = [
+        _moving_spread(found.corrected.raw(name, x - error * scale), size)
+        for error in found.errors[name].values()
+    ]
+    return np.nan_to_num(np.median(asked, axis=0))
 
 
 def _moving_spread(values: FloatArray, size: int) -> FloatArray:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from data_prep.log import Log
-from data_prep.plausibility import checked, sound_air, update_interval
+from data_prep.plausibility import checked, sound_air, unchecked_air, update_interval
 from data_prep.prepare import prepare
 from narxcal.atmosphere import KELVIN, SOUND_KT, T0_K, isa, mach_of_cas
 
@@ -135,3 +135,36 @@ def test_preparing_keeps_the_faults_and_adds_what_cleaning_masks():
     assert (fault.from_s, fault.to_s) == pytest.approx((500.0, 600.0), abs=1.0)
     assert fault.row()["channels"] == ["N2_pct"]
     assert fault.caution.startswith("flight: N2_pct stuck, ")
+
+
+def without(log, *names):
+    return Log(log.name, log.time_s, {k: v for k, v in log.channels.items() if k not in names})
+
+
+def test_an_altitude_whose_noise_stops_in_flight_is_stuck_without_other_air_data():
+    def stuck(values):
+        return np.r_[values[:900], np.full(600, values[900]), values[1500:]]
+
+    alone = without(flight(ALT_ft=stuck), "SAT_C", "TAT_C", "CAS_kt", "TAS_kt")
+    (fault,) = checked(alone).faults
+    assert (fault.kind, fault.channel) == ("stuck", "ALT_ft")
+    assert (fault.from_s, fault.to_s) == (900 * DT_S, 1499 * DT_S)
+
+
+@pytest.mark.parametrize("on_ground", [True, False])
+def test_a_constant_altitude_is_none_on_the_ground_or_without_noise(on_ground):
+    log = without(flight(), "SAT_C", "TAT_C", "CAS_kt", "TAS_kt")
+    alt, mach = log["ALT_ft"].copy(), log["Mach"].copy()
+    alt[900:1500] = alt[900]
+    if on_ground:
+        mach[900:1500] = 0.0
+    else:
+        alt = 100.0 * np.round(alt / 100.0)
+    assert checked(log.with_channels({"ALT_ft": alt, "Mach": mach})).faults == ()
+
+
+def test_what_no_other_air_data_can_contradict_is_told():
+    log = flight()
+    assert unchecked_air(log) == ()
+    assert unchecked_air(without(log, "CAS_kt", "TAS_kt", "TAT_C")) == ("ALT_ft", "Mach")
+    assert unchecked_air(without(log, "TAS_kt", "TAT_C", "SAT_C")) == ()
