@@ -225,6 +225,11 @@ class Residuals:
         return float(np.mean([np.mean(each) if len(each) else 4.0 for each in found]))
 
     @property
+    def strangeness(self) -> float:
+        """Mean factor on the tolerances for air that the training logs have not seen."""
+        return float(np.mean(np.clip(margins_outside(self.bank, self.corrected), 1.0, _FARTHEST)))
+
+    @property
     def sound(self) -> bool:
         """Whether hardly any sample is flagged."""
         return all(self.share(name) < _SOUND for name in self.channels)
@@ -244,12 +249,14 @@ def residuals(
     """Compare the channels of one log with each other; `step_s` replaces that of the signals."""
     step_s = step_s or signals.step_s
     air = Corrected.of(signals, channels)
-    testable = inside_air(bank, air)
+    far = margins_outside(bank, air)
+    testable = air.known & (far < _FARTHEST)
+    near = _inside(bank, air)
     errors: dict[str, dict[str, FloatArray]] = {}
     expected, consensus, smooth = {}, {}, {}
     for i in channels:
         others = [j for j in channels if j != i]
-        found = {j: bank.predict(air, i, j, step_s) for j in others}
+        found = {j: bank.predict(near, i, j, step_s) for j in others}
         weights = {j: bank.pairs[i][j] ** -2.0 if bank.pairs else 1.0 for j in others}
         known = {j: np.where(np.isfinite(air.x[j]), found[j][0], np.nan) for j in others}
         expected[i] = _weighted(known, weights)
@@ -257,6 +264,7 @@ def residuals(
         errors[i] = {j: _one_sided((air.x[i] - known[j]) / scale, found[j][1]) for j in others}
         consensus[i] = np.where(testable, _weighted(errors[i], weights), np.nan)
         tolerance = _tolerance(bank, i, expected[i], step_s) * _fewer(bank, i, others)
+        tolerance = tolerance * np.maximum(far, 1.0)
         smooth[i] = _larger(consensus[i] / tolerance, signals.step_s)
     return Residuals(bank, signals, tuple(channels), errors, expected, consensus, smooth, air)
 
@@ -353,18 +361,34 @@ def moving_mean(values: FloatArray, size: int) -> FloatArray:
     return np.where(weight > 0.5, total / np.maximum(weight, 1e-9), np.nan)
 
 
-_MACH_MARGIN, _DELTA_MARGIN = 0.04, 0.1
+# What air may differ by from that of the training logs without a larger error, and the number of
+# such margins from which on nothing is tested; between them the tolerance grows with their number.
+_MARGINS = {"mach": 0.04, "log_delta": 0.1}
+_FARTHEST = 5.0
 
 
 def inside_air(bank: Bank, air: Corrected) -> BoolArray:
     """Samples in air like that of the training logs; elsewhere the models extrapolate."""
-    inside = air.known.copy()
-    margins = {"mach": _MACH_MARGIN, "log_delta": _DELTA_MARGIN}
-    for name, margin in margins.items():
+    return air.known & (margins_outside(bank, air) < 1.0)
+
+
+def margins_outside(bank: Bank, air: Corrected) -> FloatArray:
+    """Largest distance (time,) of Mach number or ln delta from the training logs, in margins."""
+    found = np.zeros(len(air.mach))
+    for name, margin in _MARGINS.items():
         low, high = bank.air[name]
         values = getattr(air, name)
-        inside &= (values > low - margin) & (values < high + margin)
-    return inside
+        found = np.maximum(found, np.maximum(low - values, values - high) / margin)
+    return found
+
+
+def _inside(bank: Bank, air: Corrected) -> Corrected:
+    """The same channels in the nearest air of the training logs, for the models to go by."""
+    nearest = {
+        name: np.clip(getattr(air, name), bank.air[name][0] - margin, bank.air[name][1] + margin)
+        for name, margin in _MARGINS.items()
+    }
+    return replace(air, **nearest)
 
 
 def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:

@@ -234,6 +234,8 @@ def _whole(bank: Bank, subject: _Subject) -> _Subject:
     best: tuple[float, Fault, dict[str, FloatArray]] | None = None
     for kind, channels, text, values in _hypotheses(subject):
         after = residuals(bank, subject.signals.having(values), subject.channels)
+        if after.strangeness > _STRANGER * before.strangeness:
+            continue  # wider tolerances explain everything
         if after.misfit > _RESTORED * before.misfit or not _mostly_sound(after):
             continue
         if best is None or after.misfit < best[0]:
@@ -304,6 +306,7 @@ def _wander(found: Residuals) -> float:
 
 
 _RESTORED = 0.35
+_STRANGER = 1.02
 _MOSTLY = 0.15
 
 
