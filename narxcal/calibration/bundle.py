@@ -279,6 +279,18 @@ def settle_bundle(folder: str | PathLike[str]) -> None:
         pending.unlink()
 
 
+def check_bundle(folder: str | PathLike[str]) -> dict[str, Any]:
+    """Check a bundle against its own hashes, without opening its model; returns the document.
+
+    Raises `ModelError` as `load_bundle`.
+    """
+    source = Path(folder)
+    document = read_document(source)
+    _FORM.read_arrays(source, document)
+    _with_own_files(source, document)
+    return document
+
+
 def load_bundle(folder: str | PathLike[str], *, trust: bool = False) -> Bundle:
     """Read a bundle and check it against its own hashes and shapes.
 

@@ -20,6 +20,7 @@ from data_prep.prepare import cautions
 from narxcal.calibration.bundle import (
     DOCUMENT,
     Bundle,
+    check_bundle,
     read_document,
     settle_bundle,
     write_bundle,
@@ -173,7 +174,7 @@ def _complete(folder: Path, config: RunConfig) -> bool:
     """Whether `folder` holds the finished model of `config`; another's is refused."""
     if not (folder / DOCUMENT).is_file():
         return False
-    stored = read_document(folder)
+    stored = check_bundle(folder)
     given = stored.get("configured", stored.get("config"))
     if given != config.model_dump(mode="json", by_alias=True):
         raise ConfigError(

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,10 +12,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from narxcal.cli import main
+from narxcal.calibration.bundle import load_bundle
+from narxcal.cli import main, train
 from narxcal.flight_test.sensors import first_order
+from training.checkpoint import read_checkpoint, write_checkpoint
+from training.network import Progress
 
 ROOT = Path(__file__).parents[2]
+CHECKPOINTS = 3  # of a training whose fit is replaced
 CONFIG = """\
 schema = "narxcal.config/1"
 name = "tiny"
@@ -96,6 +101,26 @@ def narxcal(capsys):
         return SimpleNamespace(code=code, out=shown.out, err=shown.err)
 
     return run
+
+
+@pytest.fixture
+def training(project, monkeypatch):
+    """The command `train`, whose fit is three checkpoints and then the model of the project."""
+    trained = load_bundle(project / "run")
+
+    def calibrate(_config, _base, _split, options):
+        file, first = options.checkpoints / "joint.safetensors", 0
+        if options.resume and file.is_file():
+            first = read_checkpoint(file, "key").iteration
+        for step in range(first, CHECKPOINTS):
+            write_checkpoint(file, Progress(np.full(500, float(step)), iteration=step + 1), "key")
+        return trained
+
+    real = train.prepare_logs
+    once = cache(lambda file: real(train.read_config(project / "tiny.toml", None)[0], [file]))
+    monkeypatch.setattr(train, "prepare_logs", lambda _, files: once(files[0]))
+    monkeypatch.setattr(train, "calibrate", calibrate)
+    return "train", project / "tiny.toml", "--out"
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ What takes long and writes no file (fitting, flying, judging) is done once and g
 import json
 import shutil
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -15,12 +14,11 @@ from narxcal.calibration.bundle import load_bundle, write_bundle
 from narxcal.cli import evaluate, fly, main, train
 from narxcal.flight_test import fly as flying
 from tests.crash import killed_everywhere
-from training.checkpoint import read_checkpoint, write_checkpoint
+from training.checkpoint import write_checkpoint
 from training.network import Progress
 
 pytestmark = pytest.mark.slow
 HOW = pytest.mark.parametrize(("exchange", "power"), [(True, False), (True, True), (False, True)])
-STEPS = 3
 WHOLE_RUN = ["bundle.json", "weights.safetensors"]
 
 
@@ -42,26 +40,6 @@ def tree(out):
 
 def quietly(*words):
     assert main([*map(str, words), "--quiet"]) in {0, 1}
-
-
-@pytest.fixture
-def training(project, monkeypatch):
-    """The command `train`, whose fit is three checkpoints and then the model of the project."""
-    trained = load_bundle(project / "run")
-
-    def calibrate(_config, _base, _split, options):
-        file, first = options.checkpoints / "joint.safetensors", 0
-        if options.resume and file.is_file():
-            first = read_checkpoint(file, "key").iteration
-        for step in range(first, STEPS):
-            write_checkpoint(file, Progress(np.full(500, float(step)), iteration=step + 1), "key")
-        return trained
-
-    real = train.prepare_logs
-    once = cache(lambda file: real(train.read_config(project / "tiny.toml", None)[0], [file]))
-    monkeypatch.setattr(train, "prepare_logs", lambda _, files: once(files[0]))
-    monkeypatch.setattr(train, "calibrate", calibrate)
-    return "train", project / "tiny.toml", "--out"
 
 
 @HOW
