@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from narxcal.support.arrays import FloatArray
 
 _SHOWN = 12  # names of columns in a message
+_SEARCHED = 1000  # columns among which a misspelt one is looked for
 _NO_UNIT = ("", "-")
 _BRACKETS_AT_END = re.compile(r"[\[({<]([^][(){}<>]+)[])}>]\s*$")
 _RIGHT = "r"  # the right engine of [L] and [R], no degree Rankine
@@ -108,7 +109,7 @@ def _column(table: Table, name: str, source: ColumnSource, engine: tuple[str, st
     column = source.column.replace(ENGINE, engine[1])
     if column in table.header or not column:
         return column
-    if source.optional:
+    if source.optional and name != "time_s":
         return ""
     if ENGINE in source.column and not any(engine[1] in known for known in table.header):
         raise DataError(
@@ -130,7 +131,7 @@ def _sentence(hint: str) -> str:
 
 
 def _near(column: str, header: tuple[str, ...]) -> str:
-    near = difflib.get_close_matches(column, header, n=3, cutoff=0.5)
+    near = difflib.get_close_matches(column, header[:_SEARCHED], n=3, cutoff=0.5)
     if near:
         return f"Did you mean {' or '.join(repr(name) for name in near)}?"
     return _listed(header)

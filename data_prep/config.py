@@ -10,7 +10,7 @@ from pydantic import Field, PositiveFloat, field_validator, model_validator
 
 from data_prep.derive import DeriveConfig
 from data_prep.units import find_unit
-from narxcal.channels import channel
+from narxcal.channels import CHANNELS, channel
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.settings import Section
 
@@ -132,13 +132,5 @@ class LogsConfig(Section):
         """Channel -> source; the canonical names found in `header` when none are configured."""
         if self.columns:
             return dict(self.columns)
-        names = [name for name in header if _is_canonical(name)]
+        names = [name for name in header if name in CHANNELS]
         return {name: ColumnSource(column=name) for name in names}
-
-
-def _is_canonical(name: str) -> bool:
-    try:
-        channel(name)
-    except ConfigError:
-        return False
-    return True

@@ -79,7 +79,7 @@ def channel(name: str) -> Channel:
     plain = {"".join(filter(str.isalnum, text)).upper() for text in written}
     meant = next((own for own, others in _SYNONYMS.items() if plain & {*others}), name)
     hint = did_you_mean(meant, CHANNELS, "Known channels:")
-    raise ConfigError(f"unknown channel '{name}'", hint=hint)
+    raise ConfigError(f"unknown channel '{name[:80]}'", hint=hint)
 
 
 def symbol(name: str) -> str:

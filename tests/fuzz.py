@@ -1,9 +1,9 @@
 """Fuzz the readers: `python -m tests.fuzz --cases 100000 --seed 1`, or `make fuzz N=100000`.
 
 Each case takes a sound input, changes it, and hands it to the code that users hand it to. It must
-give a result or one of the documented errors, without a warning, within `LIMIT_S` seconds and
-`LIMIT_MB` of memory. A case depends on its seed and number alone; the input of one that fails is
-kept in a folder.
+give a result or one of the documented errors, without a warning, within `LIMIT_S` seconds of the
+processor and `LIMIT_MB` of memory. A case depends on its seed and number alone; the input of one
+that fails is kept in a folder.
 """
 
 import argparse
@@ -553,13 +553,13 @@ def limited():
     def stop(*_):
         raise TooSlow
 
-    before = signal.signal(signal.SIGALRM, stop)
-    signal.alarm(LIMIT_S)
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, LIMIT_S)
     try:
         yield
     finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def run_case(name, number, seed, sound, folder):

@@ -8,9 +8,9 @@ from __future__ import annotations
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, NonNegativeFloat, NonNegativeInt, field_validator, model_validator
+from pydantic import Field, NonNegativeInt, field_validator, model_validator
 
 from data_prep.clean import CleanConfig
 from data_prep.config import LogsConfig
@@ -183,7 +183,9 @@ class TrainConfig(Section):
     """
 
     optimiser: Literal["lm", "geodesic", "adam"] = "lm"
-    horizons_s: tuple[NonNegativeFloat, ...] = Field(default=(5.0, 60.0), min_length=1)
+    horizons_s: tuple[Annotated[float, Field(ge=0, le=1e6)], ...] = Field(
+        default=(5.0, 60.0), min_length=1
+    )
     iterations: tuple[NonNegativeInt, ...] = (8, 12)
     starts: int = Field(default=1, ge=1, le=1000)
     seed: int = Field(default=0, ge=0, lt=2**63)

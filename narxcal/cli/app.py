@@ -139,7 +139,9 @@ def _interrupted(state: str) -> int:
 def _report(error: Exception) -> int:
     if isinstance(error, OSError):
         _drop_stdout()
-    if isinstance(error, (NarxcalError, OSError)):
+    # Before 3.13 `Path.resolve` reports a loop of links by a RuntimeError.
+    loop = isinstance(error, RuntimeError) and "Symlink loop" in str(error)
+    if isinstance(error, (NarxcalError, OSError)) or loop:
         return _end(f"error: {_one_line(error)}", BAD_INPUT)
     what = f"{type(error).__name__}: {_one_line(error)}"
     hint = "Set NARXCAL_TRACEBACK=1 or add --traceback to see where, and report it"

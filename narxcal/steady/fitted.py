@@ -99,7 +99,8 @@ class Layout:
         """Weight of each corner of the envelope in the blending channels: (..., corners)."""
         columns = [self.input_names.index(name) for name in self.blend]
         width = np.maximum(envelope.high - envelope.low, 1e-12)
-        return corner_weights(((inputs - envelope.low) / width)[..., columns])
+        with np.errstate(over="ignore"):  # weights are clipped to the corners
+            return corner_weights(((inputs - envelope.low) / width)[..., columns])
 
     def _scale(self, inputs: FloatArray, air: AirState | None) -> tuple[FloatArray, FloatArray]:
         scale = np.ones((*inputs.shape[:-1], len(self.output_names)))

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import LinearNDInterpolator, PchipInterpolator
 from scipy.spatial import ConvexHull, QhullError
 
-from narxcal.channels import channel
+from narxcal.channels import CHANNELS, channel
 from narxcal.steady.model import (
     Arrays,
     Envelope,
@@ -41,6 +41,7 @@ from narxcal.support.errors import ConfigError, DataError
 
 _SUBDIVISIONS = 16  # of each interval of a cubic: its error is below 1/256 of a straight line's
 _CHUNK = 4096  # samples evaluated at a time, to bound memory
+_LONGEST_LINE = 100_000  # characters, of some thousand columns
 _MOST_CHARACTERS = 200_000_000  # of a file: ten million numbers; a small archive may unpack to more
 
 
@@ -315,6 +316,12 @@ def read_steady_table(
     file = Path(path)
     cells = _read_cells(file)
     header = list(cells.columns)
+    if not any(name in CHANNELS for name in header):  # what it is instead is nobody's business
+        raise DataError(
+            "the file is no table of a steady-state model: no column is a channel",
+            file=file,
+            hint="Its header names channels, such as TRA_deg, ALT_ft, N1_pct",
+        )
     outputs = tuple(output_names or _by_role(header, input_names or (), output=True))
     inputs = tuple(input_names or _by_role(header, outputs, output=False))
     for name in (*inputs, *outputs):
@@ -382,11 +389,12 @@ def _lines(file: Path) -> Iterator[tuple[int, str]]:
     opener = gzip.open if file.suffix == ".gz" else open
     with opener(file, "rt", encoding="utf-8-sig") as stream:
         number, left = 0, _MOST_CHARACTERS
-        while line := stream.readline(left + 1):
+        while line := stream.readline(_LONGEST_LINE + 1):
             number, left = number + 1, left - len(line)
-            if left < 0:
+            if left < 0 or len(line) > _LONGEST_LINE:
                 raise DataError(
-                    f"the table has more than {_MOST_CHARACTERS // 10**6} million characters",
+                    f"the table has a line of more than {_LONGEST_LINE} characters, "
+                    f"or more than {_MOST_CHARACTERS // 10**6} million in all",
                     file=file,
                     hint="Thin out its nodes",
                 )

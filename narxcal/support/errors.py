@@ -6,6 +6,8 @@ import difflib
 from collections.abc import Iterable
 from os import PathLike
 
+_LONGEST = 80  # characters of a name
+
 
 class NarxcalError(Exception):
     """Something the user can act on: what was expected, what was found, where, what to do.
@@ -62,5 +64,6 @@ def did_you_mean(name: str, known: Iterable[str], otherwise: str, cutoff: float 
     Where none is similar by `cutoff` (`difflib`, 0 to 1), list them after the words `otherwise`.
     """
     names = list(known)
-    near = difflib.get_close_matches(name, names, n=1, cutoff=cutoff)
+    # Comparing takes the product of both lengths, and nobody misspells a name into a long text.
+    near = difflib.get_close_matches(name[:_LONGEST], names, n=1, cutoff=cutoff)
     return f"Did you mean '{near[0]}'?" if near else f"{otherwise} {', '.join(names)}"

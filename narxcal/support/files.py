@@ -179,6 +179,10 @@ def check_file(out: Path, *inputs: Path, overwrite: bool = False) -> None:
             f"output file {out} is a folder", hint=f"Name a file, such as {out / 'out.csv'}"
         )
     recover(out)
+    if out.is_symlink() and not out.exists():
+        raise ConfigError(
+            f"output file {out} is a link that leads nowhere", hint="Choose another name"
+        )
     if out.exists():
         for each in inputs:
             _check_not_read(out, each)

@@ -564,3 +564,11 @@ def test_the_simulated_flights_keep_every_row_at_32_hz():
 def test_the_micro_turbojet_gets_one_rate():
     config, files = shipped("jetcat")
     assert [log.dt_s for log in read_logs(files, config)] == pytest.approx([0.1, 0.1])
+
+
+def test_a_column_of_time_that_is_called_optional_is_needed_all_the_same(tmp_path):
+    file = tmp_path / "log.csv"
+    file.write_text("TRA_deg,N1_pct\n1,2\n2,3\n", encoding="utf-8")
+    columns = {name: {"column": name, "optional": True} for name in ("time_s", "N1_pct")}
+    with pytest.raises(DataError, match=r"channel time_s: column 'time_s' is missing"):
+        read_logs([file], LogsConfig.parse({"columns": columns}))

@@ -335,6 +335,14 @@ def test_no_file_that_exists_or_is_read_is_written_over(tmp_path):
     check_file(run / "new.csv", run)
 
 
+def test_a_link_that_leads_nowhere_is_not_replaced(tmp_path):
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "gone").symlink_to(tmp_path / "unmounted" / "x.csv")
+    for name in ("loop", "gone"):
+        with pytest.raises(ConfigError, match=f"{name} is a link that leads nowhere"):
+            check_file(tmp_path / name, overwrite=True)
+
+
 @pytest.mark.parametrize(
     ("name", "what"), [("/", "is the working directory, or holds it"), (".", "is the working")]
 )

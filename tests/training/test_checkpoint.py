@@ -75,7 +75,7 @@ def test_a_damaged_file_is_refused_in_words(kept, junk, tmp_path_factory):
     write_checkpoint(file, FULL, "key")
     data = file.read_bytes()
     damaged = data[: int(kept * len(data))] + junk
-    assume(len(damaged) != len(data))  # the format has no checksum: these would be other weights
+    assume(damaged != data)
     file.write_bytes(damaged)
     with pytest.raises(ModelError) as error:
         read_checkpoint(file, "key")

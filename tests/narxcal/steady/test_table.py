@@ -306,3 +306,18 @@ def test_a_missing_or_unreadable_file_is_named(tmp_path):
     (tmp_path / "bad.csv.gz").write_bytes(b"no gzip")
     with pytest.raises(DataError, match=r"bad\.csv\.gz: the table cannot be read: Not a gzipped"):
         read_steady_table(tmp_path / "bad.csv.gz")
+
+
+def test_a_file_that_is_no_table_is_not_quoted(tmp_path):
+    file = tmp_path / "secret.txt"
+    file.write_text("password: hunter2\nname\n", encoding="utf-8")
+    with pytest.raises(DataError, match="the file is no table of a steady-state model") as error:
+        read_steady_table(file)
+    assert "hunter2" not in str(error.value)
+
+
+def test_a_small_archive_with_a_long_line_is_refused(tmp_path):
+    file = tmp_path / "table.csv.gz"
+    file.write_bytes(gzip.compress(b"TRA_deg,N1_pct\n" + b"1," * 5_000_000))
+    with pytest.raises(DataError, match="a line of more than 100000 characters"):
+        read_steady_table(file)
