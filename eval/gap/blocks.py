@@ -40,7 +40,8 @@ def batch(pairs: Sequence[Pair], rate_hz: float = RATE_HZ, keep_hz: float = KEEP
     measured = np.stack([_padded(each, longest, np.nan) for each in real])
     gaps = [r - s for r, s in zip(real, y, strict=True)]
     noise = np.maximum(_noise(gaps), _SILENT * (signals.high - signals.low))
-    return GapData(flights, measured, noise, tuple(pair.name for pair in pairs))
+    fast = _fast_energy(pairs, outputs, gaps)
+    return GapData(flights, measured, noise, fast, tuple(pair.name for pair in pairs))
 
 
 def block_size(dt_s: float, rate_hz: float = RATE_HZ, keep_hz: float = KEEP_HZ) -> int:
@@ -86,6 +87,16 @@ def _signals(
         (float(driver.min()), float(driver.max())),
         active,
     )
+
+
+def _fast_energy(
+    pairs: Sequence[Pair], outputs: Sequence[str], means: Sequence[FloatArray]
+) -> FloatArray:
+    """What block means take from the mean squared gap of each output, (outputs,)."""
+    whole = np.concatenate([[p.real[n] - p.sim[n] for n in outputs] for p in pairs], axis=1)
+    slow = np.concatenate(means)
+    lost = np.nanmean(whole**2, axis=1) - np.nanmean(slow**2, axis=0)
+    return np.asarray(np.maximum(lost, 0.0))
 
 
 def _noise(gaps: Sequence[FloatArray]) -> FloatArray:

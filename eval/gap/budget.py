@@ -284,7 +284,7 @@ def record_of(data: GapData) -> Record:
             parts = int(np.clip(length * flights.signals.dt_s / _BLOCK_S, 2, _MOST))
         unit[f, :length] = start + np.arange(length) * parts // length
         start += parts
-    return Record(flights, data.real, data.noise, unit, _groups(flights))
+    return Record(flights, data.real, data.noise, unit, _groups(flights), data.fast)
 
 
 def _groups(flights: Flights) -> tuple[int, ...]:

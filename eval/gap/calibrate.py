@@ -1,11 +1,12 @@
-"""Writes the weights of the budget's conditional logit, from blind cases with an open key.
+"""Writes the weights of the budget's conditional logits, from blind cases.
 
-    python -m eval.gap.calibrate weigh FEATURES CASE...
+    python -m eval.gap.calibrate weigh FEATURES SECRET CASES...
     python -m eval.gap.calibrate fit FEATURES [OUT]
 
-`weigh` reads, emulates and fits each case (ten seconds) and leaves its features and its truth in a
-folder; `fit` finds the weights (a second). The file that it writes says when, on how many cases of
-which engines they were fitted, and what such weights reach on engines of a family left out.
+`weigh` reads, emulates and fits every case of folders that `narxcal blind make` wrote (ten seconds
+each), opens their keys, and leaves features and truth in a folder; `fit` finds the weights (a few
+seconds). The file that it writes says when, on how many cases of which engines they were fitted,
+and what such weights reach on engines of a family left out.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ import datetime as dt
 import json
 import os
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,154 +25,181 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import log_softmax, logsumexp
 
-from eval.gap.budget import batched, phases_of, record_of
+from eval.gap.blind.files import open_key
+from eval.gap.blind.outcome import Outcome
+from eval.gap.blind.score import calibration_error, mean
+from eval.gap.budget import batched, record_of
 from eval.gap.pairs import read_pairs
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray
 from training.budget.control import suited
-from training.budget.diagnosis import Engines, diagnose
-from training.budget.odds import FEATURES, OF_CASE, Odds, prior
+from training.budget.diagnosis import Engines, weigh
+from training.budget.fitting import Single
+from training.budget.layers import beside
+from training.budget.odds import FEATURES, OF_CASE, Odds, features, prior
 from training.gap.emulator import fit_emulators
 
 RIDGE: Final = 0.1
 _SMALL: Final = 0.05  # share of the gap below which nobody has to name an effect
 _OUTSIDE: Final = 0.5  # weight of a case that the library does not hold
-FAMILIES: Final = {
-    "lumped_n1": "lumped",
-    "lumped_n2": "lumped",
-    "lumped_fuel": "lumped",
-    "maker": "maker",
-    "business_jet": "virtual",
-    "single_aisle": "virtual",
-}
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """One choice that a logit makes: `effects` or `others` more answers, which of them are `right`.
+
+    `features` (effects, ...) are those of the effects, `case` that of the case, for every other
+    answer.
+    """
+
+    effects: tuple[str, ...]
+    features: FloatArray
+    case: FloatArray
+    others: int
+    right: BoolArray
+    weight: float = 1.0
+
+    def design(self) -> FloatArray:
+        """Features of every answer, (effects + others, ...): of effects, then once per other."""
+        (n, m), c = self.features.shape, len(self.case)
+        found = np.zeros((n + self.others, m + self.others * c))
+        found[:n, :m] = self.features
+        for k in range(self.others):
+            found[n + k, m + k * c : m + (k + 1) * c] = self.case
+        return found
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Features of one case, which answers are right, and how much it counts."""
+    """One case: the choice of its first effect, and of a second beside what may come first."""
 
-    name: str
-    family: str
-    kind: str
-    effects: tuple[str, ...]
-    features: FloatArray
-    case: FloatArray
-    right: FloatArray
-    weight: float
-    true: tuple[str, ...]
-    share: float
+    outcome: Outcome
+    first: Choice
+    further: Mapping[str, Choice]
+
+    @property
+    def family(self) -> str:
+        """Kind of engine."""
+        return self.outcome.family
 
 
 def read_case(file: Path) -> Case:
-    """One case from what its diagnosis stored and its truth."""
+    """One case from what `weigh` left."""
     found = json.loads(file.read_text(encoding="utf-8"))
-    truth, facts = found["truth"], found["facts"]
-    names = tuple(facts["features"])
-    true = tuple(e["id"] + (f":{e['channel']}" if e["channel"] else "") for e in truth["effects"])
-    share = float(truth["gap_share"])
-    right = np.array([name in true for name in names] + [False, False], dtype=bool)
-    if truth["kind"] == "null":
+    outcome = Outcome(file.stem, found["truth"], {})
+    first = Choice(*_arrays(found), 2, _right(outcome, found["names"]), _weight(outcome))
+    further = {
+        row["leader"]: Choice(*_arrays(row), 1, _second(outcome, row), _weight(outcome))
+        for row in found["further"]
+    }
+    return Case(outcome, first, further)
+
+
+def _arrays(row: Mapping[str, Any]) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
+    return tuple(row["names"]), np.array(row["effects"]), np.array(row["case"])
+
+
+def _weight(outcome: Outcome) -> float:
+    return _OUTSIDE if outcome.kind == "outside" else 1.0
+
+
+def _right(outcome: Outcome, names: Sequence[str]) -> BoolArray:
+    """Which answers are right: a true effect; the others where there is none, or hardly any."""
+    right = np.array([name in outcome.true_effects for name in names] + [False, False])
+    small = outcome.gap_share < _SMALL
+    if outcome.kind == "null":
         right[-2] = True
-    elif truth["kind"] == "outside":
-        right[-1] = True
-        right[-2] = share < _SMALL
-    elif share < _SMALL or not right.any():
+    elif outcome.kind == "outside":
+        right[-2:] = [small, True]
+    elif small or not right.any():
         right[-2:] = True
-    weight = _OUTSIDE if truth["kind"] == "outside" else 1.0
-    return Case(
-        file.stem,
-        FAMILIES.get(truth["engine"], truth["engine"]),
-        truth["kind"],
-        names,
-        np.array([facts["features"][name] for name in names]),
-        np.array(facts["case_features"]),
-        right,
-        weight,
-        true,
-        share,
-    )
+    return right
 
 
-def fit(cases: Sequence[Case]) -> Odds:
-    """Weights that make right answers likeliest, with a ridge on all."""
-    n, m = len(FEATURES), len(OF_CASE)
-    designs = [_design(one, n, m) for one in cases]
-    priors = [np.array([*map(prior, one.effects), 0.0, 0.0]) for one in cases]
+def _second(outcome: Outcome, row: Mapping[str, Any]) -> BoolArray:
+    """Which answers are right beside a leader: the other true effect where it is not small."""
+    leader, names = row["leader"], row["names"]
+    others = [name for name in outcome.true_effects if name != leader]
+    right = np.array([name in others for name in names] + [False])
+    shares = [outcome.truth["budget"][name]["share"] for name in others]
+    right[-1] = not right.any() or max(shares) < _SMALL or leader not in outcome.true_effects
+    return right
+
+
+def fitted(choices: Sequence[Choice], around: FloatArray | None = None) -> FloatArray:
+    """Weights that make right answers likeliest, with a ridge, `around` values of the first."""
+    designs = [one.design() for one in choices]
+    others = [np.zeros(one.others) for one in choices]
+    before = [
+        np.concatenate([[prior(name) for name in one.effects], none])
+        for one, none in zip(choices, others, strict=True)
+    ]
+    middle = np.zeros(designs[0].shape[1])
+    if around is not None:
+        middle[: len(around)] = around
 
     def loss(w: FloatArray) -> tuple[float, FloatArray]:
-        total, slope = RIDGE * float(w @ w), 2.0 * RIDGE * w
-        for one, design, before in zip(cases, designs, priors, strict=True):
-            scores = log_softmax(design @ w + before)
+        total, slope = RIDGE * float((w - middle) @ (w - middle)), 2.0 * RIDGE * (w - middle)
+        for one, design, known in zip(choices, designs, before, strict=True):
+            scores = log_softmax(design @ w + known)
             right = logsumexp(scores[one.right])
             total -= one.weight * float(right)
             better = np.where(one.right, np.exp(scores - right), 0.0)
             slope += one.weight * (np.exp(scores) - better) @ design
         return total, slope
 
-    found = minimize(loss, np.zeros(n + 2 * m), jac=True, method="L-BFGS-B")
-    w = tuple(float(v) for v in found.x)
-    return Odds(w[:n], w[n : n + m], w[n + m :])
+    return np.asarray(minimize(loss, middle, jac=True, method="L-BFGS-B").x)
 
 
-def _design(one: Case, n: int, m: int) -> FloatArray:
-    """Features of every answer (effects + 2, n + 2 m): of effects, of the case for two more."""
-    count = len(one.effects)
-    found = np.zeros((count + 2, n + 2 * m))
-    found[:count, :n] = one.features
-    found[count, n : n + m] = found[count + 1, n + m :] = one.case
-    return found
+def fit(cases: Sequence[Case]) -> Odds:
+    """The weights of both logits; those of further effects shrink towards those of the first."""
+    n, m = len(FEATURES), len(OF_CASE)
+    w = fitted([one.first for one in cases])
+    more = fitted([each for one in cases for each in one.further.values()], w[:n])
+    parts = (w[:n], w[n : n + m], w[n + m :], more[:n], more[n:])
+    return Odds(*(tuple(part.tolist()) for part in parts))
 
 
 def judged(one: Case, odds: Odds) -> dict[str, Any]:
     """What the weights say of a case, how probable it is, and whether it is right."""
-    chances = odds.probabilities(one.effects, one.features, one.case)
-    first = int(np.argmax(chances[:-2]))
-    says = int(np.argmax(chances))
+    true, first = one.outcome.true_effects, one.first
+    chances = np.exp(odds.first(first.effects, first.features, first.case))
+    leader = first.effects[int(np.argmax(chances[:-2]))]
+    said = [leader] if int(np.argmax(chances)) < len(first.effects) else []
+    more = one.further.get(leader)
+    if said and more is not None:
+        beside_it = odds.more(more.effects, more.features, more.case)
+        best = int(np.argmax(beside_it))
+        said += [more.effects[best]] if best < len(more.effects) else []
     return {
-        "name": one.name,
-        "family": one.family,
-        "kind": one.kind,
-        "true": one.true,
-        "share": one.share,
-        "first": one.effects[first],
-        "probability": float(chances[first]),
-        "none": float(chances[-2]),
-        "unknown": float(chances[-1]),
-        "named": says < len(one.effects),
-        "right": one.effects[first] in one.true,
+        "kind": one.outcome.kind,
+        "large": one.outcome.gap_share >= _SMALL,
+        "probability": float(chances[:-2].max()),
+        "named": bool(said),
+        "right": leader in true,
+        "exact": {*said} == {*true},
     }
 
 
 def figures(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Top-1 of effects above 5 % of the gap, nulls named, claims right, and the calibration."""
-    large = [r for r in rows if r["kind"] in ("single", "pair") and r["share"] >= _SMALL]
-    nulls = [r for r in rows if r["kind"] == "null"]
+    """Top-1 of effects above 5 % of the gap, exact verdicts, nulls named, and the calibration."""
+    large = [r for r in rows if r["kind"] in ("single", "pair") and r["large"]]
     claims = [r for r in rows if r["named"]]
+    sure, right = [r["probability"] for r in claims], [r["right"] for r in claims]
     return {
         "cases": len(rows),
-        "top1": _mean([r["right"] for r in large]),
-        "answered": _mean([r["right"] and r["named"] for r in large]),
-        "nulls_named": _mean([r["named"] for r in nulls]),
-        "outside_named": _mean([r["named"] for r in rows if r["kind"] == "outside"]),
-        "claims_right": _mean([r["right"] for r in claims]),
-        "ece": _ece(claims),
+        "top1": _share([r["right"] for r in large]),
+        "answered": _share([r["right"] and r["named"] for r in large]),
+        "exact_singles": _share([r["exact"] for r in large if r["kind"] == "single"]),
+        "exact_pairs": _share([r["exact"] for r in large if r["kind"] == "pair"]),
+        "nulls_named": _share([r["named"] for r in rows if r["kind"] == "null"]),
+        "outside_named": _share([r["named"] for r in rows if r["kind"] == "outside"]),
+        "claims_right": _share(right),
+        "ece": calibration_error(sure, right),
     }
 
 
-def _mean(values: Sequence[bool]) -> list[float]:
-    return [float(np.mean(values)) if values else float("nan"), len(values)]
-
-
-def _ece(claims: Sequence[dict[str, Any]], bins: int = 5) -> float:
-    """Calibration error in bins of equal mass."""
-    if not claims:
-        return float("nan")
-    order = sorted(claims, key=lambda r: r["probability"])
-    parts = np.array_split(np.arange(len(order)), min(bins, len(order)))
-    off = [
-        len(p) * abs(np.mean([order[k]["probability"] - order[k]["right"] for k in p]))
-        for p in parts
-    ]
-    return float(sum(off) / len(order))
+def _share(values: Sequence[bool]) -> list[float]:
+    return [mean(map(float, values)), len(values)]
 
 
 def left_out(cases: Sequence[Case]) -> list[dict[str, Any]]:
@@ -183,29 +211,40 @@ def left_out(cases: Sequence[Case]) -> list[dict[str, Any]]:
     return rows
 
 
-def weigh_case(case: Path) -> dict[str, Any]:
-    """Features and layers of one case, with its truth."""
+def weigh_case(case: Path, truth: Mapping[str, Any]) -> dict[str, Any]:
+    """Features of one case, and of second effects beside its leader and beside each true one."""
     data = batched(read_pairs(case / "real", case / "sim"))
     record = record_of(data)
     emulator = suited(fit_emulators(data.flights), record)
-    found = diagnose(record, Engines(emulator), phases_of(data))
-    truth = json.loads((case / "truth.json").read_text(encoding="utf-8"))
-    return {"truth": truth, "verdict": found.verdict_row(), "facts": dict(found.facts)}
+    evidence = weigh(record, Engines(emulator))
+    singles = {one.name: one for one in evidence.singles}
+    leader = list(singles)[int(np.argmax(evidence.effects @ evidence.setting.odds.effect))]
+    true = [name for name in Outcome(case.name, truth, {}).true_effects if name in singles]
+    further = []
+    for name in dict.fromkeys([leader, *true]):
+        frame, tried = beside(evidence.setting, [singles[name]])
+        further.append({"leader": name, **_row(tried, *features(frame, tried))})
+    own = _row(evidence.singles, evidence.effects, evidence.case)
+    return {"truth": truth, **own, "further": further}
+
+
+def _row(singles: Sequence[Single], effects: FloatArray, case: FloatArray) -> dict[str, Any]:
+    names = [one.name for one in singles]
+    return {"names": names, "effects": effects.tolist(), "case": case.tolist()}
 
 
 def written(cases: Sequence[Case], out: Path) -> dict[str, Any]:
     """Fit the weights, write them, and give the figures with each family left out."""
     rows, odds = left_out(cases), fit(cases)
+    families = [one.family for one in cases]
     text = {
         "date": dt.datetime.now(tz=dt.UTC).date().isoformat(),
         "cases": len(cases),
-        "families": {f: sum(one.family == f for one in cases) for f in FAMILIES.values()},
+        "families": {f: families.count(f) for f in sorted({*families})},
         "family_left_out": figures(rows),
         "features": list(FEATURES),
         "of_case": list(OF_CASE),
-        "effect": list(odds.effect),
-        "none": list(odds.none),
-        "unknown": list(odds.unknown),
+        **asdict(odds),
     }
     out.write_text(json.dumps(text, indent=1) + "\n", encoding="utf-8")
     return text
@@ -216,17 +255,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="The weights of the budget's probabilities")
     parser.add_argument("do", choices=("weigh", "fit"))
     parser.add_argument("features", type=Path)
-    parser.add_argument("more", type=Path, nargs="*")
+    parser.add_argument("more", nargs="*")
     given = parser.parse_args(arguments)
     if given.do == "weigh":
+        secret, *folders = given.more
         given.features.mkdir(parents=True, exist_ok=True)
-        for case in given.more:
-            found = json.dumps(weigh_case(case), default=float)
-            name = f"{case.parent.name}_{case.name}.json"
-            (given.features / name).write_text(found, encoding="utf-8")
+        for folder in map(Path, folders):
+            for name, truth in open_key(folder, secret)["cases"].items():
+                found = json.dumps(weigh_case(folder / name, truth), default=float)
+                (given.features / f"{folder.name}_{name}.json").write_text(found, encoding="utf-8")
         return
     cases = [read_case(file) for file in sorted(given.features.glob("*.json"))]
-    out = given.more[0] if given.more else Path(os.devnull)
+    out = Path(given.more[0] if given.more else os.devnull)
     sys.stdout.write(json.dumps(written(cases, out)["family_left_out"], indent=1) + "\n")
 
 

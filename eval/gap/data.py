@@ -46,12 +46,14 @@ class GapData:
     """All flights as one batch.
 
     `real` (flights, time, outputs) is NaN where unknown and beyond a flight's end; `noise`
-    (outputs,) is its standard deviation on the raster of `flights`; `names` are the flights'.
+    (outputs,) is its standard deviation on the raster of `flights`; `fast` (outputs,) what the mean
+    squared gap of the logs is more than that on this raster; `names` are the flights'.
     """
 
     flights: Flights
     real: FloatArray
     noise: FloatArray
+    fast: FloatArray
     names: tuple[str, ...]
 
     @property

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from scipy.special import softmax
 
 from narxcal.effects.library import LIBRARY, hypotheses
 from narxcal.effects.running import Emulator
@@ -15,11 +14,11 @@ from narxcal.support.arrays import FloatArray, IntArray
 from training.budget.dictionary import Dictionary
 from training.budget.discrepancy import Discrepancy
 from training.budget.fitting import Frame, Single
-from training.budget.joint import Joint, budget_of, by_others, interval, together
-from training.budget.layers import EVIDENCE, PER_PARAMETER, Layer, Setting, candidate, further
+from training.budget.joint import Joint, by_others, interval, together
+from training.budget.layers import PER_PARAMETER, Layer, Setting, candidate, further
 from training.budget.metric import Metric, Record, assumed_variance
 from training.budget.nuisances import nuisances
-from training.budget.odds import Odds, load
+from training.budget.odds import Odds, features, load
 from training.budget.quadratic import no_columns, solve
 from training.budget.result import (
     BUILD,
@@ -32,6 +31,7 @@ from training.budget.result import (
     Verdict,
     Weighed,
 )
+from training.budget.shares import split
 
 _SURE: Final = 0.5  # probability below which the first effect is not named alone
 _SET: Final = 0.8  # of a credible set
@@ -71,7 +71,11 @@ class Engines(NamedTuple):
 
 
 def weigh(
-    record: Record, engines: Engines, learned: Discrepancy | None = None, probe_s: float = 1.0
+    record: Record,
+    engines: Engines,
+    learned: Discrepancy | None = None,
+    odds: Odds | None = None,
+    probe_s: float = 1.0,
 ) -> Evidence:
     """Fit every effect by itself, beside what builds and flights differ by, or what was learned."""
     flights = record.flights
@@ -83,39 +87,8 @@ def weigh(
     metric = Metric(record, variance)
     frame = Frame(record, metric, record.gap, noise, assumed=learned is None)
     singles = [frame.refined(frame.fit(nodes), dictionary) for nodes in dictionary.nodes.values()]
-    effects, case = _features(frame, singles)
-    return Evidence(
-        frame,
-        tuple(singles),
-        effects,
-        case,
-        Setting(record, variance, noise, dictionary, learned),
-    )
-
-
-def _features(frame: Frame, singles: Sequence[Single]) -> tuple[FloatArray, FloatArray]:
-    """Features (effects, ...) and those of the case, in the order of `odds`."""
-    before, floor, bare = frame.energy(frame.none), max(frame.floor, 1.0), frame.bare()
-    without = bare.energy(bare.none)
-    rows = []
-    for one in singles:
-        alone = solve(bare.grams, one.columns, begin=bare.none.tau)
-        gain = before - frame.energy(one.solved)
-        known = frame.record.known
-        size = np.sqrt(np.mean(((one.response / frame.record.span) ** 2)[known]))
-        rows.append(
-            (
-                np.log(without / bare.energy(alone)),
-                np.log(before / frame.energy(one.solved)),
-                frame.explained(one),
-                max(1, sum(p.linear for p in one.node.parameters)) / 5.0,
-                np.log10(max(gain, 0.0) / floor + 0.01),
-                np.log10(size + 1e-5),
-            )
-        )
-    effects = np.array(rows)
-    case = (1.0, np.log10(before / floor), effects[:, 0].max(), effects[:, 2].max())
-    return effects, np.array(case)
+    setting = Setting(record, variance, noise, dictionary, odds or load(), learned)
+    return Evidence(frame, tuple(singles), *features(frame, singles), setting)
 
 
 def diagnose(
@@ -129,15 +102,14 @@ def diagnose(
 
     `learned` is what the simulator gets wrong by itself, where that is known.
     """
-    evidence = weigh(record, engines, learned)
-    return concluded(evidence, phases, odds or load())
+    return concluded(weigh(record, engines, learned, odds), phases)
 
 
-def concluded(evidence: Evidence, phases: Phases, odds: Odds) -> Budget:
+def concluded(evidence: Evidence, phases: Phases) -> Budget:
     """The budget that follows from the evidence."""
     frame = evidence.frame
     if evidence.setting.learned is None:
-        known, none, unknown, layers = _assumed(evidence, odds)
+        known, none, unknown, layers = _assumed(evidence)
         verdict = _verdict(known, none, unknown, layers)
     else:
         known, none, layers = _learned(evidence)
@@ -146,7 +118,7 @@ def concluded(evidence: Evidence, phases: Phases, odds: Odds) -> Budget:
     joint = together(frame, claimed)
     return Budget(
         verdict,
-        _causes(frame, claimed, phases, known),
+        _causes(joint, phases, known),
         _weighed(evidence, joint, known),
         none,
         unknown,
@@ -156,19 +128,19 @@ def concluded(evidence: Evidence, phases: Phases, odds: Odds) -> Budget:
     )
 
 
-def _assumed(evidence: Evidence, odds: Odds) -> tuple[dict[str, float], float, float, list[Layer]]:
+def _assumed(evidence: Evidence) -> tuple[dict[str, float], float, float, list[Layer]]:
     """Probabilities of effects, none and unknown by the logit; layers on the likeliest."""
-    names = [one.name for one in evidence.singles]
-    chances = odds.probabilities(names, evidence.effects, evidence.case)
+    names, setting = [one.name for one in evidence.singles], evidence.setting
+    chances = setting.odds.first(names, evidence.effects, evidence.case)
     if evidence.energy < _NOTHING * evidence.frame.floor:
-        chances = np.zeros_like(chances)
-        chances[-2] = 1.0
-    known = {name: float(p) for name, p in zip(names, chances[:-2], strict=True)}
-    none, unknown = float(chances[-2]), float(chances[-1])
+        chances = np.full_like(chances, -np.inf)
+        chances[-2] = 0.0
+    known = dict(zip(names, np.exp(chances[:-2]).tolist(), strict=True))
+    none, unknown = np.exp(chances[-2:]).tolist()
     if none == 1.0:
         return known, none, unknown, []
-    first = Layer(evidence.singles[int(np.argmax(chances[:-2]))], 0.0, 0.0, ())
-    return known, none, unknown, further(evidence.setting, first, evidence.energy)
+    first = Layer(evidence.singles[int(np.argmax(chances[:-2]))], (), float(chances[-2]), 0.0)
+    return known, none, unknown, further(setting, first, evidence.energy)
 
 
 def _learned(evidence: Evidence) -> tuple[dict[str, float], float, list[Layer]]:
@@ -176,14 +148,12 @@ def _learned(evidence: Evidence) -> tuple[dict[str, float], float, list[Layer]]:
     layers = further(evidence.setting, None, evidence.energy)
     more = candidate(evidence.setting, layers, evidence.energy)
     known = {one.name: 0.0 for one in evidence.singles}
-    none = 1.0
+    none = 0.0
     for place in (*layers, *(() if more is None else (more,))):
-        names, scores = zip(*place.confusable, strict=True)
-        chances = softmax(0.5 * np.array([*scores, EVIDENCE]))
-        none *= float(chances[-1])
-        for name, chance in zip(names, chances, strict=False):
-            known[name] = max(known[name], float(chance))
-    return known, none, layers
+        none += place.none
+        for name, chance in place.chances:
+            known[name] = max(known[name], float(np.exp(chance)))
+    return known, float(np.exp(none)), layers
 
 
 def _found(layers: Sequence[Layer]) -> Verdict:
@@ -193,9 +163,8 @@ def _found(layers: Sequence[Layer]) -> Verdict:
             "none", (), (), "nothing acts beyond what this simulator gets wrong by itself"
         )
     effects = tuple(one.name for one in layers)
-    confusable = [
-        n for one in layers for n, score in one.confusable if score > one.ratio - PER_PARAMETER
-    ]
+    near = 0.5 * PER_PARAMETER
+    confusable = [n for one in layers for n, p in one.chances if p > one.chances[0][1] - near]
     alike = tuple(dict.fromkeys(name for name in confusable if name not in effects))
     manoeuvre = LIBRARY[effects[0].partition(":")[0]].manoeuvre
     return Verdict("ambiguous" if alike else "effects", effects, alike, "", manoeuvre)
@@ -235,52 +204,60 @@ def credible(known: dict[str, float], first: str) -> tuple[str, ...]:
 
 def _gap_share(frame: Frame) -> float:
     """Share of the squared gap, over ranges squared, that is no noise."""
-    energy, noise = _energies(frame.record)
+    record = frame.record
+    count, scale = record.known.sum(axis=(0, 1)), 1.0 / record.span**2
+    fast = count * record.fast
+    energy = ((record.gap**2 * record.known).sum(axis=(0, 1)) + fast) * scale
+    noise = (count * record.noise**2 + fast) * scale
     return float(max(0.0, 1.0 - noise.sum() / max(energy.sum(), 1e-300)))
 
 
-def _energies(record: Record) -> tuple[FloatArray, FloatArray]:
-    """Squared gap and squared noise per output, each over ranges squared."""
-    scale = 1.0 / record.span**2
-    energy = (record.gap**2 * scale * record.known).sum(axis=(0, 1))
-    return energy, record.known.sum(axis=(0, 1)) * record.noise**2 * scale
-
-
-def _causes(
-    frame: Frame, singles: Sequence[Single], phases: Phases, known: dict[str, float]
-) -> tuple[Cause, ...]:
+def _causes(joint: Joint, phases: Phases, known: dict[str, float]) -> tuple[Cause, ...]:
     """Rows of the budget: effects, build, offsets, noise, unexplained."""
-    record = frame.record
-    split = budget_of(frame, singles, phases.index)
+    record = joint.frame.record
+    inside = np.eye(len(phases.names))[np.maximum(phases.index, 0)]
+    inside = inside * (phases.index >= 0)[..., None]
     scale = 1.0 / record.span**2
-    one_hot = (
-        np.eye(len(phases.names))[np.maximum(phases.index, 0)] * (phases.index >= 0)[..., None]
+
+    def cells(values: FloatArray) -> FloatArray:
+        return np.asarray(np.einsum("...ftc,ftp->...cp", values * record.known * scale, inside))
+
+    found = split(joint.frame.gap, joint.components())
+    slow, ones = cells(record.gap**2), cells(np.ones_like(record.gap))
+    fast = ones * np.broadcast_to(record.fast, scale.shape)[:, None]
+    noise = np.minimum(ones * record.noise[:, None] ** 2, slow) + fast
+    shares = cells(found.shares)
+    rest = slow + fast - shares.sum(axis=0) - noise
+    total = max(float((slow + fast).sum()), 1e-300)
+    effects = [node.name for node in joint.nodes]
+    rows = list(
+        zip([*effects, BUILD, OFFSETS], shares, cells(found.first), cells(found.last), strict=True)
     )
-    whole = np.einsum("ftc,ftp->cp", record.gap**2 * record.known * scale, one_hot)
-    count = np.einsum("ftc,ftp->cp", record.known.astype(float), one_hot)
-    noise = np.minimum(count * (record.noise**2 * scale)[:, None], whole)
-    total = max(float(whole.sum()), 1e-300)
-    names = [*(one.name for one in singles), BUILD, OFFSETS]
-    rest = whole - split.shares.sum(axis=0) - noise
-    rows = [
-        (name, *(each / total for each in three))
-        for name, *three in zip(names, split.shares, split.first, split.last, strict=True)
-    ]
-    rows += [(NOISE, noise / total, noise / total, noise / total)]
-    rows += [(UNEXPLAINED, rest / total, rest / total, rest / total)]
+    rows += [(NOISE, noise, noise, noise), (UNEXPLAINED, rest, rest, rest)]
     outputs = record.flights.signals.outputs
     return tuple(
-        Cause(
-            name,
-            float(share.sum()),
-            min(float(first.sum()), float(last.sum()), float(share.sum())),
-            max(float(first.sum()), float(last.sum()), float(share.sum())),
-            dict(zip(outputs, share.sum(axis=1).tolist(), strict=True)),
-            dict(zip(phases.names, share.sum(axis=0).tolist(), strict=True)),
-            known.get(name),
-            (name, *credible(known, name)) if name in known else (),
-        )
-        for name, share, first, last in rows
+        _cause(name, [each / total for each in three], (outputs, phases.names), known)
+        for name, *three in rows
+    )
+
+
+def _cause(
+    name: str,
+    three: Sequence[FloatArray],
+    names: tuple[Sequence[str], Sequence[str]],
+    known: dict[str, float],
+) -> Cause:
+    """One row from its shares (outputs, phases): on the mean, first, and last."""
+    share, ends = three[0], [float(each.sum()) for each in three]
+    return Cause(
+        name,
+        ends[0],
+        min(ends),
+        max(ends),
+        dict(zip(names[0], share.sum(axis=1).tolist(), strict=True)),
+        dict(zip(names[1], share.sum(axis=0).tolist(), strict=True)),
+        known.get(name),
+        (name, *credible(known, name)) if name in known else (),
     )
 
 
@@ -340,12 +317,12 @@ def _one(
 def _facts(evidence: Evidence, layers: Sequence[Layer]) -> dict[str, Any]:
     names = [one.name for one in evidence.singles]
     more = candidate(evidence.setting, layers, evidence.energy) if layers else None
-    rows = [(one.name, one.ratio, one.share) for one in layers]
+    rows = [(one.name, one.odds, one.share) for one in layers if one.chances]
     return {
         "features": {n: row.tolist() for n, row in zip(names, evidence.effects, strict=True)},
         "case_features": evidence.case.tolist(),
         "layers": rows,
-        "next": None if more is None else (more.name, more.ratio, more.share),
+        "next": None if more is None else (more.name, more.odds, more.share),
         "temper": evidence.frame.none.tau,
         "nuisances": dict(_sizes(evidence.frame)),
     }

@@ -1,4 +1,4 @@
-"""Several effects at once: their joint fit, what each set of causes does, and left-out units."""
+"""Several effects at once: their joint fit, what each cause does, and left-out units."""
 
 from __future__ import annotations
 
@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from narxcal.support.arrays import FloatArray, IntArray
+from narxcal.support.arrays import FloatArray
 from training.budget.dictionary import Node
 from training.budget.fitting import Frame, Single
 from training.budget.nuisances import BUILD, OFFSET, SMALL, START
 from training.budget.quadratic import Columns, Solved, no_columns, solve
-from training.budget.shares import Split, shapley
 
 _Z: float = 1.645  # of a 90 % interval
 
@@ -32,6 +31,15 @@ class Joint:
     spread: tuple[FloatArray, ...]
     others: tuple[tuple[FloatArray, ...], ...]
 
+    def components(self) -> list[FloatArray]:
+        """What each effect does, what the differences of build do, and what the offsets do."""
+        noise, kinds = self.frame.nuisances, np.array(self.frame.nuisances.kind)
+        found = self.responses(self.solved.x)
+        for group in ((BUILD, SMALL), (OFFSET, START)):
+            here = np.isin(kinds, group)
+            found.append(np.tensordot(self.solved.nu[here], noise.columns[here], axes=1))
+        return found
+
     def responses(self, steps: FloatArray) -> list[FloatArray]:
         """What each effect does after the steps of all."""
         return [n.response(x) for n, x in zip(self.nodes, self.parts(steps), strict=True)]
@@ -42,37 +50,26 @@ class Joint:
         return list(np.split(x, ends)[:-1])
 
 
-class _Rows:
-    """Inner products of all rows of several nodes, combined for any subset of them."""
-
-    def __init__(self, frame: Frame, nodes: Sequence[Node]) -> None:
-        self.nodes = nodes
-        if nodes:
-            self._inner = frame.inner(np.concatenate([node.rows for node in nodes]))
-        self._starts = np.cumsum([0, *(len(node.rows) for node in nodes)])
-        self._frame = frame
-
-    def of(self, which: Sequence[int]) -> Columns:
-        """Columns of some of the nodes together."""
-        if not which:
-            return no_columns(self._frame.grams)
-        first = [self._starts[k] for k in which]
-        slopes = [j for k in which for j in range(self._starts[k] + 1, self._starts[k + 1])]
-        rr, rn, rd = self._inner
-        mix = np.zeros((1 + len(slopes), rr.shape[1]))
-        mix[0, first] = 1.0
-        mix[np.arange(1, len(mix)), slopes] = 1.0
-        names = {self.nodes[k].name for k in which}
-        absent = np.array([name in names for name in self._frame.nuisances.effect])
-        box = np.concatenate([self.nodes[k].box for k in which])
-        return Columns(mix @ rr @ mix.T, mix @ rn, rd @ mix.T, box, absent)
+def _columns(frame: Frame, nodes: Sequence[Node]) -> Columns:
+    """Columns of all nodes together: the sum of their responses, and their slopes."""
+    if not nodes:
+        return no_columns(frame.grams)
+    rr, rn, rd = frame.inner(np.concatenate([node.rows for node in nodes]))
+    first = np.cumsum([0, *(len(node.rows) for node in nodes)])[:-1]
+    slopes = np.setdiff1d(np.arange(rr.shape[1]), first)
+    mix = np.zeros((1 + len(slopes), rr.shape[1]))
+    mix[0, first] = 1.0
+    mix[np.arange(1, len(mix)), slopes] = 1.0
+    names = {node.name for node in nodes}
+    absent = np.array([name in names for name in frame.nuisances.effect])
+    box = np.concatenate([node.box for node in nodes])
+    return Columns(mix @ rr @ mix.T, mix @ rn, rd @ mix.T, box, absent)
 
 
 def together(frame: Frame, singles: Sequence[Single]) -> Joint:
     """Fit the effects of `singles` together, from their nodes."""
     nodes = tuple(one.node for one in singles)
-    rows = _Rows(frame, nodes)
-    columns = rows.of(list(range(len(nodes))))
+    columns = _columns(frame, nodes)
     found = solve(frame.grams, columns)
     units = len(frame.grams.dd)
     left_out = [solve(frame.grams, columns, u) for u in range(units)] if units > 1 else []
@@ -107,38 +104,6 @@ def by_others(joint: Joint) -> FloatArray | None:
         here = record.unit == u
         change[here] = (theirs - mine)[here]
     return change
-
-
-def budget_of(frame: Frame, singles: Sequence[Single], cells: IntArray) -> Split:
-    """Shares (effects, build, offsets; outputs, cells) of the squared gap over ranges squared.
-
-    `cells` (flights, time) is the number of the phase of each sample, -1 for none.
-    """
-    rows, kinds = _Rows(frame, [one.node for one in singles]), np.array(frame.nuisances.kind)
-    count, limit = len(singles), frame.grams.limit
-    build = np.isin(kinds, (BUILD, SMALL))
-    offsets = np.isin(kinds, (OFFSET, START))
-    phases = int(cells.max()) + 1
-    flat = np.eye(phases)[np.maximum(cells, 0)] * (cells >= 0)[..., None]
-    gap, scale = frame.gap, 1.0 / frame.record.span**2
-
-    def worth(causes: frozenset[int]) -> FloatArray:
-        allowed = np.zeros(len(limit), dtype=bool)
-        allowed |= build if count in causes else False
-        allowed |= offsets if count + 1 in causes else False
-        grams = replace(frame.grams, limit=np.where(allowed, limit, 0.0))
-        which = sorted(c for c in causes if c < count)
-        found = solve(grams, rows.of(which))
-        change = np.tensordot(found.nu, frame.nuisances.columns, axes=1)
-        at = 0
-        for k in which:
-            size = len(rows.nodes[k].free)
-            change = change + rows.nodes[k].response(found.x[at : at + size])
-            at += size
-        taken = (gap**2 - (gap - change) ** 2) * frame.record.known * scale
-        return np.asarray(np.einsum("ftc,ftp->cp", taken, flat))
-
-    return shapley(count + 2, worth)
 
 
 def interval(value: float, spread: float, low: float, high: float) -> tuple[float, float, float]:

@@ -2,7 +2,8 @@
 
 After Wang, Sarkar, Carbonetto & Stephens, *A simple new approach to variable selection in
 regression*, J. R. Statist. Soc. B 82 (2020): a further effect is judged where the form error of
-those in force counts as variance, `phi^2 <R^2>` over about four seconds.
+those in force counts as variance, `phi^2 <R^2>` over about four seconds, by the evidence where it
+was learned what chance has, and by the second logit of `odds` elsewhere.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Final
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
+from scipy.special import log_softmax
 
 from narxcal.support.arrays import FloatArray
 from training.budget.dictionary import Dictionary
@@ -20,33 +22,38 @@ from training.budget.discrepancy import Discrepancy, activities
 from training.budget.fitting import Frame, Single
 from training.budget.metric import Metric, Record
 from training.budget.nuisances import Nuisances
+from training.budget.odds import Odds, features
 
 FORM: Final = 0.3  # share by which the form of a response is wrong
 _FORM_S: Final = 4.0
 MOST: Final = 4
-_ENTERS: Final = 0.42  # log ratio of what is left, where form error counts
+_REFINED: Final = 3  # of all that are tried, those that leave least
 EVIDENCE: Final = 8.0  # that a layer has, where it was learned what chance has
 PER_PARAMETER: Final = 6.0
-_SHARE: Final = 0.005  # of the first energy
 
 
 @dataclass(frozen=True, eq=False)
 class Layer:
     """One effect of the sum, as fitted beside the others.
 
-    `ratio` is the log ratio of what is left without and with it, `share` what it takes of the
-    first energy, `confusable` every effect in its place with its own log ratio, best first.
+    `chances` are the log probabilities of all effects in its place, best first, and `none` that of
+    no effect there; `share` is what the effect takes of the first energy.
     """
 
     single: Single
-    ratio: float
+    chances: tuple[tuple[str, float], ...]
+    none: float
     share: float
-    confusable: tuple[tuple[str, float], ...]
 
     @property
     def name(self) -> str:
         """Name of the effect."""
         return self.single.name
+
+    @property
+    def odds(self) -> float:
+        """Log odds of the effect against none in its place."""
+        return self.chances[0][1] - self.none
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +64,7 @@ class Setting:
     variance: Sequence[FloatArray]
     nuisances: Nuisances
     dictionary: Dictionary
+    odds: Odds
     learned: Discrepancy | None = None
 
     def without(self, others: Sequence[Single]) -> Frame:
@@ -77,19 +85,12 @@ class Setting:
         size = max(1, round(_FORM_S / self.record.flights.signals.dt_s))
         return [uniform_filter1d(response**2, size, axis=1, mode="nearest")]
 
-    def score(self, frame: Frame, one: Single) -> float:
-        """What an effect's place is worth: evidence where it was learned what none would gain."""
+    def chances(self, frame: Frame, tried: Sequence[Single]) -> FloatArray:
+        """Log probabilities (n + 1,) of each effect in a place of the sum, and of none."""
         if self.learned is None:
-            return float(np.log(frame.energy(frame.none) / frame.energy(one.solved)))
-        gain = (frame.none.cost - one.solved.cost) / one.solved.tau
-        size = self.learned.spread(one.name)
-        return gain / size - PER_PARAMETER * (len(one.node.parameters) - 1)
-
-    def enters(self, layer: Layer) -> bool:
-        """Whether a layer is evidence enough, and no trifle."""
-        if self.learned is not None:
-            return layer.ratio >= EVIDENCE
-        return layer.ratio > _ENTERS and layer.share > _SHARE
+            return self.odds.more([one.name for one in tried], *features(frame, tried))
+        evidence = [_evidence(frame, one, self.learned.spread(one.name)) for one in tried]
+        return np.asarray(log_softmax(0.5 * np.array([*evidence, EVIDENCE])))
 
 
 def further(setting: Setting, first: Layer | None, energy: float) -> list[Layer]:
@@ -97,7 +98,7 @@ def further(setting: Setting, first: Layer | None, energy: float) -> list[Layer]
     layers = [] if first is None else [first]
     while len(layers) < MOST:
         found = _best(setting, [one.single for one in layers], energy)
-        if found is None or not setting.enters(found):
+        if found is None or found.odds <= 0.0:
             break
         layers.append(found)
         layers = _anew(setting, layers, energy)
@@ -120,24 +121,31 @@ def _anew(setting: Setting, layers: list[Layer], energy: float) -> list[Layer]:
 
 
 def _best(setting: Setting, others: Sequence[Single], energy: float) -> Layer | None:
-    """The effect that takes most of what `others` leave."""
-    frame = setting.without(others)
-    names = {one.name for one in others}
-    tried = [
-        frame.fit(nodes) for name, nodes in setting.dictionary.nodes.items() if name not in names
-    ]
-    tried.sort(key=lambda one: one.solved.cost)
-    tried[:3] = [frame.refined(one, setting.dictionary, 1) for one in tried[:3]]
-    scored = [(setting.score(frame, one), one) for one in tried]
-    if setting.learned is None:
-        scored.sort(key=lambda pair: -pair[0] * frame.explained(pair[1]))
-    else:
-        scored.sort(key=lambda pair: -pair[0])
-    if not scored:
+    """The likeliest effect for what `others` leave."""
+    frame, tried = beside(setting, others)
+    if not tried:
         return None
-    ratio, best = scored[0]
-    share = _plain(frame, best) / energy
-    return Layer(best, ratio, share, tuple((one.name, r) for r, one in scored))
+    chances = setting.chances(frame, tried)
+    best = tried[int(np.argmax(chances[:-1]))]
+    names = [one.name for one in tried]
+    order = sorted(zip(names, chances[:-1].tolist(), strict=True), key=lambda pair: -pair[1])
+    return Layer(best, tuple(order), float(chances[-1]), _plain(frame, best) / energy)
+
+
+def beside(setting: Setting, others: Sequence[Single]) -> tuple[Frame, list[Single]]:
+    """The frame of what `others` leave, and every further effect fitted there, best first."""
+    frame = setting.without(others)
+    known = {one.name for one in others}
+    tried = [frame.fit(nodes) for n, nodes in setting.dictionary.nodes.items() if n not in known]
+    tried.sort(key=lambda one: one.solved.cost)
+    tried[:_REFINED] = [frame.refined(one, setting.dictionary, 1) for one in tried[:_REFINED]]
+    return frame, tried
+
+
+def _evidence(frame: Frame, one: Single, spread: float) -> float:
+    """What an effect gains, in units of what it gains where none acts."""
+    gain = (frame.none.cost - one.solved.cost) / one.solved.tau
+    return float(gain / spread - PER_PARAMETER * (len(one.node.parameters) - 1))
 
 
 def _plain(frame: Frame, one: Single) -> float:

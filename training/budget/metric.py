@@ -32,7 +32,8 @@ class Record:
 
     `noise` (outputs,) is its standard deviation on the raster; `unit` (flights, time) the number
     of the unit that each sample belongs to, -1 beyond a flight's end; `group` (flights,) says which
-    logs are of engines of one flight.
+    logs are of engines of one flight; `fast` (outputs,) is the mean squared gap of the logs that
+    means over the raster's steps have lost.
     """
 
     flights: Flights
@@ -40,6 +41,7 @@ class Record:
     noise: FloatArray
     unit: IntArray
     group: tuple[int, ...] = ()
+    fast: FloatArray | float = 0.0
 
     @property
     def known(self) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:

@@ -1,9 +1,11 @@
-"""Probabilities of effects by one conditional logit, whose weights a calibration wrote.
+"""Probabilities of effects by two conditional logits, whose weights a calibration wrote.
 
     P(k) ~ exp(w' f_k) over all effects, exp(v' g) for "none" and exp(u' g) for "unknown"
 
-f are the features of an effect, g those of the case. The weights are in `odds.json` beside this
-module, with date, seeds and cases that they were fitted on (`python -m eval.gap.calibrate`).
+f are the features of an effect, g those of the case. The second logit is for a further effect
+beside those in force: features are those of what they leave, and it says "none further" or which.
+The weights are in `odds.json` beside this module, with date, seeds and cases that they were fitted
+on (`python -m eval.gap.calibrate`).
 """
 
 from __future__ import annotations
@@ -15,9 +17,11 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from scipy.special import softmax
+from scipy.special import log_softmax
 
 from narxcal.support.arrays import FloatArray
+from training.budget.fitting import Frame, Single
+from training.budget.quadratic import solve
 
 _SCALES: Final = ("sensor_gain", "driver_gain")
 _RARE: Final = -1.6  # one to five
@@ -27,18 +31,27 @@ OF_CASE = ("one", "energy", "bare", "explained")
 
 @dataclass(frozen=True)
 class Odds:
-    """Weights of the features of effects, and of the case for none and for unknown."""
+    """Weights of the features of an effect and of the case, in both logits.
+
+    `effect`, `none` and `unknown` are those of the first effect; `further` and `enough` those of
+    one more, and of none further.
+    """
 
     effect: tuple[float, ...]
     none: tuple[float, ...]
     unknown: tuple[float, ...]
+    further: tuple[float, ...]
+    enough: tuple[float, ...]
 
-    def probabilities(
-        self, names: Sequence[str], effects: FloatArray, case: FloatArray
-    ) -> FloatArray:
-        """Probabilities (n + 2,) of n effects of features (n, ...), of none, and of unknown."""
+    def first(self, names: Sequence[str], effects: FloatArray, case: FloatArray) -> FloatArray:
+        """Log probabilities (n + 2,) of n effects of features (n, ...), of none, of unknown."""
         own = effects @ np.array(self.effect) + np.array([prior(name) for name in names])
-        return np.asarray(softmax([*own, case @ self.none, case @ self.unknown]))
+        return np.asarray(log_softmax([*own, case @ self.none, case @ self.unknown]))
+
+    def more(self, names: Sequence[str], effects: FloatArray, case: FloatArray) -> FloatArray:
+        """Log probabilities (n + 1,) of a further effect, and of none."""
+        own = effects @ np.array(self.further) + np.array([prior(name) for name in names])
+        return np.asarray(log_softmax([*own, case @ self.enough]))
 
 
 def prior(name: str) -> float:
@@ -49,9 +62,35 @@ def prior(name: str) -> float:
     return _RARE if name.partition(":")[0] in _SCALES else 0.0
 
 
+def features(frame: Frame, singles: Sequence[Single]) -> tuple[FloatArray, FloatArray]:
+    """Features (effects, ...) of single fits, and those of the case, as `FEATURES`, `OF_CASE`."""
+    record = frame.record
+    before, floor, bare = frame.energy(frame.none), max(frame.floor, 1.0), frame.bare()
+    without = bare.energy(bare.none)
+    rows = []
+    for one in singles:
+        alone = solve(bare.grams, one.columns, begin=bare.none.tau)
+        gain = before - frame.energy(one.solved)
+        size = np.sqrt(np.mean(((one.response / record.span) ** 2)[record.known]))
+        rows.append(
+            (
+                np.log(without / bare.energy(alone)),
+                np.log(before / frame.energy(one.solved)),
+                frame.explained(one),
+                max(1, sum(p.linear for p in one.node.parameters)) / 5.0,
+                np.log10(max(gain, 0.0) / floor + 0.01),
+                np.log10(size + 1e-5),
+            )
+        )
+    effects = np.array(rows)
+    case = (1.0, np.log10(before / floor), effects[:, 0].max(), effects[:, 2].max())
+    return effects, np.array(case)
+
+
 def load(path: Path | None = None) -> Odds:
     """The weights that the last calibration wrote."""
     found: Mapping[str, Sequence[float]] = json.loads(
         (path or Path(__file__).with_name("odds.json")).read_text(encoding="utf-8")
     )
-    return Odds(tuple(found["effect"]), tuple(found["none"]), tuple(found["unknown"]))
+    keys = ("effect", "none", "unknown", "further", "enough")
+    return Odds(*(tuple(found[key]) for key in keys))

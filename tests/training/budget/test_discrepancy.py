@@ -12,6 +12,7 @@ from tests.training.budget.conftest import flights_of, recorded
 from training.budget.dictionary import Dictionary
 from training.budget.discrepancy import BANDS, learn, read
 from training.budget.layers import Setting, further
+from training.budget.odds import load
 
 NAMES = [
     f"{kind}:{channel}"
@@ -44,7 +45,7 @@ def layers_of(learned, size):
     record = recorded(flights, wrong_by_itself(flights, 8) + late - flights.y)
     dictionary = Dictionary([effect(name) for name in NAMES], flights, None)
     noise, variance = learned.nuisances(record), learned.variance(record)
-    return further(Setting(record, variance, noise, dictionary, learned), None, 1.0)
+    return further(Setting(record, variance, noise, dictionary, load(), learned), None, 1.0)
 
 
 def test_it_is_the_same_after_being_written_and_read(learned):

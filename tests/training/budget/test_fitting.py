@@ -7,10 +7,11 @@ from narxcal.effects import effect, respond
 from tests.training.budget.conftest import recorded
 from training.budget.dictionary import Dictionary
 from training.budget.fitting import Frame
-from training.budget.joint import budget_of, together
+from training.budget.joint import together
 from training.budget.layers import Layer, Setting, further
 from training.budget.metric import Metric, assumed_variance
 from training.budget.nuisances import nuisances
+from training.budget.odds import load
 
 NAMES = [
     f"{kind}:{channel}"
@@ -70,17 +71,15 @@ def test_two_faults_are_two_layers_and_their_shares_add_up(flights, dictionary):
     names = ("time_skew:N2_pct", "sensor_lag:N1_pct")
     record = planted(flights, *names)
     frame = frame_of(record)
-    setting = Setting(record, assumed_variance(record), frame.nuisances, dictionary)
+    setting = Setting(record, assumed_variance(record), frame.nuisances, dictionary, load())
     first = frame.refined(frame.fit(dictionary.nodes[names[1]]), dictionary)
-    layers = further(setting, Layer(first, 0.0, 0.0, ()), frame.energy(frame.none))
+    layers = further(setting, Layer(first, (), 0.0, 0.0), frame.energy(frame.none))
     assert {one.name for one in layers} == set(names)
-    split = budget_of(
-        frame, [one.single for one in layers], np.zeros(flights.y.shape[:2], dtype=int)
-    )
-    whole = (record.gap**2 / record.span**2).sum()
-    effects = split.shares[:2].sum(axis=(1, 2)) / whole
-    assert effects.sum() > 0.8
-    assert split.shares.sum() / whole <= 1.0
+    joint = together(frame, [one.single for one in layers])
+    *effects, build, offsets = (each / record.span for each in joint.components())
+    gap = record.gap / record.span
+    assert ((gap - sum(effects)) ** 2).sum() < 0.2 * (gap**2).sum()
+    assert ((gap - sum(effects) - build - offsets) ** 2).sum() <= (gap**2).sum()
 
 
 def test_no_effect_at_all_is_a_joint_fit_of_nuisances(flights):

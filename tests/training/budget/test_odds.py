@@ -7,9 +7,11 @@ from training.budget.odds import FEATURES, OF_CASE, Odds, load, prior
 
 
 def test_probabilities_are_one_softmax_over_effects_none_and_unknown():
-    odds = Odds((1.0,), (np.log(2.0),), (np.log(3.0),))
-    found = odds.probabilities(["a", "sensor_gain:b"], np.array([[0.0], [1.6]]), np.array([1.0]))
-    assert found == pytest.approx(np.array([1.0, 1.0, 2.0, 3.0]) / 7.0)
+    odds = Odds((1.0,), (np.log(2.0),), (np.log(3.0),), (2.0,), (0.0,))
+    names, effects, case = ["a", "sensor_gain:b"], np.array([[0.0], [1.6]]), np.array([1.0])
+    assert np.exp(odds.first(names, effects, case)) == pytest.approx(np.array([1, 1, 2, 3]) / 7.0)
+    further = np.exp([0.0, 1.6, 0.0])
+    assert np.exp(odds.more(names, effects, case)) == pytest.approx(further / further.sum())
 
 
 def test_a_scale_is_rarer_than_an_offset():
@@ -18,7 +20,5 @@ def test_a_scale_is_rarer_than_an_offset():
 
 def test_the_weights_that_are_shipped_fit_the_features():
     odds = load()
-    assert (len(odds.effect), len(odds.none), len(odds.unknown)) == (
-        len(FEATURES),
-        *[len(OF_CASE)] * 2,
-    )
+    assert {len(odds.effect), len(odds.further)} == {len(FEATURES)}
+    assert {len(odds.none), len(odds.unknown), len(odds.enough)} == {len(OF_CASE)}
