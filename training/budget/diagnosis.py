@@ -11,6 +11,7 @@ import numpy as np
 from narxcal.effects.library import LIBRARY, hypotheses
 from narxcal.effects.running import Emulator
 from narxcal.support.arrays import FloatArray, IntArray
+from training.budget import load as unlogged
 from training.budget.dictionary import Dictionary
 from training.budget.discrepancy import Discrepancy
 from training.budget.fitting import Frame, Single
@@ -87,6 +88,7 @@ def weigh(
     metric = Metric(record, variance)
     frame = Frame(record, metric, record.gap, noise, assumed=learned is None)
     singles = [frame.refined(frame.fit(nodes), dictionary) for nodes in dictionary.nodes.values()]
+    singles += unlogged.found(frame)
     setting = Setting(record, variance, noise, dictionary, odds or load(), learned)
     return Evidence(frame, tuple(singles), *features(frame, singles), setting)
 

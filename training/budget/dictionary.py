@@ -15,7 +15,7 @@ import numpy as np
 
 from narxcal.effects.base import Effect, InputEffect, Parameter
 from narxcal.effects.running import Emulator, Flights, respond
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray
 
 _REACH: Final = 0.6  # of the way to neutral
 _STEP: Final = 0.03  # of a difference, as a share of the size
@@ -26,7 +26,7 @@ class Node:
     """One effect at `theta` (p,): `rows` (1 + q, flights, time, outputs) are response and slopes.
 
     `free` are the places in theta of the q parameters that have slopes, `box` (q, 2) how far each
-    may go from here.
+    may go from here. A load of latent windows, `on` (flights, time), has so many `switches`.
     """
 
     effect: Effect
@@ -35,6 +35,13 @@ class Node:
     free: tuple[int, ...]
     rows: np.ndarray[tuple[int, ...], np.dtype[np.float32]]
     box: FloatArray
+    on: BoolArray | None = None
+    switches: int = 0
+
+    @property
+    def size(self) -> int:
+        """Number of linear parameters and switches, at least 1."""
+        return max(1, sum(p.linear for p in self.parameters) + self.switches)
 
     @property
     def name(self) -> str:

@@ -16,7 +16,9 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.special import log_softmax
 
+from narxcal.effects.steady import UnloggedSwitch
 from narxcal.support.arrays import FloatArray
+from training.budget import load
 from training.budget.dictionary import Dictionary
 from training.budget.discrepancy import Discrepancy, activities
 from training.budget.fitting import Frame, Single
@@ -137,6 +139,7 @@ def beside(setting: Setting, others: Sequence[Single]) -> tuple[Frame, list[Sing
     frame = setting.without(others)
     known = {one.name for one in others}
     tried = [frame.fit(nodes) for n, nodes in setting.dictionary.nodes.items() if n not in known]
+    tried += [] if UnloggedSwitch.id in known else load.found(frame)
     tried.sort(key=lambda one: one.solved.cost)
     tried[:_REFINED] = [frame.refined(one, setting.dictionary, 1) for one in tried[:_REFINED]]
     return frame, tried
@@ -145,7 +148,8 @@ def beside(setting: Setting, others: Sequence[Single]) -> tuple[Frame, list[Sing
 def _evidence(frame: Frame, one: Single, spread: float) -> float:
     """What an effect gains, in units of what it gains where none acts."""
     gain = (frame.none.cost - one.solved.cost) / one.solved.tau
-    return float(gain / spread - PER_PARAMETER * (len(one.node.parameters) - 1))
+    count = len(one.node.parameters) + one.node.switches
+    return float(gain / spread - PER_PARAMETER * (count - 1))
 
 
 def _plain(frame: Frame, one: Single) -> float:

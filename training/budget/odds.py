@@ -77,7 +77,7 @@ def features(frame: Frame, singles: Sequence[Single]) -> tuple[FloatArray, Float
                 np.log(without / bare.energy(alone)),
                 np.log(before / frame.energy(one.solved)),
                 frame.explained(one),
-                max(1, sum(p.linear for p in one.node.parameters)) / 5.0,
+                one.node.size / 5.0,
                 np.log10(max(gain, 0.0) / floor + 0.01),
                 np.log10(size + 1e-5),
             )

@@ -1,0 +1,174 @@
+r"""An unlogged load: an effect whose windows are latent.
+
+A load or a bleed that no channel records is on (w = 1) or off in every block of about two seconds;
+while it is on, every output is shifted by a_c. For given windows the shifts are linear, as those
+of any other effect; for given shifts the windows of a flight are the best path of
+
+    sum_t w_t l_t - penalty (number of switches),   l_t = sum_c (2 e_c a_c - a_c^2) / (tau V_c)
+
+with e what the nuisances leave, by Viterbi's recursion. Both in turn, from several first guesses.
+Every window counts as two more parameters where probabilities are made of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+from math import log
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from narxcal.effects.library import LIBRARY
+from narxcal.effects.memory import Lag
+from narxcal.effects.steady import FOLLOW_S, UNLOGGED, UnloggedSwitch
+from narxcal.support.arrays import BoolArray, FloatArray
+from training.budget.dictionary import Node
+from training.budget.fitting import Frame, Single
+from training.budget.metric import TOLERANCE
+from training.budget.quadratic import solve
+
+_BLOCK_S: Final = 2.0  # about what an engine takes to follow, twice
+_SWITCH: Final = 0.5 * log(25.0)  # of one parameter, by the Bayes information of a flight's samples
+_ROUNDS: Final = 6
+_MOST: Final = 0.9  # of a flight: a load that is always on is a difference of build
+
+
+def found(frame: Frame) -> list[Single]:
+    """The likeliest windows of an unlogged load in a gap, fitted as any effect; empty without any.
+
+    The windows are in `node.on` (flights, time).
+    """
+    blocks = _Blocks(frame)
+    tried = {on.tobytes(): on for on in map(blocks.climb, blocks.guesses()) if on.any()}
+    fits = [_fitted(frame, blocks.spread(on)) for on in tried.values()]
+    fits = [_again(frame, blocks, one) for one in fits]
+    return sorted(fits, key=_price)[:1]
+
+
+def _again(frame: Frame, blocks: _Blocks, one: Single) -> Single:
+    """The same by the shifts, nuisances and misfit of the joint fit, as long as it leaves less."""
+    for _ in range(_ROUNDS):
+        on = blocks.path(frame.cleaned(one.solved), one.theta, one.solved.tau)
+        if not on.any():
+            return one
+        other = _fitted(frame, blocks.spread(on))
+        if _price(other) >= _price(one):
+            return one
+        one = other
+    return one
+
+
+def _price(one: Single) -> float:
+    """What is left of the gap, with the penalty of the switches."""
+    return one.solved.cost + 2.0 * one.solved.tau * _SWITCH * one.node.switches
+
+
+class _Blocks:
+    """What the nuisances leave of a gap, (flights, blocks, outputs), and its weights."""
+
+    def __init__(self, frame: Frame) -> None:
+        record = frame.record
+        self._size = max(1, round(_BLOCK_S / record.flights.signals.dt_s))
+        self._steps = record.gap.shape[1]
+        variance = record.noise**2 + (TOLERANCE * record.span) ** 2
+        self._starts = np.arange(0, self._steps, self._size)
+        self._weight = self._sums(record.known.astype(float)) / variance
+        self._known, self._tau = record.known, frame.none.tau
+        self.left = self._means(frame.cleaned(frame.none))
+
+    def _sums(self, v: FloatArray) -> FloatArray:
+        return np.asarray(np.add.reduceat(v, self._starts, axis=1))
+
+    def _means(self, v: FloatArray) -> FloatArray:
+        count = self._sums(self._known.astype(float))
+        return self._sums(np.where(self._known, v, 0.0)) / np.maximum(count, 1.0)
+
+    def guesses(self) -> list[FloatArray]:
+        """First guesses of the shifts: outputs alone and their main direction, of either sign."""
+        level = np.median(self.left, axis=1, keepdims=True)
+        scaled = (self.left - level) * np.sqrt(self._weight)
+        rows = scaled.reshape(-1, scaled.shape[-1])
+        size = np.sqrt(np.mean(rows**2, axis=0)) / np.maximum(
+            np.sqrt(self._weight.mean(axis=(0, 1))), 1e-12
+        )
+        _, _, directions = np.linalg.svd(rows, full_matrices=False)
+        shapes = [*np.eye(len(size)), np.sign(directions[0]) * (np.abs(directions[0]) > 0.2)]
+        return [sign * 2.0 * size * shape for sign, shape in product((1.0, -1.0), shapes)]
+
+    def climb(self, shift: FloatArray) -> BoolArray:
+        """Windows (flights, blocks) and shifts in turn, from a guess of the shifts."""
+        level = np.median(self.left, axis=1, keepdims=True)
+        on = np.zeros(self.left.shape[:2], dtype=np.bool_)
+        for _ in range(_ROUNDS):
+            new = self._best(self.left - level, shift, self._tau)
+            if (new == on).all() or not new.any():
+                return new
+            on = new
+            level, shift = self._fitted(on)
+        return on
+
+    def _fitted(self, on: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Levels of the flights and common shifts that fit the windows best."""
+        w, e = self._weight, self.left
+        off, inside = w * ~on[..., None], w * on[..., None]
+        n, m = off.sum(axis=1), inside.sum(axis=1)
+        level = (off * e).sum(axis=1) / np.maximum(n, 1e-12)
+        over = (inside * e).sum(axis=1) / np.maximum(m, 1e-12) - level
+        both = n * m / np.maximum(n + m, 1e-12)
+        shift = (both * over).sum(axis=0) / np.maximum(both.sum(axis=0), 1e-12)
+        return level[:, None], shift
+
+    def path(self, left: FloatArray, shift: FloatArray, tau: float) -> BoolArray:
+        """Windows (flights, blocks) of given shifts in what is left (flights, time, outputs)."""
+        return self._best(self._means(left), shift, tau)
+
+    def _best(self, left: FloatArray, shift: FloatArray, tau: float) -> BoolArray:
+        gain = (self._weight * (2.0 * left - shift) * shift).sum(axis=-1)
+        on = np.stack([_viterbi(0.5 / tau * row, _SWITCH) for row in gain])
+        on[on.mean(axis=1) > _MOST] = False
+        return on
+
+    def spread(self, on: BoolArray) -> BoolArray:
+        """Windows (flights, time) of windows by blocks."""
+        return np.asarray(np.repeat(on, self._size, axis=1)[:, : self._steps])
+
+
+@njit(cache=True)
+def _viterbi(gain: FloatArray, penalty: float) -> BoolArray:
+    """The path of zeros and ones with the most `gain` where it is one, less `penalty` a switch."""
+    n = len(gain)
+    came = np.zeros((n, 2), dtype=np.int64)
+    off, on = 0.0, -penalty
+    for t in range(n):
+        if t > 0:
+            came[t, 0] = 1 if on - penalty > off else 0
+            came[t, 1] = 0 if off - penalty > on else 1
+            off, on = max(off, on - penalty), max(on, off - penalty)
+        on += gain[t]
+    path = np.zeros(n, dtype=np.bool_)
+    state = 1 if on > off else 0
+    for t in range(n - 1, -1, -1):
+        path[t] = state == 1
+        state = came[t, state]
+    return path
+
+
+def _fitted(frame: Frame, on: BoolArray) -> Single:
+    """The load in given windows (flights, time), fitted beside the nuisances."""
+    flights = frame.record.flights
+    signals = flights.signals
+    told = replace(signals, inputs=(*signals.inputs, UNLOGGED), active=(*signals.active, UNLOGGED))
+    effect = LIBRARY[UnloggedSwitch.id]()
+    parameters = tuple(p for p in effect.parameters(told) if p.linear)
+    rows = np.zeros((1 + len(parameters), *flights.y.shape), dtype=np.float32)
+    follows = Lag(np.full(len(on), FOLLOW_S), signals.dt_s)(on.astype(float))
+    for k in range(len(parameters)):
+        rows[1 + k, ..., k] = follows
+    box = np.array([(p.low, p.high) for p in parameters])
+    switches = int(np.abs(np.diff(on.astype(int), axis=1)).sum()) + int(on[:, 0].sum())
+    zero, free = np.zeros(len(parameters)), tuple(range(len(parameters)))
+    node = Node(effect, parameters, zero, free, rows, box, on, switches)
+    columns = frame.columns(node)
+    return Single(node, columns, solve(frame.grams, columns, begin=frame.none.tau))
