@@ -34,8 +34,11 @@ from eval.gap.where import locate
 from narxcal.calibration.bundle import DOCUMENT, load_bundle, seal
 from narxcal.effects.library import hypotheses
 from narxcal.effects.running import Emulator, Flights
+from narxcal.effects.steady import UnloggedSwitch
+from narxcal.support.arrays import spans
 from narxcal.support.errors import DataError, ModelError
 from narxcal.support.files import atomic_write_text, sha256_of, to_json
+from training.budget import load
 from training.budget.control import suited
 from training.budget.diagnosis import Engines, Phases
 from training.budget.diagnosis import diagnose as weighed
@@ -193,16 +196,19 @@ def diagnose_pairs(
     itself = None if again is None else Rerun(emulator, again, _block(pairs))
     found = weighed(record, Engines(emulator, itself), phases_of(data), learned, odds)
     stand_in: Emulator = itself or emulator
+    there = in_terms_of(data, batched(held)) if held else None
+    if found.on is not None:
+        data = replace(data, flights=load.told(data.flights, found.on))
     evidence = _evidence(data, found, emulator, stand_in)
-    if held:
-        evidence = _with_held_out(evidence, found, in_terms_of(data, batched(held)), stand_in)
+    if there is not None:
+        evidence = _with_held_out(evidence, found, there, stand_in)
     facts = {**facts_of(pairs, data, held), "core": dict(found.facts)}
     evidence = replace(evidence, facts=facts)
     told = document(evidence) | {
         "schema": SCHEMA,
         "verdict": found.verdict_row(),
         "budget": found.rows(),
-        "effects": found.effect_rows(),
+        "effects": _effect_rows(found, pairs, data.flights.signals.dt_s),
     }
     return Answer(told, found, evidence, emulator)
 
@@ -262,7 +268,9 @@ def _tried(found: Budget) -> list[old.Tried]:
 def _with_held_out(
     evidence: Evidence, found: Budget, data: GapData, stand_in: Emulator
 ) -> Evidence:
-    there = held_out(found.claimed, data, stand_in)
+    # When a load was on in further flights is told by nothing: it takes no part there.
+    known = {name: each for name, each in found.claimed.items() if name != UnloggedSwitch.id}
+    there = held_out(known, data, stand_in)
     evidence = replace(
         evidence, held_out=there, times=time_shrink(data, there.after, events_of(data))
     )
@@ -270,6 +278,24 @@ def _with_held_out(
         return evidence
     here = seen(evidence.data, evidence.after, found.by_others)
     return replace(evidence, predicted=expected(here, unseen(data, there.after)))
+
+
+def _effect_rows(found: Budget, pairs: Sequence[Pair], dt_s: float) -> list[dict[str, Any]]:
+    """Rows of the effects, a claimed load's with the windows in which it was on."""
+    rows = found.effect_rows()
+    if found.on is None:
+        return rows
+    windows = [
+        {
+            "log": pair.name,
+            "log_start_s": (began := float(pair.time_s[0])),
+            "start_s": began + start * dt_s,
+            "end_s": began + stop * dt_s,
+        }
+        for pair, on in zip(pairs, found.on, strict=True)
+        for start, stop in spans(on)
+    ]
+    return [row | {"windows": windows} if row["id"] == UnloggedSwitch.id else row for row in rows]
 
 
 def record_of(data: GapData) -> Record:

@@ -127,6 +127,7 @@ def concluded(evidence: Evidence, phases: Phases) -> Budget:
         _gap_share(frame),
         _facts(evidence, layers),
         by_others(joint),
+        next((one.node.on for one in claimed if one.node.on is not None), None),
     )
 
 

@@ -22,6 +22,7 @@ from numba import njit
 
 from narxcal.effects.library import LIBRARY
 from narxcal.effects.memory import Lag
+from narxcal.effects.running import Flights
 from narxcal.effects.steady import FOLLOW_S, UNLOGGED, UnloggedSwitch
 from narxcal.support.arrays import BoolArray, FloatArray
 from training.budget.dictionary import Node
@@ -45,6 +46,14 @@ def found(frame: Frame) -> list[Single]:
     fits = [_fitted(frame, blocks.spread(on)) for on in tried.values()]
     fits = [_again(frame, blocks, one) for one in fits]
     return sorted(fits, key=_price)[:1]
+
+
+def told(flights: Flights, on: BoolArray) -> Flights:
+    """Flights with the windows (flights, time) of a load as one more input."""
+    signals = flights.signals
+    more = replace(signals, inputs=(*signals.inputs, UNLOGGED), active=(*signals.active, UNLOGGED))
+    u = np.concatenate([flights.u, on[..., None].astype(float)], axis=2)
+    return replace(flights, signals=more, u=u)
 
 
 def _again(frame: Frame, blocks: _Blocks, one: Single) -> Single:
@@ -159,9 +168,8 @@ def _fitted(frame: Frame, on: BoolArray) -> Single:
     """The load in given windows (flights, time), fitted beside the nuisances."""
     flights = frame.record.flights
     signals = flights.signals
-    told = replace(signals, inputs=(*signals.inputs, UNLOGGED), active=(*signals.active, UNLOGGED))
     effect = LIBRARY[UnloggedSwitch.id]()
-    parameters = tuple(p for p in effect.parameters(told) if p.linear)
+    parameters = tuple(p for p in effect.parameters(told(flights, on).signals) if p.linear)
     rows = np.zeros((1 + len(parameters), *flights.y.shape), dtype=np.float32)
     follows = Lag(np.full(len(on), FOLLOW_S), signals.dt_s)(on.astype(float))
     for k in range(len(parameters)):

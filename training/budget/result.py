@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from narxcal.effects.library import LIBRARY
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray
 
 Kind = Literal["none", "effects", "ambiguous", "unknown"]
 BUILD, OFFSETS, NOISE, UNEXPLAINED = "build", "offsets", "noise", "unexplained"
@@ -88,7 +88,8 @@ class Budget:
     the library that was tried, by probability. `none` and `unknown` are the probabilities that
     nothing acts and that something acts that the library lacks. `by_others` (flights, time,
     outputs) is what the claim does in each flight by the parameters of the other flights, less
-    what it does by those of all. `facts` are numbers for `quality`.
+    what it does by those of all. `on` (flights, time) says when an unlogged load was on, None
+    where none is claimed. `facts` are numbers for `quality`.
     """
 
     verdict: Verdict
@@ -99,6 +100,7 @@ class Budget:
     gap_share: float
     facts: Mapping[str, Any] = field(default_factory=dict)
     by_others: FloatArray | None = field(default=None, repr=False)
+    on: BoolArray | None = field(default=None, repr=False)
 
     @property
     def claimed(self) -> dict[str, dict[str, float]]:

@@ -1,0 +1,45 @@
+"""An unlogged load: its windows and shifts are recovered, and nothing is found where none is."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.training.budget.conftest import recorded
+from training.budget import load
+from training.budget.fitting import Frame
+from training.budget.metric import Metric, assumed_variance
+from training.budget.nuisances import nuisances
+
+
+def frame_of(record):
+    return Frame(
+        record, Metric(record, assumed_variance(record)), record.gap, nuisances(record, None, 1.0)
+    )
+
+
+@given(st.lists(st.floats(-5, 5), min_size=1, max_size=9), st.floats(0.0, 4.0))
+def test_the_path_is_the_best_of_all_paths(gain, penalty):
+    gain = np.array(gain)
+
+    def value(path):
+        return gain @ path - penalty * np.abs(np.diff([0, *path])).sum()
+
+    best = max(value(path) for path in product((0, 1), repeat=len(gain)))
+    assert value(load._viterbi(gain, penalty).astype(int)) == pytest.approx(best, abs=1e-9)
+
+
+def test_windows_and_shifts_of_a_load_are_recovered(flights):
+    on = np.zeros(flights.y.shape[:2], dtype=bool)
+    on[0, 300:700], on[1, 100:420], on[2, 800:1100] = True, True, True
+    shift = np.array([0.0, 0.8, 25.0])
+    (found,) = load.found(frame_of(recorded(flights, flights.y + on[..., None] * shift)))
+    assert (found.node.on != on).mean() < 0.01
+    assert found.theta == pytest.approx(shift, rel=0.03, abs=0.03)
+    assert found.node.switches == 6
+
+
+def test_noise_alone_has_no_windows(flights):
+    assert load.found(frame_of(recorded(flights, flights.y))) == []
