@@ -4,7 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.training.budget.conftest import recorded
@@ -20,6 +20,7 @@ def frame_of(record):
     )
 
 
+@settings(deadline=None)  # the first call compiles
 @given(st.lists(st.floats(-5, 5), min_size=1, max_size=9), st.floats(0.0, 4.0))
 def test_the_path_is_the_best_of_all_paths(gain, penalty):
     gain = np.array(gain)
