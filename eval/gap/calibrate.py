@@ -164,7 +164,7 @@ def judged(one: Case, odds: Odds) -> dict[str, Any]:
     true, first = one.outcome.true_effects, one.first
     chances = np.exp(odds.first(first.effects, first.features, first.case))
     leader = first.effects[int(np.argmax(chances[:-2]))]
-    said = [leader] if int(np.argmax(chances)) < len(first.effects) else []
+    said = [leader] if chances[:-2].max() > chances[-2:].sum() else []
     more = one.further.get(leader)
     if said and more is not None:
         beside_it = odds.more(more.effects, more.features, more.case)

@@ -178,9 +178,9 @@ def _verdict(
 ) -> Verdict:
     """The most probable answer; a set where the first effect is not likelier than the others."""
     first = max(known, key=lambda name: known[name])
-    if none >= max(unknown, known[first]):
-        return Verdict("none", (), (), "nothing acts beyond what builds and flights differ by")
-    if unknown > known[first]:
+    if known[first] <= none + unknown:
+        if none >= unknown:
+            return Verdict("none", (), (), "nothing acts beyond what builds and flights differ by")
         return Verdict("unknown", (), (), "something acts that no effect of the library explains")
     effects = tuple(one.name for one in layers)
     confusable = credible(known, first)

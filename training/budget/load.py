@@ -4,10 +4,11 @@ A load or a bleed that no channel records is on (w = 1) or off in every block of
 while it is on, every output is shifted by a_c. For given windows the shifts are linear, as those
 of any other effect; for given shifts the windows of a flight are the best path of
 
-    sum_t w_t l_t - penalty (number of switches),   l_t = sum_c (2 e_c a_c - a_c^2) / (tau V_c)
+    sum_t w_t l_t / 2 - log(n) / 2 (number of switches)
 
-with e what the nuisances leave, by Viterbi's recursion. Both in turn, from several first guesses.
-Every window counts as two more parameters where probabilities are made of it.
+with l_t = sum_c (2 e_c a_c - a_c^2) / (tau V_c), e what the nuisances leave and n = |e|^2 / (tau V) the effective samples of a flight, by
+Viterbi's recursion: a switch costs what one parameter does by Schwarz's criterion. Both in turn,
+from several first guesses. Every switch counts as a parameter where probabilities are made of it.
 """
 
 from __future__ import annotations
@@ -31,7 +32,6 @@ from training.budget.metric import TOLERANCE
 from training.budget.quadratic import solve
 
 _BLOCK_S: Final = 2.0  # about what an engine takes to follow, twice
-_SWITCH: Final = 0.5 * log(25.0)  # of one parameter, by the Bayes information of a flight's samples
 _ROUNDS: Final = 6
 _MOST: Final = 0.9  # of a flight: a load that is always on is a difference of build
 
@@ -45,7 +45,7 @@ def found(frame: Frame) -> list[Single]:
     tried = {on.tobytes(): on for on in map(blocks.climb, blocks.guesses()) if on.any()}
     fits = [_fitted(frame, blocks.spread(on)) for on in tried.values()]
     fits = [_again(frame, blocks, one) for one in fits]
-    return sorted(fits, key=_price)[:1]
+    return sorted(fits, key=blocks.price)[:1]
 
 
 def told(flights: Flights, on: BoolArray) -> Flights:
@@ -63,15 +63,10 @@ def _again(frame: Frame, blocks: _Blocks, one: Single) -> Single:
         if not on.any():
             return one
         other = _fitted(frame, blocks.spread(on))
-        if _price(other) >= _price(one):
+        if blocks.price(other) >= blocks.price(one):
             return one
         one = other
     return one
-
-
-def _price(one: Single) -> float:
-    """What is left of the gap, with the penalty of the switches."""
-    return one.solved.cost + 2.0 * one.solved.tau * _SWITCH * one.node.switches
 
 
 class _Blocks:
@@ -85,6 +80,8 @@ class _Blocks:
         self._starts = np.arange(0, self._steps, self._size)
         self._weight = self._sums(record.known.astype(float)) / variance
         self._known, self._tau = record.known, frame.none.tau
+        effective = float(frame.none.rss.sum()) / self._tau / len(record.gap)
+        self._switch = 0.5 * log(max(effective, 2.0))
         self.left = self._means(frame.cleaned(frame.none))
 
     def _sums(self, v: FloatArray) -> FloatArray:
@@ -135,9 +132,13 @@ class _Blocks:
 
     def _best(self, left: FloatArray, shift: FloatArray, tau: float) -> BoolArray:
         gain = (self._weight * (2.0 * left - shift) * shift).sum(axis=-1)
-        on = np.stack([_viterbi(0.5 / tau * row, _SWITCH) for row in gain])
+        on = np.stack([_viterbi(0.5 / tau * row, self._switch) for row in gain])
         on[on.mean(axis=1) > _MOST] = False
         return on
+
+    def price(self, one: Single) -> float:
+        """What is left of the gap, with the penalty of the switches."""
+        return one.solved.cost + 2.0 * one.solved.tau * self._switch * one.node.switches
 
     def spread(self, on: BoolArray) -> BoolArray:
         """Windows (flights, time) of windows by blocks."""

@@ -25,8 +25,9 @@ from training.budget.quadratic import solve
 
 _SCALES: Final = ("sensor_gain", "driver_gain")
 _RARE: Final = -1.6  # one to five
-FEATURES = ("bare", "ratio", "explained", "size", "gain", "response")
-OF_CASE = ("one", "energy", "bare", "explained")
+_FAINT: Final = 0.03  # log ratio below which all are alike: about that of nulls
+FEATURES = ("bare", "ratio", "log_ratio", "explained", "size", "gain", "response")
+OF_CASE = ("one", "bare", "ratio", "explained")
 
 
 @dataclass(frozen=True)
@@ -71,11 +72,13 @@ def features(frame: Frame, singles: Sequence[Single]) -> tuple[FloatArray, Float
     for one in singles:
         alone = solve(bare.grams, one.columns, begin=bare.none.tau)
         gain = before - frame.energy(one.solved)
+        ratio = np.log(before / frame.energy(one.solved))
         size = np.sqrt(np.mean(((one.response / record.span) ** 2)[record.known]))
         rows.append(
             (
                 np.log(without / bare.energy(alone)),
-                np.log(before / frame.energy(one.solved)),
+                ratio,
+                np.log(max(ratio, 0.0) + _FAINT),
                 frame.explained(one),
                 one.node.size / 5.0,
                 np.log10(max(gain, 0.0) / floor + 0.01),
@@ -83,8 +86,7 @@ def features(frame: Frame, singles: Sequence[Single]) -> tuple[FloatArray, Float
             )
         )
     effects = np.array(rows)
-    case = (1.0, np.log10(before / floor), effects[:, 0].max(), effects[:, 2].max())
-    return effects, np.array(case)
+    return effects, np.array([1.0, *effects[:, [0, 1, 3]].max(axis=0)])
 
 
 def load(path: Path | None = None) -> Odds:
