@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
@@ -26,6 +27,7 @@ from eval.gap.evidence import Evidence
 from eval.gap.excitation import check_excitation, events_of
 from eval.gap.expected import expected, seen, unseen
 from eval.gap.held_flights import in_terms_of
+from eval.gap.left_out import left_out_pairs
 from eval.gap.pairs import check_apart, read_pairs
 from eval.gap.realised import channel_shrink, held_out, time_shrink
 from eval.gap.rerun import Rerun
@@ -133,10 +135,25 @@ def diagnose_folders(request: Request) -> Answer:
         held = read_pairs(request.held_real, other.how, request.config)
     check_apart(pairs, held)
     again = None if isinstance(simulator.how, Path) else simulator.how
-    answer = diagnose_pairs(pairs, held, again, learned_by(request.sim))
+    run = Path(request.sim) if simulator.kind == "bundle" else None
+    learned, warnings = (None, []) if run is None else _learned_of(run, trust=request.trust)
+    answer = diagnose_pairs(pairs, held, again, learned)
     facts = {"simulator": simulator.kind, "wall_s": round(time.perf_counter() - began, 1)}
     quality = {**facts, **answer.document["quality"]}
+    quality["warnings"] = [*warnings, *quality["warnings"]]
     return replace(answer, document={**answer.document, "quality": quality})
+
+
+def _learned_of(run: Path, *, trust: bool) -> tuple[Discrepancy | None, list[str]]:
+    """What a run gets wrong by itself, learned now where nobody did, and what to say without it."""
+    found = learned_by(run)
+    if found is not None:
+        return found, []
+    try:
+        return learn_left_out(run, trust=trust), []
+    except (DataError, ModelError) as error:
+        text = f"what {run} gets wrong by itself is not known ({error}): tolerances are assumed"
+        return None, [text]
 
 
 def learn_folders(request: Request, run: Path) -> Discrepancy:
@@ -146,27 +163,46 @@ def learn_folders(request: Request, run: Path) -> Discrepancy:
     same kind that is to be diagnosed with, on further flights. Raises as `diagnose_folders`.
     """
     simulator = open_simulator(request.sim, trust=request.trust)
-    data = batched(read_pairs(request.real, simulator.how, request.config))
-    record = record_of(data)
-    emulator = suited(fit_emulators(data.flights), record)
-    every = hypotheses(data.flights.signals)
-    found = learn(record, Dictionary(every, data.flights, emulator))
+    found = learned_from(read_pairs(request.real, simulator.how, request.config))
     keep_learned(found, run)
     return found
+
+
+def learn_left_out(run: Path, *, trust: bool = False, jobs: int = -1) -> Discrepancy:
+    """Learn from a run's own training flights by models without them, and keep it in the folder.
+
+    Of a single flight halves stand for flights, and count as one. Raises `DataError` where the
+    training logs are not at hand, and as the training.
+    """
+    pairs = left_out_pairs(load_bundle(run, trust=trust), jobs)
+    found = learned_from(pairs)
+    if len({pair.name.partition("[")[0].partition(":")[0] for pair in pairs}) == 1:
+        found = replace(found, flights=1)
+    keep_learned(found, run)
+    return found
+
+
+def learned_from(pairs: Sequence[Pair]) -> Discrepancy:
+    """What a simulator gets wrong in flights that it was not identified on."""
+    data = batched(pairs)
+    record = record_of(data)
+    emulator = suited(fit_emulators(data.flights), record)
+    return learn(record, Dictionary(hypotheses(data.flights.signals), data.flights, emulator))
 
 
 def keep_learned(found: Discrepancy, run: Path) -> None:
     """Write what was learned into the folder of a run, with its own hash and that of the bundle."""
     told = {**found.document(), "bundle_sha256": sha256_of(run / DOCUMENT)}
-    atomic_write_text(run / LEARNED, to_json({**told, "sha256": seal(told)}))
+    with suppress(PermissionError):  # another's run: learned again at every diagnosis
+        atomic_write_text(run / LEARNED, to_json({**told, "sha256": seal(told)}))
 
 
-def learned_by(source: str) -> Discrepancy | None:
-    """What `learn_folders` left in a run folder; None where it left nothing.
+def learned_by(run: Path) -> Discrepancy | None:
+    """What was learned of a run and kept in its folder; None where nothing was.
 
     Raises `ModelError` for a file that was altered, or was learned for another run.
     """
-    file = Path(source or "nothing") / LEARNED
+    file = run / LEARNED
     if not file.is_file():
         return None
     again = "Learn it again by diagnose --learn"

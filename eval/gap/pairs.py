@@ -47,8 +47,8 @@ def read_pairs(real: Path, sim: Path | Simulate, config: RunConfig | None = None
     if isinstance(sim, Path):
         simulated = pair_up(flown, read_folder(sim, config), (real, sim))
     else:
-        simulated = {name: _simulated(log, sim) for name, log in flown.items()}
-    return _alike([pair_logs(name, log, simulated[name]) for name, log in flown.items()])
+        simulated = {name: simulated_log(log, sim) for name, log in flown.items()}
+    return alike([pair_logs(name, log, simulated[name]) for name, log in flown.items()])
 
 
 def match_simulated(name: str, log: Log, sim: Mapping[str, Log] | Simulate) -> Log:
@@ -57,7 +57,7 @@ def match_simulated(name: str, log: Log, sim: Mapping[str, Log] | Simulate) -> L
     Inputs that only `log` has are taken from there. Raises `DataError` as `pair_logs`.
     """
     if not isinstance(sim, Mapping):
-        return _simulated(log, sim)
+        return simulated_log(log, sim)
     if name not in sim:
         raise DataError(
             "there is no simulated log of this name",
@@ -122,7 +122,7 @@ def _plausible(log: Log) -> Log:
     return log.with_channels(changed, *entries)
 
 
-def _simulated(log: Log, simulate: Simulate) -> Log:
+def simulated_log(log: Log, simulate: Simulate) -> Log:
     """The log's inputs, complete, with the outputs that the simulator gives for them."""
     inputs = [name for name in log.channels if is_input(name, log)]
     held = hold_inputs(log, inputs)
@@ -160,7 +160,7 @@ def _counts(real: Log, sim: Log, samples: int) -> dict[str, int]:
     return {reason: count for reason, count in counts.items() if count}
 
 
-def _alike(pairs: Sequence[Pair]) -> list[Pair]:
+def alike(pairs: Sequence[Pair]) -> list[Pair]:
     """Keep what all pairs have, and check that they are of one rate."""
     first = pairs[0]
     for pair in pairs[1:]:

@@ -15,6 +15,7 @@ import numpy as np
 from data_prep.log import Log
 from eval.gap.own_function import open_function
 from narxcal.calibration.bundle import DOCUMENT, load_bundle
+from narxcal.calibration.calibration import Calibration
 from narxcal.channels import CHANNELS
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, ModelError
@@ -46,7 +47,7 @@ def open_simulator(source: str, *, trust: bool = False) -> Simulator:
         return Simulator("virtual engine", _virtual_engine(source))
     if path.is_dir():
         is_bundle = (path / DOCUMENT).is_file()
-        return Simulator("bundle", _bundle(path, trust)) if is_bundle else Simulator("logs", path)
+        return _of_run(path, trust) if is_bundle else Simulator("logs", path)
     if path.suffix == ".fmu" and path.is_file():
         return Simulator("FMU", _fmu(path))
     if all(source.partition(":")) and not path.exists():
@@ -56,6 +57,10 @@ def open_simulator(source: str, *, trust: bool = False) -> Simulator:
         "virtual engine",
         hint=f"Virtual engines are {' and '.join(ENGINES)}",
     )
+
+
+def _of_run(folder: Path, trust: bool) -> Simulator:
+    return Simulator("bundle", simulate_by(load_bundle(folder, trust=trust).calibration))
 
 
 def _virtual_engine(name: str) -> Simulate:
@@ -72,9 +77,8 @@ def _virtual_engine(name: str) -> Simulate:
     return simulate
 
 
-def _bundle(folder: Path, trust: bool) -> Simulate:
-    """The calibration on its own raster; inputs and outputs are carried over on straight lines."""
-    calibration = load_bundle(folder, trust=trust).calibration
+def simulate_by(calibration: Calibration) -> Simulate:
+    """A calibration on its own raster; inputs and outputs are carried over on straight lines."""
 
     def simulate(log: Log) -> Mapping[str, FloatArray]:
         own = calibration_for(calibration, log)

@@ -109,8 +109,8 @@ def test_what_a_simulator_gets_wrong_by_itself_is_learned_and_then_no_finding(
     assert capsys.readouterr().err.startswith(f"narxcal: error: {run}: --learn needs a run folder")
     (run / "bundle.json").write_text("{}")
     assert main([*arguments, "--learn", "--out", str(run)]) == 0
-    learned = budget.learned_by(str(run))
+    learned = budget.learned_by(run)
     assert learned.logs == 3
     (run / "discrepancy.json").write_text('{"flights": "x"}')
     with pytest.raises(ModelError, match="Learn it again"):
-        budget.learned_by(str(run))
+        budget.learned_by(run)

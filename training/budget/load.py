@@ -6,9 +6,10 @@ of any other effect; for given shifts the windows of a flight are the best path 
 
     sum_t w_t l_t / 2 - log(n) / 2 (number of switches)
 
-with l_t = sum_c (2 e_c a_c - a_c^2) / (tau V_c), e what the nuisances leave and n = |e|^2 / (tau V) the effective samples of a flight, by
-Viterbi's recursion: a switch costs what one parameter does by Schwarz's criterion. Both in turn,
-from several first guesses. Every switch counts as a parameter where probabilities are made of it.
+with l_t = sum_c (2 e_c a_c - a_c^2) / (tau V_c), e what the nuisances leave and
+n = |e|^2 / (tau V) the effective samples of a flight, by Viterbi's recursion: a switch costs what
+one parameter does by Schwarz's criterion. Both in turn, from several first guesses. Every switch
+counts as a parameter where probabilities are made of it.
 """
 
 from __future__ import annotations

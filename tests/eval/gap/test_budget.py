@@ -57,9 +57,9 @@ def test_a_run_keeps_what_was_learned(tmp_path):
         1, ((1.0,),), {"N1_pct": ((0.1, 0.2),)}, {"N1_pct": (3.0,)}, {}, {}, {"spool_lag": 2.0}
     )
     (tmp_path / "bundle.json").write_text("{}", encoding="utf-8")
-    assert learned_by(str(tmp_path)) is None
+    assert learned_by(tmp_path) is None
     keep_learned(learned, tmp_path)
-    assert learned_by(str(tmp_path)) == learned
+    assert learned_by(tmp_path) == learned
     assert learned.spread("spool_lag") == pytest.approx(1.5 * 2.0)
     assert learned.spread("other") == pytest.approx(2.0)
 
@@ -81,4 +81,4 @@ def test_what_was_learned_is_used_as_it_was_written_and_for_its_run_alone(
     changed = (tmp_path / file).read_text(encoding="utf-8").replace(old, new, 1)
     (tmp_path / file).write_text(changed, encoding="utf-8")
     with pytest.raises(ModelError, match=rf"discrepancy\.json: {problem}.*diagnose --learn$"):
-        learned_by(str(tmp_path))
+        learned_by(tmp_path)
