@@ -398,9 +398,7 @@ def case_results(rng, folder, sound):
         told = {"schema": "narxcal.discrepancy/1", **(told if isinstance(told, dict) else {})}
         told |= {"bundle_sha256": sha256_of(folder / "bundle.json")}
         learned = {**told, "sha256": seal(told)}
-        return _changed_json(
-            rng, folder, "discrepancy.json", learned, lambda: learned_by(folder)
-        )
+        return _changed_json(rng, folder, "discrepancy.json", learned, lambda: learned_by(folder))
     if kind == 3:
         arrays = {name: np.ones((2, 3)) for name in ("low", "high", "weights", "theta", "thermal")}
         data = save_arrays(arrays)
