@@ -80,7 +80,7 @@ def together(frame: Frame, singles: Sequence[Single]) -> Joint:
     joint = Joint(nodes, frame, found, (), (), ())
     theta = _thetas(joint, found.x)
     spread = [np.zeros(len(t)) for t in theta]
-    for node, into, sd in zip(nodes, spread, joint.parts(np.sqrt(variance)), strict=True):
+    for node, into, sd in zip(nodes, spread, joint.parts(np.sqrt(np.maximum(variance, 0.0))), strict=True):
         into[list(node.free)] = sd
     others = tuple(_thetas(joint, x) for x in steps)
     return replace(joint, theta=theta, spread=tuple(spread), others=others)
