@@ -11,12 +11,10 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
 from eval.evaluate import run_config
-from eval.gap.bins import MOVES, sort_samples
 from eval.gap.blocks import batch, block_size
 from eval.gap.budget_page import budget_figure
 from eval.gap.claimed import with_effects
@@ -30,23 +28,23 @@ from eval.gap.held_flights import in_terms_of
 from eval.gap.left_out import left_out_pairs
 from eval.gap.pairs import check_apart, read_pairs
 from eval.gap.realised import channel_shrink, held_out, time_shrink
+from eval.gap.records import phases_of, record_of
 from eval.gap.rerun import Rerun
 from eval.gap.simulators import Simulate, open_simulator
 from eval.gap.where import locate
 from narxcal.calibration.bundle import DOCUMENT, load_bundle, seal
 from narxcal.effects.library import hypotheses
-from narxcal.effects.running import Emulator, Flights
+from narxcal.effects.running import Emulator
 from narxcal.effects.steady import UnloggedSwitch
 from narxcal.support.arrays import spans
 from narxcal.support.errors import DataError, ModelError
 from narxcal.support.files import atomic_write_text, sha256_of, to_json
 from training.budget import load
 from training.budget.control import suited
-from training.budget.diagnosis import Engines, Phases
+from training.budget.diagnosis import Engines
 from training.budget.diagnosis import diagnose as weighed
 from training.budget.dictionary import Dictionary
 from training.budget.discrepancy import Discrepancy, learn, read
-from training.budget.metric import Record
 from training.budget.odds import Odds
 from training.budget.result import Budget, Interval
 from training.config import RunConfig
@@ -57,7 +55,6 @@ SCHEMA: Final = "narxcal.gap/2"
 LEARNED: Final = "discrepancy.json"  # in a run folder
 RATE_HZ = 4.0
 KEEP_HZ = 5.0  # slower logs are taken as they are
-_BLOCK_S, _MOST = 300.0, 6  # of a flight, where fewer than three stand for themselves
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,36 +329,3 @@ def _effect_rows(found: Budget, pairs: Sequence[Pair], dt_s: float) -> list[dict
         for start, stop in spans(on)
     ]
     return [row | {"windows": windows} if row["id"] == UnloggedSwitch.id else row for row in rows]
-
-
-def record_of(data: GapData) -> Record:
-    """The flights with their units: flights, or blocks of them where there are fewer than three."""
-    flights = data.flights
-    count, steps = flights.u.shape[:2]
-    unit = np.full((count, steps), -1)
-    start = 0
-    for f, length in enumerate(flights.lengths.tolist()):
-        parts = 1
-        if count < 3:
-            parts = int(np.clip(length * flights.signals.dt_s / _BLOCK_S, 2, _MOST))
-        unit[f, :length] = start + np.arange(length) * parts // length
-        start += parts
-    return Record(flights, data.real, data.noise, unit, _groups(flights), data.fast)
-
-
-def _groups(flights: Flights) -> tuple[int, ...]:
-    """Which logs are of one flight, and so of several engines: those flown alike."""
-    signals = flights.signals
-    if "ALT_ft" not in signals.active:
-        return tuple(range(len(flights.u)))
-    flown = flights.u[..., signals.u("ALT_ft")]
-    return tuple(
-        next(g for g in range(f + 1) if np.array_equal(flown[g], flown[f]))
-        for f in range(len(flown))
-    )
-
-
-def phases_of(data: GapData) -> Phases:
-    """What moves in every sample: `push_transit` and the like."""
-    names = tuple("steady" if d == "steady" else f"{d}_{p}" for d, p in MOVES)
-    return Phases(names, sort_samples(data, events_of(data)).move)

@@ -28,8 +28,9 @@ from scipy.special import log_softmax, logsumexp
 from eval.gap.blind.files import open_key
 from eval.gap.blind.outcome import Outcome
 from eval.gap.blind.score import calibration_error, mean
-from eval.gap.budget import batched, record_of
+from eval.gap.budget import batched
 from eval.gap.pairs import read_pairs
+from eval.gap.records import record_of
 from narxcal.support.arrays import BoolArray, FloatArray
 from training.budget.control import suited
 from training.budget.diagnosis import Engines, weigh

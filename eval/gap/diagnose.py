@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ from eval.gap.blocks import batch, block_size
 from eval.gap.cautions import cautions, coarse_emulator, rests_on_emulator
 from eval.gap.claimed import Values, claimed, offset_leads, with_effects
 from eval.gap.data import GapData, Pair
-from eval.gap.document import document
+from eval.gap.document import document, probabilities
 from eval.gap.evidence import Evidence, HeldOut
 from eval.gap.excitation import check_excitation, events_of
 from eval.gap.expected import expected, seen, unseen
@@ -23,6 +23,7 @@ from eval.gap.hidden_load import look_again, look_beside, look_for_load, spells
 from eval.gap.pairs import check_apart, read_pairs
 from eval.gap.parts import enough
 from eval.gap.realised import channel_shrink, held_out, time_shrink
+from eval.gap.records import phases_of, record_of
 from eval.gap.rerun import Rerun
 from eval.gap.simulators import Simulate, open_simulator
 from eval.gap.stored_emulator import signals_to_json
@@ -32,7 +33,8 @@ from narxcal.effects.steady import UnloggedSwitch
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.files import versions
-from training.budget.result import Interval
+from training.budget.diagnosis import shares_of
+from training.budget.result import Interval, cause_row
 from training.config import RunConfig
 from training.gap.control import suited
 from training.gap.diagnosis import diagnose
@@ -123,7 +125,23 @@ def diagnose_pairs(
     facts = {**facts_of(pairs, data, held), "unlogged_load": load.reason or "found"}
     facts["warnings"] += coarse_emulator(evidence, again=again is not None)
     evidence = replace(evidence, facts=facts)
-    return Diagnosis(document(evidence), evidence, emulator)
+    told = document(evidence)
+    told["budget"] = _budget(data, values, stand_in, probabilities(finding))
+    return Diagnosis(told, evidence, emulator)
+
+
+def _budget(
+    data: GapData, values: Values, emulator: Emulator, known: Mapping[str, float]
+) -> list[dict[str, Any]]:
+    """What share of the gap the claimed effects take, and what else takes the rest."""
+    responses, done = {}, data.flights.y
+    for k, name in enumerate(values):
+        some = {each: values[each] for each in list(values)[: k + 1]}
+        after = with_effects(some, data.flights, emulator)
+        responses[name], done = after - done, after
+    found = {name: known[name] for name in values}
+    causes = shares_of(record_of(data), responses, phases_of(data), found)
+    return [cause_row(one) for one in causes]
 
 
 def _found(data: GapData, simulators: Simulators, watch: Watch) -> tuple[GapData, Load, Finding]:

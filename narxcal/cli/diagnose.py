@@ -39,12 +39,8 @@ RESULTS = Results("narxcal.gap/", DOCUMENT, (PAGE, EMULATOR))
 
 def add_options(parser: ArgumentParser) -> None:
     """Add what the command takes to `parser`."""
-    parser.add_argument(
-        "--real", metavar="DIR", type=path, required=True, help="folder of the flights' logs"
-    )
-    parser.add_argument(
-        "--sim", metavar="SIM", required=True, help=f"{SIMULATOR}; logs are paired by file name"
-    )
+    parser.add_argument("--real", metavar="DIR", type=path, help="folder of the flights' logs")
+    parser.add_argument("--sim", metavar="SIM", help=f"{SIMULATOR}; logs are paired by file name")
     add_out(parser)
     add_mapping(parser)
     add_trust(parser)
@@ -57,29 +53,30 @@ def add_options(parser: ArgumentParser) -> None:
         choices=("auto", "rules", "budget"),
         default="auto",
         help="decide by rules (narxcal.gap/1) or by the budget of the gap (narxcal.gap/2); auto: "
-        "by the budget where --learn left what the simulator gets wrong by itself",
+        "by the budget where the simulator is a run, which knows what it gets wrong by itself",
     )
     parser.add_argument(
         "--learn",
         action="store_true",
-        help="diagnose nothing: learn what the simulator gets wrong by itself from these flights, "
-        "which it was not fitted to and in which nothing unusual acts, and keep it in the run OUT",
+        help="diagnose nothing: learn what the run OUT gets wrong by itself and keep it there, "
+        "from its training flights by models without them, or from flights of --real that SIM was "
+        "not fitted to",
     )
 
 
 def run(options: Namespace, console: Console) -> int:
     """Diagnose and write document, page and emulator; 0 whatever the verdict."""
-    request = _request(options)
     if options.learn:
-        return _learn(options, console, request)
+        return _learn(options, console)
+    request = _request(options)
     RESULTS.check(options.out)
     with console.progress("Diagnosing") as advance:
 
         def watch(step: str, done: int, total: int) -> None:
             advance(done, total, f"({step})")
 
-        learned = options.core == "auto" and budget.learned_by(options.sim) is not None
-        if learned or options.core == "budget":
+        of_run = options.core == "auto" and (Path(options.sim) / BUNDLE).is_file()
+        if of_run or options.core == "budget":
             return _budget(options, console, budget.diagnose_folders(request))
         found = diagnose_folders(request, watch)
     with RESULTS.writing(options.out) as folder:
@@ -90,13 +87,16 @@ def run(options: Namespace, console: Console) -> int:
     return 0
 
 
-def _learn(options: Namespace, console: Console, request: Request) -> int:
-    """Keep in a run folder what a simulator of its kind gets wrong by itself."""
+def _learn(options: Namespace, console: Console) -> int:
+    """Keep in a run folder what it gets wrong by itself."""
     if not (options.out / BUNDLE).is_file():
         raise ConfigError("--learn needs a run folder as --out", file=options.out)
     with console.progress("Learning") as advance:
         advance(0, 1, "")
-        found = budget.learn_folders(request, options.out)
+        if options.real is None and options.sim is None:
+            found = budget.learn_left_out(options.out, trust=options.trust)
+        else:
+            found = budget.learn_folders(_request(options), options.out)
     flights = "1 flight" if found.flights == 1 else f"{found.flights} flights"
     console.say(f"Learned from {flights}: {options.out / budget.LEARNED}")
     console.document(found.document())
@@ -150,6 +150,9 @@ def show(console: Console, document: Mapping[str, Any]) -> None:
 
 
 def _request(options: Namespace) -> Request:
+    for name in ("real", "sim"):
+        if getattr(options, name) is None:
+            raise ConfigError(f"--{name} is required", hint="Name recorded and simulated flights")
     if options.heldout_sim is not None and options.heldout_real is None:
         raise ConfigError("--heldout-sim needs --heldout-real")
     if options.config is None:

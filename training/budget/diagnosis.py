@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -15,7 +15,7 @@ from training.budget import load as unlogged
 from training.budget.dictionary import Dictionary
 from training.budget.discrepancy import Discrepancy
 from training.budget.fitting import Frame, Single
-from training.budget.joint import Joint, by_others, interval, together
+from training.budget.joint import Joint, by_others, interval, of_nuisances, together
 from training.budget.layers import PER_PARAMETER, Layer, Setting, candidate, further
 from training.budget.metric import Metric, Record, assumed_variance
 from training.budget.nuisances import nuisances
@@ -109,7 +109,7 @@ def diagnose(
 
 def concluded(evidence: Evidence, phases: Phases) -> Budget:
     """The budget that follows from the evidence."""
-    frame = evidence.frame
+    frame, record = evidence.frame, evidence.setting.record
     if evidence.setting.learned is None:
         known, none, unknown, layers = _assumed(evidence)
         verdict = _verdict(known, none, unknown, layers)
@@ -120,7 +120,7 @@ def concluded(evidence: Evidence, phases: Phases) -> Budget:
     joint = together(frame, claimed)
     return Budget(
         verdict,
-        _causes(joint, phases, known),
+        _causes(record, [n.name for n in joint.nodes], joint.components(), phases, known),
         _weighed(evidence, joint, known),
         none,
         unknown,
@@ -215,9 +215,31 @@ def _gap_share(frame: Frame) -> float:
     return float(max(0.0, 1.0 - noise.sum() / max(energy.sum(), 1e-300)))
 
 
-def _causes(joint: Joint, phases: Phases, known: dict[str, float]) -> tuple[Cause, ...]:
+def shares_of(
+    record: Record,
+    responses: Mapping[str, FloatArray],
+    phases: Phases,
+    known: dict[str, float],
+) -> tuple[Cause, ...]:
+    """Rows of the budget where it is settled what effects do: `responses` by their names.
+
+    `known` are their probabilities. Builds differ in steady maps alone.
+    """
+    metric, noise = Metric(record, assumed_variance(record)), nuisances(record, None, 0.0)
+    rest = record.gap - sum(responses.values(), np.zeros_like(record.gap))
+    frame = Frame(record, metric, np.where(record.known, rest, 0.0), noise)
+    components = [*responses.values(), *of_nuisances(frame, frame.none.nu)]
+    return _causes(record, list(responses), components, phases, known)
+
+
+def _causes(
+    record: Record,
+    effects: Sequence[str],
+    components: Sequence[FloatArray],
+    phases: Phases,
+    known: dict[str, float],
+) -> tuple[Cause, ...]:
     """Rows of the budget: effects, build, offsets, noise, unexplained."""
-    record = joint.frame.record
     inside = np.eye(len(phases.names))[np.maximum(phases.index, 0)]
     inside = inside * (phases.index >= 0)[..., None]
     scale = 1.0 / record.span**2
@@ -225,14 +247,13 @@ def _causes(joint: Joint, phases: Phases, known: dict[str, float]) -> tuple[Caus
     def cells(values: FloatArray) -> FloatArray:
         return np.asarray(np.einsum("...ftc,ftp->...cp", values * record.known * scale, inside))
 
-    found = split(joint.frame.gap, joint.components())
+    found = split(record.gap, components)
     slow, ones = cells(record.gap**2), cells(np.ones_like(record.gap))
     fast = ones * np.broadcast_to(record.fast, scale.shape)[:, None]
     noise = np.minimum(ones * record.noise[:, None] ** 2, slow) + fast
     shares = cells(found.shares)
     rest = slow + fast - shares.sum(axis=0) - noise
     total = max(float((slow + fast).sum()), 1e-300)
-    effects = [node.name for node in joint.nodes]
     rows = list(
         zip([*effects, BUILD, OFFSETS], shares, cells(found.first), cells(found.last), strict=True)
     )

@@ -33,12 +33,7 @@ class Joint:
 
     def components(self) -> list[FloatArray]:
         """What each effect does, what the differences of build do, and what the offsets do."""
-        noise, kinds = self.frame.nuisances, np.array(self.frame.nuisances.kind)
-        found = self.responses(self.solved.x)
-        for group in ((BUILD, SMALL), (OFFSET, START)):
-            here = np.isin(kinds, group)
-            found.append(np.tensordot(self.solved.nu[here], noise.columns[here], axes=1))
-        return found
+        return [*self.responses(self.solved.x), *of_nuisances(self.frame, self.solved.nu)]
 
     def responses(self, steps: FloatArray) -> list[FloatArray]:
         """What each effect does after the steps of all."""
@@ -48,6 +43,13 @@ class Joint:
         """The step of each effect out of that of all."""
         ends = np.cumsum([len(n.free) for n in self.nodes])
         return list(np.split(x, ends)[:-1])
+
+
+def of_nuisances(frame: Frame, nu: FloatArray) -> list[FloatArray]:
+    """What nuisances of sizes `nu` do: the differences of build, and the offsets of flights."""
+    noise, kinds = frame.nuisances, np.array(frame.nuisances.kind)
+    groups = [np.isin(kinds, group) for group in ((BUILD, SMALL), (OFFSET, START))]
+    return [np.tensordot(nu[here], noise.columns[here], axes=1) for here in groups]
 
 
 def _columns(frame: Frame, nodes: Sequence[Node]) -> Columns:
@@ -80,7 +82,9 @@ def together(frame: Frame, singles: Sequence[Single]) -> Joint:
     joint = Joint(nodes, frame, found, (), (), ())
     theta = _thetas(joint, found.x)
     spread = [np.zeros(len(t)) for t in theta]
-    for node, into, sd in zip(nodes, spread, joint.parts(np.sqrt(np.maximum(variance, 0.0))), strict=True):
+    for node, into, sd in zip(
+        nodes, spread, joint.parts(np.sqrt(np.maximum(variance, 0.0))), strict=True
+    ):
         into[list(node.free)] = sd
     others = tuple(_thetas(joint, x) for x in steps)
     return replace(joint, theta=theta, spread=tuple(spread), others=others)

@@ -113,7 +113,7 @@ class Budget:
 
     def rows(self) -> list[dict[str, Any]]:
         """`budget` of `gap.json`: one row per cause."""
-        return [asdict(one) | {"credible_set": list(one.credible_set)} for one in self.causes]
+        return [cause_row(one) for one in self.causes]
 
     def effect_rows(self) -> list[dict[str, Any]]:
         """`effects` of `gap.json`: one row per effect that was tried."""
@@ -125,6 +125,11 @@ class Budget:
         found["effects"] = list(self.verdict.effects)
         found["ambiguous_with"] = list(self.verdict.ambiguous_with)
         return found | {"besides": "", "none": self.none, "unknown": self.unknown}
+
+
+def cause_row(one: Cause) -> dict[str, Any]:
+    """One row of `budget` of `gap.json`."""
+    return asdict(one) | {"credible_set": list(one.credible_set)}
 
 
 def _effect_row(one: Weighed) -> dict[str, Any]:

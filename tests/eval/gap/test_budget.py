@@ -11,9 +11,8 @@ from eval.gap.budget import (
     diagnose_pairs,
     keep_learned,
     learned_by,
-    phases_of,
-    record_of,
 )
+from eval.gap.records import phases_of, record_of
 from narxcal.support.errors import ModelError
 from narxcal.support.files import to_json
 from tests.eval.gap.conftest import pair_of, probe_lag
