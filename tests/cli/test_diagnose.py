@@ -84,6 +84,9 @@ def test_the_document_keeps_its_contract(diagnosed):
         assert all({"value", "low", "high"} <= set(each) for each in row["parameters"].values())
     for row in document["where"]:
         assert {"channel", "direction", "phase", "regime", "share", "low", "high"} <= set(row)
+    causes = {row["cause"]: row["share"] for row in document["budget"]}
+    assert sum(causes.values()) == pytest.approx(1.0)
+    assert max(causes, key=lambda name: causes[name]) == "sensor_lag:EGT_C"
     shrink = document["shrink"]
     assert {"value", "low", "high"} == set(shrink["predicted"])
     assert isinstance(shrink["realised"], float)

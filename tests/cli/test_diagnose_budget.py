@@ -1,6 +1,7 @@
 """`narxcal diagnose --core budget` from end to end, its page, and `simulate --effects` on it."""
 
 import json
+import shutil
 
 import pandas as pd
 import pytest
@@ -114,3 +115,18 @@ def test_what_a_simulator_gets_wrong_by_itself_is_learned_and_then_no_finding(
     (run / "discrepancy.json").write_text('{"flights": "x"}')
     with pytest.raises(ModelError, match="Learn it again"):
         budget.learned_by(run)
+
+
+def test_a_run_learns_from_its_own_flights_what_it_gets_wrong(project, tmp_path, capsys):
+    run = tmp_path / "run"
+    shutil.copytree(project / "run", run)
+    assert main(["diagnose", "--learn", "--out", str(run)]) == 0
+    assert capsys.readouterr().out.startswith("Learned from ")
+    learned = budget.learned_by(run)
+    assert learned.logs >= 1
+    assert set(learned.noise) == {"N1_pct", "N2_pct", "EGT_C"}
+
+
+def test_flights_are_required_where_something_is_diagnosed(capsys):
+    assert main(["diagnose", "--sim", "single_aisle", "--out", "nowhere"]) == 2
+    assert "--real is required" in capsys.readouterr().err
