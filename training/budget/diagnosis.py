@@ -118,10 +118,15 @@ def concluded(evidence: Evidence, phases: Phases) -> Budget:
         unknown, verdict = 0.0, _found(layers)
     claimed = [one.single for one in layers if one.name in verdict.effects]
     joint = together(frame, claimed)
+    # A load that only shows beside the others is none of the effects by themselves.
+    alone = {one.name for one in evidence.singles}
+    beside = [one for one in layers if one.single in claimed and one.name not in alone]
+    singles = [*evidence.singles, *(frame.fit([one.single.node]) for one in beside)]
+    known |= {one.name: float(np.exp(one.chances[0][1])) for one in beside}
     return Budget(
         verdict,
         _causes(record, [n.name for n in joint.nodes], joint.components(), phases, known),
-        _weighed(evidence, joint, known),
+        _weighed(evidence, singles, joint, known),
         none,
         unknown,
         _gap_share(frame),
@@ -155,7 +160,7 @@ def _learned(evidence: Evidence) -> tuple[dict[str, float], float, list[Layer]]:
     for place in (*layers, *(() if more is None else (more,))):
         none += place.none
         for name, chance in place.chances:
-            known[name] = max(known[name], float(np.exp(chance)))
+            known[name] = max(known.get(name, 0.0), float(np.exp(chance)))
     return known, float(np.exp(none)), layers
 
 
@@ -285,12 +290,12 @@ def _cause(
     )
 
 
-def _weighed(evidence: Evidence, joint: Joint, known: dict[str, float]) -> tuple[Weighed, ...]:
+def _weighed(
+    evidence: Evidence, singles: Sequence[Single], joint: Joint, known: dict[str, float]
+) -> tuple[Weighed, ...]:
     """Every effect; claimed ones by their joint fit, the others by their own."""
     claimed = {node.name: k for k, node in enumerate(joint.nodes)}
-    rows = [
-        _one(evidence, single, joint, claimed, known[single.name]) for single in evidence.singles
-    ]
+    rows = [_one(evidence, single, joint, claimed, known[single.name]) for single in singles]
     names = tuple(claimed)
     place = {name: k for k, name in enumerate(names)}
     return tuple(sorted(rows, key=lambda row: (place.get(row.name, len(names)), -row.probability)))

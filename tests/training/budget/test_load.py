@@ -1,5 +1,6 @@
 """An unlogged load: its windows and shifts are recovered, and nothing is found where none is."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -7,11 +8,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from narxcal.effects import effect
 from tests.training.budget.conftest import recorded
 from training.budget import load
+from training.budget.diagnosis import Evidence, Phases, concluded
+from training.budget.dictionary import Dictionary
 from training.budget.fitting import Frame
+from training.budget.layers import Setting
 from training.budget.metric import Metric, assumed_variance
 from training.budget.nuisances import nuisances
+from training.budget.odds import features
+from training.budget.odds import load as load_odds
 
 
 def frame_of(record):
@@ -44,3 +51,26 @@ def test_windows_and_shifts_of_a_load_are_recovered(flights):
 
 def test_noise_alone_has_no_windows(flights):
     assert load.found(frame_of(recorded(flights, flights.y))) == []
+
+
+def test_a_load_that_only_shows_beside_another_effect_is_in_the_answer(flights):
+    on = np.zeros(flights.y.shape[:2], dtype=bool)
+    on[0, 300:700], on[1, 100:420], on[2, 800:1100] = True, True, True
+    late = np.concatenate([flights.y[:, :1].repeat(8, axis=1), flights.y[:, :-8]], axis=1)
+    y = np.where([False, True, False], late, flights.y)
+    record = recorded(flights, y + on[..., None] * np.array([0.0, 0.0, 3.0]))
+    frame = frame_of(record)
+    sensors = [effect(name) for name in ("time_skew:N2_pct", "sensor_lag:N1_pct")]
+    dictionary = Dictionary(sensors, flights, None)
+    singles = tuple(frame.fit(nodes) for nodes in dictionary.nodes.values())
+    odds = replace(load_odds(), enough=(-50.0, 0.0, 0.0, 0.0))  # whatever is found comes in
+    variance = assumed_variance(record)
+    setting = Setting(record, variance, frame.nuisances, dictionary, odds)
+    evidence = Evidence(frame, singles, *features(frame, singles), setting)
+    found = concluded(evidence, Phases(("all",), np.zeros(on.shape, dtype=int)))
+    assert "unlogged_switch" in found.verdict.effects
+    assert (found.on != on).mean() < 0.1
+    rows = {one.name: one.probability for one in found.effects}
+    assert set(found.verdict.effects) <= set(rows)
+    assert found.claimed.keys() == set(found.verdict.effects)
+    assert sum(one.share for one in found.causes) == pytest.approx(1.0)
