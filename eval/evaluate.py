@@ -313,14 +313,8 @@ class Evaluation:
     @property
     def level_cautions(self) -> list[str]:
         """Levels that can't be judged, with their sizes, and lags beyond the spread."""
-        found = []
+        found = self._open_levels()
         for one in self.logs:
-            open_ = [words(each) for each in one.levels if each.allowed is None and each.known]
-            if open_:
-                found.append(
-                    f"{one.log.name}: level error of {', '.join(open_)} is not judged: fewer than "
-                    f"{LEAST_LOGS} training logs were held out"
-                )
             found += [
                 f"{one.log.name}: {each.channel} is {abs(each.lag_s):.2g} s "
                 f"{'late' if each.lag_s > 0.0 else 'early'} over the whole log, "
@@ -329,6 +323,20 @@ class Evaluation:
                 if each.late
             ]
         return found
+
+    def _open_levels(self) -> list[str]:
+        """Levels that can't be judged in one line: of several logs the largest of each output."""
+        logs = [one for one in self.logs if any(each.open for each in one.levels)]
+        if not logs:
+            return []
+        largest: dict[str, LevelCheck] = {}
+        for each in (level for one in logs for level in one.levels if level.open):
+            before = largest.get(each.channel, each)
+            largest[each.channel] = max(before, each, key=lambda level: abs(level.error))
+        more = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
+        size = f"of {'up to ' if more else ''}{', '.join(map(words, largest.values()))}"
+        few = f"fewer than {LEAST_LOGS} training logs were held out"
+        return [f"{logs[0].log.name}{more}: level error {size} is not judged: {few}"]
 
     def _large_errors(self) -> list[str]:
         pooled, texts = self.pooled, []

@@ -53,14 +53,14 @@ class LevelCheck:
     held_out_logs: int
 
     @property
-    def known(self) -> bool:
-        """Whether the log has samples to say it."""
-        return bool(np.isfinite(self.error))
+    def open(self) -> bool:
+        """Whether the level is known, and too few logs were held out to judge it."""
+        return self.allowed is None and bool(np.isfinite(self.error))
 
     @property
     def ok(self) -> bool | None:
         """Whether the level is within the spread; None where that is not known."""
-        if self.allowed is None or not self.known:
+        if self.allowed is None or not np.isfinite(self.error):
             return None
         return bool(abs(self.error) <= self.allowed)
 

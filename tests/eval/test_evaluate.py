@@ -344,6 +344,14 @@ def test_with_few_held_out_logs_a_level_is_a_caution_with_its_size(make_bundle, 
     )
 
 
+def test_levels_of_several_logs_that_cannot_be_judged_are_one_caution(make_bundle, make_log):
+    logs = [make_log(offset=(size, 0.1)) for size in (0.5, -8.0, 3.0)]
+    (caution,) = evaluate(with_levels(make_bundle(), []), logs).level_cautions
+    assert caution.startswith(
+        "flight.csv:left and 2 more: level error of up to N1_pct +8 %, N2_pct"
+    )
+
+
 def test_a_lag_beyond_that_of_held_out_logs_is_a_caution(make_bundle, make_log):
     bundle = with_levels(make_bundle(tau_s=(5.0, 0.8)), [0.1] * 4)
     found = evaluate(bundle, [make_log()]).level_cautions
