@@ -91,7 +91,7 @@ class LogEvaluation:
     `untrimmed` are the scores on the same rows before trim, where there was one. `baselines` are
     the baselines' Ti/Tt counts on the same events. `as_recorded` are the scores on the log before
     its faults were masked, where there are some, and `faulty` the share of each channel's samples
-    that was masked so. `levels` are level and lag of the free run beside those of held-out logs.
+    that was masked so. `levels` compare level and lag of the free run with those of held-out logs.
     """
 
     run: FreeRun
@@ -220,7 +220,7 @@ def assess_log(
 
 
 def _levels(bundle: Bundle, run: FreeRun) -> tuple[LevelCheck, ...]:
-    """Level and lag of the scored rows, beside the training logs that were held out."""
+    """Level and lag of the scored rows, compared with training logs that were held out."""
     stored = (bundle.meta.get("lead") or {}).get("channels") or {}
     measured = np.where(run.scored[:, None], run.measured, np.nan)
     return checks(stored, run.channels, (run.model, measured), run.log.dt_s)

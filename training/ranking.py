@@ -22,7 +22,6 @@ from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 
 _BETTER = 0.98  # of a simpler form's score, as in training.lags: folds have less data than the fit
-_AS_SIMPLE = 2.0  # times the fewest parameters: 170 weights are no simpler than 164
 _LEAST_ERROR = 1e-9  # standard deviations: pieces without any error compare, too
 
 
@@ -90,9 +89,7 @@ def leader(tried: Sequence[Tried]) -> tuple[Tried, str]:
         raise DataError("no form has a finite free run over what was held out")
     least = min(forms, key=lambda one: one.score)
     able = [one for one in forms if not any(beats(other, one) for other in forms)]
-    fewest = min(one.form.parameters for one in able)
-    simple = [one for one in able if one.form.parameters < _AS_SIMPLE * fewest]
-    first = min(simple, key=lambda one: one.score)
+    first = min(able, key=lambda one: (one.form.parameters, one.score))
     name = f"{first.form.rung} ({first.form.text})"
     others = [one for one in best_by_rung(forms) if one.form.rung != first.form.rung]
     simpler = [one for one in others if one.form.parameters < first.form.parameters]

@@ -1,8 +1,9 @@
 """One recipe on public sets: `narxcal benchmark`.
 
 Every set is fitted by `Narx()` with nothing said about it, by the linear rungs alone, chosen by the
-same folds, and by jax-sysid where it is installed (extra `bench`). The official test range is run
-once by each; the first `init_window` samples start a model and are not scored.
+same folds, by a network of fixed size without a choice, and by jax-sysid where it is installed
+(extra `bench`). The official test range is run once by each; the first `init_window` samples start
+a model and are not scored.
 """
 
 from __future__ import annotations
@@ -22,10 +23,11 @@ from narxcal.record import Record
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from training.choice import Limits, choose
+from training.estimator import Narx
 from training.search import Watch
 
 SCHEMA = "narxcal.benchmark/1"
-OURS, LINEAR, JAX = "Narx()", "linear", "jax-sysid"
+OURS, FIXED, LINEAR, JAX = "Narx()", "Narx(None)", "linear", "jax-sysid"
 _JAX_ORDER, _JAX_HIDDEN = 4, 10  # of the figures in its own paper
 _JAX_STEPS = 2000
 Simulate = Callable[[FloatArray, FloatArray], FloatArray]
@@ -66,7 +68,7 @@ def names_in(folder: Path, wanted: Sequence[str] = ()) -> list[str]:
 def figures(
     folder: Path, name: str, time_limit_s: float, watch: Watch | None = None
 ) -> Iterator[Figure]:
-    """Ours, linear, jax-sysid where it is installed, and the published figures of a set."""
+    """Ours, a fixed network, linear, jax-sysid where installed, and a set's published figures."""
     material = read(folder, name)
     known = {one.name: one for one in SETS}.get(name)
     unit, factor = ("", 1.0) if known is None else (known.unit, known.factor)
@@ -80,7 +82,12 @@ def figures(
         found = choose(train, Limits(time_limit_s, linear=True))
         return found.model.simulate, found.reason
 
-    models: dict[str, Callable[[], tuple[Simulate, str]]] = {OURS: ours, LINEAR: linear}
+    def fixed() -> tuple[Simulate, str]:
+        return Narx(None).fit(train).simulate, "8 lags, taps 0 to 8, 8 hidden units"
+
+    models: dict[str, Callable[[], tuple[Simulate, str]]] = {
+        OURS: ours, FIXED: fixed, LINEAR: linear,
+    }  # fmt: skip
     if importlib.util.find_spec("jax_sysid") is not None:
         models[JAX] = lambda: (jax_sysid(train), f"{_JAX_ORDER} states, {_JAX_HIDDEN} hidden")
     for model, fit in models.items():

@@ -34,12 +34,11 @@ from eval.gap.simulators import Simulate, open_simulator
 from eval.gap.where import locate
 from narxcal.calibration.bundle import DOCUMENT, load_bundle, seal
 from narxcal.effects.library import hypotheses
-from narxcal.effects.running import Emulator
+from narxcal.effects.running import Emulator, with_load
 from narxcal.effects.steady import UnloggedSwitch
 from narxcal.support.arrays import spans
-from narxcal.support.errors import DataError, ModelError
+from narxcal.support.errors import DataError, ModelError, NarxcalError
 from narxcal.support.files import atomic_write_text, sha256_of, to_json
-from training.budget import load
 from training.budget.control import suited
 from training.budget.diagnosis import Engines
 from training.budget.diagnosis import diagnose as weighed
@@ -148,7 +147,7 @@ def _learned_of(run: Path, *, trust: bool) -> tuple[Discrepancy | None, list[str
         return found, []
     try:
         return learn_left_out(run, trust=trust), []
-    except (DataError, ModelError) as error:
+    except NarxcalError as error:
         text = f"what {run} gets wrong by itself is not known ({error}): tolerances are assumed"
         return None, [text]
 
@@ -231,7 +230,7 @@ def diagnose_pairs(
     stand_in: Emulator = itself or emulator
     there = in_terms_of(data, batched(held)) if held else None
     if found.on is not None:
-        data = replace(data, flights=load.told(data.flights, found.on))
+        data = replace(data, flights=with_load(data.flights, found.on.astype(float)))
     evidence = _evidence(data, found, emulator, stand_in)
     if there is not None:
         evidence = _with_held_out(evidence, found, there, stand_in)
@@ -301,7 +300,7 @@ def _tried(found: Budget) -> list[old.Tried]:
 def _with_held_out(
     evidence: Evidence, found: Budget, data: GapData, stand_in: Emulator
 ) -> Evidence:
-    # When a load was on in further flights is told by nothing: it takes no part there.
+    # Nothing says when a load was on in further flights: it takes no part there.
     known = {name: each for name, each in found.claimed.items() if name != UnloggedSwitch.id}
     there = held_out(known, data, stand_in)
     evidence = replace(

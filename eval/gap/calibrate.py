@@ -35,7 +35,7 @@ from narxcal.support.arrays import BoolArray, FloatArray
 from training.budget.control import suited
 from training.budget.diagnosis import Engines, weigh
 from training.budget.fitting import Single
-from training.budget.layers import beside
+from training.budget.layers import compound_fits
 from training.budget.odds import FEATURES, OF_CASE, Odds, features, prior
 from training.gap.emulator import fit_emulators
 
@@ -71,7 +71,7 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One case: the choice of its first effect, and of a second beside what may come first."""
+    """One case: the choice of its first effect, and of a second effect, by what comes first."""
 
     outcome: Outcome
     first: Choice
@@ -117,7 +117,7 @@ def _right(outcome: Outcome, names: Sequence[str]) -> BoolArray:
 
 
 def _second(outcome: Outcome, row: Mapping[str, Any]) -> BoolArray:
-    """Which answers are right beside a leader: the other true effect where it is not small."""
+    """Which second effects are right: the other true effect where it is not small."""
     leader, names = row["leader"], row["names"]
     others = [name for name in outcome.true_effects if name != leader]
     right = np.array([name in others for name in names] + [False])
@@ -213,7 +213,7 @@ def left_out(cases: Sequence[Case]) -> list[dict[str, Any]]:
 
 
 def weigh_case(case: Path, truth: Mapping[str, Any]) -> dict[str, Any]:
-    """Features of one case, and of second effects beside its leader and beside each true one."""
+    """Features of one case, and of second effects, with its leader and with each true one first."""
     data = batched(read_pairs(case / "real", case / "sim"))
     record = record_of(data)
     emulator = suited(fit_emulators(data.flights), record)
@@ -223,7 +223,7 @@ def weigh_case(case: Path, truth: Mapping[str, Any]) -> dict[str, Any]:
     true = [name for name in Outcome(case.name, truth, {}).true_effects if name in singles]
     further = []
     for name in dict.fromkeys([leader, *true]):
-        frame, tried = beside(evidence.setting, [singles[name]])
+        frame, tried = compound_fits(evidence.setting, [singles[name]])
         further.append({"leader": name, **_row(tried, *features(frame, tried))})
     own = _row(evidence.singles, evidence.effects, evidence.case)
     return {"truth": truth, **own, "further": further}

@@ -10,11 +10,10 @@ from dataclasses import replace
 import numpy as np
 
 from eval.gap.data import GapData
-from narxcal.effects.running import Flights
+from narxcal.effects.running import Flights, with_load
 from narxcal.effects.steady import UNLOGGED
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
-from training.gap.unlogged import with_load
 
 _RATE = 0.01
 _STILL = 1e-6  # of a channel's size: what changes by less does not change

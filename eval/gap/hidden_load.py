@@ -12,12 +12,12 @@ import numpy as np
 from eval.gap.claimed import Values, with_effects
 from eval.gap.data import GapData, Pair
 from narxcal.effects.base import Signals
-from narxcal.effects.running import Emulator, Flights
+from narxcal.effects.running import Emulator, Flights, with_load
 from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
 from narxcal.support.arrays import FloatArray
 from training.gap.finding import Finding
 from training.gap.quadratic import misfit
-from training.gap.unlogged import Load, find_known_load, find_load, with_load
+from training.gap.unlogged import Load, find_known_load, find_load
 
 _SIDE = re.compile(r"(?i)left|right|lh|rh|port|starboard|(eng|engine)[1-4]|l|r")
 _SPLIT = re.compile(r"[^A-Za-z0-9]+")

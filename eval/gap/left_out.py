@@ -24,7 +24,7 @@ _FOLDS: Final = 3  # at most: each is a training
 
 
 def left_out_pairs(bundle: Bundle, jobs: int = -1) -> list[Pair]:
-    """Every training flight of a run beside what a model of the others says of it.
+    """Pair every training flight of a run with what a model of the others says of it.
 
     Up to three models, each without every third flight; of a single flight each half stands for
     one. Raises `DataError` where the training logs are not at hand any more.

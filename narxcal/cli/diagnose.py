@@ -77,6 +77,8 @@ def run(options: Namespace, console: Console) -> int:
 
         of_run = options.core == "auto" and (Path(options.sim) / BUNDLE).is_file()
         if of_run or options.core == "budget":
+            new = of_run and budget.learned_by(Path(options.sim)) is None
+            advance(0, 1, "(once per run: models without some of its flights)" if new else "")
             return _budget(options, console, budget.diagnose_folders(request))
         found = diagnose_folders(request, watch)
     with RESULTS.writing(options.out) as folder:

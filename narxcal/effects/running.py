@@ -13,7 +13,7 @@ so that no effect means no difference at all, and what the emulator gets wrong i
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -31,6 +31,7 @@ from narxcal.effects.base import (
     Signals,
 )
 from narxcal.effects.pace import Pace, as_simulated, together
+from narxcal.effects.steady import UNLOGGED
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 
@@ -61,6 +62,22 @@ class Flights:
     y: FloatArray
     lengths: NDArray[np.int64]
     price: FloatArray | None = None
+
+
+def with_load(
+    flights: Flights, on: FloatArray, price: FloatArray | None = None, *, always: bool = False
+) -> Flights:
+    """Flights with one more input, `on` (flights, time), and the `price` (flights,) of its windows.
+
+    As they were where it is on nowhere, unless `always`.
+    """
+    if not (always or on.any()):
+        return flights
+    signals = flights.signals
+    names = (*signals.inputs, UNLOGGED), (*signals.active, UNLOGGED)
+    more = replace(signals, inputs=names[0], active=names[1])
+    u = np.concatenate([flights.u, on[..., None]], axis=2)
+    return replace(flights, signals=more, u=u, price=price)
 
 
 class Emulator(Protocol):

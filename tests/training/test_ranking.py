@@ -53,13 +53,6 @@ def test_of_forms_with_as_many_parameters_the_best_leads():
     assert best_by_rung([one, two]) == [two]
 
 
-def test_forms_of_less_than_twice_the_parameters_are_no_simpler():
-    one, two = tried("latent", 164, [0.3, 0.2, 0.2]), tried("network", 170, [0.2, 0.22, 0.2])
-    assert not beats(two, one)
-    assert leader([one, two])[0] is two
-    assert leader([tried("line", 82, [0.3, 0.2, 0.2]), two])[0].form.rung == "line"
-
-
 def test_a_form_judged_on_some_folds_or_without_a_finite_run_never_leads():
     line = tried("line", 2, [0.3, 0.3])
     part, wild = tried("b", 1, [0.1], whole=False), tried("c", 1, [0.1, np.inf])

@@ -118,11 +118,11 @@ def concluded(evidence: Evidence, phases: Phases) -> Budget:
         unknown, verdict = 0.0, _found(layers)
     claimed = [one.single for one in layers if one.name in verdict.effects]
     joint = together(frame, claimed)
-    # A load that only shows beside the others is none of the effects by themselves.
+    # A load may be found only as a second effect: then no single fit of it is there.
     alone = {one.name for one in evidence.singles}
-    beside = [one for one in layers if one.single in claimed and one.name not in alone]
-    singles = [*evidence.singles, *(frame.fit([one.single.node]) for one in beside)]
-    known |= {one.name: float(np.exp(one.chances[0][1])) for one in beside}
+    second = [one for one in layers if one.single in claimed and one.name not in alone]
+    singles = [*evidence.singles, *(frame.fit([one.single.node]) for one in second)]
+    known |= {one.name: float(np.exp(one.chances[0][1])) for one in second}
     return Budget(
         verdict,
         _causes(record, [n.name for n in joint.nodes], joint.components(), phases, known),

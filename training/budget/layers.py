@@ -124,7 +124,7 @@ def _anew(setting: Setting, layers: list[Layer], energy: float) -> list[Layer]:
 
 def _best(setting: Setting, others: Sequence[Single], energy: float) -> Layer | None:
     """The likeliest effect for what `others` leave."""
-    frame, tried = beside(setting, others)
+    frame, tried = compound_fits(setting, others)
     if not tried:
         return None
     chances = setting.chances(frame, tried)
@@ -134,7 +134,7 @@ def _best(setting: Setting, others: Sequence[Single], energy: float) -> Layer | 
     return Layer(best, tuple(order), float(chances[-1]), _plain(frame, best) / energy)
 
 
-def beside(setting: Setting, others: Sequence[Single]) -> tuple[Frame, list[Single]]:
+def compound_fits(setting: Setting, others: Sequence[Single]) -> tuple[Frame, list[Single]]:
     """The frame of what `others` leave, and every further effect fitted there, best first."""
     frame = setting.without(others)
     known = {one.name for one in others}

@@ -14,7 +14,6 @@ counts as a parameter where probabilities are made of it.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import product
 from math import log
 from typing import Final
@@ -24,8 +23,8 @@ from numba import njit
 
 from narxcal.effects.library import LIBRARY
 from narxcal.effects.memory import Lag
-from narxcal.effects.running import Flights
-from narxcal.effects.steady import FOLLOW_S, UNLOGGED, UnloggedSwitch
+from narxcal.effects.running import with_load
+from narxcal.effects.steady import FOLLOW_S, UnloggedSwitch
 from narxcal.support.arrays import BoolArray, FloatArray
 from training.budget.dictionary import Node
 from training.budget.fitting import Frame, Single
@@ -47,14 +46,6 @@ def found(frame: Frame) -> list[Single]:
     fits = [_fitted(frame, blocks.spread(on)) for on in tried.values()]
     fits = [_again(frame, blocks, one) for one in fits]
     return sorted(fits, key=blocks.price)[:1]
-
-
-def told(flights: Flights, on: BoolArray) -> Flights:
-    """Flights with the windows (flights, time) of a load as one more input."""
-    signals = flights.signals
-    more = replace(signals, inputs=(*signals.inputs, UNLOGGED), active=(*signals.active, UNLOGGED))
-    u = np.concatenate([flights.u, on[..., None].astype(float)], axis=2)
-    return replace(flights, signals=more, u=u)
 
 
 def _again(frame: Frame, blocks: _Blocks, one: Single) -> Single:
@@ -167,11 +158,13 @@ def _viterbi(gain: FloatArray, penalty: float) -> BoolArray:
 
 
 def _fitted(frame: Frame, on: BoolArray) -> Single:
-    """The load in given windows (flights, time), fitted beside the nuisances."""
+    """The load in given windows (flights, time), fitted with the nuisances."""
     flights = frame.record.flights
     signals = flights.signals
     effect = LIBRARY[UnloggedSwitch.id]()
-    parameters = tuple(p for p in effect.parameters(told(flights, on).signals) if p.linear)
+    parameters = tuple(
+        p for p in effect.parameters(with_load(flights, on.astype(float)).signals) if p.linear
+    )
     rows = np.zeros((1 + len(parameters), *flights.y.shape), dtype=np.float32)
     follows = Lag(np.full(len(on), FOLLOW_S), signals.dt_s)(on.astype(float))
     for k in range(len(parameters)):

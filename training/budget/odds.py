@@ -2,9 +2,9 @@
 
     P(k) ~ exp(w' f_k) over all effects, exp(v' g) for "none" and exp(u' g) for "unknown"
 
-f are the features of an effect, g those of the case. The second logit is for a further effect
-beside those in force: features are those of what they leave, and it says "none further" or which.
-The weights are in `odds.json` beside this module, with date, seeds and cases that they were fitted
+f are the features of an effect, g those of the case. The second logit is for a further effect:
+features are those of what the effects in force leave, and it says "none further" or which.
+The weights are in `odds.json` of this folder, with date, seeds and cases that they were fitted
 on (`python -m eval.gap.calibrate`).
 """
 

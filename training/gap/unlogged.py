@@ -18,7 +18,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from narxcal.effects.base import Signals
 from narxcal.effects.memory import Lag
 from narxcal.effects.running import Flights
-from narxcal.effects.steady import FOLLOW_S, UNLOGGED, UnloggedSwitch
+from narxcal.effects.steady import FOLLOW_S, UnloggedSwitch
 from narxcal.support.arrays import BoolArray, FloatArray
 from training.gap.blocks import drawn_anew
 from training.gap.fitting import Fit
@@ -99,22 +99,6 @@ def find_known_load(
         return none
     windows, on = told(found, Searched(flights, measure, levels, shift))
     return replace(none, on=on, windows=windows)
-
-
-def with_load(
-    flights: Flights, on: FloatArray, price: FloatArray | None = None, *, always: bool = False
-) -> Flights:
-    """Flights with one more input, `on` (flights, time), and the `price` (flights,) of its windows.
-
-    As they were where it is on nowhere, unless `always`.
-    """
-    if not (always or on.any()):
-        return flights
-    signals = flights.signals
-    names = (*signals.inputs, UNLOGGED), (*signals.active, UNLOGGED)
-    more = replace(signals, inputs=names[0], active=names[1])
-    u = np.concatenate([flights.u, on[..., None]], axis=2)
-    return replace(flights, signals=more, u=u, price=price)
 
 
 def has_load(tried: Fit) -> bool:

@@ -1,4 +1,4 @@
-"""Training flights beside models without them: nothing is tried by what was fitted to it."""
+"""Training flights compared with models without them: nothing is tried by what was fitted to it."""
 
 import numpy as np
 import pytest

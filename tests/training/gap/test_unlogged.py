@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from narxcal.effects import Flights, Signals
+from narxcal.effects.running import with_load
 from narxcal.effects.sensor_side import SensorDrift
 from narxcal.effects.steady import UNLOGGED, BleedExtraction, HeatSoak, UnloggedSwitch
 from narxcal.turbofan import Unmodelled, VirtualEngine
@@ -20,7 +21,6 @@ from training.gap.unlogged import (
     find_load,
     has_load,
     priced,
-    with_load,
     witnesses,
 )
 from training.gap.work import Options, Simulators
