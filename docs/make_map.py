@@ -1,4 +1,4 @@
-"""Writes docs/map.md: every module of every room, with the first line of its own docstring.
+"""Writes docs/map.md: every module of every room, with the start of its own docstring.
 
 Run `make map` after adding or renaming a module; the tests compare.
 """
@@ -6,6 +6,7 @@ Run `make map` after adding or renaming a module; the tests compare.
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -13,9 +14,10 @@ PACKAGES = ("narxcal", "data_prep", "training", "eval")
 HEAD = """\
 # Map of the modules
 
-One table per room, from the roof down as imports go; what a module is for is the first line of its
-own docstring. Written by `make map`.
+By room, from the roof down as imports go: of every module the start of its docstring. Each command is
+a module of `narxcal/cli/`. Written by `make map`.
 """
+_SHORTEST = 24  # characters: a shorter head ("Prepare logs: ...") says too little without what follows
 
 
 def rooms() -> dict[str, list[Path]]:
@@ -33,14 +35,23 @@ def page() -> str:
     """Text of the page."""
     parts = [HEAD]
     for room, modules in rooms().items():
-        rows = [f"| `{path.stem}` | {_purpose(path)} |" for path in modules]
-        parts.append("\n".join([f"## `{room}/`", "", "| module | |", "|---|---|", *rows, ""]))
+        said = {path.stem: _purpose(path) for path in modules}
+        rows = [f"- `{k}`: {_head(v)}" for k, v in said.items() if not v.startswith("`narxcal ")]
+        parts.append("\n".join([f"## `{room}/`", "", *rows, ""]))
     return "\n".join(parts)
 
 
 def _floor(room: str) -> tuple[int, str]:
     order = ("narxcal/cli", "eval", "training", "data_prep", "narxcal")
     return next(k for k, top in enumerate(order) if room.startswith(top)), room
+
+
+def _head(purpose: str) -> str:
+    """Give the text up to its first colon, semicolon or full stop that leaves enough of it."""
+    for end in re.finditer(r"[:;.] ", purpose):
+        if end.start() >= _SHORTEST:
+            return purpose[: end.start()]
+    return purpose
 
 
 def _purpose(path: Path) -> str:
