@@ -121,7 +121,7 @@ class _Search:
         return list(zip(firsts.tolist(), lasts.tolist(), strict=True))
 
     def trimmed(self, span: tuple[int, int], sign: int) -> Move:
-        """Cut off what is slow beside the peak rate, and place the start exactly."""
+        """Cut off what is slow compared with the peak rate, and place the start exactly."""
         first, last = span
         rate = sign * self.rate[first:last]
         moving = np.flatnonzero(rate > _MOVING * rate.max())

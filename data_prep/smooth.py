@@ -211,7 +211,7 @@ def _quarter_second(dt_s: float) -> int:
 def _pace(raw: FloatArray, span: int) -> FloatArray:
     """How far `raw` `(time,)` moves from `span` samples before each to as many after it.
 
-    NaN at the ends and beside missing samples.
+    NaN at the ends and next to missing samples.
     """
     padded = np.concatenate((np.full(span, np.nan), raw, np.full(span, np.nan)))
     moved: FloatArray = np.abs(padded[2 * span :] - padded[: -2 * span])

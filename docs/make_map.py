@@ -14,10 +14,10 @@ PACKAGES = ("narxcal", "data_prep", "training", "eval")
 HEAD = """\
 # Map of the modules
 
-By room, from the roof down as imports go: of every module the start of its docstring. Each command is
-a module of `narxcal/cli/`. Written by `make map`.
+By room, from the roof down as imports go: of every module the start of its docstring. Each command
+is a module of `narxcal/cli/`. Written by `make map`.
 """
-_SHORTEST = 24  # characters: a shorter head ("Prepare logs: ...") says too little without what follows
+_SHORTEST = 24  # characters: a shorter head, such as "Prepare logs: ...", needs what follows
 
 
 def rooms() -> dict[str, list[Path]]:

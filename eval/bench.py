@@ -1,4 +1,4 @@
-"""Our own figures beside their targets: `make bench`, or `python -m eval.bench`.
+"""Our own figures and their targets: `make bench`, or `python -m eval.bench`.
 
 Speed is given as ratios measured in one run, since a busy machine slows both sides. Nothing is
 taken from a file: every figure is measured when the command runs.

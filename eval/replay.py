@@ -1,4 +1,4 @@
-"""Replay: a flight streamed through model and fuser, sample by sample, as beside the engine.
+"""Replay: a flight streamed through model and fuser, sample by sample, as on line.
 
 `replay` reads a CSV as a stream, puts each engine's rows on the model's sampling grid, runs one
 `EngineReplay` per engine over them and writes the results as CSV.

@@ -26,7 +26,7 @@ _BASELINES = ("steady", "1st order", "ARX")
 
 
 def print_scores(console: Console, logs: Sequence[LogEvaluation]) -> None:
-    """One table per log: free run beside the baselines, the lowest RMSE in bold."""
+    """One table per log: free run and baselines, the lowest RMSE in bold."""
     for one in logs:
         table = _table(one.log.name)
         table.add_column("RMSE of", no_wrap=True)
@@ -72,7 +72,7 @@ def print_transients(console: Console, logs: Sequence[LogEvaluation]) -> None:
 
 
 def print_levels(console: Console, logs: Sequence[LogEvaluation]) -> None:
-    """Level and lag of the free run over each whole log, beside what held-out logs allow."""
+    """Level and lag of the free run over each whole log, and what held-out logs allow."""
     for one in logs:
         table = _table(one.log.name)
         table.add_column("Level of", no_wrap=True)

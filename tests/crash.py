@@ -1,7 +1,7 @@
 """Kill a writer at any of its file events, in this process, as SIGKILL or a power cut would.
 
 Python's audit hook reports every opening for writing, renaming, making and removing below a folder;
-`fsync` and the exchange of two names are reported beside it. From the event `kill_at` on, each
+`fsync` and the exchange of two names are reported besides. From the event `kill_at` on, each
 raises `Killed`, which no command catches, so that nothing that the writer still tries (clean-up
 included) changes the disk. Its process number is one that no process has.
 """

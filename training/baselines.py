@@ -142,7 +142,7 @@ def fit_baselines(calibration: Calibration, logs: Sequence[Log]) -> dict[str, An
 
 
 def run_of(calibration: Calibration, log: Log) -> Run:
-    """Steady-state values of the log's own engine beside what was measured."""
+    """Steady-state values of the log's own engine, and what was measured."""
     own = calibration.for_engine(log.source.engine)
     steady = own.steady.outputs(log.matrix(own.input_names))
     return Run(np.asarray(steady, dtype=np.float64), log.matrix(own.output_names))

@@ -11,7 +11,7 @@ The ladder, each rung started from the one below:
 | latent states | 1 to 8 states, 4 to 16 hidden units, from the linear model on (training.latent) |
 | mean | weighted mean of the best of two or three rungs |
 
-Folds are records, or blocks of them where there are fewer than four, with a gap beside what is held
+Folds are records, or blocks of them where there are fewer than four, with a gap around what is held
 out (training.held_out). Each held-out piece is simulated twice, from its beginning and from a third
 of it, after windows of measured outputs of two lengths. training.ranking says which form leads.
 """

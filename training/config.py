@@ -104,7 +104,7 @@ SCHEMA: Final = "narxcal.config/1"
 _DECAY_BEHIND_LAGS: Final = 0.03
 _SCHEDULE: Final = ("ALT_ft", "Mach")
 _LINKED: Final = ("narx", "train", "steady_state")
-_SCENARIO: Final = "fly_"  # begins the names of scenarios of virtual flights, shipped beside
+_SCENARIO: Final = "fly_"  # begins the names of scenarios of virtual flights, shipped too
 
 
 class NarxSection(Section):

@@ -238,7 +238,7 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         """Coefficient of determination of the free run, pooled over records and outputs.
 
         Where the outputs never vary it is 1 for a free run without error, else 0. `y` is nothing:
-        scikit-learn's pipelines pass targets beside the records.
+        scikit-learn's pipelines pass targets with the records.
 
         The first `start` measured samples of each record initialise it and are not scored; one
         that is masked takes the channel's first known value. Raises `DataError` for records that

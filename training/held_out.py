@@ -46,7 +46,7 @@ def known_start(y: FloatArray, samples: int) -> FloatArray:
 
 
 def folds_of(records: Sequence[Record], gap: int, count: int = 2 * FOLDS) -> list[Fold]:
-    """Held-out records, or blocks where there are fewer than four; `gap` samples beside left out.
+    """Held-out records, or blocks where there are fewer than four; `gap` samples around left out.
 
     Blocks are a sixth of all samples each and overlap by a third, so that what happens rarely is
     not always at the edge of one.

@@ -21,7 +21,7 @@ from training.ranking import Form, Tried
 
 UNITS_PER_S = 1_000_000  # sample-steps of one nominal microsecond in a CPU second
 _EMERGENCY = 4.0, 60.0  # the clock stops the search at so many times the limit and CPU s more
-_STEP = 0.6  # nominal microseconds of a free run's sample-step beside its products
+_STEP = 0.6  # nominal microseconds of a free run's sample-step in addition to its products
 _CALL = 200.0  # nominal microseconds of a step of Levenberg-Marquardt on no samples
 # Multiply-adds in a nominal microsecond: of a least-squares product, of the recursion of
 # sensitivities, of J'J, of which half is computed, and of its factor.

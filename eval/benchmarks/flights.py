@@ -41,7 +41,7 @@ class Campaign:
     """Flights of one configuration; targets in the channels' units, and for errors in %.
 
     `unlogged` (file -> (start, stop) in s, ...) are windows of a load that no channel records;
-    errors and events outside of them are shown beside the whole.
+    errors and events outside of them are shown in addition to the whole.
     """
 
     name: str

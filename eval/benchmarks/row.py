@@ -13,7 +13,7 @@ Bound = Literal["at most", "at least", ""]
 
 @dataclass(frozen=True)
 class Row:
-    """A measured figure beside what it is compared with.
+    """A measured figure and what it is compared with.
 
     `target` is a bound that `value` has to keep (`bound` "" : none). `source` says where the
     target comes from, `note` how the figure was measured. A figure that could not be measured

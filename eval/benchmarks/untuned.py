@@ -1,6 +1,6 @@
 """Accuracy of configurations that name columns and split alone: `python -m eval.bench --untuned`.
 
-On every set one recording takes no part in training. The figures of the model stand beside those
+On every set one recording takes no part in training. The model's figures are compared with those
 of the better baseline (first-order lag or linear ARX, channel by channel). Virtual engines are
 flown and written as a recorder would; logs of real engines, and of those simulated by others, are
 read where they are. A set's configuration says which columns there are, which log is judged and

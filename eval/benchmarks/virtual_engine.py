@@ -199,7 +199,7 @@ GROUP = "virtual engine"
 
 
 class PublishedFigure(NamedTuple):
-    """A published figure beside that of each engine, in the order of `PRESETS`."""
+    """A published figure and that of each engine, in the order of `PRESETS`."""
 
     name: str
     unit: str

@@ -316,7 +316,7 @@ def _short(name: str) -> str:
 
 
 def noise(sweep: NoiseSweep) -> Picture:
-    """Plot RMSE against signal-to-noise ratio, and the filter's consistency beside it."""
+    """Plot RMSE against signal-to-noise ratio, and the filter's consistency."""
     table, name = sweep.table, symbol(sweep.channel)
     figure = style.figure(10.0, 2.9)
     left, right = figure.subplots(1, 2)

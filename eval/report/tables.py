@@ -73,7 +73,7 @@ def figure(value: float | None, mark: Mark = "", digits: int = 3) -> Cell:
 
 
 def scores(views: Sequence[LogView]) -> Table:
-    """Free-run errors per log and channel beside the baselines; the lowest RMSE is marked."""
+    """Free-run errors of model and baselines per log and channel; the lowest RMSE is marked."""
     trim = any(one.evaluation.untrimmed for one in views if one.evaluation is not None)
     led = any(
         found.network_rmse != found.rmse
@@ -372,7 +372,7 @@ def masked_scores(views: Sequence[LogView]) -> Table:
 
 
 def levels(views: Sequence[LogView]) -> Table:
-    """Level and lag over each whole log, beside what held-out training logs allow."""
+    """Level and lag over each whole log, and what held-out training logs allow."""
     marks: dict[bool | None, tuple[str, Mark]] = {
         True: ("pass", "good"), False: ("fail", "bad"), None: ("not judged", "none"),
     }  # fmt: skip
@@ -393,7 +393,7 @@ def levels(views: Sequence[LogView]) -> Table:
 
 
 def tallies(views: Sequence[LogView]) -> Table:
-    """Ti and Tt of the model beside those of the baselines, on the same events."""
+    """Ti and Tt of the model and of the baselines, on the same events."""
     head = (
         "model", "passed", "assessed", "passed [%]", "mean |ΔTi| [%]", "mean |ΔTt| [%]",
         "mean |ΔTi| [s]", "mean |ΔTt| [s]",
@@ -416,7 +416,7 @@ def tallies(views: Sequence[LogView]) -> Table:
 
 
 def event_times(event: AssessedEvent) -> Table:
-    """Ti and Tt of one event, to stand beside its overlay."""
+    """Ti and Tt of one event, shown next to its overlay."""
     head = ("channel", "", "flight [s]", "model [s]", "Δ [s]", "|Δ| [%]", "allowed [s]", "outcome")
     rows: list[tuple[Cell, ...]] = []
     for one in event.assessments:

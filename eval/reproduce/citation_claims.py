@@ -1,4 +1,4 @@
-"""Claims C1 to C15 of the Citation X paper beside what virtual flights give."""
+"""Claims C1 to C15 of the Citation X paper, compared with what virtual flights give."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def grey_boxes(kind: Kind) -> list[Candidate]:
 
 
 def black_boxes() -> list[Candidate]:
-    """State space by group of outputs and order, in modal form; canonical and C = I beside it."""
+    """State space by group of outputs and order, in modal and canonical form, and with C = I."""
     pairs = [("1/O", 1), ("1/O", 2), ("1/O", 3), ("1/O", 4), ("2/O", 2), ("2/O", 3), ("3/O", 3),
              ("5/O", 2), ("5/O", 5)]  # fmt: skip
     found = [_black_box(outputs, order, "modal") for outputs, order in pairs]

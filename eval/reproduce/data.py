@@ -161,7 +161,7 @@ class DataSets:
 def read_data_sets(config: RunConfig, base: Path) -> DataSets:
     """Read and prepare the logs of `config`, numbered by file name as a person counts.
 
-    A folder `truth` beside them may hold files of the same names with the outputs without
+    A folder `truth` next to them may hold files of the same names with the outputs without
     sensors, and the folders of `FAMILIES` further records. Raises `DataError` for fewer logs
     than three, for a split without test logs, for logs without a spool speed, and for a truth
     that does not fit its log.

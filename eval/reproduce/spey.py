@@ -1,4 +1,4 @@
-"""The Spey paper (DeHoff et al.): its claims beside its own tables and simulated flights.
+"""The Spey paper (DeHoff et al.): its claims against its own tables and simulated flights.
 
 The paper's records are not available: `paper_study` recomputes what follows from its tables.
 """

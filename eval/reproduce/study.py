@@ -1,4 +1,4 @@
-"""A reproduced study: the paper's claims beside our figures, tables and pictures."""
+"""A reproduced study: the paper's claims with our figures, tables and pictures."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Claim:
 class Study:
     """One study of a paper: `source` is where the paper has it, `text` how ours was done.
 
-    `results` is what `reproduce.json` holds of it, beside the claims; `sheets` are logs of
+    `results` is what `reproduce.json` holds of it in addition to the claims; `sheets` are logs of
     which every event is drawn.
     """
 
@@ -98,7 +98,7 @@ def or_nan(value: float | None) -> float:
 
 
 def claim_table(claims: Sequence[Claim], caption: str = "") -> Table:
-    """Each claim with our figure beside it and, where ours falls short, a mark."""
+    """Each claim with our figure and, where ours falls short, a mark."""
     remarks = any(claim.remark for claim in claims)
     head = ("claim", "made by", "claimed", "ours", "outcome", *(("remark",) if remarks else ()))
     rows = tuple(

@@ -9,7 +9,7 @@
     units        {channel: unit}
     weights      {"file", "sha256", "arrays": {name: {"dtype", "shape"}}}
     files        {"steady/NAME": sha256} of what the steady-state model needs, such as an FMU
-    calibration  lags, widths, names and whatever the `Calibration` needs beside arrays
+    calibration  lags, widths, names and whatever the `Calibration` needs in addition to arrays
     versions     of Python and the packages that made it
     ...          what the trainer adds: config, data hashes, split, seeds, metrics
 
@@ -240,7 +240,7 @@ def save_bundle(folder: str | PathLike[str], bundle: Bundle, replace: bool = Fal
 
 
 def write_bundle(folder: str | PathLike[str], bundle: Bundle) -> None:
-    """Write `bundle` into an existing folder beside what is there.
+    """Write `bundle` into an existing folder, next to what is there.
 
     The document is exchanged after the new weights are on the disk and before the old ones go, so
     that a reader finds either bundle whole, wherever the writer is killed.

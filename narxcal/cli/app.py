@@ -44,9 +44,9 @@ COMMANDS = {
     "info": "Describe a model and where it comes from.",
     "denoise": "The paper's noise experiment: raw, fused and free run against SNR.",
     "fly": "Fly the virtual engine and write what its recorder measured.",
-    "reproduce": "A paper's tables and figures, our numbers beside its claims.",
+    "reproduce": "A paper's tables and figures, our numbers next to its claims.",
     "export": "Write a steady-state model as a table or an FMU.",
-    "benchmark": "One recipe on public system-identification sets, beside what others reach.",
+    "benchmark": "One recipe on public system-identification sets, with published figures.",
     "diagnose": "Find where simulator and flights differ, by which effect, and how far it shrinks.",
     "blind": "Make cases whose effect is withheld, answer them without the key, score with it.",
 }

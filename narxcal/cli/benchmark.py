@@ -1,4 +1,4 @@
-"""`narxcal benchmark`: one recipe on public sets, beside what others reach."""
+"""`narxcal benchmark`: one recipe on public sets, compared with published figures."""
 
 from __future__ import annotations
 

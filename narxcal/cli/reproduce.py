@@ -1,4 +1,4 @@
-"""`narxcal reproduce PAPER`: a paper's tables and figures, our numbers beside its claims.
+"""`narxcal reproduce PAPER`: a paper's tables and figures, our numbers next to its claims.
 
 OUT holds the page and its JSON; of the calibration paper also the flights (unless the user brought
 some) and the model.

@@ -162,7 +162,7 @@ _total_ratios = compiled(atmosphere.total_ratios)
 def conditions(
     inputs: FloatArray, ss: FloatArray, centre: FloatArray, half: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What `Drive` has beside ss, from altitude, Mach and dT (T, 3), ss (T, o) and scales (o,)."""
+    """What `Drive` adds to ss, from altitude, Mach and dT (T, 3), ss (T, o) and scales (o,)."""
     target, per_unit, air = np.empty(ss.shape), np.empty(ss.shape), np.empty((len(ss), 3))
     for k in range(len(ss)):
         theta2, delta2 = _total_ratios(inputs[k, 0], inputs[k, 1], inputs[k, 2])

@@ -271,7 +271,7 @@ def jacobian(
     run can be done in blocks. `scored` is low (o,), high (o,) and root (T, o), the roots of the
     weights: where one is zero there is no row.
 
-    Only the last `lags` steps are held beside what is returned, each at a place of its own in a
+    Only the last `lags` steps are held besides the result, each at a place of its own in a
     ring, so that nothing is shifted and the work stays in the processor's cache.
     """
     phi, rest, rest_active = features

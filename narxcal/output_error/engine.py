@@ -8,12 +8,13 @@
 | `EngineAndControl` | delta_c | delta_TM, W_FM, N_HM, N_LM, P_TM, P_DM (Table 2) |
 
 The chain of blocks is delta_c -> play -> delta_T -> K_TH -> N_c -> governor -> W_F -> rotors ->
-pressures, with the sensors beside it. All are deviations from 100 % power. Units: percent of the
+pressures, and the sensors. All are deviations from 100 % power. Units: percent of the
 full-power value for N, P, W; degrees for delta; counts for the throttle pickoff; the paper prints
 none, these are inferred.
 
 A run starts in the equilibrium of its first input plus N_H_start, N_L_start (and for the linkage
-delta_T_start inside the play). A record that starts steady does not determine those beside offsets.
+delta_T_start inside the play). A record that starts steady
+does not determine those together with offsets.
 """
 
 from __future__ import annotations

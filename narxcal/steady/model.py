@@ -83,7 +83,7 @@ class StorableSteadyState(SteadyStateModel, Protocol):
 
 @runtime_checkable
 class CarriesFiles(Protocol):
-    """A steady-state model that needs a file beside the bundle, such as an FMU.
+    """A steady-state model that needs a file next to the bundle, such as an FMU.
 
     A bundle copies each file, and `meta["file"]` names the copy when it is loaded.
     """

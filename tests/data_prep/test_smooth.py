@@ -203,7 +203,7 @@ def test_comparison_of_a_masked_channel_is_undefined_not_an_error():
 
 @pytest.mark.parametrize("window", [3, 11, 21])
 def test_the_noise_that_smoothing_takes_is_known(window):
-    """Of samples beside slams and gaps; nothing is known of what is masked or not averaged."""
+    """Of samples near slams and gaps; nothing is known of what is masked or not averaged."""
     rng = np.random.default_rng(window)
     speed = np.repeat(rng.uniform(60.0, 90.0, 20), 800) + np.tile(np.linspace(0.0, 2.0, 800), 20)
     raw = speed + 0.05 * rng.normal(size=speed.size)

@@ -35,7 +35,7 @@ def test_first_order_lag_with_dead_time(tau_s, delay_s, before, response):
     read = measure_transient(time_s, before + response * unit, START_S, CONFIG)
     assert read.reason is None
     # Linear interpolation of a curve with curvature 1/tau^2 is wrong by dt^2/(8 tau) at most;
-    # the knee at the end of the dead time costs up to one sample if it lies beside 10 %.
+    # the knee at the end of the dead time costs up to one sample if it lies next to 10 %.
     tolerance = 1e-6 + 0.01**2 / tau_s
     assert read.Ti_s == pytest.approx(delay_s + tau_s * np.log(1 / 0.9), abs=tolerance)
     assert read.Tt_s == pytest.approx(tau_s * np.log(9.0), abs=2 * tolerance)

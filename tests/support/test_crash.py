@@ -120,7 +120,7 @@ def bundle_of(number, deck):
 @HOW
 @pytest.mark.parametrize("former", [False, True])
 def test_a_bundle_in_its_run_folder(tmp_path, monkeypatch, former, exchange, power):
-    """`train` writes into the run folder, beside its checkpoints."""
+    """`train` writes into the run folder, next to its checkpoints."""
     monkeypatch.setattr(module, "calibration_from_arrays", Calibration.from_arrays)
     deck = Deck(tmp_path / "deck.fmu")
     deck.size = np.ones(300)

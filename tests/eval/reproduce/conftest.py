@@ -15,7 +15,7 @@ def write_set(piece):
     """Write a data set and, where wanted, its truth."""
 
     def write(folder, number, seed, *, truth=True):
-        """One flight as `data_set_NN.csv`, and its outputs without sensors beside it."""
+        """One flight as `data_set_NN.csv`, and its outputs without sensors next to it."""
         flight, name = piece(seed), f"data_set_{number:02d}.csv"
         Path(folder).mkdir(parents=True, exist_ok=True)
         flight.to_csv(folder / name)
