@@ -16,14 +16,15 @@ import datetime as dt
 import json
 import os
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import log_softmax, logsumexp
+from scipy.special import log_softmax, logit, logsumexp
+from sklearn.linear_model import LogisticRegression
 
 from eval.gap.blind.files import open_key
 from eval.gap.blind.outcome import Outcome
@@ -122,7 +123,7 @@ def _second(outcome: Outcome, row: Mapping[str, Any]) -> BoolArray:
     others = [name for name in outcome.true_effects if name != leader]
     right = np.array([name in others for name in names] + [False])
     shares = [outcome.truth["budget"][name]["share"] for name in others]
-    right[-1] = not right.any() or max(shares) < _SMALL or leader not in outcome.true_effects
+    right[-1] = not right.any() or max(shares) < _SMALL
     return right
 
 
@@ -152,20 +153,62 @@ def fitted(choices: Sequence[Choice], around: FloatArray | None = None) -> Float
 
 
 def fit(cases: Sequence[Case]) -> Odds:
-    """The weights of both logits; those of further effects shrink towards those of the first."""
+    """The weights of both logits, and how sure the likeliest effect is.
+
+    That is judged on engines of each family by weights that were fitted on the others.
+    """
+    leading = []
+    for own, others in _each_family(cases):
+        odds = logits(others)
+        leading += [(_likeliest(one.first, odds), one.outcome.true_effects) for one in own]
+    odds = logits(cases)
+    right = np.array([name in true for (name, _), true in leading])
+    if len({*right.tolist()}) < 2:
+        return odds
+    known = logit(np.clip([chance for (_, chance), _ in leading], 1e-6, 1.0 - 1e-6))
+    curve = LogisticRegression(C=10.0).fit(known[:, None], right)
+    return replace(odds, acts=(float(curve.intercept_[0]), float(curve.coef_[0, 0])))
+
+
+def logits(cases: Sequence[Case]) -> Odds:
+    """The weights of both logits; those of further effects shrink towards those of the first.
+
+    A further effect is asked for where the first one acts: other cases say nothing of it.
+    """
     n, m = len(FEATURES), len(OF_CASE)
     w = fitted([one.first for one in cases])
-    more = fitted([each for one in cases for each in one.further.values()], w[:n])
+    true = [
+        choice
+        for one in cases
+        for leader, choice in one.further.items()
+        if leader in one.outcome.true_effects
+    ]
+    more = fitted(true, w[:n]) if true else np.concatenate([w[:n], np.zeros(m)])
     parts = (w[:n], w[n : n + m], w[n + m :], more[:n], more[n:])
     return Odds(*(tuple(part.tolist()) for part in parts))
+
+
+def _each_family(cases: Sequence[Case]) -> Iterator[tuple[list[Case], list[Case]]]:
+    """Cases of each family, and those of the others; nothing of a single family."""
+    for family in dict.fromkeys(one.family for one in cases):
+        own = [one for one in cases if one.family == family]
+        if len(own) < len(cases):
+            yield own, [one for one in cases if one.family != family]
+
+
+def _likeliest(choice: Choice, odds: Odds) -> tuple[str, float]:
+    """The likeliest effect and its probability."""
+    chances = np.exp(odds.first(choice.effects, choice.features, choice.case))[:-2]
+    best = int(np.argmax(chances))
+    return choice.effects[best], float(chances[best])
 
 
 def judged(one: Case, odds: Odds) -> dict[str, Any]:
     """What the weights say of a case, how probable it is, and whether it is right."""
     true, first = one.outcome.true_effects, one.first
-    chances = np.exp(odds.first(first.effects, first.features, first.case))
-    leader = first.effects[int(np.argmax(chances[:-2]))]
-    said = [leader] if chances[:-2].max() > chances[-2:].sum() else []
+    leader, chance = _likeliest(first, odds)
+    others = np.exp(odds.first(first.effects, first.features, first.case))[-2:]
+    said = [leader] if chance > others.sum() else []
     more = one.further.get(leader)
     if said and more is not None:
         beside_it = odds.more(more.effects, more.features, more.case)
@@ -174,7 +217,7 @@ def judged(one: Case, odds: Odds) -> dict[str, Any]:
     return {
         "kind": one.outcome.kind,
         "large": one.outcome.gap_share >= _SMALL,
-        "probability": float(chances[:-2].max()),
+        "probability": odds.sure(chance),
         "named": bool(said),
         "right": leader in true,
         "exact": {*said} == {*true},
@@ -206,9 +249,9 @@ def _share(values: Sequence[bool]) -> list[float]:
 def left_out(cases: Sequence[Case]) -> list[dict[str, Any]]:
     """Every family judged by weights that were fitted on the others."""
     rows: list[dict[str, Any]] = []
-    for family in dict.fromkeys(one.family for one in cases):
-        odds = fit([one for one in cases if one.family != family])
-        rows += [judged(one, odds) for one in cases if one.family == family]
+    for own, others in _each_family(cases):
+        odds = fit(others)
+        rows += [judged(one, odds) for one in own]
     return rows
 
 

@@ -118,11 +118,12 @@ def concluded(evidence: Evidence, phases: Phases) -> Budget:
         unknown, verdict = 0.0, _found(layers)
     claimed = [one.single for one in layers if one.name in verdict.effects]
     joint = together(frame, claimed)
-    # A load may be found only as a second effect: then no single fit of it is there.
+    # A load may be found only as a further effect: then no single fit of it is there.
     alone = {one.name for one in evidence.singles}
     second = [one for one in layers if one.single in claimed and one.name not in alone]
     singles = [*evidence.singles, *(frame.fit([one.single.node]) for one in second)]
-    known |= {one.name: float(np.exp(one.chances[0][1])) for one in second}
+    places = [one for one in layers if one.single in claimed and one.chances]
+    known |= {o.name: max(known.get(o.name, 0.0), float(np.exp(o.chances[0][1]))) for o in places}
     return Budget(
         verdict,
         _causes(record, [n.name for n in joint.nodes], joint.components(), phases, known),
@@ -137,7 +138,10 @@ def concluded(evidence: Evidence, phases: Phases) -> Budget:
 
 
 def _assumed(evidence: Evidence) -> tuple[dict[str, float], float, float, list[Layer]]:
-    """Probabilities of effects, none and unknown by the logit; layers on the likeliest."""
+    """Probabilities of effects, none and unknown by the logit; layers on the likeliest.
+
+    No layers where none and unknown together are likelier.
+    """
     names, setting = [one.name for one in evidence.singles], evidence.setting
     chances = setting.odds.first(names, evidence.effects, evidence.case)
     if evidence.energy < _NOTHING * evidence.frame.floor:
@@ -145,9 +149,11 @@ def _assumed(evidence: Evidence) -> tuple[dict[str, float], float, float, list[L
         chances[-2] = 0.0
     known = dict(zip(names, np.exp(chances[:-2]).tolist(), strict=True))
     none, unknown = np.exp(chances[-2:]).tolist()
-    if none == 1.0:
+    best = evidence.singles[int(np.argmax(chances[:-2]))]
+    if known[best.name] <= none + unknown:
         return known, none, unknown, []
-    first = Layer(evidence.singles[int(np.argmax(chances[:-2]))], (), float(chances[-2]), 0.0)
+    first = Layer(best, (), float(chances[-2]), 0.0)
+    known[best.name] = setting.odds.sure(known[best.name])
     return known, none, unknown, further(setting, first, evidence.energy)
 
 
@@ -182,12 +188,12 @@ def _verdict(
     known: dict[str, float], none: float, unknown: float, layers: Sequence[Layer]
 ) -> Verdict:
     """The most probable answer; a set where the first effect is not likelier than the others."""
-    first = max(known, key=lambda name: known[name])
-    if known[first] <= none + unknown:
+    if not layers:
         if none >= unknown:
             return Verdict("none", (), (), "nothing acts beyond what builds and flights differ by")
         return Verdict("unknown", (), (), "something acts that no effect of the library explains")
     effects = tuple(one.name for one in layers)
+    first = effects[0]
     confusable = credible(known, first)
     confusable = tuple(name for name in confusable if name not in effects)
     manoeuvre = LIBRARY[first.partition(":")[0]].manoeuvre

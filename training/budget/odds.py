@@ -4,6 +4,10 @@
 
 f are the features of an effect, g those of the case. The second logit is for a further effect:
 features are those of what the effects in force leave, and it says "none further" or which.
+The softmax divides one: where two effects act, each gets half, and of a small gap "none" is as right
+as what acts. Whether the likeliest effect acts is another question, whose answer is Platt's
+(*Probabilistic outputs for support vector machines*, 1999): a logistic curve over the log odds.
+
 The weights are in `odds.json` of this folder, with date, seeds and cases that they were fitted
 on (`python -m eval.gap.calibrate`).
 """
@@ -17,7 +21,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from scipy.special import log_softmax
+from scipy.special import expit, log_softmax, logit
 
 from narxcal.support.arrays import FloatArray
 from training.budget.fitting import Frame, Single
@@ -25,6 +29,7 @@ from training.budget.quadratic import solve
 
 _SCALES: Final = ("sensor_gain", "driver_gain")
 _RARE: Final = -1.6  # one to five
+_EDGE: Final = 1e-6  # no probability is nearer to 0 or 1
 _FAINT: Final = 0.03  # log ratio below which all are alike: about that of nulls
 FEATURES = ("bare", "ratio", "log_ratio", "explained", "size", "gain", "response")
 OF_CASE = ("one", "bare", "ratio", "explained")
@@ -35,7 +40,7 @@ class Odds:
     """Weights of the features of an effect and of the case, in both logits.
 
     `effect`, `none` and `unknown` are those of the first effect; `further` and `enough` those of
-    one more, and of none further.
+    one more, and of none further. `acts` are offset and slope over the log odds of the likeliest.
     """
 
     effect: tuple[float, ...]
@@ -43,6 +48,7 @@ class Odds:
     unknown: tuple[float, ...]
     further: tuple[float, ...]
     enough: tuple[float, ...]
+    acts: tuple[float, float] = (0.0, 1.0)
 
     def first(self, names: Sequence[str], effects: FloatArray, case: FloatArray) -> FloatArray:
         """Log probabilities (n + 2,) of n effects of features (n, ...), of none, of unknown."""
@@ -53,6 +59,11 @@ class Odds:
         """Log probabilities (n + 1,) of a further effect, and of none."""
         own = effects @ np.array(self.further) + np.array([prior(name) for name in names])
         return np.asarray(log_softmax([*own, case @ self.enough]))
+
+    def sure(self, leading: float) -> float:
+        """Probability that the likeliest effect acts, from its probability among all answers."""
+        offset, slope = self.acts
+        return float(expit(offset + slope * logit(np.clip(leading, _EDGE, 1.0 - _EDGE))))
 
 
 def prior(name: str) -> float:
@@ -94,5 +105,5 @@ def load(path: Path | None = None) -> Odds:
     found: Mapping[str, Sequence[float]] = json.loads(
         (path or Path(__file__).with_name("odds.json")).read_text(encoding="utf-8")
     )
-    keys = ("effect", "none", "unknown", "further", "enough")
-    return Odds(*(tuple(found[key]) for key in keys))
+    keys = ("effect", "none", "unknown", "further", "enough", "acts")
+    return Odds(**{key: tuple(found[key]) for key in keys})

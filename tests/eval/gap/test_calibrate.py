@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from eval.gap.calibrate import Choice, fit, fitted, read_case, written
+from eval.gap.calibrate import Choice, fit, fitted, left_out, read_case, written
 from training.budget.odds import FEATURES, OF_CASE, load
 
 EFFECTS = ("a", "b", "c")
@@ -70,6 +70,19 @@ def test_answers_that_are_right(tmp_path, content, right, beside):
     answers = np.array([*EFFECTS, "none", "unknown"])
     assert answers[case.first.right].tolist() == right
     assert np.array(["b", "c", "none"])[case.further["a"].right].tolist() == beside
+
+
+def test_an_effect_that_is_right_more_often_than_its_share_says_is_surer(tmp_path):
+    # Two effects that act share the softmax, and either is right.
+    cases = [
+        stored(tmp_path, f"{engine}{k}", *content, engine=engine)
+        for engine in ("maker", "lumped", "foreign")
+        for k, content in enumerate([("pair", ["a", "b"], 0.5)] * 8 + [("null", [], 0.0)] * 2)
+    ]
+    rows = left_out(cases)
+    named = [row["probability"] for row in rows if row["kind"] == "pair"]
+    assert np.mean(named) == pytest.approx(0.8, abs=0.1)
+    assert fit(cases).acts != (0.0, 1.0)
 
 
 def test_what_is_written_can_be_loaded_and_says_what_it_rests_on(tmp_path):

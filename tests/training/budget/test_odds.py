@@ -22,3 +22,10 @@ def test_the_weights_that_are_shipped_fit_the_features():
     odds = load()
     assert {len(odds.effect), len(odds.further)} == {len(FEATURES)}
     assert {len(odds.none), len(odds.unknown), len(odds.enough)} == {len(OF_CASE)}
+
+
+def test_how_sure_the_likeliest_effect_is_follows_a_logistic_curve():
+    odds = Odds((), (), (), (), (), (np.log(3.0), 1.0))
+    assert odds.sure(0.5) == pytest.approx(0.75)  # even odds, three times as often right
+    assert odds.sure(0.0) < odds.sure(0.4) < odds.sure(1.0) < 1.0
+    assert Odds((), (), (), (), ()).sure(0.3) == pytest.approx(0.3)
