@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray
 from training.budget.dictionary import Node
 from training.budget.fitting import Frame, Single
+from training.budget.metric import assumed_variance
 from training.budget.nuisances import BUILD, OFFSET, SMALL, START
 from training.budget.quadratic import Columns, Solved, no_columns, solve
 
@@ -20,20 +21,59 @@ _Z: float = 1.645  # of a 90 % interval
 class Joint:
     """Effects fitted together: one node each, and the steps from it.
 
-    `theta` and `spread` hold parameters and their standard deviations per effect; `others`
-    (units,) the parameters found without each unit.
+    `theta` and `spread` hold parameters and their standard deviations per effect; `left_out`
+    (units,) are the fits without each unit, and `others` the parameters found there; nothing of a
+    single unit.
     """
 
     nodes: tuple[Node, ...]
     frame: Frame
     solved: Solved
+    left_out: tuple[Solved, ...]
     theta: tuple[FloatArray, ...]
     spread: tuple[FloatArray, ...]
     others: tuple[tuple[FloatArray, ...], ...]
 
     def components(self) -> list[FloatArray]:
-        """What each effect does, what the differences of build do, and what the offsets do."""
-        return [*self.responses(self.solved.x), *of_nuisances(self.frame, self.solved.nu)]
+        """What each effect does, what the differences of build do, and what the offsets do.
+
+        In each unit by the fit to the others; of a single unit by its own.
+        """
+        if not self.left_out:
+            return [*self.responses(self.solved.x), *of_nuisances(self.frame, self.solved.nu)]
+        found = [np.zeros_like(self.frame.gap) for _ in range(len(self.nodes) + 2)]
+        for u, solved in enumerate(self.left_out):
+            here = self.frame.record.unit == u
+            *others, offsets = *self.responses(solved.x), *of_nuisances(self.frame, solved.nu)
+            own = self._own_offsets(here, solved, sum(others, np.zeros_like(offsets)))
+            for into, part in zip(found, [*others, offsets + own], strict=True):
+                into[here] = part[here]
+        return found
+
+    def _own_offsets(self, here: BoolArray, solved: Solved, others: FloatArray) -> FloatArray:
+        """Offsets of a flight that is left out as a whole, which the others can't know.
+
+        Those of each half are estimated in the other one; how hot it started is its own.
+        """
+        record, noise = self.frame.record, self.frame.nuisances
+        found = np.zeros_like(self.frame.gap)
+        (f, *more) = np.flatnonzero(here.any(axis=1))
+        if more or (record.unit[f] >= 0).sum() > here[f].sum():
+            return found
+        acts = noise.columns[:, f].any(axis=(1, 2))
+        start, offset = (acts & (np.array(noise.kind) == kind) for kind in (START, OFFSET))
+        found[f] = np.tensordot(self.solved.nu[start], noise.columns[start, f], axes=1)
+        rest, columns = self.frame.gap[f] - others[f] - found[f], noise.columns[offset, f]
+        weight = record.known[f] / assumed_variance(record)[0][f]
+        halves = np.array_split(np.flatnonzero(here[f]), 2)
+        for seen, scored in (halves, halves[::-1]):
+            part = columns[:, seen]
+            inner = np.einsum("ktc,tc,ltc->kl", part, weight[seen], part)
+            toward = np.einsum("ktc,tc,tc->k", part, weight[seen], rest[seen])
+            nu = np.linalg.solve(inner + solved.tau * np.eye(len(inner)), toward)
+            limit = noise.limit[offset]
+            found[f, scored] += np.tensordot(np.clip(nu, -limit, limit), columns[:, scored], axes=1)
+        return found
 
     def responses(self, steps: FloatArray) -> list[FloatArray]:
         """What each effect does after the steps of all."""
@@ -79,7 +119,7 @@ def together(frame: Frame, singles: Sequence[Single]) -> Joint:
     variance = np.diag(found.covariance).copy()
     if len(steps):
         variance += (units - 1) / units * ((steps - steps.mean(axis=0)) ** 2).sum(axis=0)
-    joint = Joint(nodes, frame, found, (), (), ())
+    joint = Joint(nodes, frame, found, tuple(left_out), (), (), ())
     theta = _thetas(joint, found.x)
     spread = [np.zeros(len(t)) for t in theta]
     for node, into, sd in zip(

@@ -1,8 +1,9 @@
 r"""The budget: which cause takes how much of the gap's energy, by Shapley values.
 
 What a set S of causes takes is `v(S) = |d|^2 - |d - sum_S c_i|^2`, each channel over its range
-squared, where the component c_i is what a cause does in the joint fit of all. A cause's share is
-the mean of what it adds over all orders in which causes enter, for fixed components
+squared, where the component c_i is what a cause does in a flight by the joint fit to the others
+(`joint`). A cause's share is the mean of what it adds over all orders in which causes enter, for
+fixed components
 
     c_i' (2 d - sum c);    c_i' (2 d - c_i) where it enters first, and last c_i' (2 r + c_i)
 

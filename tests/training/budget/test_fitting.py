@@ -1,5 +1,7 @@
 """Known faults of one sensor are found with their size inside the interval, nulls are nulls."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -86,3 +88,42 @@ def test_no_effect_at_all_is_a_joint_fit_of_nuisances(flights):
     joint = together(frame_of(recorded(flights, flights.y)), [])
     assert joint.theta == ()
     assert joint.responses(joint.solved.x) == []
+
+
+def joint_of(record, dictionary, name):
+    frame = frame_of(record)
+    return together(frame, [frame.fit(dictionary.nodes[name])])
+
+
+def test_what_causes_do_in_a_flight_is_known_from_the_others(flights, dictionary):
+    name = "sensor_gain:EGT_C"
+    record = planted(flights, name)
+    before = joint_of(record, dictionary, name).components()
+    steps = record.real.shape[1]
+    changed = record.real.copy()
+    changed[0, steps // 2 :, 0] += 0.6 * np.sin(np.arange(steps - steps // 2) / 40.0)
+    after = joint_of(replace(record, real=changed), dictionary, name).components()
+    for own, other in zip(before[:-1], after[:-1], strict=True):
+        assert other[0] == pytest.approx(own[0], abs=1e-9)  # effect and build, in that flight
+    # Its offset in the second half is that of the first half, which is as it was.
+    offsets, others = after[-1][0, :, 0], before[-1][0, :, 0]
+    assert offsets[steps // 2 :] == pytest.approx(others[steps // 2 :], abs=1e-9)
+    assert np.abs(offsets[: steps // 2] - others[: steps // 2]).max() > 0.01
+
+
+def test_an_offset_of_one_flight_is_an_offset_in_both_of_its_halves(flights, dictionary):
+    real = recorded(flights, flights.y).real.copy()
+    real[1, :, 2] += 4.0
+    record = replace(recorded(flights, flights.y), real=real)
+    *_, build, offsets = joint_of(record, dictionary, "time_skew:N2_pct").components()
+    level = (build + offsets)[..., 2].mean(axis=1)
+    assert level == pytest.approx([0.0, 4.0, 0.0, 0.0], abs=0.5)
+    assert offsets[1, :, 2].mean() > 3.0
+
+
+def test_of_a_single_unit_components_are_those_of_its_own_fit(flights, dictionary):
+    record = recorded(flights, flights.y)
+    single = replace(record, unit=np.zeros_like(record.unit))
+    joint = joint_of(single, dictionary, "time_skew:N2_pct")
+    assert joint.left_out == ()
+    assert joint.components()[0] == pytest.approx(joint.responses(joint.solved.x)[0])
