@@ -1,6 +1,6 @@
 """The virtual engine against published figures: `python -m eval.benchmarks.virtual_engine`.
 
-Prints the table of `docs/virtual_engine.md`; `--figures FOLDER` draws its pictures as well:
+Prints the figures of `docs/virtual_engine.md`; `--figures FOLDER` draws its pictures as well:
 compressor maps with running lines, and slams.
 """
 
@@ -283,7 +283,7 @@ def figures() -> list[PublishedFigure]:
 
 
 def markdown(found: Sequence[PublishedFigure]) -> str:
-    """The table of `docs/virtual_engine.md`."""
+    """The figures of `docs/virtual_engine.md` as one table."""
     lines = [f"| figure | unit | published | source | {' | '.join(PRESETS)} |", "|---" * 6 + "|"]
     for row in found:
         ours = " | ".join(f"{value:.3g}" for value in row.ours)
