@@ -4,8 +4,8 @@
 
 f are the features of an effect, g those of the case. The second logit is for a further effect:
 features are those of what the effects in force leave, and it says "none further" or which.
-The softmax divides one: where two effects act, each gets half, and of a small gap "none" is as right
-as what acts. Whether the likeliest effect acts is another question, whose answer is Platt's
+The softmax divides one: where two effects act, each gets half, and of a small gap "none" is as
+right as what acts. Whether the likeliest effect acts is another question, whose answer is Platt's
 (*Probabilistic outputs for support vector machines*, 1999): a logistic curve over the log odds.
 
 The weights are in `odds.json` of this folder, with date, seeds and cases that they were fitted
