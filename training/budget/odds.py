@@ -48,7 +48,7 @@ class Odds:
     unknown: tuple[float, ...]
     further: tuple[float, ...]
     enough: tuple[float, ...]
-    acts: tuple[float, float] = (0.0, 1.0)
+    acts: tuple[float, ...] = (0.0, 1.0)
 
     def first(self, names: Sequence[str], effects: FloatArray, case: FloatArray) -> FloatArray:
         """Log probabilities (n + 2,) of n effects of features (n, ...), of none, of unknown."""
