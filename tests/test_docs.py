@@ -1,4 +1,4 @@
-"""The documents name what the code has: every configuration key, every module, every command."""
+"""The documents name what the code has, and what they name exists."""
 
 import doctest
 import importlib.util
@@ -121,6 +121,27 @@ def test_examples_of_the_layout_run():
 def test_links_between_pages_lead_somewhere(page):
     for target in re.findall(r"\]\((?!https?:)([^)#]+)", text(page)):
         assert ((ROOT / page).parent / target).exists(), target
+
+
+ROOMS = "narxcal|training|eval|data_prep|tests"
+FILE = re.compile(rf"`((?:{ROOMS})/[\w/]+(?:\.py)?)/?`")
+DOTTED = re.compile(rf"\b((?:{ROOMS})(?:\.[a-z_]\w*)+)\b(?!/\d)")  # a schema ends in a version
+
+
+def is_there(name):
+    """Whether a file, folder or module exists, or the last part is a name in such a module."""
+    path = ROOT / name
+    if path.exists() or path.with_suffix(".py").exists():
+        return True
+    module = path.parent / "__init__.py" if path.parent.is_dir() else path.parent.with_suffix(".py")
+    return module.is_file() and path.name in module.read_text("utf-8")
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page != "docs/map.md"])
+def test_files_and_modules_that_a_page_names_exist(page):
+    named = {*FILE.findall(text(page))}
+    named |= {name.replace(".", "/") for name in DOTTED.findall(text(page))}
+    assert [name for name in sorted(named) if not is_there(name)] == []
 
 
 def test_every_command_is_in_the_readme():
