@@ -16,7 +16,6 @@ from scipy.special import stdtrit
 
 from data_prep.equilibrium import peak_to_peak
 from data_prep.faults import (
-    SPOOLS,
     FaultsConfig,
     Reason,
     beyond_usual,
@@ -29,6 +28,7 @@ from data_prep.faults import (
     role,
 )
 from data_prep.log import LONG_SPAN_S, Action, AuditEntry, Log
+from narxcal.channels import SPOOLS
 from narxcal.support.arrays import (
     BoolArray,
     FloatArray,

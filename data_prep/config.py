@@ -128,6 +128,10 @@ class LogsConfig(Section):
         }
         return self.model_copy(update={"columns": columns})
 
+    def every(self, dt_s: float) -> Self:
+        """The same with logs on a sampling grid of `dt_s`."""
+        return self.model_copy(update={"raster_hz": 1.0 / dt_s})
+
     def sources(self, header: tuple[str, ...]) -> dict[str, ColumnSource]:
         """Channel -> source; the canonical names found in `header` when none are configured."""
         if self.columns:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from data_prep.log import Log
-from narxcal.channels import CHANNELS
+from narxcal.channels import CHANNELS, SPOOLS
 from narxcal.support.arrays import BoolArray, FloatArray, noise_level, robust_range, runs
 from narxcal.support.settings import Section
 
@@ -32,7 +32,6 @@ _LEAST_RANGE = 0.25
 # After an excursion the channel is back where it was, to this part of the larger jump; the
 # engine may have accelerated meanwhile.
 _RETURN = 0.5
-SPOOLS = ("N1_pct", "N2_pct")
 # Spools and hot metal cannot jump, whatever the fuel does.
 _INERTIAL = frozenset({"N1_pct", "N2_pct", "EGT_C"})
 

@@ -24,12 +24,12 @@ from data_prep.log import LONG_SPAN_S, AuditEntry, Log
 from data_prep.plausibility import checked, of_cleaning
 from data_prep.ranking import other_driver
 from data_prep.smooth import SmoothConfig, blurs, smooth
+from narxcal.channels import spools_of
 from narxcal.support.arrays import BoolArray, sample_and_hold, spans
 from narxcal.support.errors import DataError
 
 NOT_RECORDED = "not recorded"
 HELD = "held for the model"
-_SPEEDS = ("N1_pct", "N2_pct")
 _MANY = 0.1  # share of a recording's rows
 _TOLERANCE_S = 0.25  # within which Ti and Tt have to agree (FAA 14 CFR part 60)
 _MOST_NAMED = 3  # logs in one line
@@ -105,8 +105,8 @@ class Prepared:
     @cached_property
     def equilibrium(self) -> BoolArray:
         """The quasi-steady samples (time,)."""
-        speeds = tuple(name for name in self.outputs if name in _SPEEDS)
-        return quasi_steady(self.log, self.tables.events.driver, speeds, self.tables.quasi_steady)
+        spools = spools_of(self.outputs)
+        return quasi_steady(self.log, self.tables.events.driver, spools, self.tables.quasi_steady)
 
     @cached_property
     def warnings(self) -> tuple[LogWarning, ...]:

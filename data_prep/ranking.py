@@ -8,14 +8,14 @@ import numpy as np
 import pandas as pd
 
 from data_prep.log import Log
+from narxcal.channels import SPOOLS
 from narxcal.support.arrays import FloatArray
 
 # The calibration paper's rule, section 2.5: |rho| in [0.8, 1] is a strong correlation.
 STRONG = 0.8
 # Below this a driver explains less than a quarter of the variance of what it is to drive.
 WEAK = 0.5
-# Channels that can drive an engine, and the speeds that respond to them at once.
-_DRIVERS, _SPEEDS = ("TRA_deg", "FF_kgph"), ("N1_pct", "N2_pct")
+_DRIVERS = ("TRA_deg", "FF_kgph")  # channels that can drive an engine; spools respond at once
 
 
 def pearson(log: Log, inputs: Sequence[str], outputs: Sequence[str]) -> pd.DataFrame:
@@ -80,12 +80,12 @@ def ranked(table: pd.DataFrame) -> pd.DataFrame:
 
 def other_driver(log: Log, driver: str) -> str:
     """Warn of a spool speed that moves without `driver`; names the channel that does drive it."""
-    speed = next((name for name in _SPEEDS if log.recorded([name])), "")
-    rivals = [name for name in _DRIVERS if name != driver and log.recorded([name])]
-    if not speed or not rivals or not log.recorded([driver]):
+    speed = next((name for name in SPOOLS if log.recorded([name])), "")
+    others = [name for name in _DRIVERS if name != driver and log.recorded([name])]
+    if not speed or not others or not log.recorded([driver]):
         return ""
-    table = pearson(log, [driver, *rivals], [speed])[speed].abs()
-    best = max(rivals, key=lambda name: float(np.nan_to_num(table[name])))
+    table = pearson(log, [driver, *others], [speed])[speed].abs()
+    best = max(others, key=lambda name: float(np.nan_to_num(table[name])))
     own = float(np.nan_to_num(table[driver]))
     if own >= WEAK or not table[best] >= STRONG:
         return ""

@@ -21,6 +21,7 @@ from rich.text import Text
 
 from eval.benchmarks import faults, flights, public_sets, speed, untuned, virtual_engine
 from eval.benchmarks.row import Row
+from eval.terminal import plain_table
 from narxcal.support.files import to_json, versions
 
 SCHEMA = "narxcal.bench/1"
@@ -106,10 +107,7 @@ def show(console: Console, found: Sequence[Row], document: dict[str, Any]) -> No
 
 
 def _table(group: str, own: Sequence[Row]) -> Table:
-    table = Table(title=Text(group, style="bold"), title_justify="left", box=None, pad_edge=False)
-    table.add_column("figure", overflow="fold")
-    for head in ("measured", "target", "reached"):
-        table.add_column(head, justify="right", no_wrap=True)
+    table = plain_table(group, "figure", ("measured", "target", "reached"), fold=True)
     for row in own:
         word, look = _VERDICTS[row.reached]
         table.add_row(

@@ -7,7 +7,7 @@ is the only place where pass or fail is decided: terminal, page, JSON and exit c
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -48,7 +48,7 @@ from eval.transients import (
 )
 from eval.trim import TrimConfig, rows_for_trim
 from narxcal.calibration.bundle import Bundle
-from narxcal.channels import channel, symbol
+from narxcal.channels import symbol
 from narxcal.steady.model import Envelope, SteadyStateModel
 from narxcal.support.errors import ConfigError, DataError, ModelError
 from narxcal.support.files import finite
@@ -424,18 +424,6 @@ _SIMPLE: Final = {
 }
 
 
-def _worse_than_simple(pooled: Mapping[str, ChannelScores]) -> Iterator[str]:
-    """Channels in which a simple model does better over all logs, and the best such model."""
-    for name, found in pooled.items():
-        known = {key: value for key, value in found.baselines.items() if math.isfinite(value)}
-        best = min(known, key=lambda key: known[key], default="")
-        if best and known[best] < found.rmse:
-            yield (
-                f"{symbol(name)} is worse than {_SIMPLE[best]}: RMSE {found.rmse:.3g} against "
-                f"{known[best]:.3g} {channel(name).unit}."
-            )
-
-
 def lead_sentences(bundle: Bundle) -> tuple[str, ...]:
     """Where a simple model leads, and by which held-out errors."""
     stored = (bundle.meta.get("lead") or {}).get("channels", {})
@@ -482,8 +470,8 @@ def evaluation_logs(bundle: Bundle, files: Sequence[Path] | None = None) -> list
     """
     config, _ = run_config(bundle)
     outputs = bundle.calibration.output_names
-    lacking_some = config.logs.sparing(set(outputs) - set(bundle.calibration.input_names))
-    reading = lacking_some.model_copy(update={"raster_hz": 1.0 / bundle.calibration.dt_s})
+    spared = set(outputs) - set(bundle.calibration.input_names)
+    reading = config.logs.sparing(spared).every(bundle.calibration.dt_s)
     chosen: Sequence[Log]
     if files is not None:
         chosen = read_logs(list(files), reading)

@@ -15,6 +15,7 @@ from data_prep.prepare import hold_inputs
 from eval.trim import Trim, TrimConfig, TrimSamples, estimate_trim
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration
+from narxcal.channels import spools_of
 from narxcal.support.arrays import BoolArray, FloatArray, spans
 from narxcal.support.errors import DataError
 from training.baselines import Baselines
@@ -23,7 +24,6 @@ from training.config import RunConfig
 MODEL, ONE_STEP, NETWORK = "model", "one_step", "network"
 STEADY_STATE, FIRST_ORDER, ARX = "steady_state", "first_order", "arx"
 BASELINES = (STEADY_STATE, FIRST_ORDER, ARX)
-SPEEDS = ("N1_pct", "N2_pct")
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,14 +118,14 @@ def run_log(
         outputs[FIRST_ORDER] = fitted.lag.simulate(steady, measured[0], own.dt_s)
         outputs[ARX] = fitted.arx.simulate(steady, measured[0])
         level = (steady[:, 0] - fitted.low[0]) / max(fitted.high[0] - fitted.low[0], 1e-9)
-    speeds = tuple(name for name in own.output_names if name in SPEEDS)
+    spools = spools_of(own.output_names)
     return FreeRun(
         log=log,
         channels=own.output_names,
         measured=measured,
         outputs=outputs,
         inputs_known=known,
-        quasi_steady=quasi_steady(log, config.events.driver, speeds, config.quasi_steady),
+        quasi_steady=quasi_steady(log, config.events.driver, spools, config.quasi_steady),
         in_envelope=np.asarray(own.steady.inside(inputs)),
         level=level,
         simulate_s=took_s,

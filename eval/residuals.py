@@ -35,8 +35,7 @@ _LONGEST_LAG_S = 10.0  # several time constants of a spool
 class Correlation:
     """Normalised correlation at `lags (lag,)` in samples.
 
-    `deviation (lag,)` is the standard deviation of `values` under the null hypothesis; the bands
-    are 1.96 and 2.58 times that.
+    `deviation (lag,)` is the standard deviation of `values` under the null hypothesis.
     """
 
     lags: IntArray
@@ -48,27 +47,18 @@ class Correlation:
         """Half width of the 95 % band, `(lag,)`."""
         return 1.96 * self.deviation
 
-    @property
-    def band_99(self) -> FloatArray:
-        """Half width of the 99 % band, `(lag,)`."""
-        return 2.58 * self.deviation
-
 
 @dataclass(frozen=True)
 class Dependence:
     """Verdict on a set of lags.
 
-    `outside_95` and `outside_99` are shares of lags outside their band (5 % and 1 % expected of
-    white noise). `ok` is false if the worst lag exceeds what the largest of that many would
-    reach with a chance of 1 % (Bonferroni: holds for correlated lags too). Without a lag that
-    could be computed, the shares and `worst_lag` are None and `ok` is None.
+    `outside_95` is the share of lags outside the 95 % band (5 % expected of white noise). `ok` is
+    false if the worst lag exceeds what the largest of that many would reach with a chance of 1 %
+    (Bonferroni: holds for correlated lags too). Both are None without a lag that could be computed.
     """
 
     ok: bool | None
     outside_95: float | None
-    outside_99: float | None
-    worst_lag: int | None
-    worst_value: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,17 +131,13 @@ def independence(correlation: Correlation) -> Dependence:
 def _judge(correlation: Correlation, chosen: NDArray[np.bool_]) -> Dependence:
     known = chosen & np.isfinite(correlation.values) & np.isfinite(correlation.deviation)
     if not known.any():
-        return Dependence(None, None, None, None, None)
+        return Dependence(None, None)
     size = np.abs(correlation.values[known])
     score = size / correlation.deviation[known]
-    worst = int(np.argmax(score))
     bound = -float(ndtri(FALSE_ALARM / (2 * len(score))))
     return Dependence(
-        ok=bool(score[worst] <= bound),
+        ok=bool(score.max() <= bound),
         outside_95=float(np.mean(size > correlation.band_95[known])),
-        outside_99=float(np.mean(size > correlation.band_99[known])),
-        worst_lag=int(correlation.lags[known][worst]),
-        worst_value=float(correlation.values[known][worst]),
     )
 
 

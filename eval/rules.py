@@ -60,7 +60,7 @@ class Rules:
         return rise_s if self.tt_origin == "t10" else initial_s + rise_s
 
 
-RULES: dict[RulesName, Rules] = {
+RULES: dict[str, Rules] = {
     "paper": Rules(
         name="paper",
         source="NARX dynamic calibration paper, section 3.2",
@@ -87,10 +87,9 @@ RULES: dict[RulesName, Rules] = {
 
 def rules(name: str) -> Rules:
     """Look a rule set up; raises `ConfigError` naming the known ones."""
-    for known, found in RULES.items():
-        if known == name:
-            return found
-    raise ConfigError(f"unknown rule set '{name}'", hint=f"Known rule sets: {', '.join(RULES)}")
+    if name not in RULES:
+        raise ConfigError(f"unknown rule set '{name}'", hint=f"Known rule sets: {', '.join(RULES)}")
+    return RULES[name]
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,8 @@ _BASELINES = ("steady", "1st order", "ARX")
 def print_scores(console: Console, logs: Sequence[LogEvaluation]) -> None:
     """One table per log: free run and baselines, the lowest RMSE in bold."""
     for one in logs:
-        table = _table(one.log.name)
-        table.add_column("RMSE of", no_wrap=True)
-        for head in ("free run", "max rel", "1 step", "static", "dynamic", *_BASELINES):
-            table.add_column(head, justify="right", no_wrap=True)
+        heads = ("free run", "max rel", "1 step", "static", "dynamic", *_BASELINES)
+        table = plain_table(one.log.name, "RMSE of", heads)
         for name, found in one.scores.items():
             best = found.best_rmse
             table.add_row(
@@ -61,10 +59,8 @@ def print_transients(console: Console, logs: Sequence[LogEvaluation]) -> None:
         channels = dict.fromkeys(each.channel for each in one.assessments)
         if not channels:
             continue
-        table = _table(one.log.name)
-        table.add_column("Ti and Tt of", no_wrap=True)
-        for head in ("passed", "worst Ti error", "worst Tt error", "not assessable"):
-            table.add_column(head, justify="right", no_wrap=True)
+        heads = ("passed", "worst Ti error", "worst Tt error", "not assessable")
+        table = plain_table(one.log.name, "Ti and Tt of", heads)
         for channel in channels:
             own = [each for each in one.assessments if each.channel == channel]
             table.add_row(Text(symbol(channel)), *_transient_cells(own))
@@ -74,10 +70,8 @@ def print_transients(console: Console, logs: Sequence[LogEvaluation]) -> None:
 def print_levels(console: Console, logs: Sequence[LogEvaluation]) -> None:
     """Level and lag of the free run over each whole log, and what held-out logs allow."""
     for one in logs:
-        table = _table(one.log.name)
-        table.add_column("Level of", no_wrap=True)
-        for head in ("error", "allowed", "", "lag", "allowed lag"):
-            table.add_column(head, justify="right", no_wrap=True)
+        heads = ("error", "allowed", "", "lag", "allowed lag")
+        table = plain_table(one.log.name, "Level of", heads)
         for each in one.levels:
             word, look = _WORDS[each.ok]
             table.add_row(
@@ -117,10 +111,8 @@ def print_outcome(console: Console, outcome: Outcome) -> None:
 def print_crossval(console: Console, found: CrossValidation) -> None:
     """Print the spread of every measure over the folds, one table per scheme."""
     for name, folds in found.schemes.items():
-        table = _table(f"{name}, {len(folds)} folds")
-        table.add_column("measure", overflow="fold")
-        for head in ("mean", "std", "min", "max", "limit"):
-            table.add_column(head, justify="right", no_wrap=True)
+        heads = ("mean", "std", "min", "max", "limit")
+        table = plain_table(f"{name}, {len(folds)} folds", "measure", heads, fold=True)
         spread = found.spread(name)
         for measure in measures(found):
             own = spread.get(measure.key, {})
@@ -157,11 +149,12 @@ def print_comparison(console: Console, found: Comparison) -> None:
     console.print(table)
 
 
-def _table(title: str) -> Table:
+def plain_table(title: str, first: str, heads: Sequence[str], *, fold: bool = False) -> Table:
+    """An empty table without lines; the first column takes text, which may `fold`."""
     # A Text title: a log name in square brackets must not be read as markup.
-    return Table(
-        title=Text(title, style="bold", overflow="fold"),
-        title_justify="left",
-        box=None,
-        pad_edge=False,
-    )
+    look = Text(title, style="bold", overflow="fold")
+    table = Table(title=look, title_justify="left", box=None, pad_edge=False)
+    table.add_column(first, no_wrap=not fold, overflow="fold" if fold else "ellipsis")
+    for head in heads:
+        table.add_column(head, justify="right", no_wrap=True)
+    return table

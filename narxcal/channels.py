@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -52,6 +53,7 @@ _TABLE = (
 )
 
 CHANNELS: dict[str, Channel] = {channel.name: channel for channel in _TABLE}
+SPOOLS = ("N1_pct", "N2_pct")
 
 
 # Names in use elsewhere, for the hint at ours.
@@ -80,6 +82,11 @@ def channel(name: str) -> Channel:
     meant = next((own for own, others in _SYNONYMS.items() if plain & {*others}), name)
     hint = did_you_mean(meant, CHANNELS, "Known channels:")
     raise ConfigError(f"unknown channel '{name[:80]}'", hint=hint)
+
+
+def spools_of(names: Iterable[str]) -> tuple[str, ...]:
+    """Those of `names` that are spool speeds, by which equilibrium is detected."""
+    return tuple(name for name in names if name in SPOOLS)
 
 
 def symbol(name: str) -> str:

@@ -5,10 +5,11 @@ Table [steady_state]: which steady-state model, and how a fitted one is fitted.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, NonNegativeInt, field_validator, model_validator
 
@@ -279,6 +280,22 @@ class RunConfig(Section):
     fuser: FuserConfig = FuserConfig()
     evaluate: dict[str, Any] = Field(default_factory=dict)
 
+    @property
+    def driver(self) -> str:
+        """The channel over which steady-state curves are drawn: that of [events] unless named."""
+        return self.steady_state.driver or self.events.driver
+
+    def having(self, **tables: Mapping[str, Any]) -> Self:
+        """The same with values of some tables replaced, unchecked: `train={"threads": 1}`."""
+        changed = {
+            name: getattr(self, name).model_copy(update=values) for name, values in tables.items()
+        }
+        return self.model_copy(update=changed)
+
+    def with_logs_in(self, folder: Path) -> Self:
+        """The same with `folder` in the place of [logs] folder."""
+        return self.having(logs={"folder": str(folder.resolve())})
+
     @model_validator(mode="before")
     @classmethod
     def _linked_defaults(cls, table: Any) -> Any:
@@ -303,9 +320,8 @@ class RunConfig(Section):
         inputs = self.steady_state.inputs
         needed = [("[narx] schedule", name) for name in self.narx.schedule]
         if self.steady_state.kind == "fitted":
-            own = self.steady_state.driver
-            key = "[steady_state] driver" if own else "[events] driver"
-            needed.append((key, own or self.events.driver))
+            key = "[steady_state] driver" if self.steady_state.driver else "[events] driver"
+            needed.append((key, self.driver))
         for key, name in needed:
             if name not in inputs:
                 raise ConfigError(

@@ -211,9 +211,8 @@ def run_plans(
     thread each (all cores by default); the numbers do not depend on `jobs`.
     `judge` has to be a function of a module, and what it returns must be small.
     """
-    single = config.train.model_copy(update={"threads": 1})
-    config = config.model_copy(update={"train": single})
-    task = partial(_run_plan, config=config, base=base, judge=judge)
+    single = config.having(train={"threads": 1})
+    task = partial(_run_plan, config=single, base=base, judge=judge)
     return in_processes(task, plans, jobs)
 
 

@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from narxcal.support.arrays import FloatArray, bridge_gaps
+from narxcal.support.arrays import FloatArray, bridge_gaps, known_mean
 
 DELAY_STEP_S, _LONGEST_DELAY_S = 0.2, 12.0
 DELAY_PRIOR_S = 0.15  # scatter between logs, until they say more
@@ -85,8 +85,4 @@ def delay_table(
 
 def block_means(values: FloatArray, size: int) -> FloatArray:
     """Means (blocks,) of the finite samples of each `size`; NaN where there are none."""
-    table = values.reshape(-1, size)
-    known = np.isfinite(table)
-    count = known.sum(axis=1)
-    total = np.where(known, table, 0.0).sum(axis=1)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return known_mean(values.reshape(-1, size), axis=1)

@@ -7,7 +7,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, known_mean
 
 T = TypeVar("T")
 _LEAST = 1e-18  # of a mean square: outputs without any error compare, too
@@ -47,9 +47,7 @@ def geometric_rms(errors: Sequence[FloatArray]) -> float:
     Infinite where an output has no error that is a number.
     """
     square = np.concatenate([error**2 for error in errors]) if errors else np.empty((0, 1))
-    known = np.isfinite(square)
-    counts = known.sum(axis=0)
-    if not counts.all():
+    mean = known_mean(square)
+    if np.isnan(mean).any():
         return np.inf
-    mean = np.where(known, square, 0.0).sum(axis=0) / counts
     return float(np.exp(0.5 * np.mean(np.log(np.maximum(mean, _LEAST)))))

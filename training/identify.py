@@ -29,6 +29,7 @@ from narxcal.calibration.identified import (
     ResponseDynamics,
     StateSpaceDynamics,
 )
+from narxcal.channels import spools_of
 from narxcal.output_error.engine import EngineFromSteady
 from narxcal.record import Record
 from narxcal.static_models.model import MODELS, Columns, StaticModel
@@ -42,7 +43,7 @@ from training.config import STATIC, RunConfig
 from training.output_error import Plan, fit
 from training.output_error_flights import OFFSETS, OUTPUTS, steady_record
 from training.output_error_result import OutputErrorFit
-from training.records import LagSamples, lag_samples, speeds
+from training.records import LagSamples, lag_samples
 from training.static_fit import fit as fit_law
 from training.subspace import SubspaceSettings, subspace
 
@@ -85,7 +86,7 @@ def identify(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -
 
 
 def _output_error(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> Identified:
-    driver = config.steady_state.driver or config.events.driver
+    driver = config.driver
     records = [
         steady_record(log, steady_for_engine(steady, log.source.engine), driver) for log in logs
     ]
@@ -321,19 +322,18 @@ def static_laws(config: RunConfig, logs: Sequence[Log]) -> tuple[RunConfig, Stat
     words = f"static law {', '.join(dict.fromkeys(one.model.name for one in fits))}"
     dynamics = NoDynamics(len(parameters), f"{words}, no dynamics")
     found = Identified(dynamics, parameters, fits[0].status, advice)
-    section = config.steady_state.model_copy(
-        update={"kind": "static", "source": name, "inputs": inputs}
+    config = config.having(
+        steady_state={"kind": "static", "source": name, "inputs": inputs},
+        narx={"outputs": steady.output_names, "schedule": ()},
     )
-    outputs = {"outputs": steady.output_names, "schedule": ()}
-    narx = config.narx.model_copy(update=outputs)
-    return config.model_copy(update={"steady_state": section, "narx": narx}), steady, found
+    return config, steady, found
 
 
 def _steady_columns(config: RunConfig, logs: Sequence[Log]) -> Columns:
     """Quasi-steady samples of the channels that every log has, at most 20 000."""
     names = set.intersection(*(set(log.channels) for log in logs))
-    known = tuple(name for name in speeds(config) if name in names)
-    kept = [quasi_steady(log, config.events.driver, known, config.quasi_steady) for log in logs]
+    spools = tuple(name for name in spools_of(config.narx.outputs) if name in names)
+    kept = [quasi_steady(log, config.events.driver, spools, config.quasi_steady) for log in logs]
     step = max(sum(int(one.sum()) for one in kept) // _LAW_ROWS, 1)
     return {
         name: np.concatenate([log[name][rows] for log, rows in zip(logs, kept, strict=True)])[
@@ -368,8 +368,7 @@ def _laws(config: RunConfig, name: str, columns: Columns) -> list[StaticModel]:
 
 def _degrees(config: RunConfig) -> dict[str, int]:
     """Third degree in the driver, first in altitude and Mach: more oscillates between flights."""
-    driver = config.steady_state.driver or config.events.driver
-    degrees = {driver: 3, "ALT_ft": 1, "Mach": 1}
+    degrees = {config.driver: 3, "ALT_ft": 1, "Mach": 1}
     return {name: degrees[name] for name in config.steady_state.inputs if name in degrees}
 
 

@@ -44,7 +44,7 @@ from narxcal.lumped.rotors import Drive
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 from narxcal.support.errors import DataError
-from training.config import NarxSection, RunConfig
+from training.config import RunConfig
 from training.folds import Fold, geometric_rms, held_out_folds
 from training.lag_priors import Form, Priors, start_engine
 from training.records import LagSamples, lag_samples
@@ -413,17 +413,14 @@ def _offered(config: RunConfig, steady: SteadyStateModel) -> list[str]:
     if section.lag_limits != "auto":
         return [LIMITS if section.lag_limits else PLAIN]
     # Governed: a lever drives a fan and a core, and [narx] sets nothing of the limited form alone.
-    driver = config.steady_state.driver or config.events.driver
     spools = {"N1_pct", "N2_pct"} <= set(steady.output_names)
     unset = section.lag_errors == "absolute" and not section.lag_heat
-    governed = spools and unset and CHANNELS[driver].role == "lever"
+    governed = spools and unset and CHANNELS[config.driver].role == "lever"
     return [PLAIN, LIMITS, *([GOVERNED] if governed and section.lag_governed == "auto" else [])]
 
 
 def _with(config: RunConfig, form: str) -> RunConfig:
-    chosen = {"lag_limits": form == LIMITS, "lag_governed": form == GOVERNED}
-    section: NarxSection = config.narx.model_copy(update=chosen)
-    return config.model_copy(update={"narx": section})
+    return config.having(narx={"lag_limits": form == LIMITS, "lag_governed": form == GOVERNED})
 
 
 def _enough(logs: Sequence[Log]) -> list[Log]:

@@ -29,7 +29,7 @@ from narxcal.narx.latent import (
 )
 from narxcal.narx.network import Scaling
 from narxcal.record import Record
-from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray, known_mean
 from training.levenberg_marquardt import Damping, minimise
 
 _BLOCK = 256  # steps whose Jacobian is kept at one time
@@ -401,8 +401,8 @@ def model_of(
         errors.append(np.where(data.roots[k] > 0.0, run[2] - data.outputs[k], np.nan))
     seen, error = np.concatenate(states), np.concatenate(errors)
     square, product = error**2, error[1:] * error[:-1]
-    noise = np.sqrt(_mean_known(square))
-    lagged = _mean_known(product) / np.maximum(noise**2, 1e-30)
+    noise = np.sqrt(np.nan_to_num(known_mean(square)))
+    lagged = np.nan_to_num(known_mean(product)) / np.maximum(noise**2, 1e-30)
     bounds = unbounded(n)
     if shape.hidden:
         low, high = seen.min(axis=0), seen.max(axis=0)
@@ -414,10 +414,3 @@ def model_of(
         shape, fitted.theta.copy(), bounds, *scalings, noise, np.clip(lagged, 0, 1),
         memory + max(shape.delay, default=0),
     )  # fmt: skip
-
-
-def _mean_known(values: FloatArray) -> FloatArray:
-    """Mean over time of the values (time, p) that are not NaN; 0 where none is."""
-    known = np.isfinite(values)
-    total = np.where(known, values, 0.0).sum(axis=0)
-    return np.asarray(total / np.maximum(known.sum(axis=0), 1))

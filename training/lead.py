@@ -23,7 +23,7 @@ import numpy as np
 from data_prep.log import Log
 from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.calibration.lead import KINDS, Kind, Lead
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, known_mean
 from narxcal.support.errors import DataError
 from training.baselines import Baselines, run_of
 from training.config import RunConfig
@@ -186,18 +186,10 @@ def held_out(calibration: DynamicCalibration, baselines: Baselines, log: Log) ->
         baselines.arx.simulate(run.steady, run.measured[0]),
     )
     return HeldOut(
-        np.array([_rms(model - run.measured) for model in models]),
+        np.array([np.sqrt(known_mean((model - run.measured) ** 2)) for model in models]),
         np.array([level_of(model, run.measured) for model in models]),
         np.array([lag_of(model, run.measured, own.dt_s) for model in models]),
     )
-
-
-def _rms(error: FloatArray) -> FloatArray:
-    """RMS (n_out,) of what is known of (time, n_out); NaN where nothing is."""
-    known = np.isfinite(error)
-    count = known.sum(axis=0)
-    total = np.where(known, error**2, 0.0).sum(axis=0)
-    return np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
 
 
 def _known(values: FloatArray) -> list[float]:

@@ -153,7 +153,7 @@ class FitResult:
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """What to learn from: training records, validation records (may be none), their raster.
+    """What to learn from: training records, validation records (may be none), their interval.
 
     `rest` records (see training.records) teach the return to rest. They only make sense whole, so
     they take part where the horizon holds them.

@@ -83,9 +83,7 @@ def configured_files(config: RunConfig, base: Path) -> list[Path]:
 
 def prepare_logs(config: RunConfig, files: Sequence[Path], dt_s: float | None = None) -> list[Log]:
     """Read and prepare `files`, with complete inputs, at the sampling interval `dt_s` if given."""
-    reading = config.logs
-    if dt_s is not None:
-        reading = reading.model_copy(update={"raster_hz": 1.0 / dt_s})
+    reading = config.logs if dt_s is None else config.logs.every(dt_s)
     prepared = prepare(read_logs(files, reading), config)
     return [hold_inputs(one.log, config.steady_state.inputs) for one in prepared]
 
@@ -246,8 +244,7 @@ def _resolved(config: RunConfig, steady: SteadyStateModel) -> RunConfig:
         return config
     layout = steady.layout
     chosen = {name: getattr(layout, name) for name in ("blend", "switches", "corrected", "driver")}
-    section = config.steady_state.model_copy(update=chosen)
-    return config.model_copy(update={"steady_state": section})
+    return config.having(steady_state=chosen)
 
 
 def calibration_for(calibration: Calibration, log: Log) -> Calibration:

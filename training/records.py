@@ -31,6 +31,7 @@ from data_prep.equilibrium import peak_to_peak, quasi_steady
 from data_prep.log import Log
 from data_prep.prepare import hold_inputs, with_outputs
 from narxcal.calibration.calibration import narx_features, steady_for_engine
+from narxcal.channels import spools_of
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.narx.config import NarxConfig
 from narxcal.record import Record
@@ -43,7 +44,7 @@ from training.network import Material
 _MOVES, _WITHIN_S = 0.01, 1.0  # share of the largest value that a target moves within this time
 _BEFORE_S, _AFTER_S = 1.0, 12.0  # of a move: a response with its settling
 _STEADY = 0.4  # weight elsewhere
-_STILL_S, _ONSET_S, _ONSET = 2.0, 1.2, 4.0  # a move out of equilibrium, and the weight of its onset
+_QUIET_S, _ONSET_S, _ONSET = 2.0, 1.2, 4.0  # a move out of equilibrium, and the weight of its onset
 _LEVEL = (0.3, 1.2)  # shares of the largest value; below and beyond, weights go no further
 
 
@@ -75,30 +76,30 @@ def motion_weight(
 
 def _onset(moving: BoolArray, dt_s: float) -> BoolArray:
     """Samples just after a move out of equilibrium; the centred window finds it half too early."""
-    still, length = round(_STILL_S / dt_s), round((_ONSET_S + 0.5 * _WITHIN_S) / dt_s)
+    quiet, length = round(_QUIET_S / dt_s), round((_ONSET_S + 0.5 * _WITHIN_S) / dt_s)
     seen = np.concatenate([[0], np.cumsum(moving)])
     rows = np.arange(len(moving))
-    begins = moving & (seen[rows] == seen[np.maximum(rows - still, 0)])
+    begins = moving & (seen[rows] == seen[np.maximum(rows - quiet, 0)])
     counted = np.concatenate([[0], np.cumsum(begins)])
     return np.asarray(counted[rows + 1] > counted[np.maximum(rows + 1 - length, 0)])
 
 
-def locally_trimmed(ss: FloatArray, measured: FloatArray, still: BoolArray) -> FloatArray:
-    """Return `ss` (time, n_out) shifted to agree with `measured` where `still` (time,) holds.
+def locally_trimmed(ss: FloatArray, measured: FloatArray, steady: BoolArray) -> FloatArray:
+    """Return `ss` (time, n_out) shifted to agree with `measured` where `steady` (time,) is true.
 
-    A masked measurement counts as not still. An output that never stands still is unchanged.
+    A masked measurement counts as not steady. An output that is never steady is unchanged.
     """
     return np.stack(
         [
-            column + _shift(column, column - truth, still & np.isfinite(truth))
+            column + _shift(column, column - truth, steady & np.isfinite(truth))
             for column, truth in zip(ss.T, measured.T, strict=True)
         ],
         axis=1,
     )
 
 
-def _shift(ss: FloatArray, error: FloatArray, still: BoolArray) -> FloatArray:
-    known = np.flatnonzero(still)
+def _shift(ss: FloatArray, error: FloatArray, steady: BoolArray) -> FloatArray:
+    known = np.flatnonzero(steady)
     if not len(known):
         return np.zeros_like(ss)
     rows = np.arange(len(ss))
@@ -126,7 +127,7 @@ def rest_records(
     """Draw records of `steps` samples at conditions and deviations found in `records`.
 
     The first `moving` inputs, the increments, are zero. Outputs start at a drawn deviation, are
-    unknown (NaN) for a while and zero at the end. Flights mostly stand still, so that a drawn
+    unknown (NaN) for a while and zero at the end. Flights are mostly steady, so that a drawn
     deviation is mostly small; with `far`, one is drawn the more often the larger it is.
     """
     draw = np.random.default_rng(seed)
@@ -137,13 +138,13 @@ def rest_records(
     share = size / size.sum() if far and size.sum() > 0.0 else None
     drawn = []
     for _ in range(_COUNT[far] if len(y) else 0):
-        still = u[draw.integers(len(u))].copy()
-        still[:moving] = 0.0
+        inputs = u[draw.integers(len(u))].copy()
+        inputs[:moving] = 0.0
         target = np.zeros((steps, y.shape[1]))
         target[: round(_FREE_SHARE[far] * steps)] = np.nan
         first = draw.integers(len(y)) if share is None else draw.choice(len(y), p=share)
         target[0] = _AMPLIFIED * y[first]
-        drawn.append(Record(np.tile(still, (steps, 1)), target, "at rest"))
+        drawn.append(Record(np.tile(inputs, (steps, 1)), target, "at rest"))
     return drawn
 
 
@@ -223,13 +224,14 @@ def lag_samples(
     ss = steady_for_engine(steady, log.source.engine).outputs(inputs)
     measured = log.matrix(steady.output_names)
     if config.train.local_trim:
-        still = quasi_steady(log, config.events.driver, speeds(config), config.train.still)
+        spools = spools_of(config.narx.outputs)
+        rows = quasi_steady(log, config.events.driver, spools, config.train.still)
         settling = np.zeros_like(ss)
         if lag is not None:
             drive = lag.drive(inputs, steady.input_names, ss)
             before = lag.deviations(drive, settling[0], log.dt_s)
             settling = np.where(lag.speeds, before, 0.0)
-        ss = locally_trimmed(ss, measured + settling, still)
+        ss = locally_trimmed(ss, measured + settling, rows)
     return LagSamples(inputs, ss, measured)
 
 
@@ -254,11 +256,6 @@ def _rest(config: RunConfig, material: Material, moving: int) -> list[Record]:
         return []
     seed, far = config.train.seed, config.train.rest_far
     return rest_records(material.records, moving, steps, seed, far=far)
-
-
-def speeds(config: RunConfig) -> tuple[str, ...]:
-    """Outputs that are spool speeds, by which equilibrium is detected."""
-    return tuple(name for name in config.narx.outputs if name in ("N1_pct", "N2_pct"))
 
 
 @dataclass(frozen=True)

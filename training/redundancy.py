@@ -225,9 +225,9 @@ class Residuals:
         return float(np.mean([np.mean(each) if len(each) else 4.0 for each in found]))
 
     @property
-    def strangeness(self) -> float:
+    def extrapolation(self) -> float:
         """Mean factor on the tolerances for air that the training logs have not seen."""
-        return float(np.mean(np.clip(margins_outside(self.bank, self.corrected), 1.0, _FARTHEST)))
+        return float(np.mean(np.clip(margins_outside(self.bank, self.corrected), 1.0, _FAR)))
 
     @property
     def sound(self) -> bool:
@@ -250,7 +250,7 @@ def residuals(
     step_s = step_s or signals.step_s
     air = Corrected.of(signals, channels)
     far = margins_outside(bank, air)
-    testable = air.known & (far < _FARTHEST)
+    testable = air.known & (far < _FAR)
     near = _inside(bank, air)
     errors: dict[str, dict[str, FloatArray]] = {}
     expected, consensus, smooth = {}, {}, {}
@@ -364,7 +364,7 @@ def moving_mean(values: FloatArray, size: int) -> FloatArray:
 # What air may differ by from that of the training logs without a larger error, and the number of
 # such margins from which on nothing is tested; between them the tolerance grows with their number.
 _MARGINS = {"mach": 0.04, "log_delta": 0.1}
-_FARTHEST = 5.0
+_FAR = 5.0
 
 
 def inside_air(bank: Bank, air: Corrected) -> BoolArray:
@@ -398,7 +398,7 @@ def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
     reported. None where there are fewer than two. Each log is left out once to measure `sigma`, of
     more than eight logs groups of them.
     """
-    logs = [log for log in logs if _tells(log)]
+    logs = [log for log in logs if _is_informative(log)]
     names = _engine_channels(logs)
     if len(names) < 2:
         return None
@@ -438,7 +438,7 @@ def _finite_mean(values: Sequence[float]) -> float:
     return float(np.mean(known)) if known else 0.0
 
 
-def _tells(log: Log) -> bool:
+def _is_informative(log: Log) -> bool:
     """Whether a log is long enough, and has samples of two engine channels."""
     engine = tuple(name for name in CHANNELS if CHANNELS[name].role in _ENGINE)
     return len(log) * log.dt_s >= _LEAST_STEPS * _STEP_S and len(log.recorded(engine)) > 1

@@ -48,7 +48,7 @@ class _Subject:
     channels: tuple[str, ...]
     faults: tuple[Fault, ...] = ()
     stretch: float = 1.0
-    mended: tuple[str, ...] = ()
+    restored: tuple[str, ...] = ()
 
     def found(self, fault_: Fault, without: str = "", values: Values | None = None) -> _Subject:
         """Add a fault, and go on without its channel or with the values before it."""
@@ -77,7 +77,7 @@ def contradiction(bank: Bank, log: Log) -> float:
     signals = Signals.of(log)
     if len(channels) < 2 or len(signals.time_s) < WINDOWS_S[0]:
         return 0.0
-    return _wander(residuals(bank, signals, channels))
+    return _spread(residuals(bank, signals, channels))
 
 
 def _of_one_flight(a: Log, b: Log) -> bool:
@@ -99,14 +99,14 @@ def _exchanged(bank: Bank, a: Log, b: Log) -> tuple[Log, Log]:
         if name not in channels:
             continue
         pair = Signals.of(a), Signals.of(b)
-        mended = (
+        restored = (
             pair[0].having({name: pair[1].values[name]}),
             pair[1].having({name: pair[0].values[name]}),
         )
         before, after = (
-            [residuals(bank, one, channels) for one in signals] for signals in (pair, mended)
+            [residuals(bank, one, channels) for one in signals] for signals in (pair, restored)
         )
-        left = sum(_wander(one) ** 2 for one in after) / sum(_wander(one) ** 2 for one in before)
+        left = sum(_spread(one) ** 2 for one in after) / sum(_spread(one) ** 2 for one in before)
         if left < _EXCHANGED**2 and all(_mostly_sound(one) for one in after):
             return _with_exchange(a, b, name), _with_exchange(b, a, name)
     return a, b
@@ -198,7 +198,8 @@ def _listed(channels: Sequence[str], but: str) -> str:
     return " and ".join(symbol(name) for name in channels if name != but)
 
 
-_MOSTLY = 0.5  # of a log in air of the training logs: dynamics of other air may be slower
+# Of a log in air of the training logs: dynamics of other air may be slower.
+_KNOWN_AIR = 0.15
 
 
 def _stretched(bank: Bank, subject: _Subject) -> _Subject:
@@ -209,7 +210,7 @@ def _stretched(bank: Bank, subject: _Subject) -> _Subject:
     The log belongs to the nearer of both.
     """
     inside = inside_air(bank, Corrected.of(subject.signals, subject.channels))
-    if inside.mean() < _MOSTLY:
+    if inside.mean() < _KNOWN_AIR:
         return subject
     beyond = {}
     for stretch in STRETCHES:
@@ -234,7 +235,7 @@ def _whole(bank: Bank, subject: _Subject) -> _Subject:
     best: tuple[float, Fault, dict[str, FloatArray]] | None = None
     for kind, channels, text, values in _hypotheses(subject):
         after = residuals(bank, subject.signals.having(values), subject.channels)
-        if after.strangeness > _STRANGER * before.strangeness:
+        if after.extrapolation > _MORE_EXTRAPOLATED * before.extrapolation:
             continue  # wider tolerances explain everything
         if after.misfit > _RESTORED * before.misfit or not _mostly_sound(after):
             continue
@@ -257,9 +258,9 @@ def _airspeed(bank: Bank, subject: _Subject) -> _Subject:
     if not open_ or not {"Mach", "CAS_kt", "ALT_ft"} <= values.keys():
         return subject
     implied = {"Mach": mach_of_cas(np.abs(values["CAS_kt"]), values["ALT_ft"])}
-    mended = replace(subject, signals=subject.signals.having(implied))
+    restored = replace(subject, signals=subject.signals.having(implied))
     recorded, other = (
-        _wander(residuals(bank, each.signals, each.channels)) for each in (subject, mended)
+        _spread(residuals(bank, each.signals, each.channels)) for each in (subject, restored)
     )
     if _DECIDED[0] * other > recorded and _DECIDED[1] * recorded > other:
         return subject
@@ -272,7 +273,7 @@ def _airspeed(bank: Bank, subject: _Subject) -> _Subject:
     )
     faults = tuple(wrong if each is open_[0] else each for each in subject.faults)
     if name == "Mach":
-        return replace(mended, faults=faults, mended=("Mach",))
+        return replace(restored, faults=faults, restored=("Mach",))
     return replace(subject, faults=faults)
 
 
@@ -281,10 +282,10 @@ _DECIDED, _AIRBORNE, _CONSTANT = (1.1, 1.25), 0.2, 0.1
 
 
 def _without_air(_bank: Bank, subject: _Subject) -> _Subject:
-    """Samples in which air data are at fault say nothing of the engine; what is mended does."""
+    """Samples in which air data are at fault say nothing of the engine; what is restored does."""
     blanked: dict[str, FloatArray] = {}
     for each in subject.faults:
-        for name in {*AIR} & {*each.channels} - {*subject.mended}:
+        for name in {*AIR} & {*each.channels} - {*subject.restored}:
             if name in subject.signals.values:
                 time_s = subject.signals.time_s
                 inside = (time_s >= each.from_s) & (time_s <= each.to_s)
@@ -298,7 +299,7 @@ def _without_air(_bank: Bank, subject: _Subject) -> _Subject:
 _LEAST_TESTABLE = 0.1  # share of a log's samples below which the bank says nothing of it
 
 
-def _wander(found: Residuals) -> float:
+def _spread(found: Residuals) -> float:
     """RMS of the residuals, each over its sigma."""
     parts = np.stack([found.consensus[name] / found.bank.sigma[name] for name in found.channels])
     known = parts[np.isfinite(parts)]
@@ -306,7 +307,7 @@ def _wander(found: Residuals) -> float:
 
 
 _RESTORED = 0.35
-_STRANGER = 1.02
+_MORE_EXTRAPOLATED = 1.02
 _MOSTLY = 0.15
 
 
@@ -461,13 +462,13 @@ def _motionless(bank: Bank, subject: _Subject) -> _Subject:
         return subject
     found = residuals(bank, subject.signals, subject.channels)
     motion = {name: _without_motion(found, name) for name in tested}
-    still = {name: each for name, (each, _) in motion.items()}
-    name = max(still, key=lambda each: int(still[each].sum()))
-    spread = spans(still[name])
-    if not spread or still[name].sum() * subject.signals.step_s < _LEAST_STILL_S:
+    motionless = {name: each for name, (each, _) in motion.items()}
+    name = max(motionless, key=lambda each: int(motionless[each].sum()))
+    spread = spans(motionless[name])
+    if not spread or motionless[name].sum() * subject.signals.step_s < _LEAST_STILL_S:
         return subject
     y, first, last = subject.signals.values[name], spread[0][0], spread[-1][1] - 1
-    part = y[still[name]]
+    part = y[motionless[name]]
     kind: Kind = "stuck" if np.ptp(part) == 0.0 else "dead"
     against = _listed(subject.channels, name)
     text = f"stays at {np.median(part):.4g} {CHANNELS[name].unit} while {against} move"
@@ -488,9 +489,9 @@ def _without_motion(found: Residuals, name: str) -> tuple[BoolArray, float]:
     size = round(_STILL_S / found.signals.step_s)
     y = found.signals.values[name]
     sigma = found.bank.sigma[name] * abs(found.bank.centre[name]) * found.corrected.scale[name]
-    own, other = _moving_spread(y, size), _asked_motion(found, name, size)
+    own, other = _moving_spread(y, size), _implied_motion(found, name, size)
     quiet = (own < _STILL * other) & (other > 0.5 * LIMITS[0] * sigma)
-    still = np.zeros(len(y), dtype=np.bool_)
+    motionless = np.zeros(len(y), dtype=np.bool_)
     largest = 2.0 * float(np.max((other / sigma)[quiet], initial=0.0))
     half = size // 2
     for start, stop in spans(quiet):
@@ -501,22 +502,22 @@ def _without_motion(found: Residuals, name: str) -> tuple[BoolArray, float]:
             first -= 1
         while last < len(y) and same[last]:
             last += 1
-        still[first:last] = True
-    return still, largest
+        motionless[first:last] = True
+    return motionless, largest
 
 
-def _asked_motion(found: Residuals, name: str, size: int) -> FloatArray:
+def _implied_motion(found: Residuals, name: str, size: int) -> FloatArray:
     """Standard deviation in a window (time,) that the middle one of the other channels asks for.
 
     A step of one of them, such as the begin of its own fault, is no reason for this one to move.
     """
     x, expected = found.corrected.x[name], found.expected[name]
     scale = 0.5 * np.maximum(expected, 0.0) + 0.5 * abs(found.bank.centre[name])
-    asked = [
+    implied = [
         _moving_spread(found.corrected.raw(name, x - error * scale), size)
         for error in found.errors[name].values()
     ]
-    return np.nan_to_num(np.median(asked, axis=0))
+    return np.nan_to_num(np.median(implied, axis=0))
 
 
 def _moving_spread(values: FloatArray, size: int) -> FloatArray:

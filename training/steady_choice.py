@@ -26,14 +26,13 @@ import numpy as np
 from data_prep.equilibrium import quasi_steady
 from data_prep.log import Log
 from data_prep.prepare import hold_inputs
-from narxcal.channels import CHANNELS
+from narxcal.channels import CHANNELS, spools_of
 from narxcal.steady.fitted import Layout
 from narxcal.steady.model import SteadyStateModel, open_steady
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from training.config import RunConfig
 from training.folds import geometric_rms, held_out_folds
-from training.records import speeds
 from training.steady_fit import SteadyQuality, SteadySamples, fit_steady_state
 
 _BETTER = 0.9  # of the usual answer's residual
@@ -75,7 +74,7 @@ def chosen_layout(config: RunConfig, logs: Sequence[Log]) -> Layout:
     layout = Layout(
         input_names=names,
         output_names=config.narx.outputs,
-        driver=section.driver or config.events.driver,
+        driver=config.driver,
         blend=blend if section.blend == "auto" else section.blend,
         corrected="ALT_ft" in names if section.corrected == "auto" else section.corrected,
         switches=() if section.switches == "auto" else section.switches,
@@ -156,7 +155,7 @@ def _folds(taken: Sequence[_Taken]) -> list[tuple[list[_Taken], list[_Taken]]]:
                 )
             )
         ]
-    return [turn.of(taken) for turn in held_out_folds([one.recording for one in taken], _FOLDS)]
+    return [fold.of(taken) for fold in held_out_folds([one.recording for one in taken], _FOLDS)]
 
 
 def _left(layout: Layout, folds: _Folds) -> float:
@@ -176,10 +175,10 @@ def _left(layout: Layout, folds: _Folds) -> float:
 
 def _samples(config: RunConfig, layout: Layout, log: Log) -> SteadySamples:
     log = hold_inputs(log, layout.input_names)
-    still = quasi_steady(log, layout.driver, speeds(config), config.quasi_steady)
+    rows = quasi_steady(log, layout.driver, spools_of(layout.output_names), config.quasi_steady)
     return SteadySamples(
-        log.matrix(layout.input_names)[still],
-        log.matrix(layout.output_names)[still],
+        log.matrix(layout.input_names)[rows],
+        log.matrix(layout.output_names)[rows],
         log.source.engine,
     )
 
@@ -191,8 +190,7 @@ def _thinned(samples: SteadySamples) -> SteadySamples:
 
 def _switches(config: RunConfig, logs: Sequence[Log]) -> tuple[str, ...]:
     """Switches that every log records, on and off for some time of quasi-steady flight."""
-    driver = config.steady_state.driver or config.events.driver
-    found = []
+    spools, found = spools_of(config.narx.outputs), []
     for name, channel in CHANNELS.items():
         if channel.role != "switch":
             continue
@@ -200,9 +198,9 @@ def _switches(config: RunConfig, logs: Sequence[Log]) -> tuple[str, ...]:
             continue
         on, off = 0.0, 0.0
         for log in logs:
-            still = quasi_steady(log, driver, speeds(config), config.quasi_steady)
-            on += log.dt_s * int((log[name][still] > 0.5).sum())
-            off += log.dt_s * int((log[name][still] <= 0.5).sum())
+            rows = quasi_steady(log, config.driver, spools, config.quasi_steady)
+            on += log.dt_s * int((log[name][rows] > 0.5).sum())
+            off += log.dt_s * int((log[name][rows] <= 0.5).sum())
         if min(on, off) >= _ON_S:
             found.append(name)
     return tuple(found)

@@ -20,7 +20,7 @@ from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError
 from training.config import SteadyFitConfig
 
-_TURNS = 0.8  # of the residual that a monotone curve leaves
+_NOT_MONOTONE = 0.8  # of the residual that a monotone curve leaves
 _USUAL = SteadyFitConfig()
 _ROWS = 20000  # more quasi-steady samples than this tell nothing new
 
@@ -58,7 +58,7 @@ def fit_steady_state(
     inputs, outputs, names = inputs[::step], outputs[::step], names[::step]
     drive = layout.drive(inputs)
     knots = _spread_knots(drive, config)
-    engines = _told_apart(samples)
+    engines = _distinguished(samples)
     envelope = _envelope(inputs, layout)
     seen = np.array([drive.min(), drive.max()])
     design = _Design(layout, envelope, seen, knots, engines, config)
@@ -124,7 +124,7 @@ def _spread_knots(drive: FloatArray, config: SteadyFitConfig) -> FloatArray:
     return np.linspace(low - beyond, high + beyond, config.knots)
 
 
-def _told_apart(samples: Sequence[SteadySamples]) -> tuple[str, ...]:
+def _distinguished(samples: Sequence[SteadySamples]) -> tuple[str, ...]:
     engines = sorted({part.engine for part in samples if len(part.inputs)})
     return tuple(engines) if len(engines) > 1 else ()
 
@@ -136,7 +136,7 @@ def _curve(design: _Design, matrix: FloatArray, target: FloatArray, *, turns: bo
         return monotone
     free = design.solve(matrix, target, monotone=False)
     left = [float(np.nansum((matrix @ each - target) ** 2)) for each in (free, monotone)]
-    return free if left[0] < _TURNS**2 * left[1] else monotone
+    return free if left[0] < _NOT_MONOTONE**2 * left[1] else monotone
 
 
 @dataclass(frozen=True)

@@ -110,8 +110,7 @@ def measure(campaign: Campaign, data: Path | None = None, show: bool = False) ->
     """Train on some logs of a campaign, and put every fault of the list into the others."""
     config, base = load_config(campaign.config)
     if data is not None:
-        moved = config.logs.model_copy(update={"folder": str(data.resolve())})
-        config = config.model_copy(update={"logs": moved})
+        config = config.with_logs_in(data)
     raw = read_logs(configured_files(config, base), config.logs)
     train, test = (
         [log for log in raw if _matches(log, part)] for part in (campaign.train, campaign.test)
@@ -129,8 +128,7 @@ def _measured(
 ) -> Result:
     """Train on the first of the raw logs, and put faults into the others."""
     train, test = raw
-    quick = config.train.model_copy(update={"choice_s": 0.0})
-    config = config.model_copy(update={"train": quick})
+    config = config.having(train={"choice_s": 0.0})
     logs = tuple(one.log for one in prepare(train, config))
     bundle = calibrate(config, Path(), Split(logs, (), ()))
     bank = Bank.from_json(bundle.meta["redundancy"])
@@ -181,8 +179,7 @@ def unseen(seed: int, data: Path, *, show: bool = False) -> Iterator[Result]:
         raw = read_logs(sorted(folder.glob("real*/*.csv.gz")), lever.logs)
         yield _measured(case, lever, (raw[:3], raw[3:4]), faults, show=show)
     config, base = load_config("citation2.toml")
-    moved = config.logs.model_copy(update={"folder": str((data / "flights").resolve())})
-    config = config.model_copy(update={"logs": moved})
+    config = config.with_logs_in(data / "flights")
     raw = read_logs(configured_files(config, base), config.logs)
     yield _measured("Citation II", config, (raw[2:], raw[:1]), faults, show=show)
 

@@ -80,8 +80,7 @@ def rows(data: Path | None = None, campaigns: Sequence[Campaign] = CAMPAIGNS) ->
     for campaign in campaigns:
         config, base = load_config(campaign.config)
         if data is not None:
-            moved = config.logs.model_copy(update={"folder": str(data.resolve())})
-            config = config.model_copy(update={"logs": moved})
+            config = config.with_logs_in(data)
         try:
             files = configured_files(config, base)
         except DataError as error:

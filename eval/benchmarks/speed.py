@@ -241,8 +241,7 @@ def _briefly_trained(config: RunConfig, base: Path, flight: Path) -> tuple[Log, 
     a replay over it would measure the maker's model.
     """
     config, _ = flown(config, base, flight.parent)
-    brief = config.train.model_copy(update={"horizons_s": (5.0,), "iterations": (2,)})
-    config = config.model_copy(update={"train": brief})
+    config = config.having(train={"horizons_s": (5.0,), "iterations": (2,)})
     log = prepare_logs(config, [flight], 1.0 / 32.0)[0]
     return log, calibrate(config, base, Split((log,), (), ()))
 

@@ -99,7 +99,7 @@ def at_thrust(
     return found
 
 
-def likeness(engine: VirtualEngine, altitude_ft: float) -> float:
+def similarity(engine: VirtualEngine, altitude_ft: float) -> float:
     """Slow lag at altitude over that at sea level, both static, over `sqrt(theta) / delta`.
 
     At equal corrected N1 the law of NACA TR-1011 makes this one.
@@ -360,8 +360,8 @@ def _lags(engine: VirtualEngine) -> list[float]:
     high = engine.linearised(at_thrust(engine, (35000.0, 0.78), (0.1, 1.0)))
     idle, top = (point.lags_s[0] for point in low)
     idle_up, top_up = (point.lags_s[0] for point in high)
-    alike = likeness(engine, 35000.0)
-    ratios = [idle / top, top_up / top, idle_up / idle, alike]
+    similar = similarity(engine, 35000.0)
+    ratios = [idle / top, top_up / top, idle_up / idle, similar]
     return [top, idle, *ratios, low[1].overshoot, low[0].overshoot]
 
 

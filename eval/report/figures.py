@@ -31,7 +31,7 @@ _LAGS = 160  # drawn per correlation; a reader sees no more
 
 def overlay(view: LogView) -> Picture:
     """Draw the whole log: driver, then per output flight over model and the deviation below it."""
-    outputs, compared = view.curves(), view.model is not None
+    outputs, compared = view.curves(), view.evaluation is not None
     ratios = [0.6] + [part for _ in outputs for part in ((1.6, 0.6) if compared else (1.4,))]
     figure, rows = style.stack(10.0, ratios)
     time_s, step = view.log.time_s, 2 if compared else 1
@@ -56,7 +56,7 @@ def overlay(view: LogView) -> Picture:
 
 
 def _overlay_caption(view: LogView) -> str:
-    if view.model is None:
+    if view.evaluation is None:
         return "Thin lines in the driver strip: pushes (orange) and pulls (blue). Grey: masked."
     text = (
         "Measured: the thin line on top of the free run in blue; below each, model minus measured. "

@@ -38,10 +38,10 @@ class Curves:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LogView:
-    """One log, its outputs and events; `model` and `steady` are (time, output).
+    """One log, its outputs and events.
 
-    The page of `prepare` has no model, no evaluation and no residuals. `pearson` has inputs as rows
-    and outputs as columns.
+    The page of `prepare` has no evaluation and no residuals. `pearson` has inputs as rows and
+    outputs as columns.
     """
 
     log: Log
@@ -49,8 +49,6 @@ class LogView:
     outputs: tuple[str, ...]
     events: Sequence[AssessedEvent] = ()
     pearson: pd.DataFrame | None = None
-    model: FloatArray | None = None
-    steady: FloatArray | None = None
     evaluation: LogEvaluation | None = None
     residuals: Sequence[ResidualTests] = ()
 
@@ -74,13 +72,10 @@ class LogView:
 
     def curves(self, rows: slice = slice(None)) -> list[Curves]:
         """Every output over `rows`."""
+        run = None if self.evaluation is None else self.evaluation.run
+        modelled = (None, None) if run is None else (run.model, run.steady)
         return [
-            Curves(
-                name,
-                self.log[name][rows],
-                None if self.model is None else self.model[rows, k],
-                None if self.steady is None else self.steady[rows, k],
-            )
+            Curves(name, self.log[name][rows], *(x if x is None else x[rows, k] for x in modelled))
             for k, name in enumerate(self.outputs)
         ]
 
@@ -115,8 +110,6 @@ def view_of(one: LogEvaluation, driver: str, inputs: Sequence[str]) -> LogView:
         outputs=run.channels,
         events=one.events,
         pearson=pearson(log, names, run.channels),
-        model=run.model,
-        steady=run.steady,
         evaluation=one,
         residuals=[
             residual_tests(name, residual[:, k], moving, log.dt_s)

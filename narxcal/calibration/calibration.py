@@ -331,8 +331,6 @@ class DynamicCalibration(Calibration):
             "steady": steady,
             "lag": lag_meta,
         }
-        if self.reach is not None:
-            meta["reach"] = {"low": self.reach.low.tolist(), "high": self.reach.high.tolist()}
         meta |= self._reach_row()
         if self.leads:
             meta["leads"] = [lead.to_json() for lead in self.leads]

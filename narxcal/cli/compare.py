@@ -15,10 +15,10 @@ from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_out, add_trust, path
 from narxcal.cli.results import data_files, hash_words, logs_for, method_of, now
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import Results, to_json, versions
+from narxcal.support.files import Results, versions
 
-DOCUMENT, PAGE = "compare.json", "compare.html"
-RESULTS = Results(SCHEMA, DOCUMENT, (PAGE,))
+PAGE = "compare.html"
+RESULTS = Results(SCHEMA, "compare.json", (PAGE,))
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -43,10 +43,7 @@ def run(options: Namespace, console: Console) -> int:
     with console.progress("Comparing"):
         found = compare_runs(runs)
     document = found.document()
-    with RESULTS.writing(options.out) as folder:
-        (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
-        html = compare_page(_header(runs), found)
-        (folder / PAGE).write_text(html, encoding="utf-8")
+    RESULTS.save(options.out, document, compare_page(_header(runs), found))
     _show(console, found)
     console.say(f"Page: {options.out / PAGE}")
     console.document(document)

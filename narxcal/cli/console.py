@@ -19,7 +19,7 @@ from narxcal.support.files import STDOUT, to_json
 
 WIDTH = 80
 
-# Told how far a piece of work has come: steps done of steps in all, and a word on it.
+# Called with the steps done, the number of steps, and a note.
 Advance = Callable[[int, int, str], None]
 
 
@@ -35,7 +35,7 @@ class Console:
         """Whether words and tables are unwanted."""
         return self.json or self.quiet
 
-    def beside(self, out: Path) -> Console:
+    def for_output(self, out: Path) -> Console:
         """Console that leaves stdout to the output itself where `out` is `-`.
 
         Raises `ConfigError` where one JSON document is wanted there, too.

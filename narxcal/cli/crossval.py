@@ -14,12 +14,12 @@ from eval.report.page import RunHeader, crossval_page
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config, add_jobs, add_method
 from narxcal.cli.results import data_files, now, read_config, with_method
-from narxcal.support.files import Results, to_json, versions
+from narxcal.support.files import Results, versions
 from training.config import RunConfig
 from training.pipeline import configured_files
 
-DOCUMENT, PAGE = "crossval.json", "crossval.html"
-RESULTS = Results(SCHEMA, DOCUMENT, (PAGE,))
+PAGE = "crossval.html"
+RESULTS = Results(SCHEMA, "crossval.json", (PAGE,))
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -48,10 +48,7 @@ def run(options: Namespace, console: Console) -> int:
         found = cross_validate(config, base, logs, options.jobs, watch)
     document = found.document()
     warnings = cautions(logs, config, config.narx.outputs)
-    html = crossval_page(_header(config, logs, warnings), found)
-    with RESULTS.writing(options.out) as folder:
-        (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
-        (folder / PAGE).write_text(html, encoding="utf-8")
+    RESULTS.save(options.out, document, crossval_page(_header(config, logs, warnings), found))
     _show(console, found)
     for text in warnings:
         console.warn(text)

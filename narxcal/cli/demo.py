@@ -8,7 +8,8 @@ from importlib.resources import files
 from pathlib import Path
 
 from narxcal.cli.console import Console
-from narxcal.cli.evaluate import PAGE, judge, show, write
+from narxcal.cli.evaluate import PAGE, judge, show
+from narxcal.cli.evaluate import RESULTS as EVALUATION
 from narxcal.cli.options import path
 from narxcal.cli.results import logs_for
 from narxcal.cli.train import train
@@ -43,7 +44,7 @@ def run(options: Namespace, console: Console) -> int:
     bundle = train(config, base, folder / MODEL, (False, console))
     found = judge(bundle, logs_for(bundle, None, None, console), (folder / MODEL, None), console)
     (folder / PAGES).mkdir()
-    write(folder / PAGES, found)
+    EVALUATION.write(folder / PAGES, found.document, found.html)
     page = f"{PAGES}/{PAGE}"
     document = {"schema": SCHEMA, "complete": True, "page": page, "evaluation": found.document}
     atomic_write_text(folder / DOCUMENT, to_json(document))

@@ -23,11 +23,10 @@ from narxcal.calibration.bundle import load_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_out, add_run
 from narxcal.cli.results import header_of, logs_for
-from narxcal.support.files import Results, to_json
+from narxcal.support.files import Results
 
-SCHEMA = "narxcal.denoise/1"
-DOCUMENT, PAGE = "denoise.json", "denoise.html"
-RESULTS = Results(SCHEMA, DOCUMENT, (PAGE,))
+SCHEMA, PAGE = "narxcal.denoise/1", "denoise.html"
+RESULTS = Results(SCHEMA, "denoise.json", (PAGE,))
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -58,9 +57,7 @@ def run(options: Namespace, console: Console) -> int:
     header = header_of(
         f"Denoising: {config.name}", options.bundle, bundle, logs, settings.transients.rules
     )
-    with RESULTS.writing(options.out) as folder:
-        (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
-        (folder / PAGE).write_text(noise_page(header, outcome, sweeps), encoding="utf-8")
+    RESULTS.save(options.out, document, noise_page(header, outcome, sweeps))
     _show(console, sweeps)
     terminal.print_outcome(console.page, outcome)
     console.say(f"Page: {options.out / PAGE}")

@@ -27,10 +27,10 @@ from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_run, fraction, path
 from narxcal.cli.results import changed, header_of, logs_for
-from narxcal.support.files import Results, to_json
+from narxcal.support.files import Results
 
-DOCUMENT, PAGE = "evaluate.json", "evaluate.html"
-RESULTS = Results(SCHEMA, DOCUMENT, (PAGE,))
+PAGE = "evaluate.html"
+RESULTS = Results(SCHEMA, "evaluate.json", (PAGE,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +64,7 @@ def run(options: Namespace, console: Console) -> int:
     bundle = load_bundle(options.bundle, trust=options.trust)
     logs = logs_for(bundle, options.logs, options.data, console)
     found = judge(bundle, logs, (options.bundle, options.trim), console)
-    with RESULTS.writing(out) as folder:
-        write(folder, found)
+    RESULTS.save(out, found.document, found.html)
     show(console, found)
     console.say(f"Page: {out / PAGE}")
     console.document(found.document)
@@ -114,12 +113,6 @@ def _outside(bundle: Bundle, parts: Sequence[LogEvaluation]) -> list[str]:
     models = [bundle.calibration.for_engine(part.log.source.engine).steady for part in parts]
     found = (outside_envelope(part.run, model) for part, model in zip(parts, models, strict=True))
     return [text for text in found if text]
-
-
-def write(folder: Path, found: Judgement) -> None:
-    """Write JSON and page into a folder."""
-    (folder / DOCUMENT).write_text(to_json(found.document), encoding="utf-8")
-    (folder / PAGE).write_text(found.html, encoding="utf-8")
 
 
 def show(console: Console, found: Judgement) -> None:

@@ -22,7 +22,7 @@ from narxcal.flight_test.fly import (
     write_flights,
 )
 from narxcal.flight_test.scenario import FlightScenario, parse_effects
-from narxcal.support.files import Results, recover, to_json
+from narxcal.support.files import Results, recover
 
 _LOG = re.compile(r"(flight_\d+_(left|right)|data_set_\d+)\.csv(\.gz)?")
 
@@ -61,7 +61,7 @@ def run(options: Namespace, console: Console) -> int:
     with results.writing(options.out) as folder:
         with console.progress("Flying") as advance:
             document = write_flights(folder, scenario, how, advance)
-        (folder / TRUTH).write_text(to_json(document), encoding="utf-8")
+        results.write(folder, document)
     _show(console, document, options.out)
     console.document({**document, "out": str(options.out)})
     return 0

@@ -15,11 +15,11 @@ from data_prep.log import Log
 from data_prep.prepare import cautions
 from data_prep.reading import read_logs
 from eval.preparation import LogReport, events_table, examine, pearson_table, windows_table
-from eval.report.page import RunHeader, prepare_page, write_page
+from eval.report.page import RunHeader, prepare_page
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config
 from narxcal.cli.results import data_files, now, read_config
-from narxcal.support.files import TIME_FORMAT, Results, log_csv, text_cell, to_json, versions
+from narxcal.support.files import TIME_FORMAT, Results, log_csv, text_cell, versions
 from training.config import RunConfig
 
 SCHEMA = "narxcal.prepare/1"
@@ -43,8 +43,8 @@ def run(options: Namespace, console: Console) -> int:
     names = file_names([one.log for one in reports])
     document = _document(config, reports, names)
     with RESULTS.writing(options.out) as folder:
-        _write(folder, reports, names, document)
-        write_page(folder / "prepare.html", _page(config, reports))
+        _write(folder, reports, names)
+        RESULTS.write(folder, document, _page(config, reports))
     _show(console, reports, options.out)
     for caution in document["cautions"]:
         console.warn(caution)
@@ -78,9 +78,7 @@ def _document(
     }
 
 
-def _write(
-    folder: Path, reports: Sequence[LogReport], names: Sequence[str], document: dict[str, Any]
-) -> None:
+def _write(folder: Path, reports: Sequence[LogReport], names: Sequence[str]) -> None:
     for one, name in zip(reports, names, strict=True):
         _write_log(folder / name, one.log)
     events = events_table(reports)
@@ -92,7 +90,6 @@ def _write(
     ):
         table["log"] = table["log"].map(text_cell)
         table.to_csv(folder / name, index=False, float_format="%.8g", lineterminator="\n")
-    (folder / "prepare.json").write_text(to_json(document), encoding="utf-8")
 
 
 def file_names(logs: Sequence[Log]) -> list[str]:

@@ -113,9 +113,7 @@ def _identification_paper(options: Namespace, out: Path, console: Console) -> in
         "quick": options.quick,
     }
     header = RunHeader(title=title, created=now(), versions=versions())
-    with RESULTS.writing(out) as folder:
-        (folder / PAGE).write_text(reproduction_page(header, studies), encoding="utf-8")
-        (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
+    RESULTS.save(out, document, reproduction_page(header, studies))
     _show_studies(console, studies, outcome)
     console.say(f"Page: {options.out / PAGE}")
     console.document(document)

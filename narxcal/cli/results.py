@@ -41,10 +41,7 @@ def read_config(path: str, data: Path | None) -> tuple[RunConfig, Path]:
         raise ConfigError(
             error.problem, file=path, channel=error.channel, hint=error.hint
         ) from None
-    if data is None:
-        return config, base
-    logs = config.logs.model_copy(update={"folder": str(data.resolve())})
-    return config.model_copy(update={"logs": logs}), base
+    return config if data is None else config.with_logs_in(data), base
 
 
 def with_method(config: RunConfig, method: str | None) -> RunConfig:

@@ -78,7 +78,7 @@ def run(options: Namespace, console: Console) -> int:
             "expected RUN and INPUTS.csv, or --sim, --effects and --inputs",
             hint="See narxcal simulate --help",
         )
-    console = console.beside(options.out)
+    console = console.for_output(options.out)
     check_file(options.out, options.inputs, options.bundle, overwrite=options.overwrite)
     bundle = load_bundle(options.bundle, trust=options.trust)
     runs = [
@@ -107,8 +107,8 @@ def run(options: Namespace, console: Console) -> int:
 def read_inputs(bundle: Bundle, file: Path) -> list[Log]:
     """Read the inputs in `file` by the bundle's column mapping, or by canonical headers.
 
-    Outputs need not be there. The logs are on the model's raster, prepared as those that the
-    model was trained on; masked samples stay NaN. Raises `DataError`.
+    Outputs need not be there. The logs are on the model's sampling grid, prepared as those
+    that it was trained on; masked samples stay NaN. Raises `DataError`.
     """
     config = RunConfig.parse(bundle.meta["config"])
     names = bundle.calibration.input_names
@@ -118,8 +118,7 @@ def read_inputs(bundle: Bundle, file: Path) -> list[Log]:
         logs = LogsConfig(max_gap_s=logs.max_gap_s, bridge_s=logs.bridge_s)
     else:
         logs = logs.sparing(set(bundle.calibration.output_names) - set(names))
-    reading = logs.model_copy(update={"raster_hz": 1.0 / bundle.calibration.dt_s})
-    prepared = prepare(read_logs([file], reading), config)
+    prepared = prepare(read_logs([file], logs.every(bundle.calibration.dt_s)), config)
     return screened(bank_of(bundle), [one.log for one in prepared])
 
 

@@ -25,7 +25,7 @@ from narxcal.cli.console import Console
 from narxcal.cli.results import read_config
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import TIME_FORMAT, Results, recover, to_json
+from narxcal.support.files import Results, log_csv, recover
 
 SCHEMA, DOCUMENT = "narxcal.simulate_effects/1", "simulated.json"
 
@@ -56,7 +56,7 @@ def run(options: Namespace, console: Console) -> int:
             "applied": found.ways(again=not isinstance(how, Path)),
             "logs": rows,
         }
-        (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
+        results.write(folder, document)
     _show(console, document, options.out)
     return 0
 
@@ -75,7 +75,7 @@ def _added(
     outputs = found.added_to(sim, name) if again is None else found.run_again(sim, again, name)
     channels, change = _changed(sim, outputs, found.signals.outputs)
     channels["time_s"] = given.time_s[: len(sim)]
-    (folder / f"{name}.csv").write_bytes(_csv(channels))
+    (folder / f"{name}.csv").write_bytes(log_csv(channels).encode())
     load = found.knows(name) if found.has_load else None
     unknown = {n: int(np.isnan(outputs[n]).sum()) for n in found.signals.outputs}
     return {
@@ -118,13 +118,6 @@ def _changed(
     both = {**sim.channels, **outputs}
     names = [n for n, row in CHANNELS.items() if n in both and row.role != "auxiliary"]
     return {"time_s": sim.time_s, **{name: both[name] for name in names}}, rms
-
-
-def _csv(channels: Mapping[str, FloatArray]) -> bytes:
-    form = ",".join([TIME_FORMAT, *["%.9g"] * (len(channels) - 1)]) + "\n"
-    table = np.column_stack(list(channels.values())) + 0.0
-    text = "".join([form % tuple(row) for row in table.tolist()]).replace("nan", "")
-    return (",".join(channels) + "\n" + text).encode()
 
 
 def _show(console: Console, document: Mapping[str, Any], out: Path) -> None:

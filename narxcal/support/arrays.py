@@ -60,6 +60,14 @@ def bridge_gaps(values: FloatArray) -> FloatArray:
     return np.interp(index, index[known], values[known])
 
 
+def known_mean(values: FloatArray, axis: int = 0) -> FloatArray:
+    """Mean of the finite values along an axis; NaN where there are none."""
+    known = np.isfinite(values)
+    count = known.sum(axis=axis)
+    total = np.where(known, values, 0.0).sum(axis=axis)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
 def noise_level(values: FloatArray) -> float:
     """Estimate the standard deviation of white noise on a smooth signal; 0 for under 3 samples.
 

@@ -297,6 +297,17 @@ class Results:
         with atomic_folder(folder, replace=True) as part:
             yield part
 
+    def write(self, folder: Path, document: Mapping[str, Any], *pages: str) -> None:
+        """Write the document into a folder, and the pages, which come first in `others`."""
+        (folder / self.document).write_text(to_json(document), encoding="utf-8")
+        for name, page in zip(self.others, pages, strict=False):
+            (folder / name).write_text(page, encoding="utf-8")
+
+    def save(self, folder: Path, document: Mapping[str, Any], *pages: str) -> None:
+        """Put a folder of the document and the pages in the place of `folder`."""
+        with self.writing(folder) as part:
+            self.write(part, document, *pages)
+
 
 # --- content ---
 

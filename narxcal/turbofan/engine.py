@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from narxcal.atmosphere import P0_PA, T0_K, isa
 from narxcal.channels import channel
-from narxcal.steady.model import Envelope, checked_inputs
+from narxcal.steady.model import BoxModel, Envelope, checked_inputs
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 from narxcal.turbofan.control_design import Linear, control, linearised
@@ -89,11 +89,12 @@ def _body(chosen: Preset, design: Stations) -> Body:
     )
 
 
-class VirtualEngine:
+class VirtualEngine(BoxModel):
     """One engine of a preset, with its own build and unmodelled effects.
 
     `build` are multipliers of component efficiencies and flows (see `build_scatter`). It is a
-    steady-state model (`outputs`, `inside`) and a simulator (`simulate`).
+    simulator (`simulate`) and a steady-state model, whose `outputs` raise `ModelError` naming the
+    condition that does not converge.
 
     Raises `ConfigError` for an unknown preset.
     """
@@ -125,23 +126,6 @@ class VirtualEngine:
             self.preset, core.machine, core.line, core.body, self.settings.accel_margin
         )
         self._box = Envelope(LOW, HIGH)
-
-    def inside(self, inputs: ArrayLike) -> NDArray[np.bool_]:
-        """Whether each sample of `inputs` (..., 9) lies in the envelope: (...,)."""
-        return self._box.inside(checked_inputs(inputs, self.input_names))
-
-    def outputs(self, inputs: ArrayLike) -> FloatArray:
-        """Steady outputs (..., 7) at `inputs` (..., 9) clamped to the envelope; NaN for NaN.
-
-        Raises `ModelError` naming the condition that does not converge.
-        """
-        array = checked_inputs(inputs, self.input_names)
-        flat = self._box.clamp(array.reshape(-1, len(INPUT_NAMES)))
-        known = np.isfinite(flat).all(axis=1)
-        found = np.full((len(flat), len(OUTPUT_NAMES)), np.nan)
-        if known.any():
-            found[known] = self._steady_outputs(flat[known])
-        return found.reshape(*array.shape[:-1], len(OUTPUT_NAMES))
 
     def gas_path(self, inputs: ArrayLike) -> dict[str, FloatArray]:
         """Steady stations, each (n,), at `inputs` (n, 9), by the names of `Stations`.
@@ -225,8 +209,8 @@ class VirtualEngine:
             raise ModelError(f"the engine has no steady state {_where(u[np.argmin(good)])}")
         return conditions, unknowns, rows
 
-    def _steady_outputs(self, u: FloatArray) -> FloatArray:
-        conditions, unknowns, rows = self._steady_points(u)
+    def _evaluate(self, inputs: FloatArray) -> FloatArray:
+        conditions, unknowns, rows = self._steady_points(inputs)
         at = dict(zip(Stations._fields, rows.T, strict=True))
         P2 = face_pressures(self._machine, conditions)
         return np.column_stack(

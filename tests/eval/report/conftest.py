@@ -110,8 +110,6 @@ def make_view(name: str = HOSTILE, one: LogEvaluation | None = None) -> LogView:
         outputs=("N1_pct",),
         events=one.events,
         pearson=pd.DataFrame({"N1_pct": [0.93, np.nan]}, index=["TRA_deg", "ALT_ft"]),
-        model=one.run.model,
-        steady=one.run.steady,
         evaluation=one,
         residuals=[residual_tests("N1_pct", residual, inputs, log.dt_s)],
     )

@@ -66,7 +66,7 @@ def sweep() -> NoiseSweep:
 def without_model(one: LogView) -> LogView:
     """As `prepare` has it."""
     events = [AssessedEvent(each.event) for each in one.events]
-    return replace(one, events=events, model=None, steady=None, evaluation=None, residuals=())
+    return replace(one, events=events, evaluation=None, residuals=())
 
 
 @pytest.fixture(scope="module")
@@ -301,8 +301,9 @@ def test_the_page_of_an_80_minute_log_at_32_hz_with_40_events_stays_small(header
     made, names = view(), ("N1_pct", "N2_pct", "EGT_C")
     log = Log("long.csv", np.arange(samples) / 32.0, dict.fromkeys(("TRA_deg", *names), noise))
     three = np.column_stack([noise] * 3)
+    run = replace(made.evaluation.run, outputs={"model": three, "steady_state": three})
     long = replace(
-        made, log=log, outputs=names, model=three, steady=three, residuals=[],
+        made, log=log, outputs=names, evaluation=replace(made.evaluation, run=run), residuals=[],
         events=list(made.events) * 14,
     )  # fmt: skip
     html = evaluate_page(header, [long], Outcome(passed=False, headline="h"))
