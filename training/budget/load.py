@@ -9,7 +9,8 @@ of any other effect; for given shifts the windows of a flight are the best path 
 with l_t = sum_c (2 e_c a_c - a_c^2) / (tau V_c), e what the nuisances leave and
 n = |e|^2 / (tau V) the effective samples of a flight, by Viterbi's recursion: a switch costs what
 one parameter does by Schwarz's criterion. Both in turn, from several first guesses. Every switch
-counts as a parameter where probabilities are made of it.
+counts as a parameter where probabilities are made of it. Engines of one flight may be loaded
+together: then their windows are one path, of which a switch counts once; what leaves less is found.
 """
 
 from __future__ import annotations
@@ -41,31 +42,25 @@ def found(frame: Frame) -> list[Single]:
 
     The windows are in `node.on` (flights, time).
     """
-    blocks = _Blocks(frame)
-    tried = {on.tobytes(): on for on in map(blocks.climb, blocks.guesses()) if on.any()}
-    fits = [_fitted(frame, blocks.spread(on)) for on in tried.values()]
-    fits = [_again(frame, blocks, one) for one in fits]
-    return sorted(fits, key=blocks.price)[:1]
-
-
-def _again(frame: Frame, blocks: _Blocks, one: Single) -> Single:
-    """The same by the shifts, nuisances and misfit of the joint fit, as long as it leaves less."""
-    for _ in range(_ROUNDS):
-        on = blocks.path(frame.cleaned(one.solved), one.theta, one.solved.tau)
-        if not on.any():
-            return one
-        other = _fitted(frame, blocks.spread(on))
-        if blocks.price(other) >= blocks.price(one):
-            return one
-        one = other
-    return one
+    alone = tuple(range(len(frame.record.gap)))
+    fits = [
+        (blocks.price(one), one)
+        for groups in dict.fromkeys((alone, frame.record.group or alone))
+        for blocks in (_Blocks(frame, groups),)
+        for one in blocks.fits()
+    ]
+    return [min(fits, key=lambda pair: pair[0])[1]] if fits else []
 
 
 class _Blocks:
-    """What the nuisances leave of a gap, (flights, blocks, outputs), and its weights."""
+    """What the nuisances leave of a gap, (flights, blocks, outputs), and its weights.
 
-    def __init__(self, frame: Frame) -> None:
+    Flights of one number in `groups` (flights,) share their windows.
+    """
+
+    def __init__(self, frame: Frame, groups: tuple[int, ...]) -> None:
         record = frame.record
+        self._frame, self._groups = frame, np.array(groups)
         self._size = max(1, round(_BLOCK_S / record.flights.signals.dt_s))
         self._steps = record.gap.shape[1]
         variance = record.noise**2 + (TOLERANCE * record.span) ** 2
@@ -82,6 +77,37 @@ class _Blocks:
     def _means(self, v: FloatArray) -> FloatArray:
         count = self._sums(self._known.astype(float))
         return self._sums(np.where(self._known, v, 0.0)) / np.maximum(count, 1.0)
+
+    def fits(self) -> list[Single]:
+        """A load in the windows that every first guess leads to, and in what is between them.
+
+        A flight's offset makes one of the other: of a load that is off in windows, with the other
+        sign.
+        """
+        found = [on for on in map(self.climb, self.guesses()) if on.any()]
+        found += [~on & on.any(axis=1, keepdims=True) for on in found]
+        tried = {on.tobytes(): on for on in found if on.any()}
+        return [self._again(self._fitted_in(on)) for on in tried.values()]
+
+    def _again(self, one: Single) -> Single:
+        """The same by shifts, nuisances and misfit of the joint fit, as long as it leaves less."""
+        for _ in range(_ROUNDS):
+            left = self._means(self._frame.cleaned(one.solved))
+            on = self._best(left, one.theta, one.solved.tau)
+            if not on.any():
+                return one
+            other = self._fitted_in(on)
+            if self.price(other) >= self.price(one):
+                return one
+            one = other
+        return one
+
+    def _fitted_in(self, on: BoolArray) -> Single:
+        """The load in windows by blocks, fitted with the nuisances."""
+        spread = np.repeat(on, self._size, axis=1)[:, : self._steps]
+        own = [np.flatnonzero(self._groups == g)[0] for g in np.unique(self._groups)]
+        switches = int(np.abs(np.diff(on[own].astype(int), axis=1)).sum() + on[own, 0].sum())
+        return _fitted(self._frame, spread, switches)
 
     def guesses(self) -> list[FloatArray]:
         """First guesses of the shifts: outputs alone and their main direction, of either sign."""
@@ -118,12 +144,10 @@ class _Blocks:
         shift = (both * over).sum(axis=0) / np.maximum(both.sum(axis=0), 1e-12)
         return level[:, None], shift
 
-    def path(self, left: FloatArray, shift: FloatArray, tau: float) -> BoolArray:
-        """Windows (flights, blocks) of given shifts in what is left (flights, time, outputs)."""
-        return self._best(self._means(left), shift, tau)
-
     def _best(self, left: FloatArray, shift: FloatArray, tau: float) -> BoolArray:
         gain = (self._weight * (2.0 * left - shift) * shift).sum(axis=-1)
+        for g in np.unique(self._groups):
+            gain[self._groups == g] = gain[self._groups == g].sum(axis=0)
         on = np.stack([_viterbi(0.5 / tau * row, self._switch) for row in gain])
         on[on.mean(axis=1) > _MOST] = False
         return on
@@ -131,10 +155,6 @@ class _Blocks:
     def price(self, one: Single) -> float:
         """What is left of the gap, with the penalty of the switches."""
         return one.solved.cost + 2.0 * one.solved.tau * self._switch * one.node.switches
-
-    def spread(self, on: BoolArray) -> BoolArray:
-        """Windows (flights, time) of windows by blocks."""
-        return np.asarray(np.repeat(on, self._size, axis=1)[:, : self._steps])
 
 
 @njit(cache=True)
@@ -157,7 +177,7 @@ def _viterbi(gain: FloatArray, penalty: float) -> BoolArray:
     return path
 
 
-def _fitted(frame: Frame, on: BoolArray) -> Single:
+def _fitted(frame: Frame, on: BoolArray, switches: int) -> Single:
     """The load in given windows (flights, time), fitted with the nuisances."""
     flights = frame.record.flights
     signals = flights.signals
@@ -170,7 +190,6 @@ def _fitted(frame: Frame, on: BoolArray) -> Single:
     for k in range(len(parameters)):
         rows[1 + k, ..., k] = follows
     box = np.array([(p.low, p.high) for p in parameters])
-    switches = int(np.abs(np.diff(on.astype(int), axis=1)).sum()) + int(on[:, 0].sum())
     zero, free = np.zeros(len(parameters)), tuple(range(len(parameters)))
     node = Node(effect, parameters, zero, free, rows, box, on, switches)
     columns = frame.columns(node)

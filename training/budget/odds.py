@@ -29,6 +29,9 @@ from training.budget.quadratic import solve
 
 _SCALES: Final = ("sensor_gain", "driver_gain")
 _RARE: Final = -1.6  # one to five
+# A parameter costs evidence of the whole record, and log ratios are per sample: sizes count by
+# effective samples, in such units that five are 1 in the calibration's flights of eight minutes.
+_CALIBRATED: Final = 15.0
 _EDGE: Final = 1e-6  # no probability is nearer to 0 or 1
 _FAINT: Final = 0.03  # log ratio below which all are alike: about that of nulls
 FEATURES = ("bare", "ratio", "log_ratio", "explained", "size", "gain", "response")
@@ -91,7 +94,7 @@ def features(frame: Frame, singles: Sequence[Single]) -> tuple[FloatArray, Float
                 ratio,
                 np.log(max(ratio, 0.0) + _FAINT),
                 frame.explained(one),
-                one.node.size / 5.0,
+                _CALIBRATED * one.node.size / record.independent,
                 np.log10(max(gain, 0.0) / floor + 0.01),
                 np.log10(size + 1e-5),
             )

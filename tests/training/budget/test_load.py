@@ -49,6 +49,35 @@ def test_windows_and_shifts_of_a_load_are_recovered(flights):
     assert found.node.switches == 6
 
 
+def test_engines_of_one_flight_share_their_windows(flights):
+    on = np.zeros(flights.y.shape[:2], dtype=bool)
+    on[:2, 300:700] = on[2:, 100:420] = True
+    loud = np.random.default_rng(3).normal(size=flights.y.shape) * np.array([0.4, 0.4, 8.0])
+    record = recorded(flights, flights.y + loud + on[..., None] * np.array([0.0, 1.0, 20.0]))
+    (alone,) = load.found(frame_of(record))
+    (shared,) = load.found(frame_of(replace(record, group=(0, 0, 2, 2))))
+    assert shared.node.switches == 4 < alone.node.switches
+    assert (shared.node.on != on).mean() < 0.01
+    assert (shared.node.on[0] == shared.node.on[1]).all()
+
+
+def test_a_load_of_one_engine_alone_is_not_shared(flights):
+    on = np.zeros(flights.y.shape[:2], dtype=bool)
+    on[0, 300:700] = on[2, 100:420] = True
+    record = recorded(flights, flights.y + on[..., None] * np.array([0.0, 0.8, 25.0]))
+    (found,) = load.found(frame_of(replace(record, group=(0, 0, 2, 2))))
+    assert (found.node.on != on).mean() < 0.01
+
+
+def test_a_load_that_is_on_most_of_the_time_is_the_one_with_fewer_switches(flights):
+    off = np.zeros(flights.y.shape[:2], dtype=bool)
+    off[:, 500:700] = True
+    record = recorded(flights, flights.y + off[..., None] * np.array([0.0, 0.8, 25.0]))
+    (found,) = load.found(frame_of(record))
+    assert (found.node.on == off).mean() > 0.99
+    assert (found.theta[1:] > 0.0).all()
+
+
 def test_noise_alone_has_no_windows(flights):
     assert load.found(frame_of(recorded(flights, flights.y))) == []
 
