@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from data_prep.smooth import SmoothConfig, blurs, smooth
 from narxcal.channels import spools_of
 from narxcal.support.arrays import BoolArray, sample_and_hold, spans
 from narxcal.support.errors import DataError
+from narxcal.support.settings import Section
 
 NOT_RECORDED = "not recorded"
 HELD = "held for the model"
@@ -35,44 +36,15 @@ _TOLERANCE_S = 0.25  # within which Ti and Tt have to agree (FAA 14 CFR part 60)
 _MOST_NAMED = 3  # logs in one line
 
 
-class Tables(Protocol):
-    """Whatever has the tables: the whole run configuration, or `Preparation`."""
+class Preparation(Section):
+    """The tables that preparation needs; a run configuration has them, too."""
 
-    @property
-    def logs(self) -> LogsConfig:
-        """Table `[logs]`."""
-
-    @property
-    def running(self) -> RunningConfig:
-        """Table `[running]`."""
-
-    @property
-    def clean(self) -> CleanConfig:
-        """Table `[clean]`."""
-
-    @property
-    def smooth(self) -> SmoothConfig:
-        """Table `[smooth]`."""
-
-    @property
-    def events(self) -> EventsConfig:
-        """Table `[events]`."""
-
-    @property
-    def quasi_steady(self) -> QuasiSteadyConfig:
-        """Table `[quasi_steady]`."""
-
-
-@dataclass(frozen=True)
-class Preparation:
-    """The tables alone, for use without a run configuration."""
-
-    logs: LogsConfig = field(default_factory=LogsConfig)
-    running: RunningConfig = field(default_factory=RunningConfig)
-    clean: CleanConfig = field(default_factory=CleanConfig)
-    smooth: SmoothConfig = field(default_factory=SmoothConfig)
-    events: EventsConfig = field(default_factory=EventsConfig)
-    quasi_steady: QuasiSteadyConfig = field(default_factory=QuasiSteadyConfig)
+    logs: LogsConfig = LogsConfig()
+    running: RunningConfig = RunningConfig()
+    clean: CleanConfig = CleanConfig()
+    smooth: SmoothConfig = SmoothConfig()
+    events: EventsConfig = EventsConfig()
+    quasi_steady: QuasiSteadyConfig = QuasiSteadyConfig()
 
 
 class LogWarning(NamedTuple):
@@ -94,7 +66,7 @@ class Prepared:
     """
 
     log: Log
-    tables: Tables
+    tables: Preparation
     outputs: tuple[str, ...] = ()
 
     @cached_property
@@ -125,7 +97,7 @@ class Prepared:
 
 
 def prepare(
-    logs: Sequence[Log], tables: Tables | None = None, outputs: Sequence[str] = ()
+    logs: Sequence[Log], tables: Preparation | None = None, outputs: Sequence[str] = ()
 ) -> list[Prepared]:
     """Leave out where the engine does not run, clean and smooth; the audit counts what changed."""
     wanted = tables or Preparation()
@@ -134,7 +106,7 @@ def prepare(
     return [Prepared(log, wanted, tuple(outputs)) for log in ready]
 
 
-def cautions(logs: Iterable[Log], tables: Tables, outputs: Sequence[str] = ()) -> list[str]:
+def cautions(logs: Iterable[Log], tables: Preparation, outputs: Sequence[str] = ()) -> list[str]:
     """Return the warnings about prepared logs, those of one kind in one line if they are many."""
     found: dict[str, list[LogWarning]] = {}
     for log in logs:

@@ -13,11 +13,8 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import Field, NonNegativeInt, field_validator, model_validator
 
-from data_prep.clean import CleanConfig
-from data_prep.config import LogsConfig
-from data_prep.equilibrium import QuasiSteadyConfig, RunningConfig
-from data_prep.events import EventsConfig
-from data_prep.smooth import SmoothConfig
+from data_prep.equilibrium import QuasiSteadyConfig
+from data_prep.prepare import Preparation
 from narxcal.calibration.fuser_config import FuserConfig
 from narxcal.channels import CHANNELS, channel
 from narxcal.narx.config import MOST_HIDDEN, MOST_LAGS, Taps
@@ -261,17 +258,11 @@ class SplitConfig(Section):
     test: tuple[str, ...] = ()
 
 
-class RunConfig(Section):
+class RunConfig(Preparation):
     """Everything that decides a run; `evaluate` is parsed by the evaluation itself."""
 
     schema_: Literal["narxcal.config/1"] = Field(default=SCHEMA, alias="schema")
     name: str = "narxcal"
-    logs: LogsConfig = LogsConfig()
-    running: RunningConfig = RunningConfig()
-    clean: CleanConfig = CleanConfig()
-    smooth: SmoothConfig = SmoothConfig()
-    events: EventsConfig = EventsConfig()
-    quasi_steady: QuasiSteadyConfig = QuasiSteadyConfig()
     steady_state: SteadyStateConfig = SteadyStateConfig()
     narx: NarxSection = NarxSection()
     train: TrainConfig = TrainConfig()

@@ -3,10 +3,8 @@
 A manoeuvre is the change of the lever angle since its start (`swing_deg`), over a time axis of its
 own that begins at 0. As every manoeuvre is relative, a sequence is continuous by construction.
 
-Step, impulse and ramp are Equations (1) to (3) of the Citation X identification paper. Its
-equation (2) reads 1 < t < 1 + Ts, an interval that contains no sample of a grid through t = 1;
-here samples at `1 <= t < 1 + Ts` are moved, and a step begins at its own time. Not modelled: tremor
-of the hand, friction and play of the lever, which are effects of the engine's linkage.
+Not modelled: tremor of the hand, friction and play of the lever, which are effects of the engine's
+linkage.
 """
 
 from __future__ import annotations
@@ -244,25 +242,6 @@ def hold(seconds: float) -> Corners:
 def travel(by_deg: float, rate_deg_s: float) -> Corners:
     """Move the lever by `by_deg` (negative: back) at a constant rate."""
     return Corners(((0.0, 0.0), (abs(by_deg) / _rate(rate_deg_s), by_deg)))
-
-
-def step(by_deg: float, after_s: float = 1.0, then_s: float = 30.0) -> Corners:
-    """Move at once after `after_s`, then hold for `then_s` (Citation X paper, Equation 1)."""
-    end = after_s + _time("the hold after a step", then_s)
-    return Corners(((0.0, 0.0), (after_s, 0.0), (after_s, by_deg), (end, by_deg)))
-
-
-def impulse(by_deg: float, width_s: float, after_s: float = 1.0, then_s: float = 30.0) -> Corners:
-    """Move at once for `width_s`, in the paper one sample, and back (Equation 2)."""
-    back = after_s + _time("the width of an impulse", width_s)
-    points = ((after_s, 0.0), (after_s, by_deg), (back, by_deg), (back, 0.0))
-    return Corners(((0.0, 0.0), *points, (back + then_s, 0.0)))
-
-
-def ramp(by_deg: float, ramp_s: float, after_s: float = 1.0, then_s: float = 30.0) -> Corners:
-    """Move at a constant rate over `ramp_s` after `after_s`, then hold (Equation 3)."""
-    top = after_s + _time("a ramp", ramp_s)
-    return Corners(((0.0, 0.0), (after_s, 0.0), (top, by_deg), (top + then_s, by_deg)))
 
 
 def levels(stays: Iterable[tuple[float, float]], rate_deg_s: float) -> Corners:

@@ -18,13 +18,10 @@ from narxcal.flight_test.manoeuvres import (
     Switched,
     doublet,
     hold,
-    impulse,
     ladder,
     levels,
-    ramp,
     reslam,
     reversals,
-    step,
     switch,
     three_two_one_one,
     travel,
@@ -55,24 +52,6 @@ sequences = st.lists(pieces, min_size=1, max_size=6).map(lambda parts: Sequence(
 def fastest_deg_s(piece):
     time_s = np.arange(0.0, piece.duration_s, 1e-3)
     return np.abs(np.diff(piece.swing_deg(time_s))).max() / 1e-3
-
-
-def test_a_step_is_equation_1():
-    moved = step(7.0, after_s=1.0).swing_deg(TIME_S)
-    np.testing.assert_array_equal(moved, np.where(TIME_S >= 1.0, 7.0, 0.0))
-
-
-@pytest.mark.parametrize("samples", [1, 16])
-def test_an_impulse_is_equation_2_and_one_sample_wide_where_asked(samples):
-    moved = impulse(7.0, samples * DT, after_s=1.0).swing_deg(TIME_S)
-    expected = 7.0 * np.isin(TIME_S, 1.0 + DT * np.arange(samples))
-    np.testing.assert_array_equal(moved, expected)
-    assert np.count_nonzero(moved) == samples
-
-
-def test_a_ramp_is_equation_3():
-    moved = ramp(10.0, ramp_s=5.0, after_s=1.0).swing_deg(TIME_S)
-    np.testing.assert_allclose(moved, 10.0 * np.clip((TIME_S - 1.0) / 5.0, 0.0, 1.0), atol=1e-12)
 
 
 @pytest.mark.parametrize("by_deg", [60.0, -60.0])
@@ -185,8 +164,6 @@ def test_a_sequence_is_its_parts_one_after_another(sequence):
         (lambda: travel(10.0, math.nan), "got nan deg/s"),
         (lambda: hold(0.0), "a hold takes a positive time, got 0 s"),
         (lambda: hold(math.inf), "a hold takes a positive time, got inf s"),
-        (lambda: impulse(5.0, -1.0), "the width of an impulse takes a positive time, got -1 s"),
-        (lambda: ramp(5.0, 0.0), "a ramp takes a positive time, got 0 s"),
         (lambda: switch("NAI", 0.0), "a switch takes a positive time, got 0 s"),
         (
             lambda: levels([(40.0, 1.0)], 10.0),

@@ -10,10 +10,9 @@ from hypothesis import strategies as st
 from narxcal.flight_test.manoeuvres import (
     HAND_DEG_S,
     SLAM_DEG_S,
+    Corners,
     Sweep,
     hold,
-    impulse,
-    step,
     switch,
     travel,
 )
@@ -52,13 +51,15 @@ def test_the_order_of_placing_does_not_matter():
 
 
 def test_a_one_sample_impulse_survives_the_raster():
-    angle = compose([Placed(2.0, impulse(8.0, DT))], TIME_S, 20.0)
+    impulse = Corners(((0.0, 0.0), (1.0, 0.0), (1.0, 8.0), (1.0 + DT, 8.0), (1.0 + DT, 0.0)))
+    angle = compose([Placed(2.0, impulse)], TIME_S, 20.0)
     np.testing.assert_array_equal(np.flatnonzero(angle != 20.0), [96])
     assert angle[96] == 28.0
 
 
 def test_a_hand_turns_a_step_into_a_ramp():
-    angle = compose([Placed(2.0, step(50.0))], TIME_S, 20.0, hand_deg_s=160.0)
+    step = Corners(((0.0, 0.0), (1.0, 0.0), (1.0, 50.0)))
+    angle = compose([Placed(2.0, step)], TIME_S, 20.0, hand_deg_s=160.0)
     assert np.diff(angle).max() == pytest.approx(160.0 * DT)
     assert angle[-1] == 70.0
     np.testing.assert_allclose(
