@@ -277,7 +277,6 @@ def _evidence(
         channels,
         found.gap_share,
         next(one.share for one in found.causes if one.cause == "unexplained"),
-        0.0,
         errors,
         by_others=found.by_others,
     )

@@ -51,7 +51,7 @@ def effect_ranking(document: Mapping[str, Any]) -> Picture | None:
 
 
 def model_chart(document: Mapping[str, Any]) -> Picture | None:
-    """Gain of the leading models, flight by flight, and the threshold; None without any."""
+    """Gain of the leading models, flight by flight; None without any."""
     rows = sorted(document["tried"], key=lambda row: -_finite(row["gain"]))[:_MOST_MODELS]
     if not rows:
         return None
@@ -61,16 +61,13 @@ def model_chart(document: Mapping[str, Any]) -> Picture | None:
         flights = [100 * _clipped(gain) for gain in row["flights"]]
         axes.plot(flights, [place] * len(flights), "o", ms=3, color=style.CYCLE[5], mew=0)
         axes.plot([100 * _clipped(row["gain"])], [place], "|", ms=10, mew=2.2, color=style.MODEL)
-    threshold = _finite(document["quality"].get("threshold"))
-    axes.axvline(100 * threshold, color=style.BAD, lw=1.0, ls=":")
     axes.set_xlabel("gain: share of the gap taken away [%]")
     lost = any(_finite(gain) < -1.0 for row in rows for gain in (*row["flights"], row["gain"]))
     _share_axis(axes)
     return picture(
         drawn,
         f"Gain of {len(names)} models, best: {names[0]} {100 * _clipped(rows[0]['gain']):.0f} %",
-        "Dots: single flights, each with the parameters that the others give; bar: all together. "
-        f"Dotted: what the best model gains where there is nothing to find ({_small(threshold)})."
+        "Dots: single flights, each with the parameters that the others give; bar: all together."
         + (" Gains below -100 % are drawn there." if lost else ""),
     )
 
@@ -239,10 +236,6 @@ def _clipped(value: float | None, otherwise: float = 0.0) -> float:
 
 def _finite(value: float | None) -> float:
     return float(value) if value is not None and math.isfinite(value) else 0.0
-
-
-def _small(share: float) -> str:
-    return "less than 0.1 %" if 0.0 < share < 0.0005 else f"{100 * share:.1f} %"
 
 
 def _percent(value: float | None) -> str:

@@ -167,7 +167,7 @@ def _nothing(data: GapData) -> tuple[Load, Finding]:
     reason, none = "recorded and simulated logs are the same", _NOTHING
     count, steps = data.gap.shape[:2]
     channels = channel_shrink(data, data.flights.y)
-    finding = Finding("none", (), (), reason, "", (), none, channels, 0.0, 0.0, 0.0)
+    finding = Finding("none", (), (), reason, "", (), none, channels, 0.0, 0.0)
     return Load(np.zeros((count, steps)), (), np.zeros(count), reason), finding
 
 
@@ -244,7 +244,7 @@ def _bounded(finding: Finding, pairs: Sequence[Pair]) -> Finding:
         f"{' and '.join(finding.tried[0].effects) if finding.tried else 'none'}"
     )
     silent = replace(finding, kind="unknown", effects=(), ambiguous_with=())
-    return replace(silent, reason=reason, besides="")
+    return replace(silent, reason=reason)
 
 
 def facts_of(pairs: Sequence[Pair], data: GapData, held: Sequence[Pair]) -> dict[str, Any]:

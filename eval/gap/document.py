@@ -56,8 +56,7 @@ def _verdict(finding: Finding) -> dict[str, Any]:
         "kind": finding.kind,
         "effects": list(finding.effects),
         "ambiguous_with": list(finding.ambiguous_with),
-        "reason": "; ".join(filter(None, (finding.reason, finding.besides))),
-        "besides": finding.besides,
+        "reason": finding.reason,
         "separating_manoeuvre": _separating(finding),
     }
 
@@ -72,18 +71,17 @@ def _separating(finding: Finding) -> str:
 
 
 def effect_rows(finding: Finding) -> list[dict[str, Any]]:
-    """Every effect that was tried, claimed or leading ones first, then by probability.
+    """Every effect that was tried, claimed ones first, then by probability.
 
-    Its parameters and gain are those of the claimed model where it is in that, or of the leading
-    one, else its own.
+    Its parameters and gain are those of the claimed model where it is in that, else its own.
     """
     models: dict[str, Tried] = {}
     alone = [one for one in finding.tried if len(one.effects) == 1]
-    for one in (*_claimed_models(finding), *_leading_model(finding), *alone, *finding.tried):
+    for one in (*_claimed_models(finding), *alone, *finding.tried):
         for name in one.effects:
             models.setdefault(name, one)
     chances = probabilities(finding)
-    first = list(claimed(finding)) or list(_leading(finding))
+    first = list(claimed(finding))
     others = sorted((n for n in models if n not in first), key=lambda n: -chances[n])
     return [_effect(name, models[name], chances[name]) for name in (*first, *others)]
 
@@ -98,16 +96,6 @@ def _claimed_models(finding: Finding) -> list[Tried]:
     """For each claimed effect the first model with it."""
     names = claimed(finding)
     return [next(one for one in finding.tried if name in one.effects) for name in names]
-
-
-def _leading(finding: Finding) -> tuple[str, ...]:
-    """Effects that come first though nothing is claimed, unless offsets make all of the gap."""
-    moving = _part(finding, offsets=False) >= _LEADING
-    return finding.leading if moving and not finding.effects else ()
-
-
-def _leading_model(finding: Finding) -> list[Tried]:
-    return [one for one in finding.tried if one.effects == finding.leading][:1]
 
 
 def probabilities(finding: Finding) -> dict[str, float]:
@@ -129,8 +117,6 @@ def probabilities(finding: Finding) -> dict[str, float]:
             for name in one.effects:
                 chance = part * one.probability / whole if one in same else 0.0
                 found[name] = min(1.0, found.get(name, 0.0) + chance)
-    # Of two that are there together, as far as anyone can tell, none is the likelier one.
-    found |= dict.fromkeys(_leading(finding), max(found.values(), default=0.0))
     return _relied_on(found, finding)
 
 
@@ -257,8 +243,6 @@ def _measured(finding: Finding, where: Where) -> dict[str, Any]:
     return {
         "gap_share": finding.gap_share,
         "left_share": finding.left_share,
-        "threshold": finding.threshold,
-        "same_engine": finding.same_engine,
         "notes": list(finding.notes),
         "channels": {name: asdict(found) for name, found in where.channels.items()},
         "excess": dict(where.excess),

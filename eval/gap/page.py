@@ -55,7 +55,6 @@ def header(document: Mapping[str, Any], created: str) -> RunHeader:
         "Parts that stand for flights": ", ".join(quality.get("parts", ())),
         "Rate": _rate(quality),
         "Driver": quality.get("driver", ""),
-        "Recorded engine": _SAME if quality.get("same_engine") else "",
         "Computed in": f"{quality['wall_s']:.0f} s" if "wall_s" in quality else "",
     }
     return RunHeader(
@@ -73,7 +72,6 @@ def _compared(quality: Mapping[str, Any]) -> str:
     return f"{_SIMULATORS.get(kind, kind)}, compared with {flights}"
 
 
-_SAME = "the simulator's own, by where it settles: neither build scatter nor misfit is allowed for"
 _SIMULATORS = {
     "logs": "simulated logs",
     "bundle": "a calibration of narxcal",

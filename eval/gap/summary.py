@@ -32,12 +32,7 @@ def sentence(document: Mapping[str, Any]) -> str:
         words += _just_as_well(document)
         added = "the first" if len(claimed) == 1 else f"the first {len(claimed)}"
     taken = f"adding {added} to the simulator takes away {_taken(document['shrink'])}"
-    return f"{words}; {taken}." + _as_sentence(verdict["besides"])
-
-
-def _as_sentence(besides: str) -> str:
-    """What has to be told beside why the effects are claimed, as a sentence of its own."""
-    return f" {besides[0].upper()}{besides[1:]}." if besides else ""
+    return f"{words}; {taken}."
 
 
 def _just_as_well(document: Mapping[str, Any]) -> str:

@@ -56,7 +56,7 @@ def _claimed(document: Mapping[str, Any]) -> list[str]:
 
 
 def _measured(document: Mapping[str, Any]) -> list[str]:
-    """How large the gap is, what is left of it, and what a claim had to exceed."""
+    """How large the gap is, what is left of it, and how many models were tried."""
     quality, tried = document["quality"], document["tried"]
     lines = []
     share, left = _number(quality.get("gap_share")), _number(quality.get("left_share"))
@@ -67,12 +67,8 @@ def _measured(document: Mapping[str, Any]) -> list[str]:
             text += f"; {_percent(max(left, 0.0))} of the gap stays unexplained"
             text += ", each flight's own small offsets taken out"
         lines.append(f"{text}.")
-    threshold = _number(quality.get("threshold"))
-    if tried and threshold is not None:
-        lines.append(
-            f"{len(tried)} models were tried. Where there is nothing to find, the best of them "
-            f"takes away {_percent(threshold)} by chance: a claim has to exceed that."
-        )
+    if tried:
+        lines.append(f"{len(tried)} models were tried.")
     return lines
 
 

@@ -3,8 +3,8 @@
 1. Every effect is fitted to all flights; what it is worth is what it takes off flights that had no
    part in the fit (`fitting`). Offsets and slopes over power are nuisances here, so that build
    scatter neither hides nor fakes anything.
-2. A claim has to exceed what the best candidate gains on pseudo-nulls (`null`), be material, and
-   hold in nearly every flight: the flight is the unit of evidence.
+2. A claim has to be material beyond small misfit (`allowance`), and hold in nearly every flight:
+   the flight is the unit of evidence.
 3. A further effect is added as long as it earns its place in the same way.
 4. Candidates that the flights cannot tell from the leader are named with it; a leader that leaves
    much of the gap unexplained is no answer.
@@ -13,7 +13,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -21,14 +20,10 @@ from narxcal.effects.base import Effect
 from narxcal.effects.library import candidates
 from narxcal.effects.running import Flights
 from narxcal.support.arrays import FloatArray
-from training.gap import both_ways
 from training.gap.allowance import Allowance
-from training.gap.beside import beside, stands
 from training.gap.finding import Finding
 from training.gap.fitting import Fit, Problem, fit, in_nearly_all
 from training.gap.foils import foil
-from training.gap.kin import standings
-from training.gap.null import null_gains
 from training.gap.offsets import (
     Offset,
     beyond_scatter,
@@ -39,11 +34,9 @@ from training.gap.offsets import (
 )
 from training.gap.quadratic import Misfit, misfit
 from training.gap.rerun_fit import told_anew
-from training.gap.same_engine import is_but_for, is_same_engine
-from training.gap.together import added, in_order, is_expected, taken
+from training.gap.together import added, in_order, taken
 from training.gap.unlogged import priced
 from training.gap.verdict import bearable, finding
-from training.gap.whitened import sized_by_moves
 from training.gap.work import Options, Simulators, Watch, Work
 
 OFFSETS = ("deterioration", "sensor_bias", "throttle_bias", "temperature_effect")
@@ -82,19 +75,14 @@ def diagnose(
     moving = [c for c in candidates(flights.signals) if c.id not in OFFSETS]
     still = [c for c in candidates(flights.signals) if c.id in OFFSETS]
     claimed = _first(work, moving, watch)
-    work.beside = beside(work, watch)
     offset = _offset(work, still, claimed)
     while claimed is not None and (more := _further(work, claimed, offset, watch)) is not None:
         claimed, offset = more, _offset(work, still, more)
-    if claimed is not None and (not bearable(work, claimed) or made_up(work, claimed, offset)):
+    if claimed is not None and not bearable(work, claimed):
         # An offset that needs no help from an effect that explains little is the answer by itself.
         alone = _offset(work, still, None)
         claimed, offset = (claimed, offset) if alone is None else (None, alone)
     claimed, offset = told_anew(work, claimed, offset, watch)
-    if offset is None:
-        return finding(work, sized_by_moves(work, claimed), None, noise)
-    explained = 0.0 * flights.y if claimed is None else claimed.response
-    work.same_engine |= is_but_for(work, offset[0][0], unexplained(tight, explained))
     return finding(work, claimed, offset, noise)
 
 
@@ -102,15 +90,7 @@ def _first(work: Work, moving: Sequence[Effect], watch: Watch | None) -> Fit | N
     """The best effect if it earns a claim, or None."""
     work.fits = [_tried(work, [effect], (k, len(moving), watch)) for k, effect in enumerate(moving)]
     work.allowance = Allowance(work.fits, work.problem)
-    work.standing, work.place = standings(work), both_ways.places(work)
     work.fits.sort(key=work.rank, reverse=True)
-    if is_same_engine(work):
-        work.without_misfit()
-    residual = work.problem.misfit.cleaned(work.problem.misfit.gap - work.fits[0].response)
-    gains = null_gains(
-        work.fits, work.problem.misfit, residual, work.options.draws, work.options.seed
-    )
-    work.threshold = float(np.quantile(gains, work.options.quantile)) / work.audible
     heard = work.audible > work.options.audible * float(work.problem.misfit.floor.sum())
     leading = [one for one in work.fits if work.rank(one) >= _LEADING * work.rank(work.fits[0])]
     earned = (one for one in leading if _earned(work, one, None, work.options.material))
@@ -127,7 +107,6 @@ def _further(work: Work, best: Fit, offset: Offset | None, watch: Watch | None) 
         return None
     pairs = _pairs(work, watch)
     more = next((p for p in pairs if _earned(work, p, best, _least(work, p, best))), None)
-    more = more or _stands_beside(work, best)
     if more is None:
         return None
     gained = float((best.held_out - more.held_out).sum())
@@ -158,19 +137,16 @@ def _tried(work: Work, effects: Sequence[Effect], place: tuple[int, int, Watch |
 def _earned(work: Work, model: Fit, best: Fit | None, least: float) -> bool:
     """Whether `model` is better than `best`, or than none, on held-out flights, in what counts.
 
-    More than the pseudo-nulls, at least `least`, a part of the whole gap with its offsets, and in
-    all flights but one (all of them up to four); and not by small misfit alone. A load says nothing
-    of flights without it, a step in mid-flight is no drift, and what no temperature shows no heat;
-    beside another effect a limit within what one build has and another not is no news.
+    At least `least`, a part of the whole gap with its offsets, and in all flights but one (all of
+    them up to four); and not by small misfit alone. A load says nothing of flights without it, a
+    step in mid-flight is no drift, and what no temperature shows no heat.
     """
     gained = (work.before if best is None else best.held_out) - model.held_out
     share = float(gained.sum()) / work.audible
     telling = work.tells(model) or work.stands_out(model)
     heard = float(gained.sum()) > (_IF_TELLING if telling else _OF_WHOLE) * work.whole
-    worth = share > max(work.threshold, least) and work.holds(gained, model, best) and heard
+    worth = share > least and work.holds(gained, model, best) and heard
     if not (worth and _beyond(work, model, best)):
-        return False
-    if best is not None and work.may_be_built(model, best.effects):
         return False
     return not foil(model, work.problem.misfit, work.problem.flights.signals.outputs)
 
@@ -187,12 +163,6 @@ def _beyond(work: Work, model: Fit, best: Fit | None) -> bool:
     more = taken - float(work.beyond(best).sum())
     closer = work.aligned(model) - work.aligned(best) >= _CLOSER
     return more >= _BESIDE * work.still(best) or (closer and more >= _LEAST * work.audible)
-
-
-def _stands_beside(work: Work, best: Fit) -> Fit | None:
-    """What stands beside the best where that is to be expected, if it may be named."""
-    pair = work.beside
-    return pair if pair is not None and is_expected(best) and stands(work, pair, best) else None
 
 
 def _pairs(work: Work, watch: Watch | None) -> list[Fit]:
@@ -223,22 +193,6 @@ def _fitted(work: Work, pair: Fit) -> Fit:
     return known
 
 
-def made_up(work: Work, claimed: Fit, offset: Offset | None) -> bool:
-    """Whether an effect only makes up for what an offset does while the engine moves.
-
-    A lever that is read wrong starts and ends every move elsewhere, and does nothing at the idle
-    stop: once that is taken out of the gap, such an effect has nothing to explain.
-    """
-    if offset is None:
-        return False
-    beside = unexplained(work.problem.misfit, offset[0][0].response)
-    anew = fit(claimed.effects, replace(work.problem, misfit=beside))
-    before = beside.size(beside.gap)
-    gained = before - anew.held_out
-    asked = work.options.material * float((before - beside.floor).sum())
-    return float(gained.sum()) <= asked or not work.holds(gained, anew)
-
-
 def _gained(offset: Offset) -> float:
     """Q that the best offset takes off held-out flights."""
     fits, before, _ = offset
@@ -266,12 +220,8 @@ def _offset(work: Work, effects: Sequence[Effect], claimed: Fit | None) -> Offse
 def _stands(work: Work, best: Fit, left: Misfit) -> bool:
     """Whether an offset is beyond build scatter, a part of the gap, and in (nearly) all flights.
 
-    One that is as large as the library lets it be is none: the simulator is of another engine. One
-    without which it would be the simulator's own engine has to be audible alone.
+    One that is as large as the library lets it be is none: the simulator is of another engine.
     """
     gained = left.size(left.gap) - best.held_out
-    heard = float(gained.sum()) > work.options.audible * float(left.floor.sum())
-    flights = work.problem.flights
-    own = heard and is_but_for(work, best, left)
-    large = (own or beyond_scatter(best, left, flights)) and not best.at_bound
+    large = beyond_scatter(best, left, work.problem.flights) and not best.at_bound
     return in_nearly_all(gained) and large and float(gained.sum()) / work.whole > _OFFSET

@@ -41,14 +41,10 @@ class Finding:
     """The answer: what kind, which effects, how sure, and what the evidence was.
 
     `tried` holds every model, best first; the first is the claimed one where `kind` is `effects`
-    or `ambiguous`. Where nothing is claimed, `leading` may name effects that come first all the
-    same: one of moves, and the heat soak beside which it was seen. `besides` is what has to be told
-    beside the `reason`: what else is off, and whose it may be. `gap_share` is the share of the
-    squared residual that is no noise, `left_share` what is left of it unexplained. `by_others`
-    (flights, time, outputs) is what the claim does in each flight by the parameters that the other
-    flights give, less what it does by those of all; nothing where nothing is claimed. `same_engine`
-    says that the recorded engine is the simulator's own in all but the claim, so that no misfit was
-    allowed for.
+    or `ambiguous`. `gap_share` is the share of the squared residual that is no noise, `left_share`
+    what is left of it unexplained. `by_others` (flights, time, outputs) is what the claim does in
+    each flight by the parameters that the other flights give, less what it does by those of all;
+    nothing where nothing is claimed.
     """
 
     kind: Kind
@@ -61,10 +57,6 @@ class Finding:
     channels: Mapping[str, ChannelShrink]
     gap_share: float
     left_share: float
-    threshold: float
     emulator_rmse: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-    leading: tuple[str, ...] = ()
-    besides: str = ""
-    same_engine: bool = False
     by_others: FloatArray | None = field(default=None, compare=False, repr=False)

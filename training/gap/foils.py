@@ -82,11 +82,6 @@ def is_no_metal(tried: Fit) -> bool:
     return False
 
 
-def heat_of(tried: Fit) -> FloatArray:
-    """What the heat soaks of a fit change, (flights, time, outputs)."""
-    return sum(_own(tried, HeatSoak), np.zeros_like(tried.response))
-
-
 def _own(tried: Fit, kind: type[Effect]) -> Iterator[FloatArray]:
     """What each effect of a kind changes by itself, (flights, time, outputs).
 

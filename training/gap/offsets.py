@@ -40,8 +40,8 @@ _DAYS, _BETWEEN_DAYS = 3, 0.4  # flights that tell days apart; how far they do, 
 _MOST = 0.5  # of what is left: an offset that takes less is not what is wrong
 _AS_GOOD, _LEVEL = 0.75, 0.35  # of what wear takes; of the shift, its growth with power
 # How far the fuel flow is up with wear at one fan speed: of how far the temperature is, and in % at
-# least. The first is hardly any scatter of builds, the second may be.
-SURELY, MAYBE = (0.8, 2.5), (0.4, 1.0)
+# least. That is hardly any scatter of builds.
+SURELY = (0.8, 2.5)
 Offset = tuple[list[Fit], FloatArray, float]  # offsets, best first; Q before; Q that is audible
 
 
@@ -188,29 +188,6 @@ def _in_scatters(tried: Fit, flights: Flights, together: float = _TOGETHER_PCT) 
             speed = _UNGOVERNED_PCT
         sizes.append(shift / _SCATTER_PCT.get(name, speed))
     return np.array(sizes)
-
-
-def alike(offset: Offset, flights: Flights, tight: Misfit) -> list[Fit]:
-    """Offsets that may be meant instead of the first: no richer, and scatter makes the difference.
-
-    Of an offset that shifts many outputs, one that shifts fewer may be all that is there, if it
-    takes nearly as much and each output is no further from it than build scatter brings it. Wear
-    may be meant instead of a wrong temperature where the fuel flow of the whole gap is up with it.
-    """
-    (best, *others), before, _ = offset
-    most = float((before - best.held_out).sum())
-
-    def may_be_meant(one: Fit) -> bool:
-        apart = replace(best, response=best.response - one.response)
-        as_good = float((before - one.held_out).sum()) >= _AS_GOOD * most
-        return as_good and bool(_in_scatters(apart, flights).max() < 1.0)
-
-    def may_be_worn(one: Fit) -> bool:
-        hot = best.effects[0].channel == "EGT_C" and one.effects[0].id == "deterioration"
-        return hot and burns_more(at_one_speed(flights, tight), MAYBE)
-
-    plain = [len(one.theta) <= len(best.theta) and may_be_meant(one) for one in others]
-    return [one for one, so in zip(others, plain, strict=True) if so or may_be_worn(one)]
 
 
 def plainest(fits: list[Fit], flights: Flights, left: Misfit) -> list[Fit]:

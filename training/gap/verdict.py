@@ -7,22 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import t
 
-from narxcal.effects.base import InputEffect, RateEffect
+from narxcal.effects.base import RateEffect
 from narxcal.support.arrays import FloatArray
 from training.budget.result import Interval, Kind
 from training.gap.answer import Worth, channels, probabilities, shrink, tried
 from training.gap.finding import Finding, Tried
 from training.gap.fitting import Fit
 from training.gap.foils import foil
-from training.gap.offsets import Offset, alike
-from training.gap.together import is_expected, is_heat
-from training.gap.wear import Answer, with_its_limit
+from training.gap.offsets import Offset
 from training.gap.work import Work
 
-# What an effect on the lever may leave of the gap of the same engine: of what a play alone does it
-# leaves a tenth, of what a dead band does a third (virtual and lumped engines).
-_OF_LEVER = 0.28
-_OF_ITSELF = 0.75  # explained where it acts: of a gap that is hardly heard, noise leaves the rest
 _LEFT = 0.01  # of the gap: nobody can tell two models that both leave less
 _KIN = 0.75  # of what the leader takes
 _HALF = 0.5  # of what the leader takes beyond small misfit: one that takes less is no rival
@@ -38,11 +32,6 @@ def finding(
     noise: FloatArray,
 ) -> Finding:
     """The verdict over all that was tried."""
-    own = claimed is not None and bearable(work, claimed)
-    answer = with_its_limit(work, claimed, offset) if own else Answer(claimed, offset)
-    claimed, offset = answer.claimed, answer.offset
-    if claimed and not answer.rivals and (work.may_be_built(claimed) or _built(work, claimed)):
-        claimed = None
     order = sorted(work.fits, key=work.rank, reverse=True)
     if claimed is not None:
         order = [claimed, *(one for one in order if one is not claimed)]
@@ -50,11 +39,7 @@ def finding(
     models = ([] if claimed is None else [claimed]) + ([] if offset is None else offset[0][:1])
     response = sum((one.response for one in models), start=np.zeros_like(work.problem.flights.y))
     kind, reason = _verdict(work, claimed, offset)
-    rivals = answer.rivals
-    if claimed is not None:
-        rivals += _rivals(work, claimed, order)
-    if offset is not None:
-        rivals += tuple(one.name for one in alike(offset, work.problem.flights, work.tight))
+    rivals = () if claimed is None else _rivals(work, claimed, order)
     if kind == "effects" and rivals:
         kind, reason = "ambiguous", "other effects explain held-out flights as well"
     silent = kind in ("none", "unknown")
@@ -72,11 +57,7 @@ def finding(
         channels=channels(work.problem.misfit, response, noise, signals.outputs),
         gap_share=work.audible / float(work.before.sum()),
         left_share=1.0 if claimed is None else work.left(claimed),
-        threshold=work.threshold,
-        leading=_leading(work, claimed) if silent else (),
         by_others=None if silent else _by_others(models, response),
-        besides=answer.why,
-        same_engine=work.same_engine,
     )
 
 
@@ -101,14 +82,6 @@ def _by_others(models: Sequence[Fit], response: FloatArray) -> FloatArray:
     """What the parameters that the other flights give change of the response in each flight."""
     steps = (np.einsum("fp,pftn->ftn", one.others - one.theta, one.slopes) for one in models)
     return sum(steps, start=np.zeros_like(response))
-
-
-def _leading(work: Work, claimed: Fit | None) -> tuple[str, ...]:
-    """What comes first where nothing is claimed: what was seen beside what leads as expected."""
-    pair = work.beside
-    if pair is None or not (claimed is None or is_expected(claimed) or claimed is pair):
-        return ()
-    return tuple(effect.name for effect in pair.effects)
 
 
 def _predicted(
@@ -182,7 +155,7 @@ def _too_little(work: Work, best: Fit) -> str:
     takes = f"the best one takes {100.0 * work.gain(best):.0f} % of it"
     problem = work.problem
     instead = foil(best, problem.misfit, problem.flights.signals.outputs)
-    if instead := instead or work.may_be_built(best) or _built(work, best):
+    if instead:
         return f"{takes}, {instead}"
     beyond = float(work.beyond(best).sum()) >= work.options.beyond * work.audible
     if beyond and not work.holds(work.before - best.held_out, best):
@@ -201,10 +174,6 @@ def bearable(work: Work, claimed: Fit) -> bool:
         most = options.unexplained_together
     elif isinstance(claimed.effects[0], RateEffect):
         most = options.unexplained_inside
-    if work.same_engine:
-        lever = all(isinstance(effect, InputEffect) for effect in claimed.effects)
-        few = work.left(claimed) <= (min(most, _OF_LEVER) if lever else most)
-        return few or work.aligned(claimed) >= _OF_ITSELF
     if work.left(claimed) <= most or work.tells(claimed) or work.stands_out(claimed):
         return True
     # A part of what nobody would call a gap is no more worth naming than the rest of it.
@@ -231,24 +200,11 @@ def _rivals(work: Work, claimed: Fit, order: Sequence[Fit]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def _built(work: Work, claimed: Fit) -> str:
-    """What another build may have and that explains as much as a single effect, in words.
-
-    Held-out flights do not tell the two apart: so no more than the build need be there.
-    """
-    if len(claimed.effects) > 1:
-        return ""
-    others = [one for one in work.fits if one is not claimed and len(one.effects) == 1]
-    words = (work.may_be_built(one) for one in others if _equal(work, claimed, one))
-    return next((f"{each}, and explains as much" for each in words if each), "")
-
-
 def _equal(work: Work, claimed: Fit, other: Fit) -> bool:
     """Whether held-out flights do not tell the two apart, nor what they explain where they act."""
     if work.aligned(other) < work.aligned(claimed) - _APART:
         return False
-    shared = _heat_of_both(work, claimed, other)
-    mine, theirs = (float(work.beyond(one).sum()) - shared for one in (claimed, other))
+    mine, theirs = (float(work.beyond(one).sum()) for one in (claimed, other))
     if theirs < _HALF * mine:
         return False
     left = 1.0 - work.gain(claimed)
@@ -261,19 +217,3 @@ def _equal(work: Work, claimed: Fit, other: Fit) -> bool:
         return False
     error = worse.std(ddof=1) / np.sqrt(count)
     return bool(worse.mean() < t.ppf(_AGREED, count - 1) * error)
-
-
-def _heat_of_both(work: Work, claimed: Fit, other: Fit) -> float:
-    """Q that the heat soak in both of two pairs takes beyond small misfit by itself, or nothing.
-
-    What both have says nothing about which of them it is.
-    """
-    alone = next((one for one in work.fits if is_heat(one)), None)
-    pairs = min(len(claimed.effects), len(other.effects)) > 1
-    if (
-        alone is None
-        or not pairs
-        or any(alone.effects[0] not in one.effects for one in (claimed, other))
-    ):
-        return 0.0
-    return max(float(work.beyond(alone).sum()), 0.0)

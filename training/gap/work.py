@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from narxcal.effects.base import Effect
 from narxcal.effects.input_side import ThrottleBacklash
 from narxcal.effects.running import Emulator
 from narxcal.effects.steady import HeatSoak
@@ -17,7 +16,6 @@ from narxcal.support.arrays import FloatArray
 from training.gap.allowance import Allowance
 from training.gap.fitting import Fit, Problem, in_nearly_all
 from training.gap.quadratic import Misfit
-from training.gap.tolerance import of_the_build
 from training.gap.unlogged import has_load, witnesses
 
 _FAINT = 0.02  # of the peak of a response: where it counts half
@@ -28,7 +26,6 @@ _WITHIN = 0.05  # what a gain counts that any simulator's misfit would explain, 
 _PLIANT = (HeatSoak, ThrottleBacklash)  # what follows anything slow, or at small moves
 Watch = Callable[[str, int, int], None]  # what is at work, its number, how many there are
 _AT_END = 0.8  # what a fit counts whose time constant would go on past its bound
-_FURTHER = 0.04  # of the gap of the simulator's own engine, in which one effect leaves no misfit
 _LOOPLESS = 0.9  # and one that takes a valve out of the loop of an engine that is under control
 
 
@@ -36,8 +33,7 @@ _LOOPLESS = 0.9  # and one that takes a valve out of the loop of an engine that 
 class Options:
     """How strict the diagnosis is.
 
-    `quantile` of the pseudo-nulls' best gains that a claim has to exceed, from `draws` of them;
-    `material` the least share of the gap, `further` that of one more effect, of `most` at once.
+    `material` is the least share of the gap, `further` that of one more effect, of `most` at once.
     `unexplained` is the share that may be left before the answer is unknown, `unexplained_inside`
     that for one effect on how the engine moves, whose forms no two engines share, and
     `unexplained_together` that for two, which can follow more; more may be left,
@@ -52,8 +48,6 @@ class Options:
     of a channel's range, it is a misfit that nobody has to explain.
     """
 
-    quantile: float = 0.99
-    draws: int = 100
     material: float = 0.05
     further: float = 0.10
     unexplained: float = 0.40
@@ -70,7 +64,6 @@ class Options:
     close: float = 1.2
     audible: float = 0.03
     most: int = 2
-    seed: int = 0
 
 
 class Simulators(NamedTuple):
@@ -94,14 +87,9 @@ class Work:
     tight: Misfit  # of the gap with its offsets, which `problem` counts as nuisances
     itself: Emulator | None = None  # the simulator, where it can be run again
     fits: list[Fit] = field(default_factory=list)
-    threshold: float = 0.0
     allowance: Allowance | None = None
     offered: list[Fit] = field(default_factory=list)  # offsets of the whole gap, best first
-    beside: Fit | None = None  # an effect of moves with what is expected and leads
-    standing: dict[str, float] = field(default_factory=dict)  # of neighbours on a channel (`kin`)
-    place: dict[str, float] = field(default_factory=dict)  # of rotors slower one way (`both_ways`)
-    same_engine: bool = False  # whether the recorded engine is the simulator's own
-    _beside: dict[Fit | None, FloatArray] = field(default_factory=dict)
+    _refits: dict[Fit | None, FloatArray] = field(default_factory=dict)
 
     @property
     def whole(self) -> float:
@@ -113,20 +101,6 @@ class Work:
         """Q of the gap beyond noise."""
         floor = self.problem.misfit.floor
         return max(float((self.before - floor).sum()), _LEAST * float(floor.sum()))
-
-    def without_misfit(self) -> None:
-        """Leave nothing to small misfit, and no gap too small: this is the simulator's engine.
-
-        What one effect leaves there is what its form misses, and hardly anything else explains it.
-        """
-        self.same_engine, self.allowance = True, None
-        self.options = replace(self.options, quiet=0.0, faint=(0.0, 0.0), further=_FURTHER)
-        self._beside.clear()
-        self.fits.sort(key=self.rank, reverse=True)
-
-    def may_be_built(self, tried: Fit, beside: Sequence[Effect] = ()) -> str:
-        """What of `tried` another build may have, in words; nothing of the simulator's own."""
-        return "" if self.same_engine else of_the_build(tried, beside, self.problem)
 
     def gain(self, tried: Fit) -> float:
         """Share of the audible gap taken off held-out flights."""
@@ -216,11 +190,11 @@ class Work:
         """Q per flight of a fit, or of none, with small misfit; a load pays for its windows."""
         if self.allowance is None:
             return self.before if tried is None else tried.held_out
-        if tried not in self._beside:
+        if tried not in self._refits:
             left = self.allowance.held_out(tried)
             price = self.problem.flights.price if tried is not None and has_load(tried) else None
-            self._beside[tried] = left if price is None else left + price
-        return self._beside[tried]
+            self._refits[tried] = left if price is None else left + price
+        return self._refits[tried]
 
     def worth(self, tried: Fit) -> float:
         """Share of the gap that a fit takes; what small misfit would take as well counts little.
@@ -237,12 +211,9 @@ class Work:
         Of two that gain much the same, one that explains what it touches is there; one that
         explains it in part follows something else, of which it may gain as much by its size. So
         does one whose time constant ends on its bound: what it follows is slower or faster than the
-        effect can be. Neighbours on one channel take their places by the quick moves (`standing`),
-        and rotors that may be slower both ways that of ones that are slower one way (`place`).
+        effect can be.
         """
-        place = self.standing.get(tried.name, 1.0) * self.place.get(tried.name, 1.0)
-        place *= _AT_END if tried.at_end else 1.0
-        return self.worth(tried) * self.aligned(tried) * place
+        return self.worth(tried) * self.aligned(tried) * (_AT_END if tried.at_end else 1.0)
 
     @property
     def loudest(self) -> float:

@@ -97,7 +97,7 @@ def model_of(*names, probability=1.0, gain=0.9, parameters=None):
 def finding_of(kind, effects=(), tried=(), **more):
     shrink = Interval(0.9, 0.8, 1.0)
     rows = {"EGT_C": ChannelShrink(9.0, 1.0, 0.5)}
-    found = Finding(kind, effects, (), "because", "fly", tried, shrink, rows, 0.5, 0.1, 0.05)
+    found = Finding(kind, effects, (), "because", "fly", tried, shrink, rows, 0.5, 0.1)
     return replace(found, **more)
 
 

@@ -48,7 +48,6 @@ def test_the_keys_are_those_that_others_rely_on(evidence):
         "effects": [NAME],
         "ambiguous_with": [],
         "reason": "because",
-        "besides": "",
         "separating_manoeuvre": "fly",
     }
     first = found["effects"][0]
@@ -77,12 +76,6 @@ def test_the_keys_are_those_that_others_rely_on(evidence):
     assert found["emulator"] == {"used": True, "rmse": {"EGT_C": 0.4}, "rmse_heldout": {}}
     assert found["quality"]["warnings"] == ["few"]
     assert found["quality"]["pushes"] > 10
-
-
-def test_a_record_of_the_simulators_own_engine_is_told(evidence):
-    assert document(evidence)["quality"]["same_engine"] is False
-    own = replace(evidence, finding=replace(evidence.finding, same_engine=True))
-    assert document(own)["quality"]["same_engine"] is True
 
 
 def test_an_effect_without_a_channel_has_none(make_finding, make_model):
@@ -135,27 +128,6 @@ def test_the_first_of_many_is_less_sure_than_one_with_a_single_rival(make_findin
     chances = probabilities(many)
     assert chances[NAME] == pytest.approx(0.7)
     assert chances["spool_lag"] == pytest.approx(0.3)
-
-
-@pytest.mark.parametrize("share", [0.95, 0.85])
-def test_what_was_seen_beside_heat_leads_where_nothing_is_claimed(share, make_finding, make_model):
-    """With its sizes beside the heat; but after an offset that is nearly all of the gap."""
-    tried = (
-        make_model("heat_soak", probability=0.9),
-        make_model("spool_lag", probability=0.1, gain=0.1),
-        make_model("spool_lag", "heat_soak", gain=0.95),
-        make_model("deterioration", gain=share),
-    )
-    finding = make_finding("unknown", (), tried, leading=("spool_lag", "heat_soak"))
-    rows = effect_rows(finding)
-    first = ["deterioration"] if share > 0.9 else ["spool_lag", "heat_soak"]
-    assert [row["id"] for row in rows][: len(first)] == first
-    chances = [row["probability"] for row in rows]
-    assert chances == sorted(chances, reverse=True)
-    assert max(chances) < 0.5
-    if share < 0.9:
-        assert rows[0]["with"] == ["heat_soak"]
-        assert rows[0]["gain"]["value"] == 0.95
 
 
 def test_where_nothing_is_claimed_little_probability_is_left(make_finding, make_model):
@@ -215,16 +187,6 @@ def test_the_verdict_in_one_sentence(evidence, kind, words):
     found["verdict"] |= {"kind": kind, "ambiguous_with": ["spool_lag"]}
     found["shrink"]["realised"] = 0.99
     assert sentence(found) == words
-
-
-def test_what_has_to_be_told_besides_is_a_part_of_the_reason_and_a_sentence_of_its_own(evidence):
-    own = "12 % less acceleration beside it may be the wear's own"
-    found = document(replace(evidence, finding=replace(evidence.finding, besides=own)))
-    assert found["verdict"]["reason"] == f"because; {own}"
-    assert found["verdict"]["besides"] == own
-    said = sentence(found)
-    assert said.endswith("). 12 % less acceleration beside it may be the wear's own.")
-    assert sentence(document(evidence)) + said.removeprefix(sentence(document(evidence))) == said
 
 
 PAIR = ("bleed_extraction", "flowmeter_dynamics:FF_kgph")

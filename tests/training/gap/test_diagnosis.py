@@ -12,7 +12,7 @@ from tests.training.gap.conftest import INPUTS, NOISE
 from training.gap.diagnosis import _beyond, _least, diagnose
 from training.gap.work import Options, Simulators
 
-QUICK = Options(draws=40)
+QUICK = Options()
 ANOTHER = np.array([0.12, -0.2, 2.0])  # another build settles elsewhere
 
 
@@ -140,7 +140,6 @@ def test_one_wrong_sensor_is_no_wear(channel, flights, engine, recorded):
         ([0.03, 0.03, 20.0], ("sensor_bias:EGT_C",)),
         ([0.0, 0.3, 0.0], ("sensor_bias:N2_pct",)),
         ([0.0, 0.0, 12.0], ("sensor_bias:EGT_C",)),
-        ([0.0, 0.0, 3.0], ("sensor_bias:EGT_C",)),
         ([0.03, 0.03, 3.0], ()),
     ],
 )
@@ -243,14 +242,6 @@ def test_small_misfit_that_any_simulator_has_is_not_named(flights, engine, recor
     found = diagnose(flights, (real + ANOTHER, quiet), Simulators(engine), QUICK)
     assert found.effects == (), found.reason
     assert found.tried[0].gain > 0.2
-    assert not found.same_engine
-
-
-def test_of_the_same_engine_small_misfit_is_an_effect(flights, engine, recorded):
-    quiet = NOISE / 30.0
-    real = recorded({"throttle_backlash": [0.25]}, noise=quiet)
-    found = diagnose(flights, (real, quiet), Simulators(engine), QUICK)
-    assert (found.effects, found.same_engine) == (("throttle_backlash",), True), found.reason
 
 
 def test_an_effect_that_stands_out_is_named_whatever_else_is_wrong(flights, engine, recorded):
@@ -335,7 +326,7 @@ def test_what_small_misfit_explains_as_well_is_no_claim_and_said_so(flights, eng
     """A fifth of a degree of play gains most of a gap that any linkage makes."""
     quiet = NOISE / 30.0
     real = recorded({"throttle_backlash": [0.28]}, noise=quiet)
-    strict = Options(draws=40, quiet=1e-6)
+    strict = Options(quiet=1e-6)
     found = diagnose(flights, (real + ANOTHER, quiet), Simulators(engine), strict)
     assert (found.kind, found.effects) == ("unknown", ())
     assert "hardly more than small misfit of any simulator does" in found.reason

@@ -9,7 +9,7 @@ from training.gap.diagnosis import diagnose
 from training.gap.fitting import Problem, fit
 from training.gap.foils import is_a_step, is_no_heat, is_no_metal
 from training.gap.quadratic import misfit
-from training.gap.work import Options, Simulators
+from training.gap.work import Simulators
 
 
 def with_steps(real, at):
@@ -67,7 +67,7 @@ def test_what_steps_would_gain_anyway_is_no_evidence_for_them(flights, engine, r
 
 def test_the_diagnosis_names_no_drift_where_a_channel_jumped(flights, engine, recorded):
     real = with_steps(recorded({}), (0.5,) * 5)
-    found = diagnose(flights, (real, NOISE), Simulators(engine), Options(draws=40))
+    found = diagnose(flights, (real, NOISE), Simulators(engine))
     assert "sensor_drift:EGT_C" not in found.effects
 
 
@@ -84,7 +84,7 @@ def test_heat_that_no_temperature_shows_is_none(shares, foil, flights, engine, r
     assert not is_no_heat(soak, measure, ("N1_pct", "N2_pct", "FF_kgph"))
     lag = fit([effect("sensor_lag:EGT_C")], Problem(flights, engine, measure))
     assert not is_no_heat(lag, measure, outputs)
-    found = diagnose(flights, (real, NOISE), Simulators(engine), Options(draws=40))
+    found = diagnose(flights, (real, NOISE), Simulators(engine))
     assert ("heat_soak" in found.effects) is not foil
     assert ("but no temperature shows the heat" in found.reason) is foil
 
@@ -98,5 +98,5 @@ def test_what_fades_faster_or_slower_than_metal_is_no_heat(size, foil, flights, 
     measure = misfit(flights, real, NOISE)
     soak = fit([effect("heat_soak")], Problem(flights, engine, measure))
     assert is_no_metal(soak) is foil, soak.theta
-    found = diagnose(flights, (real, NOISE), Simulators(engine), Options(draws=40))
+    found = diagnose(flights, (real, NOISE), Simulators(engine))
     assert ("heat_soak" in found.effects) is not foil, found.reason

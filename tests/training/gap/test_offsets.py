@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from narxcal.effects import Signals, effect
-from training.gap.offsets import alike, beyond_scatter, plainest
+from training.gap.offsets import beyond_scatter, plainest
 
 OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
 
@@ -144,17 +144,6 @@ def wear_and_bias(shift, share, growth=0.0):
     return fits, flights
 
 
-@pytest.mark.parametrize(
-    ("core", "share", "meant"),
-    [(0.9, 0.8, ["sensor_bias:EGT_C"]), (1.3, 0.8, []), (0.9, 0.7, [])],
-)
-def test_a_sensor_is_named_beside_wear_if_scatter_makes_the_difference(core, share, meant):
-    fits, flights = wear_and_bias([0.0, core, 3.0], share)
-    before = np.full(4, 10.0)
-    assert [one.name for one in alike((fits, before, 40.0), flights, left())] == meant
-    assert alike((fits[::-1], before, 40.0), flights, left()) == []  # wear can follow any sensor
-
-
 @pytest.mark.parametrize(("growth", "first"), [(0.2, 1), (-0.2, 0)])
 def test_a_shift_that_falls_with_power_is_no_wear(growth, first):
     """Beside a core that is off by what scatter may be, more than half as much."""
@@ -162,10 +151,8 @@ def test_a_shift_that_falls_with_power_is_no_wear(growth, first):
     assert plainest(fits, flights, left())[0] is fits[first]
 
 
-@pytest.mark.parametrize(
-    ("fuel", "first", "meant"), [(0.0, 1, 0), (-4.0, 1, 0), (1.5, 1, 1), (4.0, 0, 1)]
-)
-def test_what_needs_more_fuel_as_well_may_be_worn(fuel, first, meant):
+@pytest.mark.parametrize(("fuel", "first"), [(0.0, 1), (-4.0, 1), (1.5, 1), (4.0, 0)])
+def test_what_needs_more_fuel_as_well_may_be_worn(fuel, first):
     """The temperature is 3 % up: a wrong probe, unless the fuel flow is up with it."""
     fits, flights = wear_and_bias([0.0, 0.2, 3.0], 0.8, 0.2)
     flow = np.full((4, 50, 1), 2000.0)
@@ -180,6 +167,4 @@ def test_what_needs_more_fuel_as_well_may_be_worn(fuel, first, meant):
         for one, shift in zip(fits, shifts, strict=True)
     ]
     gap = left((0.0, 0.2, 30.0, 20.0 * fuel))
-    order = plainest(wider, own, gap)
-    assert order[0] is wider[first]
-    assert len(alike((order, np.full(4, 10.0), 40.0), own, gap)) == meant
+    assert plainest(wider, own, gap)[0] is wider[first]

@@ -15,7 +15,7 @@ from training.gap.quadratic import misfit
 from training.gap.rerun_fit import on_inputs, told_anew
 from training.gap.work import Options, Simulators, Work
 
-QUICK = Options(draws=40)
+QUICK = Options()
 
 
 @pytest.fixture(scope="module")

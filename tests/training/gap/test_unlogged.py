@@ -241,7 +241,7 @@ def test_the_diagnosis_names_the_load_with_its_size(monkeypatch):
     real = recorded(shifted(on_in(WINDOWS)))
     found = load_in(real)
     told = with_load(FLIGHTS, found.on, found.price)
-    answer = diagnose(told, (real, NOISE), Simulators(Unmoved()), Options(draws=40))
+    answer = diagnose(told, (real, NOISE), Simulators(Unmoved()))
     assert answer.effects == ("unlogged_switch",), answer.reason
     size = answer.tried[0].parameters["unlogged_switch"]["on_EGT_C"]
     assert size.low < SHIFT[2] < size.high
@@ -304,7 +304,7 @@ def test_what_a_flight_without_the_load_has_does_not_speak_against_it(monkeypatc
     real = recorded(shifted(on_in(WINDOWS)))
     real[3, :, 2] += 9.0 * np.sin(TIME / 15.0)
     found = load_in(real)
-    options = Options(unexplained=0.3, draws=40)
+    options = Options(unexplained=0.3)
     told = with_load(FLIGHTS, found.on, found.price)
     answer = diagnose(told, (real, NOISE), Simulators(Unmoved()), options)
     assert (answer.kind, answer.effects) == ("effects", ("unlogged_switch",)), answer.reason

@@ -145,14 +145,3 @@ def test_what_follows_anything_slow_or_small_has_to_explain_more_where_it_acts(n
         holds=lambda _taken, _tried: True,
     )
     assert Work.stands_out(work, SimpleNamespace(effects=(effect(name),))) is out
-
-
-def test_of_the_simulators_own_engine_a_further_effect_may_be_small(flights, engine, recorded):
-    """What one effect leaves of it is what its form misses: nobody's misfit."""
-    measure = misfit(flights, recorded({}), NOISE)
-    problem = Problem(flights, engine, measure)
-    work = Work(problem, Options(), measure.size(measure.gap), NOISE, measure)
-    assert work.options.further == 0.10
-    work.without_misfit()
-    assert work.same_engine
-    assert work.options == replace(Options(), further=0.04, quiet=0.0, faint=(0.0, 0.0))
