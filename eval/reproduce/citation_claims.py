@@ -28,7 +28,7 @@ def static_claims(engines: Engines, low: RegionStudy, high: RegionStudy) -> list
     rows = [*_thrust_and_fuel(high), *_regions(low, high), *_degrees(low), *_degrees(high)]
     share = 100.0 * abs(cold_share(engines, high) - 0.75)
     rows.append(("C14 fan stream in net thrust, high: distance from 75 %", "0", share, "< 5 %"))
-    return [_claim(*row) for row in rows]
+    return [Claim(*row) for row in rows]
 
 
 def dynamic_claims(
@@ -43,7 +43,7 @@ def dynamic_claims(
         ratio = _all(rows, kind, _FIRST) / _all(rows, kind, STATIC)
         what = f"C15 {kind}: mean error, first order over static model, worst output"
         found.append((what, "below 1", float(ratio.max()), "< 1"))
-    return [_claim(*row) for row in found]
+    return [Claim(*row) for row in found]
 
 
 def _thrust_and_fuel(high: RegionStudy) -> Iterator[Row]:
@@ -182,15 +182,6 @@ def cold_share(engines: Engines, study: RegionStudy) -> float:
     ram = W * rows["Mach"] * np.sqrt(1.4 * GAS_R * air.T_K)
     stream = W * C8 - ram + W * GAS_R * T8 / (P8 * C8) * (P8 - air.P_Pa)
     return float(np.mean(stream / path["net_N"]))
-
-
-def _claim(what: str, claimed: str, value: float, limit: str, remark: str = "") -> Claim:
-    """Claim whose `limit` is written out, such as `< 1.4 %`."""
-    sign, bound, *unit = limit.split()
-    return Claim(
-        what=what, claimed=claimed, value=float(value), bound=float(bound), unit="".join(unit),
-        below=sign == "<", remark=remark,
-    )  # fmt: skip
 
 
 def _mean(study: RegionStudy, output: str, model: str) -> float:

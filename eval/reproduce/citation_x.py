@@ -6,12 +6,12 @@ compares them with a simulator, and an error of 1 % says nothing about an engine
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from itertools import product
 from typing import Any
 
-from eval.report.tables import Cell, Table, figure
+from eval.report.tables import Table
 from eval.reproduce.citation_claims import dynamic_claims, static_claims
 from eval.reproduce.citation_dynamic import (
     GROUPS,
@@ -29,12 +29,9 @@ from eval.reproduce.citation_static import (
     static_study,
 )
 from eval.reproduce.mesh import KINDS, OUTPUTS, REGIONS, Kind, Region
-from eval.reproduce.study import Claim, Study
-from narxcal.support.files import versions
+from eval.reproduce.study import Study, table_of
 from training.static_fit import SEARCHES, Estimator
 
-SCHEMA = "narxcal.reproduce/1"
-PAPER = "citation-x"
 CONTRADICTIONS = (
     (
         "The conclusion says that the laws of Mattingly, Torenbeek, Wanner and Aerospatiale give "
@@ -58,41 +55,6 @@ CONTRADICTIONS = (
 _FIGURES = {"step": (16, 17), "impulse": (18, 19), "ramp": (20, 21)}
 
 
-@dataclass(frozen=True, eq=False)
-class CitationX:
-    """Both studies of the paper, and what contradicts itself in it."""
-
-    engine: str
-    studies: tuple[Study, ...]
-    contradictions: tuple[str, ...] = CONTRADICTIONS
-
-    @property
-    def claims(self) -> tuple[Claim, ...]:
-        """All claims in the order of the studies."""
-        return tuple(claim for study in self.studies for claim in study.claims)
-
-    def missed(self) -> list[str]:
-        """Claims that do not hold here, with our figure."""
-        return [
-            f"{claim.what}: {claim.ours}, {claim.origin} says {claim.claimed}"
-            for claim in self.claims
-            if claim.met is False
-        ]
-
-    def document(self) -> dict[str, Any]:
-        """`reproduce.json`."""
-        return {
-            "schema": SCHEMA,
-            "paper": PAPER,
-            "engine": self.engine,
-            "ok": not self.missed(),
-            "missed": self.missed(),
-            "contradictions": list(self.contradictions),
-            "studies": [study.row() for study in self.studies],
-            "versions": versions(),
-        }
-
-
 def reproduce(
     engine: str = "single_aisle",
     *,
@@ -100,8 +62,8 @@ def reproduce(
     kinds: Sequence[Kind] = KINDS,
     estimators: Sequence[Estimator] = SEARCHES,
     watch: Callable[[str], None] = lambda _: None,
-) -> CitationX:
-    """Run both studies; the same engine gives the same numbers.
+) -> tuple[Study, ...]:
+    """Run both studies, static and dynamic; the same engine gives the same numbers.
 
     The default engine has the bypass ratio nearest to the paper's (5.7, about 5), and an EPR above
     the value below which Torenbeek's generator function is negative. `regions` are low and high.
@@ -112,7 +74,7 @@ def reproduce(
         static.append(static_study(engines, region, estimators))
         watch(f"Dynamic models, {region.name} altitudes")
         dynamic.append(dynamic_study(static[-1], engines.flown, kinds))
-    return CitationX(engine, (_static(engines, static), _dynamic(dynamic)))
+    return _static(engines, static), _dynamic(dynamic)
 
 
 def _static(engines: Engines, studies: Sequence[RegionStudy]) -> Study:
@@ -172,7 +134,7 @@ def _parameters(studies: Sequence[RegionStudy]) -> Table:
             values = fits[0].values[k], fits[0].sd[k], fits[-1].values[k]
             rows.append((f"{study.region.name}: {model} {p.name} [{p.unit}]", *values))
     head = ("parameter", "Levenberg-Marquardt", "sd", "swarm")
-    return _table("Tables 5 and 6: parameter values", head, rows)
+    return table_of("Tables 5 and 6: parameter values", head, rows)
 
 
 def _estimators(studies: Sequence[RegionStudy]) -> Table:
@@ -185,7 +147,7 @@ def _estimators(studies: Sequence[RegionStudy]) -> Table:
             errors = [row.fit.score.mean_pct if row and row.fit else None for row in found]
             rows.append((f"{study.region.name}: {model}", *errors))
     head = ("model", *(f"{name} [%]" for name in names))
-    return _table("Estimators: mean error on identification flights", head, rows)
+    return table_of("Estimators: mean error on identification flights", head, rows)
 
 
 def _scores(study: RegionStudy, outputs: Sequence[str], which: str) -> Table:
@@ -202,7 +164,7 @@ def _scores(study: RegionStudy, outputs: Sequence[str], which: str) -> Table:
         if row.output in outputs:
             remark = row.failure or "; ".join(fit.advice if fit else ())
             rows.append((row.output, row.model, *values, remark))
-    return _table(f"{which}: mean relative errors, {study.region.name} altitudes", head, rows)
+    return table_of(f"{which}: mean relative errors, {study.region.name} altitudes", head, rows)
 
 
 def _responses(rows: Sequence[DynamicRow], kind: Kind) -> Table:
@@ -210,7 +172,7 @@ def _responses(rows: Sequence[DynamicRow], kind: Kind) -> Table:
     own = {(row.model, row.output): row for row in rows if row.kind == kind}
     head = ("model", *(f"{name} success [%]" for name in OUTPUTS),
             *(f"{name} error [%]" for name in OUTPUTS))  # fmt: skip
-    lines: list[tuple[str | float, ...]] = [
+    lines = [
         (
             model,
             *(own[model, name].success_pct for name in OUTPUTS),
@@ -219,7 +181,7 @@ def _responses(rows: Sequence[DynamicRow], kind: Kind) -> Table:
         for model in dict.fromkeys(model for model, _ in own)
     ]
     first, second = _FIGURES[kind]
-    return _table(f"Figures {first} and {second}: responses to a {kind}", head, lines)
+    return table_of(f"Figures {first} and {second}: responses to a {kind}", head, lines)
 
 
 def _combinations(rows: Sequence[DynamicRow], kinds: Sequence[Kind]) -> Table:
@@ -235,16 +197,7 @@ def _combinations(rows: Sequence[DynamicRow], kinds: Sequence[Kind]) -> Table:
         joined = "; ".join(" + ".join(part) for part in GROUPS[best])
         lines.append((kind, f"O/{order}", joined, mean[best]))
     head = ("response", "order", "best combination of outputs", "success [%]")
-    return _table("Table 14: combinations of outputs", head, lines)
-
-
-def _table(
-    caption: str, head: tuple[str, ...], rows: Iterable[tuple[str | float | None, ...]]
-) -> Table:
-    """Table whose texts are cells and whose numbers are figures; the first cell is a head."""
-    cells = [[Cell(v) if isinstance(v, str) else figure(v) for v in row] for row in rows]
-    lines = tuple((Cell(first.text, "head"), *others) for first, *others in cells)
-    return Table(caption, head, lines)
+    return table_of("Table 14: combinations of outputs", head, lines)
 
 
 def _row(row: StaticRow) -> dict[str, Any]:

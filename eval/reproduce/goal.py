@@ -130,12 +130,10 @@ def _tested(data: DataSets, tests: Sequence[Log]) -> str:
 def _times(every: dict[str, Any]) -> list[Claim]:
     return [
         Claim(
-            what=f"Mean relative error of {name}",
+            f"Mean relative error of {name}",
+            f"< {TIMES_PCT:g} %",
+            or_nan(every[f"mean_{name}_pct"]),
             origin="our goal",
-            claimed=f"< {TIMES_PCT:g} %",
-            value=or_nan(every[f"mean_{name}_pct"]),
-            bound=TIMES_PCT,
-            unit="%",
         )
         for name in ("Ti", "Tt")
     ]

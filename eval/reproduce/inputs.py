@@ -20,9 +20,9 @@ import numpy as np
 from data_prep.log import Log
 from eval.report import figures
 from eval.report.style import Picture, unit
-from eval.report.tables import Cell, Table, figure
+from eval.report.tables import Table, figure
 from eval.reproduce.data import DataSets, Effort, NetworkFit, cut, fit_all, within
-from eval.reproduce.study import Claim, Study
+from eval.reproduce.study import NOT_ABOVE_ONE, Claim, Study, table_of
 from eval.scores import max_relative_percent, rmse
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import steady_for_engine
@@ -130,41 +130,34 @@ def _mse(measured: FloatArray, model: FloatArray) -> float:
 
 
 def _criterion(one: Variant, output: str) -> Claim:
-    return Claim(
-        what=f"MSE of {symbol(output)}, multiple data and inputs, over all test data sets",
-        claimed=f"< {CRITERION:g}",
-        value=one.pooled,
-        bound=CRITERION,
-        unit=f"({unit(output)})²",
-        remark="a free run over whole data sets, not one-step and not event by event",
-    )
+    what = f"MSE of {symbol(output)}, multiple data and inputs, over all test data sets"
+    remark = "a free run over whole data sets, not one-step and not event by event"
+    limit = f"< {CRITERION:g} ({unit(output)})²"
+    return Claim(what, f"< {CRITERION:g}", one.pooled, limit, remark)
 
 
 def _order(found: Sequence[Variant], best: Variant, output: str) -> Claim:
     last = found[-1]
-    return Claim(
-        what=f"MSE of {symbol(output)}, multiple data and inputs, over the best variant's",
-        claimed="1 (it is the best of the four)",
-        value=last.pooled / best.pooled,
-        bound=1.0 + 1e-9,
-        remark="" if best is last else f"the best is: {best.name}",
-    )
+    what = f"MSE of {symbol(output)}, multiple data and inputs, over the best variant's"
+    remark = "" if best is last else f"the best is: {best.name}"
+    ratio = last.pooled / best.pooled
+    return Claim(what, "1 (it is the best of the four)", ratio, NOT_ABOVE_ONE, remark)
 
 
 def _table(data: DataSets, found: Sequence[Variant], output: str) -> Table:
-    tests = [f"No. {data.number(log.name)}" for log in data.split.test]
+    tests = [data.label(log.name) for log in data.split.test]
     rows = [
         (
-            Cell(one.name, "head"),
-            Cell(", ".join(symbol(name) for name in one.inputs)),
-            Cell(data.labels(one.trained_on)),
+            one.name,
+            ", ".join(symbol(name) for name in one.inputs),
+            data.labels(one.trained_on),
             *(figure(value, "good" if value < CRITERION else "bad") for value in one.mse),
             figure(one.pooled, "good" if one.pooled < CRITERION else "bad"),
         )
         for one in found
     ]
     caption = f"Mean square error of {symbol(output)} in ({unit(output)})², free run"
-    return Table(caption, ("variant", "inputs", "trained on", *tests, "all"), tuple(rows))
+    return table_of(caption, ("variant", "inputs", "trained on", *tests, "all"), rows)
 
 
 def _pictures(data: DataSets, found: Sequence[Variant], output: str) -> list[Picture]:
@@ -219,11 +212,9 @@ def deviations(data: DataSets, bundle: Bundle, effort: Effort) -> Study:
         "has lags in front of its network where [narx] lag says so.",
         claims=[
             Claim(
-                what=f"Largest relative error of {symbol(output)}: {one.name}",
-                claimed=f"< {LIMIT_PCT:g} %",
-                value=one.max_rel_pct,
-                bound=LIMIT_PCT,
-                unit="%",
+                f"Largest relative error of {symbol(output)}: {one.name}",
+                f"< {LIMIT_PCT:g} %",
+                one.max_rel_pct,
                 remark=remark,
             )
             for one, remark in (
@@ -349,15 +340,15 @@ def _own_name(outputs: Sequence[str]) -> str:
 def _deviation_table(found: Sequence[Fed], output: str) -> Table:
     rows = [
         (
-            Cell(one.name, "head"),
-            Cell(", ".join(symbol(name) for name in one.measured) or "nothing"),
+            one.name,
+            ", ".join(symbol(name) for name in one.measured) or "nothing",
             figure(one.max_rel_pct, "good" if one.max_rel_pct < LIMIT_PCT else "bad"),
-            figure(one.rmse),
+            one.rmse,
         )
         for one in found
     ]
     head = ("variant", "fed as measured", "max relative error [%]", "RMSE")
-    return Table(f"{symbol(output)} in free run over the test data sets", head, tuple(rows))
+    return table_of(f"{symbol(output)} in free run over the test data sets", head, rows)
 
 
 def _deviation_row(one: Fed) -> dict[str, Any]:

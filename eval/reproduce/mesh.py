@@ -20,12 +20,11 @@ from itertools import pairwise, product
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from narxcal.atmosphere import P0_PA, isa
+from narxcal.atmosphere import P0_PA, SOUND_KT, isa
+from narxcal.support.arrays import FloatArray
 from narxcal.turbofan import VirtualEngine
 
-FloatArray = NDArray[np.float64]
 Kind = Literal["step", "impulse", "ramp"]
 Role = Literal["identification", "validation"]
 KINDS: tuple[Kind, ...] = ("step", "impulse", "ramp")
@@ -34,7 +33,7 @@ TLA_MOST = 50.0
 T_S = 0.1
 RAMP_S, ONSET_S, DYNAMIC_S = 5.0, 1.0, 30.0
 _POINTS = 24  # Mach numbers of a cruise
-_SOUND_KT, _SLOW_KT, _FAST_KT, _MACH_MOST = 661.4786, 200.0, 330.0, 0.85
+_SLOW_KT, _FAST_KT, _MACH_MOST = 200.0, 330.0, 0.85
 DRIVERS = ("TRA_deg", "ALT_ft", "Mach", "dT_C", "ECS")
 OUTPUTS = ("FPR", "EPR", "EGT_C", "FN_kN", "FF_kgph")
 
@@ -137,7 +136,7 @@ def mach_range(region: Region, alt_ft: float, tla_deg: float) -> tuple[float, fl
 
 
 def _mach(cas_kt: float, alt_ft: float) -> float:
-    impact = P0_PA * ((1.0 + 0.2 * (cas_kt / _SOUND_KT) ** 2) ** 3.5 - 1.0)
+    impact = P0_PA * ((1.0 + 0.2 * (cas_kt / SOUND_KT) ** 2) ** 3.5 - 1.0)
     return float(np.sqrt(5.0 * ((1.0 + impact / isa(alt_ft)[1]) ** (2.0 / 7.0) - 1.0)))
 
 

@@ -7,8 +7,8 @@ with strong noise, fused with the model and fed to the network.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,7 @@ from eval.report import figures, tables
 from eval.report.style import Picture, unit, with_unit
 from eval.report.tables import Cell, Table, figure
 from eval.reproduce.data import DataSets, Effort, numbered, truth_of
-from eval.reproduce.study import Claim, Study
+from eval.reproduce.study import NOT_ABOVE_ONE, Claim, Study, table_of
 from eval.scores import rms
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.fuser import FastFuser
@@ -110,18 +110,8 @@ def _claims(found: Mapping[str, pd.DataFrame]) -> list[Claim]:
     claims = []
     for words, origin, better, worse in pairs:
         share = share_better(found, better, worse)
-        claims.append(
-            Claim(
-                what=ratios + words,
-                origin=origin,
-                claimed="all",
-                value=share,
-                bound=100.0,
-                unit="%",
-                below=False,
-                remark="" if share >= 100.0 else _lost(found, better, worse),
-            )
-        )
+        remark = "" if share >= 100.0 else _lost(found, better, worse)
+        claims.append(Claim(ratios + words, "all", share, ">= 100 %", remark, origin))
     return claims
 
 
@@ -136,11 +126,7 @@ def _lost(found: Mapping[str, pd.DataFrame], better: str, worse: str) -> str:
 
 def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:
     kept = ["snr_db", "noise_sd", *CURVES, "mean_nis"]
-    rows: list[dict[str, Any]] = [
-        {str(key): float(value) for key, value in row.items()}
-        for row in table[kept].to_dict(orient="records")
-    ]
-    return rows
+    return [{str(k): v for k, v in row.items()} for row in table[kept].to_dict(orient="records")]
 
 
 def _excerpt(data: DataSets, log: Log, flight: Flight, config: SweepConfig) -> Picture:
@@ -241,11 +227,11 @@ def _window_claim(rows: list[dict[str, Any]], name: str) -> Claim:
     best = best_window(rows, name)
     lost = f"{best} samples leave {own[best]:.3g} {unit(name)} and {CHOSEN} leave {own[CHOSEN]:.3g}"
     return Claim(
-        what=f"RMS error of {symbol(name)} with {CHOSEN} samples, over that with the best window",
-        claimed="1 (11 is the best of 3, 11 and 21)",
-        value=own[CHOSEN] / own[best],
-        bound=1.0 + 1e-9,
-        remark="" if best == CHOSEN else f"{lost}: how noisy the sensor is decides",
+        f"RMS error of {symbol(name)} with {CHOSEN} samples, over that with the best window",
+        "1 (11 is the best of 3, 11 and 21)",
+        own[CHOSEN] / own[best],
+        NOT_ABOVE_ONE,
+        "" if best == CHOSEN else f"{lost}: how noisy the sensor is decides",
     )
 
 
@@ -253,20 +239,17 @@ def _smoothing_table(rows: list[dict[str, Any]]) -> Table:
     head = (
         "channel", "window", "RMS", "RMS moving", "RMS elsewhere", "-3 dB at [Hz]", "gain at 1 Hz",
     )  # fmt: skip
+    best = {row["channel"]: best_window(rows, row["channel"]) for row in rows}
     cells = [
         (
-            Cell(with_unit(row["channel"]), "head"),
+            with_unit(row["channel"]),
             Cell("none" if row["window"] == 1 else str(row["window"]), number=True),
-            figure(row["rms"], "best" if _is_best(rows, row) else ""),
-            *(figure(row[key]) for key in ("rms_moving", "rms_rest", "cutoff_hz", "gain_1_hz")),
+            figure(row["rms"], "best" if row["window"] == best[row["channel"]] else ""),
+            *(row[key] for key in ("rms_moving", "rms_rest", "cutoff_hz", "gain_1_hz")),
         )
         for row in rows
     ]
-    return Table("Moving averages compared; the least RMS is marked", head, tuple(cells))
-
-
-def _is_best(rows: list[dict[str, Any]], row: dict[str, Any]) -> bool:
-    return bool(row["window"] == best_window(rows, row["channel"]))
+    return table_of("Moving averages compared; the least RMS is marked", head, cells)
 
 
 PAPER_SEGMENTS = 152
@@ -284,20 +267,18 @@ def segments(data: DataSets) -> Study:
         "speeds have settled. Label 0 is a push, 1 a pull.",
         claims=[
             Claim(
-                what="Data sets",
-                claimed=f"{PAPER_SETS}",
-                value=float(len(data.logs)),
-                bound=float(SEGMENT_SETS),
-                below=False,
-                remark="the user's own data" if len(data.logs) < SEGMENT_SETS else "",
+                "Data sets",
+                f"{PAPER_SETS}",
+                len(data.logs),
+                f">= {SEGMENT_SETS}",
+                "the user's own data" if len(data.logs) < SEGMENT_SETS else "",
             ),
             Claim(
-                what="Segments in which the lever is pushed",
-                claimed=f"{PAPER_SEGMENTS}",
-                value=float(pushes),
-                bound=float(PAPER_SEGMENTS),
-                below=False,
-                remark="more or fewer than the paper's is no merit; every one is used"
+                "Segments in which the lever is pushed",
+                f"{PAPER_SEGMENTS}",
+                pushes,
+                f">= {PAPER_SEGMENTS}",
+                "more or fewer than the paper's is no merit; every one is used"
                 if pushes != PAPER_SEGMENTS
                 else "",
             ),
@@ -315,19 +296,14 @@ def _row(data: DataSets, one: LogReport) -> dict[str, Any]:
 
 def _segment_table(data: DataSets) -> Table:
     keys = ("found", "push", "pull", "fast", "slow", "small", "settled", "interrupted")
-    rows = [
-        (
-            Cell(str(data.number(one.log.name)), "head"),
-            Cell(_role(data, one.log)),
-            *(Cell(str(one.counts()[key]), number=True) for key in keys),
-        )
+    rows: list[tuple[str | int | Cell, ...]] = [
+        (data.number(one.log.name), _role(data, one.log), *(one.counts()[key] for key in keys))
         for one in data.prepared
     ]
+    table = table_of("Events per data set", ("data set", "role", *keys), rows)
     total = [sum(one.counts()[key] for one in data.prepared) for key in keys]
-    rows.append(
-        (Cell("all", "strong"), Cell(""), *(Cell(str(n), "strong", number=True) for n in total))
-    )
-    return Table("Events per data set", ("data set", "role", *keys), tuple(rows))
+    last = Cell("all", "strong"), Cell(""), *(Cell(str(n), "strong", number=True) for n in total)
+    return replace(table, rows=(*table.rows, last))
 
 
 def _role(data: DataSets, log: Log) -> str:
@@ -361,10 +337,8 @@ def correlation(data: DataSets) -> Study:
         text=f"Pearson's coefficient over each whole data set. |rho| of {STRONG:g} or more counts "
         "as strong, as in the paper.",
         claims=[_correlation_claim(lever, name, table) for name, table in found.items()],
-        tables=[_correlation_table(data, name, table) for name, table in found.items()],
-        results={
-            "pearson": {name: _correlation_rows(data, table) for name, table in found.items()}
-        },
+        tables=[_correlation_table(name, table) for name, table in found.items()],
+        results={"pearson": {name: _correlation_rows(table) for name, table in found.items()}},
     )
 
 
@@ -379,42 +353,22 @@ def _correlation_claim(lever: str, name: str, table: pd.DataFrame) -> Claim:
     first = leading(table, lever)
     weak = [f"{table[lever].iloc[row]:+.2f}" for row in np.flatnonzero(~first)]
     return Claim(
-        what=f"Data sets in which {symbol(lever)} is the strongest correlate of {symbol(name)} "
+        f"Data sets in which {symbol(lever)} is the strongest correlate of {symbol(name)} "
         "and a strong one",
-        claimed="all",
-        value=100.0 * float(first.mean()),
-        bound=100.0,
-        unit="%",
-        below=False,
-        remark=f"elsewhere its rho is {', '.join(weak)}: altitude and Mach move the speeds too, "
+        "all",
+        100.0 * float(first.mean()),
+        ">= 100 %",
+        f"elsewhere its rho is {', '.join(weak)}: altitude and Mach move the speeds too, "
         "over data sets that climb" if weak else "",
     )  # fmt: skip
 
 
-def _correlation_table(data: DataSets, name: str, table: pd.DataFrame) -> Table:
-    rows = [
-        (
-            Cell(f"{row + 1}", "head"),
-            *(
-                Cell(f"{rho:+.3f}", "strong" if abs(rho) >= STRONG else "", number=True)
-                if math.isfinite(rho)
-                else figure(None)
-                for _, rho in _correlation_row(table, log.name)
-            ),
-        )
-        for row, log in enumerate(data.logs)
-    ]
-    head = ("data set", *(symbol(str(name)) for name in table.columns))
-    return Table(f"Pearson's coefficient with {symbol(name)}", head, tuple(rows))
+def _correlation_table(name: str, table: pd.DataFrame) -> Table:
+    numbered = table.set_axis(range(1, len(table) + 1))
+    found = tables.pearson(numbered, f"Pearson's coefficient with {symbol(name)}", STRONG)
+    return replace(found, head=("data set", *found.head[1:]))
 
 
-def _correlation_rows(data: DataSets, table: pd.DataFrame) -> list[dict[str, float | int]]:
-    return [
-        {"data_set": row + 1, **dict(_correlation_row(table, log.name))}
-        for row, log in enumerate(data.logs)
-    ]
-
-
-def _correlation_row(table: pd.DataFrame, name: str) -> list[tuple[str, float]]:
-    values = table.loc[name].to_numpy(dtype=np.float64)
-    return list(zip(map(str, table.columns), values.tolist(), strict=True))
+def _correlation_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
+    rows = enumerate(table.to_dict(orient="records"), 1)
+    return [{"data_set": number} | {str(k): v for k, v in row.items()} for number, row in rows]

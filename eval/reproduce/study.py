@@ -3,41 +3,55 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from eval.outcome import Outcome
 from eval.report.page import RunHeader, render
 from eval.report.style import Picture
-from eval.report.tables import NOTHING, Cell, Table, number
+from eval.report.tables import NOTHING, Cell, Table, figure, number
 from eval.report.view import LogView
 from narxcal.support.files import finite
 
+Watch = Callable[[str, int, int], None]  # what is at work, how much of it is done, of how much
+NOT_ABOVE_ONE = "< 1.000000001"  # a ratio that rounding may leave just above one
 
-@dataclass(frozen=True, kw_only=True)
+
+@dataclass(frozen=True)
 class Claim:
     """One claim and what we found; `origin` is who makes it: the paper, or our own goal.
 
-    `value` in `unit` has to be below `bound`, or not below it where `below` is False. `met` is None
-    where there was nothing to measure. `remark` explains above all where ours is the worse figure.
+    `limit` is what has to hold of `value`: `<`, `<=` or `>=`, the bound, a unit, as in `< 1.4 %`;
+    left out where `claimed` says it in this form. `remark` explains above all where ours is the
+    worse figure.
     """
 
     what: str
     claimed: str
     value: float
-    bound: float
-    unit: str = ""
-    below: bool = True
-    origin: str = "paper"
+    limit: str = ""
     remark: str = ""
+    origin: str = "paper"
+
+    @property
+    def bound(self) -> float:
+        """What the value has to be below, or for `>=` not below; a bound of `<=` may be reached."""
+        sign, bound, *_ = (self.limit or self.claimed).split()
+        return math.nextafter(float(bound), math.inf) if sign == "<=" else float(bound)
+
+    @property
+    def unit(self) -> str:
+        """Unit of value and bound, behind them in the limit."""
+        return "".join((self.limit or self.claimed).split()[2:])
 
     @property
     def met(self) -> bool | None:
-        """Whether the value is on the good side of the bound."""
+        """Whether the limit holds; None where there was nothing to measure."""
         if not math.isfinite(self.value):
             return None
-        return self.value < self.bound if self.below else self.value >= self.bound
+        above = (self.limit or self.claimed).startswith(">=")
+        return bool(self.value >= self.bound if above else self.value < self.bound)
 
     @property
     def ours(self) -> str:
@@ -48,17 +62,9 @@ class Claim:
 
     def row(self) -> dict[str, Any]:
         """One entry of `claims`; None where nothing was measured."""
+        names = ("what", "origin", "claimed", "unit", "bound", "met", "remark")
         row: dict[str, Any] = finite(
-            {
-                "what": self.what,
-                "origin": self.origin,
-                "claimed": self.claimed,
-                "ours": self.value,
-                "unit": self.unit,
-                "bound": self.bound,
-                "met": self.met,
-                "remark": self.remark,
-            }
+            {n: getattr(self, n) for n in names} | {"ours": float(self.value)}
         )
         return row
 
@@ -92,27 +98,45 @@ class Study:
         }
 
 
+def missed(studies: Sequence[Study]) -> list[str]:
+    """Claims that do not hold here, with our figure."""
+    return [
+        f"{claim.what}: {claim.ours}, {claim.origin} says {claim.claimed}"
+        for study in studies
+        for claim in study.claims
+        if claim.met is False
+    ]
+
+
 def or_nan(value: float | None) -> float:
     """None, a figure that does not exist, as NaN."""
     return math.nan if value is None else float(value)
 
 
-def claim_table(claims: Sequence[Claim], caption: str = "") -> Table:
-    """Each claim with our figure and, where ours falls short, a mark."""
-    remarks = any(claim.remark for claim in claims)
-    head = ("claim", "made by", "claimed", "ours", "outcome", *(("remark",) if remarks else ()))
-    rows = tuple(
-        (
-            Cell(claim.what, "head"),
-            Cell(claim.origin),
-            Cell(claim.claimed),
-            Cell(claim.ours, number=True),
-            _outcome(claim),
-            *((Cell(claim.remark),) if remarks else ()),
-        )
+def table_of(caption: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
+    """Rows of texts, counts, figures or cells as they are; the first value of a row is its head."""
+    lines = [(Cell(str(first), "head"), *map(_cell, rest)) for first, *rest in rows]
+    return Table(caption, tuple(head), tuple(lines))
+
+
+def _cell(value: Cell | str | float | None) -> Cell:
+    if isinstance(value, Cell):
+        return value
+    if isinstance(value, str | int):
+        return Cell(str(value), number=isinstance(value, int))
+    return figure(value)
+
+
+def claim_table(claims: Sequence[Claim]) -> Table:
+    """Each claim with our figure beside it and, where ours falls short, a mark."""
+    head = ["claim", "made by", "claimed", "ours", "outcome"]
+    head += ["remark"] if any(claim.remark for claim in claims) else []
+    rows = [
+        (claim.what, claim.origin, claim.claimed, Cell(claim.ours, number=True), _outcome(claim),
+         claim.remark)[: len(head)]
         for claim in claims
-    )
-    return Table(caption, head, rows)
+    ]  # fmt: skip
+    return table_of("", head, rows)
 
 
 def _outcome(claim: Claim) -> Cell:

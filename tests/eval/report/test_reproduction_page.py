@@ -18,7 +18,7 @@ from eval.reproduce.study import (
 
 
 def claim(value, **more):
-    return Claim(**{"what": "w", "claimed": "< 5 %", "value": value, "bound": 5.0, **more})
+    return Claim("w", "< 5 %", value, **more)
 
 
 def study(*claims, key="a"):
@@ -26,24 +26,24 @@ def study(*claims, key="a"):
 
 
 @pytest.mark.parametrize(
-    ("value", "below", "met"),
+    ("value", "limit", "met"),
     [
-        (4.9, True, True), (5.0, True, False), (5.1, True, False),
-        (5.0, False, True), (4.9, False, False), (float("nan"), True, None),
-        (float("inf"), True, None),
+        (4.9, "< 5", True), (5.0, "< 5", False), (5.1, "< 5", False),
+        (5.0, ">= 5 %", True), (4.9, ">= 5 %", False), (5.0, "<= 5 kg", True),
+        (5.1, "<= 5 kg", False), (float("nan"), "< 5", None), (float("inf"), "< 5", None),
     ],
 )  # fmt: skip
-def test_a_claim_is_met_on_its_side_of_the_bound(value, below, met):
-    assert claim(value, below=below).met is met
+def test_a_claim_is_met_on_its_side_of_the_bound(value, limit, met):
+    assert claim(value, limit=limit).met is met
 
 
 def test_a_row_holds_what_json_can_and_no_more():
-    row = claim(float("nan"), unit="%").row()
-    assert (row["ours"], row["met"], row["unit"]) == (None, None, "%")
-    assert claim(1.25, unit="%").ours == "1.25 %"
-    assert claim(float("nan"), unit="%").ours == "\N{EN DASH}"
-    assert claim(10.0).ours == "10"
-    assert claim(9.96).ours == "9.96"
+    row = claim(float("nan")).row()
+    assert (row["ours"], row["met"], row["unit"], row["bound"]) == (None, None, "%", 5.0)
+    assert claim(1.25).ours == "1.25 %"
+    assert claim(float("nan")).ours == "\N{EN DASH}"
+    assert claim(10.0, limit="< 5").ours == "10"
+    assert claim(9.96, limit="< 5").ours == "9.96"
     assert or_nan(None) != or_nan(None)
     assert or_nan(2) == 2.0
 
@@ -65,7 +65,7 @@ def test_the_outcome_counts_paper_and_goals_apart_and_names_what_is_missed():
     assert found.lines == (
         "1 of 2 of the paper's claims are reached.",
         "1 of 1 of our own goals are reached.",
-        "w: 9, not < 5 %.",
+        "w: 9 %, not < 5 %.",
     )
     assert outcome_of([study(claim(1.0))]).passed is True
     assert outcome_of([study(claim(float("nan")))]).passed is None
