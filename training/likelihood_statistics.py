@@ -11,12 +11,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import matmul_toeplitz
 from scipy.signal import correlate
 from scipy.stats import chi2, norm
 
-FloatArray = NDArray[np.float64]
+from narxcal.support.arrays import FloatArray
+
 # Eigenvalues of the scaled information matrix below this share of the largest count as zero: the
 # square root of what rounding leaves of it in double precision.
 _RANK = 1e-8

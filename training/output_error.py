@@ -34,6 +34,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from narxcal.record import Record, check_measured, check_records
+from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import ConfigError, DataError, ModelError
 from training.levenberg_marquardt import Proposal, minimise
 from training.likelihood_statistics import (
@@ -46,8 +47,6 @@ from training.output_error_result import OutputErrorFit, Profile, Status
 
 __all__ = ["Model", "Plan", "fit", "profile"]
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 _COMPLEX_STEP = 1e-20
 # Newton decrement g' M^-1 g, twice the drop of J that a full step still promises: 1e-3 is a step
 # of 0.03 standard deviations.

@@ -12,7 +12,6 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data_prep.log import Log
 from narxcal.output_error.engine import STEADY_OUTPUTS, EngineFromSteady, steady_drive
@@ -23,7 +22,6 @@ from training.output_error import Plan, fit
 from training.output_error_result import OutputErrorFit
 from training.spey import Repeated, repeatability
 
-FloatArray = NDArray[np.float64]
 OUTPUTS: Final = STEADY_OUTPUTS
 # The meter's second derivative is offered apart: it takes a bandwidth that 10 Hz logs rarely have.
 _METER: Final = ("tau_M",)

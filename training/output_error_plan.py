@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from narxcal.output_error.engine import Parameter
 from narxcal.record import Record
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
-
-FloatArray = NDArray[np.float64]
 
 
 class Model(Protocol):

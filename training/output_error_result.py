@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2, norm
 
+from narxcal.support.arrays import FloatArray
 from training.likelihood_statistics import correlation
 
-FloatArray = NDArray[np.float64]
 Status = Literal["converged", "on a bound", "unidentifiable", "stalled", "not converged"]
 
 

@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, differential_evolution
 
-from narxcal.static_models.model import Columns, FloatArray, StaticModel
+from narxcal.static_models.model import Columns, StaticModel
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError, ModelError
 from training.levenberg_marquardt import minimise
 from training.swarm import PAPER, STANDARD, swarm
 
-Estimator = Literal["linear", "levenberg-marquardt", "swarm", "swarm-paper", "evolution"]
+Estimator = Literal["levenberg-marquardt", "swarm", "swarm-paper", "evolution"]
 SEARCHES: tuple[Estimator, ...] = ("levenberg-marquardt", "swarm", "swarm-paper", "evolution")
 _STEP = 1e-6  # of central differences, of the box: error 1e-12 of truncation, 1e-10 of rounding
 _MOST_STEPS, _LEAST_DECREASE = 300, 1e-9
@@ -107,11 +108,12 @@ def fit(model: StaticModel, columns: Columns, settings: FitSettings | None = Non
     """
     settings = settings or FitSettings()
     problem, dropped = _problem(model, columns, settings)
-    if model.design is not None and settings.estimator in ("linear", "levenberg-marquardt"):
-        free, status = _solved(problem), "solved directly"
+    if model.design is not None and settings.estimator == "levenberg-marquardt":
+        free, how = _solved(problem, model.design(problem.columns)), ("linear", "solved directly")
     else:
         free, status = _searched(problem, settings)
-    return _result(problem, free, (_label(model, settings), status), dropped)
+        how = settings.estimator, status
+    return _result(problem, free, how, dropped)
 
 
 def fit_correction(model: StaticModel, base: StaticFit, columns: Columns) -> StaticFit:
@@ -251,11 +253,7 @@ def _problem(model: StaticModel, columns: Columns, settings: FitSettings) -> tup
     return _Problem(model, kept, y[good], base, free), len(good) - rows
 
 
-def _solved(problem: _Problem) -> FloatArray:
-    design = problem.model.design
-    if design is None:  # a search serves every other model
-        return _searched(problem, FitSettings())[0]
-    matrix = design(problem.columns)
+def _solved(problem: _Problem, matrix: FloatArray) -> FloatArray:
     offset = matrix @ problem.values(np.zeros(len(problem.free)))
     weighted = matrix[:, problem.free] / problem.measured[:, np.newaxis]
     return _least_squares(weighted, 1.0 - offset / problem.measured, problem)
@@ -278,7 +276,7 @@ def _searched(problem: _Problem, settings: FitSettings) -> tuple[FloatArray, str
     low, high = problem.box
     start = np.clip(problem.base[problem.free], low, high)
     boxed = Boxed(problem.residuals, low, high)
-    if settings.estimator in ("levenberg-marquardt", "linear"):
+    if settings.estimator == "levenberg-marquardt":
         return boxed.minimum(start)
     if settings.estimator == "evolution":
 
@@ -356,8 +354,3 @@ def _at_bounds(problem: _Problem, free: FloatArray) -> list[str]:
             if abs(value - bound) <= _ON_BOUND * (b - a)
         ]
     return found
-
-
-def _label(model: StaticModel, settings: FitSettings) -> str:
-    direct = model.design is not None and settings.estimator == "levenberg-marquardt"
-    return "linear" if direct else settings.estimator

@@ -1,4 +1,4 @@
-"""Subspace identification of a state-space model from several records (PO-MOESP, N4SID).
+"""Subspace identification of a state-space model from several records (PO-MOESP).
 
 | symbol | meaning |
 |---|---|
@@ -8,28 +8,26 @@
 
 The windows of all records stand side by side: none crosses a border. One LQ decomposition of
 [U_f; U_p; Y_p; Y_f], updated record by record, gives the range of Gamma and its singular values;
-A and C follow from its shift structure; B, D and the initial state of every record from one linear
+A and C follow from its shift structure; B and the initial state of every record from one linear
 least-squares problem on the free run, so that noise of the windows does not enter twice.
 
 Records are deviations from a steady start. Sources: Verhaegen 1994 (PO-MOESP), Van Overschee and
-De Moor 1996 (N4SID); SLICOT IB01AD for records joined.
+De Moor 1996; SLICOT IB01AD for records joined.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from narxcal.transfer.state_space import StateSpace
 from training.static_fit import Boxed
 
-FloatArray = NDArray[np.float64]
 Record = tuple[FloatArray, FloatArray]
 _WELL_COVERED = 10  # windows per row of the Hankel matrices; fewer leave a noisy estimate
 _RANK = 1e-9  # singular value over the largest at which the input counts as exciting
@@ -41,14 +39,12 @@ _OUTSIDE = 1e3  # residual over the output at an unstable trial of the polish
 
 @dataclass(frozen=True, kw_only=True)
 class SubspaceSettings:
-    """Algorithm, direct feed-through (D, else zero), sampling interval and largest order tried.
+    """Sampling interval and largest order tried.
 
     `polish` refines A and C by output error on the free run: under noise the poles of a subspace
     estimate scatter more than the data allow.
     """
 
-    method: Literal["po-moesp", "n4sid"] = "po-moesp"
-    feed_through: bool = False
     dt_s: float = 1.0
     most: int = 8
     polish: bool = True
@@ -88,7 +84,7 @@ def subspace(
     u_scale, y_scale = _checked(records, order, block_rows)
     scaled = [(u / u_scale, y / y_scale) for u, y in records]
     advice = _input_advice(records)
-    U, singular, more = _range_of_observability(scaled, block_rows, settings)
+    U, singular, more = _range_of_observability(scaled, block_rows)
     advice += more
     status = f"order {order} given"
     if order is None:
@@ -98,39 +94,36 @@ def subspace(
     if moved:
         advice.append(f"{moved} poles on or outside the unit circle were moved inside")
     if settings.polish:
-        A, C = _polished(A, C, scaled, settings)
-    model, x0 = input_matrices(A, C, scaled, settings)
+        A, C = _polished(A, C, scaled, settings.dt_s)
+    model, x0 = input_matrices(A, C, scaled, settings.dt_s)
     errors = [y - model.simulate(u, x) for (u, y), x in zip(scaled, x0, strict=True)]
     rmse = np.sqrt(np.mean(np.square(np.concatenate(errors)), axis=0)) * y_scale
     whole = StateSpace(
-        model.A, model.B / u_scale, y_scale[:, np.newaxis] * model.C,
-        y_scale[:, np.newaxis] * model.D / u_scale, settings.dt_s,
+        model.A, model.B / u_scale, y_scale[:, np.newaxis] * model.C, model.D, settings.dt_s,
     )  # fmt: skip
     return SubspaceFit(whole, tuple(x0), singular, rmse, status, tuple(advice))
 
 
 def input_matrices(
-    A: FloatArray, C: FloatArray, records: Sequence[Record], settings: SubspaceSettings
+    A: FloatArray, C: FloatArray, records: Sequence[Record], dt_s: float
 ) -> tuple[StateSpace, list[FloatArray]]:
-    """B, D and every record's x0 by one linear least-squares problem on the free run.
+    """B and every record's x0 by one linear least-squares problem on the free run.
 
     The x0 of a record touches its rows only: an orthogonal transformation takes them out record
-    by record, and the remaining rows of all records determine B and D together.
+    by record, and the remaining rows of all records determine B.
     """
     n, m = len(A), records[0][0].shape[1]
     parts = []
     for u, y in records:
-        matrix = np.hstack([_initial_response(A, C, len(u)), _forced_response(A, C, u, settings)])
+        matrix = np.hstack([_initial_response(A, C, len(u)), _forced_response(A, C, u)])
         Q, R = np.linalg.qr(matrix)
         parts.append((R, Q.T @ y.ravel()))
     common = np.vstack([R[n:, n:] for R, _ in parts])
     target = np.concatenate([b[n:] for _, b in parts])
     theta = np.linalg.lstsq(common, target, rcond=None)[0]
     x0 = [np.linalg.lstsq(R[:n, :n], b[:n] - R[:n, n:] @ theta, rcond=None)[0] for R, b in parts]
-    D = np.zeros((len(C), m))
-    if settings.feed_through:
-        D = theta[n * m :].reshape(m, len(C)).T
-    return StateSpace(A, theta[: n * m].reshape(m, n).T, C, D, settings.dt_s), x0
+    B = theta.reshape(m, n).T
+    return StateSpace(A, B, C, np.zeros((len(C), m)), dt_s), x0
 
 
 def initial_state(model: StateSpace, record: Record) -> FloatArray:
@@ -195,7 +188,7 @@ def _triangular(records: Sequence[Record], s: int) -> FloatArray:
 
 
 def _range_of_observability(
-    records: Sequence[Record], s: int, settings: SubspaceSettings
+    records: Sequence[Record], s: int
 ) -> tuple[FloatArray, FloatArray, list[str]]:
     """Left singular vectors that span Gamma, singular values, advice."""
     m, p = records[0][0].shape[1], records[0][1].shape[1]
@@ -218,8 +211,6 @@ def _range_of_observability(
         )
     past = slice(s * m, 2 * s * m + s * p)
     future = L[past.stop :, past]
-    if settings.method == "n4sid":
-        future = future @ np.linalg.pinv(L[past, past]) @ L[past, : past.stop]
     U, singular, _ = np.linalg.svd(future, full_matrices=False)
     few = windows < _WELL_COVERED * rows
     advice = [f"only {windows} windows for {rows} rows: expect a noisy estimate"]
@@ -247,9 +238,9 @@ def _dynamics(U: FloatArray, outputs: int) -> tuple[FloatArray, FloatArray, int]
 
 
 def _polished(
-    A: FloatArray, C: FloatArray, records: Sequence[Record], settings: SubspaceSettings
+    A: FloatArray, C: FloatArray, records: Sequence[Record], dt_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """A and C of the least error of the free run, B, D and x0 being solved for at every step.
+    """A and C of the least error of the free run, B and x0 being solved for at every step.
 
     The basis is free, so n^2 directions change nothing: the damping keeps them where they are.
     """
@@ -262,7 +253,7 @@ def _polished(
             if np.max(np.abs(np.linalg.eigvals(a))) >= 1.0:
                 found.append(_OUTSIDE * y)
                 continue
-            model, x0 = input_matrices(a, c, records, settings)
+            model, x0 = input_matrices(a, c, records, dt_s)
             pairs = zip(records, x0, strict=True)
             found.append(y - np.concatenate([model.simulate(u, x) for (u, _), x in pairs]).ravel())
         return np.array(found).reshape(*theta.shape[:-1], len(y))
@@ -281,20 +272,14 @@ def _initial_response(A: FloatArray, C: FloatArray, count: int) -> FloatArray:
     return np.column_stack(columns)
 
 
-def _forced_response(
-    A: FloatArray, C: FloatArray, u: FloatArray, settings: SubspaceSettings
-) -> FloatArray:
-    """Columns of vec(B) (input by input) and, with feed-through, vec(D): (count * outputs, ..)."""
+def _forced_response(A: FloatArray, C: FloatArray, u: FloatArray) -> FloatArray:
+    """Columns of vec(B), input by input: (count * outputs, ..)."""
     none = np.zeros((len(C), 1))
     columns = [
         StateSpace(A, unit[:, np.newaxis], C, none, 1.0).simulate(u[:, j : j + 1]).ravel()
         for j in range(u.shape[1])
         for unit in np.eye(len(A))
     ]
-    if settings.feed_through:
-        columns += [
-            np.outer(u[:, j], unit).ravel() for j in range(u.shape[1]) for unit in np.eye(len(C))
-        ]
     return np.column_stack(columns)
 
 
@@ -309,10 +294,10 @@ def _chosen(
     """Least order whose free run on held-out data is within 5 % of the best."""
     errors = np.zeros(len(orders))
     for fitted, held in _folds(records, s):
-        U = _range_of_observability(fitted, s, settings)[0]
+        U = _range_of_observability(fitted, s)[0]
         for k, order in enumerate(orders):
             A, C, _ = _dynamics(U[:, :order], fitted[0][1].shape[1])
-            model, _ = input_matrices(A, C, fitted, settings)
+            model, _ = input_matrices(A, C, fitted, settings.dt_s)
             error = held[1] - model.simulate(held[0], initial_state(model, held))
             errors[k] += float(np.mean(np.square(error)))
     errors = np.sqrt(errors)

@@ -24,11 +24,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 
-FloatArray = NDArray[np.float64]
 Cost = Callable[[FloatArray], FloatArray]
 _F = 4.1
 CHI = 2.0 / abs(2.0 - _F - math.sqrt(_F * _F - 4.0 * _F))

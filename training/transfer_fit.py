@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from narxcal.transfer.response import (
     LN_EARLY,
@@ -27,7 +27,6 @@ from narxcal.transfer.response import (
 )
 from training.static_fit import Boxed
 
-FloatArray = NDArray[np.float64]
 ResponseKind = Literal["first", "first t90", "delayed", "second"]
 KINDS: tuple[ResponseKind, ...] = ("first", "first t90", "delayed", "second")
 TOLERANCE = 0.10  # of t10 and of t90 (FAA AC 120-40B)

@@ -11,7 +11,8 @@ from eval.reproduce.citation_static import PRESSURES, Engines, RegionStudy
 from eval.reproduce.mesh import KINDS, OUTPUTS, T_S
 from eval.reproduce.study import Claim
 from narxcal.atmosphere import air_state
-from narxcal.static_models.model import CP, GAS_R, FloatArray, K
+from narxcal.static_models.model import CP, GAS_R, K
+from narxcal.support.arrays import FloatArray
 from narxcal.transfer.response import rise_times
 
 BEST_THRUST = "Cold Thrust + correction (M, FPR)"

@@ -16,9 +16,9 @@ import numpy as np
 
 from eval.reproduce.citation_static import RegionStudy
 from eval.reproduce.mesh import KINDS, OUTPUTS, T_S, Disturbance, Kind, Role, disturbances
+from narxcal.support.arrays import FloatArray
 from narxcal.transfer.response import Scale
 from narxcal.transfer.state_space import (
-    FloatArray,
     Form,
     Schedule,
     coordinates,

@@ -10,7 +10,8 @@ import numpy as np
 
 from eval.reproduce.mesh import DRIVERS, TRA_PER_TLA, Region, static_flights
 from narxcal import static_models as models
-from narxcal.static_models.model import Columns, FloatArray, StaticModel
+from narxcal.static_models.model import Columns, StaticModel
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError, ModelError
 from narxcal.turbofan import VirtualEngine, build_scatter
 from training.static_fit import (

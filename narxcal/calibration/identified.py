@@ -19,9 +19,10 @@ a correction on line are one function.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,50 +36,56 @@ from narxcal.transfer.scheduled import respond
 from narxcal.transfer.state_space import Schedule, StateSpace
 
 
-class Dynamics(Protocol):
+class Dynamics(ABC):
     """A dynamic model behind a steady state."""
 
     kind: ClassVar[str]
 
     @property
+    @abstractmethod
     def size(self) -> int:
         """Number of parameters."""
 
     @property
+    @abstractmethod
     def words(self) -> str:
         """Describe the model."""
 
     def drive(self, steady: SteadyStateModel, inputs: FloatArray, ss: FloatArray) -> FloatArray:
-        """Drive (time, columns) from inputs (time, n_in) and steady states (time, n_out)."""
+        """Drive (time, columns) from inputs (time, n_in) and steady states (time, n_out).
 
+        The steady states themselves unless a model needs more.
+        """
+        del steady, inputs
+        return ss
+
+    @abstractmethod
     def equilibrium(self, drive: FloatArray) -> FloatArray:
         """State (n,) in equilibrium at a drive (columns,)."""
 
+    @abstractmethod
     def run(
         self, state: FloatArray, drive: FloatArray, measured: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Outputs (time, n_out) and the state after the last sample."""
 
+    @abstractmethod
     def to_json(self) -> dict[str, Any]:
         """Everything needed to rebuild the model."""
 
     @classmethod
+    @abstractmethod
     def from_json(cls, stored: Mapping[str, Any], steady: SteadyStateModel, dt_s: float) -> Self:
         """Inverse of `to_json`."""
 
 
 @dataclass(frozen=True)
-class NoDynamics:
+class NoDynamics(Dynamics):
     """Outputs are the steady state; `size` is that of the static law."""
 
     kind: ClassVar[str] = "none"
     size: int = 0
     words: str = "steady state without dynamics"
-
-    def drive(self, steady: SteadyStateModel, inputs: FloatArray, ss: FloatArray) -> FloatArray:
-        """Return the steady states."""
-        del steady, inputs
-        return ss
 
     def equilibrium(self, drive: FloatArray) -> FloatArray:
         """No state."""
@@ -103,7 +110,7 @@ class NoDynamics:
 
 
 @dataclass(frozen=True, eq=False)
-class EngineDynamics:
+class EngineDynamics(Dynamics):
     """Equation 1 of the Spey paper with steady-state curves; `free` of the values were estimated.
 
     `span` is the driver's range over which slopes are taken; `order` are the columns of N_H, N_L, T
@@ -165,7 +172,7 @@ class EngineDynamics:
 
 
 @dataclass(frozen=True, eq=False)
-class ResponseDynamics:
+class ResponseDynamics(Dynamics):
     """A response per output; logarithms of its parameters over `conditions`, see `respond`.
 
     A condition is the name of an input, or "level", the steady value of the output itself.
@@ -229,7 +236,7 @@ class ResponseDynamics:
 
 
 @dataclass(frozen=True, eq=False)
-class StateSpaceDynamics:
+class StateSpaceDynamics(Dynamics):
     """Deviation d = ss - y of a linear system driven by the increments of the steady state.
 
     Without increments d fades: every equilibrium is that of the steady state.
@@ -248,11 +255,6 @@ class StateSpaceDynamics:
         """Order and time constants."""
         shown = ", ".join(f"{tau:.3g}" for tau in self.model.time_constants_s)
         return f"state space of order {self.model.order}, time constants {shown} s"
-
-    def drive(self, steady: SteadyStateModel, inputs: FloatArray, ss: FloatArray) -> FloatArray:
-        """Return the steady states."""
-        del steady, inputs
-        return ss
 
     def equilibrium(self, drive: FloatArray) -> FloatArray:
         """No deviation."""

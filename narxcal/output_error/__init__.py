@@ -4,28 +4,3 @@
 measured inputs to measured outputs, with a table of named parameters; `paper` has the paper's
 tables as data; `experiment` simulates its flight records. Estimation is in `training.output_error`.
 """
-
-from narxcal.output_error.blocks import Governor, LinearSystem, Rotors, flowmeter, lag, play
-from narxcal.output_error.engine import (
-    DuctPressures,
-    EngineAndControl,
-    EngineFromFuel,
-    EngineFromSteady,
-    Parameter,
-    ThrottleLinkage,
-)
-
-__all__ = [
-    "DuctPressures",
-    "EngineAndControl",
-    "EngineFromFuel",
-    "EngineFromSteady",
-    "Governor",
-    "LinearSystem",
-    "Parameter",
-    "Rotors",
-    "ThrottleLinkage",
-    "flowmeter",
-    "lag",
-    "play",
-]

@@ -72,9 +72,9 @@ class LinearSystem:
     def beside(self, other: LinearSystem) -> LinearSystem:
         """Connect in parallel: the same inputs, the outputs of both."""
         return LinearSystem(
-            _block_diag(self.A, other.A),
+            block_diag(self.A, other.A),
             np.vstack([self.B, other.B]),
-            _block_diag(self.C, other.C),
+            block_diag(self.C, other.C),
             np.vstack([self.D, other.D]),
         )
 
@@ -143,16 +143,11 @@ class LinearSystem:
         return np.asarray(recursion(phi, drive, x0) @ self.C.T + inputs @ self.D.T)
 
 
-def _block_diag(a: Values, b: Values) -> Values:
-    """Block diagonal matrix that keeps the shape of blocks without rows or columns."""
-    rows, columns = a.shape[0] + b.shape[0], a.shape[1] + b.shape[1]
-    return np.asarray(block_diag(a, b)).reshape(rows, columns)
-
-
 def recursion(phi: Values, drive: Values, start: Values) -> Values:
     """States (time, n) of x(k+1) = Phi x(k) + drive(k), with drive (time - 1, n)."""
-    states = _recursion(_complex(phi), _complex(drive), _complex(start))
-    return _as_given(states, phi, drive, start)
+    kind = np.result_type(phi, drive, start, np.float64)
+    given = (np.ascontiguousarray(one, dtype=kind) for one in (phi, drive, start))
+    return _recursion(*given)
 
 
 def _complex(values: ArrayLike) -> Values:
@@ -166,7 +161,7 @@ def _as_given(result: Values, *given: Any) -> Values:
 @compiled
 def _recursion(phi: Values, drive: Values, start: Values) -> Values:
     steps, n = drive.shape
-    states = np.empty((steps + 1, n), dtype=np.complex128)
+    states = np.empty((steps + 1, n), dtype=drive.dtype)
     states[0] = start
     for k in range(steps):
         for i in range(n):

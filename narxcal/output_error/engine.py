@@ -4,7 +4,7 @@
 |---|---|---|
 | `ThrottleLinkage` | delta_c | delta_TM |
 | `DuctPressures` | N_H, N_L as measured | P_TM, P_DM |
-| `EngineFromFuel` | W_F as measured | N_HM, N_LM and P_TM, P_DM or T_M |
+| `EngineFromFuel` | W_F as measured | N_HM, N_LM, P_TM, P_DM |
 | `EngineAndControl` | delta_c | delta_TM, W_FM, N_HM, N_LM, P_TM, P_DM (Table 2) |
 
 The chain of blocks is delta_c -> play -> delta_T -> K_TH -> N_c -> governor -> W_F -> rotors ->
@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,10 +37,10 @@ from narxcal.output_error.blocks import (
     play,
 )
 from narxcal.steady.model import SteadyStateModel
+from narxcal.support.arrays import FloatArray
 from narxcal.support.compiled import compiled
 from narxcal.support.errors import DataError
 
-FloatArray = NDArray[np.float64]
 STEADY_OUTPUTS: Final = ("N2_pct", "N1_pct", "EGT_C")  # N_H, N_L, T of `EngineFromSteady`
 Parameters = Mapping[str, complex]
 
@@ -96,15 +96,8 @@ _OFFSETS: Final = (
     _fixed("N_H_start", 0.0, "%", "N_H at the first sample, from its equilibrium"),
     _fixed("N_L_start", 0.0, "%", "N_L at the first sample, from its equilibrium"),
 )
-_STARTS: Final = ("N_H_start", "N_L_start", "T_start")  # the order of the first states
+_STARTS: Final = ("N_H_start", "N_L_start")  # the order of the first states
 _METER_LAG: Final = Parameter("tau_M", 0.0, -1.0, 3.0, "s", "lag of the fuel meter", free=False)
-_TEMPERATURE: Final = (
-    Parameter("K_TN", 5.0, -50.0, 50.0, "degC/%", "steady temperature per N_H"),
-    Parameter("beta", 1.0, -5.0, 10.0, "-", "share of it that follows fuel flow directly"),
-    Parameter("tau_T", 0.5, 1e-3, 60.0, "s", "lag of the temperature probe"),
-    Parameter("T_O", 0.0, -100.0, 100.0, "degC", "offset of the temperature"),
-    _fixed("T_start", 0.0, "degC", "temperature at the first sample, from its equilibrium"),
-)
 _CONTROL: Final = (
     _fixed("K_TH", 0.7212, "%/deg", "N_H commanded per throttle angle, steady operating line"),
     Parameter("K_AF", 3.0, 0.1, 20.0, "unit/%", "fuel flow per governor error"),
@@ -160,50 +153,24 @@ class DuctPressures:
 
 @dataclass(frozen=True)
 class EngineFromFuel:
-    """Measured fuel flow -> N_H, N_L and, as `extra` says, pressures or a gas temperature.
-
-    The temperature (no part of the paper) follows N_H and fuel flow as N_L does:
-    tau_T T' = -T + K_TN ((1 - beta) N_H + beta C_FH W_F).
+    """Measured fuel flow -> N_H, N_L and pressures.
 
     `tau_M` is a first-order lag of the fuel meter, undone by W_F = W_M + tau_M W_M' on the line
     between samples; at low frequency it is 2 zeta / omega of a flowmeter.
     """
 
     dt_s: float
-    extra: Literal["", "pressures", "temperature"] = "pressures"
+    parameters: Sequence[Parameter] = (*_ROTORS, *_OFFSETS, _METER_LAG, *_PRESSURES)
     input_names: Sequence[str] = ("W_FM",)
-
-    @property
-    def parameters(self) -> Sequence[Parameter]:
-        """Rotors, offsets, meter and what `extra` adds."""
-        more = {"": (), "pressures": _PRESSURES, "temperature": _TEMPERATURE}[self.extra]
-        return (*_ROTORS, *_OFFSETS, _METER_LAG, *more)
-
-    @property
-    def output_names(self) -> Sequence[str]:
-        """N_HM, N_LM and what `extra` adds."""
-        more = {"": (), "pressures": ("P_TM", "P_DM"), "temperature": ("T_M",)}[self.extra]
-        return ("N_HM", "N_LM", *more)
+    output_names: Sequence[str] = ("N_HM", "N_LM", "P_TM", "P_DM")
 
     def simulate(self, values: Parameters, u: FloatArray) -> Values:
-        """Outputs (time, p) for fuel flow u (time, 1)."""
-        system = self._chain(values).lead(values["tau_M"])
+        """Outputs (time, 4) for fuel flow u (time, 1)."""
+        chain = rotor_block(values).then(speeds_and_pressures(values, 2))
+        system = chain.lead(values["tau_M"])
         start = system.equilibrium(u[0]) + _state(values, _STARTS, len(system.A))
-        more = {"": (), "pressures": ("P_TO", "P_DO"), "temperature": ("T_O",)}[self.extra]
-        offsets = np.array([values[name] for name in ("N_HO", "N_LO", *more)])
+        offsets = np.array([values[name] for name in ("N_HO", "N_LO", "P_TO", "P_DO")])
         return np.asarray(system.respond(u, self.dt_s, start=start) + offsets)
-
-    def _chain(self, values: Parameters) -> LinearSystem:
-        rotors = rotor_block(values)
-        if self.extra == "pressures":
-            return rotors.then(speeds_and_pressures(values, 2))
-        if self.extra == "temperature":
-            by_fuel = values["beta"] * values["C_FH"]
-            drive = LinearSystem.gain([[1.0 - values["beta"], 0.0, by_fuel]])
-            probe = drive.then(lag(values["K_TN"], values["tau_T"]))
-            speeds = LinearSystem.gain(np.eye(3)[:2])
-            return rotors.beside(LinearSystem.gain([[1.0]])).then(speeds.beside(probe))
-        return rotors
 
 
 @dataclass(frozen=True)
@@ -252,7 +219,7 @@ _SCHEDULED: Final = (
     Parameter("rate_H", 0.03, -0.3, 0.3, "1/%", "tau_H falls by exp(-rate_H) per % N_H"),
     Parameter("rate_L", 0.03, -0.3, 0.3, "1/%", "tau_L falls by exp(-rate_L) per % N_H"),
     *_OFFSETS[:2],
-    _TEMPERATURE[3],
+    Parameter("T_O", 0.0, -100.0, 100.0, "degC", "offset of the temperature"),
     _METER_LAG,
     Parameter("square_M", 0.0, -2.0, 2.0, "s2", "1/omega^2 of the fuel meter", free=False),
 )

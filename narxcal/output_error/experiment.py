@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from narxcal.output_error.engine import (
     DuctPressures,
@@ -21,8 +20,8 @@ from narxcal.output_error.engine import (
 )
 from narxcal.output_error.paper import RECORD_POINTS, SAMPLING_S, noise_sd
 from narxcal.record import Record
+from narxcal.support.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Chain = ThrottleLinkage | DuctPressures | EngineFromFuel | EngineAndControl
 Programme = Literal["steps", "doublets", "random"]
 PROGRAMMES: Final[tuple[Programme, ...]] = ("steps", "doublets", "random")

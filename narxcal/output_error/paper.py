@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from narxcal.support.arrays import FloatArray
+
 Side = Literal["left", "right"]
 
 # Table 1: white sensor noise, one standard deviation in percent of full scale.

@@ -22,7 +22,8 @@ from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from narxcal.static_models.model import Columns, FloatArray, Parameter, StaticModel, registered
+from narxcal.static_models.model import Columns, Parameter, StaticModel, registered
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError
 
 _SPREAD = 10.0  # bounds of a coefficient in units of the output's scale, for bounded searches

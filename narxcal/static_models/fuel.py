@@ -18,7 +18,6 @@ import numpy as np
 from narxcal.atmosphere import T0_K
 from narxcal.static_models.model import (
     Columns,
-    FloatArray,
     K,
     Parameter,
     StaticModel,
@@ -28,6 +27,7 @@ from narxcal.static_models.model import (
     unpack,
 )
 from narxcal.static_models.thrust import NO_GENERATOR, gas_generator
+from narxcal.support.arrays import FloatArray
 
 KGPH_PER_KN = 1e3 / 9.80665  # kg/h of fuel at 1 kN and a TSFC of 1 kg/kgf/h
 LBPS_PER_KGPH = 1.0 / (0.45359237 * 3600.0)  # the paper's unit

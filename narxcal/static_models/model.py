@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from narxcal.atmosphere import AirState, air_state
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, ModelError
 
 P = ParamSpec("P")
-FloatArray = NDArray[np.float64]
 Columns = Mapping[str, FloatArray]
 GAS_R = 287.05287  # J/kg/K
 CP = 3.5 * GAS_R  # J/kg/K, gamma = 1.4

@@ -27,7 +27,6 @@ from narxcal.static_models.model import (
     CP,
     GAS_R,
     Columns,
-    FloatArray,
     K,
     Parameter,
     StaticModel,
@@ -37,6 +36,7 @@ from narxcal.static_models.model import (
     true_airspeed,
     unpack,
 )
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 
 RHO0 = P0_PA / (GAS_R * T0_K)

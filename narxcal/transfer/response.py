@@ -18,11 +18,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError, ModelError
 
-FloatArray = NDArray[np.float64]
 LN_RATIO = math.log(9.0)  # t90 - t10 of a first-order system over tau_0
 LN_LATE, LN_EARLY = math.log(10.0), math.log(10.0 / 9.0)
 _NOISES = 3.0  # a move below three standard deviations of the noise cannot be scaled

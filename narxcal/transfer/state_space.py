@@ -23,14 +23,14 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.linalg import block_diag
 
+from narxcal.output_error.blocks import recursion
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, ModelError
 
-FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Form = Literal["modal", "canonical", "output"]
 _EDGE = 1.0 - 1e-9  # of a reflection coefficient, whose atanh is finite
@@ -87,8 +87,8 @@ class StateSpace:
         """Free run: outputs (time, outputs) for inputs (time, inputs) from state x0 (n,)."""
         if u.ndim != 2 or u.shape[1] != self.B.shape[1]:
             raise DataError(f"expected inputs (time, {self.B.shape[1]}), found {u.shape}")
-        start = np.zeros(self.order) if x0 is None else np.ascontiguousarray(x0, dtype=np.float64)
-        states = _states(np.ascontiguousarray(self.A), np.ascontiguousarray(u @ self.B.T), start)
+        start = np.zeros(self.order) if x0 is None else x0
+        states = recursion(self.A, (u @ self.B.T)[:-1], start)
         return np.asarray(states @ self.C.T + u @ self.D.T)
 
     def transformed(self, T: FloatArray) -> StateSpace:
@@ -113,24 +113,6 @@ class StateSpace:
         """Inverse of `to_dict`."""
         A, B, C, D = (np.array(stored[k], dtype=np.float64) for k in "ABCD")
         return cls(A, B, C, D, float(stored["dt_s"]))
-
-
-@njit(cache=True)
-def _states(A: FloatArray, forcing: FloatArray, x0: FloatArray) -> FloatArray:
-    """x_k (time, n) of x_k+1 = A x_k + forcing_k."""
-    n = len(x0)
-    states = np.empty((len(forcing), n))
-    x, ahead = x0.copy(), np.empty(n)
-    for k in range(len(forcing)):
-        for i in range(n):
-            states[k, i] = x[i]
-            total = forcing[k, i]
-            for j in range(n):
-                total += A[i, j] * x[j]
-            ahead[i] = total
-        for i in range(n):
-            x[i] = ahead[i]
-    return states
 
 
 def coordinates(model: StateSpace, form: Form = "modal") -> FloatArray:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from narxcal.output_error.blocks import lag
+from narxcal.output_error.blocks import LinearSystem, Rotors, lag
 from narxcal.output_error.engine import (
     DuctPressures,
     EngineAndControl,
@@ -62,7 +62,7 @@ def test_a_level_dependent_throttle_play_is_wider_at_larger_deflections():
 
 
 def test_initial_states_fade_with_their_time_constants():
-    model = EngineFromFuel(DT, extra="")
+    model = EngineFromFuel(DT)
     values = values_of(model, tau_H=0.5, tau_L=0.2, alpha=1.0, N_H_start=2.0)
     y = model.simulate(values, np.zeros((40, 1)))
     np.testing.assert_allclose(y[:, 0], 2.0 * np.exp(-np.arange(40) * DT / 0.5), atol=1e-12)
@@ -70,24 +70,28 @@ def test_initial_states_fade_with_their_time_constants():
 
 
 def test_a_lag_of_the_meter_is_undone():
-    model = EngineFromFuel(0.005, extra="temperature")
+    model = EngineFromFuel(0.005)
     fuel = command(3, 4000)
-    truth = values_of(model, tau_T=0.7, beta=1.5)
+    truth = values_of(model)
     fine = model.simulate(truth, fuel)
     metered = lag(1.0, 0.4).respond(fuel, 0.005)
     undone = model.simulate({**truth, "tau_M": 0.4}, metered)
     np.testing.assert_allclose(undone, fine, atol=0.03)
 
 
-def test_the_engine_from_steady_values_is_the_engine_from_fuel_on_straight_curves():
-    linear, whole = EngineFromFuel(DT, extra="temperature"), EngineFromSteady(DT)
-    values = values_of(linear, C_FH=0.2, C_HL=2.5, K_TN=6.0, tau_T=0.8, beta=1.7, alpha=0.3)
+def test_the_engine_from_steady_values_is_a_linear_one_on_straight_curves():
+    rotors = Rotors(tau_H=0.3, tau_L=0.4, C_FH=0.2, C_HL=2.5, alpha=0.3).system()
+    drive = LinearSystem.gain([[1.0 - 1.7, 0.0, 1.7 * 0.2]])
+    outputs = LinearSystem.gain(np.eye(3)[:2]).beside(drive.then(lag(6.0, 0.8)))
+    linear = rotors.beside(LinearSystem.gain([[1.0]])).then(outputs)
     fuel = command(4)
     H = 0.2 * fuel[:, 0]
     u = np.column_stack([H, 2.5 * H, 6.0 * H, np.full_like(H, 2.5), np.full_like(H, 6.0)])
-    own = {**values, "rate_H": 0.0, "rate_L": 0.0, "square_M": 0.0}
+    whole = EngineFromSteady(DT)
+    own = {"tau_H": 0.3, "tau_L": 0.4, "alpha": 0.3, "tau_T": 0.8, "beta": 1.7}
+    y = whole.simulate(values_of(whole, own, rate_H=0.0, rate_L=0.0), u)
     # Within a sample N_H is a line here and an exponential there.
-    np.testing.assert_allclose(whole.simulate(own, u), linear.simulate(values, fuel), atol=0.02)
+    np.testing.assert_allclose(y, linear.respond(fuel, DT), atol=0.02)
 
 
 def test_a_scheduled_time_constant_converges_to_its_differential_equation():
