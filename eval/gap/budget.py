@@ -11,13 +11,14 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
 from eval.evaluate import run_config
 from eval.gap.blocks import batch, block_size
 from eval.gap.budget_page import budget_figure
-from eval.gap.claimed import with_effects
+from eval.gap.claimed import Values, with_effects
 from eval.gap.data import GapData, Pair
 from eval.gap.diagnose import Request, facts_of
 from eval.gap.document import document
@@ -44,6 +45,10 @@ from training.budget.diagnosis import Engines
 from training.budget.diagnosis import diagnose as weighed
 from training.budget.dictionary import Dictionary
 from training.budget.discrepancy import Discrepancy, learn, read
+from training.budget.fitting import Frame
+from training.budget.load import windows_of
+from training.budget.metric import Metric, assumed_variance
+from training.budget.nuisances import nuisances
 from training.budget.odds import Odds
 from training.budget.result import Budget, Interval
 from training.config import RunConfig
@@ -299,16 +304,33 @@ def _tried(found: Budget) -> list[old.Tried]:
 def _with_held_out(
     evidence: Evidence, found: Budget, data: GapData, stand_in: Emulator
 ) -> Evidence:
-    # Nothing says when a load was on in further flights: it takes no part there.
-    known = {name: each for name, each in found.claimed.items() if name != UnloggedSwitch.id}
-    there = held_out(known, data, stand_in)
+    if UnloggedSwitch.id in found.claimed:
+        data = _with_windows(found.claimed, data, stand_in)
+    there = held_out(found.claimed, data, stand_in)
     evidence = replace(
         evidence, held_out=there, times=time_shrink(data, there.after, events_of(data))
     )
-    if not found.claimed:
+    # Only what was recorded tells when a load was on in further flights: that predicts nothing.
+    if not found.claimed or UnloggedSwitch.id in found.claimed:
         return evidence
     here = seen(evidence.data, evidence.after, found.by_others)
     return replace(evidence, predicted=expected(here, unseen(data, there.after)))
+
+
+def _with_windows(values: Values, data: GapData, emulator: Emulator) -> GapData:
+    """Further flights with the windows in which the claimed load was on there.
+
+    Their own gap tells when, the claim how large.
+    """
+    others = {name: each for name, each in values.items() if name != UnloggedSwitch.id}
+    y = with_effects(others, data.flights, emulator)
+    record = record_of(replace(data, flights=replace(data.flights, y=y)))
+    metric = Metric(record, assumed_variance(record))
+    frame = Frame(record, metric, record.gap, nuisances(record, None, 0.0))
+    sizes = values[UnloggedSwitch.id]
+    shift = np.array([sizes.get(f"on_{name}", 0.0) for name in data.flights.signals.outputs])
+    on = windows_of(frame, shift).astype(float)
+    return replace(data, flights=with_load(data.flights, on, always=True))
 
 
 def _effect_rows(found: Budget, pairs: Sequence[Pair], dt_s: float) -> list[dict[str, Any]]:

@@ -1,39 +1,46 @@
-"""What the two open Citation II flights hold that no channel records.
+"""What the two open Citation II flights hold that a model of the other flight does not.
 
     python -m eval.gap.flights_study --data ../shared/data/flights --out docs
 
-For either flight the simulator is a calibration of the other one; both engines are looked at. It
-writes `citation_gap.md` and a figure per flight beside it.
+For either flight the simulator is a calibration of the other one (`citation2.toml`), fuel flow
+being the input, as a free run over the whole flight. It writes `citation_gap.md`.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from typing import Any, NamedTuple
 
 from data_prep.log import Log
-from eval.gap.flights_page import write_page
-from eval.gap.flights_steps import FlightStudy, Judged, followed, level, steps
+from eval.gap.budget import diagnose_pairs
+from eval.gap.budget_page import budget_table, sentences
+from eval.gap.data import Pair
+from eval.gap.pairs import match_simulated, pair_logs
+from eval.gap.simulators import Simulate
+from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
-from narxcal.support.errors import DataError
 from training.config import RunConfig, load_config
 from training.crossval import leave_one_flight_out
-from training.gap.path_windows import Windows
-from training.gap.window_search import Options
-from training.gap.windows import find_windows
 from training.pipeline import calibrate, calibration_for, configured_files, prepare_logs
 from training.records import Split
 
-BEFORE_S, AFTER_S = 10.0, 1.0  # how long the engine is unsettled after its fuel flow moved
-MOVED = 0.04  # of the range of fuel flow
-NOISE = {"N1_pct": 0.1, "N2_pct": 0.1, "EGT_C": 1.0}
-DRAWS = 12
+PAGE = "citation_gap.md"
+Document = Mapping[str, Any]
+
+
+class FlightStudy(NamedTuple):
+    """One flight judged by a model of another.
+
+    `both` is the answer for its engines together; `crossed` maps an engine to the answer for it
+    alone, checked on the other engine.
+    """
+
+    title: str
+    both: Document
+    crossed: Mapping[str, Document]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -45,88 +52,109 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     config, base = load_config(options.config)
     moved = config.logs.model_copy(update={"folder": str(options.data.resolve())})
-    config = config.model_copy(update={"logs": moved})
-    write_page(studies(config, base), options.out)
+    found = list(studies(config.model_copy(update={"logs": moved}), base))
+    (options.out / PAGE).write_text(written(found), encoding="utf-8")
     return 0
 
 
-def studies(config: RunConfig, base: Path) -> list[FlightStudy]:
-    """Every flight in turn, simulated by a calibration of the others.
-
-    Where windows are confirmed, the others are judged again by a calibration of that flight with
-    the windows taken out.
-    """
+def studies(config: RunConfig, base: Path) -> Iterator[FlightStudy]:
+    """Every flight in turn, simulated by a calibration of the others."""
     logs = prepare_logs(config, configured_files(config, base))
-    found, again = [], []
     for plan in leave_one_flight_out(logs, config.events):
         train, test = ([part.log for part in parts] for parts in (plan.train, plan.test))
-        judged = judge(config, base, train, test)
-        found.append(study(f"{_flight(test)}, by a model of {_flight(train)}", judged))
-        if found[-1].confirmed:
-            cleaned = [cleaned_log(log, found[-1], e) for e, log in enumerate(test)]
-            title = f"{_flight(train)}, by a model of {_flight(test)} with its windows taken out"
-            again.append(study(title, judge(config, base, cleaned, train)))
-    return [*found, *again]
+        title = f"{_flight(test)}, by a model of {_flight(train)}"
+        yield study(title, paired(test, simulator(config, base, train)))
 
 
-def cleaned_log(log: Log, found: FlightStudy, e: int) -> Log:
-    """The log of engine `e` without what its windows shift."""
-    shape = followed(found.windows.on[e], found.judged.dt_s)
-    sizes = level(found.judged.gap[e], [shape])[0]
-    shape = np.concatenate([shape, np.repeat(shape[-1:], len(log) - len(shape))])
-    names = found.judged.outputs
-    return log.with_channels(
-        {name: log[name] - shape * size for name, size in zip(names, sizes, strict=True)}
-    )
+def simulator(config: RunConfig, base: Path, train: Sequence[Log]) -> Simulate:
+    """A calibration of logs, as it is asked for those of other flights."""
+    calibration = calibrate(config, base, Split(tuple(train), (), ())).calibration
+
+    def simulate(log: Log) -> Mapping[str, FloatArray]:
+        own = calibration_for(calibration, log)
+        outputs = own.simulate(log.matrix(own.input_names))
+        return dict(zip(own.output_names, outputs.T, strict=True))
+
+    return simulate
+
+
+def paired(logs: Sequence[Log], simulate: Simulate) -> list[Pair]:
+    """Each engine's log with what the simulator says of its inputs."""
+    names = [log.source.engine or log.name for log in logs]
+    return [
+        pair_logs(name, log, match_simulated(name, log, simulate))
+        for name, log in zip(names, logs, strict=True)
+    ]
+
+
+def study(title: str, pairs: Sequence[Pair]) -> FlightStudy:
+    """Diagnose all engines of a flight together, and each alone with the others held out."""
+    crossed = {
+        one.name: diagnose_pairs([one], [other for other in pairs if other is not one]).document
+        for one in pairs
+    }
+    return FlightStudy(title, diagnose_pairs(pairs).document, crossed)
 
 
 def _flight(logs: Sequence[Log]) -> str:
     return ", ".join(dict.fromkeys(Path(log.source.file).name.split(".")[0] for log in logs))
 
 
-def judge(config: RunConfig, base: Path, train: Sequence[Log], test: Sequence[Log]) -> Judged:
-    """Free runs over the whole logs of `test` with a calibration of `train`."""
-    bundle = calibrate(config, base, Split(tuple(train), (), ()))
-    length = min(len(log) for log in test)
-    real, sim, fuel = [], [], []
-    for log in test:
-        own = calibration_for(bundle.calibration, log)
-        measured = log.matrix(own.output_names)
-        sim.append(own.simulate(log.matrix(own.input_names), measured[0])[:length])
-        real.append(measured[:length])
-        fuel.append(log[config.events.driver][:length])
-    engines = tuple(log.source.engine for log in test)
-    names = bundle.calibration.output_names
-    return Judged(engines, names, test[0].dt_s, np.array(real), np.array(sim), np.array(fuel))
+def written(found: Sequence[FlightStudy]) -> str:
+    """The page."""
+    return "\n".join([_HEAD, *(line for one in found for line in _section(one))])
 
 
-def settled(fuel: FloatArray, dt_s: float) -> NDArray[np.bool_]:
-    """Where fuel flow (engines, time) has not moved in the last seconds, nor is about to."""
-    before, after = round(BEFORE_S / dt_s), round(AFTER_S / dt_s)
-    size, origin = before + after + 1, (before - after) // 2
-    reach = maximum_filter1d(fuel, size, axis=1, origin=origin)
-    reach -= minimum_filter1d(fuel, size, axis=1, origin=origin)
-    return np.asarray(reach < MOVED * np.ptp(fuel, axis=1, keepdims=True))
+_HEAD = """# What the two Citation II flights hold that a model of the other does not
+
+This page is made by
+
+    python -m eval.gap.flights_study --data ../shared/data/flights --out docs
+
+There are two flights of one aircraft, a year apart, both engines of each. Each flight is simulated
+by a calibration of the other one (`citation2.toml`), fuel flow being the input, as a free run over
+the whole flight; both engines together are then diagnosed as [diagnose.md](diagnose.md) says, with
+nothing learned beforehand. ITT stands in the column EGT. Last, each engine is diagnosed alone, and
+what was found is added to the simulation of the other one.
+"""
 
 
-def search(judged: Judged, rows: Sequence[int]) -> Windows:
-    """Windows that the engines `rows` share."""
-    gap = judged.gap[list(rows)]
-    known = np.isfinite(gap)
-    weights = known / np.array([NOISE[name] for name in judged.outputs]) ** 2
-    rising = judged.outputs.index("EGT_C") if "EGT_C" in judged.outputs else None
-    options = Options(groups=(tuple(range(len(rows))),), rising=rising, draws=DRAWS, at_rest=False)
-    steady = settled(judged.fuel[list(rows)], judged.dt_s)
-    return find_windows(np.where(known, gap, 0.0), weights, judged.dt_s, options, steady)
+def _section(one: FlightStudy) -> Iterator[str]:
+    yield f"## {one.title}\n"
+    yield " ".join(sentences(one.both)) + "\n"
+    table = budget_table(one.both)
+    yield from _rows(table.head, [[cell.text for cell in row] for row in table.rows])
+    windows = [row for effect in one.both["effects"] for row in effect.get("windows", ())]
+    if windows:
+        yield "\nWhen the load was on:\n"
+        ends = ("start_s", "end_s")
+        rows = [[row["log"], *(f"{row[end]:.0f}" for end in ends)] for row in windows]
+        yield from _rows(("engine", "from, s", "to, s"), rows)
+    yield "\nRMS of recorded less simulated:\n"
+    rows = [
+        [symbol(name), f"{row['before']:.3g}", f"{row['after']:.3g}", f"{row['floor']:.2g}"]
+        for name, row in one.both["shrink"]["channels"].items()
+    ]
+    yield from _rows(("channel", "before", "after", "noise"), rows)
+    yield "\nWhat one engine alone tells of the other:\n"
+    yield from _rows(
+        ("diagnosed", "named", "expected off the squared gap of the other", "taken off it"),
+        [[name, *_told(document)] for name, document in one.crossed.items()],
+    )
+    yield ""
 
 
-def study(title: str, judged: Judged) -> FlightStudy:
-    """Windows of both engines and of each, and the errors step by step."""
-    if len(judged.engines) != 2:
-        raise DataError(f"expected two engines in {title}, found {len(judged.engines)}")
-    both = search(judged, (0, 1))
-    alone = {name: search(judged, (e,)) for e, name in enumerate(judged.engines)}
-    return FlightStudy(title, judged, both, alone, steps(judged, both, alone))
+def _told(document: Document) -> list[str]:
+    shrink, named = document["shrink"], document["verdict"]["effects"]
+    low, high = (100.0 * shrink["predicted"][key] for key in ("low", "high"))
+    expected = f"{100.0 * shrink['predicted']['value']:.0f} % ({low:.0f} to {high:.0f})"
+    effects = ", ".join(f"`{name}`" for name in named) or "nothing"
+    return [effects, expected, f"{100.0 * shrink['realised']:.0f} %"]
+
+
+def _rows(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    for row in (head, ["---"] * len(head), *rows):
+        yield f"| {' | '.join(row)} |"
 
 
 if __name__ == "__main__":

@@ -52,6 +52,18 @@ def found(frame: Frame) -> list[Single]:
     return [min(fits, key=lambda pair: pair[0])[1]] if fits else []
 
 
+def windows_of(frame: Frame, shift: FloatArray) -> BoolArray:
+    """Where (flights, time) a load of known `shift` (outputs,) is on in a gap."""
+    blocks = _Blocks(frame, tuple(range(len(frame.record.gap))))
+    return blocks.spread(blocks.climb(shift, known=True))
+
+
+def _penalty(frame: Frame) -> float:
+    """Log likelihood that a switch costs: half the log of the effective samples of a flight."""
+    effective = float(frame.none.rss.sum()) / frame.none.tau / len(frame.record.gap)
+    return 0.5 * log(max(effective, 2.0))
+
+
 class _Blocks:
     """What the nuisances leave of a gap, (flights, blocks, outputs), and its weights.
 
@@ -67,8 +79,7 @@ class _Blocks:
         self._starts = np.arange(0, self._steps, self._size)
         self._weight = self._sums(record.known.astype(float)) / variance
         self._known, self._tau = record.known, frame.none.tau
-        effective = float(frame.none.rss.sum()) / self._tau / len(record.gap)
-        self._switch = 0.5 * log(max(effective, 2.0))
+        self._switch = _penalty(frame)
         self.left = self._means(frame.cleaned(frame.none))
 
     def _sums(self, v: FloatArray) -> FloatArray:
@@ -104,10 +115,13 @@ class _Blocks:
 
     def _fitted_in(self, on: BoolArray) -> Single:
         """The load in windows by blocks, fitted with the nuisances."""
-        spread = np.repeat(on, self._size, axis=1)[:, : self._steps]
         own = [np.flatnonzero(self._groups == g)[0] for g in np.unique(self._groups)]
         switches = int(np.abs(np.diff(on[own].astype(int), axis=1)).sum() + on[own, 0].sum())
-        return _fitted(self._frame, spread, switches)
+        return _fitted(self._frame, self.spread(on), switches)
+
+    def spread(self, on: BoolArray) -> BoolArray:
+        """Windows (flights, time) of windows by blocks."""
+        return np.asarray(np.repeat(on, self._size, axis=1)[:, : self._steps])
 
     def guesses(self) -> list[FloatArray]:
         """First guesses of the shifts: outputs alone and their main direction, of either sign."""
@@ -121,8 +135,8 @@ class _Blocks:
         shapes = [*np.eye(len(size)), np.sign(directions[0]) * (np.abs(directions[0]) > 0.2)]
         return [sign * 2.0 * size * shape for sign, shape in product((1.0, -1.0), shapes)]
 
-    def climb(self, shift: FloatArray) -> BoolArray:
-        """Windows (flights, blocks) and shifts in turn, from a guess of the shifts."""
+    def climb(self, shift: FloatArray, *, known: bool = False) -> BoolArray:
+        """Windows (flights, blocks) and shifts in turn, from a guess of the shifts, or `known`."""
         level = np.median(self.left, axis=1, keepdims=True)
         on = np.zeros(self.left.shape[:2], dtype=np.bool_)
         for _ in range(_ROUNDS):
@@ -130,7 +144,8 @@ class _Blocks:
             if (new == on).all() or not new.any():
                 return new
             on = new
-            level, shift = self._fitted(on)
+            level, fitted = self._fitted(on)
+            shift = shift if known else fitted
         return on
 
     def _fitted(self, on: BoolArray) -> tuple[FloatArray, FloatArray]:

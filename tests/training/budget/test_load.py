@@ -78,6 +78,15 @@ def test_a_load_that_is_on_most_of_the_time_is_the_one_with_fewer_switches(fligh
     assert (found.theta[1:] > 0.0).all()
 
 
+def test_windows_of_a_load_of_known_size_are_found_in_other_flights(flights):
+    on = np.zeros(flights.y.shape[:2], dtype=bool)
+    on[0, 300:700] = on[3, 100:420] = True
+    shift = np.array([0.0, 0.8, 25.0])
+    frame = frame_of(recorded(flights, flights.y + on[..., None] * shift))
+    assert (load.windows_of(frame, shift) != on).mean() < 0.01
+    assert not load.windows_of(frame_of(recorded(flights, flights.y)), shift).any()
+
+
 def test_noise_alone_has_no_windows(flights):
     assert load.found(frame_of(recorded(flights, flights.y))) == []
 
