@@ -126,7 +126,7 @@ def _section(one: FlightStudy) -> Iterator[str]:
     yield from _rows(table.head, [[cell.text for cell in row] for row in table.rows])
     windows = [row for effect in one.both["effects"] for row in effect.get("windows", ())]
     if windows:
-        yield "\nWhen the load was on:\n"
+        yield "\nWhen the load was on, in seconds of the logs' own clock:\n"
         ends = ("start_s", "end_s")
         rows = [[row["log"], *(f"{row[end]:.0f}" for end in ends)] for row in windows]
         yield from _rows(("engine", "from, s", "to, s"), rows)
