@@ -11,7 +11,6 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
@@ -26,6 +25,7 @@ from eval.gap.evidence import Evidence
 from eval.gap.excitation import check_excitation, events_of
 from eval.gap.expected import expected, seen, unseen
 from eval.gap.held_flights import in_terms_of
+from eval.gap.hidden_load import shift_of
 from eval.gap.left_out import left_out_pairs
 from eval.gap.pairs import check_apart, read_pairs
 from eval.gap.realised import channel_shrink, held_out, time_shrink
@@ -327,9 +327,7 @@ def _with_windows(values: Values, data: GapData, emulator: Emulator) -> GapData:
     record = record_of(replace(data, flights=replace(data.flights, y=y)))
     metric = Metric(record, assumed_variance(record))
     frame = Frame(record, metric, record.gap, nuisances(record, None, 0.0))
-    sizes = values[UnloggedSwitch.id]
-    shift = np.array([sizes.get(f"on_{name}", 0.0) for name in data.flights.signals.outputs])
-    on = windows_of(frame, shift).astype(float)
+    on = windows_of(frame, shift_of(values, data.flights.signals)).astype(float)
     return replace(data, flights=with_load(data.flights, on, always=True))
 
 

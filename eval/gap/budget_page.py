@@ -273,4 +273,4 @@ def _cause(name: str) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * share:.0f} %"
+    return f"{100.0 * share:z.0f} %"

@@ -23,7 +23,7 @@ from typing import Any, Final
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import log_softmax, logit, logsumexp
+from scipy.special import log_softmax, logsumexp
 from sklearn.linear_model import LogisticRegression
 
 from eval.gap.blind.files import open_key
@@ -37,7 +37,7 @@ from training.budget.control import suited
 from training.budget.diagnosis import Engines, weigh
 from training.budget.fitting import Single
 from training.budget.layers import compound_fits
-from training.budget.odds import FEATURES, OF_CASE, Odds, features, prior
+from training.budget.odds import FEATURES, OF_CASE, Odds, features, log_odds, prior
 from training.gap.emulator import fit_emulators
 
 RIDGE: Final = 0.1
@@ -162,11 +162,11 @@ def fit(cases: Sequence[Case]) -> Odds:
         odds = logits(others)
         leading += [(_likeliest(one.first, odds), one.outcome.true_effects) for one in own]
     odds = logits(cases)
-    right = np.array([name in true for (name, _), true in leading])
+    right = np.array([name in true for (name, *_), true in leading])
     if len({*right.tolist()}) < 2:
         return odds
-    known = logit(np.clip([chance for (_, chance), _ in leading], 1e-6, 1.0 - 1e-6))
-    curve = LogisticRegression(C=10.0).fit(known[:, None], right)
+    known = [[log_odds(chance)] for (_, chance, _), _ in leading]
+    curve = LogisticRegression(C=10.0).fit(known, right)
     return replace(odds, acts=(float(curve.intercept_[0]), float(curve.coef_[0, 0])))
 
 
@@ -196,19 +196,18 @@ def _each_family(cases: Sequence[Case]) -> Iterator[tuple[list[Case], list[Case]
             yield own, [one for one in cases if one.family != family]
 
 
-def _likeliest(choice: Choice, odds: Odds) -> tuple[str, float]:
-    """The likeliest effect and its probability."""
-    chances = np.exp(odds.first(choice.effects, choice.features, choice.case))[:-2]
-    best = int(np.argmax(chances))
-    return choice.effects[best], float(chances[best])
+def _likeliest(choice: Choice, odds: Odds) -> tuple[str, float, float]:
+    """The likeliest effect, its probability, and that of none and unknown together."""
+    chances = np.exp(odds.first(choice.effects, choice.features, choice.case))
+    best = int(np.argmax(chances[:-2]))
+    return choice.effects[best], float(chances[best]), float(chances[-2:].sum())
 
 
 def judged(one: Case, odds: Odds) -> dict[str, Any]:
     """What the weights say of a case, how probable it is, and whether it is right."""
-    true, first = one.outcome.true_effects, one.first
-    leader, chance = _likeliest(first, odds)
-    others = np.exp(odds.first(first.effects, first.features, first.case))[-2:]
-    said = [leader] if chance > others.sum() else []
+    true = one.outcome.true_effects
+    leader, chance, others = _likeliest(one.first, odds)
+    said = [leader] if chance > others else []
     more = one.further.get(leader)
     if said and more is not None:
         beside_it = odds.more(more.effects, more.features, more.case)

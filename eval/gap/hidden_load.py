@@ -89,7 +89,7 @@ def look_again(values: Values, data: GapData, emulator: Emulator | None) -> tupl
     Their own gap tells when, the claim how large: no size is fitted to them. `data` are in terms
     of the flights of the diagnosis, the load's input (off throughout) included.
     """
-    flights, shift = data.flights, _shift(values, data.flights.signals)
+    flights, shift = data.flights, shift_of(values, data.flights.signals)
     column = flights.signals.u(UNLOGGED)
     others = {name: each for name, each in values.items() if name != UnloggedSwitch.id}
     beside = replace(flights, y=with_effects(others, flights, emulator))
@@ -99,7 +99,8 @@ def look_again(values: Values, data: GapData, emulator: Emulator | None) -> tupl
     return replace(data, flights=replace(flights, u=u)), load
 
 
-def _shift(values: Values, signals: Signals) -> FloatArray:
+def shift_of(values: Values, signals: Signals) -> FloatArray:
+    """What the claimed load shifts each output by, (outputs,)."""
     sizes = values[UnloggedSwitch.id]
     return np.array([sizes.get(f"on_{name}", 0.0) for name in signals.outputs])
 

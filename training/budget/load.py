@@ -144,11 +144,11 @@ class _Blocks:
             if (new == on).all() or not new.any():
                 return new
             on = new
-            level, fitted = self._fitted(on)
+            level, fitted = self._sizes(on)
             shift = shift if known else fitted
         return on
 
-    def _fitted(self, on: BoolArray) -> tuple[FloatArray, FloatArray]:
+    def _sizes(self, on: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Levels of the flights and common shifts that fit the windows best."""
         w, e = self._weight, self.left
         off, inside = w * ~on[..., None], w * on[..., None]

@@ -8,8 +8,8 @@ The softmax divides one: where two effects act, each gets half, and of a small g
 right as what acts. Whether the likeliest effect acts is another question, whose answer is Platt's
 (*Probabilistic outputs for support vector machines*, 1999): a logistic curve over the log odds.
 
-The weights are in `odds.json` of this folder, with date, seeds and cases that they were fitted
-on (`python -m eval.gap.calibrate`).
+The weights are in `odds.json` of this folder, with the date, and how many cases of which engines
+they were fitted on (`python -m eval.gap.calibrate`).
 """
 
 from __future__ import annotations
@@ -66,7 +66,12 @@ class Odds:
     def sure(self, leading: float) -> float:
         """Probability that the likeliest effect acts, from its probability among all answers."""
         offset, slope = self.acts
-        return float(expit(offset + slope * logit(np.clip(leading, _EDGE, 1.0 - _EDGE))))
+        return float(expit(offset + slope * log_odds(leading)))
+
+
+def log_odds(chance: float) -> float:
+    """Log odds of a probability, which is never taken for 0 or 1."""
+    return float(logit(np.clip(chance, _EDGE, 1.0 - _EDGE)))
 
 
 def prior(name: str) -> float:
