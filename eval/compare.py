@@ -36,7 +36,6 @@ from eval.report.tables import Cell, Table, figure, number
 from eval.scores import max_relative_percent, nrmse, rmse
 from eval.transients import Assessment, Overlay, Tally, TransientsConfig, assess_events, tally
 from narxcal.calibration.bundle import Bundle
-from narxcal.calibration.noise import NoiseModel
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.files import finite, versions
@@ -48,7 +47,6 @@ LEVEL = 0.05  # family-wise
 _DRAWS = 9999
 _FEWEST_BLOCKS = 10  # with fewer, the deviation over draws is itself uncertain by a quarter
 _EQUAL = 1e-9  # of the squared error: models that differ by rounding are one
-_Z_90 = 1.6449  # half width of a 90 % interval in standard deviations
 _NAMES = {STEADY_STATE: "steady state", FIRST_ORDER: "first-order lag", ARX: "ARX"}
 
 
@@ -360,7 +358,7 @@ def compare_runs(runs: Sequence[Run]) -> Comparison:
     recordings = [
         _recording({run: each[k] for run, each in found.items()}, lead) for k in range(len(names))
     ]
-    rows = [_row(run, found[run.name], recordings) for run in runs]
+    rows = [_row(run, found[run.name]) for run in runs]
     if "baselines" in lead.bundle.meta:
         rows += _baseline_rows(lead)
     settings = run_config(lead.bundle)[1].transients
@@ -427,7 +425,7 @@ def _ti_tt(
     return tally(found) if found else None
 
 
-def _row(run: Run, found: Sequence[FreeRun], recordings: Sequence[Recording]) -> Row:
+def _row(run: Run, found: Sequence[FreeRun]) -> Row:
     meta, size = run.bundle.meta, run.bundle.calibration.size
     return Row(
         run=run.name,
@@ -436,23 +434,19 @@ def _row(run: Run, found: Sequence[FreeRun], recordings: Sequence[Recording]) ->
         aic=(meta.get("free_run") or {}).get("aic"),
         fit_s=(meta.get("training") or {}).get("wall_s"),
         simulate_us=min(1e6 * one.simulate_s / len(one.log) for one in found),
-        coverage_90=_coverage(run, recordings),
+        coverage_90=_coverage(found),
     )
 
 
-def _coverage(run: Run, recordings: Sequence[Recording]) -> float | None:
-    """Share of measurements within 90 % of the free run, by the noise that training estimated."""
-    if "fuser_noise" not in run.bundle.meta:
-        return None
-    noise = NoiseModel.from_dict(run.bundle.meta["fuser_noise"])
-    names = run.bundle.calibration.output_names
-    half = _Z_90 * np.sqrt(noise.initial_variance + noise.measurement_variance)
-    inside = []
-    for one in recordings:
-        at = [one.channels.index(name) for name in names]
-        error = (one.outputs[run.name] - one.measured)[one.scored][:, at]
-        inside.append((np.abs(error) <= half)[np.isfinite(error)])
-    return float(np.mean(np.concatenate(inside)))
+def _coverage(found: Sequence[FreeRun]) -> float | None:
+    """Share of measurements within the interval of the free run; None without one."""
+    inside = [
+        (np.abs(error) <= one.half_width[one.scored])[np.isfinite(error)]
+        for one in found
+        if one.half_width is not None
+        for error in ((one.model - one.measured)[one.scored],)
+    ]
+    return float(np.mean(np.concatenate(inside))) if inside else None
 
 
 def _baseline_rows(lead: Run) -> list[Row]:

@@ -16,6 +16,7 @@ from eval.trim import Trim, TrimConfig, TrimSamples, estimate_trim
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration
 from narxcal.channels import spools_of
+from narxcal.intervals import LEVEL
 from narxcal.support.arrays import BoolArray, FloatArray, spans
 from narxcal.support.errors import DataError
 from training.baselines import Baselines
@@ -38,6 +39,7 @@ class FreeRun:
     | `quasi_steady` | (time,) | the log is in equilibrium |
     | `in_envelope` | (time,) | inputs lie in the steady-state model's envelope |
     | `level` | (time,) | power level of `eval.trim` |
+    | `half_width` | (time, channel) | of the interval of `model`; None without one |
     | `scored_from` | | first row that is scored; earlier ones were used for the trim |
     | `trims` | name -> `Trim` | offsets that were added to an output |
     | `simulate_s` | | time that the free run took |
@@ -54,6 +56,7 @@ class FreeRun:
     scored_from: int = 0
     trims: Mapping[str, Trim] = field(default_factory=dict)
     simulate_s: float = 0.0
+    half_width: FloatArray | None = None
 
     @property
     def model(self) -> FloatArray:
@@ -129,6 +132,7 @@ def run_log(
         in_envelope=np.asarray(own.steady.inside(inputs)),
         level=level,
         simulate_s=took_s,
+        half_width=None if own.interval is None else own.half_width(inputs, model, LEVEL),
     )
 
 

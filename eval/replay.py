@@ -24,6 +24,7 @@ from narxcal.calibration.fuser import FastFuser
 from narxcal.calibration.fuser_config import FuserConfig
 from narxcal.calibration.noise import MIN_SAMPLES, STORED, NoiseModel, estimate_noise
 from narxcal.channels import CHANNELS
+from narxcal.intervals import LEVEL, LEVELS
 from narxcal.support.arrays import BoolArray, FloatArray, last_true, spans
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.files import TIME_FORMAT, atomic_stream
@@ -51,7 +52,8 @@ class ReplayOptions(Section):
     `noise` is that of the bundle (`stored`), or (`log`) the sensors' is estimated from the first
     `warmup_s` of the log itself, which delays the output so long, and the model's is that of the
     bundle, which was estimated from whole flights. `auto` is `log` at full speed and `stored`
-    live. For a bundle without noise both are estimated from the log.
+    live. For a bundle without noise both are estimated from the log. `interval` is the share of
+    samples that the free run's interval covers, where the bundle has one.
     """
 
     engine: str | None = None
@@ -62,6 +64,7 @@ class ReplayOptions(Section):
     start: Literal["steady", "measured"] = "steady"
     noise: Literal["auto", "stored", "log"] = "auto"
     warmup_s: float = Field(default=300.0, gt=0.0)
+    interval: float = Field(default=LEVEL, ge=LEVELS[0], le=LEVELS[-1])
 
     @property
     def live(self) -> bool:
@@ -105,7 +108,8 @@ class ReplayModel:
 class Rows:
     """Samples of one engine, `(time,)` or `(time, n_out)`; NaN until they are fused.
 
-    `valid` (time, n_out) is true where the inputs were measured and no fault masks the output.
+    `valid` (time, n_out) is true where the inputs were measured and no fault masks the output,
+    `half_width` (time, n_out) that of the interval of the prediction, NaN without one.
 
     `runs` are (start, stop, fresh) without a gap inside; with `fresh` the model starts anew.
     """
@@ -119,6 +123,7 @@ class Rows:
     held: BoolArray
     gap: BoolArray
     valid: BoolArray
+    half_width: FloatArray
     runs: list[tuple[int, int, bool]]
 
 
@@ -245,9 +250,21 @@ class EngineReplay:
         blank = np.full(measured.shape, np.nan)
         faulty = np.column_stack([self._faulty(piece, name) for name in self.outputs])
         valid = np.isfinite(prediction) & ~faulty & ~held[:, None]
+        half = self._half_width(inputs, prediction, alive)
         return Rows(
-            piece.time_s, measured, prediction, blank, blank, inside, held & alive, gap, valid, runs
-        )
+            piece.time_s, measured, prediction, blank, blank, inside, held & alive, gap, valid,
+            half, runs,
+        )  # fmt: skip
+
+    def _half_width(
+        self, inputs: FloatArray, prediction: FloatArray, alive: BoolArray
+    ) -> FloatArray:
+        half = np.full(prediction.shape, np.nan)
+        if self._calibration.interval is not None and alive.any():
+            half[alive] = self._calibration.half_width(
+                inputs[alive], prediction[alive], self._options.interval
+            )
+        return half
 
     def _filled(self, inputs: FloatArray) -> tuple[FloatArray, BoolArray, BoolArray]:
         """Inputs filled with their last values, where that was done, and where all are usable."""
@@ -416,6 +433,7 @@ def replay(
     | `X_prediction` | free run of output X, from inputs up to and including this sample |
     | `X_fused` | prediction and measurement merged |
     | `X_innovation` | measured minus expected, blank where not measured or only interpolated |
+    | `X_low`, `X_high` | interval of the free run, where the bundle has one |
     | `inside_envelope` | 1 inside the envelope of the steady-state model |
     | `held` | 1 where the last value of a missing input was used |
     | `gap` | 1 where the model started anew, or, with blank predictions, could not run |
@@ -485,7 +503,8 @@ class _Replay:
             self._emit(file, rows)
 
     def _header(self) -> list[str]:
-        parts = ("prediction", "fused", "innovation")
+        band = ("low", "high") if self.model.calibration.interval is not None else ()
+        parts = ("prediction", "fused", "innovation", *band)
         per_channel = [f"{name}_{part}" for name in self.outputs for part in parts]
         engine = ["engine"] if len(self.engines) > 1 else []
         valid = [f"{name}_valid" for name in self.outputs]
@@ -513,7 +532,7 @@ class _Replay:
         lines: list[tuple[float, str]] = []
         for name, parts in rows.items():
             for part in parts:
-                lines += _lines(part, name if len(self.engines) > 1 else None)
+                lines += self._lines(part, name if len(self.engines) > 1 else None)
         if len(rows) > 1:
             lines.sort(key=lambda line: line[0])
         self.rows += len(lines)
@@ -525,6 +544,20 @@ class _Replay:
             file.flush()
         if self.options.follow:
             file.flush()
+
+    def _lines(self, rows: Rows, engine: str | None) -> list[tuple[float, str]]:
+        parts = [rows.prediction, rows.fused, rows.innovation]
+        if self.model.calibration.interval is not None:
+            parts += [rows.prediction - rows.half_width, rows.prediction + rows.half_width]
+        results = np.stack(parts, axis=2).reshape(len(rows.time_s), -1)
+        table = np.column_stack([rows.time_s, results]).tolist()
+        flags = np.column_stack([rows.inside, rows.held, rows.gap, rows.valid]).astype(int)
+        form = ",".join([TIME_FORMAT, *([engine] if engine else []), *["%.10g"] * results.shape[1]])
+        tail = ",%d" * flags.shape[1] + "\n"
+        return [
+            (row[0], (form % tuple(row)).replace("nan", "") + tail % tuple(flag))
+            for row, flag in zip(table, flags.tolist(), strict=True)
+        ]
 
     def _wait(self, at_s: float) -> None:
         """Sleep until the wall clock has advanced as far as the log."""
@@ -551,16 +584,3 @@ class _Replay:
             truncated=self.file.table.truncated,
             faults=self.model.faults,
         )
-
-
-def _lines(rows: Rows, engine: str | None) -> list[tuple[float, str]]:
-    n_out = rows.prediction.shape[1]
-    results = np.stack([rows.prediction, rows.fused, rows.innovation], axis=2)
-    table = np.column_stack([rows.time_s, results.reshape(len(rows.time_s), 3 * n_out)]).tolist()
-    flags = np.column_stack([rows.inside, rows.held, rows.gap, rows.valid]).astype(int).tolist()
-    form = ",".join([TIME_FORMAT, *([engine] if engine else []), *["%.10g"] * (3 * n_out)])
-    tail = ",%d" * (3 + n_out) + "\n"
-    return [
-        (row[0], (form % tuple(row)).replace("nan", "") + tail % tuple(flag))
-        for row, flag in zip(table, flags, strict=True)
-    ]

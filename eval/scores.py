@@ -11,11 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eval.free_run import BASELINES, MODEL, NETWORK, ONE_STEP, FreeRun
+from narxcal.intervals import LEVEL
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 
@@ -120,6 +122,7 @@ class ChannelScores:
     `max_rel_pct` is relative to the measured value at that time (temperatures in degC), which
     counts as no less than 5 % of the largest one; `max_error` is the largest error itself.
     `network_rmse` is that of the network, which differs from `rmse` where a simple model leads.
+    `coverage` is the share of samples within the interval of the free run, `half_width` its mean.
     """
 
     samples: float
@@ -138,6 +141,8 @@ class ChannelScores:
     steady_state_rmse: float
     first_order_rmse: float
     arx_rmse: float
+    coverage: float
+    half_width: float
 
     @property
     def best_rmse(self) -> float:
@@ -150,10 +155,13 @@ class ChannelScores:
         """Baseline -> its RMSE on the same samples."""
         return {name: getattr(self, f"{name}_rmse") for name in BASELINES}
 
-    def row(self) -> dict[str, float | int]:
-        """As a table; NaN where there is no figure."""
+    def row(self) -> dict[str, Any]:
+        """As a table; NaN where there is no figure, and no interval where the model has none."""
         counts = {"samples": int(self.samples), "static_samples": int(self.static_samples)}
-        return {**asdict(self), **counts}
+        row: dict[str, Any] = {**asdict(self), **counts}
+        share = {key: row.pop(key) for key in ("coverage", "half_width")}
+        known = math.isfinite(self.coverage)
+        return {**row, "interval": {"level": LEVEL, **share} if known else None}
 
 
 def score(runs: Sequence[FreeRun]) -> dict[str, ChannelScores]:
@@ -198,6 +206,15 @@ def _columns(runs: Sequence[FreeRun]) -> Mapping[str, FloatArray]:
         "static_bias": _reduced(error[static], "mean"),
         "dynamic_rmse": rmse(measured, model, scored & ~static),
     }
+    wide = np.concatenate(
+        [
+            np.full_like(one.measured, np.nan) if one.half_width is None else one.half_width
+            for one in runs
+        ]
+    )
+    wide = np.where(np.isfinite(error), wide, np.nan)
+    inside = np.where(np.isfinite(wide), np.abs(error) <= wide, np.nan)
+    figures |= {"coverage": _reduced(inside, "mean"), "half_width": _reduced(wide, "mean")}
     for name in (ONE_STEP, NETWORK, *BASELINES):
         figures[f"{name}_rmse"] = rmse(measured, _joined(runs, name), scored)
     return figures

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -11,15 +11,17 @@ from rich.table import Table
 from rich.text import Text
 
 from eval.outcome import Outcome
-from eval.report.style import with_unit
+from eval.report.style import unit, with_unit
 from eval.report.tables import measures, number
 from eval.transients import Assessment
 from narxcal.channels import symbol
+from narxcal.intervals import LEVEL
 
 if TYPE_CHECKING:
     from eval.compare import Comparison
     from eval.crossval import CrossValidation
     from eval.evaluate import LogEvaluation
+    from eval.scores import ChannelScores
 
 _WORDS = {True: ("PASS", "bold green"), False: ("FAIL", "bold red"), None: ("NOT ASSESSED", "bold")}
 _BASELINES = ("steady", "1st order", "ARX")
@@ -43,6 +45,18 @@ def print_scores(console: Console, logs: Sequence[LogEvaluation]) -> None:
                 *(_figure(value, best) for value in found.baselines.values()),
             )
         console.print(table)
+
+
+def print_interval(console: Console, pooled: Mapping[str, ChannelScores]) -> None:
+    """Print how many samples of each channel lie within the interval of the free run."""
+    known = {name: one for name, one in pooled.items() if math.isfinite(one.coverage)}
+    if known:
+        shares = ", ".join(
+            f"{symbol(name)} {100.0 * one.coverage:.0f} % (±{number(one.half_width, 2)} "
+            f"{unit(name)})"
+            for name, one in known.items()
+        )
+        console.print(Text(f"Within the {100.0 * LEVEL:.0f} % interval: {shares}"))
 
 
 def _measure(value: float, unit: str) -> str:

@@ -24,7 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from narxcal.narx.forms import Conformal, DynamicModel, Ensemble
+from narxcal.intervals import Conformal
+from narxcal.narx.forms import DynamicModel, Ensemble
 from narxcal.narx.latent import Shape
 from narxcal.record import Record
 from narxcal.support.errors import DataError

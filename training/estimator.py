@@ -13,8 +13,9 @@ from rich.progress import Progress
 from sklearn.base import BaseEstimator
 from sklearn.exceptions import NotFittedError
 
+from narxcal.intervals import Band
 from narxcal.narx.config import NarxConfig
-from narxcal.narx.forms import Band, DynamicModel
+from narxcal.narx.forms import DynamicModel
 from narxcal.narx.network import checked_inputs, checked_start
 from narxcal.record import (
     Record,

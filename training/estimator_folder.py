@@ -27,8 +27,9 @@ import numpy as np
 import pandas as pd
 
 from narxcal.calibration.bundle import WEIGHTS, ModelFolder, packed, seal
+from narxcal.intervals import Conformal
 from narxcal.narx.config import NarxConfig
-from narxcal.narx.forms import Conformal, pack, unpack
+from narxcal.narx.forms import pack, unpack
 from narxcal.narx.network import NarxModel
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, ModelError

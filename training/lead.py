@@ -23,6 +23,7 @@ import numpy as np
 from data_prep.log import Log
 from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.calibration.lead import KINDS, Kind, Lead
+from narxcal.intervals import HalfWidths, joined
 from narxcal.support.arrays import FloatArray, known_mean
 from narxcal.support.errors import DataError
 from training.baselines import Baselines, run_of
@@ -51,12 +52,25 @@ class HeldOut(NamedTuple):
     lags_s: FloatArray
 
 
+class Judged(NamedTuple):
+    """A held-out log: its figures, and free runs (1 + kinds, time, outputs) with what they model.
+
+    Rows of `models` are as in `HeldOut`; `steady` and `measured` are (time, outputs).
+    """
+
+    figures: HeldOut
+    models: FloatArray
+    steady: FloatArray
+    measured: FloatArray
+    recording: str
+
+
 @dataclass(frozen=True, eq=False)
 class Leading:
     """What leads, and the figures of all models over the held-out `logs` that say so.
 
     Without any the network leads, and `status` says why. `whole` tells recordings from parts of a
-    single one, of which each has conditions of its own.
+    single one, of which each has conditions of its own. `interval` is that of what leads.
     """
 
     leads: tuple[Lead, ...]
@@ -65,6 +79,7 @@ class Leading:
     held_out: HeldOut
     status: str
     whole: bool = True
+    interval: HalfWidths | None = None
 
     @property
     def errors(self) -> FloatArray:
@@ -135,7 +150,9 @@ def choose_leads(
     if cost > config.train.choice_s:
         limit = f"choice_s = {config.train.choice_s:g}"
         return network_leads(calibration, f"no choice: folds take {cost:.0f} CPU s, {limit}")
-    names, held, lost = [], [], []
+    names: list[str] = []
+    held: list[Judged] = []
+    lost: list[str] = []
     for number, fold in enumerate(folds):
         watch(number, len(folds))
         fit, judged = fold.of(parts)
@@ -149,7 +166,8 @@ def choose_leads(
     if not held:
         reason = lost[0] if lost else "nothing could be held out"
         return network_leads(calibration, f"no choice: {reason}")
-    stacked = HeldOut(*(np.stack(part) for part in zip(*held, strict=True)))
+    figures = [one.figures for one in held]
+    stacked = HeldOut(*(np.stack(part) for part in zip(*figures, strict=True)))
     fitted_baselines = Baselines.from_json(baselines)
     leads = tuple(
         lead_of(kind, k, fitted_baselines, calibration.dt_s)
@@ -158,7 +176,20 @@ def choose_leads(
     )
     status = f"chosen on {len(held)} held-out parts of the training logs"
     whole = len({log.source.file for log in logs}) > 1
-    return Leading(leads, calibration.output_names, tuple(names), stacked, status, whole)
+    interval = _interval(held, leads)
+    return Leading(leads, calibration.output_names, tuple(names), stacked, status, whole, interval)
+
+
+def _interval(held: Sequence[Judged], leads: Sequence[Lead]) -> HalfWidths | None:
+    """Interval of what leads in each output, from the held-out logs."""
+    rows = dict.fromkeys(range(held[0].measured.shape[1]), 0)
+    rows |= {lead.channel: 1 + KINDS.index(lead.kind) for lead in leads}
+    led = list(rows.values()), list(rows)
+    free = [
+        (one, np.stack([one.models[row][:, k] for row, k in zip(*led, strict=True)], axis=1))
+        for one in held
+    ]
+    return joined([(np.abs(one.steady - y), y - one.measured, one.recording) for one, y in free])
 
 
 def lead_folds(logs: Sequence[Log]) -> tuple[list[Log], list[Fold]]:
@@ -175,8 +206,8 @@ def lead_folds(logs: Sequence[Log]) -> tuple[list[Log], list[Fold]]:
     return parts, held_out_folds(numbers, _FOLDS)
 
 
-def held_out(calibration: DynamicCalibration, baselines: Baselines, log: Log) -> HeldOut:
-    """Figures of network and simple models over one log; NaN: unknown."""
+def held_out(calibration: DynamicCalibration, baselines: Baselines, log: Log) -> Judged:
+    """Run network and simple models over one log; figures that are unknown are NaN."""
     own = calibration.for_engine(log.source.engine)
     run = run_of(calibration, log)
     models = (
@@ -185,11 +216,12 @@ def held_out(calibration: DynamicCalibration, baselines: Baselines, log: Log) ->
         baselines.lag.simulate(run.steady, run.measured[0], own.dt_s),
         baselines.arx.simulate(run.steady, run.measured[0]),
     )
-    return HeldOut(
+    figures = HeldOut(
         np.array([np.sqrt(known_mean((model - run.measured) ** 2)) for model in models]),
         np.array([level_of(model, run.measured) for model in models]),
         np.array([lag_of(model, run.measured, own.dt_s) for model in models]),
     )
+    return Judged(figures, np.stack(models), run.steady, run.measured, log.source.file)
 
 
 def _known(values: FloatArray) -> list[float]:

@@ -28,6 +28,7 @@ from narxcal.calibration.calibration import Calibration, DynamicCalibration
 from narxcal.calibration.identified import IdentifiedCalibration
 from narxcal.calibration.noise import NoiseModel, estimate_noise
 from narxcal.channels import CHANNELS
+from narxcal.intervals import HalfWidths, joined
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.narx.network import NarxModel
 from narxcal.record import Record
@@ -35,7 +36,7 @@ from narxcal.steady.fitted import FittedSteadyState
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
-from training.baselines import fit_baselines
+from training.baselines import fit_baselines, run_of
 from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import METHODS, STATIC, RunConfig
 from training.identify import identify, static_laws
@@ -126,6 +127,8 @@ def calibrate(
         found = {"training": {"status": known.status, "score": [], "history": []}}
         found["identify"] = known.document()
         found["baselines"] = fit_baselines(calibration, split.train)
+    if calibration.interval is None:
+        calibration = calibration.with_interval(_validated(calibration, split.validate))
     calibration = calibration.reaching(*input_reach(split.train, calibration.input_names))
     found["training"]["wall_s"] = time.perf_counter() - began
     meta = _provenance(given, base, split) | {
@@ -160,7 +163,18 @@ def _narx(
         "baselines": baselines,
         "lead": leading.row(),
     }
-    return config, calibration.with_leads(leading.leads), rows
+    return config, calibration.with_leads(leading.leads).with_interval(leading.interval), rows
+
+
+def _validated(calibration: Calibration, logs: Sequence[Log]) -> HalfWidths | None:
+    """Interval from the validation `logs`, which served to stop the training and nothing else."""
+    parts = []
+    for log in logs:
+        own = calibration_for(calibration, log)
+        run = run_of(own, log)
+        free = own.simulate(log.matrix(own.input_names), run.measured[0])
+        parts.append((np.abs(run.steady - free), free - run.measured, log.source.file))
+    return joined(parts)
 
 
 def _leading(

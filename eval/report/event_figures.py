@@ -83,6 +83,8 @@ def _direction(one: AssessedEvent) -> str:
 
 def _curves(axes: Axes, time: FloatArray, curves: Curves) -> None:
     style.shade_missing(axes, time, curves.measured)
+    if curves.model is not None and curves.half_width is not None:
+        style.band(axes, time, curves.model, curves.half_width)
     if curves.steady is not None:
         style.curve(axes, time, curves.steady, style.STEADY, lw=0.9, ls="--", label="steady state")
     if curves.model is not None:

@@ -59,7 +59,8 @@ def _overlay_caption(view: LogView) -> str:
     if view.evaluation is None:
         return "Thin lines in the driver strip: pushes (orange) and pulls (blue). Grey: masked."
     text = (
-        "Measured: the thin line on top of the free run in blue; below each, model minus measured. "
+        "Measured: the thin line on top of the free run in blue, shaded its interval; below each, "
+        "model minus measured. "
         "Grey: masked by cleaning, not scored."
     )
     trim = " Left of the dotted line trim offsets are estimated; only what follows is scored."
@@ -76,6 +77,8 @@ def _driver(axes: Axes, view: LogView) -> None:
 
 def _output(axes: Axes, time: FloatArray, curves: Curves) -> None:
     style.shade_missing(axes, time, curves.measured)
+    if curves.model is not None and curves.half_width is not None:
+        style.band(axes, time, curves.model, curves.half_width)
     if curves.steady is not None:
         style.curve(axes, time, curves.steady, style.STEADY, lw=0.8, ls="--", label="steady state")
     if curves.model is not None:

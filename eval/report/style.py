@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from narxcal.channels import CHANNELS, symbol
+from narxcal.intervals import LEVEL
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.arrays import spans as runs_of
 
@@ -224,6 +225,25 @@ def shade_missing(axes: Axes, time: FloatArray, values: FloatArray, label: str =
             bars, (0, 1), transform=axes.get_xaxis_transform(), color=MASK, lw=0, zorder=0.4,
             label=label,
         )  # fmt: skip
+
+
+def band(axes: Axes, time: FloatArray, middle: FloatArray, half: FloatArray) -> None:
+    """Shade an interval around a curve, both ends thinned to their envelopes."""
+    points = MAX_POINTS // 2
+    (at, low), (_, high) = (
+        _ends(time, values, points) for values in (middle - half, middle + half)
+    )
+    label = f"{100 * LEVEL:.0f} % interval"
+    axes.fill_between(at, low[0], high[1], color=MODEL, alpha=0.18, lw=0, label=label)
+
+
+def _ends(
+    time: FloatArray, values: FloatArray, points: int
+) -> tuple[FloatArray, tuple[FloatArray, FloatArray]]:
+    """Least and largest value (bin,) in each of at most `points` bins, and where bins begin."""
+    starts = np.arange(0, len(values), -(-len(values) // points))
+    ends = (np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts))
+    return time[starts], ends
 
 
 def curve(axes: Axes, time: FloatArray, values: FloatArray, color: str, **line: Any) -> None:

@@ -17,6 +17,7 @@ from eval.report.view import LogView
 from eval.rules import TimeCheck
 from eval.transients import AssessedEvent, Assessment, not_assessable, tally
 from narxcal.channels import symbol
+from narxcal.intervals import LEVEL
 
 if TYPE_CHECKING:
     from eval.crossval import CrossValidation, FoldResult
@@ -80,11 +81,17 @@ def scores(views: Sequence[LogView]) -> Table:
         for one in views if one.evaluation is not None
         for found in one.evaluation.scores.values() if math.isfinite(found.rmse)
     )  # fmt: skip
+    band = any(
+        math.isfinite(found.coverage)
+        for one in views if one.evaluation is not None
+        for found in one.evaluation.scores.values()
+    )  # fmt: skip
+    covered = (f"in {100 * LEVEL:.0f} % interval [%]", "half-width") if band else ()
     head = (
         "channel", "free run RMSE", *(("network RMSE",) if led else ()),
         *(("before trim",) if trim else ()), "bias", "NRMSE [%]",
         "max rel. [%]", "one step RMSE", "static part", "dynamic part",
-        *(f"{name} RMSE" for name in BASELINES.values()),
+        *covered, *(f"{name} RMSE" for name in BASELINES.values()),
     )  # fmt: skip
     rows: list[tuple[Cell, ...]] = []
     for view in views:
@@ -95,11 +102,14 @@ def scores(views: Sequence[LogView]) -> Table:
             before = view.evaluation.untrimmed.get(name)
             more: tuple[Cell, ...] = (figure(found.network_rmse),) if led else ()
             more += (figure(None if before is None else before.rmse),) if trim else ()
-            rows.append(_score_row(name, found, more))
+            ends = (figure(100.0 * found.coverage), figure(found.half_width)) if band else ()
+            rows.append(_score_row(name, found, more, ends))
     return Table("RMSE, bias and parts in the unit of the channel", head, tuple(rows))
 
 
-def _score_row(name: str, found: ChannelScores, more: tuple[Cell, ...]) -> tuple[Cell, ...]:
+def _score_row(
+    name: str, found: ChannelScores, more: tuple[Cell, ...], ends: tuple[Cell, ...]
+) -> tuple[Cell, ...]:
     best = found.best_rmse
     return (
         Cell(with_unit(name), "head"),
@@ -111,6 +121,7 @@ def _score_row(name: str, found: ChannelScores, more: tuple[Cell, ...]) -> tuple
         figure(found.one_step_rmse),
         figure(found.static_rmse),
         figure(found.dynamic_rmse),
+        *ends,
         *(figure(value, "best" if value == best else "") for value in found.baselines.values()),
     )
 

@@ -34,6 +34,7 @@ class Curves:
     measured: FloatArray
     model: FloatArray | None = None
     steady: FloatArray | None = None
+    half_width: FloatArray | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,7 +74,8 @@ class LogView:
     def curves(self, rows: slice = slice(None)) -> list[Curves]:
         """Every output over `rows`."""
         run = None if self.evaluation is None else self.evaluation.run
-        modelled = (None, None) if run is None else (run.model, run.steady)
+        none = (None, None, None)
+        modelled = none if run is None else (run.model, run.steady, run.half_width)
         return [
             Curves(name, self.log[name][rows], *(x if x is None else x[rows, k] for x in modelled))
             for k, name in enumerate(self.outputs)

@@ -18,13 +18,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from copy import copy
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from narxcal.calibration.lead import Lead, LeadState
 from narxcal.calibration.register import Parts, Register, Sample, stacked
+from narxcal.intervals import Band, HalfWidths
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.narx.network import NarxModel
 from narxcal.steady.model import (
@@ -65,6 +66,7 @@ class Calibration(ABC):
         self.dt_s = dt_s
         self.reach: Envelope | None = None
         self.leads: tuple[Lead, ...] = ()
+        self.interval: HalfWidths | None = None
         self._register: Running | None = None
         self._led: list[LeadState] = []
 
@@ -101,7 +103,11 @@ class Calibration(ABC):
 
     def with_leads(self, leads: Sequence[Lead]) -> Self:
         """The calibration with simple models in the place of its own in some outputs."""
-        return self._with(leads=tuple(leads))
+        return self._with(leads=tuple(leads), interval=None)
+
+    def with_interval(self, interval: HalfWidths | None) -> Self:
+        """The calibration with half-widths over the distance from steady state of each output."""
+        return self._with(interval=interval)
 
     def network_alone(self) -> Self:
         """The calibration with its own model leading in every output."""
@@ -119,11 +125,14 @@ class Calibration(ABC):
             raise ModelError("'reach' is no range for each input", hint=ALTERED)
         return self._with(reach=box)
 
-    def _reach_row(self) -> dict[str, Any]:
-        """The limits of the inputs as JSON can hold them; empty where there are none."""
-        if self.reach is None:
-            return {}
-        return {"reach": {"low": self.reach.low.tolist(), "high": self.reach.high.tolist()}}
+    def _common_rows(self) -> dict[str, Any]:
+        """Limits of the inputs and interval as JSON can hold them, where there are any."""
+        rows: dict[str, Any] = {}
+        if self.reach is not None:
+            rows["reach"] = {"low": self.reach.low.tolist(), "high": self.reach.high.tolist()}
+        if self.interval is not None:
+            rows["interval"] = self.interval.to_json()
+        return rows
 
     @property
     def input_names(self) -> tuple[str, ...]:
@@ -144,12 +153,42 @@ class Calibration(ABC):
         vars(chosen).update(changed, _register=None, _led=[])
         return chosen
 
-    def simulate(self, inputs: ArrayLike, start: ArrayLike | None = None) -> FloatArray:
+    @overload
+    def simulate(self, inputs: ArrayLike, start: ArrayLike | None = None) -> FloatArray: ...
+    @overload
+    def simulate(
+        self, inputs: ArrayLike, start: ArrayLike | None = None, *, interval: float
+    ) -> Band: ...
+    def simulate(
+        self, inputs: ArrayLike, start: ArrayLike | None = None, *, interval: float | None = None
+    ) -> FloatArray | Band:
         """Free run over `inputs` (time, n_in); returns (time, n_out).
 
         `start` (n_out,) are measured outputs at the first sample; where it is None or NaN the
-        engine starts in equilibrium. Raises `DataError` for inputs that are not finite.
+        engine starts in equilibrium. With `interval`, such as 0.9, a `Band` that covers this share
+        of samples. Raises `DataError` for inputs that are not finite, `ModelError` as `half_width`.
         """
+        outputs = self._simulated(inputs, start)
+        if interval is None:
+            return outputs
+        half = self.half_width(inputs, outputs, interval)
+        return Band(outputs, outputs - half, outputs + half)
+
+    def half_width(self, inputs: ArrayLike, outputs: FloatArray, share: float) -> FloatArray:
+        """Half-width (time, n_out) of the interval of a free run over `inputs` (time, n_in).
+
+        It covers `share` of the samples of other logs, as prepared for training, by the errors on
+        training logs that were held out at the same distance of `outputs` from steady state.
+        Raises `ModelError` where none were held out.
+        """
+        if self.interval is None:
+            raise ModelError(
+                "no errors of held-out logs are stored with this model, so it has no interval",
+                hint="Train it again with several logs and choice_s > 0, or with validation logs",
+            )
+        return self.interval.at(np.abs(self.steady.outputs(self._checked(inputs)) - outputs), share)
+
+    def _simulated(self, inputs: ArrayLike, start: ArrayLike | None) -> FloatArray:
         given = self._checked(inputs)
         ss = self.steady.outputs(given)
         first = self._first_deviation(ss[0], start)
@@ -331,7 +370,7 @@ class DynamicCalibration(Calibration):
             "steady": steady,
             "lag": lag_meta,
         }
-        meta |= self._reach_row()
+        meta |= self._common_rows()
         if self.leads:
             meta["leads"] = [lead.to_json() for lead in self.leads]
         return meta, arrays

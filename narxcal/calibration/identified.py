@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from narxcal.calibration.calibration import Calibration, DynamicCalibration, Running
+from narxcal.intervals import HalfWidths
 from narxcal.output_error.engine import STEADY_OUTPUTS, EngineFromSteady, steady_drive
 from narxcal.steady.model import ALTERED, SteadyStateModel, steady_from_json, steady_to_json
 from narxcal.support.arrays import FloatArray
@@ -330,7 +331,7 @@ class IdentifiedCalibration(Calibration):
         steady, arrays = steady_to_json(self.steady)
         dynamics = {"kind": self.dynamics.kind, **self.dynamics.to_json()}
         meta = {"dt_s": self.dt_s, "steady": steady, "dynamics": dynamics}
-        meta |= self._reach_row()
+        meta |= self._common_rows()
         return meta, {f"steady/{name}": value for name, value in arrays.items()}
 
     @classmethod
@@ -385,5 +386,9 @@ def calibration_from_arrays(
         found = IdentifiedCalibration.from_arrays(meta, arrays, trust=trust)
     else:
         found = DynamicCalibration.from_arrays(meta, arrays, trust=trust)
-    reach = meta.get("reach")
-    return found if reach is None else found.reaching(reach["low"], reach["high"])
+    reach, interval = meta.get("reach"), meta.get("interval")
+    if reach is not None:
+        found = found.reaching(reach["low"], reach["high"])
+    if interval is not None:
+        found = found.with_interval(HalfWidths.from_json(interval, len(found.output_names)))
+    return found

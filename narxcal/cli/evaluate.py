@@ -118,6 +118,7 @@ def _outside(bundle: Bundle, parts: Sequence[LogEvaluation]) -> list[str]:
 def show(console: Console, found: Judgement) -> None:
     """Print the tables and the verdict."""
     terminal.print_scores(console.page, found.evaluation.logs)
+    terminal.print_interval(console.page, found.evaluation.pooled)
     terminal.print_transients(console.page, found.evaluation.logs)
     terminal.print_levels(console.page, found.evaluation.logs)
     terminal.print_outcome(console.page, found.outcome)

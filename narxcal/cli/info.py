@@ -13,7 +13,7 @@ from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_run
-from narxcal.cli.results import hash_words, lag_words, method_of, steady_words
+from narxcal.cli.results import hash_words, interval_words, lag_words, method_of, steady_words
 
 SCHEMA = "narxcal.info/1"
 _KEPT = ("split", "seeds", "steady_state", "lag_form", "training")
@@ -87,6 +87,10 @@ def _document(run: str, bundle: Bundle, stored: dict[str, Any]) -> dict[str, Any
         **({} if network is None else _network(network)),
         "weights_sha256": stored["weights"]["sha256"],
         "sha256": bundle.sha256 or None,
+        "interval": {
+            "words": interval_words(calibration.interval),
+            "held_out": 0 if calibration.interval is None else calibration.interval.pieces,
+        },
         "deviation_bounds": {
             name: [float(low[k]), float(high[k])]
             for k, name in enumerate(calibration.output_names)
@@ -150,6 +154,7 @@ def _facts(document: dict[str, Any]) -> dict[str, str]:
         "Bundle": hash_words(document["sha256"]),
         "Steady state": steady_words(document),
         "Lags": lag_words(document),
+        "Interval": document["interval"]["words"],
         **{f"{part.capitalize()} logs": ", ".join(logs) or "none" for part, logs in split.items()},
         "Seeds": ", ".join(map(str, document["seeds"] or [])),
         "Versions": ", ".join(f"{name} {text}" for name, text in document["versions"].items()),

@@ -7,6 +7,8 @@ import os
 from argparse import SUPPRESS, ArgumentParser, ArgumentTypeError
 from pathlib import Path
 
+from narxcal.intervals import LEVELS
+
 SIMULATOR = "folder of simulated logs, run folder, FMU, module:function or virtual engine's name"
 # numpy seeds its generators with any whole number, torch with 64 bits, signed.
 _LARGEST_SEED = 2**63 - 1
@@ -30,6 +32,26 @@ def fraction(text: str) -> float:
     if not 0.0 <= value <= 0.9:
         raise ArgumentTypeError(f"expected a fraction from 0 to 0.9, found {text}")
     return value
+
+
+def level(text: str) -> float:
+    """Share of samples that an interval covers, as `--interval` takes it."""
+    value = _number(text)
+    if not LEVELS[0] <= value <= LEVELS[-1]:
+        raise ArgumentTypeError(f"expected a share from {LEVELS[0]} to {LEVELS[-1]}, found {text}")
+    return value
+
+
+def add_interval(parser: ArgumentParser, default: float | None = None) -> None:
+    """Columns with the interval of the free run."""
+    shown = "" if default is None else f" (default {default:g})"
+    parser.add_argument(
+        "--interval",
+        metavar="SHARE",
+        type=level,
+        default=default,
+        help=f"columns X_low and X_high, between which this share of samples lies{shown}",
+    )
 
 
 def seconds(text: str) -> float:

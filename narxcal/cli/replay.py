@@ -10,7 +10,9 @@ from eval.evaluate import file_faults
 from eval.replay import ReplayModel, ReplayOptions, ReplaySummary, replay
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console
-from narxcal.cli.options import add_overwrite, add_run, path
+from narxcal.cli.options import add_interval, add_overwrite, add_run, path
+from narxcal.cli.results import interval_words
+from narxcal.intervals import LEVEL
 from narxcal.support.files import check_file
 
 SCHEMA = "narxcal.replay/1"
@@ -22,6 +24,7 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument("log", metavar="LOG.csv", type=path, help="log, read by RUN's mapping")
     parser.add_argument("--out", metavar="OUT.csv", type=path, required=True, help="CSV file or -")
     add_overwrite(parser)
+    add_interval(parser, LEVEL)
     parser.add_argument("--engine", metavar="NAME", help="replay this engine only")
     parser.add_argument("--realtime", action="store_true", help="no faster than the clock")
     parser.add_argument(
@@ -37,12 +40,18 @@ def run(options: Namespace, console: Console) -> int:
     check_file(options.out, options.log, options.bundle, overwrite=options.overwrite)
     bundle = load_bundle(options.bundle, trust=options.trust)
     model = ReplayModel.of(bundle)
-    how = ReplayOptions(engine=options.engine, realtime=options.realtime, follow=options.follow)
+    how = ReplayOptions(
+        engine=options.engine,
+        realtime=options.realtime,
+        follow=options.follow,
+        interval=options.interval,
+    )
     if not how.live and options.log.is_file():
         model = replace(model, faults=_faults(bundle, options, console))
     with console.progress("Replaying"):
         summary = replay(model, options.log, options.out, how)
     _show(console, summary)
+    console.say(interval_words(bundle.calibration.interval, options.interval))
     console.say(f"Replayed: {options.out}")
     console.document({"schema": SCHEMA, "out": str(options.out), **summary.to_dict()})
     return 0

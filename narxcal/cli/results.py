@@ -14,6 +14,7 @@ from eval.report.page import RunHeader
 from eval.rules import Tolerance, rules
 from narxcal.channels import CHANNELS
 from narxcal.cli.console import Console
+from narxcal.intervals import ENOUGH, LEVEL, HalfWidths
 from narxcal.support.errors import ConfigError, DataError
 from training.config import IdentifyConfig, RunConfig, load_config
 
@@ -170,6 +171,15 @@ def lead_words(meta: Mapping[str, Any]) -> str:
     return f"{words} ({found['status']})"
 
 
+def interval_words(found: HalfWidths | None, level: float = LEVEL) -> str:
+    """Say what the interval of a model rests on, or that it has none."""
+    if found is None:
+        return "No interval: the model stores no errors of held-out logs"
+    logs = f"{found.pieces} held-out {'log' if found.pieces == 1 else 'logs'}"
+    few = ", so few that it is widened" if found.pieces < ENOUGH else ""
+    return f"Interval of {100.0 * level:g} % by the errors of {logs}{few}"
+
+
 def now() -> str:
     """Time stamp of a page."""
     return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
@@ -191,7 +201,11 @@ def header_of(
         tolerances=f"Ti {words(found.Ti)}; Tt {words(found.Tt)} ({found.source})",
         sources=data_files(logs),
         versions=meta.get("versions", {}),
-        facts={"Bundle": hash_words(read_document(run).get("sha256")), **_facts(meta)},
+        facts={
+            "Bundle": hash_words(read_document(run).get("sha256")),
+            "Interval": interval_words(bundle.calibration.interval),
+            **_facts(meta),
+        },
         config=json.dumps(meta.get("config", {}), indent=1),
     )
 

@@ -20,7 +20,8 @@ from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.calibration.calibration import Calibration
 from narxcal.cli import simulate_effects
 from narxcal.cli.console import Console
-from narxcal.cli.options import SIMULATOR, add_mapping, add_overwrite, add_trust, path
+from narxcal.cli.options import SIMULATOR, add_interval, add_mapping, add_overwrite, add_trust, path
+from narxcal.cli.results import interval_words
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import TIME_FORMAT, atomic_write_text, check_file, text_cell
 from training.config import RunConfig
@@ -58,6 +59,7 @@ def add_options(parser: ArgumentParser) -> None:
         required=True,
         help="CSV file, -, or folder",
     )
+    add_interval(parser)
     add_overwrite(parser)
     add_trust(parser)
     group = parser.add_argument_group("with the effects that diagnose found")
@@ -81,9 +83,8 @@ def run(options: Namespace, console: Console) -> int:
     console = console.for_output(options.out)
     check_file(options.out, options.inputs, options.bundle, overwrite=options.overwrite)
     bundle = load_bundle(options.bundle, trust=options.trust)
-    runs = [
-        _simulated(bundle.calibration, log) for log in read_inputs(bundle, Path(options.inputs))
-    ]
+    logs = read_inputs(bundle, Path(options.inputs))
+    runs = [_simulated(bundle.calibration, log, options.interval) for log in logs]
     tables = [one.table for one in runs]
     if len({one.log.source.engine for one in runs}) == 1:
         tables = [table.drop(columns="engine") for table in tables]
@@ -99,6 +100,8 @@ def run(options: Namespace, console: Console) -> int:
     for one in runs:
         for fault in one.log.faults:
             console.warn(fault.caution)
+    if options.interval is not None:
+        console.say(interval_words(bundle.calibration.interval, options.interval))
     console.say(f"Simulated: {options.out}")
     console.document(document)
     return 0
@@ -122,13 +125,19 @@ def read_inputs(bundle: Bundle, file: Path) -> list[Log]:
     return screened(bank_of(bundle), [one.log for one in prepared])
 
 
-def _simulated(calibration: Calibration, log: Log) -> _Run:
+def _simulated(calibration: Calibration, log: Log, interval: float | None) -> _Run:
     own = calibration_for(calibration, log)
     used = masked(log)
     known = np.isfinite(used.matrix([name for name in own.input_names if name in used.channels]))
     log = hold_inputs(used, own.input_names)
     inputs = log.matrix(own.input_names)
-    table = pd.DataFrame(own.simulate(inputs), columns=list(own.output_names))
+    outputs = own.simulate(inputs)
+    table = pd.DataFrame(outputs, columns=list(own.output_names))
+    if interval is not None:
+        half = own.half_width(inputs, outputs, interval)
+        for k, name in enumerate(own.output_names):
+            table[f"{name}_low"] = outputs[:, k] - half[:, k]
+            table[f"{name}_high"] = outputs[:, k] + half[:, k]
     table.insert(0, "time_s", log.time_s)
     table.insert(1, "engine", text_cell(log.source.engine))
     table["inside_envelope"] = own.steady.inside(inputs).astype(int)

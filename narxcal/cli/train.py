@@ -27,7 +27,7 @@ from narxcal.calibration.bundle import (
 )
 from narxcal.cli.console import Advance, Console
 from narxcal.cli.options import add_config
-from narxcal.cli.results import lag_words, lead_words, read_config, steady_words
+from narxcal.cli.results import interval_words, lag_words, lead_words, read_config, steady_words
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import check_writable, recover
 from narxcal.support.system import locked
@@ -243,6 +243,7 @@ def _show(console: Console, folder: Path, bundle: Bundle) -> None:
         "Steady state": steady_words(bundle.meta),
         "Lags": lag_words(bundle.meta),
         "Leading": lead_words(bundle.meta),
+        "Interval": interval_words(bundle.calibration.interval),
     }
     console.facts({name: words for name, words in facts.items() if words})
     rows = [

@@ -1,4 +1,4 @@
-"""What `Narx` may choose among: forms of models that simulate, weighted means of them, and bands.
+"""What `Narx` may choose among: forms of models that simulate, and weighted means of them.
 
 Every form has `inputs`, `outputs`, `simulate(u, start)`, `predict(u, y)`, `to_arrays`. `pack` and
 `unpack` store any of them, by its kind.
@@ -14,7 +14,7 @@ import numpy as np
 
 from narxcal.narx.latent import LatentModel
 from narxcal.narx.network import NarxModel
-from narxcal.support.arrays import BoolArray, FloatArray, IntArray
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 
 
@@ -77,83 +77,6 @@ class Ensemble:
             meta.append(own)
             arrays |= {f"{k}.{name}": array for name, array in parts.items()}
         return {"members": meta, "weights": list(self.weights)}, arrays
-
-
-@dataclass(frozen=True)
-class Band:
-    """A free run with its interval, each (time, outputs); start samples have no width."""
-
-    y: FloatArray
-    low: FloatArray
-    high: FloatArray
-
-
-_ENOUGH = 8  # held-out pieces; with fewer, intervals are widened
-
-
-@dataclass(frozen=True, eq=False)
-class Conformal:
-    """Absolute errors of free runs that were held out, by the samples since their start.
-
-    `errors` (count, outputs) in the outputs' units belong to the horizons `after` (count,) and to
-    the held-out pieces numbered in `piece` (count,).
-    """
-
-    after: FloatArray
-    errors: FloatArray
-    piece: IntArray
-
-    @property
-    def pieces(self) -> int:
-        """How many pieces were held out; intervals of fewer than eight are widened."""
-        return len(np.unique(self.piece)) if np.isfinite(self.errors).any() else 0
-
-    def half_width(self, steps: int, share: float) -> FloatArray:
-        """Half width (steps, outputs) of the interval that covers `share` of samples.
-
-        Quantiles within horizons of similar logarithm, never narrower than nearer ones. Their level
-        is the least at which each piece is covered by the errors of the others to this share on
-        average; with n pieces less than eight it goes (8 - n) / 8 of the way to 1.
-        """
-        last = int(max(steps, self.after.max(), 2))
-        edges = np.unique(np.geomspace(1, last, 9).astype(int))
-        level = self._level(edges, share)
-        if self.pieces < _ENOUGH:
-            level += (1.0 - level) * (_ENOUGH - self.pieces) / _ENOUGH
-        wide = self._quantiles(np.ones(len(self.after), dtype=np.bool_), edges, level)
-        at = np.clip(np.searchsorted(edges, np.arange(1, steps + 1), side="right") - 1, 0, None)
-        return wide[np.minimum(at, len(wide) - 1)]
-
-    def _level(self, edges: IntArray, share: float) -> float:
-        """Least level at which pieces are covered by the others, judged on at most 5000 errors."""
-        every = max(len(self.after) // 5000, 1)
-        thin = np.arange(len(self.after)) % every == 0
-        at = np.clip(np.searchsorted(edges, self.after, side="right") - 1, 0, len(edges) - 1)
-        for level in np.linspace(share, 1.0, 11):
-            covered = []
-            for number in np.unique(self.piece):
-                own = thin & (self.piece == number)
-                others = thin & (self.piece != number)
-                if own.any() and others.any():
-                    wide = self._quantiles(others, edges, float(level))
-                    known = np.isfinite(self.errors[own])
-                    covered.append((self.errors[own] <= wide[at[own]])[known].mean())
-            if covered and np.mean(covered) >= share:
-                return float(level)
-        return 1.0
-
-    def _quantiles(self, chosen: BoolArray, edges: IntArray, level: float) -> FloatArray:
-        """Quantile of the chosen errors from each edge on (edges, outputs), not falling."""
-        after, errors = self.after[chosen], self.errors[chosen]
-        found = np.zeros((len(edges), errors.shape[1]))
-        ends = [*edges[1:].tolist(), np.inf]
-        for k, (low, high) in enumerate(zip(edges.tolist(), ends, strict=True)):
-            near = (after >= low) & (after < high)
-            if near.sum() < 20:  # a 90 % quantile needs 10 samples; twice that
-                near = after >= min(low, after.max() / 2.0)
-            known = [column[np.isfinite(column)] for column in errors[near].T]
-            found[k] = [np.quantile(column, level) if len(column) else 0.0 for column in known]
-        return np.asarray(np.maximum.accumulate(found, axis=0))
 
 
 _KINDS: Mapping[type, str] = {NarxModel: "network", LatentModel: "latent", Ensemble: "ensemble"}

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ import pytest
 
 from data_prep.log import Log
 from data_prep.reading import read_logs
-from narxcal.calibration.bundle import load_bundle
+from narxcal.calibration.bundle import load_bundle, save_bundle
 from narxcal.cli import main
 from narxcal.cli.denoise import usual_channel
 from narxcal.cli.prepare import file_names
@@ -145,6 +146,11 @@ def test_evaluate_judges_the_held_out_log_and_says_that_a_tolerance_was_missed(p
     figures = document["logs"][0]["channels"]["N1_pct"]
     for name in ("rmse", "nrmse", "max_rel_pct", "one_step_rmse", "steady_state_rmse"):
         assert figures[name] > 0.0
+    interval = figures["interval"]
+    assert interval["level"] == 0.9
+    assert 0.0 < interval["coverage"] <= 1.0
+    assert interval["half_width"] > 0.0
+    assert "Within the 90 % interval: N1" in done.out
     assert {"start_s", "label", "Ti", "Tt"} <= set(document["logs"][0]["events"][0])
     assert document["logs"][0]["ti_tt"]["assessed"] > 0
 
@@ -260,6 +266,40 @@ def test_simulate_gives_the_free_run_and_needs_no_outputs(project, narxcal, tmp_
     assert strict(done.out)["logs"][0]["samples"] == len(table)
     measured = np.interp(table["time_s"], flight["time_s"], flight["N1_pct"])
     assert math.sqrt(np.mean((table["N1_pct"] - measured) ** 2)) < 6.0
+
+
+def test_simulate_gives_the_interval_by_the_errors_of_held_out_logs(project, narxcal, tmp_path):
+    bundle, out = load_bundle(project / "run"), tmp_path / "out.csv"
+    calibration, inputs = bundle.calibration, project / "flights" / "flight_3.csv"
+    done = narxcal("simulate", project / "run", inputs, "--out", out, "--interval", "0.8")
+    assert (
+        "Interval of 80 % by the errors of 2 held-out logs, so few that it is widened" in done.out
+    )
+    table = pd.read_csv(out)
+    outputs = list(calibration.output_names)
+    half = (table[[f"{name}_high" for name in outputs]].to_numpy() - table[outputs]).to_numpy()
+    names = [f"{name}_low" for name in outputs]
+    np.testing.assert_allclose(table[outputs].to_numpy() - half, table[names], rtol=1e-6)
+    assert (half > 0.0).all()
+    refused = narxcal("simulate", project / "run", inputs, "--out", out, "--interval", "1")
+    assert refused.code == 2
+    assert "expected a share from 0.5 to 0.99, found 1" in refused.err
+
+
+def test_a_model_without_held_out_errors_has_no_interval_and_says_so(project, narxcal, tmp_path):
+    bundle = load_bundle(project / "run")
+    without = replace(bundle, calibration=bundle.calibration.with_interval(None))
+    save_bundle(tmp_path / "old", without)
+    assert load_bundle(tmp_path / "old").calibration.interval is None
+    log, out = project / "flights" / "flight_3.csv", tmp_path / "out.csv"
+    done = narxcal("replay", tmp_path / "old", log, "--out", out)
+    assert "No interval: the model stores no errors of held-out logs" in done.out
+    assert "N1_pct_low" not in pd.read_csv(out)
+    done = narxcal(
+        "simulate", tmp_path / "old", log, "--out", tmp_path / "s.csv", "--interval", ".9"
+    )
+    assert done.code == 2
+    assert "no errors of held-out logs are stored with this model" in done.err
 
 
 @pytest.mark.usefixtures("undrawn")

@@ -48,6 +48,7 @@ class FirstOrder:
     dt_s = DT
     steady = Settled()
     rate = 0.2
+    interval = None
 
     def _settled(self, inputs):
         return self.steady.outputs(inputs[..., ::-1])
@@ -146,6 +147,41 @@ def test_prediction_and_fused_value_are_those_of_the_batch_without_a_shift(tmp_p
     assert not found["held"].any()
     assert found["inside_envelope"].all()
     assert sorted(file.name for file in tmp_path.iterdir()) == ["log.csv", "out.csv"]
+
+
+class Interval(FirstOrder):
+    """The same with an interval that is as wide as the engine is far from steady state."""
+
+    interval = "there"
+
+    def for_engine(self, engine):
+        assert isinstance(engine, str)
+        return Interval()
+
+    def half_width(self, inputs, outputs, share):
+        return share * np.abs(self._settled(inputs) - outputs)
+
+
+def test_the_interval_stands_around_the_prediction_in_any_pieces(tmp_path):
+    columns = flight()
+    columns["TRA_deg"][300:340] = np.nan  # longer than an input is held
+    log = write(tmp_path / "log.csv", columns)
+    model = ReplayModel(Interval(), noise=noise_model())
+    replay(model, log, tmp_path / "out.csv", ReplayOptions(noise="stored", interval=0.8))
+    found, _ = read(tmp_path / "out.csv")
+    for name in FirstOrder.output_names:
+        middle = 0.5 * (found[f"{name}_low"] + found[f"{name}_high"])
+        np.testing.assert_allclose(middle, found[f"{name}_prediction"], rtol=1e-8)
+    blank = np.isnan(found["N1_pct_prediction"])
+    assert blank.any()
+    np.testing.assert_array_equal(np.isnan(found["N1_pct_low"]), blank)
+    assert np.nanmax(found["N1_pct_high"] - found["N1_pct_low"]) > 20.0
+    assert "N1_pct_low" not in read(replayed_without(tmp_path, log))[0]
+
+
+def replayed_without(folder, log):
+    replay(MODEL, log, folder / "without.csv", STORED)
+    return folder / "without.csv"
 
 
 @pytest.mark.parametrize("rate", [4.0, 10.0, 13.7, 50.0])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from narxcal.narx.forms import Conformal, Ensemble, pack, unpack
+from narxcal.narx.forms import Ensemble, pack, unpack
 from narxcal.narx.latent import (
     LatentModel,
     Shape,
@@ -131,30 +131,3 @@ def test_the_median_of_members_does_not_follow_one_that_leaves():
     np.testing.assert_array_equal(
         Ensemble.median(models).simulate(u, start), models[1].simulate(u, start)
     )
-
-
-@pytest.mark.parametrize(("logs", "spread"), [(20, 0.0), (20, 0.5), (10, 0.5)])
-def test_intervals_widen_with_the_horizon_and_cover_new_logs_to_their_share(logs, spread):
-    """Errors grow with the horizon; logs differ in their level by a log-normal factor."""
-    draw, horizon = np.random.default_rng(0), np.arange(1.0, 101.0)
-
-    def runs(count):
-        level = np.exp(spread * draw.standard_normal((count, 1)))
-        return np.abs(level * np.sqrt(horizon) * draw.standard_normal((count, 100)))
-
-    covered, piece = [], np.repeat(np.arange(logs), 100)
-    for _ in range(20):  # fleets: the coverage of a single one hangs on its logs
-        fleet = Conformal(np.tile(horizon, logs), runs(logs).reshape(-1, 1), piece)
-        wide = fleet.half_width(100, 0.9)
-        assert np.all(np.diff(wide[:, 0]) >= 0.0)
-        covered.append(np.mean(runs(100) <= wide[:, 0]))
-    assert 0.87 < np.mean(covered) < 0.93
-
-
-def test_intervals_of_few_pieces_are_wider():
-    draw, after = np.random.default_rng(1), np.tile(np.arange(1.0, 101.0), 4)
-    errors = np.abs(draw.standard_normal((400, 1)))
-    few = Conformal(after, errors, np.repeat(np.arange(4), 100))
-    many = Conformal(after, errors, np.arange(400) // 40)
-    assert few.pieces == 4
-    assert few.half_width(100, 0.9).mean() > 1.1 * many.half_width(100, 0.9).mean()
