@@ -179,6 +179,12 @@ def check_records(records: Sequence[Record], longer_than: int) -> tuple[int, int
     if not records:
         raise DataError("at least one record is needed, found none")
     inputs, outputs = records[0].u.shape[1], records[0].y.shape[1]
+    if not (inputs and outputs):
+        raise DataError(
+            f"expected an input and an output at least, found {inputs} and {outputs}",
+            file=records[0].name,
+            hint="Give arrays of shape (time, channels)",
+        )
     for record in records:
         found = (record.u.shape[1], record.y.shape[1])
         if found != (inputs, outputs):
@@ -191,5 +197,6 @@ def check_records(records: Sequence[Record], longer_than: int) -> tuple[int, int
             raise DataError(
                 f"a record needs more than {longer_than} samples, found {len(record)}",
                 file=record.name,
+                hint="Leave this record out, or join it to the one that it was cut from",
             )
     return inputs, outputs

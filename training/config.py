@@ -58,7 +58,8 @@ class SteadyStateConfig(Section):
 
     `kind` "fitted" uses `inputs` (which must hold ALT_ft, Mach and dT_C if `corrected`) and
     blends curves over `driver` (that of [events] where it is empty) between the extremes of
-    `blend`. `switches` add a line each while they are on; they are inputs whether named there or
+    `blend`. `exponents` are the ratios of the air whose exponents are fitted, not those of
+    similarity. `switches` add a line each while they are on; they are inputs whether named there or
     not. What is "auto" is chosen by the training logs (see training.steady_choice). The other
     kinds load `source`: a CSV table, `module:function` or an FMU file.
     """
@@ -70,6 +71,7 @@ class SteadyStateConfig(Section):
     blend: Auto | tuple[str, ...] = "auto"
     switches: Auto | tuple[str, ...] = "auto"
     corrected: Auto | bool = "auto"
+    exponents: Auto | tuple[Literal["theta", "delta"], ...] = "auto"
     fit: SteadyFitConfig = SteadyFitConfig()
     options: SteadyOptions = SteadyOptions()
 

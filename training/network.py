@@ -104,7 +104,8 @@ def _least_squares(
 ) -> tuple[FloatArray, FloatArray]:
     ones = np.zeros((len(phi), 1)) if anchored else np.ones((len(phi), 1))
     matrix = np.concatenate([phi, ones], axis=1)
-    normal = matrix.T @ matrix + _RIDGE * len(phi) * np.eye(matrix.shape[1])
+    # Without a row whose history is known the ridge alone decides: all zero.
+    normal = matrix.T @ matrix + _RIDGE * max(len(phi), 1) * np.eye(matrix.shape[1])
     solution = np.linalg.solve(normal, matrix.T @ target).T
     return np.ascontiguousarray(solution[:, :-1]), solution[:, -1].copy()
 

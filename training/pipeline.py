@@ -257,7 +257,8 @@ def _resolved(config: RunConfig, steady: SteadyStateModel) -> RunConfig:
     if not isinstance(steady, FittedSteadyState):
         return config
     layout = steady.layout
-    chosen = {name: getattr(layout, name) for name in ("blend", "switches", "corrected", "driver")}
+    names = ("blend", "switches", "corrected", "exponents", "driver")
+    chosen = {name: getattr(layout, name) for name in names}
     return config.having(steady_state=chosen)
 
 
@@ -374,6 +375,8 @@ def _quality_row(quality: SteadyQuality | None, steady: SteadyStateModel) -> dic
         "corrected": layout.corrected,
         "blend": list(layout.blend),
         "switches": list(layout.switches),
+        "exponents": list(layout.exponents),
+        "assumed": list(layout.assumed),
     }
 
 

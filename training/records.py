@@ -283,8 +283,11 @@ class Split:
         known = {name for log in train for name in log.recorded(outputs)}
         for name in outputs:
             if name not in known:
+                masked = [log.audit.masked().get(name, {}) for log in self.train]
+                why = {reason for reasons in masked for reason in reasons} - {"missing"}
                 raise DataError(
-                    "no log to train on has a sample of this output",
+                    "no log to train on has a sample of this output"
+                    + (f"; what there was is masked ({', '.join(sorted(why))})" if why else ""),
                     channel=name,
                     hint="Take it out of [narx] outputs, or add logs that hold it to [split] train",
                 )

@@ -5,13 +5,15 @@ What [steady_state] leaves to "auto" is chosen from quasi-steady samples of the 
 * `corrected`: whether the curves leave less in the samples that they are fitted to with the
   similarity laws, or without, as where a lever asks for a speed whatever the air. Both have as many
   parameters, so that this is a fair question.
-* `blend` and `switches`: which altitude and Mach corners, and whether the switches that the logs
-  record shift the outputs. More of them always leave less, so the curves are judged on recordings
-  that they were not fitted to, one after another (on stretches of it, where there is one).
+* `blend`, `exponents` and `switches`: which altitude and Mach corners, whether the exponents of
+  theta and delta are fitted, and whether the switches that the logs record shift the outputs. More
+  of them always leave less, so the curves are judged on recordings that they were not fitted to,
+  one after another (on stretches of it, where there is one).
 
-Residuals are compared by their geometric mean over the outputs. The simplest usual answer stands
-unless another is better by a tenth: corrected, blended over Mach. A switch has to take a few
-percent away.
+Residuals are compared by their geometric mean over the outputs. The usual answer stands unless
+another is better by a tenth: corrected, blended over Mach, with fitted exponents, which on flights
+beyond the trained altitudes leave less than similarity alone in most cases. A switch has to take a
+few percent away.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from data_prep.equilibrium import quasi_steady
 from data_prep.log import Log
 from data_prep.prepare import hold_inputs
 from narxcal.channels import CHANNELS, spools_of
-from narxcal.steady.fitted import Layout
+from narxcal.steady.fitted import RATIOS, Layout
 from narxcal.steady.model import SteadyStateModel, open_steady
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
@@ -78,15 +80,20 @@ def chosen_layout(config: RunConfig, logs: Sequence[Log]) -> Layout:
         blend=blend if section.blend == "auto" else section.blend,
         corrected="ALT_ft" in names if section.corrected == "auto" else section.corrected,
         switches=() if section.switches == "auto" else section.switches,
+        exponents=() if section.exponents == "auto" else section.exponents,
     )
-    if "auto" not in (section.blend, section.switches, section.corrected):
+    if "auto" not in (section.blend, section.switches, section.corrected, section.exponents):
         return layout
     taken = [_Taken(_thinned(_samples(config, layout, log)), log.source.file) for log in logs]
     known = np.concatenate([one.samples.inputs for one in taken])
+    if not len(known):
+        return layout  # the fit says what is missing
     varying = {name for name, width in zip(names, np.ptp(known, axis=0), strict=True) if width > 0}
     blends = _subsets([name for name in ("Mach", "ALT_ft") if name in varying])
     if section.corrected == "auto" and layout.corrected:
         layout = _corrected(layout, blends[-1] if section.blend == "auto" else layout.blend, taken)
+    if section.exponents == "auto" and layout.corrected:
+        layout = replace(layout, exponents=RATIOS)
     layout = _refined(config, layout, (blends, switches), taken)
     used = tuple(name for name in names if name in section.inputs or name in layout.switches)
     return replace(layout, input_names=used)
@@ -107,15 +114,20 @@ def _refined(
     offered: tuple[Sequence[tuple[str, ...]], tuple[str, ...]],
     taken: Sequence[_Taken],
 ) -> Layout:
-    """The layout with the corners and switches that do best on recordings not fitted to."""
+    """The layout with what does best on recordings not fitted to: corners, exponents, switches."""
     section = config.steady_state
     folds = _folds(taken)
     usual = _left(layout, folds)
-    if section.blend == "auto":
-        trials = [(_left(replace(layout, blend=blend), folds), blend) for blend in offered[0]]
-        left, blend = min(trials)
+    blends = offered[0] if section.blend == "auto" else [layout.blend]
+    either = section.exponents == "auto" and layout.corrected
+    exponents = [(), RATIOS] if either else [layout.exponents]
+    trials = [
+        replace(layout, blend=blend, exponents=each) for blend, each in product(blends, exponents)
+    ]
+    if len(trials) > 1:
+        left, number = min((_left(trial, folds), k) for k, trial in enumerate(trials))
         if left < _BETTER * usual:
-            layout, usual = replace(layout, blend=blend), left
+            layout, usual = trials[number], left
     if section.switches == "auto":
         layout = _switched(layout, offered[1], folds, usual)
     return layout

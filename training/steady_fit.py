@@ -14,7 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from narxcal.steady.fitted import FittedSteadyState, Layout, i_splines, scaled_driver
+from narxcal.steady.fitted import (
+    FittedSteadyState,
+    Layout,
+    centred_ratios,
+    i_splines,
+    scaled_driver,
+)
 from narxcal.steady.model import Envelope
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError
@@ -61,7 +67,9 @@ def fit_steady_state(
     engines = _distinguished(samples)
     envelope = _envelope(inputs, layout)
     seen = np.array([drive.min(), drive.max()])
-    design = _Design(layout, envelope, seen, knots, engines, config)
+    ratios = layout.ratios(inputs)
+    air_seen = np.stack([ratios.min(axis=0), ratios.max(axis=0)], axis=1)
+    design = _Design(layout, envelope, seen, knots, engines, config, air_seen)
     matrix = design.matrix(inputs, names)
     corrected = layout.to_corrected(inputs, outputs)
     curves = [
@@ -78,6 +86,11 @@ def _require(inputs: FloatArray, outputs: FloatArray, layout: Layout) -> None:
         raise ConfigError(
             "corrected parameters need ALT_ft among [steady_state] inputs",
             hint="Add it, or set corrected = false",
+        )
+    if layout.exponents and not layout.corrected:
+        raise ConfigError(
+            "[steady_state] exponents are those of corrected parameters",
+            hint="Set corrected = true, or exponents = []",
         )
     if len(inputs) < 50:
         raise DataError(
@@ -147,6 +160,7 @@ class _Design:
     knots: FloatArray
     engines: tuple[str, ...]
     config: SteadyFitConfig
+    air_seen: FloatArray
 
     @property
     def corners(self) -> int:
@@ -157,7 +171,7 @@ class _Design:
         return len(self.knots)
 
     def matrix(self, inputs: FloatArray, names: NDArray[np.str_]) -> FloatArray:
-        """Columns: by corner 1 and the splines, then by engine and by switch 1 and slope."""
+        """Columns: by corner 1 and the splines, then by engine, switch and ratio 1 and slope."""
         drive = self.layout.drive(inputs)
         basis = np.concatenate([np.ones((len(drive), 1)), i_splines(self.knots)(drive)], axis=1)
         weights = self.layout.corners(inputs, self.envelope)
@@ -165,6 +179,8 @@ class _Design:
         line = np.stack([np.ones_like(drive), scaled_driver(drive, self.knots)], axis=1)
         lines = [line * (names == engine)[:, None] for engine in self.engines]
         lines += [line * self.layout.column(inputs, name)[:, None] for name in self.layout.switches]
+        shares = centred_ratios(self.layout.ratios(inputs), self.air_seen)
+        lines += [line * share[:, None] for share in shares.T]
         return np.concatenate([curve, *lines], axis=1)
 
     def solve(self, matrix: FloatArray, target: FloatArray, *, monotone: bool) -> FloatArray:
@@ -218,6 +234,7 @@ class _Design:
         curve = coefficients[:, :at].reshape(len(coefficients), self.corners, -1)
         lines = coefficients[:, at:].reshape(len(coefficients), -1, 2).transpose(1, 0, 2)
         engines = len(self.engines)
+        switches = engines + len(self.layout.switches)
         return FittedSteadyState(
             layout=self.layout,
             envelope=self.envelope,
@@ -226,7 +243,9 @@ class _Design:
             curve=curve,
             engines=self.engines,
             engine_lines=lines[:engines],
-            switch_lines=lines[engines:],
+            switch_lines=lines[engines:switches],
+            air_lines=lines[switches:],
+            air_seen=self.air_seen,
         )
 
 

@@ -144,6 +144,10 @@ def _form(found: Mapping[str, Any]) -> str:
     if "corrected" not in found:
         return ""
     words = ["corrected parameters" if found["corrected"] else "parameters as they are"]
+    if found.get("exponents"):
+        words.append(f"fitted exponents of {' and '.join(found['exponents'])}")
+    if found.get("assumed"):
+        words.append(f"{' and '.join(found['assumed'])} taken as 0 for want of a record")
     if found["blend"]:
         words.append(f"blended over {' and '.join(found['blend'])}")
     if found["switches"]:

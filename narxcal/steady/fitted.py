@@ -6,12 +6,18 @@ between the corners v of the flight envelope:
 
     y_c(z, x) = sum_v  weight_v(x) * (a_v + sum_j b_vj I_j(z)),   b_vj >= 0
 
+Real exponents of theta and delta differ from those of similarity (Volponi 1999, J. Eng. Gas
+Turbines Power 121(4)): with `exponents`, each named ratio r of the air adds
+
+    (c + d z) * (ln r - middle),   ln r held within the range of the fit
+
 | symbol | meaning | unit |
 |---|---|---|
 | z | driver: lever [deg], or log of (corrected) fuel flow | |
 | x | blending channels, scaled to [0, 1] in the envelope | - |
 | I_j | monotone I-splines of degree 2 (Ramsay 1988, Statistical Science 3(4)) | - |
 | a, b | `curve`: offset and spline coefficients, in corrected output units | |
+| c, d | `air_lines`: value at mid-range and slope per full range of z, likewise | |
 
 Non-negative b make every output monotone in the driver everywhere inside the envelope. Each engine
 adds a straight line over z, its build scatter; so does each switch (a bleed, another idle) that is
@@ -30,7 +36,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import BSpline, PPoly
 
-from narxcal.atmosphere import AirState, air_at, corrected_scale
+from narxcal.atmosphere import AIR_CHANNELS, AirState, air_at, corrected_scale
 from narxcal.steady.model import (
     ALTERED,
     Arrays,
@@ -45,7 +51,10 @@ from narxcal.support.errors import ModelError
 
 _WHAT = "steady-state model"
 _ARRAYS = ("low", "high", "seen", "knots", "curve", "engine_lines")
+_LATER = ("switch_lines", "air_lines", "air_seen")  # older folders lack some of them
 _NO_LINES: FloatArray = np.zeros((0, 0, 2))
+_NO_RANGE: FloatArray = np.zeros((0, 2))
+RATIOS = ("theta", "delta")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +64,8 @@ class Layout:
     `corrected` refers speeds to sqrt(theta2), temperatures to theta2 and fuel flow to
     delta2 sqrt(theta2); it needs ALT_ft among the inputs (Mach and dT_C are taken as zero
     where they are missing). `blend` names the inputs between whose extremes the curves blend,
-    `switches` those that add a line of their own while they are on.
+    `switches` those that add a line of their own while they are on, `exponents` which of `RATIOS`
+    correct the corrected outputs further.
     """
 
     input_names: tuple[str, ...]
@@ -64,6 +74,13 @@ class Layout:
     blend: tuple[str, ...] = ()
     corrected: bool = True
     switches: tuple[str, ...] = ()
+    exponents: tuple[str, ...] = ()
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """Channels of the air that corrected parameters take as zero, as the model has none."""
+        known = self.input_names
+        return tuple(each for each in AIR_CHANNELS if self.corrected and each not in known)
 
     def column(self, inputs: FloatArray, name: str) -> FloatArray:
         """One named column of `inputs` (..., n_in), zero where the model has none."""
@@ -82,6 +99,14 @@ class Layout:
         if self.corrected:
             driver = driver / corrected_scale("FF_kgph", air or air_at(inputs, self.input_names))[0]
         return np.log(np.maximum(driver, 1.0))
+
+    def ratios(self, inputs: FloatArray, air: AirState | None = None) -> FloatArray:
+        """Logarithms of the ratios that `exponents` name, (..., exponents); `air` as in `drive`."""
+        if not self.exponents:
+            return np.zeros((*inputs.shape[:-1], 0))
+        air = air or air_at(inputs, self.input_names)
+        known = {"theta": air.theta2, "delta": air.delta2}
+        return np.log(np.stack([known[name] for name in self.exponents], axis=-1))
 
     def to_corrected(self, inputs: FloatArray, outputs: FloatArray) -> FloatArray:
         """Convert outputs (..., n_out) to corrected parameters."""
@@ -119,7 +144,9 @@ class FittedSteadyState:
 
     `curve` (n_out, corners, 1 + splines) contains a_v and b_vj; `engine_lines` (engines, n_out, 2)
     value at mid-range and slope per full range of the driver, and so does `switch_lines`
-    (switches, n_out, 2). `engine` selects the build scatter; an unknown engine gets none.
+    (switches, n_out, 2) and `air_lines` (exponents, n_out, 2), the latter per unit of ln ratio,
+    whose range in the fit is `air_seen` (exponents, 2). `engine` selects the build scatter; an
+    unknown engine gets none.
     `envelope` and `seen` (2,), the range of z, bound the samples of the fit; the knots reach
     beyond them.
     """
@@ -134,6 +161,8 @@ class FittedSteadyState:
     engines: tuple[str, ...] = ()
     engine_lines: FloatArray
     switch_lines: FloatArray = field(default_factory=_NO_LINES.copy)
+    air_lines: FloatArray = field(default_factory=_NO_LINES.copy)
+    air_seen: FloatArray = field(default_factory=_NO_RANGE.copy)
     engine: str = ""
 
     @property
@@ -172,6 +201,9 @@ class FittedSteadyState:
         for name, line in zip(self.layout.switches, self.switch_lines, strict=True):
             on = self.layout.column(given, name)[..., None]
             corrected = corrected + on * (line[:, 0] + line[:, 1] * scaled)
+        shares = centred_ratios(self.layout.ratios(given, air), self.air_seen)
+        for share, line in zip(np.moveaxis(shares, -1, 0), self.air_lines, strict=True):
+            corrected = corrected + share[..., None] * (line[:, 0] + line[:, 1] * scaled)
         return self.layout.from_corrected(given, corrected, air)
 
     @cached_property
@@ -183,7 +215,7 @@ class FittedSteadyState:
         arrays = {
             "low": self.envelope.low,
             "high": self.envelope.high,
-            **{name: getattr(self, name) for name in (*_ARRAYS[2:], "switch_lines")},
+            **{name: getattr(self, name) for name in (*_ARRAYS[2:], *_LATER)},
         }
         layout = {
             name: list(value) if isinstance(value, tuple) else value
@@ -205,10 +237,11 @@ class FittedSteadyState:
                 blend=tuple(layout["blend"]),
                 corrected=layout["corrected"],
                 switches=tuple(layout.get("switches", ())),
+                exponents=tuple(layout.get("exponents", ())),
             ),
             envelope=Envelope(kept.pop("low"), kept.pop("high")),
             engines=tuple(meta.get("engines", ())),
-            switch_lines=np.asarray(arrays.get("switch_lines", _NO_LINES)),
+            **{name: np.asarray(arrays[name]) for name in _LATER if name in arrays},
             engine=str(meta.get("engine", "")),
             **kept,
         )
@@ -222,6 +255,8 @@ class FittedSteadyState:
         lacking = {layout.driver, *layout.blend, *layout.switches} - {*layout.input_names}
         if lacking:
             raise ModelError(f"'{min(lacking)}' is no input of the stored {_WHAT}", hint=ALTERED)
+        if not {*layout.exponents} <= {*RATIOS}:
+            raise ModelError(f"the stored {_WHAT} has an unknown ratio of the air", hint=ALTERED)
         if self.knots.ndim != 1 or len(self.knots) < 2 or not (np.diff(self.knots) > 0.0).all():
             raise ModelError(f"the knots of the stored {_WHAT} do not increase", hint=ALTERED)
         shapes = {
@@ -231,6 +266,8 @@ class FittedSteadyState:
             "curve": (self.curve, (outputs, 2 ** len(layout.blend), len(self.knots) + 1)),
             "engine_lines": (self.engine_lines, (len(self.engines), outputs, 2)),
             "switch_lines": (self.switch_lines, (len(layout.switches), outputs, 2)),
+            "air_lines": (self.air_lines, (len(layout.exponents), outputs, 2)),
+            "air_seen": (self.air_seen, (len(layout.exponents), 2)),
         }
         for name, (array, shape) in shapes.items():
             if array.shape != shape and (array.size or shape[0]):
@@ -269,6 +306,12 @@ def corner_weights(x: FloatArray) -> FloatArray:
     corners = np.array(list(product((False, True), repeat=x.shape[-1])), dtype=bool)
     x = np.clip(x, 0.0, 1.0)[..., None, :]
     return np.asarray(np.where(corners, x, 1.0 - x).prod(axis=-1))
+
+
+def centred_ratios(ratios: FloatArray, seen: FloatArray) -> FloatArray:
+    """Logarithms of ratios (..., n) within the ranges `seen` (n, 2), from the middle of each."""
+    low, high = seen.T
+    return np.asarray(np.clip(ratios, low, high) - 0.5 * (low + high))
 
 
 def scaled_driver(z: FloatArray, knots: FloatArray) -> FloatArray:

@@ -82,7 +82,17 @@ def with_bad_input():
         (lambda: check_records([], 1), "at least one record is needed, found none"),
         (
             lambda: check_records([Record(np.zeros(3), np.zeros(3), "flight")], 3),
-            "flight: a record needs more than 3 samples, found 3",
+            (
+                "flight: a record needs more than 3 samples, found 3. Leave this record out, or "
+                "join it to the one that it was cut from"
+            ),
+        ),
+        (
+            lambda: check_records([Record(np.zeros((9, 0)), np.zeros(9), "flight")], 3),
+            (
+                "flight: expected an input and an output at least, found 0 and 1. "
+                "Give arrays of shape (time, channels)"
+            ),
         ),
         (
             lambda: check_records(

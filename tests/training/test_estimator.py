@@ -142,7 +142,10 @@ def test_without_a_past_nothing_is_predicted(lag_record):
         ),
         (
             lambda model, u, y: model.score([(u, y)], start=len(u)),
-            "record 1: a record needs more than 200 samples, found 200",
+            (
+                "record 1: a record needs more than 200 samples, found 200. Leave this record out, "
+                "or join it to the one that it was cut from"
+            ),
         ),
         (
             lambda model, u, y: model.score([(u, np.hstack([y, y]))]),

@@ -5,7 +5,7 @@ import pytest
 
 from data_prep.log import Log, Source
 from narxcal.atmosphere import air_state
-from narxcal.support.errors import ConfigError
+from narxcal.support.errors import ConfigError, DataError
 from training.config import RunConfig
 from training.steady_choice import chosen_layout, steady_state
 
@@ -107,6 +107,36 @@ def test_switches_that_hide_each_other_are_used_together():
     assert chosen_layout(config(), flights).switches == ("NAI", "WAI")
 
 
+def with_own_exponents(channels):
+    """Exponents of theta and delta as engines have them, not those of similarity."""
+    air = air_state(channels["ALT_ft"], channels["Mach"], channels["dT_C"])
+    n1, egt = as_asked({**channels, "Mach": 0.0})
+    n1 = n1 * air.theta2**0.42 * air.delta2**-0.01
+    return n1, (egt + 273.15) * air.theta2**0.8 - 273.15
+
+
+def test_exponents_of_the_air_are_fitted_and_stay_away_where_similarity_is_exact():
+    high = flight(9, with_own_exponents)
+    above = high.with_channels({"ALT_ft": high["ALT_ft"] * 0.1 + 33000.0})
+    truth = np.column_stack(with_own_exponents(above.channels))
+    left = {}
+    for exponents in ("auto", []):
+        asked = config(exponents=exponents)
+        model, _ = steady_state(asked, None, logs(with_own_exponents))
+        assert model.layout.exponents == (("theta", "delta") if exponents else ())
+        error = model.outputs(above.matrix(model.input_names)) - truth
+        left[bool(exponents)] = np.sqrt((error**2).mean(axis=0))
+    assert (left[True] < 0.7 * left[False]).all()
+    model, _ = steady_state(config(), None, logs(similar))
+    assert np.abs(model.air_lines[:, 0, 0]).max(initial=0.0) < 1.0  # % per unit of ln ratio
+
+
+def test_air_that_is_not_recorded_is_said_to_be_assumed():
+    layout = chosen_layout(config(inputs=["TRA_deg", "ALT_ft"]), logs(similar))
+    assert (layout.corrected, layout.assumed) == (True, ("Mach", "dT_C"))
+    assert chosen_layout(config(), logs(similar)).assumed == ()
+
+
 def test_one_recording_is_judged_on_stretches_of_itself():
     layout = chosen_layout(config(), logs(bled, ("NAI",), count=1))
     assert (layout.corrected, layout.switches) == (True, ("NAI",))
@@ -118,7 +148,7 @@ def test_a_switch_that_one_flight_does_not_record_is_not_used():
 
 
 def test_what_is_configured_is_not_asked_of_the_logs():
-    asked = {"corrected": False, "blend": ["ALT_ft"], "switches": ["ECS"]}
+    asked = {"corrected": False, "blend": ["ALT_ft"], "switches": ["ECS"], "exponents": []}
     layout = chosen_layout(config(**asked), logs(bled, ("ECS", "NAI")))
     assert (layout.corrected, layout.blend, layout.switches) == (False, ("ALT_ft",), ("ECS",))
     assert layout.input_names[-1] == "ECS"
@@ -127,6 +157,16 @@ def test_what_is_configured_is_not_asked_of_the_logs():
 def test_corrected_parameters_are_no_choice_without_altitude():
     asked = config(inputs=["TRA_deg", "Mach"], switches=[])
     assert chosen_layout(asked, logs(as_asked)).corrected is False
+
+
+def test_logs_that_are_never_quasi_steady_are_refused_with_what_to_do():
+    moving = {"N1_pct": np.linspace(20.0, 100.0, 40)}
+    short = [log.part(0, 40).with_channels(moving) for log in logs(similar)]
+    with pytest.raises(DataError) as caught:
+        steady_state(config(), None, short)
+    assert str(caught.value).startswith(
+        "channel TRA_deg: expected at least 50 quasi-steady samples, found 0. Raise [quasi_steady]"
+    )
 
 
 def test_what_is_no_switch_is_refused():

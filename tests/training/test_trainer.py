@@ -182,6 +182,18 @@ def test_what_a_masked_sample_held_has_no_influence(lag_record):
     assert free_run_r2(fits[0], lag_record(9)) > 0.97
 
 
+@pytest.mark.parametrize("every", [2, 400])
+def test_outputs_of_which_no_two_successive_samples_are_known_give_a_finite_model(
+    every, lag_record
+):
+    one = lag_record()
+    rows = np.arange(len(one)) % every == 0
+    sparse = replace(one, y=np.where(rows[:, None], one.y, np.nan))
+    config = TrainConfig(horizons_s=(20.0,), iterations=(2,))
+    found = fit_narx(Material([sparse], [], 1.0), NarxConfig(lags=2, hidden=2), config)
+    assert np.isfinite(found.model.simulate(one.u, one.y[:1])).all()
+
+
 def test_a_horizon_shorter_than_a_sample_is_one_sample(lag_record):
     config = TrainConfig(horizons_s=(0.01,), iterations=(1,), score_every_s=1.0, threads=1)
     one = TrainConfig(horizons_s=(1.0,), iterations=(1,), score_every_s=1.0, threads=1)
@@ -196,7 +208,10 @@ def test_a_horizon_shorter_than_a_sample_is_one_sample(lag_record):
         (
             [Record(np.zeros(1), np.zeros(1), "short")],
             [],
-            "short: a record needs more than 1 samples, found 1",
+            (
+                "short: a record needs more than 1 samples, found 1. Leave this record out, or "
+                "join it to the one that it was cut from"
+            ),
         ),
         (
             [Record(np.zeros(50), np.full(50, np.nan), "dark")],
