@@ -23,7 +23,6 @@ import numpy as np
 from data_prep.log import Log
 from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.calibration.lead import KINDS, Kind, Lead
-from narxcal.intervals import HalfWidths, joined
 from narxcal.support.arrays import FloatArray, known_mean
 from narxcal.support.errors import DataError
 from training.baselines import Baselines, run_of
@@ -52,6 +51,15 @@ class HeldOut(NamedTuple):
     lags_s: FloatArray
 
 
+class HeldRun(NamedTuple):
+    """Free run over a log that was held out, its steady state and measurement, (time, outputs)."""
+
+    steady: FloatArray
+    model: FloatArray
+    measured: FloatArray
+    recording: str
+
+
 class Judged(NamedTuple):
     """A held-out log: its figures, and free runs (1 + kinds, time, outputs) with what they model.
 
@@ -70,7 +78,7 @@ class Leading:
     """What leads, and the figures of all models over the held-out `logs` that say so.
 
     Without any the network leads, and `status` says why. `whole` tells recordings from parts of a
-    single one, of which each has conditions of its own. `interval` is that of what leads.
+    single one, of which each has conditions of its own. `free_runs` are those of what leads.
     """
 
     leads: tuple[Lead, ...]
@@ -79,7 +87,7 @@ class Leading:
     held_out: HeldOut
     status: str
     whole: bool = True
-    interval: HalfWidths | None = None
+    free_runs: tuple[HeldRun, ...] = ()
 
     @property
     def errors(self) -> FloatArray:
@@ -176,20 +184,16 @@ def choose_leads(
     )
     status = f"chosen on {len(held)} held-out parts of the training logs"
     whole = len({log.source.file for log in logs}) > 1
-    interval = _interval(held, leads)
-    return Leading(leads, calibration.output_names, tuple(names), stacked, status, whole, interval)
+    free = tuple(_led(one, leads) for one in held)
+    return Leading(leads, calibration.output_names, tuple(names), stacked, status, whole, free)
 
 
-def _interval(held: Sequence[Judged], leads: Sequence[Lead]) -> HalfWidths | None:
-    """Interval of what leads in each output, from the held-out logs."""
-    rows = dict.fromkeys(range(held[0].measured.shape[1]), 0)
-    rows |= {lead.channel: 1 + KINDS.index(lead.kind) for lead in leads}
-    led = list(rows.values()), list(rows)
-    free = [
-        (one, np.stack([one.models[row][:, k] for row, k in zip(*led, strict=True)], axis=1))
-        for one in held
-    ]
-    return joined([(np.abs(one.steady - y), y - one.measured, one.recording) for one, y in free])
+def _led(one: Judged, leads: Sequence[Lead]) -> HeldRun:
+    """The held-out free run of what leads in each output."""
+    y = one.models[0].copy()
+    for lead in leads:
+        y[:, lead.channel] = one.models[1 + KINDS.index(lead.kind)][:, lead.channel]
+    return HeldRun(one.steady, y, one.measured, one.recording)
 
 
 def lead_folds(logs: Sequence[Log]) -> tuple[list[Log], list[Fold]]:

@@ -41,7 +41,7 @@ from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import METHODS, STATIC, RunConfig
 from training.identify import identify, static_laws
 from training.lags import choose_form, fit_lags
-from training.lead import Leading, choose_leads, network_leads
+from training.lead import HeldRun, Leading, choose_leads, network_leads
 from training.masking import learnable
 from training.network import (
     FitResult,
@@ -119,7 +119,8 @@ def calibrate(
         steady, quality = steady_state(config, base, split.train)
     split = split.held(steady.input_names)
     if method == METHODS[0]:
-        config, calibration, found = _narx(config, base, steady, split, options)
+        config, calibration, leading, found = _narx(config, base, steady, split, options)
+        held = leading.free_runs
     else:
         options.stage(f"identifying by {method}", 0, 1)
         known = law or identify(config, steady, split.train)
@@ -127,8 +128,9 @@ def calibrate(
         found = {"training": {"status": known.status, "score": [], "history": []}}
         found["identify"] = known.document()
         found["baselines"] = fit_baselines(calibration, split.train)
-    if calibration.interval is None:
-        calibration = calibration.with_interval(_validated(calibration, split.validate))
+        held = ()
+    held = held or free_runs(calibration, split.validate)
+    calibration = calibration.with_interval(interval_of(held))
     calibration = calibration.reaching(*input_reach(split.train, calibration.input_names))
     found["training"]["wall_s"] = time.perf_counter() - began
     meta = _provenance(given, base, split) | {
@@ -136,7 +138,7 @@ def calibrate(
         "steady_state": _quality_row(quality, steady),
         **found,
         "free_run": free_run_fit(calibration, split.train),
-        "fuser_noise": fuser_noise(calibration, split).to_dict(),
+        "fuser_noise": fuser_noise(calibration, split, held).to_dict(),
         "screening": learned.row(),
         "redundancy": redundancy_of(calibration, learned.train),
     }
@@ -145,7 +147,7 @@ def calibrate(
 
 def _narx(
     config: RunConfig, base: Path, steady: SteadyStateModel, split: Split, options: TrainOptions
-) -> tuple[RunConfig, Calibration, dict[str, Any]]:
+) -> tuple[RunConfig, Calibration, Leading, dict[str, Any]]:
     """Fit lags and network, choose what leads; returns the configuration with the lags' form."""
     config, choice = choose_form(
         config, steady, split.train, partial(options.stage, "choosing the lags")
@@ -163,18 +165,7 @@ def _narx(
         "baselines": baselines,
         "lead": leading.row(),
     }
-    return config, calibration.with_leads(leading.leads).with_interval(leading.interval), rows
-
-
-def _validated(calibration: Calibration, logs: Sequence[Log]) -> HalfWidths | None:
-    """Interval from the validation `logs`, which served to stop the training and nothing else."""
-    parts = []
-    for log in logs:
-        own = calibration_for(calibration, log)
-        run = run_of(own, log)
-        free = own.simulate(log.matrix(own.input_names), run.measured[0])
-        parts.append((np.abs(run.steady - free), free - run.measured, log.source.file))
-    return joined(parts)
+    return config, calibration.with_leads(leading.leads), leading, rows
 
 
 def _leading(
@@ -319,23 +310,39 @@ def _record_hash(record: Record) -> str:
     return hashlib.sha256(shapes + record.u.tobytes() + record.y.tobytes()).hexdigest()
 
 
-def fuser_noise(calibration: Calibration, split: Split) -> NoiseModel:
-    """Estimate the fuser's noise from logs the network was not fitted to, where there are any.
+def free_runs(calibration: Calibration, logs: Sequence[Log]) -> tuple[HeldRun, ...]:
+    """Free runs over `logs` from their first measured outputs."""
+    found = []
+    for log in logs:
+        own = calibration_for(calibration, log)
+        run = run_of(own, log)
+        model = own.simulate(log.matrix(own.input_names), run.measured[0])
+        found.append(HeldRun(run.steady, model, run.measured, log.source.file))
+    return tuple(found)
+
+
+def interval_of(held: Sequence[HeldRun]) -> HalfWidths | None:
+    """Half-widths over the distance from steady state; None without held-out measurements."""
+    return joined(
+        [(np.abs(one.steady - one.model), one.model - one.measured, one.recording) for one in held]
+    )
+
+
+def fuser_noise(calibration: Calibration, split: Split, held: Sequence[HeldRun] = ()) -> NoiseModel:
+    """Estimate the fuser's noise from held-out free runs, or those of validation or training logs.
 
     The logs are smoothed, while online the fuser gets raw measurements: the measurement noise is
     therefore at least what smoothing removed.
     """
     outputs = calibration.output_names
-    logs = split.validate or split.train
-    if any(not any(log.recorded([name]) for log in logs) for name in outputs):
-        logs = (*split.validate, *split.train)
-    measured, predicted = [], []
-    for log in logs:
-        own = calibration_for(calibration, log)
-        measured.append(log.matrix(own.output_names))
-        predicted.append(own.simulate(log.matrix(own.input_names), measured[-1][0]))
-    found = estimate_noise(measured, predicted, calibration.dt_s)
-    removed = [_smoothed_away(name, logs) for name in outputs]
+    held = held or free_runs(calibration, split.validate)
+    measured = np.concatenate([one.measured for one in held]) if held else np.full((1, 1), np.nan)
+    if not np.isfinite(measured).any(axis=0).all():
+        held = [*held, *free_runs(calibration, split.train)]
+    found = estimate_noise(
+        [one.measured for one in held], [one.model for one in held], calibration.dt_s
+    )
+    removed = [_smoothed_away(name, (*split.validate, *split.train)) for name in outputs]
     return replace(found, measurement_variance=np.maximum(found.measurement_variance, removed))
 
 

@@ -17,6 +17,9 @@ Per channel, in channel units; k counts samples of the sampling interval `dt_s`:
 | r | `measurement_variance` | variance of the sensor's noise | channel^2 |
 | p0 | `initial_variance` | mean square of b, where a filter starts | channel^2 |
 
+phi is fitted to means over a second, the rest to samples: over a few samples the error of a free
+run is smooth, which samples alone take for a random walk that never returns to the model.
+
 Process noise grows during transients: a dynamic model's error changes while the engine moves and
 shortly after, and hardly in equilibrium. With constant process noise a filter either lags a slam or
 follows the noise.
@@ -26,16 +29,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from itertools import pairwise
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from scipy.optimize import minimize
 
-from narxcal.support.arrays import BoolArray, FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray, known_mean
 from narxcal.support.compiled import compiled
 from narxcal.support.errors import DataError, ModelError
 
 MIN_SAMPLES = 50
+_BLOCK_S = 1.0  # as fast as an engine's outputs respond
 # Bounds of log(variance / r): outside them one of the two sources carries no information.
 _LOG_RATIO = (-25.0, 15.0)
 _LOG_ACTIVITY = float(np.log(100.0))  # longest time constant of the activity, in samples
@@ -142,7 +147,7 @@ def estimate_noise(
     change = np.concatenate([np.diff(a, axis=0, prepend=a[:1]) for a in p])
     deviation = np.concatenate(z) - np.concatenate(p)
     columns = [
-        _channel(deviation[:, i], change[:, i], starts, names[i] if names else f"number {i}")
+        _channel(deviation[:, i], change[:, i], starts, dt_s, names[i] if names else f"number {i}")
         for i in range(deviation.shape[1])
     ]
     return NoiseModel(dt_s, *np.array(columns).T)
@@ -154,7 +159,7 @@ def _records(values: FloatArray | Sequence[FloatArray]) -> list[FloatArray]:
 
 
 def _channel(
-    deviation: FloatArray, change: FloatArray, starts: BoolArray, name: str
+    deviation: FloatArray, change: FloatArray, starts: BoolArray, dt_s: float, name: str
 ) -> tuple[float, float, float, float, float, float]:
     """Estimate the fields of a noise model, in their order there, for one channel `(time,)`."""
     known = np.isfinite(deviation)
@@ -166,24 +171,56 @@ def _channel(
         )
     square = float(np.mean(deviation[known] ** 2)) + np.finfo(float).tiny
     change_square = float(np.mean(change**2)) + np.finfo(float).tiny
-    unit = deviation / np.sqrt(square), change / np.sqrt(change_square), starts
-
-    def cost(theta: FloatArray) -> float:
-        return float(_likelihood(*unit, _parameters(theta))[0])
-
+    unit = _Scaled(deviation / np.sqrt(square), change / np.sqrt(change_square), starts)
+    size = max(1, min(round(_BLOCK_S / dt_s), int(known.sum()) // MIN_SAMPLES))
     # A bias that lasts longer than the record cannot be distinguished from a constant one.
-    longest = np.log(max(4.0, float(known.sum())))
-    bounds = [(np.log(2.0), longest), _LOG_RATIO, _LOG_RATIO, (0.0, _LOG_ACTIVITY)]
-    fits = [
-        minimize(cost, (0.8 * longest, start, start, 1.5), method="L-BFGS-B", bounds=bounds)
-        for start in _STARTS
-    ]
-    best = _parameters(min(fits, key=lambda fit: float(fit.fun)).x)
+    longest = np.log(max(4.0, known.sum() / size))
+    coarse = _fitted(unit.blocks(size), (np.log(2.0), longest)) if size > 1 else None
+    lasting = (np.log(2.0), longest)
+    if coarse is not None:
+        samples = -float(np.log1p(-(coarse[0] ** (1.0 / size))))
+        lasting = (samples, samples)
+    best = _fitted(unit, lasting)
     phi, q, g, rho = (float(v) for v in best)
     r = max(float(_likelihood(*unit, best)[1]) * square, np.finfo(float).tiny)
     q *= r
     g *= r / change_square
     return phi, q, g, rho, r, max(square - r, q)
+
+
+class _Scaled(NamedTuple):
+    """Deviation and change of the prediction (time,) in units of their RMS; where records start."""
+
+    deviation: FloatArray
+    change: FloatArray
+    starts: BoolArray
+
+    def blocks(self, size: int) -> _Scaled:
+        """Means of `size` samples of one record, of a constant prediction; NaN where unmeasured."""
+        edges = [*np.flatnonzero(self.starts).tolist(), len(self.starts)]
+        rows = np.concatenate(
+            [np.arange(a, a + (b - a) // size * size) for a, b in pairwise(edges)]
+        ).reshape(-1, size)
+        return _Scaled(
+            known_mean(self.deviation[rows], axis=1),
+            np.zeros(len(rows)),
+            self.starts[rows[:, 0]],
+        )
+
+
+def _fitted(unit: _Scaled, lasting: tuple[float, float]) -> FloatArray:
+    """Phi, q, g and rho of most likelihood; `lasting` bounds the logarithm of 1 / (1 - phi)."""
+
+    def cost(theta: FloatArray) -> float:
+        return float(_likelihood(*unit, _parameters(theta))[0])
+
+    first = lasting[0] if lasting[0] == lasting[1] else 0.8 * lasting[1]
+    bounds = [lasting, _LOG_RATIO, _LOG_RATIO, (0.0, _LOG_ACTIVITY)]
+    fits = [
+        minimize(cost, (first, start, start, 1.5), method="L-BFGS-B", bounds=bounds)
+        for start in _STARTS
+    ]
+    return _parameters(min(fits, key=lambda fit: float(fit.fun)).x)
 
 
 def _parameters(theta: FloatArray) -> FloatArray:

@@ -68,6 +68,25 @@ def test_records_are_never_joined_across_their_border():
     )
 
 
+def test_an_error_that_is_smooth_from_sample_to_sample_still_returns_to_the_model():
+    """At 16 Hz a smooth error that lasts 10 s looks like a random walk, its means over 1 s do not.
+
+    A fuser that took it for one would keep the last error for as long as nothing is measured.
+    """
+    draw, time, dt_s = np.random.default_rng(7), 16_000, 1.0 / 16.0
+    lasting = np.exp(-dt_s / 10.0)
+    b = lfilter([np.sqrt(1.0 - lasting**2)], [1.0, -lasting], draw.normal(size=time))
+    b = np.convolve(b, np.ones(8) / 8.0, mode="same")
+    p = 60.0 + np.zeros(time)
+    z = p + b + 0.003 * draw.normal(size=time)
+    noise = estimate_noise(z, p, dt_s)
+    assert 5.0 < -dt_s / np.log(noise.bias_decay[0]) < 20.0
+    hidden = np.arange(time) * dt_s % 60.0 >= 30.0
+    seen = np.where(hidden, np.nan, z)
+    fused = KalmanFuser(noise).run(p[:, None], seen[:, None])
+    assert np.std((fused.values[:, 0] - p - b)[hidden]) < np.std(b[hidden])
+
+
 def test_channels_are_estimated_one_by_one():
     a, b = record(4_000, 7), record(4_000, 8, measurement=3.0)
     both = estimate_noise(np.column_stack([a[2], b[2]]), np.column_stack([a[0], b[0]]), 0.1)
