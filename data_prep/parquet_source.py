@@ -1,4 +1,4 @@
-"""Columns of a Parquet file as float64, read in batches (needs the extra `parquet`)."""
+"""Parquet files (needs the extra `parquet`): columns read in batches, and logs written."""
 
 from __future__ import annotations
 
@@ -9,13 +9,40 @@ from data_prep.text_file import Head
 from narxcal.support.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from narxcal.support.arrays import FloatArray
 
 MAGIC = b"PAR1"
+_GROUP_ROWS = 100_000  # written at a time
 _SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+def arrow(path: Path) -> tuple[Any, Any]:
+    """Return the modules pyarrow and pyarrow.parquet; raises `ConfigError` without the extra."""
+    try:
+        import pyarrow as pa  # noqa: PLC0415 - an extra, needed for such files only
+        from pyarrow import parquet  # noqa: PLC0415 - likewise
+    except ImportError:
+        raise ConfigError(
+            "Parquet needs pyarrow",
+            file=path,
+            hint="Install it with: pip install 'narxcal[parquet]'",
+        ) from None
+    return pa, parquet
+
+
+def write_parquet(path: Path, columns: Mapping[str, FloatArray]) -> None:
+    """Write columns (rows,) as doubles; NaN, a missing sample, is null."""
+    pa, parquet = arrow(path)
+    schema = pa.schema([(name, pa.float64()) for name in columns])
+    rows = len(next(iter(columns.values())))
+    with parquet.ParquetWriter(path, schema) as file:
+        for start in range(0, rows, _GROUP_ROWS):
+            group = slice(start, start + _GROUP_ROWS)
+            arrays = [pa.array(values[group], from_pandas=True) for values in columns.values()]
+            file.write_table(pa.table(arrays, schema=schema))
 
 
 class ParquetSource:
@@ -32,15 +59,7 @@ class ParquetSource:
     def __init__(self, path: Path, time: str = "time_s") -> None:
         self.path = path
         self._time = time
-        try:
-            import pyarrow as pa  # noqa: PLC0415 - an extra, needed for such files only
-            from pyarrow import parquet  # noqa: PLC0415 - likewise
-        except ImportError:
-            raise ConfigError(
-                "reading Parquet needs pyarrow",
-                file=path,
-                hint="Install it with: pip install 'narxcal[parquet]'",
-            ) from None
+        pa, parquet = arrow(path)
         self._broken = (pa.ArrowException, OSError)
         self._numeric = (pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean)
         self._temporal = (pa.types.is_timestamp, pa.types.is_duration)

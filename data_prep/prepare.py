@@ -107,11 +107,15 @@ def prepare(
 
 
 def cautions(logs: Iterable[Log], tables: Preparation, outputs: Sequence[str] = ()) -> list[str]:
-    """Return the warnings about prepared logs, those of one kind in one line if they are many."""
+    """Return the warnings about prepared logs as `in_lines` words them."""
+    return in_lines(each for log in logs for each in Prepared(log, tables, tuple(outputs)).warnings)
+
+
+def in_lines(warnings: Iterable[LogWarning]) -> list[str]:
+    """Word the warnings about several logs, those of one kind in one line if they are many."""
     found: dict[str, list[LogWarning]] = {}
-    for log in logs:
-        for warning in Prepared(log, tables, tuple(outputs)).warnings:
-            found.setdefault(warning.kind, []).append(warning)
+    for warning in warnings:
+        found.setdefault(warning.kind, []).append(warning)
     return [line for group in found.values() for line in _lines(group)]
 
 

@@ -11,11 +11,12 @@ import pandas as pd
 
 from data_prep.clean import clean
 from data_prep.events import PUSH, Event
-from data_prep.log import Log
-from data_prep.prepare import Prepared
+from data_prep.log import Log, Source
+from data_prep.prepare import LogWarning, Prepared
 from data_prep.ranking import STRONG, pearson, ranked
 from data_prep.smooth import compare_windows, frequency_response, moving_average, smooth
 from eval.report.figures import WindowTrial
+from eval.report.page import PreparedLog
 from eval.report.view import LogView
 from eval.transients import AssessedEvent
 from narxcal.support.errors import DataError
@@ -49,6 +50,19 @@ class LogReport:
     def events(self) -> tuple[Event, ...]:
         """Its pushes and pulls."""
         return self.prepared.events
+
+    def summary(self, number: str) -> LogSummary:
+        """What is kept of the log; `number` is that of `PreparedLog`."""
+        return LogSummary(
+            name=self.log.name,
+            source=self.log.source,
+            document=self.to_dict(),
+            events=self.events,
+            ranking=self.ranking,
+            windows=self.windows,
+            warnings=self.prepared.warnings,
+            page=PreparedLog.drawn(self.view(), self.trial, number),
+        )
 
     def view(self) -> LogView:
         """The log as pages show it."""
@@ -95,6 +109,23 @@ class LogReport:
 _SPEEDS = ("fast", "slow", "small")
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LogSummary:
+    """What is kept of a prepared log once it is written: thousands of them fit into memory.
+
+    `document` is that of `LogReport.to_dict`.
+    """
+
+    name: str
+    source: Source
+    document: dict[str, Any]
+    events: tuple[Event, ...]
+    ranking: pd.DataFrame
+    windows: pd.DataFrame
+    warnings: tuple[LogWarning, ...]
+    page: PreparedLog
+
+
 def examine(raw: Log, config: RunConfig) -> LogReport:
     """Clean and smooth `raw` by the tables of `config`, and describe the result.
 
@@ -122,18 +153,18 @@ def examine(raw: Log, config: RunConfig) -> LogReport:
     )
 
 
-def events_table(reports: Sequence[LogReport]) -> pd.DataFrame:
+def events_table(logs: Sequence[LogSummary]) -> pd.DataFrame:
     """One row per event of all logs."""
+    events = [event for one in logs for event in one.events]
     columns = [*Event.__dataclass_fields__]
-    rows = [asdict(event) for one in reports for event in one.events]
-    return pd.DataFrame(rows, columns=columns)
+    return pd.DataFrame({name: [getattr(event, name) for event in events] for name in columns})
 
 
-def pearson_table(reports: Sequence[LogReport]) -> pd.DataFrame:
+def pearson_table(logs: Sequence[LogSummary]) -> pd.DataFrame:
     """One row per log, input and output: rho, and whether it is strong (|rho| >= 0.8)."""
     rows = [
-        {"log": one.log.name, "input": source, "output": target, "rho": rho}
-        for one in reports
+        {"log": one.name, "input": source, "output": target, "rho": rho}
+        for one in logs
         for target in one.ranking.columns
         for source, rho in one.ranking[target].items()
     ]
@@ -141,9 +172,9 @@ def pearson_table(reports: Sequence[LogReport]) -> pd.DataFrame:
     return table.assign(strong=table["rho"].abs() >= STRONG)
 
 
-def windows_table(reports: Sequence[LogReport]) -> pd.DataFrame:
+def windows_table(logs: Sequence[LogSummary]) -> pd.DataFrame:
     """One row per log, channel and window."""
-    return pd.concat([one.windows.assign(log=one.log.name) for one in reports], ignore_index=True)
+    return pd.concat([one.windows.assign(log=one.name) for one in logs], ignore_index=True)
 
 
 def _candidates(log: Log, config: RunConfig) -> list[str]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jinja2
+from markupsafe import Markup
 
 from data_prep.log import Audit, Source
 from eval.outcome import Outcome
@@ -65,12 +67,44 @@ def evaluate_page(header: RunHeader, views: Sequence[LogView], outcome: Outcome)
     )
 
 
-def prepare_page(
-    header: RunHeader, views: Sequence[LogView], trials: Sequence[figures.WindowTrial] = ()
-) -> str:
-    """Build the page of `prepare`: windows compared, ranking, events and the audit; no model."""
-    events = sum(len(view.events) for view in views)
-    return render("prepare.html.j2", header=header, logs=views, trials=trials, events=events)
+@dataclass(frozen=True, eq=False)
+class PreparedLog:
+    """One log on the page of `prepare`, as HTML that was drawn while the log was in memory.
+
+    `number` names its events on the page. The HTML is compressed: that of a thousand hours of
+    flight takes a quarter of a gigabyte.
+    """
+
+    name: str
+    number: str
+    events: int
+    trial: figures.WindowTrial
+    parts: Mapping[str, bytes]
+
+    @classmethod
+    def drawn(cls, view: LogView, trial: figures.WindowTrial, number: str) -> PreparedLog:
+        """Draw the parts of one log."""
+        macros: Any = _environment().get_template("macros.html.j2").module
+        parts = {
+            "overlay": macros.draw(figures.overlay(view)),
+            "windows": macros.draw(figures.windows(trial)),
+            "events": macros.contact_sheet(view, number),
+            "ranking": macros.rankings([view]),
+            "audit": macros.audits([view]),
+        }
+        packed = {name: zlib.compress(html.encode(), 1) for name, html in parts.items()}
+        return cls(view.name, number, len(view.events), trial, packed)
+
+    def part(self, name: str) -> Markup:
+        """HTML of the `overlay`, `windows`, `events`, `ranking` or `audit`."""
+        return Markup(zlib.decompress(self.parts[name]).decode())  # noqa: S704 - escaped when drawn
+
+
+def prepare_page(header: RunHeader, logs: Sequence[PreparedLog]) -> Iterator[str]:
+    """Yield the page of `prepare`: windows compared, ranking, events and the audit; no model."""
+    events = sum(log.events for log in logs)
+    template = _environment().get_template("prepare.html.j2")
+    return template.generate(header=header, logs=logs, events=events)
 
 
 def crossval_page(header: RunHeader, found: CrossValidation) -> str:

@@ -65,7 +65,7 @@ def _header(runs: Sequence[Run]) -> RunHeader:
     return RunHeader(
         title=f"Comparison: {run_config(runs[0].bundle)[0].name}",
         created=now(),
-        sources=data_files(runs[0].logs),
+        sources=data_files(log.source for log in runs[0].logs),
         versions=versions(),
         facts={one.name: f"{one.bundle.calibration.words}; {hash_words(one.bundle.sha256)}"
                for one in runs},

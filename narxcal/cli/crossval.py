@@ -61,7 +61,7 @@ def _header(config: RunConfig, logs: Sequence[Log], warnings: Sequence[str]) -> 
     return RunHeader(
         title=f"Cross-validation: {config.name}",
         created=now(),
-        sources=data_files(logs),
+        sources=data_files(log.source for log in logs),
         versions=versions(),
         config=config.model_dump_json(by_alias=True, indent=1),
         cautions=warnings,

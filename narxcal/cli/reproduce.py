@@ -187,7 +187,7 @@ def _header(found: Reproduction, options: Namespace) -> RunHeader:
         model=found.bundle.calibration.words,
         rules=rule_set.name,
         tolerances=f"Ti {words(rule_set.Ti)}; Tt {words(rule_set.Tt)} ({rule_set.source})",
-        sources=data_files(found.data.logs),
+        sources=data_files(log.source for log in found.data.logs),
         versions=versions(),
         facts={
             "Data": origin,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -203,7 +203,7 @@ def header_of(
         model=f"{bundle.calibration.words}, over {', '.join(bundle.calibration.input_names)}",
         rules=found.name,
         tolerances=f"Ti {words(found.Ti)}; Tt {words(found.Tt)} ({found.source})",
-        sources=data_files(logs),
+        sources=data_files(log.source for log in logs),
         versions=meta.get("versions", {}),
         facts={
             "Bundle": hash_words(read_document(run).get("sha256")),
@@ -226,9 +226,9 @@ def hash_words(sha256: str | None) -> str:
     )
 
 
-def data_files(logs: Sequence[Log]) -> list[Source]:
+def data_files(sources: Iterable[Source]) -> list[Source]:
     """Every recording once, however many parts it was split into."""
-    return list({(log.source.file, log.source.engine): log.source for log in logs}.values())
+    return list({(source.file, source.engine): source for source in sources}.values())
 
 
 def words(tolerance: Tolerance) -> str:

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
 STDOUT = Path("-")
 TIME_FORMAT = "%.15g"
+_BLOCK_ROWS = 1000  # of a table in text: within a processor's cache
 _DISK_ERRORS = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
 # A spreadsheet takes a cell that begins with one of these for a formula.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -333,12 +334,20 @@ def log_csv(channels: Mapping[str, ArrayLike], digits: int = 9) -> str:
 
     `time_s` has 15 significant digits, other channels `digits`.
     """
+    return "".join(csv_blocks(channels, digits))
+
+
+def csv_blocks(channels: Mapping[str, ArrayLike], digits: int = 9) -> Iterator[str]:
+    """Yield the text of `log_csv` in blocks, so that no more than one takes memory."""
+    yield ",".join(channels) + "\n"
     number = f"%.{digits}g"
     form = ",".join(TIME_FORMAT if name == "time_s" else number for name in channels) + "\n"
-    table = np.column_stack([np.asarray(values, float) for values in channels.values()])
-    # 0.0 is added, so that no -0 is printed.
-    text = "".join([form % tuple(row) for row in (table + 0.0).tolist()])
-    return ",".join(channels) + "\n" + text.replace("nan", "")
+    columns = [np.asarray(values, float) for values in channels.values()]
+    for start in range(0, len(columns[0]), _BLOCK_ROWS):
+        table = np.column_stack([values[start : start + _BLOCK_ROWS] for values in columns])
+        # 0.0 is added, so that no -0 is printed.
+        rows = (table + 0.0).ravel().tolist()
+        yield (form * len(table) % tuple(rows)).replace("nan", "")
 
 
 def text_cell(text: str) -> str:
