@@ -6,6 +6,7 @@ Signals and masks are `(time,)`, NaN where nothing was measured.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -103,6 +104,7 @@ class _Work:
     config: CleanConfig
     values: FloatArray = field(init=False)
     entries: list[AuditEntry] = field(init=False, default_factory=list)
+    _deviations: Deviations | None = field(init=False, default=None)  # of the present values
 
     def __post_init__(self) -> None:
         self.values = self.log[self.name].copy()
@@ -132,7 +134,9 @@ class _Work:
         return 2 * max(1, half) + 1
 
     def _gross(self, sigmas: float) -> BoolArray:
-        return gross_errors(self.values, self._window(), sigmas, self.config.method)
+        if self._deviations is None:
+            self._deviations = deviations(self.values, self._window())
+        return self._deviations.gross(sigmas, self.config.method)
 
     def _bursts(self) -> None:
         if not is_sensed(self.name):
@@ -151,6 +155,9 @@ class _Work:
 
     def _drop(self, mask: BoolArray, reason: Reason, *, repair_only: bool = False) -> None:
         """Repair the short runs of `mask`, mask the longer ones unless `repair_only`."""
+        if not mask.any():
+            return
+        self._deviations = None
         long = long_runs(mask, int((self.config.repair_s + _ROUNDING) / self.log.dt_s))
         short = mask & ~long
         long &= not repair_only
@@ -185,35 +192,72 @@ def running_median(values: FloatArray, window: int) -> FloatArray:
 def gross_errors(
     values: FloatArray, window: int, sigmas: float, method: Method = "3-sigma"
 ) -> BoolArray:
-    """Flag samples `(time,)` that deviate from the running median; NaN never does.
+    """Flag samples `(time,)` that deviate from the running median; NaN never does."""
+    return deviations(values, window).gross(sigmas, method)
 
-    Local: a sample has to leave the median by `sigmas` standard deviations of the residual
-    around it, on top of what the median itself moves within its window. A slam is monotone,
-    so its residual is zero; a peak is no sharper than the median around it.
+
+@dataclass(frozen=True)
+class Deviations:
+    """How far samples `(time,)` lie from the running median of `window`, for tests of any limit.
+
+    `known` are those that were measured, gaps between them are bridged. `swing` is what the median
+    itself moves within its window, `least` the smallest deviation that counts, `step` the
+    resolution of the channel. Of a constant channel nothing is known.
     """
+
+    window: int
+    known: BoolArray
+    residual: FloatArray
+    swing: FloatArray
+    least: float
+    step: float
+
+    @cached_property
+    def spread(self) -> FloatArray:
+        """Standard deviation of the residual around each sample."""
+        # The median of a quantised residual is short of its spread by up to half a step, and may
+        # be zero where the noise is not.
+        slow = 1.4826 * _slow_median(np.abs(self.residual), self.window)
+        return np.maximum(slow + 0.5 * self.step, self.step)
+
+    def gross(self, sigmas: float, method: Method) -> BoolArray:
+        """Flag gross errors.
+
+        Local: a sample has to leave the median by `sigmas` standard deviations of the residual
+        around it, on top of what the median itself moves within its window. A slam is monotone,
+        so its residual is zero; a peak is no sharper than the median around it.
+        """
+        away = np.abs(self.residual)
+        if method == "grubbs":
+            known = np.where(self.known, self.residual, np.nan)
+            flagged = _grubbs(known, self.window * _SPREAD_WINDOWS)
+            return flagged & (away > self.least + self.swing)
+        return self.known & (away > np.maximum(sigmas * self.spread, self.least) + self.swing)
+
+
+def deviations(values: FloatArray, window: int) -> Deviations:
+    """Take the running median of `window` samples off `values` `(time,)`."""
     low, high = robust_range(values)
-    known = np.isfinite(values)
     if not high > low:
-        return np.zeros(len(values), dtype=np.bool_)
+        none = np.zeros(len(values))
+        return Deviations(window, none > 0.0, none, none, 0.0, 0.0)
     filled = bridge_gaps(values)
     median = running_median(filled, window)
-    residual = filled - median
-    swing = peak_to_peak(median, window)
-    least = _LEAST_PART * (high - low)
-    if method == "grubbs":
-        flagged = _grubbs(np.where(known, residual, np.nan), window * _SPREAD_WINDOWS)
-        return flagged & (np.abs(residual) > least + swing)
-    # The median of a quantised residual is short of its spread by up to half a step, and may
-    # be zero where the noise is not.
-    step = resolution(values)
-    spread = 1.4826 * _slow_median(np.abs(residual), window)
-    spread = np.maximum(spread + 0.5 * step, step)
-    return known & (np.abs(residual) > np.maximum(sigmas * spread, least) + swing)
+    return Deviations(
+        window=window,
+        known=np.isfinite(values),
+        residual=filled - median,
+        swing=peak_to_peak(median, window),
+        least=_LEAST_PART * (high - low),
+        step=resolution(values),
+    )
 
 
 def _slow_median(values: FloatArray, window: int) -> FloatArray:
     """Median over ten windows, evaluated once per window and interpolated in between."""
-    coarse = np.nanmedian(_blocks(values, window), axis=1)
+    blocks = _blocks(values, window)
+    # Only the last one is padded, and a median that passes over NaN takes three times as long.
+    coarse = np.append(np.median(blocks[:-1], axis=1), np.nanmedian(blocks[-1]))
     slow = median_filter(coarse, size=_SPREAD_WINDOWS + 1, mode="nearest")
     centres = (np.arange(len(coarse)) + 0.5) * window
     return np.interp(np.arange(len(values)), centres, slow)

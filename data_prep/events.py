@@ -45,6 +45,8 @@ _NOISE_FACTOR = 8.0
 _MOVING = 0.05
 # A lever that pauses for less than this within one move has not finished it.
 _PAUSE_S = 0.5
+# The level from which a noisy move begins is the median of this many samples before it.
+_LEVEL_SAMPLES = 16
 # The rate of a noisy driver is computed over at least this time, and this many standard
 # deviations of the noise are no movement.
 _RATE_S = 0.25
@@ -334,7 +336,9 @@ class _Search:
         moving = np.flatnonzero(rate > _MOVING * rate.max())
         start, stop = first + int(moving[0]), first + int(moving[-1]) + self.width
         if self.driver.noise > 0.0:
-            start = _refined(sign * self.driver.values, self.driver.noise, start, stop)
+            first = max(0, start - _LEVEL_SAMPLES)
+            values = sign * self.driver.values[first : stop + 1]
+            start = _refined(values, self.driver.noise, start, first)
         return Move(start, stop, sign)
 
     def change(self, move: Move, window: int) -> float:
@@ -345,17 +349,22 @@ class _Search:
         return float((values[window:] - values[:-window]).max())
 
 
-def _refined(values: FloatArray, noise: float, start: int, stop: int) -> int:
-    """Extend the line through the first third of a noisy rise back to the resting level."""
-    level = float(np.median(values[max(0, start - 16) : start + 1]))
-    rise = float(values[stop]) - level
-    foot = np.flatnonzero(values[start : stop + 1] <= level + 4.0 * noise)
+def _refined(values: FloatArray, noise: float, start: int, first: int) -> int:
+    """Extend the line through the first third of a noisy rise back to the resting level.
+
+    `values` (time,) begin with sample `first` of the log, rest up to sample `start` and end with
+    the rise.
+    """
+    level = float(np.median(values[: start - first + 1]))
+    rise = float(values[-1]) - level
+    foot = np.flatnonzero(values[start - first :] <= level + 4.0 * noise)
     begin = start + (int(foot[-1]) if len(foot) else 0)
-    third = np.flatnonzero(values[begin : stop + 1] >= level + rise / 3.0)
+    third = np.flatnonzero(values[begin - first :] >= level + rise / 3.0)
     end = begin + (int(third[0]) if len(third) else 0)
     if rise <= 0.0 or end - begin < 2:
         return begin
-    slope, offset = np.polyfit(np.arange(begin + 1, end + 1), values[begin + 1 : end + 1], 1)
+    samples = np.arange(begin + 1, end + 1)
+    slope, offset = np.polyfit(samples, values[samples - first], 1)
     if slope <= 0.0:
         return begin
     lead = min(8.0 * noise / slope, begin)

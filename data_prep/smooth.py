@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Annotated, Literal
 
@@ -178,29 +178,30 @@ def compare_windows(
     for window in windows:
         SmoothConfig.parse({"window": window})
     rows = [
-        {"channel": name, **_judged(log[name], window, log.dt_s)}
+        {"channel": name, **judged}
         for name in channels
-        for window in windows
+        for judged in _judged(log[name], windows, log.dt_s)
     ]
     return pd.DataFrame(rows)
 
 
-def _judged(raw: FloatArray, window: int, dt_s: float) -> dict[str, float]:
-    error = raw - moving_average(raw, window)
+def _judged(raw: FloatArray, windows: Sequence[int], dt_s: float) -> Iterator[dict[str, float]]:
     pace = _pace(raw, _quarter_second(dt_s))
     known = np.isfinite(pace)
-    rest, fast = np.percentile(pace[known], (50, 95)) if known.any() else (np.nan, np.nan)
-    gain = frequency_response(window, np.array([1.0]), dt_s)[0]
-    return {
-        "window": window,
-        "window_s": window * dt_s,
-        "rms": _rms(error),
-        "rms_rest": _rms(error[known & (pace <= rest)]),
-        "rms_moving": _rms(error[known & (pace >= fast)]),
-        "noise_gain": float(window**-0.5),
-        "cutoff_hz": cutoff_hz(window, dt_s),
-        "gain_1_hz": float(gain),
-    }
+    low, high = np.percentile(pace[known], (50, 95)) if known.any() else (np.nan, np.nan)
+    resting, moving = known & (pace <= low), known & (pace >= high)
+    for window in windows:
+        error = raw - moving_average(raw, window)
+        yield {
+            "window": window,
+            "window_s": window * dt_s,
+            "rms": _rms(error),
+            "rms_rest": _rms(error[resting]),
+            "rms_moving": _rms(error[moving]),
+            "noise_gain": float(window**-0.5),
+            "cutoff_hz": cutoff_hz(window, dt_s),
+            "gain_1_hz": float(frequency_response(window, np.array([1.0]), dt_s)[0]),
+        }
 
 
 def _quarter_second(dt_s: float) -> int:

@@ -216,8 +216,9 @@ class WindowTrial:
 
 def windows(trial: WindowTrial) -> Picture:
     """Show what each moving-average window does to the signal and to its spectrum."""
-    figure = style.figure(10.0, 2.9)
-    left, right = figure.subplots(1, 2)
+    columns = 3
+    rows = -(-(len(trial.gain) + 1) // columns)
+    figure, left, right = style.pair(10.0, 2.9, legend_rows=rows)
     _excerpt(left, trial)
     for colour, (window, gain) in zip(style.CYCLE * 4, trial.gain.items(), strict=False):
         decibels = 20.0 * np.log10(np.maximum(np.abs(gain), 1e-3))
@@ -236,7 +237,7 @@ def windows(trial: WindowTrial) -> Picture:
     right.margins(x=0.0)
     for axes in (left, right):
         style.dress(axes)
-        style.legend(axes, columns=4)
+        style.legend(axes, columns=columns)
     chosen = f"The chosen window is {trial.chosen} samples."
     alt = (
         f"Moving average windows {', '.join(map(str, trial.gain))} on {trial.log}: signal and gain"
