@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from data_prep.log import Log
 from data_prep.reading import read_logs
 from narxcal.calibration.bundle import load_bundle, save_bundle
 from narxcal.cli import main
@@ -105,13 +104,71 @@ def test_prepare_again_replaces_its_own_results_with_the_same_bytes(project, nar
 
 def test_logs_that_would_share_a_file_get_numbers():
     names = ("a.csv.gz:left", "a.csv:left", "a:left", "a.csv:right#2")
-    logs = [Log(name, np.arange(3.0), {}) for name in names]
-    assert file_names(logs) == [
-        "logs/a_left.csv.gz",
-        "logs/a_left(2).csv.gz",
-        "logs/a_left(3).csv.gz",
-        "logs/a_right_2.csv.gz",
-    ]
+    assert file_names(names) == [
+        "logs/a_left", "logs/a_left(2)", "logs/a_left(3)", "logs/a_right_2"
+    ]  # fmt: skip
+
+
+@pytest.fixture
+def in_processes(monkeypatch):
+    """Even small files are worth a process."""
+    monkeypatch.setattr("narxcal.cli.prepare._BYTES_PER_PROCESS", 1)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_processes")
+def test_files_prepared_side_by_side_give_the_same_bytes(project, narxcal, tmp_path, monkeypatch):
+    monkeypatch.setattr("narxcal.cli.prepare.now", lambda: "now")
+    found = []
+    for jobs in (1, 3):
+        out = tmp_path / str(jobs)
+        args = ("prepare", project / "tiny.toml", "--out", out, "--jobs", jobs)
+        assert narxcal(*args).code == 0
+        files = (path for path in out.rglob("*") if path.is_file())
+        found.append({path.relative_to(out): path.read_bytes() for path in files})
+    assert found[0] == found[1]
+    assert len(found[0]) == 8
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("in_processes")
+@pytest.mark.parametrize("jobs", [1, 3])
+def test_the_first_file_that_cannot_be_read_is_named_and_nothing_stays(
+    project, narxcal, tmp_path, jobs
+):
+    data = shutil.copytree(project / "flights", tmp_path / "flights")
+    for number in (2, 3):
+        file = data / f"flight_{number}.csv"
+        file.write_text(file.read_text("utf-8").replace("\n0.", "\nx.", 1), "utf-8")
+    out = ("--out", tmp_path / "out", "--jobs", jobs)
+    done = narxcal("prepare", project / "tiny.toml", "--data", data, *out)
+    assert done.code == 2
+    assert done.err.startswith(f"narxcal: error: {data / 'flight_2.csv'}, channel time_s, row ")
+    assert list(tmp_path.iterdir()) == [data]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_prepared_logs_as_parquet_hold_what_the_csv_files_hold(project, narxcal, tmp_path):
+    pytest.importorskip("pyarrow", reason="the extra 'parquet' is not installed")
+    out = tmp_path / "prepared"
+    done = narxcal("prepare", project / "tiny.toml", "--out", out, "--parquet", "--json")
+    for log in strict(done.out)["logs"]:
+        text, table = pd.read_csv(out / log["prepared"]), pd.read_parquet(out / log["parquet"])
+        assert list(text) == list(table)
+        np.testing.assert_allclose(table["time_s"], text["time_s"], rtol=1e-14)
+        np.testing.assert_allclose(table, text, rtol=1e-8, atol=1e-300)
+        assert (table.isna() == text.isna()).all(axis=None)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_parquet_without_its_library_is_refused_before_any_work(
+    project, narxcal, tmp_path, monkeypatch
+):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    done = narxcal("prepare", project / "tiny.toml", "--out", tmp_path / "out", "--parquet")
+    assert done.code == 2
+    assert "Parquet needs pyarrow. Install it with: pip install 'narxcal[parquet]'" in done.err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_info_tells_what_the_model_is_and_where_it_comes_from(project, narxcal):

@@ -66,5 +66,5 @@ def test_without_pyarrow_the_extra_is_named(tmp_path, monkeypatch):
     with pytest.raises(ConfigError) as caught:
         read_logs(path)
     assert str(caught.value) == (
-        f"{path}: reading Parquet needs pyarrow. Install it with: pip install 'narxcal[parquet]'"
+        f"{path}: Parquet needs pyarrow. Install it with: pip install 'narxcal[parquet]'"
     )

@@ -19,6 +19,7 @@ from eval.report import tables
 from eval.report.event_figures import summary_figure
 from eval.report.figures import WindowTrial, residual_tests
 from eval.report.page import (
+    PreparedLog,
     RunHeader,
     crossval_page,
     evaluate_page,
@@ -69,6 +70,10 @@ def without_model(one: LogView) -> LogView:
     return replace(one, events=events, evaluation=None, residuals=())
 
 
+def prepared_page(header: RunHeader, one: LogView) -> str:
+    return "".join(prepare_page(header, [PreparedLog.drawn(one, trial(), "1-1")]))
+
+
 @pytest.fixture(scope="module")
 def evaluation(header, view, evaluated, outcome_of) -> str:
     trim = Trim(np.array([0.0, 1.0]), np.array([[-0.4], [0.2]]), (9,), 50)
@@ -79,7 +84,7 @@ def evaluation(header, view, evaluated, outcome_of) -> str:
 def test_every_page_is_sound_escaped_and_self_contained(evaluation, header, view, sound_page):
     pages = [
         evaluation,
-        prepare_page(header, [without_model(view())], [trial()]),
+        prepared_page(header, without_model(view())),
         crossval_page(header, folds([1.0, 6.0])),
         noise_page(header, Outcome(passed=None, headline="h"), [sweep()]),
     ]
@@ -110,9 +115,9 @@ def test_on_paper_two_drawings_fit_under_each_other(evaluation):
 
 def test_cautions_stand_at_the_head_of_a_page(header, view):
     cautioned = replace(header, cautions=[HOSTILE])
-    html = prepare_page(cautioned, [view()])
+    html = prepared_page(cautioned, without_model(view()))
     assert '<ul class="warnings"><li>&lt;script&gt;' in html[: html.index("</header>")]
-    assert '<ul class="warnings">' not in prepare_page(header, [view()])
+    assert '<ul class="warnings">' not in prepared_page(header, without_model(view()))
 
 
 def test_a_page_is_the_same_bytes_each_time(header, view):
@@ -236,7 +241,7 @@ def test_a_channel_that_is_masked_throughout_still_makes_a_page(header, view, so
 
 
 def test_the_prepare_page_shows_no_model_and_no_verdict(header, view):
-    html = prepare_page(header, [without_model(view())], [trial()])
+    html = prepared_page(header, without_model(view()))
     assert "PASS" not in html
     assert "not assessable" not in html
     assert html.count('<div class="card ">') == 3
@@ -329,7 +334,7 @@ def test_a_browser_shows_the_pages_from_files_without_complaint(
     sound_in_a_browser(
         {
             "evaluate": evaluation,
-            "prepare": prepare_page(header, [without_model(view())], [trial()]),
+            "prepare": prepared_page(header, without_model(view())),
             "crossval": crossval_page(header, folds([1.0, 6.0])),
             "denoise": noise_page(header, Outcome(passed=None, headline="h"), [sweep()]),
         }
