@@ -132,6 +132,7 @@ def examine(raw: Log, config: RunConfig) -> LogReport:
     Raises `DataError` for a log without the driver or without any of the outputs.
     """
     cleaned = clean(raw, config.clean)
+    del raw  # of a caller that keeps it no longer, too: an hour of a log takes megabytes
     log = smooth(cleaned, config.smooth)
     prepared = Prepared(log, config, config.narx.outputs)
     events = prepared.events

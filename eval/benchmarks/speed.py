@@ -9,6 +9,10 @@ runs the same network in turn with ours. Replay: CSV to CSV with the fuser on a 
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -44,8 +48,8 @@ _NETWORK = NarxConfig(lags=2, taps=(0, 1), hidden=30)
 
 
 def rows() -> list[Row]:
-    """Kernels against PyTorch, then replay against the clock."""
-    return [*kernel_rows(), *replay_rows()]
+    """Kernels against PyTorch, replay against the clock, preparation by processor time."""
+    return [*kernel_rows(), *replay_rows(), *preparation_rows()]
 
 
 def record_of(samples: int) -> Record:
@@ -191,7 +195,7 @@ def replay_rows(duration_s: float = 1440.0, steps: int = 5000) -> list[Row]:
     """Train briefly, since speed does not depend on the weights, then replay and step."""
     config, base = load_config("demo.toml")
     with TemporaryDirectory() as folder:
-        flight = _fly(Path(folder), duration_s)
+        flight = _fly(Path(folder), duration_s=duration_s)
         log, bundle = _briefly_trained(config, base, flight)
         model = ReplayModel.of(bundle)
         replay(model, flight, Path(folder) / "warm.csv")
@@ -226,10 +230,47 @@ def _step_row(bundle: Bundle, log: Log, steps: int) -> Row:
     return Row(_GROUP, what, slowest, "ms", 1.0, "at most", _SOURCE, remark)
 
 
-def _fly(folder: Path, duration_s: float) -> Path:
-    """One flight of the demonstration's engine, of this length."""
+def preparation_rows(duration_s: float = 6000.0) -> list[Row]:
+    """`narxcal prepare` of one flight at 10 Hz, without its start, by processor time."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        flight = _fly(folder, duration_s=duration_s, rate_hz=10.0, style="line")
+        config = folder / "run.toml"
+        config.write_text(_PREPARED.format(folder.as_posix(), flight.name), encoding="utf-8")
+        once = _prepare_s(config)
+        for copy in range(4):
+            shutil.copy(flight, folder / f"{copy}_{flight.name}")
+        five = _prepare_s(config)
+    hours = 4.0 * duration_s / 3600.0
+    note = f"13 channels at 10 Hz, {hours:.1f} hours, extrapolated; the start of 2 s is left out"
+    busy_s = 1000.0 * (five - once) / hours
+    what = "processor time of 1000 log-hours"
+    return [Row("prepare", what, busy_s, "s", 600.0, "at most", "issue: 5 min on two cores", note)]
+
+
+_PREPARED = """schema = "narxcal.config/1"
+name = "Benchmark"
+[logs]
+folder = "{}"
+files = ["*{}"]
+[split]
+train = ["*"]
+"""
+
+
+def _prepare_s(config: Path) -> float:
+    """Processor time of the command in one process."""
+    command = [sys.executable, "-m", "narxcal", "prepare", str(config), "--jobs", "1", "--quiet"]
+    before = os.times()
+    subprocess.run([*command, "--out", str(config.with_name("out"))], check=True)  # noqa: S603 - ours
+    after = os.times()
+    return sum(after[2:4]) - sum(before[2:4])  # of children, user and system
+
+
+def _fly(folder: Path, **plan_of_flight: object) -> Path:
+    """One flight of the demonstration's engine, with these values of its plan."""
     demo = load_scenario("demo")
-    plan = demo.plan.model_copy(update={"duration_s": duration_s})
+    plan = demo.plan.model_copy(update=plan_of_flight)
     truth = write_flights(folder, demo.model_copy(update={"plan": plan, "flights": 1}))
     return folder / str(truth["logs"][0]["file"])
 

@@ -87,14 +87,14 @@ class _Work:
             recorded = read_logs(file, self.config.logs)
             running = while_running(recorded, self.config.running)
             recorded.clear()
-            # Each log is let go before the next one is prepared.
-            parts = (f"{number}-{part}" for part in count(1))
-            return [self._of_log(running.pop(0), next(parts)) for _ in range(len(running))]
+            parts = range(1, len(running) + 1)
+            return [self._of_next(running, f"{number}-{part}") for part in parts]
         except NarxcalError as error:
             return error
 
-    def _of_log(self, raw: Log, number: str) -> LogSummary:
-        report = examine(raw, self.config)
+    def _of_next(self, logs: list[Log], number: str) -> LogSummary:
+        # Nothing but `examine` refers to the log, which it lets go of.
+        report = examine(logs.pop(0), self.config)
         for form in self.forms:
             _WRITERS[form](self.folder / f"{number}{form}", _columns(report.log))
         return report.summary(number)
