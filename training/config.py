@@ -169,13 +169,15 @@ class TrainConfig(Section):
 
     `optimiser` is Levenberg-Marquardt ("lm"), the same with geodesic acceleration ("geodesic"),
     which descends further where data are plenty, or "adam". `horizons_s` are the lengths of the
-    windows in seconds, 0 for whole logs, and `iterations` the steps at each. `starts` networks are
-    drawn from `seed` on and the best is kept. One sample in every `score_every_s` is scored.
-    Training stops early after `patience` steps without a lower free-run error on the validation
-    logs, where there are any. `local_trim` removes the static error from the training deviations
-    where the engine is in equilibrium as `still` defines it (see training.records). `rest_s` is
-    the length of the synthetic records of the return to equilibrium; 0 means none; with `rest_far`
-    there are more of them, they begin at large deviations, and the second half of each is scored.
+    windows in seconds, 0 for whole logs, and `iterations` the steps at each. Whole logs are run
+    from `restarts` places in each: from one alone, a network may learn that start by heart.
+    `starts` networks are drawn from `seed` on and the best is kept. One sample in every
+    `score_every_s` is scored. Training stops early after `patience` steps without a lower free-run
+    error on the validation logs, where there are any. `local_trim` removes the static error from
+    the training deviations where the engine is in equilibrium as `still` defines it (see
+    training.records). `rest_s` is the length of the synthetic records of the return to equilibrium;
+    0 means none; with `rest_far` there are more of them, they begin at large deviations, and the
+    second half of each is scored.
     With `emphasis = "motion"` transients weigh more than equilibrium, their onset most, and low
     power more than high. In each output the steady state, a first-order lag or an ARX model leads
     where it does better than the network on held-out parts of the training logs (see
@@ -187,6 +189,7 @@ class TrainConfig(Section):
         default=(5.0, 60.0), min_length=1
     )
     iterations: tuple[NonNegativeInt, ...] = (8, 12)
+    restarts: int = Field(default=1, ge=1, le=1000)
     starts: int = Field(default=1, ge=1, le=1000)
     seed: int = Field(default=0, ge=0, lt=2**63)
     decay: float = Field(default=1e-5, ge=0)

@@ -42,12 +42,18 @@ class Window:
 
 
 def cut_windows(
-    model: NarxModel, records: Sequence[Record], horizon: int | None, stride: int = 1
+    model: NarxModel,
+    records: Sequence[Record],
+    horizon: int | None,
+    stride: int = 1,
+    restarts: int = 1,
 ) -> list[Window]:
     """Cut records into windows of `horizon` steps (None: each record whole), in scaled units.
 
-    Only every `stride`-th sample is scored (neighbours tell nearly the same); the scored
-    weights are normalised so that the loss is a mean over outputs and samples.
+    A whole record is run from its beginning, and with more `restarts` than one also from as many
+    further places, each to its end. Only every `stride`-th sample is scored (neighbours tell nearly
+    the same); the scored weights are normalised so that the loss is a mean over outputs and
+    samples.
     """
     lags = model.config.lags
     windows: list[Window] = []
@@ -58,14 +64,21 @@ def cut_windows(
         tapped = tap(u, model.config.taps)
         root = _root_weight(record, y, stride)
         target = np.where(root > 0, y, 0.0)
-        length = horizon or len(y)
-        for first in range(1 if length >= len(y) else lags, len(y), length):
-            part = slice(first, min(first + length, len(y)))
+        for first, end in _cuts(len(y), horizon, lags, restarts):
+            part = slice(first, end)
             past = history_before(known, first, lags)
             windows.append(Window(tapped[part], target[part], root[part], past))
     scored = sum(float((window.root_weight**2).sum()) for window in windows)
     scale = 1.0 / np.sqrt(max(scored, 1e-12))
     return [Window(w.tapped, w.target, w.root_weight * scale, w.history) for w in windows]
+
+
+def _cuts(length: int, horizon: int | None, lags: int, restarts: int) -> list[tuple[int, int]]:
+    """First sample and end of every window of a record."""
+    if horizon is None or horizon >= length:
+        later = [length * k // restarts for k in range(1, restarts)]
+        return [(first, length) for first in (1, *later) if 1 <= first < length]
+    return [(first, min(first + horizon, length)) for first in range(lags, length, horizon)]
 
 
 def _root_weight(record: Record, y: FloatArray, stride: int) -> FloatArray:

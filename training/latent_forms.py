@@ -27,11 +27,13 @@ from training.search import (
     FEW,
     LAG,
     LATENT,
+    LATENT_RATES,
     OUTPUT_ERROR,
     PLENTY,
     Search,
     dead,
     most_samples,
+    near_the_best,
     step_cost,
 )
 
@@ -39,7 +41,6 @@ _HIDDEN = (4, 8, 16)
 _DECAYS = tuple(10.0**-k for k in range(2, 10))
 _STEPS = 8  # of Levenberg-Marquardt at each decay
 _DRAWS = 6  # of hidden units: their median is the model, so that it does not depend on one draw
-_FAR = 3.0  # times the lowest loss of the draws: twice its error or nearly so
 _FEWEST = 3  # forms of a round: then samples are saved
 _LEAST = 5.0  # rows per parameter; fewer determine nothing
 _SHARES = 0.3, 0.4, 0.9  # of what is left for orders, hidden units, and the best two
@@ -156,7 +157,7 @@ class _Latent:
     def _cost(self, shape: Shape, samples: int) -> float:
         """Nominal microseconds of a step on so many samples."""
         rows = min(float(shape.outputs * samples), 2.0 * PLENTY * shape.size)
-        return step_cost(samples, rows, shape.size, shape.states**2)
+        return step_cost(samples, rows, (shape.size, shape.states**2), LATENT_RATES)
 
     def _try(self, n: int, h: int, delay: tuple[int, ...], effort: _Effort) -> Tried:
         """One form along falling decays; its best decay over the folds."""
@@ -170,7 +171,9 @@ class _Latent:
             samples += sum(map(len, records))
             paths = self._paths(base, data, shape, effort.draws)
             for level, fits in zip(levels, paths, strict=True):
-                members = [model_of(each, data, search.scalings) for each in _near_the_best(fits)]
+                members = [
+                    model_of(each, data, search.scalings) for each in near_the_best(fits, _loss)
+                ]
                 level.append(Ensemble.median(members))
         tried = []
         for decay, models in zip(_DECAYS, levels, strict=True):
@@ -220,17 +223,15 @@ class _Latent:
         left = (search.work.budget - search.work.spent) / (cost * _DRAWS)
         steps = int(np.clip(left, 2, 8 * _STEPS)) if most < search.samples else 2
         members = []
-        for number, fitted in enumerate(_near_the_best(fits)):
+        for number, fitted in enumerate(near_the_best(fits, _loss)):
             search.watch(0.9 + 0.1 * number / len(fits), "fitting to all records")
             start = moved(fitted, model_of(fitted, data, search.scalings), every)
             ended, _, used = at_decay(start, every, decays[-1], steps)
             search.work.spend(cost * used)
             members.append((ended, model_of(ended, every, search.scalings)))
-        kept = _near_the_best([ended for ended, _ in members])
+        kept = near_the_best([ended for ended, _ in members], _loss)
         return Ensemble.median([model for ended, model in members if ended in kept])
 
 
-def _near_the_best(fits: Sequence[Fitted]) -> list[Fitted]:
-    """Fits of several draws without those that ended in a minimum far above the lowest one."""
-    least = min(fitted.loss for fitted in fits)
-    return [fitted for fitted in fits if fitted.loss <= _FAR * least]
+def _loss(fitted: Fitted) -> float:
+    return fitted.loss

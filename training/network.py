@@ -237,7 +237,7 @@ class _Run:
         dt_s = self.material.dt_s
         horizon = max(round(horizon_s / dt_s), 1) if horizon_s > 0 else None
         stride = max(round(self.config.score_every_s / dt_s), 1)
-        windows = cut_windows(self.model, records, horizon, stride)
+        windows = cut_windows(self.model, records, horizon, stride, self.config.restarts)
         return FreeRunProblem(self.model.net, windows, self.config.threads)
 
     def first_theta(self, start: int) -> FloatArray:

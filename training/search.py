@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -23,24 +24,42 @@ UNITS_PER_S = 1_000_000  # sample-steps of one nominal microsecond in a CPU seco
 _EMERGENCY = 4.0, 60.0  # the clock stops the search at so many times the limit and CPU s more
 _STEP = 0.6  # nominal microseconds of a free run's sample-step in addition to its products
 _CALL = 200.0  # nominal microseconds of a step of Levenberg-Marquardt on no samples
-# Multiply-adds in a nominal microsecond: of a least-squares product, of the recursion of
-# sensitivities, of J'J, of which half is computed, and of its factor.
-_LEAST_SQUARES, _RECURSION, _PRODUCT, _CHOLESKY = 4000.0, 10_000.0, 20_000.0, 15_000.0
+_LEAST_SQUARES = 4000.0  # multiply-adds of a least-squares product in a nominal microsecond
 LAG, ARX, OUTPUT_ERROR = "first-order lag", "ARX", "linear output error"
 NETWORK, LATENT, MEAN = "NARX network", "latent states", "mean"
 FEW = 400  # samples per fold on which no form is worth trying
 PLENTY = 30.0  # rows per parameter beyond which every further one is skipped while searching
 
+_FAR = 3.0  # times the lowest loss of several draws: twice its error or nearly so
+
 Watch = Callable[[float, str], None]
+T = TypeVar("T")
 
 
-def step_cost(samples: float, rows: float, size: int, fed: int) -> float:
+class Rates(NamedTuple):
+    """Multiply-adds in a nominal microsecond, measured on one core of 2.1 GHz.
+
+    Of the recursion of sensitivities, of J'J, of which half is computed, and of its factor.
+    """
+
+    recursion: float
+    product: float
+    factor: float
+
+
+LATENT_RATES = Rates(10_000.0, 20_000.0, 15_000.0)
+NETWORK_RATES = Rates(25_000.0, 40_000.0, 60_000.0)
+
+
+def step_cost(samples: float, rows: float, sizes: tuple[int, int], rates: Rates) -> float:
     """Nominal microseconds of a step of Levenberg-Marquardt on samples of which `rows` are scored.
 
-    `size` parameters act through `fed` products of sensitivities a sample.
+    `sizes` are the number of parameters, and the products of sensitivities a sample through which
+    each acts.
     """
-    own = samples * (_STEP + fed * size / _RECURSION) + rows * size**2 / _PRODUCT
-    return own + _CALL + size**3 / _CHOLESKY
+    size, fed = sizes
+    own = samples * (_STEP + fed * size / rates.recursion) + rows * size**2 / rates.product
+    return own + _CALL + size**3 / rates.factor
 
 
 def least_squares_cost(samples: float, width: int) -> float:
@@ -138,6 +157,12 @@ class Search:
     def show(self) -> None:
         """Tell how far the search is."""
         self.watch(min(0.1 + 0.8 * self.work.spent / self.work.budget, 0.9), "choosing")
+
+
+def near_the_best(fits: Sequence[T], loss: Callable[[T], float]) -> list[T]:
+    """Fits of several draws without those that ended in a minimum far above the lowest one."""
+    least = min(map(loss, fits))
+    return [fit for fit in fits if loss(fit) <= _FAR * least]
 
 
 def most_samples(cost: Callable[[int], float], units: float, limit: int) -> int:

@@ -258,3 +258,17 @@ def test_linear_feedback_stays_linear_whatever_trains_it(how):
         model.net.set_theta(step.theta)
     assert not model.net.hidden.weight[:, :4].any()
     assert (model.net.get_theta() != theta)[model.net.trained() == 1.0].mean() > 0.6
+
+
+def test_whole_records_are_run_from_several_places_with_the_measured_history():
+    model = make_model(NarxConfig(lags=3))
+    record = make_record(time=90)
+    windows = cut_windows(model, [record], None, restarts=3)
+    assert [len(window.target) for window in windows] == [89, 60, 30]
+    scaled = model.output_scaling.down(record.y)
+    for window, first in zip(windows[1:], (30, 60), strict=True):
+        np.testing.assert_allclose(window.target, scaled[first:])
+        np.testing.assert_allclose(window.history, scaled[first - 1 : first - 4 : -1].ravel())
+    assert sum((window.root_weight**2).sum() for window in windows) == pytest.approx(1.0)
+    short = cut_windows(model, [make_record(time=3)], None, restarts=9)
+    assert all(len(window.target) for window in short)

@@ -10,6 +10,7 @@ from narxcal.narx.config import NarxConfig
 from narxcal.record import Record
 from narxcal.support.errors import DataError
 from training.config import TrainConfig
+from training.free_run import FreeRunProblem, cut_windows
 from training.network import Material, fit_narx
 
 STRUCTURE = NarxConfig(lags=1, taps=(0,), hidden=3)
@@ -234,3 +235,13 @@ def test_unfit_records_are_refused(records, validation, message):
     with pytest.raises(DataError) as error:
         fit_narx(Material(records, validation, 1.0), STRUCTURE, SHORT)
     assert str(error.value) == message
+
+
+def test_a_network_is_judged_from_every_place_that_a_whole_record_is_run_from(lag_record):
+    update = {"horizons_s": (0.0,), "iterations": (3,), "starts": 1, "restarts": 3}
+    record = lag_record(noise=0.05)
+    result = fit_narx(Material([record], [], 1.0), STRUCTURE, SHORT.model_copy(update=update))
+    windows = cut_windows(result.model, [record], None, restarts=3)
+    assert len(windows) == 3
+    loss = FreeRunProblem(result.model.net, windows).loss(theta(result))
+    assert result.score == pytest.approx(np.sqrt(2.0 * loss))
