@@ -27,7 +27,6 @@ from training.search import (
     FEW,
     LAG,
     LATENT,
-    LATENT_RATES,
     OUTPUT_ERROR,
     PLENTY,
     Search,
@@ -157,7 +156,7 @@ class _Latent:
     def _cost(self, shape: Shape, samples: int) -> float:
         """Nominal microseconds of a step on so many samples."""
         rows = min(float(shape.outputs * samples), 2.0 * PLENTY * shape.size)
-        return step_cost(samples, rows, (shape.size, shape.states**2), LATENT_RATES)
+        return step_cost(samples, rows, shape.size, shape.states**2)
 
     def _try(self, n: int, h: int, delay: tuple[int, ...], effort: _Effort) -> Tried:
         """One form along falling decays; its best decay over the folds."""

@@ -14,16 +14,7 @@ from training.arx import arx_model
 from training.held_out import thinned
 from training.latent import Data, Fitted, Starts, fit_linear, model_of
 from training.ranking import Form
-from training.search import (
-    ARX,
-    LAG,
-    LATENT_RATES,
-    OUTPUT_ERROR,
-    Search,
-    dead,
-    least_squares_cost,
-    step_cost,
-)
+from training.search import ARX, LAG, OUTPUT_ERROR, Search, dead, least_squares_cost, step_cost
 
 ORDERS = (1, 2, 3, 4, 5, 6, 8)
 _ARX_ORDERS = (1, 2, 3, 5, 8, 15, 30)
@@ -93,5 +84,4 @@ def linear_model(
 
 def _cost(n: int, m: int, p: int) -> float:
     """Nominal microseconds per sample-step where every row is scored."""
-    size = Shape(n, m, p, 0, (0,) * m).size + n
-    return step_cost(1e3, 1e3 * p, (size, n * n), LATENT_RATES) / 1e3
+    return step_cost(1e3, 1e3 * p, Shape(n, m, p, 0, (0,) * m).size + n, n * n) / 1e3

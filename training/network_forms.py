@@ -28,7 +28,6 @@ from training.ranking import Form
 from training.search import (
     FEW,
     NETWORK,
-    NETWORK_RATES,
     PLENTY,
     Search,
     most_samples,
@@ -146,9 +145,7 @@ def _most(search: Search, share: float, effort: tuple[int, Sequence[float]], lim
 
 def _cost(search: Search, samples: int, rows: float) -> float:
     p = search.outputs
-    return step_cost(
-        samples, rows, (_size(search.inputs, p), STRUCTURE.lags * p * p), NETWORK_RATES
-    )
+    return step_cost(samples, rows, _size(search.inputs, p), STRUCTURE.lags * p * p)
 
 
 def _size(m: int, p: int) -> int:

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,42 +24,26 @@ UNITS_PER_S = 1_000_000  # sample-steps of one nominal microsecond in a CPU seco
 _EMERGENCY = 4.0, 60.0  # the clock stops the search at so many times the limit and CPU s more
 _STEP = 0.6  # nominal microseconds of a free run's sample-step in addition to its products
 _CALL = 200.0  # nominal microseconds of a step of Levenberg-Marquardt on no samples
-_LEAST_SQUARES = 4000.0  # multiply-adds of a least-squares product in a nominal microsecond
+# Multiply-adds in a nominal microsecond: of a least-squares product, of the recursion of
+# sensitivities, of J'J, of which half is computed, and of its factor.
+_LEAST_SQUARES, _RECURSION, _PRODUCT, _CHOLESKY = 4000.0, 10_000.0, 20_000.0, 15_000.0
 LAG, ARX, OUTPUT_ERROR = "first-order lag", "ARX", "linear output error"
 NETWORK, LATENT, MEAN = "NARX network", "latent states", "mean"
 FEW = 400  # samples per fold on which no form is worth trying
 PLENTY = 30.0  # rows per parameter beyond which every further one is skipped while searching
-
 _FAR = 3.0  # times the lowest loss of several draws: twice its error or nearly so
 
 Watch = Callable[[float, str], None]
 T = TypeVar("T")
 
 
-class Rates(NamedTuple):
-    """Multiply-adds in a nominal microsecond, measured on one core of 2.1 GHz.
-
-    Of the recursion of sensitivities, of J'J, of which half is computed, and of its factor.
-    """
-
-    recursion: float
-    product: float
-    factor: float
-
-
-LATENT_RATES = Rates(10_000.0, 20_000.0, 15_000.0)
-NETWORK_RATES = Rates(25_000.0, 40_000.0, 60_000.0)
-
-
-def step_cost(samples: float, rows: float, sizes: tuple[int, int], rates: Rates) -> float:
+def step_cost(samples: float, rows: float, size: int, fed: int) -> float:
     """Nominal microseconds of a step of Levenberg-Marquardt on samples of which `rows` are scored.
 
-    `sizes` are the number of parameters, and the products of sensitivities a sample through which
-    each acts.
+    `size` parameters act through `fed` products of sensitivities a sample.
     """
-    size, fed = sizes
-    own = samples * (_STEP + fed * size / rates.recursion) + rows * size**2 / rates.product
-    return own + _CALL + size**3 / rates.factor
+    own = samples * (_STEP + fed * size / _RECURSION) + rows * size**2 / _PRODUCT
+    return own + _CALL + size**3 / _CHOLESKY
 
 
 def least_squares_cost(samples: float, width: int) -> float:
