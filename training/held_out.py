@@ -13,6 +13,8 @@ from narxcal.support.arrays import FloatArray, spans
 
 FOLDS = 4
 WINDOW = 50  # measured samples before the longer of two held-out runs, at most a fifth of it
+_PARTS = 3  # of a record from which one fold holds blocks out
+_LONG = 4 * WINDOW  # samples of such a block at least
 SHORTEST = 8  # samples of a piece; fewer leave nothing to hold out
 
 
@@ -60,11 +62,9 @@ def folds_of(records: Sequence[Record], gap: int, count: int = 2 * FOLDS) -> lis
     else:
         each = -(-count // len(records))
         groups = [
-            [(k, first, first + _block(record, len(records), each))]
+            [(k, a, b) for a, b in blocks]
             for k, record in enumerate(records)
-            for first in np.linspace(0, len(record) - _block(record, len(records), each), each)
-            .astype(int)
-            .tolist()
+            for blocks in _blocks(len(record), _block(record, len(records), each), each)
         ]
     found = []
     for held in groups:
@@ -73,6 +73,21 @@ def folds_of(records: Sequence[Record], gap: int, count: int = 2 * FOLDS) -> lis
         if fit and runs:
             found.append(Fold(tuple(fit), tuple(runs)))
     return found
+
+
+def _blocks(length: int, held: int, turns: int) -> list[list[tuple[int, int]]]:
+    """In every turn `held` samples, in one to three blocks from different parts of a record."""
+    parts = min(max(held // _LONG, 1), _PARTS)
+    block, part = held // parts, length // parts
+    firsts = np.linspace(0, part - block, turns).astype(int).tolist()
+    return [
+        [
+            (first, first + block)
+            for i in range(parts)
+            for first in [i * part + firsts[(turn + i * turns // parts) % turns]]
+        ]
+        for turn in range(turns)
+    ]
 
 
 def _block(record: Record, records: int, each: int) -> int:

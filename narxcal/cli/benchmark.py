@@ -22,6 +22,10 @@ def add_options(parser: ArgumentParser) -> None:
         "--time-limit", metavar="S", type=float, default=120.0,
         help="CPU seconds for the choice on each set, as Narx(time_limit_s=...) (default 120)",
     )  # fmt: skip
+    parser.add_argument(
+        "--jax-python", metavar="PYTHON", type=Path,
+        help="interpreter of an environment with jax-sysid, to be compared with",
+    )  # fmt: skip
 
 
 def run(options: Namespace, console: Console) -> int:
@@ -36,7 +40,9 @@ def run(options: Namespace, console: Console) -> int:
             def watch(share: float, words: str, at: int = number, name: str = name) -> None:
                 advance(round(100 * (at + share)), 100 * len(names), f"{name}: {words}")
 
-            found += recipe.figures(options.data, name, options.time_limit, watch)
+            found += recipe.figures(
+                options.data, name, options.time_limit, watch, options.jax_python
+            )
     console.table(
         "RMSE of the free run on the official test range",
         ["set", "model", "recording", "RMSE", "NRMSE [%]", "CPU s"],
