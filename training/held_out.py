@@ -50,8 +50,10 @@ def known_start(y: FloatArray, samples: int) -> FloatArray:
 def folds_of(records: Sequence[Record], gap: int, count: int = 2 * FOLDS) -> list[Fold]:
     """Held-out records, or blocks where there are fewer than four; `gap` samples around left out.
 
-    Blocks are a sixth of all samples each and overlap by a third, so that what happens rarely is
-    not always at the edge of one.
+    A fold of blocks holds out a sixth of all samples. Long records give two or three shorter blocks
+    from different parts: a manoeuvre that is flown once would otherwise be held out whole, and the
+    folds would ask for what no fit can know. Blocks overlap by a third from fold to fold, so that
+    what happens rarely is not always at the edge of one.
     """
     if len(records) >= FOLDS:
         turns = min(count, len(records))

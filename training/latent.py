@@ -37,21 +37,24 @@ _STATE_DECAY = 1e-6  # on initial states: where a record does not show them, the
 _LINEAR_DECAY = 1e-9  # on linear models: keeps a change of state coordinates where it is
 _LINEAR_STEPS = 40
 _LENGTHS = (1, 2, 3, 5, 8, 15, 30, 60)
-_MOST_POLE = 0.9995  # of a start
-_LARGEST = 0.99995  # of a linear model: it remembers its start for 20,000 samples
+_STABLE = 0.9995  # largest pole of an ARX model that is realised
+_SETTLED = 5.0  # time constants in the longest record, after which 1 % of a start is left
 
 
 @dataclass(frozen=True, eq=False)
 class Data:
     """Records in scaled units: delayed inputs (T, m), outputs (T, p) and root weights (T, p).
 
-    `measured` are the outputs with NaN where masked; in `outputs` they are 0 there.
+    `measured` are the outputs with NaN where masked; in `outputs` they are 0 there. `slowest` is
+    the largest pole of a linear model: a mode that does not settle within the longest record can't
+    be told from drift there, and drifts in other records.
     """
 
     inputs: tuple[FloatArray, ...]
     outputs: tuple[FloatArray, ...]
     roots: tuple[FloatArray, ...]
     measured: tuple[FloatArray, ...]
+    slowest: float
 
     @classmethod
     def of(
@@ -60,10 +63,11 @@ class Data:
         delay: tuple[int, ...],
         scalings: tuple[Scaling, Scaling],
         every: int = 1,
+        longest: int = 0,
     ) -> Data:
         """Scale, delay, and normalise the weights to a mean over outputs and samples.
 
-        One row in `every` is scored, drawn at random: at regular rows a mode that alternates
+        `longest` is the length of the longest record of which these are parts. One row in `every` is scored, drawn at random: at regular rows a mode that alternates
         between them would not be seen.
         """
         inputs, outputs, roots, measured = [], [], [], []
@@ -78,7 +82,8 @@ class Data:
             roots.append(np.sqrt(weight * scored)[:, None] * np.isfinite(y))
         total = np.sqrt(max(sum(float((root**2).sum()) for root in roots), 1e-12))
         weights = tuple(root / total for root in roots)
-        return cls(tuple(inputs), tuple(outputs), weights, tuple(measured))
+        slowest = float(np.exp(-_SETTLED / max(longest, *map(len, inputs))))
+        return cls(tuple(inputs), tuple(outputs), weights, tuple(measured), slowest)
 
 
 @dataclass(frozen=True)
@@ -105,11 +110,13 @@ class LatentProblem:
     def loss(self, z: FloatArray) -> float:
         """Half the weighted mean square of the free-run error, and the penalty.
 
-        Infinite where the run diverges or a linear model is unstable.
+        Infinite where the run diverges or a linear model is slower than the records show.
         """
         parts, total, n = self.shape.parts(z), 0.0, self.shape.states
-        if not self.shape.hidden and np.abs(np.linalg.eigvals(parts[0][:n, :n])).max() > _LARGEST:
-            return np.inf
+        if not self.shape.hidden:
+            poles = np.linalg.eigvals(parts[0][:n, :n])
+            if np.abs(poles).max() > self.data.slowest:
+                return np.inf
         for k, (u, y, root) in enumerate(zip(*self._columns(), strict=True)):
             with np.errstate(over="ignore", invalid="ignore"):
                 run = latent_run(parts, u, self.start(z, k), unbounded(n))
@@ -219,8 +226,11 @@ class Realisation:
     direct: FloatArray
     constant: FloatArray
 
-    def of_order(self, n: int) -> FloatArray | None:
-        """Linear part L (n + p, n + m + 1); None where the data show fewer than n states."""
+    def of_order(self, n: int, slowest: float) -> FloatArray | None:
+        """Linear part L (n + p, n + m + 1); None where the data show fewer than n states.
+
+        No pole is above `slowest`.
+        """
         p, m = self.direct.shape
         if len(self.singular) < n or self.singular[n - 1] <= 1e-10 * self.singular[0]:
             return None
@@ -228,8 +238,8 @@ class Realisation:
         left, right = self.left[:, :n], self.right[:n]
         matrix = (left / root).T @ self.shifted @ (right / root[:, None]).T
         size = float(np.abs(np.linalg.eigvals(matrix)).max())
-        if size > _MOST_POLE:
-            matrix *= _MOST_POLE / size
+        if size >= slowest:
+            matrix *= 0.9999 * slowest / size
         top = np.hstack([matrix, (root[:, None] * right)[:, :m], np.zeros((n, 1))])
         bottom = np.hstack([(left * root)[:p], self.direct, self.constant[:, None]])
         return np.concatenate([top, bottom])
@@ -242,6 +252,7 @@ class Starts:
     found: tuple[Realisation, ...]
     outputs: int
     inputs: int
+    slowest: float
 
     @classmethod
     def of(cls, data: Data) -> Starts:
@@ -249,15 +260,18 @@ class Starts:
         shortest = min(len(u) for u in data.inputs)
         fits = (_arx(data, length) for length in _LENGTHS if length < shortest)
         found = tuple(one for fit in fits if fit and (one := _realised(*fit)) is not None)
-        return cls(found, data.outputs[0].shape[1], data.inputs[0].shape[1])
+        return cls(found, data.outputs[0].shape[1], data.inputs[0].shape[1], data.slowest)
 
     def of_order(self, n: int) -> Iterator[FloatArray]:
         """Linear parts of n states; without any, independent lags of 2 to 64 samples."""
-        parts = [part for one in self.found if (part := one.of_order(n)) is not None]
+        parts = [
+            part for one in self.found if (part := one.of_order(n, self.slowest)) is not None
+        ]
         yield from parts
         if not parts:
             top = np.zeros((n, n + self.inputs + 1))
-            top[:, :n] = np.diag(np.exp(-1.0 / np.geomspace(2.0, 64.0, n)))
+            poles = np.exp(-1.0 / np.geomspace(2.0, 64.0, n))
+            top[:, :n] = np.diag(np.minimum(poles, 0.9999 * self.slowest))
             yield np.concatenate([top, np.full((self.outputs, n + self.inputs + 1), 1e-3)])
 
 
@@ -295,7 +309,7 @@ def _realised(a: FloatArray, b: FloatArray, offset: FloatArray) -> Realisation |
     companion[p:, :-p] = np.eye((length - 1) * p)
     poles = np.abs(np.linalg.eigvals(companion))
     largest = float(poles.max())
-    if not largest <= _MOST_POLE:
+    if not largest <= _STABLE:
         return None
     memory = int(np.clip(np.log(0.01) / np.log(max(largest, 1e-3)), 20, 400))
     markov = np.zeros((2 * memory + 2, p, m))

@@ -186,7 +186,8 @@ class _Latent:
         """Scored are all rows, or about `PLENTY` per parameter where there are more."""
         rows = sum(map(len, records)) * shape.outputs
         every = max(round(rows / (PLENTY * shape.size)), 1)
-        return Data.of(records, shape.delay, self.search.scalings, every)
+        search = self.search
+        return Data.of(records, shape.delay, search.scalings, every, search.longest)
 
     def _paths(
         self,

@@ -51,7 +51,10 @@ def try_linear(search: Search, delays: Sequence[tuple[int, ...]]) -> Bases:
     most = max(int(_SHARE * search.work.budget / (costs * folds)), _LEAST)
     bases: Bases = {}
     for delay in delays:
-        datas = [Data.of(thinned(f.fit, most), delay, search.scalings) for f in search.folds]
+        datas = [
+            Data.of(thinned(f.fit, most), delay, search.scalings, longest=search.longest)
+            for f in search.folds
+        ]
         starts = [Starts.of(data) for data in datas]
         samples = sum(len(u) for data in datas for u in data.inputs)
         for n in ORDERS:

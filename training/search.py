@@ -112,6 +112,11 @@ class Search:
         return sum(map(len, self.records))
 
     @cached_property
+    def longest(self) -> int:
+        """Samples of the longest record."""
+        return max(map(len, self.records))
+
+    @cached_property
     def whole(self) -> int:
         """Samples that the largest fold fits."""
         return max(sum(map(len, fold.fit)) for fold in self.folds)

@@ -57,6 +57,23 @@ def test_held_out_pieces_never_touch_what_is_fitted():
     assert {run.begin for fold in folds for run in fold.held} == {0, 33}
 
 
+def test_long_records_are_held_out_in_blocks_from_different_parts():
+    record = Record(np.zeros((3600, 1)), np.arange(3600.0)[:, None], "r")
+    folds = folds_of([record], gap=10)
+    seen = np.zeros(3600, dtype=int)
+    for fold in folds:
+        held = sorted({(r.record.y[0, 0], r.record.y[-1, 0]) for r in fold.held if not r.begin})
+        assert len(held) == 3
+        assert [int(first // 1200) for first, _ in held] == [0, 1, 2]
+        for first, last in held:
+            assert last - first + 1 == 200
+            seen[int(first) : int(last) + 1] += 1
+        fitted = np.concatenate([part.y[:, 0] for part in fold.fit])
+        for first, last in held:
+            assert not ((fitted > first - 10) & (fitted < last + 10)).any()
+    assert seen.min() >= 1
+
+
 def test_whole_records_are_held_out_where_there_are_four():
     records = [linear_system(seed) for seed in range(5)]
     folds = folds_of(records, gap=10)
