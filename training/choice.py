@@ -19,7 +19,7 @@ of it, after windows of measured outputs of two lengths. training.ranking says w
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -28,6 +28,7 @@ from narxcal.intervals import Conformal
 from narxcal.narx.forms import DynamicModel, Ensemble
 from narxcal.narx.latent import Shape
 from narxcal.record import Record
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from training import ranking
 from training.arx import dead_times
@@ -36,7 +37,7 @@ from training.latent_forms import try_latent
 from training.linear_forms import linear_model, try_arx, try_linear
 from training.network_forms import try_network
 from training.ranking import Form, Tried, best_by_rung, simplex
-from training.search import LAG, MEAN, Search, Watch, Work
+from training.search import LAG, LATENT, MEAN, Search, Watch, Work
 
 _UNITS_PER_SAMPLE = 6000.0  # of the budget; with less a single record has half as many folds
 _MIXED = 3  # rungs of which the mean is taken
@@ -138,27 +139,59 @@ def _try_mean(search: Search) -> None:
         others = [errors[j] for j in runs if names[j] != names[k]]
         weights = simplex(np.concatenate(others)) if others else np.eye(len(best))[0]
         mixed.append((errors[k] @ weights).reshape(best[0].errors[k].shape))
-    weights = simplex(np.concatenate(errors))
-    used = [(one, w) for one, w in zip(best, weights, strict=True) if w > _LEAST_WEIGHT]
-    if len(used) < 2:
-        return
-    scores = np.array(by_piece(pieces, mixed))
-    total = sum(w for _, w in used)
-    text = " + ".join(f"{w / total:.2f} {one.form.rung}" for one, w in used)
-    parameters = sum(one.form.parameters for one, _ in used)
-    form = Form(MEAN, text, parameters, min(one.form.samples for one, _ in used))
+    found = _mean(search, MEAN, best, simplex(np.concatenate(errors)))
+    if found is not None:
+        scores = np.array(by_piece(pieces, mixed))
+        search.tried.append(replace(found, scores=scores, errors=tuple(mixed)))
+
+
+def _sizes(search: Search, leader: Tried) -> list[Tried]:
+    """The leading latent form and the best of each other size."""
+    found = {(leader.form.order, leader.form.hidden): leader}
+    for one in sorted(ranking.finite(search.tried), key=lambda one: one.score):
+        if one.form.rung == LATENT and one.form.delay == leader.form.delay:
+            found.setdefault((one.form.order, one.form.hidden), one)
+    return list(found.values())
+
+
+def _mean(search: Search, rung: str, members: Sequence[Tried], weights: FloatArray) -> Tried | None:
+    """Mean of the few members that count; None where one alone does."""
+    order = [k for k in np.argsort(-weights, kind="stable")[:_MIXED] if weights[k] > _LEAST_WEIGHT]
+    if len(order) < 2:
+        return None
+    used = [members[k] for k in order]
+    share = weights[order] / weights[order].sum()
+    errors = tuple(
+        np.tensordot(share, np.stack([one.errors[k] for one in used]), 1)
+        for k in range(len(used[0].errors))
+    )
+    texts = [one.form.text if one.form.rung == rung else one.form.rung for one in used]
+    form = Form(
+        rung,
+        " + ".join(f"{w:.2f} {text}" for w, text in zip(share, texts, strict=True)),
+        sum(one.form.parameters for one in used),
+        min(one.form.samples for one in used),
+    )
 
     def build() -> DynamicModel:
-        members = tuple(one.build() for one, _ in used)
-        return Ensemble(members, tuple(w / total for _, w in used))
+        search.finals = len(used)
+        return Ensemble(tuple(one.build() for one in used), tuple(share.tolist()))
 
-    search.tried.append(Tried(form, scores, tuple(mixed), build))
+    pieces = [run for fold in search.folds for run in fold.held]
+    return Tried(form, np.array(by_piece(pieces, errors)), errors, build)
 
 
 def _chosen(search: Search) -> Choice:
     """The leading form on all records."""
     leader, reason = ranking.leader(search.tried)
     search.watch(0.9, f"fitting {leader.form.rung} to all records")
+    if leader.form.rung == LATENT:
+        # Which size leads hangs on the draws of hidden units; the mean of sizes hangs on them less.
+        sizes = _sizes(search, leader)
+        mean = _mean(search, LATENT, sizes, ranking.pseudo_bma(sizes))
+        if mean is not None:
+            search.tried.append(mean)
+            leader, reason = mean, f"{reason}; other sizes are averaged with it by their errors"
     model = leader.build()
     search.watch(1.0, "done")
     if search.work.late:

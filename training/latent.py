@@ -67,8 +67,9 @@ class Data:
     ) -> Data:
         """Scale, delay, and normalise the weights to a mean over outputs and samples.
 
-        `longest` is the length of the longest record of which these are parts. One row in `every` is scored, drawn at random: at regular rows a mode that alternates
-        between them would not be seen.
+        `longest` is the length of the longest record of which these are parts. One row in `every`
+        is scored, drawn at random: at regular rows a mode that alternates between them would not be
+        seen.
         """
         inputs, outputs, roots, measured = [], [], [], []
         draw = np.random.default_rng(0)
@@ -143,9 +144,10 @@ class LatentProblem:
                     unbounded(n),
                 )  # fmt: skip
                 error = ((free[part] - y[part]) * root[part])[root[part] > 0.0]
-                total += float(error @ error)
-                slopes += rows.T @ error
-                own += rows.T @ rows
+                with np.errstate(over="ignore", invalid="ignore"):
+                    total += float(error @ error)
+                    slopes += rows.T @ error
+                    own += rows.T @ rows
             at = np.concatenate([np.arange(size), size + k * n + np.arange(n)])
             gradient[at] += slopes
             hessian[np.ix_(at, at)] += own
@@ -264,9 +266,7 @@ class Starts:
 
     def of_order(self, n: int) -> Iterator[FloatArray]:
         """Linear parts of n states; without any, independent lags of 2 to 64 samples."""
-        parts = [
-            part for one in self.found if (part := one.of_order(n, self.slowest)) is not None
-        ]
+        parts = [part for one in self.found if (part := one.of_order(n, self.slowest)) is not None]
         yield from parts
         if not parts:
             top = np.zeros((n, n + self.inputs + 1))

@@ -39,7 +39,8 @@ from training.search import (
 _HIDDEN = (4, 8, 16)
 _DECAYS = tuple(10.0**-k for k in range(2, 10))
 _STEPS = 8  # of Levenberg-Marquardt at each decay
-_DRAWS = 6  # of hidden units: their median is the model, so that it does not depend on one draw
+_DRAWS = 12  # of hidden units: their median is the model, so that it does not depend on one draw
+_FEWEST_DRAWS = 6  # of the fit to all records: then samples are saved
 _FEWEST = 3  # forms of a round: then samples are saved
 _LEAST = 5.0  # rows per parameter; fewer determine nothing
 _SHARES = 0.3, 0.4, 0.9  # of what is left for orders, hidden units, and the best two
@@ -209,18 +210,22 @@ class _Latent:
     def _final(self, shape: Shape, decay: float) -> DynamicModel:
         """The path to the chosen decay on as many records as the budget allows, then on all."""
         search, decays = self.search, [one for one in _DECAYS if one >= decay]
-        units = _FINAL_SHARE * search.work.budget / (len(decays) * _STEPS * _DRAWS)
-        sizes = (shape.states, shape.hidden, shape.delay)
-        most = max(self._most(units, [sizes]), min(FEW, search.samples))
+        units = _FINAL_SHARE * search.work.budget / search.finals / (len(decays) * _STEPS)
+        sizes = [(shape.states, shape.hidden, shape.delay)]
+        for draws in range(2 * _DRAWS, _FEWEST_DRAWS - 1, -1):
+            most = self._most(units / draws, sizes)
+            if most >= search.samples:
+                break
+        most = max(most, min(FEW, search.samples))
         data = self._data(thinned(search.records, most), shape)
         linear = self._shape(shape.states, 0, shape.delay)
         base = fit_linear(data, linear)
         if base is None:  # cannot be: a fallback start exists for every order
             raise DataError("no linear model could be fitted")
-        fits = list(self._paths(base, data, shape, _DRAWS, decays))[-1]
+        fits = list(self._paths(base, data, shape, draws, decays))[-1]
         every = self._data(search.records, shape)
         cost = self._cost(shape, search.samples)
-        left = (search.work.budget - search.work.spent) / (cost * _DRAWS)
+        left = (search.work.budget - search.work.spent) / (cost * draws)
         steps = int(np.clip(left, 2, 8 * _STEPS)) if most < search.samples else 2
         members = []
         for number, fitted in enumerate(near_the_best(fits, _loss)):

@@ -98,8 +98,9 @@ def minimise(
 ) -> Iterator[Step]:
     """Yield accepted steps downhill from `theta` until none is found any more.
 
-    `decay` adds decay/2 * |theta|^2 to the loss. The caller decides when to stop, and can go
-    on from any step by giving its theta and damping back: the path is the same.
+    There is none where the normal equations overflow, as those of a diverging run do. `decay` adds
+    decay/2 * |theta|^2 to the loss. The caller decides when to stop, and can go on from any step by
+    giving its theta and damping back: the path is the same.
     """
     propose = propose or _straight
     damping = damping or Damping()
@@ -108,6 +109,8 @@ def minimise(
         gradient = equations.gradient + decay * theta
         hessian = equations.hessian + decay * np.eye(len(theta))
         loss = equations.loss + 0.5 * decay * float(theta @ theta)
+        if not (np.isfinite(gradient).all() and np.isfinite(hessian).all()):
+            return
         while True:
             straight, step = propose(theta, (gradient, hessian), damping.value)
             trial = theta + step

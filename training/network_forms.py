@@ -79,7 +79,8 @@ def try_network(search: Search) -> None:
 
 def _final(search: Search, decay: float) -> DynamicModel:
     decays = tuple(dict.fromkeys((_DECAYS[0], decay)))
-    most = _most(search, _FINAL_SHARE, (_DRAWS, decays), search.samples)
+    share = _FINAL_SHARE / search.finals
+    most = _most(search, share, (_DRAWS, decays), search.samples)
     return _median(search, thinned(search.records, max(most, FEW)), decays, _DRAWS)[-1]
 
 

@@ -85,6 +85,7 @@ class Search:
     watch: Watch
     tried: list[Tried] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    finals: int = 1  # models to be fitted to all records, which share what is kept for that
 
     @cached_property
     def scalings(self) -> tuple[Scaling, Scaling]:

@@ -93,6 +93,20 @@ def test_a_linear_model_is_recovered_from_several_records():
     np.testing.assert_allclose(np.sort(poles.real), [0.7, 0.8], atol=1e-3)
 
 
+def test_drift_is_not_learned_as_a_mode_slower_than_the_record_shows():
+    draw = np.random.default_rng(5)
+    u, y = draw.standard_normal((600, 1)), np.zeros((600, 1))
+    for k in range(1, 600):
+        y[k] = 0.9 * y[k - 1] + 0.1 * u[k - 1]
+    drift = 0.05 * np.cumsum(draw.standard_normal((600, 1)), axis=0)
+    ones = (Scaling(np.zeros(1), np.ones(1)),) * 2
+    for longest, time_constants in ((0, 600.0 / 5.0), (6000, 6000.0 / 5.0)):
+        data = Data.of([Record(u, y + drift, "drift")], (0,), ones, longest=longest)
+        fitted = fit_linear(data, Shape(1, 1, 1, 0, (0,)))
+        pole = fitted.shape.parts(fitted.z)[0][0, 0]
+        assert -1.0 / np.log(pole) <= time_constants * (1.0 + 1e-9)
+
+
 def test_falling_decays_never_raise_the_loss():
     record = curved_system(0)
     scalings = (Scaling.of(record.u), Scaling.of(record.y))
