@@ -33,7 +33,7 @@ from narxcal.support.errors import DataError
 from training import ranking
 from training.arx import dead_times
 from training.held_out import FOLDS, SHORTEST, WINDOW, Fold, by_piece, folds_of, runs_of
-from training.latent_forms import try_latent
+from training.latent_forms import affordable, try_latent
 from training.linear_forms import linear_model, try_arx, try_linear
 from training.network_forms import try_network
 from training.ranking import Form, Tried, best_by_rung, simplex
@@ -146,12 +146,12 @@ def _try_mean(search: Search) -> None:
 
 
 def _sizes(search: Search, leader: Tried) -> list[Tried]:
-    """The leading latent form and the best of each other size."""
+    """The leading latent form and the best of each other size, as many as can be fitted."""
     found = {(leader.form.order, leader.form.hidden): leader}
     for one in sorted(ranking.finite(search.tried), key=lambda one: one.score):
         if one.form.rung == LATENT and one.form.delay == leader.form.delay:
             found.setdefault((one.form.order, one.form.hidden), one)
-    return list(found.values())
+    return list(found.values())[: max(affordable(search, leader.form), 1)]
 
 
 def _mean(search: Search, rung: str, members: Sequence[Tried], weights: FloatArray) -> Tried | None:

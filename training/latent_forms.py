@@ -92,6 +92,19 @@ def try_latent(search: Search, bases: Bases) -> None:
     rung.round(forms, _SHARES[2], 2 * _DRAWS, last=True)
 
 
+def affordable(search: Search, form: Form) -> int:
+    """Models of the size of `form` that can be fitted to all records within what is kept for it."""
+    shape = Shape(form.order, search.inputs, search.outputs, form.hidden, form.delay)
+    units = _FINAL_SHARE * search.work.budget / (len(_DECAYS) * _STEPS)
+    return int(units / (_FEWEST_DRAWS * _step(shape, search.samples)))
+
+
+def _step(shape: Shape, samples: int) -> float:
+    """Nominal microseconds of a step on so many samples."""
+    rows = min(float(shape.outputs * samples), 2.0 * PLENTY * shape.size)
+    return step_cost(samples, rows, shape.size, shape.states**2)
+
+
 class _Latent:
     """Rounds of one search."""
 
@@ -150,14 +163,9 @@ class _Latent:
         """Samples on which one step of all forms costs `units`."""
 
         def cost(samples: int) -> float:
-            return sum(self._cost(self._shape(*form), samples) for form in forms)
+            return sum(_step(self._shape(*form), samples) for form in forms)
 
         return most_samples(cost, units, self.search.samples)
-
-    def _cost(self, shape: Shape, samples: int) -> float:
-        """Nominal microseconds of a step on so many samples."""
-        rows = min(float(shape.outputs * samples), 2.0 * PLENTY * shape.size)
-        return step_cost(samples, rows, shape.size, shape.states**2)
 
     def _try(self, n: int, h: int, delay: tuple[int, ...], effort: _Effort) -> Tried:
         """One form along falling decays; its best decay over the folds."""
@@ -199,7 +207,7 @@ class _Latent:
         decays: Sequence[float] = _DECAYS,
     ) -> Iterator[list[Fitted]]:
         """Fits of every draw of hidden units, decay by decay."""
-        cost = self._cost(shape, sum(map(len, data.inputs)))
+        cost = _step(shape, sum(map(len, data.inputs)))
         seed = self.search.seed * 1000
         starts = [grown(base, shape.hidden, seed=seed + k) for k in range(draws)]
         paths = [path(start, data, decays, _STEPS) for start in starts]
@@ -224,7 +232,7 @@ class _Latent:
             raise DataError("no linear model could be fitted")
         fits = list(self._paths(base, data, shape, draws, decays))[-1]
         every = self._data(search.records, shape)
-        cost = self._cost(shape, search.samples)
+        cost = _step(shape, search.samples)
         left = (search.work.budget - search.work.spent) / (cost * draws)
         steps = int(np.clip(left, 2, 8 * _STEPS)) if most < search.samples else 2
         members = []
