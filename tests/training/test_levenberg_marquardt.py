@@ -125,6 +125,12 @@ def test_a_step_into_nonsense_is_not_taken():
     assert all(np.isfinite(step.loss) and step.theta[0] <= 1.0 for step in path)
 
 
+def test_there_is_no_step_from_where_a_run_diverges():
+    diverging = LeastSquares(lambda theta: np.array([1e200 * theta[0], theta[1]]))
+    with np.errstate(over="ignore"):
+        assert list(islice(minimise(diverging, np.ones(2)), 3)) == []
+
+
 def test_damping_follows_nielsens_rule():
     assert Damping(1.0).worse().worse() == Damping(8.0, 8.0)
     assert Damping(1.0, 8.0).better(1.0) == Damping(1.0 / 3.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from narxcal.support.errors import DataError
-from training.ranking import Form, Tried, beats, best_by_rung, leader, simplex, table
+from training.ranking import Form, Tried, beats, best_by_rung, leader, pseudo_bma, simplex, table
 
 
 def tried(rung, parameters, scores, *, whole=True):
@@ -70,3 +70,8 @@ def test_weights_of_a_mean_are_the_least_squares_ones_and_never_negative():
     np.testing.assert_allclose(simplex(noise * [1.0, 2.0]), [0.8, 0.2], atol=0.02)
     same = noise[:, :1]
     np.testing.assert_allclose(simplex(np.hstack([same, 3.0 * same])), [1.0, 0.0], atol=1e-6)
+
+
+def test_forms_are_averaged_by_the_likelihood_of_half_the_pieces():
+    good, same, poor = (tried(name, 1, [e] * 4) for name, e in (("a", 0.1), ("b", 0.1), ("c", 0.2)))
+    np.testing.assert_allclose(pseudo_bma([good, same, poor]), np.array([4, 4, 1]) / 9)
