@@ -6,9 +6,8 @@ what is held out. With e the RMS errors of a held-out log, a simple model can le
 
     mean r < -s,   r = ln(e_simple / e_network) by held-out log,   s = standard error of mean r
 
-Of those that can, the simplest within one standard error of the best leads: steady state before
-first-order lag before ARX. The test logs take no part. The network is trained and shown whatever
-leads.
+Of those that can, the one of the least mean r leads; one held-out log alone says nothing. The test
+logs take no part. The network is trained and shown whatever leads.
 """
 
 from __future__ import annotations
@@ -240,15 +239,9 @@ def leading_kind(errors: FloatArray) -> Kind | None:
     floor = max(_LEAST_ERROR * float(np.nanmax(errors)), 1e-300)
     logs = np.log(np.maximum(errors, floor))
     ratios = logs[:, 1:] - logs[:, :1]
-    able = [k for k in range(len(KINDS)) if ratios[:, k].mean() < -_standard_error(ratios[:, k])]
-    if not able:
-        return None
-    best = min(able, key=lambda k: ratios[:, k].mean())
-    for k in able:
-        behind = ratios[:, k] - ratios[:, best]
-        if k == best or behind.mean() <= _standard_error(behind):
-            return KINDS[k]
-    return KINDS[best]
+    means = ratios.mean(axis=0)
+    able = [k for k, mean in enumerate(means) if mean < -_standard_error(ratios[:, k])]
+    return KINDS[min(able, key=lambda k: means[k])] if able else None
 
 
 def _pooled(values: FloatArray) -> float | None:
@@ -258,7 +251,7 @@ def _pooled(values: FloatArray) -> float | None:
 
 
 def _standard_error(values: FloatArray) -> float:
-    return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
+    return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else np.inf
 
 
 def lead_of(kind: Kind, channel: int, baselines: Baselines, dt_s: float) -> Lead:

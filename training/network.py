@@ -30,7 +30,12 @@ _POLES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.995)
 _RIDGE = 1e-6
 
 
-def new_model(records: Sequence[Record], config: NarxConfig, seed: int) -> NarxModel:
+def new_model(
+    records: Sequence[Record],
+    config: NarxConfig,
+    seed: int,
+    least_scale: FloatArray | float = 0.0,
+) -> NarxModel:
     """Scale to the records, bound to their envelope, draw the hidden layer, silence the output.
 
     Deviations and increments are zero at rest, so an anchored network scales without centring.
@@ -41,6 +46,7 @@ def new_model(records: Sequence[Record], config: NarxConfig, seed: int) -> NarxM
     y = np.concatenate([record.y for record in records])
     outputs = Scaling.of(y, centred=not config.moving)
     inputs = Scaling.of(u)
+    inputs = replace(inputs, scale=np.maximum(inputs.scale, least_scale))
     inputs.centre[: config.moving] = 0.0
     low, high = np.nanmin(y, axis=0), np.nanmax(y, axis=0)
     if config.moving:
@@ -157,13 +163,15 @@ class Material:
     """What to learn from: training records, validation records (may be none), their interval.
 
     `rest` records (see training.records) teach the return to rest. They only make sense whole, so
-    they take part where the horizon holds them.
+    they take part where the horizon holds them. Inputs are divided by their standard deviations, or
+    by `least_scale` (inputs,) where that is larger.
     """
 
     records: Sequence[Record]
     validation: Sequence[Record]
     dt_s: float
     rest: Sequence[Record] = ()
+    least_scale: FloatArray | float = 0.0
 
     def of_output(self, k: int) -> Material:
         """The same with output `k` alone."""
@@ -171,7 +179,7 @@ class Material:
             [Record(each.u, each.y[:, k : k + 1], each.name, each.weight) for each in part]
             for part in (self.records, self.validation, self.rest)
         )
-        return Material(records, validation, self.dt_s, rest)
+        return replace(self, records=records, validation=validation, rest=rest)
 
     def within(self, horizon_s: float) -> list[Record]:
         """Training records, with the rest records that fit into `horizon_s` (0: any)."""
@@ -230,8 +238,12 @@ class _Run:
         self.watch = watch
         self.structure = structure
         self.latest: Progress | None = None
-        self.model = new_model(material.records, structure, config.seed)
+        self.model = self._new(config.seed)
         self.judge = self._problem(material.validation or material.records, 0.0)
+
+    def _new(self, seed: int) -> NarxModel:
+        material = self.material
+        return new_model(material.records, self.structure, seed, material.least_scale)
 
     def _problem(self, records: Sequence[Record], horizon_s: float) -> FreeRunProblem:
         dt_s = self.material.dt_s
@@ -242,7 +254,7 @@ class _Run:
 
     def first_theta(self, start: int) -> FloatArray:
         """Weights that start number `start` begins with."""
-        drawn = new_model(self.material.records, self.structure, self.config.seed + start)
+        drawn = self._new(self.config.seed + start)
         self.model.net.set_theta(drawn.net.get_theta())
         problem = self._problem(self.material.records, self.config.horizons_s[0])
         start_linear(self.model, self.material.records, problem)

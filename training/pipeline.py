@@ -52,7 +52,7 @@ from training.network import (
     fit_narx,
     merge_models,
 )
-from training.records import Split, material, structure_of
+from training.records import LEAST_WIDTHS, Split, material, structure_of
 from training.redundancy import learn
 from training.steady_choice import steady_state
 from training.steady_fit import SteadyQuality
@@ -193,10 +193,13 @@ def _leading(
 
 
 def input_reach(logs: Sequence[Log], names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-    """Where inputs saturate (n_in,): one width beyond the training logs, within physical ranges."""
+    """Where inputs saturate (n_in,): one width beyond the training logs, within physical ranges.
+
+    Of the air it is `LEAST_WIDTHS` at least: corrected parameters carry a model that far.
+    """
     seen = [np.concatenate([log[name] for log in logs]) for name in names]
     low, high = (np.array([end(values) for values in seen]) for end in (np.nanmin, np.nanmax))
-    width = high - low
+    width = np.maximum(high - low, [LEAST_WIDTHS.get(name, 0.0) for name in names])
     known = [CHANNELS.get(name) for name in names]
     least = np.array([-np.inf if one is None else one.low for one in known])
     most = np.array([np.inf if one is None else one.high for one in known])

@@ -24,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
+from typing import Final
 
 import numpy as np
 
@@ -40,6 +41,10 @@ from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import ConfigError, DataError
 from training.config import RunConfig, SplitConfig
 from training.network import Material
+
+# Narrower ranges of the air say little of how it acts. Over these, a third of the pressure at sea
+# level goes, ram adds a tenth to it, and the absolute temperature changes by a tenth.
+LEAST_WIDTHS: Final = {"ALT_ft": 10_000.0, "Mach": 0.38, "dT_C": 30.0}
 
 _MOVES, _WITHIN_S = 0.01, 1.0  # share of the largest value that a target moves within this time
 _BEFORE_S, _AFTER_S = 1.0, 12.0  # of a move: a response with its settling
@@ -162,7 +167,11 @@ def material(
     dt_s = split.train[0].dt_s
     if config.train.emphasis == "motion":
         records = _emphasised(records, dt_s, lagged=lag is not None)
-    plain = Material(records, validation, dt_s)
+    least = np.zeros(records[0].u.shape[1])
+    # A range of uniform values is sqrt(12) standard deviations wide.
+    schedule = [LEAST_WIDTHS.get(name, 0.0) / np.sqrt(12.0) for name in config.narx.schedule]
+    least[len(least) - len(schedule) :] = schedule
+    plain = Material(records, validation, dt_s, least_scale=least)
     return replace(plain, rest=_rest(config, plain, structure_of(config).moving))
 
 

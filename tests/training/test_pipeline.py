@@ -9,6 +9,7 @@ import pytest
 
 from data_prep.log import Log, Source
 from data_prep.smooth import SmoothConfig, smooth
+from narxcal.atmosphere import air_state
 from narxcal.calibration.bundle import Bundle, load_bundle, save_bundle
 from narxcal.calibration.fuser import FastFuser
 from narxcal.lumped.engine import LumpedEngine
@@ -369,4 +370,45 @@ def test_inputs_reach_one_width_beyond_the_logs_within_physical_ranges():
     log = Log("flight", np.arange(2.0), columns)
     low, high = input_reach([log], ("ALT_ft", "Mach", "X"))
     assert low.tolist() == pytest.approx([-2000.0, 0.0, -1.0])
-    assert high.tolist() == pytest.approx([16000.0, 0.7, 5.0])
+    # Of the air at least as far as corrected parameters carry, however narrow the logs.
+    assert high.tolist() == pytest.approx([18000.0, 0.78, 5.0])
+    wide = Log("flight", np.arange(2.0), {**columns, "ALT_ft": np.array([0.0, 30000.0])})
+    assert input_reach([wide], ("ALT_ft",))[1].tolist() == [60000.0]
+
+
+def by_fuel(seed, altitude_ft, samples=3000):
+    """Steps of fuel flow at one altitude; speed and temperature follow similarity behind a lag."""
+    rng = np.random.default_rng(seed)
+    fuel = np.repeat(rng.uniform(200.0, 600.0, samples // 150 + 1), 150)[:samples]
+    columns = {
+        "FF_kgph": fuel,
+        "ALT_ft": altitude_ft + 80.0 * rng.random(samples // 50 + 1).repeat(50)[:samples],
+        "Mach": 0.3 + 0.02 * rng.random(samples // 50 + 1).repeat(50)[:samples],
+        "dT_C": np.zeros(samples),
+    }
+    air = air_state(columns["ALT_ft"], columns["Mach"])
+    drive = np.log(fuel / (air.delta2 * np.sqrt(air.theta2)) / 400.0)
+    settled = np.column_stack([80.0 + 20.0 * drive, 900.0 + 150.0 * drive])
+    outputs = settled.copy()
+    for k in range(1, samples):
+        outputs[k] += np.exp(-DT_S / TAU_S) * (outputs[k - 1] - settled[k])
+    scale = np.column_stack([np.sqrt(air.theta2), air.theta2])
+    outputs = outputs * scale - np.array([0.0, 273.15]) + rng.normal(size=(samples, 2)) * 0.05
+    columns |= {"N1_pct": outputs[:, 0], "EGT_C": outputs[:, 1]}
+    name = f"flight_{seed}.csv"
+    return Log(name, DT_S * np.arange(samples), columns, source=Source(name, f"sha-{seed}"))
+
+
+def test_a_flight_above_the_trained_altitudes_is_followed_as_well(tmp_path):
+    names = ["FF_kgph", "ALT_ft", "Mach", "dT_C"]
+    narx = {"outputs": ["N1_pct", "EGT_C"], "hidden": 2, "lag_limits": False}
+    asked = config(steady_state={"inputs": names}, events={"driver": "FF_kgph"}, narx=narx)
+    logs = tuple(by_fuel(k, 1500.0) for k in range(2))
+    found = calibrate(asked, tmp_path, Split(logs, (), ())).calibration.network_alone()
+    errors = []
+    for log in (by_fuel(5, 1500.0), by_fuel(5, 2100.0), by_fuel(5, 4000.0)):
+        measured = log.matrix(found.output_names)
+        free_run = found.simulate(log.matrix(found.input_names), measured[0])
+        errors.append(np.sqrt(((free_run - measured) ** 2).mean(axis=0)))
+    assert (errors[1] < 1.1 * errors[0]).all()
+    assert (errors[2] < 2.0 * errors[0]).all()

@@ -59,6 +59,14 @@ def test_bounds_are_the_envelope_and_a_margin():
     np.testing.assert_allclose(np.ravel(model.bounds), [-20.0, 40.0])
 
 
+def test_an_input_that_hardly_varies_is_scaled_as_if_it_varied_as_much_as_asked():
+    u = np.column_stack([np.linspace(0.0, 1.0, 50), np.linspace(0.0, 300.0, 50)])
+    record = Record(u, u[:, 0])
+    plain = new_model([record], NarxConfig(), 0).input_scaling.scale
+    asked = new_model([record], NarxConfig(), 0, np.array([0.0, 3000.0])).input_scaling.scale
+    assert asked.tolist() == [plain[0], 3000.0]
+
+
 def test_bounds_of_an_anchored_network_hold_its_rest():
     y = np.linspace(20.0, 30.0, 50)
     model = new_model([Record(y, y)], NarxConfig(margin=0.1, moving=1), 0)
