@@ -1,14 +1,16 @@
 """One recipe on public sets: figures of ours and of the linear rungs, from files as they come."""
 
-import importlib.util
 import json
+import sys
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from eval.benchmarks import recipe
-from narxcal.support.errors import DataError
+from eval.benchmarks import drawn_systems, recipe
+from eval.benchmarks.public_sets import read
+from narxcal.support.errors import ConfigError, DataError
 
 
 @pytest.fixture
@@ -29,14 +31,37 @@ def folder(tmp_path):
 def test_ours_and_linear_reach_the_noise_of_a_linear_set(folder):
     found = list(recipe.figures(folder, "lag", 0.05))
     models = [recipe.OURS, recipe.FIXED, recipe.LINEAR]
-    if importlib.util.find_spec("jax_sysid") is None:
-        assert [one.model for one in found] == models
+    assert [one.model for one in found] == models
     ours, fixed, linear, *_ = found
     assert max(ours.rmse, linear.rmse, fixed.rmse) < 0.02
     assert all(one.record == "" for one in found)
     document = recipe.document(found, {})
     assert document["geometric_mean_ratio"] == pytest.approx(ours.rmse / linear.rmse)
     assert document["figures"][0]["set"] == "lag"
+
+
+def test_drawn_systems_are_sets_that_hang_on_their_seed_alone(tmp_path):
+    for folder, seed in (("a", 3), ("b", 3), ("c", 4)):
+        drawn_systems.write(tmp_path / folder, seed)
+    names = recipe.names_in(tmp_path / "a")
+    assert len(names) == len(drawn_systems.SYSTEMS)
+    for name in names:
+        one, same = (read(tmp_path / folder, name) for folder in "ab")
+        other = read(tmp_path / "c", name.replace("_3", "_4"))
+        np.testing.assert_array_equal(one.train[0].y, same.train[0].y)
+        assert len(one.test[0]) == 2000
+        assert np.isfinite(one.train[0].y).all()
+        assert np.std(one.test[0].y) > 0.05
+        assert not np.array_equal(one.test[0].y, other.test[0].y)
+
+
+def test_a_python_without_jax_sysid_says_what_to_install(folder):
+    with pytest.raises(ConfigError) as caught:
+        list(recipe.figures(folder, "lag", 0.05, jax_python=Path(sys.executable)))
+    assert "--jax-python: jax-sysid failed in" in str(caught.value)
+    assert "pip install jax-sysid==1.1.0" in str(caught.value)
+    with pytest.raises(ConfigError, match="can't be run"):
+        list(recipe.figures(folder, "lag", 0.05, jax_python=folder / "no python"))
 
 
 def test_a_set_that_is_not_there_is_named(folder, tmp_path):
