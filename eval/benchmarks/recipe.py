@@ -13,7 +13,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +70,7 @@ def names_in(folder: Path, wanted: Sequence[str] = ()) -> list[str]:
 def figures(
     folder: Path,
     name: str,
-    time_limit_s: float,
+    limits: Limits,
     watch: Watch | None = None,
     jax_python: Path | None = None,
 ) -> Iterator[Figure]:
@@ -79,9 +79,9 @@ def figures(
     known = {one.name: one for one in SETS}.get(name)
     unit, factor = ("", 1.0) if known is None else (known.unit, known.factor)
     fits: dict[str, Fit] = {
-        OURS: lambda: _chosen(material, Limits(time_limit_s), watch),
+        OURS: lambda: _chosen(material, limits, watch),
         FIXED: lambda: _fixed(material),
-        LINEAR: lambda: _chosen(material, Limits(time_limit_s, linear=True)),
+        LINEAR: lambda: _chosen(material, replace(limits, linear=True)),
     }
     if jax_python is not None:
         fits[JAX] = lambda: _jax_sysid(material, jax_python)

@@ -9,6 +9,7 @@ from eval.benchmarks import recipe
 from narxcal.cli.console import Console
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import finite
+from training.choice import Limits
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -23,6 +24,9 @@ def add_options(parser: ArgumentParser) -> None:
         help="CPU seconds for the choice on each set, as Narx(time_limit_s=...) (default 120)",
     )  # fmt: skip
     parser.add_argument(
+        "--seed", metavar="N", type=int, default=0, help="of the choice's draws (default 0)"
+    )
+    parser.add_argument(
         "--jax-python", metavar="PYTHON", type=Path,
         help="interpreter of an environment with jax-sysid, to be compared with",
     )  # fmt: skip
@@ -32,6 +36,7 @@ def run(options: Namespace, console: Console) -> int:
     """Fit and test each set; always 0, since a set on which another is better is a figure."""
     if not options.time_limit > 0.0:
         raise ConfigError(f"--time-limit: expected a time above 0, found {options.time_limit:g}")
+    limits = Limits(options.time_limit, options.seed)
     names = recipe.names_in(options.data, options.sets)
     found: list[recipe.Figure] = []
     with console.progress("Benchmark") as advance:
@@ -40,9 +45,7 @@ def run(options: Namespace, console: Console) -> int:
             def watch(share: float, words: str, at: int = number, name: str = name) -> None:
                 advance(round(100 * (at + share)), 100 * len(names), f"{name}: {words}")
 
-            found += recipe.figures(
-                options.data, name, options.time_limit, watch, options.jax_python
-            )
+            found += recipe.figures(options.data, name, limits, watch, options.jax_python)
     console.table(
         "RMSE of the free run on the official test range",
         ["set", "model", "recording", "RMSE", "NRMSE [%]", "CPU s"],
@@ -51,8 +54,8 @@ def run(options: Namespace, console: Console) -> int:
     for one in found:
         if one.model == recipe.OURS and one.record == "":
             console.say(f"{one.set}: {one.note}.")
-    limits = {"data": str(options.data), "time_limit_s": options.time_limit}
-    console.document(finite(recipe.document(found, limits)))
+    asked = {"data": str(options.data), "time_limit_s": limits.time_limit_s, "seed": limits.seed}
+    console.document(finite(recipe.document(found, asked)))
     return 0
 
 

@@ -11,6 +11,7 @@ import pytest
 from eval.benchmarks import drawn_systems, recipe
 from eval.benchmarks.public_sets import read
 from narxcal.support.errors import ConfigError, DataError
+from training.choice import Limits
 
 
 @pytest.fixture
@@ -29,7 +30,7 @@ def folder(tmp_path):
 
 
 def test_ours_and_linear_reach_the_noise_of_a_linear_set(folder):
-    found = list(recipe.figures(folder, "lag", 0.05))
+    found = list(recipe.figures(folder, "lag", Limits(0.05)))
     models = [recipe.OURS, recipe.FIXED, recipe.LINEAR]
     assert [one.model for one in found] == models
     ours, fixed, linear, *_ = found
@@ -57,11 +58,11 @@ def test_drawn_systems_are_sets_that_hang_on_their_seed_alone(tmp_path):
 
 def test_a_python_without_jax_sysid_says_what_to_install(folder):
     with pytest.raises(ConfigError) as caught:
-        list(recipe.figures(folder, "lag", 0.05, jax_python=Path(sys.executable)))
+        list(recipe.figures(folder, "lag", Limits(0.05), jax_python=Path(sys.executable)))
     assert "--jax-python: jax-sysid failed in" in str(caught.value)
     assert "pip install jax-sysid==1.1.0" in str(caught.value)
     with pytest.raises(ConfigError, match="can't be run"):
-        list(recipe.figures(folder, "lag", 0.05, jax_python=folder / "no python"))
+        list(recipe.figures(folder, "lag", Limits(0.05), jax_python=folder / "no python"))
 
 
 def test_a_set_that_is_not_there_is_named(folder, tmp_path):
