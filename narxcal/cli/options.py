@@ -7,8 +7,6 @@ import os
 from argparse import SUPPRESS, ArgumentParser, ArgumentTypeError
 from pathlib import Path
 
-from narxcal.intervals import LEVELS
-
 SIMULATOR = "folder of simulated logs, run folder, FMU, module:function or virtual engine's name"
 # numpy seeds its generators with any whole number, torch with 64 bits, signed.
 _LARGEST_SEED = 2**63 - 1
@@ -36,6 +34,8 @@ def fraction(text: str) -> float:
 
 def level(text: str) -> float:
     """Share of samples that an interval covers, as `--interval` takes it."""
+    from narxcal.intervals import LEVELS  # noqa: PLC0415 -- help does not wait for numpy
+
     value = _number(text)
     if not LEVELS[0] <= value <= LEVELS[-1]:
         raise ArgumentTypeError(f"expected a share from {LEVELS[0]} to {LEVELS[-1]}, found {text}")
