@@ -32,7 +32,8 @@ from training.search import Watch
 SCHEMA = "narxcal.benchmark/1"
 OURS, FIXED, LINEAR, JAX = "Narx()", "Narx(None)", "linear", "jax-sysid"
 Runs = list[FloatArray]  # free runs of the test recordings
-Fit = Callable[[], tuple[Runs, float, str]]  # with CPU seconds of the fit, and a note
+Fitted = tuple[Runs, float, str]  # with CPU seconds of the fit, and a note
+_PATIENCE_S = 1200.0  # for jax-sysid, which has no limit of its own
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ def figures(
     material = read(folder, name)
     known = {one.name: one for one in SETS}.get(name)
     unit, factor = ("", 1.0) if known is None else (known.unit, known.factor)
-    fits: dict[str, Fit] = {
+    fits: dict[str, Callable[[], Fitted]] = {
         OURS: lambda: _chosen(material, limits, watch),
         FIXED: lambda: _fixed(material),
         LINEAR: lambda: _chosen(material, replace(limits, linear=True)),
@@ -95,15 +96,13 @@ def figures(
         yield Figure(name, "published", target.record, target.value, np.nan, unit, np.nan, note)
 
 
-def _chosen(
-    material: Material, limits: Limits, watch: Watch | None = None
-) -> tuple[Runs, float, str]:
+def _chosen(material: Material, limits: Limits, watch: Watch | None = None) -> Fitted:
     began = time.process_time()
     found = choose(list(material.train), limits, watch)
     return _runs(found.model, material), time.process_time() - began, found.reason
 
 
-def _fixed(material: Material) -> tuple[Runs, float, str]:
+def _fixed(material: Material) -> Fitted:
     began = time.process_time()
     found = Narx(None).fit(list(material.train))
     spent = time.process_time() - began
@@ -114,7 +113,7 @@ def _runs(model: DynamicModel | Narx, material: Material) -> Runs:
     return [model.simulate(record.u, record.y[: material.init]) for record in material.test]
 
 
-def _jax_sysid(material: Material, python: Path) -> tuple[Runs, float, str]:
+def _jax_sysid(material: Material, python: Path) -> Fitted:
     """By `jax_peer`, which knows of the test recordings their inputs and first outputs only."""
     given: dict[str, FloatArray] = {}
     for k, record in enumerate(material.train):
@@ -127,8 +126,11 @@ def _jax_sysid(material: Material, python: Path) -> tuple[Runs, float, str]:
         try:
             done = subprocess.run(  # noqa: S603 (the interpreter is the user's own choice)
                 [python, Path(jax_peer.__file__), ask, answer],
-                capture_output=True, text=True, check=False,
+                capture_output=True, text=True, check=False, timeout=_PATIENCE_S,
             )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            never = [np.full_like(record.y, np.nan) for record in material.test]
+            return never, np.nan, f"not done after {_PATIENCE_S:g} s"
         except OSError as error:
             raise ConfigError(f"--jax-python: {python} can't be run: {error.strerror}") from None
         if done.returncode:
@@ -142,6 +144,10 @@ def _jax_sysid(material: Material, python: Path) -> tuple[Runs, float, str]:
             return runs, float(found["cpu_s"]), jax_peer.NOTE
 
 
+def _rms(error: FloatArray) -> float:
+    return rms(error) if np.isfinite(error).any() else float("nan")
+
+
 def _errors(runs: Runs, material: Material) -> Iterator[tuple[str, float, float]]:
     """(recording, RMSE, standard deviation), each test recording and all pooled."""
     errors, outputs = [], []
@@ -150,8 +156,8 @@ def _errors(runs: Runs, material: Material) -> Iterator[tuple[str, float, float]
         errors.append(error)
         outputs.append(record.y[material.init :])
         if len(material.test) > 1:
-            yield record.name, rms(error), float(np.std(outputs[-1]))
-    yield "", rms(np.concatenate(errors)), float(np.std(np.concatenate(outputs)))
+            yield record.name, _rms(error), float(np.std(outputs[-1]))
+    yield "", _rms(np.concatenate(errors)), float(np.std(np.concatenate(outputs)))
 
 
 def document(found: Sequence[Figure], limits: Mapping[str, Any]) -> dict[str, Any]:
@@ -160,7 +166,7 @@ def document(found: Sequence[Figure], limits: Mapping[str, Any]) -> dict[str, An
     for name in dict.fromkeys(one.set for one in found):
         pooled = {one.model: one.rmse for one in found if one.set == name and one.record == ""}
         peers = [pooled[model] for model in (LINEAR, JAX) if model in pooled]
-        ratios.append(pooled[OURS] / min(peers))
+        ratios.append(pooled[OURS] / float(np.nanmin(peers)))
     mean = float(np.exp(np.mean(np.log(ratios)))) if ratios else None
     return {
         "schema": SCHEMA,
