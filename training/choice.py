@@ -13,7 +13,8 @@ The ladder, each rung started from the one below:
 
 Folds are records, or blocks of them where there are fewer than four, with a gap around what is held
 out (training.held_out). Each held-out piece is simulated twice, from its beginning and from a third
-of it, after windows of measured outputs of two lengths. training.ranking says which form leads.
+of it, after windows of measured outputs of two lengths. training.ranking says which form leads; a
+latent form is averaged with those of other sizes.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ from training.ranking import Form, Tried, best_by_rung, simplex
 from training.search import LAG, LATENT, MEAN, Search, Watch, Work
 
 _UNITS_PER_SAMPLE = 6000.0  # of the budget; with less a single record has half as many folds
-_MIXED = 3  # rungs of which the mean is taken
-_LEAST_WEIGHT = 0.02  # of a rung in the mean
+_MIXED = 3  # forms of which a mean is taken
+_LEAST_WEIGHT = 0.02  # of a form in a mean
 
 
 @dataclass(frozen=True, eq=False)

@@ -50,10 +50,9 @@ def cut_windows(
 ) -> list[Window]:
     """Cut records into windows of `horizon` steps (None: each record whole), in scaled units.
 
-    A whole record is run from its beginning, and with more `restarts` than one also from as many
-    further places, each to its end. Only every `stride`-th sample is scored (neighbours tell nearly
-    the same); the scored weights are normalised so that the loss is a mean over outputs and
-    samples.
+    A whole record is run from `restarts` places in it, the beginning first, each to its end. Only
+    every `stride`-th sample is scored (neighbours are nearly the same); the scored weights are
+    normalised so that the loss is a mean over outputs and samples.
     """
     lags = model.config.lags
     windows: list[Window] = []

@@ -14,7 +14,7 @@ from narxcal.support.arrays import FloatArray, spans
 FOLDS = 4
 WINDOW = 50  # measured samples before the longer of two held-out runs, at most a fifth of it
 _PARTS = 3  # of a record from which one fold holds blocks out
-_LONG = 4 * WINDOW  # samples of such a block at least
+_LONG = 4 * WINDOW  # samples of such a block at least: at most a quarter of it is the start
 SHORTEST = 8  # samples of a piece; fewer leave nothing to hold out
 
 

@@ -136,7 +136,7 @@ def _section(one: FlightStudy) -> Iterator[str]:
         for name, row in one.both["shrink"]["channels"].items()
     ]
     yield from _rows(("channel", "before", "after", "noise"), rows)
-    yield "\nWhat one engine alone tells of the other:\n"
+    yield "\nWhat the diagnosis of one engine alone explains in the other:\n"
     yield from _rows(
         ("diagnosed", "named", "expected off the squared gap of the other", "taken off it"),
         [[name, *_told(document)] for name, document in one.crossed.items()],

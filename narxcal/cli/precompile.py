@@ -21,6 +21,7 @@ import numpy as np
 
 from narxcal.cli.app import main
 from narxcal.support.arrays import FloatArray
+from narxcal.support.compiled import lagged
 from narxcal.support.files import log_csv
 from narxcal.support.parallel import in_processes
 
@@ -100,10 +101,9 @@ def write_logs(folder: Path, flights: int) -> None:
 
 
 def _lagged(values: FloatArray, tau_s: float) -> FloatArray:
-    share = 1.0 - np.exp(-1.0 / (_RATE_HZ * tau_s))
     found = values.copy()
     for k in range(1, len(found)):
-        found[k] = found[k - 1] + share * (values[k] - found[k - 1])
+        found[k] = lagged(found[k - 1], values[k], tau_s, 1.0 / _RATE_HZ)
     return found
 
 

@@ -1,4 +1,4 @@
-"""The page about the open flights: what acts in both engines, and what one tells of the other."""
+"""The page about the open flights: what acts in both engines, what one explains in the other."""
 
 import numpy as np
 import pytest
