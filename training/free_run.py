@@ -187,80 +187,54 @@ class FreeRunProblem:
 
 
 def _run(batch: _Batch, weights: Weights) -> kernels.Run:
-    return weights.run(batch.tapped, (batch.positions, batch.histories))
+    return weights.run(batch.tapped, (batch.positions, batch.histories), keep=True)
 
 
 def _loss(batch: _Batch, weights: Weights) -> float:
-    y = _run(batch, weights)[0]
+    y = weights.run(batch.tapped, (batch.positions, batch.histories))[0]
     return 0.5 * float((((y - batch.target) * batch.root_weight) ** 2).sum())
-
-
-def _rows(arrays: kernels.Run, part: slice) -> kernels.Run:
-    first, second, third = arrays
-    return first[part], second[part], third[part]
-
-
-def _features(
-    batch: _Batch, fed: FloatArray, weights: Weights
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Phi along a run (T, f), and phi and activations at rest (see kernels.jacobian)."""
-    phi = np.concatenate([fed, batch.tapped], axis=1)
-    rest_active = weights.at_rest(batch.tapped)
-    if not len(rest_active):
-        return phi, np.empty((0, phi.shape[1])), rest_active
-    rest = np.concatenate([np.zeros_like(fed), batch.tapped * weights.fixed], axis=1)
-    return phi, rest, rest_active
 
 
 def _loss_and_gradient(batch: _Batch, weights: Weights) -> tuple[float, FloatArray]:
     run = _run(batch, weights)
     error = (run[0] - batch.target) * batch.root_weight**2
     loss = 0.5 * float((error * (run[0] - batch.target)).sum())
-    return loss, _pulled_back(batch, run, weights, error)
+    return loss, weights.pulled_back(batch.tapped, run, batch.positions, error)[0]
 
 
 def _curvature(batch: _Batch, along: tuple[Weights, Weights, Weights]) -> FloatArray:
     run, ahead, behind = (_run(batch, weights) for weights in along)
     bend = (ahead[0] - 2.0 * run[0] + behind[0]) / _PROBE**2
-    return _pulled_back(batch, run, along[0], bend * batch.root_weight**2)
+    outer = bend * batch.root_weight**2
+    return along[0].pulled_back(batch.tapped, run, batch.positions, outer)[0]
 
 
-def _pulled_back(
-    batch: _Batch, run: kernels.Run, weights: Weights, outer: FloatArray
-) -> FloatArray:
-    """Back-propagate `outer`, dLoss/d(outputs) (T, o), to dLoss/d(weights) (P,)."""
-    _, active, fed = run
-    total, hidden, _ = kernels.adjoint(
-        outer, run, weights.feedback, batch.positions, weights.bounds
-    )
-    phi, rest, rest_active = _features(batch, fed, weights)
-    parts = [hidden.T @ phi, hidden.sum(0), total.T @ active, total.sum(0), total.T @ phi]
-    if len(rest):
-        back = (total @ weights.w2) * (1.0 - rest_active**2)
-        parts[0] = parts[0] - back.T @ rest
-        parts[1] = parts[1] - back.sum(0)
-        parts[2] = parts[2] - total.T @ rest_active
-        parts[3] = np.zeros_like(parts[3])
-        parts[4] = parts[4] - total.T @ rest
-    return np.concatenate([part.ravel() for part in parts])
+def _features(batch: _Batch, fed: FloatArray, weights: Weights) -> tuple[FloatArray, FloatArray]:
+    """Phi along a run (T, f), and at rest (see kernels.jacobian)."""
+    phi = np.concatenate([fed, batch.tapped], axis=1)
+    if not len(weights.fixed):
+        return phi, np.empty((0, phi.shape[1]))
+    return phi, np.concatenate([np.zeros_like(fed), batch.tapped * weights.fixed], axis=1)
 
 
 def _normal_equations(batch: _Batch, weights: Weights) -> NormalEquations:
     run = _run(batch, weights)
-    features = _features(batch, run[2], weights)
+    features = _features(batch, run[1], weights)
     units, outputs = weights.w2.T.shape
     width = features[0].shape[1]
     size = (units + outputs) * width + units + outputs * units + outputs
     gradient, hessian = np.zeros(size), np.zeros((size, size))
-    loss, memory = 0.0, np.zeros((run[2].shape[1] // outputs, outputs, size))
+    loss, memory = 0.0, np.zeros((run[1].shape[1] // outputs, outputs, size))
     for first in range(0, len(run[0]), _BLOCK):
         part = slice(first, first + _BLOCK)
         inside = (batch.positions >= first) & (batch.positions < first + _BLOCK)
         root = batch.root_weight[part]
+        phi, rest = features
+        y, fed, active, resting = run
         j = kernels.jacobian(
-            _rows(features, part),
-            _rows(run, part),
-            weights.feedback,
+            (phi[part], rest[part]),
+            (y[part], fed[part], active[part], resting[part]),
+            weights.layers,
             (batch.positions[inside] - first, memory),
             (*weights.bounds, root),
         )

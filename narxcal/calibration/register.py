@@ -20,7 +20,7 @@ import numpy as np
 
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.lumped.rotors import CASING, FAST, ROWS, Drive
-from narxcal.narx.kernels import fading, free_run
+from narxcal.narx.kernels import Layers, fading, free_run
 from narxcal.narx.network import AT_START, NarxModel
 from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.compiled import compiled
@@ -32,14 +32,10 @@ OVERSHOOT = 2.0
 class Network(NamedTuple):
     """The network's arrays as `advance` takes them: weights, bounds, scalings, taps, fading pole.
 
-    `drive` is (W1u', b1, Au', b2) and `w2` W2', transposed for products with rows; `keep` is the
-    pole of the fading bound, negative where there is none.
+    `keep` is the pole of the fading bound, negative where there is none.
     """
 
-    feedback: tuple[FloatArray, FloatArray, FloatArray]
-    drive: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-    w2: FloatArray
-    fixed: FloatArray
+    layers: Layers
     bounds: tuple[FloatArray, FloatArray]
     inputs: tuple[FloatArray, FloatArray]
     outputs: tuple[FloatArray, FloatArray]
@@ -88,18 +84,6 @@ def _rows(
 
 
 @compiled(exact=False)
-def _driven(network: Network, tapped: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """What the tapped inputs alone drive, less the value in equilibrium: (n, h) and (n, o)."""
-    w1u, b1, au, b2 = network.drive
-    hidden = np.dot(tapped, w1u) + b1
-    if len(network.fixed) == 0:
-        return hidden, np.dot(tapped, au) + b2
-    rest = tapped * network.fixed
-    at_rest = np.tanh(np.dot(rest, w1u) + b1)
-    return hidden, np.dot(tapped - rest, au) - np.dot(at_rest, network.w2)
-
-
-@compiled(exact=False)
 def advance(
     network: Network, state: State, samples: tuple[FloatArray, FloatArray, FloatArray]
 ) -> FloatArray:
@@ -113,21 +97,15 @@ def advance(
     for t in range(len(network.taps)):
         first = depth - network.taps[t]
         tapped[:, t * width : (t + 1) * width] = rows[first : first + samples_]
-    hidden, linear = _driven(network, tapped)
     centre, scale = network.outputs
     limit = np.empty((0, count))
     if network.keep >= 0.0:
         limit = OVERSHOOT * fading(increments, state.fading, network.keep) / scale
     history = state.history
-    start = history.copy().reshape(1, len(history))
     low, high = network.bounds
-    scaled, _, fed = free_run(
-        hidden,
-        linear,
-        network.feedback,
-        (np.zeros(1, dtype=np.int64), start),
-        (low, high, limit),
-    )
+    restarts = np.zeros(1, dtype=np.int64), history.copy().reshape(1, len(history))
+    run = free_run(tapped, network.layers, restarts, (low, high, limit), keep=False)
+    scaled, fed = run[0], run[1]
     state.ss[:] = ss[-1]
     state.past[:] = rows[samples_:]
     history[count:] = fed[-1, : len(history) - count]
@@ -216,12 +194,8 @@ class Register:
 
 def _network(parts: Parts) -> Network:
     weights, narx = parts.narx.weights, parts.narx
-    w1u, b1, au, b2 = weights.drive
     return Network(
-        feedback=weights.feedback,
-        drive=(np.ascontiguousarray(w1u.T), b1, np.ascontiguousarray(au.T), b2),
-        w2=np.ascontiguousarray(weights.w2.T),
-        fixed=weights.fixed,
+        layers=weights.layers,
         bounds=weights.bounds,
         inputs=(np.array(narx.input_scaling.centre), np.array(narx.input_scaling.scale)),
         outputs=(np.array(narx.output_scaling.centre), np.array(narx.output_scaling.scale)),

@@ -12,7 +12,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from narxcal.narx import kernels
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.network import Weights
 from narxcal.support.arrays import FloatArray
@@ -98,26 +97,18 @@ class NarxNet(nn.Module):
         if u.device.type != "cpu" or u.dtype != torch.float64:
             return self.free_run_by_steps(start, u)
         (batch, time, _), first = u.shape, start.shape[1]
-        m, rows = self.config.lags * self.outputs, torch.arange(first, time)
+        rows = torch.arange(first, time)
         tapped = torch.cat([u[:, torch.clamp(rows - d, min=0)] for d in self.config.taps], dim=2)
         past = [max(first - j, 0) for j in range(1, self.config.lags + 1)]
-        weights = self.hidden.weight[:, m:], self.linear.weight[:, m:]
-        hidden = tapped @ weights[0].T + self.hidden.bias
-        linear = tapped @ weights[1].T + self.output.bias
-        if self.config.moving:
-            moving = torch.arange(tapped.shape[2]) % self.inputs < self.config.moving
-            rest = torch.where(moving, 0.0, tapped)
-            linear = linear - self.output(torch.tanh(rest @ weights[0].T + self.hidden.bias))
-            linear = linear - rest @ weights[1].T
-        feedback = self.hidden.weight[:, :m], self.output.weight, self.linear.weight[:, :m]
+        theta = torch.cat([weights.flatten() for weights in self._ordered()])
         y: Tensor = _FreeRun.apply(  # type: ignore[no-untyped-call]
-            hidden.flatten(0, 1),
-            linear.flatten(0, 1),
-            *feedback,
-            start[:, past].flatten(1),
-            (self.low.numpy(), self.high.numpy()),
+            theta, tapped.flatten(0, 1), start[:, past].flatten(1), self.weights()
         )
         return torch.cat([start, y.reshape(batch, time - first, -1)], dim=1)
+
+    def _ordered(self) -> list[Tensor]:
+        weights = dict(self.named_parameters())
+        return [weights[name] for name in PARAMETER_ORDER]
 
     def free_run_by_steps(self, start: Tensor, u: Tensor) -> Tensor:
         """As `free_run`, by one PyTorch call a step: on any device, in any precision."""
@@ -155,24 +146,15 @@ class _FreeRun(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, *given: Any) -> Tensor:
-        hidden, linear, w1y, w2, ay, histories, bounds = given
-        feedback = w1y.numpy().T.copy(), w2.numpy().copy(), ay.numpy().copy()
-        positions = np.arange(len(histories)) * (len(linear) // max(len(histories), 1))
-        run = kernels.free_run(
-            hidden.numpy(),
-            linear.numpy(),
-            feedback,
-            (positions, np.ascontiguousarray(histories.numpy())),
-            (*bounds, np.empty((0, linear.shape[1]))),
-        )
-        ctx.run, ctx.feedback, ctx.positions, ctx.bounds = run, feedback, positions, bounds
+        _, tapped, histories, weights = given
+        positions = np.arange(len(histories)) * (len(tapped) // max(len(histories), 1))
+        restarts = positions, np.ascontiguousarray(histories.numpy())
+        run = weights.run(tapped.numpy(), restarts, keep=True)
+        ctx.given = weights, tapped.numpy(), run, positions
         return torch.from_numpy(run[0])
 
     @staticmethod
     def backward(ctx: Any, *outer: Tensor) -> tuple[Tensor | None, ...]:
-        _, active, fed = ctx.run
-        total, hidden, before = kernels.adjoint(
-            np.ascontiguousarray(outer[0].numpy()), ctx.run, ctx.feedback, ctx.positions, ctx.bounds
-        )
-        found = hidden, total, hidden.T @ fed, total.T @ active, total.T @ fed, before
+        weights, *run = ctx.given
+        found = weights.pulled_back(*run, np.ascontiguousarray(outer[0].numpy()))
         return (*(torch.from_numpy(slope) for slope in found), None)

@@ -69,16 +69,16 @@ class Weights:
         return np.concatenate([array.ravel() for array in arrays])
 
     @cached_property
-    def feedback(self) -> kernels.Feedback:
-        """(W1y', W2, Ay) as the kernels take them."""
-        m = self.config.lags * self.outputs
-        return self.w1[:, :m].T.copy(), self.w2, self.a[:, :m].copy()
-
-    @cached_property
-    def drive(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """(W1u, b1, Au, b2): what acts on the tapped inputs."""
-        m = self.config.lags * self.outputs
-        return self.w1[:, m:].copy(), self.b1, self.a[:, m:].copy(), self.b2
+    def layers(self) -> kernels.Layers:
+        """The arrays as the kernels take them."""
+        m, units = self.config.lags * self.outputs, len(self.b1)
+        padding = ((0, 0), (0, -units % kernels.PADDING))
+        w1y, w1u = (np.pad(part, padding) for part in (self.w1[:, :m].T, self.w1[:, m:].T))
+        au, b2, w1r = self.a[:, m:].T.copy(), self.b2, np.empty((0, w1u.shape[1]))
+        if len(self.fixed):
+            w1r, au, b2 = w1u * self.fixed[:, None], au * (1.0 - self.fixed[:, None]), 0.0 * b2
+        b1, w2 = np.pad(self.b1, padding[1]), np.pad(self.w2, padding)
+        return kernels.Layers(w1y, w1u, w1r, b1, w2, self.a[:, :m].copy(), au, b2, units)
 
     @cached_property
     def fixed(self) -> FloatArray:
@@ -98,25 +98,39 @@ class Weights:
         tapped: FloatArray,
         restarts: tuple[IntArray, FloatArray],
         limit: FloatArray | None = None,
+        *,
+        keep: bool = False,
     ) -> kernels.Run:
         """Free run over tapped inputs (T, taps * inputs) from `restarts` (see kernels).
 
-        `limit` (T, outputs) bounds the magnitude of the outputs step by step.
+        `limit` (T, outputs) bounds the magnitude of the outputs step by step. Only with `keep` are
+        there activations, which derivatives take.
         """
-        w1u, b1, au, b2 = self.drive
-        hidden = b1 + tapped @ w1u.T
-        linear = b2 + tapped @ au.T
-        if len(self.fixed):
-            rest = tapped * self.fixed
-            linear -= b2 + self.at_rest(tapped) @ self.w2.T + rest @ au.T
-        bounds = (self.low, self.high, np.empty((0, len(b2))) if limit is None else limit)
-        return kernels.free_run(hidden, linear, self.feedback, restarts, bounds)
+        bounds = (self.low, self.high, np.empty((0, self.outputs)) if limit is None else limit)
+        return kernels.free_run(np.ascontiguousarray(tapped), self.layers, restarts, bounds, keep)
 
-    def at_rest(self, tapped: FloatArray) -> FloatArray:
-        """Tanh activations (T, h) in equilibrium; no rows if the network is not anchored."""
-        if not len(self.fixed):
-            return np.empty((0, len(self.b1)))
-        return np.tanh(self.b1 + (tapped * self.fixed) @ self.drive[0].T)
+    def pulled_back(
+        self, tapped: FloatArray, run: kernels.Run, positions: IntArray, outer: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Back-propagate `outer`, dLoss/d(outputs) (T, o), through a run that kept activations.
+
+        Returns the loss's slopes by theta (P,), by `tapped` and by the histories at `positions`.
+        """
+        layers, (_, fed, active, resting) = self.layers, run
+        total, hidden, before = kernels.adjoint(outer, run, layers, positions, self.bounds)
+        by_w1u, by_b1, by_b2 = hidden.T @ tapped, hidden.sum(0), total.sum(0)
+        by_tapped, moving = hidden @ layers.w1u.T + total @ layers.au.T, tapped
+        if len(self.fixed):
+            back = (total @ layers.w2) * (resting**2 - 1.0)
+            active, moving = active - resting, tapped * (1.0 - self.fixed)
+            by_w1u += back.T @ (tapped * self.fixed)
+            by_b1, by_b2 = by_b1 + back.sum(0), 0.0 * by_b2
+            by_tapped += back @ layers.w1r.T
+        by_w1 = np.concatenate([hidden.T @ fed, by_w1u], axis=1)[: layers.units]
+        by_w2 = (total.T @ active)[:, : layers.units]
+        by_a = np.concatenate([total.T @ fed, total.T @ moving], axis=1)
+        parts = by_w1, by_b1[: layers.units], by_w2, by_b2, by_a
+        return np.concatenate([part.ravel() for part in parts]), by_tapped, before
 
 
 _NAMES = (
@@ -244,7 +258,7 @@ class NarxModel:
         scaled = self.output_scaling.down(first)
         tapped = tap(self.input_scaling.down(inputs), self.config.taps)[len(first) :]
         history = history_before(scaled, len(scaled), self.config.lags)
-        y, _, _ = self.weights.run(tapped, (AT_START, history[None]))
+        y = self.weights.run(tapped, (AT_START, history[None]))[0]
         return np.concatenate([first, self.output_scaling.up(y)])[: len(inputs)]
 
     def predict(self, u: ArrayLike, y: ArrayLike) -> FloatArray:
@@ -265,7 +279,7 @@ class NarxModel:
         past = scaled[rows].reshape(len(rows), -1)
         tapped = tap(self.input_scaling.down(inputs), self.config.taps)[1:]
         # A free run that starts anew from measured outputs at every sample.
-        steps, _, _ = self.weights.run(tapped, (np.arange(len(past)), past))
+        steps = self.weights.run(tapped, (np.arange(len(past)), past))[0]
         known = np.isfinite(past).all(axis=1)
         result[1:][known] = self.output_scaling.up(steps)[known]
         return result

@@ -15,8 +15,10 @@ from numba import njit
 from narxcal.support.arrays import FloatArray
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-# Sums may be reordered, but NaN and infinity keep their meaning.
-_REORDERED = {"contract", "reassoc", "nsz", "arcp"}
+# A product and the sum it goes into may be rounded once.
+_FUSED = {"contract"}
+# Sums may be reordered as well, but NaN and infinity keep their meaning.
+_REORDERED = _FUSED | {"reassoc", "nsz", "arcp"}
 
 
 @overload
@@ -24,14 +26,24 @@ def compiled(function: Function) -> Function: ...
 
 
 @overload
-def compiled(*, exact: bool) -> Callable[[Function], Function]: ...
+def compiled(
+    *, exact: bool = True, fused: bool = False, inline: bool = False
+) -> Callable[[Function], Function]: ...
 
 
-def compiled(function: Function | None = None, *, exact: bool = True) -> Any:
+def compiled(
+    function: Function | None = None,
+    *,
+    exact: bool = True,
+    fused: bool = False,
+    inline: bool = False,
+) -> Any:
     """Compile `function` by numba; its Python signature and type stay what they were.
 
     With `exact` sums keep their order, so that balances close to rounding; without, they may be
-    reordered, which is faster where results of the last digit do not matter. No C caller needs a
+    reordered, which is faster where results of the last digit do not matter. With `fused` the
+    order stays, but a product is not rounded before it is added. `inline` makes the function a
+    part of each compiled caller: for short loops that a call would slow down. No C caller needs a
     wrapper, and leaving it out saves compile time. A function that Python calls must not return
     a named tuple: a signal that arrives meanwhile would end the process
     (`narxcal.support.interrupt`).
@@ -41,10 +53,11 @@ def compiled(function: Function | None = None, *, exact: bool = True) -> Any:
         build: Any = njit  # its type does not list all its options
         same: Function = build(
             cache=True,
+            inline="always" if inline else "never",
             nogil=True,
             error_model="numpy",
             no_cfunc_wrapper=True,
-            fastmath=False if exact else _REORDERED,
+            fastmath=(_FUSED if fused else False) if exact else _REORDERED,
         )(function)
         return same
 

@@ -35,7 +35,7 @@ class ArrayRegister(Register):
             envelope = kernels.fading(increments, state.fading, network.keep)
             limit = OVERSHOOT * envelope / narx.output_scaling.scale
         start = (AT_START, state.history[None].copy())
-        deviation, _, fed = narx.weights.run(tapped, start, limit)
+        deviation, fed = narx.weights.run(tapped, start, limit)[:2]
         state.history[:] = np.concatenate([deviation[-1], fed[-1, : -deviation.shape[1]]])
         state.past[:] = rows[len(features) :]
         state.ss[:] = ss[-1]
