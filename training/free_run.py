@@ -199,14 +199,21 @@ def _loss_and_gradient(batch: _Batch, weights: Weights) -> tuple[float, FloatArr
     run = _run(batch, weights)
     error = (run[0] - batch.target) * batch.root_weight**2
     loss = 0.5 * float((error * (run[0] - batch.target)).sum())
-    return loss, weights.pulled_back(batch.tapped, run, batch.positions, error)[0]
+    return loss, _theta_slopes(batch, run, weights, error)
 
 
 def _curvature(batch: _Batch, along: tuple[Weights, Weights, Weights]) -> FloatArray:
     run, ahead, behind = (_run(batch, weights) for weights in along)
     bend = (ahead[0] - 2.0 * run[0] + behind[0]) / _PROBE**2
-    outer = bend * batch.root_weight**2
-    return along[0].pulled_back(batch.tapped, run, batch.positions, outer)[0]
+    return _theta_slopes(batch, run, along[0], bend * batch.root_weight**2)
+
+
+def _theta_slopes(
+    batch: _Batch, run: kernels.Run, weights: Weights, outer: FloatArray
+) -> FloatArray:
+    """Back-propagate `outer`, dLoss/d(outputs) (T, o), to dLoss/d(weights) (P,)."""
+    adjoint = weights.adjoint(run, batch.positions, outer)
+    return weights.theta_slopes(batch.tapped, run, adjoint)
 
 
 def _features(batch: _Batch, fed: FloatArray, weights: Weights) -> tuple[FloatArray, FloatArray]:

@@ -61,8 +61,7 @@ class Layers(NamedTuple):
 
 
 _LOG2_E = 1.4426950408889634
-# ln 2 in two parts, the first with trailing zeros, so that k ln 2 is exact to the last digit.
-_LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
+_LN2 = 0.6931471805599453
 _ROUND = 1.5 * 2.0**52  # x + this has the nearest integer to x in its lowest bits
 _EXPONENT, _BIAS = 52, 1023 << 52  # where a double keeps the power of two, and that of 1
 _FLAT = 20.0  # tanh is 1 to the last digit from here on
@@ -79,10 +78,9 @@ def _tanh(x: float) -> float:
     With d = 2 x = k ln 2 + r, expm1(d) = 2^k expm1(r) + (2^k - 1), expm1(r) by its power series in
     pairs (Estrin), and tanh(x) = expm1(d) / (expm1(d) + 2). NaN stays NaN.
     """
-    d = 2.0 * min(max(x, -_FLAT), _FLAT)
-    rounded = np.float64(d * _LOG2_E + _ROUND)
-    k = rounded - _ROUND
-    r = (d - k * _LN2_HIGH) - k * _LN2_LOW
+    near = min(max(x, -_FLAT), _FLAT)
+    rounded = np.float64(near * (2.0 * _LOG2_E) + _ROUND)
+    r = 2.0 * near - (rounded - _ROUND) * _LN2
     r2 = r * r
     p = (_F10 + _F11 * r) + (_F12 + _F13 * r) * r2
     p = ((_F6 + _F7 * r) + (_F8 + _F9 * r) * r2) + p * (r2 * r2)
@@ -225,7 +223,7 @@ def fading(increments: FloatArray, state: FloatArray, keep: float) -> FloatArray
     return envelope
 
 
-@compiled(exact=False)
+@compiled(exact=False, inline=True)
 def _pass_back(
     pending: FloatArray, layers: Layers, total: tuple[FloatArray, int], back: FloatArray
 ) -> None:

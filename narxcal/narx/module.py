@@ -155,6 +155,11 @@ class _FreeRun(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *outer: Tensor) -> tuple[Tensor | None, ...]:
-        weights, *run = ctx.given
-        found = weights.pulled_back(*run, np.ascontiguousarray(outer[0].numpy()))
+        weights, tapped, run, positions = ctx.given
+        adjoint = weights.adjoint(run, positions, np.ascontiguousarray(outer[0].numpy()))
+        found = (
+            weights.theta_slopes(tapped, run, adjoint),
+            weights.tapped_slopes(adjoint),
+            adjoint.before,
+        )
         return (*(torch.from_numpy(slope) for slope in found), None)

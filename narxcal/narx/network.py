@@ -72,13 +72,11 @@ class Weights:
     def layers(self) -> kernels.Layers:
         """The arrays as the kernels take them."""
         m, units = self.config.lags * self.outputs, len(self.b1)
-        padding = ((0, 0), (0, -units % kernels.PADDING))
-        w1y, w1u = (np.pad(part, padding) for part in (self.w1[:, :m].T, self.w1[:, m:].T))
-        au, b2, w1r = self.a[:, m:].T.copy(), self.b2, np.empty((0, w1u.shape[1]))
+        w1, b1, w2 = (_padded(part) for part in (self.w1.T, self.b1, self.w2))
+        au, b2, w1r = self.a[:, m:].T.copy(), self.b2, np.empty((0, len(b1)))
         if len(self.fixed):
-            w1r, au, b2 = w1u * self.fixed[:, None], au * (1.0 - self.fixed[:, None]), 0.0 * b2
-        b1, w2 = np.pad(self.b1, padding[1]), np.pad(self.w2, padding)
-        return kernels.Layers(w1y, w1u, w1r, b1, w2, self.a[:, :m].copy(), au, b2, units)
+            w1r, au, b2 = w1[m:] * self.fixed[:, None], au * (1.0 - self.fixed[:, None]), 0.0 * b2
+        return kernels.Layers(w1[:m], w1[m:], w1r, b1, w2, self.a[:, :m].copy(), au, b2, units)
 
     @cached_property
     def fixed(self) -> FloatArray:
@@ -109,28 +107,54 @@ class Weights:
         bounds = (self.low, self.high, np.empty((0, self.outputs)) if limit is None else limit)
         return kernels.free_run(np.ascontiguousarray(tapped), self.layers, restarts, bounds, keep)
 
-    def pulled_back(
-        self, tapped: FloatArray, run: kernels.Run, positions: IntArray, outer: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Back-propagate `outer`, dLoss/d(outputs) (T, o), through a run that kept activations.
+    def adjoint(self, run: kernels.Run, positions: IntArray, outer: FloatArray) -> Adjoint:
+        """Back-propagate `outer`, dLoss/d(outputs) (T, o), through a run that kept activations."""
+        total, hidden, before = kernels.adjoint(outer, run, self.layers, positions, self.bounds)
+        resting = (total @ self.layers.w2) * (run[3] ** 2 - 1.0) if len(self.fixed) else None
+        return Adjoint(total, hidden, resting, before)
 
-        Returns the loss's slopes by theta (P,), by `tapped` and by the histories at `positions`.
-        """
-        layers, (_, fed, active, resting) = self.layers, run
-        total, hidden, before = kernels.adjoint(outer, run, layers, positions, self.bounds)
-        by_w1u, by_b1, by_b2 = hidden.T @ tapped, hidden.sum(0), total.sum(0)
-        by_tapped, moving = hidden @ layers.w1u.T + total @ layers.au.T, tapped
-        if len(self.fixed):
-            back = (total @ layers.w2) * (resting**2 - 1.0)
-            active, moving = active - resting, tapped * (1.0 - self.fixed)
-            by_w1u += back.T @ (tapped * self.fixed)
-            by_b1, by_b2 = by_b1 + back.sum(0), 0.0 * by_b2
-            by_tapped += back @ layers.w1r.T
-        by_w1 = np.concatenate([hidden.T @ fed, by_w1u], axis=1)[: layers.units]
-        by_w2 = (total.T @ active)[:, : layers.units]
+    def theta_slopes(self, tapped: FloatArray, run: kernels.Run, adjoint: Adjoint) -> FloatArray:
+        """Slopes of the loss by theta (P,)."""
+        (_, fed, active, at_rest), units = run, self.layers.units
+        total, hidden = adjoint.total, adjoint.hidden
+        ones = np.ones(len(tapped))  # by a product: sums over columns are slower
+        by_w1u, by_b1, by_b2, moving = hidden.T @ tapped, ones @ hidden, ones @ total, tapped
+        if adjoint.resting is not None:
+            active, moving = active - at_rest, tapped * (1.0 - self.fixed)
+            by_w1u += adjoint.resting.T @ (tapped * self.fixed)
+            by_b1, by_b2 = by_b1 + ones @ adjoint.resting, 0.0 * by_b2
+        by_w1 = np.concatenate([hidden.T @ fed, by_w1u], axis=1)[:units]
         by_a = np.concatenate([total.T @ fed, total.T @ moving], axis=1)
-        parts = by_w1, by_b1[: layers.units], by_w2, by_b2, by_a
-        return np.concatenate([part.ravel() for part in parts]), by_tapped, before
+        parts = by_w1, by_b1[:units], (total.T @ active)[:, :units], by_b2, by_a
+        return np.concatenate([part.ravel() for part in parts])
+
+    def tapped_slopes(self, adjoint: Adjoint) -> FloatArray:
+        """Slopes of the loss by the tapped inputs (T, taps * inputs)."""
+        slopes = adjoint.hidden @ self.layers.w1u.T + adjoint.total @ self.layers.au.T
+        if adjoint.resting is not None:
+            slopes += adjoint.resting @ self.layers.w1r.T
+        return slopes
+
+
+@dataclass(frozen=True, eq=False)
+class Adjoint:
+    """Slopes of a loss along a run: by outputs, hidden layer (at rest: None without) and histories.
+
+    Shapes (T, o), (T, H), (T, H) and (n, m), with the symbols of `narx.kernels`.
+    """
+
+    total: FloatArray
+    hidden: FloatArray
+    resting: FloatArray | None
+    before: FloatArray
+
+
+def _padded(weights: FloatArray) -> FloatArray:
+    """Weights (..., h) with units of zero weight up to a multiple of what the kernels take."""
+    units = weights.shape[-1]
+    padded = np.zeros((*weights.shape[:-1], units + -units % kernels.PADDING))
+    padded[..., :units] = weights
+    return padded
 
 
 _NAMES = (
