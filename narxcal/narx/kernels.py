@@ -306,18 +306,21 @@ def _direct(
     phi, active = features
     outputs, units = len(layers.b2), layers.units
     width = phi.shape[1]
-    at_b1 = units * width
-    at_w2 = at_b1 + units
-    at_a = at_w2 + outputs * units + outputs
+    at_w2 = units * width + units
+    at_b2 = at_w2 + outputs * units
+    # Slices, since an index that might be negative keeps a loop out of vector registers.
+    by_b1, by_w2 = row[units * width :], row[at_w2 + o * units :]
+    by_a = row[at_b2 + outputs + o * width :]
     for i in range(units):
         c = sign * layers.w2[o, i] * (1.0 - active[k, i] * active[k, i])
+        by_w1 = row[i * width :]
         for j in range(width):
-            row[i * width + j] += c * phi[k, j]
-        row[at_b1 + i] += c
-        row[at_w2 + o * units + i] += sign * active[k, i]
-    row[at_a - outputs + o] += sign
+            by_w1[j] += c * phi[k, j]
+        by_b1[i] += c
+        by_w2[i] += sign * active[k, i]
+    row[at_b2 + o] += sign
     for j in range(width):
-        row[at_a + o * width + j] += sign * phi[k, j]
+        by_a[j] += sign * phi[k, j]
 
 
 @compiled(exact=False)

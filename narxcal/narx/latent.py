@@ -19,7 +19,6 @@ nonlinear system identification, IEEE Trans. Automatic Control 70(4), 2025 (jax-
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,6 +26,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from narxcal.narx.kernels import tanh_of
 from narxcal.narx.network import Scaling
 from narxcal.support.arrays import FloatArray
 from narxcal.support.compiled import compiled
@@ -39,10 +39,10 @@ Parts = tuple[FloatArray, FloatArray, FloatArray]  # L, M, W
 def _activate(slopes: FloatArray, v: FloatArray, active: FloatArray) -> None:
     """Fill t = tanh(W v) into `active` (h,)."""
     for i in range(len(slopes)):
-        z = 0.0
+        active[i] = 0.0
         for j in range(len(v)):
-            z += slopes[i, j] * v[j]
-        active[i] = math.tanh(z)
+            active[i] += slopes[i, j] * v[j]
+    tanh_of(active, active)
 
 
 @compiled(exact=False)
@@ -96,30 +96,45 @@ def _gains(parts: Parts, active: FloatArray, gain: FloatArray) -> None:
                 gain[i, j] += c * slopes[q, j]
 
 
-@compiled(exact=False)
-def _passed_on(row: FloatArray, gain: FloatArray, sensitivity: FloatArray) -> None:
-    """Fill `row` (Q,) with gain (n,) times dx/d(theta, x0) (n, Q)."""
+@compiled(exact=False, inline=True)
+def _passed_on(row: FloatArray, factor: float, gain: FloatArray, sensitivity: FloatArray) -> None:
+    """Fill `row` (Q,) with factor times gain (n,) times dx/d(theta, x0) (n, Q).
+
+    Two states at a time: each entry of the row is read and written half as often.
+    """
+    n = len(gain)
     for q in range(len(row)):
-        row[q] = gain[0] * sensitivity[0, q]
-    for j in range(1, len(gain)):
-        g = gain[j]
+        row[q] = factor * gain[n - 1] * sensitivity[n - 1, q] if n % 2 else 0.0
+    for j in range(0, n - 1, 2):
+        one, other = factor * gain[j], factor * gain[j + 1]
         for q in range(len(row)):
-            row[q] += g * sensitivity[j, q]
+            row[q] += one * sensitivity[j, q] + other * sensitivity[j + 1, q]
 
 
-@compiled(exact=False)
-def _direct(row: FloatArray, i: int, parts: Parts, v: FloatArray, active: FloatArray) -> None:
-    """Add the derivative of entry `i` of [x(k+1); y(k)] by theta at a given v to `row`."""
-    linear, bent, _ = parts
-    rows, r, h = len(linear), len(v), len(active)
+@compiled(exact=False, inline=True)
+def _direct(
+    row: FloatArray,
+    at: tuple[int, float],
+    inside: tuple[FloatArray, FloatArray],
+    v: FloatArray,
+    active: FloatArray,
+) -> None:
+    """Add the derivative of entry `i` of [x(k+1); y(k)] by theta at a given v to `row`.
+
+    `at` is (i, a factor). `inside` is M with each column repeated len(v) times, (n + p, h len(v)),
+    and the slope of every hidden unit by its weights (h len(v),): the slopes of the entry by W.
+    """
+    i, factor = at
+    bent, inner = inside
+    rows, r, h = len(bent), len(v), len(active)
+    # Slices, since an index that might be negative keeps a loop out of vector registers.
+    by_l, by_m, by_w = row[i * r :], row[rows * r + i * h :], row[rows * (r + h) :]
     for j in range(r):
-        row[i * r + j] += v[j]
+        by_l[j] += factor * v[j]
     for q in range(h):
-        row[rows * r + i * h + q] += active[q]
-        c = bent[i, q] * (1.0 - active[q] * active[q])
-        at = rows * (r + h) + q * r
-        for j in range(r):
-            row[at + j] += c * v[j]
+        by_m[q] += factor * active[q]
+    for j in range(len(inner)):
+        by_w[j] += factor * bent[i, j] * inner[j]
 
 
 @compiled(exact=False)
@@ -139,28 +154,39 @@ def latent_jacobian(
     low, high = bounds
     steps, m = u.shape
     n, p = states.shape[1], root.shape[1]
+    r, h = n + m + 1, active.shape[1]
     rows = np.empty((np.count_nonzero(root > 0.0), sensitivity.shape[1]))
-    ahead = np.empty_like(sensitivity)
-    gain, v = np.empty((n + p, n)), np.ones(n + m + 1)
+    now, ahead = sensitivity.copy(), np.empty_like(sensitivity)
+    gain, v, inner, bent = (
+        np.empty((n + p, n)),
+        np.ones(r),
+        np.empty(h * r),
+        np.empty((n + p, h * r)),
+    )
+    for q in range(h * r):
+        bent[:, q] = parts[1][:, q // r]
+    inside = bent, inner
     count = 0
     for k in range(steps):
         v[:n] = states[k]
         v[n : n + m] = u[k]
+        for q in range(h):
+            for j in range(r):
+                inner[q * r + j] = (1.0 - active[k, q] * active[k, q]) * v[j]
         _gains(parts, active[k], gain)
         for i in range(n):
             if k + 1 < steps and not low[i] < states[k + 1, i] < high[i]:
                 ahead[i] = 0.0
                 continue
-            _passed_on(ahead[i], gain[i], sensitivity)
-            _direct(ahead[i], i, parts, v, active[k])
+            _passed_on(ahead[i], 1.0, gain[i], now)
+            _direct(ahead[i], (i, 1.0), inside, v, active[k])
         for i in range(p):
             if root[k, i] > 0.0:
-                row = rows[count]
-                _passed_on(row, gain[n + i], sensitivity)
-                _direct(row, n + i, parts, v, active[k])
-                row *= root[k, i]
+                _passed_on(rows[count], root[k, i], gain[n + i], now)
+                _direct(rows[count], (n + i, root[k, i]), inside, v, active[k])
                 count += 1
-        sensitivity[:] = ahead
+        now, ahead = ahead, now
+    sensitivity[:] = now
     return rows
 
 
