@@ -17,9 +17,15 @@ Core and fan of a governed engine close a loop. Otherwise the core comes first, 
 follow it; its limits depend on the fan, which is taken as measured meanwhile.
 
 **Choice.** How an engine settles depends on its control, which no log names. Where [narx] says
-"auto", each form is fitted to some of the recordings and judged by its free run over the others,
-where the core moves; a single recording is cut into stretches. Errors are compared by the geometric
-mean over the outputs of their RMS, and a richer form has to be better by two percent.
+"auto", the usual form stands: governed where a lever drives a fan and a core, plain elsewhere. Each
+other form is fitted to some of the recordings and judged by its free run over the rest, where the
+core moves; a single recording is cut into stretches. With e the geometric mean over the outputs of
+the RMS errors, another form is taken if
+
+    mean r < -s,   r = ln(e_form / e_usual) by fold,   s = standard error of mean r
+
+Of two recordings each fold would learn one flight from another, and two folds have hardly a
+standard error: the usual form stands.
 """
 
 from __future__ import annotations
@@ -60,7 +66,6 @@ _LEVEL: Final = (0.4, 1.0)  # shares of the largest value; below, weights grow n
 _ROUNDS: Final = 3  # of lags and static error, each found with the other; more change little
 
 PLAIN, LIMITS, GOVERNED = "plain", "limits", "governed"
-_BETTER: Final = 0.98  # of the plainer form's error; folds have fewer logs than the final fit
 _FOLDS: Final = 3
 _STRETCH_S, _STRETCHES = 30.0, 15  # at least so long, at most so many, of a single recording
 _CHOICE_GRID_S: Final = 0.2  # the ranking is the same on a grid twice as coarse as the fit's
@@ -360,7 +365,7 @@ class _Fit:
 class LagChoice:
     """The `form` that was chosen, and the error that each form leaves, over the outputs' range.
 
-    `left` is empty where there was nothing to choose, `form` where [narx] wants no lags.
+    `left` is empty where nothing was compared, `form` where [narx] wants no lags.
     """
 
     form: str
@@ -379,11 +384,11 @@ def choose_form(
 ) -> tuple[RunConfig, LagChoice]:
     """Replace "auto" in [narx] by the form that follows left-out logs best; raises no errors.
 
-    Where no form can be judged (some recording has no moves), it is the plainest. `progress` is
-    called with the fits done and the number of all.
+    Where no form can be judged (two recordings, or one without moves), it is the usual one.
+    `progress` is called with the fits done and the number of all.
     """
     forms = _offered(config, steady)
-    if len(forms) < 2:
+    if len(forms) < 2 or len({log.source.file for log in logs}) == 2:
         return _with(config, forms[0]), LagChoice(forms[0] if config.narx.lag else "")
     logs = _enough(logs)
     samples = [lag_samples(log, steady, config) for log in logs]
@@ -395,16 +400,28 @@ def choose_form(
     def begins() -> None:
         progress(next(done), total)
 
-    left, best = {form: trial.left(_with(config, form), begins) for form in forms}, forms[0]
-    for form in forms[1:]:
-        if left[form] < _BETTER * left[best]:
-            best = form
-    known = {form: value for form, value in left.items() if np.isfinite(value)}
+    left = {form: trial.left(_with(config, form), begins) for form in forms}
+    best = _best(left)
+    known = {
+        form: float(np.exp(logs.mean())) for form, logs in left.items() if np.isfinite(logs).all()
+    }
     return _with(config, best), LagChoice(best, known)
 
 
+def _best(left: Mapping[str, FloatArray]) -> str:
+    """The first form, or the one that beats it by most, by more than a standard error (folds,)."""
+    usual, *others = left
+    ratios = {form: left[form] - left[usual] for form in others}
+    able = {
+        form: ratio.mean()
+        for form, ratio in ratios.items()
+        if np.isfinite(ratio).all() and ratio.mean() < -ratio.std(ddof=1) / np.sqrt(len(ratio))
+    }
+    return min(able, key=able.__getitem__, default=usual)
+
+
 def _offered(config: RunConfig, steady: SteadyStateModel) -> list[str]:
-    """The forms that [narx] leaves open, the plainest first."""
+    """The forms that [narx] leaves open, the usual one first."""
     section = config.narx
     if not section.lag:
         return [PLAIN]
@@ -416,7 +433,7 @@ def _offered(config: RunConfig, steady: SteadyStateModel) -> list[str]:
     spools = {"N1_pct", "N2_pct"} <= set(steady.output_names)
     unset = section.lag_errors == "absolute" and not section.lag_heat
     governed = spools and unset and CHANNELS[config.driver].role == "lever"
-    return [PLAIN, LIMITS, *([GOVERNED] if governed and section.lag_governed == "auto" else [])]
+    return [*([GOVERNED] if governed and section.lag_governed == "auto" else []), PLAIN, LIMITS]
 
 
 def _with(config: RunConfig, form: str) -> RunConfig:
@@ -457,22 +474,25 @@ class _Trial:
     folds: Sequence[Fold]
     dt_s: float
 
-    def left(self, config: RunConfig, begins: Callable[[], None]) -> float:
-        """Error of a form in free run on left-out samples, as a share of the outputs' range.
+    def left(self, config: RunConfig, begins: Callable[[], None]) -> FloatArray:
+        """Logarithm of a form's free-run error in each fold, as a share of the outputs' range.
 
-        `begins` is called as each fit begins. An output without a known sample to fit is left out.
+        NaN where a fold has nothing to fit to. An output that no sample to fit or to judge shows is
+        left out of the fold. `begins` is called as each fit begins.
         """
-        errors: list[FloatArray] = []
+        found = []
         for fold in self.folds:
             begins()
             fitted, judged = fold.of(self.samples)
             try:
                 engine = fitted_form(config, fitted, self.steady, self.dt_s)
             except DataError:  # the core never moves without what is judged
-                return np.inf
+                return np.full(len(self.folds), np.nan)
             known = np.concatenate([np.isfinite(one.measured) for one in fitted]).any(axis=0)
-            errors += [np.where(known, self._error(engine, one), np.nan) for one in judged]
-        return geometric_rms(errors)
+            error = np.concatenate([self._error(engine, one) for one in judged])
+            known &= np.isfinite(error).any(axis=0)
+            found.append(np.log(geometric_rms([error[:, known]])) if known.any() else np.nan)
+        return np.array(found)
 
     def _error(self, engine: LumpedEngine, one: LagSamples) -> FloatArray:
         """Error (rows, outputs) of the free run where the core moves, over the outputs' range."""

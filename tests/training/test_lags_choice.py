@@ -143,13 +143,45 @@ def test_lags_behind_a_control_are_offered_only_where_they_can_be(said, asked):
     assert len(asked) == 2 * 3
 
 
-def test_engines_of_which_only_one_ever_moves_get_the_plainest():
-    still = flight(2, TRUTHS["limits"])
-    rest = {name: np.full(len(still), 1.0) for name in INPUTS}
-    settled = dict(zip(OUTPUTS, Line().outputs(np.ones((len(still), 3))).T, strict=True))
-    logs = [flight(1, TRUTHS["limits"]), still.with_channels({**rest, **settled})]
+def test_engines_of_which_only_one_ever_moves_get_the_usual_form():
+    rest = {name: np.full(MOVES * HOLD, 1.0) for name in INPUTS}
+    settled = dict(zip(OUTPUTS, Line().outputs(np.ones((MOVES * HOLD, 3))).T, strict=True))
+    logs = [flight(number, TRUTHS["limits"]) for number in (1, 2, 3)]
+    logs[1:] = [log.with_channels({**rest, **settled}) for log in logs[1:]]
     _, choice = choose_form(config(lag_governed=False), Line(), logs)
     assert choice == LagChoice("plain", {})
+
+
+@pytest.mark.parametrize(("said", "usual"), [({}, "governed"), ({"lag_governed": False}, "plain")])
+def test_two_recordings_tell_nothing_against_the_usual_form(said, usual, asked):
+    logs = [flight(number, TRUTHS["limits"]) for number in (1, 2)]
+    assert choose_form(config(**said), Line(), logs)[1] == LagChoice(usual)
+    assert not asked
+
+
+@pytest.mark.parametrize(
+    ("ratios", "form"),
+    [
+        ([-0.1, -0.2, -0.15], "limits"),
+        ([-0.1, -0.5, 0.3], "plain"),  # within a standard error
+        ([0.1, 0.2, 0.1], "plain"),
+        ([-0.2, -0.3, np.nan], "plain"),
+    ],
+)
+def test_another_form_has_to_be_better_by_a_standard_error(ratios, form, monkeypatch):
+    def left(_trial, config, _begins):
+        return np.array(ratios if config.narx.lag_limits else np.zeros(3))
+
+    monkeypatch.setattr("training.lags._Trial.left", left)
+    logs = [flight(number, TRUTHS["plain"]) for number in (1, 2, 3)]
+    assert choose_form(config(lag_governed=False), Line(), logs)[1].form == form
+
+
+def test_an_output_that_one_recording_masks_does_not_end_the_comparison():
+    logs = [flight(number, TRUTHS["limits"]) for number in (1, 2, 3)]
+    logs[2] = logs[2].with_channels({"EGT_C": np.full(MOVES * HOLD, np.nan)})
+    _, choice = choose_form(config(lag_governed=False), Line(), logs)
+    assert choice.form == "limits"
 
 
 def test_of_many_hours_every_so_many_th_recording_is_asked(monkeypatch, asked):
