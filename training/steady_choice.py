@@ -11,9 +11,10 @@ What [steady_state] leaves to "auto" is chosen from quasi-steady samples of the 
   one after another (on stretches of it, where there is one).
 
 Residuals are compared by their geometric mean over the outputs. The usual answer stands unless
-another is better by a tenth: corrected, blended over Mach, with fitted exponents, which on flights
-beyond the trained altitudes leave less than similarity alone in most cases. A switch has to take a
-few percent away.
+another is better by a tenth: corrected, blended over Mach (over altitude without it), with fitted
+exponents, which on flights beyond the trained altitudes leave less than similarity alone in most
+cases. Between corners close together only noise is blended. A switch has to take a few percent
+away.
 """
 
 from __future__ import annotations
@@ -35,12 +36,17 @@ from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from training.config import RunConfig
 from training.folds import geometric_rms, held_out_folds
+from training.records import LEAST_WIDTHS
 from training.steady_fit import SteadyQuality, SteadySamples, fit_steady_state
 
 _BETTER = 0.9  # of the usual answer's residual
 _BETTER_SWITCH = 0.97  # of the residual without it
 _ROWS = 2000  # of a log; enough to choose by
 _FOLDS = 5
+_BLENDED = ("Mach", "ALT_ft")  # the usual one first
+# Share of `LEAST_WIDTHS` between corners. Over it pressure changes by 3 %; with exponents that are
+# off by a tenth, outputs by 0.3 %, which is about what any steady state leaves.
+_APART = 0.1
 _ON_S = 6.0  # quasi-steady time for which a switch has to be on, and off; the rest is judged
 
 
@@ -72,12 +78,11 @@ def chosen_layout(config: RunConfig, logs: Sequence[Log]) -> Layout:
     section = config.steady_state
     switches = _switches(config, logs) if section.switches == "auto" else section.switches
     names = tuple(dict.fromkeys((*section.inputs, *switches)))
-    blend = tuple(name for name in ("Mach",) if name in names)
     layout = Layout(
         input_names=names,
         output_names=config.narx.outputs,
         driver=config.driver,
-        blend=blend if section.blend == "auto" else section.blend,
+        blend=() if section.blend == "auto" else section.blend,
         corrected="ALT_ft" in names if section.corrected == "auto" else section.corrected,
         switches=() if section.switches == "auto" else section.switches,
         exponents=() if section.exponents == "auto" else section.exponents,
@@ -88,8 +93,11 @@ def chosen_layout(config: RunConfig, logs: Sequence[Log]) -> Layout:
     known = np.concatenate([one.samples.inputs for one in taken])
     if not len(known):
         return layout  # the fit says what is missing
-    varying = {name for name, width in zip(names, np.ptp(known, axis=0), strict=True) if width > 0}
-    blends = _subsets([name for name in ("Mach", "ALT_ft") if name in varying])
+    widths = dict(zip(names, np.ptp(known, axis=0), strict=True))
+    varying = [name for name in _BLENDED if widths.get(name, 0.0) >= _APART * LEAST_WIDTHS[name]]
+    blends = _subsets(varying)
+    if section.blend == "auto":
+        layout = replace(layout, blend=tuple(varying[:1]))
     if section.corrected == "auto" and layout.corrected:
         layout = _corrected(layout, blends[-1] if section.blend == "auto" else layout.blend, taken)
     if section.exponents == "auto" and layout.corrected:
