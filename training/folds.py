@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+from scipy.special import ndtr, stdtrit
 
-from narxcal.support.arrays import FloatArray, known_mean
+from narxcal.support.arrays import BoolArray, FloatArray, known_mean
 
 T = TypeVar("T")
 _LEAST = 1e-18  # of a mean square: outputs without any error compare, too
@@ -51,3 +52,16 @@ def geometric_rms(errors: Sequence[FloatArray]) -> float:
     if np.isnan(mean).any():
         return np.inf
     return float(np.exp(0.5 * np.mean(np.log(np.maximum(mean, _LEAST)))))
+
+
+def surely_below(ratios: FloatArray) -> BoolArray:
+    """Whether means (...,) of logarithms of ratios (folds, ...) lie below 0 by a standard error.
+
+    The standard error of few folds is uncertain itself: it is widened by Student's t, so that the
+    risk of a ratio of one is 16 % for any number of folds. One fold alone says nothing.
+    """
+    count = len(ratios)
+    if count < 2:
+        return np.zeros(ratios.shape[1:], dtype=bool)
+    error = ratios.std(axis=0, ddof=1) / np.sqrt(count) * stdtrit(count - 1, ndtr(1.0))
+    return np.asarray(ratios.mean(axis=0) < -error)

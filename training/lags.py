@@ -22,7 +22,8 @@ other form is fitted to some of the recordings and judged by its free run over t
 core moves; a single recording is cut into stretches. With e the geometric mean over the outputs of
 the RMS errors, another form is taken if
 
-    mean r < -s,   r = ln(e_form / e_usual) by fold,   s = standard error of mean r
+    mean r < -s,   r = ln(e_form / e_usual) by fold,   s = standard error of mean r,
+                   widened by Student's t
 
 Of two recordings each fold would learn one flight from another, and two folds have hardly a
 standard error: the usual form stands.
@@ -51,7 +52,7 @@ from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 from narxcal.support.errors import DataError
 from training.config import RunConfig
-from training.folds import Fold, geometric_rms, held_out_folds
+from training.folds import Fold, geometric_rms, held_out_folds, surely_below
 from training.lag_priors import Form, Priors, start_engine
 from training.records import LagSamples, lag_samples
 
@@ -412,11 +413,7 @@ def _best(left: Mapping[str, FloatArray]) -> str:
     """The first form, or the one that beats it by most, by more than a standard error (folds,)."""
     usual, *others = left
     ratios = {form: left[form] - left[usual] for form in others}
-    able = {
-        form: ratio.mean()
-        for form, ratio in ratios.items()
-        if np.isfinite(ratio).all() and ratio.mean() < -ratio.std(ddof=1) / np.sqrt(len(ratio))
-    }
+    able = {form: ratio.mean() for form, ratio in ratios.items() if surely_below(ratio)}
     return min(able, key=able.__getitem__, default=usual)
 
 

@@ -4,7 +4,8 @@ The training logs are divided into folds: whole recordings, or thirds of a singl
 steady state, lags, network and baselines are fitted anew to the rest, and all of them run free over
 what is held out. With e the RMS errors of a held-out log, a simple model can lead in an output if
 
-    mean r < -s,   r = ln(e_simple / e_network) by held-out log,   s = standard error of mean r
+    mean r < -s,   r = ln(e_simple / e_network) by held-out log,   s = standard error of mean r,
+                   widened by Student's t
 
 Of those that can, the one of the least mean r leads; one held-out log alone says nothing. The test
 logs take no part. The network is trained and shown whatever leads.
@@ -26,7 +27,7 @@ from narxcal.support.arrays import FloatArray, known_mean
 from narxcal.support.errors import DataError
 from training.baselines import Baselines, run_of
 from training.config import RunConfig
-from training.folds import Fold, held_out_folds
+from training.folds import Fold, held_out_folds, surely_below
 from training.levels import lag_of, level_of
 
 NETWORK: Final = "network"
@@ -240,18 +241,14 @@ def leading_kind(errors: FloatArray) -> Kind | None:
     logs = np.log(np.maximum(errors, floor))
     ratios = logs[:, 1:] - logs[:, :1]
     means = ratios.mean(axis=0)
-    able = [k for k, mean in enumerate(means) if mean < -_standard_error(ratios[:, k])]
-    return KINDS[min(able, key=lambda k: means[k])] if able else None
+    able = np.flatnonzero(surely_below(ratios))
+    return KINDS[min(able, key=lambda k: means[k])] if len(able) else None
 
 
 def _pooled(values: FloatArray) -> float | None:
     """Root mean square of the values (logs,) that are known; None without any."""
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known**2))) if len(known) else None
-
-
-def _standard_error(values: FloatArray) -> float:
-    return float(np.std(values, ddof=1) / np.sqrt(len(values))) if len(values) > 1 else np.inf
 
 
 def lead_of(kind: Kind, channel: int, baselines: Baselines, dt_s: float) -> Lead:

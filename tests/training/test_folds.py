@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from training.folds import geometric_rms, held_out_folds
+from training.folds import geometric_rms, held_out_folds, surely_below
 
 
 def test_each_recording_is_judged_once_and_stays_whole():
@@ -29,3 +29,15 @@ def test_outputs_of_different_size_count_alike():
 @pytest.mark.parametrize("errors", [[], [np.full((3, 2), np.nan)], [np.array([[1.0, np.nan]])]])
 def test_without_a_number_there_is_no_judgement(errors):
     assert geometric_rms(errors) == np.inf
+
+
+@pytest.mark.parametrize("count", [2, 3, 6, 40])
+def test_equal_ones_are_found_better_in_sixteen_percent_of_draws(count):
+    ratios = np.random.default_rng(1).normal(size=(count, 20_000))
+    assert surely_below(ratios).mean() == pytest.approx(0.1587, abs=0.01)
+
+
+def test_what_is_better_everywhere_is_better_and_one_fold_says_nothing():
+    ratios = np.array([[-0.1, 0.1, -0.1], [-0.1, 0.1, np.nan]])
+    assert surely_below(ratios).tolist() == [True, False, False]
+    assert not surely_below(ratios[:1]).any()
