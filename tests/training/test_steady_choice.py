@@ -131,6 +131,30 @@ def test_exponents_of_the_air_are_fitted_and_stay_away_where_similarity_is_exact
     assert np.abs(model.air_lines[:, 0, 0]).max(initial=0.0) < 1.0  # % per unit of ln ratio
 
 
+@pytest.mark.parametrize(
+    ("inputs", "blend"),
+    [
+        (["TRA_deg", "ALT_ft", "Mach", "dT_C"], ("Mach",)),
+        (["TRA_deg", "ALT_ft", "dT_C"], ("ALT_ft",)),
+        (["TRA_deg", "Mach"], ("Mach",)),
+    ],
+)
+def test_curves_are_usually_blended_over_mach_or_over_altitude_without_it(inputs, blend):
+    assert chosen_layout(config(inputs=inputs), logs(similar)).blend == blend
+
+
+def test_curves_are_not_blended_between_corners_close_together():
+    """Pressure altitude drifts by some hundred feet; a fault of a sensor drifts along."""
+    near = []
+    for log in logs(similar):
+        drift = np.linspace(0.0, 1.0, len(log))
+        still = {"ALT_ft": 1500.0 + 200.0 * drift, "Mach": np.full(len(log), 0.3)}
+        outputs = dict(zip(NAMES, similar({**log.channels, **still}), strict=True))
+        outputs["EGT_C"] = outputs["EGT_C"] + 20.0 * drift
+        near.append(log.with_channels({**still, **outputs}))
+    assert chosen_layout(config(), near).blend == ()
+
+
 def test_air_that_is_not_recorded_is_said_to_be_assumed():
     layout = chosen_layout(config(inputs=["TRA_deg", "ALT_ft"]), logs(similar))
     assert (layout.corrected, layout.assumed) == (True, ("Mach", "dT_C"))
