@@ -174,9 +174,10 @@ def _mean(search: Search, rung: str, members: Sequence[Tried], weights: FloatArr
         min(one.form.samples for one in used),
     )
 
-    def build() -> DynamicModel:
-        search.finals = len(used)
-        return Ensemble(tuple(one.build() for one in used), tuple(share.tolist()))
+    def build(part: float) -> DynamicModel:
+        # Each takes what those before it leave in equal parts.
+        models = [one.build(part / (len(used) - k)) for k, one in enumerate(used)]
+        return Ensemble(tuple(models), tuple(share.tolist()))
 
     pieces = [run for fold in search.folds for run in fold.held]
     return Tried(form, np.array(by_piece(pieces, errors)), errors, build)
@@ -193,7 +194,7 @@ def _chosen(search: Search) -> Choice:
         if mean is not None:
             search.tried.append(mean)
             leader, reason = mean, f"{reason}; other sizes are averaged with it by their errors"
-    model = leader.build()
+    model = leader.build(1.0)
     search.watch(1.0, "done")
     if search.work.late:
         search.note("the clock ended the search: the result depends on the machine")

@@ -32,7 +32,7 @@ from narxcal.record import Record
 from narxcal.support.arrays import BoolArray, FloatArray, known_mean
 from training.levenberg_marquardt import Damping, minimise
 
-_BLOCK = 256  # steps whose Jacobian is kept at one time
+_BLOCK = 256  # rows of a Jacobian that are kept at one time
 _STATE_DECAY = 1e-6  # on initial states: where a record does not show them, they stay at the mean
 _LINEAR_DECAY = 1e-9  # on linear models: keeps a change of state coordinates where it is
 _LINEAR_STEPS = 40
@@ -62,7 +62,7 @@ class Data:
         records: Sequence[Record],
         delay: tuple[int, ...],
         scalings: tuple[Scaling, Scaling],
-        every: int = 1,
+        every: float = 1.0,
         longest: int = 0,
     ) -> Data:
         """Scale, delay, and normalise the weights to a mean over outputs and samples.
@@ -137,8 +137,9 @@ class LatentProblem:
             sensitivity = np.zeros((n, size + n))
             sensitivity[:, size:] = np.eye(n)
             own, slopes = np.zeros((size + n, size + n)), np.zeros(size + n)
-            for a in range(0, len(u), _BLOCK):
-                part = slice(a, a + _BLOCK)
+            block = len(u) * _BLOCK // max(int((root > 0.0).sum()), 1) + 1
+            for a in range(0, len(u), block):
+                part = slice(a, a + block)
                 rows = latent_jacobian(
                     parts, (u[part], states[part], active[part]), sensitivity, root[part],
                     unbounded(n),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 from narxcal.narx.forms import DynamicModel
@@ -13,8 +13,16 @@ from narxcal.support.errors import DataError
 from training.arx import arx_model
 from training.held_out import thinned
 from training.latent import Data, Fitted, Starts, fit_linear, model_of
-from training.ranking import Form
-from training.search import ARX, LAG, OUTPUT_ERROR, Search, dead, least_squares_cost, step_cost
+from training.ranking import Build, Form
+from training.search import (
+    ARX,
+    LAG,
+    LATENT_STEP,
+    OUTPUT_ERROR,
+    Search,
+    dead,
+    least_squares_cost,
+)
 
 ORDERS = (1, 2, 3, 4, 5, 6, 8)
 _ARX_ORDERS = (1, 2, 3, 5, 8, 15, 30)
@@ -37,7 +45,7 @@ def try_arx(search: Search, delays: Sequence[tuple[int, ...]]) -> None:
             width = order * p + (order + 1) * m + 1
             form = Form(ARX, f"{order} lags{dead(delay)}", width * p, search.samples, delay)
             build = partial(arx_model, search.records, order, delay, search.scalings)
-            search.tried.append(search.judge(form, fits, build))
+            search.tried.append(search.judge(form, fits, _free(build)))
             search.work.spend(len(search.folds) * least_squares_cost(search.samples, width))
 
 
@@ -70,8 +78,13 @@ def try_linear(search: Search, delays: Sequence[tuple[int, ...]]) -> Bases:
             rung, text = (LAG, "1 state") if n == 1 else (OUTPUT_ERROR, f"{n} states")
             form = Form(rung, text + dead(delay), shape.size, samples // folds, delay, n)
             build = partial(linear_model, search.records, shape, search.scalings)
-            search.tried.append(search.judge(form, [model for _, model in known], build))
+            search.tried.append(search.judge(form, [model for _, model in known], _free(build)))
     return bases
+
+
+def _free(build: Callable[[], DynamicModel]) -> Build:
+    """A linear form takes all records, whatever is left of the budget."""
+    return lambda _share: build()
 
 
 def linear_model(
@@ -87,4 +100,4 @@ def linear_model(
 
 def _cost(n: int, m: int, p: int) -> float:
     """Nominal microseconds per sample-step where every row is scored."""
-    return step_cost(1e3, 1e3 * p, Shape(n, m, p, 0, (0,) * m).size + n, n * n) / 1e3
+    return LATENT_STEP.step(1e3, 1e3 * p, Shape(n, m, p, 0, (0,) * m).size + n, (0, n)) / 1e3

@@ -28,11 +28,11 @@ from training.ranking import Form
 from training.search import (
     FEW,
     NETWORK,
+    NETWORK_STEP,
     PLENTY,
     Search,
     most_samples,
     near_the_best,
-    step_cost,
 )
 
 STRUCTURE = NarxConfig(lags=8, taps=tuple(range(9)), hidden=8)
@@ -46,7 +46,8 @@ _TRAIN = TrainConfig(
 )
 _FURTHER = 15  # steps over whole records at every further decay
 _DRAWS = 3
-_SHARE, _FINAL_SHARE = 0.2, 0.15  # of the budget
+_SHARE = 0.2  # of the budget at most
+_FINAL_SHARE = 0.15  # of the budget at least, for the fit to all records
 _LEAST_PART = 0.5  # of the samples of a fold; on fewer the network is not what it would be on all
 _SHORTEST = STRUCTURE.lags + STRUCTURE.taps[-1] + 1  # samples that a record needs
 # (draws, decays) from the most to the least
@@ -56,8 +57,9 @@ _EFFORTS = (*((draws, _DECAYS) for draws in range(_DRAWS, 0, -1)), (1, _DECAYS[:
 def try_network(search: Search) -> None:
     """Fit and judge the network at every decay, with less effort where the budget is short."""
     able = all(any(len(r) >= _SHORTEST for r in fold.fit) for fold in search.folds)
+    units = _SHARE * search.work.budget
     for draws, decays in _EFFORTS:
-        most = _most(search, _SHARE, (draws * len(search.folds), decays), search.whole)
+        most = _most(search, units, (draws * len(search.folds), decays), search.whole)
         if most >= search.whole:
             break
     if most < search.whole * _LEAST_PART or not able:
@@ -71,16 +73,16 @@ def try_network(search: Search) -> None:
         for level, model in zip(levels, found, strict=True):
             level.append(model)
         search.show()
-    size = _size(search.inputs, search.outputs)
+    size = network_size(search.inputs, search.outputs)
     for decay, fits in zip(decays, levels, strict=True):
         form = Form(NETWORK, f"8 lags, 8 hidden, decay {decay:g}", size, min(most, search.whole))
         search.tried.append(search.judge(form, fits, partial(_final, search, decay)))
 
 
-def _final(search: Search, decay: float) -> DynamicModel:
+def _final(search: Search, decay: float, share: float) -> DynamicModel:
     decays = tuple(dict.fromkeys((_DECAYS[0], decay)))
-    share = _FINAL_SHARE / search.finals
-    most = _most(search, share, (_DRAWS, decays), search.samples)
+    units = share * max(search.work.left, _FINAL_SHARE * search.work.budget)
+    most = _most(search, units, (_DRAWS, decays), search.samples)
     return _median(search, thinned(search.records, max(most, FEW)), decays, _DRAWS)[-1]
 
 
@@ -99,29 +101,37 @@ def _median(
 def _draw(
     search: Search, material: Material, decays: Sequence[float], draw: int
 ) -> list[FitResult]:
-    """Networks of one draw: at the first decay, and from there at each other."""
-    samples, size = sum(map(len, material.records)), _size(search.inputs, search.outputs)
+    """Networks of one draw, whose work is counted."""
+    samples, size = sum(map(len, material.records)), network_size(search.inputs, search.outputs)
     stride = max(int(samples * search.outputs / (PLENTY * size)), 1)
     stride -= 1 - stride % 2
-    step = _cost(search, samples, samples * search.outputs / stride)
-    last = len(_TRAIN.horizons_s) - 1
+    found, steps = drawn_networks(material, decays, search.seed * 1000 + draw, stride)
+    search.work.spend(steps * _cost(search, samples, samples * search.outputs / stride))
+    return found
+
+
+def drawn_networks(
+    material: Material, decays: Sequence[float], seed: int, stride: int
+) -> tuple[list[FitResult], float]:
+    """Networks of one draw, at the first decay and from there at each other, and steps taken.
+
+    One sample in `stride` is scored.
+    """
     found: list[FitResult] = []
     start: Progress | None = None
     for decay in decays:
         steps = (*_TRAIN.iterations[:-1], _FURTHER if start else _TRAIN.iterations[-1])
         update = {
             "decay": decay,
-            "seed": search.seed * 1000 + draw,
+            "seed": seed,
             "score_every_s": float(stride),
             "iterations": steps,
         }
         result = fit_narx(material, STRUCTURE, _TRAIN.model_copy(update=update), resume=start)
-        search.work.spend(
-            step * sum(_WHOLE if row.stage == last else 1.0 for row in result.history)
-        )
         found.append(result)
-        start = start or Progress(result.model.net.get_theta(), stage=last)
-    return found
+        start = start or Progress(result.model.net.get_theta(), stage=len(steps) - 1)
+    rows = [row for each in found for row in each.history]
+    return found, sum(_WHOLE if row.horizon_s == 0.0 else 1.0 for row in rows)
 
 
 _WHOLE = (_TRAIN.restarts + 1) / 2  # times the samples are simulated over whole records
@@ -133,23 +143,28 @@ def _steps(decays: Sequence[float]) -> float:
     return short + _WHOLE * (whole + (len(decays) - 1) * _FURTHER)
 
 
-def _most(search: Search, share: float, effort: tuple[int, Sequence[float]], limit: int) -> int:
-    """Samples of each of so many fits at these decays within a share of the budget."""
+def _most(search: Search, units: float, effort: tuple[int, Sequence[float]], limit: int) -> int:
+    """Samples of each of so many fits at these decays that so many units pay for."""
     fits, decays = effort
-    rows = 2.0 * PLENTY * _size(search.inputs, search.outputs)
+    rows = 2.0 * PLENTY * network_size(search.inputs, search.outputs)
 
     def cost(samples: int) -> float:
         return _cost(search, samples, min(float(samples * search.outputs), rows))
 
-    return most_samples(cost, share * search.work.budget / (_steps(decays) * fits), limit)
+    return most_samples(cost, units / (_steps(decays) * fits), limit)
 
 
 def _cost(search: Search, samples: int, rows: float) -> float:
     p = search.outputs
-    return step_cost(samples, rows, _size(search.inputs, p), STRUCTURE.lags * p * p)
+    return NETWORK_STEP.step(samples, rows, network_size(search.inputs, p), network_kind(p))
 
 
-def _size(m: int, p: int) -> int:
-    """Number of weights."""
+def network_size(m: int, p: int) -> int:
+    """Number of weights for m inputs and p outputs."""
     width = STRUCTURE.lags * p + len(STRUCTURE.taps) * m
     return STRUCTURE.hidden * (width + 1) + p * (STRUCTURE.hidden + 1 + width)
+
+
+def network_kind(p: int) -> tuple[int, int]:
+    """Hidden units, and products by which the p outputs of a sample act on those of the next."""
+    return STRUCTURE.hidden, STRUCTURE.lags * p * p

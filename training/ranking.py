@@ -25,6 +25,9 @@ _BETTER = 0.98  # of a simpler form's score, as in training.lags: folds have les
 _LEAST_ERROR = 1e-9  # standard deviations: pieces without any error compare, too
 
 
+Build = Callable[[float], DynamicModel]  # fit with a share of what is left of the budget
+
+
 @dataclass(frozen=True)
 class Form:
     """What is tried: rung, description, number of parameters, samples per fold, and its sizes."""
@@ -48,7 +51,7 @@ class Tried:
     form: Form
     scores: FloatArray
     errors: tuple[FloatArray, ...]
-    build: Callable[[], DynamicModel]
+    build: Build
     whole: bool = True
 
     @property

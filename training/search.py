@@ -1,7 +1,7 @@
 """What the rungs of a choice share: records, folds, a budget of work, and what was tried.
 
-Work is counted in nominal microseconds of a sample-step, so that a choice does not depend on how
-busy the machine is. The costs below are multiply-adds over measured rates.
+Work is counted in nominal microseconds, so that a choice does not depend on how busy the machine
+is: what a step of Levenberg-Marquardt consists of, times rates that a command measures.
 """
 
 from __future__ import annotations
@@ -18,15 +18,10 @@ from narxcal.narx.forms import DynamicModel
 from narxcal.narx.network import Scaling
 from narxcal.record import Record
 from training.held_out import Fold, by_piece
-from training.ranking import Form, Tried
+from training.ranking import Build, Form, Tried
 
-UNITS_PER_S = 1_000_000  # sample-steps of one nominal microsecond in a CPU second
+UNITS_PER_S = 1_000_000  # nominal microseconds in a CPU second
 _EMERGENCY = 4.0, 60.0  # the clock stops the search at so many times the limit and CPU s more
-_STEP = 0.6  # nominal microseconds of a free run's sample-step in addition to its products
-_CALL = 200.0  # nominal microseconds of a step of Levenberg-Marquardt on no samples
-# Multiply-adds in a nominal microsecond: of a least-squares product, of the recursion of
-# sensitivities, of J'J, of which half is computed, and of its factor.
-_LEAST_SQUARES, _RECURSION, _PRODUCT, _CHOLESKY = 4000.0, 10_000.0, 20_000.0, 15_000.0
 LAG, ARX, OUTPUT_ERROR = "first-order lag", "ARX", "linear output error"
 NETWORK, LATENT, MEAN = "NARX network", "latent states", "mean"
 FEW = 400  # samples per fold on which no form is worth trying
@@ -37,13 +32,49 @@ Watch = Callable[[float, str], None]
 T = TypeVar("T")
 
 
-def step_cost(samples: float, rows: float, size: int, fed: int) -> float:
-    """Nominal microseconds of a step of Levenberg-Marquardt on samples of which `rows` are scored.
+@dataclass(frozen=True)
+class Rates:
+    """Microseconds of what a step of Levenberg-Marquardt consists of.
 
-    `size` parameters act through `fed` products of sensitivities a sample.
+    | rate | counted |
+    |---|---|
+    | call | steps |
+    | sample | samples |
+    | unit | hidden units of every sample |
+    | passed | entries of the sensitivities of every sample's states and scored outputs |
+    | product | entries of J'J at every scored row |
+    | factor | parameters, cubed |
     """
-    own = samples * (_STEP + fed * size / _RECURSION) + rows * size**2 / _PRODUCT
-    return own + _CALL + size**3 / _CHOLESKY
+
+    call: float
+    sample: float
+    unit: float
+    passed: float
+    product: float
+    factor: float
+
+    def step(self, samples: float, rows: float, size: int, kind: tuple[int, int]) -> float:
+        """Microseconds of a step on samples of which `rows` are scored, with `size` parameters.
+
+        `kind` are the hidden units, and the states by which a sample acts on the next.
+        """
+        rates = (self.call, self.sample, self.unit, self.passed, self.product, self.factor)
+        return sum(a * b for a, b in zip(rates, counted(samples, rows, size, kind), strict=True))
+
+
+def counted(samples: float, rows: float, size: int, kind: tuple[int, int]) -> tuple[float, ...]:
+    """How often each of the `Rates` is paid in a step."""
+    hidden, states = kind
+    return (
+        1.0, samples, samples * hidden, (samples * states + rows) * size, rows * size**2,
+        float(size) ** 3,
+    )  # fmt: skip
+
+
+# Written by `python -m eval.benchmarks.step_costs`.
+LATENT_STEP = Rates(180.0, 0.24, 0.0034, 9.6e-4, 2.3e-5, 4.0e-5)
+NETWORK_STEP = Rates(440.0, 0.0, 0.056, 1.3e-4, 2.4e-5, 1.4e-5)
+_LEAST_SQUARES = 4000.0  # multiply-adds of a least-squares product in a microsecond
 
 
 def least_squares_cost(samples: float, width: int) -> float:
@@ -63,6 +94,11 @@ class Work:
     def budget(self) -> float:
         """Nominal microseconds in all."""
         return self.limit_s * UNITS_PER_S
+
+    @property
+    def left(self) -> float:
+        """Nominal microseconds not spent yet; below zero where more was spent."""
+        return self.budget - self.spent
 
     def spend(self, units: float) -> None:
         """Count work that is done."""
@@ -85,7 +121,6 @@ class Search:
     watch: Watch
     tried: list[Tried] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    finals: int = 1  # models to be fitted to all records, which share what is kept for that
 
     @cached_property
     def scalings(self) -> tuple[Scaling, Scaling]:
@@ -126,7 +161,7 @@ class Search:
         self,
         form: Form,
         fits: Sequence[DynamicModel],
-        build: Callable[[], DynamicModel],
+        build: Build,
         folds: Sequence[int] | None = None,
     ) -> Tried:
         """Judge one model per fold, or per fold of the given numbers, on what it held out."""

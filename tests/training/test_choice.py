@@ -155,6 +155,7 @@ def test_a_linear_system_gets_a_linear_model_and_a_curved_one_more():
     error = bent.model.simulate(unseen.u, unseen.y[:20])[20:] - unseen.y[20:]
     assert np.sqrt(np.mean(error**2)) < 0.05
     assert bent.rung in bent.reason
+    assert 0.6 < bent.spent / bent.budget < 1.3
 
 
 @pytest.mark.slow
