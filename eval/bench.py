@@ -19,7 +19,16 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from eval.benchmarks import faults, flights, intervals, public_sets, speed, untuned, virtual_engine
+from eval.benchmarks import (
+    faults,
+    fleets,
+    flights,
+    intervals,
+    public_sets,
+    speed,
+    untuned,
+    virtual_engine,
+)
 from eval.benchmarks.row import Row
 from eval.terminal import plain_table
 from narxcal.support.files import to_json, versions
@@ -42,6 +51,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     which.add_argument(
         "--intervals", action="store_true", help="instead, coverage of intervals on virtual fleets"
     )
+    which.add_argument(
+        "--fleets", action="store_true", help="instead, more flights and a bad one, virtual fleets"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of flights that are flown")
     parser.add_argument(
         "--data", type=Path, default=_SHARED, help="folder that holds bench, flights, agtf30"
@@ -54,6 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         found = list(untuned.rows(options.data, options.seed))
     elif options.intervals:
         found = list(intervals.rows(options.seed))
+    elif options.fleets:
+        found = list(fleets.rows(options.seed))
     else:
         found = _flights(options.data) if options.flights else _short(options.data)
     document = describe(found, time.perf_counter() - began)

@@ -16,7 +16,7 @@ that divides a recording, the log is divided, too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,6 +26,7 @@ from data_prep.prepare import HELD, hold_inputs
 from narxcal.support.arrays import FloatArray, spans
 from narxcal.support.errors import DataError
 from training.config import RunConfig
+from training.outlying import Outlier
 from training.records import Split
 from training.redundancy import learn
 from training.screening import contradiction, screened
@@ -148,13 +149,14 @@ def _against(
 class Learnable:
     """What can be learned: `split` are parts of `train` and `validate`, whole logs with masks.
 
-    `before` are those logs with nothing masked.
+    `before` are those logs with nothing masked. `contradicting` logs are in no part of `split`.
     """
 
     split: Split
     train: tuple[Log, ...]
     validate: tuple[Log, ...]
     before: tuple[Log, ...]
+    contradicting: tuple[Outlier, ...] = ()
 
     @property
     def _whole(self) -> tuple[Log, ...]:
@@ -177,7 +179,8 @@ class Learnable:
                 }
             )
         faults = [fault.row() for log in self._whole for fault in log.faults]
-        return {"faults": faults, "logs": rows}
+        contradicting = [{**asdict(each), "words": each.words} for each in self.contradicting]
+        return {"faults": faults, "logs": rows, "contradicting": contradicting}
 
 
 def _counts(log: Log, recorded: Log) -> dict[str, int]:

@@ -54,7 +54,7 @@ from training.network import (
 )
 from training.records import LEAST_WIDTHS, Split, material, structure_of
 from training.redundancy import learn
-from training.steady_choice import steady_state
+from training.steady_choice import contradicting, steady_state, without
 from training.steady_fit import SteadyQuality
 
 CHECKPOINT = "checkpoint-{}.safetensors"
@@ -116,6 +116,9 @@ def calibrate(
         split = split.with_outputs(config.narx.outputs)
     else:
         split = split.with_outputs(config.narx.outputs)
+        spoilt = contradicting(config, split.train)
+        split = replace(split, train=without(split.train, spoilt))
+        learned = replace(learned, split=split, contradicting=tuple(spoilt))
         steady, quality = steady_state(config, base, split.train)
     split = split.held(steady.input_names)
     if method == METHODS[0]:

@@ -36,6 +36,7 @@ from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from training.config import RunConfig
 from training.folds import geometric_rms, held_out_folds
+from training.outlying import LEAST_LOGS, Outlier, outliers
 from training.records import LEAST_WIDTHS
 from training.steady_fit import SteadyQuality, SteadySamples, fit_steady_state
 
@@ -71,6 +72,31 @@ def steady_state(
         return open_steady(section.kind, section.source, names, base, section.options), None
     layout = chosen_layout(config, logs)
     return fit_steady_state([_samples(config, layout, log) for log in logs], layout, section.fit)
+
+
+def contradicting(config: RunConfig, logs: Sequence[Log]) -> list[Outlier]:
+    """Logs that contradict the others as a whole, by the curves that all of them suggest."""
+    section = config.steady_state
+    if section.kind != "fitted" or len({_log_of(log) for log in logs}) < LEAST_LOGS:
+        return []
+    try:
+        layout = chosen_layout(config, logs)
+        samples = [_thinned(_samples(config, layout, log)) for log in logs]
+        return outliers(samples, layout, section.fit)
+    except DataError:  # the fit says what is missing
+        return []
+
+
+def without(logs: Sequence[Log], found: Sequence[Outlier]) -> tuple[Log, ...]:
+    """Logs and parts of logs that are none of the outliers."""
+    names = {each.log for each in found}
+    return tuple(log for log in logs if _log_of(log) not in names)
+
+
+def _log_of(log: Log) -> str:
+    """Name of the whole log: parts of it have names of their own."""
+    name = log.source.file or log.name
+    return f"{name}:{log.source.engine}" if log.source.engine else name
 
 
 def chosen_layout(config: RunConfig, logs: Sequence[Log]) -> Layout:
@@ -165,7 +191,7 @@ def _folds(taken: Sequence[_Taken]) -> list[tuple[list[_Taken], list[_Taken]]]:
     """Folds by recording; a single recording is cut into stretches."""
     if len({one.recording for one in taken}) == 1:
         taken = [
-            _Taken(SteadySamples(inputs, outputs, one.samples.engine), str(part))
+            _Taken(replace(one.samples, inputs=inputs, outputs=outputs), str(part))
             for one in taken
             for part, (inputs, outputs) in enumerate(
                 zip(
@@ -200,6 +226,7 @@ def _samples(config: RunConfig, layout: Layout, log: Log) -> SteadySamples:
         log.matrix(layout.input_names)[rows],
         log.matrix(layout.output_names)[rows],
         log.source.engine,
+        _log_of(log),
     )
 
 

@@ -33,11 +33,12 @@ _ROWS = 20000  # more quasi-steady samples than this tell nothing new
 
 @dataclass(frozen=True, eq=False)
 class SteadySamples:
-    """Quasi-steady samples of one log: inputs (n, n_in), outputs (n, n_out), its engine."""
+    """Quasi-steady samples: inputs (n, n_in), outputs (n, n_out), their engine and log."""
 
     inputs: FloatArray
     outputs: FloatArray
     engine: str = ""
+    log: str = ""
 
 
 @dataclass(frozen=True)
@@ -56,12 +57,43 @@ def fit_steady_state(
 
     Corrected parameters without ALT_ft raise `ConfigError`.
     """
+    design, data = linear_problem(samples, layout, config)
+    curves = [
+        _curve(design, data.matrix, column, turns=name.endswith("_C"))
+        for name, column in zip(layout.output_names, data.corrected.T, strict=True)
+    ]
+    coefficients = np.stack(curves)
+    model = design.model(coefficients)
+    return model, _quality(model, (data.inputs, data.outputs, data.engines))
+
+
+@dataclass(frozen=True, eq=False)
+class LinearData:
+    """Samples of all logs, one row each; `matrix` is what a design's coefficients multiply."""
+
+    inputs: FloatArray
+    outputs: FloatArray
+    corrected: FloatArray
+    matrix: FloatArray
+    engines: NDArray[np.str_]
+    logs: NDArray[np.str_]
+
+    def layout_unit(self, layout: Layout) -> FloatArray:
+        """Change of the outputs (rows, n_out) where the corrected parameters change by one."""
+        return layout.from_corrected(self.inputs, self.corrected + 1.0) - self.outputs
+
+
+def linear_problem(
+    samples: Sequence[SteadySamples], layout: Layout, config: SteadyFitConfig = _USUAL
+) -> tuple[_Design, LinearData]:
+    """Return the linear problem that `fit_steady_state` solves; errors are the same."""
     inputs = np.concatenate([part.inputs for part in samples])
     outputs = np.concatenate([part.outputs for part in samples])
     names = np.concatenate([[part.engine] * len(part.inputs) for part in samples])
+    logs = np.concatenate([[part.log] * len(part.inputs) for part in samples])
     _require(inputs, outputs, layout)
-    step = max(len(inputs) // _ROWS, 1)
-    inputs, outputs, names = inputs[::step], outputs[::step], names[::step]
+    rows = slice(None, None, max(len(inputs) // _ROWS, 1))
+    inputs, outputs, names, logs = inputs[rows], outputs[rows], names[rows], logs[rows]
     drive = layout.drive(inputs)
     knots = _spread_knots(drive, config)
     engines = _distinguished(samples)
@@ -70,15 +102,9 @@ def fit_steady_state(
     ratios = layout.ratios(inputs)
     air_seen = np.stack([ratios.min(axis=0), ratios.max(axis=0)], axis=1)
     design = _Design(layout, envelope, seen, knots, engines, config, air_seen)
-    matrix = design.matrix(inputs, names)
     corrected = layout.to_corrected(inputs, outputs)
-    curves = [
-        _curve(design, matrix, column, turns=name.endswith("_C"))
-        for name, column in zip(layout.output_names, corrected.T, strict=True)
-    ]
-    coefficients = np.stack(curves)
-    model = design.model(coefficients)
-    return model, _quality(model, (inputs, outputs, names))
+    matrix = design.matrix(inputs, names)
+    return design, LinearData(inputs, outputs, corrected, matrix, names, logs)
 
 
 def _require(inputs: FloatArray, outputs: FloatArray, layout: Layout) -> None:
@@ -191,7 +217,7 @@ class _Design:
         width = 1 + self.splines
         for corner in range(self.corners if monotone else 0):
             lower[corner * width + 1 : (corner + 1) * width] = 0.0
-        penalty = self._penalty(matrix.shape[1])
+        penalty = self.penalty(matrix.shape[1])
         weight = np.full(len(target), 1.0 / len(target))
         for _ in range(15 if self.config.huber else 1):
             root = np.sqrt(weight)[:, None]
@@ -209,7 +235,8 @@ class _Design:
                 weight = np.minimum(1.0, edge / np.maximum(residual, 1e-12)) / len(target)
         return np.asarray(solution)
 
-    def _penalty(self, size: int) -> FloatArray:
+    def penalty(self, size: int) -> FloatArray:
+        """Rows that vanish for straight, equal curves without lines of engines and air."""
         width = 1 + self.splines
         rows = []
         for corner in range(self.corners):

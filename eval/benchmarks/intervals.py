@@ -1,7 +1,6 @@
 """Intervals and fuser on virtual fleets: `python -m eval.bench --intervals --seed N`.
 
-Every flight of a fleet is another engine of the type, with a build, a day, a route and sensors of
-its own, and a configuration names columns and split alone. A model is trained on the first few
+Fleets are those of `eval.benchmarks.fleets`. A model is trained on the first few
 flights of a fleet, and the share of samples within its 90 % interval is counted on flights that
 took no part. Coverage is a mean over fleets, since that of one fleet hangs on its few logs. The
 fuser runs over the same flights with every other half minute hidden, and is judged where nothing is
@@ -13,29 +12,21 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-import pandas as pd
 
+from eval.benchmarks.fleets import read_fleet, trained, write_fleet
 from eval.benchmarks.row import Row
 from eval.evaluate import evaluate
 from eval.free_run import FreeRun
 from narxcal.calibration.fuser import FastFuser
 from narxcal.calibration.noise import NoiseModel
 from narxcal.channels import channel
-from narxcal.flight_test.fly import fly
-from narxcal.flight_test.pilot import SIDES
-from narxcal.flight_test.scenario import FlightScenario
 from narxcal.intervals import LEVEL
 from narxcal.support.arrays import FloatArray, known_mean
-from training.config import SCHEMA, RunConfig
-from training.pipeline import calibrate, configured_files, prepare_logs
-from training.records import split_logs
 
 FLEETS, SIZES, TESTS = 5, (4, 8, 12), 6
-_ENGINES: Final = ("business_jet", "single_aisle")
-_RATE_HZ, _DURATION_S = 8.0, 480.0
 _HIDDEN_S: Final = 30.0
 _MOST_OFF: Final = 3.0  # percentage points of the coverage
 
@@ -66,38 +57,12 @@ def rows(
         yield from _rows_of(size, each, tests)
 
 
-def write_fleet(folder: Path, draw: tuple[int, int], flights: int) -> None:
-    """Fly flights of as many engines of one type; `draw` are the seed and the fleet's number."""
-    for flight in range(1, flights + 1):
-        table: dict[str, Any] = {
-            "engine": _ENGINES[draw[1] % 2],
-            "engines": [SIDES[0]],
-            "flights": 1,
-            "seed": int(np.random.SeedSequence([*draw, flight]).generate_state(1)[0]),
-            "plan": {"style": "enriched", "duration_s": _DURATION_S, "rate_hz": _RATE_HZ},
-        }
-        recorded = fly(FlightScenario.parse(table, "fleet"), 1)[0].recorded
-        name = folder / f"flight_{flight:02d}.csv"
-        pd.DataFrame(dict(recorded)).to_csv(name, index=False, float_format="%.8g")
-
-
 def covered(folder: Path, size: int, tests: tuple[int, int]) -> Covered:
     """Train on `size` flights; `tests` are the number of the first one tested, and how many are."""
     first, count = tests
-    tables: dict[str, Any] = {
-        "schema": SCHEMA,
-        "logs": {"folder": str(folder), "files": ["flight_*.csv"]},
-        "split": {
-            "train": [f"flight_{k:02d}*" for k in range(1, size + 1)],
-            "test": [f"flight_{k:02d}*" for k in range(first + 1, first + count + 1)],
-        },
-    }
-    config = RunConfig.parse(tables, "fleet")
-    files = configured_files(config, folder)
-    wanted = [*files[:size], *files[first : first + count]]
-    split = split_logs(prepare_logs(config, wanted), config.split)
-    bundle = calibrate(config, folder, split)
-    found = evaluate(bundle, split.test)
+    case = read_fleet(folder)
+    bundle = trained(case, case.logs[:size])
+    found = evaluate(bundle, case.logs[first : first + count])
     pooled = found.pooled
     noise = NoiseModel.from_dict(bundle.meta["fuser_noise"])
     return Covered(
@@ -115,7 +80,7 @@ def _hidden(noise: NoiseModel, runs: Sequence[FreeRun]) -> FloatArray:
         hide = (run.log.time_s - run.log.time_s[0]) % (2.0 * _HIDDEN_S) >= _HIDDEN_S
         seen = np.where(hide[:, None], np.nan, run.measured)
         fused = FastFuser(noise).run(run.model, seen)
-        errors = np.stack([fused.values, run.model]) - run.measured  # noqa: PD011 (no pandas)
+        errors = np.stack([fused.values, run.model]) - run.measured
         squares.append(known_mean(errors[:, hide] ** 2, axis=1))
     mean = np.mean(squares, axis=0)
     return np.asarray(np.sqrt(mean[0] / mean[1]))

@@ -26,7 +26,7 @@ from eval.report.view import view_of
 from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_run, fraction, path
-from narxcal.cli.results import changed, header_of, logs_for
+from narxcal.cli.results import changed, doubtful_logs, header_of, logs_for
 from narxcal.support.files import Results
 
 PAGE = "evaluate.html"
@@ -86,6 +86,7 @@ def judge(
     evaluation = Evaluation(tuple(parts), settings, trim or None, leads)
     outcome = evaluation.outcome
     warnings = [
+        *doubtful_logs(bundle.meta),
         *cautions(logs, config, config.narx.outputs),
         *(fault.caution for fault in evaluation.faults),
         *evaluation.level_cautions,

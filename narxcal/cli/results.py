@@ -120,6 +120,12 @@ _LAGS = {
 _KINDS = {"fmu": "FMU", "callable": "function"}
 
 
+def doubtful_logs(meta: Mapping[str, Any]) -> list[str]:
+    """Training logs that were left out as a whole, and logs that no model follows, in words."""
+    left_out = (meta.get("screening") or {}).get("contradicting", ())
+    return [each["words"] for each in left_out] + list((meta.get("lead") or {}).get("suspects", ()))
+
+
 def steady_words(meta: Mapping[str, Any]) -> str:
     """Describe where the steady-state model of a bundle comes from; empty if it is not recorded."""
     found = meta.get("steady_state") or {}

@@ -27,7 +27,14 @@ from narxcal.calibration.bundle import (
 )
 from narxcal.cli.console import Advance, Console
 from narxcal.cli.options import add_config
-from narxcal.cli.results import interval_words, lag_words, lead_words, read_config, steady_words
+from narxcal.cli.results import (
+    doubtful_logs,
+    interval_words,
+    lag_words,
+    lead_words,
+    read_config,
+    steady_words,
+)
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import check_writable, recover
 from narxcal.support.system import locked
@@ -100,17 +107,12 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
             resume=resume,
         )
         bundle = calibrate(config, base, split, options)
-    for warning in (*masked_words(bundle.meta), *suspects(bundle.meta)):
+    for warning in (*masked_words(bundle.meta), *doubtful_logs(bundle.meta)):
         console.warn(warning)
     write_bundle(folder, bundle)
     if not interrupted(bundle.meta):
         shutil.rmtree(checkpoints, ignore_errors=True)
     return bundle
-
-
-def suspects(meta: dict[str, Any]) -> list[str]:
-    """Logs that are far worse than the others in every model when they are held out."""
-    return list((meta.get("lead") or {}).get("suspects", ()))
 
 
 def masked_words(meta: dict[str, Any]) -> list[str]:
