@@ -68,6 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         found = list(intervals.rows(options.seed))
     elif options.fleets:
         found = list(fleets.rows(options.seed))
+        found += flights.more_flights_rows(options.data / "flights")
     else:
         found = _flights(options.data) if options.flights else _short(options.data)
     document = describe(found, time.perf_counter() - began)

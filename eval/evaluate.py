@@ -155,7 +155,8 @@ class LogEvaluation:
         return {
             "scored_from_s": float(self.log.time_s[min(trim.until, len(self.log) - 1)]),
             "levels": trim.nodes.tolist(),
-            "offsets": dict(zip(names, trim.offsets.T.tolist(), strict=True)),
+            "altitudes_ft": trim.altitudes_ft.tolist(),
+            "offsets": dict(zip(names, np.moveaxis(trim.offsets, 2, 0).tolist(), strict=True)),
             "samples": dict(zip(names, trim.samples, strict=True)),
         }
 

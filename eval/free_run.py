@@ -17,7 +17,7 @@ from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration
 from narxcal.channels import spools_of
 from narxcal.intervals import LEVEL
-from narxcal.support.arrays import BoolArray, FloatArray, spans
+from narxcal.support.arrays import BoolArray, FloatArray, bridge_gaps, spans
 from narxcal.support.errors import DataError
 from training.baselines import Baselines
 from training.config import RunConfig
@@ -162,13 +162,16 @@ def trimmed(run: FreeRun, until: int, config: TrimConfig) -> FreeRun:
     The one-step prediction starts from measured values and needs none.
     """
     outputs, trims = dict(run.outputs), {}
+    nowhere = np.zeros(len(run.log))
+    altitude_ft = np.nan_to_num(bridge_gaps(run.log.channels.get("ALT_ft", nowhere)))
     for name in (MODEL, NETWORK, *BASELINES):
         if name not in outputs:
             continue
         usable = run.quasi_steady & run.inputs_known
-        seen = TrimSamples(run.measured - outputs[name], run.level, usable, run.log.dt_s)
+        error = run.measured - outputs[name]
+        seen = TrimSamples(error, run.level, altitude_ft, usable, run.log.dt_s)
         trims[name] = estimate_trim(seen, until, run.channels, config)
-        outputs[name] = outputs[name] + trims[name].at(run.level)
+        outputs[name] = outputs[name] + trims[name].at(run.level, altitude_ft)
     return replace(run, outputs=outputs, scored_from=until, trims=trims)
 
 

@@ -2,22 +2,27 @@
 
 Fuel meters and temperature probes differ between flights and engines. From the quasi-steady
 samples of the first part of a log, an offset of every output is estimated as a function of the
-power level, and added to the model over the rest of the log; only that rest is scored.
+power level and the altitude, and added to the model over the rest of the log; only that rest is
+scored.
 
-The offset is a Gaussian process over the level (Rasmussen and Williams 2006, section 2.2; the
-same as ridge regression with documented prior widths):
+The offset is a Gaussian process (Rasmussen and Williams 2006, section 2.2; the same as ridge
+regression with documented prior widths) over the level x and the pressure altitude h:
 
-    offset(x) ~ N( 0, width^2 (common^2 + exp(-(x - x')^2 / (2 length^2))) )
+    offset ~ N(0, width^2 (common^2 + exp(-(x - x')^2 / (2 length^2) - (h - h')^2 / (2 H^2))))
 
-An offset at ground idle thus does not apply at cruise: where there is no sample of a similar level,
-the offset goes back to the common part, which is small. The level x is the steady-state
-value of the first output between its 1 % and 99 % quantiles in the training logs.
+An offset at ground idle thus does not apply at cruise: where there is no sample at a similar level
+and altitude, the offset goes back to the common part, which is small. What a steady-state model
+misses at one altitude it need not miss at another: in that case, an offset that is taken for one of
+the log does harm (`docs/evaluate.md`). H is the altitude over which a third of the pressure at sea
+level goes. The level x is the steady-state value of the first output between its 1 % and 99 %
+quantiles in the training logs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -25,8 +30,11 @@ from pydantic import Field
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section
+from training.records import LEAST_WIDTHS
 
 _BIN = 0.1
+_ALTITUDE_FT = LEAST_WIDTHS["ALT_ft"]  # H
+_BIN_FT = 0.5 * _ALTITUDE_FT  # of samples, and apart from each other where offsets are kept
 # A larger error is no offset but a model that is wrong at this level: it must not spread to other
 # levels through the common part.
 _MOST_WIDTHS = 4.0
@@ -61,7 +69,7 @@ class TrimConfig(Section):
     `priors` (channel -> prior) adds to and overrides the built-in ones; a channel without one is
     not trimmed. Quasi-steady errors count as one independent observation, as uncertain as the
     prior, per `correlation_s` seconds. Offsets are kept at evenly spaced levels `spacing` apart
-    from 0, idle, to 1, full power, and are linear in between.
+    from 0, idle, to 1, full power, and at altitudes 5,000 ft apart; they are linear in between.
     """
 
     priors: Mapping[str, OffsetPrior] = Field(default_factory=dict)
@@ -80,33 +88,47 @@ class TrimConfig(Section):
 
 @dataclass(frozen=True, eq=False)
 class Trim:
-    """The offsets to be added to a model, (nodes, channel) in the channels' units.
+    """The offsets to be added to a model, (altitudes, nodes, channel) in the channels' units.
 
     They were estimated from `samples` (channel,) quasi-steady samples of the first `until` rows.
     """
 
     nodes: FloatArray
+    altitudes_ft: FloatArray
     offsets: FloatArray
     samples: tuple[int, ...]
     until: int
 
-    def at(self, level: FloatArray) -> FloatArray:
-        """Offsets (time, channel) at `level` (time,), constant outside the outermost nodes."""
-        columns = [np.interp(level, self.nodes, column) for column in self.offsets.T]
-        return np.stack(columns, axis=1)
+    def at(self, level: FloatArray, altitude_ft: FloatArray) -> FloatArray:
+        """Offsets (time, channel) at (time,) values, constant outside the outermost nodes."""
+        height = np.clip(altitude_ft, self.altitudes_ft[0], self.altitudes_ft[-1])
+        apart = np.abs(height[:, None] - self.altitudes_ft) / _BIN_FT
+        share = np.maximum(0.0, 1.0 - apart)
+        found = np.zeros((len(level), self.offsets.shape[2]))
+        for k, table in enumerate(np.moveaxis(self.offsets, 2, 0)):
+            by_altitude = [np.interp(level, self.nodes, row) for row in table]
+            found[:, k] = np.sum(share * np.stack(by_altitude, axis=1), axis=1)
+        return found
 
 
 @dataclass(frozen=True, eq=False)
 class TrimSamples:
     """What a trim is estimated from, one row per `dt_s`.
 
-    `error` (time, channel) is measured minus model; `level` and `quasi_steady` are (time,).
+    `error` (time, channel) is measured minus model; `level`, `altitude_ft` and `quasi_steady` are
+    (time,).
     """
 
     error: FloatArray
     level: FloatArray
+    altitude_ft: FloatArray
     quasi_steady: BoolArray
     dt_s: float
+
+    def altitudes_ft(self) -> FloatArray:
+        """Altitudes at which offsets are kept, around those of the log."""
+        ends = self.altitude_ft.min() / _BIN_FT, self.altitude_ft.max() / _BIN_FT
+        return _BIN_FT * np.arange(np.floor(ends[0]), np.ceil(ends[1]) + 1.0)
 
 
 def rows_for_trim(fraction: float, samples: int) -> int:
@@ -126,41 +148,53 @@ def estimate_trim(
 
     A channel without quasi-steady samples there, or without a prior width, gets no offset.
     """
-    nodes = config.nodes
-    columns, counts = [], []
+    nodes, altitudes_ft = config.nodes, seen.altitudes_ft()
+    offsets = np.zeros((len(altitudes_ft), len(nodes), len(channels)))
+    counts = []
     for k, name in enumerate(channels):
         rows = np.flatnonzero(seen.quasi_steady[:until] & np.isfinite(seen.error[:until, k]))
         prior = config.prior(name)
+        counts.append(0 if prior is None else len(rows))
         if prior is None or not len(rows):
-            counts.append(0)
-            columns.append(np.zeros(len(nodes)))
             continue
-        counts.append(len(rows))
-        points = _binned(seen.level[rows], seen.error[rows, k], seen.dt_s / config.correlation_s)
-        columns.append(_posterior(nodes, points, prior))
-    return Trim(nodes, np.stack(columns, axis=1), tuple(counts), until)
+        place = np.column_stack([seen.level, seen.altitude_ft / _ALTITUDE_FT])[rows]
+        points = _binned(place, seen.error[rows, k], seen.dt_s / config.correlation_s)
+        for number, altitude_ft in enumerate(altitudes_ft.tolist()):
+            wanted = np.column_stack([nodes, np.full(len(nodes), altitude_ft / _ALTITUDE_FT)])
+            offsets[number, :, k] = _posterior(wanted, points, prior)
+    return Trim(nodes, altitudes_ft, offsets, tuple(counts), until)
 
 
-def _binned(level: FloatArray, error: FloatArray, weight: float) -> FloatArray:
-    """Rows (mean level, median error, independent observations), one per bin of levels."""
-    bins = np.floor(level / _BIN)
-    rows = []
-    for each in np.unique(bins):
-        chosen = bins == each
-        count = float(chosen.sum()) * weight
-        rows.append((float(level[chosen].mean()), float(np.median(error[chosen])), count))
-    return np.array(rows)
+class _Points(NamedTuple):
+    """Mean places (points, 2), median errors and independent observations `many` (points,)."""
+
+    place: FloatArray
+    error: FloatArray
+    many: FloatArray
 
 
-def _posterior(nodes: FloatArray, points: FloatArray, prior: OffsetPrior) -> FloatArray:
-    """Mean of the Gaussian process at the nodes, given the points."""
-    at, error, count = points.T
-    error = np.clip(error, -_MOST_WIDTHS * prior.width, _MOST_WIDTHS * prior.width)
+def _binned(place: FloatArray, error: FloatArray, weight: float) -> _Points:
+    """One point per bin of level and altitude that has samples; `weight` is that of a sample."""
+    bins = np.floor(place / [_BIN, _BIN_FT / _ALTITUDE_FT])
+    _, number = np.unique(bins, axis=0, return_inverse=True)
+    rows = [np.flatnonzero(number.ravel() == k) for k in range(int(number.max()) + 1)]
+    return _Points(
+        np.array([place[chosen].mean(axis=0) for chosen in rows]),
+        np.array([float(np.median(error[chosen])) for chosen in rows]),
+        np.array([weight * len(chosen) for chosen in rows]),
+    )
+
+
+def _posterior(wanted: FloatArray, points: _Points, prior: OffsetPrior) -> FloatArray:
+    """Mean of the Gaussian process at `wanted` places (nodes, 2), given the points."""
+    most = _MOST_WIDTHS * prior.width
+    error = np.clip(points.error, -most, most)
 
     def covariance(a: FloatArray, b: FloatArray) -> FloatArray:
-        apart = (a[:, None] - b[None, :]) / prior.length
-        return np.asarray(prior.width**2 * (prior.common**2 + np.exp(-0.5 * apart**2)))
+        apart = (a[:, None, :] - b[None, :, :]) / [prior.length, 1.0]
+        alike = np.exp(-0.5 * np.sum(apart**2, axis=2))
+        return np.asarray(prior.width**2 * (prior.common**2 + alike))
 
-    noise = np.diag(prior.width**2 / count)
-    weights = np.linalg.solve(covariance(at, at) + noise, error)
-    return np.asarray(covariance(nodes, at) @ weights)
+    noise = np.diag(prior.width**2 / points.many)
+    weights = np.linalg.solve(covariance(points.place, points.place) + noise, error)
+    return np.asarray(covariance(wanted, points.place) @ weights)

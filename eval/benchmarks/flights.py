@@ -10,7 +10,8 @@ import argparse
 import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ import numpy as np
 from data_prep.log import Log
 from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
+from eval.benchmarks.fleets import ratio_row
 from eval.benchmarks.row import Bound, Row
 from eval.evaluate import Evaluation, evaluate, evaluation_logs, run_config
 from eval.report.event_figures import summary_figure
@@ -25,6 +27,7 @@ from eval.report.view import view_of
 from eval.transients import AssessedEvent, Tally, tally
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.channels import channel
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.files import atomic_write_bytes
 from training.config import RunConfig, load_config
@@ -143,19 +146,64 @@ def _outside(
 ) -> Iterator[Row]:
     """The same figures, errors pooled over all engines, where no unlogged load was found."""
     group, found = judged[0] + ", outside unlogged loads", judged[1]
-    squares, events = [], []
-    for log in found.logs:
-        run, time_s = log.run, log.log.time_s
-        loaded = np.any([(time_s >= start) & (time_s <= stop) for start, stop in windows], axis=0)
-        squares.append(np.square(run.model - run.measured)[run.scored & ~loaded])
-        events += [one for one in log.assessments if not loaded[time_s.searchsorted(one.start_s)]]
-    rmse = np.sqrt(np.nanmean(np.concatenate(squares), axis=0))
+    rmse, counts = _unloaded(found, windows)
     for output, value in zip(found.logs[0].run.channels, rmse.tolist(), strict=True):
         yield Row(
             group, f"RMSE {output}", value, channel(output).unit,
             targets[output], "at most", _SOURCE, "pooled over the engines",
         )  # fmt: skip
-    yield from _response_times(campaign, group, tally(events), found.config.transients.rules)
+    yield from _response_times(campaign, group, counts, found.config.transients.rules)
+
+
+def _unloaded(
+    found: Evaluation, windows: Sequence[tuple[float, float]]
+) -> tuple[FloatArray, Tally]:
+    """RMSE (outputs,) pooled over all engines and Ti/Tt outside of `windows`."""
+    squares, events = [], []
+    for log in found.logs:
+        run, time_s = log.run, log.log.time_s
+        inside = [(time_s >= start) & (time_s <= stop) for start, stop in windows]
+        loaded = np.any([np.zeros(len(time_s), dtype=np.bool_), *inside], axis=0)
+        squares.append(np.square(run.model - run.measured)[run.scored & ~loaded])
+        events += [one for one in log.assessments if not loaded[time_s.searchsorted(one.start_s)]]
+    return np.sqrt(np.nanmean(np.concatenate(squares), axis=0)), tally(events)
+
+
+def more_flights_rows(data: Path, campaign: Campaign = CAMPAIGNS[0]) -> Iterator[Row]:
+    """Each half of each flight, by models of the other half, of the other flight, and of both.
+
+    Unlogged loads are left out of what is judged.
+    """
+    config, base = load_config(campaign.config)
+    config = config.with_logs_in(data)
+    try:
+        files = configured_files(config, base)
+    except DataError as error:
+        yield Row(campaign.name, "all", math.nan, "", note=f"not measured: {error}")
+        return
+    logs = [one.log for one in prepare(read_logs(files, config.logs), config)]
+    found: dict[str, list[tuple[FloatArray, Tally]]] = {"both": [], "one": [], "the other": []}
+    for file, half in product(dict.fromkeys(log.source.file for log in logs), (0, 1)):
+        own = [log for log in logs if log.source.file == file]
+        test, rest = ([_half(log, k) for log in own] for k in (half, 1 - half))
+        others = [log for log in logs if log.source.file != file]
+        for name, train in zip(found, ([*rest, *others], rest, others), strict=True):
+            judged = evaluate(_calibrated(config, base, train), test)
+            found[name].append(_unloaded(judged, _windows(campaign, test)))
+    group = f"{campaign.name}, halves of flights by the other half (one), the other flight, both"
+    both, *single = ([rmse[None] for rmse, _ in each] for each in found.values())
+    for name, each in zip(tuple(found)[1:], single, strict=True):
+        yield ratio_row(group, f"error of both over {name}", list(zip(both, each, strict=True)))
+    for name, each in found.items():
+        passed, assessed = (sum(getattr(k, n) for _, k in each) for n in ("passed", "assessed"))
+        note = f"{passed} of {assessed} assessed"
+        yield Row(group, f"Ti and Tt, {name}", 100.0 * passed / assessed, "%", note=note)
+
+
+def _half(log: Log, number: int) -> Log:
+    middle = len(log) // 2
+    part = log.part(0, middle) if number == 0 else log.part(middle, len(log))
+    return replace(part, name=f"{log.name}[{number}]")
 
 
 def _errors(

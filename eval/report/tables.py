@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
 import pandas as pd
 
 from data_prep.log import Audit, AuditEntry, Source
@@ -127,12 +128,18 @@ def _score_row(
 
 
 def offsets(trim: Trim, channels: Sequence[str], caption: str) -> Table:
-    """Trim offsets per channel across the power levels (0 is idle, 1 is full power)."""
+    """Trim offsets per channel and altitude across the levels (0 is idle, 1 is full power)."""
     rows = [
-        (Cell(with_unit(name), "head"), *(Cell(f"{value:+.3g}", number=True) for value in values))
-        for name, values in zip(channels, trim.offsets.T.tolist(), strict=True)
+        (
+            Cell(with_unit(name), "head"),
+            Cell(f"{altitude_ft:,.0f}", number=True),
+            *(Cell(f"{value:+.3g}", number=True) for value in values),
+        )
+        for name, table in zip(channels, np.moveaxis(trim.offsets, 2, 0).tolist(), strict=True)
+        for altitude_ft, values in zip(trim.altitudes_ft.tolist(), table, strict=True)
     ]
-    return Table(caption, ("level", *(f"{level:.2g}" for level in trim.nodes)), tuple(rows))
+    head = ("channel", "altitude [ft]", *(f"level {level:.2g}" for level in trim.nodes))
+    return Table(caption, head, tuple(rows))
 
 
 def pearson(table: pd.DataFrame, caption: str, strong: float = 0.8) -> Table:

@@ -275,7 +275,7 @@ def test_an_output_that_a_log_lacks_is_not_trimmed(make_bundle, make_log):
     lacking = without(make_log(offset=(1.0, 1.0)), "N1_pct")
     (found,) = evaluate(make_bundle(), [lacking], trim=0.2).document()["logs"]
     assert found["trim"]["samples"]["N1_pct"] == 0
-    assert not any(found["trim"]["offsets"]["N1_pct"])
+    assert not np.any(found["trim"]["offsets"]["N1_pct"])
     n2 = found["channels"]["N2_pct"]
     assert n2["rmse"] < n2["untrimmed_rmse"]
 

@@ -76,7 +76,7 @@ def prepared_page(header: RunHeader, one: LogView) -> str:
 
 @pytest.fixture(scope="module")
 def evaluation(header, view, evaluated, outcome_of) -> str:
-    trim = Trim(np.array([0.0, 1.0]), np.array([[-0.4], [0.2]]), (9,), 50)
+    trim = Trim(np.array([0.0, 1.0]), np.zeros(1), np.array([[[-0.4], [0.2]]]), (9,), 50)
     one = evaluated(trim=trim)
     return evaluate_page(header, [view(one=one)], outcome_of(one))
 
