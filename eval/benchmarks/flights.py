@@ -192,8 +192,8 @@ def more_flights_rows(data: Path, campaign: Campaign = CAMPAIGNS[0]) -> Iterator
             found[name].append(_unloaded(judged, _windows(campaign, test)))
     group = f"{campaign.name}, halves of flights by the other half (one), the other flight, both"
     both, *single = ([rmse[None] for rmse, _ in each] for each in found.values())
-    for name, each in zip(tuple(found)[1:], single, strict=True):
-        yield ratio_row(group, f"error of both over {name}", list(zip(both, each, strict=True)))
+    for name, alone in zip(tuple(found)[1:], single, strict=True):
+        yield ratio_row(group, f"error of both over {name}", list(zip(both, alone, strict=True)))
     for name, each in found.items():
         passed, assessed = (sum(getattr(k, n) for _, k in each) for n in ("passed", "assessed"))
         note = f"{passed} of {assessed} assessed"
