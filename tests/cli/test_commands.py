@@ -19,6 +19,7 @@ from narxcal.calibration.bundle import load_bundle, save_bundle
 from narxcal.cli import main
 from narxcal.cli.denoise import usual_channel
 from narxcal.cli.prepare import file_names
+from training.outlying import Outlier
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = (
@@ -271,6 +272,21 @@ def test_evaluate_says_that_no_log_was_held_out(project, narxcal, tmp_path):
         "narxcal: warning: no log was held out: these are logs that the model was trained on\n"
     )
     assert done.out == ""
+
+
+def test_a_log_that_was_not_learned_from_is_named_in_every_later_evaluation(
+    project, narxcal, tmp_path
+):
+    bundle = load_bundle(project / "run")
+    words = Outlier("x.csv", {"N1_pct": 3.61}).words
+    screening = {**bundle.meta["screening"], "contradicting": [{"words": words}]}
+    save_bundle(tmp_path / "run", replace(bundle, meta={**bundle.meta, "screening": screening}))
+    log = project / "flights" / "flight_1.csv"
+    done = narxcal("evaluate", tmp_path / "run", "--logs", log, "--out", tmp_path / "out", "--json")
+    assert strict(done.out)["cautions"][0] == words
+    assert "x.csv contradicts the other logs as a whole" in done.err
+    page = (tmp_path / "out" / "evaluate.html").read_text("utf-8")
+    assert "misses its N1_pct by 3.61 %" in page
 
 
 @pytest.mark.usefixtures("undrawn")
