@@ -99,14 +99,15 @@ def test_a_single_engine_gets_no_scatter():
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10**6), huber=st.sampled_from([0.0, 2.0]))
-def test_whatever_the_samples_the_curves_never_fall(seed, huber):
+def test_whatever_the_samples_the_curve_of_a_speed_never_falls(seed, huber):
+    """That of a temperature may: where the samples, or their noise, clearly say so."""
     rng = np.random.default_rng(seed)
     inputs = drawn(60, seed)
     outputs = rng.normal(size=(60, 2)) * [30.0, 300.0]
     model, _ = fitted(SteadySamples(inputs, outputs), config=SteadyFitConfig(huber=huber))
     sweep = np.tile(inputs[0], (50, 1))
     sweep[:, 0] = np.linspace(-20.0, 120.0, 50)
-    assert (np.diff(model.outputs(sweep), axis=0) >= -1e-7).all()
+    assert (np.diff(model.outputs(sweep)[:, 0]) >= -1e-7).all()
 
 
 def test_a_masked_output_costs_only_itself():
