@@ -164,8 +164,10 @@ _NAMES = (
 
 def tap(u: FloatArray, taps: Sequence[int]) -> FloatArray:
     """Delay line: (time, inputs) -> (time, taps * inputs); u is constant before its start."""
-    rows = np.arange(len(u))
-    return np.concatenate([u[np.maximum(rows - d, 0)] for d in taps], axis=1)
+    tapped = np.empty((len(u), len(taps), u.shape[1]))
+    for k, d in enumerate(taps):
+        tapped[:d, k], tapped[d:, k] = u[:1], u[: max(len(u) - d, 0)]
+    return tapped.reshape(len(u), -1)
 
 
 def history_before(y: FloatArray, at: int, lags: int) -> FloatArray:
