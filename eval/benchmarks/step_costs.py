@@ -95,7 +95,7 @@ def main() -> None:
         found, ratio = rates(list(source()))
         sys.stdout.write(f"{name} = Rates({', '.join(f'{rate:.2g}' for rate in found)})\n")
         low, middle, high = np.quantile(ratio, [0.1, 0.5, 0.9])
-        sys.stdout.write(f"# over measured: {middle:.2f}, nine in ten {low:.2f} to {high:.2f}\n")
+        sys.stdout.write(f"# over measured: {middle:.2f}, eight in ten {low:.2f} to {high:.2f}\n")
 
 
 if __name__ == "__main__":
