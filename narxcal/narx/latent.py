@@ -111,6 +111,14 @@ def _passed_on(row: FloatArray, factor: float, gain: FloatArray, sensitivity: Fl
             row[q] += one * sensitivity[j, q] + other * sensitivity[j + 1, q]
 
 
+@compiled(exact=False)
+def _within(inner: FloatArray, v: FloatArray, active: FloatArray) -> None:
+    """Fill `inner` (h len(v),) with the slope of every hidden unit by its weights."""
+    for q in range(len(active)):
+        for j in range(len(v)):
+            inner[q * len(v) + j] = (1.0 - active[q] * active[q]) * v[j]
+
+
 @compiled(exact=False, inline=True)
 def _direct(
     row: FloatArray,
@@ -148,7 +156,8 @@ def latent_jacobian(
     """Rows root dy/d(theta, x0) (count of root > 0, P + n) of a stretch of a run.
 
     `run` is u, states and activations of the stretch. `sensitivity` (n, P + n) is dx/d(theta, x0)
-    at its start, and left at its end, so that long runs are done block by block.
+    at its start, and left at its end, so that long runs are done block by block. With (n, n) the
+    rows are root dy/dx0 alone.
     """
     u, states, active = run
     low, high = bounds
@@ -157,33 +166,27 @@ def latent_jacobian(
     r, h = n + m + 1, active.shape[1]
     rows = np.empty((np.count_nonzero(root > 0.0), sensitivity.shape[1]))
     now, ahead = sensitivity.copy(), np.empty_like(sensitivity)
-    gain, v, inner, bent = (
-        np.empty((n + p, n)),
-        np.ones(r),
-        np.empty(h * r),
-        np.empty((n + p, h * r)),
-    )
-    for q in range(h * r):
-        bent[:, q] = parts[1][:, q // r]
-    inside = bent, inner
+    gain, v, inner = np.empty((n + p, n)), np.ones(r), np.empty(h * r)
+    inside = np.repeat(parts[1], r).reshape(n + p, h * r), inner
+    by_theta = sensitivity.shape[1] > n
     count = 0
     for k in range(steps):
         v[:n] = states[k]
         v[n : n + m] = u[k]
-        for q in range(h):
-            for j in range(r):
-                inner[q * r + j] = (1.0 - active[k, q] * active[k, q]) * v[j]
+        _within(inner, v, active[k])
         _gains(parts, active[k], gain)
         for i in range(n):
             if k + 1 < steps and not low[i] < states[k + 1, i] < high[i]:
                 ahead[i] = 0.0
                 continue
             _passed_on(ahead[i], 1.0, gain[i], now)
-            _direct(ahead[i], (i, 1.0), inside, v, active[k])
+            if by_theta:
+                _direct(ahead[i], (i, 1.0), inside, v, active[k])
         for i in range(p):
             if root[k, i] > 0.0:
                 _passed_on(rows[count], root[k, i], gain[n + i], now)
-                _direct(rows[count], (n + i, root[k, i]), inside, v, active[k])
+                if by_theta:
+                    _direct(rows[count], (n + i, root[k, i]), inside, v, active[k])
                 count += 1
         now, ahead = ahead, now
     sensitivity[:] = now
@@ -328,10 +331,7 @@ class LatentModel:
         x, damping = prior.copy(), 1e-3
         value, run = cost(x)
         for _ in range(_ITERATIONS):
-            sensitivity = np.zeros((n, self.shape.size + n))
-            sensitivity[:, -n:] = np.eye(n)
-            rows = latent_jacobian(self.parts, (u, run[0], run[1]), sensitivity, root, self.bounds)
-            slopes = rows[:, -n:]
+            slopes = latent_jacobian(self.parts, (u, run[0], run[1]), np.eye(n), root, self.bounds)
             error = run[2][root > 0.0]
             gradient = slopes.T @ error + (x - prior) / _SPREAD**2
             hessian = slopes.T @ slopes + np.eye(n) / _SPREAD**2

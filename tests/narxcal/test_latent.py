@@ -52,6 +52,8 @@ def test_sensitivities_are_differences_and_the_same_in_blocks():
     for part in (slice(0, 17), slice(17, 40)):
         run = (u[part], states[part], active[part])
         rows.append(latent_jacobian(parts, run, sensitivity, root[part], unbounded(2)))
+    by_x0 = latent_jacobian(parts, (u, states, active), np.eye(2), root, unbounded(2))
+    np.testing.assert_allclose(by_x0, np.concatenate(rows)[:, -2:], rtol=1e-12, atol=1e-14)
     both = np.concatenate([theta, x0])
     slopes = []
     for k in range(len(both)):
