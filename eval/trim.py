@@ -13,7 +13,7 @@ regression with documented prior widths) over the level x and the pressure altit
 An offset at ground idle thus does not apply at cruise: where there is no sample at a similar level
 and altitude, the offset goes back to the common part, which is small. What a steady-state model
 misses at one altitude it need not miss at another: in that case, an offset that is taken for one of
-the log does harm (`docs/evaluate.md`). H is the altitude over which a third of the pressure at sea
+the log does harm. H is the altitude over which a third of the pressure at sea
 level goes. The level x is the steady-state value of the first output between its 1 % and 99 %
 quantiles in the training logs.
 """

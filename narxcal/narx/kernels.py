@@ -9,7 +9,7 @@ An *anchored* network subtracts its own value at rest, `W2 tanh(b1 + W1 rest(k))
 where `rest` is phi with the feedback and all moving inputs set to zero; it has no b2.
 
 What the inputs drive, `W1u phi_u`, is a matrix product of a block of steps. Only the feedback part,
-`W1y` and `Ay`, is left in the recursion. The PyTorch module in `narx.network` is the slow exact
+`W1y` and `Ay`, is left in the recursion. The PyTorch module in `narx.module` is the slow exact
 twin of these functions and their test.
 
 Several windows are run as one: `restarts` is (positions (n,), histories (n, m)), the steps at
@@ -61,6 +61,7 @@ class Layers(NamedTuple):
 
 
 _LOG2_E = 1.4426950408889634
+# In one part: its error of 2e-17 counts k times in r, by which tanh changes at most 2 / 2^k times.
 _LN2 = 0.6931471805599453
 _ROUND = 1.5 * 2.0**52  # x + this has the nearest integer to x in its lowest bits
 _EXPONENT, _BIAS = 52, 1023 << 52  # where a double keeps the power of two, and that of 1
@@ -92,7 +93,7 @@ def _tanh(x: float) -> float:
 
 @compiled
 def tanh_of(x: FloatArray, found: FloatArray) -> None:
-    """Write tanh(x) to `found`, both (n,): 20 times faster than one call of `math.tanh` each."""
+    """Write tanh(x) to `found`, both (n,)."""
     for i in range(len(x)):
         found[i] = _tanh(x[i])
 

@@ -112,7 +112,7 @@ def _passed_on(row: FloatArray, factor: float, gain: FloatArray, sensitivity: Fl
 
 
 @compiled(exact=False)
-def _within(inner: FloatArray, v: FloatArray, active: FloatArray) -> None:
+def _inner_slopes(inner: FloatArray, v: FloatArray, active: FloatArray) -> None:
     """Fill `inner` (h len(v),) with the slope of every hidden unit by its weights."""
     for q in range(len(active)):
         for j in range(len(v)):
@@ -173,7 +173,7 @@ def latent_jacobian(
     for k in range(steps):
         v[:n] = states[k]
         v[n : n + m] = u[k]
-        _within(inner, v, active[k])
+        _inner_slopes(inner, v, active[k])
         _gains(parts, active[k], gain)
         for i in range(n):
             if k + 1 < steps and not low[i] < states[k + 1, i] < high[i]:
