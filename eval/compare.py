@@ -359,8 +359,8 @@ def compare_runs(runs: Sequence[Run]) -> Comparison:
         _recording({run: each[k] for run, each in found.items()}, lead) for k in range(len(names))
     ]
     rows = [_row(run, found[run.name]) for run in runs]
-    if "baselines" in lead.bundle.meta:
-        rows += _baseline_rows(lead)
+    if lead.bundle.record.baselines is not None:
+        rows += _baseline_rows(Baselines.from_json(lead.bundle.record.baselines))
     settings = run_config(lead.bundle)[1].transients
     rows = [replace(row, ti_tt=_ti_tt(row.run, recordings, settings)) for row in rows]
     return compare(recordings, rows, _remarks(runs, lead, names))
@@ -426,13 +426,13 @@ def _ti_tt(
 
 
 def _row(run: Run, found: Sequence[FreeRun]) -> Row:
-    meta, size = run.bundle.meta, run.bundle.calibration.size
+    record, size = run.bundle.record, run.bundle.calibration.size
     return Row(
         run=run.name,
         method=run.method,
         parameters=size,
-        aic=(meta.get("free_run") or {}).get("aic"),
-        fit_s=(meta.get("training") or {}).get("wall_s"),
+        aic=None if record.free_run is None else record.free_run.aic,
+        fit_s=record.training.wall_s if record.training.status else None,
         simulate_us=min(1e6 * one.simulate_s / len(one.log) for one in found),
         coverage_90=_coverage(found),
     )
@@ -449,8 +449,7 @@ def _coverage(found: Sequence[FreeRun]) -> float | None:
     return float(np.mean(np.concatenate(inside))) if inside else None
 
 
-def _baseline_rows(lead: Run) -> list[Row]:
-    found = Baselines.from_json(lead.bundle.meta["baselines"])
+def _baseline_rows(found: Baselines) -> list[Row]:
     arx = sum(np.size(part) for row in (found.arx.poles, found.arx.gains) for part in row)
     sizes = (0, 2 * len(found.lag.push_s), int(arx) + len(found.arx.offsets))
     return [
@@ -463,8 +462,7 @@ def _remarks(runs: Sequence[Run], lead: Run, names: Sequence[str]) -> list[str]:
     """What a reader has to know: logs that a run was fitted to, and logs not compared on."""
     texts = []
     for run in runs:
-        split = run.bundle.meta.get("split") or {}
-        seen = [name for name in names if name in split.get("train", [])]
+        seen = [name for name in names if name in run.bundle.record.logs("train")]
         if seen:
             texts.append(f"{run.name} was identified from {', '.join(seen)}")
         left = [log.name for log in run.logs if log.name not in names]

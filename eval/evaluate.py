@@ -222,9 +222,8 @@ def assess_log(
 
 def _levels(bundle: Bundle, run: FreeRun) -> tuple[LevelCheck, ...]:
     """Level and lag of the scored rows, compared with training logs that were held out."""
-    stored = (bundle.meta.get("lead") or {}).get("channels") or {}
     measured = np.where(run.scored[:, None], run.measured, np.nan)
-    return checks(stored, run.channels, (run.model, measured), run.log.dt_s)
+    return checks(bundle.record.lead_channels, run.channels, (run.model, measured), run.log.dt_s)
 
 
 def _overlay(run: FreeRun, name: str) -> Overlay:
@@ -234,9 +233,9 @@ def _overlay(run: FreeRun, name: str) -> Overlay:
 
 def _role(bundle: Bundle, log: Log) -> str:
     """What the bundle did with a log of these bytes and this name."""
-    if log.source.sha256 not in dict(bundle.meta.get("data", {})).values():
+    if log.source.sha256 not in bundle.record.data.values():
         return NEW
-    split = bundle.meta.get("split", {})
+    split = bundle.record.split
     return next((role for role in split if log.name in split[role]), NEW)
 
 
@@ -427,7 +426,7 @@ _SIMPLE: Final = {
 
 def lead_sentences(bundle: Bundle) -> tuple[str, ...]:
     """Where a simple model leads, and by which held-out errors."""
-    stored = (bundle.meta.get("lead") or {}).get("channels", {})
+    stored = bundle.record.lead_channels
     names, found = bundle.calibration.output_names, []
     for lead in bundle.calibration.leads:
         name = names[lead.channel]
@@ -453,8 +452,8 @@ def _against_baselines(one: LogEvaluation) -> str:
 
 def run_config(bundle: Bundle) -> tuple[RunConfig, EvaluateConfig]:
     """The configuration stored in a bundle; `ModelError` where there is none."""
-    stored = bundle.meta.get("config")
-    if not isinstance(stored, Mapping):
+    stored = bundle.record.config
+    if not stored:
         raise ModelError(
             "the bundle does not say how its logs were prepared", hint="Train it with narxcal train"
         )
@@ -477,7 +476,7 @@ def evaluation_logs(bundle: Bundle, files: Sequence[Path] | None = None) -> list
     if files is not None:
         chosen = read_logs(list(files), reading)
     else:
-        logs = read_logs(config.logs.resolve(Path(str(bundle.meta.get("base", ".")))), reading)
+        logs = read_logs(config.logs.resolve(Path(bundle.record.base)), reading)
         chosen = split_logs(logs, config.split).test or logs
     logs = [with_outputs(one.log, outputs) for one in prepare(chosen, config)]
     return screened(bank_of(bundle), logs)
@@ -506,7 +505,7 @@ def file_faults(bundle: Bundle, file: Path) -> tuple[Fault, ...]:
 
 def bank_of(bundle: Bundle) -> Bank | None:
     """The bank that the bundle's training logs taught; None for a bundle without one."""
-    stored = bundle.meta.get("redundancy")
+    stored = bundle.record.redundancy
     return Bank.from_json(stored) if stored else None
 
 

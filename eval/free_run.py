@@ -116,8 +116,8 @@ def run_log(
     if one_step:
         outputs[ONE_STEP] = _one_step(own, inputs, measured, outputs[MODEL])
     level = np.zeros(len(log))
-    if "baselines" in bundle.meta:
-        fitted = Baselines.from_json(bundle.meta["baselines"])
+    if bundle.record.baselines is not None:
+        fitted = Baselines.from_json(bundle.record.baselines)
         outputs[FIRST_ORDER] = fitted.lag.simulate(steady, measured[0], own.dt_s)
         outputs[ARX] = fitted.arx.simulate(steady, measured[0])
         level = (steady[:, 0] - fitted.low[0]) / max(fitted.high[0] - fitted.low[0], 1e-9)

@@ -92,15 +92,14 @@ class ReplayModel:
 
     @classmethod
     def of(cls, bundle: Bundle) -> Self:
-        """Read `meta["config"]` (tables `logs` and `fuser`) and `meta["fuser_noise"]`."""
-        config = bundle.meta.get("config", {})
-        noise = bundle.meta.get("fuser_noise")
+        """Read tables `logs` and `fuser` of the configuration, and the noise for the fuser."""
+        config = bundle.record.config
         outputs = set(bundle.calibration.output_names) - set(bundle.calibration.input_names)
         return cls(
             bundle.calibration,
             LogsConfig.parse(config.get("logs", {})).sparing(outputs),
             FuserConfig.parse(config.get("fuser", {})),
-            None if noise is None else NoiseModel.from_dict(noise),
+            bundle.record.noise,
         )
 
 

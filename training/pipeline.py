@@ -27,6 +27,7 @@ from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration, DynamicCalibration
 from narxcal.calibration.identified import IdentifiedCalibration
 from narxcal.calibration.noise import NoiseModel, estimate_noise
+from narxcal.calibration.run_record import FitRecord, RunRecord, SteadyRecord
 from narxcal.channels import CHANNELS
 from narxcal.intervals import HalfWidths, joined
 from narxcal.lumped.engine import LumpedEngine
@@ -136,16 +137,17 @@ def calibrate(
     calibration = calibration.with_interval(interval_of(held))
     calibration = calibration.reaching(*input_reach(split.train, calibration.input_names))
     found["training"]["wall_s"] = time.perf_counter() - began
-    meta = _provenance(given, base, split) | {
-        "config": _resolved(config, steady).model_dump(mode="json", by_alias=True),
-        "steady_state": _quality_row(quality, steady),
+    record = RunRecord(
+        **_provenance(given, base, split),
+        config=_resolved(config, steady).model_dump(mode="json", by_alias=True),
+        steady_state=_steady_record(quality, steady),
         **found,
-        "free_run": free_run_fit(calibration, split.train),
-        "fuser_noise": fuser_noise(calibration, split, held).to_dict(),
-        "screening": learned.row(),
-        "redundancy": redundancy_of(calibration, learned.train),
-    }
-    return Bundle(calibration, meta)
+        free_run=free_run_fit(calibration, split.train),
+        fuser_noise=fuser_noise(calibration, split, held).to_dict(),
+        screening=learned.row(),
+        redundancy=redundancy_of(calibration, learned.train),
+    )
+    return Bundle(calibration, record)
 
 
 def _narx(
@@ -216,7 +218,7 @@ def redundancy_of(calibration: Calibration, logs: Sequence[Log]) -> dict[str, An
     return None if bank is None else bank.to_json()
 
 
-def free_run_fit(calibration: Calibration, logs: Sequence[Log]) -> dict[str, Any]:
+def free_run_fit(calibration: Calibration, logs: Sequence[Log]) -> FitRecord:
     """Samples, RMSE per output and AIC of the free run over the training logs.
 
     AIC = sum_j N_j ln mse_j + 2 (parameters + outputs), with errors taken as white: compare it
@@ -232,12 +234,12 @@ def free_run_fit(calibration: Calibration, logs: Sequence[Log]) -> dict[str, Any
     mse = np.nanmean(error**2, axis=0)
     names = calibration.output_names
     penalty = 2.0 * (calibration.size + len(names))
-    return {
-        "samples": dict(zip(names, count.tolist(), strict=True)),
-        "rmse": dict(zip(names, np.sqrt(mse).tolist(), strict=True)),
-        "parameters": calibration.size,
-        "aic": float(count @ np.log(mse) + penalty) if (mse > 0.0).all() else None,
-    }
+    return FitRecord(
+        samples=dict(zip(names, count.tolist(), strict=True)),
+        rmse=dict(zip(names, np.sqrt(mse).tolist(), strict=True)),
+        parameters=calibration.size,
+        aic=float(count @ np.log(mse) + penalty) if (mse > 0.0).all() else None,
+    )
 
 
 def _calibration(
@@ -376,21 +378,21 @@ def _provenance(config: RunConfig, base: Path, split: Split) -> dict[str, Any]:
     }
 
 
-def _quality_row(quality: SteadyQuality | None, steady: SteadyStateModel) -> dict[str, Any]:
+def _steady_record(quality: SteadyQuality | None, steady: SteadyStateModel) -> SteadyRecord:
     if quality is None or not isinstance(steady, FittedSteadyState):
-        return {"fitted": False}
+        return SteadyRecord(fitted=False)
     layout = steady.layout
-    return {
-        "fitted": True,
-        "samples": quality.samples,
-        "rms": quality.rms,
-        "coverage": quality.coverage,
-        "corrected": layout.corrected,
-        "blend": list(layout.blend),
-        "switches": list(layout.switches),
-        "exponents": list(layout.exponents),
-        "assumed": list(layout.assumed),
-    }
+    return SteadyRecord(
+        fitted=True,
+        samples=quality.samples,
+        rms=dict(quality.rms),
+        coverage=quality.coverage,
+        corrected=layout.corrected,
+        blend=layout.blend,
+        switches=layout.switches,
+        exponents=layout.exponents,
+        assumed=layout.assumed,
+    )
 
 
 def _training_row(results: Sequence[FitResult]) -> dict[str, Any]:

@@ -131,7 +131,7 @@ def _measured(
     config = config.having(train={"choice_s": 0.0})
     logs = tuple(one.log for one in prepare(train, config))
     bundle = calibrate(config, Path(), Split(logs, (), ()))
-    bank = Bank.from_json(bundle.meta["redundancy"])
+    bank = Bank.from_json(bundle.record.redundancy or {})
     trials = tuple(
         trial for log in test for trial in _trials(log, config, (bundle, bank), faults, show=show)
     )

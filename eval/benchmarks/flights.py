@@ -106,7 +106,7 @@ def campaign_rows(
         test = [part.log for part in plan.test]
         bundle = _calibrated(config, base, train)
         yield from _judged(campaign, plan.name, bundle, test)
-    seconds = float(_calibrated(config, base, logs).meta["training"]["wall_s"])
+    seconds = _calibrated(config, base, logs).record.training.wall_s
     note = f"{len(logs)} logs, {sum(len(log) * log.dt_s for log in logs) / 60:.0f} engine minutes"
     bound: Bound = "" if math.isnan(campaign.training_s) else "at most"
     yield Row(

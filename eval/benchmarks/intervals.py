@@ -64,7 +64,7 @@ def covered(folder: Path, size: int, tests: tuple[int, int]) -> Covered:
     bundle = trained(case, case.logs[:size])
     found = evaluate(bundle, case.logs[first : first + count])
     pooled = found.pooled
-    noise = NoiseModel.from_dict(bundle.meta["fuser_noise"])
+    noise = NoiseModel.from_dict(bundle.record.fuser_noise or {})
     return Covered(
         tuple(pooled),
         np.array([one.coverage for one in pooled.values()]),

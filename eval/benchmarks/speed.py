@@ -290,7 +290,7 @@ def _briefly_trained(config: RunConfig, base: Path, flight: Path) -> tuple[Log, 
 def step_seconds(bundle: Bundle, log: Log, steps: int) -> tuple[FloatArray, FloatArray]:
     """Wall and processor time of each online step, `(steps,)` or fewer in a shorter log."""
     calibration = bundle.calibration
-    fuser = KalmanFuser(NoiseModel.from_dict(bundle.meta["fuser_noise"]))
+    fuser = KalmanFuser(NoiseModel.from_dict(bundle.record.fuser_noise or {}))
     inputs = log.matrix(calibration.input_names)[: steps + 1]
     measured = log.matrix(calibration.output_names)[: steps + 1]
     fuser.reset(calibration.reset(inputs[0], measured[0]), measured[0])

@@ -30,9 +30,9 @@ def left_out_pairs(bundle: Bundle, jobs: int = -1) -> list[Pair]:
     one. Raises `DataError` where the training logs are not at hand any more.
     """
     config, _ = run_config(bundle)
-    base = Path(str(bundle.meta.get("base", ".")))
+    base = Path(bundle.record.base)
     raw = split_logs(read_logs(config.logs.resolve(base), config.logs), config.split).train
-    known = {str(file): str(found) for file, found in dict(bundle.meta.get("data", {})).items()}
+    known = bundle.record.data
     for log in raw:
         if known.get(log.source.file, log.source.sha256) != log.source.sha256:
             raise DataError("is not the file that the run was trained on", file=log.source.file)

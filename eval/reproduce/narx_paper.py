@@ -46,7 +46,7 @@ class Reproduction:
     def document(self) -> dict[str, Any]:
         """`reproduce.json`."""
         data, said = self.data, missed(self.studies)
-        training = self.bundle.meta["training"]
+        training = self.bundle.record.training
         return {
             "schema": SCHEMA,
             "paper": PAPER,
@@ -58,7 +58,7 @@ class Reproduction:
             ],
             "test": [data.number(log.name) for log in data.tests],
             "studies": [study.row() for study in self.studies],
-            "training": {key: training[key] for key in ("status", "wall_s")},
+            "training": {"status": training.status, "wall_s": training.wall_s},
             "config": data.config.model_dump(mode="json", by_alias=True),
             "versions": versions(),
         }

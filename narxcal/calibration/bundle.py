@@ -11,7 +11,7 @@
     files        {"steady/NAME": sha256} of what the steady-state model needs, such as an FMU
     calibration  lags, widths, names and whatever the `Calibration` needs in addition to arrays
     versions     of Python and the packages that made it
-    ...          what the trainer adds: config, data hashes, split, seeds, metrics
+    ...          the entries of `narxcal.calibration.run_record`
 
 Array names are paths: `narx/...` for the network and its scalings, `steady/...` for the
 steady-state model, `lag/...` for the lags. The one hash covers the document and, by their hashes,
@@ -42,9 +42,10 @@ from safetensors.numpy import save as save_arrays
 
 from narxcal.calibration.calibration import Calibration
 from narxcal.calibration.identified import calibration_from_arrays
+from narxcal.calibration.run_record import RunRecord
 from narxcal.channels import CHANNELS
 from narxcal.steady.model import CarriesFiles
-from narxcal.support.errors import ModelError, NarxcalError
+from narxcal.support.errors import ConfigError, ModelError, NarxcalError
 from narxcal.support.files import (
     atomic_folder,
     atomic_write_bytes,
@@ -201,12 +202,6 @@ _OURS = (
     "schema", "sha256", "dt_s", "channels", "units", "weights", "files", "calibration",
     "calibration_sha256",
 )  # fmt: skip
-# Parts that others read as tables of keys; the second ones may be null.
-_TABLES = ("units", "config", "data", "hardware", "versions")
-_OPTIONAL = (
-    "split", "training", "steady_state", "lag_form", "fuser_noise", "baselines", "redundancy",
-    "screening",
-)  # fmt: skip
 _FORM = ModelFolder(
     what="bundle",
     document=DOCUMENT,
@@ -220,12 +215,11 @@ _FORM = ModelFolder(
 class Bundle:
     """A calibration and where it comes from.
 
-    `meta` is what JSON can hold: config, data hashes, split, seeds, metrics, versions. `sha256` is
-    the hash of the stored bundle; empty for one that was not loaded, or is unverified.
+    `sha256` is the hash of the stored bundle; empty for one that was not loaded, or is unverified.
     """
 
     calibration: Calibration
-    meta: dict[str, Any] = field(default_factory=dict, repr=False)
+    record: RunRecord = field(default_factory=RunRecord, repr=False)
     sha256: str = ""
 
 
@@ -248,16 +242,17 @@ def write_bundle(folder: str | PathLike[str], bundle: Bundle) -> None:
     target = Path(folder)
     meta, arrays = bundle.calibration.to_arrays()
     weights, entry = packed(arrays)
-    taken = sorted(set(bundle.meta) & set(_OURS))
+    record = bundle.record.to_json()
+    taken = sorted(set(record) & set(_OURS))
     if taken:
-        raise ModelError(f"the bundle's meta may not hold '{taken[0]}', which it writes itself")
+        raise ModelError(f"the run's record may not hold '{taken[0]}', which the bundle writes")
     parts = {
         "dt_s": float(bundle.calibration.dt_s),
         **_channels(bundle.calibration),
         "weights": entry,
         "calibration": meta,
         "versions": versions(),
-        **bundle.meta,
+        **record,
     }
     document = _plain({"schema": SCHEMA, **parts}, "bundle")
     document["files"] = _copied_files(target / STEADY_FILES, bundle.calibration.steady)
@@ -279,8 +274,8 @@ def settle_bundle(folder: str | PathLike[str]) -> None:
         pending.unlink()
 
 
-def check_bundle(folder: str | PathLike[str]) -> dict[str, Any]:
-    """Check a bundle against its own hashes, without opening its model; returns the document.
+def check_bundle(folder: str | PathLike[str]) -> RunRecord:
+    """Check a bundle against its own hashes, without opening its model; returns its record.
 
     Raises `ModelError` as `load_bundle`.
     """
@@ -288,7 +283,7 @@ def check_bundle(folder: str | PathLike[str]) -> dict[str, Any]:
     document = read_document(source)
     _FORM.read_arrays(source, document)
     _with_own_files(source, document)
-    return document
+    return _record(document, source / DOCUMENT)
 
 
 def load_bundle(folder: str | PathLike[str], *, trust: bool = False) -> Bundle:
@@ -326,8 +321,14 @@ def load_bundle(folder: str | PathLike[str], *, trust: bool = False) -> Bundle:
             f"{source} is unverified: its schema {FORMER_SCHEMA} has no hash over all of it; "
             "train it anew to have one"
         )
-    own = {key: document[key] for key in document if key not in _OURS}
-    return Bundle(calibration, own, str(document.get("sha256", "")))
+    return Bundle(calibration, _record(document, file), str(document.get("sha256", "")))
+
+
+def _record(document: Mapping[str, Any], file: Path) -> RunRecord:
+    try:
+        return RunRecord.parse({key: document[key] for key in document if key not in _OURS})
+    except ConfigError as error:
+        raise ModelError(error.problem, file=file, hint=_FORM.again) from None
 
 
 def read_document(folder: str | PathLike[str]) -> dict[str, Any]:
@@ -341,10 +342,8 @@ def read_document(folder: str | PathLike[str]) -> dict[str, Any]:
         problem = "the document is nested too deeply"
     if problem:
         raise ModelError(problem, file=file, hint=_FORM.again)
-    for key in (*_TABLES, *_OPTIONAL):
-        null = key in document and document[key] is None
-        if (null and key in _TABLES) or not isinstance(document.get(key), dict | None):
-            raise ModelError(f"'{key}' is no table of keys", file=file, hint=_FORM.again)
+    if not isinstance(document.get("units", {}), dict):
+        raise ModelError("'units' is no table of keys", file=file, hint=_FORM.again)
     return document
 
 

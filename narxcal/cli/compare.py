@@ -13,7 +13,7 @@ from eval.report.page import RunHeader, compare_page
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_out, add_trust, path
-from narxcal.cli.results import data_files, hash_words, logs_for, method_of, now
+from narxcal.cli.results import data_files, hash_words, logs_for, now
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import Results, versions
 
@@ -36,7 +36,7 @@ def run(options: Namespace, console: Console) -> int:
     """Compare runs; writes JSON and HTML."""
     RESULTS.check(options.out)
     runs = [
-        Run(name, method_of(bundle.meta), bundle,
+        Run(name, bundle.record.method, bundle,
             tuple(logs_for(bundle, options.logs, options.data, console)))
         for name, bundle in _opened(options.runs, trust=options.trust).items()
     ]  # fmt: skip

@@ -86,7 +86,7 @@ def judge(
     evaluation = Evaluation(tuple(parts), settings, trim or None, leads)
     outcome = evaluation.outcome
     warnings = [
-        *doubtful_logs(bundle.meta),
+        *doubtful_logs(bundle.record),
         *cautions(logs, config, config.narx.outputs),
         *(fault.caution for fault in evaluation.faults),
         *evaluation.level_cautions,

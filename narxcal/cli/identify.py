@@ -12,7 +12,7 @@ from typing import Any
 from narxcal.calibration.bundle import Bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config, add_method
-from narxcal.cli.results import method_of, read_config, steady_words, with_method
+from narxcal.cli.results import read_config, steady_words, with_method
 from narxcal.cli.train import check, train_locked
 from narxcal.support.files import atomic_write_text, to_json
 
@@ -42,17 +42,17 @@ def run(options: Namespace, console: Console) -> int:
 
 def document_of(bundle: Bundle) -> dict[str, Any]:
     """`identify.json`; a network has no parameters with a meaning."""
-    meta = bundle.meta
-    plain = {"parameters": {}, "status": meta["training"]["status"], "advice": "none"}
+    record = bundle.record.to_json()
+    plain = {"parameters": {}, "status": record["training"]["status"], "advice": "none"}
     return {
         "schema": SCHEMA,
-        "method": method_of(meta),
+        "method": bundle.record.method,
         "model": bundle.calibration.words,
         **plain,
         "warnings": [],
-        **meta.get("identify", {}),
-        "free_run": meta["free_run"],
-        "fit_s": meta["training"]["wall_s"],
+        **record.get("identify", {}),
+        "free_run": record["free_run"],
+        "fit_s": record["training"]["wall_s"],
     }
 
 
@@ -60,7 +60,7 @@ def _show(console: Console, bundle: Bundle, document: dict[str, Any]) -> None:
     console.facts({
         "Method": document["method"],
         "Dynamics": document["model"],
-        "Steady state": steady_words(bundle.meta),
+        "Steady state": steady_words(bundle.record),
         "Status": document["status"],
         "Advice": document["advice"],
     })  # fmt: skip

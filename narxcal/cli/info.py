@@ -11,9 +11,10 @@ import numpy as np
 
 from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.calibration.run_record import RunRecord
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_run
-from narxcal.cli.results import hash_words, interval_words, lag_words, method_of, steady_words
+from narxcal.cli.results import hash_words, interval_words, lag_words, steady_words
 
 SCHEMA = "narxcal.info/1"
 _KEPT = ("split", "seeds", "steady_state", "lag_form", "training")
@@ -29,7 +30,7 @@ def run(options: Namespace, console: Console) -> int:
     """Load a bundle, which checks it, and print what is stored about it."""
     bundle = load_bundle(options.bundle, trust=options.trust)
     document = _document(str(options.bundle), bundle, read_document(options.bundle))
-    console.facts(_facts(document))
+    console.facts(_facts(document, bundle.record))
     console.table(
         "Outputs and the guaranteed bounds of their deviation from steady state",
         ["channel", "unit", "low", "high"],
@@ -71,17 +72,17 @@ def _number(value: float | None) -> str:
 
 
 def _document(run: str, bundle: Bundle, stored: dict[str, Any]) -> dict[str, Any]:
-    calibration, meta = bundle.calibration, bundle.meta
+    calibration, record = bundle.calibration, bundle.record
     low, high = calibration.bounds()
     network = calibration if isinstance(calibration, DynamicCalibration) else None
     return {
         "schema": SCHEMA,
         "run": run,
-        "name": meta.get("config", {}).get("name", ""),
+        "name": record.config.get("name", ""),
         "channels": stored["channels"],
         "units": stored["units"],
         "dt_s": calibration.dt_s,
-        "method": method_of(meta),
+        "method": record.method,
         "model": calibration.words,
         "parameters": calibration.size,
         **({} if network is None else _network(network)),
@@ -96,12 +97,12 @@ def _document(run: str, bundle: Bundle, stored: dict[str, Any]) -> dict[str, Any
             for k, name in enumerate(calibration.output_names)
             if np.isfinite(low[k])
         },
-        **{key: meta.get(key) for key in _KEPT},
+        **{key: record.to_json().get(key) for key in _KEPT},
         "metrics": _metrics(Path(run), stored["weights"]["sha256"]),
-        "data": meta.get("data", {}),
-        "hardware": meta.get("hardware", {}),
-        "versions": meta.get("versions", {}),
-        "config": meta.get("config", {}),
+        "data": record.data,
+        "hardware": record.hardware,
+        "versions": record.versions,
+        "config": record.config,
     }
 
 
@@ -141,9 +142,8 @@ def _finite(value: Any) -> float | None:
     return None if value is None else float(value)
 
 
-def _facts(document: dict[str, Any]) -> dict[str, str]:
-    training = document["training"] or {}
-    split = document["split"] or {}
+def _facts(document: dict[str, Any], record: RunRecord) -> dict[str, str]:
+    split = record.split.items()
     facts = {
         "Model": document["name"] or document["run"],
         "Inputs": ", ".join(document["channels"]["inputs"]),
@@ -152,13 +152,13 @@ def _facts(document: dict[str, Any]) -> dict[str, str]:
         "Method": document["method"],
         "Dynamics": f"{document['model']}; {document['parameters']} parameters",
         "Bundle": hash_words(document["sha256"]),
-        "Steady state": steady_words(document),
-        "Lags": lag_words(document),
+        "Steady state": steady_words(record),
+        "Lags": lag_words(record),
         "Interval": document["interval"]["words"],
-        **{f"{part.capitalize()} logs": ", ".join(logs) or "none" for part, logs in split.items()},
-        "Seeds": ", ".join(map(str, document["seeds"] or [])),
-        "Versions": ", ".join(f"{name} {text}" for name, text in document["versions"].items()),
+        **{f"{part.capitalize()} logs": ", ".join(logs) or "none" for part, logs in split},
+        "Seeds": ", ".join(map(str, record.seeds)),
+        "Versions": ", ".join(f"{name} {text}" for name, text in record.versions.items()),
     }
-    if training:
-        facts["Training"] = f"{training.get('status', '')} ({training.get('wall_s', 0.0):.1f} s)"
+    if record.training.status:
+        facts["Training"] = f"{record.training.status} ({record.training.wall_s:.1f} s)"
     return {name: text for name, text in facts.items() if text}

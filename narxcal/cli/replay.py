@@ -59,7 +59,7 @@ def run(options: Namespace, console: Console) -> int:
 
 def _faults(bundle: Bundle, options: Namespace, console: Console) -> tuple[Fault, ...]:
     """Faults of the log, found before it is streamed; none of a log that only replay can read."""
-    if "config" not in bundle.meta:
+    if not bundle.record.config:
         return ()
     with console.progress("Checking the log"):
         found = file_faults(bundle, options.log)

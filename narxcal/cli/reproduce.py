@@ -193,7 +193,7 @@ def _header(found: Reproduction, options: Namespace) -> RunHeader:
             "Data": origin,
             "Test data sets": found.data.labels(found.data.tests),
             "Effort": "quick: too few training steps to judge by" if options.quick else "full",
-            "Training": f"{found.bundle.meta['training']['wall_s']:.0f} s",
+            "Training": f"{found.bundle.record.training.wall_s:.0f} s",
         },
         config=config.model_dump_json(by_alias=True, indent=1),
     )

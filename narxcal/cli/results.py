@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from data_prep.log import Log, Source
 from eval.report.page import RunHeader
@@ -20,6 +20,7 @@ from training.config import IdentifyConfig, RunConfig, load_config
 
 if TYPE_CHECKING:
     from narxcal.calibration.bundle import Bundle
+    from narxcal.calibration.run_record import RunRecord, SteadyRecord
 
 
 def read_config(path: str, data: Path | None) -> tuple[RunConfig, Path]:
@@ -67,7 +68,7 @@ def logs_for(
         if files:
             return evaluation_logs(bundle, _once(files, console))
         logs = _held_out(bundle, data)
-    if not (bundle.meta.get("split") or {}).get("test"):
+    if not bundle.record.logs("test"):
         console.warn("no log was held out: these are logs that the model was trained on")
     for text in changed(bundle, logs):
         console.warn(text)
@@ -84,7 +85,7 @@ def _once(files: Sequence[Path], console: Console) -> list[Path]:
 
 def changed(bundle: Bundle, logs: Sequence[Log]) -> list[str]:
     """Warnings about logs whose files have changed since the training."""
-    known = {Path(file).name: digest for file, digest in bundle.meta.get("data", {}).items()}
+    known = {Path(file).name: digest for file, digest in bundle.record.data.items()}
     found = {log.source.file: log.source.sha256 for log in logs}
     return [
         f"{file}: the file has changed since the training: sha256 was "
@@ -107,9 +108,9 @@ def _held_out(bundle: Bundle, data: Path | None) -> list[Log]:
 
 
 def _moved(bundle: Bundle, data: Path) -> Bundle:
-    config = bundle.meta.get("config", {})
+    config = bundle.record.config
     logs = {**config.get("logs", {}), "folder": str(data.resolve())}
-    return replace(bundle, meta={**bundle.meta, "config": {**config, "logs": logs}})
+    return replace(bundle, record=bundle.record.having(config={**config, "logs": logs}))
 
 
 _LAGS = {
@@ -120,60 +121,60 @@ _LAGS = {
 _KINDS = {"fmu": "FMU", "callable": "function"}
 
 
-def doubtful_logs(meta: Mapping[str, Any]) -> list[str]:
+def doubtful_logs(record: RunRecord) -> list[str]:
     """Training logs that were left out as a whole, and logs that no model follows, in words."""
-    left_out = (meta.get("screening") or {}).get("contradicting", ())
-    return [each["words"] for each in left_out] + list((meta.get("lead") or {}).get("suspects", ()))
+    left_out = (record.screening or {}).get("contradicting", ())
+    return [each["words"] for each in left_out] + list((record.lead or {}).get("suspects", ()))
 
 
-def steady_words(meta: Mapping[str, Any]) -> str:
+def steady_words(record: RunRecord) -> str:
     """Describe where the steady-state model of a bundle comes from; empty if it is not recorded."""
-    found = meta.get("steady_state") or {}
-    if not found:
+    found = record.steady_state
+    if found is None:
         return ""
-    if not found["fitted"]:
-        section = meta.get("config", {}).get("steady_state", {})
+    if not found.fitted:
+        section = record.config.get("steady_state", {})
         kind = section.get("kind", "model")
         return f"the maker's {_KINDS.get(kind, kind)} {section.get('source', '')}".strip()
     left = ", ".join(
         f"{name} {rms:.3g} {CHANNELS[name].unit}".removesuffix(" -")
-        for name, rms in found["rms"].items()
+        for name, rms in found.rms.items()
     )
     return (
-        f"fitted to {found['samples']} quasi-steady samples over {100 * found['coverage']:.0f} % "
+        f"fitted to {found.samples} quasi-steady samples over {100 * found.coverage:.0f} % "
         f"of the driver's range{_form(found)}; RMS left: {left}"
     )
 
 
-def _form(found: Mapping[str, Any]) -> str:
+def _form(found: SteadyRecord) -> str:
     """Describe the form of the fitted curves; empty for a bundle that does not record it."""
-    if "corrected" not in found:
+    if found.corrected is None:
         return ""
-    words = ["corrected parameters" if found["corrected"] else "parameters as they are"]
-    if found.get("exponents"):
-        words.append(f"fitted exponents of {' and '.join(found['exponents'])}")
-    if found.get("assumed"):
-        words.append(f"{' and '.join(found['assumed'])} taken as 0 for want of a record")
-    if found["blend"]:
-        words.append(f"blended over {' and '.join(found['blend'])}")
-    if found["switches"]:
-        words.append(f"shifted by {', '.join(found['switches'])}")
+    words = ["corrected parameters" if found.corrected else "parameters as they are"]
+    if found.exponents:
+        words.append(f"fitted exponents of {' and '.join(found.exponents)}")
+    if found.assumed:
+        words.append(f"{' and '.join(found.assumed)} taken as 0 for want of a record")
+    if found.blend:
+        words.append(f"blended over {' and '.join(found.blend)}")
+    if found.switches:
+        words.append(f"shifted by {', '.join(found.switches)}")
     return f"; {', '.join(words)}"
 
 
-def lag_words(meta: Mapping[str, Any]) -> str:
+def lag_words(record: RunRecord) -> str:
     """Describe the form of the lags and how it was chosen; empty without lags."""
-    found = meta.get("lag_form") or {}
-    if not found.get("form"):
+    found = record.lag_form
+    if found is None or not found.form:
         return ""
-    left = ", ".join(f"{form} {100.0 * share:.2g} %" for form, share in found["left"].items())
+    left = ", ".join(f"{form} {100.0 * share:.2g} %" for form, share in found.left.items())
     chosen = f"; chosen by the error on logs that were left out: {left}" if left else ""
-    return f"{_LAGS[found['form']]}{chosen}"
+    return f"{_LAGS[found.form]}{chosen}"
 
 
-def lead_words(meta: Mapping[str, Any]) -> str:
+def lead_words(record: RunRecord) -> str:
     """Say which model leads in each output, and on what grounds; empty for an older bundle."""
-    found = meta.get("lead") or {}
+    found = record.lead or {}
     if not found:
         return ""
     leads = {name: one["leads"].replace("_", " ") for name, one in found["channels"].items()}
@@ -201,7 +202,7 @@ def header_of(
     """Header of a page about the bundle in `run`; `rule_set` names the Ti/Tt rules."""
     from narxcal.calibration.bundle import read_document  # noqa: PLC0415 -- likewise
 
-    meta, found = bundle.meta, rules(rule_set)
+    record, found = bundle.record, rules(rule_set)
     return RunHeader(
         title=title,
         created=now(),
@@ -210,19 +211,14 @@ def header_of(
         rules=found.name,
         tolerances=f"Ti {words(found.Ti)}; Tt {words(found.Tt)} ({found.source})",
         sources=data_files(log.source for log in logs),
-        versions=meta.get("versions", {}),
+        versions=record.versions,
         facts={
             "Bundle": hash_words(read_document(run).get("sha256")),
             "Interval": interval_words(bundle.calibration.interval),
-            **_facts(meta),
+            **_facts(record),
         },
-        config=json.dumps(meta.get("config", {}), indent=1),
+        config=json.dumps(record.config, indent=1),
     )
-
-
-def method_of(meta: Mapping[str, Any]) -> str:
-    """By which method a bundle was identified; "narx" for one that `train` wrote."""
-    return str(meta.get("config", {}).get("identify", {}).get("method", "narx"))
 
 
 def hash_words(sha256: str | None) -> str:
@@ -243,14 +239,13 @@ def words(tolerance: Tolerance) -> str:
     return f"±{100.0 * tolerance.share:g} %{floor}"
 
 
-def _facts(meta: dict[str, Any]) -> dict[str, str]:
-    split = meta.get("split") or {}
-    training = meta.get("training") or {}
+def _facts(record: RunRecord) -> dict[str, str]:
+    split = record.split
     facts = {f"{part.capitalize()} logs": ", ".join(logs) for part, logs in split.items() if logs}
-    facts["Steady state"] = steady_words(meta)
-    facts["Lags"] = lag_words(meta)
-    facts["Seeds"] = ", ".join(map(str, meta.get("seeds") or []))
-    if training:
-        facts["Training"] = f"{training.get('status', '')}, {training.get('wall_s', 0.0):.0f} s"
-    facts["Hardware"] = ", ".join(str(value) for value in (meta.get("hardware") or {}).values())
+    facts["Steady state"] = steady_words(record)
+    facts["Lags"] = lag_words(record)
+    facts["Seeds"] = ", ".join(map(str, record.seeds))
+    if record.training.status:
+        facts["Training"] = f"{record.training.status}, {record.training.wall_s:.0f} s"
+    facts["Hardware"] = ", ".join(map(str, record.hardware.values()))
     return {name: text for name, text in facts.items() if text}

@@ -113,7 +113,7 @@ def read_inputs(bundle: Bundle, file: Path) -> list[Log]:
     Outputs need not be there. The logs are on the model's sampling grid, prepared as those
     that it was trained on; masked samples stay NaN. Raises `DataError`.
     """
-    config = RunConfig.parse(bundle.meta["config"])
+    config = RunConfig.parse(bundle.record.config)
     names = bundle.calibration.input_names
     header = open_table(file, config.logs).header
     logs = config.logs

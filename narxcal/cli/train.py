@@ -21,10 +21,10 @@ from narxcal.calibration.bundle import (
     DOCUMENT,
     Bundle,
     check_bundle,
-    read_document,
     settle_bundle,
     write_bundle,
 )
+from narxcal.calibration.run_record import RunRecord, StepRow
 from narxcal.cli.console import Advance, Console
 from narxcal.cli.options import add_config
 from narxcal.cli.results import (
@@ -61,13 +61,13 @@ def run(options: Namespace, console: Console) -> int:
     if options.resume and _complete(run_folder, config):
         _settle(run_folder)
         console.say(f"{run_folder} is complete; nothing is left to do.")
-        console.document(_document(run_folder, read_document(run_folder)))
+        console.document(_document(run_folder, check_bundle(run_folder)))
         return 0
     if options.resume and not (run_folder / CHECKPOINTS).is_dir():
         console.warn(f"nothing to resume in {run_folder}: the training begins anew")
     bundle = train_locked(config, base, run_folder, (options.resume, console))
     _show(console, run_folder, bundle)
-    console.document(_document(run_folder, bundle.meta))
+    console.document(_document(run_folder, bundle.record))
     return 0
 
 
@@ -107,17 +107,17 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
             resume=resume,
         )
         bundle = calibrate(config, base, split, options)
-    for warning in (*masked_words(bundle.meta), *doubtful_logs(bundle.meta)):
+    for warning in (*masked_words(bundle.record), *doubtful_logs(bundle.record)):
         console.warn(warning)
     write_bundle(folder, bundle)
-    if not interrupted(bundle.meta):
+    if not bundle.record.interrupted:
         shutil.rmtree(checkpoints, ignore_errors=True)
     return bundle
 
 
-def masked_words(meta: dict[str, Any]) -> list[str]:
+def masked_words(record: RunRecord) -> list[str]:
     """What to say of the faults of the logs to learn from, and of what was masked for them."""
-    found = meta.get("screening") or {"faults": [], "logs": []}
+    found = record.screening or {"faults": [], "logs": []}
     said = [Fault(**{**row, "channels": tuple(row["channels"])}).caution for row in found["faults"]]
     for row in found["logs"]:
         parts = [f"{count} samples of {name}" for name, count in row["masked"].items()]
@@ -142,11 +142,6 @@ def left_out(logs: Sequence[Log], split: Split, config: SplitConfig) -> list[str
     if unused:
         said.append(f"not used, for no pattern in [split] matches: {', '.join(unused)}")
     return said
-
-
-def interrupted(meta: dict[str, Any]) -> bool:
-    """Whether Ctrl-C ended the training of a bundle."""
-    return "interrupted" in (meta.get("training") or {}).get("status", "")
 
 
 def check(folder: Path, *, resume: bool) -> None:
@@ -177,13 +172,13 @@ def _complete(folder: Path, config: RunConfig) -> bool:
     if not (folder / DOCUMENT).is_file():
         return False
     stored = check_bundle(folder)
-    given = stored.get("configured", stored.get("config"))
+    given = stored.config if stored.configured is None else stored.configured
     if given != config.model_dump(mode="json", by_alias=True):
         raise ConfigError(
             f"output folder {folder} holds a model of another configuration",
             hint="Choose another name",
         )
-    return not interrupted(stored)
+    return not stored.interrupted
 
 
 def _settle(folder: Path) -> None:
@@ -218,7 +213,8 @@ def _where_it_stands(folder: Path) -> str:
     return ""
 
 
-def _document(folder: Path, meta: dict[str, Any]) -> dict[str, Any]:
+def _document(folder: Path, record: RunRecord) -> dict[str, Any]:
+    table = record.to_json()
     kept = (
         "training",
         "steady_state",
@@ -234,33 +230,33 @@ def _document(folder: Path, meta: dict[str, Any]) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "run": str(folder),
-        "interrupted": interrupted(meta),
-        **{key: meta.get(key) for key in (*kept, "hardware")},
+        "interrupted": record.interrupted,
+        **{key: table.get(key) for key in (*kept, "hardware")},
     }
 
 
 def _show(console: Console, folder: Path, bundle: Bundle) -> None:
-    training = bundle.meta["training"]
+    record, training = bundle.record, bundle.record.training
     facts = {
-        "Steady state": steady_words(bundle.meta),
-        "Lags": lag_words(bundle.meta),
-        "Leading": lead_words(bundle.meta),
+        "Steady state": steady_words(record),
+        "Lags": lag_words(record),
+        "Leading": lead_words(record),
         "Interval": interval_words(bundle.calibration.interval),
     }
     console.facts({name: words for name, words in facts.items() if words})
     rows = [
-        [str(row["start"]), f"{row['horizon_s']:g}", str(row["iteration"]), *_errors(row)]
-        for history in training["history"]
+        [str(row.start), f"{row.horizon_s:g}", str(row.iteration), *_errors(row)]
+        for history in training.history
         for row, after in zip(history, [*history[1:], None], strict=True)
-        if after is None or after["iteration"] <= row["iteration"]
+        if after is None or after.iteration <= row.iteration
     ]
     head = ["start", "horizon [s]", "steps", "training error", "validation error"]
     console.table("Free-run error in scaled units at the end of each stage", head, rows)
-    if interrupted(bundle.meta):
+    if bundle.record.interrupted:
         console.say("Interrupted: the best network so far was kept; --resume goes on with it.")
-    console.say(f"Model: {folder} ({training['wall_s']:.1f} s). Next: narxcal evaluate {folder}")
+    console.say(f"Model: {folder} ({training.wall_s:.1f} s). Next: narxcal evaluate {folder}")
 
 
-def _errors(row: dict[str, Any]) -> tuple[str, str]:
-    validation = row["validation"]
-    return f"{math.sqrt(2.0 * row['loss']):.4f}", "" if validation is None else f"{validation:.4f}"
+def _errors(row: StepRow) -> tuple[str, str]:
+    validation = "" if row.validation is None else f"{row.validation:.4f}"
+    return f"{math.sqrt(2.0 * row.loss):.4f}", validation

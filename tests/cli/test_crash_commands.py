@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from narxcal.calibration.bundle import load_bundle, write_bundle
-from narxcal.cli import evaluate, fly, main, train
+from narxcal.cli import evaluate, fly, main
 from narxcal.flight_test import fly as flying
 from tests.crash import killed_everywhere
 from training.checkpoint import write_checkpoint
@@ -55,7 +55,7 @@ def test_a_training_killed_anywhere_is_resumed_to_the_same_model(
             load_bundle(run)
         kills += event is not None
         quietly(*training, run, "--resume")
-        assert load_bundle(run).meta["training"]["status"]
+        assert load_bundle(run).record.training.status
         assert (names(tmp_path), names(run)) == (["run"], WHOLE_RUN)
         if event is not None:
             shutil.rmtree(run)
@@ -69,18 +69,18 @@ def test_going_on_with_a_training_may_be_killed_anywhere(
     """What Ctrl-C kept, its best network and its checkpoints, is there until the new model is."""
     run, kept = tmp_path / "run", tmp_path.with_name(f"{tmp_path.name}-kept")
     trained = load_bundle(project / "run")
-    cut_short = {**trained.meta["training"], "status": "interrupted"}
+    cut_short = {**trained.record.to_json()["training"], "status": "interrupted"}
     kept.mkdir()
-    write_bundle(kept, replace(trained, meta={**trained.meta, "training": cut_short}))
+    write_bundle(kept, replace(trained, record=trained.record.having(training=cut_short)))
     write_checkpoint(kept / "checkpoints/joint.safetensors", Progress(np.ones(500)), "key")
     shutil.copytree(kept, run)
     seen = set()
     for event in killed_everywhere(
         tmp_path, lambda: quietly(*training, run, "--resume"), exchange=exchange, power=power
     ):
-        seen.add(train.interrupted(load_bundle(run).meta))
+        seen.add(load_bundle(run).record.interrupted)
         quietly(*training, run, "--resume")
-        assert not train.interrupted(load_bundle(run).meta)
+        assert not load_bundle(run).record.interrupted
         assert (names(tmp_path), names(run)) == (["run"], WHOLE_RUN)
         if event is not None:
             shutil.rmtree(run)

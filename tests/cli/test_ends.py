@@ -76,7 +76,7 @@ def test_an_interrupted_training_keeps_the_best_and_can_go_on(long, start, narxc
     out, err = process.communicate()
     assert (process.returncode, err) == (0, "")
     assert json.loads(out)["interrupted"] is True
-    assert load_bundle(run).meta["training"]["status"].startswith("interrupted")
+    assert load_bundle(run).record.training.status.startswith("interrupted")
     assert (run / "checkpoints").is_dir()
 
     done = narxcal("train", config, "--out", run, "--resume", "--json")

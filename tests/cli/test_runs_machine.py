@@ -73,7 +73,7 @@ class Runs(RuleBasedStateMachine):
     @rule(name=RUNS, kill_at=KILL, seed=st.integers(1, 9))
     def overwrite(self, name, kill_at, seed):
         """As Python users do; what is damaged or empty may be replaced, too."""
-        other = replace(self.trained, meta={**self.trained.meta, "seeds": [seed]})
+        other = replace(self.trained, record=self.trained.record.having(seeds=[seed]))
         run = self.folder / name
         whole = (run / "bundle.json").is_file()
         if not whole:
@@ -122,7 +122,7 @@ class Runs(RuleBasedStateMachine):
                 with pytest.raises(ModelError):
                     load_bundle(run)
             elif (run / "bundle.json").exists():
-                found = load_bundle(run).meta["seeds"]
+                found = list(load_bundle(run).record.seeds)
                 assert found[0] in seeds
                 self.seeds[name] = {found[0]}
             else:

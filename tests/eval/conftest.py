@@ -9,6 +9,7 @@ import torch
 from data_prep.log import Log, Source
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.calibration.run_record import RunRecord
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxModel, Scaling
@@ -74,13 +75,13 @@ def lag_bundle(tau_s=TAU_S, train=(), **sections):
     }
     config = RunConfig.parse(table)
     logs = train or (lag_log("train.csv:left"),)
-    meta = {
+    record = RunRecord.parse({
         "config": config.model_dump(mode="json", by_alias=True),
         "split": {"train": [log.name for log in logs], "validate": [], "test": []},
         "data": {log.source.file: log.source.sha256 for log in logs},
         "baselines": fit_baselines(calibration, logs),
-    }
-    return Bundle(calibration, meta)
+    })  # fmt: skip
+    return Bundle(calibration, record)
 
 
 def masked(log, channel, rows):

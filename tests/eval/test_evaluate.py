@@ -204,7 +204,7 @@ def test_a_log_at_another_interval_is_refused(make_bundle, make_log):
 
 
 def test_a_bundle_without_its_configuration_is_refused(make_bundle):
-    bare = Bundle(make_bundle().calibration, {})
+    bare = Bundle(make_bundle().calibration)
     expected = "the bundle does not say how its logs were prepared. Train it with narxcal train"
     with pytest.raises(ModelError, match=f"^{re.escape(expected)}$"):
         run_config(bare)
@@ -221,9 +221,7 @@ def test_an_unknown_key_in_the_evaluate_table_names_the_nearest(make_bundle):
 
 def test_without_baselines_the_rest_is_still_there(make_bundle, make_log):
     bundle = make_bundle()
-    bare = Bundle(
-        bundle.calibration, {key: bundle.meta[key] for key in bundle.meta if key != "baselines"}
-    )
+    bare = Bundle(bundle.calibration, bundle.record.having(baselines=None))
     (found,) = evaluate(bare, [make_log()]).document()["logs"]
     assert found["channels"]["N1_pct"]["first_order_rmse"] is None
     assert found["channels"]["N1_pct"]["steady_state_rmse"] > 3.0
@@ -311,7 +309,9 @@ def with_levels(bundle, levels, lags=(0.0, 0.0, 0.0, 0.0)):
     """A bundle whose training held logs out, with these levels and lags in every output."""
     own = {"leads": "network", "held_out_level": levels, "held_out_lag_s": list(lags)}
     names = bundle.calibration.output_names
-    return replace(bundle, meta={**bundle.meta, "lead": {"channels": dict.fromkeys(names, own)}})
+    return replace(
+        bundle, record=bundle.record.having(lead={"channels": dict.fromkeys(names, own)})
+    )
 
 
 def test_a_level_beyond_that_of_held_out_logs_fails_beside_right_times(make_bundle, make_log):

@@ -20,6 +20,7 @@ from data_prep.stream import GridStream
 from eval.replay import Clock, ReplayModel, ReplayOptions, replay
 from narxcal.calibration.fuser import KalmanFuser
 from narxcal.calibration.noise import NoiseModel, estimate_noise
+from narxcal.calibration.run_record import RunRecord
 from narxcal.support.errors import ConfigError, DataError, ModelError
 
 DT = 0.1
@@ -544,12 +545,11 @@ def test_an_output_that_cannot_be_written_is_refused(tmp_path):
 
 def test_a_bundle_without_its_noise_model_whole_is_refused():
     config = {"logs": {"raster_hz": 10.0}, "fuser": {"relock_s": 3.0}}
-    trained = SimpleNamespace(
-        calibration=FirstOrder(), meta={"config": config, "fuser_noise": {"dt_s": 0.1}}
-    )
+    record = RunRecord(config=config, fuser_noise={"dt_s": 0.1})
+    trained = SimpleNamespace(calibration=FirstOrder(), record=record)
     with pytest.raises(ModelError, match="the fuser's noise model lacks retention, process"):
         ReplayModel.of(trained)
-    del trained.meta["fuser_noise"]
+    trained.record = record.having(fuser_noise=None)
     model = ReplayModel.of(trained)
     assert model.logs.raster_hz == 10.0
     assert model.fuser.relock_s == 3.0

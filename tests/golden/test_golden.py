@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from narxcal import KalmanFuser, NoiseModel, load_bundle
+from narxcal import KalmanFuser, load_bundle
 
 GOLDEN = Path(__file__).parent
 FORMS = ("network_alone", "no_lags", "lag", "limits", "heat", "governed")
@@ -71,7 +71,7 @@ def runs(form):
     bundle = load_bundle(GOLDEN / form / "bundle")
     engine = bundle.calibration.for_engine("left")
     inputs, measured = flight(engine.input_names), flight(engine.output_names)
-    fuser = KalmanFuser(NoiseModel.from_dict(bundle.meta["fuser_noise"]))
+    fuser = KalmanFuser(bundle.record.noise)
     online = [engine.reset(inputs[0], measured[0])]
     fused = [fuser.reset(online[0], measured[0]).value]
     for row, sample in zip(inputs[1:ONLINE], measured[1:ONLINE], strict=True):

@@ -102,7 +102,7 @@ def test_a_model_is_as_good_as_without_the_log_at_fault(sound, kind, tmp_path):
         for logs in (sound[1:], [bad, *sound[1:]])
     )
     assert (rmse(found, judged) < 1.3 * rmse(without, judged)).all()
-    assert found.meta["screening"]["faults"][0]["log"] == bad.name
+    assert found.record.screening["faults"][0]["log"] == bad.name
 
 
 def test_an_input_that_is_lost_for_long_divides_the_log(sound):

@@ -116,15 +116,15 @@ def rigged():
 def test_it_is_not_learned_from_and_that_is_said_and_counted(rigged):
     screened = TrainOptions(screened=True)
     bundle = calibrate(BY_LEVER, Path(), Split(tuple(rigged), (), ()), screened)
-    found = bundle.meta["screening"]
+    found = bundle.record.screening
     assert [row["left_out_rows"] for row in found["logs"]] == [0, len(rigged[1]), 0, 0]
     assert [row["log"] for row in found["contradicting"]] == ["2.csv"]
-    assert bundle.meta["split"]["train"] == [log.name for log in rigged if log is not rigged[1]]
-    [text] = doubtful_logs(bundle.meta)
+    assert bundle.record.logs("train") == [log.name for log in rigged if log is not rigged[1]]
+    [text] = doubtful_logs(bundle.record)
     assert text.startswith("2.csv contradicts the other logs as a whole")
     sound = learnable(Split((rigged[0], *rigged[2:]), (), ()), BY_LEVER, screen=False).split
     quality = steady_state(BY_LEVER, Path(), sound.train)[1]
-    assert bundle.meta["steady_state"]["rms"] == quality.rms
+    assert bundle.record.steady_state.rms == quality.rms
 
 
 def test_parts_go_with_their_log(rigged):

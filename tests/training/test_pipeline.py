@@ -15,6 +15,7 @@ from narxcal.calibration.fuser import FastFuser
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.lumped.rotors import LIMITED, UNLIMITED
 from narxcal.support.errors import ConfigError, DataError, ModelError
+from narxcal.support.files import to_json
 from training.config import RunConfig, SplitConfig
 from training.pipeline import (
     TrainOptions,
@@ -129,7 +130,7 @@ def test_an_unseen_flight_is_followed_in_free_run(bundle):
 
 
 def test_the_bundle_says_where_it_comes_from(bundle):
-    meta = json.loads(json.dumps(bundle.meta))
+    meta = json.loads(to_json(bundle.record.to_json()))
     assert RunConfig.parse(meta["configured"]) == config()
     assert meta["split"] == {
         "train": ["0.csv:left", "1.csv:left"],
@@ -162,7 +163,7 @@ def test_the_stored_noise_is_that_of_rows_as_they_are_recorded(bundle):
 
 
 def test_a_saved_bundle_simulates_the_same_numbers(bundle, tmp_path):
-    save_bundle(tmp_path / "bundle", Bundle(bundle.calibration, bundle.meta))
+    save_bundle(tmp_path / "bundle", Bundle(bundle.calibration, bundle.record))
     again = load_bundle(tmp_path / "bundle").calibration
     inputs = flight(seed=9).matrix(again.input_names)
     assert np.array_equal(again.simulate(inputs), bundle.calibration.simulate(inputs))
@@ -174,7 +175,7 @@ def test_one_network_per_output_has_a_checkpoint_each(tmp_path):
     names = {file.name for file in tmp_path.iterdir()}
     assert names == {"checkpoint-N1_pct.safetensors", "checkpoint-EGT_C.safetensors"}
     assert found.calibration.output_names == ("N1_pct", "EGT_C")
-    assert len(found.meta["training"]["history"]) == 2
+    assert len(found.record.training.history) == 2
 
 
 def test_an_interrupted_training_goes_on_to_the_same_weights(tmp_path):
@@ -189,7 +190,7 @@ def test_an_interrupted_training_goes_on_to_the_same_weights(tmp_path):
     whole = calibrate(config(), tmp_path, parts)
     options = TrainOptions(press_ctrl_c, checkpoints=tmp_path)
     stopped = calibrate(config(), tmp_path, parts, options)
-    assert stopped.meta["training"]["status"].startswith("interrupted: ")
+    assert stopped.record.training.status.startswith("interrupted: ")
     resumed = calibrate(config(), tmp_path, parts, TrainOptions(None, tmp_path, resume=True))
     weights = [b.calibration.narx.net.get_theta() for b in (whole, resumed)]
     assert np.array_equal(*weights)
@@ -347,7 +348,7 @@ def test_an_output_that_no_training_log_records_is_refused():
 
 
 def test_the_stored_configuration_is_the_resolved_one_and_trains_the_same_model(tmp_path, bundle):
-    stored = bundle.meta["config"]
+    stored = bundle.record.config
     assert "auto" not in (*stored["narx"].values(), *stored["steady_state"].values())
     again = calibrate(RunConfig.parse(stored), tmp_path, split(2, 1, 1))
     u = split(2, 1, 1).test[0].matrix(bundle.calibration.input_names)

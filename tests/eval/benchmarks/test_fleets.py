@@ -61,7 +61,7 @@ def test_a_lever_that_reads_too_much_in_one_flight_costs_no_more_than_that_fligh
     sound, bad, _ = with_faults(case.logs)
     assert np.allclose(bad[0]["TRA_deg"] - sound[0]["TRA_deg"], FAULTS["TRA_deg"])
     bundle = trained(case, bad)
-    left_out = bundle.meta["screening"]["contradicting"]
+    left_out = bundle.record.screening["contradicting"]
     assert [Path(row["log"]).name for row in left_out] == ["flight_01.csv"]
     others = errors(trained(case, bad[1:]), case.logs[6:])
     np.testing.assert_array_equal(errors(bundle, case.logs[6:]), others)

@@ -22,6 +22,7 @@ from narxcal.calibration.bundle import (
     seal,
     write_bundle,
 )
+from narxcal.calibration.run_record import RunRecord
 from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import ConfigError, ModelError
 from narxcal.support.files import to_json
@@ -58,7 +59,7 @@ def names(folder):
 
 def example(**meta):
     arrays = {"narx/weight": np.arange(6.0).reshape(2, 3), "steady/points": np.eye(2)}
-    return Bundle(Calibration({"narx": {"lags": 4}}, arrays), meta)
+    return Bundle(Calibration({"narx": {"lags": 4}}, arrays), RunRecord.parse(meta))
 
 
 @pytest.fixture
@@ -110,7 +111,7 @@ ARRAYS = st.dictionaries(
 )
 def test_any_arrays_and_any_json_come_back_as_they_were(tmp_path, arrays, meta, more):
     folder = tmp_path / os.urandom(8).hex()
-    save_bundle(folder, Bundle(Calibration(meta, arrays), more))
+    save_bundle(folder, Bundle(Calibration(meta, arrays), RunRecord.parse(more)))
     back = load_bundle(folder)
     assert back.calibration.meta == meta
     assert back.calibration.arrays.keys() == arrays.keys()
@@ -118,7 +119,7 @@ def test_any_arrays_and_any_json_come_back_as_they_were(tmp_path, arrays, meta, 
         found = back.calibration.arrays[name]
         assert found.dtype == array.dtype
         np.testing.assert_array_equal(found, array)
-    assert {key: value for key, value in back.meta.items() if key != "versions"} == more
+    assert {key: value for key, value in back.record.to_json().items() if key != "versions"} == more
 
 
 def test_the_document_says_what_is_in_the_bundle(saved):
@@ -147,7 +148,7 @@ def test_arrays_that_are_not_contiguous_come_back_whole(tmp_path):
 def test_meta_of_numpy_paths_and_nan_becomes_plain_json(tmp_path):
     meta = {"rmse": np.float64("nan"), "seed": np.int64(3), "file": Path("a/b"), "t": (1, 2.5)}
     save_bundle(tmp_path / "run", example(metrics=meta))
-    back = load_bundle(tmp_path / "run").meta["metrics"]
+    back = load_bundle(tmp_path / "run").record.to_json()["metrics"]
     assert back == {"rmse": None, "seed": 3, "file": "a/b", "t": [1, 2.5]}
 
 
@@ -155,7 +156,7 @@ def test_meta_of_numpy_paths_and_nan_becomes_plain_json(tmp_path):
     ("bundle", "message"),
     [
         (example(x={"y": object()}), "bundle.x.y of type object cannot be stored in a bundle"),
-        (example(schema=1), "the bundle's meta may not hold 'schema', which it writes itself"),
+        (example(schema=1), "the run's record may not hold 'schema', which the bundle writes"),
         (
             Bundle(Calibration({"gain": float("inf")}, {})),
             "bundle.calibration.gain is inf, which JSON cannot hold. Store it as array",
@@ -287,7 +288,7 @@ def test_deep_nesting_is_refused(saved, depth):
 @pytest.mark.parametrize(
     ("entries", "problem"),
     [
-        ({"config": [1]}, "'config' is no table of keys"),
+        ({"config": [1]}, "key 'config': expected a table of keys, found [1]"),
         ({"units": "kg"}, "'units' is no table of keys"),
         ({"files": None}, "'files' is missing"),
         ({"files": {"steady/../x": ""}}, "'steady/../x' is no file in steady/"),
@@ -399,7 +400,7 @@ def test_a_folder_with_content_is_refused_and_a_bundle_only_replaced_on_request(
     with pytest.raises(ConfigError, match="run exists and is not empty"):
         save_bundle(saved, example())
     save_bundle(saved, example(seed=8), replace=True)
-    assert load_bundle(saved).meta["seed"] == 8
+    assert load_bundle(saved).record.to_json()["seed"] == 8
 
 
 def test_a_full_disk_leaves_no_bundle(tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ import pytest
 
 from narxcal import Bundle, ModelError, NarxcalError, load_bundle, save_bundle
 from narxcal.calibration.bundle import seal
+from narxcal.calibration.run_record import RunRecord
 from narxcal.cli.app import main
 from narxcal.steady.fitted import FittedSteadyState, Layout
 from narxcal.steady.fmu import SteadyFmu
@@ -67,10 +68,10 @@ def fitted(_):
 @pytest.mark.parametrize("make", [table, scattered, function, fmu, fitted])
 def test_a_loaded_bundle_simulates_and_steps_as_the_saved_one(calibrated, make, tmp_path):
     saved = calibrated(make(tmp_path), LOG)
-    save_bundle(tmp_path / "run", Bundle(saved, {"seed": 3}))
+    save_bundle(tmp_path / "run", Bundle(saved, RunRecord.parse({"seed": 3})))
     bundle = load_bundle(tmp_path / "run", trust=True)
     loaded = bundle.calibration
-    assert bundle.meta["seed"] == 3
+    assert bundle.record.to_json()["seed"] == 3
     assert loaded.input_names == saved.input_names
     assert loaded.output_names == saved.output_names
     assert loaded.dt_s == saved.dt_s
@@ -97,9 +98,9 @@ def test_a_bundle_may_be_saved_over_the_one_it_was_loaded_from(calibrated, tmp_p
     run = tmp_path / "run"
     save_bundle(run, Bundle(calibrated(fmu(tmp_path), LOG)))
     loaded = load_bundle(run, trust=True)
-    save_bundle(run, Bundle(loaded.calibration, {"again": True}), replace=True)
+    save_bundle(run, Bundle(loaded.calibration, RunRecord.parse({"again": True})), replace=True)
     again = load_bundle(run, trust=True)
-    assert again.meta["again"] is True
+    assert again.record.to_json()["again"] is True
     np.testing.assert_array_equal(again.calibration.simulate(LOG), loaded.calibration.simulate(LOG))
 
 
@@ -180,7 +181,7 @@ def test_no_command_executes_what_is_in_a_run(planted, command, capsys, tmp_path
 
 
 def test_info_shows_the_hash_of_the_bundle(calibrated, tmp_path, capsys):
-    save_bundle(tmp_path / "run", Bundle(calibrated(table(tmp_path), LOG), {"config": {}}))
+    save_bundle(tmp_path / "run", Bundle(calibrated(table(tmp_path), LOG), RunRecord(config={})))
     assert main(["info", str(tmp_path / "run"), "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)
     assert shown["sha256"] == load_bundle(tmp_path / "run").sha256
@@ -198,7 +199,7 @@ FLIPS = 150
 def test_no_flipped_bit_gives_a_model(calibrated, tmp_path, name, flips):
     run = tmp_path / "run"
     save_bundle(
-        run, Bundle(calibrated(fitted(tmp_path), LOG), {"seed": 3, "config": {"name": "x"}})
+        run, Bundle(calibrated(fitted(tmp_path), LOG), RunRecord(seeds=[3], config={"name": "x"}))
     )
     file, random = run / name, np.random.default_rng(0)
     former = file.read_bytes()
@@ -227,8 +228,8 @@ def nodes(value, path=()):
 @pytest.mark.parametrize("make", [table, fitted])
 def test_garbage_with_a_fitting_hash_is_refused_or_runs(calibrated, tmp_path, make, step):
     run = tmp_path / "run"
-    meta = {"config": {"name": "x"}, "data": {"a.csv": "ab"}, "seeds": [0]}
-    save_bundle(run, Bundle(calibrated(make(tmp_path), LOG), meta))
+    record = RunRecord(config={"name": "x"}, data={"a.csv": "ab"}, seeds=[0])
+    save_bundle(run, Bundle(calibrated(make(tmp_path), LOG), record))
     whole = json.loads((run / "bundle.json").read_text(encoding="utf-8"))
     cases = [(path, value) for path in nodes(whole) if path for value in GARBAGE]
     refused = []

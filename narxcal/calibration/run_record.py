@@ -1,0 +1,134 @@
+"""What a run is, besides its model: configuration, data, seeds, and what each step chose and left.
+
+`training.pipeline` writes a `RunRecord`, `narxcal.calibration.bundle` stores it in `bundle.json`,
+every command reads it. Parts that an older version did not write are None or empty; entries that
+this version does not know are kept as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BeforeValidator, ConfigDict, Field
+
+from narxcal.calibration.noise import NoiseModel
+from narxcal.support.settings import Section
+
+Table = dict[str, Any]
+# JSON has no number for what is not finite: it is null there.
+Number = Annotated[float, BeforeValidator(lambda found: np.nan if found is None else found)]
+
+
+class _Part(Section):
+    model_config = ConfigDict(extra="allow", allow_inf_nan=True)
+
+
+class StepRow(_Part):
+    """One step of the optimiser: `loss` is half the mean squared error in scaled units."""
+
+    start: int
+    horizon_s: float
+    iteration: int
+    loss: Number
+    validation: float | None = None
+
+
+class TrainingRecord(_Part):
+    """How the fit of the dynamics ended; of a network also its score and steps, by network."""
+
+    status: str = ""
+    score: tuple[Number, ...] = ()
+    history: tuple[tuple[StepRow, ...], ...] = ()
+    wall_s: Number = np.nan
+
+
+class SteadyRecord(_Part):
+    """The fit of the steady state; `fitted` is False for a maker's model. `rms` is by output."""
+
+    fitted: bool
+    samples: int = 0
+    rms: dict[str, Number] = Field(default_factory=dict)
+    coverage: Number = np.nan
+    corrected: bool | None = None
+    blend: tuple[str, ...] = ()
+    switches: tuple[str, ...] = ()
+    exponents: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
+
+
+class LagRecord(_Part):
+    """The form of the lags, and by form the residual share on left-out logs."""
+
+    form: str = ""
+    left: dict[str, Number] = Field(default_factory=dict)
+
+
+class FitRecord(_Part):
+    """Free run over the training logs; `samples` and `rmse` are by output."""
+
+    samples: dict[str, int] = Field(default_factory=dict)
+    rmse: dict[str, Number] = Field(default_factory=dict)
+    parameters: int = 0
+    aic: float | None = None
+
+
+class RunRecord(_Part):
+    """Provenance and results of a training.
+
+    `config` is the resolved configuration, in which nothing is "auto", and `configured` the one
+    given; `base` is the folder that their paths are relative to. `data` maps files to SHA-256,
+    `split` train, validate and test to names of logs.
+    """
+
+    versions: Table = Field(default_factory=dict)
+    configured: Table | None = None
+    base: str = "."
+    split: dict[str, tuple[str, ...]] = Field(default_factory=dict)
+    data: dict[str, str] = Field(default_factory=dict)
+    seeds: tuple[int, ...] = ()
+    hardware: Table = Field(default_factory=dict)
+    config: Table = Field(default_factory=dict)
+    steady_state: SteadyRecord | None = None
+    lag_form: LagRecord | None = None
+    training: TrainingRecord = TrainingRecord()
+    baselines: Table | None = None
+    lead: Table | None = None
+    identify: Table | None = None
+    free_run: FitRecord | None = None
+    fuser_noise: Table | None = None
+    screening: Table | None = None
+    redundancy: Table | None = None
+
+    def to_json(self) -> Table:
+        """Return the entries that were given, as JSON-able values."""
+        return self.model_dump(mode="python", exclude_unset=True)
+
+    def having(self, **parts: Any) -> RunRecord:
+        """Return the record with other `parts`; raises `ConfigError` for one of a wrong type."""
+        return RunRecord.parse({**self.to_json(), **parts})
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether Ctrl-C ended the training."""
+        return "interrupted" in self.training.status
+
+    @property
+    def method(self) -> str:
+        """By which method the dynamics were identified; "narx" for `train`."""
+        return str(self.config.get("identify", {}).get("method", "narx"))
+
+    @property
+    def noise(self) -> NoiseModel | None:
+        """Noise for the fuser."""
+        return None if self.fuser_noise is None else NoiseModel.from_dict(self.fuser_noise)
+
+    @property
+    def lead_channels(self) -> Mapping[str, Table]:
+        """By output which model leads and its held-out errors; empty where nothing was chosen."""
+        return (self.lead or {}).get("channels") or {}
+
+    def logs(self, role: str) -> tuple[str, ...]:
+        """Names of the logs of "train", "validate" or "test"."""
+        return self.split.get(role, ())
