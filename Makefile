@@ -15,7 +15,7 @@ PIP := $(BIN)/python -m pip install --disable-pip-version-check --no-compile --q
 
 PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile
 
-.PHONY: demo test test-slow test-all fuzz lint ruff types floors bench figures map clean
+.PHONY: demo test test-slow test-all fuzz lint ruff types floors bench figures clean
 
 # Both cores compile what the demonstration runs; training leaves one to the rest.
 demo: $(DEMO)
@@ -56,9 +56,6 @@ bench: $(STAMP)
 figures: $(STAMP)
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m eval.benchmarks.figures \
 		$(if $(FAST),--fast) $(if $(OUT),--out $(OUT)) $(if $(AGAINST),--against $(AGAINST))
-
-map: $(STAMP)
-	$(BIN)/python docs/make_map.py
 
 clean:
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis dist build
