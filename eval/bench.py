@@ -20,16 +20,15 @@ from rich.table import Table
 from rich.text import Text
 
 from eval.benchmarks import (
+    Row,
     faults,
     fleets,
     flights,
-    intervals,
     public_sets,
     speed,
     untuned,
     virtual_engine,
 )
-from eval.benchmarks.row import Row
 from eval.terminal import plain_table
 from narxcal.support.files import to_json, versions
 
@@ -49,9 +48,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="instead, configurations of columns and split alone on many engines and recorders",
     )
     which.add_argument(
-        "--intervals", action="store_true", help="instead, coverage of intervals on virtual fleets"
-    )
-    which.add_argument(
         "--fleets", action="store_true", help="instead, more flights and a bad one, virtual fleets"
     )
     parser.add_argument("--seed", type=int, default=0, help="of flights that are flown")
@@ -64,8 +60,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     began = time.perf_counter()
     if options.untuned:
         found = list(untuned.rows(options.data, options.seed))
-    elif options.intervals:
-        found = list(intervals.rows(options.seed))
     elif options.fleets:
         found = list(fleets.rows(options.seed))
         found += flights.more_flights_rows(options.data / "flights")

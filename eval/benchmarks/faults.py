@@ -24,9 +24,9 @@ from scipy.ndimage import uniform_filter1d
 from data_prep.log import Fault, Log
 from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
+from eval.benchmarks import Row
 from eval.benchmarks.fault_draws import drawn, flights
 from eval.benchmarks.injection import Injection, injections
-from eval.benchmarks.row import Row
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration
 from narxcal.support.arrays import FloatArray

@@ -21,8 +21,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-from eval.benchmarks import public_sets, speed
-from eval.benchmarks.row import Row
+from eval.benchmarks import Row, public_sets, speed
 
 _SHARED: Final = Path(__file__).resolve().parents[3] / "shared" / "data"
 _PARTS: Final = ("demo", "jetcat", "citation2", "agtf30", "public", "speed", "blind")  # slow last
@@ -83,7 +82,7 @@ def compare(before: Mapping[str, float], after: Mapping[str, float]) -> list[str
 
 def _measured(part: str, data: Path, *, fast: bool) -> Figures:
     if part == "public":
-        yield from _rows(public_sets.rows(data / "bench", public_sets.SETS[: 2 if fast else None]))
+        yield from _rows(public_sets.rows(data / "bench", public_sets.NAMES[: 2 if fast else None]))
     elif part == "speed":
         yield from _rows([*speed.kernel_rows(), *speed.replay_rows()])
     else:

@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 
 from data_prep.log import Log
-from eval.benchmarks.row import Row
+from eval.benchmarks import Row
 from eval.evaluate import evaluate
 from narxcal.calibration.bundle import Bundle
 from narxcal.flight_test.fly import fly

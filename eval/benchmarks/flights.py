@@ -19,8 +19,8 @@ import numpy as np
 from data_prep.log import Log
 from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
+from eval.benchmarks import Bound, Row
 from eval.benchmarks.fleets import ratio_row
-from eval.benchmarks.row import Bound, Row
 from eval.evaluate import Evaluation, evaluate, evaluation_logs, run_config
 from eval.report.event_figures import summary_figure
 from eval.report.view import view_of

@@ -1,55 +1,37 @@
-"""Public system-identification sets: the network against what others published on them.
+"""Public system-identification sets: `narxcal benchmark`, and the rows of `make bench`.
 
-Structure and decay are chosen without the test range, by cross-validation inside the training
-range: its recordings (a single one is cut into blocks) are held back in four turns, and the
-candidate with the best free run over all that was held back is fitted again to everything. Only
-that network is run on the official test range, once.
+Every set is fitted by `Narx()` with default settings, by the linear forms alone, chosen by the same
+folds, and by a network of fixed size without a choice. The official test range is run once by each;
+the first `init_window` samples start a model and are not scored.
 """
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise, product
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from eval.benchmarks.row import Row
+from eval.benchmarks import Row
 from eval.scores import rms
-from narxcal.narx.config import NarxConfig
+from narxcal.narx.forms import DynamicModel
 from narxcal.record import Record
-from narxcal.support.arrays import FloatArray
-from training.config import TrainConfig
+from narxcal.support.errors import DataError
+from training.choice import Limits, choose
 from training.estimator import Narx
+from training.search import Watch
 
-TURNS = 4
-_GROUP = "public sets"
+SCHEMA = "narxcal.benchmark/1"
+OURS, FIXED, LINEAR, PUBLISHED = "Narx()", "Narx(None)", "linear", "published"
 _SOURCE = "bench/README.md: tsfast 0.5 NARX, free run, compiled"
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """One choice of hyper-parameters."""
-
-    structure: NarxConfig
-    train: TrainConfig
-
-    @property
-    def text(self) -> str:
-        """What tells it from the others."""
-        one = self.structure
-        taps = f"{one.taps[0]}..{one.taps[-1]}"
-        text = f"lags {one.lags}, taps {taps}, hidden {one.hidden}, decay {self.train.decay:g}"
-        feedback = ", linear feedback" if one.linear_feedback else ""
-        return f"{text}, margin {one.margin:g}{feedback}, {self.train.optimiser}"
-
-
-@dataclass(frozen=True)
-class Target:
+class Target(NamedTuple):
     """Best figure of a NARX-class peer for one test recording ("" : all of them pooled)."""
 
     record: str
@@ -57,19 +39,30 @@ class Target:
     source: str
 
 
-@dataclass(frozen=True)
-class PublicSet:
-    """A set by name: its candidates, factor to the unit of the score, and peers.
-
-    `use` is how many samples of a training recording are used, 0 for all.
-    """
+class PublicSet(NamedTuple):
+    """A set by name: unit of its score, factor to it, and published figures."""
 
     name: str
     unit: str
     factor: float
-    candidates: tuple[Candidate, ...]
     targets: tuple[Target, ...]
-    use: int = 0
+
+
+SETS = (
+    PublicSet(
+        "cascaded_tanks", "V", 1.0,
+        (Target("", 0.413, "bench/README.md: polynomial NARX, picked on the test range"),),
+    ),
+    PublicSet(
+        "micro_gas_turbine", "W", 1.0,
+        (
+            Target("ex_4", 124.0, _SOURCE), Target("ex_22", 191.0, _SOURCE),
+            Target("", 158.7, "root mean square of these two, weighted by their samples"),
+        ),
+    ),
+    PublicSet("wh2009", "mV", 1000.0, (Target("", 14.1, _SOURCE),)),
+)  # fmt: skip
+NAMES = tuple(one.name for one in SETS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,90 +75,31 @@ class Material:
 
 
 @dataclass(frozen=True)
-class SetResult:
-    """The chosen candidate, test RMSE per recording and pooled, and processor time.
+class Figure:
+    """One model on one test recording ("" : all pooled): RMSE in the set's unit and NRMSE."""
 
-    `fit_s` is that of the last fit, `search_s` that of the choice before it.
-    """
-
-    chosen: Candidate
-    rmse: dict[str, float] = field(default_factory=dict)
-    pooled: float = float("nan")
-    fit_s: float = 0.0
-    search_s: float = 0.0
-
-
-def _grid(
-    structures: Sequence[NarxConfig],
-    decay: Sequence[float],
-    how: TrainConfig,
-    optimisers: Sequence[str] = ("geodesic",),
-) -> tuple[Candidate, ...]:
-    """All combinations."""
-    return tuple(
-        Candidate(structure, how.model_copy(update={"decay": d, "optimiser": optimiser}))
-        for structure, d, optimiser in product(structures, decay, optimisers)
-    )
+    set: str
+    model: str
+    record: str
+    rmse: float
+    nrmse_pct: float
+    unit: str
+    cpu_s: float
+    note: str = ""
 
 
-# The level sensor of the tanks saturates: their output never leaves the range that it shows.
-_TANK = tuple(
-    NarxConfig(lags=n, taps=tuple(range(1, n + 1)), hidden=h, margin=0.0)
-    for n, h in product((2, 3, 4), (4, 6))
-)
-_TANKS = TrainConfig(
-    horizons_s=(20.0, 100.0, 0.0), iterations=(10, 15, 30), score_every_s=1.0, starts=3, threads=1
-)
-# With past outputs in the linear path alone there is one equilibrium; other structures had several,
-# and converged to the wrong one on held-out recordings.
-_GAS = tuple(
-    NarxConfig(lags=3, taps=tuple(range(n + 1)), hidden=8, linear_feedback=True) for n in (8, 20)
-)
-_TURBINE = TrainConfig(
-    horizons_s=(20.0, 200.0, 1000.0), iterations=(10, 10, 15), score_every_s=2.0, threads=1
-)
-_WIENER = tuple(NarxConfig(lags=6, taps=tuple(range(n + 1)), hidden=8) for n in (30, 40))
-_FILTER = TrainConfig(horizons_s=(100.0, 1000.0), iterations=(15, 40), score_every_s=2.0, threads=1)
-SETS = (
-    PublicSet(
-        "cascaded_tanks",
-        "V",
-        1.0,
-        _grid(_TANK, (1e-3, 3e-3), _TANKS, ("lm", "geodesic")),
-        (Target("", 0.413, "bench/README.md: polynomial NARX, picked on the test range"),),
-    ),
-    PublicSet(
-        "micro_gas_turbine",
-        "W",
-        1.0,
-        _grid(_GAS, (1e-5,), _TURBINE),
-        (
-            Target("ex_4", 124.0, _SOURCE),
-            Target("ex_22", 191.0, _SOURCE),
-            Target("", 158.7, "root mean square of these two, weighted by their samples"),
-        ),
-    ),
-    PublicSet(
-        "wh2009",
-        "mV",
-        1000.0,
-        _grid(_WIENER, (1e-7,), _FILTER),
-        (Target("", 14.1, _SOURCE),),
-        use=40000,
-    ),
-)
-
-
-def rows(folder: Path, sets: Sequence[PublicSet] = SETS) -> list[Row]:
-    """Measure every set that `folder` holds; one that is missing becomes a row that says so."""
-    found: list[Row] = []
-    for one in sets:
-        if not (folder / f"{one.name}.json").is_file():
-            note = f"not measured: {one.name}.json is not in {folder}"
-            found.append(Row(_GROUP, one.name, float("nan"), one.unit, note=note))
-            continue
-        found += rows_of(one, measure(one, read(folder, one.name)))
-    return found
+def names_in(folder: Path, wanted: Sequence[str] = ()) -> list[str]:
+    """Sets that `folder` holds; `DataError` for one that is named and missing, or without any."""
+    there = sorted(path.stem for path in folder.glob("*.json"))
+    there = [name for name in there if (folder / f"{name}.csv.gz").is_file()]
+    missing = [name for name in wanted if name not in there]
+    if missing or not there:
+        what = f"the set '{missing[0]}' is not in" if missing else "no set is in"
+        raise DataError(
+            f"{what} {folder}",
+            hint="A set is NAME.csv.gz with columns u and y, and NAME.json with its ranges",
+        )
+    return list(wanted) or there
 
 
 def read(folder: Path, name: str) -> Material:
@@ -181,76 +115,82 @@ def read(folder: Path, name: str) -> Material:
     return Material(records("train"), records("test"), ranges["init_window"])
 
 
-def measure(one: PublicSet, material: Material) -> SetResult:
-    """Choose by cross-validation, fit again, then run the test range once."""
-    pieces = _pieces(material.train, one.use)
-    began = time.process_time()
-    scores = [_held_back_rmse(candidate, pieces, material.init) for candidate in one.candidates]
-    chosen = one.candidates[int(np.argmin(scores))]
-    search_s, began = time.process_time() - began, time.process_time()
-    whole = [_head(record, one.use) for record in material.train]
-    model = Narx(chosen.structure, chosen.train).fit(whole)
-    fit_s = time.process_time() - began
-    errors = {
-        record.name: one.factor * _free_run_error(model, record, material.init)
-        for record in material.test
+def figures(
+    folder: Path,
+    name: str,
+    limits: Limits,
+    watch: Watch | None = None,
+    models: Sequence[str] = (OURS, FIXED, LINEAR),
+) -> Iterator[Figure]:
+    """Figures of `models` on one set, and the set's published ones."""
+    material = read(folder, name)
+    known = {one.name: one for one in SETS}.get(name, PublicSet(name, "", 1.0, ()))
+    fits: dict[str, Callable[[], tuple[DynamicModel | Narx, str]]] = {
+        OURS: lambda: _chosen(material, limits, watch),
+        FIXED: lambda: (Narx(None).fit(list(material.train)), "8 lags, taps 0 to 8, 8 hidden"),
+        LINEAR: lambda: _chosen(material, replace(limits, linear=True)),
     }
-    rmse = {name: rms(error) for name, error in errors.items()}
-    return SetResult(chosen, rmse, rms(np.concatenate(list(errors.values()))), fit_s, search_s)
+    for label in models:
+        began = time.process_time()
+        model, note = fits[label]()
+        spent = time.process_time() - began
+        for record, error, spread in _errors(model, material):
+            pct = 100.0 * error / spread if spread > 0.0 else np.nan
+            yield Figure(name, label, record, known.factor * error, pct, known.unit, spent, note)
+    for record, value, source in known.targets:
+        yield Figure(name, PUBLISHED, record, value, np.nan, known.unit, np.nan, source)
 
 
-def _held_back_rmse(candidate: Candidate, pieces: Sequence[Record], init: int) -> float:
-    """Free-run RMSE over all pieces, each held back in one of the turns."""
-    errors = []
-    for turn in range(min(TURNS, len(pieces))):
-        held = pieces[turn::TURNS]
-        fit = [record for k, record in enumerate(pieces) if k % TURNS != turn]
-        model = Narx(candidate.structure, candidate.train).fit(fit)
-        errors += [_free_run_error(model, record, init) for record in held]
-    return rms(np.concatenate(errors))
+def _chosen(
+    material: Material, limits: Limits, watch: Watch | None = None
+) -> tuple[DynamicModel, str]:
+    found = choose(list(material.train), limits, watch)
+    return found.model, found.reason
 
 
-def rows_of(one: PublicSet, outcome: SetResult) -> list[Row]:
-    """One row per test recording, the pooled figure and the processor time."""
-    name = one.name
-    note = (
-        f"chosen of {len(one.candidates)} by cross-validation in the training range: "
-        f"{outcome.chosen.text}"
-    )
-    peers = {target.record: target for target in one.targets}
-    values = {"": outcome.pooled}
-    if len(outcome.rmse) > 1:
-        values = {**outcome.rmse, "": outcome.pooled}
-    found = []
-    for key, value in values.items():
-        label = f"{name} {key or 'pooled'}" if len(values) > 1 else name
-        if key in peers:
-            peer = peers[key]
-            row = Row(_GROUP, label, value, one.unit, peer.value, "at most", peer.source, note)
+def _errors(model: DynamicModel | Narx, material: Material) -> Iterator[tuple[str, float, float]]:
+    """(recording, RMSE, standard deviation), each test recording and all pooled."""
+    errors, outputs = [], []
+    for record in material.test:
+        run = model.simulate(record.u, record.y[: material.init])
+        errors.append((run - record.y)[material.init :])
+        outputs.append(record.y[material.init :])
+        if len(material.test) > 1:
+            yield record.name, rms(errors[-1]), float(np.std(outputs[-1]))
+    yield "", rms(np.concatenate(errors)), float(np.std(np.concatenate(outputs)))
+
+
+def document(found: Sequence[Figure], limits: Mapping[str, Any]) -> dict[str, Any]:
+    """All figures, and the geometric mean of ours over the linear forms."""
+    pooled = {(one.set, one.model): one.rmse for one in found if one.record == ""}
+    ratios = [pooled[name, OURS] / pooled[name, LINEAR] for name, model in pooled if model == OURS]
+    mean = float(np.exp(np.mean(np.log(ratios)))) if ratios else None
+    return {
+        "schema": SCHEMA,
+        **limits,
+        "geometric_mean_ratio": mean,
+        "figures": [dict(vars(one)) for one in found],
+    }
+
+
+def rows(folder: Path, names: Sequence[str] = NAMES) -> list[Row]:
+    """Our figures and the published ones; a set that is missing becomes a row that says so."""
+    found: list[Row] = []
+    for name in names:
+        if (folder / f"{name}.json").is_file():
+            found += _rows(list(figures(folder, name, Limits(), models=(OURS,))))
         else:
-            row = Row(_GROUP, label, value, one.unit, note=note)
-        found.append(row)
-    spent = f"choosing took {outcome.search_s:.1f} CPU s more"
-    found.append(Row(_GROUP, f"{name}, training", outcome.fit_s, "CPU s", note=spent))
+            note = f"not measured: {name}.json is not in {folder}"
+            found.append(Row("public sets", name, np.nan, "", note=note))
     return found
 
 
-def _pieces(records: Sequence[Record], use: int) -> list[Record]:
-    """What can be held back: whole recordings, or blocks of equal length of a single one."""
-    if len(records) > 1:
-        return [_head(record, use) for record in records]
-    record = _head(records[0], use)
-    edges = np.linspace(0, len(record), TURNS + 1).astype(int)
-    return [
-        Record(record.u[a:b], record.y[a:b], f"{record.name}[{a}:{b}]")
-        for a, b in pairwise(edges.tolist())
-    ]
-
-
-def _head(record: Record, use: int) -> Record:
-    end = min(use or len(record), len(record))
-    return Record(record.u[:end], record.y[:end], record.name)
-
-
-def _free_run_error(model: Narx, record: Record, init: int) -> FloatArray:
-    return (model.simulate(record.u, record.y[:init]) - record.y)[init:]
+def _rows(found: Sequence[Figure]) -> Iterator[Row]:
+    peers = {one.record: one for one in found if one.model == PUBLISHED}
+    for one in (each for each in found if each.model == OURS):
+        peer, name = peers.get(one.record), f"{one.set} {one.record}".strip()
+        row = Row("public sets", name, one.rmse, one.unit, note=one.note)
+        if peer is not None:
+            row = replace(row, target=peer.rmse, bound="at most", source=peer.note)
+        yield row
+    yield Row("public sets", f"{found[0].set}, training", found[0].cpu_s, "CPU s")

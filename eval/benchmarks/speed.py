@@ -25,7 +25,7 @@ import numpy as np
 import torch
 
 from data_prep.log import Log
-from eval.benchmarks.row import Row
+from eval.benchmarks import Row
 from eval.replay import ReplayModel, replay
 from eval.reproduce.data import flown
 from narxcal.calibration.bundle import Bundle

@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from eval.benchmarks.row import Row
+from eval.benchmarks import Row
 from eval.evaluate import Evaluation, evaluate
 from eval.free_run import ARX, FIRST_ORDER
 from eval.gap.blind.lumped import LumpedEngine

@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from eval.benchmarks.row import Row
+from eval.benchmarks import Row
 from narxcal.atmosphere import air_state
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError

@@ -1,11 +1,11 @@
-"""`narxcal benchmark`: one recipe on public sets, compared with published figures."""
+"""`narxcal benchmark`: `Narx()` on public sets, compared with published figures."""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
-from eval.benchmarks import recipe
+from eval.benchmarks import public_sets
 from narxcal.cli.console import Console
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import finite
@@ -26,10 +26,6 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--seed", metavar="N", type=int, default=0, help="of the choice's draws (default 0)"
     )
-    parser.add_argument(
-        "--jax-python", metavar="PYTHON", type=Path,
-        help="interpreter of an environment with jax-sysid, to be compared with",
-    )  # fmt: skip
 
 
 def run(options: Namespace, console: Console) -> int:
@@ -37,28 +33,28 @@ def run(options: Namespace, console: Console) -> int:
     if not options.time_limit > 0.0:
         raise ConfigError(f"--time-limit: expected a time above 0, found {options.time_limit:g}")
     limits = Limits(options.time_limit, options.seed)
-    names = recipe.names_in(options.data, options.sets)
-    found: list[recipe.Figure] = []
+    names = public_sets.names_in(options.data, options.sets)
+    found: list[public_sets.Figure] = []
     with console.progress("Benchmark") as advance:
         for number, name in enumerate(names):
 
             def watch(share: float, words: str, at: int = number, name: str = name) -> None:
                 advance(round(100 * (at + share)), 100 * len(names), f"{name}: {words}")
 
-            found += recipe.figures(options.data, name, limits, watch, options.jax_python)
+            found += public_sets.figures(options.data, name, limits, watch)
     console.table(
         "RMSE of the free run on the official test range",
         ["set", "model", "recording", "RMSE", "NRMSE [%]", "CPU s"],
         [_cells(one) for one in found],
     )
     for one in found:
-        if one.model == recipe.OURS and one.record == "":
+        if one.model == public_sets.OURS and one.record == "":
             console.say(f"{one.set}: {one.note}.")
-    asked = {"data": str(options.data), "time_limit_s": limits.time_limit_s, "seed": limits.seed}
-    console.document(finite(recipe.document(found, asked)))
+    given = {"data": str(options.data), "time_limit_s": limits.time_limit_s, "seed": limits.seed}
+    console.document(finite(public_sets.document(found, given)))
     return 0
 
 
-def _cells(one: recipe.Figure) -> list[str]:
+def _cells(one: public_sets.Figure) -> list[str]:
     numbers = (f"{one.rmse:.4g} {one.unit}".strip(), f"{one.nrmse_pct:.2f}", f"{one.cpu_s:.0f}")
     return [one.set, one.model, one.record or "all", *(x.replace("nan", "-") for x in numbers)]

@@ -5,8 +5,7 @@ import math
 
 import pytest
 
-from eval.benchmarks import figures
-from eval.benchmarks.row import Row
+from eval.benchmarks import Row, figures
 from training.config import load_config
 
 

@@ -11,118 +11,75 @@ import torch
 
 from data_prep.events import Event
 from eval import bench
+from eval.benchmarks import Row, public_sets, speed
 from eval.benchmarks import flights as picture
-from eval.benchmarks import public_sets, speed
-from eval.benchmarks.public_sets import Candidate, Material, PublicSet, Target
-from eval.benchmarks.row import Row
 from eval.rules import Verdict
 from eval.transients import AssessedEvent
 from narxcal.narx.config import NarxConfig
-from narxcal.record import Record
 from narxcal.support.errors import DataError
-from training.config import TrainConfig, load_config
+from training.choice import Limits
+from training.config import load_config
 from training.free_run import FreeRunProblem, cut_windows
 from training.network import new_model
 
-BRIEF = TrainConfig(horizons_s=(20.0,), iterations=(2,), score_every_s=1.0, threads=1)
-GOOD = Candidate(NarxConfig(lags=2, taps=(0, 1), hidden=3), BRIEF)
-# Sees inputs far too old to be of use.
-POOR = Candidate(NarxConfig(lags=1, taps=(40,), hidden=3), BRIEF)
+
+@pytest.fixture
+def folder(tmp_path):
+    """A first-order lag in 400 samples: its second half is the official test range."""
+    draw = np.random.default_rng(0)
+    u = np.repeat(draw.standard_normal(40), 10)
+    y = np.zeros(400)
+    for k in range(1, 400):
+        y[k] = 0.9 * y[k - 1] + 0.1 * u[k - 1]
+    y += 0.01 * draw.standard_normal(400)
+    pd.DataFrame({"u": u, "y": y}).to_csv(tmp_path / "lag.csv.gz", index=False)
+    tests = {"a": [200, 300], "b": [300, 400]}
+    ranges = {"train": [0, 200], "test": tests, "init_window": 10}
+    (tmp_path / "lag.json").write_text(json.dumps(ranges))
+    return tmp_path
 
 
-def tiny(targets=()):
-    return PublicSet("tiny", "mV", 1000.0, (POOR, GOOD), targets)
+def test_ours_and_linear_reach_the_noise_of_a_linear_set(folder):
+    found = list(public_sets.figures(folder, "lag", Limits(0.05)))
+    pooled = {one.model: one.rmse for one in found if one.record == ""}
+    assert list(pooled) == [public_sets.OURS, public_sets.FIXED, public_sets.LINEAR]
+    assert max(pooled.values()) < 0.02
+    assert [one.record for one in found[:3]] == ["a", "b", ""]
+    ratio = public_sets.document(found, {})["geometric_mean_ratio"]
+    assert ratio == pytest.approx(pooled[public_sets.OURS] / pooled[public_sets.LINEAR])
 
 
-def material(count=1, samples=300):
-    record = speed.record_of(samples * (count + 1))
-    parts = [
-        Record(record.u[k : k + samples], record.y[k : k + samples], f"r{k}")
-        for k in range(0, samples * (count + 1), samples)
-    ]
-    return Material(tuple(parts[:-1]), tuple(parts[-1:]), 2)
+def test_the_choice_does_not_depend_on_the_test_range(folder):
+    before = list(public_sets.figures(folder, "lag", Limits(0.05), models=("linear",)))
+    table = pd.read_csv(folder / "lag.csv.gz")
+    table.loc[200:, "y"] *= -100.0
+    table.to_csv(folder / "lag.csv.gz", index=False)
+    after = list(public_sets.figures(folder, "lag", Limits(0.05), models=("linear",)))
+    assert [one.note for one in before] == [one.note for one in after]
+    assert after[-1].rmse > 10.0 * before[-1].rmse
 
 
-@pytest.mark.parametrize("count", [1, 4])
-def test_the_better_candidate_is_chosen_by_what_was_held_back(count):
-    outcome = public_sets.measure(tiny(), material(count))
-    assert outcome.chosen == GOOD
-    assert 0.0 < outcome.pooled < 200.0
-    assert outcome.fit_s > 0.0
-    assert outcome.search_s > 0.0
+def test_rows_stand_against_published_figures_and_name_a_missing_set(folder, monkeypatch):
+    peers = (public_sets.Target("a", 1e9, "a peer"),)
+    monkeypatch.setattr(public_sets, "SETS", (public_sets.PublicSet("lag", "mV", 1e3, peers),))
+    monkeypatch.setattr(public_sets, "Limits", lambda: Limits(0.05))
+    rows = public_sets.rows(folder, ("lag", "tanks"))
+    assert [row.name for row in rows] == ["lag a", "lag b", "lag", "lag, training", "tanks"]
+    assert [row.reached for row in rows] == [True, None, None, None, None]
+    assert rows[-1].note == f"not measured: tanks.json is not in {folder}"
+    assert rows[-1].document()["value"] is None
 
 
-def test_the_choice_does_not_depend_on_the_test_range():
-    given = material()
-    spoilt = Material(given.train, (Record(given.test[0].u, -100.0 * given.test[0].y),), 2)
-    seen = [public_sets.measure(tiny(), one) for one in (given, spoilt)]
-    assert seen[0].chosen == seen[1].chosen
-    assert seen[1].pooled > 10.0 * seen[0].pooled
-
-
-def test_whole_recordings_are_held_back_and_a_single_one_in_blocks():
-    assert [one.name for one in public_sets._pieces(material(7).train, 0)] == [
-        one.name for one in material(7).train
-    ]
-    blocks = public_sets._pieces(material().train, 0)
-    np.testing.assert_array_equal(np.concatenate([one.y for one in blocks]), material().train[0].y)
-    assert [len(one) for one in blocks] == [75] * 4
-
-
-def test_only_the_configured_part_of_a_recording_is_used():
-    assert sum(len(one) for one in public_sets._pieces(material().train, 100)) == 100
-
-
-def test_each_piece_is_judged_by_a_network_that_did_not_see_it(monkeypatch):
-    seen = []
-
-    class Spy(public_sets.Narx):
-        def fit(self, records, *_):
-            seen.append({one.name for one in records})
-            return super().fit(records)
-
-    monkeypatch.setattr(public_sets, "Narx", Spy)
-    judged = []
-
-    def judge(model, record, init):
-        judged.append((len(seen), record.name))
-        return record.y
-
-    monkeypatch.setattr(public_sets, "_free_run_error", judge)
-    pieces = material(6).train
-    public_sets._held_back_rmse(GOOD, pieces, 2)
-    assert sorted(name for _, name in judged) == sorted(one.name for one in pieces)
-    assert not any(name in seen[turn - 1] for turn, name in judged)
-
-
-def test_rows_of_a_set_name_peer_and_choice(tmp_path):
-    given = speed.record_of(600)
-    frame = pd.DataFrame({"u": given.u[:, 0], "y": given.y[:, 0]})
-    frame.to_csv(tmp_path / "tiny.csv.gz", index=False)
-    said = {"train": [0, 300], "test": {"a": [300, 450], "b": [450, 600]}, "init_window": 2}
-    (tmp_path / "tiny.json").write_text(json.dumps(said))
-    rows = public_sets.rows(tmp_path, [tiny((Target("a", 1e9, "a peer"),))])
-    assert [row.name for row in rows] == ["tiny a", "tiny b", "tiny pooled", "tiny, training"]
-    assert [row.reached for row in rows] == [True, None, None, None]
-    assert all(math.isfinite(row.value) for row in rows)
-    assert rows[0].note == (
-        "chosen of 2 by cross-validation in the training range: "
-        "lags 2, taps 0..1, hidden 3, decay 1e-05, margin 0.25, lm"
+def test_a_set_that_is_not_there_is_named(folder, tmp_path):
+    with pytest.raises(DataError) as caught:
+        public_sets.names_in(folder, ["lag", "tanks"])
+    assert str(caught.value) == (
+        f"the set 'tanks' is not in {folder}. "
+        "A set is NAME.csv.gz with columns u and y, and NAME.json with its ranges"
     )
-
-
-def test_candidates_of_a_set_are_told_from_each_other():
-    for one in public_sets.SETS:
-        assert len({candidate.text for candidate in one.candidates}) == len(one.candidates)
-    texts = [candidate.text for candidate in public_sets.SETS[1].candidates]
-    assert any("linear feedback" in text for text in texts)
-
-
-def test_a_set_that_is_missing_becomes_a_row_that_says_so(tmp_path):
-    [row] = public_sets.rows(tmp_path, [tiny()])
-    assert row.note == f"not measured: tiny.json is not in {tmp_path}"
-    assert row.document()["value"] is None
-    assert row.reached is None
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DataError, match=r"^no set is in"):
+        public_sets.names_in(tmp_path / "empty")
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from eval.benchmarks.flights import CAMPAIGNS, Campaign, _outside, _windows
+from eval.benchmarks.flights import Campaign, _outside, _windows
 from eval.rules import TimeCheck, Verdict
 
 WINDOWS = ((10.0, 20.0),)
@@ -48,8 +48,3 @@ def test_rows_and_events_within_the_windows_do_not_count():
 @pytest.mark.parametrize(("names", "windows"), [(["second"], WINDOWS), (["first", "second"], ())])
 def test_windows_belong_to_one_flight(names, windows):
     assert _windows(CAMPAIGN, [log(name, 0.0).log for name in names]) == windows
-
-
-def test_the_windows_are_those_of_the_page():
-    [windows] = CAMPAIGNS[0].unlogged.values()
-    assert windows == ((455.0, 1466.0), (2327.0, 2617.0), (3651.0, 4040.0))

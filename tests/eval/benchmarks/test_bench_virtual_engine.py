@@ -6,8 +6,6 @@ from pathlib import Path
 import pytest
 
 from eval.benchmarks import virtual_engine
-from eval.benchmarks import virtual_engine as engine_figures
-from eval.benchmarks import virtual_engine as engine_manoeuvres
 from narxcal.turbofan import VirtualEngine
 
 PAGE = Path(__file__).parents[3] / "docs" / "virtual_engine.md"
@@ -54,18 +52,6 @@ def test_similar_points_have_similar_lags(figures):
 
 def test_points_of_equal_thrust_have_it():
     engine = VirtualEngine("business_jet")
-    u = engine_manoeuvres.at_thrust(engine, (20000.0, 0.5), (0.3, 1.0))
+    u = virtual_engine.at_thrust(engine, (20000.0, 0.5), (0.3, 1.0))
     thrust = engine.outputs(u)[:, 4]
     assert thrust[0] / thrust[1] == pytest.approx(0.3, abs=1e-3)
-
-
-@pytest.mark.slow
-def test_pictures_are_drawn_into_the_folder(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(virtual_engine, "figures", list)
-    assert virtual_engine.main(["--figures", str(tmp_path)]) == 0
-    assert capsys.readouterr().out.startswith("| figure | unit | published | source |")
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "virtual_engine_maps.png",
-        "virtual_engine_slams.png",
-    ]
-    assert engine_figures.draw is not None

@@ -16,6 +16,4 @@ def test_rates_are_recovered_and_their_costs_hold():
         for size, kind in ((14, (0, 2)), (90, (0, 8)), (105, (8, 3)), (420, (16, 8)))
     ]
     rows = [(counted(*each), true.step(*each) * draw.uniform(0.99, 1.01)) for each in sizes]
-    found, ratio = rates(rows)
-    np.testing.assert_allclose(found, list(vars(true).values()), rtol=0.2)
-    np.testing.assert_allclose(ratio, 1.0, atol=0.02)
+    np.testing.assert_allclose(rates(rows), list(vars(true).values()), rtol=0.2)
