@@ -25,6 +25,7 @@ from eval.benchmarks import (
     fleets,
     flights,
     public_sets,
+    recorders,
     speed,
     untuned,
     virtual_engine,
@@ -50,6 +51,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     which.add_argument(
         "--fleets", action="store_true", help="instead, more flights and a bad one, virtual fleets"
     )
+    which.add_argument(
+        "--recorders",
+        nargs="?",
+        type=Path,
+        const=_SHARED,
+        metavar="DIR",
+        help="instead, columns and split alone on every real recording in DIR",
+    )
+    parser.add_argument(
+        "--sets",
+        type=recorders.options_of,
+        default=recorders.SETS,
+        help=f"of --recorders, comma-separated: {','.join(recorders.SETS)}",
+    )
+    parser.add_argument(
+        "--leave-out", action="store_true", help="of --recorders: train on all recordings but one"
+    )
+    parser.add_argument(
+        "--screening-only", action="store_true", help="of --recorders: faults alone, no training"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of flights that are flown")
     parser.add_argument(
         "--data", type=Path, default=_SHARED, help="folder that holds bench, flights, agtf30"
@@ -60,6 +81,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     began = time.perf_counter()
     if options.untuned:
         found = list(untuned.rows(options.data, options.seed))
+    elif options.recorders:
+        found = list(
+            recorders.rows(
+                options.recorders.resolve(),
+                options.sets,
+                leave_out=options.leave_out,
+                screening_only=options.screening_only,
+            )
+        )
     elif options.fleets:
         found = list(fleets.rows(options.seed))
         found += flights.more_flights_rows(options.data / "flights")

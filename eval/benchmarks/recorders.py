@@ -1,0 +1,298 @@
+"""Figures on real recorders, columns and split alone: `python -m eval.bench --recorders`.
+
+Each recording of a set is trained on by itself (with `leave_out`, all others are), and what was not
+trained on is judged. A figure is the free-run RMSE of one output, pooled over the judged logs, over
+that of the best of steady state, first-order lag, linear ARX and output error. A figure is lost
+where nothing is left to judge it by. Screening is judged by the samples that it masks and the logs
+that it accuses, though nothing is wrong with them (`KNOWN` says where something is).
+
+The configurations in `columns/` name columns, outputs and inputs, and nothing about the model.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from data_prep.log import Fault, Log, Source
+from data_prep.prepare import hold_inputs, prepare, with_outputs
+from data_prep.reading import read_logs
+from eval.benchmarks.row import Row
+from eval.evaluate import Evaluation, evaluate
+from narxcal.channels import channel
+from narxcal.support.errors import NarxcalError
+from training.config import RunConfig, load_config
+from training.masking import by_each_other, masked
+from training.pipeline import calibrate
+from training.records import Split
+from training.redundancy import learn
+from training.screening import screened
+
+SETS: Final = ("citation", "a321", "jetcat", "test_cell", "micro_gas_turbine", "agtf30")
+_SLACK_S: Final = 5.0
+# Recording:engine -> channel and times in s of what is really wrong with it (data/README.md).
+KNOWN: Final[Mapping[str, tuple[str, float, float]]] = {
+    "citation_20200310_flight2.csv.gz:right": ("FF_kgph", 9.0, 549.0),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Recorder:
+    """One set: its configuration, and recording -> raw logs."""
+
+    name: str
+    config: RunConfig
+    recordings: Mapping[str, Sequence[Log]]
+
+    @classmethod
+    def read(cls, name: str, data: Path) -> Recorder:
+        """Read a set of `SETS`; raises `DataError` where its files are missing."""
+        path = files("eval") / "benchmarks" / "columns" / f"{name}.toml"
+        config = load_config(str(path))[0].with_logs_in(data)
+        paths = config.logs.resolve(data)
+        logs = _cut(paths[0]) if name == "micro_gas_turbine" else read_logs(paths, config.logs)
+        if name == "a321":  # one flight: its halves
+            logs = [half for log in logs for half in _halves(log)]
+        recordings: dict[str, list[Log]] = {}
+        for log in logs:
+            recordings.setdefault(log.source.file, []).append(log)
+        return cls(name, config, recordings)
+
+    def divisions(self, *, leave_out: bool) -> Iterator[tuple[str, list[Log], list[Log]]]:
+        """Yield (recording, training logs, judged logs), raw."""
+        for name, own in self.recordings.items():
+            rest = [log for other, logs in self.recordings.items() if other != name for log in logs]
+            yield (name, rest, list(own)) if leave_out else (name, list(own), rest)
+
+
+def _halves(log: Log) -> Iterator[Log]:
+    middle = len(log) // 2
+    for name, part in (("first", log.part(0, middle)), ("second", log.part(middle, len(log)))):
+        source = Source(f"{name} half", f"{log.source.sha256} {name}", log.source.engine)
+        yield replace(part, name=f"{name} half:{log.source.engine}", source=source)
+
+
+def _cut(path: Path) -> list[Log]:
+    """The recordings of the micro gas turbine as logs."""
+    about = json.loads(path.with_name("micro_gas_turbine.json").read_text())
+    table = pd.read_csv(path)
+    logs = []
+    for name, (start, stop) in {**about["train"], **about["test"]}.items():
+        u, y = (table[column].to_numpy(np.float64)[start:stop] for column in ("u", "y"))
+        channels = {"TRA_deg": 10.0 * u, "FN_kN": 1e-3 * y}
+        time_s = about["dt"] * np.arange(stop - start)
+        logs.append(Log(name, time_s, channels, source=Source(name, name)))
+    return logs
+
+
+@dataclass(frozen=True)
+class Screened:
+    """What screening made of one sound log: hours, samples, those masked, and accusations.
+
+    `found` is whether a known fault of the log was masked to within 5 s; None where there is none.
+    """
+
+    log: str
+    hours: float
+    samples: int
+    masked: int
+    accused: tuple[str, ...]
+    found: bool | None = None
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One output of one division: RMSE with masks, as recorded, and of the baselines."""
+
+    output: str
+    rmse: float
+    as_recorded: float
+    baselines: Mapping[str, float] = field(default_factory=dict)
+    why: str = ""
+
+    @property
+    def best(self) -> float:
+        """Lowest RMSE of the baselines."""
+        return min((one for one in self.baselines.values() if one > 0.0), default=math.nan)
+
+    @property
+    def ratio(self) -> float:
+        """RMSE over the best baseline's."""
+        return self.rmse / self.best
+
+
+def screening(recorder: Recorder, train: Sequence[Log], judged: Sequence[Log]) -> list[Screened]:
+    """What is masked and accused in the logs of one division, without any training."""
+    config = recorder.config
+    raw = [one.log for one in prepare(train, config)]
+    names = (*config.narx.outputs, *config.steady_state.inputs)
+    training = by_each_other(raw, names)
+    bank = learn([masked(log) for log in training], names)
+    others = screened(bank, [one.log for one in prepare(judged, config)])
+    return [_screened(log, names) for log in (*training, *others)]
+
+
+def _screened(log: Log, names: Sequence[str]) -> Screened:
+    after, before = masked(log), log
+    lost = {
+        name: np.isfinite(before[name]) & ~np.isfinite(after[name])
+        for name in names
+        if name in log.channels
+    }
+    accused = log.faults
+    known, found = KNOWN.get(log.name.partition("#")[0]), None
+    if known is not None and log.time_s[0] < known[2]:
+        name, from_s, to_s = known
+        times = log.time_s[lost[name]]
+        ends = (times[0], times[-1]) if len(times) else (math.inf, math.inf)
+        error = max(abs(ends[0] - max(from_s, log.time_s[0])), abs(ends[1] - to_s))
+        found = bool(error <= _SLACK_S)
+        lost[name] &= (log.time_s > to_s + _SLACK_S) | (log.time_s < from_s - _SLACK_S)
+        accused = tuple(each for each in accused if not _is(each, known))
+    samples = sum(int(np.isfinite(before[name]).sum()) for name in lost)
+    count = sum(int(each.sum()) for each in lost.values())
+    hours = len(log) * log.dt_s / 3600.0
+    return Screened(log.name, hours, samples, count, tuple(f.caution for f in accused), found)
+
+
+def _is(fault: Fault, known: tuple[str, float, float]) -> bool:
+    return fault.channels == (known[0],) and fault.to_s < known[2] + _SLACK_S
+
+
+def trained(recorder: Recorder, train: Sequence[Log], judged: Sequence[Log]) -> list[Figure]:
+    """Train on `train`, and judge each output on `judged`."""
+    config = recorder.config
+    try:
+        logs = tuple(_prepared(config, train))
+        bundle = calibrate(config, Path(), Split(logs, (), ()))
+        bank = learn([masked(log) for log in logs], (*config.narx.outputs,))
+        others = screened(bank, _prepared(config, judged))
+        found = evaluate(bundle, others)
+    except NarxcalError as error:
+        return [Figure(name, math.nan, math.nan, why=str(error)) for name in config.narx.outputs]
+    figures = list(_figures(found))
+    extra = _output_error(config, logs, others)
+    return [
+        replace(one, baselines={**one.baselines, "output error": extra.get(one.output, math.nan)})
+        for one in figures
+    ]
+
+
+def _prepared(config: RunConfig, raw: Sequence[Log]) -> list[Log]:
+    logs = [with_outputs(one.log, config.narx.outputs) for one in prepare(raw, config)]
+    return [hold_inputs(log, config.steady_state.inputs) for log in logs]
+
+
+def _output_error(
+    config: RunConfig, train: Sequence[Log], judged: Sequence[Log]
+) -> dict[str, float]:
+    """RMSE of output-error fits: the two-spool engine's, else a response of each output."""
+    for method in ("output-error", "transfer"):
+        try:
+            bundle = calibrate(
+                config.having(identify={"method": method}), Path(), Split(tuple(train), (), ())
+            )
+            return {name: one.rmse for name, one in evaluate(bundle, judged).pooled.items()}
+        except (NarxcalError, ValueError):
+            continue
+    return {}
+
+
+def _figures(found: Evaluation) -> Iterator[Figure]:
+    for name, pooled in found.pooled.items():
+        squares, count = 0.0, 0.0
+        for log in found.logs:
+            one = log.as_recorded.get(name, log.scores[name])
+            if math.isfinite(one.rmse):
+                squares, count = squares + one.samples * one.rmse**2, count + one.samples
+        as_recorded = math.sqrt(squares / count) if count else math.nan
+        why = "" if math.isfinite(pooled.rmse) else "every sample is masked"
+        yield Figure(name, pooled.rmse, as_recorded, pooled.baselines, why)
+
+
+def rows(
+    data: Path, sets: Sequence[str] = SETS, *, leave_out: bool = False, screening_only: bool = False
+) -> Iterator[Row]:
+    """Measure the sets whose files are there, then all of them together."""
+    figures: list[Figure] = []
+    seen: list[Screened] = []
+    for name in sets:
+        try:
+            recorder = Recorder.read(name, data)
+        except NarxcalError as error:
+            yield Row(name, "all", math.nan, "", note=f"not measured: {error}")
+            continue
+        own: list[Figure] = []
+        checked: list[Screened] = []
+        for recording, train, judged in recorder.divisions(leave_out=leave_out):
+            checked += screening(recorder, train, judged)
+            if not screening_only:
+                part = trained(recorder, train, judged)
+                yield from (_row(name, recording, one) for one in part)
+                own += part
+        yield from _summary(name, own, checked)
+        figures += own
+        seen += checked
+    if len(sets) > 1:
+        yield from _summary("all recorders", figures, seen)
+
+
+_SOURCE: Final = "best of steady state, first-order lag, ARX, output error"
+
+
+def _row(name: str, recording: str, one: Figure) -> Row:
+    note = one.why or f"as recorded {one.as_recorded:.4g}"
+    title = f"{recording}: {one.output}"
+    unit = channel(one.output).unit
+    return Row(name, title, one.rmse, unit, one.best, "at most", _SOURCE, note)
+
+
+_TARGET: Final = "issue 38"
+
+
+def _summary(name: str, figures: Sequence[Figure], seen: Sequence[Screened]) -> Iterator[Row]:
+    group = f"{name}, together"
+    ratios = [one.ratio for one in figures if math.isfinite(one.ratio)]
+    if ratios:
+        mean = math.exp(float(np.mean(np.log(ratios))))
+        yield Row(group, "geometric mean over the best", mean, "", 0.92, "at most", _TARGET)
+        yield Row(group, "worst over the best", max(ratios), "", 1.1, "at most", _TARGET)
+    if figures:
+        lost, note = len(figures) - len(ratios), f"of {len(figures)}"
+        yield Row(group, "figures lost", float(lost), "", 0.0, "at most", _TARGET, note)
+    yield from _screening_rows(group, seen)
+
+
+def _screening_rows(group: str, seen: Sequence[Screened]) -> Iterator[Row]:
+    samples, hours = sum(one.samples for one in seen), sum(one.hours for one in seen)
+    share = 100.0 * sum(one.masked for one in seen) / max(samples, 1)
+    yield Row(group, "sound samples masked", share, "%", 0.1, "at most", _TARGET)
+    accused = [one for one in seen if one.accused]
+    rate = 100.0 * len(accused) / hours if hours else math.nan
+    note = f"{len(accused)} of {len(seen)} logs in {hours:.1f} h"
+    yield Row(group, "sound logs accused, per 100 h", rate, "", 1.0, "at most", _TARGET, note)
+    for text in dict.fromkeys(each for one in accused for each in one.accused):
+        yield Row(group, f"accused: {text}", math.nan, "")
+    known = [one for one in seen if one.found is not None]
+    if known:
+        found, note = sum(bool(one.found) for one in known), f"of {len(known)}"
+        name = "known faults masked within 5 s"
+        target = float(len(known))
+        yield Row(group, name, float(found), "", target, "at least", _TARGET, note)
+
+
+def options_of(names: str) -> tuple[str, ...]:
+    """Sets of a comma-separated list; raises `ValueError` for one that does not exist."""
+    wanted: tuple[Any, ...] = tuple(names.split(","))
+    for name in wanted:
+        if name not in SETS:
+            raise ValueError(f"no set '{name}'; sets are {', '.join(SETS)}")
+    return wanted
