@@ -25,7 +25,7 @@ import pandas as pd
 from data_prep.log import Fault, Log, Source
 from data_prep.prepare import hold_inputs, prepare, with_outputs
 from data_prep.reading import read_logs
-from eval.benchmarks.row import Row
+from eval.benchmarks import Row
 from eval.evaluate import Evaluation, evaluate
 from narxcal.channels import channel
 from narxcal.support.errors import NarxcalError
