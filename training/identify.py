@@ -30,7 +30,7 @@ from narxcal.calibration.identified import (
     StateSpaceDynamics,
 )
 from narxcal.channels import spools_of
-from narxcal.output_error.engine import EngineFromSteady
+from narxcal.output_error.engine import STEADY_OUTPUTS, EngineFromSteady, steady_drive
 from narxcal.record import Record
 from narxcal.static_models.model import MODELS, Columns, StaticModel
 from narxcal.steady.laws import StaticLaws
@@ -41,12 +41,12 @@ from narxcal.transfer.scheduled import ResponseFromSteady
 from narxcal.transfer.state_space import Schedule, node_weights
 from training.config import STATIC, RunConfig
 from training.output_error import Plan, fit
-from training.output_error_flights import OFFSETS, OUTPUTS, steady_record
 from training.output_error_result import OutputErrorFit
 from training.records import LagSamples, lag_samples
 from training.static_fit import fit as fit_law
 from training.subspace import SubspaceSettings, subspace
 
+OFFSETS = ("N_HO", "N_LO", "T_O")
 _ENOUGH = 1.05  # the simpler response is kept up to this ratio of errors, as in training.subspace
 _TALL_FT = 5000.0  # altitude range from which on parameters are scheduled over altitude
 _LEAST_MOTION = 0.02  # share of all motion below which a node of a schedule is a hole
@@ -85,6 +85,19 @@ def identify(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -
     return methods[config.identify.method](config, steady, logs)
 
 
+def steady_record(log: Log, steady: SteadyStateModel, driver: str) -> Record:
+    """Record of a log for `EngineFromSteady`; raises `DataError` as `steady_drive` does."""
+    moved = log[driver]
+    span = float(moved.min()), float(moved.max())
+    try:
+        drive = steady_drive(steady, log.matrix(steady.input_names), driver, span)
+    except DataError as error:
+        raise DataError(
+            error.problem, file=log.name, channel=error.channel, hint=error.hint
+        ) from None
+    return Record(drive, log.measured(STEADY_OUTPUTS), log.name)
+
+
 def _output_error(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> Identified:
     driver = config.driver
     records = [
@@ -96,7 +109,7 @@ def _output_error(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Lo
     found = fit(model, records, Plan(free=(*free, *OFFSETS), per_record=OFFSETS, iterations=100))
     values = {**found.parameters(), **dict.fromkeys(OFFSETS, 0.0)}
     moved = np.concatenate([log[driver] for log in logs])
-    order = tuple(steady.output_names.index(name) for name in OUTPUTS)
+    order = tuple(steady.output_names.index(name) for name in STEADY_OUTPUTS)
     span = float(moved.min()), float(moved.max())
     dynamics = EngineDynamics(values, free, driver, span, order, logs[0].dt_s)
     return _of_fits(dynamics, {"": found})

@@ -17,6 +17,7 @@ from typing import Any
 from eval import terminal
 from eval.outcome import Outcome
 from eval.report.page import RunHeader
+from eval.reproduce.citation_static import KINDS
 from eval.reproduce.citation_x import CONTRADICTIONS
 from eval.reproduce.citation_x import reproduce as citation_x
 from eval.reproduce.data import (
@@ -29,7 +30,6 @@ from eval.reproduce.data import (
     with_table,
     write_records,
 )
-from eval.reproduce.mesh import KINDS
 from eval.reproduce.narx_paper import SCHEMA, Reproduction, Watch, reproduce
 from eval.reproduce.spey import spey_studies
 from eval.reproduce.study import Study, counts, outcome_of, reproduction_page

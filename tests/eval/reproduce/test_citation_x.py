@@ -2,16 +2,12 @@
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from eval.reproduce.citation_claims import cold_share
 from eval.reproduce.citation_dynamic import DynamicRow, merged
-from eval.reproduce.citation_static import Engines
-from eval.reproduce.citation_x import reproduce
-from eval.reproduce.mesh import (
+from eval.reproduce.citation_static import (
     HIGH,
     KINDS,
     LOW,
@@ -20,12 +16,14 @@ from eval.reproduce.mesh import (
     RAMP_S,
     T_S,
     TRA_PER_TLA,
+    Engines,
     Region,
     disturbances,
     lever,
     mach_range,
     static_flights,
 )
+from eval.reproduce.citation_x import cold_share, reproduce
 from eval.reproduce.study import missed
 from narxcal.turbofan import VirtualEngine
 from narxcal.turbofan.engine import HIGH as CEILING
@@ -34,7 +32,6 @@ SMALL = (
     Region("low", (5e3, 10e3, 15e3, 20e3), (25.0, 35.0, 42.5, 50.0)),
     Region("high", (30e3, 33e3, 36e3, 40e3), (35.0, 40.0, 45.0, 50.0)),
 )
-PAGE = Path(__file__).parents[3] / "docs" / "citation_x.md"
 
 
 @pytest.fixture(scope="module")
@@ -207,18 +204,3 @@ def test_rows_are_pooled_by_flights():
     rows = [DynamicRow("step", "m", "FPR", 1.0, 5.0, 100.0, 50.0, 3),
             DynamicRow("step", "m", "FPR", 5.0, 9.0, 0.0, 90.0, 1)]  # fmt: skip
     assert merged(rows) == [DynamicRow("step", "m", "FPR", 2.0, 9.0, 75.0, 60.0, 4)]
-
-
-# The tutorial.
-@pytest.mark.slow
-def test_the_page_runs_as_shown(capsys):
-    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
-    names = {}
-    exec(compile("\n".join(blocks), str(PAGE), "exec"), names)  # noqa: S102
-    printed = capsys.readouterr().out
-    assert "Yoder+: 0.1" in printed
-    assert "100 % within 5 %" in printed
-    assert "reconstruction: the paper's equation 14 is lost" in printed
-    assert names["again"].score.mean_pct == pytest.approx(names["fuel"].score.mean_pct, rel=0.02)
-    assert names["same"].parameters == names["better"].model.parameters
-    assert names["model"].stable

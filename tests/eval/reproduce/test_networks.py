@@ -11,8 +11,8 @@ from data_prep.events import find_events
 from eval.crossval import CrossValidation, FoldResult
 from eval.evaluate import EvaluateConfig
 from eval.reproduce.data import Effort, within
-from eval.reproduce.goal import family_of, goal, goal_config, goal_training, thinned
 from eval.reproduce.inputs import deviations, fed_record, fed_variants, inputs, record, variants
+from eval.reproduce.narx_paper import family_of, goal, goal_config, goal_training, thinned
 from eval.reproduce.noise import noise, share_better
 from eval.reproduce.response import (
     accuracy,
