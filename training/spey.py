@@ -3,8 +3,8 @@
 Steps (DeHoff et al., section IV): throttle; pressures from measured speeds; engine from measured
 fuel flow, record by record (Table 3); engine and control from the command, all records at once.
 Each step starts from the one before. Measured inputs carry noise, which output error does not
-model: the first three steps are biased by it (docs/reproduce.md), the last is not, since its input is
-the command.
+model: the first three steps are biased by it (docs/reproduce.md), the last is not, since its
+input is the command.
 """
 
 from __future__ import annotations
