@@ -33,7 +33,6 @@ from eval.free_run import (
     trimmed,
 )
 from eval.outcome import Outcome, plural
-from eval.rules import rules
 from eval.scores import ChannelScores, score
 from eval.transients import (
     AssessedEvent,
@@ -398,7 +397,7 @@ class Evaluation:
 
     def document(self) -> dict[str, Any]:
         """`evaluate.json`; None where a figure does not exist."""
-        used, missed = rules(self.config.transients.rules), self.missed()
+        used, missed = self.config.transients.rule_set, self.missed()
         found: dict[str, Any] = finite(
             {
                 "schema": SCHEMA,
@@ -406,7 +405,12 @@ class Evaluation:
                 "missed": missed,
                 "trim": self.trim,
                 "faults": [fault.row() for fault in self.faults],
-                "rules": {"name": used.name, "source": used.source, "tt_origin": used.tt_origin},
+                "rules": {
+                    "name": used.name,
+                    "source": used.source,
+                    "tt_origin": used.tt_origin,
+                    "data_source": self.config.transients.data_source,
+                },
                 "logs": [log.row() for log in self.logs],
                 "pooled": {
                     "channels": {name: one.row() for name, one in self.pooled.items()},

@@ -56,9 +56,9 @@ class TransientConfig(Reading):
 class Transient:
     """One curve's reading; times in seconds on the log's clock, levels in the channel's unit.
 
-    `Ti_s = t10_s - t0_s`; `Tt_s = t90_s - t10_s` (the `icao` rules add Ti back). `dt_s` is the
-    sampling interval, the resolution of a nearest-sample reading. With a `reason` the transient
-    is not assessable; what could not be read is NaN.
+    `Ti_s = t10_s - t0_s`; `Tt_s = t90_s - t10_s` (rules that count Tt from the lever add Ti
+    back). `dt_s` is the sampling interval, the resolution of a nearest-sample reading. With a
+    `reason` the transient is not assessable; what could not be read is NaN.
     """
 
     t0_s: float

@@ -9,11 +9,20 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from data_prep.events import Event, Speed
 from eval.response import Reading, Transient, TransientConfig, measure_transient
-from eval.rules import RulesName, TimeCheck, Verdict, compare_transients, rules
+from eval.rules import (
+    FORMER,
+    DataSource,
+    Rules,
+    RulesName,
+    TimeCheck,
+    Verdict,
+    compare_transients,
+    rules,
+)
 from narxcal.channels import channel as channel_of
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import ConfigError, DataError
@@ -30,14 +39,26 @@ class TransientsConfig(Reading):
     """Which channels are judged by which rules, and how their transients are read.
 
     The rules are written for rapid movements: `speeds = ["fast"]` keeps to those, while by
-    default every movement is judged. `least_response` (channel -> value in its unit) adds to and
-    overrides the built-in values.
+    default every movement is judged. `data_source` says where the validation data come from: those
+    of an "engineering" simulator narrow the tolerances. `least_response` (channel -> value in its
+    unit) adds to and overrides the built-in values.
     """
 
     rules: RulesName = "paper"
     channels: tuple[str, ...] = ("N1_pct", "N2_pct")
     speeds: tuple[Speed, ...] = ("fast", "slow", "small")
+    data_source: DataSource = "flight"
     least_response: Mapping[str, float] = Field(default_factory=dict)
+
+    @field_validator("rules", mode="before")
+    @classmethod
+    def _renamed(cls, name: Any) -> Any:
+        return FORMER.get(name, name) if isinstance(name, str) else name
+
+    @property
+    def rule_set(self) -> Rules:
+        """The rules with the tolerances for the source of the data."""
+        return rules(self.rules).for_data(self.data_source)
 
     def reading_of(self, channel: str) -> TransientConfig:
         """How one channel is read; `ConfigError` if its least response is not known."""
@@ -95,7 +116,7 @@ class Assessment:
     def row(self) -> dict[str, Any]:
         """One entry of `events` in `evaluate.json`; times in seconds."""
         verdict = self.verdict
-        total_s = rules(verdict.rules).total_s(self.flight.Ti_s, self.flight.Tt_s)
+        total_s = verdict.rules.total_s(self.flight.Ti_s, self.flight.Tt_s)
         return {
             "start_s": self.start_s,
             "label": ("push", "pull")[self.label],
@@ -179,7 +200,7 @@ def _assess(event: Event, overlay: Overlay, column: int, config: TransientsConfi
         update={"least_response": 0.0, "drift_share": 2.0 * reading.drift_share}
     )
     model = measure_transient(time_s, overlay.model[rows, column], t0_s, own)
-    verdict = compare_transients(flight, model, rules(config.rules))
+    verdict = compare_transients(flight, model, config.rule_set)
     name = overlay.channels[column]
     return Assessment(t0_s, event.label, event.speed, name, flight, model, verdict)
 

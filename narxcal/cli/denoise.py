@@ -55,7 +55,7 @@ def run(options: Namespace, console: Console) -> int:
     outcome = noise_outcome(sweeps)
     document = _document(str(options.bundle), sweep, sweeps, outcome)
     header = header_of(
-        f"Denoising: {config.name}", options.bundle, bundle, logs, settings.transients.rules
+        f"Denoising: {config.name}", options.bundle, bundle, logs, settings.transients.rule_set
     )
     RESULTS.save(options.out, document, noise_page(header, outcome, sweeps))
     _show(console, sweeps)

@@ -93,7 +93,7 @@ def judge(
         *_outside(bundle, parts),
     ]
     header = header_of(
-        f"Evaluation: {config.name}", run_folder, bundle, logs, settings.transients.rules
+        f"Evaluation: {config.name}", run_folder, bundle, logs, settings.transients.rule_set
     )
     with console.progress("Drawing the page"):
         inputs = bundle.calibration.input_names

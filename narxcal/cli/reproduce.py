@@ -37,7 +37,7 @@ from eval.rules import rules
 from narxcal.calibration.bundle import write_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_jobs, add_out, seed
-from narxcal.cli.results import data_files, now, read_config, words
+from narxcal.cli.results import data_files, now, read_config
 from narxcal.support.files import Results, atomic_write_text, to_json, versions
 from training.config import RunConfig
 
@@ -186,7 +186,7 @@ def _header(found: Reproduction, options: Namespace) -> RunHeader:
         run=config.name,
         model=found.bundle.calibration.words,
         rules=rule_set.name,
-        tolerances=f"Ti {words(rule_set.Ti)}; Tt {words(rule_set.Tt)} ({rule_set.source})",
+        tolerances=f"Ti {rule_set.Ti}; Tt {rule_set.Tt} ({rule_set.source})",
         sources=data_files(log.source for log in found.data.logs),
         versions=versions(),
         facts={

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from data_prep.log import Log, Source
 from eval.report.page import RunHeader
-from eval.rules import Tolerance, rules
+from eval.rules import Rules
 from narxcal.channels import CHANNELS
 from narxcal.cli.console import Console
 from narxcal.intervals import ENOUGH, LEVEL, HalfWidths
@@ -197,19 +197,19 @@ def now() -> str:
 
 
 def header_of(
-    title: str, run: Path, bundle: Bundle, logs: Sequence[Log], rule_set: str
+    title: str, run: Path, bundle: Bundle, logs: Sequence[Log], found: Rules
 ) -> RunHeader:
-    """Header of a page about the bundle in `run`; `rule_set` names the Ti/Tt rules."""
+    """Header of a page about the bundle in `run`; `found` are the Ti/Tt rules."""
     from narxcal.calibration.bundle import read_document  # noqa: PLC0415 -- likewise
 
-    record, found = bundle.record, rules(rule_set)
+    record = bundle.record
     return RunHeader(
         title=title,
         created=now(),
         run=str(run),
         model=f"{bundle.calibration.words}, over {', '.join(bundle.calibration.input_names)}",
         rules=found.name,
-        tolerances=f"Ti {words(found.Ti)}; Tt {words(found.Tt)} ({found.source})",
+        tolerances=f"Ti {found.Ti}; Tt {found.Tt} ({found.source})",
         sources=data_files(log.source for log in logs),
         versions=record.versions,
         facts={
@@ -231,12 +231,6 @@ def hash_words(sha256: str | None) -> str:
 def data_files(sources: Iterable[Source]) -> list[Source]:
     """Every recording once, however many parts it was split into."""
     return list({(source.file, source.engine): source for source in sources}.values())
-
-
-def words(tolerance: Tolerance) -> str:
-    """Spell a tolerance out."""
-    floor = f" or {tolerance.floor_s:g} s" if tolerance.floor_s else ""
-    return f"±{100.0 * tolerance.share:g} %{floor}"
 
 
 def _facts(record: RunRecord) -> dict[str, str]:

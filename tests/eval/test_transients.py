@@ -90,12 +90,39 @@ def test_part60_gives_Tt_no_floor():  # noqa: N802
     assert verdict.Tt.allowed_s == pytest.approx(0.1)
 
 
-def test_icao_measures_Tt_from_the_lever():  # noqa: N802
+def test_icao9625_measures_Tt_from_the_lever():  # noqa: N802
     flight, model = transient(0.6, 2.0), transient(0.8, 1.9)
-    verdict = compare_transients(flight, model, rules("icao"))
+    verdict = compare_transients(flight, model, rules("icao9625"))
     assert verdict.Tt.flight_s == pytest.approx(2.6)
     assert verdict.Tt.model_s == pytest.approx(2.7)
     assert verdict.Tt.allowed_s == pytest.approx(0.26)
+
+
+def test_where_the_floor_of_Tt_is_unresolved_the_stricter_reading_decides():  # noqa: N802
+    flight, model = transient(0.5, 1.0), transient(0.5, 1.2)
+    verdict = compare_transients(flight, model, rules("cs-fstd"))
+    assert (verdict.ok, verdict.otherwise) == (False, True)
+    assert compare_transients(flight, flight, rules("cs-fstd")).otherwise is None
+    assert compare_transients(flight, model, rules("part60")).otherwise is None
+
+
+def test_data_of_an_engineering_simulator_narrow_the_tolerances():
+    flight, model = transient(0.5, 4.0), transient(0.61, 4.0)
+    config = TransientsConfig(rules="part60", data_source="engineering")
+    verdict = compare_transients(flight, model, config.rule_set)
+    assert verdict.Ti.allowed_s == pytest.approx(0.1)
+    assert verdict.Tt.allowed_s == pytest.approx(0.16)
+    assert (verdict.ok, compare_transients(flight, model, rules("part60")).ok) == (False, True)
+    assert (str(config.rule_set.Ti), str(config.rule_set.Tt)) == ("±4 % or 0.1 s", "±4 %")
+
+
+@pytest.mark.parametrize("name", sorted(RULES))
+def test_what_was_not_read_in_an_edition_says_so(name):
+    marks = [clause.mark for clause in rules(name).clauses]
+    assert all(
+        mark.startswith("read in") or mark == "unverified; check your edition" for mark in marks
+    )
+    assert "unverified; check your edition" in marks
 
 
 def test_relative_error_is_of_the_flight_time_but_of_no_less_than_one_sample():
@@ -108,7 +135,9 @@ def test_relative_error_is_of_the_flight_time_but_of_no_less_than_one_sample():
 
 def test_unknown_rules_are_refused():
     with pytest.raises(
-        ConfigError, match=r"^unknown rule set 'faa'. Known rule sets: paper, part60, icao$"
+        ConfigError,
+        match=r"^unknown rule set 'faa'. Known rule sets: "
+        r"paper, part60, part60-2016, cs-fstd, icao9625$",
     ):
         rules("faa")
 
@@ -134,7 +163,7 @@ def test_bands_surround_the_crossings_of_the_flight():
     low, high = bands(flight, failed)
     assert low == (10.25, 10.75)
     assert high == (pytest.approx(14.1), pytest.approx(14.9))
-    assert bands(flight, failed, "icao")[1][1] == pytest.approx(14.95)
+    assert bands(flight, failed, "icao9625")[1][1] == pytest.approx(14.95)
 
 
 @given(times, times, st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.sampled_from(sorted(RULES)))
