@@ -1,13 +1,14 @@
 """The lumped two-spool engine: parameters by name, start, free run, slopes, storage.
 
-`narxcal.lumped.rotors` has the equations and the names of the parameters. The deviation from the
-steady state decays wherever the inputs are constant, so the steady state is an exact equilibrium.
+`narxcal.lumped.rotors` has the equations and the names of the parameters. The steady state is an
+exact equilibrium, which is stable whatever the parameters are, but for governed engines of older
+folders (`explicit`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple, Self
 
@@ -37,7 +38,7 @@ from narxcal.support.errors import ModelError
 
 Starts = tuple[IntArray, FloatArray]  # positions (n,) of windows, and states (n, ROWS, n_out)
 _SCALES = ("centre", "half", "limit")
-_FORM = "governed"  # `form` in the stored structure; the limited form has none
+_EXPLICIT, _FORM = "governed", "governed/2"  # `form` where it is stored; limited engines have none
 _WITHOUT_HEAT = list(LIMITED[: LIMITED.index("heat")])  # in folders older than heat
 
 
@@ -75,6 +76,7 @@ class LumpedEngine:
     | `theta` (P,) | parameters; `arrays` are views of them by stored name |
     | `centre`, `half` (n_out,) | scale the corrected outputs to [-1, 1] |
     | `limit` (n_out,) | bounds the magnitude of each deviation |
+    | `explicit` | whether a governed engine takes the steps of older folders, which may hunt |
 
     The core is the last output that is a speed, or the first output of an engine without one.
     """
@@ -85,6 +87,7 @@ class LumpedEngine:
     centre: FloatArray
     half: FloatArray
     limit: FloatArray
+    explicit: bool = False
 
     @classmethod
     def of(
@@ -97,8 +100,15 @@ class LumpedEngine:
         governed = "lines" in arrays
         shapes = shapes_of(len(output_names), governed=governed)
         theta = np.concatenate([np.ravel(arrays[name]) for name in shapes])
-        scaling = {name: scales[name] for name in _SCALES}
-        return cls(output_names=output_names, governed=governed, theta=theta, **scaling)
+        centre, half, limit = (scales[name] for name in _SCALES)
+        return cls(
+            output_names=output_names,
+            governed=governed,
+            theta=theta,
+            centre=centre,
+            half=half,
+            limit=limit,
+        )
 
     @cached_property
     def arrays(self) -> dict[str, FloatArray]:
@@ -136,6 +146,14 @@ class LumpedEngine:
         first = [self.core, *([int(speeds[0])] if len(speeds) > 1 else [])]
         return np.array([*first, *np.setdiff1d(columns, first)], dtype=np.int64)
 
+    @cached_property
+    def used(self) -> BoolArray:
+        """Which states (ROWS, n_out) take part: those of control and metal are the core's."""
+        used = np.zeros((ROWS, len(self.output_names)), dtype=np.bool_)
+        used[FAST : CASING + 1] = True
+        used[:, self.core] |= self.governed
+        return used
+
     def drive(self, inputs: FloatArray, names: Sequence[str], ss: FloatArray) -> Drive:
         """What the engine follows, from inputs (T, n_in) called `names` and ss (T, n_out)."""
         ss = np.ascontiguousarray(ss)
@@ -147,7 +165,7 @@ class LumpedEngine:
     def _all(self) -> Engine:
         columns = np.arange(len(self.output_names))
         own, rank = np.where(self.speeds, columns, self.core), np.argsort(self.order)
-        return Engine(self.theta, self.limit, self.order, own, rank, self.governed)
+        return Engine(self.theta, self.limit, self.order, own, rank, self.governed, self.explicit)
 
     def compiled(self, outputs: IntArray | None = None) -> Engine:
         """The numbers that compiled functions take, to run all outputs or some.
@@ -216,7 +234,8 @@ class LumpedEngine:
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, FloatArray]]:
         """Split into JSON-able structure and named arrays, for the bundle."""
         names = {"output_names": list(self.output_names)}
-        own = {"form": _FORM} if self.governed else {"parameter_names": list(LIMITED)}
+        form = _EXPLICIT if self.explicit else _FORM
+        own = {"form": form} if self.governed else {"parameter_names": list(LIMITED)}
         return {**own, **names}, {**self.arrays, **{name: getattr(self, name) for name in _SCALES}}
 
     @classmethod
@@ -226,7 +245,8 @@ class LumpedEngine:
         Parameters of heat, which older folders lack, are zero.
         """
         names = tuple(meta["output_names"])
-        shapes = shapes_of(len(names), governed=meta.get("form") == _FORM)
+        form = meta.get("form")
+        shapes = shapes_of(len(names), governed=form in {_EXPLICIT, _FORM})
         if meta.get("parameter_names") == _WITHOUT_HEAT:
             shapes["parameters"] = (len(names), len(_WITHOUT_HEAT))
         scales = dict.fromkeys(_SCALES, (len(names),))
@@ -234,7 +254,7 @@ class LumpedEngine:
         if "parameters" in shapes:
             missing = len(LIMITED) - shapes["parameters"][1]
             found["parameters"] = np.pad(found["parameters"], ((0, 0), (0, missing)))
-        return cls.of(names, found, found)
+        return replace(cls.of(names, found, found), explicit=form == _EXPLICIT)
 
 
 def speeds_of(names: Sequence[str]) -> BoolArray:

@@ -37,18 +37,36 @@ Soak is multiplied by s(k) / s(k-1) and its share by s(k), s = exp(heat_speed w)
 not relax to its equilibrium by itself: fuel accelerates the slow fan until N1 meets its demand, and
 N2 overshoots meanwhile.
 
-    f_d   = r + gain (s - u - lead du/dt)       demand, limited (n infinite) so that
-            -down exp(clearance e) <= (f_d - v) / core_s <= up exp(-clearance e)
-    df/dt = (f_d - f) / valve,   dv/dt = (f - v) / core_s,   dr/dt = (f_d - r) / reset
-    pull  = c_f d_c - push dv/dt                             of the fan, tau = fan
+    f_d   = r + gain (s - u - lead du/dt)       demand, limited so that
+            -down exp(clearance e) <= (f_d - v) / core <= up exp(-clearance e)
+    df/dt = (f_d - f) / valve,   dv/dt = (f - v) / core,   dr/dt = (f_d - r) / reset
+    du/dt = (s - u - c_f (w - v) + push dv/dt) / fan
     pull  = c d_c - push dv/dt + share (d_f - c_f d_c)       of other outputs, tau = probe
-    ln (core_s, gain, reset, ...) = q . [z(v, u), Mach]
+    lead  = valve + lead_s,      reset = fan core / (fan + core) + reset_s
+    ln (core, gain, reset_s, lead_s, ...) = q . [z(v, u), Mach],   c_f >= 0.05
 
 The reset follows the limited demand, so that it does not wind up. The chord c of an output is the
 mean slope of its equilibria over the core's speed between v and w. Core and other outputs also have
 heat: soak, and casing, which is share e plus what a run began with. Sources: governor and schedules
 in Jaw and Mattingly, *Aircraft Engine Controls*, ch. 5 and 6; external reset in Shinskey, *Process
 Control Systems*; state-dependent parameters in Young, McKenna and Bruun, Int. J. Control 74 (2001).
+
+**Every equilibrium is stable, whatever the parameters.** There each coefficient multiplies a
+deviation that is zero, so the linearised loop has the coefficients of that place, and
+
+    L(p) = gain (1 + reset p) (1 + lead p) (c_f + push p)
+           / (reset p (1 + fan p) (1 + core p) (1 + valve p))
+
+Its phase at p = j omega is -90 deg + [atan(reset omega) - atan(fan omega) - atan(core omega)]
++ [atan(lead omega) - atan(valve omega)] + atan(push omega / c_f). The second bracket is not
+negative since lead >= valve, the first is above -90 deg since reset >= fan core / (fan + core)
+(addition theorem of the tangent), the last term is not negative. So the phase stays within
++-180 deg, L never meets the negative real axis, and by Nyquist's criterion the loop is stable at
+every gain. A step is backward Euler's, which maps a pole p to 1 / (1 - h p): inside the unit circle
+for any h. Other outputs and heat follow the loop and are lags of their own.
+
+In folders of older versions lead = lead_s, reset = reset_s, c_f is free and the steps are explicit
+(`Engine.explicit`): such a loop may hunt. They run as they did.
 
 All functions are for floats and for dual numbers (`narxcal.support.dual`).
 """
@@ -115,6 +133,7 @@ _STEP_S = 0.04  # longest inner step under a governor
 
 # Bounds of scaled speeds, of logarithms, of what is carried from sample to sample.
 _SPEED, _LOG, _CARRIED, _RATE = 1.5, 5.0, 5.0, 20.0
+_LEAST_CHORD = 0.05  # of the fan: with the core it always rises
 
 
 class Engine(NamedTuple):
@@ -123,6 +142,7 @@ class Engine(NamedTuple):
     `theta` (P,) are floats or dual numbers, `limit` (o,) bounds each deviation. `outputs` are the
     columns to be run: the core, then the fan, then others. `own` (o,) is the speed on which an
     output depends: itself or the core. `rank` (o,) is its place in the order core, fan, others.
+    `explicit`: a governed engine of an older folder.
     """
 
     theta: FloatArray
@@ -131,6 +151,7 @@ class Engine(NamedTuple):
     own: IntArray
     rank: IntArray
     governed: bool
+    explicit: bool
 
 
 class Drive(NamedTuple):
@@ -345,20 +366,13 @@ def chord(p: FloatArray, at: int, air: FloatArray, v: float, w: float) -> float:
 
 
 @compiled(exact=False)
-def _governor(
-    p: FloatArray, air: FloatArray, x: Spools, s: float, clearance: float
+def _limits(
+    p: FloatArray, air: FloatArray, x: Spools, speeds: tuple[float, float], clearance: float
 ) -> tuple[float, float]:
-    """Fuel that the control demands, f_d, and core_s; `s` is the steady state of the fan."""
-    v, u = _bounded(x.core), _bounded(x.fan)
-    core_s = line(p, _CORE_S, air, v, u)
-    error = s - x.fan - line(p, _LEAD_S, air, v, u) * x.fan_rate
-    rate = (x.reset + line(p, _GAIN, air, v, u) * error - x.core) / core_s
+    """Rates of deceleration and acceleration that the schedules allow; `speeds` bounded v, u."""
+    v, u = speeds
     cost = math.exp(clip(clearance * opening(x.metal, x.casing), -1.0, 1.0))
-    if rate > 0.0:
-        most = line(p, _UP_RATE, air, v, u) / cost
-    else:
-        most = line(p, _DOWN_RATE, air, v, u) * cost
-    return x.core + core_s * rate / stretch(rate / most, math.inf), core_s
+    return line(p, _DOWN_RATE, air, v, u) * cost, line(p, _UP_RATE, air, v, u) / cost
 
 
 @compiled(exact=False)
@@ -366,22 +380,40 @@ def _spools(
     p: FloatArray,
     air: FloatArray,
     x: Spools,
-    s: float,
+    targets: tuple[float, float, float],
     fixed: tuple[float, float, float],
 ) -> Spools:
-    """Advance control, valve, core and metal; `fixed` are clearance, what the valve keeps, and h.
+    """Advance control, valve, spools and metal by backward Euler.
 
-    The fan stays as it is.
+    `targets` are w, s and the chord of the fan at the end of the step, `fixed` clearance, valve, h.
+    With a = dv/dt, v' = v + h a, f' = v' + core a, f_d = f' + valve (f' - f) / h and u' = u_0 +
+    u_1 a are linear in a, and so is the governor's equation. It gives a, which is then limited.
     """
-    clearance, kept, h = fixed
-    demand, core_s = _governor(p, air, x, s, clearance)
-    v, u = _bounded(x.core), _bounded(x.fan)
-    reset = demand + (x.reset - demand) * math.exp(-h / line(p, _RESET_S, air, v, u))
-    fuel = demand + (x.fuel - demand) * kept
-    mean = 0.5 * (x.fuel + fuel)
-    core = mean + (x.core - mean) * math.exp(-h / core_s)
+    (w, s, c), (clearance, valve, h), (v, u) = targets, fixed, (_bounded(x.core), _bounded(x.fan))
+    core, fan = line(p, _CORE_S, air, v, u), line(p, _FAN_S, air, v, u)
+    gain, lead = line(p, _GAIN, air, v, u), valve + line(p, _LEAD_S, air, v, u)
+    reset = h / (fan * core / (fan + core) + line(p, _RESET_S, air, v, u))
+    k = h / fan
+    u_0 = (x.fan + k * (s - c * (w - x.core))) / (1.0 + k)
+    u_1 = k * (c * h + line(p, _PUSH, air, v, u)) / (1.0 + k)
+    # (f_d - v') / core = m a + q
+    m, q = 1.0 + valve * (h + core) / (h * core), valve * (x.core - x.fuel) / (h * core)
+    error = s - u_0 - lead * (u_0 - x.fan) / h
+    gained = gain * (1.0 + reset)
+    a = (gained * error - x.core - core * q + x.reset) / (
+        h + core * m + gained * u_1 * (1.0 + lead / h)
+    )
+    down, up = _limits(p, air, x, (v, u), clearance)
+    if a > (up - q) / m:
+        a = (up - q) / m
+    elif a < (-down - q) / m:
+        a = (-down - q) / m
+    after = x.core + h * a
+    fuel, demand = after + core * a, after + core * (m * a + q)
     metal, casing = warmed(x.metal, x.casing, fuel, (v, air[0], h))
-    return Spools(core, x.fan, fuel, reset, x.fan_rate, metal, casing)
+    turned = u_0 + u_1 * a
+    kept = (x.reset + reset * demand) / (1.0 + reset)
+    return Spools(after, turned, fuel, kept, (turned - x.fan) / h, metal, casing)
 
 
 @compiled(exact=False)
@@ -427,28 +459,28 @@ def _governed(engine: Engine, drive: Drive, x: FloatArray, k: int, dt_s: float) 
     core, fan, count = outputs[0], outputs[1], inner_steps(dt_s)
     slopes, _, extra = _places(len(engine.rank))
     h, start, end = dt_s / count, target[k - 1], target[k]
-    kept, r = math.exp(-h / clip(get(p, extra), 0.01, 1.0)), _opened(x, drive, k, (core, fan))
-    fixed, d_fan = (get(p, extra + 1), kept, h), get(x, (FAST, fan)) * unit[fan]
+    fixed = (get(p, extra + 1), clip(get(p, extra), 0.01, 1.0), h)
+    r = _opened(x, drive, k, (core, fan))
     for i in range(count):
         w_was = start[core] + i / count * (end[core] - start[core])
         w = start[core] + (i + 1.0) / count * (end[core] - start[core])
+        s_was = start[fan] + i / count * (end[fan] - start[fan])
         s = start[fan] + (i + 1.0) / count * (end[fan] - start[fan])
-        v, u, settled = _bounded(r.core), _bounded(r.fan), _bounded(w)
-        was, r = r, _spools(p, air, r, s, fixed)
-        power, d_core = (r.core - was.core) / h, 0.5 * (w_was - was.core + w - r.core)
+        v, u, settled, was = _bounded(r.core), _bounded(r.fan), _bounded(w), r
         c = chord(p, slopes, air, v, settled)
-        beside = d_fan - c * d_core
-        pull = c * d_core - line(p, _PUSH, air, v, u) * power
-        times = (line(p, _FAN_S, air, v, u), h)
-        d_fan = follow(d_fan, pull, (end[fan] - start[fan]) / count, times)
-        rate = (s - d_fan - was.fan) / h
-        r = Spools(r.core, s - d_fan, r.fuel, r.reset, rate, r.metal, r.casing)
+        if engine.explicit:
+            r = _explicit_spools(p, air, r, (w_was, w, s_was, s, c), fixed)
+        else:
+            c = clip(c, _LEAST_CHORD, math.inf)
+            r = _spools(p, air, r, (w, s, c), fixed)
+        power, d_core = (r.core - was.core) / h, 0.5 * (w_was - was.core + w - r.core)
+        beside = s_was - was.fan - c * d_core
         core_now = (v, u, settled, d_core, power, beside)
         for j in range(2, len(outputs)):
             step = (drive.ss[k, outputs[j]] - drive.ss[k - 1, outputs[j]]) / count
             _governed_output(engine, drive, x, (k, outputs[j]), (core_now, step, h))
     put(x, (FAST, core), (end[core] - r.core) / unit[core])
-    put(x, (FAST, fan), d_fan / unit[fan])
+    put(x, (FAST, fan), (end[fan] - r.fan) / unit[fan])
     was_open = opening(get(x, (COVER, core)), get(x, (METAL, core)))
     _closed(x, r, core, end[core])
     _governed_heat(engine, drive, x, k, (dt_s, was_open))
@@ -500,6 +532,49 @@ def _governed_heat(
 def inner_steps(dt_s: float) -> int:
     """How many inner steps a governed engine takes per sample."""
     return max(1, math.ceil(dt_s / _STEP_S - 1e-9))
+
+
+# ---- governed, explicit steps of older folders
+
+
+@compiled(exact=False)
+def _explicit_governor(
+    p: FloatArray, air: FloatArray, x: Spools, s: float, clearance: float
+) -> tuple[float, float]:
+    """Fuel that the control demands, f_d, and core_s; `s` is the steady state of the fan."""
+    v, u = _bounded(x.core), _bounded(x.fan)
+    core_s = line(p, _CORE_S, air, v, u)
+    error = s - x.fan - line(p, _LEAD_S, air, v, u) * x.fan_rate
+    rate = (x.reset + line(p, _GAIN, air, v, u) * error - x.core) / core_s
+    down, up = _limits(p, air, x, (v, u), clearance)
+    most = up if rate > 0.0 else down
+    return x.core + core_s * rate / stretch(rate / most, math.inf), core_s
+
+
+@compiled(exact=False)
+def _explicit_spools(
+    p: FloatArray,
+    air: FloatArray,
+    x: Spools,
+    targets: tuple[float, float, float, float, float],
+    fixed: tuple[float, float, float],
+) -> Spools:
+    """Advance control, valve, core and metal, then the fan.
+
+    `targets` are w and s before and after the step, and the chord of the fan.
+    """
+    (w_was, w, s_was, s, c), (clearance, valve, h) = targets, fixed
+    demand, core_s = _explicit_governor(p, air, x, s, clearance)
+    v, u = _bounded(x.core), _bounded(x.fan)
+    reset = demand + (x.reset - demand) * math.exp(-h / line(p, _RESET_S, air, v, u))
+    fuel = demand + (x.fuel - demand) * math.exp(-h / valve)
+    mean = 0.5 * (x.fuel + fuel)
+    core = mean + (x.core - mean) * math.exp(-h / core_s)
+    metal, casing = warmed(x.metal, x.casing, fuel, (v, air[0], h))
+    pull = c * 0.5 * (w_was - x.core + w - core) - line(p, _PUSH, air, v, u) * (core - x.core) / h
+    times = (line(p, _FAN_S, air, v, u), h)
+    fan = s - follow(s_was - x.fan, pull, s - s_was, times)
+    return Spools(core, fan, fuel, reset, (fan - x.fan) / h, metal, casing)
 
 
 # ---- both
