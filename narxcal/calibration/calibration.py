@@ -113,6 +113,10 @@ class Calibration(ABC):
         """The calibration with its own model leading in every output."""
         return self.with_leads(())
 
+    def with_steady(self, steady: SteadyStateModel) -> Self:
+        """The calibration with another steady-state model of the same inputs and outputs."""
+        return self._with(steady=steady)
+
     def reaching(self, low: ArrayLike, high: ArrayLike) -> Self:
         """The calibration with inputs (n_in,) that saturate at these limits.
 

@@ -1,4 +1,4 @@
-"""`narxcal export`: a steady-state model as a table, or as a compiled FMU."""
+"""`narxcal export`: a run as C, or a steady-state model as a table or a compiled FMU."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ import numpy as np
 
 from narxcal.calibration.bundle import load_bundle
 from narxcal.channels import channel
+from narxcal.cli import export_run
 from narxcal.cli.console import Console
-from narxcal.cli.options import add_overwrite, add_trust, count, path
+from narxcal.cli.options import add_interval, add_logs, add_overwrite, add_trust, count, path
 from narxcal.export import ExportOptions, ExportReport, Grid, export_fmu, export_table
 from narxcal.export.report import ADVICE
+from narxcal.intervals import LEVEL
 from narxcal.steady.model import SteadyStateModel, open_steady
 from narxcal.steady.table import read_steady_table
 from narxcal.support.errors import ConfigError, ModelError
@@ -32,9 +34,9 @@ def add_options(parser: ArgumentParser) -> None:
         metavar="SOURCE",
         help="run folder, table (.csv), FMU, module:function, or a virtual engine's name",
     )
-    parser.add_argument("--to", choices=("table", "fmu"), required=True, help="what to write")
+    parser.add_argument("--to", choices=("table", "fmu", "c"), required=True, help="what to write")
     parser.add_argument(
-        "--out", metavar="FILE", type=path, required=True, help=".csv, .csv.gz or .fmu"
+        "--out", metavar="OUT", type=path, required=True, help=".csv, .csv.gz, .fmu; a folder for C"
     )
     add_overwrite(parser)
     add_trust(parser)
@@ -56,10 +58,16 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument("--strict", action="store_true", help="write nothing beyond the tolerance")
     parser.add_argument("--inputs", metavar="NAME", nargs="+", help="where SOURCE names none")
     parser.add_argument("--outputs", metavar="NAME", nargs="+", help="where SOURCE names none")
+    group = parser.add_argument_group("of a run: its dynamic model")
+    group.add_argument("--engine", metavar="NAME", help="that engine alone (default: all)")
+    add_interval(group, LEVEL)
+    add_logs(group)
 
 
 def run(options: Namespace, console: Console) -> int:
     """Export SOURCE and show its errors; returns 1 where the tolerance was missed."""
+    if options.to == "c":
+        return export_run.run(options, console, _nodes(options.nodes or (), options.max_rows))
     _check_name(options.out, options.to)
     check_file(options.out, Path(options.source), overwrite=options.overwrite)
     model = open_source(options.source, options.inputs, options.outputs, trust=options.trust)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import os
-from argparse import SUPPRESS, ArgumentParser, ArgumentTypeError
+from argparse import SUPPRESS, ArgumentParser, ArgumentTypeError, _ArgumentGroup
 from pathlib import Path
 
+# A parser, or a group of its options with a title of their own.
+Options = ArgumentParser | _ArgumentGroup
 SIMULATOR = "folder of simulated logs, run folder, FMU, module:function or virtual engine's name"
 # numpy seeds its generators with any whole number, torch with 64 bits, signed.
 _LARGEST_SEED = 2**63 - 1
@@ -42,7 +44,7 @@ def level(text: str) -> float:
     return value
 
 
-def add_interval(parser: ArgumentParser, default: float | None = None) -> None:
+def add_interval(parser: Options, default: float | None = None) -> None:
     """Columns with the interval of the free run."""
     shown = "" if default is None else f" (default {default:g})"
     parser.add_argument(
@@ -154,7 +156,7 @@ def add_trust(parser: ArgumentParser) -> None:
     )
 
 
-def add_logs(parser: ArgumentParser) -> None:
+def add_logs(parser: Options) -> None:
     """--logs: other logs than those of the run."""
     parser.add_argument(
         "--logs",

@@ -236,9 +236,20 @@ class GriddedModel:
         self.envelope = Envelope(*np.array(ends).T)
 
     def _ends(self, column: int) -> tuple[float, float]:
-        block = next(block for block in self.blocks if column in block.columns)
+        block = next((block for block in self.blocks if column in block.columns), None)
+        if block is None:  # an input on which nothing depends
+            return -math.inf, math.inf
         axis = block.axes[block.columns.index(column)]
         return float(axis[0]), float(axis[-1])
+
+    def over(self, names: Sequence[str]) -> GriddedModel:
+        """The same model as one of more inputs, on which it does not depend."""
+        places = [list(names).index(name) for name in self.input_names]
+        blocks = [
+            Block(tuple(places[column] for column in block.columns), block.axes, block.values)
+            for block in self.blocks
+        ]
+        return GriddedModel((names, self.output_names), blocks, self.known)
 
     @property
     def rows(self) -> int:

@@ -184,6 +184,14 @@ class SteadyTable:
                 hint="Fill the grid, or use 'linear'",
             )
 
+    @property
+    def interpolated(self) -> tuple[tuple[FloatArray, ...], FloatArray] | None:
+        """Axes and values (nodes of each axis..., n_out) between which a grid is multilinear.
+
+        None for scattered points.
+        """
+        return self._interpolant.grid if isinstance(self._interpolant, _Grid) else None
+
     def outputs(self, inputs: ArrayLike) -> FloatArray:
         """Steady-state outputs `(..., n_out)` at `inputs` `(..., n_in)`; NaN where an input is."""
         array = checked_inputs(inputs, self.input_names)
@@ -224,6 +232,7 @@ class _Grid:
             fine = _refined(axes[0])
             values = PchipInterpolator(axes[0], values, axis=0)(fine)
             axes = [fine, *axes[1:]]
+        self.grid = (tuple(axes), values)
         self._interpolate = Multilinear.of(axes, values)
 
     def values(self, inputs: FloatArray) -> FloatArray:

@@ -1,0 +1,142 @@
+"""`narxcal export RUN`: the dynamic model as C, FMU, ONNX or JSBSim, with the proof of it."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from data_prep.prepare import hold_inputs
+from eval.evaluate import evaluation_logs
+from narxcal.calibration.bundle import Bundle, load_bundle
+from narxcal.cli.console import Console
+from narxcal.export import proof
+from narxcal.export.compiler import Compiled, compiler
+from narxcal.export.dynamic import Exportable
+from narxcal.export.report import ExportOptions
+from narxcal.support.errors import ConfigError, DataError
+from narxcal.support.files import atomic_folder, atomic_write_text, check_file, check_output_folder
+from training.masking import masked
+
+SCHEMA = "narxcal.export_run/1"
+Watch = Callable[[int, int, str], None]
+
+
+def run(options: Namespace, console: Console, nodes: dict[str, tuple[float, ...]]) -> int:
+    """Export RUN, compare the file with `simulate`, and show the proof."""
+    _check(options)
+    bundle = load_bundle(options.source, trust=options.trust)
+    with console.progress("Exporting") as advance:
+        how = ExportOptions(
+            tolerance_pct=options.tolerance,
+            max_rows=options.max_rows,
+            refine=not options.no_refine,
+            strict=options.strict,
+            source=Path(options.source).resolve().name,
+            watch=advance,
+        )
+        exported = Exportable.of(bundle, options.engine, nodes, how)
+        found = _WRITERS[options.to](exported, options, lambda: _cases(bundle, exported, options))
+    _show(console, exported, found)
+    console.document({"schema": SCHEMA, "to": options.to, "out": str(options.out), **found})
+    met = exported.sampled is None or exported.sampled.met
+    return 0 if found.get("ok", True) and met else 1
+
+
+def _check(options: Namespace) -> None:
+    """Refuse, before any work, an output that is in the way or of another kind."""
+    out = options.out
+    if options.to == "c":
+        check_output_folder(out, options.overwrite)
+        return
+    ending = {"fmu": ".fmu", "onnx": ".onnx", "jsbsim": ".xml"}[options.to]
+    if out.suffix != ending:
+        raise ConfigError(
+            f"--to {options.to} writes a {ending} file, and --out names {out.name}",
+            hint=f"Name it {out.stem}{ending}",
+        )
+    check_file(out, Path(options.source), overwrite=options.overwrite)
+
+
+def _cases(bundle: Bundle, exported: Exportable, options: Namespace) -> list[proof.Case]:
+    """Inputs to compare over: the logs of the run or those named, and drawn ones."""
+    model, engine = exported.model, options.engine or ""
+    cases = [proof.drawn(exported.program().envelope, engine)]
+    try:
+        logs = evaluation_logs(bundle, options.logs)
+    except (DataError, ConfigError):
+        if options.logs:
+            raise
+        return cases
+    for log in logs:
+        own = log.source.engine
+        if options.engine in {None, own}:
+            used = hold_inputs(masked(log), model.input_names)
+            cases.append(proof.Case(log.name, own, used.matrix(model.input_names)))
+    return cases
+
+
+def _c(exported: Exportable, options: Namespace, cases: Callable[[], Any]) -> dict[str, Any]:
+    """Write the sources; without a compiler nothing is proven."""
+    program = exported.program(options.interval)
+    with atomic_folder(options.out, options.overwrite) as part:
+        for name, text in program.code.items():
+            atomic_write_text(part / name, text)
+        found: dict[str, Any] = {"file": "engine.c", "rows": []}
+        if compiler() is not None:
+            model = Compiled.of(program)
+
+            def run_c(case: proof.Case, start: Any) -> Any:
+                number = program.number_of(case.engine)
+                return model.run(case.inputs, start, number)[:, : model.outputs]
+
+            given = cases()
+            rows = proof.compare(exported.model, run_c, given)
+            step_us = model.step_us(proof.held(given[-1].inputs))
+            found = proof.document(
+                part / "engine.c", rows, proof.BOUND, step_us=step_us, states=program.states,
+                sampled=_sampling(exported, given),
+            )  # fmt: skip
+            proof.write(part, found)
+        else:
+            proof.write(part, found)
+    return found
+
+
+def _sampling(exported: Exportable, cases: list[proof.Case]) -> dict[str, Any] | None:
+    """What sampling the steady state changed: at random conditions, and in free run."""
+    if exported.sampled is None:
+        return None
+    rows = proof.compare(exported.original, _simulated(exported), cases[1:], starts=False)
+    return {"steady": exported.sampled.to_dict(), "rows": rows}
+
+
+def _simulated(exported: Exportable) -> proof.Run:
+    return lambda case, start: exported.model.for_engine(case.engine).simulate(
+        proof.held(case.inputs), start
+    )
+
+
+_WRITERS: dict[str, Callable[[Exportable, Namespace, Callable[[], Any]], dict[str, Any]]] = {
+    "c": _c,
+}
+
+
+def _show(console: Console, exported: Exportable, found: dict[str, Any]) -> None:
+    for line in exported.about[2:]:
+        console.say(line)
+    rows = [
+        [row["log"], row["what"], str(row["samples"]), f"{max(row['largest'].values()):.2g}"]
+        for row in found["rows"]
+    ]
+    if not rows:
+        console.warn("there is no C compiler 'cc' on the PATH: sources alone, and no proof")
+        return
+    console.table(
+        "Largest difference from simulate", ["log", "what", "samples", "any output"], rows
+    )
+    if "step_us" in found:
+        console.say(f"{found['step_us']:.2f} us a step, {found['states']} numbers in the state")
+    if not found["ok"]:
+        console.warn(f"the largest difference, {found['largest']:.3g}, is above {found['bound']:g}")

@@ -1,0 +1,316 @@
+"""The parts of a stored model as the C runtime takes them: a function and its table of numbers.
+
+Each stored form describes itself by a `Part`: the name of the functions `NAME_start` and
+`NAME_step` in `narxcal/export/c/NAME.c`, the numbers in its structure, and the size of its state.
+The deviation of a model is the weighted sum of those of its parts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from narxcal.atmosphere import air_columns
+from narxcal.calibration.calibration import Calibration, DynamicCalibration
+from narxcal.calibration.identified import (
+    EngineDynamics,
+    IdentifiedCalibration,
+    NoDynamics,
+    ResponseDynamics,
+    StateSpaceDynamics,
+)
+from narxcal.calibration.lead import Lead
+from narxcal.export.grid import Block, GriddedModel
+from narxcal.lumped import rotors
+from narxcal.lumped.engine import LumpedEngine
+from narxcal.output_error.engine import EngineFromSteady
+from narxcal.steady.fitted import RATIOS, FittedSteadyState
+from narxcal.steady.model import Envelope, SteadyStateModel
+from narxcal.steady.table import SteadyTable
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ModelError
+
+LAG_ROWS = rotors.ROWS + 2  # of lags.c: those of `rotors`, and two rows of the newest sample
+
+
+@dataclass(frozen=True, eq=False)
+class Struct:
+    """Numbers of a C structure `kind` by field, and what has to stand before it.
+
+    A value is a number, an array (NULL where it is empty), a structure, a list of structures, or
+    the name of a function. `needs` are files of the runtime, `define` lines before them.
+    """
+
+    kind: str
+    numbers: Mapping[str, Any]
+    needs: tuple[str, ...] = ()
+    define: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A part of the dynamics with `states` numbers in its state, weighted (n_out,) in the sum."""
+
+    struct: Struct
+    states: int
+    weights: FloatArray
+
+
+def steady_struct(steady: SteadyStateModel) -> tuple[Struct, tuple[str, ...]]:
+    """A steady-state model, and the engines that it tells apart; the first is the one chosen.
+
+    Raises `ModelError` for a model that is neither a gridded table nor fitted.
+    """
+    if isinstance(steady, FittedSteadyState):
+        # A model of one engine was asked for as such; else all are in the file.
+        chosen = steady.engine in steady.engines
+        return _fitted(steady), (steady.engine, *(() if chosen else steady.engines))
+    if isinstance(steady, GriddedModel):
+        known = steady.known
+        masks = [None if known.all() else known, *[None] * len(steady.blocks)]
+        grids = [_grid(block, mask) for block, mask in zip(steady.blocks, masks, strict=False)]
+        return _table(steady.envelope, grids), ("",)
+    if isinstance(steady, SteadyTable) and steady.interpolated is not None:
+        columns = tuple(range(len(steady.input_names)))
+        grids = [_grid(Block(columns, *steady.interpolated))]
+        return _table(Envelope.of(steady.points), grids), ("",)
+    raise ModelError(
+        f"a steady state of kind '{getattr(steady, 'kind', type(steady).__name__)}' is no grid",
+        hint="Sample it first: narxcal export does so",
+    )
+
+
+def is_exact(steady: SteadyStateModel) -> bool:
+    """Whether the runtime computes a steady-state model as it is, without sampling it."""
+    if isinstance(steady, SteadyTable):
+        return steady.interpolated is not None
+    return isinstance(steady, FittedSteadyState | GriddedModel)
+
+
+def _table(envelope: Envelope, grids: list[Struct]) -> Struct:
+    numbers = {"low": envelope.low, "high": envelope.high, "count": len(grids), "grids": grids}
+    return Struct("table", numbers, ("grid", "table"))
+
+
+def _grid(block: Block, known: NDArray[np.bool_] | None = None) -> Struct:
+    numbers = {
+        "dims": len(block.axes),
+        "width": block.values.shape[-1],
+        "columns": np.array(block.columns, dtype=np.int64),
+        "lengths": np.array([len(axis) for axis in block.axes], dtype=np.int64),
+        "nodes": np.concatenate([*block.axes, np.empty(0)]),
+        "values": block.values,
+        "known": np.empty(0) if known is None else known,
+    }
+    return Struct("grid", numbers, ("grid",))
+
+
+_KINDS = {"_pct": "SPEED", "_C": "TEMPERATURE", "FF_kgph": "FUEL", "FN_kN": "THRUST"}
+
+
+def _kind(name: str, *, corrected: bool) -> int:
+    """What the channel is corrected by, as `corrected_scale` of fitted.c numbers it."""
+    order = ("PLAIN", "SPEED", "TEMPERATURE", "FUEL", "THRUST")
+    found = [kind for end, kind in _KINDS.items() if name.endswith(end)]
+    return order.index(found[0]) if found and corrected else 0
+
+
+def _fitted(model: FittedSteadyState) -> Struct:
+    layout, names = model.layout, model.input_names
+    taylor = model._splines.c[::-1]  # noqa: SLF001 (value, slope, curvature; piece; spline)
+    pieces = np.einsum("tps,ovs->povt", taylor, model.curve[..., 1:])
+    pieces[..., 0] += model.curve[..., 0]
+    none = np.zeros((len(model.output_names), 2))
+    lines = dict(zip(model.engines, model.engine_lines, strict=True))
+    fuel = _kind(layout.driver, corrected=layout.corrected)
+    numbers = {
+        "air": air_columns(names),
+        "kinds": np.array([_kind(o, corrected=layout.corrected) for o in model.output_names]),
+        "driver": names.index(layout.driver),
+        "fuel": fuel if layout.driver == "FF_kgph" else -1,
+        "low": model.envelope.low,
+        "high": model.envelope.high,
+        "seen": model.seen,
+        "knots": len(model.knots),
+        "knot": model.knots,
+        "curve": pieces,
+        "engines": np.array(
+            [lines[model.engine]] if model.engine in lines else [none, *model.engine_lines]
+        ),
+        "blends": len(layout.blend),
+        "switches": len(layout.switches),
+        "ratios": len(layout.exponents),
+        "blend": np.array([names.index(name) for name in layout.blend], dtype=np.int64),
+        "switch_column": np.array([names.index(n) for n in layout.switches], dtype=np.int64),
+        "switch_line": model.switch_lines,
+        "ratio": np.array([RATIOS.index(name) for name in layout.exponents], dtype=np.int64),
+        "ratio_seen": model.air_seen,
+        "ratio_line": model.air_lines,
+    }
+    corners = {"FITTED_CORNERS": f"#define FITTED_CORNERS {2 ** len(layout.blend)}"}
+    return Struct("fitted", numbers, ("air", "fitted"), corners)
+
+
+def parts_of(model: Calibration) -> list[Part]:
+    """Return the parts of a calibration's dynamics; `ModelError` names one that C lacks."""
+    alone = np.ones(len(model.output_names))
+    for lead in model.leads:
+        alone[lead.channel] = 0.0
+    if isinstance(model, DynamicCalibration):
+        own = [_narx(model, alone)]
+    elif isinstance(model, IdentifiedCalibration):
+        own = _identified(model, alone)
+    else:
+        raise ModelError(f"a model of type {type(model).__name__} cannot be exported")
+    return [*own, *(_lead(one, len(alone)) for one in model.leads if one.kind != "steady_state")]
+
+
+def _narx(model: DynamicCalibration, weights: FloatArray) -> Part:
+    narx, config, net = model.narx, model.narx.config, model.narx.weights
+    outputs, depth, width = len(weights), config.taps[-1], narx.inputs
+    numbers = {
+        "hidden": config.hidden,
+        "lags": config.lags,
+        "taps": len(config.taps),
+        "depth": depth,
+        "width": width,
+        "moving": config.moving,
+        "schedules": len(model.schedule),
+        "tap": np.array(config.taps),
+        "schedule": np.array([model.input_names.index(n) for n in model.schedule], dtype=np.int64),
+        "in_centre": narx.input_scaling.centre,
+        "in_scale": narx.input_scaling.scale,
+        "out_centre": narx.output_scaling.centre,
+        "out_scale": narx.output_scaling.scale,
+        **{name: getattr(net, name) for name in ("w1", "b1", "w2", "b2", "a", "low", "high")},
+        "keep": -1.0 if model.settle_s is None else math.exp(-model.dt_s / model.settle_s),
+    }
+    states = outputs * (3 + config.lags) + (depth + 1) * width
+    needs: tuple[str, ...] = ("narx",)
+    define: Mapping[str, str] = {}
+    if model.lag is not None:
+        lags = _lags(model.lag, model)
+        numbers |= {"lag_start": "lags_start", "lag_step": f"{lags.needs[-1]}_step", "lag": lags}
+        states += LAG_ROWS * outputs
+        needs, define = (*lags.needs, "narx"), lags.define
+    return Part(Struct("narx", numbers, needs, define), states, weights)
+
+
+def _lags(lag: LumpedEngine, model: DynamicCalibration) -> Struct:
+    if lag.explicit:
+        raise ModelError(
+            "the governed lags are those of an older version, which may hunt",
+            hint="Train the run again",
+        )
+    engine, slow = lag.compiled(), lag.start(np.ones(len(lag.output_names)))[rotors.CASING]
+    numbers = {
+        "air": air_columns(model.input_names),
+        **{name: getattr(lag, name) for name in ("theta", "centre", "half", "limit", "order")},
+        "own": engine.own,
+        "rank": engine.rank,
+        "slow": slow.astype(np.int64),
+        "dt_s": model.dt_s,
+    }
+    define = _governed(len(slow)) if lag.governed else {"LIMITED": _enum("LIMITED", rotors.LIMITED)}
+    form = "governed" if lag.governed else "limited"
+    return Struct("lags", numbers, ("air", "lags", form), define)
+
+
+def _enum(head: str, names: tuple[str, ...]) -> str:
+    return f"enum {{ {', '.join(f'{head}_{name}' for name in (*names, 'SIZE'))} }};"
+
+
+def _governed(count: int) -> dict[str, str]:
+    """Places in theta of a governed engine of `count` outputs."""
+    lines, others, terms = len(rotors.LINES), len(rotors.OTHER_LINES), len(rotors.REGRESSORS)
+    slopes = terms * (lines + others * (count - 2))
+    heat = slopes + len(rotors.SLOPES) * (count - 1)
+    places = {
+        "REGRESSORS": terms,
+        "REGRESSOR_Mach": rotors.REGRESSORS.index("Mach"),
+        "SLOPES": slopes,
+        "SLOPE_TERMS": len(rotors.SLOPES),
+        "HEATS": heat,
+        "HEAT_TERMS": len(rotors.HEAT),
+        "EXTRA": heat + len(rotors.HEAT) * count,
+    }
+    listed = ", ".join(f"{name} = {value}" for name, value in places.items())
+    return {"LINES": _enum("LINE", rotors.LINES), "PLACES": f"enum {{ {listed} }};"}
+
+
+def _lead(lead: Lead, outputs: int) -> Part:
+    order = len(lead.poles)
+    numbers = {
+        "channel": lead.channel,
+        "order": order if lead.kind == "arx" else 0,
+        "push": lead.push,
+        "pull": lead.pull,
+        "poles": np.array(lead.poles),
+        "gains": np.array(lead.gains),
+        "offset": lead.offset,
+    }
+    weights = np.zeros(outputs)
+    weights[lead.channel] = 1.0
+    return Part(Struct("lead", numbers, ("lead",)), max(order, 1) * (1 + outputs), weights)
+
+
+def _identified(model: IdentifiedCalibration, weights: FloatArray) -> list[Part]:
+    dynamics, outputs = model.dynamics, len(weights)
+    if isinstance(dynamics, NoDynamics):
+        return []
+    if isinstance(dynamics, StateSpaceDynamics):
+        return [_state_space(dynamics, weights)]
+    if isinstance(dynamics, ResponseDynamics):
+        return [_response(dynamics, model, weights)]
+    if not isinstance(dynamics, EngineDynamics):
+        raise ModelError(f"dynamics of kind '{dynamics.kind}' cannot be exported")
+    values = dynamics.values
+    if values["square_M"] or sorted(dynamics.order) != list(range(outputs)):
+        part = "square_M (it looks ahead)" if values["square_M"] else "outputs but N1, N2 and EGT"
+        raise ModelError(
+            f"output error with {part} cannot be exported",
+            hint="Identify it without, or by another method",
+        )
+    low, high = dynamics.span
+    numbers = {
+        "driver": model.input_names.index(dynamics.driver),
+        "low": low,
+        "high": high,
+        "order": np.array(dynamics.order),
+        **{name: values[name] / model.dt_s for name in ("tau_H", "tau_L", "tau_T", "tau_M")},
+        **{name: values[name] for name in ("rate_H", "rate_L", "alpha", "beta")},
+        "reference": EngineFromSteady(model.dt_s).reference,
+    }
+    return [Part(Struct("output_error", numbers, ("lag_step", "output_error")), 8, weights)]
+
+
+def _state_space(dynamics: StateSpaceDynamics, weights: FloatArray) -> Part:
+    own = dynamics.model
+    numbers = {"order": own.order, "A": own.A, "B": own.B, "C": own.C}
+    numbers["fade"] = float(np.abs(own.poles[0])) if own.order else 0.0
+    most = {"STATE_SPACE_ORDER": f"#define STATE_SPACE_ORDER {max(own.order, 1)}"}
+    struct = Struct("state_space", numbers, ("state_space",), most)
+    return Part(struct, own.order + 2 * len(weights), weights)
+
+
+def _response(dynamics: ResponseDynamics, model: Calibration, weights: FloatArray) -> Part:
+    named = [name for name in dynamics.conditions if name != "level"]
+    grids = [
+        _grid(Block(tuple(range(len(one.axes))), tuple(map(np.array, one.axes)), one.values))
+        for one in dynamics.schedules
+    ]
+    numbers = {
+        "level": int("level" in dynamics.conditions),
+        "conditions": len(named),
+        "columns": np.array([model.input_names.index(name) for name in named], dtype=np.int64),
+        "schedules": grids,
+        "dt_s": dynamics.dt_s,
+    }
+    return Part(
+        Struct("response", numbers, ("grid", "lag_step", "response")), 5 * len(weights), weights
+    )

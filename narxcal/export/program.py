@@ -1,0 +1,259 @@
+"""A stored model as one C file and one header: the runtime's files, and its numbers as tables."""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from narxcal.calibration.calibration import Calibration
+from narxcal.channels import CHANNELS
+from narxcal.export.parts import Part, Struct, parts_of, steady_struct
+from narxcal.intervals import LEVEL, LEVELS
+from narxcal.steady.model import Envelope
+
+_PER_LINE = 6
+# The runtime's files in the order of their use.
+_ORDER = (
+    "air", "grid", "table", "fitted", "lags", "limited", "governed", "narx", "lead", "lag_step",
+    "response", "state_space", "output_error",
+)  # fmt: skip
+
+
+def shipped(name: str) -> str:
+    """Text of a C file of the runtime."""
+    return files("narxcal.export").joinpath("c", name).read_text(encoding="utf-8")
+
+
+def unit_of(name: str) -> str:
+    """Unit of a channel."""
+    return CHANNELS[name].unit if name in CHANNELS else "-"
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A calibration to be written as C.
+
+    `about` are lines on where it comes from, `sha256` is the hash of the run, `level` the share of
+    samples that intervals cover.
+    """
+
+    model: Calibration
+    about: Sequence[str] = ()
+    sha256: str = ""
+    level: float = LEVEL
+
+    @cached_property
+    def _steady(self) -> tuple[Struct, tuple[str, ...]]:
+        return steady_struct(self.model.steady)
+
+    @cached_property
+    def parts(self) -> list[Part]:
+        """Parts of the dynamics; empty for a steady state alone."""
+        return parts_of(self.model)
+
+    @property
+    def engines(self) -> tuple[str, ...]:
+        """Names of engines by number; the first is the one chosen, "" for none in particular."""
+        return self._steady[1]
+
+    def number_of(self, engine: str) -> int:
+        """Number of an engine; 0, the chosen one, for a name that the model does not know."""
+        return self.engines.index(engine) if engine in self.engines else 0
+
+    @property
+    def states(self) -> int:
+        """Numbers in the state."""
+        return sum(part.states for part in self.parts)
+
+    @property
+    def start(self) -> list[float]:
+        """Inputs before any are known: zero, or the nearest value in the envelope."""
+        zero: list[float] = self.envelope.clamp(np.zeros(len(self.model.input_names))).tolist()
+        return zero
+
+    @property
+    def envelope(self) -> Envelope:
+        """Ranges of the inputs."""
+        numbers = self._steady[0].numbers
+        return Envelope(numbers["low"], numbers["high"])
+
+    @cached_property
+    def code(self) -> dict[str, str]:
+        """C files by name: `engine.h` and `engine.c`."""
+        return {"engine.h": self._header(), "engine.c": self._source()}
+
+    def _header(self) -> str:
+        inputs, outputs = self.model.input_names, self.model.output_names
+        low, high = self.envelope.low.tolist(), self.envelope.high.tolist()
+        bounds = [
+            f"#define NARXCAL_{end}_{name} ({_number(value)})"
+            for end, values in (("LOW", low), ("HIGH", high))
+            for name, value in zip(inputs, values, strict=True)
+        ]
+        enums = [
+            "enum { /* inputs */",
+            *(f"    NARXCAL_{name}, /* {_meaning(name)} */" for name in inputs),
+            "    NARXCAL_INPUTS\n};",
+            "enum { /* outputs */",
+            *(f"    NARXCAL_OUT_{name}, /* {_meaning(name)} */" for name in outputs),
+            "    NARXCAL_OUTPUTS\n};",
+            "enum { /* engines */",
+            *(
+                f"    NARXCAL_ENGINE_{re.sub(r'[^A-Za-z0-9]', '_', name) or 'chosen'},"
+                for name in _distinct(self.engines)
+            ),
+            "    NARXCAL_ENGINES\n};",
+        ]
+        text = shipped("engine.h")
+        return (
+            text.replace("@ABOUT@", _comment(self.about))
+            .replace("@SHA256@", self.sha256)
+            .replace("@DT_S@", _number(self.model.dt_s))
+            .replace("@STATES@", str(max(self.states, 1)))
+            .replace("@MEMORY@", str(int(self.states > 0)))
+            .replace("@LEVEL@", _number(self.level))
+            .replace("@NAMES@", "\n".join(enums))
+            .replace("@BOUNDS@", "\n".join(bounds))
+        )
+
+    def _source(self) -> str:
+        steady, structs = self._steady[0], [part.struct for part in self.parts]
+        needs = {name for struct in (steady, *structs) for name in struct.needs}
+        define = {k: v for struct in (steady, *structs) for k, v in struct.define.items()}
+        head = ["#include <math.h>", "#include <stddef.h>", "", '#include "engine.h"', ""]
+        runtime = [shipped(f"{name}.c") for name in ("base", *_ORDER) if name in {"base", *needs}]
+        return "\n".join(
+            [
+                _comment(["Generated by narxcal, see engine.h: its runtime, then its numbers."]),
+                *head,
+                *define.values(),
+                *runtime,
+                "/* ---- the numbers of this model */\n",
+                *_struct("steady_numbers", steady),
+                _steady_function(steady.kind),
+                *self._parts(),
+                *self._limits(),
+                shipped("model.c"),
+            ]
+        )
+
+    def _parts(self) -> Iterator[str]:
+        rows, at = [], 0
+        for number, part in enumerate(self.parts):
+            kind = part.struct.kind
+            yield from _struct(f"{kind}_{number}", part.struct)
+            yield _array(f"weights_{number}", part.weights)
+            named = f"&{kind}_{number}, weights_{number}"
+            rows.append(f"    {{{kind}_start, {kind}_step, {named}, {at}}}")
+            at += part.states
+        body = ",\n".join(rows or ["    {NULL, NULL, NULL, NULL, 0}"])
+        yield f"static const part parts[] = {{\n{body}\n}};"
+
+    def _limits(self) -> Iterator[str]:
+        """Limits of the inputs, their start, and the tables of the interval."""
+        model, count = self.model, len(self.model.input_names)
+        reach = model.reach or Envelope(np.full(count, -np.inf), np.full(count, np.inf))
+        yield _array("reach_low", reach.low)
+        yield _array("reach_high", reach.high)
+        yield _array("start_inputs", np.array(self.start))
+        none = [np.empty(0)] * len(model.output_names)
+        knots, widths = none, none
+        if model.interval is not None:
+            knots = list(model.interval.knots)
+            widths = [
+                np.array([np.interp(self.level, LEVELS, each) for each in one.T])
+                for one in model.interval.widths
+            ]
+        counts = [len(one) for one in knots]
+        yield _array("width_count", np.array(counts))
+        yield _array("width_first", np.cumsum([0, *counts[:-1]]))
+        yield _array("widths_at", np.array([*np.concatenate(knots), 0.0]))
+        yield _array("widths", np.array([*np.concatenate(widths), 0.0]))
+
+
+def _steady_function(kind: str) -> str:
+    engine = ("engine, ", "") if kind == "fitted" else ("", "    (void)engine;\n")
+    return (
+        f"static int steady(int engine, const double *in, double *ss)\n{{\n{engine[1]}"
+        f"    return {kind}_outputs(&steady_numbers, {engine[0]}in, ss);\n}}\n"
+    )
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    """Names of engines; the chosen one first, without the name that it has among the others."""
+    return [names[0] if len(names) == 1 else "", *names[1:]]
+
+
+def _meaning(name: str) -> str:
+    meaning = CHANNELS[name].meaning if name in CHANNELS else name
+    return f"{meaning} [{unit_of(name)}]"
+
+
+def _comment(lines: Sequence[str]) -> str:
+    plain = ["".join(c for c in line if c.isprintable()).replace("*/", "* /") for line in lines]
+    wrapped = [part for line in plain for part in textwrap.wrap(line, 92)]
+    return "/* " + "\n * ".join(wrapped) + " */"
+
+
+def _struct(name: str, struct: Struct) -> Iterator[str]:
+    """Arrays of a structure, then the structure itself."""
+    fields = []
+    for key, value in struct.numbers.items():
+        if isinstance(value, Struct):
+            yield from _struct(f"{name}_{key}", value)
+            fields.append(f".{key} = &{name}_{key}")
+        elif isinstance(value, list):
+            initial = []
+            for number, one in enumerate(value):
+                yield from _arrays(f"{name}_{key}_{number}", one.numbers)
+                initial.append(_initial(f"{name}_{key}_{number}", one.numbers))
+            body = ",\n    ".join(initial)
+            yield f"static const {value[0].kind} {name}_{key}[] = {{\n    {body}\n}};"
+            fields.append(f".{key} = {name}_{key}")
+        else:
+            yield from _arrays(f"{name}_{key}", {"": value})
+            fields.append(f".{key} = {_reference(f'{name}_{key}', value)}")
+    joined = textwrap.fill(", ".join(fields), 92, break_long_words=False)
+    yield f"static const {struct.kind} {name} = {{\n{textwrap.indent(joined, '    ')}\n}};\n"
+
+
+def _arrays(name: str, numbers: Any) -> Iterator[str]:
+    for key, value in numbers.items():
+        if isinstance(value, np.ndarray) and value.size:
+            yield _array(f"{name}_{key}".rstrip("_"), value)
+
+
+def _initial(name: str, numbers: Any) -> str:
+    shown = (f".{key} = {_reference(f'{name}_{key}', value)}" for key, value in numbers.items())
+    return "{" + ", ".join(shown) + "}"
+
+
+def _reference(name: str, value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return name if value.size else "NULL"
+    return value if isinstance(value, str) else _number(value)
+
+
+def _array(name: str, values: Any) -> str:
+    """Format as a C array; `repr` is the shortest text that is read back exactly."""
+    kinds = {"b": "unsigned char", "i": "int", "f": "double"}
+    texts = [_number(value) for value in values.ravel().tolist()]
+    lines = [", ".join(texts[k : k + _PER_LINE]) for k in range(0, len(texts), _PER_LINE)]
+    body = ",\n    ".join(lines)
+    return f"static const {kinds[values.dtype.kind]} {name}[] = {{\n    {body}\n}};"
+
+
+def _number(value: float) -> str:
+    if isinstance(value, int):
+        return str(int(value))
+    if math.isfinite(value):
+        return repr(value)
+    return "NAN" if math.isnan(value) else ("-" if value < 0.0 else "") + "INFINITY"

@@ -1,0 +1,70 @@
+"""`narxcal export RUN --to c`: files, proof, and what it refuses."""
+
+import json
+import shutil
+
+import pytest
+
+needs_a_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+
+
+@pytest.fixture(scope="module")
+def run(project):
+    return project / "run"
+
+
+@needs_a_compiler
+def test_a_run_becomes_c_that_is_proven_over_its_held_out_logs(narxcal, run, tmp_path):
+    done = narxcal("export", run, "--to", "c", "--out", tmp_path / "c")
+    assert (done.code, done.err) == (0, "")
+    assert "Largest difference from simulate" in done.out
+    assert sorted(file.name for file in (tmp_path / "c").iterdir()) == [
+        "engine.c", "engine.h", "proof.json",
+    ]  # fmt: skip
+    document = json.loads((tmp_path / "c/proof.json").read_text("utf-8"))
+    assert document["schema"] == "narxcal.proof/1"
+    proof = document["proofs"]["engine.c"]
+    assert proof["ok"]
+    assert proof["largest"] <= proof["bound"] == 1e-9
+    assert {row["what"] for row in proof["rows"]} == {
+        "free run", "restart in mid-flight", "start at other outputs",
+    }  # fmt: skip
+    logs = {row["log"] for row in proof["rows"]}
+    assert logs == {"drawn: outside the envelope, with holes", "flight_3.csv"}
+    done = narxcal("export", run, "--to", "c", "--out", tmp_path / "c", "--overwrite", "--json")
+    assert json.loads(done.out)["largest"] == proof["largest"]
+
+
+@needs_a_compiler
+def test_a_difference_above_the_bound_ends_with_one(narxcal, run, tmp_path, monkeypatch):
+    monkeypatch.setattr("narxcal.export.proof.BOUND", 1e-300)
+    done = narxcal("export", run, "--to", "c", "--out", tmp_path / "c", "--quiet")
+    assert done.code == 1
+    assert done.err.startswith("narxcal: warning: the largest difference, ")
+    assert done.err.endswith(", is above 1e-300\n")
+
+
+def test_without_a_compiler_there_are_the_sources_alone(narxcal, run, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    done = narxcal("export", run, "--to", "c", "--out", tmp_path / "c", "--quiet")
+    assert (done.code, done.err) == (
+        0,
+        "narxcal: warning: there is no C compiler 'cc' on the PATH: sources alone, and no proof\n",
+    )
+    proof = json.loads((tmp_path / "c/proof.json").read_text("utf-8"))["proofs"]["engine.c"]
+    assert proof == {"file": "engine.c", "rows": []}
+
+
+def test_a_folder_with_content_and_an_unknown_engine_are_refused(narxcal, run, tmp_path):
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c/mine.txt").write_text("mine", "utf-8")
+    done = narxcal("export", run, "--to", "c", "--out", tmp_path / "c")
+    assert (done.code, done.out) == (2, "")
+    assert "exists and is not empty" in done.err
+    done = narxcal("export", run, "--to", "c", "--out", tmp_path / "d", "--engine", "port")
+    assert (done.code, done.out, done.err) == (
+        2,
+        "",
+        "narxcal: error: the run tells no engine 'port' apart. Leave --engine out\n",
+    )
+    assert not (tmp_path / "d").exists()

@@ -1,0 +1,166 @@
+"""The C of a model computes what `simulate` does, and is C that any compiler takes."""
+
+import ctypes
+import re
+import subprocess
+
+import numpy as np
+import pytest
+
+from narxcal.export.compiler import Compiled, compiler
+from narxcal.export.program import Program
+from narxcal.support.errors import ModelError
+from tests.export import models
+
+if compiler() is None:
+    pytest.skip("needs a C compiler", allow_module_level=True)
+
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic")
+HOST = """
+#include <stdio.h>
+#include "engine.h"
+
+int main(void)
+{
+    static narxcal_state state;
+    narxcal_outputs out;
+    double in[NARXCAL_INPUTS];
+    for (int k = 0; ; k++) {
+        for (int i = 0; i < NARXCAL_INPUTS; i++) if (scanf("%lf", &in[i]) != 1) return 0;
+        if (k == 0) narxcal_init(&state, in), out = state.now;
+        else narxcal_step(&state, in, &out);
+        for (int o = 0; o < NARXCAL_OUTPUTS; o++) printf("%.17g ", out.value[o]);
+        printf("\\n");
+    }
+}
+"""
+
+
+@pytest.fixture(scope="module", params=models.KINDS)
+def model(request):
+    return models.KINDS[request.param]()
+
+
+@pytest.fixture(scope="module")
+def program(model):
+    return Program(model, ["drawn at random"], "00ff")
+
+
+@pytest.fixture(scope="module")
+def compiled(program):
+    return Compiled.of(program)
+
+
+def same(found, expected):
+    np.testing.assert_allclose(found[..., :3], expected, rtol=0.0, atol=1e-9)
+
+
+def test_a_free_run_is_that_of_simulate(model, compiled):
+    inputs = models.log()
+    found = compiled.run(inputs)
+    same(found, model.simulate(inputs))
+    assert np.ptp(found[:, :3], axis=0).min() > 5.0
+    within = model.steady.inside(inputs)
+    np.testing.assert_array_equal(found[:, -2], within)
+    assert 0.2 < within.mean() < 0.9
+    assert (found[:, -1] == 0.0).all()
+    if model.interval is None:
+        assert np.isnan(found[:, 3:6]).all()
+    else:
+        half = model.half_width(inputs, found[:, :3], 0.9)
+        np.testing.assert_allclose(found[:, 3:6], half, rtol=1e-9)
+
+
+def test_a_run_begins_at_measured_outputs_and_again_in_mid_flight(model, compiled):
+    inputs = models.log()
+    measured = model.steady.outputs(inputs[0]) + np.array([2.0, np.nan, 20.0])
+    same(compiled.run(inputs, measured), model.simulate(inputs, measured))
+    restarted = compiled.run(inputs[200:])
+    same(restarted, model.simulate(inputs[200:]))
+
+
+def test_a_stored_state_goes_on_as_if_nothing_had_been(compiled):
+    inputs = models.log()
+    whole = compiled.run(inputs)
+    compiled.run(inputs[:100])
+    stored = bytes(compiled.state)
+    compiled.run(inputs[300:400])
+    ctypes.memmove(ctypes.byref(compiled.state), stored, len(stored))
+    later = compiled.steps(inputs[100:])
+    np.testing.assert_array_equal(later, whole[100:])
+
+
+def test_inputs_that_are_no_numbers_are_held_and_flagged(model, compiled):
+    inputs = models.log(far=False)
+    holed = inputs.copy()
+    holed[50:60, 0], holed[100, 1], holed[200, 2] = np.nan, np.inf, -np.inf
+    held = inputs.copy()
+    held[50:60, 0], held[100, 1], held[200, 2] = inputs[49, 0], inputs[99, 1], inputs[199, 2]
+    found = compiled.run(holed)
+    same(found, model.simulate(held))
+    assert np.flatnonzero(found[:, -1]).tolist() == [*range(50, 60), 100, 200]
+    assert compiled.start(np.full(4, np.nan))[-1] == 1.0
+    assert np.isfinite(compiled.start(np.full(4, np.nan))[:3]).all()
+
+
+def test_each_engine_of_a_fitted_model_is_in_the_file(model, program, compiled):
+    inputs = models.log(90)
+    for number, name in enumerate(program.engines):
+        same(compiled.run(inputs, engine=number), model.for_engine(name).simulate(inputs))
+    expected = ("", "left", "right") if hasattr(model.steady, "engines") else ("",)
+    assert program.engines == expected
+
+
+@pytest.mark.parametrize("sanitised", [False, True])
+def test_the_code_builds_without_a_warning_and_runs_clean(model, program, sanitised, tmp_path):
+    for name, text in {**program.code, "host.c": HOST}.items():
+        (tmp_path / name).write_text(text, "utf-8")
+    flags = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"] if sanitised else ["-O2"]
+    command = ["cc", *STRICT, *flags, "engine.c", "host.c", "-o", "host", "-lm"]
+    built = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (built.returncode, built.stderr) == (0, "")
+    inputs = models.log(240)
+    done = subprocess.run(
+        [tmp_path / "host"],
+        input="\n".join(" ".join(map(repr, row)) for row in inputs.tolist()),
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    found = np.array([line.split() for line in done.stdout.splitlines()], dtype=float)
+    same(found, model.simulate(inputs))
+
+
+def test_the_code_takes_no_memory_and_calls_the_maths_library_alone(program):
+    source = program.code["engine.c"]
+    assert set(re.findall(r"#include (\S+)", source)) == {"<math.h>", "<stddef.h>", '"engine.h"'}
+    assert not re.search(r"\b(malloc|calloc|realloc|free)\(", source)
+
+
+def test_the_header_names_channels_units_envelope_and_run(program):
+    header = program.code["engine.h"]
+    assert "drawn at random" in header
+    assert '#define NARXCAL_RUN_SHA256 "00ff"' in header
+    assert "#define NARXCAL_DT_S 0.1 " in header
+    assert re.search(r"    NARXCAL_FF_kgph, /\* .*fuel.* \[kg/h\] \*/", header)
+    assert re.search(r"    NARXCAL_OUT_EGT_C, /\* .* \[degC\] \*/", header)
+    assert "#define NARXCAL_LOW_FF_kgph (100.0)" in header
+
+
+def test_what_cannot_be_exported_is_named():
+    steady = models.table()
+    scattered = type(steady)(
+        (models.INPUTS, models.OUTPUTS), steady.points[:-3], steady.values[:-3]
+    )
+    with pytest.raises(ModelError) as refused:
+        Program(models.identified(models.state_space(), scattered)).code  # noqa: B018
+    assert str(refused.value) == (
+        "a steady state of kind 'table' is no grid. Sample it first: narxcal export does so"
+    )
+    dynamics = models.output_error()
+    dynamics.values["square_M"] = 0.1
+    with pytest.raises(ModelError) as refused:
+        Program(models.identified(dynamics)).code  # noqa: B018
+    assert str(refused.value) == (
+        "output error with square_M (it looks ahead) cannot be exported. "
+        "Identify it without, or by another method"
+    )

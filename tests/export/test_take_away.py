@@ -1,0 +1,34 @@
+"""What docs/take_away.md shows runs as it stands there."""
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from narxcal.export.program import Program
+from tests.export import models
+
+PAGE = (Path(__file__).parents[2] / "docs/take_away.md").read_text("utf-8")
+
+
+def section(title):
+    """A section of the page, and the text of its examples."""
+    (text,) = re.findall(rf"^## {title}\n(.*?)(?=^## |\Z)", PAGE, re.MULTILINE | re.DOTALL)
+    return text, re.findall(r"^```\w*\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+
+
+def test_the_program_in_c_builds_by_the_command_of_the_page(tmp_path):
+    if shutil.which("cc") is None:
+        pytest.skip("needs a C compiler")
+    text, (main,) = section("C")
+    model = Program(models.narx(models.table(), models.lags(governed=True)))
+    for name, code in {**model.code, "main.c": main}.items():
+        (tmp_path / name).write_text(code, "utf-8")
+    (command,) = re.findall(r"^    (cc .*)$", text, re.MULTILINE)
+    subprocess.run(command.split(), cwd=tmp_path, check=True)
+    done = subprocess.run([tmp_path / "main"], capture_output=True, text=True, check=True)
+    inside, value = done.stdout.split()
+    assert inside == "0"
+    assert 0.0 < float(value) < 120.0
