@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from eval.transients import tally
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.errors import DataError
 from narxcal.support.files import finite, versions
+from narxcal.support.progress import Progress, silent
 from training.config import RunConfig
 from training.crossval import (
     LEAVE_ONE_OUT,
@@ -153,9 +154,9 @@ def cross_validate(
     base: Path,
     logs: Sequence[Log],
     jobs: int = -1,
-    watch: Callable[[FoldResult, int, int], None] | None = None,
+    progress: Progress = silent,
 ) -> CrossValidation:
-    """Calibrate and judge once per fold; `watch` is called with each fold, its number, how many.
+    """Calibrate and judge once per fold; `progress` counts the folds.
 
     `logs` are prepared as by `eval.evaluate.evaluation_logs`: masked inputs still NaN. [split]
     plays no part. Raises `DataError` where no scheme can be run.
@@ -167,8 +168,7 @@ def cross_validate(
     folds = []
     for result in run_plans(plans, config, base, judge_fold, jobs):
         folds.append(result)
-        if watch is not None:
-            watch(result, len(folds), len(plans))
+        progress(len(folds), len(plans), result.scheme)
     provenance = {
         "config": config.model_dump(mode="json", by_alias=True),
         "data": {log.source.file: log.source.sha256 for log in logs},

@@ -52,7 +52,7 @@ from training import checkpoint
 from training.checkpoint import read_checkpoint, write_checkpoint
 from training.config import load_config
 from training.estimator_folder import load as load_estimator
-from training.network import Progress
+from training.network import TrainingState
 
 ROOT = Path(__file__).parents[1]
 GOLDEN = ROOT / "tests" / "golden"
@@ -439,7 +439,7 @@ def _changed_json(rng, folder, name, document, read):
 
 def case_checkpoint(rng, folder, _sound):
     file = folder / "joint.safetensors"
-    write_checkpoint(file, Progress(np.arange(5.0)), "key")
+    write_checkpoint(file, TrainingState(np.arange(5.0)), "key")
     if rng.random() < 0.5:
         file.write_bytes(arrays_changed(rng, file.read_bytes()))
     else:  # as its author could have written it

@@ -21,7 +21,7 @@ from narxcal.support.errors import ModelError
 from narxcal.support.files import atomic_write_bytes
 from training.adam import Moments
 from training.levenberg_marquardt import Damping
-from training.network import HistoryRow, Progress
+from training.network import HistoryRow, TrainingState
 
 _SCHEMA = "narxcal.checkpoint/1"
 
@@ -31,7 +31,7 @@ def fingerprint(*parts: str) -> str:
     return sha256("\n".join(parts).encode()).hexdigest()
 
 
-def write_checkpoint(file: Path, progress: Progress, key: str) -> None:
+def write_checkpoint(file: Path, progress: TrainingState, key: str) -> None:
     """Write atomically: a kill at any time leaves the last complete step."""
     arrays = {"theta": progress.theta}
     if progress.best_theta is not None:
@@ -65,7 +65,7 @@ def _digest(arrays: Mapping[str, NDArray[Any]], state: str) -> str:
     return fingerprint(state, *parts)
 
 
-def read_checkpoint(file: Path, key: str) -> Progress:
+def read_checkpoint(file: Path, key: str) -> TrainingState:
     """Read what `write_checkpoint` wrote.
 
     Raises `ModelError` if it cannot be read, or if it is of another training.
@@ -83,11 +83,11 @@ def read_checkpoint(file: Path, key: str) -> Progress:
         raise _unreadable(file, error) from None
 
 
-def _progress(arrays: dict[str, Any], state: dict[str, Any]) -> Progress:
+def _progress(arrays: dict[str, Any], state: dict[str, Any]) -> TrainingState:
     moments = None
     if state["adam_steps"] is not None:
         moments = Moments(arrays["first"], arrays["second"], state["adam_steps"])
-    return Progress(
+    return TrainingState(
         theta=arrays["theta"],
         start=state["start"],
         stage=state["stage"],

@@ -31,6 +31,7 @@ from narxcal.narx.latent import Shape
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
+from narxcal.support.progress import Progress, silent
 from training import ranking
 from training.arx import dead_times
 from training.held_out import FOLDS, SHORTEST, WINDOW, Fold, by_piece, folds_of, runs_of
@@ -38,7 +39,7 @@ from training.latent_forms import affordable, try_latent
 from training.linear_forms import linear_model, try_arx, try_linear
 from training.network_forms import try_network
 from training.ranking import Form, Tried, best_by_rung, simplex
-from training.search import LAG, LATENT, MEAN, Search, Watch, Work
+from training.search import LAG, LATENT, MEAN, Search, Work
 
 _UNITS_PER_SAMPLE = 6000.0  # of the budget; with less a single record has half as many folds
 _MIXED = 3  # forms of which a mean is taken
@@ -76,7 +77,7 @@ class Limits:
 def choose(
     records: Sequence[Record],
     limits: Limits,
-    watch: Watch | None = None,
+    progress: Progress = silent,
     validation: Sequence[Record] = (),
 ) -> Choice:
     """Search the ladder within a budget, and fit the chosen form to all records.
@@ -94,7 +95,7 @@ def choose(
         )
     work = Work(limits.time_limit_s)
     folds = divide(long, work.budget, validation)
-    search = Search(long, folds, work, limits.seed, watch or (lambda _share, _what: None))
+    search = Search(long, folds, work, limits.seed, progress)
     if not folds:
         return _without_folds(search)
     _climb(search, limits.linear)

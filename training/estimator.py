@@ -31,7 +31,7 @@ from training.choice import Choice, Limits, choose
 from training.config import TrainConfig
 from training.estimator_folder import TIME_LIMIT_S, Stored, Structure, load, save
 from training.held_out import known_start
-from training.network import FitResult, Material, Watch, fit_narx
+from training.network import FitResult, Material, OnStep, fit_narx
 
 Records: TypeAlias = RecordLike | Iterable[RecordLike]
 
@@ -97,13 +97,13 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         self,
         records: Records,
         validation: Records | None = None,
-        watch: Watch | None = None,
+        on_step: OnStep | None = None,
     ) -> Self:
         """Fit to whole records; stop and select by `validation` records where given.
 
-        `watch` is called after every step of a network. NaN outputs are masked. Raises `DataError`
-        for what is no record, and for records that do not fit each other, `ConfigError` for
-        parameters that are none.
+        `on_step` is called after every step of a network. NaN outputs are masked. Raises
+        `DataError` for what is no record, and for records that do not fit each other,
+        `ConfigError` for parameters that are none.
         """
         structure, train = self._sections()
         if not self.dt_s > 0.0 or not np.isfinite(self.dt_s):
@@ -115,7 +115,7 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
             self.result_ = self._chosen(learned, held_out)
         else:
             material = Material(learned, held_out, self.dt_s)
-            self.result_ = fit_narx(material, structure, train, watch)
+            self.result_ = fit_narx(material, structure, train, on_step)
         return self
 
     def _chosen(self, learned: list[Record], held_out: list[Record]) -> Choice:
@@ -129,10 +129,10 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         if not self.verbose:
             return choose(learned, limits, validation=held_out)
         with Progress(transient=True) as bar:
-            task = bar.add_task("choosing", total=1.0)
+            task = bar.add_task("choosing", total=100)
 
-            def show(share: float, what: str) -> None:
-                bar.update(task, completed=share, description=what)
+            def show(done: int, total: int, what: str = "") -> None:
+                bar.update(task, completed=done, total=total, description=what)
 
             return choose(learned, limits, show, held_out)
 

@@ -51,6 +51,7 @@ from narxcal.lumped.rotors import Drive
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 from narxcal.support.errors import DataError
+from narxcal.support.progress import Progress, silent
 from training.config import RunConfig
 from training.folds import Fold, geometric_rms, held_out_folds, surely_below
 from training.lag_priors import Form, Priors, start_engine
@@ -381,12 +382,12 @@ def choose_form(
     config: RunConfig,
     steady: SteadyStateModel,
     logs: Sequence[Log],
-    progress: Callable[[int, int], None] = lambda _done, _total: None,
+    progress: Progress = silent,
 ) -> tuple[RunConfig, LagChoice]:
     """Replace "auto" in [narx] by the form that follows left-out logs best; raises no errors.
 
     Where no form can be judged (two recordings, or one without moves), it is the usual one.
-    `progress` is called with the fits done and the number of all.
+    `progress` counts the fits.
     """
     forms = _offered(config, steady)
     if len(forms) < 2 or len({log.source.file for log in logs}) == 2:
@@ -399,7 +400,7 @@ def choose_form(
     total, done = len(forms) * len(trial.folds), count()
 
     def begins() -> None:
-        progress(next(done), total)
+        progress(next(done), total, "choosing the lags")
 
     left = {form: trial.left(_with(config, form), begins) for form in forms}
     best = _best(left)

@@ -25,6 +25,7 @@ from narxcal.calibration.calibration import DynamicCalibration
 from narxcal.calibration.lead import KINDS, Kind, Lead
 from narxcal.support.arrays import FloatArray, known_mean
 from narxcal.support.errors import DataError
+from narxcal.support.progress import Progress, silent
 from training.baselines import Baselines, run_of
 from training.config import RunConfig
 from training.folds import Fold, held_out_folds, surely_below
@@ -145,7 +146,7 @@ def choose_leads(
     logs: Sequence[Log],
     refit: Refit,
     fitted: tuple[DynamicCalibration, Mapping[str, Any]],
-    watch: Callable[[int, int], None] = lambda _done, _total: None,
+    progress: Progress = silent,
 ) -> Leading:
     """Judge all models on folds of the training `logs`; `fitted` is what was fitted to all of them.
 
@@ -162,7 +163,7 @@ def choose_leads(
     held: list[Judged] = []
     lost: list[str] = []
     for number, fold in enumerate(folds):
-        watch(number, len(folds))
+        progress(number, len(folds), "judging on held-out parts")
         fit, judged = fold.of(parts)
         try:
             found, simple = refit(fit)

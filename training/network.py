@@ -1,7 +1,7 @@
 """Train a NARX network in free run: several starts, growing horizons, the best one kept.
 
-The loop takes steps from any optimiser. Its state is a `Progress` that can be written to disk after
-every step and resumed, with the same path as without an interruption. Training starts from a stable
+The loop takes steps from any optimiser. Its `TrainingState` can be written to disk after every
+step and resumed, with the same path as without an interruption. Training starts from a stable
 linear model: the open-loop least-squares ARX model is one candidate; first-order lags are the
 others, since the ARX fit of a smooth recording is often an integrator that a free run cannot use.
 `merge_models` joins networks of one output each into one that computes the same.
@@ -9,9 +9,8 @@ others, since the ARX fit of a smooth recording is often an integrator that a fr
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -133,7 +132,7 @@ class HistoryRow:
 
 
 @dataclass(frozen=True, eq=False)
-class Progress:
+class TrainingState:
     """Where training stands after a step, complete: theta, optimiser state, the best so far."""
 
     theta: FloatArray
@@ -146,6 +145,9 @@ class Progress:
     best_score: float = float("inf")
     since_best: int = 0
     history: tuple[HistoryRow, ...] = ()
+
+
+OnStep = Callable[[TrainingState], None]  # after every step, to show progress or write a checkpoint
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,18 +189,12 @@ class Material:
         return [*self.records, *(record for record in self.rest if len(record) <= steps)]
 
 
-class Watch(Protocol):
-    """Called after every step, to show a progress bar or write a checkpoint."""
-
-    def __call__(self, progress: Progress) -> None: ...  # noqa: D102
-
-
 def fit_narx(
     material: Material,
     structure: NarxConfig,
     config: TrainConfig,
-    watch: Watch | None = None,
-    resume: Progress | None = None,
+    on_step: OnStep | None = None,
+    resume: TrainingState | None = None,
 ) -> FitResult:
     """Train on whole records in free run; the same seed gives the same network.
 
@@ -209,8 +205,8 @@ def fit_narx(
     check_measured(material.records, "training")
     if material.validation:
         check_measured(material.validation, "validation")
-    run = _Run(material, structure, config, watch or _ignore)
-    progress = resume or Progress(run.first_theta(0))
+    run = _Run(material, structure, config, on_step or (lambda _state: None))
+    progress = resume or TrainingState(run.first_theta(0))
     status = "all steps done"
     try:
         with held_interrupt() as interrupt:
@@ -223,21 +219,17 @@ def fit_narx(
     return FitResult(run.model, status, progress.best_score, progress.history)
 
 
-def _ignore(progress: Progress) -> None:
-    del progress
-
-
 class _Run:
     """One call of `fit_narx`: the fixed things, and the loop over starts and stages."""
 
     def __init__(
-        self, material: Material, structure: NarxConfig, config: TrainConfig, watch: Watch
+        self, material: Material, structure: NarxConfig, config: TrainConfig, on_step: OnStep
     ) -> None:
         self.material = material
         self.config = config
-        self.watch = watch
+        self.on_step = on_step
         self.structure = structure
-        self.latest: Progress | None = None
+        self.latest: TrainingState | None = None
         self.model = self._new(config.seed)
         self.judge = self._problem(material.validation or material.records, 0.0)
 
@@ -260,22 +252,22 @@ class _Run:
         start_linear(self.model, self.material.records, problem)
         return self.model.net.get_theta()
 
-    def train(self, progress: Progress, interrupt: Interrupt) -> None:
+    def train(self, progress: TrainingState, interrupt: Interrupt) -> None:
         """Go on from `progress` to the end; `latest` always holds the last complete step."""
         while progress.start < self.config.starts:
             while progress.stage < len(self.config.horizons_s):
                 for after in self._stage(progress):
                     progress = self.latest = after
-                    self.watch(progress)
+                    self.on_step(progress)
                     interrupt.stop_here()
                 progress = self.latest = self._settle(progress)
             start = progress.start + 1
             if start < self.config.starts:
                 progress = replace(progress, theta=self.first_theta(start))
             progress = self.latest = replace(progress, start=start, stage=0)
-        self.watch(progress)
+        self.on_step(progress)
 
-    def _stage(self, progress: Progress) -> Iterator[Progress]:
+    def _stage(self, progress: TrainingState) -> Iterator[TrainingState]:
         """Yield the progress after each step of one horizon."""
         horizon_s = self.config.horizons_s[progress.stage]
         if self._over(progress):
@@ -294,13 +286,13 @@ class _Run:
             if self._over(progress):
                 return
 
-    def _over(self, progress: Progress) -> bool:
+    def _over(self, progress: TrainingState) -> bool:
         tired = bool(self.material.validation) and progress.since_best >= self.config.patience
         return tired or progress.iteration >= self.config.iterations[progress.stage]
 
     def _optimise(
-        self, problem: FreeRunProblem, progress: Progress
-    ) -> Iterator[tuple[Progress, float]]:
+        self, problem: FreeRunProblem, progress: TrainingState
+    ) -> Iterator[tuple[TrainingState, float]]:
         """Yield (`progress` with new theta and optimiser's state, loss) for any optimiser."""
         theta, decay = progress.theta, self.config.decay
         if self.config.optimiser == "adam":
@@ -312,7 +304,7 @@ class _Run:
         for step in descend(problem, theta, decay, progress.damping):
             yield replace(progress, theta=step.theta, damping=step.damping), step.loss
 
-    def _scored(self, progress: Progress, loss: float, horizon_s: float) -> Progress:
+    def _scored(self, progress: TrainingState, loss: float, horizon_s: float) -> TrainingState:
         """Add the history row; with validation records, keep the best step by them."""
         validation = float("nan")
         if self.material.validation:
@@ -323,7 +315,7 @@ class _Run:
         )
         return replace(progress, history=(*progress.history, row))
 
-    def _settle(self, progress: Progress) -> Progress:
+    def _settle(self, progress: TrainingState) -> TrainingState:
         """End a stage; without validation records, its last step competes by its own free run."""
         last = progress.stage + 1 == len(self.config.horizons_s)
         if last and not self.material.validation:
@@ -339,7 +331,7 @@ class _Run:
         )
 
 
-def _keep(progress: Progress, score: float) -> Progress:
+def _keep(progress: TrainingState, score: float) -> TrainingState:
     if score < progress.best_score:
         return replace(progress, best_theta=progress.theta, best_score=score, since_best=0)
     return replace(progress, since_best=progress.since_best + 1)

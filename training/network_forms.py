@@ -23,7 +23,7 @@ from narxcal.narx.forms import DynamicModel, Ensemble
 from narxcal.record import Record
 from training.config import TrainConfig
 from training.held_out import thinned
-from training.network import FitResult, Material, Progress, fit_narx
+from training.network import FitResult, Material, TrainingState, fit_narx
 from training.ranking import Form
 from training.search import (
     FEW,
@@ -118,7 +118,7 @@ def drawn_networks(
     One sample in `stride` is scored.
     """
     found: list[FitResult] = []
-    start: Progress | None = None
+    start: TrainingState | None = None
     for decay in decays:
         steps = (*_TRAIN.iterations[:-1], _FURTHER if start else _TRAIN.iterations[-1])
         update = {
@@ -129,7 +129,7 @@ def drawn_networks(
         }
         result = fit_narx(material, STRUCTURE, _TRAIN.model_copy(update=update), resume=start)
         found.append(result)
-        start = start or Progress(result.model.net.get_theta(), stage=len(steps) - 1)
+        start = start or TrainingState(result.model.net.get_theta(), stage=len(steps) - 1)
     rows = [row for each in found for row in each.history]
     return found, sum(_WHOLE if row.horizon_s == 0.0 else 1.0 for row in rows)
 

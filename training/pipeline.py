@@ -12,9 +12,8 @@ import hashlib
 import os
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +36,7 @@ from narxcal.steady.fitted import FittedSteadyState
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
+from narxcal.support.progress import Progress, silent
 from training.baselines import fit_baselines, run_of
 from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import METHODS, STATIC, RunConfig
@@ -48,8 +48,7 @@ from training.network import (
     FitResult,
     HistoryRow,
     Material,
-    Progress,
-    Watch,
+    TrainingState,
     fit_narx,
     merge_models,
 )
@@ -59,23 +58,20 @@ from training.steady_choice import contradicting, steady_state, without
 from training.steady_fit import SteadyQuality
 
 CHECKPOINT = "checkpoint-{}.safetensors"
-Stage = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """How to run a training: where checkpoints go, whether to resume from them, who shows progress.
+    """How to run a training: who shows progress, where checkpoints go, whether to resume from them.
 
-    `watch` is called after each step of the network, `stage` before each other step with its name,
-    how much of it is done and how much there is. `screened` logs have the faults that
+    `screened` logs have the faults that
     `training.masking.by_each_other` finds, such as parts of logs that were screened whole.
     """
 
-    watch: Watch | None = None
+    progress: Progress = silent
     checkpoints: Path | None = None
     resume: bool = False
     screened: bool = False
-    stage: Stage = lambda _name, _done, _total: None
 
 
 def configured_files(config: RunConfig, base: Path) -> list[Path]:
@@ -106,12 +102,12 @@ def calibrate(
     """
     options, began, given = options or TrainOptions(), time.perf_counter(), config
     dt_s = _common_interval([*split.train, *split.validate])
-    options.stage("comparing the logs with each other", 0, 1)
+    options.progress(0, 1, "comparing the logs with each other")
     learned = learnable(split, config, screen=not options.screened)
     split = learned.split
     method, law, quality = config.identify.method, None, None
     steady: SteadyStateModel
-    options.stage("fitting the steady state", 0, 1)
+    options.progress(0, 1, "fitting the steady state")
     if method.startswith(STATIC):
         config, steady, law = static_laws(config, split.train)
         split = split.with_outputs(config.narx.outputs)
@@ -126,7 +122,7 @@ def calibrate(
         config, calibration, leading, found = _narx(config, base, steady, split, options)
         held = leading.free_runs
     else:
-        options.stage(f"identifying by {method}", 0, 1)
+        options.progress(0, 1, f"identifying by {method}")
         known = law or identify(config, steady, split.train)
         calibration = IdentifiedCalibration(steady, known.dynamics, dt_s)
         found = {"training": {"status": known.status, "score": [], "history": []}}
@@ -154,10 +150,8 @@ def _narx(
     config: RunConfig, base: Path, steady: SteadyStateModel, split: Split, options: TrainOptions
 ) -> tuple[RunConfig, Calibration, Leading, dict[str, Any]]:
     """Fit lags and network, choose what leads; returns the configuration with the lags' form."""
-    config, choice = choose_form(
-        config, steady, split.train, partial(options.stage, "choosing the lags")
-    )
-    options.stage("fitting the lags", 0, 1)
+    config, choice = choose_form(config, steady, split.train, options.progress)
+    options.progress(0, 1, "fitting the lags")
     lag = fit_lags(config, steady, split.train)
     results = fit_networks(config, material(config, steady, lag, split), options)
     network = merge_models([result.model for result in results])
@@ -193,8 +187,7 @@ def _leading(
         found = _calibration(config, (steady, lag, network), fitted[0].dt_s)
         return found, fit_baselines(found, part.train)
 
-    watch = partial(options.stage, "judging on held-out parts")
-    return choose_leads(config, split.train, refit, fitted, watch)
+    return choose_leads(config, split.train, refit, fitted, options.progress)
 
 
 def input_reach(logs: Sequence[Log], names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
@@ -279,12 +272,25 @@ def _common_interval(logs: Sequence[Log]) -> float:
 
 def fit_networks(config: RunConfig, learned: Material, options: TrainOptions) -> list[FitResult]:
     """Train one joint network, or one for each output (see `merge_models`)."""
-    if config.narx.joint:
-        return [_fit_network(config, learned, "joint", options)]
+    parts = {"joint": learned}
+    if not config.narx.joint:
+        parts = {name: learned.of_output(k) for k, name in enumerate(config.narx.outputs)}
+    total = len(parts) * config.train.starts * sum(config.train.iterations)
     return [
-        _fit_network(config, learned.of_output(k), name, options)
-        for k, name in enumerate(config.narx.outputs)
+        _fit_network(config, part, name, _counted(options, k, len(parts), total))
+        for k, (name, part) in enumerate(parts.items())
     ]
+
+
+def _counted(options: TrainOptions, number: int, count: int, total: int) -> TrainOptions:
+    """The options for one of several networks, whose steps are counted over all of them."""
+    before = number * total // count
+    return replace(
+        options,
+        progress=lambda done, _total, what="": options.progress(
+            min(before + done, total), total, what
+        ),
+    )
 
 
 def _fit_network(
@@ -300,16 +306,22 @@ def _fit_network(
         *(_record_hash(record) for record in learned.validation),
     )
 
-    def watch(progress: Progress) -> None:
+    def on_step(state: TrainingState) -> None:
         if file is not None:
-            write_checkpoint(file, progress, key)
-        if options.watch is not None:
-            options.watch(progress)
+            write_checkpoint(file, state, key)
+        if state.history:
+            options.progress(len(state.history), 0, _error_words(state.history[-1]))
 
     resume = None
     if options.resume and file is not None and file.is_file():
         resume = read_checkpoint(file, key)
-    return fit_narx(learned, structure, config.train, watch, resume)
+    return fit_narx(learned, structure, config.train, on_step, resume)
+
+
+def _error_words(row: HistoryRow) -> str:
+    if np.isfinite(row.validation):
+        return f"free-run validation error {row.validation:.4f}"
+    return f"free-run training error {np.sqrt(2.0 * row.loss):.4f}"
 
 
 def _record_hash(record: Record) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 from narxcal.narx.forms import DynamicModel
 from narxcal.narx.network import Scaling
 from narxcal.record import Record
+from narxcal.support.progress import Progress
 from training.held_out import Fold, by_piece
 from training.ranking import Build, Form, Tried
 
@@ -28,7 +29,6 @@ FEW = 400  # samples per fold on which no form is worth trying
 PLENTY = 30.0  # rows per parameter beyond which every further one is skipped while searching
 _FAR = 3.0  # times the lowest loss of several draws: twice its error or nearly so
 
-Watch = Callable[[float, str], None]
 T = TypeVar("T")
 
 
@@ -118,7 +118,7 @@ class Search:
     folds: list[Fold]
     work: Work
     seed: int
-    watch: Watch
+    progress: Progress
     tried: list[Tried] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
@@ -179,8 +179,12 @@ class Search:
         """Add to the status once."""
         self.notes += [] if text in self.notes else [text]
 
+    def watch(self, share: float, what: str) -> None:
+        """Show that this share of the work is done."""
+        self.progress(round(100.0 * share), 100, what)
+
     def show(self) -> None:
-        """Tell how far the search is."""
+        """Show how far the search is."""
         self.watch(min(0.1 + 0.8 * self.work.spent / self.work.budget, 0.9), "choosing")
 
 

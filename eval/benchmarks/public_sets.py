@@ -22,9 +22,9 @@ from eval.scores import rms
 from narxcal.narx.forms import DynamicModel
 from narxcal.record import Record
 from narxcal.support.errors import DataError
+from narxcal.support.progress import Progress, silent
 from training.choice import Limits, choose
 from training.estimator import Narx
-from training.search import Watch
 
 SCHEMA = "narxcal.benchmark/1"
 OURS, FIXED, LINEAR, PUBLISHED = "Narx()", "Narx(None)", "linear", "published"
@@ -119,14 +119,14 @@ def figures(
     folder: Path,
     name: str,
     limits: Limits,
-    watch: Watch | None = None,
+    progress: Progress = silent,
     models: Sequence[str] = (OURS, FIXED, LINEAR),
 ) -> Iterator[Figure]:
     """Figures of `models` on one set, and the set's published ones."""
     material = read(folder, name)
     known = {one.name: one for one in SETS}.get(name, PublicSet(name, "", 1.0, ()))
     fits: dict[str, Callable[[], tuple[DynamicModel | Narx, str]]] = {
-        OURS: lambda: _chosen(material, limits, watch),
+        OURS: lambda: _chosen(material, limits, progress),
         FIXED: lambda: (Narx(None).fit(list(material.train)), "8 lags, taps 0 to 8, 8 hidden"),
         LINEAR: lambda: _chosen(material, replace(limits, linear=True)),
     }
@@ -142,9 +142,9 @@ def figures(
 
 
 def _chosen(
-    material: Material, limits: Limits, watch: Watch | None = None
+    material: Material, limits: Limits, progress: Progress = silent
 ) -> tuple[DynamicModel, str]:
-    found = choose(list(material.train), limits, watch)
+    found = choose(list(material.train), limits, progress)
     return found.model, found.reason
 
 

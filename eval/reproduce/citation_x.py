@@ -41,6 +41,7 @@ from eval.reproduce.study import Claim, Study, table_of
 from narxcal.atmosphere import air_state
 from narxcal.static_models.model import CP, GAS_R, K
 from narxcal.support.arrays import FloatArray
+from narxcal.support.progress import Progress, silent
 from narxcal.transfer.response import rise_times
 from training.static_fit import SEARCHES, Estimator
 
@@ -285,7 +286,7 @@ def reproduce(
     regions: Sequence[Region] = REGIONS,
     kinds: Sequence[Kind] = KINDS,
     estimators: Sequence[Estimator] = SEARCHES,
-    watch: Callable[[str], None] = lambda _: None,
+    progress: Progress = silent,
 ) -> tuple[Study, ...]:
     """Run both studies, static and dynamic; the same engine gives the same numbers.
 
@@ -294,9 +295,9 @@ def reproduce(
     """
     engines, static, dynamic = Engines(engine), [], []
     for region in regions:
-        watch(f"Static models, {region.name} altitudes")
+        progress(0, 0, f"static models, {region.name} altitudes")
         static.append(static_study(engines, region, estimators))
-        watch(f"Dynamic models, {region.name} altitudes")
+        progress(0, 0, f"dynamic models, {region.name} altitudes")
         dynamic.append(dynamic_study(static[-1], engines.flown, kinds))
     return _static(engines, static), _dynamic(dynamic)
 

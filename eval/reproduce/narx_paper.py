@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any
 
 from data_prep.log import Log
 from eval.evaluate import LogEvaluation
@@ -37,8 +37,8 @@ from eval.reproduce.study import Claim, Study, missed, or_nan, outcome_of
 from eval.scores import score
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.files import versions
+from narxcal.support.progress import Progress, silent
 from training.config import RunConfig
-from training.network import Progress
 from training.pipeline import TrainOptions, calibrate
 from training.records import Split
 
@@ -151,12 +151,6 @@ SCHEMA = "narxcal.reproduce/1"
 PAPER = "narx-paper"
 
 
-class Watch(Protocol):
-    """Called with the name of a step, and with the work done and in all where it is known."""
-
-    def __call__(self, what: str, done: int = 0, total: int = 0) -> None: ...  # noqa: D102
-
-
 @dataclass(frozen=True, eq=False)
 class Reproduction:
     """Every study, and the calibration that most of them judge."""
@@ -191,63 +185,51 @@ class Reproduction:
         }
 
 
-def reproduce(data: DataSets, effort: Effort, watch: Watch | None = None) -> Reproduction:
+def reproduce(data: DataSets, effort: Effort, progress: Progress = silent) -> Reproduction:
     """Run all studies; the same data, configuration and effort give the same numbers.
 
     Raises what the studies raise: `DataError` for logs that they cannot be run on, `ConfigError`
     for a configuration that does not fit the logs.
     """
-    report = watch or _ignore
-    report("Reading the flights")
+    progress(0, 0, "Reading the flights")
     first = [correlation(data), smoothing(data), segments(data)]
     config = within(data.config, effort)
-    bundle = _calibrated(data, (config, data.training), (report, "Calibrating"))
-    return Reproduction((*first, *_judging(data, bundle, effort, report)), bundle, data)
+    bundle = _calibrated(data, (config, data.training), (progress, "Calibrating"))
+    return Reproduction((*first, *_judging(data, bundle, effort, progress)), bundle, data)
 
 
 def _calibrated(
-    data: DataSets, given: tuple[RunConfig, Split], progress: tuple[Watch, str]
+    data: DataSets, given: tuple[RunConfig, Split], shown: tuple[Progress, str]
 ) -> Bundle:
-    """Calibrate as `given`, on the training part; `progress` is a watch and the step's name."""
+    """Calibrate as `given`, on the training part; `shown` is the progress and the step's name."""
     config, split = given
-    report, what = progress
-    total = sum(config.train.iterations) * config.train.starts
-    if not config.narx.joint:
-        total *= len(config.narx.outputs)
-    seen = 0
-
-    def watch(progress: Progress) -> None:
-        nonlocal seen
-        seen += bool(progress.history)
-        report(what, min(seen, total), total)
-
-    return calibrate(config, data.base, split, TrainOptions(watch))
+    return calibrate(config, data.base, split, TrainOptions(_named(*shown)))
 
 
-def _judging(data: DataSets, bundle: Bundle, effort: Effort, report: Watch) -> Iterator[Study]:
-    report("Comparing inputs")
+def _judging(data: DataSets, bundle: Bundle, effort: Effort, progress: Progress) -> Iterator[Study]:
+    progress(0, 0, "Comparing inputs")
     yield inputs(data, effort)
-    report("Comparing deviations")
+    progress(0, 0, "Comparing deviations")
     yield deviations(data, bundle, effort)
     found = judged(bundle, data.tests)
     events = classed(data.config.events.driver, found)
     yield accuracy(data, bundle, found, events)
     yield response_times(data, bundle, found, events)
-    what = "Dividing at random"
-    report(what)
-    yield splits(data, effort, lambda _fold, done, total: report(what, done, total))
-    yield noise(data, bundle, effort, lambda done, total: report("Adding noise", done, total))
-    yield goal(data, _widened(data, bundle, effort, report))
+    progress(0, 0, "Dividing at random")
+    yield splits(data, effort, _named(progress, "Dividing at random"))
+    yield noise(data, bundle, effort, _named(progress, "Adding noise"))
+    yield goal(data, _widened(data, bundle, effort, progress))
 
 
-def _widened(data: DataSets, bundle: Bundle, effort: Effort, report: Watch) -> Bundle:
+def _named(progress: Progress, what: str) -> Progress:
+    """Progress of one step of the reproduction, whatever is at work within it."""
+    return lambda done, total, _within="": progress(done, total, what)
+
+
+def _widened(data: DataSets, bundle: Bundle, effort: Effort, progress: Progress) -> Bundle:
     """The calibration of all records, which is `bundle` where there are no further ones."""
     if not data.further:
         return bundle
     config = within(goal_config(data.config), effort)
-    progress = (report, "Calibrating on all records")
-    return _calibrated(data, (config, goal_training(data)), progress)
-
-
-def _ignore(what: str, done: int = 0, total: int = 0) -> None:
-    del what, done, total
+    shown = (progress, "Calibrating on all records")
+    return _calibrated(data, (config, goal_training(data)), shown)

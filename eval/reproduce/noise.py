@@ -7,7 +7,7 @@ with strong noise, fused with the model and fed to the network.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -40,6 +40,7 @@ from narxcal.calibration.fuser import FastFuser
 from narxcal.calibration.noise import estimate_noise
 from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
+from narxcal.support.progress import Progress, silent
 
 PAPER_SETS = (2, 9, 10)
 SNR_DB = (25.0, 30.0, 35.0, 40.0, 44.0)  # all below the paper's 45 dB
@@ -51,15 +52,14 @@ def noise(
     data: DataSets,
     bundle: Bundle,
     effort: Effort,
-    watch: Callable[[int, int], None] | None = None,
+    progress: Progress = silent,
 ) -> Study:
     """Sweep the noise over the paper's data sets."""
     config = sweep_config(data, effort)
     found: dict[str, pd.DataFrame] = {}
     logs = numbered(data, PAPER_SETS)
     for count, log in enumerate(logs):
-        if watch is not None:
-            watch(count, len(logs))
+        progress(count, len(logs))
         found[data.label(log.name)] = summarise(snr_sweep(flight_of(bundle, log), config))
     sweeps = [
         NoiseSweep(f"Data set {name}", config.channel, table) for name, table in found.items()

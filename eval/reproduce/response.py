@@ -14,7 +14,7 @@ import numpy as np
 
 from data_prep.events import find_events
 from data_prep.log import Log
-from eval.crossval import CrossValidation, FoldResult, judge_fold, total
+from eval.crossval import CrossValidation, judge_fold, total
 from eval.crossval import spread as spread_of
 from eval.evaluate import EvaluateConfig, LogEvaluation, assess_log, run_config
 from eval.report import event_figures, figures, tables
@@ -28,6 +28,7 @@ from eval.scores import max_relative_percent, score
 from eval.transients import AssessedEvent, Assessment, tally
 from narxcal.calibration.bundle import Bundle
 from narxcal.channels import symbol
+from narxcal.support.progress import Progress, silent
 from training.crossval import divide, run_plans
 
 PAPER_PCT = 5.0  # below which the paper finds all its largest errors
@@ -300,11 +301,9 @@ def _nearest(views: Sequence[LogView]) -> list[Picture]:
 TIMES_PCT = 5.0
 
 
-def splits(
-    data: DataSets, effort: Effort, watch: Callable[[FoldResult, int, int], None] | None = None
-) -> Study:
+def splits(data: DataSets, effort: Effort, progress: Progress = silent) -> Study:
     """Calibrate once per division and judge the held-back events."""
-    found = divided(data, effort, watch)
+    found = divided(data, effort, progress)
     worst = worst_of(found)
     [scheme] = found.schemes
     spread = figures.spread(found)
@@ -321,9 +320,7 @@ def splits(
     )
 
 
-def divided(
-    data: DataSets, effort: Effort, watch: Callable[[FoldResult, int, int], None] | None = None
-) -> CrossValidation:
+def divided(data: DataSets, effort: Effort, progress: Progress = silent) -> CrossValidation:
     """Draw the divisions, calibrate and judge: `narxcal crossval` on segments."""
     config = within(data.config, effort)
     settings = EvaluateConfig.parse(config.evaluate, "[evaluate]")
@@ -332,8 +329,7 @@ def divided(
     plans, folds = divide(segments, wanted), []
     for fold in run_plans(plans, config, data.base, judge_fold, effort.jobs):
         folds.append(fold)
-        if watch is not None:
-            watch(fold, len(folds), len(plans))
+        progress(len(folds), len(plans), fold.scheme)
     return CrossValidation(tuple(folds), settings)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.stats import binom, norm
 
 from eval.report.tables import Cell, Table, figure
-from eval.reproduce.study import Claim, Study, Watch, table_of
+from eval.reproduce.study import Claim, Study, table_of
 from narxcal.output_error.engine import EngineAndControl
 from narxcal.output_error.experiment import fly, throttle_programme
 from narxcal.output_error.paper import (
@@ -27,6 +27,7 @@ from narxcal.output_error.paper import (
     table_4,
 )
 from narxcal.support.parallel import in_processes
+from narxcal.support.progress import Progress, silent
 from training.likelihood_statistics import Combined, Difference, combine, compare
 from training.output_error import Plan, fit
 from training.output_error_result import OutputErrorFit
@@ -115,13 +116,12 @@ def coverage(trials: Sequence[Trial], *, coloured: bool = False) -> dict[str, fl
     return {**shares, "pooled": 100.0 * float(np.mean(pooled))}
 
 
-def simulated_study(seeds: int, jobs: int = 1, watch: Watch | None = None) -> Study:
+def simulated_study(seeds: int, jobs: int = 1, progress: Progress = silent) -> Study:
     """Identify simulated engines for `seeds` seeds and hold intervals and tests to their levels."""
     trials = []
     for one in in_processes(trial, list(range(seeds)), jobs):
         trials.append(one)
-        if watch:
-            watch("Identifying simulated engines", len(trials), seeds)
+        progress(len(trials), seeds, "simulated engines")
     shares, other = coverage(trials), coverage(trials, coloured=True)
     return Study(
         key="spey-simulated",
@@ -345,9 +345,6 @@ def birge_cell(one: Combined) -> Cell:
     return figure(one.birge, "bad" if one.birge > 1.73 else "")
 
 
-def spey_studies(seeds: int = 100, jobs: int = 1, watch: Watch | None = None) -> tuple[Study, ...]:
-    """Both studies: the paper's tables, and engines simulated with `seeds` seeds.
-
-    `watch` gets what is done, how much of it, and of how much.
-    """
-    return paper_study(), simulated_study(seeds, jobs, watch)
+def spey_studies(seeds: int = 100, jobs: int = 1, progress: Progress = silent) -> tuple[Study, ...]:
+    """Both studies: the paper's tables, and engines simulated with `seeds` seeds."""
+    return paper_study(), simulated_study(seeds, jobs, progress)

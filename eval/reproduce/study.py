@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +14,6 @@ from eval.report.tables import NOTHING, Cell, Table, figure, number
 from eval.report.view import LogView
 from narxcal.support.files import finite
 
-Watch = Callable[[str, int, int], None]  # what is at work, how much of it is done, of how much
 NOT_ABOVE_ONE = "< 1.000000001"  # a ratio that rounding may leave just above one
 
 

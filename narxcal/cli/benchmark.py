@@ -38,10 +38,12 @@ def run(options: Namespace, console: Console) -> int:
     with console.progress("Benchmark") as advance:
         for number, name in enumerate(names):
 
-            def watch(share: float, words: str, at: int = number, name: str = name) -> None:
-                advance(round(100 * (at + share)), 100 * len(names), f"{name}: {words}")
+            def progress(
+                done: int, total: int, what: str = "", at: int = number, name: str = name
+            ) -> None:
+                advance(at * total + done, total * len(names), f"{name}: {what}")
 
-            found += public_sets.figures(options.data, name, limits, watch)
+            found += public_sets.figures(options.data, name, limits, progress)
     console.table(
         "RMSE of the free run on the official test range",
         ["set", "model", "recording", "RMSE", "NRMSE [%]", "CPU s"],

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import rich.console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
 from rich.table import Table
 from rich.text import Text
 
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import STDOUT, to_json
+from narxcal.support.progress import Progress, silent
 
 WIDTH = 80
 
 # Called with the steps done, the number of steps, and a note.
-Advance = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
@@ -84,10 +85,10 @@ class Console:
             sys.stdout.write(to_json(document))
 
     @contextmanager
-    def progress(self, what: str) -> Iterator[Advance]:
+    def progress(self, what: str) -> Iterator[Progress]:
         """Show a bar on stderr while the block runs, if a person is watching."""
         if self.silent or not sys.stderr.isatty():
-            yield _ignore
+            yield silent
             return
         columns = (
             TextColumn("{task.description}"),
@@ -96,11 +97,11 @@ class Console:
             TimeRemainingColumn(),
         )
         shown = rich.console.Console(stderr=True)
-        with Progress(*columns, console=shown, transient=True) as bar:
+        with Bar(*columns, console=shown, transient=True) as bar:
             task = bar.add_task(what, total=None)
 
             def advance(done: int, total: int, note: str = "") -> None:
-                words = f"{what} {note}" if note else what
+                words = f"{what} ({note})" if note else what
                 bar.update(task, completed=done, total=total, description=words)
 
             yield advance
@@ -117,7 +118,3 @@ class _Stdout(rich.console.Console):
     def on_broken_pipe(self) -> None:
         """Leave the end to the entry: rich would exit with 1, which means a missed tolerance."""
         raise BrokenPipeError
-
-
-def _ignore(done: int, total: int, note: str = "") -> None:
-    """Nobody is watching."""

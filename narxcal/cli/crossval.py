@@ -9,7 +9,7 @@ from data_prep.log import Log
 from data_prep.prepare import cautions, prepare
 from data_prep.reading import read_logs
 from eval import terminal
-from eval.crossval import SCHEMA, CrossValidation, FoldResult, cross_validate
+from eval.crossval import SCHEMA, CrossValidation, cross_validate
 from eval.report.page import RunHeader, crossval_page
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config, add_jobs, add_method
@@ -41,11 +41,7 @@ def run(options: Namespace, console: Console) -> int:
             advance(number, len(files), file.name)
             logs += [one.log for one in prepare(read_logs(file, config.logs), config)]
     with console.progress("Calibrating the folds") as advance:
-
-        def watch(fold: FoldResult, done: int, total: int) -> None:
-            advance(done, total, f"({fold.scheme})")
-
-        found = cross_validate(config, base, logs, options.jobs, watch)
+        found = cross_validate(config, base, logs, options.jobs, advance)
     document = found.document()
     warnings = cautions(logs, config, config.narx.outputs)
     RESULTS.save(options.out, document, crossval_page(_header(config, logs, warnings), found))

@@ -79,7 +79,7 @@ def run(options: Namespace, console: Console) -> int:
             refine=not options.no_refine,
             strict=options.strict,
             source=_shown(options.source),
-            watch=advance,
+            progress=advance,
         )
         if options.to == "fmu":
             report = export_fmu(model, grid, options.out, options.fmi, how)

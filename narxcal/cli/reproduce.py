@@ -30,7 +30,7 @@ from eval.reproduce.data import (
     with_table,
     write_records,
 )
-from eval.reproduce.narx_paper import SCHEMA, Reproduction, Watch, reproduce
+from eval.reproduce.narx_paper import SCHEMA, Reproduction, reproduce
 from eval.reproduce.spey import spey_studies
 from eval.reproduce.study import Study, counts, outcome_of, reproduction_page
 from eval.rules import rules
@@ -90,16 +90,12 @@ def _identification_paper(options: Namespace, out: Path, console: Console) -> in
         if options.paper == "spey":
             title = "Output-error identification of the Spey reproduced"
             seeds = SPEY_QUICK_SEEDS if options.quick else SPEY_SEEDS
-            studies = spey_studies(
-                seeds,
-                jobs=options.jobs,
-                watch=lambda what, done, total: advance(done, total, f"({what})"),
-            )
+            studies = spey_studies(seeds, options.jobs, advance)
             contradictions: tuple[str, ...] = ()
         else:
             title = "Identification of the Citation X engine reproduced"
             kinds = KINDS[:1] if options.quick else KINDS
-            studies = citation_x(kinds=kinds, watch=lambda what: advance(0, 0, what))
+            studies = citation_x(kinds=kinds, progress=advance)
             contradictions = CONTRADICTIONS
     outcome = outcome_of(studies)
     document = {
@@ -154,15 +150,14 @@ def _studied(data: DataSets, effort: Effort, console: Console) -> Reproduction:
     with ExitStack() as stack:
         shown: dict[str, Any] = {}
 
-        def watch(what: str, done: int = 0, total: int = 0) -> None:
+        def progress(done: int, total: int, what: str = "") -> None:
             if what not in shown:
                 stack.close()
                 shown[what] = stack.enter_context(console.progress(what))
             if total:
                 shown[what](done, total)
 
-        checked: Watch = watch
-        return reproduce(data, effort, checked)
+        return reproduce(data, effort, progress)
 
 
 def _document(found: Reproduction, options: Namespace) -> dict[str, Any]:

@@ -45,7 +45,7 @@ def run(options: Namespace, console: Console) -> int:
     rows = []
     with results.writing(options.out) as folder, console.progress("Adding") as advance:
         for number, (name, log) in enumerate(inputs.items()):
-            advance(number, len(inputs), f"({name})")
+            advance(number, len(inputs), name)
             sim = match_simulated(name, log, source)
             again = None if isinstance(how, Path) else how
             rows.append(_added(folder, found, (name, log, sim), again))

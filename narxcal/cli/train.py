@@ -25,7 +25,7 @@ from narxcal.calibration.bundle import (
     write_bundle,
 )
 from narxcal.calibration.run_record import RunRecord, StepRow
-from narxcal.cli.console import Advance, Console
+from narxcal.cli.console import Console
 from narxcal.cli.options import add_config
 from narxcal.cli.results import (
     doubtful_logs,
@@ -39,7 +39,6 @@ from narxcal.support.errors import ConfigError
 from narxcal.support.files import check_writable, recover
 from narxcal.support.system import locked
 from training.config import RunConfig, SplitConfig
-from training.network import Progress
 from training.pipeline import TrainOptions, calibrate, configured_files, prepare_logs
 from training.records import Split, split_logs
 
@@ -100,12 +99,7 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
         console.warn(warning)
     checkpoints = folder / CHECKPOINTS
     with console.progress("Training") as advance:
-        options = TrainOptions(
-            watch=_watch(config, advance),
-            stage=lambda words, done, total: advance(done, total, f"({words})"),
-            checkpoints=checkpoints,
-            resume=resume,
-        )
+        options = TrainOptions(advance, checkpoints, resume)
         bundle = calibrate(config, base, split, options)
     for warning in (*masked_words(bundle.record), *doubtful_logs(bundle.record)):
         console.warn(warning)
@@ -186,25 +180,6 @@ def _settle(folder: Path) -> None:
     with suppress(OSError), locked(folder):  # a folder that can only be read stays as it is
         settle_bundle(folder)
         shutil.rmtree(folder / CHECKPOINTS, ignore_errors=True)
-
-
-def _watch(config: RunConfig, advance: Advance) -> Any:
-    """Turn each training step into one step of the progress bar."""
-    networks = 1 if config.narx.joint else len(config.narx.outputs)
-    total = networks * config.train.starts * sum(config.train.iterations)
-    seen = 0
-
-    def watch(progress: Progress) -> None:
-        nonlocal seen
-        if not progress.history:
-            return
-        seen += 1
-        last = progress.history[-1]
-        error = last.validation if math.isfinite(last.validation) else math.sqrt(2.0 * last.loss)
-        kind = "validation" if math.isfinite(last.validation) else "training"
-        advance(min(seen, total), total, f"(free-run {kind} error {error:.4f})")
-
-    return watch
 
 
 def _where_it_stands(folder: Path) -> str:

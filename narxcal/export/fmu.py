@@ -303,7 +303,7 @@ def export_fmu(
     draft = planned.report(grid, chosen, str(file), 0)
     text = "; ".join(description(draft, chosen.source))
     about, code = _described(planned, _identifier(file), text, fmi)
-    chosen.watch(0, 1, "compiling")
+    chosen.progress(0, 1, "compiling")
     members = {
         "modelDescription.xml": model_description(about, fmi),
         f"binaries/{toolchain.folder}/{about.identifier}{toolchain.suffix}": toolchain.compiled(

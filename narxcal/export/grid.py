@@ -17,6 +17,7 @@ from narxcal.steady.model import Envelope, SteadyStateModel, at_known, checked_i
 from narxcal.steady.table import Multilinear, SteadyTable
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import ConfigError, ModelError
+from narxcal.support.progress import Progress, silent
 
 # Ranges where neither the user nor the model gives any: the envelope of a business jet.
 USUAL_RANGES = {
@@ -278,7 +279,7 @@ class GriddedModel:
 
 
 def sample(
-    function: Function, axes: Sequence[FloatArray], watch: Callable[[int, int], None] | None = None
+    function: Function, axes: Sequence[FloatArray], progress: Progress = silent
 ) -> FloatArray:
     """Sample `function` `(n, axes) -> (n, n_out)` on a grid: (nodes of each axis..., n_out)."""
     shape = tuple(len(axis) for axis in axes)
@@ -288,8 +289,7 @@ def sample(
         places = np.unravel_index(np.arange(start, min(start + _CHUNK, count)), shape)
         points = [axis[place] for axis, place in zip(axes, places, strict=True)]
         parts.append(function(np.column_stack(points)))
-        if watch is not None:
-            watch(min(start + _CHUNK, count), count)
+        progress(min(start + _CHUNK, count), count)
     values = np.concatenate(parts)
     return values.reshape(*shape, values.shape[-1])
 

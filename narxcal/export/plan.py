@@ -391,7 +391,7 @@ class _Sampling:
         rng = np.random.default_rng(self.options.seed)
         plans = []
         for place, layer in enumerate(self.layers):
-            self.options.watch(place, len(self.layers), "choosing nodes")
+            self.options.progress(place, len(self.layers), "choosing nodes")
             plans.append(layer.axis_nodes(self.probes.scale, rng))
         goal = _FIRST_GOAL * self.tolerance
         for _ in range(_ROUNDS):
@@ -434,10 +434,10 @@ class _Sampling:
         axes = tuple(np.array(nodes.get(name, self.grid.axes[name])) for name in layer.names)
         note = f"the part of {layer.switch}" if layer.switch else "the grid"
 
-        def watch(done: int, total: int) -> None:
-            self.options.watch(done, total, note)
+        def progress(done: int, total: int, _what: str = "") -> None:
+            self.options.progress(done, total, note)
 
-        return Block(layer.columns, axes, nine_digits(sample(layer, axes, watch)))
+        return Block(layer.columns, axes, nine_digits(sample(layer, axes, progress)))
 
     def _valid_nodes(self, block: Block) -> BoolArray:
         """Whether the model is valid at each node of the first block."""

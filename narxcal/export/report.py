@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -14,9 +14,8 @@ from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, ModelError
 from narxcal.support.files import versions
+from narxcal.support.progress import Progress, silent
 
-# Called with the steps done, the number of steps, and a note.
-Watch = Callable[[int, int, str], None]
 Stopped = Literal["tolerance", "size", "nodes"]
 ADVICE = "Allow a larger tolerance or more rows, give nodes where the model bends, or fix an input"
 _WHY = {
@@ -24,10 +23,6 @@ _WHY = {
     "size": "the limit of rows was reached",
     "nodes": "finer nodes are not tried",
 }
-
-
-def _ignore(done: int, total: int, note: str) -> None:
-    """Show no progress."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +42,7 @@ class ExportOptions:
     probes: int = 4096
     seed: int = 0
     source: str = ""
-    watch: Watch = _ignore
+    progress: Progress = silent
 
     def __post_init__(self) -> None:
         if not 0.0 < self.tolerance_pct < 100.0:

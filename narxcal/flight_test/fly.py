@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import gzip
 import hashlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
@@ -25,6 +25,7 @@ from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, ModelError
 from narxcal.support.files import log_csv, versions
 from narxcal.support.parallel import in_processes
+from narxcal.support.progress import Progress, silent
 from narxcal.support.settings import read_toml
 from narxcal.turbofan import Unmodelled, VirtualEngine, build_scatter
 from narxcal.turbofan.cycle import Health
@@ -68,10 +69,6 @@ class _Written(NamedTuple):
     facts: dict[str, Any]
 
 
-# Called with the steps done, the number of steps, and a note.
-Watch = Callable[[int, int, str], None]
-
-
 def load_scenario(path: str | Path) -> FlightScenario:
     """Read a scenario of schema `narxcal.fly/1`; a name that is no file is a shipped one's.
 
@@ -101,12 +98,12 @@ def write_flights(
     folder: Path,
     scenario: FlightScenario,
     options: WriteOptions | None = None,
-    watch: Watch | None = None,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Write all logs of a scenario into `folder` and return the document of the truth about them.
 
     Canonical CSV files `flight_01_left.csv` ..., or `.csv.gz`; and under `truth/` the outputs of
-    the engine without sensors, where they are wanted. `watch` is called after each flight. The
+    the engine without sensors, where they are wanted. `progress` counts the flights. The
     bytes depend on the scenario alone, not on `jobs`.
     """
     options = options or WriteOptions()
@@ -122,8 +119,7 @@ def write_flights(
                 (folder / TRUE_CHANNELS).mkdir(exist_ok=True)
                 (folder / TRUE_CHANNELS / log.name).write_bytes(log.true_content)
             rows.append(log.facts)
-        if watch is not None:
-            watch(number, count, f"(flight {number})")
+        progress(number, count, f"flight {number}")
     return _truth(scenario, rows)
 
 

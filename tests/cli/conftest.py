@@ -16,7 +16,7 @@ from narxcal.calibration.bundle import load_bundle
 from narxcal.cli import main, train
 from narxcal.flight_test.sensors import first_order
 from training.checkpoint import read_checkpoint, write_checkpoint
-from training.network import Progress
+from training.network import TrainingState
 
 ROOT = Path(__file__).parents[2]
 CHECKPOINTS = 3  # of a training whose fit is replaced
@@ -113,7 +113,9 @@ def training(project, monkeypatch):
         if options.resume and file.is_file():
             first = read_checkpoint(file, "key").iteration
         for step in range(first, CHECKPOINTS):
-            write_checkpoint(file, Progress(np.full(500, float(step)), iteration=step + 1), "key")
+            write_checkpoint(
+                file, TrainingState(np.full(500, float(step)), iteration=step + 1), "key"
+            )
         return trained
 
     real = train.prepare_logs

@@ -15,7 +15,7 @@ from narxcal.cli import evaluate, fly, main
 from narxcal.flight_test import fly as flying
 from tests.crash import killed_everywhere
 from training.checkpoint import write_checkpoint
-from training.network import Progress
+from training.network import TrainingState
 
 pytestmark = pytest.mark.slow
 HOW = pytest.mark.parametrize(("exchange", "power"), [(True, False), (True, True), (False, True)])
@@ -72,7 +72,7 @@ def test_going_on_with_a_training_may_be_killed_anywhere(
     cut_short = {**trained.record.to_json()["training"], "status": "interrupted"}
     kept.mkdir()
     write_bundle(kept, replace(trained, record=trained.record.having(training=cut_short)))
-    write_checkpoint(kept / "checkpoints/joint.safetensors", Progress(np.ones(500)), "key")
+    write_checkpoint(kept / "checkpoints/joint.safetensors", TrainingState(np.ones(500)), "key")
     shutil.copytree(kept, run)
     seen = set()
     for event in killed_everywhere(

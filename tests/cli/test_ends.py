@@ -262,7 +262,7 @@ def test_progress_goes_to_a_terminal_only(capsys, monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     with console.Console().progress("Working") as advance:
         advance(1, 2, "half")
-    assert "Working half" in capsys.readouterr().err
+    assert "Working (half)" in capsys.readouterr().err
     for silent in (console.Console(quiet=True), console.Console(json=True)):
         with silent.progress("Working") as advance:
             advance(1, 2, "half")

@@ -129,7 +129,7 @@ def test_the_truth_says_all_that_was_drawn(tmp_path):
         sensors={"channels": {"N1_pct": {"dropouts_per_h": 60.0}}},
     )
     progress = []
-    truth = write_flights(tmp_path, given, watch=lambda *step: progress.append(step))
+    truth = write_flights(tmp_path, given, progress=lambda *step: progress.append(step))
     assert json.loads(json.dumps(truth)) == truth
     assert (truth["schema"], truth["name"], truth["seed"]) == (TRUTH_SCHEMA, "trial", 5)
     assert FlightScenario.parse(truth["scenario"]) == given
@@ -144,7 +144,7 @@ def test_the_truth_says_all_that_was_drawn(tmp_path):
         assert (tmp_path / row["file"]).is_file()
         assert row["sensors"]["EGT_C"]["bias"] != 0.0
         assert {move["kind"] for move in row["lever_moves"]} == {"push", "pull"}
-    assert progress == [(1, 2, "(flight 1)"), (2, 2, "(flight 2)")]
+    assert progress == [(1, 2, "flight 1"), (2, 2, "flight 2")]
     blank = pd.read_csv(tmp_path / "flight_01_left.csv").N1_pct.isna()
     spans = truth["logs"][0]["sensors"]["N1_pct"]["dropouts_s"]
     time_s = np.arange(3840) / 8.0

@@ -19,10 +19,10 @@ from training.adam import Moments
 from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import TrainConfig
 from training.levenberg_marquardt import Damping
-from training.network import HistoryRow, Material, Progress, fit_narx
+from training.network import HistoryRow, Material, TrainingState, fit_narx
 
 ROOT = Path(__file__).parents[2]
-FULL = Progress(
+FULL = TrainingState(
     theta=np.array([1.0, -2.5]),
     start=1,
     stage=2,
@@ -45,14 +45,14 @@ def same(one, other):
     assert repr(one.best_theta) == repr(other.best_theta)
 
 
-@pytest.mark.parametrize("progress", [FULL, Progress(np.array([0.5, 1e-300]))])
+@pytest.mark.parametrize("progress", [FULL, TrainingState(np.array([0.5, 1e-300]))])
 def test_it_comes_back_as_it_was(progress, tmp_path):
     write_checkpoint(tmp_path / "c", progress, "key")
     same(read_checkpoint(tmp_path / "c", "key"), progress)
 
 
 def test_arrays_that_are_not_contiguous_come_back_whole(tmp_path):
-    progress = Progress(np.arange(10.0)[::3])
+    progress = TrainingState(np.arange(10.0)[::3])
     write_checkpoint(tmp_path / "c", progress, "key")
     assert read_checkpoint(tmp_path / "c", "key").theta.tolist() == [0.0, 3.0, 6.0, 9.0]
 

@@ -29,9 +29,9 @@ def test_the_twin_differs_from_the_left_engine_in_tau_h_alone():
 
 @pytest.mark.slow
 def test_a_study_has_its_claims_and_tables():
-    told = []
-    study = simulated_study(1, watch=lambda *row: told.append(row[1:]))
-    assert told == [(1, 1)]
+    shown = []
+    study = simulated_study(1, progress=lambda *row: shown.append(row[:2]))
+    assert shown == [(1, 1)]
     found = {claim.what[:3].strip(): claim for claim in study.claims}
     assert found["S12"].met
     power = next(claim for claim in study.claims if "35 %" in claim.what)
