@@ -34,7 +34,7 @@ def run(options: Namespace, console: Console, nodes: dict[str, tuple[float, ...]
             refine=not options.no_refine,
             strict=options.strict,
             source=Path(options.source).resolve().name,
-            watch=advance,
+            progress=advance,
         )
         exported = Exportable.of(bundle, options.engine, nodes, how)
         found = _WRITERS[options.to](exported, options, lambda: _cases(bundle, exported, options))
