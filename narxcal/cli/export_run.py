@@ -20,7 +20,6 @@ from narxcal.support.files import atomic_folder, atomic_write_text, check_file, 
 from training.masking import masked
 
 SCHEMA = "narxcal.export_run/1"
-Watch = Callable[[int, int, str], None]
 
 
 def run(options: Namespace, console: Console, nodes: dict[str, tuple[float, ...]]) -> int:
