@@ -57,7 +57,7 @@ def read_logs(
 
 
 def open_table(path: Path, config: LogsConfig) -> Table:
-    """Open a CSV or Parquet file, told apart by their first bytes; raises `DataError`."""
+    """Open a CSV or Parquet file, distinguished by their first bytes; raises `DataError`."""
     with readable(path), path.open("rb") as raw:
         magic = raw.read(len(MAGIC))
     if magic == MAGIC:

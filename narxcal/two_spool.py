@@ -30,9 +30,9 @@ p - m. A bleed or a load is held against by more fuel, which the settled values 
 of fuel leaves as much less to accelerate with, and more to decelerate. A control that holds the
 core's acceleration itself makes up for rotors that answer differently, for heat and for loads: v
 is then so many times the fuel as they are slower, and m more. A reset that holds fuel, and follows
-what is asked for about as slowly as the rotors, is the fuel that holds the present speed: nothing
-to be told as long as the core makes of p0, the power asked for behind the valve, what it makes of
-it in the simulator. With slower rotors, or a valve that lags, fuel runs ahead of them by u, and the
+the demand about as slowly as the rotors, is the fuel that holds the present speed: it shows nothing
+as long as the core makes of p0, the power demanded behind the valve, what it makes of it in the
+simulator. With slower rotors, or a valve that lags, fuel runs ahead of them by u, and the
 engine overshoots. Other coefficients are lines in x and L, the positive ones as logarithms.
 Sources: rotor equations and min-max control in Walsh & Fletcher, *Gas Turbine Performance*, ch. 8;
 Jaw & Mattingly, *Aircraft Engine Controls*, ch. 5-6; external reset in Shinskey, *Process Control
@@ -177,23 +177,23 @@ def _advance(
     core = spare * thin * (theta[SIZE + 2] if spare > 0.0 else theta[SIZE + 3])
     error = wanted[0] - n1 if governed % 2 == 0 else wanted[1] - n2
     gain = _positive(_line(theta, GAIN, x, air) + theta[GAIN + 3] * (z - x))
-    asked = gain * (error + state[flows + 2]) - max(_line(theta, DAMP, x, air), 0.0) * fan
-    asked += state[flows + 6]
-    limit = _limit(theta, UP if asked > 0.0 else DOWN, (x, air, behind))
-    limit *= theta[SIZE + 5 if asked > 0.0 else SIZE + 8]
-    if asked > 0.0:
+    demand = gain * (error + state[flows + 2]) - max(_line(theta, DAMP, x, air), 0.0) * fan
+    demand += state[flows + 6]
+    limit = _limit(theta, UP if demand > 0.0 else DOWN, (x, air, behind))
+    limit *= theta[SIZE + 5 if demand > 0.0 else SIZE + 8]
+    if demand > 0.0:
         limit = min(limit, theta[SIZE + 12])
     if not holds_rate:
-        limit = max(limit - (load if asked > 0.0 else -load) * power, _SPARED * limit)
-    state[flows + 2] += h * theta[RESET] ** 2 * error / (1.0 + (asked / limit) ** 4)
-    asked = soft(asked, limit)
+        limit = max(limit - (load if demand > 0.0 else -load) * power, _SPARED * limit)
+    state[flows + 2] += h * theta[RESET] ** 2 * error / (1.0 + (demand / limit) ** 4)
+    demand = soft(demand, limit)
     if holds_rate:
-        asked = asked / (thin * (theta[SIZE + 2] if asked > 0.0 else theta[SIZE + 3])) + taken
+        demand = demand / (thin * (theta[SIZE + 2] if demand > 0.0 else theta[SIZE + 3])) + taken
     if governed >= HOLDS_FUEL:
         state[flows + 6] += h / _RESET_S * (state[flows + 5] - core - state[flows + 6])
-        state[flows + 5] = asked + kept[flows] * (state[flows + 5] - asked)
-    asked -= theta[SIZE + 6] * core / theta[SIZE + 7]
-    state[flows + 1] = asked + kept[flows + 1] * (state[flows + 1] - asked)
+        state[flows + 5] = demand + kept[flows] * (state[flows + 5] - demand)
+    demand -= theta[SIZE + 6] * core / theta[SIZE + 7]
+    state[flows + 1] = demand + kept[flows + 1] * (state[flows + 1] - demand)
     state[flows] = state[flows + 1] + kept[flows] * (p - state[flows + 1])
     state[0] = min(max(n1 + h * fan, -50.0), 200.0)
     state[1] = min(max(n2 + h * core, -50.0), 200.0)

@@ -47,7 +47,7 @@ class Data:
 
     `measured` are the outputs with NaN where masked; in `outputs` they are 0 there. `slowest` is
     the largest pole of a linear model: a mode that does not settle within the longest record can't
-    be told from drift there, and drifts in other records.
+    be distinguished from drift there, and drifts in other records.
     """
 
     inputs: tuple[FloatArray, ...]

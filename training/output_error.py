@@ -285,9 +285,9 @@ def _quasi_newton(problem: _Likelihood, theta: FloatArray, limit: int) -> tuple[
 
 
 def _result(
-    problem: _Likelihood, theta: FloatArray, plan: Plan, told: tuple[int, list[str]]
+    problem: _Likelihood, theta: FloatArray, plan: Plan, ending: tuple[int, list[str]]
 ) -> OutputErrorFit:
-    iterations, warnings = told
+    iterations, warnings = ending
     layout, point = problem.layout, problem.normal_equations(theta)
     found = information(point.hessian, layout.names)
     cost = _log_likelihood_cost(problem, theta)

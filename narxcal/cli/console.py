@@ -53,7 +53,7 @@ class Console:
             sys.stdout.write(f"{text}\n")
 
     def warn(self, text: str) -> None:
-        """Print a warning to stderr, whatever was asked for: the result depends on it."""
+        """Print a warning to stderr, whatever the options: the result depends on it."""
         sys.stderr.write(f"narxcal: warning: {text}\n")
 
     def table(self, title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -80,7 +80,7 @@ class Console:
         self.page.print(table)
 
     def document(self, document: Mapping[str, Any]) -> None:
-        """Print the JSON document, where that was asked for."""
+        """Print the JSON document, with --json."""
         if self.json:
             sys.stdout.write(to_json(document))
 

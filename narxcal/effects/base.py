@@ -1,9 +1,9 @@
 """What an effect is: a small, bounded departure of the real engine from its simulator.
 
-An effect has named parameters and acts on the *input* (what the engine is told), on *where it
+An effect has named parameters and acts on the *input* (what reaches the engine), on *where it
 settles*, on the *rate* (how fast it moves) or on the *output* (what the sensor reports). Any
-simulator that can be told other inputs, made to settle elsewhere and set to another pace takes any
-effect without knowing it (see `effects.running`).
+simulator that accepts other inputs, settled values and paces takes any effect without a change of
+its own (see `effects.running`).
 """
 
 from __future__ import annotations
@@ -122,8 +122,8 @@ def _column(names: Sequence[str], name: str, what: str) -> int:
 class Run:
     """A batch of runs under way with one effect; only the hooks of that effect change it.
 
-    `theta` (batch, parameters) is in the order of the effect's parameters. `u` are the inputs the
-    engine is told over the block of samples at hand, (batch, time, inputs). `memory` keeps, by a
+    `theta` (batch, parameters) is in the order of the effect's parameters. `u` are the inputs that
+    reach the engine over the block of samples at hand, (batch, time, inputs). `memory` keeps, by a
     name, what has to be carried on from one block to the next.
     """
 
@@ -169,7 +169,7 @@ class Effect(ABC):
 
 
 class InputEffect(Effect):
-    """An effect on what the engine is told."""
+    """An effect on the inputs that reach the engine."""
 
     @abstractmethod
     def on_input(self, run: Run, u: FloatArray) -> FloatArray:
@@ -183,12 +183,12 @@ class ShiftEffect(InputEffect):
     """An input effect that may as well stand behind the engine.
 
     A delay commutes with anything that does not change with time, so that the log of an engine
-    which is told late is the log itself, late. No emulator is as exact.
+    whose inputs are late is the log itself, late. No emulator is as exact.
     """
 
     @abstractmethod
     def on_log(self, run: Run, y: FloatArray) -> FloatArray:
-        """Outputs (batch, time, outputs) of the engine so told, for its outputs `y` without."""
+        """Outputs (batch, time, outputs) with the effect, for the outputs `y` without it."""
 
 
 class SettledEffect(Effect):
@@ -198,7 +198,7 @@ class SettledEffect(Effect):
     def settles(self, run: Run, y: FloatArray) -> FloatArray:
         """Shift (batch, time, outputs) of where it settles, for the simulator's own outputs `y`.
 
-        It is asked once, for the whole log.
+        It is called once, for the whole log.
         """
 
 
@@ -213,7 +213,7 @@ class LoadEffect(Effect):
     def load(self, run: Run, y: FloatArray) -> FloatArray:
         """What it takes (batch, time) in %/s of core speed at full speed and sea level.
 
-        Like `settles` it is asked once, for the whole log, and the simulator's own outputs `y`.
+        Like `settles` it is called once, for the whole log, and the simulator's own outputs `y`.
         """
 
 

@@ -30,7 +30,7 @@ class _Transit(RateEffect):
 class SpoolLag(_Transit):
     """Both rotors are `factor` times as heavy: the same surplus of power moves them less.
 
-    Under a governor the fan comes as asked where fuel allows it; the core and the temperature then
+    Under a governor the fan follows its demand where fuel allows it; core and temperature then
     overshoot more.
     """
 

@@ -1,4 +1,4 @@
-"""Effects between the pilot's lever and what the control is told."""
+"""Effects between the pilot's lever and what the control receives."""
 
 from __future__ import annotations
 

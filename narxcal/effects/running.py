@@ -1,6 +1,6 @@
 """Runs effects on a batch of flights: what the simulator would have said with them.
 
-The simulator is known by its logs and, in between, by an emulator that can be told other inputs,
+The simulator is known by its logs and, in between, by an emulator that accepts other inputs,
 made to settle elsewhere or loaded by a shift s, and set to another pace. The emulator is
 *anchored*: what an effect does is the difference between its free run with the effect and its free
 run without,
@@ -86,16 +86,16 @@ class Emulator(Protocol):
     def run(
         self,
         flights: Flights,
-        told: FloatArray,
+        given: FloatArray,
         pace: Pace | None = None,
         shift: Shift | None = None,
     ) -> FloatArray:
-        """Free runs (rows, time, outputs) of an engine told `told` (blocks, time, inputs).
+        """Free runs (rows, time, outputs) of an engine with inputs `given` (blocks, time, inputs).
 
         There are as many rows as `pace` has, or blocks: without one it is the simulator's own.
-        Row r is told block `r % blocks`, settles elsewhere and is loaded by row r of `shift`,
-        which comes with a pace, and begins where flight `r % flights` does, or as far from there
-        as it settles.
+        Row r has the inputs of block `r % blocks`, settles elsewhere and is loaded by row r of
+        `shift`, which comes with a pace, and begins where flight `r % flights` does, or as far
+        from there as it settles.
         """
 
 
@@ -118,18 +118,18 @@ def respond(settings: Sequence[Setting], flights: Flights, emulator: Emulator | 
     for effect, theta in spread:
         if isinstance(effect, ShiftEffect):
             y = effect.on_log(Run(flights.signals, theta, flights.u[rows]), y)
-    told = arrived(spread, flights.signals, flights.u[rows])
-    return read(spread, flights.signals, told, y).reshape(batch, count, steps, -1)
+    given = arrived(spread, flights.signals, flights.u[rows])
+    return read(spread, flights.signals, given, y).reshape(batch, count, steps, -1)
 
 
 def _inside(setting: Setting, signals: Signals) -> bool:
     """Whether an engine with the effect has to be emulated."""
-    told = isinstance(setting[0], InputEffect) and not isinstance(setting[0], ShiftEffect)
-    return told or acts_inside(setting, signals)
+    outside = isinstance(setting[0], InputEffect) and not isinstance(setting[0], ShiftEffect)
+    return outside or acts_inside(setting, signals)
 
 
 def acts_inside(setting: Setting, signals: Signals) -> bool:
-    """Whether an engine with the effect settles or moves otherwise, whatever it is told."""
+    """Whether an engine with the effect settles or moves otherwise at the same inputs."""
     effect, theta = setting
     loaded = isinstance(effect, LoadEffect) and effect.loads(theta, signals)
     return loaded or isinstance(effect, SettledEffect) or changes_pace(setting, signals)
@@ -145,7 +145,7 @@ def changes_pace(setting: Setting, signals: Signals) -> bool:
 
 
 def arrived(settings: Sequence[Setting], signals: Signals, u: FloatArray) -> FloatArray:
-    """Inputs (batch, time, inputs) that the engine is told; `u` itself without input effects."""
+    """Inputs (batch, time, inputs) that reach the engine; `u` itself without input effects."""
     for effect, theta in settings:
         if isinstance(effect, InputEffect):
             u = effect.on_input(Run(signals, theta, u), u)
@@ -153,7 +153,7 @@ def arrived(settings: Sequence[Setting], signals: Signals, u: FloatArray) -> Flo
 
 
 def read(settings: Sequence[Setting], signals: Signals, u: FloatArray, y: FloatArray) -> FloatArray:
-    """Readings (batch, time, outputs) of outputs `y` of an engine that is told `u`."""
+    """Readings (batch, time, outputs) of outputs `y` of an engine with inputs `u`."""
     for effect, theta in settings:
         if isinstance(effect, OutputEffect):
             y = effect.on_output(Run(signals, theta, u), y)
@@ -161,7 +161,7 @@ def read(settings: Sequence[Setting], signals: Signals, u: FloatArray, y: FloatA
 
 
 def _moved(
-    settings: Sequence[Setting], flights: Flights, emulator: Emulator, told: FloatArray
+    settings: Sequence[Setting], flights: Flights, emulator: Emulator, given: FloatArray
 ) -> FloatArray:
     """Add to the logs what the effects change in the emulator's free run."""
     rows = np.arange(len(settings[0][1])) % len(flights.u)
@@ -170,22 +170,22 @@ def _moved(
         for effect, theta in settings
         if isinstance(effect, PacedEffect)
     ]
-    shift = _shift(settings, flights, told)
+    shift = _shift(settings, flights, given)
     if shift is not None:
         paces = paces or [as_simulated(len(rows))]
     pace = together(paces) if paces else None
     if pace is None or any(isinstance(effect, InputEffect) for effect, _ in settings):
-        changed = emulator.run(flights, told, pace, shift)
+        changed = emulator.run(flights, given, pace, shift)
     else:
         changed = _each_once(flights, emulator, pace, shift)
     same = emulator.run(flights, flights.u, as_simulated(len(flights.u)) if paces else None)
     return np.asarray(flights.y[rows] + (changed - same[rows]))
 
 
-def _shift(settings: Sequence[Setting], flights: Flights, told: FloatArray) -> Shift | None:
+def _shift(settings: Sequence[Setting], flights: Flights, given: FloatArray) -> Shift | None:
     """Where the engine settles elsewhere and what loads it; None if no effect says so."""
-    y = flights.y[np.arange(len(told)) % len(flights.u)]
-    runs = [(effect, Run(flights.signals, theta, told)) for effect, theta in settings]
+    y = flights.y[np.arange(len(given)) % len(flights.u)]
+    runs = [(effect, Run(flights.signals, theta, given)) for effect, theta in settings]
     settled = [each.settles(run, y) for each, run in runs if isinstance(each, SettledEffect)]
     loads = [each.load(run, y) for each, run in runs if isinstance(each, LoadEffect)]
     if not settled and not loads:
