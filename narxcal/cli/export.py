@@ -25,6 +25,7 @@ from narxcal.turbofan.design import PRESETS
 from narxcal.turbofan.engine import INPUT_NAMES, OUTPUT_NAMES
 
 SCHEMA = "narxcal.export/1"
+_ENDINGS = {"table": (".csv", ".csv.gz"), "fmu": (".fmu",)}
 
 
 def add_options(parser: ArgumentParser) -> None:
@@ -59,6 +60,7 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument("--inputs", metavar="NAME", nargs="+", help="where SOURCE names none")
     parser.add_argument("--outputs", metavar="NAME", nargs="+", help="where SOURCE names none")
     group = parser.add_argument_group("of a run: its dynamic model")
+    group.add_argument("--steady", action="store_true", help="its steady state alone, instead")
     group.add_argument("--engine", metavar="NAME", help="that engine alone (default: all)")
     add_interval(group, LEVEL)
     add_logs(group)
@@ -66,8 +68,13 @@ def add_options(parser: ArgumentParser) -> None:
 
 def run(options: Namespace, console: Console) -> int:
     """Export SOURCE and show its errors; returns 1 where the tolerance was missed."""
-    if options.to == "c":
+    if options.to != "table" and Path(options.source).is_dir() and not options.steady:
         return export_run.run(options, console, _nodes(options.nodes or (), options.max_rows))
+    if options.to not in _ENDINGS:
+        raise ConfigError(
+            f"--to {options.to} takes a run folder, and SOURCE is {options.source}",
+            hint="Train one, or export a table or an FMU",
+        )
     _check_name(options.out, options.to)
     check_file(options.out, Path(options.source), overwrite=options.overwrite)
     model = open_source(options.source, options.inputs, options.outputs, trust=options.trust)
@@ -92,7 +99,7 @@ def run(options: Namespace, console: Console) -> int:
 
 def _check_name(out: Path, kind: str) -> None:
     """Refuse, before any work is done, a file name with the ending of another kind."""
-    endings = {"table": (".csv", ".csv.gz"), "fmu": (".fmu",)}[kind]
+    endings = _ENDINGS[kind]
     if not out.name.endswith(endings):
         raise ConfigError(
             f"--to {kind} writes a {' or '.join(endings)} file, and --out names {out.name}",

@@ -11,9 +11,10 @@ from data_prep.prepare import hold_inputs
 from eval.evaluate import evaluation_logs
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console
-from narxcal.export import proof
+from narxcal.export import fmu_run, proof
 from narxcal.export.compiler import Compiled, compiler
 from narxcal.export.dynamic import Exportable
+from narxcal.export.fmu import write_fmu
 from narxcal.export.report import ExportOptions
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.files import atomic_folder, atomic_write_text, check_file, check_output_folder
@@ -56,6 +57,7 @@ def _check(options: Namespace) -> None:
             hint=f"Name it {out.stem}{ending}",
         )
     check_file(out, Path(options.source), overwrite=options.overwrite)
+    proof.read(out.absolute().parent)
 
 
 def _cases(bundle: Bundle, exported: Exportable, options: Namespace) -> list[proof.Case]:
@@ -103,6 +105,20 @@ def _c(exported: Exportable, options: Namespace, cases: Callable[[], Any]) -> di
     return found
 
 
+def _fmu(exported: Exportable, options: Namespace, cases: Callable[[], Any]) -> dict[str, Any]:
+    """Write an FMU, and run it by FMPy."""
+    program = exported.program(options.interval)
+    size = write_fmu(program, options.out, options.fmi)
+    found: dict[str, Any] = {"file": options.out.name, "rows": [], "bytes": size}
+    if compiler() is not None:
+        given, model = cases(), exported.model
+        rows = fmu_run.compare(model, options.out, given, program.engines)
+        sampled = _sampling(exported, given)
+        found = proof.document(options.out, rows, proof.BOUND, bytes=size, sampled=sampled)
+    proof.write(options.out.absolute().parent, found)
+    return found
+
+
 def _sampling(exported: Exportable, cases: list[proof.Case]) -> dict[str, Any] | None:
     """What sampling the steady state changed: at random conditions, and in free run."""
     if exported.sampled is None:
@@ -119,6 +135,7 @@ def _simulated(exported: Exportable) -> proof.Run:
 
 _WRITERS: dict[str, Callable[[Exportable, Namespace, Callable[[], Any]], dict[str, Any]]] = {
     "c": _c,
+    "fmu": _fmu,
 }
 
 

@@ -1,7 +1,8 @@
-"""Write a steady-state model as a compiled FMU for co-simulation, FMI 2.0 or 3.0.
+"""Write a model as a compiled FMU for co-simulation, FMI 2.0 or 3.0.
 
-An FMU is a zip archive of modelDescription.xml, the compiled library, and its C sources: the fixed
-ones in `narxcal/export/c`, and the sampled model as C arrays.
+An FMU is a zip archive of modelDescription.xml, the compiled library, and its C sources: those of
+`narxcal.export.program`, and a wrapper that places its grid of samples in any communication step.
+A steady state alone is a model without dynamics.
 """
 
 from __future__ import annotations
@@ -9,103 +10,24 @@ from __future__ import annotations
 import hashlib
 import io
 import re
-import shutil
-import subprocess
-import sys
-import tempfile
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.resources import files
 from os import PathLike
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-import numpy as np
-
+from narxcal.calibration.identified import IdentifiedCalibration, NoDynamics
 from narxcal.channels import CHANNELS
-from narxcal.export.grid import Block, Grid, GriddedModel
-from narxcal.export.plan import Planned, plan
+from narxcal.export.compiler import SUFFIX, compiled, compiler
+from narxcal.export.grid import Grid
+from narxcal.export.plan import plan
+from narxcal.export.program import Program, shipped
 from narxcal.export.report import ExportOptions, ExportReport, description, generation_tool
-from narxcal.steady.model import Envelope, SteadyStateModel
+from narxcal.steady.model import SteadyStateModel
 from narxcal.support.errors import ConfigError, ModelError
 from narxcal.support.files import atomic_write_bytes
-
-_PER_LINE = 8
-
-
-def sources(gridded: GriddedModel, version: str) -> tuple[str, dict[str, str]]:
-    """Token that identifies the model, and the C files of FMI `version` "2.0" or "3.0"."""
-    wrapper = f"fmi{version[0]}.c"
-    fixed = {name: _shipped(name) for name in (wrapper, "steady.c", "steady.h")}
-    table = _table(gridded)
-    sizes = (
-        f"#define N_IN {len(gridded.input_names)}\n"
-        f"#define N_OUT {len(gridded.output_names)}\n"
-        f"#define N_BLOCKS {len(gridded.blocks)}\n"
-    )
-    names = ",".join((*gridded.input_names, *gridded.output_names))
-    everything = "".join([names, sizes, table, *fixed.values()])
-    digest = hashlib.sha256(everything.encode("utf-8")).hexdigest()
-    token = "{" + "-".join((digest[:8], *(digest[k : k + 4] for k in (8, 12, 16)), digest[20:32]))
-    token += "}"
-    sizes += f'#define TOKEN "{token}"\n'
-    return token, {**fixed, "sizes.h": sizes, "table.h": table}
-
-
-def start_values(gridded: GriddedModel) -> list[float]:
-    """Start values of the inputs: zero, or the end of the envelope nearest to it."""
-    zero: list[float] = gridded.envelope.clamp(np.zeros(len(gridded.input_names))).tolist()
-    return zero
-
-
-def _shipped(name: str) -> str:
-    return files("narxcal.export").joinpath("c", name).read_text(encoding="utf-8")
-
-
-def _table(gridded: GriddedModel) -> str:
-    known = gridded.known.ravel()
-    parts = [
-        _array("double", "low_ends", gridded.envelope.low.tolist()),
-        _array("double", "high_ends", gridded.envelope.high.tolist()),
-        _array("double", "start_values", start_values(gridded)),
-    ]
-    if not known.all():
-        parts.append(_array("unsigned char", "known", known.astype(int).tolist()))
-    entries = []
-    for number, block in enumerate(gridded.blocks):
-        parts += _block(block, number)
-        mask = "known" if number == 0 and not known.all() else "NULL"
-        entries.append(_entry(block, number, mask))
-    body = ",\n".join(entries)
-    return "".join(parts) + f"static const Block blocks[] = {{\n{body}\n}};\n"
-
-
-def _block(block: Block, number: int) -> list[str]:
-    nodes = [value for axis in block.axes for value in axis.tolist()]
-    return [
-        _array("int", f"columns_{number}", block.columns),
-        _array("size_t", f"lengths_{number}", [len(axis) for axis in block.axes]),
-        _array("double", f"nodes_{number}", nodes),
-        _array("double", f"values_{number}", block.values.ravel().tolist()),
-    ]
-
-
-def _entry(block: Block, number: int, mask: str) -> str:
-    nodes = sum(len(axis) for axis in block.axes)
-    return (
-        f"    {{{len(block.columns)}, columns_{number}, lengths_{number}, {nodes}, "
-        f"nodes_{number}, values_{number}, {mask}}}"
-    )
-
-
-def _array(kind: str, name: str, values: Iterable[Any]) -> str:
-    """Format as a C array; `repr` is the shortest text that is read back exactly."""
-    texts = [repr(value) for value in values]
-    lines = [",".join(texts[k : k + _PER_LINE]) for k in range(0, len(texts), _PER_LINE)]
-    return f"static const {kind} {name}[] = {{\n" + ",\n".join(lines) + "\n};\n"
-
 
 # Factor and offset to SI base units, for units that the standard can describe.
 _SI: dict[str, dict[str, str]] = {
@@ -120,96 +42,129 @@ _SI: dict[str, dict[str, str]] = {
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable of the FMU with its value reference; only inputs have a `start`."""
+    """One variable of the FMU; `kind` is Real, Integer or Boolean, as FMI 2.0 calls it."""
 
     name: str
     reference: int
     text: str
-    start: float | None = None
+    causality: str
+    kind: str = "Real"
+    start: str | None = None
+    channel: str = ""
 
     @property
     def unit(self) -> str | None:
         """Its unit, None for a number without unit."""
-        unit = CHANNELS[self.name].unit if self.name in CHANNELS else "-"
+        unit = CHANNELS[self.channel].unit if self.channel in CHANNELS else "-"
         return unit if unit in _SI else None
 
+    @property
+    def variability(self) -> str:
+        """How it may change."""
+        if self.causality == "parameter":
+            return "tunable" if self.kind == "Boolean" else "fixed"
+        return "continuous" if self.channel else "discrete"
 
-@dataclass(frozen=True)
+
+def variables(program: Program) -> list[Variable]:
+    """Inputs, outputs and parameters, with the value references of fmi.h."""
+    model, envelope = program.model, program.envelope
+    inputs, outputs = model.input_names, model.output_names
+    found = []
+    for k, name in enumerate(inputs):
+        low, high = envelope.low[k], envelope.high[k]
+        text, start = f"{_meaning(name)}, from {low:g} to {high:g}", repr(program.start[k])
+        found.append(Variable(name, k, text, "input", start=start, channel=name))
+    settled, first, count = "" if program.states else ", settled", len(inputs), len(outputs)
+    for k, name in enumerate(outputs):
+        text = f"{_meaning(name)}{settled}"
+        found.append(Variable(name, first + k, text, "output", channel=name))
+    if model.interval is not None:
+        for row, end in ((1, "low"), (2, "high")):
+            for k, name in enumerate(outputs):
+                text = f"{end} end of the interval of {100.0 * program.level:g} % of samples"
+                at = first + row * count + k
+                found.append(Variable(f"{name}_{end}", at, text, "output", channel=name))
+    last = first + 3 * count
+    inside = "1 if the inputs are inside the envelope, 0 if they were held at its border"
+    held = "1 if an input was no number, so that its last value was used"
+    found += [
+        Variable("inside", last, inside, "output"),
+        Variable("held", last + 1, held, "output"),
+    ]
+    if len(program.engines) > 1:
+        names = ", ".join(f"{k} {name}" for k, name in enumerate(program.engines) if k)
+        text = f"which engine: 0 in general, {names}"
+        found.append(Variable("engine", last + 2, text, "parameter", "Integer", "0"))
+    if program.states:
+        text = "whether inputs run straight to their new values within a step, or have them at once"
+        found.append(Variable("interpolate", last + 3, text, "parameter", "Boolean", "false"))
+    return found
+
+
+def _meaning(name: str) -> str:
+    return CHANNELS[name].meaning if name in CHANNELS else name
+
+
+@dataclass(frozen=True, eq=False)
 class Description:
-    """Content of the XML: names, token, origin of the model, variables, sources."""
+    """Content of the XML: identifier, token, text on the origin, program, files to compile."""
 
     identifier: str
     token: str
     text: str
-    tool: str
-    inputs: tuple[Variable, ...]
-    outputs: tuple[Variable, ...]
+    program: Program
     sources: tuple[str, ...]
 
+    def model(self, version: str) -> bytes:
+        """modelDescription.xml of FMI `version` "2.0" or "3.0"."""
+        two = version == "2.0"
+        root = Element(
+            "fmiModelDescription",
+            {
+                "fmiVersion": version,
+                "modelName": self.identifier,
+                "guid" if two else "instantiationToken": self.token,
+                "description": self.text,
+                "generationTool": generation_tool(),
+                "variableNamingConvention": "flat",
+            },
+        )
+        state = "FMUstate" if two else "FMUState"
+        simulation = SubElement(
+            root,
+            "CoSimulation",
+            {
+                "modelIdentifier": self.identifier,
+                "canHandleVariableCommunicationStepSize": "true",
+                f"canGetAndSet{state}": "true",
+                f"canSerialize{state}": "true",
+            },
+        )
+        if two:
+            simulation.set("canNotUseMemoryManagementFunctions", "true")
+            listed = SubElement(simulation, "SourceFiles")
+            for name in self.sources:
+                SubElement(listed, "File", {"name": name})
+        found = variables(self.program)
+        _units(root, found)
+        if self.program.states:
+            SubElement(root, "DefaultExperiment", {"stepSize": repr(self.program.model.dt_s)})
+        (_variables2 if two else _variables3)(root, found)
+        return _text(root)
 
-def variables(
-    names: tuple[Sequence[str], Sequence[str]], start: Sequence[float], envelope: Envelope
-) -> tuple[tuple[Variable, ...], tuple[Variable, ...]]:
-    """Inputs and outputs of the FMU, `inside` the last of the outputs."""
-    ends = zip(envelope.low, envelope.high, strict=True)
-    inputs = tuple(
-        Variable(name, k, f"{CHANNELS[name].meaning}, from {low:g} to {high:g}", value)
-        for k, (name, value, (low, high)) in enumerate(zip(names[0], start, ends, strict=True))
-    )
-    first = len(inputs)
-    outputs = [
-        Variable(name, first + k, f"{CHANNELS[name].meaning}, settled")
-        for k, name in enumerate(names[1])
-    ]
-    inside = "1 if the inputs are inside the envelope, 0 if they were held at its border"
-    outputs.append(Variable("inside", first + len(outputs), inside))
-    return inputs, tuple(outputs)
-
-
-def model_description(about: Description, version: str) -> bytes:
-    """Write the XML of FMI `version` "2.0" or "3.0"."""
-    token = "guid" if version == "2.0" else "instantiationToken"
-    root = Element(
-        "fmiModelDescription",
-        {
-            "fmiVersion": version,
-            "modelName": about.identifier,
-            token: about.token,
-            "description": about.text,
-            "generationTool": about.tool,
-            "variableNamingConvention": "flat",
-        },
-    )
-    simulation = SubElement(
-        root,
-        "CoSimulation",
-        {"modelIdentifier": about.identifier, "canHandleVariableCommunicationStepSize": "true"},
-    )
-    if version == "2.0":
-        simulation.set("canNotUseMemoryManagementFunctions", "true")
-        listed = SubElement(simulation, "SourceFiles")
-        for name in about.sources:
-            SubElement(listed, "File", {"name": name})
-    _units(root, about)
-    if version == "2.0":
-        _variables2(root, about)
-    else:
-        _variables3(root, about)
-    return _text(root)
+    def build(self) -> bytes:
+        """sources/buildDescription.xml, required by FMI 3.0 (FMI 3.0.2, section 2.5.2)."""
+        root = Element("fmiBuildDescription", {"fmiVersion": "3.0"})
+        build = SubElement(root, "BuildConfiguration", {"modelIdentifier": self.identifier})
+        files = SubElement(build, "SourceFileSet", {"language": "C99"})
+        for name in self.sources:
+            SubElement(files, "SourceFile", {"name": name})
+        return _text(root)
 
 
-def build_description(about: Description) -> bytes:
-    """Write sources/buildDescription.xml, required by FMI 3.0 (FMI 3.0.2, section 2.5.2)."""
-    root = Element("fmiBuildDescription", {"fmiVersion": "3.0"})
-    build = SubElement(root, "BuildConfiguration", {"modelIdentifier": about.identifier})
-    files = SubElement(build, "SourceFileSet", {"language": "C99"})
-    for name in about.sources:
-        SubElement(files, "SourceFile", {"name": name})
-    return _text(root)
-
-
-def _units(root: Element, about: Description) -> None:
-    used = {one.unit for one in (*about.inputs, *about.outputs)}
+def _units(root: Element, found: list[Variable]) -> None:
+    used = {one.unit for one in found}
     known = [unit for unit in _SI if unit in used]
     if not known:
         return
@@ -220,64 +175,58 @@ def _units(root: Element, about: Description) -> None:
 
 def _value(variable: Variable) -> dict[str, str]:
     """Attributes of unit and start, the same in both versions."""
-    found = {"unit": variable.unit, "start": None}
-    if variable.start is not None:
-        found["start"] = repr(variable.start)
-    if variable.name == "dT_C":
+    found = {"unit": variable.unit, "start": variable.start}
+    if variable.channel == "dT_C":
         found["relativeQuantity"] = "true"  # a difference: the offset of degC does not apply
     return {key: text for key, text in found.items() if text is not None}
 
 
-def _role(variable: Variable, causality: str) -> dict[str, str]:
-    discrete = variable.name == "inside"
+def _role(variable: Variable) -> dict[str, str]:
     return {
         "name": variable.name,
         "valueReference": str(variable.reference),
-        "causality": causality,
-        "variability": "discrete" if discrete else "continuous",
+        "causality": variable.causality,
+        "variability": variable.variability,
         "description": variable.text,
     }
 
 
-def _all(about: Description) -> list[tuple[Variable, str]]:
-    return [(one, "input") for one in about.inputs] + [(one, "output") for one in about.outputs]
-
-
-def _variables2(root: Element, about: Description) -> None:
+def _variables2(root: Element, found: list[Variable]) -> None:
     listed = SubElement(root, "ModelVariables")
-    for variable, causality in _all(about):
-        scalar = SubElement(listed, "ScalarVariable", _role(variable, causality))
-        SubElement(scalar, "Real", _value(variable))
+    for variable in found:
+        scalar = SubElement(listed, "ScalarVariable", _role(variable))
+        SubElement(scalar, variable.kind, _value(variable))
     structure = SubElement(root, "ModelStructure")
     for part in ("Outputs", "InitialUnknowns"):
         unknowns = SubElement(structure, part)
-        for variable in about.outputs:
-            # Indices count from one, in the order of the variables.
-            SubElement(unknowns, "Unknown", {"index": str(variable.reference + 1)})
+        # Indices count from one, in the order of the variables.
+        for index, variable in enumerate(found, start=1):
+            if variable.causality == "output":
+                SubElement(unknowns, "Unknown", {"index": str(index)})
 
 
-def _variables3(root: Element, about: Description) -> None:
+_KINDS3 = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean"}
+
+
+def _variables3(root: Element, found: list[Variable]) -> None:
     listed = SubElement(root, "ModelVariables")
     time = {"name": "time", "causality": "independent", "variability": "continuous"}
-    reference = str(len(about.inputs) + len(about.outputs))
-    SubElement(listed, "Float64", {**time, "valueReference": reference})
-    for variable, causality in _all(about):
-        SubElement(listed, "Float64", {**_role(variable, causality), **_value(variable)})
+    # Behind `held` and the two parameters.
+    last = next(one.reference for one in found if one.name == "held") + 3
+    SubElement(listed, "Float64", {**time, "valueReference": str(last)})
+    for variable in found:
+        SubElement(listed, _KINDS3[variable.kind], {**_role(variable), **_value(variable)})
     structure = SubElement(root, "ModelStructure")
     for part in ("Output", "InitialUnknown"):
-        for variable in about.outputs:
-            SubElement(structure, part, {"valueReference": str(variable.reference)})
+        for variable in found:
+            if variable.causality == "output":
+                SubElement(structure, part, {"valueReference": str(variable.reference)})
 
 
 def _text(root: Element) -> bytes:
     indent(root)
     xml: bytes = tostring(root, encoding="UTF-8", xml_declaration=True)
     return xml + b"\n"
-
-
-# Archives contain no time of writing, so that the same model gives the same bytes.
-_NO_TIME = (1980, 1, 1, 0, 0, 0)
-_FLAGS = ("-std=c99", "-O2", "-fPIC", "-w")
 
 
 def export_fmu(
@@ -287,47 +236,79 @@ def export_fmu(
     fmi: str = "2.0",
     options: ExportOptions | None = None,
 ) -> ExportReport:
-    """Sample `model`, compile the C sources around the numbers, and write the FMU.
+    """Sample a steady-state model and write it as an FMU without dynamics.
 
     The FMU interpolates multilinearly in double precision, clamps inputs to the envelope and
     reports that in its output `inside`. Switches whose effects add up get grids of their own, which
-    makes it much finer than a table of the same size. It runs on the platform that it was made on
-    and contains its sources for others (`fmpy compile`).
+    makes it much finer than a table of the same size.
 
-    Raises `ModelError` where FMPy or a C compiler is missing, where compiling fails and as
-    `plan`; `ConfigError` for another `fmi` and where the file cannot be written.
+    Raises as `write_fmu` and `plan`.
     """
     chosen, file = options or ExportOptions(), Path(path)
-    toolchain = _Toolchain.found(fmi)
+    _headers(fmi)
     planned = plan(model, grid, chosen, separate=True)
     draft = planned.report(grid, chosen, str(file), 0)
     text = "; ".join(description(draft, chosen.source))
-    about, code = _described(planned, _identifier(file), text, fmi)
     chosen.progress(0, 1, "compiling")
-    members = {
-        "modelDescription.xml": model_description(about, fmi),
-        f"binaries/{toolchain.folder}/{about.identifier}{toolchain.suffix}": toolchain.compiled(
-            code, about.sources
-        ),
-        **{f"sources/{name}": text.encode("utf-8") for name, text in code.items()},
+    alone = IdentifiedCalibration(planned.gridded, NoDynamics(), 1.0)
+    size = write_fmu(Program(alone, [text]), file, fmi)
+    return planned.report(grid, chosen, str(file), size)
+
+
+def write_fmu(program: Program, file: Path, fmi: str = "2.0") -> int:
+    """Compile a model and write the FMU; returns its size in bytes.
+
+    It runs on the platform that it was made on and contains its sources for others (`fmpy
+    compile`); where there is no compiler `cc`, it contains the sources alone.
+
+    Raises `ModelError` where FMPy is missing and where compiling fails, `ConfigError` for another
+    `fmi` and where the file cannot be written.
+    """
+    headers, folder = _headers(fmi)
+    code = {
+        **program.code,
+        **{name: shipped(name) for name in ("fmi.h", "fmi.c", f"fmi{fmi[0]}.c")},
     }
+    names = ",".join(variable.name for variable in variables(program))
+    digest = hashlib.sha256("".join([names, *code.values()]).encode("utf-8")).hexdigest()
+    parts = (digest[:8], *(digest[k : k + 4] for k in (8, 12, 16)), digest[20:32])
+    token = f"{{{'-'.join(parts)}}}"
+    code["token.h"] = f'#define TOKEN "{token}"\n'
+    to_compile = tuple(name for name in code if name.endswith(".c"))
+    text = "; ".join(program.about)
+    about = Description(_identifier(file), token, text, program, to_compile)
+    members = {"modelDescription.xml": about.model(fmi)}
+    if compiler() is not None:
+        binary = f"binaries/{folder}/{about.identifier}{SUFFIX}"
+        members[binary] = compiled(code, [f"-I{headers}"])
+    members |= {f"sources/{name}": text.encode("utf-8") for name, text in code.items()}
     if fmi == "3.0":
-        members["sources/buildDescription.xml"] = build_description(about)
+        members["sources/buildDescription.xml"] = about.build()
     data = _archive(members)
     atomic_write_bytes(file, data)
-    return planned.report(grid, chosen, str(file), len(data))
+    return len(data)
 
 
-def _described(
-    planned: Planned, identifier: str, text: str, fmi: str
-) -> tuple[Description, dict[str, str]]:
-    gridded = planned.gridded
-    token, code = sources(gridded, fmi)
-    names = (gridded.input_names, gridded.output_names)
-    inputs, outputs = variables(names, start_values(gridded), gridded.envelope)
-    to_compile = tuple(name for name in code if name.endswith(".c"))
-    tool = generation_tool()
-    return Description(identifier, token, text, tool, inputs, outputs, to_compile), code
+def _headers(fmi: str) -> tuple[Path, str]:
+    """Folder of the standard's headers, and that of this platform's binary in an FMU."""
+    if fmi not in {"2.0", "3.0"}:
+        raise ConfigError(f"unknown FMI version '{fmi}'", hint="Use 2.0 or 3.0")
+    try:
+        import fmpy  # noqa: PLC0415  (an extra that most installations lack)
+    except ImportError:
+        raise ModelError(
+            "an FMU needs the headers that FMPy ships, and it is not installed",
+            hint="pip install 'narxcal[fmu]'",
+        ) from None
+    headers = Path(fmpy.__path__[0]) / "c-code"
+    if not (headers / f"fmi{fmi[0]}Functions.h").is_file():
+        raise ModelError(
+            f"FMPy {fmpy.__version__} lacks the headers of FMI {fmi}",
+            file=headers,
+            hint="Install the version of FMPy that constraints.txt names",
+        )
+    platform: Any = fmpy.platform if fmi == "2.0" else fmpy.platform_tuple
+    return headers, str(platform)
 
 
 def _identifier(file: Path) -> str:
@@ -336,65 +317,8 @@ def _identifier(file: Path) -> str:
     return name if name[:1].isalpha() else f"model_{name}"
 
 
-@dataclass(frozen=True)
-class _Toolchain:
-    """A C compiler, the headers of the standard, and the place of the binary in the archive."""
-
-    compiler: str
-    headers: Path
-    folder: str
-    suffix: str
-
-    @classmethod
-    def found(cls, fmi: str) -> _Toolchain:
-        """Find compiler and headers before any other work."""
-        if fmi not in ("2.0", "3.0"):
-            raise ConfigError(f"unknown FMI version '{fmi}'", hint="Use 2.0 or 3.0")
-        try:
-            import fmpy  # noqa: PLC0415  (an extra that most installations lack)
-        except ImportError:
-            raise ModelError(
-                "an FMU needs the headers that FMPy ships, and it is not installed",
-                hint="pip install 'narxcal[fmu]'",
-            ) from None
-        compiler = shutil.which("cc")
-        if compiler is None:
-            raise ModelError(
-                "an FMU has to be compiled, and there is no C compiler 'cc' on the PATH",
-                hint="Install one (on Debian: apt install gcc), or export a table",
-            )
-        headers = Path(fmpy.__path__[0]) / "c-code"
-        if not (headers / f"fmi{fmi[0]}Functions.h").is_file():
-            raise ModelError(
-                f"FMPy {fmpy.__version__} lacks the headers of FMI {fmi}",
-                file=headers,
-                hint="Install the version of FMPy that constraints.txt names",
-            )
-        folder = fmpy.platform if fmi == "2.0" else fmpy.platform_tuple
-        return cls(compiler, headers, folder, fmpy.sharedLibraryExtension)
-
-    def compiled(self, code: Mapping[str, str], to_compile: tuple[str, ...]) -> bytes:
-        """Compile `code` {file: text} in a folder of its own; raises `ModelError`."""
-        shared = "-dynamiclib" if sys.platform == "darwin" else "-shared"
-        with tempfile.TemporaryDirectory(prefix="narxcal_fmu_") as folder:
-            for name, text in code.items():
-                (Path(folder) / name).write_text(text, encoding="utf-8")
-            command = [self.compiler, shared, *_FLAGS, f"-I{self.headers}", *to_compile]
-            done = subprocess.run(  # noqa: S603  (the user's compiler on our sources)
-                [*command, "-o", "model", "-lm"],
-                cwd=folder,
-                capture_output=True,
-                text=True,
-                check=False,
-            )
-            if done.returncode:
-                output = (done.stderr or done.stdout).strip().splitlines() or ["nothing"]
-                raise ModelError(
-                    f"the C compiler failed with exit code {done.returncode}: {output[-1]}",
-                    file=self.compiler,
-                    hint="Check that it compiles C, or export a table",
-                )
-            return (Path(folder) / "model").read_bytes()
+# Archives contain no time of writing, so that the same model gives the same bytes.
+_NO_TIME = (1980, 1, 1, 0, 0, 0)
 
 
 def _archive(members: Mapping[str, bytes]) -> bytes:

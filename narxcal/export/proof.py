@@ -75,17 +75,15 @@ def compare(
             runs.append(("start at other outputs", case, away))
         for what, one, start in runs:
             expected = own.simulate(held(one.inputs), start)
-            worst = np.abs(run(one, start) - expected).max(axis=0)
-            rows.append(
-                {
-                    "log": one.name,
-                    "engine": one.engine,
-                    "what": what,
-                    "samples": len(expected),
-                    "largest": dict(zip(model.output_names, worst.tolist(), strict=True)),
-                }
-            )
+            rows.append(row_of(model, one, what, np.abs(run(one, start) - expected)))
     return rows
+
+
+def row_of(model: Calibration, case: Case, what: str, off: FloatArray) -> dict[str, Any]:
+    """Row of a proof, of the differences (time, n_out)."""
+    worst = dict(zip(model.output_names, off.max(axis=0).tolist(), strict=True))
+    row = {"log": case.name, "engine": case.engine, "what": what, "samples": len(off)}
+    return {**row, "largest": worst}
 
 
 def largest(rows: Sequence[dict[str, Any]]) -> float:
@@ -103,18 +101,23 @@ def document(file: Path, rows: list[dict[str, Any]], bound: float, **more: Any) 
     }  # fmt: skip
 
 
+def read(folder: Path) -> dict[str, Any]:
+    """Proofs by file in the `proof.json` of a folder; `DataError` for one of another kind."""
+    file = folder / FILE
+    if not file.is_file():
+        return {}
+    try:
+        stored = json.loads(file.read_text(encoding="utf-8"))
+    except ValueError:
+        stored = None
+    if not isinstance(stored, dict) or stored.get("schema") != SCHEMA:
+        raise DataError(
+            "the file is no proof of an export", file=file, hint="Choose another folder"
+        )
+    return dict(stored["proofs"])
+
+
 def write(folder: Path, proof: dict[str, Any]) -> None:
     """Enter a proof in the `proof.json` of a folder, in the place of that of the same file."""
-    file, proofs = folder / FILE, {}
-    if file.is_file():
-        try:
-            stored = json.loads(file.read_text(encoding="utf-8"))
-        except ValueError:
-            stored = None
-        if not isinstance(stored, dict) or stored.get("schema") != SCHEMA:
-            raise DataError(
-                "the file is no proof of an export", file=file, hint="Choose another folder"
-            )
-        proofs = dict(stored["proofs"])
-    proofs[proof["file"]] = proof
-    atomic_write_text(file, to_json({"schema": SCHEMA, "proofs": proofs}))
+    proofs = {**read(folder), proof["file"]: proof}
+    atomic_write_text(folder / FILE, to_json({"schema": SCHEMA, "proofs": proofs}))

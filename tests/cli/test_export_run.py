@@ -1,4 +1,4 @@
-"""`narxcal export RUN --to c`: files, proof, and what it refuses."""
+"""`narxcal export RUN`: files, proof, and what it refuses."""
 
 import json
 import shutil
@@ -68,3 +68,42 @@ def test_a_folder_with_content_and_an_unknown_engine_are_refused(narxcal, run, t
         "narxcal: error: the run tells no engine 'port' apart. Leave --engine out\n",
     )
     assert not (tmp_path / "d").exists()
+
+
+@needs_a_compiler
+def test_a_run_becomes_an_fmu_and_the_proofs_of_a_folder_stand_side_by_side(narxcal, run, tmp_path):
+    pytest.importorskip("fmpy", reason="needs the extra fmu", exc_type=ImportError)
+    for version in ("2.0", "3.0"):
+        out = tmp_path / f"engine{version[0]}.fmu"
+        done = narxcal("export", run, "--to", "fmu", "--fmi", version, "--out", out)
+        assert (done.code, done.err) == (0, "")
+        assert "state stored and set" in done.out
+    proofs = json.loads((tmp_path / "proof.json").read_text("utf-8"))["proofs"]
+    assert sorted(proofs) == ["engine2.fmu", "engine3.fmu"]
+    assert all(proof["ok"] for proof in proofs.values())
+    done = narxcal("export", run, "--to", "fmu", "--out", tmp_path / "engine2.fmu")
+    assert (done.code, "exists. Add --overwrite" in done.err) == (2, True)
+
+
+def test_a_proof_of_somebody_else_is_not_written_over(narxcal, run, tmp_path):
+    (tmp_path / "proof.json").write_text("{}", "utf-8")
+    done = narxcal("export", run, "--to", "fmu", "--out", tmp_path / "engine.fmu")
+    assert (done.code, done.err) == (
+        2,
+        (
+            f"narxcal: error: {tmp_path}/proof.json: the file is no proof of an export. "
+            "Choose another folder\n"
+        ),
+    )
+    assert not (tmp_path / "engine.fmu").exists()
+
+
+def test_c_is_for_runs(narxcal, tmp_path):
+    done = narxcal("export", "business_jet", "--to", "c", "--out", tmp_path / "c")
+    assert (done.code, done.err) == (
+        2,
+        (
+            "narxcal: error: --to c takes a run folder, and SOURCE is business_jet. "
+            "Train one, or export a table or an FMU\n"
+        ),
+    )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from narxcal.export.fmu import write_fmu
 from narxcal.export.program import Program
 from tests.export import models
 
@@ -32,3 +33,14 @@ def test_the_program_in_c_builds_by_the_command_of_the_page(tmp_path):
     inside, value = done.stdout.split()
     assert inside == "0"
     assert 0.0 < float(value) < 120.0
+
+
+def test_the_host_in_python_flies_the_fmu(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("fmpy", reason="needs the extra fmu", exc_type=ImportError)
+    _, (host,) = section("A Python host by FMPy")
+    write_fmu(Program(models.KINDS["narx behind limited lags"]()), tmp_path / "engine.fmu")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(host, "take_away.md", "exec"), {})  # noqa: S102
+    shown = capsys.readouterr().out.splitlines()[-1]
+    first, last = map(float, shown.strip("[]").split())
+    assert last > first + 5.0
