@@ -31,7 +31,8 @@ from data_prep.log import Log
 from data_prep.prepare import hold_inputs
 from narxcal.channels import CHANNELS, spools_of
 from narxcal.steady.fitted import RATIOS, Layout
-from narxcal.steady.model import SteadyStateModel, open_steady
+from narxcal.steady.model import SteadyStateModel
+from narxcal.steady.opening import open_steady
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from training.config import RunConfig

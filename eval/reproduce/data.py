@@ -30,7 +30,7 @@ from narxcal.flight_test.scenario import FlightScenario
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.network import NarxModel
 from narxcal.record import Record
-from narxcal.steady.model import open_steady
+from narxcal.steady.opening import open_steady
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.parallel import in_processes

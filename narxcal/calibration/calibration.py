@@ -32,9 +32,8 @@ from narxcal.steady.model import (
     ALTERED,
     Envelope,
     SteadyStateModel,
-    steady_from_json,
-    steady_to_json,
 )
+from narxcal.steady.opening import steady_from_json, steady_to_json
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError, ModelError
 

@@ -30,7 +30,8 @@ from numpy.typing import NDArray
 from narxcal.calibration.calibration import Calibration, DynamicCalibration, Running
 from narxcal.intervals import HalfWidths
 from narxcal.output_error.engine import STEADY_OUTPUTS, EngineFromSteady, steady_drive
-from narxcal.steady.model import ALTERED, SteadyStateModel, steady_from_json, steady_to_json
+from narxcal.steady.model import ALTERED, SteadyStateModel
+from narxcal.steady.opening import steady_from_json, steady_to_json
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError, NarxcalError
 from narxcal.transfer.scheduled import respond

@@ -16,7 +16,8 @@ from narxcal.cli.options import add_interval, add_logs, add_overwrite, add_trust
 from narxcal.export import ExportOptions, ExportReport, Grid, export_fmu, export_table
 from narxcal.export.report import ADVICE
 from narxcal.intervals import LEVEL
-from narxcal.steady.model import SteadyStateModel, open_steady
+from narxcal.steady.model import SteadyStateModel
+from narxcal.steady.opening import open_steady
 from narxcal.steady.table import read_steady_table
 from narxcal.support.errors import ConfigError, ModelError
 from narxcal.support.files import check_file

@@ -2,7 +2,7 @@
 
 FMI standards 2.0.4 and 3.0.2, sections on co-simulation: every sample is a fresh run of the
 FMU (reset, initialise, set inputs, one step, read outputs), so that no sample depends on the one
-before. An FMU is native code: one stored in a bundle is opened only with trust (`steady.model`).
+before. An FMU is native code: one stored in a bundle is opened only with trust (`steady.opening`).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Results for whole logs are cached, since a training evaluates the same logs again and again.
 Importing a module runs it: a function stored in a bundle is imported only with trust
-(`steady.model`) and only from a file with the stored hash.
+(`steady.opening`) and only from a file with the stored hash.
 """
 
 from __future__ import annotations

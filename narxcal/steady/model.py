@@ -1,4 +1,4 @@
-"""Steady-state models: the interface, the envelope, opening by kind, and storing in a bundle.
+"""Steady-state models: the interface, the envelope, and what the kinds share.
 
 A steady-state model maps operating conditions to the outputs at which the engine settles. It comes
 as a table, a fit to flights, a Python function or an FMU; all meet `SteadyStateModel`.
@@ -6,12 +6,9 @@ as a table, a fit to flights, a Python function or an FMU; all meet `SteadyState
 
 from __future__ import annotations
 
-import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from os import PathLike
-from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
@@ -19,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from narxcal.support.arrays import BoolArray, FloatArray
-from narxcal.support.errors import ConfigError, ModelError
+from narxcal.support.errors import ModelError
 from narxcal.support.settings import Section
 
 Model = TypeVar("Model", bound="StorableSteadyState")
@@ -198,96 +195,13 @@ def at_known(
     return result.reshape(*inputs.shape[:-1], count)
 
 
-# A kind's module is imported only when a model of that kind is opened, and registers its class.
-_MODULES = {
-    "table": "narxcal.steady.table",
-    "callable": "narxcal.steady.function",
-    "fmu": "narxcal.steady.fmu",
-    "fitted": "narxcal.steady.fitted",
-    "static": "narxcal.steady.laws",
-}
-_REGISTRY: dict[str, type[StorableSteadyState]] = {}
+REGISTRY: dict[str, type[StorableSteadyState]] = {}  # what `register_steady` has made loadable
 
 
 def register_steady(model: type[Model]) -> type[Model]:
-    """Class decorator: make `model.kind` loadable by `steady_from_json`."""
-    _REGISTRY[model.kind] = model
+    """Class decorator: make `model.kind` loadable by `narxcal.steady.opening`."""
+    REGISTRY[model.kind] = model
     return model
-
-
-def open_steady(
-    kind: str,
-    source: str,
-    names: Names,
-    folder: str | PathLike[str] = ".",
-    options: SteadyOptions | None = None,
-) -> SteadyStateModel:
-    """Open `source` as `kind` "table" (a CSV file), "callable" (`module:function`) or "fmu".
-
-    `names` are the input and output channels; files and modules are looked for relative to
-    `folder`. This runs the function or FMU named: call it with what the user
-    names, never with what a file says. Raises `ConfigError`, `DataError` or `ModelError` as the
-    kind itself does.
-    """
-    chosen, path = options or SteadyOptions(), Path(folder) / source
-    # Each kind is imported only where it is used: FMPy and pandas are slow to import.
-    if kind == "table":
-        from narxcal.steady.table import read_steady_table  # noqa: PLC0415
-
-        return read_steady_table(path, *names, chosen.method)
-    if kind == "callable":
-        from narxcal.steady.function import SteadyCallable  # noqa: PLC0415
-
-        return SteadyCallable.load(source, names, chosen.ranges, folder)
-    if kind == "fmu":
-        from narxcal.steady.fmu import SteadyFmu  # noqa: PLC0415
-
-        return SteadyFmu(path, names, chosen)
-    raise ConfigError(
-        f"unknown kind of steady-state source '{kind}'", hint="Use table, callable or fmu"
-    )
-
-
-def steady_to_json(
-    model: SteadyStateModel,
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
-    """Split a model into a JSON-able dict with its `kind` and a dict of arrays.
-
-    Raises `ModelError` if the model cannot be stored.
-    """
-    if not isinstance(model, StorableSteadyState):
-        raise ModelError(
-            f"steady-state model {type(model).__name__} cannot be stored in a bundle",
-            hint="Give it kind, to_arrays and from_arrays, or load it as module:function",
-        )
-    meta, arrays = model.to_arrays()
-    return {"kind": model.kind, **meta}, arrays
-
-
-def steady_from_json(
-    meta: Mapping[str, Any], arrays: Arrays, *, trust: bool = False
-) -> SteadyStateModel:
-    """Rebuild what `steady_to_json` split.
-
-    A model that runs code, a Python function or an FMU, is opened only with `trust`. Raises
-    `ModelError` for an unknown kind, and without trust naming what would run.
-    """
-    kind = str(meta.get("kind"))
-    if kind not in _REGISTRY and kind in _MODULES:
-        importlib.import_module(_MODULES[kind])
-    if kind not in _REGISTRY:
-        known = ", ".join(sorted({*_REGISTRY, *_MODULES}))
-        raise ModelError(
-            f"unknown kind of steady-state model '{kind}'", hint=f"Known kinds: {known}"
-        )
-    model = _REGISTRY[kind]
-    if not trust and issubclass(model, Executes) and model.executed(meta):
-        raise ModelError(
-            f"opening this model would run {model.executed(meta)}",
-            hint="If you would run a program of its author, allow it by --trust, in Python by "
-            "load_bundle(folder, trust=True)",
-        )
-    return model.from_arrays(meta, arrays)
 
 
 def stored(values: Mapping[str, Any], name: str, what: str) -> Any:

@@ -7,7 +7,7 @@ import pytest
 
 from eval.reproduce import data as flights
 from eval.reproduce.data import TABLE, flown, paper_scenario, with_table, write_records
-from narxcal.steady.model import open_steady
+from narxcal.steady.opening import open_steady
 from narxcal.support.errors import ConfigError
 from narxcal.turbofan import maker_model
 from narxcal.turbofan.engine import INPUT_NAMES

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from narxcal.atmosphere import air_state
 from narxcal.steady.fitted import FittedSteadyState, Layout, i_splines
-from narxcal.steady.model import Envelope, steady_from_json, steady_to_json
+from narxcal.steady.model import Envelope
+from narxcal.steady.opening import steady_from_json, steady_to_json
 from narxcal.support.errors import ModelError
 
 INPUTS = ("TRA_deg", "ALT_ft", "Mach", "dT_C")

@@ -17,9 +17,8 @@ from narxcal.steady.model import (
     CarriesFiles,
     SteadyOptions,
     SteadyStateModel,
-    steady_from_json,
-    steady_to_json,
 )
+from narxcal.steady.opening import steady_from_json, steady_to_json
 from narxcal.support.errors import ConfigError, ModelError
 
 NAMES = (("TRA_deg", "Mach"), ("N1_pct", "EGT_C"))

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from narxcal.steady.function import Cached, SteadyCallable
-from narxcal.steady.model import SteadyStateModel, steady_from_json, steady_to_json
+from narxcal.steady.model import SteadyStateModel
+from narxcal.steady.opening import steady_from_json, steady_to_json
 from narxcal.support.errors import ConfigError, ModelError
 
 NAMES = (("TRA_deg", "Mach"), ("N1_pct",))

@@ -15,11 +15,9 @@ from narxcal.steady.model import (
     SteadyStateModel,
     StorableSteadyState,
     checked_inputs,
-    open_steady,
-    steady_from_json,
-    steady_to_json,
     stored,
 )
+from narxcal.steady.opening import open_steady, steady_from_json, steady_to_json
 from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import ConfigError, ModelError
 
