@@ -206,9 +206,9 @@ def assess_log(
         run=run,
         role=_role(bundle, log),
         scores=score([run]),
-        events=assessed(events, _overlay(run, MODEL), settings.transients),
+        events=assessed(events, overlay_of(run, MODEL), settings.transients),
         baselines={
-            name: tally(assess_events(events, _overlay(run, name), settings.transients))
+            name: tally(assess_events(events, overlay_of(run, name), settings.transients))
             for name in BASELINES
             if name in run.outputs
         },
@@ -225,7 +225,8 @@ def _levels(bundle: Bundle, run: FreeRun) -> tuple[LevelCheck, ...]:
     return checks(bundle.record.lead_channels, run.channels, (run.model, measured), run.log.dt_s)
 
 
-def _overlay(run: FreeRun, name: str) -> Overlay:
+def overlay_of(run: FreeRun, name: str) -> Overlay:
+    """Flight and one model of a free run, as events are judged on."""
     model = run.outputs[name]
     return Overlay(run.log.time_s, run.measured, model, run.channels, run.inputs_known)
 
@@ -473,6 +474,16 @@ def evaluation_logs(bundle: Bundle, files: Sequence[Path] | None = None) -> list
     output.
     """
     config, _ = run_config(bundle)
+    return screened(bank_of(bundle), _prepared(bundle, config, files))
+
+
+def recorded_logs(bundle: Bundle, files: Sequence[Path]) -> list[Log]:
+    """As `evaluation_logs`, on the same rows, but not smoothed and not screened for faults."""
+    config, _ = run_config(bundle)
+    return _prepared(bundle, config.having(smooth={"window": 1}), files)
+
+
+def _prepared(bundle: Bundle, config: RunConfig, files: Sequence[Path] | None) -> list[Log]:
     outputs = bundle.calibration.output_names
     spared = set(outputs) - set(bundle.calibration.input_names)
     reading = config.logs.sparing(spared).every(bundle.calibration.dt_s)
@@ -482,8 +493,7 @@ def evaluation_logs(bundle: Bundle, files: Sequence[Path] | None = None) -> list
     else:
         logs = read_logs(config.logs.resolve(Path(bundle.record.base)), reading)
         chosen = split_logs(logs, config.split).test or logs
-    logs = [with_outputs(one.log, outputs) for one in prepare(chosen, config)]
-    return screened(bank_of(bundle), logs)
+    return [with_outputs(one.log, outputs) for one in prepare(chosen, config)]
 
 
 def file_faults(bundle: Bundle, file: Path) -> tuple[Fault, ...]:

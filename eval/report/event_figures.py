@@ -37,19 +37,12 @@ def overlay_figure(view: LogView, one: AssessedEvent) -> Figure:
     """Build the large overlay: driver, then per output the curves and their deviation."""
     ratios = [0.6] + [part for _ in view.outputs for part in (1.7, 0.5)]
     figure, axes = style.stack(8.6, ratios)
-    rows, t0_s = view.rows(one.event), one.event.start_s
-    time = view.log.time_s[rows] - t0_s
+    rows = view.rows(one.event)
+    time = view.log.time_s[rows] - one.event.start_s
     axes[0].plot(time, view.log[view.driver][rows], color=style.DRIVER, lw=1.2)
     axes[0].set_ylabel(style.with_unit(view.driver))
     for curves, upper, lower in zip(view.curves(rows), axes[1::2], axes[2::2], strict=True):
-        assessment = one.of(curves.name)
-        if assessment is not None:
-            _levels(upper, assessment)
-            _windows(upper, assessment, t0_s)
-        _curves(upper, time, curves)
-        if assessment is not None:
-            _dots(upper, assessment, t0_s)
-        upper.set_ylabel(style.with_unit(curves.name))
+        draw_output(upper, time, curves, one)
         lower.axhline(0.0, color="#8c959f", lw=0.6)
         if curves.model is not None:
             lower.plot(time, curves.model - curves.measured, color=style.MODEL, lw=0.9)
@@ -61,6 +54,18 @@ def overlay_figure(view: LogView, one: AssessedEvent) -> Figure:
     style.legend(axes[1], columns=6)
     axes[-1].set_xlabel("time after the lever moved [s]")
     return figure
+
+
+def draw_output(axes: Axes, time: FloatArray, curves: Curves, one: AssessedEvent) -> None:
+    """Draw one output over `time (time,)` after the lever moved, with its Ti/Tt windows."""
+    assessment, t0_s = one.of(curves.name), one.event.start_s
+    if assessment is not None:
+        _levels(axes, assessment)
+        _windows(axes, assessment, t0_s)
+    _curves(axes, time, curves)
+    if assessment is not None:
+        _dots(axes, assessment, t0_s)
+    axes.set_ylabel(style.with_unit(curves.name))
 
 
 def summary_figure(view: LogView, one: AssessedEvent) -> bytes:

@@ -32,7 +32,7 @@ AnyFloats = NDArray[np.floating[Any]]
 MAX_POINTS = 1500
 
 # rc parameters are global to the process, so only one thread may render at a time.
-_RENDERING = threading.Lock()
+RENDERING = threading.Lock()
 
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
@@ -49,7 +49,7 @@ class Picture:
 def picture(figure: Figure, alt: str, caption: str = "") -> Picture:
     """Render `figure`; text stays text (searchable) and takes the page's own font."""
     buffer = io.StringIO()
-    with _RENDERING, mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "narxcal"}):
+    with RENDERING, mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "narxcal"}):
         FigureCanvasSVG(figure).print_svg(buffer, metadata=_NO_METADATA)  # type: ignore[no-untyped-call]
     return Picture(Markup(_shrink(buffer.getvalue(), alt)), alt, caption)  # noqa: S704 - our own SVG
 

@@ -38,6 +38,7 @@ COMMANDS = {
     "identify": "Calibrate by another method: output error, responses, subspace, static law.",
     "evaluate": "Judge a model in free run over whole logs, and its Ti and Tt.",
     "compare": "Compare runs on the same held-out rows: one table, what is significant.",
+    "qtg": "The qualification test guide: one sheet a test, as a PDF for an authority.",
     "crossval": "Leave one flight out, and ten random 7:3 splits by event.",
     "replay": "Stream a log through model and fuser, sample by sample.",
     "simulate": "Free run over a file of inputs, or over a folder with found effects.",

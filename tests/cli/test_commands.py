@@ -24,7 +24,7 @@ from training.outlying import Outlier
 ROOT = Path(__file__).parents[2]
 COMMANDS = (
     "demo", "prepare", "train", "identify", "evaluate", "compare", "crossval", "replay",
-    "simulate", "info", "denoise",
+    "simulate", "info", "denoise", "qtg",
     "fly", "export", "reproduce", "diagnose", "blind", "benchmark",
 )  # fmt: skip
 
@@ -550,3 +550,30 @@ def test_a_log_without_a_probe_is_judged_by_its_spools(project, narxcal, tmp_pat
     assert re.search(r"level error of N1_pct .*, N2_pct \S+ % is not judged", level)
     assert document["logs"][0]["channels"]["EGT_C"]["rmse"] is None
     assert document["logs"][0]["channels"]["N1_pct"]["rmse"] > 0.0
+
+
+def test_qtg_writes_a_guide_of_the_numbers_of_evaluate(project, narxcal, undrawn, tmp_path):
+    tests, out = tmp_path / "tests.toml", tmp_path / "qtg.pdf"
+    narxcal("evaluate", project / "run", "--out", tmp_path / "ev", "--quiet")
+    evaluated = strict((tmp_path / "ev/evaluate.json").read_text("utf-8"))
+    log = evaluated["logs"][0]
+    row = next(one for one in log["events"] if one["ok"] is not None)
+    tests.write_text(
+        'schema = "narxcal.qtg_tests/1"\n[[test]]\nnumber = "A-1"\n'
+        f'log = "{log["log"]}"\nstart_s = {row["start_s"]:.3f}\n',
+        "utf-8",
+    )
+    done = narxcal("qtg", project / "run", "--out", out, "--tests", tests)
+    document = strict(out.with_suffix(".json").read_text("utf-8"))
+    assert done.code == (0 if document["ok"] else 1)
+    assert f"Guide: {out} and qtg.json" in done.out
+    assert out.read_bytes().startswith(b"%PDF-")
+    (test,) = document["tests"]
+    same = [one for one in log["events"] if one["start_s"] == row["start_s"]]
+    assert (test["number"], test["results"]) == ("A-1", same)
+    assert narxcal("qtg", project / "run", "--out", out).err == (
+        f"narxcal: error: output file {out} exists. Add --overwrite, or choose another name\n"
+    )
+    assert narxcal("qtg", project / "run", "--out", tmp_path / "qtg.html").err == (
+        "narxcal: error: the guide is a .pdf file, and --out names qtg.html. Name it qtg.pdf\n"
+    )

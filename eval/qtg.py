@@ -1,0 +1,582 @@
+"""A qualification test guide: which events are its tests, their results, and its JSON document.
+
+A test is one event of `eval.evaluate`, with the same assessments to the last digit. What is chosen,
+titled and annotated stands in a TOML file of tests (`TestsFile`); `start_file` writes one of all
+events found. A `Guide` that was saved is the master of later, recurrent evaluations.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import count
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+from pydantic import Field
+
+from data_prep.events import AUTO, find_events
+from data_prep.log import Log
+from eval.evaluate import LogEvaluation, assess_log, overlay_of, run_config
+from eval.free_run import MODEL
+from eval.report.view import LogView
+from eval.rules import Manoeuvre, Rules
+from eval.transients import AssessedEvent, Assessment, TransientsConfig, assessed
+from narxcal.calibration.bundle import Bundle, seal
+from narxcal.channels import CHANNELS, channel
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError, DataError, did_you_mean
+from narxcal.support.files import finite, versions
+from narxcal.support.settings import Section, read_toml
+
+SCHEMA: Final = "narxcal.qtg/1"
+TESTS_SCHEMA: Final = "narxcal.qtg_tests/1"
+WORDS: Final = {True: "PASS", False: "FAIL", None: "NOT ASSESSED"}
+_DIGITS = 6  # of a curve in the document: beyond what any recorder resolves
+# Preferred as the measure of propulsive force, if the model gives them and they are judged.
+_CRITICAL = ("EPR", "N1_pct", "N2_pct")
+
+
+class FrontMatter(Section):
+    """Table [document]: what the cover says; an empty entry is a line to be filled in by hand."""
+
+    device: str = ""
+    aeroplane: str = ""
+    engine: str = ""
+    data_reference: str = ""
+    sponsor: str = ""
+    authority: str = ""
+    revision: str = ""
+    place: str = ""
+    date: str = ""
+
+
+class Entry(Section):
+    """One [[test]]: the event of `log` that begins at `start_s`, and what its sheet says of it.
+
+    A test without a `number` takes the next of its paragraph. `configuration` names what no log of
+    an engine holds: flaps, gear, weight, centre of gravity.
+    """
+
+    log: str
+    start_s: float
+    use: bool = True
+    number: str = ""
+    title: str = ""
+    configuration: str = ""
+    rationale: str = ""
+
+
+class TestsFile(Section):
+    """A TOML file of tests; `critical` is the channel that decides, the usual one where empty."""
+
+    __test__ = False  # no test of pytest
+
+    schema_: Literal["narxcal.qtg_tests/1"] = Field(default=TESTS_SCHEMA, alias="schema")
+    critical: str = ""
+    document: FrontMatter = FrontMatter()
+    test: tuple[Entry, ...] = ()
+
+
+def read_tests(file: Path) -> TestsFile:
+    """Read a file of tests; raises `ConfigError`."""
+    found = TestsFile.parse(read_toml(file, TESTS_SCHEMA), file)
+    if not found.test:
+        raise ConfigError("no [[test]] is listed", file=file, hint="Write a start by --write-tests")
+    return found
+
+
+@dataclass(frozen=True)
+class MasterTest:
+    """The same event in the master: its number, results by channel and simulated curves."""
+
+    number: str
+    rows: Mapping[str, Mapping[str, Any]]
+    from_s: float
+    dt_s: float
+    model: Mapping[str, Sequence[float | None]]
+
+    def curve(self, name: str) -> tuple[FloatArray, FloatArray] | None:
+        """Time in seconds on the log's clock and the simulated channel; None without it."""
+        if name not in self.model:
+            return None
+        values = np.array(self.model[name], dtype=np.float64)  # null is NaN
+        return self.from_s + self.dt_s * np.arange(len(values), dtype=np.float64), values
+
+
+@dataclass(frozen=True)
+class Master:
+    """A guide that was saved before, by the identity of its events."""
+
+    file: str
+    model_sha256: str
+    rules: str
+    tests: Mapping[tuple[str, str, float], MasterTest]
+
+
+def read_master(file: Path) -> Master:
+    """Read `qtg.json` of an earlier run; raises `DataError` for another, or an altered, file."""
+    hint = "Name a qtg.json that narxcal qtg wrote"
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(f"cannot be read: {error.strerror}", file=file, hint=hint) from None
+    except (ValueError, RecursionError):
+        raise DataError("expected JSON, found something else", file=file, hint=hint) from None
+    schema = document.get("schema") if isinstance(document, dict) else None
+    if schema != SCHEMA:
+        raise DataError(f"expected schema '{SCHEMA}', found {schema!r}", file=file, hint=hint)
+    if document.pop("sha256", None) != seal(document):
+        raise DataError("the file was altered or cut off: its sha256 differs", file=file, hint=hint)
+    return Master(
+        str(file),
+        document["model_sha256"],
+        document["rules"]["name"],
+        {
+            _identity(one["sha256"], one["log"], one["start_s"]): MasterTest(
+                one["number"], {row["channel"]: row for row in one["results"]}, **one["curves"]
+            )
+            for one in document["tests"]
+        },
+    )
+
+
+def _identity(sha256: str, log: str, start_s: float) -> tuple[str, str, float]:
+    """What makes two tests the same event: the bytes of the file, the engine, the time."""
+    return sha256, log.rpartition(":")[2] if ":" in log else "", round(start_s, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Test:
+    """One sheet: an event of a log with its results, and `recorded`, the log before smoothing."""
+
+    __test__ = False  # no test of pytest
+
+    entry: Entry
+    number: str
+    view: LogView
+    one: AssessedEvent
+    deciding: tuple[str, ...]
+    rules: Rules
+    recorded: Log | None = None
+    master: MasterTest | None = None
+
+    @property
+    def manoeuvre(self) -> Manoeuvre:
+        """What the rules ask to be flown for this direction."""
+        return self.rules.manoeuvres[self.one.event.label]
+
+    @property
+    def title(self) -> str:
+        """Title of the sheet."""
+        return self.entry.title or usual_title(self.manoeuvre, self.one)
+
+    @property
+    def result(self) -> bool | None:
+        """Whether every deciding channel that could be assessed passes; None if none could."""
+        return result_of(self.one, self.deciding)
+
+    @property
+    def otherwise(self) -> bool | None:
+        """Result by the other reading of an unresolved tolerance; None where that is the same."""
+        found = [one.verdict.otherwise for one in self.one.assessments
+                 if one.channel in self.deciding]  # fmt: skip
+        return next((ok for ok in found if ok is not None), None)
+
+    @property
+    def condition_met(self) -> bool | None:
+        """Whether the event was flown where the rules want it; None where no log says."""
+        return _condition_met(self.view.log, self.one.event.start, self.manoeuvre)
+
+    def row(self) -> dict[str, Any]:
+        """One entry of `tests` in `qtg.json`; `results` are rows of `evaluate.json`."""
+        view, event = self.view, self.one.event
+        rows, log = view.rows(event), view.log
+        return {
+            "number": self.number,
+            "title": self.title,
+            "paragraph": self.manoeuvre.number,
+            "log": log.name,
+            "file": log.source.file,
+            "sha256": log.source.sha256,
+            "start_s": event.start_s,
+            "stop_s": float(log.time_s[event.stop - 1]),
+            "condition_met": self.condition_met,
+            "initial": dict(view.conditions(event)),
+            "result": WORDS[self.result],
+            "other_reading": None if self.otherwise is None else WORDS[self.otherwise],
+            "deciding": list(self.deciding),
+            "configuration": self.entry.configuration,
+            "rationale": self.entry.rationale,
+            "master": None if self.master is None else self.master.number,
+            "results": [each.row() for each in self.one.assessments],
+            "curves": {
+                "from_s": float(log.time_s[rows.start]),
+                "dt_s": log.dt_s,
+                "model": {
+                    each.name: [float(f"{value:.{_DIGITS}g}") for value in each.model]
+                    for each in view.curves(rows)
+                    if each.model is not None
+                },
+            },
+        }
+
+
+def _condition_met(log: Log, start: int, manoeuvre: Manoeuvre) -> bool | None:
+    """In approach where that is recorded, or on the ground; None where it has to be confirmed."""
+    if manoeuvre.ground is None:
+        return True
+    wow = float(log["WOW"][start]) if "WOW" in log.channels else math.nan
+    if not math.isfinite(wow):
+        return None
+    if (wow == 1.0) is not manoeuvre.ground:
+        return False
+    approach = "Approach" in log.channels and log["Approach"][start] == 1.0
+    return True if manoeuvre.ground or approach else None
+
+
+def result_of(one: AssessedEvent, deciding: Sequence[str]) -> bool | None:
+    """Whether every deciding channel that could be assessed passes; None if none could."""
+    found = tuple(each for each in one.assessments if each.channel in deciding)
+    return AssessedEvent(one.event, found).ok
+
+
+def usual_title(manoeuvre: Manoeuvre, one: AssessedEvent) -> str:
+    """Title of a test that is not given one."""
+    return f"{manoeuvre.title}, {one.event.speed}, {one.event.log} at {one.event.start_s:.2f} s"
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """All events of the logs, in order, with the log that each belongs to."""
+
+    view: LogView
+    one: AssessedEvent
+    recorded: Log | None
+
+    @property
+    def at(self) -> tuple[str, float]:
+        """Log and time in seconds, by which a file of tests names it."""
+        return self.view.log.name, self.one.event.start_s
+
+    @property
+    def identity(self) -> tuple[str, str, float]:
+        """What makes two tests the same event."""
+        return _identity(self.view.log.source.sha256, *self.at)
+
+    def reason(self, deciding: Sequence[str], rules: Rules) -> str:
+        """Why it is no test by itself; empty where it is one."""
+        event = self.one.event
+        if event.speed != "fast":
+            return f"the movement is {event.speed}"
+        how = rules.manoeuvres[event.label]
+        if _condition_met(self.view.log, event.start, how) is False:
+            return f"flown elsewhere than {how.number} asks for ({how.condition})"
+        if result_of(self.one, deciding) is None:
+            reasons = [e.verdict.reason for e in self.one.assessments if e.channel in deciding]
+            return reasons[0] or "" if reasons else "no deciding channel is recorded"
+        return ""
+
+
+@dataclass(frozen=True, eq=False)
+class Guide:
+    """The whole guide: tests in their order, and every event that is no test, with its reason."""
+
+    bundle: Bundle
+    run: str
+    front: FrontMatter
+    settings: TransientsConfig
+    deciding: tuple[str, ...]
+    logs: tuple[LogEvaluation, ...]
+    tests: tuple[Test, ...]
+    left_out: tuple[tuple[Found, str], ...]
+    master: Master | None = None
+    cautions: tuple[str, ...] = ()
+
+    @property
+    def rules(self) -> Rules:
+        """The rule set with its tolerances for the source of the data."""
+        return self.settings.rule_set
+
+    @property
+    def ok(self) -> bool:
+        """Whether every test passes; one that could not be assessed is not shown to."""
+        return all(test.result is True for test in self.tests)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Tests by result, in the order PASS, FAIL, NOT ASSESSED."""
+        found = Counter(WORDS[test.result] for test in self.tests)
+        return {word: found[word] for word in WORDS.values()}
+
+    @cached_property
+    def not_repeated(self) -> tuple[str, ...]:
+        """Numbers of the master's tests that are none here."""
+        if self.master is None:
+            return ()
+        here = [test.master for test in self.tests]
+        return tuple(one.number for one in self.master.tests.values() if one not in here)
+
+    def document(self) -> dict[str, Any]:
+        """`qtg.json`, with the hash of all else in it."""
+        used = self.rules
+        document = finite({
+            "schema": SCHEMA,
+            "ok": self.ok,
+            "counts": self.counts,
+            "rules": {
+                "name": used.name,
+                "source": used.source,
+                "tt_origin": used.tt_origin,
+                "data_source": self.settings.data_source,
+                "clauses": [{"subject": one.subject, "text": one.text, "mark": one.mark}
+                            for one in used.clauses],
+            },
+            "run": self.run,
+            "model_sha256": self.bundle.sha256,
+            "versions": versions(),
+            "document": self.front.model_dump(),
+            "master": None if self.master is None else {
+                "file": self.master.file,
+                "model_sha256": self.master.model_sha256,
+                "not_repeated": list(self.not_repeated),
+            },
+            "free_run_rmse": {one.log.name: {name: each.rmse for name, each in one.scores.items()}
+                              for one in self.logs},
+            "tests": [test.row() for test in self.tests],
+            "left_out": [
+                {"log": found.at[0], "start_s": found.at[1], "move": found.one.move, "reason": why}
+                for found, why in self.left_out
+            ],
+            "cautions": list(self.cautions),
+        })  # fmt: skip
+        return {"schema": SCHEMA, "sha256": seal(document), **document}
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluated:
+    """Logs that a bundle was run over, with every event on them, in flight and on the ground."""
+
+    bundle: Bundle
+    settings: TransientsConfig
+    logs: tuple[LogEvaluation, ...]
+    found: tuple[Found, ...]
+
+    def deciding(self, critical: str = "") -> tuple[str, ...]:
+        """Channels whose verdict is the result of a test; raises `ConfigError`."""
+        outputs = self.bundle.calibration.output_names
+        judged = [name for name in self.settings.channels if name in outputs]
+        if critical and channel(critical).name not in judged:
+            raise ConfigError(
+                "the critical channel is not judged by the run",
+                channel=critical,
+                hint=f"Name one of {', '.join(judged)}, or judge it by [evaluate.transients]",
+            )
+        if critical or not self.settings.rule_set.one_decides:
+            return (critical,) if critical else tuple(judged)
+        return tuple([name for name in _CRITICAL if name in judged] or judged)[:1]
+
+
+def evaluate_events(
+    bundle: Bundle, logs: Sequence[Log], settings: TransientsConfig, recorded: Sequence[Log] = ()
+) -> Evaluated:
+    """Evaluate prepared logs; `recorded` are the same before smoothing.
+
+    Raises as `eval.evaluate.assess_log`.
+    """
+    config, judged = run_config(bundle)
+    judged = judged.model_copy(update={"transients": settings})
+    raw = {log.name: log for log in recorded}
+    parts, found = [], []
+    for log in logs:
+        part = assess_log(bundle, log, judged)
+        driver, own = config.events.driver, raw.get(log.name)
+        view = LogView(log=part.log, driver=driver, outputs=part.run.channels, evaluation=part)
+        own = own if own is not None and len(own) == len(log) else None
+        events = (*part.events, *_elsewhere(part, bundle, settings))
+        parts.append(part)
+        found += [Found(view, one, own) for one in sorted(events, key=lambda one: one.event.start)]
+    return Evaluated(bundle, settings, tuple(parts), tuple(found))
+
+
+def _elsewhere(
+    part: LogEvaluation, bundle: Bundle, settings: TransientsConfig
+) -> tuple[AssessedEvent, ...]:
+    """Events on the ground, which `evaluate` leaves out and paragraph 1.f.2 asks for."""
+    events = run_config(bundle)[0].events
+    if events.condition not in (AUTO, "WOW") or "WOW" not in part.log.channels:
+        return ()
+    other = events.model_copy(
+        update={"condition": "WOW", "condition_value": 1.0 - events.condition_value}
+    ).for_log(part.log, bundle.calibration.output_names)
+    return assessed(find_events(part.log, other), overlay_of(part.run, MODEL), settings)
+
+
+def guide_of(
+    events: Evaluated,
+    run: str,
+    listed: TestsFile | None = None,
+    file: Path | None = None,
+    master: Master | None = None,
+) -> Guide:
+    """Make the guide of the run of that name, by the tests `listed` in `file`.
+
+    Without them every fast movement that can be assessed is a test. Raises `ConfigError` for tests
+    that are no events, and `DataError` for a master of other events.
+    """
+    tests_file = listed or TestsFile(document=FrontMatter())
+    deciding = events.deciding(tests_file.critical)
+    used = events.settings.rule_set
+    named, others = _chosen(events, deciding, file, tests_file.test)
+    tests = tuple(
+        Test(entry, number, found.view, found.one, deciding, used, found.recorded,
+             master.tests.get(found.identity) if master else None)
+        for found, entry, number in _numbered(named, used, file)
+    )  # fmt: skip
+    if master is not None and master.rules != used.name:
+        raise DataError(
+            f"its times are by the rules '{master.rules}', these by '{used.name}'",
+            file=master.file,
+            hint=f"Add --rules {master.rules}",
+        )
+    if master is not None and not any(test.master for test in tests):
+        raise DataError(
+            "none of its tests is one of these events",
+            file=master.file,
+            hint="Name the master's own logs by --logs",
+        )
+    return Guide(events.bundle, run, tests_file.document, events.settings, deciding, events.logs,
+                 tests, tuple(others), master)  # fmt: skip
+
+
+def _chosen(
+    events: Evaluated, deciding: Sequence[str], file: Path | None, listed: Sequence[Entry]
+) -> tuple[list[tuple[Found, Entry]], list[tuple[Found, str]]]:
+    """Divide the events into tests with their entries, and others with the reason.
+
+    Without `file`, every fast movement that can be assessed is a test. Raises `ConfigError` for an
+    entry of no event, two of the same, and where nothing is left.
+    """
+    rules, found = events.settings.rule_set, events.found
+    if file is None:
+        named = [(one, _entry(one, use=not one.reason(deciding, rules))) for one in found]
+    else:
+        named = _matched(found, file, listed)
+    tests = [(one, entry) for one, entry in named if entry.use]
+    used = {id(one) for one, _ in tests}
+    others = [
+        (one, one.reason(deciding, rules) or "not chosen") for one in found if id(one) not in used
+    ]
+    if not tests:
+        why = Counter(reason for _, reason in others).most_common(1)
+        most = f" ({len(others)} events; {why[0][0]})" if why else " (no event was found)"
+        raise ConfigError(
+            f"no event is a test{most}",
+            file=file,
+            hint="Choose events by use = true in a file of tests; --write-tests writes a start",
+        )
+    return tests, others
+
+
+def _entry(one: Found, *, use: bool) -> Entry:
+    return Entry(log=one.at[0], start_s=round(one.at[1], 3), use=use)
+
+
+def _matched(
+    found: Sequence[Found], file: Path, listed: Sequence[Entry]
+) -> list[tuple[Found, Entry]]:
+    """Each entry with its event: that of its log within half a sample."""
+    named: dict[int, tuple[Found, Entry]] = {}
+    for entry in listed:
+        own = [one for one in found if one.at[0] == entry.log]
+        if not own:
+            logs = dict.fromkeys(one.at[0] for one in found)
+            hint = did_you_mean(entry.log, logs, "Logs with events:") if logs else None
+            raise ConfigError(f"no event is of the log '{entry.log}'", file=file, hint=hint)
+        near = min(own, key=lambda one: abs(one.at[1] - entry.start_s))
+        if abs(near.at[1] - entry.start_s) > 0.5 * near.view.log.dt_s:
+            raise ConfigError(
+                f"no event of the log '{entry.log}' begins at {entry.start_s:g} s",
+                file=file,
+                hint=f"The nearest begins at {near.at[1]:.3f} s",
+            )
+        if id(near) in named:
+            problem = f"the event at {entry.start_s:g} s of '{entry.log}' is listed twice"
+            raise ConfigError(problem, file=file, hint="Keep one")
+        named[id(near)] = near, entry
+    return list(named.values())
+
+
+def _numbered(
+    tests: Iterable[tuple[Found, Entry]], rules: Rules, file: Path | None
+) -> list[tuple[Found, Entry, str]]:
+    """Give every test a number: its own, or the next free one of its paragraph."""
+    tests = sorted(tests, key=lambda one: rules.manoeuvres[one[0].one.event.label].number)
+    own = Counter(entry.number for _, entry in tests if entry.number)
+    twice = next((number for number, times in own.items() if times > 1), None)
+    if twice is not None:
+        raise ConfigError(f"two tests have the number '{twice}'", file=file, hint="Change one")
+    running = {one.number: count(1) for one in rules.manoeuvres}
+    numbers = []
+    for found, entry in tests:
+        paragraph = rules.manoeuvres[found.one.event.label].number
+        free = (f"{paragraph}-{k:02d}" for k in running[paragraph])
+        number = entry.number or next(each for each in free if each not in own)
+        numbers.append((found, entry, number))
+    return numbers
+
+
+def start_file(events: Evaluated) -> str:
+    """TOML of all events: those that are tests by themselves with `use = true`."""
+    rules, deciding = events.settings.rule_set, events.deciding()
+    lines = [
+        f'schema = "{TESTS_SCHEMA}"',
+        'critical = ""  # the channel that decides; empty: the usual one of the rules',
+        "",
+        "[document]  # what the cover says; an empty entry is a line to be filled in by hand",
+        *(f'{name} = ""' for name in FrontMatter.model_fields),
+    ]
+    for one in events.found:
+        why = one.reason(deciding, rules)
+        event = one.one.event
+        lines += [
+            "",
+            "[[test]]" + (f"  # {_plain(why)}" if why else ""),
+            f"use = {'false' if why else 'true'}",
+            f"log = {_quoted(one.at[0])}",
+            f"start_s = {one.at[1]:.3f}",
+            'number = ""',
+            f"title = {_quoted(usual_title(rules.manoeuvres[event.label], one.one))}",
+            'configuration = ""  # flaps, gear, weight, centre of gravity',
+            'rationale = ""',
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _plain(text: str) -> str:
+    return "".join(one if one.isprintable() else " " for one in text)
+
+
+def supporting(test: Test) -> list[Assessment]:
+    """Channels that do not decide and whose times are outside of the tolerance."""
+    return [one for one in test.one.assessments
+            if one.channel not in test.deciding and one.verdict.ok is False]  # fmt: skip
+
+
+def unit_value(name: str, value: float) -> str:
+    """Value of a channel with its unit, as precise as an instrument is read."""
+    known = CHANNELS[name]
+    if known.role == "switch":
+        return "on" if value else "off"
+    digits = {"ft": 0, "-": 3, "kg/h": 0, "kN": 2}.get(known.unit, 1)
+    unit = {"degC": " °C", "deg": "°", "-": ""}.get(known.unit, f" {known.unit}")
+    return f"{value:.{digits}f}{unit}"
