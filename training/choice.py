@@ -33,11 +33,9 @@ from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.progress import Progress, silent
 from training import ranking
-from training.arx import dead_times
+from training.forms import dead_times, linear_model, try_arx, try_linear, try_network
 from training.held_out import FOLDS, SHORTEST, WINDOW, Fold, by_piece, folds_of, runs_of
 from training.latent_forms import affordable, try_latent
-from training.linear_forms import linear_model, try_arx, try_linear
-from training.network_forms import try_network
 from training.ranking import Form, Tried, best_by_rung, simplex
 from training.search import LAG, LATENT, MEAN, Search, Work
 

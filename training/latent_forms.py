@@ -21,9 +21,9 @@ from narxcal.narx.forms import DynamicModel, Ensemble
 from narxcal.narx.latent import Shape
 from narxcal.record import Record
 from narxcal.support.errors import DataError
+from training.forms import ORDERS, Bases
 from training.held_out import thinned
 from training.latent import Data, Fitted, at_decay, fit_linear, grown, model_of, moved, path
-from training.linear_forms import ORDERS, Bases
 from training.ranking import Form, Tried, beats
 from training.search import (
     FEW,

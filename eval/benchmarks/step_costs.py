@@ -20,9 +20,9 @@ from narxcal.narx.latent import Shape
 from narxcal.narx.network import Scaling
 from narxcal.record import Record
 from narxcal.support.arrays import FloatArray
+from training.forms import drawn_networks, network_kind, network_size
 from training.latent import Data, at_decay, fit_linear, grown
 from training.network import Material
-from training.network_forms import drawn_networks, network_kind, network_size
 from training.search import counted
 
 _SIZES = tuple(product((500, 4000), (1, 9)))  # samples; one in so many rows is scored
