@@ -47,6 +47,7 @@ from eval.transients import (
 )
 from eval.trim import TrimConfig, rows_for_trim
 from narxcal.calibration.bundle import Bundle
+from narxcal.calibration.certificate import Certificate, certificate_of
 from narxcal.channels import symbol
 from narxcal.steady.model import Envelope, SteadyStateModel
 from narxcal.support.errors import ConfigError, DataError, ModelError
@@ -241,12 +242,16 @@ def _role(bundle: Bundle, log: Log) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """All logs and what they have to reach; `leads` says where a simple model leads."""
+    """All logs and what they have to reach; `leads` says where a simple model leads.
+
+    `certificate` says whether the model settles at constant inputs.
+    """
 
     logs: tuple[LogEvaluation, ...]
     config: EvaluateConfig
     trim: float | None = None
     leads: tuple[str, ...] = ()
+    certificate: Certificate | None = None
 
     @property
     def assessments(self) -> list[Assessment]:
@@ -269,12 +274,18 @@ class Evaluation:
         Raises `ConfigError` for a bound on a channel that the model does not give.
         """
         return [
+            *self._hunting(),
             *self._failed_times(),
             *self._wrong_levels(),
             *self._large_errors(),
             *self._faulty(),
             *self._without_evidence(),
         ]
+
+    def _hunting(self) -> list[str]:
+        """Say that the model does not settle at constant inputs."""
+        found = self.certificate
+        return [] if found is None or found.settled else [f"The model {found.words}"]
 
     @property
     def faults(self) -> list[Fault]:
@@ -406,6 +417,7 @@ class Evaluation:
                 "missed": missed,
                 "trim": self.trim,
                 "faults": [fault.row() for fault in self.faults],
+                "certificate": None if self.certificate is None else self.certificate.row(),
                 "rules": {
                     "name": used.name,
                     "source": used.source,
@@ -546,7 +558,12 @@ def evaluate(
     """
     settings = settings or run_config(bundle)[1]
     found = tuple(assess_log(bundle, log, settings, trim=trim) for log in logs)
-    return Evaluation(found, settings, trim, lead_sentences(bundle))
+    return Evaluation(found, settings, trim, lead_sentences(bundle), certificate(bundle))
+
+
+def certificate(bundle: Bundle) -> Certificate:
+    """Whether the model settles at constant inputs, as stored or as found now."""
+    return certificate_of(bundle.calibration, bundle.record.certificate)
 
 
 def outside_envelope(run: FreeRun, steady: SteadyStateModel) -> str:

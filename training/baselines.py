@@ -29,8 +29,6 @@ from narxcal.support.errors import ModelError
 
 SHORTEST_S, LONGEST_S = 0.02, 60.0
 ORDERS = (1, 2, 3)
-# A pole this close to the unit circle remembers its start for the rest of the flight.
-_LARGEST_POLE = 0.9999
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +49,14 @@ class FirstOrderLag:
     def simulate(self, steady: FloatArray, start: FloatArray, dt_s: float) -> FloatArray:
         """Free run (time, n_out) behind `steady` (time, n_out), from `start` (n_out,)."""
         columns = [
-            self.lead(k, dt_s).simulate(steady, _first(steady, start, k))
-            for k in range(len(self.push_s))
+            lead.simulate(steady, _first(steady, start, k))
+            for k, lead in enumerate(self.leads(dt_s))
         ]
         return np.stack(columns, axis=1)
+
+    def leads(self, dt_s: float) -> tuple[Lead, ...]:
+        """The lags of all outputs."""
+        return tuple(self.lead(k, dt_s) for k in range(len(self.push_s)))
 
     def lead(self, k: int, dt_s: float) -> Lead:
         """The lag of one output."""
@@ -126,7 +128,7 @@ def fit_baselines(calibration: Calibration, logs: Sequence[Log]) -> dict[str, An
     runs = [run_of(calibration, log) for log in logs]
     channels = range(len(calibration.output_names))
     lags = [_fit_lag(runs, k, calibration.dt_s) for k in channels]
-    arx = [_fit_arx(runs, k) for k in channels]
+    arx = [_fit_arx(runs, k, calibration.dt_s) for k in channels]
     every = np.concatenate([run.measured for run in runs])
     low, high = np.nanpercentile(every, (1.0, 99.0), axis=0)
     return {
@@ -170,8 +172,11 @@ def _fit_lag(runs: Sequence[Run], k: int, dt_s: float) -> tuple[float, float]:
     return float(push_s), float(pull_s)
 
 
-def _fit_arx(runs: Sequence[Run], k: int) -> tuple[FloatArray, FloatArray, float]:
-    """Poles (order,), gains (order + 1, n_out) and offset of the order with the best free run."""
+def _fit_arx(runs: Sequence[Run], k: int, dt_s: float) -> tuple[FloatArray, FloatArray, float]:
+    """Poles (order,), gains (order + 1, n_out) and offset of the order with the best free run.
+
+    Of those that settle with `LONGEST_S` at most.
+    """
     n_out = runs[0].steady.shape[1]
     best, least = (np.empty(0), np.empty((0, n_out)), 0.0), np.inf
     for order in ORDERS:
@@ -180,7 +185,7 @@ def _fit_arx(runs: Sequence[Run], k: int) -> tuple[FloatArray, FloatArray, float
             continue
         poles, gains, offset = _least_squares(longer, k, order)
         roots = np.roots(np.concatenate([[1.0], -poles]))
-        if not np.all(np.abs(roots) <= _LARGEST_POLE):
+        if not np.all(np.abs(roots) <= np.exp(-dt_s / LONGEST_S)):
             continue
         score = _free_run_error(runs, k, (poles, gains, offset))
         if score < least:

@@ -131,7 +131,7 @@ class NarxSection(Section):
     hidden: int = Field(default=6, ge=1, le=MOST_HIDDEN)
     margin: float = Field(default=0.25, ge=0)
     anchored: bool = True
-    settle_s: float = Field(default=60.0, ge=0)
+    settle_s: float = Field(default=40.0, ge=0)
     joint: bool = True
     lag: bool = True
     lag_errors: Literal["absolute", "relative"] = "absolute"

@@ -24,6 +24,7 @@ from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration, DynamicCalibration
+from narxcal.calibration.certificate import settling
 from narxcal.calibration.identified import IdentifiedCalibration
 from narxcal.calibration.noise import NoiseModel, estimate_noise
 from narxcal.calibration.run_record import FitRecord, RunRecord, SteadyRecord
@@ -37,7 +38,7 @@ from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.progress import Progress, silent
-from training.baselines import fit_baselines, run_of
+from training.baselines import Baselines, fit_baselines, run_of
 from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import METHODS, STATIC, RunConfig
 from training.identify import identify, static_laws
@@ -132,6 +133,13 @@ def calibrate(
     held = held or free_runs(calibration, split.validate)
     calibration = calibration.with_interval(interval_of(held))
     calibration = calibration.reaching(*input_reach(split.train, calibration.input_names))
+    options.progress(0, 1, "holding inputs constant")
+    lags = Baselines.from_json(found["baselines"]).lag.leads(dt_s)
+    calibration, certificate, lost = settling(calibration, lags)
+    if lost:
+        held = free_runs(calibration, split.validate)
+        calibration = calibration.with_interval(interval_of(held))
+        found["training"]["status"] = "; ".join([found["training"]["status"], *lost])
     found["training"]["wall_s"] = time.perf_counter() - began
     record = RunRecord(
         **_provenance(given, base, split),
@@ -142,6 +150,7 @@ def calibrate(
         fuser_noise=fuser_noise(calibration, split, held).to_dict(),
         screening=learned.row(),
         redundancy=redundancy_of(calibration, learned.train),
+        certificate=certificate.row(),
     )
     return Bundle(calibration, record)
 

@@ -41,8 +41,19 @@ from narxcal.support.errors import DataError, ModelError
 _UNBOUNDED = ("narx/low", "narx/high", "steady/low", "steady/high")
 
 
+_DIFFERENCE = 1e-4  # of a state, by which the step is linearised
+
+
 class Running(Protocol):
-    """State of a calibration between samples."""
+    """State of a calibration between samples.
+
+    `vector` (n,) is what a step at constant inputs depends on; it can be set.
+    """
+
+    @property
+    def vector(self) -> FloatArray: ...  # noqa: D102
+    @vector.setter
+    def vector(self, values: FloatArray) -> None: ...
 
     def correct(self, outputs: FloatArray) -> None:
         """Replace the newest outputs by measured ones (n_out,); NaN keeps the model's own."""
@@ -193,16 +204,48 @@ class Calibration(ABC):
 
     def _simulated(self, inputs: ArrayLike, start: ArrayLike | None) -> FloatArray:
         given = self._checked(inputs)
-        ss = self.steady.outputs(given)
+        return self.run(given, self.steady.outputs(given), start)
+
+    def run(self, inputs: FloatArray, ss: FloatArray, start: ArrayLike | None) -> FloatArray:
+        """Free run as of `simulate` where the steady states `ss` (time, n_out) are known."""
         first = self._first_deviation(ss[0], start)
         deviation = first[None]
-        if len(given) > 1:
-            later = self._started(given[0], ss[0], first).advance(given[1:], ss[1:])
+        if len(inputs) > 1:
+            later = self._started(inputs[0], ss[0], first).advance(inputs[1:], ss[1:])
             deviation = np.concatenate([deviation, later])
         outputs: FloatArray = ss - deviation
         for lead in self.leads:
             outputs[:, lead.channel] = lead.simulate(ss, outputs[0, lead.channel])
         return outputs
+
+    def poles(self, inputs: FloatArray) -> NDArray[np.complex128]:
+        """Poles of the step, linearised where it is in equilibrium at `inputs` (n_in,).
+
+        By central differences; those of models that lead are added. Where they lead in every
+        output there are no others.
+        """
+        led = [lead.poles_of() for lead in self.leads]
+        if {lead.channel for lead in self.leads} == set(range(len(self.output_names))):
+            return np.concatenate(led).astype(np.complex128)
+        given = self._checked(inputs[None])
+        ss = self.steady.outputs(given)
+        none = np.zeros(len(self.output_names))
+
+        def step(values: FloatArray) -> FloatArray:
+            running = self._started(given[0], ss[0], none)
+            running.vector = values
+            running.advance(given, ss)
+            return running.vector
+
+        rest = self._started(given[0], ss[0], none).vector
+        moves = _DIFFERENCE * np.eye(len(rest))
+        columns = [(step(rest + one) - step(rest - one)) / (2.0 * _DIFFERENCE) for one in moves]
+        found = np.linalg.eigvals(np.array(columns)) if columns else np.empty(0)
+        return np.concatenate([found, self._decay(), *led])
+
+    def _decay(self) -> FloatArray:
+        """Poles that no state shows at rest."""
+        return np.empty(0)
 
     def predict(self, inputs: ArrayLike, measured: ArrayLike) -> FloatArray:
         """One-step-ahead prediction (time, n_out) from measured outputs (time, n_out).
@@ -334,6 +377,10 @@ class DynamicCalibration(Calibration):
             )
         return self._with(lag=lag)
 
+    def with_decay(self, settle_s: float) -> Self:
+        """The calibration with a decay bound of this time constant; the network is anchored."""
+        return self._with(settle_s=settle_s)
+
     def _prediction(self, given: FloatArray, ss: FloatArray, known: FloatArray) -> FloatArray:
         """With lags in front of the network, the network's own share is that of the free run."""
         deviation = ss - known
@@ -354,6 +401,12 @@ class DynamicCalibration(Calibration):
         if self.lag is None:
             return low, high
         return low - self.lag.limit, high + self.lag.limit
+
+    def _decay(self) -> FloatArray:
+        """The pole of the network's decay bound."""
+        if self.settle_s is None:
+            return np.empty(0)
+        return np.array([np.exp(-self.dt_s / self.settle_s)])
 
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Split into JSON-able structure and named arrays, for the bundle."""

@@ -365,6 +365,15 @@ class _Running:
         self._steady, self._dynamics = model.steady, model.dynamics
         self._drive, self._state = drive, state
 
+    @property
+    def vector(self) -> FloatArray:
+        """The model's state (n,)."""
+        return self._state.copy()
+
+    @vector.setter
+    def vector(self, values: FloatArray) -> None:
+        self._state = values.copy()
+
     def correct(self, outputs: FloatArray) -> None:
         """Replace the newest outputs by measured ones (n_out,); NaN keeps the model's own."""
         _, self._state = self._dynamics.run(self._state, self._drive, outputs[None])

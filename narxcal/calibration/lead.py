@@ -54,6 +54,13 @@ class Lead:
         later = self.started(ss[0], first).advance(ss[1:])
         return np.concatenate([[first], later])
 
+    def poles_of(self) -> FloatArray:
+        """Moduli of the poles at constant inputs."""
+        if self.kind == "first_order":
+            return np.abs([1.0 - self.push, 1.0 - self.pull])
+        roots = np.roots([1.0, *(-pole for pole in self.poles)])
+        return np.abs(np.asarray(roots, dtype=np.complex128))
+
     def predict(self, ss: FloatArray, measured: FloatArray) -> FloatArray:
         """One step ahead (time,) from measured values (time,); NaN where the past is unknown."""
         result = np.full(len(measured), np.nan)

@@ -22,7 +22,7 @@ from narxcal.lumped.engine import LumpedEngine
 from narxcal.lumped.rotors import CASING, FAST, ROWS, Drive
 from narxcal.narx.kernels import Layers, fading, free_run
 from narxcal.narx.network import AT_START, NarxModel
-from narxcal.support.arrays import FloatArray, IntArray
+from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 from narxcal.support.compiled import compiled
 
 # An EGT overshoots its final value by up to 1.6 times the change (FACTS: frozen-speed response).
@@ -159,6 +159,21 @@ class Register:
             history=np.tile(narx.output_scaling.down(own), narx.config.lags),
             past=np.tile(narx.input_scaling.down(row), (int(self.network.taps[-1]), 1)),
         )
+
+    @property
+    def vector(self) -> FloatArray:
+        """States of the lags that take part, then past deviations of the network (n,)."""
+        return np.concatenate([self.lagged[self._used], self.state.history])
+
+    @vector.setter
+    def vector(self, values: FloatArray) -> None:
+        split = np.count_nonzero(self._used)
+        self.lagged[self._used], self.state.history[:] = values[:split], values[split:]
+
+    @property
+    def _used(self) -> BoolArray:
+        lag = self.parts.lag
+        return np.zeros(self.lagged.shape, dtype=np.bool_) if lag is None else lag.used
 
     def correct(self, outputs: FloatArray) -> None:
         """Replace the newest outputs by measured ones (n_out,); NaN keeps the model's own."""

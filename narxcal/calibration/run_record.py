@@ -100,6 +100,7 @@ class RunRecord(_Part):
     fuser_noise: Table | None = None
     screening: Table | None = None
     redundancy: Table | None = None
+    certificate: Table | None = None
 
     def to_json(self) -> Table:
         """Return the entries that were given, as JSON-able values."""

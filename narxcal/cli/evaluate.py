@@ -15,7 +15,8 @@ from eval.evaluate import (
     SCHEMA,
     Evaluation,
     LogEvaluation,
-    evaluate,
+    assess_log,
+    certificate,
     lead_sentences,
     outside_envelope,
     run_config,
@@ -81,9 +82,9 @@ def judge(
     with console.progress("Evaluating") as advance:
         for number, log in enumerate(logs):
             advance(number, len(logs), log.name)
-            parts += evaluate(bundle, [log], trim or None, settings).logs
-    leads = lead_sentences(bundle)
-    evaluation = Evaluation(tuple(parts), settings, trim or None, leads)
+            parts.append(assess_log(bundle, log, settings, trim=trim or None))
+    leads, settling = lead_sentences(bundle), certificate(bundle)
+    evaluation = Evaluation(tuple(parts), settings, trim or None, leads, settling)
     outcome = evaluation.outcome
     warnings = [
         *doubtful_logs(bundle.record),
@@ -95,6 +96,7 @@ def judge(
     header = header_of(
         f"Evaluation: {config.name}", run_folder, bundle, logs, settings.transients.rule_set
     )
+    header = replace(header, facts={**header.facts, "Constant inputs": settling.words})
     with console.progress("Drawing the page"):
         inputs = bundle.calibration.input_names
         views = [view_of(part, config.events.driver, inputs) for part in parts]

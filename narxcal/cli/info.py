@@ -11,6 +11,7 @@ import numpy as np
 
 from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.calibration.certificate import Certificate, certificate_of
 from narxcal.calibration.run_record import RunRecord
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_run
@@ -92,6 +93,7 @@ def _document(run: str, bundle: Bundle, stored: dict[str, Any]) -> dict[str, Any
             "words": interval_words(calibration.interval),
             "held_out": 0 if calibration.interval is None else calibration.interval.pieces,
         },
+        "certificate": certificate_of(calibration, record.certificate).row(),
         "deviation_bounds": {
             name: [float(low[k]), float(high[k])]
             for k, name in enumerate(calibration.output_names)
@@ -155,6 +157,7 @@ def _facts(document: dict[str, Any], record: RunRecord) -> dict[str, str]:
         "Steady state": steady_words(record),
         "Lags": lag_words(record),
         "Interval": document["interval"]["words"],
+        "Constant inputs": Certificate.from_json(document["certificate"]).words,
         **{f"{part.capitalize()} logs": ", ".join(logs) or "none" for part, logs in split},
         "Seeds": ", ".join(map(str, record.seeds)),
         "Versions": ", ".join(f"{name} {text}" for name, text in record.versions.items()),

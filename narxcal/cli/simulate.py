@@ -18,6 +18,7 @@ from data_prep.reading import open_table, read_logs
 from eval.evaluate import bank_of
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.calibration.calibration import Calibration
+from narxcal.calibration.certificate import certificate_of
 from narxcal.cli import simulate_effects
 from narxcal.cli.console import Console
 from narxcal.cli.options import SIMULATOR, add_interval, add_mapping, add_overwrite, add_trust, path
@@ -83,6 +84,9 @@ def run(options: Namespace, console: Console) -> int:
     console = console.for_output(options.out)
     check_file(options.out, options.inputs, options.bundle, overwrite=options.overwrite)
     bundle = load_bundle(options.bundle, trust=options.trust)
+    settling = certificate_of(bundle.calibration, bundle.record.certificate)
+    if not settling.settled:
+        console.warn(f"the model {settling.words}")
     logs = read_inputs(bundle, Path(options.inputs))
     runs = [_simulated(bundle.calibration, log, options.interval) for log in logs]
     tables = [one.table for one in runs]

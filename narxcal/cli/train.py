@@ -24,6 +24,7 @@ from narxcal.calibration.bundle import (
     settle_bundle,
     write_bundle,
 )
+from narxcal.calibration.certificate import certificate_of
 from narxcal.calibration.run_record import RunRecord, StepRow
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config
@@ -217,6 +218,7 @@ def _show(console: Console, folder: Path, bundle: Bundle) -> None:
         "Lags": lag_words(record),
         "Leading": lead_words(record),
         "Interval": interval_words(bundle.calibration.interval),
+        "Constant inputs": certificate_of(bundle.calibration, record.certificate).words,
     }
     console.facts({name: words for name, words in facts.items() if words})
     rows = [
