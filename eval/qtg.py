@@ -97,16 +97,15 @@ class MasterTest:
 
     number: str
     rows: Mapping[str, Mapping[str, Any]]
-    from_s: float
-    dt_s: float
-    model: Mapping[str, Sequence[float | None]]
+    curves: Mapping[str, Any]
 
     def curve(self, name: str) -> tuple[FloatArray, FloatArray] | None:
         """Time in seconds on the log's clock and the simulated channel; None without it."""
-        if name not in self.model:
+        if name not in self.curves["model"]:
             return None
-        values = np.array(self.model[name], dtype=np.float64)  # null is NaN
-        return self.from_s + self.dt_s * np.arange(len(values), dtype=np.float64), values
+        values = np.array(self.curves["model"][name], dtype=np.float64)  # null is NaN
+        steps = np.arange(len(values), dtype=np.float64)
+        return self.curves["from_s"] + self.curves["dt_s"] * steps, values
 
 
 @dataclass(frozen=True)
@@ -133,17 +132,17 @@ def read_master(file: Path) -> Master:
         raise DataError(f"expected schema '{SCHEMA}', found {schema!r}", file=file, hint=hint)
     if document.pop("sha256", None) != seal(document):
         raise DataError("the file was altered or cut off: its sha256 differs", file=file, hint=hint)
-    return Master(
-        str(file),
-        document["model_sha256"],
-        document["rules"]["name"],
-        {
+    try:
+        tests = {
             _identity(one["sha256"], one["log"], one["start_s"]): MasterTest(
-                one["number"], {row["channel"]: row for row in one["results"]}, **one["curves"]
+                one["number"], {row["channel"]: row for row in one["results"]}, one["curves"]
             )
             for one in document["tests"]
-        },
-    )
+        }
+        return Master(str(file), document["model_sha256"], document["rules"]["name"], tests)
+    except (KeyError, TypeError) as error:
+        problem = f"a part is missing or of a wrong type ({error})"
+        raise DataError(problem, file=file, hint=hint) from None
 
 
 def _identity(sha256: str, log: str, start_s: float) -> tuple[str, str, float]:

@@ -159,10 +159,12 @@ def _information(guide: Guide) -> list[Page]:
         "inputs."
     )
     page.y += 1.5
-    names = model.output_names[:5]
+    names = model.output_names
     errors = [[one.log.name, *(f"{one.scores[name].rmse:.3g}" for name in names)]
               for one in guide.logs]  # fmt: skip
-    shown = [Column(style.with_unit(name), 22.0, "right") for name in names]
+    shown = [
+        Column(style.with_unit(name), min(22.0, 115.0 / len(names)), "right") for name in names
+    ]
     return pages[:-1] + _tabled(guide, page, (Column("log", 60.0), *shown), errors)
 
 
@@ -329,7 +331,8 @@ def _sheet(guide: Guide, test: Test) -> Page:
 
 
 def _head(page: Page, test: Test) -> None:
-    for line in wrapped(f"{test.number}  {test.title}", RIGHT - LEFT - 42.0, 10.5):
+    # Bold letters are up to 15 % wider than those that the width is computed of.
+    for line in wrapped(f"{test.number}  {test.title}", (RIGHT - LEFT - 38.0) / 1.15, 10.5):
         page.text((LEFT, page.y), line, size=10.5, weight="bold")
         page.y += line_mm(10.5)
     colour = _COLOURS[test.result]
@@ -339,60 +342,42 @@ def _head(page: Page, test: Test) -> None:
     page.y = max(page.y, 31.0) + 1.0
 
 
-def _facts(guide: Guide, test: Test) -> Iterator[tuple[str, str]]:
-    """Yield what a test sheet has to say, in the order of 14 CFR Part 60 App. A section 11."""
-    view, event, how = test.view, test.one.event, test.manoeuvre
-    log, rows, reading = view.log, view.rows(event), guide.settings
-    moving = "accelerates" if event.label == 0 else "decelerates"
-    yield "Paragraph", f"{how.number} {how.title.lower()}; {guide.rules.source}"
-    yield "Objective", f"Show that the simulated engine {moving} as the aeroplane's does."
-    yield "Initial conditions", _initial(test)
-    yield (
-        "Configuration",
-        test.entry.configuration
-        or ("flaps, gear, weight and centre of gravity: not part of the engine recording"),
-    )
+def _facts(guide: Guide, test: Test) -> list[tuple[str, str]]:
+    """Say what a test sheet has to, in the order of 14 CFR Part 60 App. A section 11."""
+    view, event, how, reading = test.view, test.one.event, test.manoeuvre, guide.settings
+    log, rows, moving = view.log, view.rows(event), ("accelerates", "decelerates")[event.label]
     met = {True: "as asked for", False: "NOT as asked for", None: "to be confirmed by the engineer"}
     lever = [unit_value(view.driver, each) for each in (event.lever_before, event.lever_after)]
-    yield (
-        "Flown",
-        (
-            f"{symbol(view.driver)} from {lever[0]} to {lever[1]} ({test.one.move}). Paragraph: "
-            f"{how.condition}; {how.movement}. Flight condition: {met[test.condition_met]}."
-        ),
-    )
-    yield (
-        "Procedure",
-        (
-            "Manual: from the initial conditions move the lever as plotted, record until settled. "
-            "Automatic: the recorded inputs drive the model from the first sample of the log."
-        ),
-    )
-    driven = ", ".join(map(symbol, guide.bundle.calibration.input_names))
-    outside = (
-        1.0 - float(np.mean(view.evaluation.run.in_envelope[rows])) if view.evaluation else 0.0
-    )
-    where = f"; {100.0 * outside:.0f} % of samples outside the model's envelope" if outside else ""
-    yield "Driven, constrained", f"driven: {driven}; constrained: none{where}"
-    yield (
-        "Evaluation, tolerances",
-        (
-            f"levels: medians over {reading.before_s:g} s before the movement and the last "
-            f"{reading.after_s:g} s, crossings {reading.reading}; Ti {guide.rules.Ti}; "
-            f"Tt {guide.rules.Tt} of the flight's. {_marks(guide)}"
-        ),
-    )
-    span = f"{log.time_s[rows.start]:.2f} to {log.time_s[rows.stop - 1]:.2f} s of its time"
     engine = f", engine {log.source.engine}" if log.source.engine else ""
-    yield (
-        "Validation data",
-        (
-            f"{PurePath(log.source.file).name}{engine}, {span}, lever moves at "
-            f"{event.start_s:.3f} s; sha256 {log.source.sha256}"
-        ),
-    )
-    yield "Data treatment", f"see Information; samples masked here: {_masked(test, rows)}"
-    yield "Model, revision", f"sha256 {_sha(guide)}"
+    span = f"{log.time_s[rows.start]:.2f} to {log.time_s[rows.stop - 1]:.2f} s of its time"
+    facts = {
+        "Paragraph": f"{how.number} {how.title.lower()}; {guide.rules.source}",
+        "Objective": f"Show that the simulated engine {moving} as the aeroplane's does.",
+        "Initial conditions": _initial(test),
+        "Configuration": test.entry.configuration
+        or "flaps, gear, weight and centre of gravity: not part of the engine recording",
+        "Flown": f"{symbol(view.driver)} from {lever[0]} to {lever[1]} ({test.one.move}). "
+        f"Paragraph: {how.condition}; {how.movement}. Flight condition: {met[test.condition_met]}.",
+        "Procedure": "Manual: from the initial conditions move the lever as plotted, record until "
+        "settled. Automatic: the recorded inputs drive the model from the log's first sample.",
+        "Driven, constrained": _driven(guide, test, rows),
+        "Evaluation, tolerances": f"levels: medians over {reading.before_s:g} s before the "
+        f"movement and the last {reading.after_s:g} s, crossings {reading.reading}; "
+        f"Ti {guide.rules.Ti}; Tt {guide.rules.Tt} of the flight's. {_marks(guide)}",
+        "Validation data": f"{PurePath(log.source.file).name}{engine}, {span}, lever moves at "
+        f"{event.start_s:.3f} s; sha256 {log.source.sha256}",
+        "Data treatment": f"see Information; samples masked here: {_masked(test, rows)}",
+        "Model, revision": f"sha256 {_sha(guide)}",
+    }
+    return list(facts.items())
+
+
+def _driven(guide: Guide, test: Test, rows: slice) -> str:
+    driven = ", ".join(map(symbol, guide.bundle.calibration.input_names))
+    run = None if test.view.evaluation is None else test.view.evaluation.run
+    outside = 0.0 if run is None else 100.0 * float(np.mean(~run.in_envelope[rows]))
+    where = f"; {outside:.0f} % of samples outside the model's envelope" if outside else ""
+    return f"driven: {driven}; constrained: none{where}"
 
 
 def _marks(guide: Guide) -> str:

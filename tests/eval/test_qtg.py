@@ -19,6 +19,7 @@ from eval.qtg import evaluate_events, guide_of, read_master, read_tests, start_f
 from eval.report.pdf import RIGHT, printable, width_mm, wrapped
 from eval.report.qtg_pages import guide_pdf
 from eval.transients import TransientsConfig
+from narxcal.calibration.bundle import seal
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.files import to_json
 
@@ -338,6 +339,12 @@ def test_tests_of_the_master_that_are_not_repeated_are_named(events, master, tmp
     assert made().not_repeated == ()
 
 
+def sealed(document, name, value):
+    del document["sha256"]
+    changed = {**document, name: value}
+    return to_json({**changed, "sha256": seal(changed)})
+
+
 def test_a_master_by_other_rules_is_refused(events, master):
     message = (
         f"{master}: its times are by the rules 'part60', these by 'cs-fstd'. Add --rules part60"
@@ -353,6 +360,8 @@ def test_a_master_by_other_rules_is_refused(events, master):
          "the file was altered or cut off: its sha256 differs"),
         (lambda text: text.replace("narxcal.qtg/1", "narxcal.evaluate/1"),
          "expected schema 'narxcal.qtg/1', found 'narxcal.evaluate/1'"),
+        (lambda text: sealed(json.loads(text), "tests", [{"sha256": SHA}]),
+         "a part is missing or of a wrong type ('log')"),
         (lambda text: text[:100], "expected JSON, found something else"),
     ],
 )  # fmt: skip
