@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from argparse import Namespace
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,11 @@ from data_prep.prepare import hold_inputs
 from eval.evaluate import evaluation_logs
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console
-from narxcal.export import fmu_run, proof
+from narxcal.export import fmu_run, onnx_run, proof
 from narxcal.export.compiler import Compiled, compiler
 from narxcal.export.dynamic import Exportable
 from narxcal.export.fmu import write_fmu
+from narxcal.export.onnx_model import write_onnx
 from narxcal.export.report import ExportOptions
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.files import atomic_folder, atomic_write_text, check_file, check_output_folder
@@ -119,6 +121,20 @@ def _fmu(exported: Exportable, options: Namespace, cases: Callable[[], Any]) -> 
     return found
 
 
+def _onnx(exported: Exportable, options: Namespace, cases: Callable[[], Any]) -> dict[str, Any]:
+    """Write a graph of one engine, and run it by onnxruntime."""
+    program, engine = exported.program(), options.engine or ""
+    size = write_onnx(program, options.out)
+    found: dict[str, Any] = {"file": options.out.name, "rows": [], "bytes": size}
+    if onnx_run.runtime() is not None:
+        given, model = [replace(case, engine=engine) for case in cases()], exported.model
+        rows = onnx_run.compare(model.for_engine(engine), options.out, given)
+        sampled = _sampling(exported, given)
+        found = proof.document(options.out, rows, onnx_run.BOUND, bytes=size, sampled=sampled)
+    proof.write(options.out.absolute().parent, found)
+    return found
+
+
 def _sampling(exported: Exportable, cases: list[proof.Case]) -> dict[str, Any] | None:
     """What sampling the steady state changed: at random conditions, and in free run."""
     if exported.sampled is None:
@@ -136,6 +152,7 @@ def _simulated(exported: Exportable) -> proof.Run:
 _WRITERS: dict[str, Callable[[Exportable, Namespace, Callable[[], Any]], dict[str, Any]]] = {
     "c": _c,
     "fmu": _fmu,
+    "onnx": _onnx,
 }
 
 
@@ -147,7 +164,11 @@ def _show(console: Console, exported: Exportable, found: dict[str, Any]) -> None
         for row in found["rows"]
     ]
     if not rows:
-        console.warn("there is no C compiler 'cc' on the PATH: sources alone, and no proof")
+        console.warn(
+            "onnxruntime is not installed: no proof"
+            if found["file"].endswith(".onnx")
+            else "there is no C compiler 'cc' on the PATH: sources alone, and no proof"
+        )
         return
     console.table(
         "Largest difference from simulate", ["log", "what", "samples", "any output"], rows

@@ -54,6 +54,11 @@ class Program:
     def _steady(self) -> tuple[Struct, tuple[str, ...]]:
         return steady_struct(self.model.steady)
 
+    @property
+    def steady_struct(self) -> Struct:
+        """Numbers of the steady state."""
+        return self._steady[0]
+
     @cached_property
     def parts(self) -> list[Part]:
         """Parts of the dynamics; empty for a steady state alone."""

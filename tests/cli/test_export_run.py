@@ -107,3 +107,21 @@ def test_c_is_for_runs(narxcal, tmp_path):
             "Train one, or export a table or an FMU\n"
         ),
     )
+
+
+def test_a_run_becomes_a_graph(narxcal, run, tmp_path):
+    pytest.importorskip("onnx", reason="needs the extra export")
+    pytest.importorskip("onnxruntime", reason="needs onnxruntime")
+    done = narxcal("export", run, "--to", "onnx", "--out", tmp_path / "engine.onnx", "--json")
+    assert (done.code, done.err) == (0, "")
+    document = json.loads(done.out)
+    assert document["bound"] == 1e-5
+    assert document["largest"] < 1e-9
+    done = narxcal("export", run, "--to", "onnx", "--out", tmp_path / "engine.fmu")
+    assert (done.code, done.err) == (
+        2,
+        (
+            "narxcal: error: --to onnx writes a .onnx file, and --out names engine.fmu. "
+            "Name it engine.onnx\n"
+        ),
+    )

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from narxcal.export.fmu import write_fmu
+from narxcal.export.onnx_model import write_onnx
 from narxcal.export.program import Program
 from tests.export import models
 
@@ -44,3 +45,14 @@ def test_the_host_in_python_flies_the_fmu(tmp_path, monkeypatch, capsys):
     shown = capsys.readouterr().out.splitlines()[-1]
     first, last = map(float, shown.strip("[]").split())
     assert last > first + 5.0
+
+
+def test_the_graph_is_stepped_by_onnxruntime(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("onnx", reason="needs the extra export")
+    pytest.importorskip("onnxruntime", reason="needs onnxruntime")
+    _, (host,) = section("ONNX")
+    write_onnx(Program(models.KINDS["narx behind limited lags"]()), tmp_path / "engine.onnx")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(host, "take_away.md", "exec"), {})  # noqa: S102
+    speeds = [float(line.strip("[]").split()[0]) for line in capsys.readouterr().out.splitlines()]
+    assert speeds[0] < speeds[1] < speeds[3]
