@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from eval.gap.budget import diagnose
+    from eval.diagnosis.diagnose import diagnose
     from narxcal.calibration.bundle import Bundle, load_bundle, save_bundle
     from narxcal.calibration.calibration import Calibration, DynamicCalibration
     from narxcal.calibration.fuser import KalmanFuser
@@ -63,9 +63,9 @@ def __getattr__(name: str) -> object:
 
         value: object = estimator.Narx
     elif name == "diagnose":
-        from eval.gap import budget  # noqa: PLC0415
+        from eval.diagnosis import diagnose as home  # noqa: PLC0415
 
-        value = budget.diagnose
+        value = home.diagnose
     elif name in _MODULE_OF:
         value = getattr(import_module(_MODULE_OF[name]), name)
     else:

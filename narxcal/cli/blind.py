@@ -6,15 +6,15 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import Any, Final
 
-from eval.gap.blind.altered import make_altered
-from eval.gap.blind.cases import BlindPlan
-from eval.gap.blind.files import CASES, KEY, SCHEMA
-from eval.gap.blind.make import make_cases, write_key
-from eval.gap.blind.page import render, tables
-from eval.gap.blind.run import Judge, Limits, run_cases
-from eval.gap.blind.score import SCHEMA as SCORE_SCHEMA
-from eval.gap.blind.score import CaseSet, score_answers
-from eval.gap.blind.sim_logs import make_log_cases
+from eval.diagnosis.blind.altered import make_altered
+from eval.diagnosis.blind.cases import BlindPlan
+from eval.diagnosis.blind.files import CASES, KEY, SCHEMA
+from eval.diagnosis.blind.make import make_cases, write_key
+from eval.diagnosis.blind.page import render, tables
+from eval.diagnosis.blind.run import Judge, Limits, run_cases
+from eval.diagnosis.blind.score import SCHEMA as SCORE_SCHEMA
+from eval.diagnosis.blind.score import CaseSet, score_answers
+from eval.diagnosis.blind.sim_logs import make_log_cases
 from narxcal.cli.console import Console
 from narxcal.cli.options import (
     add_jobs,
@@ -148,20 +148,12 @@ def _add_score(parser: ArgumentParser) -> None:
         help="further cases with their answers, scored together with these; as often as wanted",
     )
     parser.add_argument(
-        "--against",
-        metavar="ANSWERS",
-        type=path,
-        action="append",
-        default=[],
-        help="another product's answers to the same cases: is it to be replaced? Once per folder",
-    )
-    parser.add_argument(
         "--out", metavar="DIR", type=path, help="folder of the score; ANSWERS if left out"
     )
 
 
 def run(options: Namespace, console: Console) -> int:
-    """Make, run or score; 0 whatever the answers are worth."""
+    """Make, run or score; 0 whatever the answers are."""
     {"make": _make, "run": _run, "score": _score}[options.action](options, console)
     return 0
 
@@ -215,13 +207,6 @@ def _score(options: Namespace, console: Console) -> None:
     if options.out is not None:
         results.check(options.out)
     sets = [CaseSet(options.folder, options.answers), *(CaseSet(*each) for each in options.also)]
-    if options.against and len(options.against) != len(sets):
-        raise ConfigError(
-            f"there are {len(sets)} folders of cases and {len(options.against)} --against",
-            hint="Give --against once for each, in their order",
-        )
-    if options.against:
-        sets = [each._replace(against=own) for each, own in zip(sets, options.against, strict=True)]
     document = score_answers(sets, options.secrets)
     folder = options.out or options.answers
     folder.mkdir(parents=True, exist_ok=True)

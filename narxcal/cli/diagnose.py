@@ -10,21 +10,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from eval.gap import budget
-from eval.gap.budget_page import budget_page, console_tables, outcome
-from eval.gap.diagnose import Diagnosis, Request, diagnose_folders
-from eval.gap.page import gap_page
-from eval.gap.stored_emulator import write_emulator
-from eval.gap.summary import (
-    EMULATOR,
-    effect_table,
-    no_load,
-    sentence,
-    shrink_table,
-    to_tell,
-    where_table,
-    window_table,
-)
+from eval.diagnosis.diagnose import Answer, Request, diagnose_folders, learn_folders, mapping_of
+from eval.diagnosis.learned import LEARNED, learn_left_out
+from eval.diagnosis.page import budget_page, console_tables
+from eval.diagnosis.stored_emulator import EMULATOR, write_emulator
+from eval.diagnosis.words import outcome
 from eval.report.page import write_page
 from narxcal.calibration.bundle import DOCUMENT as BUNDLE
 from narxcal.cli.console import Console
@@ -49,13 +39,6 @@ def add_options(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--heldout-sim", metavar="SIM", help="their simulated logs")
     parser.add_argument(
-        "--core",
-        choices=("auto", "rules", "budget"),
-        default="auto",
-        help="decide by rules (narxcal.gap/1) or by the budget of the gap (narxcal.gap/2); auto: "
-        "by the budget where the simulator is a run, which knows what it gets wrong by itself",
-    )
-    parser.add_argument(
         "--learn",
         action="store_true",
         help="diagnose nothing: learn what the run OUT gets wrong by itself and keep it there, "
@@ -75,17 +58,12 @@ def run(options: Namespace, console: Console) -> int:
         def watch(step: str, done: int, total: int) -> None:
             advance(done, total, f"({step})")
 
-        of_run = options.core == "auto" and (Path(options.sim) / BUNDLE).is_file()
-        if of_run or options.core == "budget":
-            new = of_run and budget.learned_by(Path(options.sim)) is None
-            advance(0, 1, "(once per run: models without some of its flights)" if new else "")
-            return _budget(options, console, budget.diagnose_folders(request))
         found = diagnose_folders(request, watch)
     with RESULTS.writing(options.out) as folder:
-        write(folder, found)
-    show(console, found.document)
+        document = write(folder, found)
+    show(console, document)
     console.say(f"Page: {options.out / PAGE}")
-    console.document(found.document)
+    console.document(document)
     return 0
 
 
@@ -96,58 +74,39 @@ def _learn(options: Namespace, console: Console) -> int:
     with console.progress("Learning") as advance:
         advance(0, 1, "")
         if options.real is None and options.sim is None:
-            found = budget.learn_left_out(options.out, trust=options.trust)
+            found = learn_left_out(options.out, trust=options.trust)
         else:
-            found = budget.learn_folders(_request(options), options.out)
+            found = learn_folders(_request(options), options.out)
     flights = "1 flight" if found.flights == 1 else f"{found.flights} flights"
-    console.say(f"Learned from {flights}: {options.out / budget.LEARNED}")
+    console.say(f"Learned from {flights}: {options.out / LEARNED}")
     console.document(found.document())
     return 0
 
 
-def _budget(options: Namespace, console: Console, found: budget.Answer) -> int:
-    """Write and print a budget."""
-    with RESULTS.writing(options.out) as folder:
-        (folder / DOCUMENT).write_text(to_json(found.document), encoding="utf-8")
-        write_page(folder / PAGE, budget_page(found.document, found.evidence, now()))
-        (folder / EMULATOR).mkdir()
-        write_emulator(folder / EMULATOR, found.emulator)
-    answer = outcome(found.document)
-    for text in (answer.headline, *answer.lines):
-        console.say(text)
-    for title, head, rows in console_tables(found.document):
-        console.table(title, head, rows)
-    for text in found.document["quality"]["warnings"]:
-        console.warn(text)
-    console.say(f"Page: {options.out / PAGE}")
-    console.document(found.document)
-    return 0
+def write(folder: Path, found: Answer) -> dict[str, Any]:
+    """Write document, page and emulator into a folder; returns the document as it is written.
 
-
-def write(folder: Path, found: Diagnosis) -> None:
-    """Write document, page and emulator into a folder."""
-    (folder / DOCUMENT).write_text(to_json(found.document), encoding="utf-8")
-    write_page(folder / PAGE, gap_page(found.document, found.evidence, now()))
+    Pictures that could not be drawn are among its warnings.
+    """
+    page = budget_page(found.document, found.evidence, now())
+    quality = found.document["quality"]
+    quality = {**quality, "warnings": [*quality["warnings"], *page.failed]}
+    document = {**found.document, "quality": quality}
+    (folder / DOCUMENT).write_text(to_json(document), encoding="utf-8")
+    write_page(folder / PAGE, page.html)
     (folder / EMULATOR).mkdir()
     write_emulator(folder / EMULATOR, found.emulator)
+    return document
 
 
 def show(console: Console, document: Mapping[str, Any]) -> None:
-    """Print the answer on one screen: sentence, effects, where, how far."""
-    console.say(sentence(document))
-    if reason := no_load(document):
-        console.say(reason)
-    if advice := to_tell(document):
-        console.say(advice)
-    for title, head, rows in (
-        effect_table(document),
-        window_table(document),
-        where_table(document),
-        shrink_table(document),
-    ):
-        if rows:
-            console.table(title, head, rows)
-    for text in document["quality"].get("warnings", ()):
+    """Print the verdict, the budget, effects that are not named, and cautions."""
+    answer = outcome(document)
+    for text in (answer.headline, *answer.lines):
+        console.say(text)
+    for title, head, rows in console_tables(document):
+        console.table(title, head, rows)
+    for text in document["quality"]["warnings"]:
         console.warn(text)
 
 
@@ -158,7 +117,7 @@ def _request(options: Namespace) -> Request:
     if options.heldout_sim is not None and options.heldout_real is None:
         raise ConfigError("--heldout-sim needs --heldout-real")
     if options.config is None:
-        config = budget.mapping_of(options.sim, trust=options.trust)
+        config = mapping_of(options.sim, trust=options.trust)
     else:
         config = read_config(options.config, None)[0]
     return Request(

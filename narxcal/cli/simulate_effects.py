@@ -16,10 +16,9 @@ from typing import Any
 import numpy as np
 
 from data_prep.log import Log
-from eval.gap.applied import FoundEffects, read_effects
-from eval.gap.log_folders import read_folder
-from eval.gap.pairs import match_simulated
-from eval.gap.simulators import Simulate, open_simulator
+from eval.diagnosis.applied import FoundEffects, read_effects
+from eval.diagnosis.pairs import match_simulated, read_folder
+from eval.diagnosis.simulators import Simulate, open_simulator
 from narxcal.channels import CHANNELS
 from narxcal.cli.console import Console
 from narxcal.cli.results import read_config

@@ -68,6 +68,16 @@ def known_mean(values: FloatArray, axis: int = 0) -> FloatArray:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
+def block_means(values: FloatArray, size: int) -> FloatArray:
+    """Means over `size` rows of (time, ...), NaN where less than half is known; a rest is cut."""
+    whole = len(values) // size
+    parts = values[: whole * size].reshape(whole, size, *values.shape[1:])
+    known = np.isfinite(parts)
+    count = known.sum(axis=1)
+    total = np.where(known, parts, 0.0).sum(axis=1)
+    return np.where(2 * count >= size, total / np.maximum(count, 1), np.nan)
+
+
 def noise_level(values: FloatArray) -> float:
     """Estimate the standard deviation of white noise on a smooth signal; 0 for under 3 samples.
 

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from eval.gap.blind import run, truth
+from eval.diagnosis.blind import run, truth
 from narxcal.flight_test.sensors import first_order
 from narxcal.turbofan.engine import INPUT_NAMES
 
@@ -57,7 +57,7 @@ def make(narxcal, out, *more):
 def answered(request):
     name = request.real.parent.name
     document = {
-        "schema": "narxcal.gap/1",
+        "schema": "narxcal.gap/2",
         "verdict": {"kind": "none", "effects": [], "ambiguous_with": [], "reason": name},
         "effects": [{"id": "spool_lag", "probability": 0.02}],
         "where": [],
@@ -203,13 +203,6 @@ def test_recorded_flights_have_an_engine_of_their_own(narxcal, tmp_path, words, 
     assert done.code == 2
     assert said in done.err
     assert not (tmp_path / "o").exists()
-
-
-def test_a_product_to_compare_with_answers_every_folder(narxcal, cases, tmp_path):
-    also = ("--also", tmp_path / "b", tmp_path / "c", "--against", tmp_path / "old")
-    done = narxcal("blind", "score", cases, tmp_path / "a", *also, "--secret", "3")
-    assert done.code == 2
-    assert "there are 2 folders of cases and 1 --against. Give --against once for each" in done.err
 
 
 @pytest.mark.slow

@@ -1,0 +1,291 @@
+"""Found effects added to any simulated log: what `simulate --effects` does, log by log.
+
+A simulator that can be run again is: it is told inputs with the effects on them. Effects on
+readings act on its outputs. Both are exact, on the log's own raster. What nobody can do to a closed
+simulator is change its pace: there, and for everything inside the engine where there are only logs,
+the stored emulator says what changes. It runs on the raster of the diagnosis; the change is found
+from block means of the log and added to it, on straight lines between the blocks' middles.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from data_prep.log import Log
+from data_prep.prepare import hold_inputs
+from eval.diagnosis.expected import Values, claimed_in, settings, with_effects
+from eval.diagnosis.simulators import Simulate
+from eval.diagnosis.stored_emulator import EMULATOR, read_emulator, signals_from_json
+from narxcal.channels import CHANNELS
+from narxcal.effects.base import InputEffect, SettledEffect, ShiftEffect, Signals
+from narxcal.effects.running import Flights, Setting, acts_inside, arrived, read
+from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
+from narxcal.support.arrays import FloatArray, block_means, bridge_gaps
+from narxcal.support.errors import ConfigError, DataError, ModelError
+from training.diagnosis.emulator import GreyBoxEmulator
+
+INPUTS = "on its inputs, and the simulator run again"
+SHIFTED = "by its outputs coming that much later"
+EMULATED = "by what it changes in the stored emulator's run"
+OUTPUTS = "on its outputs"
+_ONE_RASTER = 0.01
+_AIR = ("ALT_ft", "Mach", "dT_C")
+Windows = Mapping[str, tuple[tuple[float, float], ...]]  # log -> seconds since it began
+
+SCHEMAS = ("narxcal.gap/1", "narxcal.gap/2")
+
+
+@dataclass(frozen=True, eq=False)
+class FoundEffects:
+    """Effects with their sizes, the signals they were found on, and the emulator if needed.
+
+    `windows` are those of an unlogged load, by the names of the logs they were found in; `searched`
+    are all logs in which they would have been found.
+    """
+
+    values: Values
+    signals: Signals
+    emulator: GreyBoxEmulator | None
+    windows: Windows = field(default_factory=dict)
+    searched: frozenset[str] = frozenset()
+
+    @property
+    def has_load(self) -> bool:
+        """Whether a load that no channel records is among the effects."""
+        return UnloggedSwitch.id in self.values
+
+    def knows(self, name: str) -> bool:
+        """Whether the log of that name was searched for windows of the load."""
+        return name in self.searched
+
+    def added_to(self, log: Log, name: str | None = None) -> dict[str, FloatArray]:
+        """Outputs `(time,)` of a simulated log with the effects in place.
+
+        A load that no channel records is on where it was found in the log called `name`, and off
+        in others. A sample of which the simulator says nothing stays NaN, and spoils no other one.
+        Raises `DataError` for a log that lacks one of the signals.
+        """
+        held = self._complete(log, name or log.name, self.signals.outputs)
+        said = held.matrix(self.signals.outputs)
+        u, y = held.matrix(self.signals.inputs), self._bridged(said, log)
+        changed = y + (self._change(u, y, log) if self.values else 0.0)
+        changed[~np.isfinite(said)] = np.nan
+        return dict(zip(self.signals.outputs, changed.T, strict=True))
+
+    def run_again(
+        self, log: Log, simulate: Simulate, name: str | None = None
+    ) -> dict[str, FloatArray]:
+        """Outputs `(time,)` of the simulator itself for the inputs of a log, with the effects.
+
+        With inputs u' as they arrive, `y = simulate(u') + run(u', pace, s) - run(u', 1, 0)`, the
+        two runs being the emulator's, and only needed for effects on the engine's pace or on where
+        it settles; then y is read.
+        Outputs that no effect is known for are given as the simulator has them. Raises `DataError`
+        as `added_to`, and `ModelError` where an output is missing.
+        """
+        held = self._complete(log, name or log.name)
+        signals = replace(self.signals, dt_s=log.dt_s)
+        found, names = settings(self.values, signals), signals.inputs
+        u = held.matrix(names)[None]
+        told = arrived(found, signals, u)
+        changed = {n: v for n, v in zip(names, told[0].T, strict=True) if n in log.channels}
+        outputs = dict(simulate(self._told(log.with_channels(changed))))
+        said = self._diagnosed(outputs, log)
+        y = self._bridged(said, log)
+        y += self._change_inside(found, told[0], y, log)
+        y = np.where(np.isfinite(said), read(found, signals, told, y[None])[0], np.nan)
+        return {**outputs, **dict(zip(signals.outputs, y.T, strict=True))}
+
+    def check(self, *, again: bool) -> None:
+        """Raise `ConfigError` where an effect needs the stored emulator and there is none."""
+        inside = [name for name, way in self.ways(again=again).items() if way == EMULATED]
+        if inside and self.emulator is None:
+            raise ConfigError(
+                f"effect '{inside[0]}' needs the emulator, which is not beside gap.json",
+                hint=f"Keep the whole folder that narxcal diagnose wrote, with {EMULATOR}/ in it",
+            )
+
+    def ways(self, *, again: bool) -> dict[str, str]:
+        """How each effect is applied, in words, if the simulator can be run `again` or not."""
+        return {
+            effect.name: self._way((effect, theta), again=again)
+            for effect, theta in settings(self.values, self.signals)
+        }
+
+    def _way(self, setting: Setting, *, again: bool) -> str:
+        effect = setting[0]
+        if again and isinstance(effect, InputEffect):
+            return INPUTS
+        if isinstance(effect, ShiftEffect):
+            return SHIFTED
+        inside = isinstance(effect, InputEffect) or acts_inside(setting, self.signals)
+        return EMULATED if inside else OUTPUTS
+
+    def _complete(self, log: Log, name: str, outputs: tuple[str, ...] = ()) -> Log:
+        """The log with all inputs, an unlogged load's included, and without holes in them.
+
+        An input that no effect looks at and that never changed in the diagnosis may be missing.
+        """
+        if UNLOGGED in self.signals.inputs:
+            log = log.with_channels({UNLOGGED: self._on(log, name)})
+        emulated = EMULATED in self.ways(again=not outputs).values()
+        for each in (*self.signals.inputs, *outputs):
+            if each in log.channels:
+                continue
+            still = each in self.signals.inputs and each not in self.signals.active
+            if not still or (emulated and each in _AIR):
+                raise DataError(
+                    "the flights that were diagnosed have it, and this log has not",
+                    file=log.name,
+                    channel=each,
+                    hint=f"It has {', '.join(log.channels)}",
+                )
+            log = log.with_channels({each: np.zeros(len(log))})
+        return hold_inputs(log, self.signals.inputs)
+
+    def _told(self, log: Log) -> Log:
+        """The log without outputs and without what no simulator knows."""
+        names = [
+            name
+            for name in log.channels
+            if name in CHANNELS and (CHANNELS[name].role != "output" or name in self.signals.inputs)
+        ]
+        return replace(log, channels={name: log[name] for name in names})
+
+    def _diagnosed(self, outputs: Mapping[str, FloatArray], log: Log) -> FloatArray:
+        for name in self.signals.outputs:
+            if name not in outputs:
+                raise ModelError(
+                    "the simulator does not give it, and the effects were found on it",
+                    file=log.name,
+                    channel=name,
+                    hint=f"It gives {', '.join(outputs)}",
+                )
+        return np.column_stack([outputs[name] for name in self.signals.outputs])
+
+    def _bridged(self, said: FloatArray, log: Log) -> FloatArray:
+        """Outputs (time, outputs) without holes, for an effect that remembers what it heard."""
+        for name, column in zip(self.signals.outputs, said.T, strict=True):
+            if not np.isfinite(column).any():
+                raise DataError(
+                    "no simulated sample is known",
+                    file=log.name,
+                    channel=name,
+                    hint="Simulate the flight anew, or leave the log out",
+                )
+        return np.column_stack([bridge_gaps(column) for column in said.T])
+
+    def _change_inside(
+        self, found: list[Setting], told: FloatArray, y: FloatArray, log: Log
+    ) -> FloatArray | float:
+        """What effects inside change in the emulator's run of an engine told `told`.
+
+        What is linear in an effect on the pace is none: it is added with the readings.
+        """
+        inside = {
+            effect.name: {
+                p.name: self.values[effect.name].get(p.name, p.neutral)
+                for p in effect.parameters(self.signals)
+                if not p.linear or isinstance(effect, SettledEffect)
+            }
+            for effect, theta in found
+            if acts_inside((effect, theta), self.signals)
+        }
+        return self._in_blocks(inside, told, y, log) if inside else 0.0
+
+    def _on(self, log: Log, name: str) -> FloatArray:
+        """1 within the windows, by seconds since the log began."""
+        since, on = log.time_s - log.time_s[0], np.zeros(len(log))
+        for start_s, end_s in self.windows.get(name, ()):
+            on[(since >= start_s) & (since < end_s)] = 1.0
+        return on
+
+    def _change(self, u: FloatArray, y: FloatArray, log: Log) -> FloatArray:
+        if EMULATED not in self.ways(again=False).values():
+            return self._run(self.values, (u, y), log.dt_s)
+        return self._in_blocks(self.values, u, y, log)
+
+    def _in_blocks(self, values: Values, u: FloatArray, y: FloatArray, log: Log) -> FloatArray:
+        """The change on the raster of the diagnosis, carried over to that of the log."""
+        size = max(1, round(self.signals.dt_s / log.dt_s))
+        since, step_s = np.arange(len(u), dtype=np.float64) * log.dt_s, log.dt_s
+        if abs(size * step_s / self.signals.dt_s - 1.0) > _ONE_RASTER:
+            step_s = self.signals.dt_s / size
+            at = np.arange(0.0, since[-1] + 0.5 * step_s, step_s)
+            u, y = _between(at, since, u), _between(at, since, y)
+        blocks = block_means(u, size), block_means(y, size)
+        change = self._run(values, blocks, size * step_s)
+        middles = ((np.arange(len(change), dtype=np.float64) + 0.5) * size - 0.5) * step_s
+        return _between(since, middles, change)
+
+    def _run(self, values: Values, both: tuple[FloatArray, FloatArray], dt_s: float) -> FloatArray:
+        u, y = both
+        flights = Flights(replace(self.signals, dt_s=dt_s), u[None], y[None], np.array([len(u)]))
+        return np.asarray(with_effects(values, flights, self.emulator)[0] - y)
+
+
+def _between(at: FloatArray, times: FloatArray, rows: FloatArray) -> FloatArray:
+    """Columns of `rows` (times, columns) on straight lines at other times."""
+    return np.column_stack([np.interp(at, times, column) for column in rows.T])
+
+
+def read_effects(file: Path) -> FoundEffects:
+    """Read the claimed effects of a `gap.json`, or of the folder it is in, with its emulator.
+
+    Raises `ConfigError` for a file that is none, and `ModelError` for a damaged emulator.
+    """
+    file = file / "gap.json" if file.is_dir() else file
+    document = _document(file)
+    folder = file.parent / EMULATOR
+    emulator = read_emulator(folder) if folder.is_dir() else None
+    try:
+        return _found(document, emulator)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ConfigError(
+            f"a part is missing or damaged: {type(error).__name__}: {error}",
+            file=file,
+            hint="Name the gap.json that narxcal diagnose wrote, unchanged",
+        ) from None
+
+
+def _found(document: Mapping[str, Any], emulator: GreyBoxEmulator | None) -> FoundEffects:
+    values, quality = claimed_in(document), document["quality"]
+    signals = signals_from_json(quality["signals"])
+    flights, held = (frozenset(quality.get(key, ())) for key in ("flights", "held_out"))
+    # Of two flights of one name nobody can say which one is meant.
+    searched = flights ^ held
+    windows = {name: on for name, on in _windows(document).items() if name in searched}
+    return FoundEffects(values, signals, emulator, windows, searched)
+
+
+def _windows(document: Mapping[str, Any]) -> Windows:
+    """Seconds since the beginning of the log, for every log in which a load was on."""
+    found: dict[str, tuple[tuple[float, float], ...]] = {}
+    for row in document["effects"]:
+        for spell in row.get("windows", ()):
+            own = tuple(float(spell[key] - spell["log_start_s"]) for key in ("start_s", "end_s"))
+            found[spell["log"]] = (*found.get(spell["log"], ()), (own[0], own[1]))
+    return found
+
+
+def _document(file: Path) -> Mapping[str, Any]:
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"cannot be read: {error.strerror}", file=file) from None
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"not JSON: {error}", file=file) from None
+    found = document.get("schema") if isinstance(document, dict) else None
+    if found not in SCHEMAS:
+        raise ConfigError(
+            f"expected schema '{SCHEMAS[-1]}', found {found!r}",
+            file=file,
+            hint="Name the gap.json that narxcal diagnose wrote",
+        )
+    return dict(document)

@@ -1,0 +1,212 @@
+"""Recorded flights with a known fault of one or two channels: the test on real engines.
+
+A channel of every engine of a flight comes late, lags, is biased, drifts or is scaled, and so does
+what drives the engine. The files keep their columns and units, so that they are diagnosed as they
+would be at their owner's, by a simulator identified on other flights. What else these engines have
+stays in: a flight that is not altered is the null.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import hashlib
+import io
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from data_prep.config import ENGINE, LogsConfig
+from data_prep.text_file import open_text
+from data_prep.units import find_unit
+from eval.diagnosis.blind.cases import BlindPlan
+from eval.diagnosis.blind.make import Made
+from narxcal.channels import channel
+from narxcal.flight_test.sensors import first_order
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError, DataError
+
+DRIVER: Final = "driver"
+SIZES: Final = (2.0, 1.0, 0.5)  # times the size that can be named
+_NULLS, _PAIRS = 8, 4  # one case in so many
+
+
+class Alteration(NamedTuple):
+    """A fault of a recording: what it does to a channel, and the smallest size that is named.
+
+    `nameable` is what a model of two other flights of this aircraft can name (sqrt(8 v) standard
+    errors, v the spread of this effect's gain over unaltered flights), by the library's parameter.
+    """
+
+    id: str
+    channel: str
+    parameter: str
+    nameable: float
+
+    @property
+    def name(self) -> str:
+        """`id:channel` as in the answers; what drives the engine has no channel."""
+        return self.id if self.channel == DRIVER else f"{self.id}:{self.channel}"
+
+    def applied(self, values: FloatArray, time_s: FloatArray, size: float) -> FloatArray:
+        """`values` (time,) with the fault of a size, in the unit of the channel."""
+        known = np.isfinite(values)
+        if not known.any():
+            return values
+        complete = np.interp(time_s, time_s[known], values[known])
+        if self.id in ("time_skew", "throttle_delay"):
+            # A driver recorded late is an engine that answers early: a negative delay.
+            late_s = -size if self.channel == DRIVER else size
+            found = np.interp(time_s - late_s, time_s, complete)
+        elif self.id == "sensor_lag":
+            found = first_order(complete, size, float(np.median(np.diff(time_s))))
+        elif self.id == "sensor_bias":
+            found = complete + size
+        elif self.id == "sensor_drift":
+            found = complete + size * (time_s - time_s[0]) / 3600.0
+        elif self.id == "driver_gain":  # the engine gets more than is recorded
+            found = complete / (1.0 + 0.01 * size)
+        else:
+            found = complete * (1.0 + 0.01 * size)
+        return np.where(known, found, np.nan)
+
+
+ALTERATIONS: Final = (
+    Alteration("time_skew", "N1_pct", "skew_s", 0.08),
+    Alteration("driver_gain", DRIVER, "gain_pct", 2.5),
+    Alteration("sensor_lag", "EGT_C", "tau_s", 0.8),
+    Alteration("sensor_bias", "N2_pct", "bias", 0.65),
+    Alteration("throttle_delay", DRIVER, "delay_s", -0.07),
+    Alteration("sensor_drift", "EGT_C", "rate_per_h", 25.0),
+    Alteration("time_skew", "N2_pct", "skew_s", 0.11),
+    Alteration("sensor_bias", "EGT_C", "bias", 37.0),
+    # A gain acts as a bias of its mean: 0.65 % of 85 % N2, 37 of 600 degC.
+    Alteration("sensor_gain", "N2_pct", "gain_pct", 0.8),
+    Alteration("sensor_gain", "EGT_C", "gain_pct", 6.0),
+)
+_SIGNED: Final = ("sensor_bias", "sensor_drift", "sensor_gain", "driver_gain")
+
+
+class Altered(NamedTuple):
+    """What to make of one flight: alterations with their sizes, none for a null."""
+
+    file: Path
+    parts: tuple[tuple[Alteration, float], ...]
+    times: float  # the nameable size
+
+    def row(self) -> dict[str, Any]:
+        """Give it as a row of the key."""
+        kind = ("null", "single", "pair")[len(self.parts)]
+        effects = [
+            {
+                "id": each.id,
+                "channel": None if each.channel == DRIVER else each.channel,
+                "parameters": {each.parameter: size},
+            }
+            for each, size in self.parts
+        ]
+        return {
+            "kind": kind,
+            "style": "altered",
+            "engine": "real",
+            "effects": effects,
+            "outside": None,
+            "base": {"differs": True},
+            "flight": self.file.name,
+            "times_nameable": self.times if self.parts else 0.0,
+        }
+
+
+def draw_altered(
+    count: int, files: Sequence[Path], offered: Sequence[Alteration], random: np.random.Generator
+) -> list[Altered]:
+    """Draw `count` cases in any order: each flight once as a null, one in four a pair."""
+    nulls = min(count // _NULLS, len(files))
+    found = [Altered(file, (), 0.0) for file in files[:nulls]]
+    for n in range(count - nulls):
+        turn = n // len(offered)
+        wanted, times = [offered[n % len(offered)]], SIZES[turn % len(SIZES)]
+        if n % _PAIRS == _PAIRS - 1:
+            others = [each for each in offered if each.channel != wanted[0].channel]
+            wanted.append(others[int(random.integers(len(others)))])
+            times = SIZES[0]
+        signs = [float(random.choice((-1.0, 1.0))) if e.id in _SIGNED else 1.0 for e in wanted]
+        parts = ((e, sign * times * e.nameable) for e, sign in zip(wanted, signs, strict=True))
+        found.append(Altered(files[(n + turn) % len(files)], tuple(parts), times))
+    return [found[k] for k in random.permutation(count).tolist()]
+
+
+def make_altered(folder: Path, plan: BlindPlan, logs: LogsConfig, base: Path) -> Iterator[Made]:
+    """Make the cases of a plan from recorded flights, one after the other.
+
+    `logs` says which columns are which channels; its folder is relative to `base`. Raises
+    `DataError` for what cannot be read and `ConfigError` where no fault can be put on.
+    """
+    files = logs.resolve(base)
+    random = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(6,)))
+    sources = logs.sources(_header(files[0]))
+    driver = next((name for name in ("TRA_deg", "FF_kgph") if name in sources), None)
+    if driver is None:
+        raise ConfigError("the logs have neither TRA_deg nor FF_kgph: nothing drives the engine")
+    offered = [each for each in ALTERATIONS if each.channel in (*sources, DRIVER)]
+    width = max(3, len(str(plan.cases)))
+    for number, case in enumerate(draw_altered(plan.cases, files, offered, random), start=1):
+        name = f"case_{number:0{width}d}"
+        content = alter(case, logs, driver)
+        log = f"real/{case.file.name.removesuffix('.gz')}.gz"
+        (folder / name / log).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name / log).write_bytes(content)
+        yield Made(name, case.row(), {log: hashlib.sha256(content).hexdigest()})
+
+
+def alter(case: Altered, logs: LogsConfig, driver: str) -> bytes:
+    """The flight's file with its alterations, gzipped; cells of other columns stay as they are."""
+    rows = _rows(case.file)
+    header = rows[0]
+    sources = logs.sources(tuple(header))
+    time_s = _numbers(rows, header.index(logs.time_column))
+    # A row of units below the header, or a clock that is no number, has no place in this.
+    first = int(np.argmax(np.isfinite(time_s)))
+    if not np.isfinite(time_s[first:]).all() or len(time_s) - first < 2:
+        raise DataError("the time stamps are no numbers", file=case.file)
+    for each, size in case.parts:
+        source = sources[driver if each.channel == DRIVER else each.channel]
+        unit = (
+            find_unit(source.unit or channel(each.channel).unit, each.channel)
+            if (each.id in ("sensor_bias", "sensor_drift"))
+            else None
+        )
+        own = size if unit is None else size / (unit.scale * source.scale)
+        for prefix in logs.engines.values() or ("",):
+            column = header.index(source.column.replace(ENGINE, prefix))
+            values = _numbers(rows, column)[first:]
+            changed = each.applied(values, time_s[first:], own)
+            for row, value in zip(rows[1 + first :], changed.tolist(), strict=True):
+                if np.isfinite(value):
+                    row[column] = f"{value:.8g}"
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return gzip.compress(text.getvalue().encode(), 6, mtime=0)
+
+
+def _rows(file: Path) -> list[list[str]]:
+    with open_text(file) as text:
+        return list(csv.reader(text))
+
+
+def _header(file: Path) -> tuple[str, ...]:
+    with open_text(file) as text:
+        return tuple(next(csv.reader(text)))
+
+
+def _numbers(rows: Sequence[Sequence[str]], column: int) -> FloatArray:
+    return np.array([_number(row[column]) for row in rows[1:]])
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return np.nan

@@ -1,0 +1,307 @@
+"""Cases from another maker's simulator, of which there are only logs: what can be put onto them.
+
+Only what needs no second run of that simulator is used. Exact are effects of sensors and a delay
+of the lever (it commutes with an engine that does not change with time). Nearly exact are steady
+effects, if the control holds its first output: how many degrees or percent belong to one is that of
+a typical two-spool turbofan, and nothing has the form that the diagnosis fits. On top come a build,
+a structural misfit, and the noise of the instrumentation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from data_prep.log import Log
+from eval.diagnosis.blind.cases import (
+    CATALOGUE,
+    Base,
+    BlindPlan,
+    Case,
+    Offer,
+    Scale,
+    Windows,
+    draw_contents,
+    draw_share,
+    draw_signs,
+)
+from eval.diagnosis.blind.make import Made, made_from
+from eval.diagnosis.blind.outside import MIMICS, MISFIT, OTHERS, applied
+from eval.diagnosis.blind.truth import (
+    NOTHING,
+    OUTPUTS,
+    WHITE,
+    Channels,
+    Content,
+    hidden_windows,
+    outputs_for,
+)
+from eval.diagnosis.pairs import read_folder
+from narxcal.flight_test.sensors import ChannelSensor, SensorConfig, Streams, first_order, record
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
+
+_SPOOL_S, _GAS_S = 1.6, 0.8  # after a bleed opens, N2 and exhaust temperature take so long
+_SWITCHES: Final = ("NAI", "WAI", "ECS")
+
+
+class View(NamedTuple):
+    """One simulated flight, `(time,)` each; `power` goes from 0 to 1, `windows` are hidden."""
+
+    number: int
+    channels: Channels
+    dt_s: float
+    power: FloatArray
+    windows: Windows
+
+
+def switches_of(channels: Channels) -> tuple[str, ...]:
+    """Bleed switches that change in a flight."""
+    return tuple(n for n in _SWITCHES if n in channels and np.ptp(channels[n]) > 0.0)
+
+
+def _bled(view: View, share: FloatArray) -> Channels:
+    """A share of the core's air is taken away: hotter, and N2 up a little to keep N1."""
+    p = np.clip(view.power, 0.0, 1.2)
+    slow = first_order(share, _SPOOL_S, view.dt_s)
+    fast = first_order(share, _GAS_S, view.dt_s)
+    return {
+        "EGT_C": 1100.0 * fast * (0.65 + 0.35 * p**1.5),
+        "N2_pct": 16.0 * slow * (1.0 - 0.5 * p),
+        "FF_kgph": view.channels.get("FF_kgph", np.zeros(1)) * 1.6 * fast,
+    }
+
+
+def _bleed(view: View, size: float) -> Channels:
+    on = sum(view.channels[name] for name in switches_of(view.channels))
+    return _bled(view, size * np.minimum(np.asarray(on, np.float64) + 0.0 * view.power, 1.0))
+
+
+def _hidden(view: View, size: float) -> Channels:
+    time_s = np.arange(len(view.power)) * view.dt_s
+    on = np.zeros(len(time_s))
+    for start, stop in view.windows:
+        on[(time_s >= start) & (time_s < stop)] = 1.0
+    return _bled(view, size * on)
+
+
+def _worn(view: View, size: float) -> Channels:
+    """Efficiency lost in compressor and turbine: hotter with power, N2 a little down."""
+    p = np.clip(view.power, 0.0, 1.2)
+    fuel = view.channels.get("FF_kgph", np.zeros(1))
+    return {
+        "EGT_C": size * (4.0 + 5.0 * p**1.3),
+        "N2_pct": -size * (0.05 + 0.12 * p),
+        "FF_kgph": fuel * 0.011 * size,
+    }
+
+
+def _day(view: View, size: float) -> Channels:
+    """The control's N1 is off by `size` percent per degC of the day, and all else goes along."""
+    more = size * view.channels["dT_C"]
+    p = np.clip(view.power, 0.0, 1.2)
+    return {"N1_pct": more, "N2_pct": more * (0.55 - 0.2 * p), "EGT_C": more * (3.0 + 4.0 * p)}
+
+
+def _soaked(view: View, size: float) -> Channels:
+    """Metal that is colder than the gas cools it; it heats up the faster the higher the power."""
+    egt = view.channels["EGT_C"]
+    lag_s = 45.0 + 110.0 * (1.0 - np.clip(view.power, 0.0, 1.0))
+    keep = np.exp(-view.dt_s / lag_s)
+    metal = np.empty_like(egt)
+    state = float(egt[0])
+    for k, (gas, share) in enumerate(zip(egt.tolist(), keep.tolist(), strict=True)):
+        metal[k] = state
+        state = gas + (state - gas) * share
+    cold = 0.035 * size * (egt - metal)
+    return {"EGT_C": -cold, "N2_pct": -0.004 * cold}
+
+
+SHIFTS: Final[dict[str, Callable[[View, float], Channels]]] = {
+    "bleed_extraction": _bleed,
+    "unlogged_switch": _hidden,
+    "deterioration": _worn,
+    "temperature_effect": _day,
+    "heat_soak": _soaked,
+}
+
+
+ENGINE: Final = "maker"
+_FOLDERS: Final = ("sim", "sim_heldout")
+# The logs are behind the simulator's own sensors: noise, bias and clock are added, no more lag.
+_MEASURED = SensorConfig(
+    inputs="exact", channels={name: ChannelSensor(tau_s=0.0) for name in OUTPUTS}
+)
+_PERFECT = SensorConfig(preset="perfect", inputs="exact")
+# Standard deviation of a build, in parts of the range: offset, slope and bend over power each.
+_BUILD: Final = {"N1_pct": 0.001, "N2_pct": 0.003, "EGT_C": 0.006, "FF_kgph": 0.006}
+
+
+def make_log_cases(folder: Path, plan: BlindPlan, logs: Path) -> Iterator[Made]:
+    """Make the cases of a plan from the simulator's logs, one after the other.
+
+    `logs` holds them, or folders `sim` and `sim_heldout` at any depth. Flights are used whole.
+    Raises `DataError` for too few of them, and as `read_folder`.
+    """
+    flights = _read(logs)
+    needed = plan.flights + plan.held_out
+    if len(flights) < needed:
+        raise DataError(
+            f"there are {len(flights)} simulated flights, and a case needs {needed}",
+            file=logs,
+            hint="Add logs, or take fewer by --flights and --held-out",
+        )
+    for case in drawn_cases(plan, flights):
+        yield made_from(folder, plan, LogSpecimen(case, plan, flights))
+
+
+class LogSpecimen:
+    """A case whose simulator is known by its logs alone."""
+
+    def __init__(self, case: Case, plan: BlindPlan, logs: Sequence[Log]) -> None:
+        self.case, self.plan = case, plan
+        random = self._random(0)
+        order = random.permutation(len(logs))[: plan.flights + plan.held_out].tolist()
+        self.logs = [_channels(logs[k]) for k in order]
+        scatter = 0.0 if plan.build == "same" else 1.0
+        self._build = {
+            name: scatter * scale * random.standard_normal(3) for name, scale in _BUILD.items()
+        }
+        self._sensors = WHITE if plan.build == "same" else _MEASURED
+
+    def flight(self, number: int) -> View:
+        """Flight `number`, counted from 0."""
+        channels = self.logs[number]
+        time_s = channels["time_s"]
+        span = [float(each["N1_pct"].min()) for each in self.logs]
+        most = max(float(each["N1_pct"].max()) for each in self.logs)
+        power = (channels["N1_pct"] - min(span)) / (most - min(span))
+        windows = hidden_windows(self._random(2, number), float(time_s[-1] - time_s[0]))
+        return View(number, channels, float(time_s[1] - time_s[0]), power, windows)
+
+    def simulated(
+        self, flight: View, content: Content = NOTHING, *, built: bool = False
+    ) -> Channels:
+        """What the simulator says, `(time,)`, with the case's content added where it is given.
+
+        With `built` it has the build of the real engine.
+        """
+        seen = self._built(flight, content) if built else self._with(flight, content)
+        return seen if content == NOTHING else self._shown(seen, flight, content, _PERFECT)
+
+    def both(self, flight: View, content: Content) -> tuple[Channels, Channels]:
+        """What is so, as sensors without noise show it with their faults; and what is recorded."""
+        real = self._real(flight, content)
+        return (
+            self._shown(real, flight, content, _PERFECT),
+            self._shown(real, flight, content, self._sensors),
+        )
+
+    def _real(self, flight: View, content: Content) -> Channels:
+        """With the content, and with a build and a structure of its own."""
+        real = self._built(flight, content)
+        for what, size in MISFIT if self.case.base.misfit else ():
+            real = applied(what, "output", real, size)
+        return real
+
+    def _built(self, flight: View, content: Content) -> Channels:
+        """With the content, and with a build of its own."""
+        real = self._with(flight, content)
+        p = flight.power - 0.5
+        for name, (a, b, c) in self._build.items():
+            if name in real and name in outputs_for(real):
+                span = float(np.ptp(flight.channels[name]))
+                real[name] = real[name] + span * (a + 2.0 * b * p + 4.0 * c * p**2)
+        return real
+
+    def _with(self, flight: View, content: Content) -> Channels:
+        """The simulated flight with what acts on the engine."""
+        found = dict(flight.channels)
+        for dose in content.doses:
+            if dose.scale.id in SHIFTS:
+                shifts = SHIFTS[dose.scale.id](flight, dose.size)
+                found |= {n: found[n] + each for n, each in shifts.items() if n in found}
+        for dose in content.doses:
+            if dose.scale.id == "throttle_delay":
+                found |= _late(found, dose.size / flight.dt_s)
+        if self.case.strange is not None and content.strange:
+            found = applied(self.case.strange, "output", found, content.strange)
+        return found
+
+    def _shown(
+        self, seen: Channels, flight: View, content: Content, sensors: SensorConfig
+    ) -> Channels:
+        faults = [dose.fault(ENGINE) for dose in content.doses if dose.on_sensor]
+        seed = int(self._random(1).integers(2**31))
+        names = [name for name in outputs_for(seen) if name in seen]
+        told = {name: seen[name] for name in names}
+        found = record(told, flight.dt_s, sensors, Streams(seed, flight.number, 0), faults)
+        return {**seen, **{name: found.channels[name] for name in names}}
+
+    def _random(self, purpose: int, number: int = 0) -> np.random.Generator:
+        key = (4, self.case.number, purpose, number)
+        return np.random.default_rng(np.random.SeedSequence(self.plan.seed, spawn_key=key))
+
+
+def drawn_cases(plan: BlindPlan, flights: Sequence[Log]) -> Iterator[Case]:
+    """Draw what the cases hold, of what these flights can show."""
+    offer = _offer(flights)
+    random = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(3,)))
+    contents = draw_contents(plan.cases, random, offer)
+    width = max(3, len(str(plan.cases)))
+    for place, which in enumerate(random.permutation(plan.cases).tolist(), start=1):
+        held = contents[which]
+        yield Case(
+            name=f"case_{place:0{width}d}",
+            number=place,
+            kind=held.kind,
+            style=ENGINE,
+            engine=ENGINE,
+            base=Base(0.0, misfit=plan.build != "same" and (held.kind == "null" or which % 2 == 0)),
+            effects=held.effects,
+            signs=draw_signs(held.effects, random),
+            strange=held.strange,
+            share=draw_share(held, random, plan.build),
+        )
+
+
+def _offer(flights: Sequence[Log]) -> Offer:
+    """What can be put onto these logs."""
+    first = _channels(flights[0])
+    days = [float(log["dT_C"].mean()) for log in flights if "dT_C" in log.channels]
+    missing = set()
+    if not all(switches_of(_channels(log)) for log in flights):
+        missing.add("bleed_extraction")
+    if not days or np.ptp(days) < 1.0:
+        missing.add("temperature_effect")
+
+    def possible(scale: Scale) -> bool:
+        if scale.channel is not None:
+            return scale.channel in outputs_for(first) and scale.channel in first
+        return scale.id == "throttle_delay" or (scale.id in SHIFTS and scale.id not in missing)
+
+    return Offer(
+        tuple(scale for scale in CATALOGUE if possible(scale)),
+        tuple(each for each in MIMICS if each.on == "output"),
+        OTHERS,
+    )
+
+
+def _read(folder: Path) -> list[Log]:
+    """All simulated flights, in order of their paths."""
+    parts = [each for each in folder.rglob("*") if each.is_dir() and each.name in _FOLDERS]
+    parts = sorted(parts) or [folder]
+    return [log for part in parts for log in read_folder(part).values()]
+
+
+def _channels(log: Log) -> Channels:
+    return {"time_s": log.time_s - log.time_s[0], **log.channels}
+
+
+def _late(channels: Channels, steps: float) -> Channels:
+    index = np.arange(len(channels["time_s"]), dtype=np.float64)
+    names = [name for name in outputs_for(channels) if name in channels]
+    return {name: np.interp(index - steps, index, channels[name]) for name in names}

@@ -1,0 +1,199 @@
+"""The two engines of a case: the simulator's, and the real one with what nobody modelled."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from eval.diagnosis.blind.cases import Base, BlindPlan, Case, Dose, Windows
+from eval.diagnosis.blind.lumped import KINDS, LumpedEngine
+from eval.diagnosis.blind.outside import MISFIT, applied
+from narxcal.flight_test.plan import FlightPlan, plan_flight
+from narxcal.flight_test.scenario import drawn_windows
+from narxcal.flight_test.sensors import ChannelSensor, SensorConfig, Streams, record
+from narxcal.support.arrays import FloatArray
+from narxcal.turbofan import Unmodelled, VirtualEngine, build_scatter
+from narxcal.turbofan.cycle import Health
+
+Channels = dict[str, FloatArray]
+Engine = VirtualEngine | LumpedEngine
+OUTPUTS: Final = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
+_MEASURED = SensorConfig(inputs="exact")
+# The lags of the instrumentation itself are known and in the simulator: they are no gap.
+_KNOWN = SensorConfig(
+    preset="perfect",
+    inputs="exact",
+    channels={name: ChannelSensor(tau_s=_MEASURED.sensor(name).tau_s) for name in OUTPUTS},
+)
+# What a simulator's maker adds to its outputs for a recording: white noise and steps.
+WHITE: Final = SensorConfig(
+    preset="perfect",
+    inputs="exact",
+    channels={
+        "N1_pct": ChannelSensor(noise_sigma=0.04, resolution=0.02),
+        "N2_pct": ChannelSensor(noise_sigma=0.04, resolution=0.02),
+        "EGT_C": ChannelSensor(noise_sigma=1.0, resolution=0.5),
+        "FF_kgph": ChannelSensor(noise_share=0.004, resolution=1.0),
+    },
+)
+_WHITE_BEHIND_LAGS = SensorConfig(
+    preset="perfect",
+    inputs="exact",
+    channels={
+        name: _KNOWN.channels[name].model_copy(update=sensor.model_dump(exclude_unset=True))
+        for name, sensor in WHITE.channels.items()
+    },
+)
+_STRETCH_S = 240.0  # one window of an unlogged switch in each
+
+
+def outputs_of(channels: Mapping[str, FloatArray]) -> tuple[str, ...]:
+    """Names of the outputs among channels: without a lever, the fuel flow drives and is none."""
+    return tuple(name for name in outputs_for(channels) if name in channels)
+
+
+def outputs_for(inputs: Mapping[str, FloatArray]) -> tuple[str, ...]:
+    """Names of the outputs that an engine with these inputs may have."""
+    return OUTPUTS if "TRA_deg" in inputs else OUTPUTS[:3]
+
+
+class Content(NamedTuple):
+    """What a case holds, in numbers: doses of effects, and the size of what is strange."""
+
+    doses: tuple[Dose, ...] = ()
+    strange: float = 0.0
+
+
+NOTHING: Final = Content()
+
+
+class Flight(NamedTuple):
+    """Inputs of one flight with its time, `(time,)` each, and the windows of a hidden switch."""
+
+    number: int
+    inputs: Channels
+    windows: Windows
+
+    @property
+    def dt_s(self) -> float:
+        """Interval of the raster."""
+        return float(self.inputs["time_s"][1] - self.inputs["time_s"][0])
+
+
+class Specimen:
+    """The case with its flights: what the simulator says, what is so, and what is recorded."""
+
+    def __init__(self, case: Case, plan: BlindPlan) -> None:
+        self.case, self.plan = case, plan
+        self.build = build_scatter(self._random("build", 0), case.base.build_pct)
+
+    def flight(self, number: int) -> Flight:
+        """Plan flight `number`, counted from 0."""
+        random = self._random("flight", number)
+        plan = FlightPlan(
+            style=self.case.style,
+            aircraft="business_jet" if self.case.engine in KINDS else self.case.engine,
+            duration_s=self.plan.duration_s,
+            rate_hz=self.plan.rate_hz,
+        )
+        inputs = dict(plan_flight(plan, int(random.integers(2**31)))["left"])
+        if self.case.engine == "lumped_fuel":
+            inputs = _fuelled(inputs)
+        return Flight(number, inputs, hidden_windows(random, float(inputs["time_s"][-1])))
+
+    def simulated(
+        self, flight: Flight, content: Content = NOTHING, *, built: bool = False
+    ) -> Channels:
+        """What the simulator says, `(time,)`, with the case's content added where it is given.
+
+        With `built` it has the build and the parameters of the real engine.
+        """
+        base = Base(0.0) if built else self.case.base
+        inside = [each.unmodelled(flight.windows) for each in content.doses if not each.on_sensor]
+        ids = {each.id: each for each in inside}
+        for name, factor in (("heat_soak", base.soak), ("spool_lag", base.inertia)):
+            ids[name] = _multiplied(ids.get(name), name, factor)
+        engine = self._engine(self.build if built else None, list(ids.values()), base.probe)
+        return self._shown(self._run(engine, flight, content), flight, content, _KNOWN)
+
+    def both(self, flight: Flight, content: Content) -> tuple[Channels, Channels]:
+        """What is so, as sensors without noise show it with their faults; and what is recorded."""
+        real = self._real(flight, content)
+        sensors = _WHITE_BEHIND_LAGS if self.plan.build == "same" else _MEASURED
+        return (
+            self._shown(real, flight, content, _KNOWN),
+            self._shown(real, flight, content, sensors),
+        )
+
+    def _real(self, flight: Flight, content: Content) -> Channels:
+        inside = [each.unmodelled(flight.windows) for each in content.doses if not each.on_sensor]
+        engine = self._engine(self.build, inside)
+        return self._run(engine, flight, content, misfit=self.case.base.misfit)
+
+    def _engine(
+        self, build: Health | None, inside: Sequence[Unmodelled], probe: float = 1.0
+    ) -> Engine:
+        """The case's engine with a build and effects; `probe` multiplies its probe's lag."""
+        if self.case.engine in KINDS:
+            return LumpedEngine(self.case.engine, build, inside, probe)
+        engine = VirtualEngine(self.case.engine, build, inside)
+        tau_s = engine.settings.body.probe_tau_s * probe
+        engine.settings = replace(
+            engine.settings, body=engine.settings.body._replace(probe_tau_s=tau_s)
+        )
+        return engine
+
+    def _run(
+        self, engine: Engine, flight: Flight, content: Content, *, misfit: bool = False
+    ) -> Channels:
+        """Inputs as the engine hears them, through the engine, to what it gives."""
+        changes = list(MISFIT) if misfit else []
+        if self.case.strange is not None and content.strange:
+            changes.append((self.case.strange, content.strange))
+        told = dict(flight.inputs)
+        for what, size in changes:
+            told = applied(what, "input", told, size)
+        inputs = {name: told[name] for name in engine.input_names}
+        outputs = engine.simulate(inputs, flight.dt_s)
+        seen = {**flight.inputs, **{name: outputs[name] for name in outputs_for(told)}}
+        for what, size in changes:
+            seen = applied(what, "output", seen, size)
+        return seen
+
+    def _shown(
+        self, seen: Channels, flight: Flight, content: Content, sensors: SensorConfig
+    ) -> Channels:
+        faults = [each.fault(self.case.engine) for each in content.doses if each.on_sensor]
+        seed = int(self._random("sensors", flight.number).integers(2**31))
+        found = record(seen, flight.dt_s, sensors, Streams(seed, flight.number, 0), faults)
+        names = outputs_for(flight.inputs)
+        return {**flight.inputs, **{name: found.channels[name] for name in names}}
+
+    def _random(self, purpose: str, number: int) -> np.random.Generator:
+        code = int.from_bytes(purpose.encode()[:4], "big")
+        key = (1, self.case.number, code, number)
+        return np.random.default_rng(np.random.SeedSequence(self.plan.seed, spawn_key=key))
+
+
+def _multiplied(given: Unmodelled | None, name: str, factor: float) -> Unmodelled:
+    """An effect on top of a simulator that is off by a factor itself."""
+    before = 1.0 if given is None else given.value("factor")
+    return Unmodelled(name, {"factor": before * factor})
+
+
+def _fuelled(inputs: Channels) -> Channels:
+    """Inputs with the fuel flow that a governed engine would take in the place of its lever."""
+    dt_s = float(inputs["time_s"][1] - inputs["time_s"][0])
+    fuel = LumpedEngine("lumped_n2").simulate(inputs, dt_s)["FF_kgph"]
+    return {
+        ("FF_kgph" if n == "TRA_deg" else n): (fuel if n == "TRA_deg" else v)
+        for n, v in inputs.items()
+    }
+
+
+def hidden_windows(random: np.random.Generator, end_s: float) -> Windows:
+    """Windows of a load that no channel records, in a flight of `end_s`."""
+    return drawn_windows(random, end_s, _STRETCH_S)

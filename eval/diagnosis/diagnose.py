@@ -1,0 +1,275 @@
+"""The diagnosis: read pairs of logs, fit the emulator, weigh effects, say where and how far.
+
+`narxcal.diagnose` is public. The result is a document of schema narxcal.gap/2.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from eval.diagnosis.document import Evidence, document, facts_of
+from eval.diagnosis.expected import (
+    Values,
+    channel_shrink,
+    expected,
+    held_out,
+    seen,
+    shift_of,
+    time_shrink,
+    unseen,
+    with_effects,
+)
+from eval.diagnosis.flights import (
+    GapData,
+    batch,
+    block_size,
+    check_excitation,
+    events_of,
+    in_terms_of,
+    phases_of,
+    record_of,
+)
+from eval.diagnosis.learned import keep_learned, learn_left_out, learned_by, learned_from
+from eval.diagnosis.page import budget_figure
+from eval.diagnosis.pairs import Pair, check_apart, read_pairs
+from eval.diagnosis.simulators import Rerun, Simulate, Simulator, open_simulator
+from eval.diagnosis.where import locate
+from eval.evaluate import run_config
+from narxcal.calibration.bundle import DOCUMENT, load_bundle
+from narxcal.effects.running import Emulator, with_load
+from narxcal.effects.steady import UnloggedSwitch
+from narxcal.support.errors import DataError, NarxcalError
+from training.config import RunConfig
+from training.diagnosis.budget import Budget, Interval
+from training.diagnosis.discrepancy import Discrepancy
+from training.diagnosis.emulator import GreyBoxEmulator, choose_control, fit_emulators
+from training.diagnosis.fit import Frame
+from training.diagnosis.load import windows_of
+from training.diagnosis.metric import Metric, assumed_variance
+from training.diagnosis.nuisances import nuisances
+from training.diagnosis.verdict import Engines
+from training.diagnosis.verdict import diagnose as weighed
+
+Watch = Callable[[str, int, int], None]  # the step at work, how many are done, of how many
+_NOTHING: Final = Interval(0.0, 0.0, 0.0)
+_STEPS: Final = 4
+
+
+class Request(NamedTuple):
+    """Where the logs are; `sim` may name any simulator, `held_sim` left out means the same one."""
+
+    real: Path
+    sim: str
+    config: RunConfig | None = None
+    held_real: Path | None = None
+    held_sim: str | None = None
+    trust: bool = False  # of a run folder whose steady-state model runs code
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The document of schema narxcal.gap/2, the budget it states, and what both rest on."""
+
+    document: dict[str, Any]
+    budget: Budget
+    evidence: Evidence
+    emulator: GreyBoxEmulator
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """The budget: a row per cause, its share, low, high, probability and channels' shares."""
+        rows = [
+            {key: row[key] for key in ("cause", "share", "low", "high", "probability")}
+            | row["channels"]
+            for row in self.budget.rows()
+        ]
+        return pd.DataFrame(rows).set_index("cause")
+
+    def plot(self) -> Figure:
+        """Draw the budget as bars: the whole gap, each channel, each phase."""
+        return budget_figure(self.budget.rows())
+
+
+def diagnose(
+    real: str | PathLike[str],
+    sim: str | PathLike[str],
+    *,
+    heldout: tuple[str | PathLike[str], str | PathLike[str] | None] | None = None,
+    config: RunConfig | None = None,
+    trust: bool = False,
+) -> Answer:
+    """Say which unmodelled effects make flights and a simulator differ, and by what shares.
+
+    `real` is a folder of the flights' logs; `sim` a folder of simulated logs of the same names, a
+    run folder, an FMU, `module:function` or a virtual engine's name; `heldout` the same two of
+    flights to check on, None for the same simulator. Without `config` columns are mapped as the run
+    folder does, else they bear canonical names. Raises `DataError`, `ConfigError`, `ModelError`.
+    """
+    config = config or mapping_of(fspath(sim), trust=trust)
+    held_real, held_sim = (None, None) if heldout is None else heldout
+    request = Request(
+        Path(real),
+        fspath(sim),
+        config,
+        None if held_real is None else Path(held_real),
+        None if held_sim is None else fspath(held_sim),
+        trust,
+    )
+    return diagnose_folders(request)
+
+
+def mapping_of(sim: str, *, trust: bool = False) -> RunConfig | None:
+    """The configuration of a run folder, which maps the columns of its logs; None of others."""
+    if not (Path(sim or "nothing") / DOCUMENT).is_file():
+        return None
+    return run_config(load_bundle(Path(sim), trust=trust))[0]
+
+
+def diagnose_folders(request: Request, watch: Watch | None = None) -> Answer:
+    """Read the logs of a `Request` and diagnose; raises as `diagnose`."""
+    began = time.perf_counter()
+    if watch is not None:
+        watch("reading", 0, _STEPS)
+    simulator = open_simulator(request.sim, trust=request.trust)
+    pairs = read_pairs(request.real, simulator.how, request.config)
+    held = _held_pairs(request)
+    check_apart(pairs, held)
+    learned, warnings = _learned_of(request, simulator, watch)
+    answer = diagnose_pairs(pairs, held, simulator.again, learned, watch=watch)
+    facts = {"simulator": simulator.kind, "wall_s": round(time.perf_counter() - began, 1)}
+    quality = {**facts, **answer.document["quality"]}
+    quality["warnings"] = [*warnings, *quality["warnings"]]
+    return replace(answer, document={**answer.document, "quality": quality})
+
+
+def _held_pairs(request: Request) -> list[Pair]:
+    if request.held_real is None:
+        return []
+    source = request.sim if request.held_sim is None else request.held_sim
+    simulator = open_simulator(source, trust=request.trust)
+    if request.held_sim is None and isinstance(simulator.how, Path):
+        raise DataError(
+            "held-out flights need their simulated logs", hint="Name them by --heldout-sim"
+        )
+    return read_pairs(request.held_real, simulator.how, request.config)
+
+
+def _learned_of(
+    request: Request, simulator: Simulator, watch: Watch | None
+) -> tuple[Discrepancy | None, list[str]]:
+    """What a run gets wrong by itself, learned now where nobody did, and what to say without it."""
+    if simulator.kind != "bundle":
+        return None, []
+    run = Path(request.sim)
+    found = learned_by(run)
+    if found is not None:
+        return found, []
+    if watch is not None:
+        watch("learning, once per run: models without some of its flights", 1, _STEPS)
+    try:
+        return learn_left_out(run, trust=request.trust), []
+    except NarxcalError as error:
+        text = f"what {run} gets wrong by itself is not known ({error}): tolerances are assumed"
+        return None, [text]
+
+
+def diagnose_pairs(
+    pairs: Sequence[Pair],
+    held: Sequence[Pair] = (),
+    again: Simulate | None = None,
+    learned: Discrepancy | None = None,
+    watch: Watch | None = None,
+) -> Answer:
+    """Diagnose pairs that are already read; `held` are flights that take no part."""
+    watch = watch or _unwatched
+    data = batch(pairs)
+    check_excitation(data, events_of(data))
+    there = in_terms_of(data, batch(held)) if held else None
+    record = record_of(data)
+    watch("emulator", 1, _STEPS)
+    emulator = choose_control(fit_emulators(data.flights), record)
+    itself = None if again is None else Rerun(emulator, again, block_size(pairs[0].dt_s))
+    watch("effects", 2, _STEPS)
+    found = weighed(record, Engines(emulator, itself), phases_of(data), learned)
+    watch("where, and how far the gap shrinks", 3, _STEPS)
+    stand_in: Emulator = itself or emulator
+    if found.on is not None:
+        data = replace(data, flights=with_load(data.flights, found.on.astype(float)))
+    evidence = _evidence(data, found, emulator, stand_in)
+    if there is not None:
+        evidence = _with_held_out(evidence, there, stand_in)
+    facts = {**facts_of(pairs, data, held), "core": dict(found.facts)}
+    evidence = replace(evidence, facts=facts)
+    return Answer(document(evidence, pairs), found, evidence, emulator)
+
+
+def _evidence(
+    data: GapData, found: Budget, emulator: GreyBoxEmulator, stand_in: Emulator
+) -> Evidence:
+    values = found.claimed
+    after = with_effects(values, data.flights, stand_in)
+    errors = emulator.errors(data.flights).tolist()
+    where = locate(data, after - data.flights.y)
+    return Evidence(
+        data,
+        found,
+        where,
+        after,
+        time_shrink(data, after, where.events),
+        expected(seen(data, after, found.by_others)) if values else _NOTHING,
+        channel_shrink(data, after),
+        dict(zip(data.flights.signals.outputs, errors, strict=True)),
+    )
+
+
+def _with_held_out(evidence: Evidence, data: GapData, stand_in: Emulator) -> Evidence:
+    found = evidence.budget
+    if UnloggedSwitch.id in found.claimed:
+        data = _with_windows(found.claimed, data, stand_in)
+    there = held_out(found.claimed, data, stand_in)
+    evidence = replace(
+        evidence, held_out=there, times=time_shrink(data, there.after, events_of(data))
+    )
+    # Windows of a load in further flights are found in what was recorded: no prediction.
+    if not found.claimed or UnloggedSwitch.id in found.claimed:
+        return evidence
+    here = seen(evidence.data, evidence.after, found.by_others)
+    return replace(evidence, predicted=expected(here, unseen(data, there.after)))
+
+
+def _with_windows(values: Values, data: GapData, emulator: Emulator) -> GapData:
+    """Further flights with the windows in which the claimed load was on there.
+
+    The gap of these flights gives the windows, the claim the size.
+    """
+    others = {name: each for name, each in values.items() if name != UnloggedSwitch.id}
+    y = with_effects(others, data.flights, emulator)
+    record = record_of(replace(data, flights=replace(data.flights, y=y)))
+    metric = Metric(record, assumed_variance(record))
+    frame = Frame(record, metric, record.gap, nuisances(record, None, 0.0))
+    on = windows_of(frame, shift_of(values, data.flights.signals)).astype(float)
+    return replace(data, flights=with_load(data.flights, on, always=True))
+
+
+def learn_folders(request: Request, run: Path) -> Discrepancy:
+    """Learn what a simulator gets wrong by itself, and keep it in the folder of a run.
+
+    `request` names flights and a simulator that was identified without them; `run` is a run of the
+    same kind that is to be diagnosed with, on further flights. Raises as `diagnose_folders`.
+    """
+    simulator = open_simulator(request.sim, trust=request.trust)
+    found = learned_from(read_pairs(request.real, simulator.how, request.config))
+    keep_learned(found, run)
+    return found
+
+
+def _unwatched(step: str, done: int, total: int) -> None:
+    """Show nothing."""

@@ -1,0 +1,313 @@
+"""A diagnosis in full, and as `gap.json` of schema narxcal.gap/2."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from data_prep.events import PULL, PUSH
+from eval.diagnosis.expected import ChannelShrink, HeldOut, TimeShrink, Values
+from eval.diagnosis.flights import GapData
+from eval.diagnosis.pairs import Pair
+from eval.diagnosis.stored_emulator import signals_to_json
+from eval.diagnosis.where import Row, Sides, Where
+from narxcal.effects.base import InputEffect, RateEffect, SettledEffect, ShiftEffect
+from narxcal.effects.library import LIBRARY, effect
+from narxcal.effects.steady import UnloggedSwitch
+from narxcal.support.arrays import FloatArray, spans
+from narxcal.support.files import versions
+from training.diagnosis.budget import UNEXPLAINED, Budget, Interval
+
+SCHEMA: Final = "narxcal.gap/2"
+FEW: Final = 3  # flights: fewer say little of the spread between them
+_UNKNOWN = 0.01  # of the samples
+_COARSE, _LOUD = 0.5, 0.1  # an emulator's error against the gap, a channel's share of the gap
+_KELVIN, _NEAR_K = 273.15, 15.0
+_FAR = 0.08  # of a speed: no deterioration and no sensor is that far off
+_DOMINANT = 0.6  # of a bin's energy in one level: the level that stands for the bin
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """A diagnosis in full.
+
+    `after` (flights, time, outputs) is the simulator with the claimed effects, or as it was where
+    nothing is claimed; `predicted` the share of the squared gap that they will take off other
+    flights, `channels` the RMSE on these. `times` is how Ti and Tt errors shrink with them, per
+    channel, on held-out flights where there are any. `emulator_rmse` is of the emulator's free run;
+    `facts` go into `quality` as they are.
+    """
+
+    data: GapData
+    budget: Budget
+    where: Where
+    after: FloatArray
+    times: Mapping[str, TimeShrink]
+    predicted: Interval
+    channels: Mapping[str, ChannelShrink]
+    emulator_rmse: Mapping[str, float]
+    held_out: HeldOut | None = None
+    facts: Mapping[str, object] = field(default_factory=dict)
+
+
+def document(evidence: Evidence, pairs: Sequence[Pair]) -> dict[str, Any]:
+    """Put everything into plain values; numbers that are not finite are left to the writer."""
+    found, where, held = evidence.budget, evidence.where, evidence.held_out
+    return {
+        "schema": SCHEMA,
+        "verdict": found.verdict_row(),
+        "effects": _effect_rows(found, pairs, evidence.data.flights.signals.dt_s),
+        "where": [_bin(row) for row in where.rows],
+        "side": _side(found, where)._asdict(),
+        "theil": {name: split._asdict() for name, split in where.theil.items()},
+        "shrink": _shrink(evidence),
+        "emulator": {
+            "used": bool(evidence.emulator_rmse),
+            "rmse": dict(evidence.emulator_rmse),
+            "rmse_heldout": {} if held is None else dict(held.emulator_rmse),
+        },
+        "quality": {**evidence.facts, **_measured(found, where)},
+        "tried": [
+            {
+                "effects": [one.name],
+                "family": "",
+                "gain": _clipped(one.gain, 0.0),
+                "flights": [_clipped(gain, 0.0) for gain in one.flights],
+                "probability": one.probability,
+            }
+            for one in found.effects
+        ],
+        "budget": found.rows(),
+    }
+
+
+def _effect_rows(found: Budget, pairs: Sequence[Pair], dt_s: float) -> list[dict[str, Any]]:
+    """Rows of the effects, a claimed load's with the windows in which it was on."""
+    rows = found.effect_rows()
+    if found.on is None:
+        return rows
+    windows = [
+        {
+            "log": pair.name,
+            "log_start_s": (began := float(pair.time_s[0])),
+            "start_s": began + start * dt_s,
+            "end_s": began + stop * dt_s,
+        }
+        for pair, on in zip(pairs, found.on, strict=True)
+        for start, stop in spans(on)
+    ]
+    return [row | {"windows": windows} if row["id"] == UnloggedSwitch.id else row for row in rows]
+
+
+def _side(found: Budget, where: Where) -> Sides:
+    """Input, process or sensor: by the effects' probabilities where one is claimed."""
+    if not found.verdict.effects:
+        return where.side
+    votes = dict.fromkeys(Sides._fields, 0.0)
+    for one in found.effects:
+        votes[LIBRARY[one.name.partition(":")[0]].side] += one.probability
+    whole = max(sum(votes.values()), 1e-9)
+    return Sides(**{side: vote / whole for side, vote in votes.items()})
+
+
+def _bin(row: Row) -> dict[str, Any]:
+    return {
+        "channel": row.channel,
+        "direction": row.direction,
+        "phase": row.phase,
+        "regime": {name: _dominant(levels) for name, levels in row.regimes.items()},
+        **_ends("share", row.share),
+        "core": row.core,
+        "regime_shares": {name: dict(levels) for name, levels in row.regimes.items()},
+        "explained": row.explained,
+    }
+
+
+def _ends(name: str, found: Interval) -> dict[str, float]:
+    return {name: found.value, "low": found.low, "high": found.high}
+
+
+def _dominant(levels: Mapping[str, float]) -> str:
+    level = max(levels, key=lambda name: levels[name])
+    return level if levels[level] >= _DOMINANT else "all"
+
+
+def _shrink(evidence: Evidence) -> dict[str, Any]:
+    held = evidence.held_out
+    channels = evidence.channels if held is None else held.channels
+    return {
+        "predicted": _within_all(evidence.predicted),
+        "realised": None if held is None else held.share,
+        "channels": {name: asdict(found) for name, found in channels.items()},
+        "shares": {name: _taken(found) for name, found in channels.items()},
+        "times": {name: asdict(found) for name, found in evidence.times.items()},
+        "on": "the flights of the diagnosis" if held is None else _flown(held),
+    }
+
+
+def _within_all(found: Interval) -> dict[str, float]:
+    """A share from all to as much again; ends that one flight cannot know are as far as can be."""
+    value = _clipped(found.value, 0.0)
+    low, high = _clipped(found.low, -1.0), _clipped(found.high, 1.0)
+    return {"value": value, "low": min(low, value), "high": max(high, value)}
+
+
+def _clipped(share: float, unknown: float) -> float:
+    return min(1.0, max(-1.0, share)) if math.isfinite(share) else unknown
+
+
+def _taken(found: ChannelShrink) -> float:
+    """Share of one channel's mean squared gap that is taken off."""
+    return 1.0 - (found.after / found.before) ** 2 if found.before > 0.0 else 0.0
+
+
+def _flown(held: HeldOut) -> str:
+    count = len(held.data.names)
+    return f"{count} flight{'' if count == 1 else 's'} that took no part"
+
+
+def _measured(found: Budget, where: Where) -> dict[str, Any]:
+    return {
+        "gap_share": found.gap_share,
+        "left_share": next(c.share for c in found.causes if c.cause == UNEXPLAINED),
+        "notes": [],
+        "channels": {name: asdict(part) for name, part in where.channels.items()},
+        "excess": dict(where.excess),
+        "regimes": {
+            name: {level: _ends("share", part) for level, part in levels.items()}
+            for name, levels in where.regimes.items()
+        },
+        "bands": {name: [band._asdict() for band in bands] for name, bands in where.bands.items()},
+        "Ti_Tt": {
+            name: {
+                direction: {
+                    "events": times.count(direction),
+                    "Ti_s": times.median("Ti_s", direction),
+                    "Tt_s": times.median("Tt_s", direction),
+                }
+                for direction in ("push", "pull")
+            }
+            for name, times in where.times.items()
+        },
+        "pushes": sum(event.label == PUSH for flight in where.events for event in flight),
+        "pulls": sum(event.label == PULL for flight in where.events for event in flight),
+    }
+
+
+def cautions(pairs: Sequence[Pair], data: GapData) -> list[str]:
+    """What the logs give reason to be careful about."""
+    return [*_few(pairs), *_left_out(pairs), *_unknown(pairs), *_kelvin(data), *_far(data)]
+
+
+def coarse_emulator(evidence: Evidence, *, again: bool) -> list[str]:
+    """Say so where the emulator's own error is no match for the gap that it has to explain.
+
+    That matters where a claimed effect acts inside the engine, or before it and the simulator
+    cannot be run `again`, on channels that hold a tenth of the gap or more.
+    """
+    if not rests_on_emulator(evidence.budget.claimed, again=again):
+        return []
+    gap = np.sqrt(np.nanmean(evidence.data.gap**2, axis=(0, 1)))
+    own = evidence.emulator_rmse
+    coarse = [
+        f"{name} ({own[name]:.3g} of {size:.3g})"
+        for name, size in zip(evidence.data.flights.signals.outputs, gap.tolist(), strict=True)
+        if own[name] > _COARSE * size and evidence.where.channels[name].value >= _LOUD
+    ]
+    if not coarse:
+        return []
+    words = (
+        f"the emulator's own error is more than half of the gap in {', '.join(coarse)}: sizes of "
+        "effects inside the engine are less sure than their intervals say"
+    )
+    return [words]
+
+
+def rests_on_emulator(values: Values, *, again: bool) -> bool:
+    """Whether what any of the effects does is the emulator's answer."""
+    return any(_emulated(name, own, again=again) for name, own in values.items())
+
+
+def _emulated(name: str, values: Mapping[str, float], *, again: bool) -> bool:
+    """Whether what it does rests on the emulator: of loads and heat what they take of the core."""
+    kind = effect(name)
+    told = isinstance(kind, InputEffect) and not isinstance(kind, ShiftEffect)
+    takes = values.get("loss", 0.0) > 0.0
+    return isinstance(kind, (RateEffect, SettledEffect)) or takes or (told and not again)
+
+
+def _few(pairs: Sequence[Pair]) -> Iterator[str]:
+    if len(pairs) < FEW:
+        yield f"{len(pairs)} flight{'s' if len(pairs) > 1 else ''}: the uncertainty is wider"
+
+
+def _left_out(pairs: Sequence[Pair]) -> Iterator[str]:
+    """Channels that are not diagnosed, and why."""
+    found = dict.fromkeys(item for pair in pairs for item in pair.lone.items())
+    return (f"{name} is {why}: it is left out" for name, why in found)
+
+
+def _unknown(pairs: Sequence[Pair]) -> Iterator[str]:
+    unknown = 1.0 - float(np.mean([np.isfinite(v).mean() for p in pairs for v in p.real.values()]))
+    if unknown > _UNKNOWN:
+        yield f"{100.0 * unknown:.1f} % of the recorded samples are unknown"
+    cut = sum(pair.counts.get("cut at the end", 0) for pair in pairs)
+    if cut:
+        yield f"{cut} samples at the ends of flights have no partner and are cut"
+
+
+def _kelvin(data: GapData) -> Iterator[str]:
+    for k, name in enumerate(data.flights.signals.outputs):
+        apart = _middle(data.gap[..., k])
+        if name.endswith("_C") and abs(abs(apart) - _KELVIN) < _NEAR_K:
+            yield (
+                f"recorded {name} stands {apart:.0f} off the simulated one throughout: one of them "
+                "looks like kelvin"
+            )
+
+
+def _far(data: GapData) -> Iterator[str]:
+    for k, name in enumerate(data.flights.signals.outputs):
+        level = _middle(np.where(np.isfinite(data.gap[..., k]), data.flights.y[..., k], np.nan))
+        apart = _middle(data.gap[..., k]) / level if level > 0.0 else 0.0
+        if name.endswith("_pct") and abs(apart) > _FAR:
+            yield (
+                f"recorded {name} stands {100.0 * apart:+.0f} % of its level off the simulated one "
+                "throughout: another engine, or another speed for 100 %?"
+            )
+
+
+def _middle(values: FloatArray) -> float:
+    return float(np.nanmedian(values))
+
+
+def facts_of(pairs: Sequence[Pair], data: GapData, held: Sequence[Pair]) -> dict[str, Any]:
+    """`quality` of `gap.json`, as far as it is of the logs."""
+    return {
+        "flights": [pair.name for pair in pairs],
+        "parts": [],
+        "held_out": [pair.name for pair in held],
+        "duration_s": round(sum(len(pair.time_s) * pair.dt_s for pair in pairs), 6),
+        "rate_hz": round(1.0 / pairs[0].dt_s, 6),
+        "worked_at_hz": round(1.0 / data.flights.signals.dt_s, 6),
+        "driver": data.flights.signals.driver,
+        "noise": dict(zip(data.flights.signals.outputs, data.noise.tolist(), strict=True)),
+        "compared": _compared(pairs),
+        "changed": {pair.name: dict(pair.counts) for pair in pairs if pair.counts},
+        "warnings": cautions(pairs, data),
+        "signals": signals_to_json(data.flights.signals),
+        "versions": versions(),
+    }
+
+
+def _compared(pairs: Sequence[Pair]) -> dict[str, float]:
+    """RMSE of the outputs that are recorded on both sides but not diagnosed."""
+    squares: dict[str, list[FloatArray]] = {}
+    for pair in pairs:
+        for name, both in pair.others.items():
+            squares.setdefault(name, []).append((both[:, 0] - both[:, 1]) ** 2)
+    return {n: float(np.sqrt(np.nanmean(np.concatenate(v)))) for n, v in squares.items()}

@@ -1,0 +1,388 @@
+"""All pairs as one batch of arrays: means over blocks, events, units, held-out flights alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from data_prep.events import PULL, PUSH, Event, EventsConfig, find_events
+from data_prep.log import Log
+from eval.diagnosis.pairs import Pair
+from eval.response import HIGH, LOW
+from narxcal.effects.base import Signals
+from narxcal.effects.running import Flights, with_load
+from narxcal.effects.steady import UNLOGGED
+from narxcal.support.arrays import FloatArray, IntArray, block_means, noise_level
+from narxcal.support.errors import DataError
+from training.diagnosis.budget import Phases
+from training.diagnosis.metric import Record
+
+Regimes = dict[str, tuple[tuple[str, ...], IntArray]]
+DIRECTIONS = ("push", "pull", "steady")
+PHASES = ("initiation", "transit", "settling", "steady")
+# What the lever does and how far the response is, in the order of the numbers in `Bins.move`.
+MOVES = (
+    ("steady", "steady"),
+    *((direction, phase) for direction in DIRECTIONS[:2] for phase in PHASES[:3]),
+)
+LEVELS = ("low", "mid", "high")
+# Where a level begins: 10000 and 25000 ft, Mach 0.3 and 0.6, thirds of the speed range.
+EDGES = {"altitude": (10e3, 25e3), "Mach": (0.3, 0.6), "power": (1 / 3, 2 / 3)}
+SWITCHES = ("ECS", "NAI", "WAI")
+_SMALL = 0.01  # of the range: a change whose 10 % and 90 % cannot be told
+RATE_HZ = 4.0
+KEEP_HZ = 5.0  # slower logs are taken as they are
+_STILL = 1e-6  # of a channel's size: what changes by less does not change
+_SILENT = 1e-5  # of a channel's range: logs that agree to the digit have no less noise
+_TRIMMED = 90.0  # percentile of the second differences that counts where their median is none
+
+
+@dataclass(frozen=True, eq=False)
+class GapData:
+    """All flights as one batch.
+
+    `real` (flights, time, outputs) is NaN where unknown and beyond a flight's end; `noise`
+    (outputs,) is its standard deviation on the raster of `flights`; `fast` (outputs,) what the mean
+    squared gap of the logs is more than that on this raster; `names` are the flights'.
+    """
+
+    flights: Flights
+    real: FloatArray
+    noise: FloatArray
+    fast: FloatArray
+    names: tuple[str, ...]
+
+    @property
+    def gap(self) -> FloatArray:
+        """Recorded less simulated, (flights, time, outputs), NaN where unknown."""
+        return self.real - self.flights.y
+
+    @property
+    def span(self) -> FloatArray:
+        """Range of each output in the simulator's logs: (outputs,)."""
+        signals = self.flights.signals
+        return np.maximum(signals.high - signals.low, 1e-9)
+
+
+def batch(pairs: Sequence[Pair], rate_hz: float = RATE_HZ, keep_hz: float = KEEP_HZ) -> GapData:
+    """Put all pairs on one raster of about `rate_hz`, by means over whole blocks of samples.
+
+    Logs of up to `keep_hz` keep their own. Means do not shift recorded against simulated, and white
+    noise falls with the root of the block. A block is known where at least half of it is.
+    """
+    size = block_size(pairs[0].dt_s, rate_hz, keep_hz)
+    inputs, outputs = tuple(pairs[0].inputs), tuple(pairs[0].sim)
+    u = [_blocks(pair.inputs, inputs, size) for pair in pairs]
+    y = [_blocks(pair.sim, outputs, size) for pair in pairs]
+    real = [_blocks(pair.real, outputs, size) for pair in pairs]
+    signals = _signals(pairs[0], (u, y), pairs[0].dt_s * size)
+    longest = max(len(each) for each in u)
+    flights = Flights(
+        signals,
+        np.stack([_padded(each, longest) for each in u]),
+        np.stack([_padded(each, longest) for each in y]),
+        np.array([len(each) for each in u]),
+    )
+    measured = np.stack([_padded(each, longest, np.nan) for each in real])
+    gaps = [r - s for r, s in zip(real, y, strict=True)]
+    noise = np.maximum(_noise(gaps), _SILENT * (signals.high - signals.low))
+    fast = _fast_energy(pairs, outputs, gaps)
+    return GapData(flights, measured, noise, fast, tuple(pair.name for pair in pairs))
+
+
+def block_size(dt_s: float, rate_hz: float = RATE_HZ, keep_hz: float = KEEP_HZ) -> int:
+    """Samples in a block."""
+    return 1 if 1.0 / dt_s <= keep_hz else max(1, round(1.0 / (dt_s * rate_hz)))
+
+
+def _blocks(channels: Mapping[str, FloatArray], names: Sequence[str], size: int) -> FloatArray:
+    return block_means(np.column_stack([channels[name] for name in names]), size)
+
+
+def _padded(rows: FloatArray, length: int, filling: float | None = None) -> FloatArray:
+    last = rows[-1] if filling is None else np.full(rows.shape[1], filling)
+    rest = np.repeat(last[None], length - len(rows), axis=0)
+    return np.concatenate([rows, rest])
+
+
+def _signals(
+    pair: Pair, arrays: tuple[Sequence[FloatArray], Sequence[FloatArray]], dt_s: float
+) -> Signals:
+    u, y = (np.concatenate(part) for part in arrays)
+    names = tuple(pair.inputs)
+    size = np.maximum(np.abs(u).max(axis=0), 1e-9)
+    active = tuple(np.array(names)[np.ptp(u, axis=0) > _STILL * size].tolist())
+    driver = u[:, names.index(pair.driver)]
+    return Signals(
+        names,
+        tuple(pair.sim),
+        dt_s,
+        pair.driver,
+        y.min(axis=0),
+        y.max(axis=0),
+        (float(driver.min()), float(driver.max())),
+        active,
+    )
+
+
+def _fast_energy(
+    pairs: Sequence[Pair], outputs: Sequence[str], means: Sequence[FloatArray]
+) -> FloatArray:
+    """What block means take from the mean squared gap of each output, (outputs,)."""
+    whole = np.concatenate([[p.real[n] - p.sim[n] for n in outputs] for p in pairs], axis=1)
+    slow = np.concatenate(means)
+    lost = np.nanmean(whole**2, axis=1) - np.nanmean(slow**2, axis=0)
+    return np.asarray(np.maximum(lost, 0.0))
+
+
+def _noise(gaps: Sequence[FloatArray]) -> FloatArray:
+    """Standard deviation (outputs,) of the part of the gaps that changes from sample to sample."""
+    return np.array(
+        [float(np.median([_fast_part(gap[:, k]) for gap in gaps])) for k in range(gaps[0].shape[1])]
+    )
+
+
+def _fast_part(gap: FloatArray) -> float:
+    """Noise of one gap: robust, and not fooled by a coarse resolution.
+
+    Readings that mostly repeat give a median of none; the smaller nine tenths of the second
+    differences then tell.
+    """
+    found = noise_level(gap)
+    if found > 0.0:
+        return found
+    bends = np.abs(np.diff(gap, 2))
+    bends = bends[np.isfinite(bends)]
+    if not len(bends):
+        return 0.0
+    small = bends[bends <= np.percentile(bends, _TRIMMED)]
+    return float(np.sqrt(np.mean(small**2) / 6.0))
+
+
+FEWEST = 3  # pushes, and pulls, over all flights: fewer say nothing about their spread
+_FUEL_FRACTION = 0.05  # a fuel flow wanders more than a lever does
+
+
+def events_of(data: GapData) -> tuple[tuple[Event, ...], ...]:
+    """Pushes and pulls of each flight, settled when the simulated speeds are."""
+    signals = data.flights.signals
+    speeds = tuple(name for name in signals.outputs if name.endswith("_pct"))
+    config = EventsConfig(
+        driver=signals.driver,
+        response=speeds or signals.outputs[:1],
+        condition="",
+        min_fraction=0.02 if signals.governed else _FUEL_FRACTION,
+    )
+    return tuple(tuple(find_events(_log(data, f), config)) for f in range(len(data.names)))
+
+
+def _log(data: GapData, f: int) -> Log:
+    flights, n = data.flights, int(data.flights.lengths[f])
+    signals = flights.signals
+    channels = {signals.driver: flights.u[f, :n, signals.u(signals.driver)]}
+    channels |= {name: flights.y[f, :n, signals.y(name)] for name in signals.outputs}
+    return Log(data.names[f], np.arange(n, dtype=np.float64) * signals.dt_s, channels)
+
+
+def check_excitation(data: GapData, events: Sequence[Sequence[Event]]) -> None:
+    """Raise `DataError`, saying what is missing, for fewer than three pushes or three pulls."""
+    labels = [event.label for flight in events for event in flight]
+    found = {"pushes": labels.count(PUSH), "pulls": labels.count(PULL)}
+    if min(found.values()) >= FEWEST:
+        return
+    missing = " and ".join(
+        f"{FEWEST - count} more {kind}" for kind, count in found.items() if count < FEWEST
+    )
+    counted = " and ".join(_counted(count, kind) for kind, count in found.items())
+    raise DataError(
+        f"too little excitation: {counted} of {data.flights.signals.driver} in "
+        f"{_counted(len(data.names), 'flights')}, {FEWEST} of each are needed",
+        hint=f"Fly at least {missing}, idle to high power and back",
+    )
+
+
+def _counted(count: int, plural: str) -> str:
+    one = plural.removesuffix("es") if plural.endswith("shes") else plural.removesuffix("s")
+    return f"{count} {one if count == 1 else plural}"
+
+
+_BLOCK_S, _MOST = 300.0, 6  # of a flight, where fewer than three stand for themselves
+
+
+@dataclass(frozen=True, eq=False)
+class Bins:
+    """`move` (flights, time) is a row of `MOVES`; -1 beyond a flight's end.
+
+    `regimes` maps altitude, Mach, power and bleed, as far as the inputs tell, to the names of
+    their levels and which one each sample is in, (flights, time).
+    """
+
+    move: IntArray
+    regimes: Regimes
+
+
+def sort_samples(data: GapData, events: Sequence[Sequence[Event]]) -> Bins:
+    """Find direction, phase and regime of every sample."""
+    flights = data.flights
+    move = np.full(flights.u.shape[:2], -1)
+    for f, found in enumerate(events):
+        n = int(flights.lengths[f])
+        move[f, :n] = 0
+        for event in found:
+            move[f, event.start + 1 : event.stop] = _phases(flights.y[f, :, 0], event, data.span[0])
+    return Bins(move, _regimes(data))
+
+
+def _phases(y: FloatArray, event: Event, span: float) -> IntArray:
+    """Rows of `MOVES` from the sample after the event's start to its end."""
+    first = 1 + 3 * event.label
+    part = y[event.start : event.stop]
+    change = part[-1] - part[0]
+    phases = np.full(len(part) - 1, first + 2)
+    if abs(change) < _SMALL * span:
+        return phases
+    share = (part[1:] - part[0]) / change
+    t10 = int(np.argmax(share >= LOW))
+    t90 = t10 + int(np.argmax(share[t10:] >= HIGH))
+    phases[:t10] = first
+    phases[t10 : t90 + 1] = first + 1
+    return phases
+
+
+def _regimes(data: GapData) -> Regimes:
+    flights, signals = data.flights, data.flights.signals
+    values = {"power": signals.power(flights.y)}
+    for name, channel in (("altitude", "ALT_ft"), ("Mach", "Mach")):
+        if channel in signals.inputs:
+            values[name] = flights.u[..., signals.u(channel)]
+    found: Regimes = {
+        name: (LEVELS, np.digitize(each, EDGES[name]).astype(np.int64))
+        for name, each in values.items()
+    }
+    switches = [name for name in SWITCHES if name in signals.active]
+    if switches:
+        found["bleed"] = _combined(switches, [flights.u[..., signals.u(s)] for s in switches])
+    return found
+
+
+def _combined(
+    names: Sequence[str], states: Sequence[FloatArray]
+) -> tuple[tuple[str, ...], IntArray]:
+    """Which switches are on: one level for each combination there is."""
+    number = sum(((state > 0.5).astype(int) << k for k, state in enumerate(states)), start=0)
+    present, index = np.unique(np.asarray(number), return_inverse=True)
+    labels = tuple(
+        "+".join(name for k, name in enumerate(names) if code >> k & 1) or "off" for code in present
+    )
+    return labels, np.asarray(index).reshape(states[0].shape)
+
+
+def record_of(data: GapData) -> Record:
+    """The flights with their units: flights, or blocks of them where there are fewer than three."""
+    flights = data.flights
+    count, steps = flights.u.shape[:2]
+    unit = np.full((count, steps), -1)
+    start = 0
+    for f, length in enumerate(flights.lengths.tolist()):
+        parts = 1
+        if count < 3:
+            parts = int(np.clip(length * flights.signals.dt_s / _BLOCK_S, 2, _MOST))
+        unit[f, :length] = start + np.arange(length) * parts // length
+        start += parts
+    return Record(flights, data.real, data.noise, unit, _groups(flights), data.fast)
+
+
+def _groups(flights: Flights) -> tuple[int, ...]:
+    """Which logs are of one flight, and so of several engines: those flown alike."""
+    signals = flights.signals
+    if "ALT_ft" not in signals.active:
+        return tuple(range(len(flights.u)))
+    flown = flights.u[..., signals.u("ALT_ft")]
+    return tuple(
+        next(g for g in range(f + 1) if np.array_equal(flown[g], flown[f]))
+        for f in range(len(flown))
+    )
+
+
+def phases_of(data: GapData) -> Phases:
+    """What moves in every sample: `push_transit` and the like."""
+    names = tuple("steady" if d == "steady" else f"{d}_{p}" for d, p in MOVES)
+    return Phases(names, sort_samples(data, events_of(data)).move)
+
+
+_RATE = 0.01
+_HINT = "Record and simulate them with the channels and at the rate of the others"
+
+
+def in_terms_of(data: GapData, other: GapData) -> GapData:
+    """`other` with the signals of `data`.
+
+    An input that `other` lacks and that never changes in `data` has its value there. Raises
+    `DataError` for one that does change, for an output that is missing, and for another rate.
+    """
+    if UNLOGGED in data.flights.signals.inputs:
+        off = np.zeros(other.flights.u.shape[:2])
+        other = replace(other, flights=with_load(other.flights, off, always=True))
+    mine, theirs = data.flights.signals, other.flights.signals
+    if abs(theirs.dt_s / mine.dt_s - 1.0) > _RATE:
+        raise DataError(
+            f"the held-out flights are worked at {1 / theirs.dt_s:.4g} Hz, those of the diagnosis "
+            f"at {1 / mine.dt_s:.4g} Hz",
+            file=other.names[0],
+            hint=_HINT,
+        )
+    for name in mine.outputs:
+        if name not in theirs.outputs:
+            raise _lacking(other, name)
+    columns = [theirs.outputs.index(name) for name in mine.outputs]
+    u = np.stack([_input(data, other, name) for name in mine.inputs], axis=-1)
+    flights = replace(other.flights, signals=mine, u=u, y=other.flights.y[..., columns])
+    return replace(
+        other, flights=flights, real=other.real[..., columns], noise=other.noise[columns]
+    )
+
+
+def together(first: Flights, others: Flights) -> Flights:
+    """Flights (flights, time, ...) of the same inputs and outputs as one batch, in their ranges.
+
+    What was recorded is no part of it: what a simulator says of a flight is known before anybody
+    has flown it.
+    """
+    longest = max(first.u.shape[1], others.u.shape[1])
+    u, y = (
+        np.concatenate([_lengthened(part, longest) for part in parts])
+        for parts in ((first.u, others.u), (first.y, others.y))
+    )
+    mine = first.signals
+    lever = u[..., mine.u(mine.driver)]
+    moving = np.ptp(u, axis=(0, 1)) > _STILL * np.maximum(np.abs(u).max(axis=(0, 1)), _STILL)
+    signals = replace(
+        mine,
+        low=y.min(axis=(0, 1)),
+        high=y.max(axis=(0, 1)),
+        lever=(float(lever.min()), float(lever.max())),
+        active=tuple(np.array(mine.inputs)[moving].tolist()),
+    )
+    return Flights(signals, u, y, np.concatenate([first.lengths, others.lengths]))
+
+
+def _lengthened(rows: FloatArray, longest: int) -> FloatArray:
+    """Rows (flights, time, ...) filled up with their last."""
+    rest = np.repeat(rows[:, -1:], longest - rows.shape[1], axis=1)
+    return np.concatenate([rows, rest], axis=1)
+
+
+def _input(data: GapData, other: GapData, name: str) -> FloatArray:
+    """The input (flights, time) of the other flights, or what it is throughout the diagnosed."""
+    mine, theirs = data.flights, other.flights
+    if name in theirs.signals.inputs:
+        return theirs.u[..., theirs.signals.u(name)]
+    if name in mine.signals.active:
+        raise _lacking(other, name)
+    return np.full(theirs.u.shape[:2], np.median(mine.u[..., mine.signals.u(name)]))
+
+
+def _lacking(other: GapData, name: str) -> DataError:
+    return DataError("the held-out flights lack it", file=other.names[0], channel=name, hint=_HINT)

@@ -1,0 +1,148 @@
+"""What a run gets wrong by itself: learned from its own training flights, kept in its folder.
+
+Models without some of the flights say what the run says of flights that it does not know.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from data_prep.clean import clean
+from data_prep.log import Log
+from data_prep.prepare import prepare
+from data_prep.reading import read_logs
+from eval.diagnosis.flights import batch, record_of
+from eval.diagnosis.pairs import Pair, alike, pair_logs, simulated_log
+from eval.diagnosis.simulators import simulate_by
+from eval.evaluate import run_config
+from narxcal.calibration.bundle import DOCUMENT, Bundle, load_bundle, seal
+from narxcal.effects.library import hypotheses
+from narxcal.support.errors import DataError, ModelError
+from narxcal.support.files import atomic_write_text, sha256_of, to_json
+from training.config import RunConfig
+from training.crossval import LEAVE_ONE_OUT, Plan, Segment, run_plans
+from training.diagnosis.dictionary import Dictionary
+from training.diagnosis.discrepancy import Discrepancy, learn, read
+from training.diagnosis.emulator import choose_control, fit_emulators
+from training.records import split_logs
+
+LEARNED: Final = "discrepancy.json"  # in a run folder
+_FOLDS: Final = 3  # at most: each is a training
+
+
+def left_out_pairs(bundle: Bundle, jobs: int = -1) -> list[Pair]:
+    """Pair every training flight of a run with what a model of the others says of it.
+
+    Up to three models, each without every third flight; of a single flight each half stands for
+    one. Raises `DataError` where the training logs are not at hand any more.
+    """
+    config, _ = run_config(bundle)
+    base = Path(bundle.record.base)
+    raw = split_logs(read_logs(config.logs.resolve(base), config.logs), config.split).train
+    known = bundle.record.data
+    for log in raw:
+        if known.get(log.source.file, log.source.sha256) != log.source.sha256:
+            raise DataError("is not the file that the run was trained on", file=log.source.file)
+    pairs: list[Pair] = []
+    for found in run_plans(_plans(raw, config), config, base, _pairs, jobs):
+        pairs += found
+    return alike(pairs)
+
+
+def _plans(raw: Sequence[Log], config: RunConfig) -> list[Plan]:
+    """Trainings on prepared logs, and the logs as recorded that they are without."""
+    prepared = {one.log.name: one.log for one in prepare(raw, config)}
+    recorded = {log.name: clean(log, config.clean) for log in raw if log.name in prepared}
+    flights = list(dict.fromkeys(log.source.file for log in recorded.values()))
+    if len(flights) == 1:
+        return [_half(prepared, recorded, second) for second in (0, 1)]
+    groups = [flights[k :: min(_FOLDS, len(flights))] for k in range(min(_FOLDS, len(flights)))]
+    return [
+        Plan(
+            LEAVE_ONE_OUT,
+            f"without {', '.join(group)}",
+            tuple(_whole(log) for log in prepared.values() if log.source.file not in group),
+            tuple(_whole(log) for log in recorded.values() if log.source.file in group),
+        )
+        for group in groups
+    ]
+
+
+def _whole(log: Log) -> Segment:
+    return Segment(log, 0, len(log), ())
+
+
+def _half(prepared: dict[str, Log], recorded: dict[str, Log], number: int) -> Plan:
+    """Train on the other half of every log, and try half `number`, 0 or 1."""
+
+    def half(log: Log, which: int) -> Segment:
+        middle = len(log) // 2
+        return Segment(log, middle * which, middle + which * (len(log) - middle), ())
+
+    train = tuple(half(log, 1 - number) for log in prepared.values())
+    test = tuple(half(log, number) for log in recorded.values())
+    return Plan(LEAVE_ONE_OUT, f"half {1 + number}", train, test)
+
+
+def _pairs(bundle: Bundle, plan: Plan) -> list[Pair]:
+    """What a model says of the flights that it is without."""
+    simulate = simulate_by(bundle.calibration)
+    found = []
+    for part in plan.test:
+        log = part.log
+        found.append(pair_logs(log.name, log, simulated_log(log, simulate)))
+    return found
+
+
+def learn_left_out(run: Path, *, trust: bool = False, jobs: int = -1) -> Discrepancy:
+    """Learn from a run's own training flights by models without them, and keep it in the folder.
+
+    Of a single flight halves stand for flights, and count as one. Raises `DataError` where the
+    training logs are not at hand, and as the training.
+    """
+    pairs = left_out_pairs(load_bundle(run, trust=trust), jobs)
+    found = learned_from(pairs)
+    if len({pair.name.partition("[")[0].partition(":")[0] for pair in pairs}) == 1:
+        found = replace(found, flights=1)
+    keep_learned(found, run)
+    return found
+
+
+def learned_from(pairs: Sequence[Pair]) -> Discrepancy:
+    """What a simulator gets wrong in flights that it was not identified on."""
+    data = batch(pairs)
+    record = record_of(data)
+    emulator = choose_control(fit_emulators(data.flights), record)
+    return learn(record, Dictionary(hypotheses(data.flights.signals), data.flights, emulator))
+
+
+def keep_learned(found: Discrepancy, run: Path) -> None:
+    """Write what was learned into the folder of a run, with its own hash and that of the bundle."""
+    told = {**found.document(), "bundle_sha256": sha256_of(run / DOCUMENT)}
+    with suppress(PermissionError):  # another's run: learned again at every diagnosis
+        atomic_write_text(run / LEARNED, to_json({**told, "sha256": seal(told)}))
+
+
+def learned_by(run: Path) -> Discrepancy | None:
+    """What was learned of a run and kept in its folder; None where nothing was.
+
+    Raises `ModelError` for a file that was altered, or was learned for another run.
+    """
+    file = run / LEARNED
+    if not file.is_file():
+        return None
+    again = "Learn it again by diagnose --learn"
+    try:
+        told = json.loads(file.read_text(encoding="utf-8"))
+        intact = told.pop("sha256") == seal(told)
+        if intact and told["bundle_sha256"] == sha256_of(file.with_name(DOCUMENT)):
+            return read(told)
+    except (AttributeError, ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ModelError(f"is unusable: {error!r}", file=file, hint=again) from None
+    what = "was learned for another model" if intact else "was altered: its hash is another"
+    raise ModelError(what, file=file, hint=again)

@@ -1,0 +1,304 @@
+"""Simulators by what the user names, and the same run again under changed inputs."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from data_prep.log import Log
+from narxcal.calibration.bundle import DOCUMENT, load_bundle
+from narxcal.calibration.calibration import Calibration
+from narxcal.channels import CHANNELS
+from narxcal.effects.pace import Pace
+from narxcal.effects.running import Emulator, Flights, Shift
+from narxcal.support.arrays import FloatArray, block_means, bridge_gaps
+from narxcal.support.errors import ConfigError, ModelError, NarxcalError
+from training.pipeline import calibration_for
+
+_TAKES = "It takes ({channel: (time,)}, dt_s) and returns {channel: (time,)}"
+_Told = Mapping[str, FloatArray]
+
+
+def open_function(reference: str) -> Callable[[Log], _Told]:
+    """Import `module:function`, installed or in the current folder, as a simulator of logs.
+
+    Raises `ConfigError` where there is none; the simulator raises `ModelError` where the function
+    fails or returns anything but channels of the log's length.
+    """
+    module_name, _, name = reference.partition(":")
+    with _its_failures(ConfigError, f"simulator '{reference}' cannot be imported"):
+        module = _module(module_name, reference)
+    function = getattr(module, name, None)
+    if not callable(function):
+        place = getattr(module, "__file__", None) or module_name
+        raise ConfigError(f"simulator '{reference}': the module has no function '{name}' ({place})")
+
+    def simulate(log: Log) -> _Told:
+        told = {each: v.copy() for each, v in log.channels.items() if each in CHANNELS}
+        what = f"simulator '{reference}' failed"
+        with _its_failures(ModelError, what, file=log.name, hint=_TAKES):
+            found = dict(function(told, log.dt_s))
+            arrays = {each: np.array(v, dtype=np.float64) for each, v in found.items()}
+        for each, values in arrays.items():
+            if values.shape != (len(log),):
+                raise ModelError(
+                    f"simulator '{reference}' returned {values.shape}, expected ({len(log)},)",
+                    file=log.name,
+                    channel=each,
+                )
+        return arrays
+
+    return simulate
+
+
+def _module(name: str, reference: str) -> ModuleType:
+    """Import a module; the current folder comes last, so that a file there hides nothing."""
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        lost = (error.name or name).replace(".", "/")
+        raise ConfigError(
+            f"simulator '{reference}': {error}", hint=f"Install it, or put {lost}.py into {here}"
+        ) from None
+
+
+@contextmanager
+def _its_failures(kind: type[NarxcalError], what: str, **where: Any) -> Iterator[None]:
+    """Turn whatever a user's code raises, an exit included, into one of our errors."""
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    except NarxcalError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise kind(f"{what}: {type(error).__name__}: {error}", **where) from error
+
+
+ENGINES = ("business_jet", "single_aisle")
+_OUTPUTS = tuple(name for name, row in CHANNELS.items() if row.role == "output")
+_ONE_RASTER = 1e-3
+DRIVERS = ("TRA_deg", "FF_kgph")
+Simulate = Callable[[Log], Mapping[str, FloatArray]]
+
+
+class Simulator(NamedTuple):
+    """What was named: its kind in a word, and either a folder of its logs or a function."""
+
+    kind: str
+    how: Path | Simulate
+
+    @property
+    def again(self) -> Simulate | None:
+        """The function, None of a folder of logs."""
+        return None if isinstance(self.how, Path) else self.how
+
+
+def open_simulator(source: str, *, trust: bool = False) -> Simulator:
+    """Open a folder of logs, a run folder, an FMU, `module:function`, or a virtual engine's name.
+
+    A function takes `(inputs: {channel: (time,)}, dt_s)` and returns `{channel: (time,)}`. `trust`
+    is that of `load_bundle`, for a run folder. Raises
+    `ConfigError` for what is none of these, else as the simulator's own reader.
+    """
+    path = Path(source or "nothing")
+    if source in ENGINES:
+        return Simulator("virtual engine", _virtual_engine(source))
+    if path.is_dir():
+        is_bundle = (path / DOCUMENT).is_file()
+        return _of_run(path, trust) if is_bundle else Simulator("logs", path)
+    if path.suffix == ".fmu" and path.is_file():
+        return Simulator("FMU", _fmu(path))
+    if all(source.partition(":")) and not path.exists():
+        return Simulator("function", open_function(source))
+    raise ConfigError(
+        f"simulator '{source}' is no folder of logs, run folder, FMU, module:function or "
+        "virtual engine",
+        hint=f"Virtual engines are {' and '.join(ENGINES)}",
+    )
+
+
+def _of_run(folder: Path, trust: bool) -> Simulator:
+    return Simulator("bundle", simulate_by(load_bundle(folder, trust=trust).calibration))
+
+
+def _virtual_engine(name: str) -> Simulate:
+    """The engine as built; inputs that noise carries out of its envelope are moved back in."""
+    home = importlib.import_module("narxcal.turbofan.engine")
+    engine = home.VirtualEngine(name)
+
+    def simulate(log: Log) -> Mapping[str, FloatArray]:
+        u = np.clip(log.matrix(engine.input_names), home.LOW, home.HIGH)
+        told = dict(zip(engine.input_names, u.T, strict=True))
+        found: Mapping[str, FloatArray] = engine.simulate(told, log.dt_s)
+        return found
+
+    return simulate
+
+
+def simulate_by(calibration: Calibration) -> Simulate:
+    """A calibration on its own raster; inputs and outputs are carried over on straight lines."""
+
+    def simulate(log: Log) -> Mapping[str, FloatArray]:
+        own = calibration_for(calibration, log)
+        u = log.matrix(own.input_names)
+        if abs(log.dt_s / calibration.dt_s - 1.0) <= _ONE_RASTER:
+            return dict(zip(own.output_names, own.simulate(u).T, strict=True))
+        here = np.arange(len(log)) * log.dt_s
+        there = np.arange(0.0, here[-1] + 0.5 * calibration.dt_s, calibration.dt_s)
+        told = np.column_stack([np.interp(there, here, column) for column in u.T])
+        outputs = own.simulate(told).T
+        return {
+            name: np.interp(here, there, values)
+            for name, values in zip(own.output_names, outputs, strict=True)
+        }
+
+    return simulate
+
+
+def _fmu(path: Path) -> Simulate:
+    """Co-simulation of an FMU whose variables bear the names of channels."""
+    fmpy = _fmpy(path)
+    description = _described(fmpy, path)
+    names = {
+        kind: [v.name for v in description.modelVariables if v.causality == kind]
+        for kind in ("input", "output")
+    }
+    outputs = [name for name in names["output"] if name in _OUTPUTS]
+    if not outputs:
+        raise ModelError(
+            f"no output of the FMU is one of {', '.join(_OUTPUTS)}",
+            file=path,
+            hint=f"Its outputs are {', '.join(names['output']) or 'none'}: name them so",
+        )
+    if not any(name in DRIVERS for name in names["input"]):
+        raise ModelError(
+            f"no input of the FMU is one of {', '.join(DRIVERS)}",
+            file=path,
+            hint=f"Its inputs are {', '.join(names['input']) or 'none'}: name the lever so",
+        )
+
+    def simulate(log: Log) -> Mapping[str, FloatArray]:
+        told = [name for name in names["input"] if name in CHANNELS]
+        kinds = [("time", np.float64), *((name, np.float64) for name in told)]
+        rows = np.zeros(len(log), dtype=kinds)
+        rows["time"] = np.arange(len(log)) * log.dt_s
+        for name in told:
+            rows[name] = log[name]
+        found = _co_simulated(fmpy, path, rows, outputs)
+        time_s, wanted = np.asarray(found["time"]), np.asarray(rows["time"])
+        return {name: np.interp(wanted, time_s, found[name]) for name in outputs}
+
+    return simulate
+
+
+def _described(fmpy: Any, path: Path) -> Any:
+    # FMPy raises whatever the parser of its day does about a file that it dislikes.
+    try:
+        return fmpy.read_model_description(str(path))
+    except Exception as error:
+        raise ModelError(
+            f"the file is no FMU that can be read: {error}", file=path, hint="Export it again"
+        ) from error
+
+
+def _co_simulated(fmpy: Any, path: Path, rows: Any, outputs: Sequence[str]) -> Any:
+    interval = float(rows["time"][1])
+    try:
+        return fmpy.simulate_fmu(
+            str(path),
+            stop_time=float(rows["time"][-1]),
+            output_interval=interval,
+            step_size=interval,
+            input=rows,
+            output=outputs,
+            terminate=False,
+        )
+    except (fmpy.fmi1.FMICallException, OSError, RuntimeError, ValueError) as error:
+        raise ModelError(
+            f"the FMU failed: {error}", file=path, hint="Run it in co-simulation by itself first"
+        ) from error
+
+
+def _fmpy(path: Path) -> Any:
+    try:
+        return importlib.import_module("fmpy")
+    except ImportError:
+        raise ModelError(
+            "FMUs need the package FMPy", file=path, hint="pip install narxcal[fmu]"
+        ) from None
+
+
+@dataclass(frozen=True, eq=False)
+class Rerun:
+    """`simulate` takes logs of `block` samples per sample of the flights."""
+
+    emulator: Emulator
+    simulate: Simulate
+    block: int
+    _as_flown: list[tuple[Flights, FloatArray]] = field(default_factory=list)
+
+    def run(
+        self,
+        flights: Flights,
+        told: FloatArray,
+        pace: Pace | None = None,
+        shift: Shift | None = None,
+    ) -> FloatArray:
+        """Outputs (rows, time, outputs) for `told` (blocks, time, inputs).
+
+        With a pace, and a shift of where it settles, it is the emulator's run, anchored to what the
+        simulator says of these inputs. Samples of which it says nothing are bridged, as in its
+        logs. Raises `ModelError` where the simulator leaves out one of the outputs.
+        """
+        if pace is None:
+            return self._flown(flights) if told is flights.u else self._told(flights, told)
+        found = self.emulator.run(flights, told, pace, shift)
+        if told is flights.u:
+            return found
+        blocks, rows = len(told), np.arange(len(found))
+        here, there = rows % blocks, rows % len(flights.u)
+        anchored = self.run(flights, told)[here] - self._flown(flights)[there]
+        guessed = self.emulator.run(flights, told)[here]
+        return np.asarray(found + anchored - guessed + self.emulator.run(flights, flights.u)[there])
+
+    def _flown(self, flights: Flights) -> FloatArray:
+        """What it says of the inputs as they were flown: asked once."""
+        for known, found in self._as_flown:
+            if known is flights:
+                return found
+        found = self._told(flights, flights.u)
+        self._as_flown[:] = [(flights, found)]
+        return found
+
+    def _told(self, flights: Flights, told: FloatArray) -> FloatArray:
+        return np.stack([self._one(flights, u) for u in told])
+
+    def _one(self, flights: Flights, u: FloatArray) -> FloatArray:
+        signals, count = flights.signals, len(u)
+        dt_s = signals.dt_s / self.block
+        rows = np.arange(count * self.block, dtype=np.float64)
+        middles = (np.arange(count) + 0.5) * self.block - 0.5
+        channels = {
+            name: np.interp(rows, middles, u[:, j])
+            for j, name in enumerate(signals.inputs)
+            if name in CHANNELS
+        }
+        found = self.simulate(
+            Log("flight run again", np.asarray(rows * dt_s, dtype=np.float64), channels)
+        )
+        for name in signals.outputs:
+            if name not in found or not np.isfinite(found[name]).any():
+                raise ModelError("the simulator no longer gives it", channel=name)
+        y = np.column_stack([bridge_gaps(found[name]) for name in signals.outputs])
+        return block_means(y, self.block)

@@ -1,0 +1,190 @@
+"""The one place that words a diagnosis: verdict, effects with their sizes, what to fly next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+from eval.outcome import Outcome
+from eval.report.tables import number
+from narxcal.channels import symbol
+from narxcal.effects.library import effect
+
+NAMED: Final = {
+    "build": "differences of build",
+    "offsets": "flight offsets",
+    "noise": "noise",
+    "unexplained": "explained by nothing in the library",
+}
+VERDICTS: Final = {
+    "none": "✓ NO EFFECT",
+    "effects": "● FOUND",
+    "ambiguous": "≈ AMBIGUOUS",
+    "unknown": "? UNDETERMINED",
+}
+_MOST_NAMED = 3
+Size = Mapping[str, Any]  # value, low, high and unit of one parameter
+Row = Mapping[str, Any]
+
+
+def in_words(name: str) -> str:
+    """What it is, its name in brackets: `lag of the EGT sensor (sensor_lag:EGT_C)`.
+
+    Raises `ConfigError` for an effect that is not in the library.
+    """
+    found = effect(name)
+    words = found.meaning
+    if found.channel is not None:
+        words = words.replace("one sensor", f"the {symbol(found.channel)} sensor")
+        words = words.replace("one channel", symbol(found.channel))
+    return f"{words} ({name})"
+
+
+def listed(words: list[str], last: str = "and") -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    return f" {last} ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""
+
+
+def size_words(size: Size) -> str:
+    """A size with unit and interval, to two digits of the interval: `1.80 s (1.62 to 1.98)`."""
+    low, high = size["low"], size["high"]
+    ends = [_text(size, each) for each in (low, high)]
+    unit = _printed(size.get("unit", "-"))
+    return f"{_text(size, size['value'])} {unit}".rstrip() + f" ({ends[0]} to {ends[1]})"
+
+
+def is_nil(size: Size) -> bool:
+    """Whether a size may as well be nothing: its interval holds 0."""
+    low, high = size["low"], size["high"]
+    return low is not None and high is not None and low <= 0.0 <= high
+
+
+def sizes_words(row: Mapping[str, Any]) -> str:
+    """Every parameter of an effect with its interval: `tau_s 1.80 s (1.62 to 1.98); ...`."""
+    return "; ".join(f"{name} {size_words(size)}" for name, size in row["parameters"].items())
+
+
+def surest_words(row: Mapping[str, Any]) -> str:
+    """The same, but of sizes that may as well be nothing only their names."""
+    found = row["parameters"]
+    nil = [name for name, size in found.items() if is_nil(size)]
+    if len(nil) == len(found):
+        return sizes_words(row)
+    texts = [f"{name} {size_words(size)}" for name, size in found.items() if name not in nil]
+    if nil:
+        names = listed(nil) if len(nil) <= _MOST_NAMED else f"{len(nil)} others"
+        texts.append(f"{names} not distinct from 0")
+    return "; ".join(texts)
+
+
+def _text(size: Size, value: float | None) -> str:
+    low, high = size["low"], size["high"]
+    digits = None if low is None or high is None else _decimals(0.5 * (high - low), 2)
+    if digits is None or value is None or not math.isfinite(value):
+        return number(value)
+    return _plain(value, digits)
+
+
+def _decimals(width: float, digits: int) -> int | None:
+    """Decimals that show `digits` significant digits of a width; None of what has no width."""
+    if not (math.isfinite(width) and width > 0.0):
+        return None
+    exponent = int(f"{width:.{digits - 1}e}".partition("e")[2])
+    return min(max(digits - 1 - exponent, 0), 6)
+
+
+def _plain(value: float, digits: int) -> str:
+    near = round(value, digits) + 0.0
+    return f"{near:.{digits}f}" if near else "0"
+
+
+def _printed(name: str) -> str:
+    """Unit as it is printed: `degC` -> `°C`."""
+    return "" if name == "-" else name.replace("degC", "°C").replace("deg", "°")
+
+
+def name_of(row: Row) -> str:
+    """Name of an effect by its row: `id`, or `id:channel`."""
+    return f"{row['id']}:{row['channel']}" if row.get("channel") else str(row["id"])
+
+
+def sentences(document: Row) -> list[str]:
+    """The verdict: one sentence for each effect that is named, then what is left."""
+    verdict, rows = document["verdict"], {name_of(row): row for row in document["effects"]}
+    shares = {row["cause"]: row for row in document["budget"]}
+    found = [_claim(name, rows[name], shares) for name in verdict["effects"] if name in rows]
+    if not found:
+        reason = verdict["reason"].rstrip(".")
+        found = [f"No effect is named: {reason}."]
+    if verdict["ambiguous_with"]:
+        others = listed([in_words(name) for name in verdict["ambiguous_with"]], "or")
+        found.append(f"These flights do not tell it from {others}.")
+    left = shares.get("unexplained")
+    if left is not None:
+        found.append(
+            f"{percent(left['share'])} of the whole gap is explained by nothing in the library."
+        )
+    return found
+
+
+def _claim(name: str, row: Row, shares: Mapping[str, Row]) -> str:
+    text = f"{in_words(name)}, {surest_words(row)}"
+    share = shares.get(name)
+    if share is None:
+        return f"{text[:1].upper()}{text[1:]}."
+    most = max(share["channels"], key=lambda each: share["channels"][each])
+    whole = sum(each["channels"].get(most, 0.0) for each in shares.values())
+    part = share["channels"][most] / whole if whole > 0.0 else 0.0
+    text += f": {percent(share['share'])} of the gap, {percent(part)} of that of {symbol(most)}"
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def outcome(document: Row) -> Outcome:
+    """The verdict box: what is named, how sure, and how far the gap shrinks."""
+    first, *rest = sentences(document)
+    shrink = document["shrink"]
+    if document["verdict"]["effects"]:
+        low, high = (percent(shrink["predicted"][key]) for key in ("low", "high"))
+        text = f"Added to the simulator they take {percent(shrink['predicted']['value'])} "
+        text += f"({low} to {high}) off the squared gap"
+        if shrink["realised"] is not None:
+            text += f"; on {shrink['on']} it is {percent(shrink['realised'])}"
+        rest.append(f"{text}.")
+        rest += _events(shrink)
+    return Outcome(document["verdict"]["kind"] != "unknown" or None, first, tuple(rest))
+
+
+def _events(shrink: Row) -> Iterator[str]:
+    """Errors of the response times before and after, where events could be read."""
+    for name, times in shrink["times"].items():
+        if times["events"]:
+            text = ", ".join(
+                f"{each} {number(times[f'{each}_before_s'])} s before, "
+                f"{number(times[f'{each}_after_s'])} s after"
+                for each in ("Ti", "Tt")
+            )
+            yield f"Mean error of {symbol(name)} over {times['events']} events: {text}."
+
+
+def next_flights(document: Row) -> list[tuple[str, str]]:
+    """Manoeuvres that would tell apart what these flights do not, each with what for."""
+    found: dict[str, list[str]] = {}
+    verdict = document["verdict"]
+    sets = [row["credible_set"] for row in document["budget"] if len(row["credible_set"]) > 1]
+    doubted = [*verdict["ambiguous_with"], *(name for names in sets for name in names)]
+    if doubted:
+        doubted = [*verdict["effects"], *doubted]
+    for name in dict.fromkeys(doubted):
+        found.setdefault(effect(name).manoeuvre, []).append(in_words(name))
+    return [(manoeuvre, f"separates {listed(words)}") for manoeuvre, words in found.items()]
+
+
+def cause_words(name: str) -> str:
+    """A cause of the budget in words."""
+    return NAMED[name] if name in NAMED else in_words(name)
+
+
+def percent(share: float) -> str:
+    """A share in whole percent."""
+    return f"{100.0 * share:z.0f} %"

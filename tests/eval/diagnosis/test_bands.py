@@ -1,0 +1,63 @@
+"""Bands of frequency hold the energy where it is, and know what follows the lever."""
+
+import numpy as np
+import pytest
+
+from eval.diagnosis.measures import bands_of
+
+
+def test_a_wave_is_in_its_band_and_does_not_follow_the_lever(make_data):
+    data = make_data()
+    steps = np.arange(data.real.shape[1]) * data.flights.signals.dt_s
+    data.real[..., 0] += np.sin(2.0 * np.pi * 0.5 * steps)
+    bands = bands_of(data)["N1_pct"]
+    assert [band.low_hz for band in bands] == [0.0, 0.03, 0.1, 0.3, 1.0]
+    assert bands[-1].high_hz == pytest.approx(4.0)
+    assert bands[3].share > 0.95
+    assert sum(band.share for band in bands) == pytest.approx(1.0)
+    assert bands[3].coherence < 0.2
+
+
+def test_a_lagging_probe_is_slow_and_follows_the_lever(make_data, probe):
+    bands = bands_of(make_data(probe))["EGT_C"]
+    assert sum(band.share for band in bands[:3]) > 0.7
+    assert max(band.coherence for band in bands) > 0.8
+
+
+def test_white_noise_alone_leaves_next_to_nothing(make_data):
+    data = make_data()
+    rng = np.random.default_rng(1)
+    gap = rng.normal(size=data.real.shape) * data.noise
+    loud = gap.copy()
+    loud[..., 2] += 10.0 * data.noise[2]
+    assert bands_of(data, loud)["EGT_C"][0].share > 0.95
+    assert bands_of(data, np.full_like(gap, np.nan) * 0 + gap)["N1_pct"]
+
+
+def test_unknown_samples_are_bridged(make_data, probe):
+    data = make_data(probe)
+    data.real[:, 100:110, 2] = np.nan
+    assert all(np.isfinite(band.share) for band in bands_of(data)["EGT_C"])
+
+
+def test_intervals_hold_the_share_and_come_from_flights(make_data, probe):
+    bands = bands_of(make_data(probe))["EGT_C"]
+    assert all(band.low <= band.share <= band.high for band in bands)
+    largest = max(bands, key=lambda band: band.share)
+    assert largest.high - largest.low < 0.2
+    assert bands == bands_of(make_data(probe))["EGT_C"]
+
+
+def test_of_one_flight_no_share_is_sure(make_data, probe):
+    bands = bands_of(make_data(probe, flights=1))["EGT_C"]
+    assert {(band.low, band.high) for band in bands} == {(0.0, 1.0)}
+
+
+def test_a_wave_in_one_flight_of_four_is_unsure(make_data):
+    data = make_data()
+    steps = np.arange(data.real.shape[1]) * data.flights.signals.dt_s
+    data.real[..., 0] += np.sin(2.0 * np.pi * 0.05 * steps)
+    data.real[0, :, 0] += 2.0 * np.sin(2.0 * np.pi * 0.5 * steps)
+    band = bands_of(data)["N1_pct"][3]
+    assert band.low < 0.05
+    assert 0.4 < band.share < band.high

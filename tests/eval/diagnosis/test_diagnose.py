@@ -1,0 +1,130 @@
+"""The whole diagnosis on made-up flights, with the weighing of effects replaced by its answer."""
+
+import json
+
+import numpy as np
+import pytest
+
+from eval.diagnosis import diagnose as module
+from eval.diagnosis.diagnose import Request, diagnose_folders, diagnose_pairs
+from eval.diagnosis.expected import expected, seen, unseen
+from eval.diagnosis.pairs import pair_logs
+from narxcal.support.errors import ConfigError, DataError
+from training.diagnosis.budget import Interval
+
+NAME = "sensor_lag:EGT_C"
+LAG = {"tau_s": Interval(1.0, 0.9, 1.1)}
+
+
+class NoEmulator:
+    """Stands in for the emulator, which effects on sensors do not need."""
+
+    def errors(self, flights):
+        return np.zeros(len(flights.signals.outputs))
+
+
+@pytest.fixture
+def answer(monkeypatch, make_budget):
+    """Makes the core find this."""
+
+    def set_to(kind="effects", effects=None):
+        found = make_budget(kind, {NAME: LAG} if effects is None else effects)
+        monkeypatch.setattr(module, "fit_emulators", lambda _flights: (NoEmulator(),))
+        monkeypatch.setattr(module, "weighed", lambda *_args, **_more: found)
+
+    set_to()
+    return set_to
+
+
+def test_found_effects_are_checked_on_flights_that_took_no_part(answer, pair, probe):
+    pairs = [pair(seed, probe) for seed in range(5)]
+    steps = []
+    found = diagnose_pairs(pairs[:3], pairs[3:], watch=lambda *step: steps.append(step[0]))
+    shrink = found.document["shrink"]
+    assert shrink["realised"] > 0.98
+    assert shrink["channels"]["EGT_C"]["after"] < 0.1 * shrink["channels"]["EGT_C"]["before"]
+    assert shrink["times"]["EGT_C"]["Tt_after_s"] < 0.2 * shrink["times"]["EGT_C"]["Tt_before_s"]
+    assert found.document["quality"]["held_out"] == ["flight_3", "flight_4"]
+    assert steps == ["emulator", "effects", "where, and how far the gap shrinks"]
+    json.dumps(found.document)
+
+
+def test_the_prediction_is_about_the_flights_that_are_held_out(answer, pair, probe):
+    pairs = [pair(seed, probe) for seed in range(5)]
+    both, alone = (diagnose_pairs(pairs[:3], held).evidence for held in (pairs[3:], ()))
+    here, held = seen(both.data, both.after, None), both.held_out
+    assert both.predicted == expected(here, unseen(held.data, held.after))
+    assert alone.predicted == expected(here)
+
+
+def test_a_wrong_claim_does_not_shrink_the_gap(answer, pair):
+    pairs = [pair(seed) for seed in range(4)]
+    assert diagnose_pairs(pairs[:3], pairs[3:]).document["shrink"]["realised"] < 0.0
+
+
+def test_nothing_claimed_changes_nothing(answer, pair, probe):
+    answer("unknown", {})
+    pairs = [pair(seed, probe) for seed in range(4)]
+    found = diagnose_pairs(pairs[:3], pairs[3:])
+    assert found.document["shrink"]["realised"] == 0.0
+    assert found.document["where"][0]["channel"] == "EGT_C"
+    np.testing.assert_array_equal(found.evidence.after, found.evidence.data.flights.y)
+
+
+def test_too_little_excitation_is_refused_before_any_work(answer, pair):
+    with pytest.raises(
+        DataError, match="too little excitation: 1 push and 0 pulls of TRA_deg in 1 flight"
+    ):
+        diagnose_pairs([pair(0, duration_s=30.0)])
+
+
+def test_unknown_and_cut_samples_are_warned_of(answer, fly, record, log_of, probe):
+    pairs = []
+    for seed in range(3):
+        sim = fly(seed)
+        real = record(sim, seed, **probe(sim))
+        real["N1_pct"][:300] = np.nan
+        real = {name: values[:-5] for name, values in real.items()}
+        pairs.append(pair_logs(f"f{seed}", log_of(real), log_of(sim)))
+    quality = diagnose_pairs(pairs).document["quality"]
+    assert quality["warnings"][0].endswith("% of the recorded samples are unknown")
+    assert quality["warnings"][1].startswith("15 samples at the ends of flights")
+    assert quality["changed"]["f1"]["N1_pct unknown"] == 300
+
+
+def test_thrust_is_compared(answer, fly, record, log_of):
+    sim = fly(0)
+    sim["FN_kN"] = 0.1 * sim["N1_pct"]
+    real = {**record(sim), "FN_kN": sim["FN_kN"] + 2.0}
+    found = diagnose_pairs([pair_logs("f", log_of(real), log_of(sim))])
+    assert found.document["quality"]["compared"] == {"FN_kN": pytest.approx(2.0)}
+
+
+def test_held_out_flights_that_lack_a_channel_are_refused(answer, pair, fly, record, log_of):
+    sim = fly(5)
+    del sim["N2_pct"]
+    held = pair_logs("f", log_of(record(sim)), log_of(sim))
+    with pytest.raises(DataError, match="channel N2_pct: the held-out flights lack it"):
+        diagnose_pairs([pair(seed) for seed in range(3)], [held])
+
+
+@pytest.fixture
+def folders(tmp_path, fly, record, probe, write):
+    for seed in range(3):
+        sim = fly(seed)
+        write(tmp_path / "real" / f"{seed}.csv", record(sim, seed, **probe(sim)))
+        write(tmp_path / "sim" / f"{seed}.csv", sim)
+    return tmp_path / "real", str(tmp_path / "sim")
+
+
+def test_folders_and_simulators_of_any_kind(answer, folders):
+    real, sim = folders
+    found = diagnose_folders(Request(real, sim)).document
+    assert found["quality"]["simulator"] == "logs"
+    assert found["quality"]["rate_hz"] == pytest.approx(16.0)
+    assert found["quality"]["worked_at_hz"] == pytest.approx(4.0)
+    request = Request(real, sim, held_real=real)
+    with pytest.raises(DataError, match=r"need their simulated logs\. Name them by --heldout-sim"):
+        diagnose_folders(request)
+    with pytest.raises(ConfigError, match="is no folder of logs"):
+        diagnose_folders(Request(real, "nothing"))

@@ -1,0 +1,59 @@
+"""Effects are named in words that need no list of names, sizes to the digits that are known."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from eval.diagnosis.words import in_words, listed, size_words, sizes_words, surest_words
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("sensor_lag:EGT_C", "lag of the EGT sensor (sensor_lag:EGT_C)"),
+        ("time_skew:N2_pct", "N2 recorded late (time_skew:N2_pct)"),
+        ("unlogged_switch", "a load or bleed that no channel records (unlogged_switch)"),
+    ],
+)
+def test_an_effect_is_named_in_words(name, words):
+    assert in_words(name) == words
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [([], ""), (["a"], "a"), (["a", "b"], "a and b"), (["a", "b", "c"], "a, b and c")],
+)
+def test_a_list_reads_as_a_sentence(words, text):
+    assert listed(words) == text
+
+
+def size(value, low, high, unit="-"):
+    return {"value": value, "low": low, "high": high, "unit": unit}
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (size(8.546, 8.0, 11.131, "s"), "8.5 s (8.0 to 11.1)"),
+        (size(-1.606, -1.887, -1.334, "%"), "-1.61 % (-1.89 to -1.33)"),
+        (size(217.4, 176.1, 258.3, "deg/s"), "217 °/s (176 to 258)"),
+        (size(0.0, 0.0, 0.0073), "0 (0 to 0.0073)"),
+        (size(2.5, 2.5, 2.5, "s"), "2.50 s (2.50 to 2.50)"),
+        (size(2.5, None, None, "s"), "2.50 s (– to –)"),  # noqa: RUF001 - the dash of the page
+        (size(math.nan, 0.0, 1.0), "– (0 to 1.00)"),  # noqa: RUF001
+    ],
+)
+def test_a_size_has_the_digits_of_its_interval(found, words):
+    assert size_words(found) == words
+
+
+def test_sizes_that_may_be_nothing_are_only_named():
+    row = {"parameters": {"a": size(1.0, 0.8, 1.2), "b": size(0.1, -0.1, 0.3)}}
+    assert surest_words(row) == "a 1.00 (0.80 to 1.20); b not distinct from 0"
+    assert sizes_words(row) == "a 1.00 (0.80 to 1.20); b 0.10 (-0.10 to 0.30)"
+    row["parameters"] |= {f"c{k}": size(0.0, -1.0, 1.0) for k in range(3)}
+    assert surest_words(row).endswith("; 4 others not distinct from 0")
+    del row["parameters"]["a"]
+    assert surest_words(row) == sizes_words(row)

@@ -1,0 +1,129 @@
+"""Known faults of one sensor are found with their size inside the interval, nulls are nulls."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from narxcal.effects import effect, respond
+from tests.training.diagnosis.conftest import recorded
+from training.diagnosis.dictionary import Dictionary
+from training.diagnosis.fit import Frame
+from training.diagnosis.joint import together
+from training.diagnosis.layers import Layer, Setting, further
+from training.diagnosis.metric import Metric, assumed_variance
+from training.diagnosis.nuisances import nuisances
+from training.diagnosis.odds import stored_odds
+
+NAMES = [
+    f"{kind}:{channel}"
+    for kind in ("time_skew", "sensor_lag", "sensor_bias", "sensor_drift", "sensor_gain")
+    for channel in ("N1_pct", "N2_pct", "EGT_C")
+]
+PLANTED = {
+    "time_skew:N2_pct": {"skew_s": 0.13},
+    "sensor_lag:N1_pct": {"tau_s": 0.4},
+    "sensor_gain:EGT_C": {"gain_pct": 4.0},
+    "sensor_drift:N2_pct": {"rate_per_h": 20.0},
+}
+
+
+@pytest.fixture(name="dictionary", scope="module")
+def given_dictionary(flights):
+    return Dictionary([effect(name) for name in NAMES], flights, None)
+
+
+def planted(flights, *names):
+    y = flights.y
+    for name in names:
+        one = effect(name)
+        own = [PLANTED[name].get(p.name, p.neutral) for p in one.parameters(flights.signals)]
+        y = y + respond([(one, np.array([own]))], flights, None)[0] - flights.y
+    return recorded(flights, y)
+
+
+def frame_of(record):
+    metric = Metric(record, assumed_variance(record))
+    return Frame(record, metric, record.gap, nuisances(record, None, 1.0))
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_a_planted_fault_is_first_with_its_size_inside_the_interval(name, flights, dictionary):
+    record = planted(flights, name)
+    frame = frame_of(record)
+    fits = [frame.refined(frame.fit(nodes), dictionary) for nodes in dictionary.nodes.values()]
+    best = min(fits, key=lambda one: one.solved.cost)
+    assert best.name == name
+    joint = together(frame, [best])
+    (key, size), *_ = PLANTED[name].items()
+    place = [p.name for p in best.node.parameters].index(key)
+    assert joint.theta[0][place] == pytest.approx(
+        size, abs=max(3 * joint.spread[0][place], 0.03 * size)
+    )
+
+
+def test_nothing_takes_anything_of_noise(flights, dictionary):
+    frame = frame_of(recorded(flights, flights.y))
+    before = frame.energy(frame.none)
+    for nodes in dictionary.nodes.values():
+        assert before - frame.energy(frame.fit(nodes).solved) < 0.01 * frame.floor
+
+
+def test_two_faults_are_two_layers_and_their_shares_add_up(flights, dictionary):
+    names = ("time_skew:N2_pct", "sensor_lag:N1_pct")
+    record = planted(flights, *names)
+    frame = frame_of(record)
+    setting = Setting(record, assumed_variance(record), frame.nuisances, dictionary, stored_odds())
+    first = frame.refined(frame.fit(dictionary.nodes[names[1]]), dictionary)
+    layers = further(setting, Layer(first, (), 0.0, 0.0), frame.energy(frame.none))
+    assert {one.name for one in layers} == set(names)
+    joint = together(frame, [one.single for one in layers])
+    *effects, build, offsets = (each / record.span for each in joint.components())
+    gap = record.gap / record.span
+    assert ((gap - sum(effects)) ** 2).sum() < 0.2 * (gap**2).sum()
+    assert ((gap - sum(effects) - build - offsets) ** 2).sum() <= (gap**2).sum()
+
+
+def test_no_effect_at_all_is_a_joint_fit_of_nuisances(flights):
+    joint = together(frame_of(recorded(flights, flights.y)), [])
+    assert joint.theta == ()
+    assert joint.responses(joint.solved.x) == []
+
+
+def joint_of(record, dictionary, name):
+    frame = frame_of(record)
+    return together(frame, [frame.fit(dictionary.nodes[name])])
+
+
+def test_what_causes_do_in_a_flight_is_known_from_the_others(flights, dictionary):
+    name = "sensor_gain:EGT_C"
+    record = planted(flights, name)
+    before = joint_of(record, dictionary, name).components()
+    steps = record.real.shape[1]
+    changed = record.real.copy()
+    changed[0, steps // 2 :, 0] += 0.6 * np.sin(np.arange(steps - steps // 2) / 40.0)
+    after = joint_of(replace(record, real=changed), dictionary, name).components()
+    for own, other in zip(before[:-1], after[:-1], strict=True):
+        assert other[0] == pytest.approx(own[0], abs=1e-9)  # effect and build, in that flight
+    # Its offset in the second half is that of the first half, which is as it was.
+    offsets, others = after[-1][0, :, 0], before[-1][0, :, 0]
+    assert offsets[steps // 2 :] == pytest.approx(others[steps // 2 :], abs=1e-9)
+    assert np.abs(offsets[: steps // 2] - others[: steps // 2]).max() > 0.01
+
+
+def test_an_offset_of_one_flight_is_an_offset_in_both_of_its_halves(flights, dictionary):
+    real = recorded(flights, flights.y).real.copy()
+    real[1, :, 2] += 4.0
+    record = replace(recorded(flights, flights.y), real=real)
+    *_, build, offsets = joint_of(record, dictionary, "time_skew:N2_pct").components()
+    level = (build + offsets)[..., 2].mean(axis=1)
+    assert level == pytest.approx([0.0, 4.0, 0.0, 0.0], abs=0.5)
+    assert offsets[1, :, 2].mean() > 3.0
+
+
+def test_of_a_single_unit_components_are_those_of_its_own_fit(flights, dictionary):
+    record = recorded(flights, flights.y)
+    single = replace(record, unit=np.zeros_like(record.unit))
+    joint = joint_of(single, dictionary, "time_skew:N2_pct")
+    assert joint.left_out == ()
+    assert joint.components()[0] == pytest.approx(joint.responses(joint.solved.x)[0])

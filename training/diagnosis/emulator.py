@@ -1,0 +1,208 @@
+r"""An emulator of a simulator, fitted to the simulator's own logs.
+
+The product's networks follow logs closely, but nothing holds them to physics where no log ever was:
+under heavier rotors they would relax at a rate of their own. So the emulator is a grey box, two
+rotors under a control over the simulator's steady values. It gives what *changes*: the difference
+between its run with an effect and its run without is added to the log.
+
+Controls that hold another speed, the core's acceleration or fuel follow the same logs; what an
+effect on how the engine moves does under them differs. The one under which such an effect explains
+clearly more of the recorded gap is the engine's (`choose_control`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from narxcal.effects.base import RateEffect, Signals
+from narxcal.effects.library import hypotheses
+from narxcal.effects.pace import Pace, as_simulated
+from narxcal.effects.running import Flights, Shift
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import DataError
+from narxcal.two_spool import HOLDS_FUEL, HOLDS_RATE, TwoSpool
+from training.diagnosis.dictionary import Dictionary
+from training.diagnosis.fit import Frame
+from training.diagnosis.metric import Metric, Record, assumed_variance
+from training.diagnosis.nuisances import nuisances
+from training.diagnosis.settled import SettledModel, corrected, fit_settled
+from training.diagnosis.two_spool_fit import GOVERNED_CORE, GOVERNED_FAN, Course, fit_two_spool
+
+FAN, CORE = "N1_pct", "N2_pct"
+_CLEARLY = 0.6  # of the cost of the other kind of control: no tie
+_POSSIBLE = 2.0  # times the better one's cost: the logs do not rule it out
+_MORE: Final = 0.03  # of the gap
+_FLIGHTS: Final = 3  # that the control is chosen on: those with most of the gap
+
+
+@dataclass(frozen=True, eq=False)
+class GreyBoxEmulator:
+    """Settled values and the two-spool engine that moves between them."""
+
+    settled: SettledModel
+    engine: TwoSpool
+
+    def run(
+        self,
+        flights: Flights,
+        told: FloatArray,
+        pace: Pace | None = None,
+        shift: Shift | None = None,
+    ) -> FloatArray:
+        """Free runs (rows, time, outputs) of an engine that is told `told` (blocks, time, inputs).
+
+        Row r is told block `r % blocks`, settles elsewhere and is loaded by row r of `shift`, and
+        starts where flight `r % flights` does, moved by what other inputs and the shift change at
+        rest.
+        """
+        order, count = _order(flights.signals), len(flights.u)
+        paces = np.stack(pace or as_simulated(len(told)), axis=1)
+        rows, which = np.arange(len(paces)) % count, np.arange(len(paces)) % len(told)
+        steady, air = self.settled.outputs(told), np.log(flights.signals.thin_air(told))
+        load = np.zeros_like(air)
+        if shift is not None:
+            steady, air, load = steady[which] + shift.settled, air[which], shift.load
+            which = np.arange(len(paces))
+        asked = self.settled.outputs(flights.u[:, 0])
+        start = flights.y[rows, 0] + steady[which, 0] - asked[rows]
+        flown = (_picked(steady, order), air, load, _picked(start, order))
+        found = self.engine.free_run(flown, which, paces, order.index(flights.signals.hot))
+        return _back(found, order, len(flights.signals.outputs))
+
+    def free_run(self, flights: Flights) -> FloatArray:
+        """Its own outputs (flights, time, outputs) from each flight's first sample on."""
+        return self.run(flights, flights.u)
+
+    def errors(self, flights: Flights) -> FloatArray:
+        """RMSE (outputs,) of the free run over whole flights."""
+        wrong = self.free_run(flights) - flights.y
+        rows = [e[:n] for e, n in zip(wrong, flights.lengths.tolist(), strict=True)]
+        return np.asarray(np.sqrt(np.mean(np.concatenate(rows) ** 2, axis=0)))
+
+
+def fit_emulators(flights: Flights) -> tuple[GreyBoxEmulator, ...]:
+    """Fit to the simulated flights under every kind of control; the better one first.
+
+    A control holds the fan's speed or the core's; of these the other is left out where its cost is
+    more than twice as high, or where nothing is governed. On the way it schedules fuel or the
+    core's acceleration, and its reset may hold fuel: of either no log of the simulator tells
+    anything, and those that do are the last.
+    Raises `DataError` where no spool speed is among the outputs.
+    """
+    signals = flights.signals
+    order = _order(signals)
+    settled = fit_settled(flights)
+    course = _course(flights, settled)
+    two = order[0] != order[1]
+    kinds = (GOVERNED_FAN, GOVERNED_CORE) if signals.governed and two else (GOVERNED_CORE,)
+    begun = [fit_two_spool(course, kind) for kind in kinds]
+    least = min(cost for _, cost in begun)
+    # Both follow the logs of a governed engine about equally well; most controls hold the fan.
+    fits = [
+        _finished(flights, GreyBoxEmulator(settled, engine))
+        for engine, cost in begun
+        if cost <= _POSSIBLE * least
+    ]
+    first = fits[-1] if fits[-1][1] < _CLEARLY * fits[0][1] else fits[0]
+    others = [each for each in fits if each is not first and each[1] <= _POSSIBLE * first[1]]
+    left = [each for each, _ in (first, *others)]
+    if len(kinds) == 1:
+        return tuple(left)
+    return tuple(_holding(each, what) for what in (0, HOLDS_RATE, HOLDS_FUEL) for each in left)
+
+
+def widened(one: GreyBoxEmulator, flights: Flights) -> GreyBoxEmulator:
+    """The same under the same control, fitted anew to `flights`, which it may not have seen.
+
+    Where a lever is dead, or a limit holds, is told by no flight that was never there.
+    """
+    governed = one.engine.governed
+    known = replace(one.engine, governed=governed % HOLDS_RATE)
+    begun = GreyBoxEmulator(fit_settled(flights), known)
+    engine, _ = fit_two_spool(_course(flights, begun.settled), known.governed, known)
+    found, _ = _finished(flights, replace(begun, engine=engine))
+    return replace(found, engine=replace(found.engine, governed=governed))
+
+
+def _holding(one: GreyBoxEmulator, what: int) -> GreyBoxEmulator:
+    """The same under a control that holds something else: the simulator's own logs are the same."""
+    return replace(one, engine=replace(one.engine, governed=one.engine.governed + what))
+
+
+def _finished(flights: Flights, begun: GreyBoxEmulator) -> tuple[GreyBoxEmulator, float]:
+    """Settled values without what the rotors say is still to come, and the rotors over these.
+
+    With the robust cost of the speeds.
+    """
+    settled = corrected(begun.settled, flights, flights.y - begun.free_run(flights))
+    course = _course(flights, settled)
+    engine, cost = fit_two_spool(course, begun.engine.governed, begun.engine)
+    return GreyBoxEmulator(settled, engine), cost
+
+
+def _course(flights: Flights, settled: SettledModel) -> Course:
+    order, signals = _order(flights.signals), flights.signals
+    return Course(
+        y=_picked(flights.y, order),
+        steady=_picked(settled.outputs(flights.u), order),
+        air=np.log(signals.thin_air(flights.u)),
+        inside=(np.arange(flights.y.shape[1]) < flights.lengths[:, None]).astype(float),
+        dt_s=signals.dt_s,
+    )
+
+
+def _order(signals: Signals) -> list[int]:
+    """Columns of outputs as fan, core, and the others; one spool alone is both."""
+    speeds = [signals.y(name) for name in (FAN, CORE) if name in signals.outputs]
+    if not speeds:
+        raise DataError(
+            "no spool speed is recorded",
+            hint=f"An engine is emulated by {FAN} and {CORE}, or by one of them",
+        )
+    rest = [j for j in range(len(signals.outputs)) if j not in speeds]
+    return [speeds[0], speeds[-1], *rest]
+
+
+def _picked(values: FloatArray, order: list[int]) -> FloatArray:
+    return np.ascontiguousarray(values[..., order])
+
+
+def _back(values: FloatArray, order: list[int], count: int) -> FloatArray:
+    """Columns in the order of the signals again; of one spool the core's."""
+    found = np.empty((*values.shape[:-1], count))
+    for place, column in enumerate(order):
+        found[..., column] = values[..., place]
+    return found
+
+
+def choose_control(emulators: Sequence[GreyBoxEmulator], record: Record) -> GreyBoxEmulator:
+    """The emulator under whose control one effect of moves takes clearly more, or the first."""
+    moving = [e for e in hypotheses(record.flights.signals) if isinstance(e, RateEffect)]
+    if len(emulators) == 1 or not moving:
+        return emulators[0]
+    some = _some(record)
+    left = []
+    for one in emulators:
+        dictionary = Dictionary(moving, some.flights, one)
+        metric = Metric(some, assumed_variance(some))
+        frame = Frame(some, metric, some.gap, nuisances(some, None, 0.0))
+        before = frame.energy(frame.none)
+        fits = [frame.fit(nodes) for nodes in dictionary.nodes.values()]
+        left.append(min(frame.energy(each.solved) for each in fits) / before)
+    best = int(np.argmin(left))
+    return emulators[best] if left[best] < left[0] - _MORE else emulators[0]
+
+
+def _some(record: Record) -> Record:
+    energy = (record.gap**2 / record.span**2).sum(axis=(1, 2))
+    rows = np.sort(np.argsort(-energy)[:_FLIGHTS])
+    flights: Flights = record.flights
+    few = replace(flights, u=flights.u[rows], y=flights.y[rows], lengths=flights.lengths[rows])
+    _, unit = np.unique(record.unit[rows], return_inverse=True)
+    unit = unit.reshape(record.unit[rows].shape)
+    lowest = int((record.unit[rows] < 0).any())
+    return Record(few, record.real[rows], record.noise, unit - lowest)

@@ -1,0 +1,305 @@
+r"""Hypotheses as quadratic problems: what columns leave of the gap, from inner products alone.
+
+For a hypothesis with response r and slopes S, and nuisances N in units of their priors' standard
+deviations, the fit minimises over x in its box and nu
+
+    |d - r - S x - N nu|^2 / tau + |nu|^2,    tau = max((rss - floor) / n_eff, 1).
+
+One unknown level of misfit, tau, tempers the whole fit: a simulator's own errors are slow, and
+n_eff effective samples, not all of them, are evidence. A `Frame` fits single effects to a gap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numba import njit
+from scipy.linalg import lapack
+
+from narxcal.support.arrays import FloatArray
+from training.diagnosis.dictionary import Dictionary, Node
+from training.diagnosis.metric import Metric, Record
+from training.diagnosis.nuisances import OFFSET, START, Nuisances
+
+_ROUNDS: Final = 3
+_SWEEPS: Final = 60
+_RIDGE: Final = 1e-9
+_FINE: Final = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Grams:
+    """Inner products per unit: `nn` (units, k, k), `nd` (units, k), `dd` (units,), all nuisances.
+
+    `floor` (units,) is what noise leaves, `limit` (k,) the bounds of nuisances.
+    """
+
+    nn: FloatArray
+    nd: FloatArray
+    dd: FloatArray
+    floor: FloatArray
+    limit: FloatArray
+    independent: float
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """A hypothesis: inner products of the rows [r, s_1 .. s_p] per unit, and the box of x.
+
+    `rr` (units, 1 + p, 1 + p) among themselves, `rn` (units, 1 + p, k) with nuisances, `rd`
+    (units, 1 + p) with the gap; `box` (p, 2). `absent` (k,) marks nuisances that are the effect
+    itself.
+    """
+
+    rr: FloatArray
+    rn: FloatArray
+    rd: FloatArray
+    box: FloatArray
+    absent: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """`x` (p,), `nu` (k,), the residual `rss` (units,), the temper `tau`, and `cost` in all.
+
+    `cost` is the residual with tau times the nuisances' price; `covariance` (p, p) of x.
+    """
+
+    x: FloatArray
+    nu: FloatArray
+    rss: FloatArray
+    tau: float
+    cost: float
+    covariance: FloatArray
+
+
+def no_columns(grams: Grams) -> Columns:
+    """The hypothesis that nothing acts."""
+    units, k = grams.nd.shape
+    return Columns(
+        np.zeros((units, 1, 1)),
+        np.zeros((units, 1, k)),
+        np.zeros((units, 1)),
+        np.zeros((0, 2)),
+        np.zeros(k, dtype=bool),
+    )
+
+
+def solve(grams: Grams, columns: Columns, without: int | None = None, begin: float = 1.0) -> Solved:
+    """Fit a hypothesis to all units, or to all `without` one; rss is that of every unit."""
+    h, g, c = _assembled(grams, columns)
+    kept = np.ones(len(c), dtype=bool)
+    if without is not None:
+        kept[without] = False
+    whole_h, whole_g = h[kept].sum(axis=0), g[kept].sum(axis=0)
+    floor = float(grams.floor[kept].sum())
+    independent = grams.independent * kept.mean()
+    k = grams.nn.shape[1]
+    p = len(whole_g) - k
+    low = np.concatenate([-grams.limit, columns.box[:, 0]])
+    high = np.concatenate([grams.limit, columns.box[:, 1]])
+    low[:k][columns.absent] = high[:k][columns.absent] = 0.0
+    prior = np.concatenate([np.ones(k), np.zeros(p)])
+    tau = begin
+    for _ in range(_ROUNDS):
+        a = whole_h + np.diag(tau * prior)
+        theta = least(a, whole_g, low, high)
+        rss = c - 2.0 * g @ theta + np.einsum("uij,i,j->u", h, theta, theta)
+        tau = max((float(rss[kept].sum()) - floor) / independent, 1.0)
+    inverse = np.linalg.pinv(whole_h + np.diag(tau * prior + _RIDGE * np.diag(whole_h)))
+    nu, x = theta[:k], theta[k:]
+    cost = float(rss[kept].sum()) + tau * float(nu @ nu)
+    return Solved(x, nu, np.maximum(rss, 0.0), tau, cost, tau * inverse[k:, k:])
+
+
+def _assembled(grams: Grams, one: Columns) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Hessian (units, n, n), gradient (units, n) and constant (units,) of nuisances and x."""
+    units, k = grams.nd.shape
+    p = one.rr.shape[1] - 1
+    h = np.zeros((units, k + p, k + p))
+    h[:, :k, :k] = grams.nn
+    h[:, k:, :k] = one.rn[:, 1:]
+    h[:, :k, k:] = np.swapaxes(one.rn[:, 1:], 1, 2)
+    h[:, k:, k:] = one.rr[:, 1:, 1:]
+    g = np.zeros((units, k + p))
+    g[:, :k] = grams.nd - one.rn[:, 0]
+    g[:, k:] = one.rd[:, 1:] - one.rr[:, 0, 1:]
+    c = grams.dd - 2.0 * one.rd[:, 0] + one.rr[:, 0, 0]
+    return h, g, c
+
+
+def least(a: FloatArray, g: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """Least of `x' A x - 2 x' g` within bounds: by Cholesky, and by coordinates at the bounds."""
+    n = len(g)
+    diagonal = np.maximum(np.diag(a), 1e-12)
+    scale = 1.0 / np.sqrt(diagonal)
+    scaled = a * scale[:, None] * scale[None, :] + _RIDGE * np.eye(n)
+    free = high > low
+    x = np.zeros(n)
+    places = np.flatnonzero(free)
+    if not len(places):
+        return np.clip(x, low, high)
+    _, found, info = lapack.dposv(scaled[np.ix_(places, places)], (g * scale)[places])
+    x[places] = found * scale[places] if info == 0 else 0.0
+    if bool((x >= low - 1e-12).all() and (x <= high + 1e-12).all()):
+        return x
+    x = np.clip(x, low, high)
+    return np.asarray(_descend(a + np.diag(_RIDGE * diagonal), g, low, high, x))
+
+
+@njit(cache=True)
+def _descend(
+    a: FloatArray, g: FloatArray, low: FloatArray, high: FloatArray, x: FloatArray
+) -> FloatArray:
+    """Coordinate descent from `x`, within bounds."""
+    n = len(g)
+    slope = a @ x - g
+    for _ in range(_SWEEPS):
+        most = 0.0
+        for i in range(n):
+            if a[i, i] <= 0.0 or high[i] <= low[i]:
+                continue
+            to = min(max(x[i] - slope[i] / a[i, i], low[i]), high[i])
+            step = to - x[i]
+            if step != 0.0:
+                x[i] = to
+                for j in range(n):
+                    slope[j] += a[j, i] * step
+                most = max(most, step * step * a[i, i])
+        if most < _FINE * _FINE:
+            break
+    return x
+
+
+_FAINT: Final = 0.02  # of the peak of a response: where it counts half
+_LEAST: Final = (0.002, 10.0)  # of the noise's energy, and in all: less is no energy to compare
+
+
+@dataclass(frozen=True, eq=False)
+class Single:
+    """The best node of one effect, and the fit there."""
+
+    node: Node
+    columns: Columns
+    solved: Solved
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.node.name
+
+    @property
+    def theta(self) -> FloatArray:
+        """Its parameters."""
+        return self.node.at(self.solved.x)
+
+    @property
+    def response(self) -> FloatArray:
+        """What it changes, (flights, time, outputs)."""
+        return self.node.response(self.solved.x)
+
+
+class Frame:
+    """One metric and one gap: fits effects there, with the nuisances."""
+
+    def __init__(
+        self,
+        record: Record,
+        metric: Metric,
+        gap: FloatArray,
+        noise: Nuisances,
+        *,
+        assumed: bool = True,
+    ) -> None:
+        self.record, self.nuisances, self.gap = record, noise, gap
+        self._metric = metric
+        self._n = metric.whiten(noise.columns)
+        self._d = metric.whiten(gap[None])
+        level = np.broadcast_to(record.noise, gap.shape)[None]
+        # What was learned is the floor itself.
+        floor = float(assumed) * metric.gram(metric.whiten(level), metric.whiten(level))[:, 0, 0]
+        self.grams = Grams(
+            metric.gram(self._n, self._n),
+            metric.gram(self._n, self._d)[..., 0],
+            metric.gram(self._d, self._d)[:, 0, 0],
+            floor,
+            noise.limit,
+            record.independent,
+        )
+        self.none = solve(self.grams, no_columns(self.grams))
+
+    @property
+    def floor(self) -> float:
+        """Energy of the noise."""
+        return float(self.grams.floor.sum())
+
+    def energy(self, found: Solved) -> float:
+        """Energy beyond noise, with the price of the nuisances."""
+        share, least = _LEAST
+        return max(found.cost - self.floor, 0.0) + share * self.floor + least
+
+    def columns(self, node: Node) -> Columns:
+        """Inner products of a node."""
+        absent = np.array([name == node.name for name in self.nuisances.effect])
+        return Columns(*self.inner(node.rows.astype(np.float64)), node.box, absent)
+
+    def inner(self, rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Inner products of rows among themselves, with the nuisances, and with the gap."""
+        found, gram = self._metric.whiten(rows), self._metric.gram
+        return gram(found, found), gram(found, self._n), gram(found, self._d)[..., 0]
+
+    def fit(self, nodes: list[Node]) -> Single:
+        """The best of the nodes of one effect."""
+        fits = []
+        for node in nodes:
+            columns = self.columns(node)
+            fits.append(Single(node, columns, solve(self.grams, columns, begin=self.none.tau)))
+        return min(fits, key=lambda one: one.solved.cost)
+
+    def refined(self, one: Single, dictionary: Dictionary, rounds: int = 2) -> Single:
+        """The same effect with nodes where its steps end."""
+        for _ in range(rounds):
+            if all(one.node.parameters[j].linear for j in one.node.free):
+                return one
+            node = dictionary.add(one.node, one.theta)
+            if node is None:
+                return one
+            there = self.fit([node])
+            if there.solved.cost >= one.solved.cost:
+                return one if there.solved.cost > 1.02 * one.solved.cost else there
+            one = there
+        return one
+
+    def bare(self) -> Frame:
+        """The same without differences of builds: offsets and starts alone are nuisances."""
+        other = object.__new__(Frame)
+        other.__dict__.update(self.__dict__)
+        keep = np.array([kind in (OFFSET, START) for kind in self.nuisances.kind])
+        limit = np.where(keep, self.grams.limit, 0.0)
+        grams = self.grams
+        other.grams = Grams(grams.nn, grams.nd, grams.dd, grams.floor, limit, grams.independent)
+        other.none = solve(other.grams, no_columns(other.grams))
+        return other
+
+    def cleaned(self, one: Solved) -> FloatArray:
+        """The gap less the nuisances of a fit."""
+        return np.asarray(self.gap - np.tensordot(one.nu, self.nuisances.columns, axes=1))
+
+    def explained(self, one: Single) -> float:
+        """Share of the cleaned gap that an effect explains where it acts: 0 to 1.
+
+        Every sample counts by the energy of the response there, up to a fiftieth of its peak.
+        """
+        record = self.record
+        weight = record.known / (record.noise**2 + (1e-3 * record.span) ** 2)
+        gap, response = self.cleaned(one.solved), one.response
+        energy = weight * response**2
+        peak = float(energy.max())
+        if peak <= 0.0:
+            return 0.0
+        acts = weight * energy / (energy + _FAINT * peak)
+        before = float((acts * (gap**2 - record.noise**2)).sum())
+        after = float((acts * ((gap - response) ** 2 - record.noise**2)).sum())
+        return 0.0 if before <= 0.0 else float(np.clip(1.0 - after / before, 0.0, 1.0))

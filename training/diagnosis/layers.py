@@ -1,0 +1,161 @@
+"""The gap as a sum of single effects: layer by layer, each refitted to what the others leave.
+
+After Wang, Sarkar, Carbonetto & Stephens, *A simple new approach to variable selection in
+regression*, J. R. Statist. Soc. B 82 (2020): a further effect is judged where the form error of
+those in force counts as variance, `phi^2 <R^2>` over about four seconds, by the evidence where it
+was learned what chance has, and by the second logit of `odds` elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.special import log_softmax
+
+from narxcal.effects.steady import UnloggedSwitch
+from narxcal.support.arrays import FloatArray
+from training.diagnosis import load
+from training.diagnosis.dictionary import Dictionary
+from training.diagnosis.discrepancy import Discrepancy, activities
+from training.diagnosis.fit import Frame, Single
+from training.diagnosis.metric import Metric, Record
+from training.diagnosis.nuisances import Nuisances
+from training.diagnosis.odds import Odds, features
+
+FORM: Final = 0.3  # share by which the form of a response is wrong
+_FORM_S: Final = 4.0
+MOST: Final = 4
+_REFINED: Final = 3  # of all that are tried, those that leave least
+EVIDENCE: Final = 8.0  # that a layer has, where it was learned what chance has
+PER_PARAMETER: Final = 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """One effect of the sum, as fitted beside the others.
+
+    `chances` are the log probabilities of all effects in its place, best first, and `none` that of
+    no effect there; `share` is what the effect takes of the first energy.
+    """
+
+    single: Single
+    chances: tuple[tuple[str, float], ...]
+    none: float
+    share: float
+
+    @property
+    def name(self) -> str:
+        """Name of the effect."""
+        return self.single.name
+
+    @property
+    def odds(self) -> float:
+        """Log odds of the effect against none in its place."""
+        return self.chances[0][1] - self.none
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """What layers are fitted in: the record, its variance without any layer, and the nuisances."""
+
+    record: Record
+    variance: Sequence[FloatArray]
+    nuisances: Nuisances
+    dictionary: Dictionary
+    odds: Odds
+    learned: Discrepancy | None = None
+
+    def without(self, others: Sequence[Single]) -> Frame:
+        """The frame of what `others` leave, their form error counted as variance."""
+        gap, variance = self.record.gap, list(self.variance)
+        for one in others:
+            response = one.response
+            gap = gap - response
+            for b, square in enumerate(self._squares(response)):
+                variance[b] = variance[b] + FORM**2 * square
+        metric = Metric(self.record, variance)
+        return Frame(self.record, metric, gap, self.nuisances, assumed=self.learned is None)
+
+    def _squares(self, response: FloatArray) -> list[FloatArray]:
+        """Mean squares of a response per band, over about four seconds or the band's own time."""
+        if self.learned is not None:
+            return activities(response)
+        size = max(1, round(_FORM_S / self.record.flights.signals.dt_s))
+        return [uniform_filter1d(response**2, size, axis=1, mode="nearest")]
+
+    def chances(self, frame: Frame, tried: Sequence[Single]) -> FloatArray:
+        """Log probabilities (n + 1,) of each effect in a place of the sum, and of none."""
+        if self.learned is None:
+            return self.odds.more([one.name for one in tried], *features(frame, tried))
+        evidence = [_evidence(frame, one, self.learned.spread(one.name)) for one in tried]
+        return np.asarray(log_softmax(0.5 * np.array([*evidence, EVIDENCE])))
+
+
+def further(setting: Setting, first: Layer | None, energy: float) -> list[Layer]:
+    """Layers from the `first` one on; `energy` is that of the whole gap."""
+    layers = [] if first is None else [first]
+    while len(layers) < MOST:
+        found = _best(setting, [one.single for one in layers], energy)
+        if found is None or found.odds <= 0.0:
+            break
+        layers.append(found)
+        layers = _anew(setting, layers, energy)
+    return layers
+
+
+def candidate(setting: Setting, layers: Sequence[Layer], energy: float) -> Layer | None:
+    """The next effect that would come in, whether it does or not."""
+    return _best(setting, [one.single for one in layers], energy)
+
+
+def _anew(setting: Setting, layers: list[Layer], energy: float) -> list[Layer]:
+    """Each layer fitted again to what the others leave, by whichever effect is better now."""
+    for k in range(len(layers)):
+        others = [one.single for j, one in enumerate(layers) if j != k]
+        found = _best(setting, others, energy)
+        if found is not None:
+            layers[k] = found
+    return layers
+
+
+def _best(setting: Setting, others: Sequence[Single], energy: float) -> Layer | None:
+    """The likeliest effect for what `others` leave."""
+    frame, tried = compound_fits(setting, others)
+    if not tried:
+        return None
+    chances = setting.chances(frame, tried)
+    best = tried[int(np.argmax(chances[:-1]))]
+    names = [one.name for one in tried]
+    order = sorted(zip(names, chances[:-1].tolist(), strict=True), key=lambda pair: -pair[1])
+    return Layer(best, tuple(order), float(chances[-1]), _plain(frame, best) / energy)
+
+
+def compound_fits(setting: Setting, others: Sequence[Single]) -> tuple[Frame, list[Single]]:
+    """The frame of what `others` leave, and every further effect fitted there, best first."""
+    frame = setting.without(others)
+    known = {one.name for one in others}
+    tried = [frame.fit(nodes) for n, nodes in setting.dictionary.nodes.items() if n not in known]
+    tried += [] if UnloggedSwitch.id in known else load.found(frame)
+    tried.sort(key=lambda one: one.solved.cost)
+    tried[:_REFINED] = [frame.refined(one, setting.dictionary, 1) for one in tried[:_REFINED]]
+    return frame, tried
+
+
+def _evidence(frame: Frame, one: Single, spread: float) -> float:
+    """What an effect gains, in units of what it gains where none acts."""
+    gain = (frame.none.cost - one.solved.cost) / one.solved.tau
+    count = len(one.node.parameters) + one.node.switches
+    return float(gain / spread - PER_PARAMETER * (count - 1))
+
+
+def _plain(frame: Frame, one: Single) -> float:
+    """Energy that an effect takes of what is left, in noise alone."""
+    record = frame.record
+    weight = record.known / (record.noise**2 + (1e-3 * record.span) ** 2)
+    before = frame.cleaned(frame.none)
+    after = frame.cleaned(one.solved) - one.response
+    return float((weight * (before**2 - after**2)).sum())

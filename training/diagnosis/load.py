@@ -1,0 +1,210 @@
+r"""An unlogged load: an effect whose windows are latent.
+
+A load or a bleed that no channel records is on (w = 1) or off in every block of about two seconds;
+while it is on, every output is shifted by a_c. For given windows the shifts are linear, as those
+of any other effect; for given shifts the windows of a flight are the best path of
+
+    sum_t w_t l_t / 2 - log(n) / 2 (number of switches)
+
+with l_t = sum_c (2 e_c a_c - a_c^2) / (tau V_c), e what the nuisances leave and
+n = |e|^2 / (tau V) the effective samples of a flight, by Viterbi's recursion: a switch costs what
+one parameter does by Schwarz's criterion. Both in turn, from several first guesses. Every switch
+counts as a parameter where probabilities are made of it. Engines of one flight may be loaded
+together: then their windows are one path, of which a switch counts once; what leaves less is found.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from math import log
+from typing import Final
+
+import numpy as np
+from numba import njit
+
+from narxcal.effects.library import LIBRARY
+from narxcal.effects.memory import Lag
+from narxcal.effects.running import with_load
+from narxcal.effects.steady import FOLLOW_S, UnloggedSwitch
+from narxcal.support.arrays import BoolArray, FloatArray
+from training.diagnosis.dictionary import Node
+from training.diagnosis.fit import Frame, Single, solve
+from training.diagnosis.metric import TOLERANCE
+
+_BLOCK_S: Final = 2.0  # about what an engine takes to follow, twice
+_ROUNDS: Final = 6
+_MOST: Final = 0.9  # of a flight: a load that is always on is a difference of build
+
+
+def found(frame: Frame) -> list[Single]:
+    """The likeliest windows of an unlogged load in a gap, fitted as any effect; empty without any.
+
+    The windows are in `node.on` (flights, time).
+    """
+    alone = tuple(range(len(frame.record.gap)))
+    fits = [
+        (blocks.price(one), one)
+        for groups in dict.fromkeys((alone, frame.record.group or alone))
+        for blocks in (_Blocks(frame, groups),)
+        for one in blocks.fits()
+    ]
+    return [min(fits, key=lambda pair: pair[0])[1]] if fits else []
+
+
+def windows_of(frame: Frame, shift: FloatArray) -> BoolArray:
+    """Where (flights, time) a load of known `shift` (outputs,) is on in a gap."""
+    blocks = _Blocks(frame, tuple(range(len(frame.record.gap))))
+    return blocks.spread(blocks.climb(shift, known=True))
+
+
+def _penalty(frame: Frame) -> float:
+    """Log likelihood that a switch costs: half the log of the effective samples of a flight."""
+    effective = float(frame.none.rss.sum()) / frame.none.tau / len(frame.record.gap)
+    return 0.5 * log(max(effective, 2.0))
+
+
+class _Blocks:
+    """What the nuisances leave of a gap, (flights, blocks, outputs), and its weights.
+
+    Flights of one number in `groups` (flights,) share their windows.
+    """
+
+    def __init__(self, frame: Frame, groups: tuple[int, ...]) -> None:
+        record = frame.record
+        self._frame, self._groups = frame, np.array(groups)
+        self._size = max(1, round(_BLOCK_S / record.flights.signals.dt_s))
+        self._steps = record.gap.shape[1]
+        variance = record.noise**2 + (TOLERANCE * record.span) ** 2
+        self._starts = np.arange(0, self._steps, self._size)
+        self._weight = self._sums(record.known.astype(float)) / variance
+        self._known, self._tau = record.known, frame.none.tau
+        self._switch = _penalty(frame)
+        self.left = self._means(frame.cleaned(frame.none))
+
+    def _sums(self, v: FloatArray) -> FloatArray:
+        return np.asarray(np.add.reduceat(v, self._starts, axis=1))
+
+    def _means(self, v: FloatArray) -> FloatArray:
+        count = self._sums(self._known.astype(float))
+        return self._sums(np.where(self._known, v, 0.0)) / np.maximum(count, 1.0)
+
+    def fits(self) -> list[Single]:
+        """A load in the windows that every first guess leads to, and in what is between them.
+
+        A flight's offset makes one of the other: of a load that is off in windows, with the other
+        sign.
+        """
+        found = [on for on in map(self.climb, self.guesses()) if on.any()]
+        found += [~on & on.any(axis=1, keepdims=True) for on in found]
+        tried = {on.tobytes(): on for on in found if on.any()}
+        return [self._again(self._fitted_in(on)) for on in tried.values()]
+
+    def _again(self, one: Single) -> Single:
+        """The same by shifts, nuisances and misfit of the joint fit, as long as it leaves less."""
+        for _ in range(_ROUNDS):
+            left = self._means(self._frame.cleaned(one.solved))
+            on = self._best(left, one.theta, one.solved.tau)
+            if not on.any():
+                return one
+            other = self._fitted_in(on)
+            if self.price(other) >= self.price(one):
+                return one
+            one = other
+        return one
+
+    def _fitted_in(self, on: BoolArray) -> Single:
+        """The load in windows by blocks, fitted with the nuisances."""
+        own = [np.flatnonzero(self._groups == g)[0] for g in np.unique(self._groups)]
+        switches = int(np.abs(np.diff(on[own].astype(int), axis=1)).sum() + on[own, 0].sum())
+        return _fitted(self._frame, self.spread(on), switches)
+
+    def spread(self, on: BoolArray) -> BoolArray:
+        """Windows (flights, time) of windows by blocks."""
+        return np.asarray(np.repeat(on, self._size, axis=1)[:, : self._steps])
+
+    def guesses(self) -> list[FloatArray]:
+        """First guesses of the shifts: outputs alone and their main direction, of either sign."""
+        level = np.median(self.left, axis=1, keepdims=True)
+        scaled = (self.left - level) * np.sqrt(self._weight)
+        rows = scaled.reshape(-1, scaled.shape[-1])
+        size = np.sqrt(np.mean(rows**2, axis=0)) / np.maximum(
+            np.sqrt(self._weight.mean(axis=(0, 1))), 1e-12
+        )
+        _, _, directions = np.linalg.svd(rows, full_matrices=False)
+        shapes = [*np.eye(len(size)), np.sign(directions[0]) * (np.abs(directions[0]) > 0.2)]
+        return [sign * 2.0 * size * shape for sign, shape in product((1.0, -1.0), shapes)]
+
+    def climb(self, shift: FloatArray, *, known: bool = False) -> BoolArray:
+        """Windows (flights, blocks) and shifts in turn, from a guess of the shifts, or `known`."""
+        level = np.median(self.left, axis=1, keepdims=True)
+        on = np.zeros(self.left.shape[:2], dtype=np.bool_)
+        for _ in range(_ROUNDS):
+            new = self._best(self.left - level, shift, self._tau)
+            if (new == on).all() or not new.any():
+                return new
+            on = new
+            level, fitted = self._sizes(on)
+            shift = shift if known else fitted
+        return on
+
+    def _sizes(self, on: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Levels of the flights and common shifts that fit the windows best."""
+        w, e = self._weight, self.left
+        off, inside = w * ~on[..., None], w * on[..., None]
+        n, m = off.sum(axis=1), inside.sum(axis=1)
+        level = (off * e).sum(axis=1) / np.maximum(n, 1e-12)
+        over = (inside * e).sum(axis=1) / np.maximum(m, 1e-12) - level
+        both = n * m / np.maximum(n + m, 1e-12)
+        shift = (both * over).sum(axis=0) / np.maximum(both.sum(axis=0), 1e-12)
+        return level[:, None], shift
+
+    def _best(self, left: FloatArray, shift: FloatArray, tau: float) -> BoolArray:
+        gain = (self._weight * (2.0 * left - shift) * shift).sum(axis=-1)
+        for g in np.unique(self._groups):
+            gain[self._groups == g] = gain[self._groups == g].sum(axis=0)
+        on = np.stack([_viterbi(0.5 / tau * row, self._switch) for row in gain])
+        on[on.mean(axis=1) > _MOST] = False
+        return on
+
+    def price(self, one: Single) -> float:
+        """What is left of the gap, with the penalty of the switches."""
+        return one.solved.cost + 2.0 * one.solved.tau * self._switch * one.node.switches
+
+
+@njit(cache=True)
+def _viterbi(gain: FloatArray, penalty: float) -> BoolArray:
+    """The path of zeros and ones with the most `gain` where it is one, less `penalty` a switch."""
+    n = len(gain)
+    came = np.zeros((n, 2), dtype=np.int64)
+    off, on = 0.0, -penalty
+    for t in range(n):
+        if t > 0:
+            came[t, 0] = 1 if on - penalty > off else 0
+            came[t, 1] = 0 if off - penalty > on else 1
+            off, on = max(off, on - penalty), max(on, off - penalty)
+        on += gain[t]
+    path = np.zeros(n, dtype=np.bool_)
+    state = 1 if on > off else 0
+    for t in range(n - 1, -1, -1):
+        path[t] = state == 1
+        state = came[t, state]
+    return path
+
+
+def _fitted(frame: Frame, on: BoolArray, switches: int) -> Single:
+    """The load in given windows (flights, time), fitted with the nuisances."""
+    flights = frame.record.flights
+    signals = flights.signals
+    effect = LIBRARY[UnloggedSwitch.id]()
+    parameters = tuple(
+        p for p in effect.parameters(with_load(flights, on.astype(float)).signals) if p.linear
+    )
+    rows = np.zeros((1 + len(parameters), *flights.y.shape), dtype=np.float32)
+    follows = Lag(np.full(len(on), FOLLOW_S), signals.dt_s)(on.astype(float))
+    for k in range(len(parameters)):
+        rows[1 + k, ..., k] = follows
+    box = np.array([(p.low, p.high) for p in parameters])
+    zero, free = np.zeros(len(parameters)), tuple(range(len(parameters)))
+    node = Node(effect, parameters, zero, free, rows, box, on, switches)
+    columns = frame.columns(node)
+    return Single(node, columns, solve(frame.grams, columns, begin=frame.none.tau))

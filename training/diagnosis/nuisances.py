@@ -1,0 +1,151 @@
+"""What two builds and two flights of one engine differ in, as Gaussian columns beside any effect.
+
+| column | one standard deviation of its prior |
+|---|---|
+| steady maps, {1, p - 1/2, (p - 1/2)^2 - 1/12} of power p | {s, s, 2 s} of the level |
+| offset of a flight and channel | 0.3 s of the level |
+| hidden thermal start, exp(-t / 30 s), exp(-t / 120 s) | 1 % of the temperature's level |
+| small dynamics: tolerances of linkages, valves, probes | as in `_small` |
+
+s is the scatter of new engines: N1 0.4 %, N2 0.15 %, EGT 1 % in kelvin, fuel flow 2 % (FACTS A5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from narxcal.effects.base import Effect, Parameter, Signals
+from narxcal.effects.library import LIBRARY
+from narxcal.effects.running import Emulator, Flights, respond
+from narxcal.support.arrays import FloatArray
+from training.diagnosis.metric import Record
+
+BUILD, OFFSET, START, SMALL = "build", "offset", "start", "small"
+_LEVEL_PCT: Final = {"N1_pct": 0.4, "N2_pct": 0.15, "EGT_C": 1.0, "FF_kgph": 2.0}
+_OTHER_PCT: Final = 1.0
+_OF_FLIGHT: Final = 0.3
+_STARTS_S: Final = (30.0, 120.0)
+_START_PCT: Final = 1.0
+_LIMIT, _SMALL_LIMIT = 3.0, 2.0
+_FREEZING_K: Final = 273.15
+_LEVER_DEG: Final = 85.0
+_PROBE: Final = 0.03  # of its own lag
+
+
+@dataclass(frozen=True, eq=False)
+class Nuisances:
+    """Columns (k, flights, time, outputs), each of one standard deviation of its prior.
+
+    `kind` says what each is, `effect` the name of the effect that it is a small size of, or "".
+    `limit` (k,) is how many standard deviations it may be off.
+    """
+
+    columns: FloatArray
+    kind: tuple[str, ...]
+    effect: tuple[str, ...]
+    limit: FloatArray
+
+
+def nuisances(record: Record, emulator: Emulator | None, probe_s: float) -> Nuisances:
+    """Assumed nuisances of flights of which nothing was learned.
+
+    `probe_s` is the lag of the hot probe.
+    """
+    level = levels(record.flights)
+    steady = _maps(record, level)
+    offsets = _offsets(record, level)
+    starts = _starts(record, level)
+    small = _small(record.flights, emulator, probe_s)
+    kinds = (BUILD,) * len(steady) + (OFFSET,) * len(offsets) + (START,) * len(starts)
+    names = ("",) * len(kinds) + tuple(name for name, _ in small)
+    columns = np.concatenate([steady, offsets, starts, *(each[None] for _, each in small)])
+    limit = np.full(len(columns), _LIMIT)
+    limit[len(kinds) :] = _SMALL_LIMIT
+    return Nuisances(columns, kinds + (SMALL,) * len(small), names, limit)
+
+
+def levels(flights: Flights) -> FloatArray:
+    """RMS level of each output (outputs,), temperatures in kelvin."""
+    inside = np.arange(flights.y.shape[1]) < flights.lengths[:, None]
+    zero = [_FREEZING_K if name.endswith("_C") else 0.0 for name in flights.signals.outputs]
+    return np.asarray(np.sqrt(np.mean((flights.y[inside] + zero) ** 2, axis=0)))
+
+
+def _share(name: str) -> float:
+    return _LEVEL_PCT.get(name, _OTHER_PCT) / 100.0
+
+
+def _maps(record: Record, level: FloatArray) -> FloatArray:
+    y, outputs = record.flights.y, record.flights.signals.outputs
+    p = record.flights.signals.power(y)
+    shapes = np.stack([np.ones_like(p), p - 0.5, 2.0 * ((p - 0.5) ** 2 - 1.0 / 12.0)])
+    found = np.zeros((3 * len(outputs), *y.shape))
+    for c, name in enumerate(outputs):
+        found[3 * c : 3 * c + 3, ..., c] = _share(name) * level[c] * shapes
+    return found
+
+
+def _offsets(record: Record, level: FloatArray) -> FloatArray:
+    flights, outputs = record.flights, record.flights.signals.outputs
+    found = np.zeros((len(flights.y) * len(outputs), *flights.y.shape))
+    for k in range(len(found)):
+        f, c = divmod(k, len(outputs))
+        found[k, f, :, c] = _OF_FLIGHT * _share(outputs[c]) * level[c]
+    return found
+
+
+def _starts(record: Record, level: FloatArray) -> FloatArray:
+    flights, hot = record.flights, record.flights.signals.hot
+    time_s = np.arange(flights.y.shape[1]) * flights.signals.dt_s
+    found = np.zeros((len(flights.y) * len(_STARTS_S), *flights.y.shape))
+    for k in range(len(found)):
+        f, j = divmod(k, len(_STARTS_S))
+        found[k, f, :, hot] = 0.01 * _START_PCT * level[hot] * np.exp(-time_s / _STARTS_S[j])
+    return found
+
+
+def _small(
+    flights: Flights, emulator: Emulator | None, probe_s: float
+) -> list[tuple[str, FloatArray]]:
+    """Responses to effects of one standard deviation of what builds and linkages differ by."""
+    signals = flights.signals
+    lever = signals.lever[1] - signals.lever[0]
+    sizes: dict[str, dict[str, float]] = {
+        "throttle_backlash": {"width_deg": 0.15 * lever / _LEVER_DEG},
+        "actuator_lag": {"tau_s": 0.015},
+        "sensor_lag:EGT_C": {"tau_s": _PROBE * probe_s, "own_s": 0.0},
+        "spool_lag": {"factor": 1.01},
+        "spool_coupling": {"factor": 1.01},
+        "accel_decel_asymmetry": {"ratio": 1.01},
+        "accel_limit": {"share": 0.96},
+    }
+    found: list[tuple[str, FloatArray]] = []
+    if emulator is None:
+        return found
+    for name, given in sizes.items():
+        kind, _, channel = name.partition(":")
+        effect = LIBRARY[kind](channel or None)
+        if effect.applies(signals) and (kind != "throttle_backlash" or signals.governed):
+            found.append((name, _response(effect, given, flights, emulator)))
+    soak = LIBRARY["heat_soak"]()
+    for p in soak.parameters(signals):
+        if p.linear:
+            given = {"tau_s": 40.0, "rise_s": 1.0, p.name: 0.015}
+            found.append(("heat_soak", _response(soak, given, flights, emulator)))
+    return [(name, each) for name, each in found if np.isfinite(each).all() and each.any()]
+
+
+def theta_of(parameters: tuple[Parameter, ...], given: dict[str, float]) -> FloatArray:
+    """Parameters as an array, neutral where they are not given."""
+    return np.array([given.get(p.name, p.neutral) for p in parameters])
+
+
+def _response(
+    effect: Effect, given: dict[str, float], flights: Flights, emulator: Emulator | None
+) -> FloatArray:
+    signals: Signals = flights.signals
+    theta = theta_of(effect.parameters(signals), given)
+    return np.asarray(respond([(effect, theta[None])], flights, emulator)[0] - flights.y)

@@ -1,0 +1,264 @@
+"""Which effects act, how much of the gap each takes, and what is left: from record to budget."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from narxcal.effects.library import LIBRARY, hypotheses
+from narxcal.effects.running import Emulator
+from narxcal.support.arrays import FloatArray
+from training.diagnosis import load as unlogged
+from training.diagnosis.budget import (
+    Budget,
+    Interval,
+    Phases,
+    Verdict,
+    Weighed,
+    causes_of,
+    credible,
+    gap_share,
+)
+from training.diagnosis.dictionary import Dictionary
+from training.diagnosis.discrepancy import Discrepancy
+from training.diagnosis.fit import Frame, Single, no_columns, solve
+from training.diagnosis.joint import Joint, by_others, interval, together
+from training.diagnosis.layers import PER_PARAMETER, Layer, Setting, candidate, further
+from training.diagnosis.metric import Metric, Record, assumed_variance
+from training.diagnosis.nuisances import nuisances
+from training.diagnosis.odds import Odds, features, stored_odds
+
+_SURE: Final = 0.5  # probability below which the first effect is not named alone
+_NOTHING: Final = 0.03  # of the noise's energy: less is no gap
+_NAMEABLE: Final = 8.0**0.5  # standard errors of a size that could be named
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Everything that probabilities are made of: single fits, layers, and their features."""
+
+    frame: Frame
+    singles: tuple[Single, ...]
+    effects: FloatArray
+    case: FloatArray
+    setting: Setting
+
+    @property
+    def energy(self) -> float:
+        """Energy of the gap beside nuisances."""
+        return self.frame.energy(self.frame.none)
+
+
+class Engines(NamedTuple):
+    """What answers for the simulator: an emulator, and itself where it can be run again."""
+
+    emulator: Emulator | None
+    itself: Emulator | None = None
+
+
+def weigh(
+    record: Record,
+    engines: Engines,
+    learned: Discrepancy | None = None,
+    odds: Odds | None = None,
+    probe_s: float = 1.0,
+) -> Evidence:
+    """Fit every effect by itself, beside what builds and flights differ by, or what was learned."""
+    flights = record.flights
+    dictionary = Dictionary(hypotheses(flights.signals), flights, *engines)
+    if learned is None:
+        noise, variance = nuisances(record, engines.emulator, probe_s), assumed_variance(record)
+    else:
+        noise, variance = learned.nuisances(record), learned.variance(record)
+    metric = Metric(record, variance)
+    frame = Frame(record, metric, record.gap, noise, assumed=learned is None)
+    singles = [frame.refined(frame.fit(nodes), dictionary) for nodes in dictionary.nodes.values()]
+    singles += unlogged.found(frame)
+    setting = Setting(record, variance, noise, dictionary, odds or stored_odds(), learned)
+    return Evidence(frame, tuple(singles), *features(frame, singles), setting)
+
+
+def diagnose(
+    record: Record,
+    engines: Engines,
+    phases: Phases,
+    learned: Discrepancy | None = None,
+    odds: Odds | None = None,
+) -> Budget:
+    """Say which effects act in recorded flights, and what share of the gap each cause takes.
+
+    `learned` is what the simulator gets wrong by itself, where that is known.
+    """
+    return concluded(weigh(record, engines, learned, odds), phases)
+
+
+def concluded(evidence: Evidence, phases: Phases) -> Budget:
+    """The budget that follows from the evidence."""
+    frame, record = evidence.frame, evidence.setting.record
+    if evidence.setting.learned is None:
+        known, none, unknown, layers = _assumed(evidence)
+        verdict = _verdict(known, none, unknown, layers)
+    else:
+        known, none, layers = _learned(evidence)
+        unknown, verdict = 0.0, _found(layers)
+    claimed = [one.single for one in layers if one.name in verdict.effects]
+    joint = together(frame, claimed)
+    # A load may be found only as a further effect: then no single fit of it is there.
+    alone = {one.name for one in evidence.singles}
+    second = [one for one in layers if one.single in claimed and one.name not in alone]
+    singles = [*evidence.singles, *(frame.fit([one.single.node]) for one in second)]
+    places = [one for one in layers if one.single in claimed and one.chances]
+    known |= {o.name: max(known.get(o.name, 0.0), float(np.exp(o.chances[0][1]))) for o in places}
+    return Budget(
+        verdict,
+        causes_of(record, [n.name for n in joint.nodes], joint.components(), phases, known),
+        _weighed(evidence, singles, joint, known),
+        none,
+        unknown,
+        gap_share(record),
+        _facts(evidence, layers),
+        by_others(joint),
+        next((one.node.on for one in claimed if one.node.on is not None), None),
+    )
+
+
+def _assumed(evidence: Evidence) -> tuple[dict[str, float], float, float, list[Layer]]:
+    """Probabilities of effects, none and unknown by the logit; layers on the likeliest.
+
+    No layers where none and unknown together are likelier.
+    """
+    names, setting = [one.name for one in evidence.singles], evidence.setting
+    chances = setting.odds.first(names, evidence.effects, evidence.case)
+    if evidence.energy < _NOTHING * evidence.frame.floor:
+        chances = np.full_like(chances, -np.inf)
+        chances[-2] = 0.0
+    known = dict(zip(names, np.exp(chances[:-2]).tolist(), strict=True))
+    none, unknown = np.exp(chances[-2:]).tolist()
+    best = evidence.singles[int(np.argmax(chances[:-2]))]
+    if known[best.name] <= none + unknown:
+        return known, none, unknown, []
+    first = Layer(best, (), float(chances[-2]), 0.0)
+    known[best.name] = setting.odds.sure(known[best.name])
+    return known, none, unknown, further(setting, first, evidence.energy)
+
+
+def _learned(evidence: Evidence) -> tuple[dict[str, float], float, list[Layer]]:
+    """Layers by evidence; an effect's probability is that of its place, against none."""
+    layers = further(evidence.setting, None, evidence.energy)
+    more = candidate(evidence.setting, layers, evidence.energy)
+    known = {one.name: 0.0 for one in evidence.singles}
+    none = 0.0
+    for place in (*layers, *(() if more is None else (more,))):
+        none += place.none
+        for name, chance in place.chances:
+            known[name] = max(known.get(name, 0.0), float(np.exp(chance)))
+    return known, float(np.exp(none)), layers
+
+
+def _found(layers: Sequence[Layer]) -> Verdict:
+    """Every layer is named; what is nearly as likely in a layer's place is named with it."""
+    if not layers:
+        return Verdict(
+            "none", (), (), "nothing acts beyond what this simulator gets wrong by itself"
+        )
+    effects = tuple(one.name for one in layers)
+    near = 0.5 * PER_PARAMETER
+    confusable = [n for one in layers for n, p in one.chances if p > one.chances[0][1] - near]
+    alike = tuple(dict.fromkeys(name for name in confusable if name not in effects))
+    manoeuvre = LIBRARY[effects[0].partition(":")[0]].manoeuvre
+    return Verdict("ambiguous" if alike else "effects", effects, alike, "", manoeuvre)
+
+
+def _verdict(
+    known: dict[str, float], none: float, unknown: float, layers: Sequence[Layer]
+) -> Verdict:
+    """The most probable answer; a set where the first effect is not likelier than the others."""
+    if not layers:
+        if none >= unknown:
+            return Verdict("none", (), (), "nothing acts beyond what builds and flights differ by")
+        return Verdict("unknown", (), (), "something acts that no effect of the library explains")
+    effects = tuple(one.name for one in layers)
+    first = effects[0]
+    confusable = credible(known, first)
+    confusable = tuple(name for name in confusable if name not in effects)
+    manoeuvre = LIBRARY[first.partition(":")[0]].manoeuvre
+    if known[first] < _SURE and confusable:
+        return Verdict(
+            "ambiguous", effects, confusable, "several effects explain the gap", manoeuvre
+        )
+    return Verdict("effects", effects, (), "", manoeuvre)
+
+
+def _weighed(
+    evidence: Evidence, singles: Sequence[Single], joint: Joint, known: dict[str, float]
+) -> tuple[Weighed, ...]:
+    """Every effect; claimed ones by their joint fit, the others by their own."""
+    claimed = {node.name: k for k, node in enumerate(joint.nodes)}
+    rows = [_one(evidence, single, joint, claimed, known[single.name]) for single in singles]
+    names = tuple(claimed)
+    place = {name: k for k, name in enumerate(names)}
+    return tuple(sorted(rows, key=lambda row: (place.get(row.name, len(names)), -row.probability)))
+
+
+def _one(
+    evidence: Evidence, single: Single, joint: Joint, claimed: dict[str, int], chance: float
+) -> Weighed:
+    frame, grams = evidence.frame, evidence.frame.grams
+    before, name = frame.none.rss, single.name
+    units = len(before)
+    noise = grams.floor
+    held = [solve(grams, single.columns, u).rss[u] for u in range(units)] if units > 1 else []
+    none = [solve(grams, no_columns(grams), u).rss[u] for u in range(units)] if units > 1 else []
+    flights = tuple(
+        float((n - h) / max(n - f, 1e-9)) for n, h, f in zip(none, held, noise, strict=False)
+    )
+    gain = 1.0 - frame.energy(single.solved) / evidence.energy
+    if name in claimed:
+        k = claimed[name]
+        node, theta, spread = joint.nodes[k], joint.theta[k], joint.spread[k]
+    else:
+        node, theta = single.node, single.theta
+        spread = np.zeros(len(theta))
+        spread[list(node.free)] = np.sqrt(np.maximum(np.diag(single.solved.covariance), 0.0))
+    parameters = {
+        p.name: Interval(*interval(float(v), float(s), p.low, p.high))
+        for p, v, s in zip(node.parameters, theta, spread, strict=True)
+    }
+    return Weighed(
+        name,
+        chance,
+        parameters,
+        {p.name: p.unit for p in node.parameters},
+        float(gain),
+        flights,
+        None if name in claimed else _NAMEABLE * float(spread[0]),
+        (),
+        tuple(
+            f"{name}.{p.name}"
+            for p, v in zip(node.parameters, theta, strict=True)
+            if v in (p.low, p.high) and v != p.neutral
+        ),
+        tuple(other for other in claimed if other != name) if name in claimed else (),
+    )
+
+
+def _facts(evidence: Evidence, layers: Sequence[Layer]) -> dict[str, Any]:
+    names = [one.name for one in evidence.singles]
+    more = candidate(evidence.setting, layers, evidence.energy) if layers else None
+    rows = [(one.name, one.odds, one.share) for one in layers if one.chances]
+    return {
+        "features": {n: row.tolist() for n, row in zip(names, evidence.effects, strict=True)},
+        "case_features": evidence.case.tolist(),
+        "layers": rows,
+        "next": None if more is None else (more.name, more.odds, more.share),
+        "temper": evidence.frame.none.tau,
+        "nuisances": dict(_sizes(evidence.frame)),
+    }
+
+
+def _sizes(frame: Frame) -> list[tuple[str, float]]:
+    kinds, nu = np.array(frame.nuisances.kind), frame.none.nu
+    return [(k, float(np.abs(nu[kinds == k]).max())) for k in dict.fromkeys(kinds.tolist())]

@@ -1,1 +1,0 @@
-"""Which unmodelled effect causes the gap between simulation and flight."""
