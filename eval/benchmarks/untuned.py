@@ -21,9 +21,9 @@ import numpy as np
 import pandas as pd
 
 from eval.benchmarks import Row
+from eval.diagnosis.blind.lumped import LumpedEngine
 from eval.evaluate import Evaluation, evaluate
 from eval.free_run import ARX, FIRST_ORDER
-from eval.diagnosis.blind.lumped import LumpedEngine
 from narxcal.channels import channel
 from narxcal.flight_test.fly import fly
 from narxcal.flight_test.pilot import SIDES
