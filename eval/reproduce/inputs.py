@@ -12,7 +12,7 @@ nothing measured but the start.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -41,17 +41,31 @@ CRITERION = 5.0  # mean square error in %^2, section 3.1
 
 @dataclass(frozen=True, eq=False)
 class Variant:
-    """One of the four: its training data, its inputs, and its free runs on the tests.
+    """One network: what it was fed and learned from, and its free runs (time,) per test log.
 
-    `runs` are `(time,)` per test log; `mse` is per test log and `pooled` over all of them.
+    `mse` is per test log; `pooled` (mean square error) and `max_rel_pct` are over all of them.
     """
 
     name: str
-    trained_on: tuple[Log, ...]
-    inputs: tuple[str, ...]
+    fed: tuple[str, ...]
     runs: tuple[FloatArray, ...]
     mse: tuple[float, ...]
     pooled: float
+    max_rel_pct: float
+    trained_on: tuple[Log, ...] = ()
+
+    @classmethod
+    def of(
+        cls, name: str, fed: Sequence[str], output: str, tests: Sequence[Log],
+        runs: Sequence[FloatArray],
+    ) -> Variant:  # fmt: skip
+        """Judge free runs of `output` over the test logs."""
+        measured = [log[output][:, None] for log in tests]
+        own = [run[:, None] for run in runs]
+        single = [float(rmse(a, b)[0] ** 2) for a, b in zip(measured, own, strict=True)]
+        every = np.concatenate(measured), np.concatenate(own)
+        pooled, worst = float(rmse(*every)[0] ** 2), float(max_relative_percent(*every)[0])
+        return cls(name, tuple(fed), tuple(runs), tuple(single), pooled, worst)
 
 
 def inputs(data: DataSets, effort: Effort) -> Study:
@@ -107,26 +121,17 @@ def _judged(
     output: str,
 ) -> Variant:
     name, logs, chosen = plan
-    lags = model.config.lags
-    start = [_start(log[output], lags) for log in tests]
     runs = [
-        model.simulate(log.matrix(chosen), first)[:, 0]
-        for log, first in zip(tests, start, strict=True)
+        model.simulate(log.matrix(chosen), _start(log[output], model.config.lags))[:, 0]
+        for log in tests
     ]
-    measured = [log[output] for log in tests]
-    single = [_mse(truth, run) for truth, run in zip(measured, runs, strict=True)]
-    pooled = _mse(np.concatenate(measured), np.concatenate(runs))
-    return Variant(name, logs, chosen, tuple(runs), tuple(single), pooled)
+    return replace(Variant.of(name, chosen, output, tests, runs), trained_on=logs)
 
 
 def _start(measured: FloatArray, lags: int) -> FloatArray:
     """The first samples (lags, 1), a masked one replaced by the first known."""
     first = measured[np.isfinite(measured)][:1]
     return np.where(np.isfinite(measured[:lags]), measured[:lags], first)[:, None]
-
-
-def _mse(measured: FloatArray, model: FloatArray) -> float:
-    return float(rmse(measured[:, None], model[:, None])[0] ** 2)
 
 
 def _criterion(one: Variant, output: str) -> Claim:
@@ -149,7 +154,7 @@ def _table(data: DataSets, found: Sequence[Variant], output: str) -> Table:
     rows = [
         (
             one.name,
-            ", ".join(symbol(name) for name in one.inputs),
+            ", ".join(symbol(name) for name in one.fed),
             data.labels(one.trained_on),
             *(figure(value, "good" if value < CRITERION else "bad") for value in one.mse),
             figure(one.pooled, "good" if one.pooled < CRITERION else "bad"),
@@ -176,7 +181,7 @@ def _row(data: DataSets, one: Variant) -> dict[str, Any]:
     tests = [data.number(log.name) for log in data.split.test]
     return {
         "variant": one.name,
-        "inputs": list(one.inputs),
+        "inputs": list(one.fed),
         "trained_on": [data.number(log.name) for log in one.trained_on],
         "mse": {str(number): value for number, value in zip(tests, one.mse, strict=True)},
         "pooled_mse": one.pooled,
@@ -184,17 +189,6 @@ def _row(data: DataSets, one: Variant) -> dict[str, Any]:
 
 
 LIMIT_PCT = 5.0
-
-
-@dataclass(frozen=True, eq=False)
-class Fed:
-    """One variant: the deviations fed as measured, and N1 in free run per test log."""
-
-    name: str
-    measured: tuple[str, ...]
-    runs: tuple[FloatArray, ...]
-    max_rel_pct: float
-    rmse: float
 
 
 def deviations(data: DataSets, bundle: Bundle, effort: Effort) -> Study:
@@ -227,7 +221,7 @@ def deviations(data: DataSets, bundle: Bundle, effort: Effort) -> Study:
     )
 
 
-def fed_variants(data: DataSets, bundle: Bundle, effort: Effort) -> list[Fed]:
+def fed_variants(data: DataSets, bundle: Bundle, effort: Effort) -> list[Variant]:
     """Own past alone; with the temperature's deviation; with all; and the calibration itself."""
     outputs = data.config.narx.outputs
     config, steady = within(data.config, effort), bundle.calibration.steady
@@ -244,15 +238,13 @@ def fed_variants(data: DataSets, bundle: Bundle, effort: Effort) -> list[Fed]:
     ]
     models = fit_all(tasks, config, effort.jobs)
     fed = [
-        _judged_deviation(
-            tests,
-            outputs[0],
-            (_name(outputs, plan), plan),
+        Variant.of(
+            _name(outputs, plan), plan, outputs[0], tests,
             _runs(tests, steady, config, (model, plan)),
         )
         for model, plan in zip(models, plans, strict=True)
-    ]
-    own = _judged_deviation(tests, outputs[0], (_own_name(outputs), ()), _own_runs(tests, bundle))
+    ]  # fmt: skip
+    own = Variant.of(_own_name(outputs), (), outputs[0], tests, _own_runs(tests, bundle))
     return [*fed, own]
 
 
@@ -309,24 +301,6 @@ def _own_runs(tests: Sequence[Log], bundle: Bundle) -> list[FloatArray]:
     return runs
 
 
-def _judged_deviation(
-    tests: Sequence[Log],
-    output: str,
-    what: tuple[str, Sequence[str]],
-    runs: Sequence[FloatArray],
-) -> Fed:
-    name, measured = what
-    truth = np.concatenate([log[output] for log in tests])[:, None]
-    model = np.concatenate(runs)[:, None]
-    return Fed(
-        name,
-        tuple(measured),
-        tuple(runs),
-        float(max_relative_percent(truth, model)[0]),
-        float(rmse(truth, model)[0]),
-    )
-
-
 def _name(outputs: Sequence[str], measured: Sequence[str]) -> str:
     fed = ", ".join(f"Δ{symbol(name)}" for name in (outputs[0], *measured))
     return f"{fed} → Δ{symbol(outputs[0])}"
@@ -337,13 +311,13 @@ def _own_name(outputs: Sequence[str]) -> str:
     return f"{every} → all of them, simulated"
 
 
-def _deviation_table(found: Sequence[Fed], output: str) -> Table:
+def _deviation_table(found: Sequence[Variant], output: str) -> Table:
     rows = [
         (
             one.name,
-            ", ".join(symbol(name) for name in one.measured) or "nothing",
+            ", ".join(symbol(name) for name in one.fed) or "nothing",
             figure(one.max_rel_pct, "good" if one.max_rel_pct < LIMIT_PCT else "bad"),
-            one.rmse,
+            one.pooled**0.5,
         )
         for one in found
     ]
@@ -351,10 +325,10 @@ def _deviation_table(found: Sequence[Fed], output: str) -> Table:
     return table_of(f"{symbol(output)} in free run over the test data sets", head, rows)
 
 
-def _deviation_row(one: Fed) -> dict[str, Any]:
+def _deviation_row(one: Variant) -> dict[str, Any]:
     return {
         "variant": one.name,
-        "measured": list(one.measured),
+        "measured": list(one.fed),
         "max_rel_pct": one.max_rel_pct,
-        "rmse": one.rmse,
+        "rmse": one.pooled**0.5,
     }

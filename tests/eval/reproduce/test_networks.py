@@ -64,7 +64,7 @@ def test_the_four_variants_are_scored_as_a_loop_would(data, effort):
         "multiple data, single input", "multiple data, multiple input",
     ]  # fmt: skip
     assert [len(one.trained_on) for one in four] == [1, 1, 3, 3]
-    assert [len(one.inputs) for one in four] == [1, 4, 1, 4]
+    assert [len(one.fed) for one in four] == [1, 4, 1, 4]
     for one in four:
         total = 0.0
         for log, run in zip(data.split.test, one.runs, strict=True):
@@ -104,7 +104,7 @@ def test_measured_deviations_are_those_of_the_sample_before(data, bundle):
 @pytest.mark.slow
 def test_the_last_variant_is_the_calibration_itself(data, bundle, effort, found):
     *fed, own = fed_variants(data, bundle, effort)
-    assert [one.measured for one in fed] == [(), ("EGT_C",), ("N2_pct", "EGT_C")]
+    assert [one.fed for one in fed] == [(), ("EGT_C",), ("N2_pct", "EGT_C")]
     measured = data.split.test[0]["N1_pct"]
     worst = max(abs(m - t) / abs(t) for m, t in zip(own.runs[0], measured, strict=True))
     assert own.max_rel_pct == pytest.approx(100.0 * worst)
@@ -112,7 +112,7 @@ def test_the_last_variant_is_the_calibration_itself(data, bundle, effort, found)
     study = deviations(data, bundle, effort)
     assert study.claims[-1].value == pytest.approx(own.max_rel_pct)
     assert [row["rmse"] for row in study.results["variants"]] == [
-        pytest.approx(one.rmse) for one in (*fed, own)
+        pytest.approx(one.pooled**0.5) for one in (*fed, own)
     ]
 
 
