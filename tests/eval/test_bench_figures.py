@@ -48,21 +48,6 @@ def test_a_fast_run_holds_out_what_the_shipped_configuration_does(commands, caps
     assert capsys.readouterr().err == "agtf30: 0 s\n"
 
 
-@pytest.mark.parametrize(
-    ("part", "recordings", "evaluations"), [("jetcat", 2, 2), ("citation2", 2, 4), ("agtf30", 3, 3)]
-)
-def test_every_recording_is_held_out_once(commands, capsys, part, recordings, evaluations):
-    """And judged with `--trim` as well where the flights differ by offsets."""
-    assert figures.main(["--parts", part]) == 0
-    splits = [one[1:] for one in commands if one[0] == "train"]
-    assert len({test for _, test in splits}) == len(splits) == recordings
-    assert all(not set(train) & set(test) for train, test in splits)
-    assert all(len(train) + len(test) == recordings for train, test in splits)
-    assert len(commands) == recordings + evaluations
-    found = json.loads(capsys.readouterr().out)
-    assert sum(name.endswith("RMSE") for name in found) == evaluations
-
-
 def test_what_moved_by_more_than_one_percent_is_marked_and_a_speed_is_not(capsys):
     before = {"a": 1.0, "b": 2.0, "speed: c": 1.0, "passed": 0.0, "gone": 3.0}
     after = {"a": 1.009, "b": 2.1, "speed: c": 3.0, "passed": 1.0, "new": 4.0}
