@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
+from data_prep.identity import Identity
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 
@@ -146,6 +148,11 @@ class Log:
     def dt_s(self) -> float:
         """Sampling interval in seconds, from the whole span so that rounding does not show."""
         return float(self.time_s[-1] - self.time_s[0]) / (len(self.time_s) - 1)
+
+    @cached_property
+    def identity(self) -> Identity:
+        """What the samples of the log are recognised by, under any name."""
+        return Identity.of(self.time_s, self.channels)
 
     def recorded(self, names: Sequence[str]) -> tuple[str, ...]:
         """Return those of `names` of which the log has a sample."""

@@ -1,21 +1,7 @@
 """Compare models in free run on the same rows: errors, Ti/Tt, significant differences.
 
 `compare` takes any models as arrays; `compare_runs` makes these of run folders and their baselines.
-Significance is that of ln(RMSE_a / RMSE_b) per channel, by a bootstrap over events:
-
-| step | how |
-|---|---|
-| block | the rows from the start of one event to that of the next, or to the end of the log |
-| draw | as many blocks as there are, with replacement; RMSE of every model over the drawn rows |
-| t | ln ratio over its standard deviation, which is that of its linearisation in the blocks |
-| t of a draw | (its ln ratio - the one of all blocks) over its own standard deviation |
-| own p | share of draws whose t is at least that of the pair |
-| p | share of draws whose least own p over all pairs and channels is at most that of the pair |
-
-The least over all pairs and channels makes 5 % the probability of any false claim in the whole
-table (Westfall and Young, Resampling-Based Multiple Testing, 1993, single-step min p). Blocks are
-exchangeable within these logs alone: another flight differs by more than another event does, so
-that a significant difference is one on these logs.
+`eval.significance` says which differences are significant.
 """
 
 from __future__ import annotations
@@ -23,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,6 +20,7 @@ from eval.evaluate import run_config
 from eval.free_run import ARX, FIRST_ORDER, MODEL, STEADY_STATE, FreeRun, run_log
 from eval.report.tables import Cell, Table, figure, number
 from eval.scores import max_relative_percent, nrmse, rmse
+from eval.significance import LEVEL, Difference, differences
 from eval.transients import Assessment, Overlay, Tally, TransientsConfig, assess_events, tally
 from narxcal.calibration.bundle import Bundle
 from narxcal.support.arrays import BoolArray, FloatArray
@@ -43,19 +30,15 @@ from training.baselines import Baselines
 from training.masking import masked
 
 SCHEMA = "narxcal.compare/1"
-LEVEL = 0.05  # family-wise
-_DRAWS = 9999
-_FEWEST_BLOCKS = 10  # with fewer, the deviation over draws is itself uncertain by a quarter
-_EQUAL = 1e-9  # of the squared error: models that differ by rounding are one
 _NAMES = {STEADY_STATE: "steady state", FIRST_ORDER: "first-order lag", ARX: "ARX"}
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One log: measured (time, channel), the free run of every model, and where blocks begin.
+    """One log: measured (time, channel) and the free run of every model.
 
     A model gives NaN for a channel that it does not have. `scored` (time,) are the rows that count,
-    `events` those to judge Ti and Tt by.
+    `events` those to judge Ti and Tt by. Recordings of one `flight` are no independent evidence.
     """
 
     name: str
@@ -65,7 +48,7 @@ class Recording:
     outputs: Mapping[str, FloatArray]
     scored: BoolArray
     events: tuple[Event, ...] = ()
-    blocks: tuple[int, ...] = ()
+    flight: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,32 +70,19 @@ class Row:
         return {**vars(self), "ti_tt": None if self.ti_tt is None else self.ti_tt.row()}
 
 
-@dataclass(frozen=True)
-class Difference:
-    """A significant difference of two models in one channel; `ratio` of RMSE, better over worse.
-
-    `low` and `high` bound the ratio with 95 % probability for this pair alone; `p` is of the whole
-    table.
-    """
-
-    channel: str
-    better: str
-    worse: str
-    ratio: float
-    low: float
-    high: float
-    p: float
-
-
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """Rows of all models on the same rows of the same logs."""
 
     rows: tuple[Row, ...]
     recordings: tuple[Recording, ...]
-    significant: tuple[Difference, ...]
-    blocks: int
+    differences: tuple[Difference, ...]
     remarks: tuple[str, ...] = ()
+
+    @property
+    def significant(self) -> tuple[Difference, ...]:
+        """Those that may be claimed."""
+        return tuple(one for one in self.differences if one.significant)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -139,6 +109,8 @@ class Comparison:
                 text += f"; significantly more: {', '.join(run for run in known if run in worse)}"
             if close:
                 text += f"; not significantly different: {', '.join(close)}"
+                text += _power([one for one in self.differences
+                                if one.channel == name and one.better == best])  # fmt: skip
             lines.append(text)
         return lines
 
@@ -176,7 +148,7 @@ class Comparison:
             figure(coverage),
         )  # fmt: skip
 
-    def differences(self) -> Table:
+    def claims(self) -> Table:
         """Significant differences, with the interval of each pair alone."""
         head = ("channel", "less", "more", "RMSE less by [%]", "95 % from", "to", "p of the table")
         rows = tuple(
@@ -197,7 +169,8 @@ class Comparison:
             "schema": SCHEMA,
             "rows": [row.document() for row in self.rows],
             "significant": [asdict(one) for one in self.significant],
-            "bootstrap": {"blocks": self.blocks, "draws": _DRAWS, "family_wise": LEVEL},
+            "undecided": [asdict(one) for one in self.differences if not one.significant],
+            "family_wise": LEVEL,
             "summary": self.summary(),
             "remarks": list(self.remarks),
             "logs": {
@@ -209,6 +182,14 @@ class Comparison:
         return found
 
 
+def _power(open_: Sequence[Difference]) -> str:
+    """Which ratio would have been found, the least sensitive of the pairs."""
+    known = [one.detectable for one in open_ if not one.significant and one.detectable > 0.0]
+    if not known:
+        return " (too few units to tell)"
+    return f" (1 : {1.0 / min(known):.2g} would have been found in 8 of 10)"
+
+
 def _passed(found: Tally | None) -> str:
     return number(None) if found is None else f"{found.passed} of {found.assessed}"
 
@@ -216,7 +197,7 @@ def _passed(found: Tally | None) -> str:
 def compare(
     recordings: Sequence[Recording], rows: Sequence[Row], remarks: Sequence[str] = ()
 ) -> Comparison:
-    """Score every model of `rows` on the rows that all models share; blocks of all recordings.
+    """Score every model of `rows` on the rows that all models share.
 
     Rows of `Recording.scored` at which a model has no value in a channel that it has elsewhere are
     left out for all. Raises `DataError` where no row is left.
@@ -225,15 +206,20 @@ def compare(
     if not any(one.scored.any() for one in common):
         raise DataError("there is no row at which every model has a value: nothing to compare")
     scored = [replace(row, channels=_errors(common, row.run)) for row in rows]
-    sums = _sums(common, [row.run for row in rows])
-    texts = list(remarks)
-    if len(sums) < _FEWEST_BLOCKS:
-        texts.append(
-            f"{len(sums)} events are too few to say which differences are significant "
-            f"(at least {_FEWEST_BLOCKS})"
-        )
-    significant = significance(sums, [row.run for row in rows], common[0].channels)
-    return Comparison(tuple(scored), common, tuple(significant), len(sums), tuple(texts))
+    found = tuple(differences(common, [row.run for row in rows]))
+    return Comparison(tuple(scored), common, found, (*remarks, *_units(found)))
+
+
+def _units(found: Sequence[Difference]) -> list[str]:
+    """What the significance rests on."""
+    if not found:
+        return []
+    few, most = min(one.units for one in found), max(one.units for one in found)
+    count = f"{few}" if few == most else f"{few} to {most}"
+    if found[0].unit == "flights":
+        return [f"significance is of {count} flights as units"]
+    text = f"significance is of {count} stretches of one flight as units"
+    return [f"{text}, as long as errors are correlated: another flight may differ by more"]
 
 
 def _shared(one: Recording) -> Recording:
@@ -256,74 +242,6 @@ def _errors(recordings: Sequence[Recording], model: str) -> dict[str, dict[str, 
         for k, channel in enumerate(recordings[0].channels)
         if math.isfinite(columns["rmse"][k])
     }
-
-
-def _sums(recordings: Sequence[Recording], models: Sequence[str]) -> FloatArray:
-    """Sums of squared errors (blocks, models, channels) of blocks that have a scored sample."""
-    sums = []
-    for one in recordings:
-        edges = sorted({0, *one.blocks})
-        known = np.isfinite(one.measured) & one.scored[:, None]
-        stacked = np.stack([one.outputs[model] for model in models], axis=1)
-        square = np.where(known[:, None], (stacked - one.measured[:, None]) ** 2, 0.0)
-        kept = np.add.reduceat(known.any(axis=1), edges) > 0
-        sums.append(np.add.reduceat(square, edges, axis=0)[kept])
-    return np.concatenate(sums)
-
-
-def significance(
-    sums: FloatArray, models: Sequence[str], channels: Sequence[str], seed: int = 0
-) -> list[Difference]:
-    """Differences that are significant at 5 % in the whole table (see the module).
-
-    `sums` (blocks, models, channels) are of squared errors over rows that all models share, NaN for
-    a channel that a model lacks. None with fewer than ten blocks.
-    """
-    blocks = len(sums)
-    if blocks < _FEWEST_BLOCKS or len(models) < 2:
-        return []
-    pairs = list(combinations(range(len(models)), 2))
-    first, second = (sums[:, list(side)].reshape(blocks, -1) for side in zip(*pairs, strict=True))
-    names = [(pair, channel) for pair in pairs for channel in channels]
-    usable = np.isfinite(first + second).all(axis=0)
-    usable &= (first.sum(axis=0) > 0.0) & (second.sum(axis=0) > 0.0)
-    usable &= np.abs(first - second).sum(axis=0) > _EQUAL * first.sum(axis=0)
-    if not usable.any():
-        return []
-    parts = first[:, usable], second[:, usable]
-    weights = np.random.default_rng(seed).multinomial(blocks, np.full(blocks, 1 / blocks), _DRAWS)
-    found, sd = (each[0] for each in _log_ratio(np.ones((1, blocks)), *parts))
-    drawn, spread = _log_ratio(weights.astype(np.float64), *parts)
-    t = np.abs(found) / sd
-    scaled = np.abs(drawn - found) / np.maximum(spread, 1e-300)
-    own = (1 + (scaled >= t).sum(axis=0)) / (1 + _DRAWS)
-    ranks = np.empty_like(scaled)
-    order = np.arange(1, 1 + _DRAWS)[:, None] / _DRAWS
-    np.put_along_axis(ranks, np.argsort(-scaled, axis=0), order, axis=0)
-    least = ranks.min(axis=1)
-    rows = []
-    for at, k in enumerate(np.flatnonzero(usable).tolist()):
-        p = float((1 + np.sum(least <= own[at])) / (1 + _DRAWS))
-        if p > LEVEL:
-            continue
-        (a, b), channel = names[k]
-        half = float(np.quantile(scaled[:, at], 0.95)) * sd[at]
-        size = abs(float(found[at]))
-        better, worse = (a, b) if found[at] < 0.0 else (b, a)
-        low, ratio, high = np.exp([-size - half, -size, half - size]).tolist()
-        rows.append(Difference(channel, models[better], models[worse], ratio, low, high, p))
-    return rows
-
-
-def _log_ratio(weights: FloatArray, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """ln(RMSE_a/RMSE_b) (draws, pairs) from sums (blocks, pairs), and its deviation by linearity.
-
-    The samples are the same for both, so that ln ratio = ln(A/B)/2 with A = sum w a, and a block
-    moves it by w (a/A - b/B)/2.
-    """
-    A, B = weights @ a, weights @ b
-    square = (weights @ a**2) / A**2 - 2.0 * (weights @ (a * b)) / (A * B) + weights @ b**2 / B**2
-    return 0.5 * np.log(A / B), 0.5 * np.sqrt(np.maximum(square, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -397,10 +315,8 @@ def _recording(found: Mapping[str, FreeRun], lead: Run) -> Recording:
     ])  # fmt: skip
     known = np.logical_and.reduce([one.inputs_known for one in found.values()])
     events = tuple(find_events(log, run_config(lead.bundle)[0].events.for_log(log, own.channels)))
-    return Recording(
-        log.name, log.time_s, channels, measured, outputs, known, events,
-        tuple(event.start for event in events),
-    )  # fmt: skip
+    flight = Path(log.source.file).name or log.name
+    return Recording(log.name, log.time_s, channels, measured, outputs, known, events, flight)
 
 
 def _by_channel(run: FreeRun, name: str, channels: Sequence[str]) -> FloatArray:

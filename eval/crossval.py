@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from data_prep.identity import refuse_duplicates
 from data_prep.log import Log
 from data_prep.prepare import with_outputs
 from eval.evaluate import EvaluateConfig, LogEvaluation, assess_log, run_config
@@ -159,8 +160,10 @@ def cross_validate(
     """Calibrate and judge once per fold; `progress` counts the folds.
 
     `logs` are prepared as by `eval.evaluate.evaluation_logs`: masked inputs still NaN. [split]
-    plays no part. Raises `DataError` where no scheme can be run.
+    plays no part. Raises `DataError` where no scheme can be run, and where two files hold the same
+    samples.
     """
+    refuse_duplicates(logs, "a fold would be judged on what it learned")
     settings = EvaluateConfig.parse(config.evaluate, "[evaluate]")
     logs = [with_outputs(log, config.narx.outputs) for log in logs]
     logs = by_each_other(logs, (*config.narx.outputs, *config.steady_state.inputs))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -17,10 +17,22 @@ import numpy as np
 from pydantic import Field
 
 from data_prep.events import Event, find_events
-from data_prep.log import Fault, Log
+from data_prep.identity import Identity, Shared, first_shared
+from data_prep.log import Fault, Log, Source
 from data_prep.plausibility import unchecked_air
 from data_prep.prepare import prepare, with_outputs
 from data_prep.reading import read_logs
+from eval.evidence import (
+    Count,
+    ErrorCheck,
+    contradictions,
+    counts,
+    error_checks,
+    judged_shares,
+    too_few,
+    trained_words,
+    why_not_judged,
+)
 from eval.free_run import (
     ARX,
     BASELINES,
@@ -63,7 +75,6 @@ from training.screening import screened
 
 SCHEMA = "narxcal.evaluate/1"
 NEW = "new"
-_MOST_FAULTY = 0.05  # share of a channel that a fault masks, from which on nothing is judged by it
 _MANY_OUTSIDE = 0.1  # share of a log's samples outside the envelope from which on it is reported
 
 
@@ -73,7 +84,9 @@ class EvaluateConfig(Section):
     `crossval` says which divisions cross-validation makes.
 
     `least_passed_pct` of the assessed events have to pass. `largest_rmse` (channel -> value in
-    its unit) bounds the RMSE pooled over the logs; none is bounded by default.
+    its unit) bounds the RMSE pooled over the logs; none is bounded by default. `least_events`
+    pushes and pulls and `least_judged_pct` of each output are the least evidence of a pass
+    (`eval.evidence`).
     """
 
     transients: TransientsConfig = TransientsConfig()
@@ -81,17 +94,21 @@ class EvaluateConfig(Section):
     crossval: CrossvalConfig = CrossvalConfig()
     least_passed_pct: float = Field(default=95.0, ge=0.0, le=100.0)
     largest_rmse: Mapping[str, float] = Field(default_factory=dict)
+    least_events: int = Field(default=3, ge=0)
+    least_judged_pct: float = Field(default=90.0, ge=0.0, le=100.0)
 
 
 @dataclass(frozen=True, eq=False)
 class LogEvaluation:
     """One log: its free run, scores per channel, events with their assessments.
 
-    `role` is what the bundle used the log for: train, validate, test, or new to it.
+    `role` is what the bundle used the log for: train, validate, test, or new to it; `shared` says
+    which of its logs this one holds samples of.
     `untrimmed` are the scores on the same rows before trim, where there was one. `baselines` are
     the baselines' Ti/Tt counts on the same events. `as_recorded` are the scores on the log before
     its faults were masked, where there are some, and `faulty` the share of each channel's samples
-    that was masked so. `levels` compare level and lag of the free run with those of held-out logs.
+    that was masked so. `levels` compare level and lag of the free run with those of held-out logs,
+    `errors` its RMSE. `judged` is the share of each output that the figures rest on.
     """
 
     run: FreeRun
@@ -103,6 +120,9 @@ class LogEvaluation:
     as_recorded: Mapping[str, ChannelScores] = field(default_factory=dict)
     faulty: Mapping[str, float] = field(default_factory=dict)
     levels: tuple[LevelCheck, ...] = ()
+    shared: Shared | None = None
+    judged: Mapping[str, float] = field(default_factory=dict)
+    errors: tuple[ErrorCheck, ...] = ()
 
     @property
     def log(self) -> Log:
@@ -133,6 +153,9 @@ class LogEvaluation:
             "events": [each.row() for each in self.assessments],
             "ti_tt": tally_row(self.assessments),
             "levels": [each.row() for each in self.levels],
+            "errors": [{**asdict(each), "ok": each.ok} for each in self.errors],
+            "judged_share": dict(self.judged),
+            "holds": None if self.shared is None else _shared_row(self.shared),
             "baselines": {name: baseline.row() for name, baseline in self.baselines.items()},
             "masked": {
                 channel: {"samples": sum(reasons.values()), "reasons": reasons}
@@ -159,6 +182,11 @@ class LogEvaluation:
             "offsets": dict(zip(names, np.moveaxis(trim.offsets, 2, 0).tolist(), strict=True)),
             "samples": dict(zip(names, trim.samples, strict=True)),
         }
+
+
+def _shared_row(shared: Shared) -> dict[str, Any]:
+    share, from_s, to_s = shared.overlap
+    return {"log": shared.other, "share": share, "from_s": from_s, "to_s": to_s}
 
 
 def tally_row(assessments: Sequence[Assessment]) -> dict[str, Any]:
@@ -203,10 +231,12 @@ def assess_log(
         untrimmed = score([replace(run, scored_from=until)])
         run = trimmed(run, until, settings.trim)
         events = [event for event in events if event.start >= until]
+    role, shared = _role(bundle, recorded)
+    scores = score([run])
     return LogEvaluation(
         run=run,
-        role=_role(bundle, log),
-        scores=score([run]),
+        role=role,
+        scores=scores,
         events=assessed(events, overlay_of(run, MODEL), settings.transients),
         baselines={
             name: tally(assess_events(events, overlay_of(run, name), settings.transients))
@@ -217,6 +247,11 @@ def assess_log(
         as_recorded=score([run_log(bundle, config, recorded)]) if faulty else {},
         faulty=faulty,
         levels=_levels(bundle, run),
+        shared=shared,
+        judged=judged_shares(run, outputs),
+        errors=tuple(
+            error_checks(bundle.record, run, {name: one.rmse for name, one in scores.items()})
+        ),
     )
 
 
@@ -232,12 +267,22 @@ def overlay_of(run: FreeRun, name: str) -> Overlay:
     return Overlay(run.log.time_s, run.measured, model, run.channels, run.inputs_known)
 
 
-def _role(bundle: Bundle, log: Log) -> str:
-    """What the bundle did with a log of these bytes and this name."""
+def _role(bundle: Bundle, log: Log) -> tuple[str, Shared | None]:
+    """What the bundle did with a log of these samples, under whatever name."""
+    known = {(one.log, one.engine): one for one in bundle.record.identities}
+    others = (
+        (one.log, Source(one.file, one.sha256, one.engine), Identity.from_json(one.model_dump()))
+        for one in known.values()
+    )
+    shared = first_shared(log, others)
+    if shared is not None:
+        return next(one.role for one in known.values() if one.log == shared.other), shared
     if log.source.sha256 not in bundle.record.data.values():
-        return NEW
+        return NEW, None
     split = bundle.record.split
-    return next((role for role in split if log.name in split[role]), NEW)
+    named = next((role for role in split if log.name in split[role]), None)
+    # Of an older run the bytes alone are known: whatever their name, they may have been learned.
+    return named or (NEW if known else "train"), None
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,13 +318,16 @@ class Evaluation:
 
         Raises `ConfigError` for a bound on a channel that the model does not give.
         """
+        return [*self.failed(), *self.lacking()]
+
+    def failed(self) -> list[str]:
+        """What is wrong with the model, as far as these logs tell."""
         return [
             *self._hunting(),
             *self._failed_times(),
             *self._wrong_levels(),
             *self._large_errors(),
-            *self._faulty(),
-            *self._without_evidence(),
+            *self._unusual_errors(),
         ]
 
     def _hunting(self) -> list[str]:
@@ -287,22 +335,80 @@ class Evaluation:
         found = self.certificate
         return [] if found is None or found.settled else [f"The model {found.words}"]
 
+    def lacking(self) -> list[str]:
+        """What a verdict needs and these logs do not give."""
+        return [
+            *self._trained_on(),
+            *self._contradictions(),
+            *self._not_judged(),
+            *self._too_few_events(),
+        ]
+
+    def _trained_on(self) -> list[str]:
+        return [
+            trained_words(one.log.name, one.role, one.shared)
+            for one in self.logs
+            if one.role in {"train", "validate"}
+        ]
+
+    def _contradictions(self) -> list[str]:
+        return [text for one in self.logs for text in contradictions(one.log, one.run.channels)]
+
+    def _not_judged(self) -> list[str]:
+        """Outputs of which too little is judged, in one count over cleaning, faults and gaps."""
+        least = self.config.least_judged_pct
+        return [
+            f"{one.log.name}: {name} is not assessable, {100.0 * share:.0f} % of it is judged "
+            f"({why_not_judged(one.log, name)}), at least {least:g} % have to be"
+            for one in self.logs
+            for name, share in one.judged.items()
+            if 100.0 * share < least
+        ]
+
+    def _unusual_errors(self) -> list[str]:
+        """Outputs with a larger error than the held-out logs allow, unless a bound is set."""
+        bounded = self.config.largest_rmse
+        return [
+            f"{one.log.name}: {each.words}"
+            for one in self.logs
+            for each in one.errors
+            if each.ok is False and each.channel not in bounded
+        ]
+
+    def _too_few_events(self) -> list[str]:
+        """Engines with fewer events than a verdict takes, or none with the reason.
+
+        `least_passed_pct = 0` demands no transients where errors are bounded instead.
+        """
+        if self.config.least_passed_pct == 0.0 and self.config.largest_rmse:
+            return []
+        texts = []
+        for engine in dict.fromkeys(one.log.source.engine for one in self.logs):
+            own = [one for one in self.logs if one.log.source.engine == engine]
+            found = [each for one in own for each in one.assessments]
+            whose = f"Ti/Tt of engine {engine}" if engine else "Ti/Tt"
+            if not any(each.verdict.ok is not None for each in found):
+                reasons = not_assessable(found)
+                most = max(reasons, key=lambda name: reasons[name], default="no event was found")
+                texts.append(f"{whose}: no transient could be assessed ({most})")
+                continue
+            channels = [
+                name for name in self.config.transients.channels if name in own[0].run.channels
+            ]
+            texts += too_few(counts(found, channels), self.config.least_events, whose)
+        return texts
+
+    @property
+    def counts(self) -> list[Count]:
+        """Transients by channel and direction."""
+        channels = dict.fromkeys(name for one in self.logs for name in one.run.channels)
+        judged = [name for name in self.config.transients.channels if name in channels]
+        return counts(self.assessments, judged)
+
     @property
     def faults(self) -> list[Fault]:
         """Those of all logs."""
         return [fault for log in self.logs for fault in log.log.faults]
-
-    def _faulty(self) -> list[str]:
-        """Channels of which a fault masks too much for a verdict."""
-        texts = []
-        for one in self.logs:
-            for name, share in one.faulty.items():
-                if share > _MOST_FAULTY:
-                    texts.append(
-                        f"{one.log.name}: {name} is not assessable, a fault masks "
-                        f"{100.0 * share:.0f} % of it"
-                    )
-        return texts
 
     def _failed_times(self) -> list[str]:
         found, least = self.tally, self.config.least_passed_pct
@@ -364,48 +470,46 @@ class Evaluation:
                 texts.append(f"{name}: RMSE {pooled[name].rmse:.3g}, at most {bound:g} allowed")
         return texts
 
-    def _without_evidence(self) -> list[str]:
-        """Engines of which no transient could be assessed, with the most frequent reason.
-
-        `least_passed_pct = 0` demands no transients where errors are bounded instead.
-        """
-        if self.config.least_passed_pct == 0.0 and self.config.largest_rmse:
-            return []
-        texts = []
-        for engine in dict.fromkeys(one.log.source.engine for one in self.logs):
-            own = [one for one in self.logs if one.log.source.engine == engine]
-            found = [each for one in own for each in one.assessments]
-            if any(each.verdict.ok is not None for each in found):
-                continue
-            reasons = not_assessable(found)
-            most = max(reasons, key=lambda name: reasons[name], default="no event was found")
-            whose = f"Ti/Tt of engine {engine}" if engine else "Ti/Tt"
-            texts.append(f"{whose}: no transient could be assessed ({most})")
-        return texts
-
     @property
     def outcome(self) -> Outcome:
         """The verdict: what is missed, then what was counted, then how the baselines do."""
-        missed, found = self.missed(), self.tally
+        failed, lacking, found = self.failed(), self.lacking(), self.tally
+        passed = False if failed else None if lacking else True
         baselines = tuple(_against_baselines(one) for one in self.logs)
-        lines = tuple(f"{text.rstrip('.')}." for text in missed)
+        lines = tuple(f"{text.rstrip('.')}." for text in (*failed, *lacking))
         if not found.assessed:
-            open_ = bool(missed) and missed == self._without_evidence()
             headline = "No event could be assessed for Ti and Tt"
-            return Outcome(None if open_ else not missed, headline, (*lines, *baselines))
+            return Outcome(passed, headline, (*lines, *baselines))
         share = 100.0 * found.passed / found.assessed
         headline = (
             f"{found.passed} of {found.assessed} assessable transients ({share:.0f} %) meet the "
             f"'{self.config.transients.rules}' rules for Ti and Tt"
         )
         whole = [ok for log in self.logs for event in log.events if (ok := event.ok) is not None]
-        counts = [f"{sum(whole)} of {plural(len(whole), 'event')} pass in every channel."]
+        said = [f"{sum(whole)} of {plural(len(whole), 'event')} pass in every channel."]
         if found.not_assessable:
-            counts.append(
+            said.append(
                 f"{plural(found.not_assessable, 'transient')} could not be assessed and count "
                 "neither way."
             )
-        return Outcome(not missed, headline, (*lines, *counts, *baselines))
+        return Outcome(passed, headline, (*lines, *said, *self._evidence_words(), *baselines))
+
+    def _evidence_words(self) -> list[str]:
+        """What the verdict rests on, in sentences."""
+        each = ", ".join(
+            f"{symbol(one.channel)} {one.passed} of {one.assessed} {one.direction}"
+            f"{'es' if one.direction == 'push' else 's'}"
+            for one in self.counts
+        )
+        share = min((share for one in self.logs for share in one.judged.values()), default=0.0)
+        new = sum(one.role in {NEW, "test"} for one in self.logs)
+        least = min((one.at_least_pct for one in self.counts), default=0.0)
+        text = (
+            f"Evidence: {plural(new, 'new log')}, {each}; with 90 % confidence at least "
+            f"{least:.0f} % of such transients pass; at least {100.0 * share:.0f} % of each "
+            "output of each log is judged."
+        )
+        return [text]
 
     def document(self) -> dict[str, Any]:
         """`evaluate.json`; None where a figure does not exist."""
@@ -415,6 +519,14 @@ class Evaluation:
                 "schema": SCHEMA,
                 "ok": not missed,
                 "missed": missed,
+                "least_passed_pct": self.config.least_passed_pct,
+                "evidence": {
+                    "new_logs": sum(one.role in {NEW, "test"} for one in self.logs),
+                    "least_events": self.config.least_events,
+                    "least_judged_pct": self.config.least_judged_pct,
+                    "transients": [each.row() for each in self.counts],
+                    "lacking": self.lacking(),
+                },
                 "trim": self.trim,
                 "faults": [fault.row() for fault in self.faults],
                 "certificate": None if self.certificate is None else self.certificate.row(),

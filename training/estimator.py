@@ -171,7 +171,7 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         """Write the trained network and all parameters to a new folder, without pickle.
 
         Raises `NotTrainedError` before `fit`, and `ConfigError` for a folder that has content (with
-        `replace`, other than narxcal's) or cannot be written.
+        `replace`, other than a stored `Narx`) or cannot be written.
         """
         self._sections()
         stored = Stored(

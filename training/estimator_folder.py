@@ -33,7 +33,13 @@ from narxcal.narx.forms import pack, unpack
 from narxcal.narx.network import NarxModel
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, ModelError
-from narxcal.support.files import atomic_folder, atomic_write_bytes, atomic_write_text, versions
+from narxcal.support.files import (
+    Results,
+    atomic_folder,
+    atomic_write_bytes,
+    atomic_write_text,
+    versions,
+)
 from training.choice import Choice
 from training.config import TrainConfig
 from training.network import FitResult, HistoryRow
@@ -88,7 +94,8 @@ def save(folder: str | PathLike[str], stored: Stored, *, replace: bool = False) 
         "weights": entry,
         "versions": versions(),
     }
-    with atomic_folder(folder, replace) as part:
+    content = Results("narxcal.narx/", _FORM.document, (WEIGHTS,))
+    with atomic_folder(folder, content if replace else None) as part:
         atomic_write_bytes(part / WEIGHTS, weights)
         text = json.dumps(document, indent=1, allow_nan=False) + "\n"
         atomic_write_text(part / _FORM.document, text)

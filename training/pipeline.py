@@ -27,7 +27,13 @@ from narxcal.calibration.calibration import Calibration, DynamicCalibration
 from narxcal.calibration.certificate import settling
 from narxcal.calibration.identified import IdentifiedCalibration
 from narxcal.calibration.noise import NoiseModel, estimate_noise
-from narxcal.calibration.run_record import FitRecord, RunRecord, SteadyRecord
+from narxcal.calibration.run_record import (
+    FitRecord,
+    HeldOutRecord,
+    IdentityRecord,
+    RunRecord,
+    SteadyRecord,
+)
 from narxcal.channels import CHANNELS
 from narxcal.intervals import HalfWidths, joined
 from narxcal.lumped.engine import LumpedEngine
@@ -35,7 +41,7 @@ from narxcal.narx.network import NarxModel
 from narxcal.record import Record
 from narxcal.steady.fitted import FittedSteadyState
 from narxcal.steady.model import SteadyStateModel
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import FloatArray, known_mean
 from narxcal.support.errors import DataError
 from narxcal.support.progress import Progress, silent
 from training.baselines import Baselines, fit_baselines, run_of
@@ -103,6 +109,7 @@ def calibrate(
     """
     options, began, given = options or TrainOptions(), time.perf_counter(), config
     dt_s = _common_interval([*split.train, *split.validate])
+    identities = _identities(split)
     options.progress(0, 1, "comparing the logs with each other")
     learned = learnable(split, config, screen=not options.screened)
     split = learned.split
@@ -151,6 +158,8 @@ def calibrate(
         screening=learned.row(),
         redundancy=redundancy_of(calibration, learned.train),
         certificate=certificate.row(),
+        identities=identities,
+        held_out=_held_out_record(calibration, split, held),
     )
     return Bundle(calibration, record)
 
@@ -397,6 +406,37 @@ def _provenance(config: RunConfig, base: Path, split: Split) -> dict[str, Any]:
             "cores": os.cpu_count(),
         },
     }
+
+
+def _identities(split: Split) -> tuple[IdentityRecord, ...]:
+    """What the logs to learn from are recognised by, before anything of them is masked."""
+    parts = {"train": split.train, "validate": split.validate}
+    return tuple(
+        IdentityRecord.parse(
+            {
+                "log": log.name,
+                "file": log.source.file,
+                "sha256": log.source.sha256,
+                "engine": log.source.engine,
+                "role": role,
+                **log.identity.to_json(),
+            }
+        )
+        for role, logs in parts.items()
+        for log in logs
+    )
+
+
+def _held_out_record(
+    calibration: Calibration, split: Split, held: Sequence[HeldRun]
+) -> HeldOutRecord:
+    """Errors on held-out logs; of the training logs where nothing was held out."""
+    runs = held or free_runs(calibration, split.train)
+    error = [np.sqrt(known_mean((one.model - one.measured) ** 2)) for one in runs]
+    columns = zip(calibration.output_names, np.stack(error).T.tolist(), strict=True)
+    return HeldOutRecord(
+        logs=tuple(one.recording for one in runs), fitted=not held, rmse=dict(columns)
+    )
 
 
 def _steady_record(quality: SteadyQuality | None, steady: SteadyStateModel) -> SteadyRecord:

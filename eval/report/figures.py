@@ -392,7 +392,7 @@ def compared(found: Comparison) -> Picture:
 
     The move is that with the largest change of the first channel within 20 s of an event's start.
     """
-    one = max(found.recordings, key=lambda each: len(each.blocks))
+    one = max(found.recordings, key=lambda each: len(each.events))
     rows, names = len(one.channels), [row.run for row in found.rows]
     figure = style.figure(10.0, 0.5 + 1.9 * rows)
     grid = figure.subplots(rows, 2, squeeze=False, width_ratios=(1.0, 1.2))
@@ -421,7 +421,7 @@ def compared(found: Comparison) -> Picture:
 def _largest_move(one: Recording) -> slice:
     dt_s = float(np.median(np.diff(one.time_s)))
     reach, first = round(20.0 / dt_s), np.nan_to_num(one.measured[:, 0])
-    starts = one.blocks or (0,)
+    starts = [event.start for event in one.events] or [0]
     size = [abs(float(first[min(at + reach, len(first) - 1)] - first[at])) for at in starts]
     at = starts[int(np.argmax(size))]
     return slice(max(at - round(5.0 / dt_s), 0), at + reach)

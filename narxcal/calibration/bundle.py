@@ -45,8 +45,10 @@ from narxcal.calibration.identified import calibration_from_arrays
 from narxcal.calibration.run_record import RunRecord
 from narxcal.channels import CHANNELS
 from narxcal.steady.model import CarriesFiles
+from narxcal.steady.opening import refuse_code
 from narxcal.support.errors import ConfigError, ModelError, NarxcalError
 from narxcal.support.files import (
+    Results,
     atomic_folder,
     atomic_write_bytes,
     atomic_write_text,
@@ -198,6 +200,7 @@ def _shape_text(entry: Any) -> str:
 SCHEMA, FORMER_SCHEMA = "narxcal.bundle/2", "narxcal.bundle/1"
 DOCUMENT = "bundle.json"
 STEADY_FILES = "steady"
+_CONTENT = Results("narxcal.bundle/", DOCUMENT, (WEIGHTS, _PENDING, f"{STEADY_FILES}/*"))
 _OURS = (
     "schema", "sha256", "dt_s", "channels", "units", "weights", "files", "calibration",
     "calibration_sha256",
@@ -226,10 +229,10 @@ class Bundle:
 def save_bundle(folder: str | PathLike[str], bundle: Bundle, replace: bool = False) -> None:
     """Write `bundle` as a new folder, whole or not at all.
 
-    Raises `ConfigError` for a folder that has content (with `replace`, other than narxcal's)
+    Raises `ConfigError` for a folder that has content (with `replace`, other than a bundle)
     or cannot be written, and `ModelError` for content that cannot be stored.
     """
-    with atomic_folder(folder, replace) as part:
+    with atomic_folder(folder, _CONTENT if replace else None) as part:
         write_bundle(part, bundle)
 
 
@@ -289,8 +292,9 @@ def check_bundle(folder: str | PathLike[str]) -> RunRecord:
 def load_bundle(folder: str | PathLike[str], *, trust: bool = False) -> Bundle:
     """Read a bundle and check it against its own hashes and shapes.
 
-    With `trust`, a steady-state model that is a Python function or an FMU is run; without, such a
-    bundle is refused with the file that would run and its hash. Raises `ModelError` naming the file
+    With `trust`, a steady-state model that is a Python function or an FMU is run; without, a
+    bundle of such a model is refused with the file that would run and its hash, and one whose
+    configuration names such a model to train with, too. Raises `ModelError` naming the file
     for a folder that is no bundle, a bundle of another schema, and one in which anything is
     missing, cut off, altered or of a wrong type.
     """
@@ -300,6 +304,8 @@ def load_bundle(folder: str | PathLike[str], *, trust: bool = False) -> Bundle:
     meta = _with_own_files(source, document)
     file = source / DOCUMENT
     try:
+        if not trust:
+            _refuse_code(document)
         calibration = calibration_from_arrays(meta, arrays, trust=trust)
         stored = {"dt_s": float(document["dt_s"]), "channels": document["channels"]}
         named = {"dt_s": calibration.dt_s, "channels": _channels(calibration)["channels"]}
@@ -329,6 +335,15 @@ def _record(document: Mapping[str, Any], file: Path) -> RunRecord:
         return RunRecord.parse({key: document[key] for key in document if key not in _OURS})
     except ConfigError as error:
         raise ModelError(error.problem, file=file, hint=_FORM.again) from None
+
+
+def _refuse_code(document: Mapping[str, Any]) -> None:
+    """Refuse a configuration that names code; what is no table of keys is refused elsewhere."""
+    for part in ("config", "configured"):
+        table = document.get(part)
+        section = table.get("steady_state") if isinstance(table, dict) else None
+        if isinstance(section, dict):
+            refuse_code(section)
 
 
 def read_document(folder: str | PathLike[str]) -> dict[str, Any]:

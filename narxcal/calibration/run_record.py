@@ -8,7 +8,7 @@ this version does not know are kept as they are.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field
@@ -74,6 +74,31 @@ class FitRecord(_Part):
     aic: float | None = None
 
 
+class IdentityRecord(_Part):
+    """What a log that the model learned from is recognised by (`data_prep.identity`)."""
+
+    log: str
+    file: str
+    sha256: str
+    engine: str
+    role: Literal["train", "validate"]
+    digest: str
+    channels: tuple[str, ...]
+    noise: tuple[float, ...]
+    anchors: str
+
+
+class HeldOutRecord(_Part):
+    """Free runs over logs that the model was not fitted to, by output and in the order of `logs`.
+
+    `fitted` says that there were none, and that these logs were fitted to.
+    """
+
+    logs: tuple[str, ...]
+    fitted: bool
+    rmse: dict[str, tuple[Number, ...]]
+
+
 class RunRecord(_Part):
     """Provenance and results of a training.
 
@@ -101,6 +126,8 @@ class RunRecord(_Part):
     screening: Table | None = None
     redundancy: Table | None = None
     certificate: Table | None = None
+    identities: tuple[IdentityRecord, ...] = ()
+    held_out: HeldOutRecord | None = None
 
     def to_json(self) -> Table:
         """Return the entries that were given, as JSON-able values."""

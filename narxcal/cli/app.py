@@ -16,11 +16,12 @@ import logging
 import os
 import sys
 import traceback
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import ModuleType
 from typing import NoReturn
 
 from narxcal.cli.options import add_output
@@ -126,10 +127,33 @@ def _run(options: argparse.Namespace) -> int:
     warnings.emit = lambda record: console.warn(record.getMessage())  # type: ignore[method-assign]
     logging.getLogger("narxcal").addHandler(warnings)
     try:
-        code: int = import_module(f"narxcal.cli.{options.command}").run(options, console)
+        module = import_module(f"narxcal.cli.{options.command}")
+        with _alone(_output(module, options)):
+            code: int = module.run(options, console)
     finally:
         logging.getLogger("narxcal").removeHandler(warnings)
     return code
+
+
+def _output(module: ModuleType, options: argparse.Namespace) -> Path | None:
+    """Where a command writes: --out, or its own default place."""
+    out: Path | None = getattr(options, "out", None)
+    if out is None and hasattr(module, "default_output"):
+        out = module.default_output(options)
+    return out
+
+
+@contextmanager
+def _alone(out: Path | None) -> Iterator[None]:
+    """Let no two commands write one output; raises `ConfigError` before any work."""
+    from narxcal.support.files import in_place  # noqa: PLC0415 -- help does not wait for numpy
+    from narxcal.support.system import locked  # noqa: PLC0415 -- likewise
+
+    with ExitStack() as stack:
+        if out is not None and not in_place(out):
+            with suppress(OSError):  # the command says what is wrong with the place
+                stack.enter_context(locked(out))
+        yield
 
 
 def _interrupted(state: str) -> int:

@@ -58,9 +58,15 @@ def add_options(parser: ArgumentParser) -> None:
     add_data(parser, "folder of the held-out logs, if they have moved")
 
 
+def default_output(options: Namespace) -> Path:
+    """Where the results go without --out."""
+    folder: Path = options.bundle / "evaluate"
+    return folder
+
+
 def run(options: Namespace, console: Console) -> int:
     """Evaluate a bundle on its held-out logs, or on others; writes JSON and HTML."""
-    out = options.out or options.bundle / "evaluate"
+    out = options.out or default_output(options)
     RESULTS.check(out)
     bundle = load_bundle(options.bundle, trust=options.trust)
     logs = logs_for(bundle, options.logs, options.data, console)

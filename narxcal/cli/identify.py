@@ -13,7 +13,7 @@ from narxcal.calibration.bundle import Bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config, add_method
 from narxcal.cli.results import read_config, steady_words, with_method
-from narxcal.cli.train import check, train_locked
+from narxcal.cli.train import check, train_or_stop
 from narxcal.support.files import atomic_write_text, to_json
 
 SCHEMA, DOCUMENT = "narxcal.identify/1", "identify.json"
@@ -31,7 +31,7 @@ def run(options: Namespace, console: Console) -> int:
     config, base = read_config(options.config, options.data)
     config = with_method(config, options.method)
     check(options.out, resume=False)
-    bundle = train_locked(config, base, options.out, (False, console))
+    bundle = train_or_stop(config, base, options.out, (False, console))
     document = document_of(bundle)
     atomic_write_text(options.out / DOCUMENT, to_json(document))
     _show(console, bundle, document)

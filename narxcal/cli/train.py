@@ -15,6 +15,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
+from data_prep.identity import refuse_duplicates
 from data_prep.log import Fault, Log
 from data_prep.prepare import cautions
 from narxcal.calibration.bundle import (
@@ -38,7 +39,6 @@ from narxcal.cli.results import (
 )
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import check_writable, recover
-from narxcal.support.system import locked
 from training.config import RunConfig, SplitConfig
 from training.pipeline import TrainOptions, calibrate, configured_files, prepare_logs
 from training.records import Split, split_logs
@@ -65,19 +65,18 @@ def run(options: Namespace, console: Console) -> int:
         return 0
     if options.resume and not (run_folder / CHECKPOINTS).is_dir():
         console.warn(f"nothing to resume in {run_folder}: the training begins anew")
-    bundle = train_locked(config, base, run_folder, (options.resume, console))
+    bundle = train_or_stop(config, base, run_folder, (options.resume, console))
     _show(console, run_folder, bundle)
     console.document(_document(run_folder, bundle.record))
     return 0
 
 
-def train_locked(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]) -> Bundle:
-    """As `train`, alone in the folder; Ctrl-C says where the training stands."""
-    with locked(folder):
-        try:
-            return train(config, base, folder, how)
-        except KeyboardInterrupt:
-            raise KeyboardInterrupt(_where_it_stands(folder)) from None
+def train_or_stop(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]) -> Bundle:
+    """As `train`; Ctrl-C says where the training stands."""
+    try:
+        return train(config, base, folder, how)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(_where_it_stands(folder)) from None
 
 
 def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]) -> Bundle:
@@ -93,6 +92,9 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
             advance(number, len(files), file.name)
             logs += prepare_logs(config, [file])
     split = split_logs(logs, config.split)
+    refuse_duplicates(
+        (*split.train, *split.validate, *split.test), "a model would be judged on what it learned"
+    )
     said = (
         *left_out(logs, split, config.split), *cautions(logs, config, config.narx.outputs),
     )  # fmt: skip
@@ -178,7 +180,7 @@ def _complete(folder: Path, config: RunConfig) -> bool:
 
 def _settle(folder: Path) -> None:
     """Remove what a training left that was killed after its model was written."""
-    with suppress(OSError), locked(folder):  # a folder that can only be read stays as it is
+    with suppress(OSError):  # a folder that can only be read stays as it is
         settle_bundle(folder)
         shutil.rmtree(folder / CHECKPOINTS, ignore_errors=True)
 

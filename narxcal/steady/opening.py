@@ -98,9 +98,28 @@ def steady_from_json(
         )
     model = REGISTRY[kind]
     if not trust and issubclass(model, Executes) and model.executed(meta):
-        raise ModelError(
-            f"opening this model would run {model.executed(meta)}",
-            hint="If you would run a program of its author, allow it by --trust, in Python by "
-            "load_bundle(folder, trust=True)",
-        )
+        raise _would_run(str(model.executed(meta)))
     return model.from_arrays(meta, arrays)
+
+
+def refuse_code(section: Mapping[str, Any]) -> None:
+    """Refuse [steady_state] of a run that would execute something where it is opened.
+
+    Raises `ModelError` naming what would run.
+    """
+    kind, source = section.get("kind"), str(section.get("source", ""))
+    if kind == "callable":
+        from narxcal.steady.function import BUILT_IN  # noqa: PLC0415 -- only where it is used
+
+        if source in BUILT_IN:
+            return
+    if kind in {"callable", "fmu"}:
+        raise _would_run(f"'{source}' of its configuration")
+
+
+def _would_run(what: str) -> ModelError:
+    return ModelError(
+        f"opening this model would run {what}",
+        hint="If you would run a program of its author, allow it by --trust, in Python by "
+        "load_bundle(folder, trust=True)",
+    )

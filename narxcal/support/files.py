@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from narxcal.support.errors import ConfigError
-from narxcal.support.system import exchange, is_running
+from narxcal.support.system import exchange, folder_alive, is_abandoned, marked_alive
 
 if TYPE_CHECKING:
     from os import PathLike
@@ -59,15 +59,15 @@ def atomic_write_bytes(path: str | PathLike[str], data: bytes) -> None:
     Raises `ConfigError` if it cannot be written; the former file is then untouched.
     """
     target = Path(path)
-    if _in_place(target):
-        with _reported(target), _opened_in_place(target) as stream:
+    if in_place(target):
+        with _reported(target), _openedin_place(target) as stream:
             stream.buffer.write(data)
         return
     recover(target)
     part = _temporary(target, "part")
     with _becoming(target, part):
         target.parent.mkdir(parents=True, exist_ok=True)
-        with part.open("xb") as stream:
+        with part.open("xb") as stream, marked_alive(stream.fileno()):
             stream.write(data)
             _flush(stream)
 
@@ -88,8 +88,8 @@ def atomic_stream(path: str | PathLike[str], *, live: bool = False) -> Iterator[
     Raises `ConfigError` if it cannot be written, and for a `NAME.part` that is there already.
     """
     target = Path(path)
-    if _in_place(target):
-        with _reported(target), _opened_in_place(target) as stream:
+    if in_place(target):
+        with _reported(target), _openedin_place(target) as stream:
             yield stream
         return
     part = target.with_name(f"{target.name}.part") if live else _temporary(target, "part")
@@ -103,31 +103,32 @@ def atomic_stream(path: str | PathLike[str], *, live: bool = False) -> Iterator[
         raise ConfigError("the file exists", file=part, hint=hint) from None
     except OSError as error:
         raise cannot_write(target, error) from None
-    with _becoming(target, part), stream:
+    with _becoming(target, part), stream, marked_alive(stream.fileno()):
         yield stream
         _flush(stream)
 
 
 @contextmanager
-def atomic_folder(path: str | PathLike[str], replace: bool = False) -> Iterator[Path]:
+def atomic_folder(path: str | PathLike[str], replaced: Results | None = None) -> Iterator[Path]:
     """Yield an empty temporary folder that becomes `path` when the block ends well.
 
     On any error, Ctrl-C included, the temporary folder is removed and `path` stays as it
-    was. An existing folder with content is refused; with `replace`, one that narxcal wrote
-    is exchanged for the new one in one step and deleted afterwards.
+    was. An existing folder with content is refused, unless it is a `replaced` one that holds
+    nothing else: that is exchanged for the new one in one step and deleted afterwards.
 
     Raises `ConfigError` as `check_output_folder`, and if the disk refuses the content.
     """
-    target = check_output_folder(path, replace)
+    target = check_output_folder(path, replaced)
     part = _temporary(target, "part")
     try:
         part.mkdir(parents=True)
     except OSError as error:
         raise cannot_write(target, error) from None
     try:
-        yield part
-        _flush_folder(part)
-        _replace_folder(part, target)
+        with folder_alive(part):
+            yield part
+            _flush_folder(part)
+            _replace_folder(part, target)
     except OSError as error:
         # What else fails inside the block (a log that cannot be read) is not about writing.
         if error.errno in _DISK_ERRORS:
@@ -150,7 +151,7 @@ def recover(path: str | PathLike[str]) -> None:
         return
     for entry in found:
         named = leftovers.fullmatch(entry.name)
-        if named is None or is_running(int(named[1])):
+        if named is None or not is_abandoned(entry, int(named[1])):
             continue
         if named[2] == "old" and not os.path.lexists(target):
             with suppress(OSError):
@@ -173,7 +174,7 @@ def check_file(out: Path, *inputs: Path, overwrite: bool = False) -> None:
 
     Raises `ConfigError`.
     """
-    if _in_place(out):
+    if in_place(out):
         return
     if out.is_dir():
         raise ConfigError(
@@ -205,30 +206,30 @@ def _check_not_read(out: Path, read: Path) -> None:
         raise ConfigError(f"output file {out} is the input itself", hint="Choose another name")
 
 
-def check_output_folder(path: str | PathLike[str], replace: bool = False) -> Path:
+def check_output_folder(path: str | PathLike[str], replaced: Results | None = None) -> Path:
     """Refuse, before any work is done, a folder that must not or cannot be written to.
 
     Returns the folder itself where `path` is a link to one.
 
-    Raises `ConfigError` as `check_writable`, for a file, for a folder with content, for one that
-    cannot be exchanged (the working directory, a mount), and, under `replace`, for a folder in
-    which narxcal wrote nothing.
+    Raises `ConfigError` as `check_writable`, for a file, for one that cannot be exchanged (the
+    working directory, a mount), and for a folder with content, unless that is what `replaced` says
+    and nothing else.
     """
     target = Path(os.path.realpath(path))
     recover(target)
+    if Path(path).is_symlink() and not target.exists():
+        raise ConfigError(
+            f"output folder {path} is a link that leads nowhere", hint="Choose another name"
+        )
     if target.exists():
         _check_folder(Path(path), target)
         if any(target.iterdir()):
-            if not replace:
+            if replaced is None:
                 raise ConfigError(
                     f"output folder {path} exists and is not empty",
                     hint="Choose another name, or allow it to be overwritten",
                 )
-            if not any(_has_schema(file, "narxcal.") for file in target.glob("*.json")):
-                raise ConfigError(
-                    f"output folder {path} holds other content and is not overwritten",
-                    hint="Choose another name, or empty it yourself",
-                )
+            replaced.check_content(Path(path), target)
     check_writable(target)
     return target
 
@@ -269,33 +270,42 @@ class Results:
 
     schema: str
     document: str
-    others: tuple[str, ...]
+    others: tuple[str, ...] = ()
 
     def check(self, folder: Path) -> None:
         """Refuse, before any work is done, a folder with content that this command never wrote.
 
         Raises `ConfigError`, also for one that cannot be written.
         """
-        target = Path(os.path.realpath(folder))
-        recover(target)
-        if target.exists():
-            _check_folder(folder, target)
-            found = sorted(entry.name for entry in target.iterdir())
-            foreign = [name for name in found if name not in (self.document, *self.others)]
-            ours = not found or _has_schema(target / self.document, self.schema)
-            if foreign or not ours:
-                raise ConfigError(
-                    f"output folder {folder} holds other content ('{(foreign or found)[0]}') "
-                    "and is not overwritten",
-                    hint="Choose another name, or empty it yourself",
-                )
-        check_writable(target)
+        check_output_folder(folder, self)
+
+    def check_content(self, folder: Path, target: Path) -> None:
+        """Refuse a folder that holds anything else than this; `folder` is its name to the user.
+
+        `others` that end in `/*` are folders of files. Raises `ConfigError`.
+        """
+        folders = {name[:-2] for name in self.others if name.endswith("/*")}
+        foreign = [
+            str(entry.relative_to(target))
+            for entry in sorted(target.iterdir())
+            if entry.name not in {self.document, *self.others, *folders}
+        ]
+        for name in folders:
+            inner = target / name
+            within = sorted(inner.iterdir()) if inner.is_dir() else []
+            foreign += [f"{name}/{each.name}" for each in within if not each.is_file()]
+        if not foreign and _has_schema(target / self.document, self.schema):
+            return
+        found = foreign or sorted(entry.name for entry in target.iterdir())
+        raise ConfigError(
+            f"output folder {folder} holds other content ('{found[0]}') and is not overwritten",
+            hint="Choose another name, or empty it yourself",
+        )
 
     @contextmanager
     def writing(self, folder: Path) -> Iterator[Path]:
         """Yield a temporary folder that takes the place of `folder` when the block ends well."""
-        self.check(folder)
-        with atomic_folder(folder, replace=True) as part:
+        with atomic_folder(folder, self) as part:
             yield part
 
     def write(self, folder: Path, document: Mapping[str, Any], *pages: str) -> None:
@@ -385,7 +395,7 @@ def cannot_write(target: Path, error: OSError) -> ConfigError:
 # --- inner steps ---
 
 
-def _in_place(target: Path) -> bool:
+def in_place(target: Path) -> bool:
     """Whether `target` is nothing that could be replaced: `-`, a device, a pipe, a socket."""
     if target == STDOUT:
         return True
@@ -397,7 +407,7 @@ def _in_place(target: Path) -> bool:
 
 
 @contextmanager
-def _opened_in_place(target: Path) -> Iterator[Any]:
+def _openedin_place(target: Path) -> Iterator[Any]:
     if target == STDOUT:
         yield sys.stdout
         sys.stdout.flush()

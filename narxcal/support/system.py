@@ -12,13 +12,13 @@ import os
 import socket
 import sys
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from narxcal.support.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
 # <linux/fs.h>: RENAME_EXCHANGE; <sys/stdio.h> of macOS: RENAME_SWAP; both are 2.
 _EXCHANGE = 2
@@ -74,16 +74,59 @@ def is_running(pid: int) -> bool:
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Keep other processes that lock it from writing to `folder` while the block runs.
+def marked_alive(descriptor: int) -> Iterator[None]:
+    """Lock an open file or folder while the block runs, so that `is_abandoned` denies it."""
+    _lock(descriptor)
+    yield
 
-    The lock is a file beside the folder, `.NAME.lock`, that names process and machine.
+
+@contextmanager
+def folder_alive(folder: Path) -> Iterator[None]:
+    """As `marked_alive`, of a folder; where the system opens no folder, its process is the mark."""
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+    except OSError:
+        yield
+        return
+    try:
+        _lock(descriptor)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def is_abandoned(path: Path, pid: int) -> bool:
+    """Whether nobody writes a temporary file or folder that process `pid` began.
+
+    The number alone does not say: in another container that shares the disk it is that of another
+    process, or of none. Who writes holds a lock on it, which ends with the process.
+    """
+    if is_running(pid):
+        return False
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+    except OSError:
+        return True
+    try:
+        return _lock(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def locked(target: Path) -> Iterator[None]:
+    """Keep other processes that lock it from writing to `target` while the block runs.
+
+    The lock is a file beside the target, `.NAME.lock`, that names process and machine; where its
+    folder does not exist, beside the first one above that does not either.
 
     Raises `ConfigError` if another process has it, and `OSError` if it cannot be written.
     """
+    folder = Path(os.path.realpath(target))
+    while not folder.parent.exists():
+        folder = folder.parent
     file = folder.with_name(f".{folder.name}.lock")
-    file.parent.mkdir(parents=True, exist_ok=True)
-    descriptor = _acquired(file, folder)
+    descriptor = _acquired(file, target)
     try:
         os.truncate(file, 0)
         os.write(descriptor, f"{os.getpid()} on {socket.gethostname()}\n".encode())
@@ -99,14 +142,14 @@ def locked(folder: Path) -> Iterator[None]:
             file.unlink(missing_ok=True)
 
 
-def _acquired(file: Path, folder: Path) -> int:
+def _acquired(file: Path, target: Path) -> int:
     while True:
         descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
         if not _lock(descriptor):
             owner = os.read(descriptor, 200).decode(errors="replace").strip()
             os.close(descriptor)
             raise ConfigError(
-                f"{folder} is being written by another command (process {owner or 'unknown'})",
+                f"{target} is being written by another command (process {owner or 'unknown'})",
                 hint="Wait for it to end, or choose another name",
             )
         # Between opening and locking, the former owner may have removed this very file.

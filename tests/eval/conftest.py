@@ -79,9 +79,16 @@ def lag_bundle(tau_s=TAU_S, train=(), **sections):
         "config": config.model_dump(mode="json", by_alias=True),
         "split": {"train": [log.name for log in logs], "validate": [], "test": []},
         "data": {log.source.file: log.source.sha256 for log in logs},
+        "identities": [identity(log) for log in train],
         "baselines": fit_baselines(calibration, logs),
     })  # fmt: skip
     return Bundle(calibration, record)
+
+
+def identity(log):
+    """What a bundle keeps of a training log."""
+    source = {"file": log.source.file, "sha256": log.source.sha256, "engine": log.source.engine}
+    return {"log": log.name, "role": "train", **source, **log.identity.to_json()}
 
 
 def masked(log, channel, rows):

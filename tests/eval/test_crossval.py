@@ -37,9 +37,17 @@ def config():
     )  # fmt: skip
 
 
+def unlike(make_log, *names):
+    """Flights of one engine whose speeds differ by their build."""
+    return [
+        make_log(f"{name}.csv:left", 200.0, offset=(0.2 * k, -0.2 * k))
+        for k, name in enumerate(names)
+    ]
+
+
 @pytest.fixture
 def flights(make_log):
-    return [make_log(f"{name}.csv:left", 200.0) for name in ("a", "b")]
+    return unlike(make_log, "a", "b")
 
 
 @pytest.mark.slow
@@ -143,7 +151,7 @@ def without(log, name):
 
 
 def test_an_output_that_a_flight_lacks_is_learned_from_the_others(config, make_log):
-    flights = [make_log(f"{name}.csv:left", 200.0) for name in ("a", "b", "c")]
+    flights = unlike(make_log, "a", "b", "c")
     flights[0] = without(flights[0], "N1_pct")
     whole_flights = config.model_copy(update={"evaluate": {"crossval": {"random_splits": 0}}})
     folds = cross_validate(whole_flights, Path(), flights, 1).folds

@@ -130,15 +130,29 @@ def test_the_share_outside_the_envelope_is_shown(make_bundle, make_log):
 
 
 def test_logs_are_named_by_what_the_bundle_did_with_them(make_bundle, make_log):
-    used, other = make_log("train.csv:left"), make_log("other.csv:left")
+    used, other = make_log("train.csv:left"), make_log("other.csv:left", offset=(1.0, 0.5))
     roles = [log.role for log in evaluate(make_bundle(train=[used]), [used, other]).logs]
     assert roles == ["train", "new"]
 
 
-def test_a_log_of_the_same_name_but_other_bytes_is_new(make_bundle, make_log):
+def test_samples_say_what_a_log_is_not_its_name_or_its_bytes(make_bundle, make_log):
     used = make_log("train.csv:left")
-    forged = replace(used, source=replace(used.source, sha256="other"))
-    assert evaluate(make_bundle(train=[used]), [forged]).logs[0].role == "new"
+    same = replace(used, name="b.csv:left", source=replace(used.source, file="b", sha256="other"))
+    other = make_log("train.csv:left", offset=(1.0, 0.5))
+    other = replace(other, source=replace(other.source, sha256="other"))
+    assert evaluate(make_bundle(train=[used]), [same]).logs[0].role == "train"
+    assert evaluate(make_bundle(train=[used]), [other]).logs[0].role == "new"
+
+
+def test_a_training_log_earns_no_pass(make_bundle, make_log):
+    used = make_log("train.csv:left")
+    copy = replace(used, name="new.csv:left", source=replace(used.source, file="n", sha256="n"))
+    found = evaluate(make_bundle(train=[used]), [copy])
+    assert found.outcome.passed is None
+    text = "new.csv:left: the model was trained on it under the name train.csv:left"
+    assert found.lacking() == [f"{text}; that earns no pass"]
+    (row,) = found.document()["logs"]
+    assert row["holds"] == {"log": "train.csv:left", "share": 1.0, "from_s": 0.0, "to_s": 239.9}
 
 
 def test_a_bound_on_the_error_is_missed_by_name(make_bundle, make_log):
@@ -287,8 +301,15 @@ def test_a_log_without_any_output_is_refused(make_bundle, make_log):
 def test_a_bound_on_an_output_that_nobody_recorded_is_not_met(make_bundle, make_log):
     bundle = make_bundle(evaluate={"largest_rmse": {"N1_pct": 1.0}})
     evaluation = evaluate(bundle, [without(make_log(), "N1_pct")])
-    assert evaluation.missed() == ["N1_pct: no sample to judge by, at most RMSE 1 allowed"]
-    assert evaluate(bundle, [make_log(), without(make_log(), "N1_pct")]).missed() == []
+    none = "N1_pct is not assessable, 0 % of it is judged (not recorded), at least 90 % have to be"
+    least = "a verdict takes 3 of each that can be assessed"
+    assert evaluation.missed() == [
+        "N1_pct: no sample to judge by, at most RMSE 1 allowed",
+        f"flight.csv:left: {none}",
+        f"Ti/Tt of engine left: no pushes in N1, no pulls in N1; {least}",
+    ]
+    both = evaluate(bundle, [make_log(), without(make_log(), "N1_pct")])
+    assert both.missed() == [f"flight.csv:left: {none}"]
 
 
 def test_what_lies_between_two_measurements_is_not_scored(make_bundle, make_log):

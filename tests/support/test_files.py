@@ -147,11 +147,14 @@ def test_a_disk_that_fills_up_in_a_folder_leaves_nothing(tmp_path):
     assert names(tmp_path) == []
 
 
-def refused(path, message, *, replace=True):
-    with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"), atomic_folder(path, replace):
+RUN = Results("narxcal.bundle/", "bundle.json", ("old", "new"))
+
+
+def refused(path, message, replaced=RUN):
+    with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"), atomic_folder(path, replaced):
         pass
     with pytest.raises(ConfigError, match=f"^{re.escape(message)}$"):
-        check_output_folder(path, replace)
+        check_output_folder(path, replaced)
 
 
 def test_a_folder_with_content_is_refused_and_untouched(tmp_path):
@@ -160,7 +163,7 @@ def test_a_folder_with_content_is_refused_and_untouched(tmp_path):
         tmp_path,
         f"output folder {tmp_path} exists and is not empty. "
         "Choose another name, or allow it to be overwritten",
-        replace=False,
+        None,
     )
     assert names(tmp_path) == ["thesis.tex"]
 
@@ -170,9 +173,8 @@ def test_foreign_content_is_not_even_overwritten_on_request(tmp_path):
     (tmp_path / "list.json").write_text("[1]", encoding="utf-8")
     refused(
         tmp_path,
-        f"output folder {tmp_path} holds other content and is not overwritten. "
+        f"output folder {tmp_path} holds other content ('list.json') and is not overwritten. "
         "Choose another name, or empty it yourself",
-        replace=True,
     )
 
 
@@ -191,7 +193,7 @@ def written_run(folder):
 
 def test_our_own_folder_is_replaced_whole_on_request(tmp_path):
     run = written_run(tmp_path / "run")
-    with atomic_folder(run, replace=True) as part:
+    with atomic_folder(run, RUN) as part:
         (part / "new").touch()
     assert names(run) == ["new"]
     assert names(tmp_path) == ["run"]
@@ -206,7 +208,7 @@ def test_without_an_exchange_of_the_system_the_folder_is_replaced_all_the_same(
 ):
     no_exchange(monkeypatch)
     run = written_run(tmp_path / "run")
-    with atomic_folder(run, replace=True) as part:
+    with atomic_folder(run, RUN) as part:
         (part / "new").touch()
     assert (names(run), names(tmp_path)) == (["new"], ["run"])
 
@@ -222,7 +224,7 @@ def test_a_failed_rename_puts_the_former_folder_back(tmp_path, monkeypatch):
         return real(self, target)
 
     monkeypatch.setattr(Path, "replace", replace)
-    with pytest.raises(ConfigError, match="cannot write"), atomic_folder(run, replace=True):
+    with pytest.raises(ConfigError, match="cannot write"), atomic_folder(run, RUN):
         pass
     assert names(run) == ["bundle.json", "old"]
     assert names(tmp_path) == ["run"]
@@ -351,7 +353,7 @@ def test_a_folder_that_cannot_be_exchanged_is_refused_before_the_work(
 ):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match=f"^output folder {re.escape(name)} {what}"):
-        check_output_folder(name, replace=True)
+        check_output_folder(name, RUN)
     with pytest.raises(ConfigError, match=f"^output folder {re.escape(name)} {what}"):
         Results("narxcal.x/1", "x.json", ()).check(Path(name))
 

@@ -80,7 +80,7 @@ def test_a_folder_that_stands_is_replaced_only_when_asked_and_ours(trained, save
     Narx.load(saved)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.tex").touch()
-    with pytest.raises(ConfigError, match="holds other content and is not overwritten"):
+    with pytest.raises(ConfigError, match="holds other content"):
         trained.save(tmp_path / "other", replace=True)
 
 

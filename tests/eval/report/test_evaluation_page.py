@@ -67,10 +67,14 @@ def test_nothing_to_assess_is_no_pass(make_bundle, make_log):
 def test_an_engine_of_which_nothing_could_be_assessed_is_no_pass(make_bundle, make_log, mask):
     lost = mask(make_log("flight.csv:right"), "Mach", slice(1, None))
     result = evaluate(make_bundle(), [make_log(), lost])
-    assert result.outcome.passed is False
+    assert result.outcome.passed is None
     reason = "inputs are missing at .. of 104 samples"
     expected = f"Ti/Tt of engine right: no transient could be assessed ({reason})"
-    assert result.missed() == [expected]
+    none = "0 % of it is judged (inputs are missing), at least 90 % have to be"
+    assert result.missed() == [
+        *(f"flight.csv:right: {name} is not assessable, {none}" for name in ("N1_pct", "N2_pct")),
+        expected,
+    ]
 
 
 def test_bounds_on_errors_alone_are_evidence_where_no_transient_is_demanded(make_bundle, make_log):

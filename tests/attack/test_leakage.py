@@ -1,0 +1,65 @@
+"""A log is known by its samples: copies under other names, clocks and rates are no new logs."""
+
+from dataclasses import replace
+
+import pytest
+
+from data_prep.identity import Identity, duplicates, refuse_duplicates
+from data_prep.log import Source
+from narxcal.support.errors import DataError, ModelError
+
+KINDS = ("renamed", "cut", "resampled", "EGT x 1.2", "four digits", "masked")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_copy_is_recognised_by_its_samples(flight, copies, kind, seed):
+    log = flight(seed)
+    copy = copies[kind](log)
+    found = log.identity.within(copy)
+    assert found is not None
+    assert found.share > 0.7
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_whole_flight_holds_a_training_log_that_was_cut_out_of_it(flight, copies, kind):
+    log = flight(4)
+    assert copies[kind](log).identity.within(log) is not None
+
+
+def test_other_flights_and_the_same_levels_flown_again_with_a_drift_are_new(flight):
+    logs = [flight(seed) for seed in range(5)]
+    assert not duplicates(logs)
+    again = flight(7, levels=1)
+    warmer = again.with_channels({"EGT_C": again["EGT_C"] + 4.0, "N1_pct": 1.004 * again["N1_pct"]})
+    assert logs[1].identity.within(warmer) is None
+
+
+def test_engines_of_one_flight_are_two_recordings(flight):
+    left = flight(1)
+    source = Source(left.source.file, left.source.sha256, "right")
+    right = replace(flight(9, levels=1), name="flight_1.csv:right", source=source)
+    assert not duplicates([left, right])
+
+
+def test_an_identity_is_stored_and_read_back(flight, copies):
+    log = flight(1)
+    stored = Identity.from_json(log.identity.to_json())
+    assert stored.within(copies["cut"](log)) is not None
+    assert stored.within(flight(2)) is None
+
+
+@pytest.mark.parametrize("damage", [{"anchors": "!"}, {"noise": [1.0]}, {"channels": None}])
+def test_a_damaged_identity_is_refused(flight, damage):
+    with pytest.raises(ModelError, match="the identity of a log cannot be read"):
+        Identity.from_json({**flight(1).identity.to_json(), **damage})
+
+
+def test_the_same_recording_on_both_sides_is_refused_by_name(flight, copies):
+    log = flight(1)
+    with pytest.raises(DataError) as error:
+        refuse_duplicates([log, flight(2), copies["cut"](log)], "it would be judged on itself")
+    start = "copy.csv: copy.csv holds the samples of flight_1.csv: 9"
+    end = "it would be judged on itself. Leave one of the two out of [logs] files, or of [split]"
+    assert str(error.value).startswith(start)
+    assert str(error.value).endswith(end)

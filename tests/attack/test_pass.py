@@ -1,0 +1,101 @@
+"""Ways to an undeserved PASS: none passes, and each says why.
+
+The engine, its network and the logs are those of tests/eval: a model that is exact, so that a sound
+log passes. `../../docs/reliability.md` P12.
+"""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data_prep.prepare import Preparation, prepare
+from eval.evaluate import evaluate
+
+
+def engine():
+    """The module of tests/eval that makes the engine, its logs and its bundles."""
+    file = Path(__file__).parents[1] / "eval" / "conftest.py"
+    spec = importlib.util.spec_from_file_location("engine_of_lags", file)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+ENGINE = engine()
+
+
+def steps(channel, change):
+    """A function that changes one channel of a log by a function of values and time."""
+    return lambda log: log.with_channels({channel: change(log[channel], log.time_s)})
+
+
+def noise(size):
+    return lambda v, t: v + np.random.default_rng(0).normal(0.0, size, len(t))
+
+
+def stuck(values, time_s):
+    return np.where((time_s > 80.0) & (time_s < 140.0), values[800], values)
+
+
+WAYS = {
+    "N1 in rpm": steps("N1_pct", lambda v, _: 67.0 * v),
+    "N1 negative": steps("N1_pct", lambda v, _: -v),
+    "N1 constant": steps("N1_pct", lambda _, t: np.full(len(t), 80.0)),
+    "N1 constant with noise": steps("N1_pct", lambda _, t: noise(0.05)(np.full(len(t), 80.0), t)),
+    "N2 negative": steps("N2_pct", lambda v, _: -v),
+    "N2 gain 1.2": steps("N2_pct", lambda v, _: 80.0 + 1.2 * (v - 80.0)),
+    "N2 1.5 % high": steps("N2_pct", lambda v, _: 1.015 * v),
+    "N1 a second late": steps("N1_pct", lambda v, _: np.concatenate([np.full(10, v[0]), v[:-10]])),
+    "N1 drifts by 3 %": steps("N1_pct", lambda v, t: v + 3.0 * t / t[-1]),
+    "N1 noise of 2 %": steps("N1_pct", noise(2.0)),
+    "lever stuck for 60 s": steps(
+        "TRA_deg", lambda v, t: np.where((t > 80) & (t < 140), v[800], v)
+    ),
+    "N1 stuck for 60 s": steps("N1_pct", stuck),
+    "lever 4 deg off": steps("TRA_deg", lambda v, _: v + 4.0),
+    "N1 lost from 20 % on": steps("N1_pct", lambda v, t: np.where(t > 48.0, np.nan, v)),
+    "half of N1 lost": steps("N1_pct", lambda v, t: np.where(t % 2.0 < 1.0, np.nan, v)),
+    "Mach lost": steps("Mach", lambda v, t: np.where(t > 150.0, np.nan, v)),
+    "90 s cut": lambda log: log.part(0, 900),
+    "one push": lambda log: log.part(0, 350),
+    "steady": steps("TRA_deg", lambda _, t: np.full(len(t), 30.0)),
+    "N1 and N2 exchanged": lambda log: log.with_channels(
+        {"N1_pct": log["N2_pct"], "N2_pct": log["N1_pct"]}
+    ),
+}
+
+
+@pytest.fixture
+def judged():
+    """The evaluation of a log that was prepared as `evaluate` prepares it."""
+    train = [ENGINE.lag_log("train.csv", offset=(-2.0, 1.5))]
+    errors = {"N1_pct": [0.02, 0.04, 0.06], "N2_pct": [0.02, 0.04, 0.06]}
+    bundle = ENGINE.lag_bundle(train=train)
+    held = {"logs": ["a", "b", "c"], "fitted": False, "rmse": errors}
+    bundle = type(bundle)(bundle.calibration, bundle.record.having(held_out=held))
+
+    def run(change):
+        log = change(ENGINE.lag_log("new.csv", offset=(0.06, 0.05)))
+        tables = Preparation.parse({"smooth": {"window": 1}, "events": {"condition": ""}})
+        return evaluate(bundle, [prepare([log], tables)[0].log])
+
+    return run
+
+
+def test_a_sound_log_passes_and_states_its_evidence(judged):
+    found = judged(lambda log: log)
+    assert found.missed() == []
+    assert found.outcome.exit_code == 0
+    (evidence,) = [line for line in found.outcome.lines if line.startswith("Evidence: ")]
+    assert "1 new log" in evidence
+    assert "at least 100 % of each output of each log is judged" in evidence
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_no_way_to_an_undeserved_pass(judged, way):
+    found = judged(WAYS[way])
+    assert found.outcome.exit_code == 1
+    assert found.missed()
+    assert found.document()["ok"] is False
