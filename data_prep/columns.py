@@ -1,7 +1,7 @@
 """The columns of a file as channels of its engines, in canonical units.
 
-A unit comes from the configuration, else from the file itself: a row of units below the header, or
-brackets that end a column's name.
+A unit comes from the configuration, else from the file itself: a row of units below or above the
+header, or brackets that end a column's name. One that is not understood is never passed over.
 """
 
 from __future__ import annotations
@@ -14,7 +14,13 @@ import numpy as np
 
 from data_prep.config import ENGINE
 from data_prep.log import AuditEntry
-from data_prep.units import find_unit, named_unit, to_canonical
+from data_prep.units import (
+    find_unit,
+    is_volume_flow,
+    looks_like_unit,
+    named_unit,
+    to_canonical,
+)
 from narxcal.channels import CHANNELS
 from narxcal.support.errors import ConfigError, DataError
 
@@ -32,6 +38,7 @@ _SHOWN = 12  # names of columns in a message
 _SEARCHED = 1000  # columns among which a misspelt one is looked for
 _NO_UNIT = ("", "-")
 _BRACKETS_AT_END = re.compile(r"[\[({<]([^][(){}<>]+)[])}>]\s*$")
+_DENSITY = "1 l/h of 0.80 kg/l is 0.80 kg/h, 1 gal/h (US) is 3.03 kg/h"
 _RIGHT = "r"  # the right engine of [L] and [R], no degree Rankine
 
 
@@ -232,9 +239,12 @@ def _unit_of_column(table: Table, name: str, column: str) -> str:
         return table.head.units[table.header.index(column)]
     found = _BRACKETS_AT_END.search(column)
     text = found[1].strip() if found else ""
-    # Brackets may contain anything: only a unit of this very channel is one.
-    unit = "" if text.isdigit() or text.casefold() == _RIGHT else named_unit(text)
-    return text if unit and _or_none(unit, name) else ""
+    if text.isdigit() or text.casefold() == _RIGHT:
+        return ""
+    # Brackets may contain anything: one letter is a unit only of this very channel.
+    unit = named_unit(text)
+    fits = bool(unit) and _or_none(unit, name) is not None
+    return text if fits or looks_like_unit(text) else ""
 
 
 def _unit(table: Table, name: str, text: str) -> str:
@@ -242,7 +252,10 @@ def _unit(table: Table, name: str, text: str) -> str:
     unit = named_unit(text)
     if not unit or _or_none(unit, name) is None:
         what = "is not known" if not unit else f"does not fit {CHANNELS[name].unit}"
-        problem = f"the row of units below the header says '{text}', which {what}"
+        if is_volume_flow(text):
+            what = "is a flow of volume"
+            hint = f"Set scale of {name} in [logs.columns] by the fuel's density: {_DENSITY}"
+        problem = f"the {_place(table)} says '{text}', which {what}"
         raise DataError(problem, file=table.path, channel=name, hint=hint)
     return unit
 

@@ -30,6 +30,7 @@ _LINES_ABOVE = 100  # a header is looked for so far down
 _SEPARATOR_MARK = re.compile(r'"?sep=.?"?', re.IGNORECASE)  # Excel's own line, no data
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
 _NUMBERS_PART = 0.3  # of the cells with content; a log of notes and numbers has more
+_FEWEST_UNITS = 2  # of a row above the header
 SAMPLE_LINES = 200
 _HEAD_BYTES = 65_536
 _GZIP_MAGIC = b"\x1f\x8b"
@@ -54,7 +55,7 @@ class Head:
     """`lines` of the file come before the first row of data; `above` of them above the header.
 
     Blank lines and comments count in `lines` alone. `units` `(columns,)` are the cells of a row of
-    units below the header, empty where there is none.
+    units below the header or above it, empty where there is none.
     """
 
     lines: int
@@ -113,6 +114,25 @@ def units_row(cells: Sequence[str], header: Sequence[str]) -> tuple[str, ...]:
     if 2 * sum(map(is_unit_text, filled)) < len(filled):
         return ()
     return (*cells, *[""] * len(header))[: len(header)]
+
+
+def _units_above(
+    lines: Sequence[str], how: tuple[str, str], header: Sequence[str]
+) -> tuple[str, ...]:
+    """Return the row of units that is nearest above the header, a comment or not.
+
+    It has as many cells as the header, and two of them are units: a title may be one.
+    """
+    delimiter, comment = how
+    for line in reversed(lines):
+        plain = line.strip("\r\n")
+        if comment and plain.lstrip().startswith(comment):
+            plain = plain.lstrip().removeprefix(comment)
+        cells = fields(plain, delimiter)
+        found = units_row(cells, header) if len(cells) == len(header) else ()
+        if sum(map(is_unit_text, filter(None, found))) >= _FEWEST_UNITS:
+            return found
+    return ()
 
 
 def _is_number(cell: str) -> bool:
@@ -214,8 +234,9 @@ def sniff(text: TextIO, delimiter: str, decimal: str, comment: str, time: str) -
     if delimiter == "auto":
         delimiter = _delimiter(header, texts)
     names = fields(header, delimiter)
-    units = units_row(fields(texts[0], delimiter), names) if texts else ()
-    cells = [fields(text, delimiter) for text in texts[bool(units) :]]
+    below = units_row(fields(texts[0], delimiter), names) if texts else ()
+    units = below or _units_above(lines[:at], (delimiter, comment), names)
+    cells = [fields(text, delimiter) for text in texts[bool(below) :]]
     if decimal == "auto":
         decimal = _decimal(cells, delimiter)
     first = _first_cell(cells, names, time)
@@ -227,7 +248,7 @@ def sniff(text: TextIO, delimiter: str, decimal: str, comment: str, time: str) -
         header=names,
         clock=time if is_clock(first) else "",
         hourly=lacks_hours(first),
-        head=Head((rows[0] if units else at) + 1, above, units),
+        head=Head((rows[0] if below else at) + 1, above, units),
         width=_width(cells, names),
         tabular=_is_tabular(cells),
     )

@@ -23,6 +23,7 @@ class Unit:
 _POUND_KG = 0.45359237  # exact, international avoirdupois pound
 _FOOT_M = 0.3048  # exact
 _MILE_M = 1852.0  # exact, international nautical mile
+_STATUTE_M = 1609.344  # exact, statute mile
 _LBF_KN = 0.0044482216152605  # exact, pound of force
 
 _UNITS: dict[str, Unit] = {
@@ -60,6 +61,8 @@ _UNITS: dict[str, Unit] = {
     "kt": Unit("speed", 1.0),
     "m/s": Unit("speed", 3600.0 / _MILE_M),
     "km/h": Unit("speed", 1000.0 / _MILE_M),
+    "mph": Unit("speed", _STATUTE_M / _MILE_M),
+    "ft/s": Unit("speed", 3600.0 * _FOOT_M / _MILE_M),
 }
 _ALIASES = {
     "sec": "s",
@@ -88,11 +91,47 @@ _ALIASES = {
     "": "-",
     "bool": "0/1",
 }
-# Units of columns that are no channels: they only show that a row is one of units.
-_OTHER = (
+# How units are spelled out, part by part: "Lbs. per Hour" is lb/h.
+_WORDS = {
+    word: unit
+    for unit, words in {
+        "s": "sec secs second seconds",
+        "ms": "msec msecs millisecond milliseconds",
+        "us": "usec microsecond microseconds",
+        "min": "mins minute minutes",
+        "h": "hr hrs hour hours",
+        "d": "day days",
+        "deg": "degs degree degrees",
+        "rad": "rads radian radians",
+        "ft": "foot feet",
+        "m": "meter meters metre metres",
+        "km": "kilometer kilometers kilometre kilometres",
+        "lb": "lbs lbm pound pounds",
+        "kg": "kgs kilogram kilograms",
+        "g": "gram grams",
+        "gal": "gals gallon gallons usgal",
+        "l": "liter liters litre litres",
+        "kt": "kts knot knots",
+        "mph": "mi/h mile/h miles/h",
+        "%": "pct percent",
+        "degc": "degreec degreesc degcelsius degreescelsius",
+        "degf": "degreef degreesf degfahrenheit degreesfahrenheit",
+        "k": "degk kelvins",
+        "degr": "rankine degrankine",
+        "lbf": "lbsf poundf poundsforce",
+    }.items()
+    for word in words.split()
+}
+# Volumes of fuel need its density; the others are units of columns that are no channels.
+_VOLUME_FLOWS = ("gal/h", "gph", "gal/min", "gpm", "l/h", "lph", "l/min", "lpm", "ml/min", "m3/h")
+_MEASURES = (
     *("psi", "psia", "psig", "bar", "mbar", "hPa", "kPa", "Pa", "inHg", "V", "mV", "A", "mA", "Hz"),
-    *("g", "lb", "lbs", "kg", "gal", "gph", "nm", "mi", "ft/min", "fpm", "deg/s", "m/s2", "utc"),
-    *("hh:mm:ss", "hh:mm:ss.sss", "text", "bool", "n/a", "none", "count", "counts", "bit", "bits"),
+    *("g", "lb", "kg", "gal", "l", "nm", "mi", "ft/min", "fpm", "deg/s", "m/s2", *_VOLUME_FLOWS),
+)
+# What else a row of units may hold.
+_OTHER = (
+    *("utc", "hh:mm:ss", "hh:mm:ss.sss", "text", "bool", "n/a", "none", "count", "counts"),
+    *("bit", "bits"),
 )
 _BRACKETS = re.compile(r"\s*[\[({<]?\s*(.*?)\s*[\])}>]?\s*")
 _PER_MINUTE = ("rpm", "1/min", "r/min", "min-1", "u/min")
@@ -134,6 +173,17 @@ def named_unit(cell: str) -> str:
     return _BY_TEXT.get(_plain(cell), "")
 
 
+def is_volume_flow(cell: str) -> bool:
+    """Whether a cell names a flow of volume, which no mass flow follows from without a density."""
+    return _plain(cell) in _FLOWS
+
+
+def looks_like_unit(cell: str) -> bool:
+    """Whether text in brackets is plainly a unit: a letter may be the name of an engine."""
+    plain = _plain(cell)
+    return len(plain) > 1 and plain not in _NO_MEASURES and is_unit_text(cell)
+
+
 def is_unit_text(cell: str) -> bool:
     """Whether a cell names any unit, be it one of a channel or not."""
     plain = _plain(cell)
@@ -141,8 +191,13 @@ def is_unit_text(cell: str) -> bool:
 
 
 def _plain(cell: str) -> str:
+    """Text of a unit without brackets, blanks, dots, plurals and capitals: `Lbs./Hr` is `lb/h`."""
     found = _BRACKETS.fullmatch(cell)
-    return "".join((found[1] if found else cell).split()).casefold()
+    text = (found[1] if found else cell).casefold().replace("\N{GREEK SMALL LETTER MU}", "u")
+    text = re.sub(r"\bper\b", "/", text.replace("\N{MICRO SIGN}", "u"))
+    text = re.sub(r"\s+|\.(?!\d)", "", text)
+    text = "/".join(_WORDS.get(part, part) for part in text.split("/"))
+    return _WORDS.get(text, text)
 
 
 def _lookup(name: str, canonical: str) -> Unit:
@@ -172,4 +227,6 @@ def to_canonical(values: FloatArray, unit: Unit) -> FloatArray:
 
 
 _BY_TEXT = _texts()
-_FOREIGN = {_plain(text) for text in (*_OTHER, *_PER_MINUTE)}
+_FLOWS = {_plain(text) for text in _VOLUME_FLOWS}
+_NO_MEASURES = {_plain(text) for text in _OTHER}
+_FOREIGN = {_plain(text) for text in (*_MEASURES, *_PER_MINUTE)} | _NO_MEASURES

@@ -83,7 +83,7 @@ def test_the_configuration_stands_against_the_row_of_units(tmp_path):
 )
 def test_a_unit_that_cannot_be_is_not_guessed(tmp_path, units, channel, why):
     assert error_of(write(tmp_path, f"t,fan,itt\n{units}\n{ROWS}"), config()) == (
-        f"FILE, channel {channel}: the row of units below the header says {why}. "
+        f"FILE, channel {channel}: the row of units says {why}. "
         f"Say what it is in [logs.columns]: unit of {channel}, or scale and offset"
     )
 
@@ -289,7 +289,7 @@ def test_the_configuration_stands_against_brackets(tmp_path):
     assert changes(log) == [("EGT_C", "repaired", reason, 40)]
 
 
-@pytest.mark.parametrize("end", ["[R]", "(1)", "[rpm]", "(m)", "(probe 2)", "[-]", "{L}", "[]"])
+@pytest.mark.parametrize("end", ["[R]", "(1)", "[raw]", "(m)", "(probe 2)", "[-]", "{L}", "[]"])
 def test_brackets_that_are_no_unit_of_the_channel_are_part_of_the_name(tmp_path, end):
     path = write(tmp_path, f"t,fan {end},itt {end}\n{ROWS}")
     named = {"time_s": "t", "N1_pct": f"fan {end}", "EGT_C": f"itt {end}"}
@@ -315,4 +315,84 @@ def test_engines_whose_brackets_differ_are_refused(tmp_path):
     assert error_of(path, LogsConfig.parse(both)) == (
         "FILE: the header says 'degF' and 'K' of the engines' columns. "
         "Set the unit of column 'itt {engine}' in [logs.columns]"
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [
+        ("Lbs./Hr", "lb/h"), ("pounds per hour", "lb/h"), ("PPH", "lb/h"), ("deg. F", "degF"),
+        ("Degrees Celsius", "degC"), ("meters", "m"), ("ft.", "ft"), ("FEET", "ft"),
+        ("msec", "ms"), ("µs", "us"), ("minutes", "min"), ("Hours", "h"), ("mph", "mph"),
+        ("knots", "kt"), ("Kg/sec", "kg/s"), ("metres per second", "m/s"), ("m.p.h.", "mph"),
+    ],
+)  # fmt: skip
+def test_units_are_understood_as_they_are_spelled_out(text, unit):
+    assert named_unit(f"[{text}]") == unit
+
+
+@pytest.mark.parametrize(
+    ("name", "column", "factor", "offset"),
+    [
+        ("FF_kgph", "fuel (lbs/hr)", 0.45359237, 0.0),
+        ("ALT_ft", "altitude (meters)", 1.0 / 0.3048, 0.0),
+        ("TAS_kt", "TAS (mph)", 1.609344 / 1.852, 0.0),
+        ("EGT_C", "ITT (deg. F)", 5.0 / 9.0, -160.0 / 9.0),
+    ],
+)
+def test_a_spelled_out_unit_in_brackets_converts(tmp_path, name, column, factor, offset):
+    path = write(tmp_path, f"t,fan,{column}\n{ROWS}")
+    columns = {"time_s": {"column": "t"}, "N1_pct": {"column": "fan"}, name: {"column": column}}
+    (log,) = read_logs(path, LogsConfig.parse({"columns": columns}))
+    np.testing.assert_allclose(log[name], factor * (500.0 + np.arange(40)) + offset)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "why", "hint"),
+    [
+        ("FF_kgph", "gal/hr", "is a flow of volume",
+         ("Set scale of FF_kgph in [logs.columns] by the fuel's density: "
+         "1 l/h of 0.80 kg/l is 0.80 kg/h, 1 gal/h (US) is 3.03 kg/h")),
+        ("FF_kgph", "l/min", "is a flow of volume",
+         ("Set scale of FF_kgph in [logs.columns] by the fuel's density: "
+         "1 l/h of 0.80 kg/l is 0.80 kg/h, 1 gal/h (US) is 3.03 kg/h")),
+        ("N1_pct", "RPM", "is not known",
+         "Say what it is in [logs.columns]: unit of N1_pct, or scale and offset"),
+        ("FN_kN", "lbs", "is not known",
+         "Say what it is in [logs.columns]: unit of FN_kN, or scale and offset"),
+        ("ALT_ft", "knots", "does not fit ft",
+         "Say what it is in [logs.columns]: unit of ALT_ft, or scale and offset"),
+    ],
+)  # fmt: skip
+def test_a_unit_in_brackets_that_cannot_be_is_not_passed_over(tmp_path, name, text, why, hint):
+    column = f"x ({text})"
+    path = write(tmp_path, f"t,fan,{column}\n{ROWS}")
+    columns = {"time_s": {"column": "t"}, name: {"column": column}}
+    assert error_of(path, LogsConfig.parse({"columns": columns})) == (
+        f"FILE, channel {name}: the header says '{text}', which {why}. {hint}"
+    )
+
+
+@pytest.mark.parametrize("text", ["A", "L", "R", "2", "left", "raw", "C", "utc"])
+def test_other_words_in_brackets_are_no_unit(tmp_path, text):
+    column = f"N2 ({text})"
+    path = write(tmp_path, f"t,fan,{column}\n{ROWS}")
+    columns = {"time_s": {"column": "t"}, "N2_pct": {"column": column}}
+    (log,) = read_logs(path, LogsConfig.parse({"columns": columns}))
+    assert len(log) == 40
+
+
+@pytest.mark.parametrize("above", ["#s,%,deg F\n", ",%,degF\n", "# a title\n#s, %, degF\n",
+                                   "sec,pct,Deg. F\nRecorder 7,by all,1\n"])  # fmt: skip
+def test_a_row_of_units_above_the_header_counts_as_one_below(tmp_path, above):
+    (log,) = read_logs(write(tmp_path, f"{above}t,fan,itt\n{ROWS}"), config())
+    expected = (500.0 + np.arange(40) - 32.0) / 1.8
+    np.testing.assert_allclose(log["EGT_C"], expected)
+    assert ("EGT_C", "repaired", "degF, as its row of units says", 40) in changes(log)
+
+
+def test_a_unit_above_the_header_that_is_not_known_is_refused(tmp_path):
+    assert error_of(write(tmp_path, f"#s,%,ohm\nt,fan,itt\n{ROWS}"), config()) == (
+        "FILE, channel EGT_C: the row of units says 'ohm', which is not known. "
+        "Say what it is in [logs.columns]: unit of EGT_C, or scale and offset"
     )
