@@ -11,7 +11,9 @@ import pandas as pd
 import pytest
 
 import narxcal
-from eval.gap import budget, simulators
+from eval.diagnosis.diagnose import mapping_of
+from eval.diagnosis.learned import learn_left_out
+from eval.diagnosis.simulators import open_simulator
 from narxcal import load_bundle
 from narxcal.calibration.bundle import Bundle, check_bundle, read_document, save_bundle
 from narxcal.calibration.calibration import DynamicCalibration
@@ -120,9 +122,9 @@ def test_no_command_executes_what_a_run_names(planted, command, monkeypatch, cap
     [
         load_bundle,
         narxcal.load_bundle,
-        lambda run: simulators.open_simulator(str(run)),
-        lambda run: budget.mapping_of(str(run)),
-        budget.learn_left_out,
+        lambda run: open_simulator(str(run)),
+        lambda run: mapping_of(str(run)),
+        learn_left_out,
     ],
 )
 def test_no_function_that_opens_a_run_executes_what_it_names(planted, monkeypatch, opened):
