@@ -105,7 +105,7 @@ def run_log(
     inputs = hold_inputs(filled, own.input_names).matrix(own.input_names)
     faulty = np.isfinite(before.matrix(own.input_names)).all(axis=1) & ~known
     measured = log.matrix(own.output_names)
-    steady = np.asarray(own.steady.outputs(inputs), dtype=np.float64)
+    steady = np.asarray(own.settled(inputs), dtype=np.float64)
     began = time.perf_counter()
     model = _restarted(own, inputs, measured, faulty)
     took_s = time.perf_counter() - began

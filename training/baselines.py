@@ -49,7 +49,7 @@ class FirstOrderLag:
     def simulate(self, steady: FloatArray, start: FloatArray, dt_s: float) -> FloatArray:
         """Free run (time, n_out) behind `steady` (time, n_out), from `start` (n_out,)."""
         columns = [
-            lead.simulate(steady, _first(steady, start, k))
+            lead.simulate(steady, start_of(steady, start, k))
             for k, lead in enumerate(self.leads(dt_s))
         ]
         return np.stack(columns, axis=1)
@@ -78,7 +78,7 @@ class LinearArx:
     def simulate(self, steady: FloatArray, start: FloatArray) -> FloatArray:
         """Free run (time, n_out) on `steady` (time, n_out), from `start` (n_out,)."""
         columns = [
-            self.lead(k).simulate(steady, _first(steady, start, k))
+            self.lead(k).simulate(steady, start_of(steady, start, k))
             if len(self.poles[k])
             else np.full(len(steady), np.nan)
             for k in range(steady.shape[1])
@@ -146,7 +146,7 @@ def fit_baselines(calibration: Calibration, logs: Sequence[Log]) -> dict[str, An
 def run_of(calibration: Calibration, log: Log) -> Run:
     """Steady-state values of the log's own engine, and what was measured."""
     own = calibration.for_engine(log.source.engine)
-    steady = own.steady.outputs(log.matrix(own.input_names))
+    steady = own.settled(log.matrix(own.input_names))
     return Run(np.asarray(steady, dtype=np.float64), log.matrix(own.output_names))
 
 
@@ -159,7 +159,7 @@ def _fit_lag(runs: Sequence[Run], k: int, dt_s: float) -> tuple[float, float]:
         lag = Lead("first_order", k, push, pull)
         total, count = 0.0, 0
         for run in runs:
-            first = _first(run.steady, run.measured[0], k)
+            first = start_of(run.steady, run.measured[0], k)
             error = lag.simulate(run.steady, first) - run.measured[:, k]
             known = np.isfinite(error)
             total, count = total + float(error[known] @ error[known]), count + int(known.sum())
@@ -183,7 +183,7 @@ def _fit_arx(runs: Sequence[Run], k: int, dt_s: float) -> tuple[FloatArray, Floa
         longer = [run for run in runs if len(run.measured) > order]
         if not longer:
             continue
-        poles, gains, offset = _least_squares(longer, k, order)
+        poles, gains, offset = arx_of(longer, k, order)
         roots = np.roots(np.concatenate([[1.0], -poles]))
         if not np.all(np.abs(roots) <= np.exp(-dt_s / LONGEST_S)):
             continue
@@ -193,7 +193,8 @@ def _fit_arx(runs: Sequence[Run], k: int, dt_s: float) -> tuple[FloatArray, Floa
     return best
 
 
-def _least_squares(runs: Sequence[Run], k: int, order: int) -> tuple[FloatArray, FloatArray, float]:
+def arx_of(runs: Sequence[Run], k: int, order: int) -> tuple[FloatArray, FloatArray, float]:
+    """Poles (order,), gains (order + 1, n_out) and offset of output `k` by least squares."""
     rows, targets = [], []
     for run in runs:
         y, n = run.measured[:, k], len(run.measured)
@@ -217,7 +218,7 @@ def _free_run_error(
     arx = Lead("arx", k, poles=tuple(poles), gains=tuple(map(tuple, gains)), offset=offset)
     errors = []
     for run in runs:
-        first = _first(run.steady, run.measured[0], k)
+        first = start_of(run.steady, run.measured[0], k)
         errors.append(arx.simulate(run.steady, first) - run.measured[:, k])
     error = np.concatenate(errors)
     return float(np.sqrt(np.nanmean(error**2)))
@@ -227,6 +228,6 @@ def _gain(tau_s: float, dt_s: float) -> float:
     return float(1.0 - np.exp(-dt_s / tau_s))
 
 
-def _first(steady: FloatArray, start: FloatArray, k: int) -> float:
+def start_of(steady: FloatArray, start: FloatArray, k: int) -> float:
     """Start of a free run: the measured value, or the steady-state value where that is missing."""
     return float(start[k]) if np.isfinite(start[k]) else float(steady[0, k])

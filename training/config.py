@@ -182,6 +182,7 @@ class TrainConfig(Section):
     power more than high. In each output the steady state, a first-order lag or an ARX model leads
     where it does better than the network on held-out parts of the training logs (see
     `training.lead`); `choice_s` are the nominal CPU seconds that this may take, 0 for the network.
+    `delay_s` is the transport delay of the driver, found on held-out logs where it is "auto".
     """
 
     optimiser: Literal["lm", "geodesic", "adam"] = "lm"
@@ -202,6 +203,7 @@ class TrainConfig(Section):
     rest_far: bool = False
     emphasis: Literal["even", "motion"] = "even"
     choice_s: float = Field(default=120.0, ge=0)
+    delay_s: Auto | Annotated[float, Field(ge=0, le=60.0)] = "auto"
     still: QuasiSteadyConfig = QuasiSteadyConfig(window_s=4.0, speed_pct=0.4, driver_fraction=0.02)
 
     @model_validator(mode="after")

@@ -391,23 +391,23 @@ def choose_form(
     """
     forms = _offered(config, steady)
     if len(forms) < 2 or len({log.source.file for log in logs}) == 2:
-        return _with(config, forms[0]), LagChoice(forms[0] if config.narx.lag else "")
+        return with_form(config, forms[0]), LagChoice(forms[0] if config.narx.lag else "")
     logs = _enough(logs)
     samples = [lag_samples(log, steady, config) for log in logs]
     samples, dt_s = thinned(samples, logs[0].dt_s, _CHOICE_GRID_S)
     samples, recordings = _stretches(samples, [log.source.file for log in logs], dt_s)
-    trial = _Trial(steady, samples, held_out_folds(recordings, _FOLDS), dt_s)
+    trial = Trial(steady, samples, held_out_folds(recordings, _FOLDS), dt_s)
     total, done = len(forms) * len(trial.folds), count()
 
     def begins() -> None:
         progress(next(done), total, "choosing the lags")
 
-    left = {form: trial.left(_with(config, form), begins) for form in forms}
+    left = {form: trial.left(with_form(config, form), begins) for form in forms}
     best = _best(left)
     known = {
         form: float(np.exp(logs.mean())) for form, logs in left.items() if np.isfinite(logs).all()
     }
-    return _with(config, best), LagChoice(best, known)
+    return with_form(config, best), LagChoice(best, known)
 
 
 def _best(left: Mapping[str, FloatArray]) -> str:
@@ -434,7 +434,8 @@ def _offered(config: RunConfig, steady: SteadyStateModel) -> list[str]:
     return [*([GOVERNED] if governed and section.lag_governed == "auto" else []), PLAIN, LIMITS]
 
 
-def _with(config: RunConfig, form: str) -> RunConfig:
+def with_form(config: RunConfig, form: str) -> RunConfig:
+    """The configuration with lags of this form."""
     return config.having(narx={"lag_limits": form == LIMITS, "lag_governed": form == GOVERNED})
 
 
@@ -464,7 +465,7 @@ def _stretches(
 
 
 @dataclass(frozen=True, eq=False)
-class _Trial:
+class Trial:
     """What forms are judged on: samples on the grid `dt_s`, in folds."""
 
     steady: SteadyStateModel
@@ -472,7 +473,7 @@ class _Trial:
     folds: Sequence[Fold]
     dt_s: float
 
-    def left(self, config: RunConfig, begins: Callable[[], None]) -> FloatArray:
+    def left(self, config: RunConfig, begins: Callable[[], None] = lambda: None) -> FloatArray:
         """Logarithm of a form's free-run error in each fold, as a share of the outputs' range.
 
         NaN where a fold has nothing to fit to. An output that no sample to fit or to judge shows is

@@ -63,6 +63,7 @@ from training.records import LEAST_WIDTHS, Split, material, structure_of
 from training.redundancy import learn
 from training.steady_choice import contradicting, steady_state, without
 from training.steady_fit import SteadyQuality
+from training.transport import DelayChoice, choose_delay, delayed
 
 CHECKPOINT = "checkpoint-{}.safetensors"
 
@@ -126,6 +127,12 @@ def calibrate(
         learned = replace(learned, split=split, contradicting=tuple(spoilt))
         steady, quality = steady_state(config, base, split.train)
     split = split.held(steady.input_names)
+    late = DelayChoice()
+    if not method.startswith(STATIC):
+        late = choose_delay(config, steady, split.train, options.progress)
+    if late.delay is not None:
+        split = split.changed(lambda log: delayed(log, late.delay))
+        steady, quality = steady_state(config, base, split.train)
     if method == METHODS[0]:
         config, calibration, leading, found = _narx(config, base, steady, split, options)
         held = leading.free_runs
@@ -160,8 +167,9 @@ def calibrate(
         certificate=certificate.row(),
         identities=identities,
         held_out=_held_out_record(calibration, split, held),
+        delay=late.row(),
     )
-    return Bundle(calibration, record)
+    return Bundle(calibration.with_delay(late.delay), record)
 
 
 def _narx(

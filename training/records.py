@@ -21,7 +21,7 @@ onsets weigh more.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from typing import Final
@@ -277,8 +277,12 @@ class Split:
 
     def held(self, names: Sequence[str]) -> Split:
         """Split with these inputs completed in the logs to learn from."""
+        return self.changed(lambda log: hold_inputs(log, names))
+
+    def changed(self, change: Callable[[Log], Log]) -> Split:
+        """Split with `change` made to the logs to learn from."""
         parts = (self.train, self.validate)
-        train, validate = (tuple(hold_inputs(log, names) for log in part) for part in parts)
+        train, validate = (tuple(change(log) for log in part) for part in parts)
         return Split(train, validate, self.test)
 
     def with_outputs(self, outputs: Sequence[str]) -> Split:

@@ -23,6 +23,7 @@ from typing import Any, Protocol, Self, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from narxcal.calibration.delay import DelayLine, TransportDelay
 from narxcal.calibration.lead import Lead, LeadState
 from narxcal.calibration.register import Parts, Register, Sample, stacked
 from narxcal.intervals import Band, HalfWidths
@@ -75,10 +76,12 @@ class Calibration(ABC):
         self.steady = steady
         self.dt_s = dt_s
         self.reach: Envelope | None = None
+        self.delay: TransportDelay | None = None
         self.leads: tuple[Lead, ...] = ()
         self.interval: HalfWidths | None = None
         self._register: Running | None = None
         self._led: list[LeadState] = []
+        self._line: DelayLine | None = None
 
     def __repr__(self) -> str:
         names = f"{', '.join(self.input_names)} -> {', '.join(self.output_names)}"
@@ -119,6 +122,29 @@ class Calibration(ABC):
         """The calibration with half-widths over the distance from steady state of each output."""
         return self._with(interval=interval)
 
+    def with_delay(self, delay: TransportDelay | None) -> Self:
+        """The calibration with inputs that act late, in every model that may lead.
+
+        Raises `ModelError` for a channel that is no input.
+        """
+        for name in () if delay is None else delay.channels:
+            if name not in self.input_names:
+                raise ModelError(
+                    f"the delay names '{name}', which is no input",
+                    hint=f"Inputs are {', '.join(self.input_names)}",
+                )
+        return self._with(delay=delay)
+
+    def acting(self, inputs: FloatArray) -> FloatArray:
+        """Inputs (time, n_in) as they act on the engine: behind the delay, where there is one."""
+        if self.delay is None:
+            return inputs
+        return self.delay.line(self.input_names, inputs[0], self.dt_s).advance(inputs)
+
+    def settled(self, inputs: ArrayLike) -> FloatArray:
+        """Steady states (time, n_out) that a run over `inputs` (time, n_in) follows."""
+        return self.steady.outputs(self.acting(self._checked(inputs)))
+
     def network_alone(self) -> Self:
         """The calibration with its own model leading in every output."""
         return self.with_leads(())
@@ -146,6 +172,8 @@ class Calibration(ABC):
             rows["reach"] = {"low": self.reach.low.tolist(), "high": self.reach.high.tolist()}
         if self.interval is not None:
             rows["interval"] = self.interval.to_json()
+        if self.delay is not None:
+            rows["delay"] = self.delay.to_json()
         return rows
 
     @property
@@ -164,7 +192,7 @@ class Calibration(ABC):
 
     def _with(self, **changed: Any) -> Self:
         chosen = copy(self)
-        vars(chosen).update(changed, _register=None, _led=[])
+        vars(chosen).update(changed, _register=None, _led=[], _line=None)
         return chosen
 
     @overload
@@ -200,14 +228,14 @@ class Calibration(ABC):
                 "no errors of held-out logs are stored with this model, so it has no interval",
                 hint="Train it again with several logs and choice_s > 0, or with validation logs",
             )
-        return self.interval.at(np.abs(self.steady.outputs(self._checked(inputs)) - outputs), share)
+        return self.interval.at(np.abs(self.settled(inputs) - outputs), share)
 
     def _simulated(self, inputs: ArrayLike, start: ArrayLike | None) -> FloatArray:
-        given = self._checked(inputs)
+        given = self.acting(self._checked(inputs))
         return self.run(given, self.steady.outputs(given), start)
 
     def run(self, inputs: FloatArray, ss: FloatArray, start: ArrayLike | None) -> FloatArray:
-        """Free run as of `simulate` where the steady states `ss` (time, n_out) are known."""
+        """Free run over inputs as they act, of which the steady states `ss` (time, n_out) are."""
         first = self._first_deviation(ss[0], start)
         deviation = first[None]
         if len(inputs) > 1:
@@ -252,7 +280,7 @@ class Calibration(ABC):
 
         NaN where the past is unknown: at sample 0 and after a masked one.
         """
-        given = self._checked(inputs)
+        given = self.acting(self._checked(inputs))
         ss, known = self.steady.outputs(given), np.asarray(measured, dtype=np.float64)
         outputs = self._prediction(given, ss, known)
         for lead in self.leads:
@@ -270,6 +298,8 @@ class Calibration(ABC):
         self._register = self._started(given[0], ss[0], first)
         value: FloatArray = ss[0] - first
         self._led = [lead.started(ss[0], value[lead.channel]) for lead in self.leads]
+        if self.delay is not None:
+            self._line = self.delay.line(self.input_names, given[0], self.dt_s)
         return value
 
     def step(self, inputs: ArrayLike, correction: ArrayLike | None = None) -> FloatArray:
@@ -292,6 +322,8 @@ class Calibration(ABC):
         if self._register is None:
             first = self.reset(given[0])[None]
             return np.concatenate([first, self.extend(given[1:])]) if len(given) > 1 else first
+        if self._line is not None:
+            given = self._line.advance(given)
         ss = self.steady.outputs(given)
         outputs: FloatArray = ss - self._register.advance(given, ss)
         for state in self._led:
@@ -389,7 +421,7 @@ class DynamicCalibration(Calibration):
             return np.asarray(ss - self.narx.predict(features, deviation))
         drive = self.lag.drive(given, self.input_names, ss)
         free = self.lag.deviations(drive, deviation[0], self.dt_s)
-        share = ss - free - self.network_alone().simulate(given, ss[0] - deviation[0])
+        share = ss - free - self.network_alone().run(given, ss, ss[0] - deviation[0])
         lagged = self.lag.deviations(drive, deviation[0], self.dt_s, deviation - share)
         unknown = np.ones(len(ss), dtype=np.bool_)
         unknown[1:] = np.isnan(deviation[:-1]).any(axis=1)

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from narxcal.calibration.calibration import Calibration, DynamicCalibration, Running
+from narxcal.calibration.delay import TransportDelay
 from narxcal.intervals import HalfWidths
 from narxcal.output_error.engine import STEADY_OUTPUTS, EngineFromSteady, steady_drive
 from narxcal.steady.model import ALTERED, SteadyStateModel
@@ -399,6 +400,8 @@ def calibration_from_arrays(
     reach, interval = meta.get("reach"), meta.get("interval")
     if reach is not None:
         found = found.reaching(reach["low"], reach["high"])
+    if meta.get("delay") is not None:
+        found = found.with_delay(TransportDelay.from_json(meta["delay"], found.input_names))
     if interval is not None:
         found = found.with_interval(HalfWidths.from_json(interval, len(found.output_names)))
     return found

@@ -128,6 +128,7 @@ class RunRecord(_Part):
     certificate: Table | None = None
     identities: tuple[IdentityRecord, ...] = ()
     held_out: HeldOutRecord | None = None
+    delay: Table | None = None
 
     def to_json(self) -> Table:
         """Return the entries that were given, as JSON-able values."""

@@ -217,6 +217,7 @@ def _show(console: Console, folder: Path, bundle: Bundle) -> None:
     record, training = bundle.record, bundle.record.training
     facts = {
         "Steady state": steady_words(record),
+        "Delay": "" if bundle.calibration.delay is None else bundle.calibration.delay.words,
         "Lags": lag_words(record),
         "Leading": lead_words(record),
         "Interval": interval_words(bundle.calibration.interval),

@@ -158,6 +158,11 @@ def _fitted(model: FittedSteadyState) -> Struct:
 
 def parts_of(model: Calibration) -> list[Part]:
     """Return the parts of a calibration's dynamics; `ModelError` names one that C lacks."""
+    if model.delay is not None:
+        raise ModelError(
+            f"a transport delay cannot be exported yet: {model.delay.words}",
+            hint="Delay the input in front of the exported model, and train with delay_s = 0",
+        )
     alone = np.ones(len(model.output_names))
     for lead in model.leads:
         alone[lead.channel] = 0.0

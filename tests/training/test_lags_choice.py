@@ -172,7 +172,7 @@ def test_another_form_has_to_be_better_by_a_standard_error(ratios, form, monkeyp
     def left(_trial, config, _begins):
         return np.array(ratios if config.narx.lag_limits else np.zeros(3))
 
-    monkeypatch.setattr("training.lags._Trial.left", left)
+    monkeypatch.setattr("training.lags.Trial.left", left)
     logs = [flight(number, TRUTHS["plain"]) for number in (1, 2, 3)]
     assert choose_form(config(lag_governed=False), Line(), logs)[1].form == form
 
