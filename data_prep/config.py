@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from pathlib import Path, PurePath
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, PositiveFloat, field_validator, model_validator
 
@@ -15,6 +15,7 @@ from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.settings import Section
 
 ENGINE = "{engine}"
+FASTEST_HZ = 1000.0  # no recorder of engine channels is faster, and a grid takes memory
 
 
 class ColumnSource(Section):
@@ -49,7 +50,7 @@ class LogsConfig(Section):
 
     folder: str = "."
     files: tuple[str, ...] = ("*.csv", "*.csv.gz")
-    raster_hz: PositiveFloat | None = None
+    raster_hz: Annotated[float, Field(gt=0.0, le=FASTEST_HZ)] | None = None
     max_gap_s: PositiveFloat = 2.0
     bridge_s: float = Field(default=0.5, ge=0.0)
     delimiter: str = "auto"

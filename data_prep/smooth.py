@@ -20,6 +20,7 @@ from narxcal.support.settings import Section
 _SMOOTHED_ROLES = frozenset({"ambient", "output", "auxiliary"})
 # Ti of a fast movement is a few tenths of a second; the paper's 11 samples at 32 Hz last 0.34 s.
 _USUAL_S, _LONGEST_S = 0.35, 0.5
+_MOST = 10_001  # samples; ten seconds of the fastest grid
 
 
 class SmoothConfig(Section):
@@ -31,7 +32,7 @@ class SmoothConfig(Section):
     unless named here, switches always.
     """
 
-    window: Annotated[int, Field(ge=1)] | Literal["auto"] = "auto"
+    window: Annotated[int, Field(ge=1, le=_MOST)] | Literal["auto"] = "auto"
     channels: tuple[str, ...] | None = None
 
     @field_validator("window")

@@ -151,7 +151,15 @@ class EngineReplay:
         self._held = np.zeros(len(self._inputs), dtype=np.int64)
         self._interpolated: dict[str, int] = {}
         self._samples = 0
+        # By missing input, samples at which the model could not run.
+        self._lost = np.zeros(len(self._inputs), dtype=np.int64)
         self.restarts = self.outside = 0
+
+    @property
+    def lost(self) -> dict[str, int]:
+        """Input -> samples at which the model could not run for want of it."""
+        counts = zip(self._inputs, self._lost.tolist(), strict=True)
+        return {name: count for name, count in counts if count}
 
     @property
     def held(self) -> dict[str, int]:
@@ -230,7 +238,9 @@ class EngineReplay:
                 )
         if piece.starts:
             self._last[:], self._running = np.nan, False
-        inputs, held, alive = self._filled(self._matrix(piece, self._inputs))
+        given = self._matrix(piece, self._inputs)
+        inputs, held, alive = self._filled(given)
+        self._lost += (~np.isfinite(given) & ~alive[:, None]).sum(axis=0)
         measured = self._measured(piece)
         prediction = np.full(measured.shape, np.nan)
         gap = ~alive
@@ -344,6 +354,9 @@ def _no_fusion(n_out: int, dt_s: float) -> NoiseModel:
     return NoiseModel(dt_s, **{**zero, "measurement_variance": np.ones(n_out)})
 
 
+MOST_BLANK = 0.1  # share of rows without a prediction from which on a replay is no result
+
+
 @dataclass(frozen=True)
 class ReplaySummary:
     """What a replay did.
@@ -352,6 +365,7 @@ class ReplaySummary:
     |---|---|
     | `held` | engine -> input -> samples at which its last value was used |
     | `restarts` | engine -> gaps after which the model began anew |
+    | `blank` | engine -> input that is missing -> samples at which the model could not run |
     | `outside` | engine -> samples outside the steady-state model's envelope |
     | `gated` | engine -> output -> measurements that the fuser rejected |
     | `unfused` | engine -> outputs with too few measurements to fuse |
@@ -369,6 +383,7 @@ class ReplaySummary:
     wall_s: float
     held: dict[str, dict[str, int]]
     restarts: dict[str, int]
+    blank: dict[str, dict[str, int]]
     outside: dict[str, int]
     gated: dict[str, dict[str, int]]
     unfused: dict[str, tuple[str, ...]]
@@ -381,6 +396,21 @@ class ReplaySummary:
     def times_real_time(self) -> float:
         """Seconds of log per second of replay, all engines together."""
         return self.log_s / self.wall_s if self.wall_s > 0.0 else float("inf")
+
+    @property
+    def missed(self) -> list[str]:
+        """Why too many rows are blank for the output to be one; empty where it is."""
+        found = []
+        for engine, lost in self.blank.items():
+            share = max(lost.values(), default=0) * len(self.engines) / max(self.rows, 1)
+            if share > MOST_BLANK:
+                name = max(lost, key=lambda each: lost[each])
+                found.append(
+                    f"{f'{engine}: ' if engine else ''}the model could not run at "
+                    f"{100.0 * share:.0f} % of the samples, for {name} is missing or out of its "
+                    "physical range: check its column and unit under [logs.columns]"
+                )
+        return found
 
     @property
     def cautions(self) -> list[str]:
@@ -403,7 +433,7 @@ class ReplaySummary:
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         return {
-            **asdict(self), "faults": [fault.row() for fault in self.faults],
+            **asdict(self), "missed": self.missed, "faults": [fault.row() for fault in self.faults],
             "times_real_time": self.times_real_time, "cautions": self.cautions
         }  # fmt: skip
 
@@ -575,6 +605,7 @@ class _Replay:
             wall_s=self.clock.now() - self._began,
             held={name: engine.held for name, engine in engines.items()},
             restarts={name: engine.restarts for name, engine in engines.items()},
+            blank={name: engine.lost for name, engine in engines.items()},
             outside={name: engine.outside for name, engine in engines.items()},
             gated={name: engine.gated for name, engine in engines.items()},
             unfused={name: engine.unfused for name, engine in engines.items()},

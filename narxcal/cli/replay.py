@@ -54,7 +54,7 @@ def run(options: Namespace, console: Console) -> int:
     console.say(interval_words(bundle.calibration.interval, options.interval))
     console.say(f"Replayed: {options.out}")
     console.document({"schema": SCHEMA, "out": str(options.out), **summary.to_dict()})
-    return 0
+    return 1 if summary.missed else 0
 
 
 def _faults(bundle: Bundle, options: Namespace, console: Console) -> tuple[Fault, ...]:
@@ -85,7 +85,7 @@ def _show(console: Console, summary: ReplaySummary) -> None:
     console.say(
         f"{summary.rows} rows, {summary.log_s:.0f} s of log in {summary.wall_s:.1f} s: {pace}"
     )
-    for caution in summary.cautions:
+    for caution in (*summary.missed, *summary.cautions):
         console.warn(caution)
     if summary.dropped:
         console.warn(f"{summary.dropped} rows had no usable stamp and were dropped")

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from data_prep.identity import duplicates
 from data_prep.log import Log, Source
 from eval.report.page import RunHeader
 from eval.rules import Rules
@@ -66,8 +67,8 @@ def logs_for(
 
     with console.progress("Reading the logs"):
         if files:
-            return evaluation_logs(bundle, _once(files, console))
-        logs = _held_out(bundle, data)
+            return _distinct(evaluation_logs(bundle, _once(files, console)), console)
+        logs = _distinct(_held_out(bundle, data), console)
     if not bundle.record.logs("test"):
         console.warn("no log was held out: these are logs that the model was trained on")
     for text in changed(bundle, logs):
@@ -81,6 +82,14 @@ def _once(files: Sequence[Path], console: Console) -> list[Path]:
     if len(chosen) < len(files):
         console.warn("a file that is named twice is read once")
     return chosen
+
+
+def _distinct(logs: list[Log], console: Console) -> list[Log]:
+    """Each recording once, under whatever names it is stored."""
+    found = duplicates(logs)
+    for shared in found:
+        console.warn(f"{shared.words}; it counts once")
+    return [log for log in logs if log.name not in {shared.log for shared in found}]
 
 
 def changed(bundle: Bundle, logs: Sequence[Log]) -> list[str]:
