@@ -258,7 +258,7 @@ def assess_log(
 def _levels(bundle: Bundle, run: FreeRun) -> tuple[LevelCheck, ...]:
     """Level and lag of the scored rows, compared with training logs that were held out."""
     measured = np.where(run.scored[:, None], run.measured, np.nan)
-    return checks(bundle.record.lead_channels, run.channels, (run.model, measured), run.log.dt_s)
+    return checks(bundle.record.mixture_channels, run.channels, (run.model, measured), run.log.dt_s)
 
 
 def overlay_of(run: FreeRun, name: str) -> Overlay:
@@ -287,7 +287,7 @@ def _role(bundle: Bundle, log: Log) -> tuple[str, Shared | None]:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """All logs and what they have to reach; `leads` says where a simple model leads.
+    """All logs and what they have to reach; `mixture` says of which models.
 
     `certificate` says whether the model settles at constant inputs.
     """
@@ -295,7 +295,7 @@ class Evaluation:
     logs: tuple[LogEvaluation, ...]
     config: EvaluateConfig
     trim: float | None = None
-    leads: tuple[str, ...] = ()
+    mixture: tuple[str, ...] = ()
     certificate: Certificate | None = None
 
     @property
@@ -546,27 +546,29 @@ class Evaluation:
         return found
 
 
-_SIMPLE: Final = {
-    STEADY_STATE: "the steady state alone",
+_MODELS: Final = {
+    NETWORK: "lags with the network",
+    "lags": "lags alone",
+    STEADY_STATE: "the steady state",
     FIRST_ORDER: "a first-order lag",
-    ARX: "a linear ARX model",
+    ARX: "an ARX model",
 }
 
 
-def lead_sentences(bundle: Bundle) -> tuple[str, ...]:
-    """Where a simple model leads, and by which held-out errors."""
-    stored = bundle.record.lead_channels
-    names, found = bundle.calibration.output_names, []
-    for lead in bundle.calibration.leads:
-        name = names[lead.channel]
-        errors = stored.get(name, {}).get("held_out_rmse", {})
-        figures = ""
-        if errors.get(lead.kind) is not None and errors.get(NETWORK) is not None:
-            figures = f" ({errors[lead.kind]:.3g} against {errors[NETWORK]:.3g})"
-        found.append(
-            f"{symbol(name)}: {_SIMPLE[lead.kind]} leads, for its error on held-out parts of the "
-            f"training logs is lower than the network's{figures}."
-        )
+def mixture_sentences(bundle: Bundle) -> tuple[str, ...]:
+    """Of which models the outputs are mixed, and the errors that their weights rest on."""
+    found = []
+    for name, stored in bundle.record.mixture_channels.items():
+        weights = stored.get("weights") or {stored.get("leads", NETWORK): 1.0}
+        if weights == {NETWORK: 1.0}:
+            continue
+        errors = stored.get("held_out_rmse") or {}
+        parts = [
+            f"{weight:.2f} {_MODELS.get(model, model)}"
+            + (f" ({errors[model]:.3g} held out)" if errors.get(model) is not None else "")
+            for model, weight in sorted(weights.items(), key=lambda pair: -pair[1])
+        ]
+        found.append(f"{symbol(name)} is {', '.join(parts)}.")
     return tuple(found)
 
 
@@ -670,7 +672,7 @@ def evaluate(
     """
     settings = settings or run_config(bundle)[1]
     found = tuple(assess_log(bundle, log, settings, trim=trim) for log in logs)
-    return Evaluation(found, settings, trim, lead_sentences(bundle), certificate(bundle))
+    return Evaluation(found, settings, trim, mixture_sentences(bundle), certificate(bundle))
 
 
 def certificate(bundle: Bundle) -> Certificate:

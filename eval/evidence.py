@@ -105,8 +105,8 @@ def _known_errors(record: RunRecord, name: str) -> tuple[list[float], bool]:
     held = record.held_out
     if held is not None and held.rmse.get(name):
         return [each for each in held.rmse[name] if math.isfinite(each)], held.fitted
-    pooled = record.lead_channels.get(name, {}).get("held_out_rmse", {})
-    leads = record.lead_channels.get(name, {}).get("leads")
+    pooled = record.mixture_channels.get(name, {}).get("held_out_rmse", {})
+    leads = record.mixture_channels.get(name, {}).get("leads", "mixture")
     if pooled.get(leads) is not None:
         return [float(pooled[leads])], False
     fit = record.free_run.rmse.get(name, math.nan) if record.free_run else math.nan

@@ -111,8 +111,8 @@ def run_log(
     took_s = time.perf_counter() - began
     outputs = {MODEL: model, STEADY_STATE: steady}
     outputs[NETWORK] = outputs[MODEL]
-    if own.leads:
-        outputs[NETWORK] = _restarted(own.network_alone(), inputs, measured, faulty)
+    if own.members.members:
+        outputs[NETWORK] = _restarted(own.own_alone(), inputs, measured, faulty)
     if one_step:
         outputs[ONE_STEP] = _one_step(own, inputs, measured, outputs[MODEL])
     level = np.zeros(len(log))

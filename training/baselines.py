@@ -15,7 +15,7 @@ everyone fits one, by least squares on the one-step error (Ljung, System Identif
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from scipy.optimize import minimize
 
 from data_prep.log import Log
 from narxcal.calibration.calibration import Calibration
-from narxcal.calibration.lead import Lead
+from narxcal.calibration.members import Kind, Member
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 
@@ -49,19 +49,19 @@ class FirstOrderLag:
     def simulate(self, steady: FloatArray, start: FloatArray, dt_s: float) -> FloatArray:
         """Free run (time, n_out) behind `steady` (time, n_out), from `start` (n_out,)."""
         columns = [
-            lead.simulate(steady, start_of(steady, start, k))
-            for k, lead in enumerate(self.leads(dt_s))
+            one.simulate(steady, start_of(steady, start, k))
+            for k, one in enumerate(self.members(dt_s))
         ]
         return np.stack(columns, axis=1)
 
-    def leads(self, dt_s: float) -> tuple[Lead, ...]:
-        """The lags of all outputs."""
-        return tuple(self.lead(k, dt_s) for k in range(len(self.push_s)))
+    def members(self, dt_s: float) -> tuple[Member, ...]:
+        """The lags of all outputs, each the whole of its output."""
+        return tuple(self.member(k, dt_s) for k in range(len(self.push_s)))
 
-    def lead(self, k: int, dt_s: float) -> Lead:
+    def member(self, k: int, dt_s: float) -> Member:
         """The lag of one output."""
         push, pull = _gain(self.push_s[k], dt_s), _gain(self.pull_s[k], dt_s)
-        return Lead("first_order", k, push, pull)
+        return Member("first_order", k, push, pull)
 
 
 @dataclass(frozen=True)
@@ -78,16 +78,16 @@ class LinearArx:
     def simulate(self, steady: FloatArray, start: FloatArray) -> FloatArray:
         """Free run (time, n_out) on `steady` (time, n_out), from `start` (n_out,)."""
         columns = [
-            self.lead(k).simulate(steady, start_of(steady, start, k))
+            self.member(k).simulate(steady, start_of(steady, start, k))
             if len(self.poles[k])
             else np.full(len(steady), np.nan)
             for k in range(steady.shape[1])
         ]
         return np.stack(columns, axis=1)
 
-    def lead(self, k: int) -> Lead:
+    def member(self, k: int) -> Member:
         """The model of one output."""
-        return Lead("arx", k, poles=self.poles[k], gains=self.gains[k], offset=self.offsets[k])
+        return Member("arx", k, poles=self.poles[k], gains=self.gains[k], offset=self.offsets[k])
 
 
 @dataclass(frozen=True)
@@ -98,6 +98,15 @@ class Baselines:
     arx: LinearArx
     low: tuple[float, ...]
     high: tuple[float, ...]
+
+    def member(self, kind: Kind, channel: int, dt_s: float, weight: float) -> Member:
+        """The fitted model of one output as a member of a mixture."""
+        one = Member("steady_state", channel)
+        if kind == "first_order":
+            one = self.lag.member(channel, dt_s)
+        elif kind == "arx":
+            one = self.arx.member(channel)
+        return replace(one, weight=weight)
 
     @classmethod
     def from_json(cls, params: Mapping[str, Any]) -> Baselines:
@@ -156,7 +165,7 @@ def _fit_lag(runs: Sequence[Run], k: int, dt_s: float) -> tuple[float, float]:
     def loss(log_tau: FloatArray) -> float:
         taus = np.exp(np.clip(log_tau, np.log(SHORTEST_S), np.log(LONGEST_S)))
         push, pull = (_gain(tau, dt_s) for tau in taus.tolist())
-        lag = Lead("first_order", k, push, pull)
+        lag = Member("first_order", k, push, pull)
         total, count = 0.0, 0
         for run in runs:
             first = start_of(run.steady, run.measured[0], k)
@@ -215,7 +224,7 @@ def _free_run_error(
     runs: Sequence[Run], k: int, model: tuple[FloatArray, FloatArray, float]
 ) -> float:
     poles, gains, offset = model
-    arx = Lead("arx", k, poles=tuple(poles), gains=tuple(map(tuple, gains)), offset=offset)
+    arx = Member("arx", k, poles=tuple(poles), gains=tuple(map(tuple, gains)), offset=offset)
     errors = []
     for run in runs:
         first = start_of(run.steady, run.measured[0], k)

@@ -12,7 +12,7 @@ The ladder, each rung started from the one below:
 | mean | weighted mean of the best of two or three rungs |
 
 Folds are records, or blocks of them where there are fewer than four, with a gap around what is held
-out (training.held_out). Each held-out piece is simulated twice, from its beginning and from a third
+out (training.folds). Each held-out piece is simulated twice, from its beginning and from a third
 of it, after windows of measured outputs of two lengths. training.ranking says which form leads; a
 latent form is averaged with those of other sizes.
 """
@@ -33,8 +33,8 @@ from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.progress import Progress, silent
 from training import ranking
+from training.folds import FOLDS, SHORTEST, WINDOW, RecordFold, by_piece, record_folds, runs_of
 from training.forms import dead_times, linear_model, try_arx, try_linear, try_network
-from training.held_out import FOLDS, SHORTEST, WINDOW, Fold, by_piece, folds_of, runs_of
 from training.latent_forms import affordable, try_latent
 from training.ranking import Form, Tried, best_by_rung, simplex
 from training.search import LAG, LATENT, MEAN, Search, Work
@@ -100,17 +100,17 @@ def choose(
     return _chosen(search)
 
 
-def divide(records: list[Record], budget: float, validation: Sequence[Record]) -> list[Fold]:
+def divide(records: list[Record], budget: float, validation: Sequence[Record]) -> list[RecordFold]:
     """What is held out: `validation` where given, else records or blocks of them."""
     if validation:
         runs = tuple(run for record in validation for run in runs_of(record))
-        return [Fold(tuple(records), runs)] if runs else []
+        return [RecordFold(tuple(records), runs)] if runs else []
     samples = sum(map(len, records))
     gap = min(WINDOW, samples // 50)  # until a start is forgotten, at most 2 %
     # Many samples of one record hold every pattern many times, and need fewer folds. What one of
     # several records holds may be in no other: however many they are, few are held out at a time.
     few = samples > budget / _UNITS_PER_SAMPLE and len(records) < FOLDS
-    return folds_of(records, gap, FOLDS if few else 2 * FOLDS)
+    return record_folds(records, gap, FOLDS if few else 2 * FOLDS)
 
 
 def _climb(search: Search, linear: bool) -> None:

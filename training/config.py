@@ -179,9 +179,9 @@ class TrainConfig(Section):
     0 means none; with `rest_far` there are more of them, they begin at large deviations, and the
     second half of each is scored.
     With `emphasis = "motion"` transients weigh more than equilibrium, their onset most, and low
-    power more than high. In each output the steady state, a first-order lag or an ARX model leads
-    where it does better than the network on held-out parts of the training logs (see
-    `training.lead`); `choice_s` are the nominal CPU seconds that this may take, 0 for the network.
+    power more than high. Each output is a mixture of network, lags, first-order lag and ARX, with
+    weights by held-out parts of the training logs (see `training.mixture`); `choice_s` are the
+    nominal CPU seconds that these may take, 0 for the network alone.
     `delay_s` is the transport delay of the driver, found on held-out logs where it is "auto".
     """
 

@@ -30,7 +30,7 @@ from narxcal.support.errors import ConfigError, DataError, ModelError
 from training.choice import Choice, Limits, choose
 from training.config import TrainConfig
 from training.estimator_folder import TIME_LIMIT_S, Stored, Structure, load, save
-from training.held_out import known_start
+from training.folds import known_start
 from training.network import FitResult, Material, OnStep, fit_narx
 
 Records: TypeAlias = RecordLike | Iterable[RecordLike]

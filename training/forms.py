@@ -26,7 +26,7 @@ from narxcal.narx.network import NarxModel, Scaling, Weights, tap
 from narxcal.record import Record
 from narxcal.support.errors import DataError
 from training.config import TrainConfig
-from training.held_out import thinned
+from training.folds import thinned
 from training.latent import Data, Fitted, Starts, fit_linear, model_of
 from training.network import FitResult, Material, TrainingState, fit_narx
 from training.ranking import Build, Form

@@ -21,8 +21,8 @@ from narxcal.narx.forms import DynamicModel, Ensemble
 from narxcal.narx.latent import Shape
 from narxcal.record import Record
 from narxcal.support.errors import DataError
+from training.folds import thinned
 from training.forms import ORDERS, Bases
-from training.held_out import thinned
 from training.latent import Data, Fitted, at_decay, fit_linear, grown, model_of, moved, path
 from training.ranking import Form, Tried, beats
 from training.search import (

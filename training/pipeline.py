@@ -1,6 +1,6 @@
 """The order of the steps of `narxcal train`: each takes values and returns one result.
 
-logs -> split -> masks -> steady state -> lags -> network -> what leads -> noise -> bundle
+logs -> split -> masks -> steady state -> lags -> network -> mixture -> noise -> bundle
 
 With [identify] another method takes the place of lags and network (`training.identify`); the rest
 is the same.
@@ -35,7 +35,7 @@ from narxcal.calibration.run_record import (
     SteadyRecord,
 )
 from narxcal.channels import CHANNELS
-from narxcal.intervals import HalfWidths, joined
+from narxcal.intervals import HalfWidths, HeldErrors, joined
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.narx.network import NarxModel
 from narxcal.record import Record
@@ -49,8 +49,8 @@ from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import METHODS, STATIC, RunConfig
 from training.identify import identify, static_laws
 from training.lags import choose_form, fit_lags
-from training.lead import HeldRun, Leading, choose_leads, network_leads
 from training.masking import learnable
+from training.mixture import HeldRun, Mixture, choose_mixture, network_alone
 from training.network import (
     FitResult,
     HistoryRow,
@@ -60,7 +60,7 @@ from training.network import (
     merge_models,
 )
 from training.records import LEAST_WIDTHS, Split, material, structure_of
-from training.redundancy import learn
+from training.redundancy import learn, prior_scatter
 from training.steady_choice import contradicting, steady_state, without
 from training.steady_fit import SteadyQuality
 from training.transport import DelayChoice, choose_delay, delayed
@@ -134,8 +134,8 @@ def calibrate(
         split = split.changed(lambda log: delayed(log, late.delay))
         steady, quality = steady_state(config, base, split.train)
     if method == METHODS[0]:
-        config, calibration, leading, found = _narx(config, base, steady, split, options)
-        held = leading.free_runs
+        config, calibration, mixture, found = _narx(config, base, steady, split, options)
+        held = mixture.free_runs
     else:
         options.progress(0, 1, f"identifying by {method}")
         known = law or identify(config, steady, split.train)
@@ -145,14 +145,14 @@ def calibrate(
         found["baselines"] = fit_baselines(calibration, split.train)
         held = ()
     held = held or free_runs(calibration, split.validate)
-    calibration = calibration.with_interval(interval_of(held))
+    calibration = calibration.with_interval(interval_of(held, calibration.output_names))
     calibration = calibration.reaching(*input_reach(split.train, calibration.input_names))
     options.progress(0, 1, "holding inputs constant")
-    lags = Baselines.from_json(found["baselines"]).lag.leads(dt_s)
+    lags = Baselines.from_json(found["baselines"]).lag.members(dt_s)
     calibration, certificate, lost = settling(calibration, lags)
     if lost:
         held = free_runs(calibration, split.validate)
-        calibration = calibration.with_interval(interval_of(held))
+        calibration = calibration.with_interval(interval_of(held, calibration.output_names))
         found["training"]["status"] = "; ".join([found["training"]["status"], *lost])
     found["training"]["wall_s"] = time.perf_counter() - began
     record = RunRecord(
@@ -174,8 +174,8 @@ def calibrate(
 
 def _narx(
     config: RunConfig, base: Path, steady: SteadyStateModel, split: Split, options: TrainOptions
-) -> tuple[RunConfig, Calibration, Leading, dict[str, Any]]:
-    """Fit lags and network, choose what leads; returns the configuration with the lags' form."""
+) -> tuple[RunConfig, Calibration, Mixture, dict[str, Any]]:
+    """Fit lags and network, weigh them and simple models; the configuration has the lags' form."""
     config, choice = choose_form(config, steady, split.train, options.progress)
     options.progress(0, 1, "fitting the lags")
     lag = fit_lags(config, steady, split.train)
@@ -183,26 +183,26 @@ def _narx(
     network = merge_models([result.model for result in results])
     calibration = _calibration(config, (steady, lag, network), split.train[0].dt_s)
     baselines = fit_baselines(calibration, split.train)
-    leading = _leading(_resolved(config, steady), base, split, (calibration, baselines), options)
+    mixture = _mixture(_resolved(config, steady), base, split, calibration, options)
     rows = {
         "lag_form": choice.row(),
         "training": _training_row(results),
         "baselines": baselines,
-        "lead": leading.row(),
+        "mixture": mixture.row(),
     }
-    return config, calibration.with_leads(leading.leads), leading, rows
+    return config, mixture.applied(calibration, baselines), mixture, rows
 
 
-def _leading(
+def _mixture(
     config: RunConfig,
     base: Path,
     split: Split,
-    fitted: tuple[DynamicCalibration, dict[str, Any]],
+    calibration: DynamicCalibration,
     options: TrainOptions,
-) -> Leading:
-    """Which model leads in each output, by folds of the training logs with everything refitted."""
+) -> Mixture:
+    """Weights of all models in each output, by folds of the training logs and refits to each."""
     if config.train.choice_s == 0.0:
-        return network_leads(fitted[0], "no choice: choice_s = 0")
+        return network_alone(calibration, "no choice: choice_s = 0")
 
     def refit(logs: Sequence[Log]) -> tuple[DynamicCalibration, dict[str, Any]]:
         part = Split(tuple(logs), split.validate, ())
@@ -210,10 +210,10 @@ def _leading(
         lag = fit_lags(config, steady, part.train)
         results = fit_networks(config, material(config, steady, lag, part), TrainOptions())
         network = merge_models([result.model for result in results])
-        found = _calibration(config, (steady, lag, network), fitted[0].dt_s)
+        found = _calibration(config, (steady, lag, network), calibration.dt_s)
         return found, fit_baselines(found, part.train)
 
-    return choose_leads(config, split.train, refit, fitted, options.progress)
+    return choose_mixture(config, split.train, refit, calibration, options.progress)
 
 
 def input_reach(logs: Sequence[Log], names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
@@ -363,15 +363,38 @@ def free_runs(calibration: Calibration, logs: Sequence[Log]) -> tuple[HeldRun, .
         own = calibration_for(calibration, log)
         run = run_of(own, log)
         model = own.simulate(log.matrix(own.input_names), run.measured[0])
-        found.append(HeldRun(run.steady, model, run.measured, log.source.file))
+        inside = np.asarray(own.steady.inside(log.matrix(own.input_names)))
+        found.append(
+            HeldRun(run.steady, model, run.measured, log.source.file, whole=True, inside=inside)
+        )
     return tuple(found)
 
 
-def interval_of(held: Sequence[HeldRun]) -> HalfWidths | None:
+def _held_errors(held: Sequence[HeldRun]) -> list[tuple[HeldRun, FloatArray]]:
+    """Held-out runs that stand for other recordings, and their errors (time, outputs).
+
+    Recordings that were held out whole show how days and engines differ, and count alone where
+    there are any. Of regions only what lies within the envelope of the rest counts: beyond it
+    samples are marked, and nothing is promised.
+    """
+    whole = [one for one in held if one.whole]
+    return [
+        (one, np.where(one.whole | one.inside[:, None], one.model - one.measured, np.nan))
+        for one in whole or held
+    ]
+
+
+def interval_of(held: Sequence[HeldRun], names: Sequence[str]) -> HalfWidths | None:
     """Half-widths over the distance from steady state; None without held-out measurements."""
-    return joined(
-        [(np.abs(one.steady - one.model), one.model - one.measured, one.recording) for one in held]
-    )
+    if not held:
+        return None
+    found = [
+        HeldErrors(np.abs(one.steady - one.model), errors, one.piece, one.whole)
+        for one, errors in _held_errors(held)
+    ]
+    typical = np.nan_to_num(known_mean(np.concatenate([np.abs(one.measured) for one in held])))
+    scatter = [prior_scatter(*pair) for pair in zip(names, typical.tolist(), strict=True)]
+    return joined(found, np.array(scatter))
 
 
 def fuser_noise(calibration: Calibration, split: Split, held: Sequence[HeldRun] = ()) -> NoiseModel:
@@ -439,11 +462,11 @@ def _held_out_record(
     calibration: Calibration, split: Split, held: Sequence[HeldRun]
 ) -> HeldOutRecord:
     """Errors on held-out logs; of the training logs where nothing was held out."""
-    runs = held or free_runs(calibration, split.train)
-    error = [np.sqrt(known_mean((one.model - one.measured) ** 2)) for one in runs]
+    runs = _held_errors(held or free_runs(calibration, split.train))
+    error = [np.sqrt(known_mean(errors**2)) for _, errors in runs]
     columns = zip(calibration.output_names, np.stack(error).T.tolist(), strict=True)
     return HeldOutRecord(
-        logs=tuple(one.recording for one in runs), fitted=not held, rmse=dict(columns)
+        logs=tuple(one.piece for one, _ in runs), fitted=not held, rmse=dict(columns)
     )
 
 

@@ -20,6 +20,7 @@ from scipy.optimize import nnls
 from narxcal.narx.forms import DynamicModel
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
+from training.folds import surely_below
 
 _BETTER = 0.98  # of a simpler form's score, as in training.lags: folds have less data than the fit
 _LEAST_ERROR = 1e-9  # standard deviations: pieces without any error compare, too
@@ -80,9 +81,8 @@ def best_by_rung(tried: Sequence[Tried]) -> list[Tried]:
 
 
 def beats(one: Tried, other: Tried) -> bool:
-    """Whether `one` is better than `other` by two percent and one standard error at least."""
-    behind = other.logs - one.logs
-    return float(np.mean(behind)) > max(standard_error(behind), -float(np.log(_BETTER)))
+    """Whether `one` is clearly better (`training.folds.surely_below`), and by two percent."""
+    return bool(surely_below(one.logs - other.logs, -float(np.log(_BETTER))))
 
 
 def leader(tried: Sequence[Tried]) -> tuple[Tried, str]:

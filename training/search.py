@@ -18,7 +18,7 @@ from narxcal.narx.forms import DynamicModel
 from narxcal.narx.network import Scaling
 from narxcal.record import Record
 from narxcal.support.progress import Progress
-from training.held_out import Fold, by_piece
+from training.folds import RecordFold, by_piece
 from training.ranking import Build, Form, Tried
 
 UNITS_PER_S = 1_000_000  # nominal microseconds in a CPU second
@@ -115,7 +115,7 @@ class Search:
     """One search: its records and folds, what was tried and what was spent."""
 
     records: list[Record]
-    folds: list[Fold]
+    folds: list[RecordFold]
     work: Work
     seed: int
     progress: Progress

@@ -7,14 +7,13 @@ What [steady_state] leaves to "auto" is chosen from quasi-steady samples of the 
   parameters, so that this is a fair question.
 * `blend`, `exponents` and `switches`: which altitude and Mach corners, whether the exponents of
   theta and delta are fitted, and whether the switches that the logs record shift the outputs. More
-  of them always leave less, so the curves are judged on recordings that they were not fitted to,
-  one after another (on stretches of it, where there is one).
+  of them always leave less, so the curves are judged on recordings that they were not fitted to, or
+  on regions of one or two (`training.folds`).
 
-Residuals are compared by their geometric mean over the outputs. The usual answer stands unless
-another is better by a tenth: corrected, blended over Mach (over altitude without it), with fitted
-exponents, which on flights beyond the trained altitudes leave less than similarity alone in most
-cases. Between corners close together only noise is blended. A switch has to take a few percent
-away.
+Residuals are compared by their geometric mean over the outputs, fold by fold. The usual answer
+stands unless another is clearly better (`training.folds.surely_below`), and by a tenth: corrected,
+blended over Mach (over altitude without it), with fitted exponents, whose prior is similarity.
+Between corners close together only noise is blended. A switch has to take a few percent away.
 """
 
 from __future__ import annotations
@@ -33,16 +32,16 @@ from narxcal.channels import CHANNELS, spools_of
 from narxcal.steady.fitted import RATIOS, Layout
 from narxcal.steady.model import SteadyStateModel
 from narxcal.steady.opening import open_steady
-from narxcal.support.arrays import FloatArray
+from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 from training.config import RunConfig
-from training.folds import geometric_rms, held_out_folds
+from training.folds import geometric_rms, held_out_folds, regions, surely_below
 from training.outlying import LEAST_LOGS, Outlier, outliers
 from training.records import LEAST_WIDTHS
 from training.steady_fit import SteadyQuality, SteadySamples, fit_steady_state
 
-_BETTER = 0.9  # of the usual answer's residual
-_BETTER_SWITCH = 0.97  # of the residual without it
+_BETTER = 0.9  # of the residual of the usual answer
+_SWITCH = float(-np.log(0.97))  # of ln residual
 _ROWS = 2000  # of a log; enough to choose by
 _FOLDS = 5
 _BLENDED = ("Mach", "ALT_ft")  # the usual one first
@@ -139,7 +138,7 @@ def _corrected(layout: Layout, blend: tuple[str, ...], taken: Sequence[_Taken]) 
     left = {}
     for corrected in (True, False):
         trial = replace(layout, blend=blend, corrected=corrected)
-        left[corrected] = _left(trial, [(taken, taken)])
+        left[corrected] = float(np.exp(_left(trial, [(taken, taken)])[0]))
     return replace(layout, corrected=not left[False] < _BETTER * left[True])
 
 
@@ -151,7 +150,7 @@ def _refined(
 ) -> Layout:
     """The layout with what does best on recordings not fitted to: corners, exponents, switches."""
     section = config.steady_state
-    folds = _folds(taken)
+    folds = _folds(layout, taken)
     usual = _left(layout, folds)
     blends = offered[0] if section.blend == "auto" else [layout.blend]
     either = section.exponents == "auto" and layout.corrected
@@ -159,65 +158,89 @@ def _refined(
     trials = [
         replace(layout, blend=blend, exponents=each) for blend, each in product(blends, exponents)
     ]
-    if len(trials) > 1:
-        left, number = min((_left(trial, folds), k) for k, trial in enumerate(trials))
-        if left < _BETTER * usual:
-            layout, usual = trials[number], left
+    for trial in sorted(trials, key=lambda one: (len(one.blend), len(one.exponents))):
+        layout, usual = _better((layout, usual), trial, folds, -float(np.log(_BETTER)))
     if section.switches == "auto":
         layout = _switched(layout, offered[1], folds, usual)
     return layout
 
 
-def _switched(layout: Layout, offered: tuple[str, ...], folds: _Folds, left: float) -> Layout:
+def _switched(layout: Layout, offered: tuple[str, ...], folds: _Folds, left: FloatArray) -> Layout:
     """The layout with those switches that help one after another, the best alone first, or all.
 
     One alone may not help where another that comes with it is unknown.
     """
-    alone = sorted((_left(replace(layout, switches=(name,)), folds), name) for name in offered)
-    for _, name in alone:
+    alone = {name: _left(replace(layout, switches=(name,)), folds) for name in offered}
+    for name in sorted(offered, key=lambda name: float(np.nanmean(alone[name]))):
         trial = replace(layout, switches=(*layout.switches, name))
-        layout, left = _better((layout, left), trial, folds)
-    return _better((layout, left), replace(layout, switches=offered), folds)[0]
+        layout, left = _better((layout, left), trial, folds, _SWITCH)
+    return _better((layout, left), replace(layout, switches=offered), folds, _SWITCH)[0]
 
 
-def _better(known: tuple[Layout, float], trial: Layout, folds: _Folds) -> tuple[Layout, float]:
-    """A layout and what it leaves: the trial, if more switches are worth it."""
+def _better(
+    known: tuple[Layout, FloatArray], trial: Layout, folds: _Folds, margin: float
+) -> tuple[Layout, FloatArray]:
+    """A layout and what it leaves: the trial, if it is clearly better, by the margin at least."""
     if trial == known[0]:
         return known
     less = _left(trial, folds)
-    return (trial, less) if less < _BETTER_SWITCH * known[1] else known
+    ratios = less - known[1]
+    ratios = ratios[np.isfinite(ratios)]
+    return (trial, less) if len(ratios) and surely_below(ratios, margin) else known
 
 
-def _folds(taken: Sequence[_Taken]) -> list[tuple[list[_Taken], list[_Taken]]]:
-    """Folds by recording; a single recording is cut into stretches."""
-    if len({one.recording for one in taken}) == 1:
-        taken = [
-            _Taken(replace(one.samples, inputs=inputs, outputs=outputs), str(part))
-            for one in taken
-            for part, (inputs, outputs) in enumerate(
-                zip(
-                    np.array_split(one.samples.inputs, _FOLDS),
-                    np.array_split(one.samples.outputs, _FOLDS),
-                    strict=True,
-                )
-            )
-        ]
-    return [fold.of(taken) for fold in held_out_folds([one.recording for one in taken], _FOLDS)]
+def _folds(layout: Layout, taken: Sequence[_Taken]) -> _Folds:
+    """Folds by recording; of one or two recordings also by regions."""
+    recordings = [one.recording for one in taken]
+    many = len(set(recordings))
+    found: list[tuple[Sequence[_Taken], Sequence[_Taken]]] = []
+    if many < 3:
+        inputs = [one.samples.inputs for one in taken]
+        time = np.concatenate([np.arange(len(each)) / max(len(each), 1) for each in inputs])
+        rows = np.concatenate(inputs)
+        altitude = layout.column(rows, "ALT_ft") if "ALT_ft" in layout.input_names else None
+        ends = np.cumsum([len(each) for each in inputs])[:-1]
+        for held in regions(time, layout.drive(rows), altitude).values():
+            parts = [
+                _parted(one, own) for one, own in zip(taken, np.split(held, ends), strict=True)
+            ]
+            found.append(([part[0] for part in parts], [part[1] for part in parts]))
+    if many > 1:
+        found += [fold.of(taken) for fold in held_out_folds(recordings, _FOLDS)]
+    return found
 
 
-def _left(layout: Layout, folds: _Folds) -> float:
-    """Geometric mean over the outputs of the RMS left in the judged part of each fold."""
-    errors: list[FloatArray] = []
-    for fitted, judged in folds:
+def _parted(one: _Taken, held: BoolArray) -> tuple[_Taken, _Taken]:
+    """Samples to fit to, and those held out."""
+    whole = one.samples
+    kept, out = (
+        replace(whole, inputs=whole.inputs[rows], outputs=whole.outputs[rows])
+        for rows in (~held, held)
+    )
+    return _Taken(kept, one.recording), _Taken(out, one.recording)
+
+
+def _left(layout: Layout, folds: _Folds) -> FloatArray:
+    """Logarithm of the geometric mean over the outputs of the RMS left in each fold (folds,).
+
+    NaN where too little is left to fit to, or to judge.
+    """
+    found = np.full(len(folds), np.nan)
+    for k, (fitted, judged) in enumerate(folds):
         try:
             model, _ = fit_steady_state([one.samples for one in fitted], layout)
         except DataError:  # too little without the part that is judged
             continue
-        errors += [
-            model.for_engine(one.samples.engine).outputs(one.samples.inputs) - one.samples.outputs
-            for one in judged
-        ]
-    return geometric_rms(errors)
+        rms = geometric_rms(
+            [
+                model.for_engine(one.samples.engine).outputs(one.samples.inputs)
+                - one.samples.outputs
+                for one in judged
+                if len(one.samples.inputs)
+            ]
+        )
+        found[k] = np.log(rms) if np.isfinite(rms) else np.nan
+    return found
 
 
 def _samples(config: RunConfig, layout: Layout, log: Log) -> SteadySamples:

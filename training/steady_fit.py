@@ -3,18 +3,29 @@
 A penalised least-squares problem with signs (Eilers and Marx 1996, P-splines; Huber 1964 for
 the robust weights): unrecorded bleed or a wrong sensor for some minutes must not bend the
 curve of the rest of the flight.
+
+**Exponents.** Similarity is the prior mean of the exponents of theta and delta. With the relative
+spread e of what engines differ from it (`SPREADS`), the level Y of a corrected output, the RMS s of
+the residual and n samples that are independent as far as its autocorrelation says, the mean of the
+squared errors is penalised by
+
+    (s / (e Y))^2 / n (c^2 + d^2)
+
+so that half a flight keeps similarity, and several flights move it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from narxcal.steady.fitted import (
+    RATIOS,
     FittedSteadyState,
     Layout,
     centred_ratios,
@@ -29,6 +40,10 @@ from training.config import SteadyFitConfig
 _NOT_MONOTONE = 0.8  # of the residual that a monotone curve leaves
 _USUAL = SteadyFitConfig()
 _ROWS = 20000  # more quasi-steady samples than this tell nothing new
+# Standard deviation of the exponents of theta and delta from those of similarity, by the unit of
+# the output: `python -m eval.benchmarks.exponents`, which leaves one recorder out in turn.
+SPREADS: Final = {"%": (0.06, 0.03), "degC": (0.12, 0.065)}
+_UNRELATED: Final = 0.05  # autocorrelation below which samples count as independent
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +74,7 @@ def fit_steady_state(
     """
     design, data = linear_problem(samples, layout, config)
     curves = [
-        _curve(design, data.matrix, column, turns=name.endswith("_C"))
+        _curve(design, data.matrix, column, name)
         for name, column in zip(layout.output_names, data.corrected.T, strict=True)
     ]
     coefficients = np.stack(curves)
@@ -168,14 +183,41 @@ def _distinguished(samples: Sequence[SteadySamples]) -> tuple[str, ...]:
     return tuple(engines) if len(engines) > 1 else ()
 
 
-def _curve(design: _Design, matrix: FloatArray, target: FloatArray, *, turns: bool) -> FloatArray:
+def _curve(design: _Design, matrix: FloatArray, target: FloatArray, name: str) -> FloatArray:
     """Coefficients of one output: monotone, unless it may turn and the samples clearly say so."""
+    if design.layout.exponents:
+        first = design.solve(matrix, target, monotone=True)
+        strengths = _exponent_strengths(design.layout, target, target - matrix @ first, name)
+        design = replace(design, exponents=strengths)
     monotone = design.solve(matrix, target, monotone=True)
-    if not turns:
+    if not name.endswith("_C"):
         return monotone
     free = design.solve(matrix, target, monotone=False)
     left = [float(np.nansum((matrix @ each - target) ** 2)) for each in (free, monotone)]
     return free if left[0] < _NOT_MONOTONE**2 * left[1] else monotone
+
+
+def _exponent_strengths(
+    layout: Layout, target: FloatArray, residual: FloatArray, name: str
+) -> tuple[float, ...]:
+    """Penalties on the exponents of `layout` in one output; see the module."""
+    known = residual[np.isfinite(residual)]
+    level = max(float(np.median(np.abs(target[np.isfinite(target)]))), 1e-9)
+    variance = float(np.mean(known**2)) / _independent(known)
+    spreads = dict(zip(RATIOS, SPREADS["degC" if name.endswith("_C") else "%"], strict=True))
+    return tuple(variance / (spreads[ratio] * level) ** 2 for ratio in layout.exponents)
+
+
+def _independent(residual: FloatArray) -> float:
+    """Number of independent samples of a series (n,) by its autocorrelation."""
+    n = len(residual)
+    power = np.abs(np.fft.rfft(residual, 2 * n)) ** 2
+    correlation = np.fft.irfft(power)[:n]
+    if correlation[0] <= 0.0:
+        return float(n)
+    correlation /= correlation[0]
+    until = int(np.argmax(correlation < _UNRELATED)) or n
+    return n / float(1.0 + 2.0 * correlation[1:until].sum())
 
 
 @dataclass(frozen=True)
@@ -187,6 +229,7 @@ class _Design:
     engines: tuple[str, ...]
     config: SteadyFitConfig
     air_seen: FloatArray
+    exponents: tuple[float, ...] = ()
 
     @property
     def corners(self) -> int:
@@ -252,7 +295,11 @@ class _Design:
                         pair = {corner * width + j: -1.0, other * width + j: 1.0}
                         rows.append(_row(size, pair, self.config.spread))
         first = self.corners * width
-        rows += [_row(size, {j: 1.0}, self.config.scatter) for j in range(first, size)]
+        strengths = np.full(size - first, self.config.scatter)
+        if self.exponents:
+            strengths[-2 * len(self.exponents) :] = np.repeat(self.exponents, 2)
+        pairs = zip(range(first, size), strengths.tolist(), strict=True)
+        rows += [_row(size, {j: 1.0}, strength) for j, strength in pairs]
         return np.array(rows)
 
     def model(self, coefficients: FloatArray) -> FittedSteadyState:

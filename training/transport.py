@@ -26,15 +26,14 @@ import numpy as np
 from data_prep.log import Log
 from narxcal.calibration.calibration import steady_for_engine
 from narxcal.calibration.delay import TransportDelay
-from narxcal.calibration.lead import Lead
+from narxcal.calibration.members import Member
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import FloatArray
 from narxcal.support.progress import Progress, silent
 from training.baselines import Run, arx_of, start_of
 from training.config import RunConfig
-from training.folds import Fold, geometric_rms, surely_below
+from training.folds import Fold, geometric_rms, surely_below, thirds
 from training.lags import PLAIN, Trial, thinned, with_form
-from training.lead import lead_folds
 from training.records import lag_samples
 
 _STEP_S: Final = 0.2
@@ -70,7 +69,7 @@ def choose_delay(
     if given_s != "auto":
         known = TransportDelay((driver,), given_s, given_s, given_s)
         return DelayChoice(known if given_s > 0.0 else None)
-    parts, folds = lead_folds(logs)
+    parts, folds = thirds(logs)
     if len(folds) < 2:
         return DelayChoice()
     candidates = np.arange(0.0, _LONGEST_S + 1e-9, _STEP_S)
@@ -134,13 +133,13 @@ def _arx_errors(runs: Sequence[Run], folds: Sequence[Fold], samples: int) -> Flo
     found = []
     for fold in folds:
         fitted, judged = fold.of(late)
-        leads = [_lead(k, *arx_of(fitted, k, _ORDER)) for k in range(late[0].steady.shape[1])]
+        models = [_arx(k, *arx_of(fitted, k, _ORDER)) for k in range(late[0].steady.shape[1])]
         with np.errstate(over="ignore", invalid="ignore"):
             errors = [
                 np.column_stack(
                     [
-                        lead.simulate(run.steady, start_of(run.steady, run.measured[0], k))
-                        for k, lead in enumerate(leads)
+                        model.simulate(run.steady, start_of(run.steady, run.measured[0], k))
+                        for k, model in enumerate(models)
                     ]
                 )
                 - run.measured
@@ -151,9 +150,9 @@ def _arx_errors(runs: Sequence[Run], folds: Sequence[Fold], samples: int) -> Flo
     return known
 
 
-def _lead(k: int, poles: FloatArray, gains: FloatArray, offset: float) -> Lead:
+def _arx(k: int, poles: FloatArray, gains: FloatArray, offset: float) -> Member:
     rows = tuple(tuple(row) for row in gains.tolist())
-    return Lead("arx", k, poles=tuple(poles.tolist()), gains=rows, offset=offset)
+    return Member("arx", k, poles=tuple(poles.tolist()), gains=rows, offset=offset)
 
 
 def _shifted(values: FloatArray, samples: int) -> FloatArray:

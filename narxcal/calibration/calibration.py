@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from narxcal.calibration.delay import DelayLine, TransportDelay
-from narxcal.calibration.lead import Lead, LeadState
+from narxcal.calibration.members import Member, Members, MembersState
 from narxcal.calibration.register import Parts, Register, Sample, stacked
 from narxcal.intervals import Band, HalfWidths
 from narxcal.lumped.engine import LumpedEngine
@@ -38,6 +38,7 @@ from narxcal.steady.opening import steady_from_json, steady_to_json
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError, ModelError
 
+_ROUNDING = 1e-9  # of weights that sum to one
 # Bounds may be infinite: an input without a range, an output without a clamp.
 _UNBOUNDED = ("narx/low", "narx/high", "steady/low", "steady/high")
 
@@ -68,8 +69,8 @@ class Calibration(ABC):
 
     All methods give the same numbers. Columns are canonical channels: `input_names` are those of
     the steady-state model, `output_names` those that it gives. `dt_s` is the sampling interval.
-    A subclass has a dynamic model of its own behind the steady state; `with_leads` lets simple
-    models lead in some outputs, and `network_alone` is the same without them.
+    A subclass has a dynamic model of its own behind the steady state; `with_members` mixes simple
+    models with it, and `own_alone` is the same without them.
     """
 
     def __init__(self, steady: SteadyStateModel, dt_s: float) -> None:
@@ -77,10 +78,10 @@ class Calibration(ABC):
         self.dt_s = dt_s
         self.reach: Envelope | None = None
         self.delay: TransportDelay | None = None
-        self.leads: tuple[Lead, ...] = ()
+        self.members = Members()
         self.interval: HalfWidths | None = None
         self._register: Running | None = None
-        self._led: list[LeadState] = []
+        self._member_state: MembersState | None = None
         self._line: DelayLine | None = None
 
     def __repr__(self) -> str:
@@ -114,16 +115,16 @@ class Calibration(ABC):
     def to_arrays(self) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         """Split into JSON-able structure and named arrays, for the bundle."""
 
-    def with_leads(self, leads: Sequence[Lead]) -> Self:
-        """The calibration with simple models in the place of its own in some outputs."""
-        return self._with(leads=tuple(leads), interval=None)
+    def with_members(self, members: Sequence[Member]) -> Self:
+        """The calibration as a mixture of its own model and `members`, each with its weight."""
+        return self._with(members=Members(tuple(members)), interval=None)
 
     def with_interval(self, interval: HalfWidths | None) -> Self:
         """The calibration with half-widths over the distance from steady state of each output."""
         return self._with(interval=interval)
 
     def with_delay(self, delay: TransportDelay | None) -> Self:
-        """The calibration with inputs that act late, in every model that may lead.
+        """The calibration with inputs that act late, in every model of the mixture.
 
         Raises `ModelError` for a channel that is no input.
         """
@@ -145,9 +146,9 @@ class Calibration(ABC):
         """Steady states (time, n_out) that a run over `inputs` (time, n_in) follows."""
         return self.steady.outputs(self.acting(self._checked(inputs)))
 
-    def network_alone(self) -> Self:
-        """The calibration with its own model leading in every output."""
-        return self.with_leads(())
+    def own_alone(self) -> Self:
+        """The calibration with its own model alone in every output."""
+        return self.with_members(())
 
     def with_steady(self, steady: SteadyStateModel) -> Self:
         """The calibration with another steady-state model of the same inputs and outputs."""
@@ -192,7 +193,7 @@ class Calibration(ABC):
 
     def _with(self, **changed: Any) -> Self:
         chosen = copy(self)
-        vars(chosen).update(changed, _register=None, _led=[], _line=None)
+        vars(chosen).update(changed, _register=None, _member_state=None, _line=None)
         return chosen
 
     @overload
@@ -242,19 +243,20 @@ class Calibration(ABC):
             later = self._started(inputs[0], ss[0], first).advance(inputs[1:], ss[1:])
             deviation = np.concatenate([deviation, later])
         outputs: FloatArray = ss - deviation
-        for lead in self.leads:
-            outputs[:, lead.channel] = lead.simulate(ss, outputs[0, lead.channel])
+        if self.members.members:
+            later = self.members.started(ss[0], outputs[0]).advance(ss[1:])
+            outputs[1:] = self.members.mixed(outputs[1:], later)
         return outputs
 
     def poles(self, inputs: FloatArray) -> NDArray[np.complex128]:
         """Poles of the step, linearised where it is in equilibrium at `inputs` (n_in,).
 
-        By central differences; those of models that lead are added. Where they lead in every
+        By central differences; those of the members are added. Where they are the whole of every
         output there are no others.
         """
-        led = [lead.poles_of() for lead in self.leads]
-        if {lead.channel for lead in self.leads} == set(range(len(self.output_names))):
-            return np.concatenate(led).astype(np.complex128)
+        found_of = [one.poles_of() for one in self.members.members]
+        if not self.members.rest(len(self.output_names)).any():
+            return np.concatenate(found_of).astype(np.complex128)
         given = self._checked(inputs[None])
         ss = self.steady.outputs(given)
         none = np.zeros(len(self.output_names))
@@ -269,7 +271,7 @@ class Calibration(ABC):
         moves = _DIFFERENCE * np.eye(len(rest))
         columns = [(step(rest + one) - step(rest - one)) / (2.0 * _DIFFERENCE) for one in moves]
         found = np.linalg.eigvals(np.array(columns)) if columns else np.empty(0)
-        return np.concatenate([found, self._decay(), *led])
+        return np.concatenate([found, self._decay(), *found_of])
 
     def _decay(self) -> FloatArray:
         """Poles that no state shows at rest."""
@@ -283,8 +285,8 @@ class Calibration(ABC):
         given = self.acting(self._checked(inputs))
         ss, known = self.steady.outputs(given), np.asarray(measured, dtype=np.float64)
         outputs = self._prediction(given, ss, known)
-        for lead in self.leads:
-            outputs[:, lead.channel] = lead.predict(ss, known[:, lead.channel])
+        if self.members.members:
+            outputs = self.members.mixed(outputs, self.members.predict(ss, known))
         return outputs
 
     def reset(self, inputs: ArrayLike, start: ArrayLike | None = None) -> FloatArray:
@@ -297,7 +299,7 @@ class Calibration(ABC):
         first = self._first_deviation(ss[0], start)
         self._register = self._started(given[0], ss[0], first)
         value: FloatArray = ss[0] - first
-        self._led = [lead.started(ss[0], value[lead.channel]) for lead in self.leads]
+        self._member_state = self.members.started(ss[0], value)
         if self.delay is not None:
             self._line = self.delay.line(self.input_names, given[0], self.dt_s)
         return value
@@ -311,8 +313,8 @@ class Calibration(ABC):
         if correction is not None and self._register is not None:
             corrected = np.asarray(correction, dtype=np.float64)
             self._register.correct(corrected)
-            for state in self._led:
-                state.correct(corrected[state.lead.channel])
+            if self._member_state is not None:
+                self._member_state.correct(corrected)
         outputs: FloatArray = self.extend(np.asarray(inputs, dtype=np.float64)[None])[0]
         return outputs
 
@@ -326,8 +328,8 @@ class Calibration(ABC):
             given = self._line.advance(given)
         ss = self.steady.outputs(given)
         outputs: FloatArray = ss - self._register.advance(given, ss)
-        for state in self._led:
-            outputs[:, state.lead.channel] = state.advance(ss)
+        if self.members.members and self._member_state is not None:
+            outputs = self.members.mixed(outputs, self._member_state.advance(ss))
         return outputs
 
     def _checked(self, inputs: ArrayLike) -> FloatArray:
@@ -365,7 +367,8 @@ class DynamicCalibration(Calibration):
     `settle_s` is the fading bound: the network's deviation may not be larger than twice that of a
     first-order lag of this time constant, so that it never outlives the movement that caused it. It
     needs a network whose outputs vanish in equilibrium (an anchored one); None means none.
-    `with_lag` puts lags in front of the network.
+    `with_lag` puts lags in front of the network, of whose own deviation an output takes the share
+    `network_share` (n_out,): between 0, the lags alone, and 1, which None stands for.
     """
 
     def __init__(
@@ -388,6 +391,7 @@ class DynamicCalibration(Calibration):
         self.settle_s = settle_s
         self._columns = [steady.input_names.index(name) for name in schedule]
         self.lag: LumpedEngine | None = None
+        self.network_share: FloatArray | None = None
 
     @property
     def words(self) -> str:
@@ -413,6 +417,23 @@ class DynamicCalibration(Calibration):
         """The calibration with a decay bound of this time constant; the network is anchored."""
         return self._with(settle_s=settle_s)
 
+    def with_network_share(self, share: ArrayLike | None) -> Self:
+        """The calibration with this share (n_out,) of the network's deviation; None means all.
+
+        Raises `ModelError` unless there are lags, and a share between 0 and 1 for each output.
+        """
+        if share is None:
+            return self._with(network_share=None, interval=None)
+        shares = np.asarray(share, dtype=np.float64)
+        fits = self.lag is not None and shares.shape == (len(self.output_names),)
+        if not fits or not ((shares >= 0.0) & (shares <= 1.0)).all():
+            raise ModelError("'network_share' is no share for each output", hint=ALTERED)
+        return self._with(network_share=shares, interval=None)
+
+    def own_alone(self) -> Self:
+        """The calibration with its own model alone, and all of the network's deviation."""
+        return super().own_alone().with_network_share(None)
+
     def _prediction(self, given: FloatArray, ss: FloatArray, known: FloatArray) -> FloatArray:
         """With lags in front of the network, the network's own share is that of the free run."""
         deviation = ss - known
@@ -421,7 +442,8 @@ class DynamicCalibration(Calibration):
             return np.asarray(ss - self.narx.predict(features, deviation))
         drive = self.lag.drive(given, self.input_names, ss)
         free = self.lag.deviations(drive, deviation[0], self.dt_s)
-        share = ss - free - self.network_alone().run(given, ss, ss[0] - deviation[0])
+        own = self.with_members(())
+        share = ss - free - own.run(given, ss, ss[0] - deviation[0])
         lagged = self.lag.deviations(drive, deviation[0], self.dt_s, deviation - share)
         unknown = np.ones(len(ss), dtype=np.bool_)
         unknown[1:] = np.isnan(deviation[:-1]).any(axis=1)
@@ -459,8 +481,10 @@ class DynamicCalibration(Calibration):
             "lag": lag_meta,
         }
         meta |= self._common_rows()
-        if self.leads:
-            meta["leads"] = [lead.to_json() for lead in self.leads]
+        if self.members.members:
+            meta["members"] = [one.to_json() for one in self.members.members]
+        if self.network_share is not None:
+            meta["network_share"] = self.network_share.tolist()
         return meta, arrays
 
     @classmethod
@@ -491,7 +515,10 @@ class DynamicCalibration(Calibration):
             lag = meta.get("lag")
             if lag is not None:
                 loaded = loaded.with_lag(LumpedEngine.from_arrays(lag, part["lag"]))
-            loaded = loaded.with_leads([Lead.from_json(one) for one in meta.get("leads", ())])
+            members = meta.get("members", meta.get("leads", ()))  # the latter in older versions
+            loaded = loaded.with_members([Member.from_json(one) for one in members])
+            if meta.get("network_share") is not None:
+                loaded = loaded.with_network_share(meta["network_share"])
         except KeyError as error:
             raise ModelError(f"the stored calibration has no {error}", hint=ALTERED) from None
         loaded.check()
@@ -507,11 +534,13 @@ class DynamicCalibration(Calibration):
                 f"found one of {self.narx.inputs} and {self.narx.outputs}",
                 hint=ALTERED,
             )
-        for lead in self.leads:
-            widths = {len(row) for row in lead.gains}
-            shaped = len(lead.gains) in (0, len(lead.poles) + 1) and widths <= {count}
-            if not 0 <= lead.channel < count or not shaped:
-                raise ModelError("a leading model does not fit the outputs", hint=ALTERED)
+        shares = np.zeros(count)
+        for one in self.members.members:
+            if not one.fits(count):
+                raise ModelError("a member of the mixture does not fit the outputs", hint=ALTERED)
+            shares[one.channel] += one.weight
+        if (shares > 1.0 + _ROUNDING).any():
+            raise ModelError("the weights of the mixture exceed one", hint=ALTERED)
         times: dict[str, Any] = {"dt_s": self.dt_s}
         if self.settle_s is not None:
             times["settle_s"] = self.settle_s
@@ -522,7 +551,13 @@ class DynamicCalibration(Calibration):
 
     def _started(self, inputs: FloatArray, ss: FloatArray, deviation: FloatArray) -> Register:
         parts = Parts(
-            self.narx, self.lag, self.dt_s, self.settle_s, self.input_names, self._columns
+            self.narx,
+            self.lag,
+            self.dt_s,
+            self.settle_s,
+            self.input_names,
+            self._columns,
+            self.network_share,
         )
         return Register(parts, Sample(inputs, ss, deviation))
 

@@ -28,7 +28,7 @@ from typing import Any, Final, Self
 import numpy as np
 
 from narxcal.calibration.calibration import Calibration, DynamicCalibration
-from narxcal.calibration.lead import Lead
+from narxcal.calibration.members import Member
 from narxcal.channels import CHANNELS
 from narxcal.steady.model import ALTERED, Envelope
 from narxcal.support.arrays import FloatArray
@@ -156,7 +156,7 @@ def certify(model: Calibration) -> Certificate:
 
 
 def settling(
-    model: Calibration, simple: Sequence[Lead]
+    model: Calibration, simple: Sequence[Member]
 ) -> tuple[Calibration, Certificate, tuple[str, ...]]:
     """Return what of `model` settles, its certificate, and a sentence for each part given up.
 
@@ -171,8 +171,8 @@ def settling(
         model = model.with_decay(_DECAY_S)
         found = certify(model)
     if not found.settled:
-        lost.append(f"the model {found.words}: first-order lags lead in every output")
-        model = model.with_leads(simple)
+        lost.append(f"the model {found.words}: first-order lags take its place")
+        model = model.with_members(simple)
         found = certify(model)
     return model, found, tuple(lost)
 

@@ -117,7 +117,8 @@ def advance(
 class Parts(NamedTuple):
     """What a register runs: network, lags in front of it, sampling interval and fading bound.
 
-    `columns` are those of the schedule among the inputs, which are called `names`.
+    `columns` are those of the schedule among the inputs, which are called `names`. `share` (n_out,)
+    of the network's deviation counts; None means all of it.
     """
 
     narx: NarxModel
@@ -126,6 +127,7 @@ class Parts(NamedTuple):
     settle_s: float | None
     names: tuple[str, ...]
     columns: list[int]
+    share: FloatArray | None = None
 
 
 class Sample(NamedTuple):
@@ -186,15 +188,21 @@ class Register:
             fading_[1] = np.maximum(fading_[1], np.abs(scaling.up(newest)))
         else:
             slow = self.lagged[FAST + 1 : CASING + 1].sum(axis=0)
-            fast = deviation - slow - scaling.up(newest)
+            fast = deviation - slow - self.share * scaling.up(newest)
             self.lagged[FAST] = np.where(known, fast, self.lagged[FAST])
 
     def advance(self, inputs: FloatArray, ss: FloatArray) -> FloatArray:
         """Deviations (n, n_out) at the next samples: inputs (n, n_in), steady states (n, n_out)."""
         schedule = np.ascontiguousarray(inputs[:, self.parts.columns])
-        samples = schedule, np.ascontiguousarray(ss), self._lags(inputs, ss)
+        lagged = self._lags(inputs, ss)
+        samples = schedule, np.ascontiguousarray(ss), lagged
         deviation: FloatArray = advance(self.network, self.state, samples)
-        return deviation
+        return deviation if self.parts.share is None else lagged + self.share * (deviation - lagged)
+
+    @property
+    def share(self) -> FloatArray | float:
+        """Share (n_out,) of the network's deviation that counts."""
+        return 1.0 if self.parts.share is None else self.parts.share
 
     def _lags(self, inputs: FloatArray, ss: FloatArray) -> FloatArray:
         lag = self.parts.lag

@@ -119,7 +119,8 @@ class RunRecord(_Part):
     lag_form: LagRecord | None = None
     training: TrainingRecord = TrainingRecord()
     baselines: Table | None = None
-    lead: Table | None = None
+    mixture: Table | None = None
+    lead: Table | None = None  # in the place of `mixture` in older versions
     identify: Table | None = None
     free_run: FitRecord | None = None
     fuser_noise: Table | None = None
@@ -154,9 +155,9 @@ class RunRecord(_Part):
         return None if self.fuser_noise is None else NoiseModel.from_dict(self.fuser_noise)
 
     @property
-    def lead_channels(self) -> Mapping[str, Table]:
-        """By output which model leads and its held-out errors; empty where nothing was chosen."""
-        return (self.lead or {}).get("channels") or {}
+    def mixture_channels(self) -> Mapping[str, Table]:
+        """By output the models' weights and held-out errors; empty where nothing was chosen."""
+        return (self.mixture or self.lead or {}).get("channels") or {}
 
     def logs(self, role: str) -> tuple[str, ...]:
         """Names of the logs of "train", "validate" or "test"."""

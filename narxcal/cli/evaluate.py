@@ -17,7 +17,7 @@ from eval.evaluate import (
     LogEvaluation,
     assess_log,
     certificate,
-    lead_sentences,
+    mixture_sentences,
     outside_envelope,
     run_config,
 )
@@ -89,8 +89,8 @@ def judge(
         for number, log in enumerate(logs):
             advance(number, len(logs), log.name)
             parts.append(assess_log(bundle, log, settings, trim=trim or None))
-    leads, settling = lead_sentences(bundle), certificate(bundle)
-    evaluation = Evaluation(tuple(parts), settings, trim or None, leads, settling)
+    mixture, settling = mixture_sentences(bundle), certificate(bundle)
+    evaluation = Evaluation(tuple(parts), settings, trim or None, mixture, settling)
     outcome = evaluation.outcome
     warnings = [
         *doubtful_logs(bundle.record),

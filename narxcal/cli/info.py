@@ -90,7 +90,7 @@ def _document(run: str, bundle: Bundle, stored: dict[str, Any]) -> dict[str, Any
         "weights_sha256": stored["weights"]["sha256"],
         "sha256": bundle.sha256 or None,
         "interval": {
-            "words": interval_words(calibration.interval),
+            "words": interval_words(calibration.interval, names=calibration.output_names),
             "held_out": 0 if calibration.interval is None else calibration.interval.pieces,
         },
         "certificate": certificate_of(calibration, record.certificate).row(),

@@ -13,7 +13,7 @@ from data_prep.identity import duplicates
 from data_prep.log import Log, Source
 from eval.report.page import RunHeader
 from eval.rules import Rules
-from narxcal.channels import CHANNELS
+from narxcal.channels import CHANNELS, channel
 from narxcal.cli.console import Console
 from narxcal.intervals import ENOUGH, LEVEL, HalfWidths
 from narxcal.support.errors import ConfigError, DataError
@@ -133,7 +133,9 @@ _KINDS = {"fmu": "FMU", "callable": "function"}
 def doubtful_logs(record: RunRecord) -> list[str]:
     """Training logs that were left out as a whole, and logs that no model follows, in words."""
     left_out = (record.screening or {}).get("contradicting", ())
-    return [each["words"] for each in left_out] + list((record.lead or {}).get("suspects", ()))
+    return [each["words"] for each in left_out] + list(
+        (record.mixture or record.lead or {}).get("suspects", ())
+    )
 
 
 def steady_words(record: RunRecord) -> str:
@@ -181,23 +183,32 @@ def lag_words(record: RunRecord) -> str:
     return f"{_LAGS[found.form]}{chosen}"
 
 
-def lead_words(record: RunRecord) -> str:
-    """Say which model leads in each output, and on what grounds; empty for an older bundle."""
-    found = record.lead or {}
+def mixture_words(record: RunRecord) -> str:
+    """Say of which models each output is mixed, and on what grounds; empty without a choice."""
+    found = record.mixture or record.lead or {}
     if not found:
         return ""
-    leads = {name: one["leads"].replace("_", " ") for name, one in found["channels"].items()}
-    words = ", ".join(f"{name} {kind}" for name, kind in leads.items())
-    return f"{words} ({found['status']})"
+    parts = []
+    for name, one in found["channels"].items():
+        weights = one.get("weights") or {one.get("leads", "network"): 1.0}
+        order = sorted(weights.items(), key=lambda pair: -pair[1])
+        words = [f"{weight:.2f} {model.replace('_', ' ')}" for model, weight in order]
+        parts.append(f"{name} {' + '.join(words)}")
+    return f"{', '.join(parts)} ({found['status']})"
 
 
-def interval_words(found: HalfWidths | None, level: float = LEVEL) -> str:
-    """Say what the interval of a model rests on, or that it has none."""
+def interval_words(
+    found: HalfWidths | None, level: float = LEVEL, names: Sequence[str] = ()
+) -> str:
+    """Say what the interval of a model of the outputs `names` rests on, or that it has none."""
     if found is None:
         return "No interval: the model stores no errors of held-out logs"
     logs = f"{found.pieces} held-out {'log' if found.pieces == 1 else 'logs'}"
     few = ", so few that it is widened" if found.pieces < ENOUGH else ""
-    return f"Interval of {100.0 * level:g} % by the errors of {logs}{few}"
+    pairs = zip(names, found.between, strict=False)
+    levels = ", ".join(f"{name} {each:.2g} {channel(name).unit}" for name, each in pairs)
+    days = f"; another day or engine is off by {levels} (standard deviation)" if levels else ""
+    return f"Interval of {100.0 * level:g} % by the errors of {logs}{few}{days}"
 
 
 def now() -> str:
@@ -223,7 +234,9 @@ def header_of(
         versions=record.versions,
         facts={
             "Bundle": hash_words(read_document(run).get("sha256")),
-            "Interval": interval_words(bundle.calibration.interval),
+            "Interval": interval_words(
+                bundle.calibration.interval, names=bundle.calibration.output_names
+            ),
             **_facts(record),
         },
         config=json.dumps(record.config, indent=1),

@@ -33,7 +33,7 @@ from narxcal.cli.results import (
     doubtful_logs,
     interval_words,
     lag_words,
-    lead_words,
+    mixture_words,
     read_config,
     steady_words,
 )
@@ -197,7 +197,7 @@ def _document(folder: Path, record: RunRecord) -> dict[str, Any]:
         "training",
         "steady_state",
         "lag_form",
-        "lead",
+        "mixture",
         "screening",
         "split",
         "seeds",
@@ -219,8 +219,10 @@ def _show(console: Console, folder: Path, bundle: Bundle) -> None:
         "Steady state": steady_words(record),
         "Delay": "" if bundle.calibration.delay is None else bundle.calibration.delay.words,
         "Lags": lag_words(record),
-        "Leading": lead_words(record),
-        "Interval": interval_words(bundle.calibration.interval),
+        "Mixture": mixture_words(record),
+        "Interval": interval_words(
+            bundle.calibration.interval, names=bundle.calibration.output_names
+        ),
         "Constant inputs": certificate_of(bundle.calibration, record.certificate).words,
     }
     console.facts({name: words for name, words in facts.items() if words})

@@ -205,7 +205,8 @@ class _Model:
                 limit = 2.0 * bound[o] / n["out_scale"][o]
                 found = found.to("Max", -limit).to("Min", limit)
             kept.append(found)
-            d.append(found * n["out_scale"][o] + n["out_centre"][o] + lagged[o])
+            share = n["share"][o]
+            d.append(share * (found * n["out_scale"][o] + n["out_centre"][o]) + lagged[o])
         history = [*kept, *history[: len(history) - own]]
         return d, [*now.ss, *error, *bound, *history, *rows, *behind]
 
@@ -226,11 +227,11 @@ class _Model:
         found = linear + active.to("MatMul", n["w2"].T)
         return [found.column(o) for o in range(self.outputs)]
 
-    def lead_start(self, n: Any, now: _Sample) -> Numbers:
+    def member_start(self, n: Any, now: _Sample) -> Numbers:
         order = max(n["order"], 1)
         return [*[now.ss[n["channel"]]] * order, *now.ss * order]
 
-    def lead_step(self, n: Any, now: _Sample, x: Numbers) -> tuple[Numbers, Numbers]:
+    def member_step(self, n: Any, now: _Sample, x: Numbers) -> tuple[Numbers, Numbers]:
         own, order, ss = self.outputs, n["order"], now.ss[n["channel"]]
         if order == 0:
             ahead = ss - x[0]

@@ -24,7 +24,7 @@ from narxcal.calibration.identified import (
     ResponseDynamics,
     StateSpaceDynamics,
 )
-from narxcal.calibration.lead import Lead
+from narxcal.calibration.members import Member
 from narxcal.export.grid import Block, GriddedModel
 from narxcal.lumped import rotors
 from narxcal.lumped.engine import LumpedEngine
@@ -164,15 +164,16 @@ def parts_of(model: Calibration) -> list[Part]:
             hint="Delay the input in front of the exported model, and train with delay_s = 0",
         )
     alone = np.ones(len(model.output_names))
-    for lead in model.leads:
-        alone[lead.channel] = 0.0
+    members = model.members.members
+    for one in members:
+        alone[one.channel] -= one.weight
     if isinstance(model, DynamicCalibration):
         own = [_narx(model, alone)]
     elif isinstance(model, IdentifiedCalibration):
         own = _identified(model, alone)
     else:
         raise ModelError(f"a model of type {type(model).__name__} cannot be exported")
-    return [*own, *(_lead(one, len(alone)) for one in model.leads if one.kind != "steady_state")]
+    return [*own, *(_member(one, len(alone)) for one in members if one.kind != "steady_state")]
 
 
 def _narx(model: DynamicCalibration, weights: FloatArray) -> Part:
@@ -194,6 +195,7 @@ def _narx(model: DynamicCalibration, weights: FloatArray) -> Part:
         "out_scale": narx.output_scaling.scale,
         **{name: getattr(net, name) for name in ("w1", "b1", "w2", "b2", "a", "low", "high")},
         "keep": -1.0 if model.settle_s is None else math.exp(-model.dt_s / model.settle_s),
+        "share": np.ones(outputs) if model.network_share is None else model.network_share,
     }
     states = outputs * (3 + config.lags) + (depth + 1) * width
     needs: tuple[str, ...] = ("narx",)
@@ -248,20 +250,20 @@ def _governed(count: int) -> dict[str, str]:
     return {"LINES": _enum("LINE", rotors.LINES), "PLACES": f"enum {{ {listed} }};"}
 
 
-def _lead(lead: Lead, outputs: int) -> Part:
-    order = len(lead.poles)
+def _member(one: Member, outputs: int) -> Part:
+    order = len(one.poles)
     numbers = {
-        "channel": lead.channel,
-        "order": order if lead.kind == "arx" else 0,
-        "push": lead.push,
-        "pull": lead.pull,
-        "poles": np.array(lead.poles),
-        "gains": np.array(lead.gains),
-        "offset": lead.offset,
+        "channel": one.channel,
+        "order": 0 if one.kind == "first_order" else order,
+        "push": one.push,
+        "pull": one.pull,
+        "poles": np.array(one.poles),
+        "gains": np.array(one.gains),
+        "offset": one.offset,
     }
     weights = np.zeros(outputs)
-    weights[lead.channel] = 1.0
-    return Part(Struct("lead", numbers, ("lead",)), max(order, 1) * (1 + outputs), weights)
+    weights[one.channel] = one.weight
+    return Part(Struct("member", numbers, ("member",)), max(order, 1) * (1 + outputs), weights)
 
 
 def _identified(model: IdentifiedCalibration, weights: FloatArray) -> list[Part]:

@@ -22,7 +22,7 @@ from narxcal.steady.model import Envelope
 _PER_LINE = 6
 # The runtime's files in the order of their use.
 _ORDER = (
-    "air", "grid", "table", "fitted", "lags", "limited", "governed", "narx", "lead", "lag_step",
+    "air", "grid", "table", "fitted", "lags", "limited", "governed", "narx", "member", "lag_step",
     "response", "state_space", "output_error",
 )  # fmt: skip
 

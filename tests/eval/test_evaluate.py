@@ -328,10 +328,10 @@ def test_what_lies_between_two_measurements_is_not_scored(make_bundle, make_log)
 
 def with_levels(bundle, levels, lags=(0.0, 0.0, 0.0, 0.0)):
     """A bundle whose training held logs out, with these levels and lags in every output."""
-    own = {"leads": "network", "held_out_level": levels, "held_out_lag_s": list(lags)}
+    own = {"weights": {"network": 1.0}, "held_out_level": levels, "held_out_lag_s": list(lags)}
     names = bundle.calibration.output_names
     return replace(
-        bundle, record=bundle.record.having(lead={"channels": dict.fromkeys(names, own)})
+        bundle, record=bundle.record.having(mixture={"channels": dict.fromkeys(names, own)})
     )
 
 

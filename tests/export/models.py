@@ -10,7 +10,7 @@ from narxcal.calibration.identified import (
     ResponseDynamics,
     StateSpaceDynamics,
 )
-from narxcal.calibration.lead import Lead
+from narxcal.calibration.members import Member
 from narxcal.intervals import HalfWidths
 from narxcal.lumped.engine import LumpedEngine, shapes_of
 from narxcal.narx.config import NarxConfig
@@ -96,11 +96,13 @@ def narx(steady, lag=None, **config):
     return plain.with_lag(lag).reaching(LOW - 50.0, 1.2 * HIGH)
 
 
-def leading():
-    """A network, and simple models that lead in two outputs."""
+def mixed():
+    """A network of which outputs take shares behind lags, and simple models of two of them."""
     gains = ((0.2, 0.1, 0.0), (0.1, 0.0, 0.02), (0.0, 0.05, 0.0))
-    arx = Lead("arx", 2, poles=(0.5, 0.2), gains=gains, offset=3.0)
-    return narx(fitted()).with_leads([Lead("first_order", 0, push=0.2, pull=0.1), arx])
+    arx = Member("arx", 2, poles=(0.5, 0.2), gains=gains, offset=3.0, weight=0.4)
+    lag = Member("first_order", 0, push=0.2, pull=0.1, weight=0.3)
+    own = narx(fitted(), lags(governed=False)).with_network_share([0.2, 1.0, 0.6])
+    return own.with_members([lag, arx, Member("steady_state", 2, weight=0.1)])
 
 
 def output_error():
@@ -139,7 +141,7 @@ KINDS = {
     "narx, not anchored": lambda: narx(fitted(exponents=(), switches=("Mach",)), moving=0),
     "narx behind limited lags": lambda: with_interval(narx(fitted(), lags(governed=False))),
     "narx behind governed lags": lambda: narx(table(), lags(governed=True), lags=1, taps=(0,)),
-    "leads": leading,
+    "mixture": mixed,
     "output-error": lambda: identified(output_error()),
     "output-error over a table": lambda: identified(output_error(), table("pchip")),
     "transfer": lambda: with_interval(identified(responses())),

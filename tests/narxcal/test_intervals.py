@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from narxcal.intervals import LEVELS, Conformal, HalfWidths, joined
+from narxcal.intervals import LEVELS, Conformal, HalfWidths, HeldErrors, joined
 from narxcal.support.errors import DataError, ModelError
 
 
@@ -42,7 +42,11 @@ def test_new_logs_are_covered_however_much_of_the_error_is_an_offset_of_the_log(
     covered = []
     for _ in range(60):
         fleet = joined(
-            [(np.zeros((100, 1)), run[:, None], str(k)) for k, run in enumerate(runs(logs))]
+            [
+                HeldErrors(np.zeros((100, 1)), run[:, None], str(k))
+                for k, run in enumerate(runs(logs))
+            ],
+            np.array([np.sqrt(shared)]),
         )
         covered.append(np.mean(np.abs(runs(100)) <= fleet.at(np.zeros((1, 1)), 0.9)))
     assert 0.86 < np.mean(covered) < 0.94 + 0.02 * (logs == 3)
@@ -65,11 +69,11 @@ def errors_far_from_steady_state():
     draw, x = np.random.default_rng(3), np.tile(np.linspace(0.0, 4.0, 4000)[:, None], (1, 2))
     error = x * draw.uniform(-1.0, 1.0, x.shape)
     error[:, 1] = np.nan
-    return [(x, error, f"log {k}") for k in range(3)]
+    return [HeldErrors(x, error, f"log {k}") for k in range(3)]
 
 
 def test_intervals_are_wider_away_from_steady_state_and_at_higher_levels():
-    found = joined(errors_far_from_steady_state())
+    found = joined(errors_far_from_steady_state(), np.array([0.1, 0.1]))
     assert found.pieces == 3
     at = np.tile(np.linspace(0.0, 5.0, 50)[:, None], (1, 2))
     wide = [found.at(at, level)[:, 0] for level in (0.5, 0.87, 0.9, 0.99)]
@@ -80,7 +84,7 @@ def test_intervals_are_wider_away_from_steady_state_and_at_higher_levels():
 
 
 def test_a_stored_interval_comes_back():
-    found = joined(errors_far_from_steady_state())
+    found = joined(errors_far_from_steady_state(), np.array([0.1, 0.1]))
     loaded = HalfWidths.from_json(json.loads(json.dumps(found.to_json())), 2)
     at = np.random.default_rng(0).uniform(0.0, 5.0, (20, 2))
     np.testing.assert_array_equal(loaded.at(at, 0.8), found.at(at, 0.8))
@@ -88,12 +92,13 @@ def test_a_stored_interval_comes_back():
 
 
 def test_of_nothing_known_there_is_no_interval():
-    assert joined([]) is None
-    assert joined([(np.zeros((5, 1)), np.full((5, 1), np.nan), "a")]) is None
+    nothing = HeldErrors(np.zeros((5, 1)), np.full((5, 1), np.nan), "a")
+    assert joined([], np.ones(1)) is None
+    assert joined([nothing], np.ones(1)) is None
 
 
 def test_a_share_that_is_not_stored_is_refused():
-    found = joined(errors_far_from_steady_state())
+    found = joined(errors_far_from_steady_state(), np.array([0.1, 0.1]))
     with pytest.raises(DataError, match=f"between {LEVELS[0]} and {LEVELS[-1]}, found 0.999"):
         found.at(np.zeros((1, 2)), 0.999)
 
@@ -110,7 +115,30 @@ def test_a_share_that_is_not_stored_is_refused():
     ],
 )
 def test_a_damaged_interval_is_refused(damage):
-    stored = joined(errors_far_from_steady_state()).to_json()
+    stored = joined(errors_far_from_steady_state(), np.array([0.1, 0.1])).to_json()
     damage(stored)
     with pytest.raises(ModelError, match="'interval'"):
         HalfWidths.from_json(stored, 2)
+
+
+def test_of_one_recording_the_prior_alone_says_how_days_differ():
+    """Closed form: parts without errors; h is t of two recordings times the prior of two."""
+    part = HeldErrors(np.zeros((100, 1)), np.zeros((100, 1)), "last third", whole=False)
+    found = joined([part], np.array([0.5]))
+    assert found.between == pytest.approx([0.5 * np.sqrt(2.0)])
+    expected = student.ppf(0.95, 2.0) * 0.5 * np.sqrt(2.0)
+    assert found.at(np.zeros((1, 1)), 0.9)[0, 0] == pytest.approx(expected)
+
+
+def test_offsets_of_recordings_replace_the_prior():
+    """Closed form with three recordings offset by 1, -1 and 2 from models of the others."""
+    held = [
+        HeldErrors(np.zeros((100, 1)), np.full((100, 1), offset), str(offset))
+        for offset in (1.0, -1.0, 2.0)
+    ]
+    found = joined(held, np.array([0.5]))
+    variance = (2.0 * 0.5**2 + 6.0 * 2.0 / 3.0) / 5.0
+    assert found.between == pytest.approx([np.sqrt(4.0 / 3.0 * variance)])
+    expected = student.ppf(0.95, 5.0) * np.sqrt(4.0 / 3.0 * variance)
+    assert found.at(np.zeros((1, 1)), 0.9)[0, 0] == pytest.approx(expected, rel=1e-6)
+    assert HalfWidths.from_json(found.to_json(), 1).between == found.between

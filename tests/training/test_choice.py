@@ -10,7 +10,7 @@ from narxcal import Narx, Record
 from narxcal.narx.network import Scaling
 from narxcal.support.errors import ConfigError, DataError, ModelError
 from training.choice import Limits, choose, divide
-from training.held_out import folds_of
+from training.folds import record_folds
 from training.latent import Data, Shape, fit_linear, grown, path
 
 QUICK = Limits(1.0)
@@ -47,7 +47,7 @@ def hammerstein(u, seed):
 
 def test_held_out_pieces_never_touch_what_is_fitted():
     record = Record(np.arange(600.0), np.arange(600.0), "ramp")
-    folds = folds_of([record], gap=10)
+    folds = record_folds([record], gap=10)
     assert len(folds) == 8
     for fold in folds:
         held = np.concatenate([run.record.u[:, 0] for run in fold.held])
@@ -59,7 +59,7 @@ def test_held_out_pieces_never_touch_what_is_fitted():
 
 def test_long_records_are_held_out_in_blocks_from_different_parts():
     record = Record(np.zeros((3600, 1)), np.arange(3600.0)[:, None], "r")
-    folds = folds_of([record], gap=10)
+    folds = record_folds([record], gap=10)
     seen = np.zeros(3600, dtype=int)
     for fold in folds:
         held = sorted({(r.record.y[0, 0], r.record.y[-1, 0]) for r in fold.held if not r.begin})
@@ -76,7 +76,7 @@ def test_long_records_are_held_out_in_blocks_from_different_parts():
 
 def test_whole_records_are_held_out_where_there_are_four():
     records = [linear_system(seed) for seed in range(5)]
-    folds = folds_of(records, gap=10)
+    folds = record_folds(records, gap=10)
     assert len(folds) == 5
     for fold in folds:
         names = {run.record.name.split("[")[0] for run in fold.held}

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from training.folds import geometric_rms, held_out_folds, surely_below
+from data_prep.log import Log, Source
+from training.folds import geometric_rms, held_out_folds, log_folds, surely_below
 
 
 def test_each_recording_is_judged_once_and_stays_whole():
@@ -41,3 +42,57 @@ def test_what_is_better_everywhere_is_better_and_one_fold_says_nothing():
     ratios = np.array([[-0.1, 0.1, -0.1], [-0.1, 0.1, np.nan]])
     assert surely_below(ratios).tolist() == [True, False, False]
     assert not surely_below(ratios[:1]).any()
+
+
+def test_a_margin_has_to_be_reached_as_well():
+    ratios = np.array([[-0.1, -0.01], [-0.1, -0.01]])
+    assert surely_below(ratios, 0.02).tolist() == [True, False]
+
+
+def flight(name, samples=1800, altitude=True):
+    """A climb, a cruise at altitude, a descent; power falls in three steps."""
+    time_s = np.arange(float(samples))
+    channels = {"N1_pct": np.repeat([90.0, 70.0, 30.0], samples // 3)}
+    if altitude:
+        channels["ALT_ft"] = np.interp(time_s / samples, [0, 0.4, 0.6, 1], [0, 3e4, 3e4, 0])
+    return Log(name, time_s, channels, source=Source(name))
+
+
+def power(log):
+    return log["N1_pct"]
+
+
+def test_a_single_recording_is_held_out_by_regions():
+    found = {fold.name: fold for fold in log_folds([flight("a")], power)}
+    assert list(found) == ["highest altitude", "lowest power", "last third"]
+    for fold in found.values():
+        assert sum(map(len, fold.judged)) == pytest.approx(600, abs=80)
+        assert sum(map(len, fold.judged + fold.fitted)) == 1800
+        assert {fold.piece(log) for log in fold.judged} == {fold.name}
+    high = found["highest altitude"]
+    lowest = min(part["ALT_ft"].min() for part in high.judged)
+    assert lowest > 0.6 * max(part["ALT_ft"].max() for part in high.fitted)
+    assert max(part["N1_pct"].max() for part in found["lowest power"].judged) == 30.0
+
+
+def test_without_altitude_there_are_power_and_time():
+    names = [fold.name for fold in log_folds([flight("a", altitude=False)], power)]
+    assert names == ["lowest power", "last third"]
+
+
+def test_two_recordings_are_held_out_whole_as_well():
+    found = log_folds([flight("a"), flight("b")], power)
+    assert [fold.name for fold in found[3:]] == ["a", "b"]
+    assert [fold.whole for fold in found] == [False, False, False, True, True]
+
+
+def test_three_recordings_are_held_out_whole():
+    found = log_folds([flight(name) for name in "abcd"], power)
+    assert [fold.name for fold in found] == ["a, d", "b", "c"]
+    assert [found[0].piece(log) for log in found[0].judged] == ["a", "d"]
+
+
+def test_a_log_of_few_samples_has_no_regions_that_hold_everything():
+    for fold in log_folds([flight("a", 3)], power):
+        assert fold.fitted
+        assert fold.judged

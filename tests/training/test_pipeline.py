@@ -405,7 +405,7 @@ def test_a_flight_above_the_trained_altitudes_is_followed_as_well(tmp_path):
     narx = {"outputs": ["N1_pct", "EGT_C"], "hidden": 2, "lag_limits": False}
     asked = config(steady_state={"inputs": names}, events={"driver": "FF_kgph"}, narx=narx)
     logs = tuple(by_fuel(k, 1500.0) for k in range(2))
-    found = calibrate(asked, tmp_path, Split(logs, (), ())).calibration.network_alone()
+    found = calibrate(asked, tmp_path, Split(logs, (), ())).calibration.own_alone()
     errors = []
     for log in (by_fuel(5, 1500.0), by_fuel(5, 2100.0), by_fuel(5, 4000.0)):
         measured = log.matrix(found.output_names)

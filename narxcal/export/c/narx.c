@@ -9,6 +9,7 @@ typedef struct {
     const double *in_centre, *in_scale, *out_centre, *out_scale; /* scaled = (value - centre) / scale */
     const double *w1, *b1, *w2, *b2, *a, *low, *high;
     double keep;            /* pole of the fading bound, negative without it */
+    const double *share;    /* of the network's deviation, by output */
     start_function *lag_start; /* lags in front, NULL for none */
     step_function *lag_step;
     const void *lag;
@@ -104,7 +105,7 @@ static void narx_step(const void *numbers, const sample *now, double *x, double 
             y = y > -limit ? fmin(y, limit) : -limit;
         }
         history[o] = y;
-        d[o] = y * p->out_scale[o] + p->out_centre[o] + lagged[o];
+        d[o] = p->share[o] * (y * p->out_scale[o] + p->out_centre[o]) + lagged[o];
         x[NARX_SS + o] = now->ss[o];
     }
 }

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from narxcal.calibration.calibration import DynamicCalibration, narx_features
+from narxcal.calibration.members import Member
 from narxcal.lumped.engine import LumpedEngine
 from narxcal.lumped.rotors import LIMITED
 from narxcal.narx.config import NarxConfig
@@ -145,3 +146,74 @@ def test_lags_of_other_outputs_are_refused():
     message = "the lags are those of N1_pct, the steady-state model's outputs N1_pct, EGT_C"
     with pytest.raises(ModelError, match=message):
         calibration(lags(("N1_pct",)))
+
+
+def mixture():
+    """0.5 lags, 0.2 network, 0.3 ARX in the first output; lags and network alike in the other."""
+    arx = Member("arx", 0, poles=(0.9,), gains=((0.05, 0.0), (0.05, 0.0)), weight=0.3)
+    return calibration().with_network_share([0.2 / 0.7, 0.5]).with_members([arx])
+
+
+def test_a_mixture_is_the_weighted_mean_of_its_models():
+    model, inputs, start = mixture(), log(), np.array([25.0, 333.0])
+    own = calibration()
+    network = own.simulate(inputs, start)
+    lags = own.with_network_share([0.0, 0.0]).simulate(inputs, start)
+    (arx,) = model.members.members
+    simple = arx.simulate(own.steady.outputs(inputs), start[0])
+    found = model.simulate(inputs, start)
+    expected = 0.2 * network[:, 0] + 0.5 * lags[:, 0] + 0.3 * simple
+    np.testing.assert_allclose(found[:, 0], expected, rtol=1e-12)
+    np.testing.assert_allclose(found[:, 1], 0.5 * (network + lags)[:, 1], rtol=1e-12)
+    np.testing.assert_allclose(model.own_alone().simulate(inputs, start), network, rtol=1e-12)
+
+
+def test_steps_of_a_mixture_are_its_simulation_and_one_step_from_it_is_it():
+    model, inputs, start = mixture(), log(), np.array([25.0, 333.0])
+    whole = model.simulate(inputs, start)
+    steps = [model.reset(inputs[0], start), *map(model.step, inputs[1:])]
+    np.testing.assert_allclose(steps, whole, rtol=1e-10)
+
+
+def test_a_corrected_mixture_goes_on_from_the_measurement():
+    model, inputs = mixture(), np.tile([40.0, 0.3], (3, 1))
+    model.reset(inputs[0])
+    found = model.step(inputs[1], model.steady.outputs(inputs[0]))
+    arx = 0.9 * 60.0 + 0.1 * 60.0
+    assert found[0] == pytest.approx(0.7 * 60.0 + 0.3 * arx)
+
+
+def test_a_stored_mixture_comes_back():
+    model, inputs = mixture(), log()
+    meta, arrays = model.to_arrays()
+    loaded = DynamicCalibration.from_arrays(meta, arrays)
+    np.testing.assert_array_equal(loaded.simulate(inputs), model.simulate(inputs))
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"channel": 2}, "a member of the mixture does not fit the outputs"),
+        ({"gains": [[0.1]]}, "a member of the mixture does not fit the outputs"),
+        ({"weight": 1.5}, "a member of the mixture does not fit the outputs"),
+        ({"weight": -0.1}, "a member of the mixture does not fit the outputs"),
+    ],
+)
+def test_a_member_that_does_not_fit_is_refused(changed, message):
+    meta, arrays = mixture().to_arrays()
+    meta["members"] = [{**meta["members"][0], **changed}]
+    with pytest.raises(ModelError, match=message):
+        DynamicCalibration.from_arrays(meta, arrays)
+
+
+def test_weights_that_exceed_one_are_refused():
+    meta, arrays = mixture().to_arrays()
+    meta["members"] = 4 * meta["members"]
+    with pytest.raises(ModelError, match="the weights of the mixture exceed one"):
+        DynamicCalibration.from_arrays(meta, arrays)
+
+
+@pytest.mark.parametrize("share", [[0.5], [0.5, 1.1], [0.5, np.nan]])
+def test_a_share_that_is_none_is_refused(share):
+    with pytest.raises(ModelError, match="'network_share' is no share for each output"):
+        calibration().with_network_share(share)

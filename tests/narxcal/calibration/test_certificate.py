@@ -16,7 +16,7 @@ from narxcal.calibration.identified import (
     ResponseDynamics,
     StateSpaceDynamics,
 )
-from narxcal.calibration.lead import Lead
+from narxcal.calibration.members import Member
 from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxModel, Scaling
@@ -98,8 +98,8 @@ def test_the_largest_pole_is_that_of_the_model():
     found = certify(IdentifiedCalibration(steady(), state_space(0.97), DT_S))
     assert found.pole == pytest.approx(0.97, rel=1e-6)
     assert found.slowest_s == pytest.approx(-DT_S / np.log(0.97), rel=1e-5)
-    arx = Lead("arx", 1, poles=(1.71, -0.71), gains=((0.0,) * 3,) * 3, offset=0.7)
-    own = certify(network(None, 20.0).with_leads([arx]))
+    arx = Member("arx", 1, poles=(1.71, -0.71), gains=((0.0,) * 3,) * 3, offset=0.7)
+    own = certify(network(None, 20.0).with_members([arx]))
     assert own.pole == pytest.approx(1.0, abs=1e-9)  # z^2 - 1.71 z + 0.71
     assert not own.settled
 
@@ -146,11 +146,11 @@ def test_a_network_that_does_not_settle_is_bounded():
 
 def test_lags_that_hunt_give_way_to_first_order_lags():
     model = hunting(explicit=True)
-    simple = [Lead("first_order", k, 0.1, 0.2) for k in range(3)]
+    simple = [Member("first_order", k, 0.1, 0.2) for k in range(3)]
     left, found, lost = settling(model, simple)
     assert found.settled
-    assert left.leads == tuple(simple)
-    assert lost == (f"the model {certify(model).words}: first-order lags lead in every output",)
+    assert left.members.members == tuple(simple)
+    assert lost == (f"the model {certify(model).words}: first-order lags take its place",)
 
 
 def test_what_settles_stays_as_it_is():

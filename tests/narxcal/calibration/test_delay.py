@@ -11,7 +11,7 @@ from narxcal.calibration.identified import (
     StateSpaceDynamics,
     calibration_from_arrays,
 )
-from narxcal.calibration.lead import Lead
+from narxcal.calibration.members import Member
 from narxcal.export.parts import parts_of
 from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import ModelError
@@ -48,10 +48,10 @@ def test_a_line_shifts_by_whole_samples_and_a_part_of_one(delay_s, cut):
     np.testing.assert_array_equal(found[:, 1], inputs[:, 1])
 
 
-@pytest.mark.parametrize("leads", [(), (Lead("first_order", 1, 0.2, 0.3),)])
+@pytest.mark.parametrize("members", [(), (Member("first_order", 1, 0.2, 0.3),)])
 @pytest.mark.parametrize("delay_s", [0.0, 0.4, 0.47])
-def test_steps_blocks_and_the_whole_are_one(delay_s, leads):
-    model, inputs, start = calibration(delay_s).with_leads(leads), log(), [25.0, 333.0]
+def test_steps_blocks_and_the_whole_are_one(delay_s, members):
+    model, inputs, start = calibration(delay_s).with_members(members), log(), [25.0, 333.0]
     whole = model.simulate(inputs, start)
     first = model.reset(inputs[0], start)
     np.testing.assert_allclose([first, *map(model.step, inputs[1:])], whole, rtol=1e-10)

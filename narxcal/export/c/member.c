@@ -1,16 +1,16 @@
-/* ---- lead: a simple model of one output: first-order lag, or ARX of an order */
+/* ---- member: a simple model of one output: first-order lag, or ARX of an order */
 
 typedef struct {
     int channel, order;
     double push, pull;            /* gains of a lag (order 0) per sample, up and down */
     const double *poles, *gains;  /* (order,) and (order + 1, outputs) */
     double offset;
-} lead;
+} member;
 
 /* The state is past outputs, then past steady states, newest first. */
-static void lead_start(const void *numbers, const sample *now, const double *d, double *x)
+static void member_start(const void *numbers, const sample *now, const double *d, double *x)
 {
-    const lead *p = numbers;
+    const member *p = numbers;
     const int order = p->order > 0 ? p->order : 1;
     for (int k = 0; k < order; k++) {
         x[k] = now->ss[p->channel] - d[p->channel];
@@ -18,9 +18,9 @@ static void lead_start(const void *numbers, const sample *now, const double *d, 
     }
 }
 
-static void lead_step(const void *numbers, const sample *now, double *x, double *d)
+static void member_step(const void *numbers, const sample *now, double *x, double *d)
 {
-    const lead *p = numbers;
+    const member *p = numbers;
     const int n = NARXCAL_OUTPUTS, order = p->order;
     double y = p->offset, ahead = now->ss[p->channel] - x[0];
     for (int o = 0; o < n; o++) d[o] = 0.0;

@@ -1,0 +1,103 @@
+"""The weights of the mixture by errors over what was held out."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from training.mixture import MODELS, HeldOut, Mixture, weights_of
+
+
+def products(*pieces, correlation=0.5):
+    """Mean products of errors with these RMS (pieces, models)."""
+    rms = np.array(pieces)
+    alike = correlation + (1.0 - correlation) * np.eye(rms.shape[1])
+    return rms[:, :, None] * rms[:, None, :] * alike
+
+
+def test_without_anything_held_out_the_network_is_alone():
+    assert weights_of(np.empty((0, 4, 4))).tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert weights_of(np.full((2, 4, 4), np.nan)).tolist() == [1.0, 0.0, 0.0, 0.0]
+
+
+def test_models_alike_share_the_output_and_a_worse_one_has_less():
+    found = weights_of(products([1.0, 1.1, 0.9, 2.0], [1.1, 0.9, 1.0, 2.2]))
+    assert found.sum() == pytest.approx(1.0)
+    assert found[:3] == pytest.approx([1 / 3] * 3, abs=0.08)
+    assert found[3] < 0.08
+
+
+def test_a_model_that_is_clearly_best_everywhere_leads_alone():
+    found = weights_of(products([0.1, 1.0, 1.0, 1.0], [0.12, 1.0, 1.1, 1.2], [0.1, 0.9, 1.0, 1.0]))
+    assert found.tolist() == [1.0, 0.0, 0.0, 0.0]
+
+
+def test_the_best_of_one_piece_does_not_lead_alone():
+    assert (weights_of(products([0.5, 1.0, 1.0, 1.0])) > 0.0).sum() > 1
+
+
+def test_every_piece_counts_alike_however_large_its_errors_are():
+    """The second model is best on two pieces, the first on one with errors of a hundred."""
+    found = weights_of(products([1.0, 0.5], [1.0, 0.5], [100.0, 200.0]))
+    assert found[1] > found[0]
+
+
+def test_a_model_without_a_free_run_has_no_weight():
+    known = products([1.0, 1.1, 1.0, 0.9], [1.1, 1.0, 0.9, 1.0])
+    known[:, 3, :] = known[:, :, 3] = np.nan
+    found = weights_of(known)
+    assert found[3] == 0.0
+    assert found.sum() == pytest.approx(1.0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    pieces=st.integers(1, 5),
+    scale=st.floats(1e-3, 1e3),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_weights_are_shares_and_have_no_unit(pieces, scale, seed):
+    errors = np.random.default_rng(seed).normal(size=(pieces, 4, 30))
+    known = errors @ errors.transpose(0, 2, 1)
+    found = weights_of(known)
+    assert (found >= 0.0).all()
+    assert found.sum() == pytest.approx(1.0)
+    assert weights_of(scale**2 * known) == pytest.approx(found, abs=1e-3)
+
+
+def held(log, errors, whole=True):
+    """A held-out log whose free runs err by `errors` (models,) in the one output."""
+    models = np.tile(np.reshape(errors, (-1, 1, 1)), (1, 50, 1))
+    nothing = np.zeros((50, 1))
+    inside = np.ones(50, dtype=bool)
+    return HeldOut(log, log, log, whole, models, nothing, nothing, inside, 0.1)
+
+
+def mixture(*logs):
+    weights = np.array([[0.5], [0.5], [0.0], [0.0]])
+    return Mixture(("N1_pct",), weights, logs, "")
+
+
+def test_a_log_that_spoils_the_rest_is_named():
+    sizes = {"a": 1.0, "b": 1.2, "c": 5.0, "d": 0.9}
+    logs = [held(name, [size] * 4) for name, size in sizes.items()]
+    assert mixture(*logs).suspects == (
+        (
+            "c does not fit the other logs: held out, N1_pct is wrong by 5, 5.0 times as much as "
+            "usual, in every model; check it, or leave it out"
+        ),
+    )
+    regions = [held(name, [size] * 4, whole=False) for name, size in sizes.items()]
+    assert mixture(*regions).suspects == ()
+    one_model = [*logs[:2], held("c", [5.0, 1.0, 1.0, 1.0]), logs[3]]
+    assert mixture(*one_model).suspects == ()
+
+
+def test_what_is_stored_says_weights_and_held_out_errors():
+    found = mixture(held("a", [1.0, 3.0, 2.0, np.nan]), held("b", [1.0, 3.0, 2.0, 1.0])).row()
+    one = found["channels"]["N1_pct"]
+    assert one["weights"] == {"network": 0.5, "lags": 0.5}
+    errors = dict(zip(MODELS, (1.0, 3.0, 2.0, 1.0), strict=True))
+    assert one["held_out_rmse"] == pytest.approx({**errors, "mixture": 2.0})
+    assert one["held_out_level"] == [2.0, 2.0]
+    assert found["held_out"] == ["a", "b"]
