@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from data_prep.events import Event, find_events
+from data_prep.fragments import joined
 from data_prep.identity import Identity, Shared, first_shared
 from data_prep.log import Fault, Log, Source
 from data_prep.plausibility import unchecked_air
@@ -619,7 +620,8 @@ def _prepared(bundle: Bundle, config: RunConfig, files: Sequence[Path] | None) -
     else:
         logs = read_logs(config.logs.resolve(Path(bundle.record.base)), reading)
         chosen = split_logs(logs, config.split).test or logs
-    return [with_outputs(one.log, outputs) for one in prepare(chosen, config)]
+    prepared = joined([one.log for one in prepare(chosen, config)])
+    return [with_outputs(log, outputs) for log in prepared]
 
 
 def file_faults(bundle: Bundle, file: Path) -> tuple[Fault, ...]:

@@ -92,9 +92,9 @@ def run_log(
     """Run everything over one prepared log; masked inputs are filled and their rows not scored.
 
     `recorded` is the log before its faults were masked, where there are some: an input of which
-    nothing is left runs as recorded, and after a masked input the free run starts anew from the
-    measured outputs. Without `one_step` that prediction is left out. Raises `DataError` for a log
-    without the model's channels or on another sampling grid.
+    nothing is left runs as recorded, and after a masked input or a gap in the recording the free
+    run starts anew from the measured outputs. Without `one_step` that prediction is left out.
+    Raises `DataError` for a log without the model's channels or on another sampling grid.
     """
     own = bundle.calibration.for_engine(log.source.engine)
     _check_interval(own, log)
@@ -104,6 +104,7 @@ def run_log(
     filled = log.with_channels({name: before[name] for name in lost})
     inputs = hold_inputs(filled, own.input_names).matrix(own.input_names)
     faulty = np.isfinite(before.matrix(own.input_names)).all(axis=1) & ~known
+    faulty |= ~np.isfinite(np.stack(list(before.channels.values()))).any(axis=0)
     measured = log.matrix(own.output_names)
     steady = np.asarray(own.settled(inputs), dtype=np.float64)
     began = time.perf_counter()
@@ -139,7 +140,7 @@ def run_log(
 def _restarted(
     own: Calibration, inputs: FloatArray, measured: FloatArray, faulty: BoolArray
 ) -> FloatArray:
-    """Free run (time, n_out) that starts anew after each stretch of faulty inputs."""
+    """Free run (time, n_out) that starts anew after faulty inputs, and after gaps."""
     ends = [stop for _, stop in spans(faulty) if stop < len(faulty)]
     parts = [slice(*pair) for pair in pairwise((0, *ends, len(faulty)))]
     return np.concatenate([own.simulate(inputs[part], measured[part.start]) for part in parts])
