@@ -25,7 +25,7 @@ from types import ModuleType
 from typing import NoReturn
 
 from narxcal.cli.options import add_output
-from narxcal.support.errors import ConfigError, NarxcalError
+from narxcal.support.errors import ConfigError, NarxcalError, printable
 from narxcal.support.interrupt import is_interrupt, safe_interrupt, terminated
 
 GOOD, MISSED, BAD_INPUT, INTERNAL = 0, 1, 2, 3
@@ -174,7 +174,7 @@ def _report(error: Exception) -> int:
 
 
 def _end(text: str, code: int) -> int:
-    sys.stderr.write(f"narxcal: {text}\n")
+    sys.stderr.write(f"narxcal: {printable(text)}\n")
     return code
 
 

@@ -15,7 +15,7 @@ from rich.progress import Progress as Bar
 from rich.table import Table
 from rich.text import Text
 
-from narxcal.support.errors import ConfigError
+from narxcal.support.errors import ConfigError, printable
 from narxcal.support.files import STDOUT, to_json
 from narxcal.support.progress import Progress, silent
 
@@ -50,11 +50,11 @@ class Console:
     def say(self, text: str) -> None:
         """Print a line to stdout."""
         if not self.silent:
-            sys.stdout.write(f"{text}\n")
+            sys.stdout.write(f"{printable(text)}\n")
 
     def warn(self, text: str) -> None:
         """Print a warning to stderr, whatever the options: the result depends on it."""
-        sys.stderr.write(f"narxcal: warning: {text}\n")
+        sys.stderr.write(f"narxcal: warning: {printable(text)}\n")
 
     def table(self, title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Print a table of at most 80 columns; all but the first column are aligned right."""

@@ -111,6 +111,7 @@ def judge(
         **evaluation.document(),
         "run": str(run_folder),
         "weights_sha256": str(read_document(run_folder)["weights"]["sha256"]),
+        "verified": bool(bundle.sha256),
         "changed": changed(bundle, logs),
         "cautions": warnings,
     }

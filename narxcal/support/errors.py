@@ -67,3 +67,13 @@ def did_you_mean(name: str, known: Iterable[str], otherwise: str, cutoff: float 
     # Comparing takes the product of both lengths, and nobody misspells a name into a long text.
     near = difflib.get_close_matches(name[:_LONGEST], names, n=1, cutoff=cutoff)
     return f"Did you mean '{near[0]}'?" if near else f"{otherwise} {', '.join(names)}"
+
+
+def printable(text: str) -> str:
+    """Spell control characters out, so that no name of a file commands a terminal."""
+    return "".join(
+        each
+        if each == "\n" or each.isprintable() or each == " "
+        else each.encode("unicode_escape").decode("ascii")
+        for each in text
+    )
