@@ -37,14 +37,14 @@ def add_options(parser: ArgumentParser) -> None:
         help="run folder, table (.csv), FMU, module:function, or a virtual engine's name",
     )
     parser.add_argument(
-        "--to", choices=("table", "fmu", "c", "onnx"), required=True, help="what to write"
+        "--to", choices=("table", "fmu", "c", "onnx", "jsbsim"), required=True, help="what to write"
     )
     parser.add_argument(
         "--out",
         metavar="OUT",
         type=path,
         required=True,
-        help=".csv, .csv.gz, .fmu, .onnx; a folder for C",
+        help=".csv, .csv.gz, .fmu, .onnx, .xml; a folder for C",
     )
     add_overwrite(parser)
     add_trust(parser)

@@ -12,14 +12,20 @@ from data_prep.prepare import hold_inputs
 from eval.evaluate import evaluation_logs
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console
-from narxcal.export import fmu_run, onnx_run, proof
+from narxcal.export import fmu_run, jsbsim, onnx_run, proof
 from narxcal.export.compiler import Compiled, compiler
 from narxcal.export.dynamic import Exportable
 from narxcal.export.fmu import write_fmu
 from narxcal.export.onnx_model import write_onnx
 from narxcal.export.report import ExportOptions
 from narxcal.support.errors import ConfigError, DataError
-from narxcal.support.files import atomic_folder, atomic_write_text, check_file, check_output_folder
+from narxcal.support.files import (
+    atomic_folder,
+    atomic_write_bytes,
+    atomic_write_text,
+    check_file,
+    check_output_folder,
+)
 from training.masking import masked
 
 SCHEMA = "narxcal.export_run/1"
@@ -135,6 +141,23 @@ def _onnx(exported: Exportable, options: Namespace, cases: Callable[[], Any]) ->
     return found
 
 
+def _jsbsim(exported: Exportable, options: Namespace, cases: Callable[[], Any]) -> dict[str, Any]:
+    """Fit JSBSim's turbine, write it, and fly it in JSBSim."""
+    engine, given = options.engine or "", cases()
+    model, envelope = exported.model.for_engine(engine), exported.program().envelope
+    logs = given[1:] or given
+    turbine = jsbsim.Turbine.of(model, envelope, logs)
+    data = turbine.xml(exported.about)
+    atomic_write_bytes(options.out, data)
+    found: dict[str, Any] = {"file": options.out.name, "rows": [], "bytes": len(data)}
+    if jsbsim.runtime() is not None:
+        rows, misfit = jsbsim.compare(model, turbine, data, logs)
+        more = {"misfit": misfit, "throttle": turbine.to_json()}
+        found = proof.document(options.out, rows, jsbsim.BOUND, bytes=len(data), **more)
+    proof.write(options.out.absolute().parent, found)
+    return found
+
+
 def _sampling(exported: Exportable, cases: list[proof.Case]) -> dict[str, Any] | None:
     """What sampling the steady state changed: at random conditions, and in free run."""
     if exported.sampled is None:
@@ -153,6 +176,14 @@ _WRITERS: dict[str, Callable[[Exportable, Namespace, Callable[[], Any]], dict[st
     "c": _c,
     "fmu": _fmu,
     "onnx": _onnx,
+    "jsbsim": _jsbsim,
+}
+
+
+_NO_COMPILER = "there is no C compiler 'cc' on the PATH: sources alone, and no proof"
+_NO_PROOF = {
+    ".onnx": "onnxruntime is not installed: no proof",
+    ".xml": "jsbsim is not installed: no proof",
 }
 
 
@@ -164,16 +195,29 @@ def _show(console: Console, exported: Exportable, found: dict[str, Any]) -> None
         for row in found["rows"]
     ]
     if not rows:
-        console.warn(
-            "onnxruntime is not installed: no proof"
-            if found["file"].endswith(".onnx")
-            else "there is no C compiler 'cc' on the PATH: sources alone, and no proof"
-        )
+        console.warn(_NO_PROOF.get(Path(found["file"]).suffix, _NO_COMPILER))
         return
     console.table(
         "Largest difference from simulate", ["log", "what", "samples", "any output"], rows
     )
     if "step_us" in found:
         console.say(f"{found['step_us']:.2f} us a step, {found['states']} numbers in the state")
+    if "misfit" in found:
+        _show_misfit(console, found["misfit"])
     if not found["ok"]:
         console.warn(f"the largest difference, {found['largest']:.3g}, is above {found['bound']:g}")
+
+
+def _show_misfit(console: Console, misfit: dict[str, Any]) -> None:
+    """What JSBSim's form does not hold."""
+    rows = [
+        [what, *(f"{value:.2f}" for value in by.values())]
+        for part, suffix in (("largest", "largest"), ("rms", "RMS"))
+        for what, by in ((f"{name}, {suffix}", one) for name, one in misfit[part].items())
+    ]
+    rows += [
+        [f"{what}, s to 90 %", *(f"{one['run']:.2f} -> {one['jsbsim']:.2f}" for one in by.values())]
+        for what, by in misfit["t90_s"].items()
+    ]
+    spools = list(next(iter(misfit["t90_s"].values())))
+    console.table("What the form of JSBSim's turbine does not hold, %", ["", *spools], rows)

@@ -125,3 +125,14 @@ def test_a_run_becomes_a_graph(narxcal, run, tmp_path):
             "Name it engine.onnx\n"
         ),
     )
+
+
+def test_a_run_becomes_jsbsims_turbine_and_what_that_cannot_hold_is_said(narxcal, run, tmp_path):
+    pytest.importorskip("jsbsim", reason="needs jsbsim")
+    done = narxcal("export", run, "--to", "jsbsim", "--out", tmp_path / "engine.xml")
+    assert (done.code, done.err) == (0, "")
+    assert "What the form of JSBSim's turbine does not hold, %" in done.out
+    proof = json.loads((tmp_path / "proof.json").read_text("utf-8"))["proofs"]["engine.xml"]
+    assert proof["largest"] < proof["bound"]
+    assert set(proof["misfit"]) == {"largest", "t90_s", "rms"}
+    assert proof["throttle"]["driver"] == "TRA_deg"

@@ -1,15 +1,20 @@
 """What docs/take_away.md shows runs as it stands there."""
 
+import json
 import re
 import shutil
 import subprocess
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 
 from narxcal.export.fmu import write_fmu
+from narxcal.export.jsbsim import Turbine
 from narxcal.export.onnx_model import write_onnx
 from narxcal.export.program import Program
+from narxcal.export.proof import Case
 from tests.export import models
 
 PAGE = (Path(__file__).parents[2] / "docs/take_away.md").read_text("utf-8")
@@ -56,3 +61,22 @@ def test_the_graph_is_stepped_by_onnxruntime(tmp_path, monkeypatch, capsys):
     exec(compile(host, "take_away.md", "exec"), {})  # noqa: S102
     speeds = [float(line.strip("[]").split()[0]) for line in capsys.readouterr().out.splitlines()]
     assert speeds[0] < speeds[1] < speeds[3]
+
+
+def test_the_run_answers_next_to_jsbsims_turbine(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("fmpy", reason="needs the extra fmu", exc_type=ImportError)
+    pytest.importorskip("jsbsim", reason="needs jsbsim")
+    _, (example,) = section("JSBSim")
+    program, inputs = Program(models.KINDS["narx behind limited lags"]()), models.log(120)
+    write_fmu(program, tmp_path / "engine.fmu")
+    turbine = Turbine.of(program.model, program.envelope, [Case("moves", "", inputs)])
+    (tmp_path / "engine.xml").write_bytes(turbine.xml(program.about))
+    proofs = {"proofs": {"engine.xml": {"throttle": turbine.to_json()}}}
+    (tmp_path / "proof.json").write_text(json.dumps(proofs), "utf-8")
+    pd.DataFrame(inputs, columns=models.INPUTS).to_csv(tmp_path / "flight.csv", index=False)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example, "take_away.md", "exec"), {})  # noqa: S102
+    shown = capsys.readouterr().out.replace("[", " ").replace("]", " ").split()
+    theirs, ours = np.array(shown, dtype=float).reshape(2, 2)
+    np.testing.assert_allclose(ours, program.model.simulate(inputs)[-1, :2], atol=0.06)
+    assert (theirs >= 0.0).all()
