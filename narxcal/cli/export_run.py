@@ -20,6 +20,7 @@ from narxcal.export.onnx_model import write_onnx
 from narxcal.export.report import ExportOptions
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.files import (
+    Results,
     atomic_folder,
     atomic_write_bytes,
     atomic_write_text,
@@ -29,6 +30,7 @@ from narxcal.support.files import (
 from training.masking import masked
 
 SCHEMA = "narxcal.export_run/1"
+_WRITTEN = Results(proof.SCHEMA, proof.FILE, ("engine.c", "engine.h"))
 
 
 def run(options: Namespace, console: Console, nodes: dict[str, tuple[float, ...]]) -> int:
@@ -56,7 +58,7 @@ def _check(options: Namespace) -> None:
     """Refuse, before any work, an output that is in the way or of another kind."""
     out = options.out
     if options.to == "c":
-        check_output_folder(out, options.overwrite)
+        check_output_folder(out, _WRITTEN if options.overwrite else None)
         return
     ending = {"fmu": ".fmu", "onnx": ".onnx", "jsbsim": ".xml"}[options.to]
     if out.suffix != ending:
@@ -89,7 +91,7 @@ def _cases(bundle: Bundle, exported: Exportable, options: Namespace) -> list[pro
 def _c(exported: Exportable, options: Namespace, cases: Callable[[], Any]) -> dict[str, Any]:
     """Write the sources; without a compiler nothing is proven."""
     program = exported.program(options.interval)
-    with atomic_folder(options.out, options.overwrite) as part:
+    with atomic_folder(options.out, _WRITTEN if options.overwrite else None) as part:
         for name, text in program.code.items():
             atomic_write_text(part / name, text)
         found: dict[str, Any] = {"file": "engine.c", "rows": []}

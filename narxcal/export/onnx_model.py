@@ -336,8 +336,10 @@ class _Model:
         reach = self.program.model.reach
         if reach is not None:
             inputs = [clip(v, reach.low[k], reach.high[k]) for k, v in enumerate(inputs)]
-        state, now, at = Number(g, "state"), _Sample(self, inputs), 0
+        state, at = Number(g, "state"), 0
         begins = state.column(0).to("IsNaN")
+        inputs, late = self._delayed(inputs, state, begins)
+        now = _Sample(self, inputs)
         total, kept = [self.batch] * self.outputs, []
         for part in self.program.parts:
             x = [state.column(at + k) for k in range(part.states)]
@@ -351,7 +353,21 @@ class _Model:
         outputs = [
             ss - where(begins, g.constant(0.0), t) for ss, t in zip(now.ss, total, strict=True)
         ]
-        return self.joined(kept or [self.batch]), self.joined(outputs)
+        return self.joined([*kept, *late] or [self.batch]), self.joined(outputs)
+
+    def _delayed(self, inputs: Numbers, state: Number, begins: Number) -> tuple[Numbers, Numbers]:
+        """Inputs as they act, and the rows of those that act late."""
+        rows, part, columns = self.program.delay
+        if not rows:
+            return inputs, []
+        first = self.program.states - rows * len(columns)
+        past = [state.column(first + k) for k in range(rows * len(columns))]
+        newest, acting = [inputs[c] for c in columns], list(inputs)
+        past = [where(begins, newest[k % len(columns)], one) for k, one in enumerate(past)]
+        after = [*past[len(columns) :], *newest]
+        for k, column in enumerate(columns):
+            acting[column] = (1.0 - part) * after[k] + part * past[k]
+        return acting, after
 
     def _of(self, part: Part, verb: str) -> Callable[..., Any]:
         found: Callable[..., Any] = getattr(self, f"{part.struct.kind}_{verb}")

@@ -158,11 +158,6 @@ def _fitted(model: FittedSteadyState) -> Struct:
 
 def parts_of(model: Calibration) -> list[Part]:
     """Return the parts of a calibration's dynamics; `ModelError` names one that C lacks."""
-    if model.delay is not None:
-        raise ModelError(
-            f"a transport delay cannot be exported yet: {model.delay.words}",
-            hint="Delay the input in front of the exported model, and train with delay_s = 0",
-        )
     alone = np.ones(len(model.output_names))
     members = model.members.members
     for one in members:

@@ -22,8 +22,8 @@ from narxcal.steady.model import Envelope
 _PER_LINE = 6
 # The runtime's files in the order of their use.
 _ORDER = (
-    "air", "grid", "table", "fitted", "lags", "limited", "governed", "narx", "member", "lag_step",
-    "response", "state_space", "output_error",
+    "delay", "air", "grid", "table", "fitted", "lags", "limited", "governed", "narx", "member",
+    "lag_step", "response", "state_space", "output_error",
 )  # fmt: skip
 
 
@@ -75,8 +75,19 @@ class Program:
 
     @property
     def states(self) -> int:
-        """Numbers in the state."""
-        return sum(part.states for part in self.parts)
+        """Numbers in the state: of the parts, then of the transport delay."""
+        rows, _, columns = self.delay
+        return sum(part.states for part in self.parts) + rows * len(columns)
+
+    @property
+    def delay(self) -> tuple[int, float, list[int]]:
+        """Samples that a transport delay stores, its part of a sample, and the late columns."""
+        delay, model = self.model.delay, self.model
+        if delay is None:
+            return 0, 0.0, []
+        whole = int(delay.delay_s / model.dt_s)
+        columns = [model.input_names.index(name) for name in delay.channels]
+        return whole + 1, delay.delay_s / model.dt_s - whole, columns
 
     @property
     def start(self) -> list[float]:
@@ -134,6 +145,8 @@ class Program:
         needs = {name for struct in (steady, *structs) for name in struct.needs}
         define = {k: v for struct in (steady, *structs) for k, v in struct.define.items()}
         head = ["#include <math.h>", "#include <stddef.h>", "", '#include "engine.h"', ""]
+        if self.delay[0]:
+            define["delay"], needs = self._delay(), {*needs, "delay"}
         runtime = [shipped(f"{name}.c") for name in ("base", *_ORDER) if name in {"base", *needs}]
         return "\n".join(
             [
@@ -149,6 +162,13 @@ class Program:
                 shipped("model.c"),
             ]
         )
+
+    def _delay(self) -> str:
+        rows, part, columns = self.delay
+        at = sum(one.states for one in self.parts)
+        sizes = {"ROWS": rows, "COLUMNS": len(columns), "AT": at, "PART": _number(part)}
+        lines = [f"#define DELAY_{name} {value}" for name, value in sizes.items()]
+        return "\n".join([*lines, _array("delay_column", np.array(columns))])
 
     def _parts(self) -> Iterator[str]:
         rows, at = [], 0

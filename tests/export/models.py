@@ -3,6 +3,7 @@
 import numpy as np
 
 from narxcal.calibration.calibration import DynamicCalibration
+from narxcal.calibration.delay import TransportDelay
 from narxcal.calibration.identified import (
     EngineDynamics,
     IdentifiedCalibration,
@@ -146,8 +147,15 @@ KINDS = {
     "output-error over a table": lambda: identified(output_error(), table("pchip")),
     "transfer": lambda: with_interval(identified(responses())),
     "subspace": lambda: identified(state_space()),
+    "transfer behind a delay": lambda: late(identified(responses()), 0.33),
+    "narx behind a short delay": lambda: late(narx(fitted()), 0.04),
     "no dynamics": lambda: identified(NoDynamics(), table()),
 }
+
+
+def late(model, delay_s):
+    """Fuel flow and Mach number act late."""
+    return model.with_delay(TransportDelay(("FF_kgph", "Mach"), delay_s, 0.0, 1.0))
 
 
 def log(samples=600, *, far=True):

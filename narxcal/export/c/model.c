@@ -13,7 +13,7 @@ static double half_width(int o, double away)
 }
 
 /* The sample of given inputs: what is not finite keeps its last value, and all within limits. */
-static sample taken(narxcal_state *state, const double *inputs)
+static sample taken(narxcal_state *state, const double *inputs, int first)
 {
     sample now;
     int within = 1;
@@ -25,6 +25,12 @@ static sample taken(narxcal_state *state, const double *inputs)
         now.in[i] = clip(state->inputs[i], reach_low[i], reach_high[i]);
         if (state->inputs[i] < now.in[i] || state->inputs[i] > now.in[i]) within = 0;
     }
+#ifdef DELAY_ROWS
+    if (first) delay_start(now.in, state->x + DELAY_AT);
+    else delay_step(now.in, state->x + DELAY_AT);
+#else
+    (void)first;
+#endif
     state->now.inside = steady(now.engine, now.in, now.ss) && within;
     return now;
 }
@@ -43,7 +49,7 @@ void narxcal_start(narxcal_state *state, int engine, const double *inputs, const
     for (int i = 0; i < NARXCAL_INPUTS; i++) state->inputs[i] = start_inputs[i];
     for (int i = 0; i < NARXCAL_STATES; i++) state->x[i] = 0.0;
     state->engine = engine >= 0 && engine < NARXCAL_ENGINES ? engine : 0;
-    const sample now = taken(state, inputs);
+    const sample now = taken(state, inputs, 1);
     for (int o = 0; o < NARXCAL_OUTPUTS; o++)
         d[o] = measured && isfinite(measured[o]) ? now.ss[o] - measured[o] : 0.0;
     for (size_t k = 0; k < sizeof parts / sizeof *parts; k++)
@@ -59,7 +65,7 @@ void narxcal_init(narxcal_state *state, const double *inputs)
 void narxcal_step(narxcal_state *state, const double *inputs, narxcal_outputs *outputs)
 {
     double total[NARXCAL_OUTPUTS] = {0.0}, d[NARXCAL_OUTPUTS];
-    const sample now = taken(state, inputs);
+    const sample now = taken(state, inputs, 0);
     for (size_t k = 0; k < sizeof parts / sizeof *parts; k++) {
         if (!parts[k].step) continue;
         parts[k].step(parts[k].p, &now, state->x + parts[k].at, d);
