@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
@@ -15,7 +15,13 @@ from typing import Any, Final, NamedTuple
 import pandas as pd
 from matplotlib.figure import Figure
 
-from eval.diagnosis.document import Evidence, document, facts_of
+from eval.diagnosis.document import (
+    Evidence,
+    coarse_emulator,
+    document,
+    facts_of,
+    rests_on_emulator,
+)
 from eval.diagnosis.expected import (
     Values,
     channel_shrink,
@@ -36,6 +42,7 @@ from eval.diagnosis.flights import (
     in_terms_of,
     phases_of,
     record_of,
+    together,
 )
 from eval.diagnosis.learned import keep_learned, learn_left_out, learned_by, learned_from
 from eval.diagnosis.page import budget_figure
@@ -47,18 +54,23 @@ from narxcal.calibration.bundle import DOCUMENT, load_bundle
 from narxcal.effects.running import Emulator, with_load
 from narxcal.effects.steady import UnloggedSwitch
 from narxcal.support.errors import DataError, NarxcalError
+from narxcal.support.progress import Progress, silent
 from training.config import RunConfig
 from training.diagnosis.budget import Budget, Interval
 from training.diagnosis.discrepancy import Discrepancy
-from training.diagnosis.emulator import GreyBoxEmulator, choose_control, fit_emulators
+from training.diagnosis.emulator import (
+    GreyBoxEmulator,
+    choose_control,
+    fit_emulators,
+    widened,
+)
 from training.diagnosis.fit import Frame
 from training.diagnosis.load import windows_of
 from training.diagnosis.metric import Metric, assumed_variance
 from training.diagnosis.nuisances import nuisances
-from training.diagnosis.verdict import Engines
+from training.diagnosis.verdict import ASSUMED, Differences, Engines
 from training.diagnosis.verdict import diagnose as weighed
 
-Watch = Callable[[str, int, int], None]  # the step at work, how many are done, of how many
 _NOTHING: Final = Interval(0.0, 0.0, 0.0)
 _STEPS: Final = 4
 
@@ -72,6 +84,7 @@ class Request(NamedTuple):
     held_real: Path | None = None
     held_sim: str | None = None
     trust: bool = False  # of a run folder whose steady-state model runs code
+    build: float = 1.0  # share of what engines of one type differ by: 0 for this very engine
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,20 +111,23 @@ class Answer:
         return budget_figure(self.budget.rows())
 
 
-def diagnose(
+def diagnose(  # noqa: PLR0913 - each is one option of the command
     real: str | PathLike[str],
     sim: str | PathLike[str],
     *,
     heldout: tuple[str | PathLike[str], str | PathLike[str] | None] | None = None,
     config: RunConfig | None = None,
     trust: bool = False,
+    build: float = 1.0,
 ) -> Answer:
     """Say which unmodelled effects make flights and a simulator differ, and by what shares.
 
     `real` is a folder of the flights' logs; `sim` a folder of simulated logs of the same names, a
     run folder, an FMU, `module:function` or a virtual engine's name; `heldout` the same two of
     flights to check on, None for the same simulator. Without `config` columns are mapped as the run
-    folder does, else they bear canonical names. Raises `DataError`, `ConfigError`, `ModelError`.
+    folder does, else they bear canonical names. `build` is the share of what engines of one type
+    differ by that is taken for no effect: 0 where the simulator is of this very engine. Raises
+    `DataError`, `ConfigError`, `ModelError`.
     """
     config = config or mapping_of(fspath(sim), trust=trust)
     held_real, held_sim = (None, None) if heldout is None else heldout
@@ -122,6 +138,7 @@ def diagnose(
         None if held_real is None else Path(held_real),
         None if held_sim is None else fspath(held_sim),
         trust,
+        build,
     )
     return diagnose_folders(request)
 
@@ -133,17 +150,19 @@ def mapping_of(sim: str, *, trust: bool = False) -> RunConfig | None:
     return run_config(load_bundle(Path(sim), trust=trust))[0]
 
 
-def diagnose_folders(request: Request, watch: Watch | None = None) -> Answer:
+def diagnose_folders(request: Request, progress: Progress = silent) -> Answer:
     """Read the logs of a `Request` and diagnose; raises as `diagnose`."""
     began = time.perf_counter()
-    if watch is not None:
-        watch("reading", 0, _STEPS)
+    progress(0, _STEPS, "reading")
     simulator = open_simulator(request.sim, trust=request.trust)
     pairs = read_pairs(request.real, simulator.how, request.config)
     held = _held_pairs(request)
     check_apart(pairs, held)
-    learned, warnings = _learned_of(request, simulator, watch)
-    answer = diagnose_pairs(pairs, held, simulator.again, learned, watch=watch)
+    learned, warnings = _learned_of(request, simulator, progress)
+    if learned is not None and request.build != 1.0:
+        warnings.append("what the run gets wrong by itself is learned: --build has no effect")
+    differences = Differences(learned, request.build)
+    answer = diagnose_pairs(pairs, held, simulator.again, differences, progress)
     facts = {"simulator": simulator.kind, "wall_s": round(time.perf_counter() - began, 1)}
     quality = {**facts, **answer.document["quality"]}
     quality["warnings"] = [*warnings, *quality["warnings"]]
@@ -163,7 +182,7 @@ def _held_pairs(request: Request) -> list[Pair]:
 
 
 def _learned_of(
-    request: Request, simulator: Simulator, watch: Watch | None
+    request: Request, simulator: Simulator, progress: Progress
 ) -> tuple[Discrepancy | None, list[str]]:
     """What a run gets wrong by itself, learned now where nobody did, and what to say without it."""
     if simulator.kind != "bundle":
@@ -172,8 +191,7 @@ def _learned_of(
     found = learned_by(run)
     if found is not None:
         return found, []
-    if watch is not None:
-        watch("learning, once per run: models without some of its flights", 1, _STEPS)
+    progress(1, _STEPS, "once per run: models without some of its flights")
     try:
         return learn_left_out(run, trust=request.trust), []
     except NarxcalError as error:
@@ -185,28 +203,34 @@ def diagnose_pairs(
     pairs: Sequence[Pair],
     held: Sequence[Pair] = (),
     again: Simulate | None = None,
-    learned: Discrepancy | None = None,
-    watch: Watch | None = None,
+    differences: Differences = ASSUMED,
+    progress: Progress = silent,
 ) -> Answer:
     """Diagnose pairs that are already read; `held` are flights that take no part."""
-    watch = watch or _unwatched
     data = batch(pairs)
     check_excitation(data, events_of(data))
     there = in_terms_of(data, batch(held)) if held else None
     record = record_of(data)
-    watch("emulator", 1, _STEPS)
+    progress(1, _STEPS, "emulator")
     emulator = choose_control(fit_emulators(data.flights), record)
     itself = None if again is None else Rerun(emulator, again, block_size(pairs[0].dt_s))
-    watch("effects", 2, _STEPS)
-    found = weighed(record, Engines(emulator, itself), phases_of(data), learned)
-    watch("where, and how far the gap shrinks", 3, _STEPS)
+    progress(2, _STEPS, "effects")
+    found = weighed(record, Engines(emulator, itself), phases_of(data), differences)
+    progress(3, _STEPS, "where, and how far the gap shrinks")
     stand_in: Emulator = itself or emulator
+    flown = data.flights
     if found.on is not None:
         data = replace(data, flights=with_load(data.flights, found.on.astype(float)))
     evidence = _evidence(data, found, emulator, stand_in)
-    if there is not None:
+    if there is not None and rests_on_emulator(found.claimed, again=again is not None):
+        # What the effects do in these flights, the simulator's own logs of them know best.
+        emulator = widened(emulator, together(flown, there.flights))
+        itself = itself and replace(itself, emulator=emulator)
+        evidence = _with_held_out(evidence, there, itself or emulator, emulator)
+    elif there is not None:
         evidence = _with_held_out(evidence, there, stand_in)
     facts = {**facts_of(pairs, data, held), "core": dict(found.facts)}
+    facts["warnings"] += coarse_emulator(evidence, again=again is not None)
     evidence = replace(evidence, facts=facts)
     return Answer(document(evidence, pairs), found, evidence, emulator)
 
@@ -230,11 +254,21 @@ def _evidence(
     )
 
 
-def _with_held_out(evidence: Evidence, data: GapData, stand_in: Emulator) -> Evidence:
+def _with_held_out(
+    evidence: Evidence,
+    data: GapData,
+    stand_in: Emulator,
+    checked: GreyBoxEmulator | None = None,
+) -> Evidence:
+    """Add what the effects do in further flights, and errors there of an emulator `checked`."""
     found = evidence.budget
     if UnloggedSwitch.id in found.claimed:
         data = _with_windows(found.claimed, data, stand_in)
     there = held_out(found.claimed, data, stand_in)
+    if checked is not None:
+        errors = checked.errors(data.flights).tolist()
+        rmse = dict(zip(data.flights.signals.outputs, errors, strict=True))
+        there = replace(there, emulator_rmse=rmse)
     evidence = replace(
         evidence, held_out=there, times=time_shrink(data, there.after, events_of(data))
     )
@@ -254,7 +288,7 @@ def _with_windows(values: Values, data: GapData, emulator: Emulator) -> GapData:
     y = with_effects(others, data.flights, emulator)
     record = record_of(replace(data, flights=replace(data.flights, y=y)))
     metric = Metric(record, assumed_variance(record))
-    frame = Frame(record, metric, record.gap, nuisances(record, None, 0.0))
+    frame = Frame(record, metric, record.gap, nuisances(record))
     on = windows_of(frame, shift_of(values, data.flights.signals)).astype(float)
     return replace(data, flights=with_load(data.flights, on, always=True))
 
@@ -269,7 +303,3 @@ def learn_folders(request: Request, run: Path) -> Discrepancy:
     found = learned_from(read_pairs(request.real, simulator.how, request.config))
     keep_learned(found, run)
     return found
-
-
-def _unwatched(step: str, done: int, total: int) -> None:
-    """Show nothing."""

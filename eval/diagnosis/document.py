@@ -96,9 +96,14 @@ def _effect_rows(found: Budget, pairs: Sequence[Pair], dt_s: float) -> list[dict
             "log_start_s": (began := float(pair.time_s[0])),
             "start_s": began + start * dt_s,
             "end_s": began + stop * dt_s,
+            "start_span_s": [began + step * dt_s for step in edges[2 * k]],
+            "end_span_s": [
+                began + step * dt_s
+                for step in (edges[2 * k + 1] if 2 * k + 1 < len(edges) else (stop, stop))
+            ],
         }
-        for pair, on in zip(pairs, found.on, strict=True)
-        for start, stop in spans(on)
+        for pair, on, edges in zip(pairs, found.on, found.edges, strict=True)
+        for k, (start, stop) in enumerate(spans(on))
     ]
     return [row | {"windows": windows} if row["id"] == UnloggedSwitch.id else row for row in rows]
 

@@ -116,10 +116,12 @@ def sentences(document: Row) -> list[str]:
     found = [_claim(name, rows[name], shares) for name in verdict["effects"] if name in rows]
     if not found:
         reason = verdict["reason"].rstrip(".")
-        found = [f"No effect is named: {reason}."]
+        word = "Undetermined" if verdict["kind"] == "unknown" else "No effect is named"
+        found = [f"{word}: {reason}."]
     if verdict["ambiguous_with"]:
+        named = listed([in_words(name) for name in verdict["effects"]])
         others = listed([in_words(name) for name in verdict["ambiguous_with"]], "or")
-        found.append(f"These flights do not tell it from {others}.")
+        found.append(f"Ambiguous: these flights do not separate {named} from {others}.")
     left = shares.get("unexplained")
     if left is not None:
         found.append(

@@ -168,19 +168,15 @@ def _make(options: Namespace, console: Console) -> None:
     results.check(options.out)
     secret = str(plan.seed) if options.secret is None else options.secret
     with results.writing(options.out) as folder, console.progress("Flying") as advance:
-
-        def watch(name: str, done: int, total: int) -> None:
-            advance(done, total, f"({name})")
-
         if options.sim_logs is not None:
             made = make_log_cases(folder, plan, options.sim_logs)
-            document = write_key(folder, plan, secret, made, watch)
+            document = write_key(folder, plan, secret, made, advance)
         elif options.altered is not None:
             config, base = read_config(options.altered, None)
             made = make_altered(folder, plan, config.logs, base)
-            document = write_key(folder, plan, secret, made, watch)
+            document = write_key(folder, plan, secret, made, advance)
         else:
-            document = make_cases(folder, plan, secret, options.jobs, watch)
+            document = make_cases(folder, plan, secret, options.jobs, advance)
     console.say(f"Cases: {options.out}. Sealed key: {options.out / KEY}")
     if options.secret is None:
         console.say("The secret is the seed: keep it from whoever answers.")
@@ -189,14 +185,10 @@ def _make(options: Namespace, console: Console) -> None:
 
 def _run(options: Namespace, console: Console) -> None:
     with console.progress("Diagnosing") as advance:
-
-        def watch(name: str, done: int, total: int) -> None:
-            advance(done, total, f"({name})")
-
         config = None if options.config is None else read_config(options.config, None)[0]
         judge = None if options.sim is None else Judge(options.sim, config)
         limits = Limits(options.jobs, options.timeout_s)
-        summary = run_cases(options.folder, options.out, limits, judge, watch)
+        summary = run_cases(options.folder, options.out, limits, judge, advance)
     ends = {end: str(count) for end, count in summary["ends"].items()}
     console.facts({"Cases": str(len(summary["cases"])), **ends})
     console.document({**summary, "out": str(options.out)})

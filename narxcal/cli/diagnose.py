@@ -39,6 +39,19 @@ def add_options(parser: ArgumentParser) -> None:
     )
     parser.add_argument("--heldout-sim", metavar="SIM", help="their simulated logs")
     parser.add_argument(
+        "--build",
+        choices=("type", "same"),
+        default="type",
+        help="the simulator is of an engine of the same type (default), whose builds differ, or of "
+        "this very engine: steady shifts are then effects",
+    )
+    parser.add_argument(
+        "--build-tolerance",
+        metavar="SHARE",
+        type=float,
+        help="with --build same: share of the differences of type that may be left, default 0",
+    )
+    parser.add_argument(
         "--learn",
         action="store_true",
         help="diagnose nothing: learn what the run OUT gets wrong by itself and keep it there, "
@@ -54,11 +67,7 @@ def run(options: Namespace, console: Console) -> int:
     request = _request(options)
     RESULTS.check(options.out)
     with console.progress("Diagnosing") as advance:
-
-        def watch(step: str, done: int, total: int) -> None:
-            advance(done, total, f"({step})")
-
-        found = diagnose_folders(request, watch)
+        found = diagnose_folders(request, advance)
     with RESULTS.writing(options.out) as folder:
         document = write(folder, found)
     show(console, document)
@@ -120,6 +129,11 @@ def _request(options: Namespace) -> Request:
         config = mapping_of(options.sim, trust=options.trust)
     else:
         config = read_config(options.config, None)[0]
+    if options.build_tolerance is not None and options.build != "same":
+        raise ConfigError("--build-tolerance needs --build same")
+    build = 1.0 if options.build == "type" else options.build_tolerance or 0.0
+    if not 0.0 <= build <= 1.0:
+        raise ConfigError(f"--build-tolerance: expected a share from 0 to 1, found {build:g}")
     return Request(
         options.real,
         options.sim,
@@ -127,4 +141,5 @@ def _request(options: Namespace) -> Request:
         options.heldout_real,
         options.heldout_sim,
         options.trust,
+        build,
     )

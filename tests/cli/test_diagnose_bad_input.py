@@ -186,7 +186,7 @@ def test_one_short_flight_gets_no_firm_answer(flights, narxcal, tmp_path):
     document, said = answered(narxcal, flights(count=1), tmp_path / "gap")
     assert document["verdict"]["kind"] == "unknown"
     assert document["verdict"]["effects"] == []
-    assert document["verdict"]["reason"].startswith("one flight is no evidence")
+    assert document["verdict"]["reason"].startswith("one flight of less than 10 minutes is no")
     assert said == "narxcal: warning: 1 flight: the uncertainty is wider\n"
 
 

@@ -189,7 +189,7 @@ def choose_control(emulators: Sequence[GreyBoxEmulator], record: Record) -> Grey
     for one in emulators:
         dictionary = Dictionary(moving, some.flights, one)
         metric = Metric(some, assumed_variance(some))
-        frame = Frame(some, metric, some.gap, nuisances(some, None, 0.0))
+        frame = Frame(some, metric, some.gap, nuisances(some))
         before = frame.energy(frame.none)
         fits = [frame.fit(nodes) for nodes in dictionary.nodes.values()]
         left.append(min(frame.energy(each.solved) for each in fits) / before)

@@ -57,6 +57,60 @@ def windows_of(frame: Frame, shift: FloatArray) -> BoolArray:
     return blocks.spread(blocks.climb(shift, known=True))
 
 
+def edges(frame: Frame, one: Single) -> list[list[tuple[float, float]]]:
+    """90 % intervals of every edge of the windows of a fit, per flight, in steps: on, off, on, ...
+
+    An edge between two others is where the likelihood of the followed windows puts it, with the
+    sizes of the fit and a flat prior between the middles to its neighbours.
+    """
+    record, shift, on = frame.record, one.theta, one.node.on
+    if on is None:
+        return []
+    variance = record.noise**2 + (TOLERANCE * record.span) ** 2
+    left = frame.cleaned(one.solved)
+    weight = record.known / variance / one.solved.tau
+    lag = FOLLOW_S / record.flights.signals.dt_s
+    found = []
+    for f, row in enumerate(on):
+        at = np.flatnonzero(np.diff(row.astype(int), prepend=0))
+        ends = [0, *at.tolist(), int(record.flights.lengths[f])]
+        found.append(
+            [
+                _edge(
+                    (left[f], weight[f], shift, lag),
+                    (ends[k] + ends[k + 1]) // 2,
+                    ends[k + 1],
+                    (ends[k + 1] + ends[k + 2]) // 2,
+                    rising=bool(row[ends[k + 1]]),
+                )
+                for k in range(len(at))
+            ]
+        )
+    return found
+
+
+def _edge(
+    seen: tuple[FloatArray, FloatArray, FloatArray, float],
+    first: int,
+    at: int,
+    last: int,
+    *,
+    rising: bool,
+) -> tuple[float, float]:
+    """Interval of one edge that was put at step `at`, between `first` and `last`."""
+    left, weight, shift, lag = seen
+    places, steps = np.arange(first, last + 1), np.arange(first, last)
+    behind = np.maximum(steps[None, :] - places[:, None] + 1.0, 0.0)
+    part = 1.0 - np.exp(-behind / lag)
+    part = part if rising else 1.0 - part
+    here, w = left[first:last], weight[first:last]
+    toward = 2.0 * part @ (here * w) @ shift - part**2 @ w @ shift**2
+    chance = np.exp(0.5 * (toward - toward.max()))
+    total = np.cumsum(chance) / chance.sum()
+    low, high = (int(places[np.searchsorted(total, level)]) for level in (0.05, 0.95))
+    return float(min(low, at)), float(max(high, at))
+
+
 def _penalty(frame: Frame) -> float:
     """Log likelihood that a switch costs: half the log of the effective samples of a flight."""
     effective = float(frame.none.rss.sum()) / frame.none.tau / len(frame.record.gap)

@@ -33,6 +33,7 @@ _LIMIT, _SMALL_LIMIT = 3.0, 2.0
 _FREEZING_K: Final = 273.15
 _LEVER_DEG: Final = 85.0
 _PROBE: Final = 0.03  # of its own lag
+_PROBE_S: Final = 1.0  # lag of the hot probe
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,21 +50,25 @@ class Nuisances:
     limit: FloatArray
 
 
-def nuisances(record: Record, emulator: Emulator | None, probe_s: float) -> Nuisances:
+def nuisances(record: Record, emulator: Emulator | None = None, build: float = 1.0) -> Nuisances:
     """Assumed nuisances of flights of which nothing was learned.
 
-    `probe_s` is the lag of the hot probe.
+    `build` scales what engines differ by: 1 for two of one type, 0 where the simulator is this
+    very engine. What flights of one engine differ by stays.
     """
     level = levels(record.flights)
     steady = _maps(record, level)
     offsets = _offsets(record, level)
     starts = _starts(record, level)
-    small = _small(record.flights, emulator, probe_s)
+    small = _small(record.flights, emulator)
     kinds = (BUILD,) * len(steady) + (OFFSET,) * len(offsets) + (START,) * len(starts)
     names = ("",) * len(kinds) + tuple(name for name, _ in small)
     columns = np.concatenate([steady, offsets, starts, *(each[None] for _, each in small)])
     limit = np.full(len(columns), _LIMIT)
     limit[len(kinds) :] = _SMALL_LIMIT
+    of_build = np.isin([*kinds, *[SMALL] * len(small)], (BUILD, SMALL))
+    columns[of_build] *= build
+    limit[of_build & (build == 0.0)] = 0.0
     return Nuisances(columns, kinds + (SMALL,) * len(small), names, limit)
 
 
@@ -107,16 +112,14 @@ def _starts(record: Record, level: FloatArray) -> FloatArray:
     return found
 
 
-def _small(
-    flights: Flights, emulator: Emulator | None, probe_s: float
-) -> list[tuple[str, FloatArray]]:
+def _small(flights: Flights, emulator: Emulator | None) -> list[tuple[str, FloatArray]]:
     """Responses to effects of one standard deviation of what builds and linkages differ by."""
     signals = flights.signals
     lever = signals.lever[1] - signals.lever[0]
     sizes: dict[str, dict[str, float]] = {
         "throttle_backlash": {"width_deg": 0.15 * lever / _LEVER_DEG},
         "actuator_lag": {"tau_s": 0.015},
-        "sensor_lag:EGT_C": {"tau_s": _PROBE * probe_s, "own_s": 0.0},
+        "sensor_lag:EGT_C": {"tau_s": _PROBE * _PROBE_S, "own_s": 0.0},
         "spool_lag": {"factor": 1.01},
         "spool_coupling": {"factor": 1.01},
         "accel_decel_asymmetry": {"ratio": 1.01},

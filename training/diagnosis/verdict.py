@@ -8,6 +8,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from narxcal.channels import symbol
+from narxcal.effects.base import unit
 from narxcal.effects.library import LIBRARY, hypotheses
 from narxcal.effects.running import Emulator
 from narxcal.support.arrays import FloatArray
@@ -27,11 +29,12 @@ from training.diagnosis.discrepancy import Discrepancy
 from training.diagnosis.fit import Frame, Single, no_columns, solve
 from training.diagnosis.joint import Joint, by_others, interval, together
 from training.diagnosis.layers import PER_PARAMETER, Layer, Setting, candidate, further
-from training.diagnosis.metric import Metric, Record, assumed_variance
-from training.diagnosis.nuisances import nuisances
+from training.diagnosis.metric import TOLERANCE, Metric, Record, assumed_variance
+from training.diagnosis.nuisances import BUILD, nuisances
 from training.diagnosis.odds import Odds, features, stored_odds
 
 _SURE: Final = 0.5  # probability below which the first effect is not named alone
+_SHORT_S: Final = 600.0  # twice what one unit of a flight is at least
 _NOTHING: Final = 0.03  # of the noise's energy: less is no gap
 _NAMEABLE: Final = 8.0**0.5  # standard errors of a size that could be named
 
@@ -52,6 +55,19 @@ class Evidence:
         return self.frame.energy(self.frame.none)
 
 
+class Differences(NamedTuple):
+    """What flights and simulator differ by where no effect acts: learned, or assumed.
+
+    `build` is how much of what engines of one type differ by is assumed: 0 for this very engine.
+    """
+
+    learned: Discrepancy | None = None
+    build: float = 1.0
+
+
+ASSUMED: Final = Differences()
+
+
 class Engines(NamedTuple):
     """What answers for the simulator: an emulator, and itself where it can be run again."""
 
@@ -62,15 +78,18 @@ class Engines(NamedTuple):
 def weigh(
     record: Record,
     engines: Engines,
-    learned: Discrepancy | None = None,
+    differences: Differences = ASSUMED,
     odds: Odds | None = None,
-    probe_s: float = 1.0,
 ) -> Evidence:
-    """Fit every effect by itself, beside what builds and flights differ by, or what was learned."""
+    """Fit every effect by itself, with what builds and flights differ by, or what was learned."""
+    learned = differences.learned
     flights = record.flights
     dictionary = Dictionary(hypotheses(flights.signals), flights, *engines)
     if learned is None:
-        noise, variance = nuisances(record, engines.emulator, probe_s), assumed_variance(record)
+        noise, variance = (
+            nuisances(record, engines.emulator, differences.build),
+            assumed_variance(record),
+        )
     else:
         noise, variance = learned.nuisances(record), learned.variance(record)
     metric = Metric(record, variance)
@@ -85,14 +104,11 @@ def diagnose(
     record: Record,
     engines: Engines,
     phases: Phases,
-    learned: Discrepancy | None = None,
+    differences: Differences = ASSUMED,
     odds: Odds | None = None,
 ) -> Budget:
-    """Say which effects act in recorded flights, and what share of the gap each cause takes.
-
-    `learned` is what the simulator gets wrong by itself, where that is known.
-    """
-    return concluded(weigh(record, engines, learned, odds), phases)
+    """Say which effects act in recorded flights, and what share of the gap each cause takes."""
+    return concluded(weigh(record, engines, differences, odds), phases)
 
 
 def concluded(evidence: Evidence, phases: Phases) -> Budget:
@@ -100,10 +116,12 @@ def concluded(evidence: Evidence, phases: Phases) -> Budget:
     frame, record = evidence.frame, evidence.setting.record
     if evidence.setting.learned is None:
         known, none, unknown, layers = _assumed(evidence)
-        verdict = _verdict(known, none, unknown, layers)
+        verdict = _verdict(known, none, unknown, layers, _within_build(frame))
     else:
         known, none, layers = _learned(evidence)
         unknown, verdict = 0.0, _found(layers)
+    if _too_short(record) and verdict.effects:
+        verdict, layers = _undetermined(verdict), []
     claimed = [one.single for one in layers if one.name in verdict.effects]
     joint = together(frame, claimed)
     # A load may be found only as a further effect: then no single fit of it is there.
@@ -122,6 +140,7 @@ def concluded(evidence: Evidence, phases: Phases) -> Budget:
         _facts(evidence, layers),
         by_others(joint),
         next((one.node.on for one in claimed if one.node.on is not None), None),
+        next((unlogged.edges(frame, one) for one in claimed if one.node.on is not None), []),
     )
 
 
@@ -158,6 +177,43 @@ def _learned(evidence: Evidence) -> tuple[dict[str, float], float, list[Layer]]:
     return known, float(np.exp(none)), layers
 
 
+def _too_short(record: Record) -> bool:
+    """Whether it is one flight that gives no two parts that could confirm each other."""
+    seconds = float((record.unit >= 0).sum()) * record.flights.signals.dt_s
+    return len(record.real) == 1 and seconds < _SHORT_S
+
+
+def _undetermined(verdict: Verdict) -> Verdict:
+    """No firm answer, with the best candidate."""
+    reason = (
+        f"one flight of less than {_SHORT_S / 60.0:g} minutes is no evidence, an effect has to act "
+        f"in others too; the best candidate is {' and '.join(verdict.effects)}"
+    )
+    return Verdict("unknown", (), (), reason, verdict.separating_manoeuvre)
+
+
+def _within_build(frame: Frame) -> str:
+    """Steady shifts that differences of build account for, and how they would be read else."""
+    noise, record = frame.nuisances, frame.record
+    of_build = np.array([kind == BUILD for kind in noise.kind])
+    if frame.none.nu[of_build].any():
+        shift = np.tensordot(frame.none.nu[of_build], noise.columns[of_build], axes=1)
+        means = np.mean(shift, axis=(0, 1), where=record.known)
+        parts = [
+            f"{symbol(name)} {mean:+.2g} {unit(name)}"
+            for name, mean, span in zip(
+                record.flights.signals.outputs, means, record.span, strict=True
+            )
+            if abs(mean) > TOLERANCE * span
+        ]
+        if parts:
+            return (
+                f"; a steady shift of {', '.join(parts)} is within what builds of one type differ "
+                "by: with --build same it would be read as deterioration, a bleed or a sensor"
+            )
+    return ""
+
+
 def _found(layers: Sequence[Layer]) -> Verdict:
     """Every layer is named; what is nearly as likely in a layer's place is named with it."""
     if not layers:
@@ -173,12 +229,14 @@ def _found(layers: Sequence[Layer]) -> Verdict:
 
 
 def _verdict(
-    known: dict[str, float], none: float, unknown: float, layers: Sequence[Layer]
+    known: dict[str, float], none: float, unknown: float, layers: Sequence[Layer], rests: str
 ) -> Verdict:
     """The most probable answer; a set where the first effect is not likelier than the others."""
     if not layers:
         if none >= unknown:
-            return Verdict("none", (), (), "nothing acts beyond what builds and flights differ by")
+            return Verdict(
+                "none", (), (), f"nothing acts beyond what builds and flights differ by{rests}"
+            )
         return Verdict("unknown", (), (), "something acts that no effect of the library explains")
     effects = tuple(one.name for one in layers)
     first = effects[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,8 +24,8 @@ from eval.diagnosis.blind.truth import Channels, Content, Specimen
 from narxcal.support.errors import ModelError
 from narxcal.support.files import atomic_write_bytes, atomic_write_text
 from narxcal.support.parallel import in_processes
+from narxcal.support.progress import Progress, silent
 
-Watch = Callable[[str, int, int], None]  # name of the case that is done, its number, how many
 _SIZED_ON = 2  # flights: their days differ
 
 
@@ -38,7 +38,7 @@ class Made(NamedTuple):
 
 
 def make_cases(
-    folder: Path, plan: BlindPlan, secret: str, jobs: int = 1, watch: Watch | None = None
+    folder: Path, plan: BlindPlan, secret: str, jobs: int = 1, progress: Progress = silent
 ) -> dict[str, Any]:
     """Make all cases of a plan in `folder`, with the key sealed by `secret`; returns the list.
 
@@ -46,19 +46,18 @@ def make_cases(
     nothing of what is in a case. Raises `ModelError` naming the case that cannot be flown.
     """
     made = _all_made(folder, plan, draw_cases(plan), jobs)
-    return write_key(folder, plan, secret, made, watch)
+    return write_key(folder, plan, secret, made, progress)
 
 
 def write_key(
-    folder: Path, plan: BlindPlan, secret: str, cases: Iterable[Made], watch: Watch | None = None
+    folder: Path, plan: BlindPlan, secret: str, cases: Iterable[Made], progress: Progress = silent
 ) -> dict[str, Any]:
     """Make `cases`, seal their key by `secret`, and write the list of them, which is returned."""
     rows: dict[str, Any] = {}
     logs: dict[str, dict[str, str]] = {}
     for number, made in enumerate(cases, start=1):
         rows[made.name], logs[made.name] = made.row, made.logs
-        if watch is not None:
-            watch(made.name, number, plan.cases)
+        progress(number, plan.cases, made.name)
     told = {"schema": SCHEMA, "plan": plan.model_dump(exclude={"seed"}), "logs": logs}
     key = {"schema": KEY_SCHEMA, "plan": plan.model_dump(), "cases": rows}
     atomic_write_bytes(folder / KEY, sealed(key, secret, salt_of(told)))

@@ -18,11 +18,12 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from eval.diagnosis.blind.files import read_cases
-from eval.diagnosis.diagnose import Request, Watch, diagnose_folders
+from eval.diagnosis.diagnose import Request, diagnose_folders
 from narxcal.support.errors import ConfigError, NarxcalError
 from narxcal.support.files import atomic_write_text
 from narxcal.support.interrupt import is_interrupt, put_off, safe_interrupt
 from narxcal.support.parallel import in_processes
+from narxcal.support.progress import Progress, silent
 from training.config import RunConfig
 
 SCHEMA: Final = "narxcal.blind_answers/1"
@@ -53,7 +54,7 @@ def run_cases(
     out: Path,
     limits: Limits | None = None,
     judge: Judge | None = None,
-    watch: Watch | None = None,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Diagnose all cases of `folder` that have no answer in `out` yet; returns the summary.
 
@@ -77,8 +78,7 @@ def run_cases(
     run = partial(_run_case, folder, out, limits.timeout_s, judge)
     each = in_processes(run, left, max(1, min(limits.jobs, len(left))), ordered=False)
     for number, name in enumerate(each, start=done + 1):
-        if watch is not None:
-            watch(name, number, len(cases))
+        progress(number, len(cases), name)
     summary = {"schema": SCHEMA, "cases": cases, **_counted(out, cases), "resumed": done}
     atomic_write_text(out / ANSWERS, json.dumps(summary, indent=1) + "\n")
     return summary

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from eval.diagnosis import diagnose as module
+from eval.diagnosis import page
 from eval.diagnosis.diagnose import Request, diagnose_folders, diagnose_pairs
 from eval.diagnosis.expected import expected, seen, unseen
 from eval.diagnosis.pairs import pair_logs
@@ -39,7 +40,7 @@ def answer(monkeypatch, make_budget):
 def test_found_effects_are_checked_on_flights_that_took_no_part(answer, pair, probe):
     pairs = [pair(seed, probe) for seed in range(5)]
     steps = []
-    found = diagnose_pairs(pairs[:3], pairs[3:], watch=lambda *step: steps.append(step[0]))
+    found = diagnose_pairs(pairs[:3], pairs[3:], progress=lambda *step: steps.append(step[2]))
     shrink = found.document["shrink"]
     assert shrink["realised"] > 0.98
     assert shrink["channels"]["EGT_C"]["after"] < 0.1 * shrink["channels"]["EGT_C"]["before"]
@@ -128,3 +129,63 @@ def test_folders_and_simulators_of_any_kind(answer, folders):
         diagnose_folders(request)
     with pytest.raises(ConfigError, match="is no folder of logs"):
         diagnose_folders(Request(real, "nothing"))
+
+
+@pytest.fixture
+def misread(fly, record, log_of):
+    """Flights of a part of the lever's range, which the control reads 4 deg too high."""
+
+    def build(part):
+        every = [[fly(k, lever_of=(part, bias)) for bias in (0.0, 4.0)] for k in range(3)]
+        return [
+            pair_logs(f"f{k}", log_of(record(real, k)), log_of(sim))
+            for k, (sim, real) in enumerate(every)
+        ]
+
+    return build
+
+
+@pytest.mark.slow
+def test_what_an_effect_does_on_held_out_flights_the_simulators_own_logs_say(
+    misread, monkeypatch, make_budget
+):
+    """A lever that is read wrong, found at low power, on flights at full power."""
+    size = {"throttle_bias": {"bias_deg": Interval(4.0, 3.9, 4.1)}}
+    budget = make_budget("effects", size)
+    monkeypatch.setattr(module, "weighed", lambda *_args, **_more: budget)
+    pairs, held = misread(0.5), misread(1.0)
+    found = diagnose_pairs(pairs, held).document
+    assert found["shrink"]["realised"] > 0.85
+    assert found["emulator"]["rmse_heldout"].keys() == found["emulator"]["rmse"].keys()
+    assert found["emulator"]["rmse_heldout"]["EGT_C"] < 8.0
+    monkeypatch.setattr(module, "widened", lambda emulator, _flights: emulator)
+    assert diagnose_pairs(pairs, held).document["shrink"]["realised"] < 0.6
+
+
+def test_an_emulator_that_errs_more_than_the_gap_is_a_warning(answer, pair, probe, monkeypatch):
+    class Coarse(NoEmulator):
+        def errors(self, flights):
+            return np.full(len(flights.signals.outputs), 30.0)
+
+        def run(self, flights, told, pace=None, shift=None):
+            del pace, shift
+            return flights.y[np.arange(len(told)) % len(flights.y)]
+
+    answer("effects", {"spool_lag": {"factor": Interval(1.2, 1.1, 1.3)}})
+    monkeypatch.setattr(module, "fit_emulators", lambda _flights: (Coarse(),))
+    pairs = [pair(seed, probe) for seed in range(3)]
+    (text,) = diagnose_pairs(pairs).document["quality"]["warnings"]
+    assert text.startswith("the emulator's own error is more than half of the gap in ")
+    assert text.endswith("less sure than their intervals say")
+
+
+def test_a_picture_that_cannot_be_drawn_costs_nothing_but_itself(answer, pair, probe, monkeypatch):
+    def broken(*_given):
+        raise ValueError("no columns")
+
+    found = diagnose_pairs([pair(seed, probe) for seed in range(3)])
+    monkeypatch.setattr(page, "drawing", broken)
+    made = page.budget_page(found.document, found.evidence)
+    assert made.failed == (f"{NAME} could not be drawn (ValueError: no columns)",)
+    assert made.failed[0] in made.html
+    assert "Budget of the gap" in made.html

@@ -44,7 +44,7 @@ def planted(flights, *names):
 
 def frame_of(record):
     metric = Metric(record, assumed_variance(record))
-    return Frame(record, metric, record.gap, nuisances(record, None, 1.0))
+    return Frame(record, metric, record.gap, nuisances(record))
 
 
 @pytest.mark.parametrize("name", PLANTED)

@@ -9,6 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from narxcal.effects import effect
+from narxcal.effects.memory import Lag
+from narxcal.effects.steady import FOLLOW_S
 from tests.training.diagnosis.conftest import recorded
 from training.diagnosis import load
 from training.diagnosis.dictionary import Dictionary
@@ -21,9 +23,7 @@ from training.diagnosis.verdict import Evidence, Phases, concluded
 
 
 def frame_of(record):
-    return Frame(
-        record, Metric(record, assumed_variance(record)), record.gap, nuisances(record, None, 1.0)
-    )
+    return Frame(record, Metric(record, assumed_variance(record)), record.gap, nuisances(record))
 
 
 @settings(deadline=None)  # the first call compiles
@@ -46,6 +46,24 @@ def test_windows_and_shifts_of_a_load_are_recovered(flights):
     assert (found.node.on != on).mean() < 0.01
     assert found.theta == pytest.approx(shift, rel=0.03, abs=0.03)
     assert found.node.switches == 6
+
+
+def test_intervals_of_edges_hold_the_true_ones(flights):
+    on = np.zeros(flights.y.shape[:2], dtype=bool)
+    on[0, 301:703], on[1, 101:421] = True, True
+    true = [[301, 703], [101, 421], [], []]
+    follows = Lag(np.full(4, FOLLOW_S), 0.25)(on.astype(float))
+    widths = []
+    for size in (1.0, 0.2):
+        shift = size * np.array([0.0, 0.8, 25.0])
+        frame = frame_of(recorded(flights, flights.y + follows[..., None] * shift))
+        (found,) = load.found(frame)
+        edges = load.edges(frame, found)
+        assert [len(each) for each in edges] == [len(each) for each in true]
+        for ends, at in zip(edges, true, strict=True):
+            assert all(low <= step <= high for (low, high), step in zip(ends, at, strict=True))
+        widths.append(np.mean([high - low for ends in edges for low, high in ends]))
+    assert max(widths) <= 8  # steps of a block of two seconds
 
 
 def test_engines_of_one_flight_share_their_windows(flights):

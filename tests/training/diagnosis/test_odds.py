@@ -64,7 +64,7 @@ def test_features_do_not_depend_on_how_often_the_same_flights_are_there(flights)
 
 def _of_drift(record):
     metric = Metric(record, assumed_variance(record))
-    frame = Frame(record, metric, record.gap, nuisances(record, None, 1.0))
+    frame = Frame(record, metric, record.gap, nuisances(record))
     dictionary = Dictionary([effect("sensor_drift:EGT_C")], record.flights, None)
     (nodes,) = dictionary.nodes.values()
     effects, _ = features(frame, [frame.fit(nodes)])

@@ -36,9 +36,9 @@ def asked(monkeypatch, answer):
 def test_every_case_gets_an_answer_and_nobody_needs_the_key(made, asked, tmp_path):
     (made / "key.json.sealed").unlink()
     seen = []
-    summary = run_cases(made, tmp_path / "out", watch=lambda *row: seen.append(row))
+    summary = run_cases(made, tmp_path / "out", progress=lambda *row: seen.append(row))
     assert summary["ends"] == {"answered": 3}
-    assert [row[1:] for row in seen] == [(1, 3), (2, 3), (3, 3)]
+    assert [row[:2] for row in seen] == [(1, 3), (2, 3), (3, 3)]
     answer = read_answer(tmp_path / "out", "case_002")
     assert answer["verdict"]["kind"] == "effects"
     assert answer["seconds"] >= 0.0

@@ -1,0 +1,73 @@
+"""A verdict says what it rests on: the flights there are, and how much builds may differ."""
+
+import numpy as np
+import pytest
+
+from tests.training.diagnosis.conftest import flights_of, recorded
+from training.diagnosis.budget import Phases
+from training.diagnosis.metric import Record
+from training.diagnosis.nuisances import BUILD, OFFSET, SMALL, nuisances
+from training.diagnosis.verdict import Differences, Engines, diagnose
+
+SHIFT = np.array([0.0, 0.15, 6.0])  # of N2 in %, of EGT in K
+
+
+class NoEmulator:
+    """Effects inside the engine change nothing, so that sensors and steady shifts are left."""
+
+    def run(self, flights, told, pace=None, shift=None):
+        rows = np.arange(len(told) if pace is None else len(pace.limit)) % len(flights.y)
+        return flights.y[rows] + (0.0 if shift is None else shift.settled)
+
+
+def answer(record, build=1.0):
+    phases = Phases(("all",), np.zeros(record.unit.shape, dtype=int))
+    return diagnose(record, Engines(NoEmulator()), phases, Differences(build=build))
+
+
+def test_a_shift_that_builds_differ_by_is_none_and_an_effect_of_this_very_engine(flights):
+    record = recorded(flights, flights.y + SHIFT)
+    type_, same = answer(record).verdict, answer(record, 0.0).verdict
+    assert type_.kind == "none"
+    assert type_.reason.startswith(
+        "nothing acts beyond what builds and flights differ by; a steady shift of "
+    )
+    assert "N2 +0.1" in type_.reason
+    assert "EGT +" in type_.reason
+    assert type_.reason.endswith(
+        " is within what builds of one type differ by: with --build same it would be read as "
+        "deterioration, a bleed or a sensor"
+    )
+    assert same.kind in ("effects", "ambiguous")
+    assert same.effects[0].partition(":")[0] in ("deterioration", "sensor_bias", "sensor_gain")
+
+
+def test_of_this_very_engine_nothing_else_differs_but_flights(flights):
+    record = recorded(flights, flights.y)
+    for build in (0.0, 0.25, 1.0):
+        found, whole = nuisances(record, NoEmulator(), build), nuisances(record, NoEmulator())
+        kinds = np.array(found.kind)
+        of_build = np.isin(kinds, (BUILD, SMALL))
+        assert np.abs(found.columns[of_build]).max() == pytest.approx(
+            build * np.abs(whole.columns[of_build]).max()
+        )
+        assert (found.limit[of_build] > 0.0).all() == (build > 0.0)
+        same = kinds == OFFSET
+        np.testing.assert_array_equal(found.columns[same], whole.columns[same])
+
+
+@pytest.mark.parametrize(("steps", "kind"), [(2000, "unknown"), (2600, "effects")])
+def test_one_flight_of_less_than_ten_minutes_gets_no_firm_answer(steps, kind):
+    flights = flights_of(1, steps=steps)
+    late = np.concatenate([flights.y[:, :1].repeat(6, axis=1), flights.y[:, :-6]], axis=1)
+    record = recorded(flights, np.where([False, False, True], late, flights.y))
+    halves = np.arange(steps)[None] * 2 // steps
+    found = answer(Record(flights, record.real, record.noise, halves, (0,))).verdict
+    assert found.kind in (kind, "ambiguous" if kind == "effects" else kind)
+    if kind == "unknown":
+        assert found.reason.startswith(
+            "one flight of less than 10 minutes is no evidence, an effect has to act in others "
+            "too; the best candidate is "
+        )
+    else:
+        assert found.effects[0].endswith(":EGT_C")
