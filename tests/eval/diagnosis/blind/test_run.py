@@ -90,21 +90,9 @@ def test_several_folders_are_scored_together_each_under_its_own_secret(
             score_answers(sets, secrets)
 
 
-def test_two_products_are_compared_case_by_case(made, asked, answer, monkeypatch, tmp_path):
-    run_cases(made, tmp_path / "old")
-    nothing = SimpleNamespace(document=answer("none", ()))
-    monkeypatch.setattr(run, "diagnose_folders", lambda _: nothing)
-    run_cases(made, tmp_path / "new")
-    sets = [CaseSet(made, tmp_path / "new", tmp_path / "old")]
-    gate = score_answers(sets, ["4"])["gate"]
-    assert gate["new"]["nulls"] == 1.0
-    assert gate["old"]["nulls"] == 0.0
-    assert gate["difference"]["nulls"]["value"] == 1.0
-
-
 def test_folders_of_one_name_are_told_apart_and_none_counts_twice(quick, plan, asked, tmp_path):
     sets = [CaseSet(tmp_path / seed / "L", tmp_path / f"answers_{seed}") for seed in "45"]
-    for (folder, answers, _), seed in zip(sets, "45", strict=True):
+    for (folder, answers), seed in zip(sets, "45", strict=True):
         folder.mkdir(parents=True)
         make_cases(folder, plan.model_copy(update={"cases": 1, "seed": int(seed)}), seed)
         run_cases(folder, answers)
