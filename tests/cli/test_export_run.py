@@ -70,6 +70,7 @@ def test_a_folder_with_content_and_an_unknown_engine_are_refused(narxcal, run, t
     assert not (tmp_path / "d").exists()
 
 
+@pytest.mark.slow
 @needs_a_compiler
 def test_a_run_becomes_an_fmu_and_the_proofs_of_a_folder_stand_side_by_side(narxcal, run, tmp_path):
     pytest.importorskip("fmpy", reason="needs the extra fmu", exc_type=ImportError)
@@ -109,6 +110,7 @@ def test_c_is_for_runs(narxcal, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_run_becomes_a_graph(narxcal, run, tmp_path):
     pytest.importorskip("onnx", reason="needs the extra export")
     pytest.importorskip("onnxruntime", reason="needs onnxruntime")
@@ -127,6 +129,7 @@ def test_a_run_becomes_a_graph(narxcal, run, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_run_becomes_jsbsims_turbine_and_what_that_cannot_hold_is_said(narxcal, run, tmp_path):
     pytest.importorskip("jsbsim", reason="needs jsbsim")
     done = narxcal("export", run, "--to", "jsbsim", "--out", tmp_path / "engine.xml")

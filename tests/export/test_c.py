@@ -3,10 +3,13 @@
 import ctypes
 import re
 import subprocess
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from narxcal.atmosphere import isa
 from narxcal.export.compiler import Compiled, compiler
 from narxcal.export.program import Program
 from narxcal.support.errors import ModelError
@@ -111,7 +114,7 @@ def test_each_engine_of_a_fitted_model_is_in_the_file(model, program, compiled):
     assert program.engines == expected
 
 
-@pytest.mark.parametrize("sanitised", [False, True])
+@pytest.mark.parametrize("sanitised", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_code_builds_without_a_warning_and_runs_clean(model, program, sanitised, tmp_path):
     for name, text in {**program.code, "host.c": HOST}.items():
         (tmp_path / name).write_text(text, "utf-8")
@@ -149,7 +152,9 @@ def test_the_header_names_channels_units_envelope_and_run(program):
 def test_what_cannot_be_exported_is_named():
     steady = models.table()
     scattered = type(steady)(
-        (models.INPUTS, models.OUTPUTS), steady.points[:-3], steady.values[:-3]
+        (models.INPUTS, models.OUTPUTS),
+        steady.points[:-3],
+        steady.values[:-3],  # noqa: PD011
     )
     with pytest.raises(ModelError) as refused:
         Program(models.identified(models.state_space(), scattered)).code  # noqa: B018
@@ -157,10 +162,25 @@ def test_what_cannot_be_exported_is_named():
         "a steady state of kind 'table' is no grid. Sample it first: narxcal export does so"
     )
     dynamics = models.output_error()
-    dynamics.values["square_M"] = 0.1
+    dynamics.values["square_M"] = 0.1  # noqa: PD011
     with pytest.raises(ModelError) as refused:
         Program(models.identified(dynamics)).code  # noqa: B018
     assert str(refused.value) == (
         "output error with square_M (it looks ahead) cannot be exported. "
         "Identify it without, or by another method"
     )
+
+
+FLIGHTS = sorted(Path("../shared/data").glob("*/**/citation_*.csv.gz"))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not FLIGHTS, reason="needs the flights in ../shared/data")
+@pytest.mark.parametrize("file", FLIGHTS, ids=lambda file: file.name[:17])
+@pytest.mark.parametrize("side", ["lh", "rh"])
+def test_over_whole_flights_it_is_simulate(model, compiled, file, side):
+    log = pd.read_csv(file).ffill().bfill()
+    static = log["Dadc1_sat"] + 273.15 - isa(log["Dadc1_alt"])[0]
+    fuel = 0.45359237 * log[f"{side}_engine_FMF"]
+    inputs = np.column_stack([fuel, log["Dadc1_alt"], log["Dadc1_mach"], static])
+    same(compiled.run(inputs), model.simulate(inputs))
