@@ -11,7 +11,7 @@ exchanged in a unit: r is symmetric about 0, whatever the size of its errors.
 | units | where |
 |---|---|
 | flights | of two and more; engines of one flight together |
-| stretches | of a single flight, each at least 5 times as long as the errors of either model are correlated, 20 at most |
+| stretches | of a single flight, each at least 8 times as long as the errors of either model are correlated, 20 at most |
 
 The correlation time is 1/2 + the sum of autocorrelations to the first that is not positive, of the
 errors about their mean. p is of the whole table: Holm's step-down over all pairs and channels makes
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 LEVEL = 0.05  # family-wise
 _POWER = 0.8
-_LENGTH, _MOST = 5.0, 20  # of a stretch in correlation times, and how many
+_LENGTH, _MOST = 8.0, 20  # of a stretch in correlation times, and how many
 _EQUAL = 1e-9  # of the squared error: models that differ by rounding are one
 
 UnitKind = Literal["flights", "stretches"]
