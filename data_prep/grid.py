@@ -58,11 +58,14 @@ def resample(
     * A channel sampled more than 1.5 times as fast as the grid is averaged over the grid
       interval centred on each grid time, against aliasing; neither rule shifts the phase.
     * `hold` (switches): the last sample at or before the grid time, however old.
-    * Of several samples with one stamp the last counts.
+    * Of several samples with one stamp the last counts there and after, and the first is where the
+      line from before ends: two rows at one stamp are a step, not a ramp that begins too early.
     """
     valid = np.abs(values) < LARGEST
     absurd = int((~valid & ~np.isnan(values)).sum())
-    steps, values, repeated = _last_of_equal(grid.steps(time[valid]), values[valid])
+    stamps, given = grid.steps(time[valid]), values[valid]
+    steps, values, repeated = _last_of_equal(stamps, given)
+    ends = given[np.append(True, np.diff(stamps) > 0.0)[: len(given)]]
     entries = [
         AuditEntry(name, "dropped", "not finite", absurd),
         AuditEntry(name, "dropped", "duplicate time stamp", repeated),
@@ -73,7 +76,7 @@ def resample(
     elif hold:
         result = _last(at, steps, values)
     else:
-        result = _bridged(at, steps, values, grid)
+        result = _bridged(at, steps, (values, ends), grid)
         means = int(np.isfinite(result).sum()) if _fast(steps) else 0
         entries.append(AuditEntry(name, "repaired", "averaged: faster than the grid", means))
     return result, (*entries, *_account(name, result, steps, grid))
@@ -106,7 +109,11 @@ def _last(at: FloatArray, steps: FloatArray, values: FloatArray) -> FloatArray:
     return np.where(row >= 0, values[np.maximum(row, 0)], np.nan)
 
 
-def _bridged(at: FloatArray, steps: FloatArray, values: FloatArray, grid: Grid) -> FloatArray:
+def _bridged(
+    at: FloatArray, steps: FloatArray, both: tuple[FloatArray, FloatArray], grid: Grid
+) -> FloatArray:
+    """Values on the lines between stamps; `both` are those after each stamp and those before."""
+    values, ends = both
     if len(steps) == 1:
         return np.where(at == steps[0], values[0], np.nan)
     apart = np.diff(steps)
@@ -115,6 +122,11 @@ def _bridged(at: FloatArray, steps: FloatArray, values: FloatArray, grid: Grid) 
     limit = max(grid.bridge_s / grid.interval_s, OWN_INTERVALS * own) + 1e-9
     before = np.clip(np.searchsorted(steps, at, side="right") - 1, 0, len(apart) - 1)
     inside = (at > steps[before]) & (at < steps[before + 1])
+    if not _fast(steps):
+        stepped = inside & (ends != values)[before + 1]
+        k = before[stepped]
+        share = (at[stepped] - steps[k]) / apart[k]
+        result[stepped] = values[k] + share * (ends[k + 1] - values[k])
     result[inside & (apart[before] > limit)] = np.nan
     result[(at < steps[0]) | (at > steps[-1])] = np.nan
     return result
