@@ -16,7 +16,7 @@ so that half a flight keeps similarity, and several flights move it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -41,7 +41,8 @@ _NOT_MONOTONE = 0.8  # of the residual that a monotone curve leaves
 _USUAL = SteadyFitConfig()
 _ROWS = 20000  # more quasi-steady samples than this tell nothing new
 # Standard deviation of the exponents of theta and delta from those of similarity, by the unit of
-# the output: `python -m eval.benchmarks.exponents`, which leaves one recorder out in turn.
+# the output, as of the recorders that fly: `python -m eval.benchmarks.exponents` leaves one out in
+# turn. Without a prior its estimates are several times as large, and differ as much in sign.
 SPREADS: Final = {"%": (0.06, 0.03), "degC": (0.12, 0.065)}
 _UNRELATED: Final = 0.05  # autocorrelation below which samples count as independent
 
@@ -66,15 +67,19 @@ class SteadyQuality:
 
 
 def fit_steady_state(
-    samples: Sequence[SteadySamples], layout: Layout, config: SteadyFitConfig = _USUAL
+    samples: Sequence[SteadySamples],
+    layout: Layout,
+    config: SteadyFitConfig = _USUAL,
+    spreads: Mapping[str, tuple[float, float]] = SPREADS,
 ) -> tuple[FittedSteadyState, SteadyQuality]:
     """Fit all outputs; raises `DataError` where there is too little to fit to.
 
+    `spreads` are prior standard deviations of the exponents of theta and delta, by unit.
     Corrected parameters without ALT_ft raise `ConfigError`.
     """
     design, data = linear_problem(samples, layout, config)
     curves = [
-        _curve(design, data.matrix, column, name)
+        _curve(design, data.matrix, column, (name, spreads))
         for name, column in zip(layout.output_names, data.corrected.T, strict=True)
     ]
     coefficients = np.stack(curves)
@@ -183,11 +188,21 @@ def _distinguished(samples: Sequence[SteadySamples]) -> tuple[str, ...]:
     return tuple(engines) if len(engines) > 1 else ()
 
 
-def _curve(design: _Design, matrix: FloatArray, target: FloatArray, name: str) -> FloatArray:
-    """Coefficients of one output: monotone, unless it may turn and the samples clearly say so."""
+def _curve(
+    design: _Design,
+    matrix: FloatArray,
+    target: FloatArray,
+    output: tuple[str, Mapping[str, tuple[float, float]]],
+) -> FloatArray:
+    """Coefficients of one output: monotone, unless it may turn and the samples clearly say so.
+
+    `output` is its name, and the spreads of exponents by unit.
+    """
+    name, spreads = output
+    own = spreads["degC" if name.endswith("_C") else "%"]
     if design.layout.exponents:
         first = design.solve(matrix, target, monotone=True)
-        strengths = _exponent_strengths(design.layout, target, target - matrix @ first, name)
+        strengths = _exponent_strengths(design.layout, target, target - matrix @ first, own)
         design = replace(design, exponents=strengths)
     monotone = design.solve(matrix, target, monotone=True)
     if not name.endswith("_C"):
@@ -198,14 +213,14 @@ def _curve(design: _Design, matrix: FloatArray, target: FloatArray, name: str) -
 
 
 def _exponent_strengths(
-    layout: Layout, target: FloatArray, residual: FloatArray, name: str
+    layout: Layout, target: FloatArray, residual: FloatArray, spreads: tuple[float, float]
 ) -> tuple[float, ...]:
     """Penalties on the exponents of `layout` in one output; see the module."""
     known = residual[np.isfinite(residual)]
     level = max(float(np.median(np.abs(target[np.isfinite(target)]))), 1e-9)
     variance = float(np.mean(known**2)) / _independent(known)
-    spreads = dict(zip(RATIOS, SPREADS["degC" if name.endswith("_C") else "%"], strict=True))
-    return tuple(variance / (spreads[ratio] * level) ** 2 for ratio in layout.exponents)
+    spread = dict(zip(RATIOS, spreads, strict=True))
+    return tuple(variance / (spread[ratio] * level) ** 2 for ratio in layout.exponents)
 
 
 def _independent(residual: FloatArray) -> float:
