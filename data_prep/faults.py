@@ -198,8 +198,6 @@ _REVERSALS = 0.02
 _AS_USUAL = 0.5
 # Below this part of its highest value an engine does not run: it is cranked or windmills.
 _STANDSTILL = 0.05
-# No engine moves one of these a lot and leaves another exactly as it is.
-_CORE = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
 
 
 def repeats(values: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -220,16 +218,16 @@ def frozen(log: Log, name: str, config: FaultsConfig) -> BoolArray:
 
     All of these have to be true: it is an output; outside its long runs it has noise (a
     simulation without noise has none and may be constant for minutes); the run is longer than
-    `frozen_s` and five times its longest natural run; another channel changes meanwhile; and it
-    is not the zero of an engine at standstill. Or: it never changes at all, while another core
-    output moves by a fifth. Levers, ambient channels and switches may be constant.
+    `frozen_s` and five times its longest natural run; another channel changes meanwhile; it is
+    not the zero of an engine at standstill; and its noise exceeds its resolution. Levers,
+    ambient channels and switches may be constant; samples between two measurements of a slow
+    channel count for nothing.
     """
-    values = log[name]
-    mask = np.zeros(len(values), dtype=np.bool_)
+    never = np.zeros(len(log), dtype=np.bool_)
+    values = np.where(log.interpolated.get(name, never), np.nan, log[name])
+    mask = never.copy()
     if role(name) != "output":
         return mask
-    if _dead(log, name):
-        return np.isfinite(values)
     for start, stop in unnatural(values, config.frozen_s / log.dt_s):
         if _standstill(values, start) or not _others_change(log, name, start, stop):
             continue
@@ -239,16 +237,14 @@ def frozen(log: Log, name: str, config: FaultsConfig) -> BoolArray:
     return mask
 
 
-def _dead(log: Log, name: str) -> bool:
-    """Whether a core output keeps one value all along while another one shows real moves."""
-    if name not in _CORE or not _constant(log[name]):
-        return False
-    others = [log[other] for other in _CORE if other != name and other in log.channels]
-    return any(np.ptp(robust_range(other)) > 0.2 * abs(robust_range(other)[1]) for other in others)
+def _quantised(values: FloatArray) -> bool:
+    """Whether the resolution exceeds the noise: then a repeated value is no evidence.
 
-
-def _constant(values: FloatArray) -> bool:
-    return len(repeats(values)[0]) == 1
+    The resolution is the distance of neighbours among all values that occur.
+    """
+    known = values[np.isfinite(values)]
+    apart = np.diff(np.unique(known))
+    return bool(len(apart)) and noise_level(known) < float(np.percentile(apart, 5))
 
 
 def unnatural(values: FloatArray, least: float) -> list[tuple[int, int]]:
@@ -257,7 +253,7 @@ def unnatural(values: FloatArray, least: float) -> list[tuple[int, int]]:
     They are five times as long as the longest natural run; (start, stop) in samples.
     """
     starts, stops = repeats(values)
-    if len(starts) <= _FREEZES:
+    if len(starts) <= _FREEZES or _quantised(values):
         return []
     length = stops - starts
     natural = np.partition(length, -_FREEZES - 1)[-_FREEZES - 1]

@@ -57,8 +57,9 @@ def _one(parts: list[Log]) -> list[Log]:
     lost = int((~measured).sum())
     gaps = [AuditEntry(name, "masked", GAP, lost) for name in channels]
     audit = Audit(tuple(entry for one in parts for entry in one.audit.entries)).add(*gaps)
-    faults = tuple(replace(fault, log=first.name) for one in parts for fault in one.faults)
-    whole = replace(first, time_s=time_s, channels=channels, audit=audit, faults=faults)
+    found = (replace(each, log=first.name) for one in parts for each in one.findings)
+    findings = tuple(dict.fromkeys(found))
+    whole = replace(first, time_s=time_s, channels=channels, audit=audit, findings=findings)
     return [replace(whole, interpolated=between)]
 
 

@@ -17,9 +17,10 @@ from narxcal.support.errors import DataError
 LONG_SPAN_S = 1.0  # an audit lists spans of this length, and only counts shorter ones
 Action = Literal["masked", "repaired", "filled", "dropped"]
 Kind = Literal[
-    "unit", "scale", "bias", "drift", "stuck", "dead", "noise", "late", "held", "swapped",
+    "unit", "scale", "bias", "drift", "stuck", "noise", "late", "held", "exchanged", "stretched",
     "inconsistent",
 ]  # fmt: skip
+MASK = 0.95  # least probability of what is masked
 
 
 @dataclass(frozen=True)
@@ -58,36 +59,72 @@ class Audit:
 
 
 @dataclass(frozen=True)
-class Fault:
-    """A sensor fault of `channel` of a log, from `from_s` to `to_s` in the log's time.
+class Finding:
+    """What a log shows to be wrong with one channel.
 
-    `channels` are all that take part, such as two swapped ones. `confidence` is one minus the
-    probability of the finding on a sound log. The kinds are defined in docs/evaluate.md.
+    With times (`start_s`, `end_s`) it is a stretch that begins or ends inside the log, while the
+    rest of the log agrees with the other channels: it is masked. Without, the whole log disagrees
+    with the training logs, as another day, another engine, a wrong model or a wrong unit would
+    make it: it is reported with what would prove it, and nothing is masked.
+
+    `size` is in `unit`: of a unit the factor, of a delay seconds; NaN where the kind has none.
+    `probability` is one minus that of such a finding on a sound log. `partner` is the other
+    channel of an exchange or contradiction, `time_s` stands for the clock. `log` is its log's name.
     """
 
-    log: str
-    channel: str
-    channels: tuple[str, ...]
     kind: Kind
-    from_s: float
-    to_s: float
-    confidence: float
-    detail: str
+    channel: str
+    start_s: float | None
+    end_s: float | None
+    size: float
+    unit: str
+    probability: float
+    evidence: str
+    remedy: str = ""
+    partner: str = ""
+    log: str = ""
 
-    def row(self) -> dict[str, Any]:
-        """One entry of `faults` in JSON."""
-        return {**asdict(self), "channels": list(self.channels)}
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The channels that take part."""
+        return (self.channel, self.partner) if self.partner else (self.channel,)
+
+    @property
+    def local(self) -> bool:
+        """Whether it is a stretch of the log, not all of it."""
+        return self.start_s is not None
+
+    @property
+    def masks(self) -> bool:
+        """Whether its samples are masked."""
+        return self.local and self.probability >= MASK
 
     @property
     def engine(self) -> str:
         """The engine of its log; empty for a log without engines."""
         return re.sub(r"#\d+$", "", self.log).rpartition(":")[2] if ":" in self.log else ""
 
+    def rows(self, time_s: FloatArray) -> BoolArray:
+        """Samples (time,) that it is about: all without times."""
+        if self.start_s is None or self.end_s is None:
+            return np.ones(len(time_s), dtype=np.bool_)
+        return (time_s >= self.start_s) & (time_s <= self.end_s)
+
+    def row(self) -> dict[str, Any]:
+        """One entry of `findings` in JSON."""
+        return {**asdict(self), "size": None if np.isnan(self.size) else self.size}
+
+    @classmethod
+    def from_row(cls, row: Mapping[str, Any]) -> Finding:
+        """Rebuild from `row`."""
+        return cls(**{**row, "size": np.nan if row["size"] is None else row["size"]})
+
     @property
     def caution(self) -> str:
         """One line for a reader."""
-        when = f"{self.from_s:.6g} to {self.to_s:.6g} s"
-        return f"{self.log}: {' and '.join(self.channels)} {self.kind}, {when}: {self.detail}"
+        when = f"{self.start_s:.6g} to {self.end_s:.6g} s" if self.local else "the whole log"
+        text = f"{self.log}: {' and '.join(self.channels)} {self.kind}, {when}: {self.evidence}"
+        return f"{text}. {self.remedy}" if self.remedy else text
 
 
 @dataclass(frozen=True)
@@ -107,8 +144,8 @@ class Log:
     `noise` is the variance of the white noise that was on each channel before it was smoothed.
     `interpolated` (channel -> bool `(time,)`) is True where the sample lies between two
     measurements of a channel slower than the grid; faster channels are not in it.
-    `faults` are those that its channels show by themselves and against physics
-    (`data_prep.plausibility`), `updates` (channel -> s) how often a channel changes.
+    `findings` are those of `data_prep.plausibility` and `training.screening`, `updates` (channel ->
+    s) how often a channel changes.
     """
 
     name: str
@@ -118,7 +155,7 @@ class Log:
     source: Source = field(default_factory=Source)
     noise: Mapping[str, float] = field(default_factory=dict)
     interpolated: Mapping[str, BoolArray] = field(default_factory=dict)
-    faults: tuple[Fault, ...] = ()
+    findings: tuple[Finding, ...] = ()
     updates: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -1,8 +1,8 @@
-"""Check a log against physics: units, staircases, stuck air data, air data against each other.
+"""Check a log against physics: units, stuck air data, air data against each other.
 
-The first of three layers: nothing is learned, so that it serves every command. What the training
-logs say of a log is in `training.redundancy`. Signals are `(time,)`, NaN where nothing was
-measured; logs are those of `data_prep.reading`, before cleaning.
+Nothing is learned here, so that it serves every command; what the training logs say of a log is in
+`training.screening`. Signals are `(time,)`, NaN where nothing was measured; logs are those of
+`data_prep.reading`, before cleaning.
 
 Air data are redundant (any compressible-flow text; T in K):
 
@@ -12,7 +12,8 @@ Air data are redundant (any compressible-flow text; T in K):
     SAT = ISA(ALT) + slow           SAT, ALT
 
 Each relation that fails accuses its channels; the one that stands in all failed relations and in
-no other is at fault.
+no other is at fault. Below their threshold on the ground airspeeds are a state, not a fault, and
+are compared with nothing.
 """
 
 from __future__ import annotations
@@ -22,15 +23,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from data_prep.faults import out_of_range, repeats, role, unnatural
-from data_prep.log import Fault, Kind, Log
+from data_prep.faults import out_of_range, repeats, unnatural
+from data_prep.log import Finding, Kind, Log
 from narxcal.atmosphere import KELVIN, SOUND_KT, T0_K, isa, mach_of_cas
 from narxcal.channels import CHANNELS
 from narxcal.support.arrays import BoolArray, FloatArray, robust_range, spans
 
 SURE = 0.999
-# A recorder of an airline shows engine channels at least once per second (14 CFR 125 App. E).
-_SLOWEST_S = 1.5
 _QUANTISED, _ONE_SIZE = 0.6, 0.02  # share of the changes that are of one size, to this part of it
 _MANY = 0.2  # share of the samples outside of the physical range: no single errors, another unit
 _FRACTION = 1.6  # a spool speed below this all along is a ratio, not percent
@@ -79,16 +78,16 @@ def conversions(channel: str) -> tuple[tuple[str, float, float], ...]:
 
 
 def checked(log: Log) -> Log:
-    """Return the log with its `faults` and `updates`; its values are unchanged."""
+    """Return the log with its `findings` and `updates`; its values are unchanged."""
     if len(log) < 3:
         return log
     updates = {name: update_interval(values) * log.dt_s for name, values in _measured(log).items()}
     log = replace(log, updates=updates)
-    found = [*_units(log), *_held(log), *_stuck_air(log)]
-    known = {fault.channel for fault in found}
+    found = [*_units(log), *_stuck_air(log)]
+    known = {each.channel for each in found}
     rest = {name: values for name, values in log.channels.items() if name not in known}
     found += _air(replace(log, channels=rest))
-    return replace(log, faults=(*log.faults, *found))
+    return replace(log, findings=(*log.findings, *found))
 
 
 def _measured(log: Log) -> dict[str, FloatArray]:
@@ -101,7 +100,7 @@ def _measured(log: Log) -> dict[str, FloatArray]:
 
 
 def of_cleaning(log: Log) -> Log:
-    """Return the cleaned log with what cleaning masked for long as faults."""
+    """Return the cleaned log with what cleaning masked for long as findings."""
     kinds: dict[str, tuple[Kind, str]] = {
         "frozen": ("stuck", "one value is repeated while others change"),
         "out of range": ("inconsistent", "no engine and no atmosphere shows such values"),
@@ -110,25 +109,47 @@ def of_cleaning(log: Log) -> Log:
     for entry in log.audit.entries:
         if entry.action != "masked" or entry.reason not in kinds:
             continue
-        kind, text = kinds[entry.reason]
-        of_unit = any(each.channel == entry.channel and each.kind == "unit" for each in log.faults)
+        of_unit = any(
+            each.channel == entry.channel and each.kind == "unit" for each in log.findings
+        )
         for start_s, stop_s in () if of_unit else entry.spans_s:
-            found.append(fault(log, (entry.channel,), (kind, text), (start_s, stop_s)))
-    return replace(log, faults=(*log.faults, *found)) if found else log
+            span_s = max(start_s, float(log.time_s[0])), min(stop_s, float(log.time_s[-1]))
+            if span_s[1] > span_s[0]:
+                kind, text = kinds[entry.reason]
+                found.append(finding(log, entry.channel, kind, text, span_s=span_s))
+    return replace(log, findings=(*log.findings, *found)) if found else log
 
 
-def fault(
+def finding(  # noqa: PLR0913 (a finding has so many parts)
     log: Log,
-    channels: tuple[str, ...],
-    words: tuple[Kind, str],
+    channel: str,
+    kind: Kind,
+    evidence: str,
+    *,
     span_s: tuple[float, float] | None = None,
-    confidence: float = SURE,
-) -> Fault:
-    """Make a fault of the log by its kind and detail, of all of it if no (from, to) are given."""
-    start_s, stop_s = span_s or (float(log.time_s[0]), float(log.time_s[-1]))
-    return Fault(
-        log.name, channels[0], channels, words[0], start_s, stop_s, float(confidence), words[1]
-    )
+    size: tuple[float, str] = (float("nan"), ""),
+    probability: float = SURE,
+    partner: str = "",
+) -> Finding:
+    """Make a finding about a log; without `span_s` about the whole of it."""
+    start_s, end_s = span_s or (None, None)
+    remedy = _REMEDIES.get(kind, "") if span_s is None else ""
+    how = (size[0], size[1], float(probability), evidence, remedy, partner, log.name)
+    return Finding(kind, channel, start_s, end_s, *how)
+
+
+# What would prove a finding about a whole log.
+_REMEDIES: Mapping[str, str] = {
+    "unit": "Check the recorder's unit and set it under [logs.columns]",
+    "scale": "Compare with another sensor, or with a ground run of a trimmed engine",
+    "bias": "Compare with another sensor, or with a ground run of a trimmed engine",
+    "late": "Check the recorder's time stamps of this channel",
+    "held": "Check at which rate the recorder samples this channel",
+    "noise": "Check the sensor's wiring and the recorder's filter",
+    "exchanged": "Check which column is which",
+    "stretched": "Check the unit of the time stamps, and the rate of the recorder",
+    "inconsistent": "Check both channels' columns and units",
+}
 
 
 def update_interval(values: FloatArray) -> float:
@@ -150,14 +171,14 @@ def update_interval(values: FloatArray) -> float:
     return float(gap[order][min(int(middle), len(gap) - 1)])
 
 
-def _units(log: Log) -> Iterator[Fault]:
+def _units(log: Log) -> Iterator[Finding]:
     """Channels outside of their physical range that another unit brings back into it."""
     for name in log.recorded(tuple(CHANNELS)):
         known = log[name][np.isfinite(log[name])]
         word = _unit(name, known)
         if word:
             text = f"looks like {word}: median {np.median(known):.4g} {CHANNELS[name].unit}"
-            yield fault(log, (name,), ("unit", text))
+            yield finding(log, name, "unit", text)
 
 
 def _unit(name: str, known: FloatArray) -> str:
@@ -177,16 +198,6 @@ def _fits(name: str, known: FloatArray, scale: float, offset: float) -> bool:
     return not np.mean(out_of_range(name, scale * known + offset)) > 0.01
 
 
-def _held(log: Log) -> Iterator[Fault]:
-    """Engine channels and air data in steps much longer than the sampling interval."""
-    for name, every_s in log.updates.items():
-        sensed = role(name) in {"output", "ambient", "auxiliary"}
-        slow = every_s > max(_SLOWEST_S, 5.0 * log.dt_s)
-        if sensed and slow and name not in log.interpolated:
-            text = f"changes every {every_s:.2g} s only, rows come every {log.dt_s:.2g} s"
-            yield fault(log, (name,), ("held", text))
-
-
 # What a moving aircraft shows: while one of the others changes by so much, none stays exactly.
 _AIR = ("Mach", "ALT_ft", "CAS_kt", "TAS_kt", "SAT_C", "TAT_C", "dT_C")
 _AIR_MOVES: Mapping[str, float] = {
@@ -202,9 +213,10 @@ _CANNOT_STAY: Mapping[str, tuple[str, ...]] = {
     "TAT_C": ("ALT_ft",),
 }
 _STUCK_S = 20.0
+_WHOLE = 0.98  # share of a log from which on a stretch has neither beginning nor end inside it
 
 
-def _stuck_air(log: Log) -> Iterator[Fault]:
+def _stuck_air(log: Log) -> Iterator[Finding]:
     """Air data that repeat one value while the aircraft climbs, descends or changes speed.
 
     Or whose noise stops in flight.
@@ -215,9 +227,20 @@ def _stuck_air(log: Log) -> Iterator[Fault]:
         constant = _without_noise(log, name)
         for start, stop in zip(*repeats(log[name]), strict=True):
             if (stop - start) * log.dt_s >= _STUCK_S:
-                against = (other for other in others if other in log.channels)
-                constant[start:stop] |= any(_moves(log, each, start, stop) for each in against)
+                against = [other for other in others if other in log.channels]
+                moves = any(_moves(log, each, start, stop) for each in against)
+                constant[start:stop] |= moves & _measurable(log, name, int(start), int(stop))
         yield from (_stuck(log, name, start, stop) for start, stop in spans(constant))
+
+
+def _measurable(log: Log, name: str, start: int, stop: int) -> bool:
+    """Whether an airspeed that stays below its threshold is contradicted by flight above it."""
+    limits = {"CAS_kt": _AIRBORNE_KT, "TAS_kt": _AIRBORNE_KT, "Mach": _AIRBORNE_MACH}
+    if name not in limits or log[name][start] > limits[name]:
+        return True
+    part = [log[other][start:stop] > 1.5 * limits[other] for other in limits if other != name
+            and other in log.channels]  # fmt: skip
+    return any(float(np.mean(each)) > 0.5 for each in part)
 
 
 def _without_noise(log: Log, name: str) -> BoolArray:
@@ -236,10 +259,16 @@ def _moves(log: Log, name: str, start: int, stop: int) -> bool:
     return bool(np.ptp(robust_range(known)) > _AIR_MOVES[name])
 
 
-def _stuck(log: Log, name: str, start: int, stop: int) -> Fault:
-    span = (float(log.time_s[start]), float(log.time_s[stop - 1]))
+def _stuck(log: Log, name: str, start: int, stop: int) -> Finding:
     text = f"stays at {log[name][start]:.4g} while others move"
-    return fault(log, (name,), ("stuck", text), span)
+    return finding(log, name, "stuck", text, span_s=_span(log, start, stop))
+
+
+def _span(log: Log, start: int, stop: int) -> tuple[float, float] | None:
+    """Times of rows `start:stop`; None where they are the whole log."""
+    if stop - start > _WHOLE * len(log):
+        return None
+    return float(log.time_s[start]), float(log.time_s[stop - 1])
 
 
 # Tolerances of the relations, at which they fail: Mach (plus a share of it), kt, K. About twice the
@@ -290,19 +319,19 @@ def _failed(
     return broken, failed
 
 
-def _air(log: Log) -> Iterator[Fault]:
+def _air(log: Log) -> Iterator[Finding]:
     """The channel that stands in every failed relation of air data and in no other.
 
     Named is, in this order: a channel that is constant where they fail; another unit or a factor
-    that mends them all, if it is one channel's alone; the accused ones.
+    that mends them all, if it is one channel's alone; the accused ones, masked where they fail in
+    one stretch and hold elsewhere.
     """
     flies = _airborne(log)
     broken, failed = _failed(log.channels, flies)
     if not failed:
         return
     accused = set.intersection(*map(set, failed)) - _close(log, flies)
-    accused = accused or set.intersection(*map(set, failed))
-    accused = accused or set().union(*failed)
+    accused = accused or set.intersection(*map(set, failed)) or set().union(*failed)
     wrong = np.any([broken[names] for names in failed], axis=0)
     stopped = list(_stopped(log, accused, wrong))
     mended = list(_mended(log, accused, flies))
@@ -310,14 +339,29 @@ def _air(log: Log) -> Iterator[Fault]:
         yield from stopped
     elif len({name for name, *_ in mended}) == 1:
         name, kind, text = mended[0]
-        yield fault(log, (name,), (kind, text))
+        yield finding(log, name, kind, text)
     else:
         order = tuple(name for name in _AIR if name in accused)
-        text = "contradicts the other air data" if len(order) == 1 else "contradict each other"
-        yield fault(log, order, ("inconsistent", f"{text}{_mach_ratio(log)}"))
+        text = f"contradicts the other air data{_mach_ratio(log)}"
+        if len(order) > 1:
+            text = f"{' and '.join(order)} contradict each other{_mach_ratio(log)}"
+        span_s = _stretch(log, wrong, flies) if len(order) == 1 else None
+        partner = order[1] if len(order) > 1 else ""
+        yield finding(log, order[0], "inconsistent", text, span_s=span_s, partner=partner)
 
 
-def _stopped(log: Log, accused: set[str], wrong: BoolArray) -> Iterator[Fault]:
+def _stretch(log: Log, wrong: BoolArray, flies: BoolArray) -> tuple[float, float] | None:
+    """The stretch that holds all that is wrong, if most of it is, and flight goes on outside."""
+    rows = np.flatnonzero(wrong)
+    inside = slice(rows[0], rows[-1] + 1)
+    mostly = np.mean(wrong[inside][flies[inside]]) > _EXPLAINED
+    outside = flies.sum() - flies[inside].sum()
+    if not mostly or outside < _FAILED * flies.sum():
+        return None
+    return _span(log, int(rows[0]), int(rows[-1]) + 1)
+
+
+def _stopped(log: Log, accused: set[str], wrong: BoolArray) -> Iterator[Finding]:
     """Accused channels that repeat one value for most of the time in which relations fail."""
     for name in (each for each in _AIR if each in accused):
         for start, stop in zip(*repeats(log[name]), strict=True):

@@ -27,7 +27,7 @@ from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.files import finite, versions
 from training.baselines import Baselines
-from training.masking import masked
+from training.screening import masked
 
 SCHEMA = "narxcal.compare/1"
 _NAMES = {STEADY_STATE: "steady state", FIRST_ORDER: "first-order lag", ARX: "ARX"}

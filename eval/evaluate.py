@@ -19,7 +19,7 @@ from pydantic import Field
 from data_prep.events import Event, find_events
 from data_prep.fragments import joined
 from data_prep.identity import Identity, Shared, first_shared
-from data_prep.log import Fault, Log, Source
+from data_prep.log import Finding, Log, Source
 from data_prep.plausibility import unchecked_air
 from data_prep.prepare import prepare, with_outputs
 from data_prep.reading import read_logs
@@ -69,10 +69,9 @@ from narxcal.support.settings import Section
 from training.config import RunConfig
 from training.crossval import CrossvalConfig
 from training.levels import LEAST_LOGS, LevelCheck, checks, words
-from training.masking import MASK, masked
 from training.records import split_logs
 from training.redundancy import Bank
-from training.screening import screened
+from training.screening import masked, screened
 
 SCHEMA = "narxcal.evaluate/1"
 NEW = "new"
@@ -407,9 +406,9 @@ class Evaluation:
         return counts(self.assessments, judged)
 
     @property
-    def faults(self) -> list[Fault]:
+    def findings(self) -> list[Finding]:
         """Those of all logs."""
-        return [fault for log in self.logs for fault in log.log.faults]
+        return [each for log in self.logs for each in log.log.findings]
 
     def _failed_times(self) -> list[str]:
         found, least = self.tally, self.config.least_passed_pct
@@ -529,7 +528,7 @@ class Evaluation:
                     "lacking": self.lacking(),
                 },
                 "trim": self.trim,
-                "faults": [fault.row() for fault in self.faults],
+                "findings": [each.row() for each in self.findings],
                 "certificate": None if self.certificate is None else self.certificate.row(),
                 "rules": {
                     "name": used.name,
@@ -624,25 +623,25 @@ def _prepared(bundle: Bundle, config: RunConfig, files: Sequence[Path] | None) -
     return [with_outputs(log, outputs) for log in prepared]
 
 
-def file_faults(bundle: Bundle, file: Path) -> tuple[Fault, ...]:
-    """Faults of the logs in a file that are masked; raises `DataError` as `evaluation_logs`.
+def file_findings(bundle: Bundle, file: Path) -> tuple[Finding, ...]:
+    """What the logs in a file show; raises `DataError` as `evaluation_logs`.
 
     Raises `DataError`, too, for an input of the model that is at fault throughout.
     """
     logs = evaluation_logs(bundle, [file])
-    faults = tuple(each for log in logs for each in log.faults if each.confidence >= MASK)
+    found = tuple(each for log in logs for each in log.findings)
     for log in logs:
         after = masked(log)
         for name in bundle.calibration.input_names:
             if name in log.channels and log.recorded([name]) and not after.recorded([name]):
-                why = next(each for each in log.faults if {name, "time_s"} & {*each.channels})
+                why = next(each for each in log.findings if name in each.channels)
                 raise DataError(
-                    f"an input of the model is at fault throughout ({why.kind}: {why.detail})",
+                    f"an input of the model is at fault throughout ({why.kind}: {why.evidence})",
                     file=log.name,
                     channel=name,
                     hint="Correct its column or unit under [logs.columns], or repair the log",
                 )
-    return faults
+    return found
 
 
 def bank_of(bundle: Bundle) -> Bank | None:

@@ -36,7 +36,6 @@ from scipy.stats import t as student
 
 from data_prep.log import Log
 from narxcal.channels import channel, symbol
-from training.masking import MASK
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -221,11 +220,10 @@ def trained_words(log: str, role: str, shared: Shared | None) -> str:
 
 
 def contradictions(log: Log, names: Sequence[str]) -> list[str]:
-    """Certain findings about channels of the model that no mask takes out of the figures."""
+    """Findings about the whole log in channels of the model: nothing is masked for them."""
     return [
-        f"{log.name}: {' and '.join(each.channels)} {each.kind}, {each.detail}"
-        for each in log.faults
-        if each.confidence >= MASK
-        and {*names, "time_s"} & {*each.channels}
-        and 2.0 * (each.to_s - each.from_s) > log.time_s[-1] - log.time_s[0]
+        f"{log.name}: the log contradicts the training logs: {' and '.join(each.channels)} "
+        f"{each.kind}, {each.evidence}"
+        for each in log.findings
+        if not each.local and {*names, "time_s"} & {*each.channels}
     ]

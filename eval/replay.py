@@ -18,7 +18,7 @@ from pydantic import Field
 from data_prep.config import LogsConfig
 from data_prep.csv_source import Pace
 from data_prep.faults import out_of_range
-from data_prep.log import Fault
+from data_prep.log import Finding
 from data_prep.reading import LogFile
 from narxcal.calibration.fuser import FastFuser
 from narxcal.calibration.fuser_config import FuserConfig
@@ -81,14 +81,14 @@ class ReplayOptions(Section):
 class ReplayModel:
     """What a replay needs of a bundle: the model, the columns of its logs, and the fuser.
 
-    `faults` are those of the log; their channels count as not measured.
+    `findings` are those of the log; a channel counts as not measured where one masks it.
     """
 
     calibration: Calibration
     logs: LogsConfig = field(default_factory=LogsConfig)
     fuser: FuserConfig = field(default_factory=FuserConfig)
     noise: NoiseModel | None = None
-    faults: tuple[Fault, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     @classmethod
     def of(cls, bundle: Bundle) -> Self:
@@ -144,7 +144,7 @@ class EngineReplay:
         self._age = np.zeros(len(self._inputs), dtype=np.intp)
         self._running = self._begun = False
         self._waiting: list[Rows] = []
-        self._faults = [one for one in model.faults if one.engine == engine]
+        self._findings = [one for one in model.findings if one.masks and one.engine == engine]
         stored = model.noise if options.stored_noise else None
         self.fuser = None if stored is None else FastFuser(stored, model.fuser)
         self._fusable = np.ones(len(self.outputs), dtype=np.bool_)
@@ -212,9 +212,9 @@ class EngineReplay:
         bad = np.zeros(len(piece.time_s), dtype=np.bool_)
         if name in piece.channels:
             bad |= out_of_range(name, piece.channels[name])
-        for one in self._faults:
-            if name in one.channels or "time_s" in one.channels:
-                bad |= (piece.time_s >= one.from_s) & (piece.time_s <= one.to_s)
+        for one in self._findings:
+            if name == one.channel:
+                bad |= one.rows(piece.time_s)
         return bad
 
     def _measured(self, piece: Piece) -> FloatArray:
@@ -390,7 +390,7 @@ class ReplaySummary:
     slow: dict[str, dict[str, float]]
     dropped: int
     truncated: bool
-    faults: tuple[Fault, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
     @property
     def times_real_time(self) -> float:
@@ -414,8 +414,8 @@ class ReplaySummary:
 
     @property
     def cautions(self) -> list[str]:
-        """Faults, and slow channels; ambient ones change slowly, and nothing is lost there."""
-        texts = [fault.caution for fault in self.faults]
+        """Findings, and slow channels; ambient ones change slowly, and nothing is lost there."""
+        texts = [each.caution for each in self.findings]
         for engine, slow in self.slow.items():
             named = [
                 f"{name} about every {every_s:.2g} s"
@@ -433,7 +433,8 @@ class ReplaySummary:
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""
         return {
-            **asdict(self), "missed": self.missed, "faults": [fault.row() for fault in self.faults],
+            **asdict(self), "missed": self.missed,
+            "findings": [each.row() for each in self.findings],
             "times_real_time": self.times_real_time, "cautions": self.cautions
         }  # fmt: skip
 
@@ -612,5 +613,5 @@ class _Replay:
             slow={name: engine.slow for name, engine in engines.items()},
             dropped=sum(stream.dropped for stream in self.streams.values()),
             truncated=self.file.table.truncated,
-            faults=self.model.faults,
+            findings=self.model.findings,
         )

@@ -1,4 +1,4 @@
-"""Level and lag of a free run over a whole log, and what held-out logs allow of them.
+"""Level and lag of a free run over a whole log, and what held-out logs allow of them; delays.
 
     level = median(model - measured),   lag = delay at which their rates of change are most alike
 
@@ -7,24 +7,31 @@ With x_1 .. x_n of held-out training logs, an x of another log is beyond their s
     |x| > t(1 - 0.05 / 2 m, p + n - 1) s,   s^2 = (p s_0^2 + sum x_i^2) / (p + n)
 
 for m outputs (Bonferroni), with the scatter s_0 that engines of one type and their meters have,
-which counts as p logs (`training.redundancy`). Of fewer than three logs nothing is judged.
+which counts as p logs. Of fewer than three logs nothing is judged.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 from scipy.stats import t as student
 
-from narxcal.channels import channel
-from narxcal.support.arrays import FloatArray
-from training.delays import DELAY_PRIOR_S, delay_of
-from training.redundancy import PRIOR_LOGS, prior_scatter
+from narxcal.atmosphere import KELVIN
+from narxcal.channels import CHANNELS, channel
+from narxcal.support.arrays import FloatArray, bridge_gaps, known_mean
 
 LEAST_LOGS = 3
+# Scatter between engines of a type and their meters, as a share of the level, until left-out logs
+# say more; it counts as `PRIOR_LOGS` of them.
+_PRIOR = {"%": 0.01, "degC": 0.024, "kg/h": 0.03}
+_PRIOR_OTHER, PRIOR_LOGS = 0.03, 1.5
+DELAY_STEP_S, _LONGEST_DELAY_S = 0.2, 12.0
+DELAY_PRIOR_S = 0.15  # scatter between logs, until they say more
+_LEAST_CORRELATION = 0.3
 _FALSE_ALARMS = 0.05  # of one log in any output, as that of the faults that are masked
 
 
@@ -121,3 +128,88 @@ def _allowed(seen: FloatArray, prior: float, outputs: int) -> float | None:
 def words(check: LevelCheck) -> str:
     """Size of a level error with its unit."""
     return f"{check.channel} {check.error:+.3g} {channel(check.channel).unit}"
+
+
+def prior_share(name: str) -> float:
+    """Scatter of a channel between engines of a type and their meters, as a share of the level."""
+    return _PRIOR.get(CHANNELS[name].unit if name in CHANNELS else "", _PRIOR_OTHER)
+
+
+def prior_scatter(name: str, level: float) -> float:
+    """The same at a level, in its unit."""
+    warm = name in CHANNELS and CHANNELS[name].unit == "degC"
+    return prior_share(name) * (level + (KELVIN if warm else 0.0))
+
+
+def delays_between(values: Mapping[str, FloatArray], step_s: float) -> dict[tuple[str, str], float]:
+    """Delay in s of channel i behind channel j, where their rates of change are correlated.
+
+    The largest value of the cross-correlation of the rates over 1 s, interpolated by a parabola.
+    """
+    rates = {name: _rates(each, step_s) for name, each in values.items()}
+    found = {}
+    for i, j in combinations(values, 2):
+        delay_s = _delay(rates[i], rates[j], step_s)
+        if np.isfinite(delay_s):
+            found[i, j], found[j, i] = delay_s, -delay_s
+    return found
+
+
+def delay_of(a: FloatArray, b: FloatArray, dt_s: float) -> float:
+    """Delay of signal `a` (time,) behind `b` in s; NaN where they are not correlated."""
+    size = max(1, round(DELAY_STEP_S / dt_s))
+    count = len(a) // size * size
+    rates = [_rates(block_means(each[:count], size), size * dt_s) for each in (a, b)]
+    return _delay(rates[0], rates[1], size * dt_s)
+
+
+def _rates(values: FloatArray, step_s: float) -> FloatArray | None:
+    """Changes over 1 s, each over their standard deviation; None where nothing changes."""
+    width = max(1, round(1.0 / step_s))
+    values = bridge_gaps(values)
+    change = values[width:] - values[:-width]
+    spread = float(np.std(change)) if np.isfinite(change).all() and len(change) else 0.0
+    return np.clip(change / spread, -8.0, 8.0) if spread > 0.0 else None
+
+
+def _delay(a: FloatArray | None, b: FloatArray | None, step_s: float) -> float:
+    reach = round(_LONGEST_DELAY_S / step_s)
+    if a is None or b is None or len(a) < 4 * reach:
+        return float("nan")
+    delay, peak = _peak(a, b, reach)
+    return delay * step_s if peak > _LEAST_CORRELATION else float("nan")
+
+
+def _peak(a: FloatArray, b: FloatArray, reach: int) -> tuple[float, float]:
+    """Where the correlation of a(t) with b(t - delay) is largest, in samples, and its value."""
+    size = 1 << (len(a) + reach).bit_length()
+    product = np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size))
+    whole = np.fft.irfft(product, size)
+    near = np.concatenate([whole[-reach:], whole[: reach + 1]])
+    near /= np.sqrt(np.sum(a**2) * np.sum(b**2))
+    best = int(np.argmax(near))
+    if not 0 < best < 2 * reach:
+        return float(best - reach), 0.0
+    left, top, right = near[best - 1 : best + 2]
+    bend = left - 2.0 * top + right
+    return best - reach + (0.5 * (left - right) / bend if bend < 0.0 else 0.0), float(top)
+
+
+def delay_table(
+    found: Sequence[Mapping[tuple[str, str], float]], names: Sequence[str], prior_logs: float
+) -> dict[str, dict[str, tuple[float, float]]]:
+    """Target -> source -> mean and standard deviation over logs and as many of the prior."""
+    table: dict[str, dict[str, tuple[float, float]]] = {name: {} for name in names}
+    for i in names:
+        for j in names:
+            seen = np.array([one[i, j] for one in found if (i, j) in one])
+            if len(seen):
+                square = prior_logs * DELAY_PRIOR_S**2 + np.sum((seen - seen.mean()) ** 2)
+                spread = np.sqrt(square / (prior_logs + len(seen) - 1))
+                table[i][j] = (float(seen.mean()), float(spread))
+    return table
+
+
+def block_means(values: FloatArray, size: int) -> FloatArray:
+    """Means (blocks,) of the finite samples of each `size`; NaN where there are none."""
+    return known_mean(values.reshape(-1, size), axis=1)

@@ -1,13 +1,4 @@
-"""What may be learned: training logs are screened by each other, faults masked, gaps cut out.
-
-Each recording is compared with a bank (`training.redundancy`) of the others. The one that they
-contradict most is masked first, since its faults are in the banks of the others, too; then all are
-compared anew, until none is contradicted. Recordings are files, or engines where there are fewer
-than three files.
-
-A contradiction says that logs differ, not which of them is wrong. A minority of the recordings may
-be masked for it, of two neither. Always masked is what one log shows by itself: what contradicts
-physics; stuck, dead and noisy channels; steps.
+"""What may be learned: training logs are screened by each other, stretches masked, gaps cut out.
 
 A model can't be fitted to inputs that nobody measured: where one is held for longer than the gap
 that divides a recording, the log is divided, too.
@@ -16,133 +7,22 @@ that divides a recording, the log is divided, too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from data_prep.log import AuditEntry, Fault, Log
+from data_prep.log import Log
 from data_prep.prepare import HELD, hold_inputs
-from narxcal.support.arrays import FloatArray, spans
+from narxcal.support.arrays import spans
 from narxcal.support.errors import DataError
 from training.config import RunConfig
 from training.outlying import Outlier
 from training.records import Split
 from training.redundancy import learn
-from training.screening import contradiction, screened
+from training.screening import by_each_other, masked, screened
 
-MASK = 0.95  # least confidence of what is masked
-_ALONE = frozenset({"stuck", "dead", "held", "noise"})
-_EITHER = 0.5  # confidence of a finding that either of two logs may be the cause of
 _LEAST_PART_S = 20.0  # shorter parts of a divided log show no response with its settling
-_REASON = "fault: "
-
-
-def masked(log: Log) -> Log:
-    """Return the log with the channels of its faults NaN from `from_s` to `to_s`, and that counted.
-
-    A fault of the time stamps masks every channel: none can be compared with a model.
-    """
-    changed: dict[str, FloatArray] = {}
-    entries = []
-    for each in log.faults:
-        inside = (log.time_s >= each.from_s) & (log.time_s <= each.to_s)
-        names = tuple(log.channels) if "time_s" in each.channels else each.channels
-        for name in names if each.confidence >= MASK else ():
-            values = changed.get(name, log.channels.get(name, np.empty(0))).copy()
-            count = int((inside & np.isfinite(values)).sum()) if len(values) else 0
-            if count:
-                values[inside] = np.nan
-                changed[name] = values
-                entries.append(AuditEntry(name, "masked", f"{_REASON}{each.kind}", count))
-    return log.with_channels(changed, *entries) if changed else log
-
-
-@dataclass(frozen=True, eq=False)
-class _Finding:
-    """What the other recordings say against one: log's number -> faults, and how much it is."""
-
-    recording: int
-    faults: dict[int, tuple[Fault, ...]]
-    size: float
-
-    def sure(self, *, minority: bool) -> dict[int, tuple[Fault, ...]]:
-        """What is masked; contradictions only of a `minority`."""
-        chosen = {
-            number: tuple(
-                each
-                for each in faults
-                if each.confidence >= MASK and (minority or each.kind in _ALONE)
-            )
-            for number, faults in self.faults.items()
-        }
-        return {number: faults for number, faults in chosen.items() if faults}
-
-
-def by_each_other(logs: Sequence[Log], channels: Sequence[str]) -> list[Log]:
-    """Return prepared logs with the faults that the other ones show added to their own.
-
-    `channels` are those of the model. A fault that may as well be one of another log has a
-    confidence of at most one half.
-    """
-    found, recordings = list(logs), _recordings(logs)
-    accused = {k for k, own in enumerate(recordings) if any(_faulty(found[i]) for i in own)}
-    findings: list[_Finding] = []
-    for _ in range(2 * len(logs)):
-        findings = [_against(found, recordings, k, channels) for k in range(len(recordings))]
-        sure = {
-            each: each.sure(minority=2 * len(accused | {each.recording}) < len(recordings))
-            for each in findings
-        }
-        able = [each for each in findings if sure[each]]
-        if not able:
-            break
-        worst = max(able, key=lambda each: each.size)
-        accused.add(worst.recording)
-        for number, faults in sure[worst].items():
-            found[number] = _with_faults(found[number], faults)
-    for each in findings:
-        for number, faults in each.faults.items():
-            found[number] = _with_faults(found[number], [_doubtful(fault) for fault in faults])
-    return found
-
-
-def _with_faults(log: Log, faults: Sequence[Fault]) -> Log:
-    return replace(log, faults=(*log.faults, *faults))
-
-
-def _doubtful(fault: Fault) -> Fault:
-    return replace(fault, confidence=_EITHER) if fault.confidence >= MASK else fault
-
-
-def _faulty(log: Log) -> bool:
-    return any(fault.confidence >= MASK for fault in log.faults)
-
-
-def _recordings(logs: Sequence[Log]) -> list[list[int]]:
-    """Numbers of the logs of each file, or of each engine where there are few files."""
-    files = [log.source.file or log.name for log in logs]
-    whole = len(set(files)) >= 3
-    names = [
-        file if whole else (file, log.source.engine) for file, log in zip(files, logs, strict=True)
-    ]
-    return [[k for k, each in enumerate(names) if each == name] for name in dict.fromkeys(names)]
-
-
-def _against(
-    logs: Sequence[Log], recordings: Sequence[list[int]], number: int, channels: Sequence[str]
-) -> _Finding:
-    """Compare the logs of one recording with the bank of the others."""
-    own = recordings[number]
-    bank = learn([masked(log) for k, log in enumerate(logs) if k not in own], channels)
-    if bank is None:
-        return _Finding(number, {}, 0.0)
-    subjects = [masked(logs[k]) for k in own]
-    faults = {
-        k: tuple(each for each in after.faults if each not in logs[k].faults)
-        for k, after in zip(own, screened(bank, subjects), strict=True)
-    }
-    return _Finding(number, faults, max(contradiction(bank, log) for log in subjects))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +43,7 @@ class Learnable:
         return (*self.train, *self.validate)
 
     def row(self) -> dict[str, Any]:
-        """For the bundle: faults, and by log how many samples they mask and how many rows go."""
+        """For the bundle: findings, and by log how many samples they mask and how many rows go."""
         rows = []
         for log, recorded in zip(self._whole, self.before, strict=True):
             parts = [
@@ -178,9 +58,9 @@ class Learnable:
                     "left_out_rows": len(log) - kept,
                 }
             )
-        faults = [fault.row() for log in self._whole for fault in log.faults]
+        findings = [each.row() for log in self._whole for each in log.findings]
         contradicting = [{**asdict(each), "words": each.words} for each in self.contradicting]
-        return {"faults": faults, "logs": rows, "contradicting": contradicting}
+        return {"findings": findings, "logs": rows, "contradicting": contradicting}
 
 
 def _counts(log: Log, recorded: Log) -> dict[str, int]:
@@ -193,10 +73,10 @@ def _counts(log: Log, recorded: Log) -> dict[str, int]:
 
 
 def learnable(split: Split, config: RunConfig, *, screen: bool = True) -> Learnable:
-    """Mask the faults of the logs of `split`, and leave out where inputs are lost.
+    """Mask what the logs of `split` show to be at fault, and leave out where inputs are lost.
 
-    Without `screen` the logs have the faults of such a screening. Raises `DataError` where faults
-    leave nothing of an output, or no log.
+    Without `screen` the logs have the findings of such a screening. Raises `DataError` where they
+    leave no log.
     """
     outputs, inputs = config.narx.outputs, config.steady_state.inputs
     train, validate = list(split.train), list(split.validate)
@@ -206,7 +86,6 @@ def learnable(split: Split, config: RunConfig, *, screen: bool = True) -> Learna
             bank = learn([masked(log) for log in train], (*outputs, *inputs))
             validate = screened(bank, validate)
     usable = (tuple(map(masked, train)), tuple(map(masked, validate)))
-    _check(split.train, usable[0], outputs)
     found: list[tuple[Log, ...]] = []
     for before, after in zip((split.train, split.validate), usable, strict=True):
         pairs = zip(before, after, strict=True)
@@ -228,29 +107,11 @@ def _lost(log: Log, before: Log | None, config: RunConfig) -> bool:
     return len(log.recorded(recorded)) < len(recorded) or not log.recorded(config.narx.outputs)
 
 
-def _check(before: Sequence[Log], after: Sequence[Log], outputs: Sequence[str]) -> None:
-    """Refuse logs in which all samples of an output are at fault."""
-    for name in outputs:
-        if any(log.recorded([name]) for log in before) and not any(
-            log.recorded([name]) for log in after
-        ):
-            raise _at_fault(after, name)
-
-
 def _nothing_left(logs: Sequence[Log]) -> DataError:
-    faulty = [name for log in logs for fault in log.faults for name in fault.channels]
-    if not faulty:
-        return DataError("no training log has a stretch with all inputs", file=logs[0].name)
-    return _at_fault(logs, faulty[0])
-
-
-def _at_fault(logs: Sequence[Log], name: str) -> DataError:
-    why = next(each for log in logs for each in log.faults if {name, "time_s"} & {*each.channels})
-    hint = "Correct its column under [logs.columns], or leave these logs out"
-    if why.kind == "unit":
-        hint = "Set its unit under [logs.columns]"
-    problem = f"it is at fault in every training log, first in {why.log} ({why.kind}: {why.detail})"
-    return DataError(problem, channel=name, hint=hint)
+    found = [each.caution for log in logs for each in log.findings if each.masks]
+    hint = f"Masked is {found[0]}" if found else "Check the columns under [logs.columns]"
+    problem = "no training log has a stretch with all inputs and an output"
+    return DataError(problem, file=logs[0].name, hint=hint)
 
 
 def _parts(log: Log, config: RunConfig) -> list[Log]:

@@ -31,7 +31,7 @@ from narxcal.channels import channel
 from narxcal.steady.fitted import Layout
 from narxcal.support.arrays import BoolArray, FloatArray
 from training.config import SteadyFitConfig
-from training.redundancy import PRIOR_LOGS, prior_scatter
+from training.levels import PRIOR_LOGS, prior_scatter
 from training.steady_fit import SteadySamples, linear_problem
 
 LEAST_LOGS: Final = 3

@@ -49,6 +49,7 @@ from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import METHODS, STATIC, RunConfig
 from training.identify import identify, static_laws
 from training.lags import choose_form, fit_lags
+from training.levels import prior_scatter
 from training.masking import learnable
 from training.mixture import HeldRun, Mixture, choose_mixture, network_alone
 from training.network import (
@@ -60,7 +61,7 @@ from training.network import (
     merge_models,
 )
 from training.records import LEAST_WIDTHS, Split, material, structure_of
-from training.redundancy import learn, prior_scatter
+from training.redundancy import learn
 from training.steady_choice import contradicting, steady_state, without
 from training.steady_fit import SteadyQuality
 from training.transport import DelayChoice, choose_delay, delayed

@@ -1,28 +1,24 @@
 """Analytical redundancy: each engine channel predicted from each other one, learned from the logs.
 
 `learn` fits one small model per ordered pair of engine channels to the training logs, in corrected
-values (`narxcal.atmosphere`), and measures what is left on logs that were left out. `examine`
-compares a log with them and says which channel is wrong, since when and how.
+values (`narxcal.atmosphere`), and measures what is left on logs that were left out. With x_i the
+corrected channel i in means of `STEP_S`, temperatures in K,
 
     x^_ij = b_ij . phi(x_j, M, ln delta),   e_ij = (x_i - x^_ij) / d_i
-    c_i   = sum_j w_ij e_ij, w_ij ~ 1 / s_ij^2
-    S_i   = the largest of the means of c_i over 20 s, 100 s and the log, each over its limit times
-            sigma_i
+    r_i   = what the e_ij of all sources j agree on: their median; of two the smaller one if both
+            have one sign, else 0
 
-A fault of channel k is in every e_kj, and in no residual that does not contain k: the channel is at
-fault without which all others agree (structured residuals; Gertler 1998, Fault Detection and
-Diagnosis in Engineering Systems, ch. 6). `s_ij` and `sigma_i` are the RMS of e_ij and c_i on
-left-out logs, combined with the scatter that engines of one type and their meters have (`_PRIOR`),
-as few logs say little about it.
+with d_i half of x^_i and half of the mean of channel i, and phi a cubic in x_j, its distance from
+three lags of itself, also times x_j, M and ln delta. A fault of channel k is in every e_kj, hence
+in r_k; of the sources of another channel it is one only, hence not in r_i (structured residuals;
+Gertler 1998, Fault Detection and Diagnosis in Engineering Systems, ch. 6).
 
-| symbol | meaning | unit |
-|---|---|---|
-| x_i | corrected channel i, mean of 1 s; temperatures in K | unit of i |
-| phi | cubic in x_j, its distance from three lags of itself, also times x_j; M, ln delta | - |
-| d_i | half of x^_i and half of the mean of channel i | unit of i |
+On a sound log r_i is a random effect of the log plus wander within it (u and w):
 
-A hypothesis about a whole log (another unit, two channels exchanged) is accepted where undoing it
-brings all |S_i| below 1. Late channels and stretched time show in the dynamics alone.
+    r_i(k) = u_i + w(k),   u_i ~ N(0, s_i^2)
+    w(k) = phi w(k-1) + v(k),   v(k) ~ N(0, q^2 + c^2 m(k)^2)
+
+with m the change of x^_i from block to block: models are less exact while the engine moves.
 """
 
 from __future__ import annotations
@@ -32,7 +28,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
 from data_prep.log import Log
@@ -41,21 +36,16 @@ from narxcal.channels import CHANNELS
 from narxcal.steady.model import ALTERED
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray, bridge_gaps, noise_level
 from narxcal.support.errors import ModelError
-from training.delays import DELAY_STEP_S, block_means, delay_table, delays_between
+from training.levels import DELAY_STEP_S, PRIOR_LOGS, block_means, delay_table, delays_between
+from training.levels import prior_share as _prior
 
-_STEP_S = 1.0
+STEP_S, BLOCK_S = 1.0, 5.0
 _LEAST_STEPS = 10  # of a log; fewer show no relation of channels
 _LAGS_S = (2.0, 8.0, 30.0)
-# Means over short windows of transients scatter more than those over long ones: windows in s, and
-# the limits of S_i in them. The largest of left-out flights: 4.3 and 3.3.
-WINDOWS_S, LIMITS, _WHOLE_LIMIT = (20.0, 100.0), (6.0, 4.4), 2.7
 _RIDGE = 1e-4
-# Scatter between engines of a type and their meters, as a share of the level, until left-out logs
-# say more; it counts as `PRIOR_LOGS` of them.
-_PRIOR = {"%": 0.01, "degC": 0.024, "kg/h": 0.03}
-_PRIOR_OTHER, PRIOR_LOGS = 0.03, 1.5
 AIR = ("ALT_ft", "Mach", "dT_C")
-_MOST_FOLDS = 8
+_MOST_FOLDS = 6
+_ENGINE = frozenset({"output", "lever"})
 
 Values = Mapping[str, FloatArray]
 
@@ -69,7 +59,7 @@ class Signals:
     step_s: float
 
     @classmethod
-    def of(cls, log: Log, step_s: float = _STEP_S) -> Self:
+    def of(cls, log: Log, step_s: float = STEP_S) -> Self:
         """Means of the finite samples in each block; NaN where there are none."""
         size = max(1, round(step_s / log.dt_s))
         count = len(log) // size
@@ -82,10 +72,15 @@ class Signals:
         """Signals with some channels replaced."""
         return replace(self, values={**self.values, **values})
 
+    def part(self, rows: slice) -> Signals:
+        """Some of the blocks."""
+        values = {name: each[rows] for name, each in self.values.items()}
+        return Signals(self.time_s[rows], values, self.step_s)
+
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
-    """Corrected engine channels, and the air they are in."""
+    """Corrected engine channels, and the air they are in; `known` (time,) where it is."""
 
     x: Values
     scale: Mapping[str, FloatArray]
@@ -117,7 +112,7 @@ class Corrected:
 
 
 def _features(z: FloatArray, air: Corrected, step_s: float) -> FloatArray:
-    """Phi (time, 18) of a channel scaled to zero mean and unit spread."""
+    """Phi (time, 16) of a channel scaled to zero mean and unit spread."""
     mach, log_delta = air.mach, air.log_delta
     apart = []
     for lag_s in _LAGS_S:
@@ -128,6 +123,23 @@ def _features(z: FloatArray, air: Corrected, step_s: float) -> FloatArray:
     return np.column_stack(columns)
 
 
+@dataclass(frozen=True)
+class Wander:
+    """Wander of r within a log: share of the last block that stays, sizes at rest and in motion."""
+
+    stays: float
+    rest: float
+    motion: float
+
+    def variance(self, moved: FloatArray) -> FloatArray:
+        """Variance of v by the change m (time,) of the prediction."""
+        return np.asarray(self.rest**2 + (self.motion * moved) ** 2)
+
+    def to_json(self) -> list[float]:
+        """For the bundle."""
+        return [self.stays, self.rest, self.motion]
+
+
 @dataclass(frozen=True, eq=False)
 class Bank:
     """The pair models with what they leave on left-out logs; stored with the bundle.
@@ -136,13 +148,11 @@ class Bank:
     |---|---|
     | `centre`, `spread` | mean and standard deviation of each corrected channel |
     | `low`, `high` | its range in the training logs, scaled |
-    | `air` | ranges of Mach number and ln delta in the training logs |
+    | `cells` | source -> cells in which the training logs have been |
     | `models` | target -> source -> coefficients b |
-    | `pairs` | target -> source -> RMS of e on left-out logs, with the prior |
-    | `sigma` | RMS of c on left-out logs, with the prior |
-    | `edges`, `regimes` | power limits of the regimes, and RMS of c in each over that in all |
-    | `levels` | channel -> median of c on each left-out log |
-    | `stretch` | k -> ln r(k), see `_stretched` |
+    | `level` | s: scatter of u between logs, with the prior |
+    | `wander` | [phi, q, c] |
+    | `stretch` | k -> (mean, scatter) of ln r(k), see `log_ratio` |
     | `delays` | target -> source -> (mean, standard deviation) of the delay in s |
     | `noise`, `updates` | largest noise level, and update interval in s, of each channel |
     | `logs` | number of logs that were left out |
@@ -154,14 +164,11 @@ class Bank:
     spread: Mapping[str, float]
     low: Mapping[str, float]
     high: Mapping[str, float]
-    air: Mapping[str, tuple[float, float]]
+    cells: Mapping[str, Sequence[Sequence[int]]]
     models: Mapping[str, Mapping[str, tuple[float, ...]]]
-    pairs: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    sigma: Mapping[str, float] = field(default_factory=dict)
-    edges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    regimes: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    levels: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
-    stretch: Mapping[str, float] = field(default_factory=dict)
+    level: Mapping[str, float] = field(default_factory=dict)
+    wander: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    stretch: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     delays: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
     updates: Mapping[str, float] = field(default_factory=dict)
@@ -184,63 +191,49 @@ class Bank:
         known = {name: stored[name] for name in cls.__dataclass_fields__}
         return cls(**{**known, "channels": tuple(known["channels"])})
 
-    def predict(
-        self, air: Corrected, target: str, source: str, step_s: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Corrected target (time,) and the side, 1 above and -1 below, that the source is beyond.
-
-        A source beyond its training range counts as at the limit: all engine channels rise with
-        power, so that the target is then at least (or at most) the prediction.
-        """
+    def predict(self, air: Corrected, target: str, source: str, step_s: float) -> FloatArray:
+        """Corrected target (time,) by the model of one source."""
         z = (bridge_gaps(air.x[source]) - self.centre[source]) / self.spread[source]
         inside = np.clip(z, self.low[source], self.high[source])
         found = _features(inside, air, step_s) @ np.asarray(self.models[target][source])
-        side = np.sign(z - inside)
-        return found * self.spread[target] + self.centre[target], side
+        return np.asarray(found * self.spread[target] + self.centre[target])
+
+    def covers(self, air: Corrected, source: str) -> BoolArray:
+        """Whether training logs have been in or next to the cell of each sample (time,)."""
+        cells = _cells(air, (air.x[source] - self.centre[source]) / self.spread[source])
+        seen = np.asarray(self.cells[source], dtype=np.float64).reshape(-1, 1, 3)
+        known = np.unique(_coded((seen + _NEXT).reshape(-1, 3)))
+        return np.isin(_coded(cells), known)
+
+
+# Cells of (source in its spread, Mach number, ln delta) in which, or next to which, training logs
+# have to have been: elsewhere the models extrapolate, and nothing is compared.
+_CELL = np.array([0.25, 0.03, 0.12])
+_LEAST_STAY_S = 10.0  # in a cell
+_NEXT = np.array([[a, b, c] for a in (-1, 0, 1) for b in (-1, 0, 1) for c in (-1, 0, 1)])
 
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Residuals of one log, and the channels that took part; all values (time,)."""
+    """Residuals of one log; all values (time,), in units of `Residuals.scale`."""
 
     bank: Bank
     signals: Signals
     channels: tuple[str, ...]
     errors: Mapping[str, Values]  # e: target -> source
     expected: Values  # corrected
-    consensus: Values  # c
-    smooth: Values  # S
+    agreed: Values  # r
     corrected: Corrected
 
-    @property
-    def flagged(self) -> dict[str, BoolArray]:
-        """Samples at which |S| exceeds 1."""
-        return {name: np.abs(self.smooth[name]) > 1.0 for name in self.channels}
+    def scale(self, name: str) -> FloatArray:
+        """Unit of r of a channel: d, corrected."""
+        expected = np.maximum(self.expected[name], 0.0)
+        return np.asarray(0.5 * expected + 0.5 * abs(self.bank.centre[name]))
 
-    @property
-    def misfit(self) -> float:
-        """Mean of S^2, bounded, over samples and channels."""
-        found = [np.minimum(each**2, 4.0) for each in self.smooth.values()]
-        found = [each[np.isfinite(each)] for each in found]
-        return float(np.mean([np.mean(each) if len(each) else 4.0 for each in found]))
-
-    @property
-    def extrapolation(self) -> float:
-        """Mean factor on the tolerances for air that the training logs have not seen."""
-        return float(np.mean(np.clip(margins_outside(self.bank, self.corrected), 1.0, _FAR)))
-
-    @property
-    def sound(self) -> bool:
-        """Whether hardly any sample is flagged."""
-        return all(self.share(name) < _SOUND for name in self.channels)
-
-    def share(self, name: str) -> float:
-        """Share of the testable samples of a channel that are flagged."""
-        known = np.isfinite(self.smooth[name])
-        return float(self.flagged[name].sum() / max(known.sum(), 1))
-
-
-_SOUND = 0.02
+    def level(self, name: str) -> float:
+        """U of a channel: the median of r; NaN where nothing can be compared."""
+        known = self.agreed[name][np.isfinite(self.agreed[name])]
+        return float(np.median(known)) if len(known) else float("nan")
 
 
 def residuals(
@@ -249,206 +242,140 @@ def residuals(
     """Compare the channels of one log with each other; `step_s` replaces that of the signals."""
     step_s = step_s or signals.step_s
     air = Corrected.of(signals, channels)
-    far = margins_outside(bank, air)
-    testable = air.known & (far < _FAR)
-    near = _inside(bank, air)
-    errors: dict[str, dict[str, FloatArray]] = {}
-    expected, consensus, smooth = {}, {}, {}
+    testable = {j: air.known & bank.covers(air, j) for j in channels}
+    errors: dict[str, dict[str, FloatArray]] = {name: {} for name in channels}
+    expected: dict[str, FloatArray] = {}
+    agreed: dict[str, FloatArray] = {}
     for i in channels:
-        others = [j for j in channels if j != i]
-        found = {j: bank.predict(near, i, j, step_s) for j in others}
-        weights = {j: bank.pairs[i][j] ** -2.0 if bank.pairs else 1.0 for j in others}
-        known = {j: np.where(np.isfinite(air.x[j]), found[j][0], np.nan) for j in others}
-        expected[i] = _weighted(known, weights)
+        sources = [j for j in channels if j != i and is_measured(j)]
+        found = {j: bank.predict(air, i, j, step_s) for j in sources}
+        known = {j: np.where(np.isfinite(air.x[j]), each, np.nan) for j, each in found.items()}
+        if not known:
+            expected[i] = agreed[i] = np.full(len(signals.time_s), np.nan)
+            continue
+        expected[i] = _middle(list(known.values()))
         scale = 0.5 * np.maximum(expected[i], 0.0) + 0.5 * abs(bank.centre[i])
-        errors[i] = {j: _one_sided((air.x[i] - known[j]) / scale, found[j][1]) for j in others}
-        consensus[i] = np.where(testable, _weighted(errors[i], weights), np.nan)
-        tolerance = _tolerance(bank, i, expected[i], step_s) * _fewer(bank, i, others)
-        tolerance = tolerance * np.maximum(far, 1.0)
-        smooth[i] = _larger(consensus[i] / tolerance, signals.step_s)
-    return Residuals(bank, signals, tuple(channels), errors, expected, consensus, smooth, air)
+        errors[i] = {j: np.where(testable[j], (air.x[i] - known[j]) / scale, np.nan) for j in known}
+        agreed[i] = agreement(list(errors[i].values()))
+    return Residuals(bank, signals, tuple(channels), errors, expected, agreed, air)
 
 
-_LOW_HIGH = (15.0, 85.0)  # percentiles of power
-_REGIME_STEPS, _MOST_TOLERANT = 100.0, 3.0
+def is_measured(name: str) -> bool:
+    """Whether a sensor measures a channel; a lever is a command, which an engine may not follow."""
+    return CHANNELS[name].role != "lever"
 
 
-def _regimes(bank: Bank, name: str, expected: FloatArray, step_s: float) -> IntArray:
-    """Low, middle or high power (0 to 2), plus 3 while it changes: models are unequally good there.
+def agreement(parts: Sequence[FloatArray]) -> FloatArray:
+    """What signals (time,) agree on: the median; of two the smaller one of one sign, else 0.
 
-    Bleeds, valves and idle schedules act at low power, and slams excite what lags leave out.
+    NaN where a single one of several is known: it cannot be said which side is wrong.
     """
-    z = bridge_gaps((expected - bank.centre[name]) / bank.spread[name])
-    z = np.where(np.isfinite(z), z, 0.0)
-    level = (z > bank.edges[name][0]).astype(np.int64) + (z > bank.edges[name][1])
-    size = max(3, round(30.0 / step_s))
-    moving = np.abs(z - uniform_filter1d(z, size, mode="nearest")) > 0.1
-    reach = uniform_filter1d(moving.astype(np.float64), size, mode="nearest") > 0.01
-    return np.asarray(level + 3 * reach)
+    if len(parts) == 1:
+        return parts[0]
+    stack = np.stack(parts)
+    count = np.isfinite(stack).sum(axis=0)
+    low = np.min(np.where(np.isfinite(stack), stack, np.inf), axis=0)
+    high = np.max(np.where(np.isfinite(stack), stack, -np.inf), axis=0)
+    smaller = np.where(np.abs(low) < np.abs(high), low, high)
+    both = np.where(np.sign(low) == np.sign(high), smaller, 0.0)
+    return np.where(count > 2, _middle(parts), np.where(count == 2, both, np.nan))
 
 
-def _tolerance(bank: Bank, name: str, expected: FloatArray, step_s: float) -> FloatArray:
-    """Sigma (time,) in the regime of each sample."""
-    if name not in bank.regimes:
-        return np.full(len(expected), bank.sigma.get(name, 1.0))
-    ratios = np.asarray(bank.regimes[name])
-    return np.asarray(bank.sigma[name] * ratios[_regimes(bank, name, expected, step_s)])
+def _middle(parts: Sequence[FloatArray]) -> FloatArray:
+    """Median of the finite values (time,); NaN where there is none."""
+    ordered = np.sort(np.stack(parts), axis=0)  # NaN last
+    count = np.isfinite(ordered).sum(axis=0)
+    rows = np.arange(ordered.shape[1])
+    low, high = ordered[np.maximum(count - 1, 0) // 2, rows], ordered[count // 2 % len(parts), rows]
+    return np.asarray(np.where(count % 2 == 1, low, 0.5 * (low + high)))
 
 
-def _fewer(bank: Bank, name: str, others: Sequence[str]) -> float:
-    """Factor by which sigma grows with fewer sources: that of independent errors s_ij."""
-    if not bank.pairs:
-        return 1.0
-    every, some = (
-        sum(bank.pairs[name][j] ** -2.0 for j in sources) for sources in (bank.pairs[name], others)
-    )
-    return float(np.sqrt(every / some)) if some else 1.0
+def _cells(air: Corrected, z: FloatArray) -> FloatArray:
+    """Cell (time, 3) of each sample."""
+    found = np.column_stack([np.nan_to_num(z), air.mach, air.log_delta]) / _CELL
+    return np.asarray(np.clip(np.floor(found), -1000.0, 1000.0))
 
 
-def _regime_ratios(name: str, left_out: Sequence[Residuals]) -> tuple[float, ...]:
-    """RMS of c in each regime over that of all, at least 1, from the left-out logs."""
-    where = [_regimes(one.bank, name, one.expected[name], one.signals.step_s) for one in left_out]
-    regime = np.concatenate(where)
-    squares = np.concatenate([one.consensus[name] for one in left_out]) ** 2
-    known = np.isfinite(squares)
-    whole = float(np.mean(squares[known])) if known.any() else 1.0
-    ratios = []
-    for k in range(6):
-        own = squares[known & (regime == k)]
-        total = np.sum(own) + _REGIME_STEPS * whole
-        ratio = np.sqrt(total / ((len(own) + _REGIME_STEPS) * max(whole, 1e-300)))
-        ratios.append(float(np.clip(ratio, 1.0, _MOST_TOLERANT)))
-    return tuple(ratios)
+def _coded(cells: FloatArray) -> IntArray:
+    """One number for each cell."""
+    return np.asarray((cells + 1500.0) @ np.array([9e6, 3e3, 1.0]), dtype=np.int64)
 
 
-def _one_sided(error: FloatArray, side: FloatArray) -> FloatArray:
-    error = np.where(side > 0.0, np.minimum(error, 0.0), error)
-    return np.where(side < 0.0, np.maximum(error, 0.0), error)
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """R of one channel in medians over `BLOCK_S`: known blocks only, with their middle times.
 
+    `moved` is the change of the prediction since the block before, in units of r.
+    """
 
-def _weighted(values: Values, weights: Mapping[str, float]) -> FloatArray:
-    """Weighted mean of what is finite; NaN where nothing is."""
-    stack = np.stack(list(values.values()))
-    weight = np.array([weights[name] for name in values])[:, None] * np.isfinite(stack)
-    total = np.sum(np.where(weight > 0.0, stack, 0.0) * weight, axis=0)
-    size = weight.sum(axis=0)
-    return np.where(size > 0.0, total / np.maximum(size, 1e-300), np.nan)
+    time_s: FloatArray
+    r: FloatArray
+    moved: FloatArray
 
-
-def _larger(deviation: FloatArray, step_s: float) -> FloatArray:
-    """S (time,): of the means over the windows, each over its limit, the one of larger size."""
-    short, long = (
-        moving_mean(deviation, round(window_s / step_s)) / limit
-        for window_s, limit in zip(WINDOWS_S, LIMITS, strict=True)
-    )
-    found = np.where(np.abs(long) > np.abs(np.nan_to_num(short)), long, short)
-    known = deviation[np.isfinite(deviation)]
-    if len(known) * step_s < _LEAST_WHOLE_S or abs(np.mean(np.sign(known))) < _ONE_SIGN:
-        return found
-    whole = float(np.mean(known)) / _WHOLE_LIMIT
-    return np.where(np.isfinite(found) & (np.abs(found) < abs(whole)), whole, found)
-
-
-_LEAST_WHOLE_S = 300.0
-_ONE_SIGN = 0.6  # surplus of samples of one sign that a wrong level of a whole log has
-
-
-def moving_mean(values: FloatArray, size: int) -> FloatArray:
-    """Centred mean of the finite samples; NaN where fewer than half are."""
-    known = np.isfinite(values)
-    weight = uniform_filter1d(known.astype(np.float64), size, mode="nearest")
-    total = uniform_filter1d(np.where(known, values, 0.0), size, mode="nearest")
-    return np.where(weight > 0.5, total / np.maximum(weight, 1e-9), np.nan)
-
-
-# What air may differ by from that of the training logs without a larger error, and the number of
-# such margins from which on nothing is tested; between them the tolerance grows with their number.
-_MARGINS = {"mach": 0.04, "log_delta": 0.1}
-_FAR = 5.0
-
-
-def inside_air(bank: Bank, air: Corrected) -> BoolArray:
-    """Samples in air like that of the training logs; elsewhere the models extrapolate."""
-    return air.known & (margins_outside(bank, air) < 1.0)
-
-
-def margins_outside(bank: Bank, air: Corrected) -> FloatArray:
-    """Largest distance (time,) of Mach number or ln delta from the training logs, in margins."""
-    found = np.zeros(len(air.mach))
-    for name, margin in _MARGINS.items():
-        low, high = bank.air[name]
-        values = getattr(air, name)
-        found = np.maximum(found, np.maximum(low - values, values - high) / margin)
-    return found
-
-
-def _inside(bank: Bank, air: Corrected) -> Corrected:
-    """The same channels in the nearest air of the training logs, for the models to go by."""
-    nearest = {
-        name: np.clip(getattr(air, name), bank.air[name][0] - margin, bank.air[name][1] + margin)
-        for name, margin in _MARGINS.items()
-    }
-    return replace(air, **nearest)
+    @classmethod
+    def of(cls, found: Residuals, name: str) -> Self:
+        """Medians of r; blocks without half of their values are left out."""
+        size = max(1, round(BLOCK_S / found.signals.step_s))
+        count = len(found.signals.time_s) // size
+        shape = (count, size)
+        r = found.agreed[name][: count * size].reshape(shape)
+        known = np.isfinite(r).sum(axis=1) * 2 > size
+        middle = np.array([np.nanmedian(row) for row in r[known]])
+        expected = block_means(found.expected[name][: count * size], size)
+        changes = np.abs(np.diff(expected, prepend=expected[:1]))
+        # A slam that ends within a block, or begins late in it, moves the next one, too.
+        changes = np.fmax(changes, np.concatenate([[0.0], changes[:-1]])) if count else changes
+        scale = block_means(found.scale(name)[: count * size], size)
+        moved = np.nan_to_num(changes / scale)[known]
+        time_s = found.signals.time_s[: count * size].reshape(shape).mean(axis=1)[known]
+        return cls(time_s, middle, moved)
 
 
 def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
     """Fit the bank to the engine channels that most of the prepared logs record.
 
     `channels` are those of the model: the others support the comparison, and no fault of them is
-    reported. None where there are fewer than two. Each log is left out once to measure `sigma`, of
-    more than eight logs groups of them.
+    reported. None where there are fewer than two. Each log is left out once to measure what is
+    left, of many logs groups of them; a single log is cut into halves.
     """
     logs = [log for log in logs if _is_informative(log)]
     names = _engine_channels(logs)
     if len(names) < 2:
         return None
-    all_signals = [Signals.of(log) for log in logs]
-    parts = all_signals if len(all_signals) > 1 else _halves(all_signals[0])
-    folds = [parts[k :: min(_MOST_FOLDS, len(parts))] for k in range(min(_MOST_FOLDS, len(parts)))]
-    partial = [(_fit(_others(parts, fold), names), fold) for fold in folds]
-    plain = [residuals(bank, one, names) for bank, fold in partial for one in fold]
-    pairs = {
-        i: {j: _rms(i, j, [one.errors[i][j] for one in plain]) for j in names if j != i}
-        for i in names
-    }
+    every = [Signals.of(log) for log in logs]
+    parts = every if len(every) > 1 else _halves(every[0])
+    count = min(_MOST_FOLDS, len(parts))
+    folds = [parts[k::count] for k in range(count)]
     left_out = [
-        residuals(replace(bank, pairs=pairs), one, names) for bank, fold in partial for one in fold
+        residuals(bank, one, names)
+        for fold in folds
+        for bank in [_fit([one for one in parts if all(one is not each for each in fold)], names)]
+        for one in fold
     ]
-    whole = replace(_fit(all_signals, names), pairs=pairs)
-    ratios = {k: [log_ratio(whole, one, names, k) for one in all_signals] for k in STRETCHES}
+    whole = _fit(every, names)
+    ratios = {
+        k: [log_ratio(one.bank, one.signals, names, k) for one in left_out] for k in STRETCHES
+    }
     return replace(
         whole,
-        stretch={str(k): _finite_mean(values) for k, values in ratios.items()},
-        sigma={name: _rms(name, "", [one.consensus[name] for one in left_out]) for name in names},
-        regimes={name: _regime_ratios(name, left_out) for name in names},
-        levels={name: tuple(_level(one.consensus[name]) for one in left_out) for name in names},
+        level={name: _level_scatter(name, left_out) for name in names},
+        wander={name: _wander(name, left_out).to_json() for name in names},
+        stretch={str(k): _mean_and_scatter(each) for k, each in ratios.items()},
         delays=delay_table([delays_of(log, names) for log in logs], names, PRIOR_LOGS),
         noise={
             name: max(noise_of(log, name) for log in logs if log.recorded([name])) for name in names
         },
         updates=_longest_updates(logs),
-        logs=sum(any(np.isfinite(c).any() for c in one.consensus.values()) for one in left_out),
+        logs=sum(any(np.isfinite(r).any() for r in one.agreed.values()) for one in left_out),
         used=tuple(name for name in names if name in channels),
     )
-
-
-def _finite_mean(values: Sequence[float]) -> float:
-    """Mean of the finite values; 0 where there are none."""
-    known = [each for each in values if np.isfinite(each)]
-    return float(np.mean(known)) if known else 0.0
 
 
 def _is_informative(log: Log) -> bool:
     """Whether a log is long enough, and has samples of two engine channels."""
     engine = tuple(name for name in CHANNELS if CHANNELS[name].role in _ENGINE)
-    return len(log) * log.dt_s >= _LEAST_STEPS * _STEP_S and len(log.recorded(engine)) > 1
-
-
-_ENGINE = frozenset({"output", "lever"})
-
-
-def _others(parts: Sequence[Signals], fold: Sequence[Signals]) -> list[Signals]:
-    return [one for one in parts if all(one is not other for other in fold)]
+    enough = len(log) > 1 and len(log) * log.dt_s >= _LEAST_STEPS * STEP_S
+    return enough and len(log.recorded(engine)) > 1
 
 
 def _engine_channels(logs: Sequence[Log]) -> tuple[str, ...]:
@@ -465,14 +392,7 @@ def _engine_channels(logs: Sequence[Log]) -> tuple[str, ...]:
 
 def _halves(signals: Signals) -> list[Signals]:
     middle = len(signals.time_s) // 2
-    return [
-        Signals(
-            signals.time_s[part],
-            {name: values[part] for name, values in signals.values.items()},
-            signals.step_s,
-        )
-        for part in (slice(None, middle), slice(middle, None))
-    ]
+    return [signals.part(slice(None, middle)), signals.part(slice(middle, None))]
 
 
 def _fit(logs: Sequence[Signals], names: Sequence[str]) -> Bank:
@@ -485,24 +405,16 @@ def _fit(logs: Sequence[Signals], names: Sequence[str]) -> Bank:
     }
     low, high = {}, {}
     for name in names:
-        ends = np.array(_percentiles((joined[name] - centre[name]) / spread[name], (0.1, 99.9)))
-        low[name], high[name] = (
-            float(ends[0] - 0.05 * np.ptp(ends)),
-            float(ends[1] + 0.05 * np.ptp(ends)),
-        )
-    ranges = {
-        name: _percentiles(
-            np.concatenate([np.where(one.known, getattr(one, name), np.nan) for one in air]),
-            (0.1, 99.9),
-        )
-        for name in ("mach", "log_delta")
-    }
+        ends = np.array(_ends((joined[name] - centre[name]) / spread[name]))
+        margin = 0.05 * float(np.ptp(ends))
+        low[name], high[name] = float(ends[0]) - margin, float(ends[1]) + margin
     scaled = [{name: (one.x[name] - centre[name]) / spread[name] for name in names} for one in air]
     models: dict[str, dict[str, tuple[float, ...]]] = {name: {} for name in names}
+    cells = {name: _stayed(logs, air, [one[name] for one in scaled]) for name in names}
     for j in names:
         phi = np.concatenate(
             [
-                _features(np.clip(bridge_gaps(z[j]), low[j], high[j]), one, part.step_s)
+                _features(np.clip(_bridged(z[j]), low[j], high[j]), one, part.step_s)
                 for z, one, part in zip(scaled, air, logs, strict=True)
             ]
         )
@@ -512,11 +424,23 @@ def _fit(logs: Sequence[Signals], names: Sequence[str]) -> Bank:
                 target = np.concatenate([z[i] for z in scaled])
                 usable = source & np.isfinite(target)
                 models[i][j] = tuple(_robust_fit(phi[usable], target[usable]).tolist())
-    edges = {
-        name: _percentiles(each / spread[name] - centre[name] / spread[name], _LOW_HIGH)
-        for name, each in joined.items()
-    }
-    return Bank(tuple(names), centre, spread, low, high, ranges, models, edges=edges)
+    return Bank(tuple(names), centre, spread, low, high, cells, models)
+
+
+def _stayed(
+    logs: Sequence[Signals], air: Sequence[Corrected], scaled: Sequence[FloatArray]
+) -> list[list[int]]:
+    """Cells in which the logs have been for some time."""
+    found = np.concatenate(
+        [_cells(one, z)[np.isfinite(z)] for one, z in zip(air, scaled, strict=True)]
+    )
+    cells, count = np.unique(found, axis=0, return_counts=True)
+    stayed = cells[count * logs[0].step_s >= _LEAST_STAY_S]
+    return [[int(each) for each in cell] for cell in stayed]
+
+
+def _bridged(z: FloatArray) -> FloatArray:
+    return np.nan_to_num(bridge_gaps(z))
 
 
 def _in_known_air(air: Corrected) -> Corrected:
@@ -524,10 +448,10 @@ def _in_known_air(air: Corrected) -> Corrected:
     return replace(air, x={name: np.where(air.known, x, np.nan) for name, x in air.x.items()})
 
 
-def _percentiles(values: FloatArray, shares: tuple[float, float]) -> tuple[float, float]:
-    """Percentiles of the finite values; zeros where there are none."""
+def _ends(values: FloatArray) -> tuple[float, float]:
+    """Percentiles 0.1 and 99.9 of the finite values; zeros where there are none."""
     known = values[np.isfinite(values)]
-    low, high = np.percentile(known, shares) if len(known) else (0.0, 0.0)
+    low, high = np.percentile(known, (0.1, 99.9)) if len(known) else (0.0, 0.0)
     return float(low), float(high)
 
 
@@ -548,34 +472,60 @@ def _robust_fit(phi: FloatArray, target: FloatArray) -> FloatArray:
     return np.asarray(found / size)
 
 
-def prior_scatter(name: str, level: float) -> float:
-    """Scatter of a channel between engines of a type and their meters at a level, in its unit."""
-    unit = CHANNELS[name].unit if name in CHANNELS else ""
-    return _PRIOR.get(unit, _PRIOR_OTHER) * (level + (KELVIN if unit == "degC" else 0.0))
+def _level_scatter(name: str, left_out: Sequence[Residuals]) -> float:
+    """S: RMS of u over left-out logs and the prior ones."""
+    levels = [one.level(name) for one in left_out]
+    squares = [level**2 for level in levels if np.isfinite(level)]
+    total = PRIOR_LOGS * _prior(name) ** 2 + sum(squares)
+    return float(np.sqrt(total / (PRIOR_LOGS + len(squares))))
 
 
-def _rms(target: str, source: str, left_out: Sequence[FloatArray]) -> float:
-    """RMS of residuals of the left-out logs and the prior ones, the larger prior of the two."""
-    known = [each[np.isfinite(each)] for each in left_out]
-    squares = [float(np.mean(each**2)) for each in known if len(each)]
-    units = [CHANNELS[name].unit for name in (target, source) if name]
-    prior = max(_PRIOR.get(unit, _PRIOR_OTHER) for unit in units)
-    count = len(squares)
-    # A model of all n logs is nearer to the next log than one of n - 1 is to the one left out.
-    nearer = (1.0 + 1.0 / count) / (1.0 + 1.0 / (count - 1)) if count > 1 else 1.0
-    total = PRIOR_LOGS * prior**2 + nearer * sum(squares)
-    return float(np.sqrt(total / (PRIOR_LOGS + count)))
+def _wander(name: str, left_out: Sequence[Residuals]) -> Wander:
+    """Fit phi by the lag-one correlation of r - u, then q and c by the size of what is left."""
+    r, before, moved = [], [], []
+    for one in left_out:
+        blocks = Blocks.of(one, name)
+        if len(blocks.r) > 2:
+            apart = blocks.r - np.median(blocks.r)
+            r.append(apart[1:])
+            before.append(apart[:-1])
+            moved.append(blocks.moved[1:])
+    if not r:
+        return Wander(0.9, _prior(name), 0.3)
+    now, last, change = np.concatenate(r), np.concatenate(before), np.concatenate(moved)
+    clip = 6.0 * 1.4826 * float(np.median(np.abs(now))) + 1e-9
+    a, b = np.clip(now, -clip, clip), np.clip(last, -clip, clip)
+    stays = float(np.clip(np.sum(a * b) / max(np.sum(b**2), 1e-12), 0.0, 0.995))
+    return own_wander(now - stays * last, change, stays)
 
 
-def _level(values: FloatArray) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else 0.0
+def own_wander(left: FloatArray, moved: FloatArray, stays: float) -> Wander:
+    """Sizes of the innovations `left` (time,) at rest and in motion, by medians."""
+    if not len(left):
+        return Wander(stays, 0.0, 0.0)
+    order = np.argsort(moved)
+    calm, lively = order[: max(1, len(order) // 2)], order[-max(1, len(order) // 10) :]
+    rest = 1.4826 * float(np.median(np.abs(left[calm])))
+    size = 1.4826 * float(np.median(np.abs(left[lively])))
+    move = float(np.median(moved[lively]))
+    motion = np.sqrt(max(size**2 - rest**2, 0.0)) / move if move > 0.0 else 0.0
+    return Wander(stays, max(rest, 1e-9), float(motion))
 
 
-def delays_of(log: Log, names: Sequence[str], stretch: float = 1.0) -> dict[tuple[str, str], float]:
-    """Delays between the channels of a log in s, were its time stamps `stretch` times as short."""
-    fine = Signals.of(log, DELAY_STEP_S * stretch)
-    return delays_between({name: fine.values[name] for name in names}, fine.step_s / stretch)
+def _mean_and_scatter(values: Sequence[float]) -> tuple[float, float]:
+    """Mean of the finite values, and their scatter with the prior's."""
+    known = np.array([each for each in values if np.isfinite(each)])
+    if not len(known):
+        return 0.0, 1.0
+    mean = float(known.mean())
+    square = PRIOR_LOGS * _RATIO_PRIOR**2 + float(np.sum((known - mean) ** 2))
+    return mean, float(np.sqrt(square / (PRIOR_LOGS + len(known) - 1)))
+
+
+def delays_of(log: Log, names: Sequence[str]) -> dict[tuple[str, str], float]:
+    """Delays between the channels of a log in s."""
+    fine = Signals.of(log, DELAY_STEP_S)
+    return delays_between({name: fine.values[name] for name in names}, fine.step_s)
 
 
 def noise_of(log: Log, name: str) -> float:
@@ -593,12 +543,14 @@ def _longest_updates(logs: Sequence[Log]) -> dict[str, float]:
 
 STRETCHES = (0.5, 2.0)
 _DYNAMIC_S, _MOVING = 150.0, 0.8
+_RATIO_PRIOR = 0.15  # scatter of ln r(k) between logs
 
 
 def log_ratio(bank: Bank, signals: Signals, channels: Sequence[str], stretch: float) -> float:
     """Ln r(k): mean over the pairs of the log ratio of the RMS residual in the moving samples.
 
-    NaN where nothing moves.
+    r(k) is what the residual would be, were the stamps stretched by k, over what it is. NaN where
+    nothing moves.
     """
     sizes = []
     for step_s in (signals.step_s / stretch, signals.step_s):
@@ -607,12 +559,34 @@ def log_ratio(bank: Bank, signals: Signals, channels: Sequence[str], stretch: fl
         shown = [x for x in found.corrected.x.values() if np.isfinite(x).any()]
         if not shown:
             return float("nan")
-        first = shown[0]
-        motion = np.abs(first - moving_mean(first, size // 5))
+        motion = np.abs(shown[0] - moving_mean(shown[0], size // 5))
+        if not np.isfinite(motion).any():
+            return float("nan")
         moving = motion > np.nanpercentile(motion, 100.0 * _MOVING)
-        pairs = [each for errors in found.errors.values() for each in errors.values()]
+        pairs = [
+            each
+            for name, errors in found.errors.items()
+            for each in errors.values()
+            if is_measured(name)
+        ]
         rough = [(each - moving_mean(each, size))[moving] for each in pairs]
         if not all(np.isfinite(each).any() for each in rough):
             return float("nan")
         sizes.append([np.sqrt(np.nanmean(each**2) + 1e-12) for each in rough])
     return float(np.mean(np.log(np.array(sizes[0]) / np.array(sizes[1]))))
+
+
+def moving_mean(values: FloatArray, size: int) -> FloatArray:
+    """Centred mean of the finite samples; NaN where fewer than half are."""
+    size = min(size, len(values))
+    known = np.isfinite(values)
+    kernel = np.ones(max(size, 1))
+    total = np.convolve(np.where(known, values, 0.0), kernel, "same")
+    count = np.convolve(known.astype(np.float64), kernel, "same")
+    whole = np.convolve(np.ones(len(values)), kernel, "same")
+    return np.where(count > 0.5 * whole, total / np.maximum(count, 1e-9), np.nan)
+
+
+def kelvin(name: str) -> float:
+    """What is added to a channel for its corrected value to be a ratio."""
+    return KELVIN if CHANNELS[name].unit == "degC" else 0.0

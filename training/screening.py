@@ -1,83 +1,135 @@
-"""Screen a log by the bank of `training.redundancy`: name its faults.
+"""Screen logs by the bank of `training.redundancy`: what is masked, and what is only reported.
 
-Hypotheses about the whole log come first (rows, noise, stretched time, another unit, exchanged
-channels, delays), each accepted where undoing it brings all |S_i| below 1. Then channels are
-isolated one by one; the shape that fits what is left of each says bias, scale, drift or dead.
+**Masked** is a stretch of one channel with a beginning or an end inside the log. With the wander w
+of a sound log as a first-order process (`training.redundancy`), a step of height h from block a to
+block b raises the log likelihood of r by G / 2,
+
+    G = (s' z)^2 / (s' s),   z = whitened r,   s = whitened step: 1 at a, 1 - phi inside, -phi at b
+
+It is at fault if G and h are beyond what sound logs show (`LEAST_GAIN`, `threshold`), and if r is
+within the scatter of sound logs outside of it. A second engine of the file shares clock, air and
+manoeuvre: what r of both shows is no fault of one (`training.redundancy.agreement` of r and of the
+difference). Levers are commands, which an engine may not follow: nothing is
+concluded from them.
+
+**Reported** is what the whole log disagrees in: its level u is compared with the scatter of levels
+s, which is known from few logs: Student's t. One stated rate of false alarms, `RATE_PER_H`, gives
+all thresholds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 from scipy.stats import t as student
 
-from data_prep.log import Fault, Kind, Log
-from data_prep.plausibility import conversions, fault, sound_air
-from narxcal.atmosphere import mach_of_cas
+from data_prep.log import AuditEntry, Finding, Kind, Log
+from data_prep.plausibility import conversions, finding, sound_air
 from narxcal.channels import CHANNELS, symbol
-from narxcal.support.arrays import BoolArray, FloatArray, bridge_gaps, spans
+from narxcal.support.arrays import BoolArray, FloatArray, spans
+from training.levels import PRIOR_LOGS
 from training.redundancy import (
     AIR,
-    LIMITS,
-    PRIOR_LOGS,
+    BLOCK_S,
     STRETCHES,
-    WINDOWS_S,
     Bank,
-    Corrected,
+    Blocks,
     Residuals,
     Signals,
-    Values,
+    Wander,
+    agreement,
     delays_of,
-    inside_air,
+    is_measured,
+    learn,
     log_ratio,
     moving_mean,
     noise_of,
+    own_wander,
     residuals,
 )
 
+RATE_PER_H = 0.01  # false alarms of each kind per hour of flight
+LEAST_GAIN = 300.0
+_LEAST_STRETCH_S = 20.0
+_AGREES = 3.0  # scatters within which the rest of a log agrees
+_MOST_STRETCHES = 6
+_BRIDGED_S, _FAR_BLOCKS = 60.0, 3  # so many blocks are no outliers
+_REASON = "fault: "
+_TELLING = 3  # measured channels from which on it can be said which of them is wrong
+_LEAST_TESTABLE = 0.1  # share of a log that has to be comparable for a finding about all of it
 
-@dataclass(frozen=True, eq=False)
-class _Subject:
-    """The log under examination, as it is after the faults found so far are undone."""
 
-    log: Log
-    signals: Signals
-    channels: tuple[str, ...]
-    faults: tuple[Fault, ...] = ()
-    stretch: float = 1.0
-    restored: tuple[str, ...] = ()
+def threshold(bank: Bank, hours: float, channels: int) -> float:
+    """Scatters beyond which a level of any of `channels` is seen once in 1 / `RATE_PER_H`.
 
-    def found(self, fault_: Fault, without: str = "", values: Values | None = None) -> _Subject:
-        """Add a fault, and go on without its channel or with the values before it."""
-        return replace(
-            self,
-            signals=self.signals.having(values or {}),
-            channels=tuple(name for name in self.channels if name != without),
-            faults=(*self.faults, fault_),
-        )
+    The scatter itself is known from the bank's logs and the prior ones (Bonferroni over channels).
+    """
+    share = min(RATE_PER_H * max(hours, 0.1), 0.05) / max(channels, 1)
+    return float(student.isf(0.5 * share, _dof(bank)))
+
+
+def _dof(bank: Bank) -> float:
+    """Degrees of freedom of the scatter between logs."""
+    return PRIOR_LOGS + max(bank.logs - 1, 1)
 
 
 def screened(bank: Bank | None, logs: Sequence[Log]) -> list[Log]:
-    """Return prepared logs with the faults that the bank shows added to their own."""
+    """Return prepared logs with what the bank shows added to their findings."""
     if bank is None:
         return list(logs)
-    found = [replace(log, faults=examine(bank, log)) for log in logs]
-    for i, k in combinations(range(len(found)), 2):
-        if _of_one_flight(found[i], found[k]):
-            found[i], found[k] = _exchanged(bank, found[i], found[k])
+    found = []
+    for log, clock in zip(logs, _stretched(bank, logs), strict=True):
+        mates = [one for one in logs if _of_one_flight(log, one)]
+        # With another clock every channel looks late, and lags are wrong.
+        more = clock or _examine(bank, log, mates[0] if mates else None)
+        found.append(replace(log, findings=(*log.findings, *more)))
     return found
 
 
-def contradiction(bank: Bank, log: Log) -> float:
-    """RMS of the residuals of a prepared log, each over its sigma; 0 where none can be tested."""
-    channels = tuple(name for name in bank.channels if log.recorded([name]))
-    signals = Signals.of(log)
-    if len(channels) < 2 or len(signals.time_s) < WINDOWS_S[0]:
-        return 0.0
-    return _spread(residuals(bank, signals, channels))
+def masked(log: Log) -> Log:
+    """Return the log with the stretches that its findings mask as NaN, and that counted."""
+    changed: dict[str, FloatArray] = {}
+    entries = []
+    for each in log.findings:
+        if not each.masks or each.channel not in log.channels:
+            continue
+        values = changed.get(each.channel, log.channels[each.channel]).copy()
+        inside = each.rows(log.time_s) & np.isfinite(values)
+        if inside.any():
+            values[inside] = np.nan
+            changed[each.channel] = values
+            count = int(inside.sum())
+            entries.append(AuditEntry(each.channel, "masked", f"{_REASON}{each.kind}", count))
+    return log.with_channels(changed, *entries) if changed else log
+
+
+def by_each_other(logs: Sequence[Log], channels: Sequence[str]) -> list[Log]:
+    """Return prepared training logs with the findings that the other recordings show.
+
+    `channels` are those of the model. A recording is a file; a single one is compared with itself,
+    of which a stretch is not most. What the first pass masks is not learned from in the second.
+    """
+    found = list(logs)
+    for _ in range(2):
+        known = [masked(log) for log in found]
+        after = list(found)
+        for own in _files(logs):
+            rest = [log for k, log in enumerate(known) if k not in own] or known
+            bank = learn(rest, channels)
+            for k, log in zip(own, screened(bank, [logs[k] for k in own]), strict=True):
+                after[k] = log
+        done = [_spans(a) == _spans(b) for a, b in zip(after, found, strict=True)]
+        found = after
+        if all(done):
+            break
+    return found
+
+
+def _spans(log: Log) -> set[tuple[str, float | None]]:
+    return {(each.channel, each.start_s) for each in log.findings if each.masks}
 
 
 def _of_one_flight(a: Log, b: Log) -> bool:
@@ -86,438 +138,353 @@ def _of_one_flight(a: Log, b: Log) -> bool:
     return apart and len(a) == len(b) and bool(a.time_s[0] == b.time_s[0])
 
 
-# Kinds of fault that an exchange may explain.
-_LEVELS = frozenset({"scale", "bias", "drift", "dead", "inconsistent"})
-_EXCHANGED = 0.85  # of the residual, at most, that an exchange leaves in both logs together
+@dataclass(frozen=True, eq=False)
+class _Subject:
+    """The log under examination; `signals` without what is masked so far."""
+
+    bank: Bank
+    log: Log
+    signals: Signals
+    channels: tuple[str, ...]
+    mate: Residuals | None
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def hours(self) -> float:
+        """Length of the log."""
+        return len(self.log) * self.log.dt_s / 3600.0
+
+    @property
+    def threshold(self) -> float:
+        """Of levels, in scatters."""
+        return threshold(self.bank, self.hours, len(self.channels))
+
+    def residuals(self) -> Residuals:
+        """R without what the other engine of the flight shows, too."""
+        found = residuals(self.bank, self.signals, self.channels)
+        if self.mate is None:
+            return found
+        common = {
+            name: agreement([each, each - self.mate.agreed[name]])
+            if name in self.mate.agreed
+            else each
+            for name, each in found.agreed.items()
+        }
+        return replace(found, agreed=common)
+
+    def with_finding(self, found: Finding) -> _Subject:
+        """Add a finding; its stretch is compared with nothing any more."""
+        values = self.signals.values[found.channel]
+        blank = np.where(found.rows(self.signals.time_s), np.nan, values)
+        signals = self.signals.having({found.channel: blank}) if found.local else self.signals
+        return replace(self, signals=signals, findings=(*self.findings, found))
 
 
-def _exchanged(bank: Bank, a: Log, b: Log) -> tuple[Log, Log]:
-    """Name a channel of wrong level that fits when both engines' readings are exchanged."""
-    names = {each.channel for log in (a, b) for each in log.faults if each.kind in _LEVELS}
-    for name in sorted(names & {*bank.channels}):
-        channels = tuple(one for one in bank.channels if a.recorded([one]) and b.recorded([one]))
-        if name not in channels:
-            continue
-        pair = Signals.of(a), Signals.of(b)
-        restored = (
-            pair[0].having({name: pair[1].values[name]}),
-            pair[1].having({name: pair[0].values[name]}),
-        )
-        before, after = (
-            [residuals(bank, one, channels) for one in signals] for signals in (pair, restored)
-        )
-        left = sum(_spread(one) ** 2 for one in after) / sum(_spread(one) ** 2 for one in before)
-        if left < _EXCHANGED**2 and all(_mostly_sound(one) for one in after):
-            return _with_exchange(a, b, name), _with_exchange(b, a, name)
-    return a, b
-
-
-def _with_exchange(log: Log, other: Log, name: str) -> Log:
-    """The log with its faults of level replaced by the exchange that explains them."""
-    kept = tuple(each for each in log.faults if each.kind not in _LEVELS)
-    text = f"fits the training logs when exchanged with that of {other.source.engine}"
-    return replace(log, faults=(*kept, fault(log, (name,), ("swapped", text))))
-
-
-def examine(bank: Bank, log: Log) -> tuple[Fault, ...]:
-    """The faults of one prepared log: its own, and those that the bank shows."""
-    lost = {each.channel for each in log.faults if each.kind in {"unit", "held"}}
+def _subject(bank: Bank, log: Log, mate: Log | None) -> _Subject | None:
+    lost = {each.channel for each in log.findings if each.kind == "unit" and not each.local}
     channels = tuple(name for name in bank.channels if log.recorded([name]) and name not in lost)
-    subject = _Subject(log, Signals.of(log), channels, log.faults)
-    if len(channels) < 2 or len(subject.signals.time_s) < WINDOWS_S[0]:
-        return log.faults
-    for step in _STEPS:
-        if len(subject.channels) > 1:
-            subject = step(bank, subject)
-    used = {*bank.used, *AIR, "CAS_kt", "time_s"}
-    return tuple(each for each in subject.faults if each in log.faults or used & {*each.channels})
+    clean = masked(log)
+    signals = Signals.of(clean)
+    if len(channels) < 2 or len(signals.time_s) * signals.step_s < 2.0 * _LEAST_STRETCH_S:
+        return None
+    other = None
+    if mate is not None:
+        shared = tuple(name for name in channels if mate.recorded([name]))
+        other = residuals(bank, Signals.of(masked(mate)), shared) if len(shared) > 1 else None
+    return _Subject(bank, clean, _without_air(log, signals), channels, other)
 
 
-_SELDOM = 1.6
+def _without_air(log: Log, signals: Signals) -> Signals:
+    """Blank air data of a wrong unit or that contradict each other: nothing is corrected by it."""
+    wrong = {name for each in log.findings if not each.local for name in each.channels} & {*AIR}
+    blank = {name: np.full(len(signals.time_s), np.nan) for name in wrong if name in signals.values}
+    return signals.having(blank)
 
 
-def _coarse(bank: Bank, subject: _Subject) -> _Subject:
-    """Channels, or whole rows, that change much more seldom than in the training logs."""
-    log = subject.log
-    seldom = [log.updates.get(name, 0.0) / bank.updates.get(name, 1.0) for name in subject.channels]
-    if min(seldom) > _SELDOM and max(seldom) < _SELDOM * min(seldom):
-        text = f"rows come {np.median(seldom):.2g} times as seldom as in the training logs"
-        doubtful = fault(log, ("time_s",), ("inconsistent", text), confidence=0.9)
-        return subject.found(doubtful)
-    for name in subject.channels:
-        every_s, usual_s = subject.log.updates.get(name, 0.0), bank.updates.get(name, 0.0)
-        if every_s > max(0.5, 3.0 * usual_s, 3.0 * subject.log.dt_s):
-            text = f"changes every {every_s:.2g} s only, every {usual_s:.2g} s in the training logs"
-            subject = subject.found(fault(subject.log, (name,), ("held", text)), without=name)
+def _examine(bank: Bank, log: Log, mate: Log | None) -> tuple[Finding, ...]:
+    """What the bank shows of one prepared log."""
+    subject = _subject(bank, log, mate)
+    if subject is None:
+        return ()
+    other = _restored(subject)
+    if other:
+        return other
+    for name in _sensed(subject):
+        subject = _motionless(subject, name)
+    for _ in range(_MOST_STRETCHES):
+        before = len(subject.findings)
+        subject = _stretch(subject)
+        if len(subject.findings) == before:
+            break
+    found = [*subject.findings, *_seldom(subject), *_noisy(subject), *_late(subject)]
+    if not any(each.kind in {"held", "late", "stuck"} for each in found):
+        found += _level(subject)
+    used = {*bank.used, *AIR, "time_s"}
+    return tuple(each for each in found if used & {*each.channels})
+
+
+def _sensed(subject: _Subject) -> list[str]:
+    """Channels that a sensor measures; a lever is commanded."""
+    return [name for name in subject.channels if is_measured(name)]
+
+
+# ---------------------------------------------------------------- stretches
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of height h in blocks `start:stop`; it raises the log likelihood by `gain` / 2."""
+
+    gain: float
+    start: int
+    stop: int
+    height: float
+
+
+def strongest_step(blocks: Blocks, wander: Wander) -> Step:
+    """The step that raises the likelihood of r most; a log is compared with its own wander, too."""
+    count, least = len(blocks.r), round(_LEAST_STRETCH_S / BLOCK_S)
+    if count < 2 * least:
+        return Step(0.0, 0, 0, 0.0)
+    z, phi, variance = _whitened(blocks, wander)
+    weight = 1.0 / variance
+    score = np.concatenate([[0.0], np.cumsum((1.0 - phi) * z * weight)])
+    norm = np.concatenate([[0.0], np.cumsum((1.0 - phi) ** 2 * weight)])
+    begin = z * weight - score[1:], weight - norm[1:]
+    end = (
+        np.append(score[:-1] - phi * z * weight, score[-1]),
+        np.append(norm[:-1] + phi**2 * weight, norm[-1]),
+    )
+    product, square = (a[:, None] + b[None, :] for a, b in zip(begin, end, strict=True))
+    length = np.arange(count + 1)[None, :] - np.arange(count)[:, None]
+    allowed = (length >= least) & (length <= count - least)
+    gain = np.where(allowed, product**2 / np.where(allowed, square, 1.0), 0.0)
+    start, stop = np.unravel_index(int(np.argmax(gain)), gain.shape)
+    height = float(product[start, stop] / square[start, stop])
+    return Step(float(gain[start, stop]), int(start), int(stop), height)
+
+
+def _whitened(blocks: Blocks, wander: Wander) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Innovations of r, the share phi that stays since the block before, and their variance."""
+    r = blocks.r - np.median(blocks.r)
+    apart = np.clip(np.round(np.diff(blocks.time_s) / BLOCK_S), 1.0, 1e4)
+    phi = np.concatenate([[0.0], wander.stays**apart])
+    z = r - phi * np.concatenate([[0.0], r[:-1]])
+    own = own_wander(z[1:], blocks.moved[1:], wander.stays)
+    larger = Wander(wander.stays, max(wander.rest, own.rest), max(wander.motion, own.motion))
+    stationary = max(1.0 - wander.stays**2, 1e-9)
+    return z, phi, larger.variance(blocks.moved) * (1.0 - phi**2) / stationary
+
+
+def _stretch(subject: _Subject) -> _Subject:
+    """Add the strongest stretch of one channel, if it is at fault."""
+    found = subject.residuals()
+    best: tuple[float, str, Blocks, list[tuple[int, int]]] | None = None
+    for name in _sensed(subject):
+        if len(found.errors[name]) < 2:
+            continue  # of two channels neither can be said to be wrong
+        blocks = Blocks.of(found, name)
+        step = strongest_step(blocks, Wander(*subject.bank.wander[name]))
+        parts = _at_fault(subject, name, blocks, step)
+        if parts and (best is None or step.gain > best[0]):
+            best = step.gain, name, blocks, parts
+    if best is None:
+        return subject
+    _, name, blocks, parts = best
+    for start, stop in parts:
+        subject = subject.with_finding(_described(subject, found, name, (blocks, start, stop)))
     return subject
 
 
-_LEAST_DELAY_S = 0.4
+def _at_fault(subject: _Subject, name: str, blocks: Blocks, step: Step) -> list[tuple[int, int]]:
+    """Blocks at fault: the step, or all but it where that agrees; empty where nothing is."""
+    if step.gain < LEAST_GAIN:
+        return []
+    scatter = subject.bank.level[name]
+    inside = np.zeros(len(blocks.r), dtype=np.bool_)
+    inside[step.start : step.stop] = True
+    levels = [float(np.median(blocks.r[rows])) / scatter for rows in (inside, ~inside)]
+    if abs(levels[0] - levels[1]) < subject.threshold:
+        return []
+    wrong = inside if abs(levels[0]) > abs(levels[1]) else ~inside
+    right = levels[1] if abs(levels[0]) > abs(levels[1]) else levels[0]
+    if abs(right) > _AGREES:
+        return []
+    far = np.abs(blocks.r / scatter - right) > subject.threshold
+    return _joined([_extended(far, span) for span in spans(wrong)])
 
 
-def _late(bank: Bank, subject: _Subject) -> _Subject:
-    """A channel that is later against all others than in the training logs."""
-    log = subject.log
-    found = delays_of(log, subject.channels, subject.stretch)
-    excess, spread = {}, {}
-    for i in subject.channels:
-        known = [
-            (found[i, j] - bank.delays[i][j][0], bank.delays[i][j][1])
-            for j in subject.channels
-            if (i, j) in found and j in bank.delays.get(i, {})
-        ]
-        if len(known) >= 2:
-            excess[i] = _agreed([error for error, _ in known])
-            spread[i] = float(np.median([each for _, each in known]))
-    late = {
-        name: delay
-        for name, delay in excess.items()
-        if abs(delay) > max(_LEAST_DELAY_S, 4.0 * spread[name])
+def _extended(far: BoolArray, span: tuple[int, int]) -> tuple[int, int]:
+    """The span with what is far from the rest of the log next to it.
+
+    Gaps of up to `_BRIDGED_S` are bridged: a sensor that fails before and after them is not
+    believed within.
+    """
+    start, stop = span
+    reach = round(_BRIDGED_S / BLOCK_S)
+    while True:
+        first = max(start - reach, 0)
+        before, after = np.flatnonzero(far[first:start]), np.flatnonzero(far[stop : stop + reach])
+        if len(before) < _FAR_BLOCKS and len(after) < _FAR_BLOCKS:
+            return start, stop
+        start = first + int(before[0]) if len(before) >= _FAR_BLOCKS else start
+        stop = stop + int(after[-1]) + 1 if len(after) >= _FAR_BLOCKS else stop
+
+
+def _joined(parts: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The spans, those that touch as one."""
+    found: list[tuple[int, int]] = []
+    for start, stop in sorted(parts):
+        if found and start <= found[-1][1]:
+            found[-1] = found[-1][0], max(stop, found[-1][1])
+        else:
+            found.append((start, stop))
+    return found
+
+
+def _described(
+    subject: _Subject, found: Residuals, name: str, where: tuple[Blocks, int, int]
+) -> Finding:
+    """The stretch as a finding: its times, and what explains its error best.
+
+    It reaches to the next blocks that agree: what cannot be compared in between is not believed.
+    """
+    blocks, start, stop = where
+    time_s, half = blocks.time_s, 0.5 * BLOCK_S
+    log_ends = float(subject.log.time_s[0]), float(subject.log.time_s[-1])
+    first = log_ends[0] if start == 0 else float(time_s[start - 1]) + half
+    last = log_ends[1] if stop == len(time_s) else float(time_s[stop]) - half
+    inside = (found.signals.time_s >= first) & (found.signals.time_s <= last)
+    kind, size, unit = _kind(found, name, inside)
+    text = f"{size:+.3g} {unit} against what {_listed(subject.channels, name)} say"
+    level = float(np.median(np.abs(blocks.r[start:stop]))) / subject.bank.level[name]
+    probability = _probability(subject, level)
+    return finding(
+        subject.log, name, kind, text, span_s=(first, last), size=(size, unit),
+        probability=max(probability, 1.0 - RATE_PER_H * max(subject.hours, 0.1)),
+    )  # fmt: skip
+
+
+def _probability(subject: _Subject, level: float) -> float:
+    """One minus the probability of a level of any channel on a sound log."""
+    tail = float(student.sf(abs(level), _dof(subject.bank)))
+    alarms = len(subject.channels) * 2.0 * tail
+    return float(np.clip(1.0 - alarms, 0.0, 0.9999))
+
+
+def _kind(found: Residuals, name: str, inside: BoolArray) -> tuple[Kind, float, str]:
+    """How a channel is wrong in some rows, by the shape that leaves least: kind, size, unit.
+
+    A scale and a drift by 95 %: what is constant is taken for constant.
+    """
+    error, expected = _error(found, name)
+    rows = inside & np.isfinite(error) & np.isfinite(expected)
+    y, base = error[rows], expected[rows]
+    if len(y) < 3:
+        return "bias", 0.0, CHANNELS[name].unit
+    ramp = np.linspace(0.0, 1.0, len(y))
+    shapes: dict[Kind, tuple[FloatArray, float]] = {
+        "bias": (np.ones(len(y)), 1.0),
+        "scale": (base, 1.0),
+        "drift": (ramp, 0.9),
     }
-    if not late:
-        return subject
-    name = max(late, key=lambda each: abs(late[each]))
-    delay = late[name]
-    word = "late" if delay > 0.0 else "early"
-    shift = delay / subject.signals.step_s
-    values = subject.signals.values[name]
-    rows = np.arange(len(values)) + shift
-    shifted = np.interp(rows, np.arange(len(values)), bridge_gaps(values))
-    text = f"{abs(delay):.2g} s {word} against {_listed(subject.channels, name)}"
-    return subject.found(fault(subject.log, (name,), ("late", text)), values={name: shifted})
+    left, sizes = {}, {}
+    for kind, (shape, price) in shapes.items():
+        square = float(shape @ shape)
+        sizes[kind] = float(shape @ y) / square if square > 0.0 else 0.0
+        left[kind] = float(np.sum(np.abs(y - sizes[kind] * shape))) / price
+    best = min(left, key=lambda each: left[each])
+    if best == "scale":
+        return best, 100.0 * sizes[best], "%"
+    return best, sizes[best], CHANNELS[name].unit
 
 
-def _agreed(errors: Sequence[float]) -> float:
-    """Median of three or more; of two, the smaller where both have one sign."""
-    if len(errors) != 2:
-        return float(np.median(errors))
-    return min(errors, key=abs) if errors[0] * errors[1] > 0.0 else 0.0
+def _error(found: Residuals, name: str) -> tuple[FloatArray, FloatArray]:
+    """Agreed error and expected value (time,) of a channel in its unit."""
+    expected = found.corrected.raw(name, found.expected[name])
+    error = found.agreed[name] * found.scale(name) * found.corrected.scale[name]
+    return error, expected
 
 
 def _listed(channels: Sequence[str], but: str) -> str:
     return " and ".join(symbol(name) for name in channels if name != but)
 
 
-# Of a log in air of the training logs: dynamics of other air may be slower.
-_KNOWN_AIR = 0.15
-
-
-def _stretched(bank: Bank, subject: _Subject) -> _Subject:
-    """Time stamps by which all dynamics are too slow or too fast.
-
-    `r(k)` is the ratio of the dynamic residual, were the stamps stretched by k, to that as they
-    are. A sound log has the r(k) of the training logs; one that is stretched by k has 1 / r(1/k).
-    The log belongs to the nearer of both.
-    """
-    inside = inside_air(bank, Corrected.of(subject.signals, subject.channels))
-    if inside.mean() < _KNOWN_AIR:
-        return subject
-    beyond = {}
-    for stretch in STRETCHES:
-        usual, inverse = bank.stretch[str(stretch)], bank.stretch[str(1.0 / stretch)]
-        found = log_ratio(bank, subject.signals, subject.channels, stretch)
-        beyond[stretch] = 0.5 * (usual - inverse) - found
-    best = max(beyond, key=lambda each: beyond[each])
-    if not beyond[best] > 0.0:
-        return subject
-    word = "long" if best > 1.0 else "short"
-    text = f"time stamps look stretched by {best:g}: all responses are so many times as {word}"
-    found_ = subject.found(fault(subject.log, ("time_s",), ("scale", text)))
-    signals = replace(subject.signals, step_s=subject.signals.step_s / best)
-    return replace(found_, signals=signals, stretch=best)
-
-
-def _whole(bank: Bank, subject: _Subject) -> _Subject:
-    """Another unit or two exchanged channels, which restore the whole log when undone."""
-    before = residuals(bank, subject.signals, subject.channels)
-    if before.sound:
-        return subject
-    best: tuple[float, Fault, dict[str, FloatArray]] | None = None
-    for kind, channels, text, values in _hypotheses(subject):
-        after = residuals(bank, subject.signals.having(values), subject.channels)
-        if after.extrapolation > _MORE_EXTRAPOLATED * before.extrapolation:
-            continue  # wider tolerances explain everything
-        if after.misfit > _RESTORED * before.misfit or not _mostly_sound(after):
-            continue
-        if best is None or after.misfit < best[0]:
-            best = (after.misfit, fault(subject.log, channels, (kind, text)), values)
-    if best is None:
-        return subject
-    if best[1].kind == "swapped":
-        a, b = best[1].channels
-        log = subject.log.with_channels({a: subject.log[b], b: subject.log[a]})
-        subject = replace(subject, log=log)
-    return subject.found(best[1], values=best[2])
-
-
-def _airspeed(bank: Bank, subject: _Subject) -> _Subject:
-    """Which of Mach and CAS is wrong, where they contradict each other: what the engine says."""
-    values = subject.signals.values
-    open_ = [each for each in subject.faults if {"Mach", "CAS_kt", "ALT_ft"} >= {*each.channels}]
-    open_ = [each for each in open_ if each.kind == "inconsistent" and len(each.channels) > 1]
-    if not open_ or not {"Mach", "CAS_kt", "ALT_ft"} <= values.keys():
-        return subject
-    implied = {"Mach": mach_of_cas(np.abs(values["CAS_kt"]), values["ALT_ft"])}
-    restored = replace(subject, signals=subject.signals.having(implied))
-    recorded, other = (
-        _spread(residuals(bank, each.signals, each.channels)) for each in (subject, restored)
-    )
-    if _DECIDED[0] * other > recorded and _DECIDED[1] * recorded > other:
-        return subject
-    name = "Mach" if other < recorded else "CAS_kt"
-    flies = implied["Mach"] > _AIRBORNE
-    ratio = (values["Mach"] / np.maximum(implied["Mach"], 1e-9))[flies]
-    constant = len(ratio) and np.std(ratio) < _CONSTANT * np.mean(ratio)
-    wrong = replace(
-        open_[0], channel=name, channels=(name,), kind="scale" if constant else "inconsistent"
-    )
-    faults = tuple(wrong if each is open_[0] else each for each in subject.faults)
-    if name == "Mach":
-        return replace(restored, faults=faults, restored=("Mach",))
-    return replace(subject, faults=faults)
-
-
-# Ratios of the engine's residuals from which on Mach, or CAS, is at fault.
-_DECIDED, _AIRBORNE, _CONSTANT = (1.1, 1.25), 0.2, 0.1
-
-
-def _without_air(_bank: Bank, subject: _Subject) -> _Subject:
-    """Samples in which air data are at fault say nothing of the engine; what is restored does."""
-    blanked: dict[str, FloatArray] = {}
-    for each in subject.faults:
-        for name in {*AIR} & {*each.channels} - {*subject.restored}:
-            if name in subject.signals.values:
-                time_s = subject.signals.time_s
-                inside = (time_s >= each.from_s) & (time_s <= each.to_s)
-                before = blanked.get(name, subject.signals.values[name])
-                blanked[name] = np.where(inside, np.nan, before)
-    lost = np.any([~np.isfinite(each) for each in blanked.values()], axis=0)
-    channels = () if np.mean(lost) > 1.0 - _LEAST_TESTABLE else subject.channels
-    return replace(subject, signals=subject.signals.having(blanked), channels=channels)
-
-
-_LEAST_TESTABLE = 0.1  # share of a log's samples below which the bank says nothing of it
-
-
-def _spread(found: Residuals) -> float:
-    """RMS of the residuals, each over its sigma."""
-    parts = np.stack([found.consensus[name] / found.bank.sigma[name] for name in found.channels])
-    known = parts[np.isfinite(parts)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
-
-
-_RESTORED = 0.35
-_MORE_EXTRAPOLATED = 1.02
-_MOSTLY = 0.15
-
-
-def _mostly_sound(found: Residuals) -> bool:
-    known = sum(float(np.isfinite(each).mean()) for each in found.smooth.values())
-    return known > 0.3 * len(found.channels) and all(
-        found.share(name) < _MOSTLY for name in found.channels
-    )
-
-
-_AIR_SCALES = tuple(2.0 ** (k / 4.0) for k in range(-4, 5) if k)
-
-
-def _hypotheses(
-    subject: _Subject,
-) -> Iterator[tuple[Kind, tuple[str, ...], str, dict[str, FloatArray]]]:
-    values = subject.signals.values
-    for a, b in combinations(subject.channels, 2):
-        if CHANNELS[a].unit == CHANNELS[b].unit:
-            text = f"{symbol(a)} and {symbol(b)} fit the training logs when exchanged"
-            yield "swapped", (a, b), text, {a: values[b], b: values[a]}
-    sound = sound_air(subject.log)
-    air = [name for name in ("ALT_ft", "Mach") if name in values and name not in sound]
-    for name in (*subject.channels, *air):
-        for word, scale, offset in conversions(name):
-            level = f"median {np.nanmedian(values[name]):.4g}"
-            yield (
-                "unit",
-                (name,),
-                f"looks like {word}: {level}",
-                {name: scale * values[name] + offset},
-            )
-    for name in air:
-        for factor in _AIR_SCALES:
-            text = f"looks scaled by {factor:.2g}"
-            yield "scale", (name,), text, {name: values[name] / factor}
-
-
-def _isolated(bank: Bank, subject: _Subject) -> _Subject:
-    """The channel without which the others agree, and how it is wrong."""
-    if len(subject.channels) < 2:
-        return subject
-    found = residuals(bank, subject.signals, subject.channels)
-    flagged = {name: each for name, each in found.flagged.items() if _lasting(each, found)}
-    if not flagged:
-        return subject
-    name = max(flagged, key=lambda each: _energy(found, each))
-    if len(subject.channels) > 3:
-        rest = {
-            each: residuals(
-                bank, subject.signals, [other for other in subject.channels if other != each]
-            ).misfit
-            for each in flagged
-        }
-        name = min(rest, key=lambda each: rest[each])
-    if len(subject.channels) == 2:
-        text = "contradict each other by more than in any training log"
-        return subject.found(
-            _spanned(
-                subject.log, subject.channels, ("inconsistent", text), found, _span(found, name)
-            ),
-            without=name,
-        )
-    kind, text, rows = _kind(found, name)
-    return subject.found(_spanned(subject.log, (name,), (kind, text), found, rows), without=name)
-
-
-def _energy(found: Residuals, name: str) -> float:
-    return float(np.nansum(np.minimum(np.abs(found.smooth[name]), 4.0) ** 2))
-
-
-def _lasting(flags: BoolArray, found: Residuals) -> bool:
-    """Whether flags last for at least half a window."""
-    least = 0.5 * WINDOWS_S[0] / found.signals.step_s
-    return any(stop - start >= least for start, stop in spans(flags))
-
-
-_WHOLE = 0.6
-
-
-def _span(found: Residuals, name: str) -> tuple[int, int]:
-    """First and last sample of the fault: the whole log if most testable samples are flagged."""
-    flags = found.flagged[name]
-    rows = np.flatnonzero(flags)
-    if found.share(name) > _WHOLE and rows[0] < 0.25 * len(flags):
-        return 0, len(flags) - 1
-    return int(rows[0]), int(rows[-1])
-
-
-def _spanned(
-    log: Log,
-    channels: tuple[str, ...],
-    words: tuple[Kind, str],
-    found: Residuals,
-    rows: tuple[int, int],
-) -> Fault:
-    """The fault in these rows, with the confidence of its largest S."""
-    first, last = rows
-    half = 0.5 * found.signals.step_s
-    time_s = found.signals.time_s
-    largest = LIMITS[1] * float(np.nanmax(np.abs(found.smooth[channels[0]])))
-    span_s = (float(time_s[first]) - half, float(time_s[last]) + half)
-    return fault(log, channels, words, span_s, _confidence(found, largest))
-
-
-def _confidence(found: Residuals, largest: float) -> float:
-    """Confidence of a deviation by `largest` sigma.
-
-    Sigma is known from few logs: the deviation has Student's distribution. A sound log may show it
-    in any of the m channels: m times the probability of one (Bonferroni).
-    """
-    dof = PRIOR_LOGS + max(found.bank.logs - 1, 1)
-    alarms = len(found.channels) * 2.0 * float(student.sf(largest, dof))
-    return min(max(1.0 - alarms, 0.0), 0.9999)
-
-
-def _kind(found: Residuals, name: str) -> tuple[Kind, str, tuple[int, int]]:
-    """How a channel is wrong, by what explains its difference from the expected one best; where."""
-    first, last = _span(found, name)
-    rows = np.arange(len(found.signals.time_s), dtype=np.float64)
-    y, expected = found.signals.values[name], found.corrected.raw(name, found.expected[name])
-    usable = np.isfinite(y) & np.isfinite(expected) & np.isfinite(found.smooth[name])
-    against, unit = _listed(found.channels, name), CHANNELS[name].unit
-    before = usable & (rows <= last)
-    shapes = _shapes(rows, (y, expected), before, first)
-    misfits = {
-        kind: float(np.mean(np.abs(y - expected - error)[before]))
-        * (1.0 if kind != "drift" else 1.2)
-        for kind, error in shapes.items()
-    }
-    best: Kind = min(misfits, key=lambda each: misfits[each])
-    at_end = shapes[best][last]
-    texts = {
-        "scale": f"{100.0 * at_end / expected[last]:+.1f} % against what {against} say",
-        "bias": f"{at_end:+.4g} {unit} against what {against} say",
-        "drift": f"drifts by {at_end:+.4g} {unit} against what {against} say",
-    }
-    if best == "drift":
-        noticed = np.abs(shapes[best]) > found.bank.sigma[name] * np.abs(expected)
-        first = int(np.argmax(noticed)) if noticed.any() else first
-    return best, texts[best], (first, last)
-
+# ---------------------------------------------------------------- motionless
 
 _STILL = 0.2  # of the motion that the other channels show
 _STILL_S, _LEAST_STILL_S = 60.0, 30.0
 
 
-def _motionless(bank: Bank, subject: _Subject) -> _Subject:
-    """A channel that shows noise, or nothing, while the others say that it moves."""
-    tested = [name for name in subject.channels if CHANNELS[name].role != "lever"]
-    if len(subject.channels) < 3 or not tested:
-        return subject
-    found = residuals(bank, subject.signals, subject.channels)
-    motion = {name: _without_motion(found, name) for name in tested}
-    motionless = {name: each for name, (each, _) in motion.items()}
-    name = max(motionless, key=lambda each: int(motionless[each].sum()))
-    spread = spans(motionless[name])
-    if not spread or motionless[name].sum() * subject.signals.step_s < _LEAST_STILL_S:
-        return subject
-    y, first, last = subject.signals.values[name], spread[0][0], spread[-1][1] - 1
-    part = y[motionless[name]]
-    kind: Kind = "stuck" if np.ptp(part) == 0.0 else "dead"
-    against = _listed(subject.channels, name)
-    text = f"stays at {np.median(part):.4g} {CHANNELS[name].unit} while {against} move"
-    dead = _spanned(subject.log, (name,), (kind, text), found, (first, last))
-    dead = replace(dead, confidence=_confidence(found, motion[name][1]))
-    return subject.found(dead, without=name)
+def _motionless(subject: _Subject, name: str) -> _Subject:
+    """A channel that shows noise, or nothing, while the others agree that it moves.
 
-
-def _without_motion(found: Residuals, name: str) -> tuple[BoolArray, float]:
-    """Samples at which the channel stays within 60 s, and the others say that it must move.
-
-    Also the largest move that they ask for, in sigma.
-
-    They say so where most of them ask for a move by the limit of S: a step of height h has a
-    standard deviation of h / 2. A switched load moves fuel and temperature, too, though by less.
-    The level at which it stays is followed to both sides for as long as the channel does.
+    Of a channel in steps nothing is known within some of them.
     """
+    if len(_sensed(subject)) < _TELLING:
+        return subject
+    found = residuals(subject.bank, subject.signals, subject.channels)
     size = round(_STILL_S / found.signals.step_s)
-    y = found.signals.values[name]
-    sigma = found.bank.sigma[name] * abs(found.bank.centre[name]) * found.corrected.scale[name]
-    own, other = _moving_spread(y, size), _implied_motion(found, name, size)
-    quiet = (own < _STILL * other) & (other > 0.5 * LIMITS[0] * sigma)
-    motionless = np.zeros(len(y), dtype=np.bool_)
-    largest = 2.0 * float(np.max((other / sigma)[quiet], initial=0.0))
-    half = size // 2
+    y = subject.signals.values[name]
+    own, implied = _moving_spread(y, size), _implied(found, name, size)
+    scatter = _AGREES * subject.bank.level[name] * abs(subject.bank.centre[name])
+    least = np.maximum(scatter * found.corrected.scale[name], 3.0 * _resolution(y))
+    if subject.mate is not None and name in subject.mate.channels:
+        # The other engine moves, too, while this one's channel stays.
+        other = _moving_spread(subject.mate.signals.values[name], size)
+        implied = np.minimum(implied, other)
+    quiet = (own < _STILL * implied) & (implied > least)
+    for start, stop in _followed(y, own, quiet, size // 2):
+        seconds = (stop - start) * found.signals.step_s
+        if seconds >= _LEAST_STILL_S:
+            time_s, half = found.signals.time_s, 0.5 * found.signals.step_s
+            span_s = float(time_s[start]) - half, float(time_s[stop - 1]) + half
+            level = float(np.nanmedian(y[start:stop]))
+            text = f"stays at {level:.4g} while {_listed(subject.channels, name)} move"
+            size_ = (level, CHANNELS[name].unit)
+            whole = stop - start > _MOSTLY * len(y)
+            place = None if whole else span_s
+            subject = subject.with_finding(
+                finding(subject.log, name, "stuck", text, span_s=place, size=size_)
+            )
+    return subject
+
+
+_MOSTLY = 0.98
+
+
+def _resolution(values: FloatArray) -> float:
+    """Step of a quantised channel: the smallest of its usual changes."""
+    steps = np.abs(np.diff(values))
+    steps = steps[np.isfinite(steps) & (steps > 0.0)]
+    return float(np.percentile(steps, 10)) if len(steps) else 0.0
+
+
+def _followed(y: FloatArray, own: FloatArray, quiet: BoolArray, half: int) -> list[tuple[int, int]]:
+    """Stretches around quiet windows, for as long as the channel keeps its level."""
+    still = np.zeros(len(y), dtype=np.bool_)
     for start, stop in spans(quiet):
         first, last = max(start - half, 0), min(stop + half, len(y))
         level, width = np.nanmedian(y[first:last]), 4.0 * float(np.nanmax(own[start:stop]))
         same = np.abs(moving_mean(y, 5) - level) <= max(width, 1e-9)
+        first, last = start, stop
         while first > 0 and same[first - 1]:
             first -= 1
         while last < len(y) and same[last]:
             last += 1
-        motionless[first:last] = True
-    return motionless, largest
+        still[first:last] = True
+    return spans(still)
 
 
-def _implied_motion(found: Residuals, name: str, size: int) -> FloatArray:
-    """Standard deviation in a window (time,) that the middle one of the other channels asks for.
-
-    A step of one of them, such as the begin of its own fault, is no reason for this one to move.
-    """
-    x, expected = found.corrected.x[name], found.expected[name]
-    scale = 0.5 * np.maximum(expected, 0.0) + 0.5 * abs(found.bank.centre[name])
-    implied = [
-        _moving_spread(found.corrected.raw(name, x - error * scale), size)
-        for error in found.errors[name].values()
+def _implied(found: Residuals, name: str, size: int) -> FloatArray:
+    """Standard deviation in a window (time,) that half of the other channels ask for, or more."""
+    scale = found.scale(name)
+    parts = [
+        _moving_spread(found.corrected.raw(name, found.corrected.x[name] - each * scale), size)
+        for each in found.errors[name].values()
     ]
-    return np.nan_to_num(np.median(implied, axis=0))
+    ordered = np.sort(np.nan_to_num(np.stack(parts)), axis=0)
+    return np.asarray(ordered[(len(parts) - 1) // 2])
 
 
 def _moving_spread(values: FloatArray, size: int) -> FloatArray:
@@ -527,57 +494,179 @@ def _moving_spread(values: FloatArray, size: int) -> FloatArray:
     return np.sqrt(np.maximum(square, 0.0))
 
 
-def _shapes(
-    rows: FloatArray, signals: tuple[FloatArray, FloatArray], before: BoolArray, first: int
-) -> dict[Kind, FloatArray]:
-    """The error (time,) that a scale, a bias and a drift give at best, up to the end of a span."""
-    y, expected = signals
-    error, on = y - expected, (rows >= first).astype(np.float64)
-    shapes: dict[Kind, FloatArray] = {
-        "scale": _fitted(error, on * expected, before),
-        "bias": _fitted(error, on, before),
-    }
-    drifts = [
-        _fitted(error, np.maximum(rows - begin, 0.0) * factor, before)
-        for begin in np.linspace(0, first, 8)
-        for factor in (1.0, expected)
-    ]
-    shapes["drift"] = min(drifts, key=lambda each: float(np.mean(np.abs(error - each)[before])))
-    return shapes
+# ---------------------------------------------------------------- the whole log
+
+_SELDOM, _LEAST_UPDATE_S = 3.0, 0.5
 
 
-def _fitted(error: FloatArray, shape: FloatArray, usable: BoolArray) -> FloatArray:
-    """`shape` times the factor that fits the error in the least-squares sense."""
-    square = float(np.sum(shape[usable] ** 2))
-    return shape * (float(np.sum(shape[usable] * error[usable])) / square if square > 0.0 else 0.0)
+def _seldom(subject: _Subject) -> Iterator[Finding]:
+    """Channels that change much more seldom than in the training logs."""
+    for name in _sensed(subject):
+        every_s = subject.log.updates.get(name, 0.0)
+        usual_s = subject.bank.updates.get(name, 0.0)
+        if every_s > max(_LEAST_UPDATE_S, _SELDOM * usual_s, _SELDOM * subject.log.dt_s):
+            text = f"changes every {every_s:.2g} s only, every {usual_s:.2g} s in the training logs"
+            yield finding(subject.log, name, "held", text, size=(every_s, "s"))
 
 
 _NOISY = 6.0
 
 
-def _noisy(bank: Bank, subject: _Subject) -> _Subject:
-    """Channels that follow the others with much more noise than in any training log."""
-    for name in subject.channels:
-        own, usual = noise_of(subject.log, name), bank.noise.get(name, 0.0)
-        matters = 0.5 * bank.sigma[name] * abs(bank.centre[name])
-        if own > _NOISY * max(usual, 1e-12) and own > matters and _follows(bank, subject, name):
-            text = f"noise of {own:.2g} {CHANNELS[name].unit}, {usual:.2g} in the training logs"
-            subject = subject.found(fault(subject.log, (name,), ("noise", text)), without=name)
-    return subject
+def _noisy(subject: _Subject) -> Iterator[Finding]:
+    """Channels with much more noise than in any training log, and more than their scatter."""
+    for name in _sensed(subject):
+        own, usual = noise_of(subject.log, name), subject.bank.noise.get(name, 0.0)
+        matters = 0.5 * subject.bank.level[name] * abs(subject.bank.centre[name])
+        if own > max(_NOISY * usual, matters):
+            unit = CHANNELS[name].unit
+            text = f"noise of {own:.2g} {unit}, {usual:.2g} in the training logs"
+            yield finding(subject.log, name, "noise", text, size=(own, unit))
 
 
-def _follows(bank: Bank, subject: _Subject, name: str) -> bool:
-    """Whether a channel is correlated with what the others say, in means over 10 s."""
-    found = residuals(bank, subject.signals, subject.channels)
-    size = round(10.0 / subject.signals.step_s)
-    pair = [moving_mean(each[name], size) for each in (found.corrected.x, found.expected)]
-    known = np.isfinite(pair[0]) & np.isfinite(pair[1])
-    spread = min((float(np.std(each[known])) for each in pair), default=0.0) if known.any() else 0.0
-    return spread > 0.0 and bool(np.corrcoef(pair[0][known], pair[1][known])[0, 1] > _FOLLOWS)
+_LEAST_DELAY_S = 0.4
 
 
-_FOLLOWS = 0.5
-_STEPS: tuple[Callable[[Bank, _Subject], _Subject], ...] = (
-    _airspeed, _without_air, _coarse, _noisy, _stretched, _whole, _late, _motionless, _isolated,
-    _isolated,
-)  # fmt: skip
+def _late(subject: _Subject) -> Iterator[Finding]:
+    """The channel that is later against all others than in the training logs."""
+    bank, found = subject.bank, delays_of(subject.log, subject.channels)
+    excess: dict[str, tuple[float, float]] = {}
+    for i in subject.channels:
+        known = [
+            (found[i, j] - bank.delays[i][j][0], bank.delays[i][j][1])
+            for j in subject.channels
+            if (i, j) in found and j in bank.delays.get(i, {})
+        ]
+        if len(known) >= 2:
+            errors = np.array([[error] for error, _ in known])
+            spread = float(np.median([each for _, each in known]))
+            excess[i] = float(agreement(list(errors))[0]), spread
+    limit = subject.threshold
+    late = {
+        name: delay
+        for name, (delay, spread) in excess.items()
+        if abs(delay) > max(_LEAST_DELAY_S, limit * spread)
+    }
+    if late:
+        name = max(late, key=lambda each: abs(late[each]))
+        word = "late" if late[name] > 0.0 else "early"
+        text = f"{abs(late[name]):.2g} s {word} against {_listed(subject.channels, name)}"
+        yield finding(subject.log, name, "late", text, size=(late[name], "s"))
+
+
+def _stretched(bank: Bank, logs: Sequence[Log]) -> list[tuple[Finding, ...]]:
+    """Stretched time stamps of each log: of all engines of a file or of none.
+
+    r(k) is the ratio of the dynamic residual, were the stamps stretched by k, to that as they are
+    (`training.redundancy.log_ratio`). Of a sound log it is that of the training logs, of one that
+    is stretched by k it is 1 / r(1/k) of these.
+    """
+    found: list[tuple[Finding, ...]] = [() for _ in logs]
+    for own in _files(logs):
+        subjects = [one for k in own if (one := _subject(bank, logs[k], None)) is not None]
+        if not subjects or min(len(_sensed(one)) for one in subjects) < _TELLING:
+            continue
+        hours = max(one.hours for one in subjects)
+        for stretch in STRETCHES:
+            ratios = [log_ratio(bank, one.signals, one.channels, stretch) for one in subjects]
+            known = [each for each in ratios if np.isfinite(each)]
+            if not known:
+                continue
+            ratio = float(np.mean(known))
+            usual, scatter = bank.stretch[str(stretch)]
+            other = -bank.stretch[str(1.0 / stretch)][0]
+            odds = ((ratio - usual) ** 2 - (ratio - other) ** 2) / (2.0 * scatter**2)
+            if ratio < 0.0 and odds > -np.log(RATE_PER_H * max(hours, 0.1)):
+                word = "long" if stretch > 1.0 else "short"
+                text = f"all responses are {stretch:g} times as {word} as in the training logs"
+                for k in own:
+                    found[k] = (finding(logs[k], "time_s", "stretched", text, size=(stretch, "")),)
+                break
+    return found
+
+
+def _files(logs: Sequence[Log]) -> list[list[int]]:
+    names = [log.source.file or log.name for log in logs]
+    return [[k for k, each in enumerate(names) if each == name] for name in dict.fromkeys(names)]
+
+
+@dataclass(frozen=True)
+class _Other:
+    """What a log may be instead: some channels with other values."""
+
+    kind: Kind
+    channel: str
+    text: str
+    values: Mapping[str, FloatArray]
+    partner: str = ""
+    size: float = float("nan")
+
+
+_RESTORED = 0.35  # of the misfit that undoing a hypothesis leaves at most
+
+
+def _restored(subject: _Subject) -> tuple[Finding, ...]:
+    """Another unit or an exchange that brings a log beyond the scatter back into it."""
+    before, t = _misfit(subject, subject.signals)
+    if all(abs(value) < subject.threshold for value in t.values()):
+        return ()
+    best: tuple[float, _Other] | None = None
+    for each in _others(subject):
+        after, levels = _misfit(subject, subject.signals.having(each.values))
+        sound = all(abs(value) < _AGREES for value in levels.values())
+        if sound and after < _RESTORED * before and (best is None or after < best[0]):
+            best = after, each
+    if best is None:
+        return ()
+    one = best[1]
+    size = one.size, ""
+    return (finding(subject.log, one.channel, one.kind, one.text, size=size, partner=one.partner),)
+
+
+def _misfit(subject: _Subject, signals: Signals) -> tuple[float, dict[str, float]]:
+    """Mean square of the levels u / s, bounded, and these; NaN where little can be compared."""
+    found = residuals(subject.bank, signals, subject.channels)
+    levels = {}
+    for name in _sensed(subject):
+        comparable = float(np.mean(np.isfinite(found.agreed[name])))
+        level = found.level(name) / subject.bank.level[name]
+        levels[name] = level if comparable > _LEAST_TESTABLE else float("nan")
+    squares = [min(each**2, 400.0) if np.isfinite(each) else 400.0 for each in levels.values()]
+    return float(np.mean(squares)) if squares else 0.0, levels
+
+
+def _others(subject: _Subject) -> Iterator[_Other]:
+    values = subject.signals.values
+    for a, b in combinations(_sensed(subject), 2):
+        if CHANNELS[a].unit == CHANNELS[b].unit:
+            text = f"{symbol(a)} and {symbol(b)} fit the training logs when exchanged"
+            yield _Other("exchanged", a, text, {a: values[b], b: values[a]}, b)
+    sound = sound_air(subject.log)
+    air = [name for name in ("ALT_ft", "Mach") if name in values and name not in sound]
+    for name in (*_sensed(subject), *air):
+        for word, scale, offset in conversions(name) if subject.log.recorded([name]) else ():
+            text = f"looks like {word}: median {np.nanmedian(subject.log[name]):.4g}"
+            other = {name: scale * values[name] + offset}
+            yield _Other("unit", name, text, other, size=1.0 / scale)
+    for name in air:
+        for factor in _AIR_SCALES:
+            text = f"looks scaled by {factor:.2g}"
+            yield _Other("scale", name, text, {name: values[name] / factor}, size=factor)
+
+
+_AIR_SCALES = tuple(2.0 ** (k / 4.0) for k in range(-4, 5) if k)
+
+
+def _level(subject: _Subject) -> list[Finding]:
+    """The channel whose level is furthest beyond the scatter."""
+    if len(_sensed(subject)) < _TELLING:
+        return []
+    t = {name: x for name, x in _misfit(subject, subject.signals)[1].items() if np.isfinite(x)}
+    worst = max(t, key=lambda each: abs(t[each]), default="")
+    if not worst or abs(t[worst]) < subject.threshold:
+        return []
+    probability = _probability(subject, t[worst])
+    found = residuals(subject.bank, subject.signals, subject.channels)
+    everywhere = np.ones(len(found.signals.time_s), dtype=np.bool_)
+    kind, size, unit = _kind(found, worst, everywhere)
+    text = f"{size:+.3g} {unit} against what {_listed(subject.channels, worst)} say"
+    return [finding(subject.log, worst, kind, text, size=(size, unit), probability=probability)]

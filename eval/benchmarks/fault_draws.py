@@ -126,7 +126,7 @@ def _dead(draw: Draw, _log: Log, channel: str) -> Injection:
         noise = np.asarray(lfilter([1.0], [1.0, -memory], white))
         return np.asarray(np.nanpercentile(x, level) * (1.0 + share * noise))
 
-    return Injection("dead", (channel,), f"{level:.0f} %", change, *_span(draw))
+    return Injection("stuck", (channel,), f"{level:.0f} %", change, *_span(draw))
 
 
 def _held(draw: Draw, _log: Log, channel: str) -> Injection:
@@ -160,7 +160,7 @@ def _unit(draw: Draw, log: Log, channel: str) -> Injection | None:
 
 
 def _swapped(_draw: Draw, _log: Log, _channel: str) -> Injection:
-    return Injection("swapped", ("N1_pct", "N2_pct"), "", lambda x, _t: x)
+    return Injection("exchanged", ("N1_pct", "N2_pct"), "", lambda x, _t: x)
 
 
 def _mach(draw: Draw, _log: Log, _channel: str) -> Injection:
@@ -170,7 +170,7 @@ def _mach(draw: Draw, _log: Log, _channel: str) -> Injection:
 
 def _stretched(draw: Draw, _log: Log, _channel: str) -> Injection:
     factor = float(draw.choice([0.5, 2.0]))
-    return Injection("scale", ("time_s",), f"x {factor:g}", lambda x, _t: factor * x)
+    return Injection("stretched", ("time_s",), f"x {factor:g}", lambda x, _t: factor * x)
 
 
 _KINDS: Sequence[Callable[[Draw, Log, str], Injection | None]] = (

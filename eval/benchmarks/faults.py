@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.ndimage import uniform_filter1d
 
-from data_prep.log import Fault, Log
+from data_prep.log import Finding, Log
 from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
 from eval.benchmarks import Row
@@ -32,11 +32,10 @@ from narxcal.calibration.calibration import Calibration
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from training.config import RunConfig, load_config
-from training.masking import MASK
 from training.pipeline import calibrate, configured_files
 from training.records import Split
 from training.redundancy import Bank
-from training.screening import examine
+from training.screening import screened
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +62,7 @@ class Trial:
     """One fault in one log, and what was found."""
 
     injection: Injection
-    found: tuple[Fault, ...]
+    found: tuple[Finding, ...]
     counts: bool
     noticeable_s: float
 
@@ -87,7 +86,7 @@ class Trial:
     def delay_s(self) -> float:
         """From where its effect is noticeable to where it is reported; NaN where it is not."""
         wanted = {*self.injection.channels}
-        from_s = [each.from_s for each in self.found if wanted & {*each.channels}]
+        from_s = [each.start_s or 0.0 for each in self.found if wanted & {*each.channels}]
         return max(0.0, min(from_s) - self.noticeable_s) if from_s else float("nan")
 
 
@@ -136,7 +135,7 @@ def _measured(
         trial for log in test for trial in _trials(log, config, (bundle, bank), faults, show=show)
     )
     sound = [one.log for one in prepare(test, config)]
-    found = [(log, examine(bank, log)) for log in sound]
+    found = [(log, log.findings) for log in screened(bank, sound)]
     reports = tuple(each.caution for _, faults in found for each in faults)
     if show:
         sys.stdout.writelines(f"sound  {each}\n" for each in reports)
@@ -196,11 +195,9 @@ def _size(log: Log) -> int:
     return len(log) * len(log.channels)
 
 
-def _masked(log: Log, faults: Sequence[Fault]) -> float:
+def _masked(log: Log, found: Sequence[Finding]) -> float:
     """Samples that faults mask, all channels together."""
-    spans = [(each.to_s - each.from_s) * len(each.channels) for each in faults]
-    sure = [each.confidence >= MASK for each in faults]
-    return sum(span for span, use in zip(spans, sure, strict=True) if use) / log.dt_s
+    return float(sum(each.rows(log.time_s).sum() for each in found if each.masks))
 
 
 def _trials(
@@ -222,7 +219,7 @@ def _trials(
         rms = np.sqrt(np.nanmean(moved**2, axis=0))
         counts = bool((rms > _TIMES * error).any())
         noticeable = float(log.time_s[int(large[0])]) if len(large) else float("nan")
-        trial = Trial(injection, examine(bank, log), counts, noticeable)
+        trial = Trial(injection, screened(bank, [log])[0].findings, counts, noticeable)
         if show:
             sys.stdout.write(_line(raw, trial) + "\n")
         yield trial

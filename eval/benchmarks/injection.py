@@ -36,7 +36,7 @@ class Injection:
         changed = {}
         first, last = (round(share * len(log)) for share in (self.begins, self.ends))
         part = slice(first, last)
-        if self.kind == "swapped":
+        if self.kind == "exchanged":
             a, b = self.channels
             changed = {a: log[b], b: log[a]}
         else:
@@ -118,9 +118,9 @@ def _all() -> Iterator[Injection]:
         yield Injection("late", ("FF_kgph",), f"{delay:g} s", _late(delay))
     yield Injection("late", ("N2_pct",), "2 s", _late(2.0))
     yield Injection("noise", ("EGT_C",), "0.3 sd", _noise(0.3))
-    yield Injection("swapped", ("N1_pct", "N2_pct"), "", _affine(1.0))
+    yield Injection("exchanged", ("N1_pct", "N2_pct"), "", _affine(1.0))
     for factor in (0.5, 2.0):
-        yield Injection("scale", ("time_s",), f"x {factor:g}", _affine(factor))
+        yield Injection("stretched", ("time_s",), f"x {factor:g}", _affine(factor))
 
 
 def _levels() -> Iterator[Injection]:
@@ -145,7 +145,7 @@ def _lost() -> Iterator[Injection]:
     for name in ("FF_kgph", "N1_pct"):
         for share in (1.0, 0.3, 0.1):
             begins, ends = 0.5 - share / 2.0, 0.5 + share / 2.0
-            yield Injection("dead", (name,), f"{share:g} of log", _dead(50.0, 0.01), begins, ends)
+            yield Injection("stuck", (name,), f"{share:g} of log", _dead(50.0, 0.01), begins, ends)
         for every in (2.0, 5.0, 10.0):
             yield Injection("held", (name,), f"{every:g} s", _held(every))
     for begins in (0.2, 0.5):

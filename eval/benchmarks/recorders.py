@@ -22,7 +22,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from data_prep.log import Fault, Log, Source
+from data_prep.log import Finding, Log, Source
 from data_prep.prepare import hold_inputs, prepare, with_outputs
 from data_prep.reading import read_logs
 from eval.benchmarks import Row
@@ -30,11 +30,10 @@ from eval.evaluate import Evaluation, evaluate
 from narxcal.channels import channel
 from narxcal.support.errors import NarxcalError
 from training.config import RunConfig, load_config
-from training.masking import by_each_other, masked
 from training.pipeline import calibrate
 from training.records import Split
 from training.redundancy import learn
-from training.screening import screened
+from training.screening import by_each_other, masked, screened
 
 SETS: Final = ("citation", "a321", "jetcat", "test_cell", "micro_gas_turbine", "agtf30")
 _SLACK_S: Final = 5.0
@@ -147,7 +146,7 @@ def _screened(log: Log, names: Sequence[str]) -> Screened:
         for name in names
         if name in log.channels
     }
-    accused = log.faults
+    accused = log.findings
     known, found = KNOWN.get(log.name.partition("#")[0]), None
     if known is not None and log.time_s[0] < known[2]:
         name, from_s, to_s = known
@@ -163,8 +162,8 @@ def _screened(log: Log, names: Sequence[str]) -> Screened:
     return Screened(log.name, hours, samples, count, tuple(f.caution for f in accused), found)
 
 
-def _is(fault: Fault, known: tuple[str, float, float]) -> bool:
-    return fault.channels == (known[0],) and fault.to_s < known[2] + _SLACK_S
+def _is(one: Finding, known: tuple[str, float, float]) -> bool:
+    return one.channels == (known[0],) and (one.end_s or math.inf) < known[2] + _SLACK_S
 
 
 def trained(recorder: Recorder, train: Sequence[Log], judged: Sequence[Log]) -> list[Figure]:

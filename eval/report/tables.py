@@ -354,27 +354,31 @@ def reasons(assessments: Sequence[Assessment]) -> Table:
     return Table("", ("reason", "transients"), tuple(rows))
 
 
-def faults(views: Sequence[LogView]) -> Table:
-    """Sensor faults of the logs."""
+def _seconds(time_s: float | None) -> str:
+    return "" if time_s is None else f"{time_s:.1f}"
+
+
+def findings(views: Sequence[LogView]) -> Table:
+    """What the logs show to be wrong; without times the whole of a log."""
     rows: list[tuple[Cell, ...]] = []
     for view in views:
         own = [
             (
                 Cell(", ".join(symbol(name) for name in each.channels), "head"),
                 Cell(each.kind),
-                Cell(f"{each.from_s:.1f}", number=True),
-                Cell(f"{each.to_s:.1f}", number=True),
-                Cell(f"{each.confidence:.3f}", number=True),
-                Cell(each.detail),
+                Cell(_seconds(each.start_s), number=True),
+                Cell(_seconds(each.end_s), number=True),
+                Cell(f"{each.probability:.3f}", number=True),
+                Cell(f"{each.evidence}. {each.remedy}" if each.remedy else each.evidence),
             )
-            for each in view.log.faults
+            for each in view.log.findings
         ]
         rows += [(Cell(view.name, "group"),), *own] if own else []
-    return Table("", ("channel", "kind", "from [s]", "to [s]", "confidence", "what"), tuple(rows))
+    return Table("", ("channel", "kind", "from [s]", "to [s]", "probability", "what"), tuple(rows))
 
 
 def masked_scores(views: Sequence[LogView]) -> Table:
-    """RMSE with faults masked, and on the logs as recorded."""
+    """RMSE with the masks of findings, and on the logs as recorded."""
     rows: list[tuple[Cell, ...]] = []
     for view in views:
         found = view.evaluation
@@ -385,7 +389,7 @@ def masked_scores(views: Sequence[LogView]) -> Table:
             share = Cell(f"{100.0 * found.faulty.get(name, 0.0):.1f}", number=True)
             pair = figure(found.scores[name].rmse), figure(before.rmse)
             rows.append((Cell(with_unit(name), "head"), share, *pair))
-    head = ("RMSE of", "masked [%]", "faults masked", "as recorded")
+    head = ("RMSE of", "masked [%]", "with masks", "as recorded")
     return Table("Masking improves a score by itself: both stand here", head, tuple(rows))
 
 

@@ -95,7 +95,7 @@ def judge(
     warnings = [
         *doubtful_logs(bundle.record),
         *cautions(logs, config, config.narx.outputs),
-        *(fault.caution for fault in evaluation.faults),
+        *(each.caution for each in evaluation.findings),
         *evaluation.level_cautions,
         *_outside(bundle, parts),
     ]

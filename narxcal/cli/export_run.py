@@ -27,7 +27,7 @@ from narxcal.support.files import (
     check_file,
     check_output_folder,
 )
-from training.masking import masked
+from training.screening import masked
 
 SCHEMA = "narxcal.export_run/1"
 _WRITTEN = Results(proof.SCHEMA, proof.FILE, ("engine.c", "engine.h"))

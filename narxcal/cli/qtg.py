@@ -105,7 +105,7 @@ def _settings(bundle: Bundle, options: Namespace) -> TransientsConfig:
 
 def _cautions(bundle: Bundle, logs: Sequence[Log]) -> tuple[str, ...]:
     found = cautions(logs, run_config(bundle)[0], bundle.calibration.output_names)
-    faults = [fault.caution for log in logs for fault in log.faults]
+    faults = [each.caution for log in logs for each in log.findings]
     return (*doubtful_logs(bundle.record), *found, *faults)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
 
-from data_prep.log import Fault
-from eval.evaluate import file_faults
+from data_prep.log import Finding
+from eval.evaluate import file_findings
 from eval.replay import ReplayModel, ReplayOptions, ReplaySummary, replay
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console
@@ -47,7 +47,7 @@ def run(options: Namespace, console: Console) -> int:
         interval=options.interval,
     )
     if not how.live and options.log.is_file():
-        model = replace(model, faults=_faults(bundle, options, console))
+        model = replace(model, findings=_findings(bundle, options, console))
     with console.progress("Replaying"):
         summary = replay(model, options.log, options.out, how)
     _show(console, summary)
@@ -57,12 +57,12 @@ def run(options: Namespace, console: Console) -> int:
     return 1 if summary.missed else 0
 
 
-def _faults(bundle: Bundle, options: Namespace, console: Console) -> tuple[Fault, ...]:
-    """Faults of the log, found before it is streamed; none of a log that only replay can read."""
+def _findings(bundle: Bundle, options: Namespace, console: Console) -> tuple[Finding, ...]:
+    """What the log shows before it is streamed; nothing of one that only replay can read."""
     if not bundle.record.config:
         return ()
     with console.progress("Checking the log"):
-        found = file_faults(bundle, options.log)
+        found = file_findings(bundle, options.log)
     engine = options.engine
     return tuple(one for one in found if engine is None or one.engine == engine)
 

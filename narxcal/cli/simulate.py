@@ -26,9 +26,8 @@ from narxcal.cli.results import interval_words
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import TIME_FORMAT, atomic_write_text, check_file, text_cell
 from training.config import RunConfig
-from training.masking import masked
 from training.pipeline import calibration_for
-from training.screening import screened
+from training.screening import masked, screened
 
 SCHEMA = "narxcal.simulate/1"
 
@@ -102,8 +101,8 @@ def run(options: Namespace, console: Console) -> int:
         outside = f", {row['outside']} outside the envelope" if row["outside"] else ""
         console.say(f"{row['log']}: {row['samples']} samples{outside}")
     for one in runs:
-        for fault in one.log.faults:
-            console.warn(fault.caution)
+        for each in one.log.findings:
+            console.warn(each.caution)
     if options.interval is not None:
         console.say(interval_words(bundle.calibration.interval, options.interval))
     console.say(f"Simulated: {options.out}")
@@ -160,7 +159,7 @@ def _document(out: str, runs: Sequence[_Run]) -> dict[str, Any]:
                 "sha256": one.log.source.sha256,
                 "samples": len(one.table),
                 "outside": int((one.table["inside_envelope"] == 0).sum()),
-                "faults": [fault.row() for fault in one.log.faults],
+                "findings": [each.row() for each in one.log.findings],
                 "audit": [
                     {
                         "channel": entry.channel,

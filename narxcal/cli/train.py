@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from data_prep.identity import refuse_duplicates
-from data_prep.log import Fault, Log
+from data_prep.log import Finding, Log
 from data_prep.prepare import cautions
 from narxcal.calibration.bundle import (
     DOCUMENT,
@@ -114,8 +114,8 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
 
 def masked_words(record: RunRecord) -> list[str]:
     """What to say of the faults of the logs to learn from, and of what was masked for them."""
-    found = record.screening or {"faults": [], "logs": []}
-    said = [Fault(**{**row, "channels": tuple(row["channels"])}).caution for row in found["faults"]]
+    found = record.screening or {"findings": [], "logs": []}
+    said = [Finding.from_row(row).caution for row in found.get("findings", ())]
     for row in found["logs"]:
         parts = [f"{count} samples of {name}" for name, count in row["masked"].items()]
         if row["left_out_rows"]:

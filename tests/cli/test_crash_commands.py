@@ -138,7 +138,7 @@ def test_logs_of_virtual_flights(tmp_path, monkeypatch, exchange, power):
 
 @HOW
 def test_a_replayed_log(project, tmp_path, monkeypatch, exchange, power):
-    monkeypatch.setattr("narxcal.cli.replay._faults", lambda *_: ())
+    monkeypatch.setattr("narxcal.cli.replay._findings", lambda *_: ())
     table = (project / "flights" / "flight_3.csv").read_text(encoding="utf-8").splitlines()
     log = tmp_path.with_name(f"{tmp_path.name}.csv")
     log.write_text("\n".join(table[:400]), encoding="utf-8")

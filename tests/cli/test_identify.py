@@ -283,14 +283,6 @@ BAD = {
             "Lower block_rows or add records"
         ),
     ),
-    "not excited": (
-        {"Mach": lambda log: 0.0 * log["Mach"] + 0.4}, "static:polynomial", "",
-        (
-            "channel Mach: it is at fault in every training log, first in flight_1.csv (stuck: "
-            "stays at 0.4 while others move). Correct its column under [logs.columns], or leave "
-            "these logs out"
-        ),
-    ),
     "mesh with holes": (
         {}, "transfer", "[identify]\naltitudes_ft = [2000.0, 30000.0]\n",
         "the mesh of level x altitude has holes: hardly any motion near level",

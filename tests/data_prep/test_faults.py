@@ -102,9 +102,11 @@ def test_a_dropout_during_a_slam_is_found():
     assert masked(broken(engine(), "N1_pct", 3160, 3256, 0.0)) == {"N1_pct": {"out of range": 96}}
 
 
-def test_a_dead_channel_is_frozen_all_along():
-    bad = broken(engine(), "N2_pct", 0, COUNT, 71.3)
-    assert masked(bad) == {"N2_pct": {"frozen": COUNT}}
+def test_a_constant_within_the_resolution_is_no_evidence():
+    coarse = engine()
+    steps = {name: np.round(values) for name, values in coarse.channels.items()}
+    bad = broken(coarse.with_channels(steps), "N2_pct", 3160, 3560, 71.0)
+    assert "frozen" not in masked(bad).get("N2_pct", {})
 
 
 def test_good_channels_are_not_masked():

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from data_prep.config import LogsConfig
-from data_prep.log import Fault
+from data_prep.log import Finding
 from data_prep.reading import read_logs
 from data_prep.stream import GridStream
 from eval.replay import Clock, ReplayModel, ReplayOptions, replay
@@ -293,8 +293,8 @@ def test_samples_outside_the_envelope_are_flagged_and_counted(tmp_path):
 
 
 def test_a_faulty_output_is_not_fused_and_flagged(tmp_path):
-    fault = Fault("log.csv", "N1_pct", ("N1_pct",), "bias", 20.0, 30.0, 0.99, "+40 %")
-    model = replace(MODEL, faults=(fault,))
+    fault = Finding("bias", "N1_pct", 20.0, 30.0, 40.0, "%", 0.99, "+40 %", log="log.csv")
+    model = replace(MODEL, findings=(fault,))
     columns = flight()
     rows = (columns["time_s"] >= 20.0) & (columns["time_s"] <= 30.0)
     columns["N1_pct"][rows] += 40.0
@@ -304,14 +304,14 @@ def test_a_faulty_output_is_not_fused_and_flagged(tmp_path):
     assert found["N2_pct_valid"].all()
     assert np.isnan(found["N1_pct_innovation"][rows]).all()
     assert np.abs(found["N1_pct_fused"] - found["N1_pct_prediction"])[rows].max() < 3.0
-    assert summary.to_dict()["faults"] == [fault.row()]
+    assert summary.to_dict()["findings"] == [fault.row()]
     assert summary.cautions[0] == "log.csv: N1_pct bias, 20 to 30 s: +40 %"
 
 
 def test_a_faulty_input_is_held_and_then_pauses_the_model(tmp_path):
-    fault = Fault("log.csv", "Mach", ("Mach",), "unit", 20.0, 30.0, 0.99, "looks like percent")
+    fault = Finding("stuck", "Mach", 20.0, 30.0, 0.3, "-", 0.99, "stays at 0.3", log="log.csv")
     log = write(tmp_path / "log.csv", flight())
-    replay(replace(MODEL, faults=(fault,)), log, tmp_path / "out.csv", STORED)
+    replay(replace(MODEL, findings=(fault,)), log, tmp_path / "out.csv", STORED)
     found, _ = read(tmp_path / "out.csv")
     inside = (found["time_s"] >= 20.0) & (found["time_s"] <= 30.0)
     assert (found["N1_pct_valid"][inside] == 0.0).all()

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from training.levels import checks, lag_of, level_of
-from training.redundancy import PRIOR_LOGS, prior_scatter
+from training.levels import PRIOR_LOGS, checks, lag_of, level_of, prior_scatter
 
 DT_S = 0.1
 TIME_S = DT_S * np.arange(6000)

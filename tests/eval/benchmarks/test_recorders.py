@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from data_prep.log import Fault, Log, Source
+from data_prep.log import Finding, Log, Source
 from eval.benchmarks import recorders
 from eval.benchmarks.recorders import Figure, Recorder, Screened
 from training.config import RunConfig
@@ -77,11 +77,11 @@ def test_masked_samples_and_accused_logs_are_shares_of_all():
 def test_a_known_fault_is_no_false_accusation_and_has_to_be_masked_to_its_ends(monkeypatch):
     sound = log("bad", "left")
     monkeypatch.setattr(recorders, "KNOWN", {"bad:left": ("FF_kgph", 0.0, 30.0)})
-    fault = Fault(sound.name, "FF_kgph", ("FF_kgph",), "scale", 0.0, 31.0, 0.999, "+50 %")
+    fault = Finding("scale", "FF_kgph", 0.0, 31.0, 50.0, "%", 0.999, "+50 %", log=sound.name)
     names = ("FF_kgph", "N1_pct")
-    right = recorders._screened(replace(sound, faults=(fault,)), names)
+    right = recorders._screened(replace(sound, findings=(fault,)), names)
     assert (right.found, right.masked, right.accused) == (True, 0, ())
-    whole = recorders._screened(replace(sound, faults=(replace(fault, to_s=60.0),)), names)
+    whole = recorders._screened(replace(sound, findings=(replace(fault, end_s=60.0),)), names)
     assert whole.found is False
     assert whole.masked == 249  # from 35.1 s on
     assert len(whole.accused) == 1

@@ -1,0 +1,254 @@
+"""What is masked and what is reported: nothing of sound logs, and each fault of logs with one."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from data_prep.log import Log, Source
+from data_prep.plausibility import checked
+from narxcal.atmosphere import KELVIN
+from narxcal.support.errors import ModelError
+from training.redundancy import Bank, Blocks, Wander, agreement, learn
+from training.screening import by_each_other, masked, screened, strongest_step, threshold
+
+DT_S = 0.2
+ROWS = 6000  # twenty minutes
+CHANNELS = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
+DRAW = np.random.default_rng(11)
+
+
+def lagged(x, tau_s):
+    a = np.exp(-DT_S / tau_s)
+    return x[0] + lfilter([1.0 - a], [1.0, -a], x - x[0])
+
+
+def engine(seed, level=1.0):
+    """Fuel in steps; both spools and the temperature follow with lags of their own, plus noise."""
+    draw = np.random.default_rng(seed)
+    steps = np.repeat(draw.uniform(0.2, 1.0, ROWS // 150), 150)
+    fuel = lagged(steps, 1.0)
+    core = lagged(fuel, 2.0)
+    fan = lagged(core, 1.0)
+    alt = np.interp(np.arange(ROWS), [0, 2000, 4000, ROWS], [1000.0, 9000.0, 9000.0, 2000.0])
+    noise = draw.standard_normal((4, ROWS))
+    delta = (1.0 - 6.8756e-6 * alt) ** 5.2559
+    channels = {
+        "N1_pct": level * (25.0 + 70.0 * fan**0.7) + 0.1 * noise[0],
+        "N2_pct": 45.0 + 50.0 * core**0.6 + 0.1 * noise[1],
+        "EGT_C": 350.0 + 250.0 * lagged(fuel, 4.0) + 60.0 * (fuel - core) + noise[2],
+        "FF_kgph": 400.0 * fuel * delta + noise[3],
+        "ALT_ft": alt,
+        "Mach": np.full(ROWS, 0.3) + 1e-5 * noise[0],
+        "dT_C": np.zeros(ROWS),
+    }
+    return checked(Log(f"flight {seed}", DT_S * np.arange(ROWS), channels))
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return learn([engine(seed) for seed in range(4)], (*CHANNELS, "ALT_ft", "Mach"))
+
+
+def with_fault(channel, change, seed=21):
+    log = engine(seed)
+    return checked(replace(log.with_channels({channel: change(log[channel])}), findings=()))
+
+
+def examined(bank, log):
+    return screened(bank, [log])[0].findings
+
+
+def test_it_finds_nothing_in_sound_logs(bank):
+    assert all(examined(bank, engine(seed)) == () for seed in range(30, 40))
+
+
+def test_it_survives_json(bank):
+    stored = Bank.from_json(json.loads(json.dumps(bank.to_json())))
+    log = with_fault("EGT_C", lambda x: x + KELVIN)
+    assert [one.row() for one in examined(stored, log)] == [
+        one.row() for one in examined(bank, log)
+    ]
+
+
+def test_a_bank_without_a_part_is_refused(bank):
+    stored = {name: value for name, value in bank.to_json().items() if name != "level"}
+    with pytest.raises(ModelError, match=r"^the part 'redundancy' has no 'level'"):
+        Bank.from_json(stored)
+
+
+def test_it_takes_the_engine_channels_and_needs_two(bank):
+    assert bank.channels == bank.used == CHANNELS
+    assert bank.logs == 4
+    log = engine(1)
+    single = Log("flight", log.time_s, {"N1_pct": log["N1_pct"], "ALT_ft": log["ALT_ft"]})
+    assert learn([single], ("N1_pct", "ALT_ft")) is None
+
+
+def test_a_channel_that_the_model_does_not_use_is_not_reported():
+    bank = learn([engine(seed) for seed in range(3)], ("N1_pct", "N2_pct", "EGT_C"))
+    assert examined(bank, with_fault("FF_kgph", lambda x: 1.5 * x)) == ()
+
+
+NOISE = DRAW.standard_normal(ROWS)
+
+
+@pytest.mark.parametrize(
+    ("channel", "kind", "change"),
+    [
+        ("EGT_C", "unit", lambda x: x + KELVIN),
+        ("EGT_C", "unit", lambda x: 1.8 * x + 32.0),
+        ("FF_kgph", "unit", lambda x: x / 0.45359237),
+        ("N1_pct", "scale", lambda x: 1.12 * x),
+        ("FF_kgph", "stuck", lambda _x: 150.0 + 3.0 * NOISE),
+        ("N2_pct", "late", lambda x: np.r_[np.full(10, x[0]), x[:-10]]),
+        ("N1_pct", "held", lambda x: x[np.arange(ROWS) // 25 * 25]),
+        ("EGT_C", "noise", lambda x: x + 40.0 * NOISE),
+    ],
+)
+def test_what_the_whole_log_disagrees_in_is_named_and_not_masked(bank, channel, kind, change):
+    [log] = screened(bank, [with_fault(channel, change)])
+    assert (channel, kind) in [(each.channel, each.kind) for each in log.findings]
+    assert not any(each.local for each in log.findings if each.kind == kind)
+    assert np.isfinite(masked(log)[channel]).mean() > 0.9
+
+
+def test_exchanged_channels_are_named(bank):
+    log = engine(22)
+    exchanged = log.with_channels({"N1_pct": log["N2_pct"], "N2_pct": log["N1_pct"]})
+    [found] = examined(bank, exchanged)
+    assert (found.kind, found.channels) == ("exchanged", ("N1_pct", "N2_pct"))
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_stretched_time_is_said_of_both_engines_of_a_file_and_masks_nothing(bank, factor):
+    pair = []
+    for seed, side in ((23, "left"), (24, "right")):
+        log = engine(seed)
+        time_s = np.arange(0.0, factor * log.time_s[-1], DT_S)
+        channels = {
+            name: np.interp(time_s / factor, log.time_s, values)
+            for name, values in log.channels.items()
+        }
+        pair.append(Log(f"f:{side}", time_s, channels, source=Source("f", "", side)))
+    for log in screened(bank, pair):
+        assert "stretched" in {each.kind for each in log.findings}
+        assert not any(each.masks for each in log.findings if each.channel == "time_s")
+
+
+@pytest.mark.parametrize(
+    ("kind", "change"),
+    [
+        ("stuck", lambda _x, rows: 300.0 + 3.0 * NOISE[rows]),
+        ("scale", lambda x, _rows: 1.5 * x),
+        ("bias", lambda x, _rows: x + 120.0),
+    ],
+)
+def test_a_stretch_is_masked_where_it_is_and_the_rest_is_kept(bank, kind, change):
+    log, rows = engine(24), slice(2500, 4000)
+    fuel = log["FF_kgph"].copy()
+    fuel[rows] = change(fuel[rows], rows)
+    [found] = screened(bank, [log.with_channels({"FF_kgph": fuel})])
+    assert {(one.channel, one.kind) for one in found.findings} == {("FF_kgph", kind)}
+    after = masked(found)
+    lost = np.flatnonzero(~np.isfinite(after["FF_kgph"])) * DT_S
+    assert lost[0] == pytest.approx(500.0, abs=12.0)
+    assert lost[-1] == pytest.approx(800.0, abs=12.0)
+    assert after.audit.masked() == {"FF_kgph": {f"fault: {kind}": len(lost)}}
+    assert all(np.isfinite(after[name]).all() for name in ("N1_pct", "N2_pct", "EGT_C"))
+    assert all(one.start_s < one.end_s for one in found.findings)
+
+
+def test_what_both_engines_of_a_file_show_is_no_fault_of_one(bank):
+    pair = []
+    for seed, side in ((31, "left"), (31, "right")):
+        log = engine(seed)
+        rich = log["FF_kgph"] + np.where(np.arange(ROWS) > 4000, 150.0, 0.0)
+        pair.append(
+            replace(
+                log.with_channels({"FF_kgph": rich}), name=f"f:{side}", source=Source("f", "", side)
+            )
+        )
+    assert not any(one.local for log in screened(bank, pair) for one in log.findings)
+    alone = screened(bank, pair[:1])[0]
+    assert [(one.channel, one.local) for one in alone.findings] == [("FF_kgph", True)]
+
+
+def test_of_two_measured_channels_neither_is_masked():
+    def two(seed):
+        log = engine(seed)
+        names = ("N1_pct", "EGT_C", "ALT_ft", "Mach", "dT_C")
+        return replace(log, channels={name: log[name] for name in names})
+
+    bank = learn([two(seed) for seed in range(4)], ("N1_pct", "EGT_C"))
+    log = two(26)
+    hot = log["EGT_C"] + np.where(np.arange(ROWS) > 3000, 200.0, 0.0)
+    [found] = screened(bank, [log.with_channels({"EGT_C": hot})])
+    assert masked(found) is found
+
+
+def test_without_a_bank_nothing_is_added():
+    log = engine(25)
+    assert screened(None, [log]) == [log]
+
+
+def flights(*seeds):
+    return [replace(engine(seed), source=Source(f"{seed}.csv", f"sha-{seed}")) for seed in seeds]
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_training_logs_are_masked_by_what_they_show_against_themselves(count):
+    logs = flights(1, 2, 3)[:count]
+    names = (*CHANNELS, "ALT_ft", "Mach", "dT_C")
+    assert all(log.findings == () for log in by_each_other(logs, names))
+    fuel = logs[0]["FF_kgph"].copy()
+    fuel[:1500] = 1.6 * fuel[:1500] + 40.0
+    found = by_each_other([logs[0].with_channels({"FF_kgph": fuel}), *logs[1:]], names)
+    lost = np.flatnonzero(~np.isfinite(masked(found[0])["FF_kgph"])) * DT_S
+    assert lost[0] == pytest.approx(0.0, abs=12.0)
+    assert lost[-1] == pytest.approx(300.0, abs=12.0)
+    assert all(masked(log) is log for log in found[1:])
+
+
+def test_agreement_is_what_the_sources_have_in_common():
+    def agreed(*parts):
+        return float(agreement([np.array([each]) for each in parts])[0])
+
+    assert agreed(5.0) == 5.0
+    assert agreed(2.0, 5.0) == 2.0
+    assert agreed(-1.0, 5.0) == 0.0
+    assert agreed(1.0, 2.0, 90.0) == 2.0
+    assert np.isnan(agreed(3.0, np.nan, np.nan))
+
+
+def slow_gain(r, start, stop, phi):
+    """Log likelihood ratio, doubled, of a step in a stationary first-order process."""
+    step = np.zeros(len(r))
+    step[start:stop] = 1.0
+    size = np.r_[1.0 / np.sqrt(1.0 - phi**2), np.ones(len(r) - 1)]
+
+    def white(x):
+        return (x - np.r_[0.0, phi * x[:-1]]) / size
+
+    s, z = white(step), white(r - np.median(r))
+    return float((s @ z) ** 2 / (s @ s)), float((s @ z) / (s @ s))
+
+
+def test_the_strongest_step_is_that_of_the_likelihood_ratio():
+    draw = np.random.default_rng(3)
+    r = lfilter([1.0], [1.0, -0.8], draw.standard_normal(120))
+    r[40:70] += 20.0
+    blocks = Blocks(5.0 * np.arange(120), r, np.zeros(120))
+    found = strongest_step(blocks, Wander(0.8, 50.0, 0.0))
+    gain, height = slow_gain(r, 40, 70, 0.8)
+    assert (found.start, found.stop) == (40, 70)
+    assert found.height == pytest.approx(height)
+    assert found.gain == pytest.approx(gain / 2500.0)
+
+
+def test_a_threshold_falls_with_the_logs_that_it_is_known_from(bank):
+    few, many = (threshold(replace(bank, logs=count), 1.0, 4) for count in (1, 30))
+    assert few > many > 3.0
+    assert threshold(bank, 4.0, 4) < threshold(bank, 1.0, 4)
