@@ -233,7 +233,7 @@ class CsvSource:
             file=self.path,
             channel=name,
             row=before + row,
-            hint=_what_to_do(text),
+            hint=_what_to_do(text.strip()),
         ) from cause
 
     def _position(self, name: str) -> int:

@@ -28,7 +28,7 @@ from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from numpy.typing import NDArray
 
@@ -47,8 +47,13 @@ _WHOLE_HZ = 0.005
 _ORDINARY = 0.95  # of the steps between rows are no large move
 _SURELY = 5.0  # standard errors between two means that are surely different
 _NO_SHARED = 0.1  # of a step: means this close may differ by chance
-_CLOCK = r"\s*(?:(\d{1,3}):)?(\d{1,2}):(\d{2}):(\d{2}(?:[.,]\d*)?)\s*(?:([AaPp])\.?[Mm]\.?)?\s*"
-_MINUTES = r"\s*(\d{1,3}):(\d{2}[.,]\d+)\s*"
+# Hours of a time since the start may be more than 24, those after a day may not.
+_CLOCK = (
+    r"\s*(?:(\d{1,3}):(?=(?:[01]?\d|2[0-4]):))?(\d{1,2}):([0-5]\d):((?:[0-5]\d|60)(?:[.,]\d*)?)"
+    r"\s*(?:([AaPp])\.?[Mm]\.?)?\s*"
+)
+_MINUTES = r"\s*(\d{1,3}):([0-5]\d[.,]\d+)\s*"
+_FRAMES = r"\s*(\d{1,3}):(\d{2}):(\d{2}):(\d{2})\s*"
 _DATE = r"\s*\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}.*"
 _UNIT_S = np.array([86400.0, 3600.0, 60.0, 1.0])
 _HALF_DAY = 12.0  # hours: 12 AM is midnight, and 12 PM is noon
@@ -157,6 +162,14 @@ def ordered_rows(stamps: FloatArray, max_gap_s: float, file: str) -> Rows:
     kept = order[~spikes]
     time = stamps[kept]
     lateness = np.maximum.accumulate(time) - time if len(time) else time
+    if not finite.any() and np.isfinite(stamps).any():
+        first = float(stamps[np.isfinite(stamps)][0])
+        raise DataError(
+            f"stamps like {first:.13g} are later than any clock that counts seconds",
+            file=file,
+            channel="time_s",
+            hint="Set the unit of time_s: 'ms', 'us' or 'ns'",
+        )
     if (lateness > max_gap_s).any():
         at = int((lateness > max_gap_s).argmax())
         raise DataError(
@@ -343,6 +356,8 @@ def shared_interval(time: FloatArray, channels: Mapping[str, FloatArray]) -> flo
 def _row_by_row(time: FloatArray, channels: Mapping[str, FloatArray]) -> bool:
     """Whether rows that share a stamp follow each other in time, by each channel that changes."""
     same = np.diff(time) == 0.0
+    if any(_opposed(values, same) for values in channels.values()):
+        return False
     found = []
     for values in channels.values():
         steps = np.diff(values)
@@ -352,6 +367,28 @@ def _row_by_row(time: FloatArray, channels: Mapping[str, FloatArray]) -> bool:
             continue
         found.append(_alike(within, between))
     return bool(found) and all(found)
+
+
+def _opposed(values: FloatArray, same: BoolArray) -> bool:
+    """Whether rows that share a stamp come from different engines, instances or units.
+
+    The change within a stamp is then a difference that lasts, and the step between two later
+    stamps takes it back: their product is negative. For one signal in motion it is positive, and
+    noise, of which the two share no sample, leaves it at zero.
+    """
+    last = np.flatnonzero(~same)  # of each stamp but the last
+    if len(last) < _FEW + 2:
+        return False
+    change = values[last[1:]] - values[last[:-1] + 1]
+    product = change[:-1] * (values[last[2:] + 1] - values[last[2:]])
+    product = product[np.isfinite(product)]
+    if len(product) < _FEW or not product.any():
+        return False
+    # Large moves, in which both are the same engine's, must not decide alone.
+    low, high = np.quantile(product, [1.0 - _ORDINARY, _ORDINARY])
+    product = np.clip(product, low, high)
+    error = float(product.std()) / float(np.sqrt(len(product)))
+    return float(product.mean()) < -_SURELY * error
 
 
 def _alike(within: FloatArray, between: FloatArray) -> bool:
@@ -370,6 +407,22 @@ def _alike(within: FloatArray, between: FloatArray) -> bool:
 def is_clock(text: str) -> bool:
     """Whether `text` is a clock time or a date rather than a number."""
     return re.fullmatch(f"{_CLOCK}|{_MINUTES}|{_DATE}", text) is not None
+
+
+def counts_frames(texts: Iterable[str]) -> bool:
+    """Whether the last part of stamps `10:46:39:05` counts frames of a second, not seconds.
+
+    It starts anew before it has reached 60, or the parts before it are no hours and minutes.
+    """
+    found = [re.fullmatch(_FRAMES, text) for text in texts]
+    stamps = [tuple(map(int, one.groups())) for one in found if one]
+    if any(hours > 24 for _, hours, _, _ in stamps):
+        return True
+    steps = [b[3] - a[3] for a, b in pairwise(stamps) if b[:3] == a[:3]]
+    usual = max(steps, default=60)
+    return any(
+        b[2] == (a[2] + 1) % 60 and b[3] < a[3] and a[3] + usual < 60 for a, b in pairwise(stamps)
+    )
 
 
 def lacks_hours(text: str) -> bool:

@@ -14,9 +14,10 @@ import re
 import zlib
 from collections import Counter
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
 
-from data_prep.stamps import is_clock, lacks_hours
+from data_prep.stamps import counts_frames, is_clock, lacks_hours
 from data_prep.units import is_unit_text
 from narxcal.support.errors import DataError
 
@@ -30,6 +31,8 @@ _LINES_ABOVE = 100  # a header is looked for so far down
 _SEPARATOR_MARK = re.compile(r'"?sep=.?"?', re.IGNORECASE)  # Excel's own line, no data
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
 _NUMBERS_PART = 0.3  # of the cells with content; a log of notes and numbers has more
+_OF_FRAMES = "stamps like {!r} count frames of a second"
+_WRITE_SECONDS = "Write them as HH:MM:SS.mmm, by the frames that a second has"
 _FEWEST_UNITS = 2  # of a row above the header
 SAMPLE_LINES = 200
 _HEAD_BYTES = 65_536
@@ -228,7 +231,7 @@ def sniff(text: TextIO, delimiter: str, decimal: str, comment: str, time: str) -
         raise DataError("the file is empty", hint="Expected a header line and data rows")
     at, above = place
     header = lines[at].rstrip("\r\n")
-    _refuse_no_text(header)
+    _refuse_no_text(header, "".join(lines))
     rows = [k for k in range(at + 1, len(lines)) if has_content(lines[k], comment)][:SAMPLE_LINES]
     texts = [lines[k].rstrip("\r\n") for k in rows]
     if delimiter == "auto":
@@ -239,7 +242,12 @@ def sniff(text: TextIO, delimiter: str, decimal: str, comment: str, time: str) -
     cells = [fields(text, delimiter) for text in texts[bool(below) :]]
     if decimal == "auto":
         decimal = _decimal(cells, delimiter)
-    first = _first_cell(cells, names, time)
+    stamps = _cells_of(cells, names, time)
+    if counts_frames(stamps):
+        raise DataError(_OF_FRAMES.format(stamps[0]), hint=_WRITE_SECONDS)
+    first = next(iter(stamps), "")
+    if not first and time in names:  # before a receiver has its fix, a recorder leaves them blank
+        first = _first_below(lines[(rows or [at])[-1] + 1 :], text, (delimiter, names.index(time)))
     return Dialect(
         delimiter=delimiter,
         decimal=decimal or ".",
@@ -272,27 +280,40 @@ def _is_tabular(rows: Sequence[Sequence[str]]) -> bool:
     return sum(map(_is_number, filled)) >= _NUMBERS_PART * max(len(filled), 1)
 
 
-def _first_cell(rows: Sequence[Sequence[str]], header: tuple[str, ...], name: str) -> str:
-    """Find the first content of column `name`; empty where there is none."""
+def _cells_of(rows: Sequence[Sequence[str]], header: tuple[str, ...], name: str) -> list[str]:
+    """Return the contents of column `name`, blank ones left out."""
     if name not in header:
-        return ""
+        return []
     position = header.index(name)
-    cells = (row[position : position + 1] for row in rows)
-    return next((cell[0] for cell in cells if cell and cell[0]), "")
+    return [row[position] for row in rows if row[position : position + 1] not in ((), ("",))]
 
 
-def _refuse_no_text(line: str) -> None:
-    """Refuse a header of which more than stray signs of another encoding is unprintable."""
+def _first_below(lines: Sequence[str], text: TextIO, column: tuple[str, int]) -> str:
+    """Find the first content of a column further down, by delimiter and position."""
+    delimiter, position = column
+    for line in chain(lines, iter(lambda: read_line(text), "")):
+        cells = fields(line, delimiter)
+        if len(cells) > position and cells[position]:
+            return cells[position]
+    return ""
+
+
+def _refuse_no_text(line: str, all_lines: str) -> None:
+    """Refuse what holds more than stray signs of another encoding that cannot be printed."""
     if line.startswith(_ZIP_MAGIC):
         raise DataError(
             "the file is a workbook of Excel or another archive", hint="Save the sheet as CSV"
         )
-    shown = line.replace("\t", " ").replace("\0", "")
-    wrong = sum(not sign.isprintable() or sign == "\N{REPLACEMENT CHARACTER}" for sign in shown)
-    if 5 * wrong > len(shown):
+    if 5 * _unprintable(line) > len(line) or 20 * _unprintable(all_lines) > len(all_lines):
         raise DataError(
             "the file is no text", hint="Expected a CSV file, plain or gzipped, or Parquet"
         )
+
+
+def _unprintable(text: str) -> int:
+    """Count signs that no text has; a recorder that lost its power may leave zeros."""
+    shown = re.sub(r"[\t\r\n\0]", "", text)
+    return sum(not sign.isprintable() or sign == "\N{REPLACEMENT CHARACTER}" for sign in shown)
 
 
 def _delimiter(header: str, rows: list[str]) -> str:

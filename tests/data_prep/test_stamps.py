@@ -228,3 +228,80 @@ def test_a_stream_has_the_same_rate_after_the_first_seconds(size):
 
 def test_rows_of_a_single_second_follow_each_other():
     np.testing.assert_allclose(undo_rounding(np.full(5, 12.0), 0.1), 12.0 + np.arange(5) / 10.0)
+
+
+@pytest.mark.parametrize("text", ["10:61:00", "1:10:46:61", "10:46:39:05", "75:80.5"])
+def test_parts_beyond_their_range_are_no_clock(text):
+    assert not is_clock(text)
+
+
+def test_hours_since_the_start_may_be_more_than_a_day():
+    np.testing.assert_allclose(clock_seconds(pd.Series(["30:00:01.5"])), [108001.5])
+
+
+@pytest.mark.parametrize("start", ["10:46:39", "10:12:39", "1:02:03"])
+@pytest.mark.parametrize("rate", [24, 25, 30])
+def test_frames_of_a_second_are_not_read_as_seconds(tmp_path, start, rate):
+    hours, minutes, seconds = map(int, start.split(":"))
+    stamps = [f"{hours}:{minutes:02d}:{seconds + k // rate:02d}:{k % rate:02d}" for k in range(100)]
+    with pytest.raises(DataError) as caught:
+        read_logs(write(tmp_path, stamps), LogsConfig.parse(COLUMNS))
+    assert str(caught.value).endswith(
+        f"log.csv: stamps like '{stamps[0]}' count frames of a second. "
+        "Write them as HH:MM:SS.mmm, by the frames that a second has"
+    )
+
+
+@pytest.mark.parametrize("every", [1, 5, 20])
+def test_days_with_clock_times_are_no_frames(tmp_path, every):
+    stamps = [f"123:10:{46 + k * every // 60}:{k * every % 60:02d}" for k in range(20)]
+    config = {**COLUMNS, "max_gap_s": 60.0}
+    (log,) = read_logs(write(tmp_path, stamps), LogsConfig.parse(config))
+    assert log.dt_s == pytest.approx(every)
+
+
+@pytest.mark.parametrize("blank", [150, 250, 1500])
+def test_a_clock_that_is_blank_before_its_fix_is_a_clock(tmp_path, blank):
+    stamps = [""] * blank + CLOCK
+    (log,) = read_logs(write(tmp_path, stamps), LogsConfig.parse(COLUMNS))
+    np.testing.assert_allclose(log.time_s, 86390.0 + np.arange(40) / 10)
+    dropped = [one.samples for one in log.audit.entries if one.reason == "no time stamp"]
+    assert dropped == [blank]
+
+
+def test_stamps_of_another_unit_since_1970_ask_for_it(tmp_path):
+    path = write(tmp_path, [1723286799000 + 100 * k for k in range(40)])
+    with pytest.raises(DataError) as caught:
+        read_logs(path, LogsConfig.parse(COLUMNS))
+    assert str(caught.value) == (
+        f"{path}, channel time_s: stamps like 1723286799000 are later than any clock that counts "
+        "seconds. Set the unit of time_s: 'ms', 'us' or 'ns'"
+    )
+
+
+def motion(rng, samples, dt_s, tau_s=1.2):
+    """A lag behind a lever that is moved every 10 s, with some noise."""
+    lever = np.repeat(rng.uniform(20.0, 90.0, -(-samples // 100)), 100)[:samples]
+    values = np.empty(samples)
+    values[0] = lever[0]
+    for k in range(1, samples):
+        values[k] = values[k - 1] + (lever[k - 1] - values[k - 1]) * dt_s / tau_s
+    return values + rng.normal(0.0, 0.05, samples)
+
+
+@given(seed=st.integers(0, 10_000), engines=st.integers(2, 4))
+def test_engines_that_share_stamps_are_not_one_fast_recording(seed, engines):
+    rng = np.random.default_rng(seed)
+    first = motion(rng, 1000, 0.1)
+    # Their differences last for seconds and are zero in the mean; equal engines cannot be told.
+    phases = rng.uniform(0.0, 6.0) + 2.0 * np.pi * np.arange(engines) / engines
+    apart = [np.sin(np.arange(1000) * 0.01 + phase) for phase in phases]
+    rows = np.column_stack([first + 0.3 * each for each in apart]).ravel()
+    assert shared_interval(np.repeat(np.arange(1000) * 0.1, engines), {"N1_pct": rows}) == 0.0
+
+
+@given(seed=st.integers(0, 10_000), rows=st.integers(2, 10))
+def test_one_fast_recording_by_a_coarse_clock_stays_one(seed, rows):
+    values = motion(np.random.default_rng(seed), 100 * rows, 0.1 / rows)
+    time = np.repeat(np.arange(100) * 0.1, rows)
+    assert shared_interval(time, {"N1_pct": values}) == pytest.approx(0.1 / rows, rel=0.01)

@@ -396,3 +396,22 @@ def test_a_unit_above_the_header_that_is_not_known_is_refused(tmp_path):
         "FILE, channel EGT_C: the row of units says 'ohm', which is not known. "
         "Say what it is in [logs.columns]: unit of EGT_C, or scale and offset"
     )
+
+
+def test_a_separator_of_thousands_is_named_with_blanks_after_it(tmp_path):
+    path = write(tmp_path, "t | fan | itt |\n0 | 80 | 1,009.940 | \n1 | 81 | 1,013.140 | \n")
+    assert error_of(path, config()).endswith(
+        "found '1,009.940 '. Write numbers without a separator of thousands"
+    )
+
+
+@pytest.mark.parametrize(
+    "head", [b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: now" + b" " * 400 + b"\n",
+             b"ULog\x01\x12\x35 a, b\n"]
+)  # fmt: skip
+def test_a_file_that_is_no_text_below_its_first_line_is_named_so(tmp_path, head):
+    path = tmp_path / "log.csv"
+    path.write_bytes(head + b"\x89HDF\x0d\x0a\x1a\x0a" + bytes(range(256)) * 20)
+    assert error_of(path, config()) == (
+        "FILE: the file is no text. Expected a CSV file, plain or gzipped, or Parquet"
+    )
