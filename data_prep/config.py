@@ -121,10 +121,14 @@ class LogsConfig(Section):
         """Header of the column that holds the time stamps."""
         return self.columns["time_s"].column if self.columns else "time_s"
 
-    def sparing(self, names: Collection[str]) -> Self:
-        """The same with the columns of `names` optional: a model runs without its outputs."""
+    def for_inputs(self, names: Collection[str]) -> Self:
+        """The same with all columns but those of `names` optional: a model needs its inputs alone.
+
+        A channel from which an input is derived is not among them: where it is missing, so is the
+        input, which is reported.
+        """
         columns = {
-            name: source.model_copy(update={"optional": source.optional or name in names})
+            name: source.model_copy(update={"optional": source.optional or name not in names})
             for name, source in self.columns.items()
         }
         return self.model_copy(update={"columns": columns})

@@ -611,8 +611,8 @@ def recorded_logs(bundle: Bundle, files: Sequence[Path]) -> list[Log]:
 
 def _prepared(bundle: Bundle, config: RunConfig, files: Sequence[Path] | None) -> list[Log]:
     outputs = bundle.calibration.output_names
-    spared = set(outputs) - set(bundle.calibration.input_names)
-    reading = config.logs.sparing(spared).every(bundle.calibration.dt_s)
+    reading = config.logs.for_inputs(bundle.calibration.input_names)
+    reading = reading.every(bundle.calibration.dt_s)
     chosen: Sequence[Log]
     if files is not None:
         chosen = read_logs(list(files), reading)

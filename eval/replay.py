@@ -94,10 +94,9 @@ class ReplayModel:
     def of(cls, bundle: Bundle) -> Self:
         """Read tables `logs` and `fuser` of the configuration, and the noise for the fuser."""
         config = bundle.record.config
-        outputs = set(bundle.calibration.output_names) - set(bundle.calibration.input_names)
         return cls(
             bundle.calibration,
-            LogsConfig.parse(config.get("logs", {})).sparing(outputs),
+            LogsConfig.parse(config.get("logs", {})).for_inputs(bundle.calibration.input_names),
             FuserConfig.parse(config.get("fuser", {})),
             bundle.record.noise,
         )

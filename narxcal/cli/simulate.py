@@ -123,7 +123,7 @@ def read_inputs(bundle: Bundle, file: Path) -> list[Log]:
     if {"time_s", *names} <= set(header):
         logs = LogsConfig(max_gap_s=logs.max_gap_s, bridge_s=logs.bridge_s)
     else:
-        logs = logs.sparing(set(bundle.calibration.output_names) - set(names))
+        logs = logs.for_inputs(names)
     prepared = prepare(read_logs([file], logs.every(bundle.calibration.dt_s)), config)
     return screened(bank_of(bundle), [one.log for one in prepared])
 

@@ -346,12 +346,19 @@ def test_a_log_without_any_output_is_refused():
     )
 
 
-def test_columns_can_be_spared_without_touching_the_others():
-    columns = {"time_s": {"column": "t"}, "EGT_C": {"column": "itt"}, "Mach": {"column": "M"}}
-    spared = LogsConfig.parse({"columns": columns}).sparing({"EGT_C"})
-    assert {name: one.optional for name, one in spared.columns.items()} == {
-        "time_s": False, "EGT_C": True, "Mach": False,
-    }  # fmt: skip
+def test_a_model_needs_the_columns_of_its_inputs_alone(tmp_path):
+    names = {"time_s": "t", "EGT_C": "itt", "FF_kgph": "fuel", "Mach": "M"}
+    columns = {name: {"column": column} for name, column in names.items()}
+    mapping = LogsConfig.parse({"columns": columns})
+    path = tmp_path / "log.csv"
+    path.write_text("t,M\n" + "".join(f"{k / 10},0.3\n" for k in range(40)), "utf-8")
+    with pytest.raises(DataError, match="channel EGT_C: column 'itt' is missing"):
+        read_logs([path], mapping)
+    (log,) = read_logs([path], mapping.for_inputs(["Mach"]))
+    assert set(log.channels) == {"Mach"}
+    path.write_text("t,fuel\n0,1\n0.1,1\n", "utf-8")
+    with pytest.raises(DataError, match="channel Mach: column 'M' is missing"):
+        read_logs([path], mapping.for_inputs(["Mach"]))
 
 
 def test_events_wait_for_the_responses_that_are_there():
