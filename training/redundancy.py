@@ -570,7 +570,7 @@ def log_ratio(bank: Bank, signals: Signals, channels: Sequence[str], stretch: fl
             if is_measured(name)
         ]
         rough = [(each - moving_mean(each, size))[moving] for each in pairs]
-        if not all(np.isfinite(each).any() for each in rough):
+        if not rough or not all(np.isfinite(each).any() for each in rough):
             return float("nan")
         sizes.append([np.sqrt(np.nanmean(each**2) + 1e-12) for each in rough])
     return float(np.mean(np.log(np.array(sizes[0]) / np.array(sizes[1]))))

@@ -260,6 +260,8 @@ def strongest_step(blocks: Blocks, wander: Wander) -> Step:
     allowed = (length >= least) & (length <= count - least)
     gain = np.where(allowed, product**2 / np.where(allowed, square, 1.0), 0.0)
     start, stop = np.unravel_index(int(np.argmax(gain)), gain.shape)
+    if not gain[start, stop] > 0.0:
+        return Step(0.0, 0, 0, 0.0)
     height = float(product[start, stop] / square[start, stop])
     return Step(float(gain[start, stop]), int(start), int(stop), height)
 
@@ -607,7 +609,8 @@ _RESTORED = 0.35  # of the misfit that undoing a hypothesis leaves at most
 def _restored(subject: _Subject) -> tuple[Finding, ...]:
     """Another unit or an exchange that brings a log beyond the scatter back into it."""
     before, t = _misfit(subject, subject.signals)
-    if all(abs(value) < subject.threshold for value in t.values()):
+    known = [abs(value) for value in t.values() if np.isfinite(value)]
+    if known and max(known) < subject.threshold:
         return ()
     best: tuple[float, _Other] | None = None
     for each in _others(subject):
@@ -647,13 +650,6 @@ def _others(subject: _Subject) -> Iterator[_Other]:
             text = f"looks like {word}: median {np.nanmedian(subject.log[name]):.4g}"
             other = {name: scale * values[name] + offset}
             yield _Other("unit", name, text, other, size=1.0 / scale)
-    for name in air:
-        for factor in _AIR_SCALES:
-            text = f"looks scaled by {factor:.2g}"
-            yield _Other("scale", name, text, {name: values[name] / factor}, size=factor)
-
-
-_AIR_SCALES = tuple(2.0 ** (k / 4.0) for k in range(-4, 5) if k)
 
 
 def _level(subject: _Subject) -> list[Finding]:
