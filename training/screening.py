@@ -421,9 +421,9 @@ _STILL_S, _LEAST_STILL_S = 60.0, 30.0
 def _motionless(subject: _Subject, name: str) -> _Subject:
     """A channel that shows noise, or nothing, while the others agree that it moves.
 
-    Of a channel in steps nothing is known within some of them.
+    A channel that is set in steps, as benches and simulators set it, may stay.
     """
-    if len(_sensed(subject)) < _TELLING:
+    if len(_sensed(subject)) < _TELLING or _in_steps(subject.log[name]):
         return subject
     found = residuals(subject.bank, subject.signals, subject.channels)
     size = round(_STILL_S / found.signals.step_s)
@@ -440,7 +440,9 @@ def _motionless(subject: _Subject, name: str) -> _Subject:
         seconds = (stop - start) * found.signals.step_s
         if seconds >= _LEAST_STILL_S:
             time_s, half = found.signals.time_s, 0.5 * found.signals.step_s
-            span_s = float(time_s[start]) - half, float(time_s[stop - 1]) + half
+            ends = float(subject.log.time_s[0]), float(subject.log.time_s[-1])
+            span_s = max(float(time_s[start]) - half, ends[0]), float(time_s[stop - 1]) + half
+            span_s = span_s[0], min(span_s[1], ends[1])
             level = float(np.nanmedian(y[start:stop]))
             text = f"stays at {level:.4g} while {_listed(subject.channels, name)} move"
             size_ = (level, CHANNELS[name].unit)
@@ -453,6 +455,13 @@ def _motionless(subject: _Subject, name: str) -> _Subject:
 
 
 _MOSTLY = 0.98
+
+
+def _in_steps(values: FloatArray) -> bool:
+    """Whether most samples repeat the one before, also outside of the longest such stretch."""
+    still = np.diff(values[np.isfinite(values)]) == 0.0
+    longest = max((stop - start for start, stop in spans(still)), default=0)
+    return bool(2 * (int(still.sum()) - longest) > len(still) - longest)
 
 
 def _resolution(values: FloatArray) -> float:
