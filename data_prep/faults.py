@@ -255,7 +255,10 @@ def unnatural(values: FloatArray, least: float) -> list[tuple[int, int]]:
     starts, stops = repeats(values)
     if len(starts) <= _FREEZES or _quantised(values):
         return []
-    length = stops - starts
+    # Of a channel slower than the grid its own samples count.
+    known = np.concatenate([[0], np.cumsum(np.isfinite(values))])
+    length = known[stops] - known[starts]
+    least *= float(known[-1]) / max(len(values), 1)
     natural = np.partition(length, -_FREEZES - 1)[-_FREEZES - 1]
     longest = max(least, float(_UNNATURAL * natural))
     long = length > longest
