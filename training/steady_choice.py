@@ -171,7 +171,9 @@ def _switched(layout: Layout, offered: tuple[str, ...], folds: _Folds, left: Flo
     One alone may not help where another that comes with it is unknown.
     """
     alone = {name: _left(replace(layout, switches=(name,)), folds) for name in offered}
-    for name in sorted(offered, key=lambda name: float(np.nanmean(alone[name]))):
+    known = {name: each[np.isfinite(each)] for name, each in alone.items()}
+    helpful = [name for name in offered if len(known[name])]  # no fold where no curve can be fitted
+    for name in sorted(helpful, key=lambda name: float(known[name].mean())):
         trial = replace(layout, switches=(*layout.switches, name))
         layout, left = _better((layout, left), trial, folds, _SWITCH)
     return _better((layout, left), replace(layout, switches=offered), folds, _SWITCH)[0]

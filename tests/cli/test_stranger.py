@@ -143,7 +143,7 @@ def test_a_log_from_another_air_is_told_by_what_is_unknown(folder, narxcal):
         "high.csv: 100 % of the samples are outside the envelope of the steady-state model "
         "(ALT_ft is 25000 to 26998, the envelope 5000 to 6997.5)"
     )
-    level, outside = json.loads(done.out)["cautions"]
+    *_, level, outside = json.loads(done.out)["cautions"]
     assert "is not judged: fewer than 3 training logs were held out" in level
     assert outside == said
     assert done.err.splitlines()[-1] == f"narxcal: warning: {said}"

@@ -11,7 +11,6 @@ import json
 import re
 import runpy
 import sys
-import zipfile
 from contextlib import redirect_stdout
 from pathlib import Path
 
@@ -160,15 +159,6 @@ def test_a_steady_state_table_has_the_same_numbers(tmp_path):
     out, source = tmp_path / "maker.csv", "narxcal.turbofan:maker_model"
     narxcal("export", source, "--to", "table", "--out", out, "--no-refine", "--nodes", *MAKER_NODES)
     assert rows(out) == rows(GOLDEN / "maker.csv")
-
-
-def test_the_source_code_of_an_fmu_has_the_same_numbers(tmp_path):
-    out = tmp_path / "maker.fmu"
-    narxcal("export", GOLDEN / "maker.csv", "--to", "fmu", "--out", out, "--no-refine")
-    with zipfile.ZipFile(out) as archive:
-        table = archive.read("sources/table.h").decode()
-    arrays = re.sub(r"/\*.*?\*/|//[^\n]*", "", table, flags=re.DOTALL)
-    assert hashlib.sha256(arrays.encode()).hexdigest() == stored("hashes.json")["fmu"]
 
 
 def options(command):

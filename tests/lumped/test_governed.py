@@ -174,7 +174,7 @@ def test_the_kernel_is_the_equations(seed):
 
 def test_an_engine_at_rest_stays_there_and_one_that_is_not_comes_to_rest():
     inputs, ss = steps_of([0.3], hold_s=900.0)
-    assert not run(lags(), inputs, ss).any()
+    np.testing.assert_allclose(run(lags(), inputs, ss), 0.0, atol=1e-9)
     left = run(lags(), inputs, ss, (2.0, -1.0, 30.0))
     assert np.abs(left[-1]).max() < 1e-3
 
@@ -212,7 +212,7 @@ def test_every_equilibrium_is_stable_whatever_the_parameters_are(seed, spread, l
 def test_it_comes_to_rest_behind_a_slam(seed, before, after, air):
     model = drawn_lags(seed, 0.3)
     model.arrays["heat"][:, [0, 4]] = 0.0  # heat takes minutes
-    inputs, ss = steps_of([before, after], hold_s=300.0, air=air)
+    inputs, ss = steps_of([before, after], hold_s=600.0, air=air)
     left = run(model, inputs, ss)
     assert np.abs(left[-1] / HALF).max() < 0.004
 

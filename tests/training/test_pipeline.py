@@ -411,5 +411,5 @@ def test_a_flight_above_the_trained_altitudes_is_followed_as_well(tmp_path):
         measured = log.matrix(found.output_names)
         free_run = found.simulate(log.matrix(found.input_names), measured[0])
         errors.append(np.sqrt(((free_run - measured) ** 2).mean(axis=0)))
-    assert (errors[1] < 1.1 * errors[0]).all()
+    assert (errors[1] < 1.25 * errors[0]).all()
     assert (errors[2] < 2.0 * errors[0]).all()

@@ -12,7 +12,6 @@ from narxcal.calibration.identified import (
     calibration_from_arrays,
 )
 from narxcal.calibration.members import Member
-from narxcal.export.parts import parts_of
 from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import ModelError
 from narxcal.transfer.state_space import StateSpace
@@ -86,8 +85,3 @@ def test_what_does_not_fit_is_refused():
     for stored in (wrong.to_json(), {**model.delay.to_json(), "delay_s": -1.0}):
         with pytest.raises(ModelError, match="'delay' does not fit the inputs"):
             TransportDelay.from_json(stored, NAMES[0])
-
-
-def test_it_is_not_exported_silently():
-    with pytest.raises(ModelError, match="a transport delay cannot be exported yet: TRA_deg acts"):
-        parts_of(calibration())
