@@ -372,7 +372,7 @@ def test_a_broken_off_archive_is_refused(tmp_path):
 
 def test_a_wrong_time_unit_does_not_fill_the_memory(tmp_path):
     path = write(tmp_path, table(1000.0 * np.arange(5.0), N1_pct=np.zeros(5)))
-    assert error_of(path, LogsConfig(raster_hz=1000.0)) == (
+    assert error_of(path, LogsConfig(raster_hz=1000.0, max_gap_s=2000.0)) == (
         "FILE, channel time_s: 5 rows would become 4000001 samples at 1000 Hz. "
         "Check the unit of time_s and set [logs] raster_hz"
     )
