@@ -9,7 +9,7 @@ import numpy as np
 
 from data_prep.events import PULL, PUSH, Event, EventsConfig, find_events
 from data_prep.log import Log
-from eval.diagnosis.pairs import Pair
+from eval.diagnosis.pairs import RATES, Pair
 from eval.response import HIGH, LOW
 from narxcal.effects.base import Signals
 from narxcal.effects.running import Flights, with_load
@@ -312,7 +312,6 @@ def phases_of(data: GapData) -> Phases:
     return Phases(names, sort_samples(data, events_of(data)).move)
 
 
-_RATE = 0.01
 _HINT = "Record and simulate them with the channels and at the rate of the others"
 
 
@@ -326,7 +325,7 @@ def in_terms_of(data: GapData, other: GapData) -> GapData:
         off = np.zeros(other.flights.u.shape[:2])
         other = replace(other, flights=with_load(other.flights, off, always=True))
     mine, theirs = data.flights.signals, other.flights.signals
-    if abs(theirs.dt_s / mine.dt_s - 1.0) > _RATE:
+    if abs(theirs.dt_s / mine.dt_s - 1.0) > RATES:
         raise DataError(
             f"the held-out flights are worked at {1 / theirs.dt_s:.4g} Hz, those of the diagnosis "
             f"at {1 / mine.dt_s:.4g} Hz",

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from eval.diagnosis.pairs import check_apart, match_simulated, pair_logs, read_folder, read_pairs
+from eval.diagnosis.pairs import (
+    alike,
+    check_apart,
+    match_simulated,
+    pair_logs,
+    read_folder,
+    read_pairs,
+)
 from narxcal.support.errors import DataError
 from training.config import RunConfig
 
@@ -247,3 +254,10 @@ def test_a_held_out_flight_is_none_of_the_diagnosis_under_any_name(fly, record, 
         "d: the held-out flight is 'b' of the diagnosis: nothing could be checked on it. Hold "
         "flights out that are not among those of --real"
     )
+
+
+def test_clocks_of_recorders_may_differ_by_a_few_in_a_thousand(pair):
+    flights = [pair(0), pair(1, rate_hz=16.02)]
+    assert len(alike(flights)) == 2
+    with pytest.raises(DataError, match=r"flight_1: recorded at 16\.5 Hz, but flight_0 at 16 Hz"):
+        alike([pair(0), pair(1, rate_hz=16.5)])
