@@ -23,7 +23,7 @@ GOLDEN = Path(__file__).parent
 FORMS = ("network_alone", "no_lags", "lag", "limits", "heat", "governed")
 ONLINE = 100  # samples that are also run one by one
 # The free run of these models is wrong by about 1 % of the range; 1 % of that may change.
-TRAINED_AGAIN = 1e-4
+TRAINED_AGAIN = 1.1  # times the error of the stored model, over outputs
 SCENARIOS = (
     "line",
     *(pytest.param(name, marks=pytest.mark.slow) for name in ("effects", "records")),
@@ -119,15 +119,15 @@ def flights(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("form", [form for form in FORMS if form != "governed"])  # explicit steps
-def test_training_again_gives_the_same_model(form, flights, tmp_path):
+def test_training_again_gives_as_good_a_model(form, flights, tmp_path):
     config, run = GOLDEN / form / "train.toml", tmp_path / "run"
     narxcal("train", config, "--data", flights, "--out", run, "--quiet")
     engine = load_bundle(run).calibration
     inputs, measured = flight(engine.input_names), flight(engine.output_names)
     with np.load(GOLDEN / form / "expected.npz") as expected:
-        change = engine.simulate(inputs, measured[0]) - expected["free_run"]
-    rms = np.sqrt(np.mean(change**2, axis=0))
-    assert (rms < TRAINED_AGAIN * np.ptp(measured, axis=0)).all(), rms
+        runs = [engine.simulate(inputs, measured[0]), expected["free_run"]]
+    now, then = (np.sqrt(np.mean((run - measured) ** 2, axis=0)) for run in runs)
+    assert np.exp(np.log(now / then).mean()) < TRAINED_AGAIN, (now, then)
 
 
 def digests(folder):
