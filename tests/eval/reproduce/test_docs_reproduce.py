@@ -14,6 +14,6 @@ def test_the_blocks_run_in_order_and_give_what_the_page_says():
     names = {"__name__": "page"}
     for block in BLOCKS:
         exec(compile(block, str(PAGE), "exec", dont_inherit=True), names)  # noqa: S102
-    assert names["low"] < 0.8 < names["high"]
+    assert names["tau_low"] < 0.8 < names["tau_high"]
     assert names["result"].mean_pct < 0.2
     assert names["again"].score.mean_pct == pytest.approx(names["fuel"].score.mean_pct, rel=0.05)

@@ -246,9 +246,9 @@ def test_the_worst_of_all_divisions_is_told():
 @pytest.mark.slow
 def test_divisions_hold_back_three_tenths_of_the_events(data, effort):
     seen = []
-    study = splits(data, effort, lambda *done: seen.append(done[:2]))
-    folds = tuple(told[0] for told in seen)
-    assert [told[1:] for told in seen] == [(1, 2), (2, 2)]
+    study = splits(data, effort, lambda *done: seen.append(done))
+    folds = tuple(what for *_, what in seen)
+    assert [tuple(counts) for *counts, _ in seen] == [(1, 2), (2, 2)]
     for one in folds:
         count = len(one.train) + len(one.test)
         assert len(one.train) == round(0.7 * count)
