@@ -1,6 +1,6 @@
 """Found effects added to any simulated log: what `simulate --effects` does, log by log.
 
-A simulator that can be run again is: it is told inputs with the effects on them. Effects on
+A simulator that can be run again is run with inputs that have the effects on them. Effects on
 readings act on its outputs. Both are exact, on the log's own raster. What nobody can do to a closed
 simulator is change its pace: there, and for everything inside the engine where there are only logs,
 the stored emulator says what changes. It runs on the raster of the diagnosis; the change is found
@@ -93,13 +93,13 @@ class FoundEffects:
         signals = replace(self.signals, dt_s=log.dt_s)
         found, names = settings(self.values, signals), signals.inputs
         u = held.matrix(names)[None]
-        told = arrived(found, signals, u)
-        changed = {n: v for n, v in zip(names, told[0].T, strict=True) if n in log.channels}
-        outputs = dict(simulate(self._told(log.with_channels(changed))))
+        given = arrived(found, signals, u)
+        changed = {n: v for n, v in zip(names, given[0].T, strict=True) if n in log.channels}
+        outputs = dict(simulate(self._run_on(log.with_channels(changed))))
         said = self._diagnosed(outputs, log)
         y = self._bridged(said, log)
-        y += self._change_inside(found, told[0], y, log)
-        y = np.where(np.isfinite(said), read(found, signals, told, y[None])[0], np.nan)
+        y += self._change_inside(found, given[0], y, log)
+        y = np.where(np.isfinite(said), read(found, signals, given, y[None])[0], np.nan)
         return {**outputs, **dict(zip(signals.outputs, y.T, strict=True))}
 
     def check(self, *, again: bool) -> None:
@@ -149,7 +149,7 @@ class FoundEffects:
             log = log.with_channels({each: np.zeros(len(log))})
         return hold_inputs(log, self.signals.inputs)
 
-    def _told(self, log: Log) -> Log:
+    def _run_on(self, log: Log) -> Log:
         """The log without outputs and without what no simulator knows."""
         names = [
             name
@@ -170,7 +170,7 @@ class FoundEffects:
         return np.column_stack([outputs[name] for name in self.signals.outputs])
 
     def _bridged(self, said: FloatArray, log: Log) -> FloatArray:
-        """Outputs (time, outputs) without holes, for an effect that remembers what it heard."""
+        """Outputs (time, outputs) without holes, for an effect with memory."""
         for name, column in zip(self.signals.outputs, said.T, strict=True):
             if not np.isfinite(column).any():
                 raise DataError(
@@ -182,9 +182,9 @@ class FoundEffects:
         return np.column_stack([bridge_gaps(column) for column in said.T])
 
     def _change_inside(
-        self, found: list[Setting], told: FloatArray, y: FloatArray, log: Log
+        self, found: list[Setting], given: FloatArray, y: FloatArray, log: Log
     ) -> FloatArray | float:
-        """What effects inside change in the emulator's run of an engine told `told`.
+        """What effects inside change in the emulator's run of an engine with inputs `given`.
 
         What is linear in an effect on the pace is none: it is added with the readings.
         """
@@ -197,7 +197,7 @@ class FoundEffects:
             for effect, theta in found
             if acts_inside((effect, theta), self.signals)
         }
-        return self._in_blocks(inside, told, y, log) if inside else 0.0
+        return self._in_blocks(inside, given, y, log) if inside else 0.0
 
     def _on(self, log: Log, name: str) -> FloatArray:
         """1 within the windows, by seconds since the log began."""

@@ -20,6 +20,7 @@ from eval.diagnosis.document import (
     coarse_emulator,
     document,
     facts_of,
+    implausible,
     rests_on_emulator,
 )
 from eval.diagnosis.expected import (
@@ -215,7 +216,9 @@ def diagnose_pairs(
     emulator = choose_control(fit_emulators(data.flights), record)
     itself = None if again is None else Rerun(emulator, again, block_size(pairs[0].dt_s))
     progress(2, _STEPS, "effects")
-    found = weighed(record, Engines(emulator, itself), phases_of(data), differences)
+    found = weighed(
+        record, Engines(emulator, itself), phases_of(data), differences, implausible(data)
+    )
     progress(3, _STEPS, "where, and how far the gap shrinks")
     stand_in: Emulator = itself or emulator
     flown = data.flights

@@ -10,23 +10,24 @@ from typing import Any, Final
 import numpy as np
 
 from data_prep.events import PULL, PUSH
+from data_prep.plausibility import conversions
 from eval.diagnosis.expected import ChannelShrink, HeldOut, TimeShrink, Values
 from eval.diagnosis.flights import GapData
 from eval.diagnosis.pairs import Pair
 from eval.diagnosis.stored_emulator import signals_to_json
 from eval.diagnosis.where import Row, Sides, Where
-from narxcal.effects.base import InputEffect, RateEffect, SettledEffect, ShiftEffect
+from narxcal.effects.base import InputEffect, RateEffect, SettledEffect, ShiftEffect, unit
 from narxcal.effects.library import LIBRARY, effect
 from narxcal.effects.steady import UnloggedSwitch
 from narxcal.support.arrays import FloatArray, spans
 from narxcal.support.files import versions
 from training.diagnosis.budget import UNEXPLAINED, Budget, Interval
+from training.diagnosis.nuisances import most_of_build
 
 SCHEMA: Final = "narxcal.gap/2"
 FEW: Final = 3  # flights: fewer say little of the spread between them
 _UNKNOWN = 0.01  # of the samples
 _COARSE, _LOUD = 0.5, 0.1  # an emulator's error against the gap, a channel's share of the gap
-_KELVIN, _NEAR_K = 273.15, 15.0
 _FAR = 0.08  # of a speed: no deterioration and no sensor is that far off
 _DOMINANT = 0.6  # of a bin's energy in one level: the level that stands for the bin
 
@@ -205,7 +206,7 @@ def _measured(found: Budget, where: Where) -> dict[str, Any]:
 
 def cautions(pairs: Sequence[Pair], data: GapData) -> list[str]:
     """What the logs give reason to be careful about."""
-    return [*_few(pairs), *_left_out(pairs), *_unknown(pairs), *_kelvin(data), *_far(data)]
+    return [*_few(pairs), *_left_out(pairs), *_unknown(pairs), *implausible(data)]
 
 
 def coarse_emulator(evidence: Evidence, *, again: bool) -> list[str]:
@@ -240,9 +241,9 @@ def rests_on_emulator(values: Values, *, again: bool) -> bool:
 def _emulated(name: str, values: Mapping[str, float], *, again: bool) -> bool:
     """Whether what it does rests on the emulator: of loads and heat what they take of the core."""
     kind = effect(name)
-    told = isinstance(kind, InputEffect) and not isinstance(kind, ShiftEffect)
+    inward = isinstance(kind, InputEffect) and not isinstance(kind, ShiftEffect)
     takes = values.get("loss", 0.0) > 0.0
-    return isinstance(kind, (RateEffect, SettledEffect)) or takes or (told and not again)
+    return isinstance(kind, (RateEffect, SettledEffect)) or takes or (inward and not again)
 
 
 def _few(pairs: Sequence[Pair]) -> Iterator[str]:
@@ -265,25 +266,38 @@ def _unknown(pairs: Sequence[Pair]) -> Iterator[str]:
         yield f"{cut} samples at the ends of flights have no partner and are cut"
 
 
-def _kelvin(data: GapData) -> Iterator[str]:
-    for k, name in enumerate(data.flights.signals.outputs):
-        apart = _middle(data.gap[..., k])
-        if name.endswith("_C") and abs(abs(apart) - _KELVIN) < _NEAR_K:
-            yield (
-                f"recorded {name} stands {apart:.0f} off the simulated one throughout: one of them "
-                "looks like kelvin"
-            )
+def implausible(data: GapData) -> list[str]:
+    """What no engine and no sensor of the library does: another unit, another speed for 100 %.
 
-
-def _far(data: GapData) -> Iterator[str]:
+    A channel is in another unit where recorded and simulated differ by more than builds can, on
+    the median, and by less once either is converted.
+    """
+    found, most = [], most_of_build(data.flights)
     for k, name in enumerate(data.flights.signals.outputs):
-        level = _middle(np.where(np.isfinite(data.gap[..., k]), data.flights.y[..., k], np.nan))
-        apart = _middle(data.gap[..., k]) / level if level > 0.0 else 0.0
-        if name.endswith("_pct") and abs(apart) > _FAR:
-            yield (
-                f"recorded {name} stands {100.0 * apart:+.0f} % of its level off the simulated one "
-                "throughout: another engine, or another speed for 100 %?"
+        real, sim = (
+            data.real[..., k],
+            np.where(np.isfinite(data.gap[..., k]), data.flights.y[..., k], np.nan),
+        )
+        apart = _middle(real - sim)
+        if _middle(np.abs(real - sim)) <= most[k]:
+            continue
+        units = [
+            f"the {side} {name} looks like {word}"
+            for word, scale, offset in conversions(name)
+            for side, gap in (
+                ("recorded", scale * real + offset - sim),
+                ("simulated", real - scale * sim - offset),
             )
+            if _middle(np.abs(gap)) <= most[k]
+        ]
+        if units:
+            found.append(f"{units[0]}: it is {apart:+.4g} {unit(name)} off the other throughout")
+        elif name.endswith("_pct") and abs(apart) > _FAR * abs(_middle(sim)):
+            found.append(
+                f"recorded {name} is {100.0 * apart / _middle(sim):+.0f} % of its level off the "
+                "simulated one throughout: another engine, or another speed for 100 %?"
+            )
+    return found
 
 
 def _middle(values: FloatArray) -> float:

@@ -8,8 +8,8 @@ comes at some rate per sample, so that
     share = moved / (moved + rest),   moved = change' * sum(before - left) / sum(change)
 
 and `rest` is the rate of what is left, times the samples. Which of the two holds, or how much of
-either, is told by flights that are predicted by the others, as is the interval: in the logarithm of
-what is left, which no effect makes less than nothing and other misfit can make any amount of.
+either, follows from flights that are predicted by the others, as does the interval: in the
+logarithm of what is left, which no effect makes less than nothing and other misfit can make any amount of.
 """
 
 from __future__ import annotations

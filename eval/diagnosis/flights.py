@@ -31,7 +31,7 @@ LEVELS = ("low", "mid", "high")
 # Where a level begins: 10000 and 25000 ft, Mach 0.3 and 0.6, thirds of the speed range.
 EDGES = {"altitude": (10e3, 25e3), "Mach": (0.3, 0.6), "power": (1 / 3, 2 / 3)}
 SWITCHES = ("ECS", "NAI", "WAI")
-_SMALL = 0.01  # of the range: a change whose 10 % and 90 % cannot be told
+_SMALL = 0.01  # of the range: a change whose 10 % and 90 % cannot be read
 RATE_HZ = 4.0
 KEEP_HZ = 5.0  # slower logs are taken as they are
 _STILL = 1e-6  # of a channel's size: what changes by less does not change

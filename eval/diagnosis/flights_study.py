@@ -69,7 +69,7 @@ def studies(config: RunConfig, base: Path) -> Iterator[FlightStudy]:
 
 
 def simulator(config: RunConfig, base: Path, train: Sequence[Log]) -> Simulate:
-    """A calibration of logs, as it is asked for those of other flights."""
+    """A calibration of logs, as a simulator of other flights."""
     calibration = calibrate(config, base, Split(tuple(train), (), ())).calibration
 
     def simulate(log: Log) -> Mapping[str, FloatArray]:

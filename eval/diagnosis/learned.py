@@ -123,9 +123,9 @@ def learned_from(pairs: Sequence[Pair]) -> Discrepancy:
 
 def keep_learned(found: Discrepancy, run: Path) -> None:
     """Write what was learned into the folder of a run, with its own hash and that of the bundle."""
-    told = {**found.document(), "bundle_sha256": sha256_of(run / DOCUMENT)}
+    stored = {**found.document(), "bundle_sha256": sha256_of(run / DOCUMENT)}
     with suppress(PermissionError):  # another's run: learned again at every diagnosis
-        atomic_write_text(run / LEARNED, to_json({**told, "sha256": seal(told)}))
+        atomic_write_text(run / LEARNED, to_json({**stored, "sha256": seal(stored)}))
 
 
 def learned_by(run: Path) -> Discrepancy | None:
@@ -138,10 +138,10 @@ def learned_by(run: Path) -> Discrepancy | None:
         return None
     again = "Learn it again by diagnose --learn"
     try:
-        told = json.loads(file.read_text(encoding="utf-8"))
-        intact = told.pop("sha256") == seal(told)
-        if intact and told["bundle_sha256"] == sha256_of(file.with_name(DOCUMENT)):
-            return read(told)
+        stored = json.loads(file.read_text(encoding="utf-8"))
+        intact = stored.pop("sha256") == seal(stored)
+        if intact and stored["bundle_sha256"] == sha256_of(file.with_name(DOCUMENT)):
+            return read(stored)
     except (AttributeError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ModelError(f"is unusable: {error!r}", file=file, hint=again) from None
     what = "was learned for another model" if intact else "was altered: its hash is another"

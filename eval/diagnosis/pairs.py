@@ -124,7 +124,7 @@ _ROLES = ("lever", "ambient", "switch")
 
 
 def inputs_of(name: str, real: Log, sim: Log, counts: dict[str, int]) -> dict[str, FloatArray]:
-    """Inputs of either log; where both have one, the simulator's, for that is what it was told.
+    """Inputs of either log; where both have one, the simulator's, for these are what it ran on.
 
     Samples that were held over a hole are added to `counts`. Raises `DataError` where there is
     nothing to drive the engine, and where recorded and simulated inputs differ.

@@ -42,10 +42,10 @@ def open_function(reference: str) -> Callable[[Log], _Told]:
         raise ConfigError(f"simulator '{reference}': the module has no function '{name}' ({place})")
 
     def simulate(log: Log) -> _Told:
-        told = {each: v.copy() for each, v in log.channels.items() if each in CHANNELS}
+        given = {each: v.copy() for each, v in log.channels.items() if each in CHANNELS}
         what = f"simulator '{reference}' failed"
         with _its_failures(ModelError, what, file=log.name, hint=_TAKES):
-            found = dict(function(told, log.dt_s))
+            found = dict(function(given, log.dt_s))
             arrays = {each: np.array(v, dtype=np.float64) for each, v in found.items()}
         for each, values in arrays.items():
             if values.shape != (len(log),):
@@ -139,8 +139,8 @@ def _virtual_engine(name: str) -> Simulate:
 
     def simulate(log: Log) -> Mapping[str, FloatArray]:
         u = np.clip(log.matrix(engine.input_names), home.LOW, home.HIGH)
-        told = dict(zip(engine.input_names, u.T, strict=True))
-        found: Mapping[str, FloatArray] = engine.simulate(told, log.dt_s)
+        given = dict(zip(engine.input_names, u.T, strict=True))
+        found: Mapping[str, FloatArray] = engine.simulate(given, log.dt_s)
         return found
 
     return simulate
@@ -156,8 +156,8 @@ def simulate_by(calibration: Calibration) -> Simulate:
             return dict(zip(own.output_names, own.simulate(u).T, strict=True))
         here = np.arange(len(log)) * log.dt_s
         there = np.arange(0.0, here[-1] + 0.5 * calibration.dt_s, calibration.dt_s)
-        told = np.column_stack([np.interp(there, here, column) for column in u.T])
-        outputs = own.simulate(told).T
+        given = np.column_stack([np.interp(there, here, column) for column in u.T])
+        outputs = own.simulate(given).T
         return {
             name: np.interp(here, there, values)
             for name, values in zip(own.output_names, outputs, strict=True)
@@ -189,11 +189,11 @@ def _fmu(path: Path) -> Simulate:
         )
 
     def simulate(log: Log) -> Mapping[str, FloatArray]:
-        told = [name for name in names["input"] if name in CHANNELS]
-        kinds = [("time", np.float64), *((name, np.float64) for name in told)]
+        given = [name for name in names["input"] if name in CHANNELS]
+        kinds = [("time", np.float64), *((name, np.float64) for name in given)]
         rows = np.zeros(len(log), dtype=kinds)
         rows["time"] = np.arange(len(log)) * log.dt_s
-        for name in told:
+        for name in given:
             rows[name] = log[name]
         found = _co_simulated(fmpy, path, rows, outputs)
         time_s, wanted = np.asarray(found["time"]), np.asarray(rows["time"])
@@ -251,38 +251,38 @@ class Rerun:
     def run(
         self,
         flights: Flights,
-        told: FloatArray,
+        given: FloatArray,
         pace: Pace | None = None,
         shift: Shift | None = None,
     ) -> FloatArray:
-        """Outputs (rows, time, outputs) for `told` (blocks, time, inputs).
+        """Outputs (rows, time, outputs) for `given` (blocks, time, inputs).
 
         With a pace, and a shift of where it settles, it is the emulator's run, anchored to what the
         simulator says of these inputs. Samples of which it says nothing are bridged, as in its
         logs. Raises `ModelError` where the simulator leaves out one of the outputs.
         """
         if pace is None:
-            return self._flown(flights) if told is flights.u else self._told(flights, told)
-        found = self.emulator.run(flights, told, pace, shift)
-        if told is flights.u:
+            return self._flown(flights) if given is flights.u else self._run_on(flights, given)
+        found = self.emulator.run(flights, given, pace, shift)
+        if given is flights.u:
             return found
-        blocks, rows = len(told), np.arange(len(found))
+        blocks, rows = len(given), np.arange(len(found))
         here, there = rows % blocks, rows % len(flights.u)
-        anchored = self.run(flights, told)[here] - self._flown(flights)[there]
-        guessed = self.emulator.run(flights, told)[here]
+        anchored = self.run(flights, given)[here] - self._flown(flights)[there]
+        guessed = self.emulator.run(flights, given)[here]
         return np.asarray(found + anchored - guessed + self.emulator.run(flights, flights.u)[there])
 
     def _flown(self, flights: Flights) -> FloatArray:
-        """What it says of the inputs as they were flown: asked once."""
+        """What it says of the inputs as they were flown: computed once."""
         for known, found in self._as_flown:
             if known is flights:
                 return found
-        found = self._told(flights, flights.u)
+        found = self._run_on(flights, flights.u)
         self._as_flown[:] = [(flights, found)]
         return found
 
-    def _told(self, flights: Flights, told: FloatArray) -> FloatArray:
-        return np.stack([self._one(flights, u) for u in told])
+    def _run_on(self, flights: Flights, given: FloatArray) -> FloatArray:
+        return np.stack([self._one(flights, u) for u in given])
 
     def _one(self, flights: Flights, u: FloatArray) -> FloatArray:
         signals, count = flights.signals, len(u)

@@ -64,7 +64,7 @@ _DRAWS = 300
 _OFFSET, _SLOPE, _BEND = 0.03, 0.03, 0.06  # priors of the nuisances, as shares of a range
 _SIGMAS = 3.0  # a bin's energy has to stand out of white noise's by this much
 _PARTS = 6  # of a flight, where there are too few flights to draw from
-_TOLD = 0.005  # of what effects do: a bin that has so much of it is told of without a gap there
+_LISTED = 0.005  # of what effects do: a bin that has so much of it is listed without a gap there
 
 
 @dataclass(frozen=True)
@@ -275,7 +275,7 @@ def _rows(
         output, move = divmod(place, found.shape[1])
         share = _interval(shares[:, output, move])
         part = None if explained is None else float(explained[output, move])
-        if share.high > 0.0 or (part or 0.0) > _TOLD:
+        if share.high > 0.0 or (part or 0.0) > _LISTED:
             core = held < CORE and share.value > 0.0
             regimes = energy.regimes(output, move)
             direction, phase = MOVES[move]

@@ -49,26 +49,26 @@ class GreyBoxEmulator:
     def run(
         self,
         flights: Flights,
-        told: FloatArray,
+        given: FloatArray,
         pace: Pace | None = None,
         shift: Shift | None = None,
     ) -> FloatArray:
-        """Free runs (rows, time, outputs) of an engine that is told `told` (blocks, time, inputs).
+        """Free runs (rows, time, outputs) of an engine with inputs `given` (blocks, time, inputs).
 
-        Row r is told block `r % blocks`, settles elsewhere and is loaded by row r of `shift`, and
-        starts where flight `r % flights` does, moved by what other inputs and the shift change at
-        rest.
+        Row r has the inputs of block `r % blocks`, settles elsewhere and is loaded by row r of
+        `shift`, and starts where flight `r % flights` does, moved by what other inputs and the
+        shift change in equilibrium.
         """
         order, count = _order(flights.signals), len(flights.u)
-        paces = np.stack(pace or as_simulated(len(told)), axis=1)
-        rows, which = np.arange(len(paces)) % count, np.arange(len(paces)) % len(told)
-        steady, air = self.settled.outputs(told), np.log(flights.signals.thin_air(told))
+        paces = np.stack(pace or as_simulated(len(given)), axis=1)
+        rows, which = np.arange(len(paces)) % count, np.arange(len(paces)) % len(given)
+        steady, air = self.settled.outputs(given), np.log(flights.signals.thin_air(given))
         load = np.zeros_like(air)
         if shift is not None:
             steady, air, load = steady[which] + shift.settled, air[which], shift.load
             which = np.arange(len(paces))
-        asked = self.settled.outputs(flights.u[:, 0])
-        start = flights.y[rows, 0] + steady[which, 0] - asked[rows]
+        flown_to = self.settled.outputs(flights.u[:, 0])
+        start = flights.y[rows, 0] + steady[which, 0] - flown_to[rows]
         flown = (_picked(steady, order), air, load, _picked(start, order))
         found = self.engine.free_run(flown, which, paces, order.index(flights.signals.hot))
         return _back(found, order, len(flights.signals.outputs))
@@ -118,7 +118,7 @@ def fit_emulators(flights: Flights) -> tuple[GreyBoxEmulator, ...]:
 def widened(one: GreyBoxEmulator, flights: Flights) -> GreyBoxEmulator:
     """The same under the same control, fitted anew to `flights`, which it may not have seen.
 
-    Where a lever is dead, or a limit holds, is told by no flight that was never there.
+    Where a lever is dead, or a limit holds, shows in flights that were there alone.
     """
     governed = one.engine.governed
     known = replace(one.engine, governed=governed % HOLDS_RATE)

@@ -79,6 +79,12 @@ def levels(flights: Flights) -> FloatArray:
     return np.asarray(np.sqrt(np.mean((flights.y[inside] + zero) ** 2, axis=0)))
 
 
+def most_of_build(flights: Flights) -> FloatArray:
+    """The largest steady difference (outputs,) that builds of one type may have."""
+    shares = np.array([_share(name) for name in flights.signals.outputs])
+    return np.asarray(_LIMIT * shares * levels(flights))
+
+
 def _share(name: str) -> float:
     return _LEVEL_PCT.get(name, _OTHER_PCT) / 100.0
 

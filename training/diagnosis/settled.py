@@ -25,7 +25,7 @@ SWITCHES: Final = ("WOW", "Approach", "ECS", "NAI", "WAI")
 _KNOTS: Final = np.concatenate([[0.0, 0.03, 0.06, 0.1, 0.15], np.linspace(0.22, 1.0, 9)])
 _SWITCHED: Final = np.array([0.0, 0.05, 0.12, 0.25, 0.5, 1.0])
 _STILL: Final = 0.003  # of a channel's range per s: what moves slower counts fully
-_FOLLOWS_S: Final = 1.0  # an engine follows where it is asked to settle within a second or so
+_FOLLOWS_S: Final = 1.0  # an engine follows where it is commanded to settle within a second or so
 _BEND, _SIZE = 1e-6, 1e-5  # penalties on bends over the lever, and on how conditions change them
 
 

@@ -3,8 +3,8 @@
 The rotors' coefficients minimise the free run's error over whole flights, with a robust loss (what
 the settled values miss must not bend the dynamics) and priors that hold the slopes where the logs
 say nothing. Temperatures and flows depend on them linearly once their lag is known; what they
-would be at rest at another core speed is not asked of moves, in which the power that the core has
-to spare says nearly the same, but of the settled values: an engine has one working line.
+would be in equilibrium at another core speed is not fitted to moves, in which the power that the
+core has to spare says nearly the same, but to the settled values: an engine has one working line.
 """
 
 from __future__ import annotations

@@ -105,13 +105,16 @@ def diagnose(
     engines: Engines,
     phases: Phases,
     differences: Differences = ASSUMED,
-    odds: Odds | None = None,
+    doubts: Sequence[str] = (),
 ) -> Budget:
-    """Say which effects act in recorded flights, and what share of the gap each cause takes."""
-    return concluded(weigh(record, engines, differences, odds), phases)
+    """Say which effects act in recorded flights, and what share of the gap each cause takes.
+
+    With `doubts` of the logs themselves the answer is undetermined, and they are its reason.
+    """
+    return concluded(weigh(record, engines, differences), phases, doubts)
 
 
-def concluded(evidence: Evidence, phases: Phases) -> Budget:
+def concluded(evidence: Evidence, phases: Phases, doubts: Sequence[str] = ()) -> Budget:
     """The budget that follows from the evidence."""
     frame, record = evidence.frame, evidence.setting.record
     if evidence.setting.learned is None:
@@ -120,7 +123,9 @@ def concluded(evidence: Evidence, phases: Phases) -> Budget:
     else:
         known, none, layers = _learned(evidence)
         unknown, verdict = 0.0, _found(layers)
-    if _too_short(record) and verdict.effects:
+    if doubts:
+        verdict, layers = Verdict("unknown", (), (), "; ".join(doubts)), []
+    elif _too_short(record) and verdict.effects:
         verdict, layers = _undetermined(verdict), []
     claimed = [one.single for one in layers if one.name in verdict.effects]
     joint = together(frame, claimed)

@@ -171,7 +171,7 @@ def fit(cases: Sequence[Case]) -> Odds:
 def logits(cases: Sequence[Case]) -> Odds:
     """The weights of both logits; those of further effects shrink towards those of the first.
 
-    A further effect is asked for where the first one acts: other cases say nothing of it.
+    A further effect is fitted where the first one acts: other cases carry no information on it.
     """
     n, m = len(FEATURES), len(OF_CASE)
     w = fitted([one.first for one in cases])

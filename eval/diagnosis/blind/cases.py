@@ -286,7 +286,7 @@ def share_in(bounds: tuple[float, float], random: np.random.Generator) -> float:
 
 
 def base_of(plan: BlindPlan, kind: Kind, which: int, random: np.random.Generator) -> Base:
-    """Nulls always, and every other of the rest, are told by a simulator that is wrong."""
+    """Nulls always, and every other of the rest, have a simulator that is wrong."""
     if plan.build == "same":
         return Base(0.0)
     if kind != "null" and which % 2:

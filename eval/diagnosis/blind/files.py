@@ -44,7 +44,7 @@ def opened(content: bytes, secret: str, salt: bytes, file: Path | None = None) -
     """Open what `sealed` made.
 
     Raises `DataError` for what is no sealed key, and `ConfigError` for another secret or salt, or
-    for content that was changed: from outside these cannot be told apart.
+    for content that was changed: from outside these cannot be distinguished.
     """
     if not content.startswith(MARK) or len(content) < len(MARK) + _TAG:
         raise DataError("is no sealed key", file=file, hint="`narxcal blind make` writes one")

@@ -300,8 +300,8 @@ class LumpedEngine:
         moved = _linkage(np.ascontiguousarray(lever), 0.5 * width, rate * dt_s)
         index = np.arange(len(lever), dtype=np.float64)
         late = index - self._value("throttle_delay", "delay_s") / dt_s
-        heard = np.asarray(np.interp(late, index, moved), np.float64)
-        return heard + self._value("throttle_bias", "bias_deg")
+        arrived = np.asarray(np.interp(late, index, moved), np.float64)
+        return arrived + self._value("throttle_bias", "bias_deg")
 
 
 @compiled

@@ -58,11 +58,11 @@ def write_key(
     for number, made in enumerate(cases, start=1):
         rows[made.name], logs[made.name] = made.row, made.logs
         progress(number, plan.cases, made.name)
-    told = {"schema": SCHEMA, "plan": plan.model_dump(exclude={"seed"}), "logs": logs}
+    listed = {"schema": SCHEMA, "plan": plan.model_dump(exclude={"seed"}), "logs": logs}
     key = {"schema": KEY_SCHEMA, "plan": plan.model_dump(), "cases": rows}
-    atomic_write_bytes(folder / KEY, sealed(key, secret, salt_of(told)))
-    atomic_write_text(folder / CASES, json.dumps(told, indent=1) + "\n")
-    return told
+    atomic_write_bytes(folder / KEY, sealed(key, secret, salt_of(listed)))
+    atomic_write_text(folder / CASES, json.dumps(listed, indent=1) + "\n")
+    return listed
 
 
 def _all_made(folder: Path, plan: BlindPlan, cases: Sequence[Case], jobs: int) -> Iterator[Made]:
@@ -89,10 +89,10 @@ def made_from(folder: Path, plan: BlindPlan, specimen: Any) -> Made:
     real = [specimen.both(flight, content) for flight in flights]
     recorded = [each[1] for each in real]
     held = slice(plan.flights, None)
-    told = [specimen.simulated(flight, content) for flight in flights[held]]
+    listed = [specimen.simulated(flight, content) for flight in flights[held]]
     row = {
         **_facts(case, content, flights),
-        "gap_share": gap_share(recorded[held], simulated[held], told),
+        "gap_share": gap_share(recorded[held], simulated[held], listed),
         "budget": budget(specimen, flights[held], content, simulated[held], real[held]),
     }
     return Made(case.name, row, _written(folder / case.name, plan.flights, simulated, recorded))

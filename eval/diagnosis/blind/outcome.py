@@ -119,7 +119,7 @@ class Outcome(NamedTuple):
 
     @property
     def named_set(self) -> tuple[str, ...]:
-        """Effects that are named, with those that they cannot be told from."""
+        """Effects that are named, with those that they are ambiguous with."""
         if not self.claims:
             return ()
         return (*self.claimed, *self.answer["verdict"]["ambiguous_with"])

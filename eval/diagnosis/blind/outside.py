@@ -49,7 +49,7 @@ def applied(what: Strange, on: str, channels: Mapping[str, FloatArray], size: fl
 
 
 def _deadband(channels: Mapping[str, FloatArray], size: float) -> Channels:
-    """The lever is heard only once it has left its last heard place by `size` degrees.
+    """The lever is followed only once it has left its last followed place by `size` degrees.
 
     Without a lever it is the fuel flow, by that part of its median.
     """
@@ -61,13 +61,13 @@ def _deadband(channels: Mapping[str, FloatArray], size: float) -> Channels:
 
 @compiled
 def _jumping(angle: FloatArray, width: float) -> FloatArray:
-    heard = np.empty_like(angle)
+    followed = np.empty_like(angle)
     state = angle[0]
     for k in range(len(angle)):
         if abs(angle[k] - state) > width:
             state = angle[k]
-        heard[k] = state
-    return heard
+        followed[k] = state
+    return followed
 
 
 def _kink(channels: Mapping[str, FloatArray], size: float) -> Channels:

@@ -28,7 +28,7 @@ from narxcal.support.arrays import FloatArray
 
 _TRIES: Final = 3
 _CLOSE: Final = 0.1  # of the energy: the next size will do
-_LEAST: Final = 1e-3  # of the energy asked for: the size does nothing yet
+_LEAST: Final = 1e-3  # of the energy aimed at: the size does nothing yet
 _SMALLEST: Final = 0.03  # of the first size
 Measure = Callable[[float], float]
 
@@ -55,12 +55,12 @@ def _squares(one: Channels, other: Channels, spans: Mapping[str, float]) -> Floa
 def gap_share(
     recorded: Sequence[Channels],
     simulated: Sequence[Channels],
-    told: Sequence[Channels],
+    with_it: Sequence[Channels],
 ) -> float:
-    """Share of the squared gap that the true content takes away: `told` is simulated with it."""
+    """Share of the squared gap that the true content takes away: `with_it` is simulated with it."""
     spans = ranges(simulated)
     before = sum(energy(r, s, spans) for r, s in zip(recorded, simulated, strict=True))
-    after = sum(energy(r, t, spans) for r, t in zip(recorded, told, strict=True))
+    after = sum(energy(r, t, spans) for r, t in zip(recorded, with_it, strict=True))
     return 1.0 - after / before if before > 0.0 else 0.0
 
 
@@ -79,8 +79,8 @@ def sized(specimen: Any, flights: Sequence[Any], simulated: Sequence[Channels]) 
 
     def measured(content: Content) -> float:
         # By itself: what it shares with the errors of the base would make it look larger.
-        told = [specimen.simulated(flight, content) for flight in flights]
-        return sum(energy(t, s, spans) for t, s in zip(told, simulated, strict=True))
+        with_it = [specimen.simulated(flight, content) for flight in flights]
+        return sum(energy(t, s, spans) for t, s in zip(with_it, simulated, strict=True))
 
     if case.strange is not None:
         size = size_for(lambda s: measured(Content(strange=s)), wanted, case.strange[3:5])

@@ -237,8 +237,8 @@ class LogSpecimen:
         faults = [dose.fault(ENGINE) for dose in content.doses if dose.on_sensor]
         seed = int(self._random(1).integers(2**31))
         names = [name for name in outputs_for(seen) if name in seen]
-        told = {name: seen[name] for name in names}
-        found = record(told, flight.dt_s, sensors, Streams(seed, flight.number, 0), faults)
+        arriving = {name: seen[name] for name in names}
+        found = record(arriving, flight.dt_s, sensors, Streams(seed, flight.number, 0), faults)
         return {**seen, **{name: found.channels[name] for name in names}}
 
     def _random(self, purpose: int, number: int = 0) -> np.random.Generator:

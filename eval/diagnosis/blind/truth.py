@@ -153,12 +153,12 @@ class Specimen:
         changes = list(MISFIT) if misfit else []
         if self.case.strange is not None and content.strange:
             changes.append((self.case.strange, content.strange))
-        told = dict(flight.inputs)
+        arriving = dict(flight.inputs)
         for what, size in changes:
-            told = applied(what, "input", told, size)
-        inputs = {name: told[name] for name in engine.input_names}
+            arriving = applied(what, "input", arriving, size)
+        inputs = {name: arriving[name] for name in engine.input_names}
         outputs = engine.simulate(inputs, flight.dt_s)
-        seen = {**flight.inputs, **{name: outputs[name] for name in outputs_for(told)}}
+        seen = {**flight.inputs, **{name: outputs[name] for name in outputs_for(arriving)}}
         for what, size in changes:
             seen = applied(what, "output", seen, size)
         return seen

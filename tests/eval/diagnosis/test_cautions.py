@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from eval.diagnosis.document import Evidence, cautions, coarse_emulator
+from eval.diagnosis.diagnose import diagnose_pairs
+from eval.diagnosis.document import Evidence, cautions, coarse_emulator, implausible
 from eval.diagnosis.pairs import pair_logs, read_pairs
 from eval.diagnosis.where import locate
+from eval.diagnosis.words import sentences
 from tests.eval.diagnosis.conftest import batch
 from training.diagnosis.budget import Interval
 
@@ -59,7 +61,7 @@ def test_kelvin_on_one_side_is_suspected(fly, record, log_of):
     sim["EGT_C"] = sim["EGT_C"] + 273.15
     words = said([pair_logs("f", log_of(real), log_of(sim))])
     assert words[1] == (
-        "recorded EGT_C stands -273 off the simulated one throughout: one of them looks like kelvin"
+        "the simulated EGT_C looks like kelvin: it is -273.2 degC off the other throughout"
     )
 
 
@@ -70,8 +72,8 @@ def test_another_hundred_per_cent_is_suspected(fly, record, log_of):
     words = said([pair_logs("f", log_of(real), log_of(sim))])
     assert len(words) == 2
     assert words[1] == (
-        "recorded N2_pct stands +12 % of its level off the simulated one throughout: another "
-        "engine, or another speed for 100 %?"
+        "recorded N2_pct is +12 % of its level off the simulated one throughout: another engine, "
+        "or another speed for 100 %?"
     )
 
 
@@ -119,3 +121,34 @@ def test_unknown_samples_are_said(fly, record, log_of):
     real["N1_pct"][:384] = np.nan
     words = said([pair_logs("f", log_of(real), log_of(sim))])
     assert words[1] == "3.3 % of the recorded samples are unknown"
+
+
+@pytest.mark.parametrize(
+    "case",
+    [
+        ("EGT_C", lambda t: 1.8 * t + 32.0, "the recorded EGT_C looks like degF"),
+        ("EGT_C", lambda t: t + 273.15, "the recorded EGT_C looks like kelvin"),
+        ("N1_pct", lambda n: 0.5 * n, "recorded N1_pct is -50 % of its level off the simulated"),
+    ],
+)
+def test_logs_in_another_unit_are_undetermined_with_that_as_the_reason(fly, record, log_of, case):
+    channel, foreign, word = case
+    pairs = []
+    for seed in range(3):
+        sim = fly(seed, rate_hz=4.0)
+        real = record(sim, seed)
+        real[channel] = foreign(real[channel])
+        pairs.append(pair_logs(f"f{seed}", log_of(real), log_of(sim)))
+    document = diagnose_pairs(pairs).document
+    assert document["verdict"]["kind"] == "unknown"
+    assert document["verdict"]["effects"] == []
+    assert document["verdict"]["reason"].startswith(word)
+    assert sentences(document)[0].startswith(f"Undetermined: {word}")
+
+
+@pytest.mark.parametrize(("channel", "off"), [("EGT_C", 60.0), ("N1_pct", 1.5), ("N2_pct", -1.0)])
+def test_a_biased_sensor_is_in_no_other_unit(fly, record, log_of, channel, off):
+    sim = fly(0)
+    real = record(sim)
+    real[channel] = real[channel] + off
+    assert implausible(batch([pair_logs("f", log_of(real), log_of(sim))])) == []
