@@ -9,7 +9,8 @@ comes at some rate per sample, so that
 
 and `rest` is the rate of what is left, times the samples. Which of the two holds, or how much of
 either, follows from flights that are predicted by the others, as does the interval: in the
-logarithm of what is left, which no effect makes less than nothing and other misfit can make any amount of.
+logarithm of what is left, which no effect makes less than nothing and other misfit can make any
+amount of.
 """
 
 from __future__ import annotations
