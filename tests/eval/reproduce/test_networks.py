@@ -8,8 +8,7 @@ import pandas as pd
 import pytest
 
 from data_prep.events import find_events
-from eval.crossval import CrossValidation, FoldResult
-from eval.evaluate import EvaluateConfig
+from eval.crossval import FoldResult
 from eval.reproduce.data import Effort, within
 from eval.reproduce.inputs import deviations, fed_record, fed_variants, inputs, record, variants
 from eval.reproduce.narx_paper import family_of, goal, goal_config, goal_training, thinned
@@ -20,6 +19,7 @@ from eval.reproduce.response import (
     by,
     class_rows,
     classed,
+    divided,
     figures_of,
     judged,
     passed_claim,
@@ -237,7 +237,7 @@ def test_the_worst_of_all_divisions_is_told():
         fold(1, **{"max_rel_pct.N1_pct": 3.0, "rmse.N1_pct": 0.1, "mean_relative_Ti_pct": 4.0,
                    "mean_relative_Tt_pct": None, "passed": 5, "assessed": 5}),
     )  # fmt: skip
-    assert worst_of(CrossValidation(folds, EvaluateConfig())) == {
+    assert worst_of(found) == {
         "max_rel_pct.N1_pct": 3.0, "rmse.N1_pct": 0.2, "mean_relative_Ti_pct": 3.0,
         "mean_relative_Tt_pct": None, "passed": 8, "assessed": 9,
     }  # fmt: skip
@@ -247,14 +247,14 @@ def test_the_worst_of_all_divisions_is_told():
 def test_divisions_hold_back_three_tenths_of_the_events(data, effort):
     seen = []
     study = splits(data, effort, lambda *done: seen.append(done))
-    folds = tuple(what for *_, what in seen)
     assert [tuple(counts) for *counts, _ in seen] == [(1, 2), (2, 2)]
-    for one in folds:
+    found = divided(data, effort)
+    for one in found.folds:
         count = len(one.train) + len(one.test)
         assert len(one.train) == round(0.7 * count)
         assert not set(one.train) & set(one.test)
     assert study.title == "2 random 7:3 divisions"
-    assert study.results["worst"] == worst_of(CrossValidation(folds, EvaluateConfig()))
+    assert study.results["worst"] == worst_of(found)
     json.dumps(study.results)
 
 
