@@ -8,7 +8,8 @@ import pandas as pd
 import pytest
 
 from data_prep.events import find_events
-from eval.crossval import FoldResult
+from eval.crossval import CrossValidation, FoldResult
+from eval.evaluate import EvaluateConfig
 from eval.reproduce.data import Effort, within
 from eval.reproduce.inputs import deviations, fed_record, fed_variants, inputs, record, variants
 from eval.reproduce.narx_paper import family_of, goal, goal_config, goal_training, thinned
@@ -237,7 +238,7 @@ def test_the_worst_of_all_divisions_is_told():
         fold(1, **{"max_rel_pct.N1_pct": 3.0, "rmse.N1_pct": 0.1, "mean_relative_Ti_pct": 4.0,
                    "mean_relative_Tt_pct": None, "passed": 5, "assessed": 5}),
     )  # fmt: skip
-    assert worst_of(found) == {
+    assert worst_of(CrossValidation(folds, EvaluateConfig())) == {
         "max_rel_pct.N1_pct": 3.0, "rmse.N1_pct": 0.2, "mean_relative_Ti_pct": 3.0,
         "mean_relative_Tt_pct": None, "passed": 8, "assessed": 9,
     }  # fmt: skip
