@@ -8,7 +8,7 @@ four seconds: the mean of each engine channel over the second of it that changes
 |---|---|
 | agree | of an anchor and a second of the other log, all engine channels but at most one agree |
 | tolerance | 3e-4 of the channel's largest value, four standard deviations of the noise of both means, and what the other log changes within half a second |
-| shift | the one at which most anchors agree, to 0.04 s |
+| shift | of those at which most anchors agree, the one with the best stretch, to 0.04 s |
 | stretch | consecutive anchors, each that agrees counting 1, each other one -3: the largest sum |
 | levels | of the stretch, the anchors that differ from the level counted before by more than the tolerance |
 | same | at least five levels, and shifts x p^levels < 1e-4 with the share p of all anchors and seconds that agree |
@@ -190,20 +190,28 @@ class _Search:
         values, counts = np.unique(shifts, return_counts=True)
         order = np.argsort(-counts, kind="stable")[:_SHIFTS]
         likely = values[order[counts[order] >= max(_LEAST_LEVELS, 0.5 * counts.max())]]
-        if not len(likely):
+        # Most logs are another flight: their shifts are dismissed before any is looked at closely.
+        likely = [
+            float(shift) for shift in likely if self._beyond_chance(self._near(float(shift)), chance)
+        ]
+        if not likely:
             return None
-        found = max((self._refined(float(shift)) for shift in likely), key=lambda one: one.order)
-        span = self.means.time_s[-1] - self.means.time_s[0] + self.times[-1]
-        levels = self._levels(self.anchors[found.rows]) if len(found.rows) else 0
-        if (
-            levels < _LEAST_LEVELS
-            or found.misfit > _LARGEST_MISFIT
-            or span * chance**levels > _CHANCE
-        ):
+        found = max((self._refined(shift) for shift in likely), key=lambda one: one.order)
+        if found.misfit > _LARGEST_MISFIT or not self._beyond_chance(found.rows, chance):
             return None
         whole = self.means.time_s[-1] - self.means.time_s[0]
         share = min(1.0, (found.to_s - found.from_s + _EVERY_S) / whole)
         return Overlap(float(share), found.from_s, found.to_s)
+
+    def _beyond_chance(self, rows: IntArray, chance: float) -> bool:
+        """Whether anchors that agree at one shift are too many levels for two other flights."""
+        levels = self._levels(self.anchors[rows]) if len(rows) else 0
+        span = self.means.time_s[-1] - self.means.time_s[0] + self.times[-1]
+        return levels >= _LEAST_LEVELS and bool(span * chance**levels <= _CHANCE)
+
+    def _near(self, shift: float) -> IntArray:
+        """Anchors of the best stretch within half a second of a shift."""
+        return self._stretch(shift, self._slopes(self.times + shift)).rows
 
     def _refined(self, shift: float) -> _Stretch:
         """The best stretch near a shift in whole seconds: to 0.2 s by anchors, then by misfit."""
@@ -224,23 +232,26 @@ class _Search:
 
     def _agreement(self, seconds: FloatArray) -> BoolArray:
         """Which anchors and seconds agree (anchors, seconds)."""
-        values = self.means.at(seconds)
-        after, before = self.means.at(seconds + 0.5), self.means.at(seconds - 0.5)
-        slope = np.nan_to_num(np.abs(after - before))
+        values, slopes = self.means.at(seconds), self._slopes(seconds)
         count = np.zeros((len(self.anchors), len(seconds)), dtype=np.int8)
         for k, tolerance in enumerate(self.tolerance):
             off = np.abs(self.anchors[:, k, None] - values[None, :, k])
-            count += off <= tolerance + slope[None, :, k]
+            count += off <= tolerance + slopes[None, :, k]
         return np.asarray(count >= self.least)
 
-    def _stretch(self, shift: float) -> _Stretch:
-        """The best stretch at a shift of the clock."""
+    def _slopes(self, times_s: FloatArray) -> FloatArray:
+        """What the other log changes within half a second (times, channels)."""
+        return np.nan_to_num(np.abs(self.means.at(times_s + 0.5) - self.means.at(times_s - 0.5)))
+
+    def _stretch(self, shift: float, slopes: FloatArray | float = 0.0) -> _Stretch:
+        """The best stretch at a shift of the clock, with `slopes` (anchors, channels) allowed."""
         at = self.times + shift
         inside = (at > self.means.time_s[0] + 0.5) & (at < self.means.time_s[-1] - 0.5)
         if not inside.any():
             return _NOWHERE
         numbers, at = np.flatnonzero(inside), at[inside]
-        off = np.abs(self.anchors[numbers] - self.means.at(at)) / self.tolerance
+        allowed = np.broadcast_to(self.tolerance + slopes, self.anchors.shape)[numbers]
+        off = np.abs(self.anchors[numbers] - self.means.at(at)) / allowed
         agree = (off <= 1.0).sum(axis=1) >= self.least
         first, last = _largest_sum(np.where(agree, 1, -3))
         rows = np.flatnonzero(agree[first : last + 1]) + first
