@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,34 +18,43 @@ from narxcal.calibration.calibration import Calibration
 from narxcal.channels import CHANNELS
 from narxcal.effects.pace import Pace
 from narxcal.effects.running import Emulator, Flights, Shift
+from narxcal.steady.fmu import import_fmpy, read_description
+from narxcal.steady.function import import_function, search_path
 from narxcal.support.arrays import FloatArray, block_means, bridge_gaps
 from narxcal.support.errors import ConfigError, ModelError, NarxcalError
 from training.pipeline import calibration_for
 
 _TAKES = "It takes ({channel: (time,)}, dt_s) and returns {channel: (time,)}"
-_Told = Mapping[str, FloatArray]
+ENGINES = ("business_jet", "single_aisle")
+_OUTPUTS = tuple(name for name, row in CHANNELS.items() if row.role == "output")
+_ONE_RASTER = 1e-3
+DRIVERS = ("TRA_deg", "FF_kgph")
+Simulate = Callable[[Log], Mapping[str, FloatArray]]
 
 
-def open_function(reference: str) -> Callable[[Log], _Told]:
+def open_function(reference: str) -> Simulate:
     """Import `module:function`, installed or in the current folder, as a simulator of logs.
 
     Raises `ConfigError` where there is none; the simulator raises `ModelError` where the function
     fails or returns anything but channels of the log's length.
     """
-    module_name, _, name = reference.partition(":")
-    with _its_failures(ConfigError, f"simulator '{reference}' cannot be imported"):
-        module = _module(module_name, reference)
-    function = getattr(module, name, None)
-    if not callable(function):
-        place = getattr(module, "__file__", None) or module_name
-        raise ConfigError(f"simulator '{reference}': the module has no function '{name}' ({place})")
+    with redirect_stdout(sys.stderr):
+        function, file = import_function(reference, subject="simulator")
 
-    def simulate(log: Log) -> _Told:
+    def simulate(log: Log) -> Mapping[str, FloatArray]:
         given = {each: v.copy() for each, v in log.channels.items() if each in CHANNELS}
-        what = f"simulator '{reference}' failed"
-        with _its_failures(ModelError, what, file=log.name, hint=_TAKES):
-            found = dict(function(given, log.dt_s))
-            arrays = {each: np.array(v, dtype=np.float64) for each, v in found.items()}
+        try:
+            with redirect_stdout(sys.stderr), search_path(file.parent):
+                found = dict(function(given, log.dt_s))
+                arrays = {each: np.array(v, dtype=np.float64) for each, v in found.items()}
+        except NarxcalError:
+            raise
+        except (Exception, SystemExit) as error:
+            raise ModelError(
+                f"simulator '{reference}' failed: {type(error).__name__}: {error}",
+                file=log.name,
+                hint=_TAKES,
+            ) from error
         for each, values in arrays.items():
             if values.shape != (len(log),):
                 raise ModelError(
@@ -57,39 +65,6 @@ def open_function(reference: str) -> Callable[[Log], _Told]:
         return arrays
 
     return simulate
-
-
-def _module(name: str, reference: str) -> ModuleType:
-    """Import a module; the current folder comes last, so that a file there hides nothing."""
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        lost = (error.name or name).replace(".", "/")
-        raise ConfigError(
-            f"simulator '{reference}': {error}", hint=f"Install it, or put {lost}.py into {here}"
-        ) from None
-
-
-@contextmanager
-def _its_failures(kind: type[NarxcalError], what: str, **where: Any) -> Iterator[None]:
-    """Turn whatever a user's code raises, an exit included, into one of our errors."""
-    try:
-        with redirect_stdout(sys.stderr):
-            yield
-    except NarxcalError:
-        raise
-    except (Exception, SystemExit) as error:
-        raise kind(f"{what}: {type(error).__name__}: {error}", **where) from error
-
-
-ENGINES = ("business_jet", "single_aisle")
-_OUTPUTS = tuple(name for name, row in CHANNELS.items() if row.role == "output")
-_ONE_RASTER = 1e-3
-DRIVERS = ("TRA_deg", "FF_kgph")
-Simulate = Callable[[Log], Mapping[str, FloatArray]]
 
 
 class Simulator(NamedTuple):
@@ -168,8 +143,7 @@ def simulate_by(calibration: Calibration) -> Simulate:
 
 def _fmu(path: Path) -> Simulate:
     """Co-simulation of an FMU whose variables bear the names of channels."""
-    fmpy = _fmpy(path)
-    description = _described(fmpy, path)
+    description = read_description(path)
     names = {
         kind: [v.name for v in description.modelVariables if v.causality == kind]
         for kind in ("input", "output")
@@ -195,24 +169,15 @@ def _fmu(path: Path) -> Simulate:
         rows["time"] = np.arange(len(log)) * log.dt_s
         for name in given:
             rows[name] = log[name]
-        found = _co_simulated(fmpy, path, rows, outputs)
+        found = _co_simulated(path, rows, outputs)
         time_s, wanted = np.asarray(found["time"]), np.asarray(rows["time"])
         return {name: np.interp(wanted, time_s, found[name]) for name in outputs}
 
     return simulate
 
 
-def _described(fmpy: Any, path: Path) -> Any:
-    # FMPy raises whatever the parser of its day does about a file that it dislikes.
-    try:
-        return fmpy.read_model_description(str(path))
-    except Exception as error:
-        raise ModelError(
-            f"the file is no FMU that can be read: {error}", file=path, hint="Export it again"
-        ) from error
-
-
-def _co_simulated(fmpy: Any, path: Path, rows: Any, outputs: Sequence[str]) -> Any:
+def _co_simulated(path: Path, rows: Any, outputs: Sequence[str]) -> Any:
+    fmpy = import_fmpy(path)
     interval = float(rows["time"][1])
     try:
         return fmpy.simulate_fmu(
@@ -228,15 +193,6 @@ def _co_simulated(fmpy: Any, path: Path, rows: Any, outputs: Sequence[str]) -> A
         raise ModelError(
             f"the FMU failed: {error}", file=path, hint="Run it in co-simulation by itself first"
         ) from error
-
-
-def _fmpy(path: Path) -> Any:
-    try:
-        return importlib.import_module("fmpy")
-    except ImportError:
-        raise ModelError(
-            "FMUs need the package FMPy", file=path, hint="pip install narxcal[fmu]"
-        ) from None
 
 
 @dataclass(frozen=True, eq=False)

@@ -169,26 +169,38 @@ class _Unit:
         return list(get(outputs))
 
 
-def _open(path: Path) -> _Unit:
+def import_fmpy(path: Path) -> Any:
+    """Import FMPy to read `path`; raises `ModelError` where it is not installed."""
     try:
         import fmpy  # noqa: PLC0415  (an extra that most installations lack)
-        from fmpy.fmi1 import FMICallException  # noqa: PLC0415
+        import fmpy.fmi1  # noqa: PLC0415
     except ImportError:
         raise ModelError(
             "an FMU needs FMPy, which is not installed",
             file=path,
             hint="pip install 'narxcal[fmu]'",
         ) from None
+    return fmpy
+
+
+def read_description(path: Path) -> Any:
+    """Read an FMU's model description; raises `ModelError` for what is no FMU."""
+    fmpy = import_fmpy(path)
     if not path.is_file():
         raise ModelError("the FMU does not exist", file=path)
     # FMPy raises bare Exception for whatever it dislikes about a file.
     try:
-        description = fmpy.read_model_description(path)
-        platforms = fmpy.supported_platforms(path)
+        return fmpy.read_model_description(path)
     except BadZipFile:
         raise ModelError("the file is no FMU: it is not a zip archive", file=path) from None
     except Exception as error:
         raise ModelError(f"the file is no FMU that can be read: {error}", file=path) from error
+
+
+def _open(path: Path) -> _Unit:
+    fmpy = import_fmpy(path)
+    description = read_description(path)
+    platforms = fmpy.supported_platforms(path)
     _check(path, description, (platforms, fmpy.platform))
     folder = fmpy.extract(path)
     try:
@@ -198,7 +210,7 @@ def _open(path: Path) -> _Unit:
     except Exception as error:
         shutil.rmtree(folder, ignore_errors=True)
         raise ModelError(f"the FMU does not start: {error}", file=path) from error
-    return _Unit(slave, description, folder, FMICallException)
+    return _Unit(slave, description, folder, fmpy.fmi1.FMICallException)
 
 
 def _check(path: Path, description: Any, platforms: tuple[list[str], str]) -> None:

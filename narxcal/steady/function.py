@@ -12,7 +12,8 @@ import importlib
 import importlib.util
 import sys
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from os import PathLike
 from pathlib import Path
 from types import ModuleType
@@ -39,6 +40,7 @@ BUILT_IN = ("narxcal.turbofan:maker_model",)
 _FEWEST_ROWS = 100  # fewer are samples of a stream, which do not come again
 _MOST_ROWS = 1_000_000  # cached in all: some 10 h at 32 Hz, 24 MB of three outputs
 _WHAT = "steady-state function"
+_SUBJECT = "steady-state model"
 
 Function = Callable[[FloatArray], ArrayLike]
 Ranges = Mapping[str, tuple[float, float]]
@@ -112,15 +114,7 @@ class SteadyCallable(BoxModel):
 
         Raises `ConfigError` if there is no such module or function.
         """
-        module, name = _split(reference)
-        file = _find(module, Path(folder))
-        if file is None:
-            place = module.replace(".", "/")
-            raise ConfigError(
-                f"steady-state model '{reference}': there is no module '{module}'",
-                hint=f"Install it, or put {place}.py into {Path(folder).resolve()}",
-            )
-        function = _function(_import(module, file), name, reference)
+        function, file = import_function(reference, folder)
         return cls(function, names, ranges, reference, str(file))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -183,7 +177,7 @@ class SteadyCallable(BoxModel):
         """
         reference = str(stored(meta, "reference", _WHAT))
         names = stored_names(meta, _WHAT)
-        module, name = _split(reference)
+        module, name = _split(reference, _SUBJECT)
         former = Path(stored(meta, "file", _WHAT))
         file = _find(module, former.parent)
         if file is None:
@@ -198,7 +192,7 @@ class SteadyCallable(BoxModel):
                 hint="Restore the former file, or train anew",
             )
         ranges = _ranges(names[0], stored(arrays, "low", _WHAT), stored(arrays, "high", _WHAT))
-        function = _function(_import(module, file), name, reference)
+        function = _function(_import(module, file), name, f"{_SUBJECT} '{reference}'")
         return cls(function, names, ranges, reference, str(file))
 
 
@@ -207,11 +201,43 @@ def _ranges(names: tuple[str, ...], low: FloatArray, high: FloatArray) -> Ranges
     return dict(zip(names, pairs, strict=True))
 
 
-def _split(reference: str) -> tuple[str, str]:
+def import_function(
+    reference: str, folder: str | PathLike[str] = ".", subject: str = _SUBJECT
+) -> tuple[Callable[..., Any], Path]:
+    """Import `module:function`, installed or of a file in `folder`; return it and its file.
+
+    A module in `folder` is loaded under a name of its own, which hides no installed module, and
+    again if its file changed; it may import others beside it. Errors begin with `subject`.
+    Raises `ConfigError` if there is no such module or function, or if the module fails.
+    """
+    module, name = _split(reference, subject)
+    what = f"{subject} '{reference}'"
+    file = _find(module, Path(folder))
+    if file is None:
+        place = module.replace(".", "/")
+        raise ConfigError(
+            f"{what}: there is no module '{module}'",
+            hint=f"Install it, or put {place}.py into {Path(folder).resolve()}",
+        )
+    return _function(_import(module, file, siblings=True), name, what), file
+
+
+@contextmanager
+def search_path(folder: Path) -> Iterator[None]:
+    """Let imports find modules of `folder`, after all others, while the block runs."""
+    before = list(sys.path)
+    sys.path.append(str(folder))
+    try:
+        yield
+    finally:
+        sys.path[:] = before
+
+
+def _split(reference: str, subject: str) -> tuple[str, str]:
     module, colon, name = reference.partition(":")
     if not (colon and name.isidentifier() and all(map(str.isidentifier, module.split(".")))):
         raise ConfigError(
-            f"steady-state model '{reference}' is no reference to a function",
+            f"{subject} '{reference}' is no reference to a function",
             hint="Write it as module:function",
         )
     return module, name
@@ -222,8 +248,9 @@ def _find(module: str, folder: Path) -> Path | None:
     installed = _installed(module)
     if installed is not None:
         return installed
-    local = folder.joinpath(*module.split(".")).with_suffix(".py")
-    return local.resolve() if local.is_file() else None
+    local = folder.joinpath(*module.split("."))
+    files = (local.with_suffix(".py"), local / "__init__.py")
+    return next((file.resolve() for file in files if file.is_file()), None)
 
 
 def _installed(module: str) -> Path | None:
@@ -236,7 +263,7 @@ def _installed(module: str) -> Path | None:
     return Path(spec.origin).resolve()
 
 
-def _import(module: str, file: Path) -> ModuleType:
+def _import(module: str, file: Path, *, siblings: bool = False) -> ModuleType:
     if _installed(module) == file:
         return importlib.import_module(module)
     # A name of its own: it hides no installed module, and a changed file is another module.
@@ -248,19 +275,22 @@ def _import(module: str, file: Path) -> ModuleType:
         raise ConfigError("the module cannot be imported", file=file)
     sys.modules[own] = importlib.util.module_from_spec(spec)
     try:
-        spec.loader.exec_module(sys.modules[own])
-    except (ImportError, SyntaxError) as error:
+        with search_path(file.parent) if siblings else nullcontext():
+            spec.loader.exec_module(sys.modules[own])
+    except (Exception, SystemExit) as error:
         del sys.modules[own]
-        raise ConfigError(f"the module cannot be imported: {error}", file=file) from error
+        lost = isinstance(error, ModuleNotFoundError)
+        raise ConfigError(
+            f"the module cannot be imported: {type(error).__name__}: {error}",
+            file=file,
+            hint=f"Install it, or put it into {file.parent}" if lost else None,
+        ) from error
     return sys.modules[own]
 
 
-def _function(module: ModuleType, name: str, reference: str) -> Function:
-    found = vars(module).get(name)
+def _function(module: ModuleType, name: str, what: str) -> Callable[..., Any]:
+    found = getattr(module, name, None)
     if not callable(found):
-        home = reference.partition(":")[0]
-        raise ConfigError(
-            f"steady-state model '{reference}': module '{home}' has no function '{name}'"
-        )
-    function: Function = found
+        raise ConfigError(f"{what}: the module has no function '{name}'")
+    function: Callable[..., Any] = found
     return function

@@ -44,12 +44,12 @@ number = 3
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """A folder of a user's own modules, forgotten afterwards."""
+    """A folder of a user's own modules; the import path is left as it was."""
     (tmp_path / "own_engine.py").write_text(OWN, "utf-8")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    known = set(sys.modules)
+    before, known = list(sys.path), set(sys.modules)
     yield tmp_path
+    assert sys.path == before
     for name in {file.stem for file in tmp_path.rglob("*.py")} - known:
         sys.modules.pop(name, None)
 
@@ -62,15 +62,15 @@ def test_a_function_beside_the_user_is_called_with_inputs_and_interval(here, fly
 
 
 def test_an_installed_function_too(fly, log_of):
-    with pytest.raises(ConfigError, match="has no function 'nothing'"):
+    with pytest.raises(ConfigError, match="no function 'nothing'"):
         open_simulator("narxcal.turbofan:nothing")
 
 
 @pytest.mark.parametrize(
     ("source", "problem"),
     [
-        ("own_engine:number", "has no function 'number'"),
-        ("no_engine:f", "No module named 'no_engine'"),
+        ("own_engine:number", "no function 'number'"),
+        ("no_engine:f", "there is no module 'no_engine'"),
         ("business_yet", "is no folder of logs, run folder, FMU, module:function or virtual"),
         ("none.fmu", "is no folder of logs, run folder, FMU"),
         (":f", "is no folder of logs, run folder, FMU"),
@@ -100,7 +100,7 @@ def test_a_function_that_fails_is_named(here, fly, log_of):
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("def f(:", "'halves:f' cannot be imported: SyntaxError"),
+        ("def f(:", "halves.py: the module cannot be imported: SyntaxError"),
         ("raise RuntimeError('no licence')", "cannot be imported: RuntimeError: no licence"),
     ],
 )
@@ -115,8 +115,8 @@ def test_a_module_that_needs_another_one_is_told_where_to_get_it(here):
     with pytest.raises(ConfigError) as caught:
         open_simulator("halves:f")
     assert str(caught.value) == (
-        "simulator 'halves:f': No module named 'nowhere_at_all'. "
-        f"Install it, or put nowhere_at_all.py into {here}"
+        f"{here}/halves.py: the module cannot be imported: ModuleNotFoundError: "
+        f"No module named 'nowhere_at_all'. Install it, or put it into {here}"
     )
 
 
@@ -154,7 +154,9 @@ def test_an_exit_in_a_users_function_is_its_failure_and_not_our_end(here, fly, l
     (here / "halves.py").write_text("import sys\nsys.exit('no licence')", "utf-8")
     with pytest.raises(ConfigError) as caught:
         open_simulator("halves:f")
-    assert str(caught.value) == ("simulator 'halves:f' cannot be imported: SystemExit: no licence")
+    assert str(caught.value) == (
+        f"{here}/halves.py: the module cannot be imported: SystemExit: no licence"
+    )
 
 
 def test_what_a_users_function_prints_is_not_on_stdout(here, fly, log_of, capsys):
@@ -174,7 +176,7 @@ def test_a_file_that_is_no_fmu_is_named(tmp_path):
     pytest.importorskip("fmpy", reason="FMUs need the extra `fmu`")
     file = tmp_path / "engine.fmu"
     file.write_text("no archive", "utf-8")
-    with pytest.raises(ModelError, match=r"engine\.fmu: the file is no FMU that can be read"):
+    with pytest.raises(ModelError, match=r"engine\.fmu: the file is no FMU"):
         open_simulator(str(file))
 
 
