@@ -191,9 +191,7 @@ class _Search:
         order = np.argsort(-counts, kind="stable")[:_SHIFTS]
         likely = values[order[counts[order] >= max(_LEAST_LEVELS, 0.5 * counts.max())]]
         # Most logs are another flight: their shifts are dismissed before any is looked at closely.
-        likely = [
-            float(shift) for shift in likely if self._beyond_chance(self._near(float(shift)), chance)
-        ]
+        likely = [float(s) for s in likely if self._beyond_chance(self._near(float(s)), chance)]
         if not likely:
             return None
         found = max((self._refined(shift) for shift in likely), key=lambda one: one.order)
