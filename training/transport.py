@@ -123,8 +123,8 @@ def delayed(log: Log, delay: TransportDelay | None) -> Log:
 
 def _run(steady: SteadyStateModel, log: Log, every: int) -> Run:
     own = steady_for_engine(steady, log.source.engine)
-    ss = own.outputs(log.matrix(steady.input_names))
-    return Run(ss[::every], log.matrix(steady.output_names)[::every])
+    ss = own.outputs(log.matrix(steady.input_names)[::every])
+    return Run(ss, log.matrix(steady.output_names)[::every])
 
 
 def _arx_errors(runs: Sequence[Run], folds: Sequence[Fold], samples: int) -> FloatArray:
