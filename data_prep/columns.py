@@ -16,6 +16,7 @@ from data_prep.config import ENGINE
 from data_prep.log import AuditEntry
 from data_prep.units import (
     find_unit,
+    is_no_unit,
     is_volume_flow,
     looks_like_unit,
     named_unit,
@@ -25,11 +26,11 @@ from narxcal.channels import CHANNELS
 from narxcal.support.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from data_prep.config import ColumnSource, LogsConfig
-    from data_prep.csv_source import Pace
+    from data_prep.csv_source import Counts, Pace
     from data_prep.text_file import Head
     from data_prep.units import Unit
     from narxcal.support.arrays import FloatArray
@@ -45,12 +46,12 @@ _RIGHT = "r"  # the right engine of [L] and [R], no degree Rankine
 class Table(Protocol):
     """A file of named columns.
 
-    `short_rows` counts the rows read so far whose cells are blank because one was missing;
-    `truncated`: the file broke off within a row, which was left out.
+    `counts` are the rows and cells read so far that were left out or blanked, by column (`*`:
+    rows), action and reason; `truncated`: the file broke off within a row, which was left out.
     """
 
     path: Path
-    short_rows: int
+    counts: Counts
     truncated: bool
 
     @property
@@ -74,9 +75,12 @@ class Table(Protocol):
         """Whether the rows look like those of a log; else no message quotes the file."""
 
     def blocks(
-        self, names: Sequence[str], pace: Pace | None = None
+        self, names: Sequence[str], pace: Pace | None = None, switches: Collection[str] = ()
     ) -> Iterator[dict[str, FloatArray]]:
-        """Columns as float64 `(rows,)`, NaN where blank, in blocks of rows."""
+        """Columns as float64 `(rows,)`, NaN where blank, in blocks of rows.
+
+        Those of `switches` may hold words like ON.
+        """
 
 
 def map_columns(table: Table, config: LogsConfig) -> dict[str, dict[str, str]]:
@@ -113,7 +117,7 @@ def map_columns(table: Table, config: LogsConfig) -> dict[str, dict[str, str]]:
 
 
 def _column(table: Table, name: str, source: ColumnSource, engine: tuple[str, str]) -> str:
-    column = source.column.replace(ENGINE, engine[1])
+    column = " ".join(source.column.replace(ENGINE, engine[1]).split())
     if column in table.header or not column:
         return column
     if source.optional and name != "time_s":
@@ -196,6 +200,7 @@ def head_entries(table: Table, config: LogsConfig, rows: int) -> tuple[AuditEntr
     entries = [
         AuditEntry("*", "dropped", "line above the header", table.head.above),
         AuditEntry("*", "dropped", "row of units", int(bool(table.head.units))),
+        AuditEntry("*", "dropped", "row of types or codes below the header", table.head.below),
     ]
     for name, source in config.sources(table.header).items():
         named = named_unit(_unit_text(table, config, name, source))
@@ -231,7 +236,7 @@ def _unit_text(table: Table, config: LogsConfig, name: str, source: ColumnSource
             file=table.path,
             hint=f"Set the unit of column '{source.column}' in [logs.columns]",
         )
-    return "" if not texts or texts[0] in _NO_UNIT else texts[0]
+    return "" if not texts or is_no_unit(texts[0]) else texts[0]
 
 
 def _unit_of_column(table: Table, name: str, column: str) -> str:

@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, PositiveFloat, field_validator, model_validator
 
+from data_prep.clock import Order
 from data_prep.derive import DeriveConfig
 from data_prep.units import find_unit
 from narxcal.channels import CHANNELS, channel
@@ -32,6 +33,11 @@ class ColumnSource(Section):
     offset: float = 0.0
     optional: bool = False
 
+    @field_validator("column")
+    @classmethod
+    def _one_line(cls, value: str) -> str:
+        return " ".join(value.split())  # as sources name their columns
+
     @model_validator(mode="after")
     def _one_origin(self) -> Self:
         if (self.column != "") == (self.constant is not None):
@@ -46,6 +52,10 @@ class LogsConfig(Section):
     what replaces `{engine}` in the column names; each engine becomes its own log.
     `raster_hz` is the rate of the sampling grid; left out, each file's own. `max_gap_s` splits a
     log; a channel's blanks are bridged up to `bridge_s`.
+
+    `dates` is the order of day, month and year where the stamps do not settle it; `frames_hz` the
+    frames of a second in stamps `HH:MM:SS:FF`. `no_value` are further words that stand for no
+    value, beside `data_prep.words.NO_VALUE`.
     """
 
     folder: str = "."
@@ -56,6 +66,9 @@ class LogsConfig(Section):
     delimiter: str = "auto"
     decimal: Literal["auto", ".", ","] = "auto"
     comment: str = Field(default="#", max_length=1)
+    dates: Order = "auto"
+    frames_hz: PositiveFloat | None = None
+    no_value: tuple[str, ...] = ()
     engines: dict[str, str] = Field(default_factory=dict)
     columns: dict[str, ColumnSource] = Field(default_factory=dict)
     derive: DeriveConfig = DeriveConfig()

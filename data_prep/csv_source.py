@@ -7,7 +7,8 @@ import re
 import time
 import warnings
 import zlib
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Collection
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from io import StringIO
@@ -16,33 +17,36 @@ from typing import TYPE_CHECKING, Any, TextIO
 import numpy as np
 import pandas as pd
 
-from data_prep.stamps import clock_seconds
 from data_prep.text_file import (
     DELIMITERS,
     Dialect,
     decimal_comma,
     fields,
     open_text,
-    read_line,
+    read_row,
     sniff,
 )
+from data_prep.words import SWITCH, is_no_value, plain
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
+    from data_prep.config import LogsConfig
+    from data_prep.log import Action
     from data_prep.text_file import Head
 
 _BLOCK_CHARS = 20_000_000  # a block ends here although more lines were wanted: bounded memory
 _SHOWN_CHARS = 40
 _POLL_S = 0.05
-# In addition to those of pandas (`N/A` and the like): what recorders and worksheets print for none.
-_NO_VALUE = ("-", "--", "---", "----", "#DIV/0!", "#VALUE!", "#REF!", "#NUM!", "#NAME?")
+_NAN = ("", "nan", "NaN", "NAN", "-nan", "-NaN")  # how programs print a missing number
+_MOST_FOOTER = 20  # rows of text at the end of a file
 _DATE = re.compile(r"\d+([-/.:])\d+\1\d.*|\d+:\d+(\.\d+)?.*")
+Counts = Counter[tuple[str, "Action", str]]  # (column or *, action, reason) -> cells or rows
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d*)?")
 
 
@@ -69,16 +73,21 @@ class CsvSource:
 
     Only the requested columns are kept, as float64, clock times as seconds. Row 1 is the first row
     of data below the header; blank lines and comment lines are not counted. A row with fewer
-    fields than the others is blank in all columns, since which field is missing cannot be known;
-    `short_rows` counts those read so far. `truncated` becomes true where a live file broke off
-    within a line or, compressed, within its stream.
+    fields than the others is blank in all columns, since which field is missing cannot be known.
+    A header that occurs again is no row, nor are rows of text at the end. `counts` are those read
+    so far and the cells that hold a word instead of a value. `truncated` becomes true where a live
+    file broke off within a line or, compressed, within its stream.
     """
 
-    def __init__(self, path: Path, dialect: Dialect) -> None:
+    def __init__(self, path: Path, dialect: Dialect, no_value: Collection[str] = ()) -> None:
         self.path = path
         self.dialect = dialect
-        self.short_rows = 0
+        self.counts: Counts = Counter()
         self.truncated = False
+        self._further = {plain(word) for word in no_value}
+        self._no_value: set[str] = set()  # as they are spelled in the file
+        self._switches: Collection[str] = ()
+        self._footer: DataError | None = None
 
     @property
     def header(self) -> tuple[str, ...]:
@@ -88,12 +97,12 @@ class CsvSource:
     @property
     def clock(self) -> str:
         """The column that holds clock times or dates; empty for none."""
-        return self.dialect.clock
+        return self.dialect.time if self.dialect.clock else ""
 
     @property
     def hourly(self) -> bool:
         """Whether the clock holds minutes and seconds alone."""
-        return self.dialect.hourly
+        return self.dialect.clock is not None and self.dialect.clock.hourly
 
     @property
     def head(self) -> Head:
@@ -106,17 +115,22 @@ class CsvSource:
         return self.dialect.tabular
 
     def blocks(
-        self, names: Sequence[str], pace: Pace | None = None
+        self, names: Sequence[str], pace: Pace | None = None, switches: Collection[str] = ()
     ) -> Iterator[dict[str, FloatArray]]:
         """The named columns `(rows,)` in blocks of `pace.lines` rows; a blank is NaN.
+
+        Those of `switches` may hold words like ON.
 
         Raises `DataError` for text in place of a number (naming row and value), a row longer
         than the header, a column that occurs twice, and a file that cannot be parsed.
         """
         positions = {name: self._position(name) for name in names}
         row = 0
+        self._switches = switches
         for lines in self._line_blocks(pace or Pace()):
             rows = self._rows(lines)
+            if rows and self._footer:
+                raise self._footer
             if rows:
                 self._blank_short(rows, row)
                 yield self._numbers(rows, positions, row)
@@ -127,7 +141,7 @@ class CsvSource:
         tail = ""  # a line without its end
         with readable(self.path), open_text(self.path) as text:
             for _ in range(self.dialect.head.lines):
-                read_line(text)
+                read_row(text)
             for lines in self._arriving(text, pace):
                 lines[0] = tail + lines[0]
                 tail = "" if lines[-1].endswith("\n") else lines.pop()
@@ -155,7 +169,7 @@ class CsvSource:
         lines: list[str] = []
         chars = 0
         try:
-            while len(lines) < pace.lines and chars < _BLOCK_CHARS and (line := read_line(text)):
+            while len(lines) < pace.lines and chars < _BLOCK_CHARS and (line := read_row(text)):
                 lines.append(line)
                 chars += len(line)
         except (EOFError, zlib.error):
@@ -170,7 +184,9 @@ class CsvSource:
         rows = [line for line in lines if line.strip(blanks)]
         if comment := self.dialect.comment:
             rows = [row for row in rows if not row.lstrip().startswith(comment)]
-        return rows
+        new = [row for row in rows if row.strip() not in self.dialect.head.repeated]
+        self.counts["*", "dropped", "header again"] += len(rows) - len(new)
+        return new
 
     def _is_complete(self, line: str) -> bool:
         """Whether a last line without an end has all its fields, so far as can be seen."""
@@ -197,7 +213,7 @@ class CsvSource:
                     hint="Use one delimiter in all rows",
                 )
             rows[k] = delimiter.join(["nan"] * width) + "\n"
-            self.short_rows += 1
+            self.counts["*", "masked", "row with a missing field"] += 1
 
     def _numbers(
         self, rows: list[str], positions: dict[str, int], before: int
@@ -206,35 +222,97 @@ class CsvSource:
         try:
             cells = self._cells(rows, [*positions.values()], np.float64)
             self._refuse_long_rows(cells[len(self.header)], before)
-            return {name: self._values(name, cells[at]) for name, at in positions.items()}
+            values = {name: self._values(name, cells[at]) for name, at in positions.items()}
         except ValueError as error:  # pandas: text where a number should be, or a broken row
-            self._explain(error, rows, positions, before)
+            texts = self._texts(rows, positions)
+            if not texts:
+                raise DataError(
+                    f"rows {before + 1} to {before + len(rows)} cannot be parsed "
+                    f"({' '.join(str(error).split())})",
+                    file=self.path,
+                    hint="Look for a quote that is never closed",
+                ) from error
+            if not (self._learn_words(texts) or self._drop_footer(rows, texts, before)):
+                self._explain(texts, before)
             return self._numbers(rows, positions, before)
+        if self._no_value:
+            self._count_words(rows, positions)
+        return values
+
+    def _texts(
+        self, rows: list[str], positions: dict[str, int]
+    ) -> dict[str, tuple[pd.Series[Any], NDArray[np.bool_]]]:
+        """Column -> its cells as text, and which of them cannot be read; empty for a broken row."""
+        try:
+            cells = self._cells(rows, [*positions.values()], object)
+        except ValueError:
+            return {}
+        return {
+            name: (cells[at], self._unreadable(name, cells[at])) for name, at in positions.items()
+        }
+
+    def _learn_words(self, texts: Mapping[str, tuple[pd.Series[Any], NDArray[np.bool_]]]) -> bool:
+        """Take over the words that stand for no value; whether there are further ones."""
+        found = {str(text) for cells, bad in texts.values() for text in cells[bad].unique()}
+        words = {word for word in found if is_no_value(word) or plain(word) in self._further}
+        self._no_value |= words
+        return bool(words)
+
+    def _count_words(self, rows: list[str], positions: dict[str, int]) -> None:
+        learned, self._no_value = self._no_value, set()
+        cells = self._cells(rows, [*positions.values()], object)
+        self._no_value = learned
+        for name, at in positions.items():
+            words = cells[at][cells[at].isin(learned)].str.strip().value_counts()
+            for word, count in words.items():
+                self.counts[name, "dropped", f"no value: {word}"] += int(count)
+
+    def _drop_footer(
+        self,
+        rows: list[str],
+        texts: Mapping[str, tuple[pd.Series[Any], NDArray[np.bool_]]],
+        before: int,
+    ) -> bool:
+        """Leave out rows at the end whose stamps are words; whether there are any.
+
+        Should another row follow, they are none, and the error of the first is raised then.
+        """
+        cells, bad = texts.get(self.dialect.time) or next(iter(texts.values()))
+        stamped = np.flatnonzero(cells.notna().to_numpy() & ~bad)
+        first = int(stamped[-1]) + 1 if len(stamped) else 0
+        if before + first == 0 or not 0 < len(rows) - first <= _MOST_FOOTER:
+            return False
+        words = cells.iloc[first:][bad[first:]]
+        if not len(words) or not words.str.match(r"\s*[A-Za-z]").all():
+            return False
+        try:
+            self._explain(texts, before)
+        except DataError as error:
+            self._footer = error
+        self.counts["*", "dropped", f"row below the data: {words.iloc[0].strip()[:20]}"] += (
+            len(rows) - first
+        )
+        del rows[first:]
+        return True
 
     def _explain(
-        self, cause: ValueError, rows: list[str], positions: dict[str, int], before: int
+        self, texts: Mapping[str, tuple[pd.Series[Any], NDArray[np.bool_]]], before: int
     ) -> None:
-        """Locate the text that cannot be read, unless another decimal mark reads it."""
-        row, name, text = self._first_text(rows, positions) or (0, "", "")
-        if not row:
-            raise DataError(
-                f"rows {before + 1} to {before + len(rows)} cannot be parsed "
-                f"({' '.join(str(cause).split())})",
-                file=self.path,
-                hint="Look for a quote that is never closed",
-            ) from cause
+        """Locate the first text that cannot be read, unless another decimal mark reads it."""
+        row, name = min((int(bad.argmax()), name) for name, (_, bad) in texts.items() if bad.any())
+        text = str(texts[name][0].iloc[row])
         if self.dialect.decimal_open and decimal_comma(text, self.dialect.delimiter):
             # The rows before held whole numbers only, so the comma could not be seen there.
             self.dialect = replace(self.dialect, decimal=",", decimal_open=False)
             return
-        wanted = "a clock time or a date" if name == self.dialect.clock else "a number"
+        wanted = "a clock time or a date" if name == self.clock else "a number"
         raise DataError(
             f"expected {wanted}, found {text[:_SHOWN_CHARS]!r}",
             file=self.path,
             channel=name,
-            row=before + row,
+            row=before + row + 1,
             hint=_what_to_do(text.strip()),
-        ) from cause
+        )
 
     def _position(self, name: str) -> int:
         if self.header.count(name) > 1:
@@ -246,11 +324,25 @@ class CsvSource:
         return self.header.index(name)
 
     def _values(self, name: str, cells: pd.Series[Any]) -> FloatArray:
-        if name != self.dialect.clock:
+        clock = self.dialect.clock if name == self.dialect.time else None
+        if not clock and name not in self._switches:
             return cells.to_numpy(dtype=np.float64, copy=True)
         if self._unreadable(name, cells).any():
-            raise ValueError("neither a clock time nor a date")
-        return clock_seconds(cells)
+            raise ValueError("neither a clock time nor a date, or no word of a switch")
+        return clock.seconds(cells) if clock else self._of_switch(cells)
+
+    def _of_switch(self, texts: pd.Series[Any]) -> FloatArray:
+        known = texts.astype("str").fillna("")
+        words = np.array([SWITCH.get(plain(text), np.nan) for text in known], dtype=np.float64)
+        return np.where(np.isfinite(words), words, self._parsed(texts))
+
+    def _parsed(self, texts: pd.Series[Any]) -> FloatArray:
+        plain_numbers = texts.astype("str").str.strip()
+        if self.dialect.decimal != ".":
+            plain_numbers = plain_numbers.str.replace(".", "x").str.replace(
+                self.dialect.decimal, "."
+            )
+        return pd.to_numeric(plain_numbers, errors="coerce").to_numpy(dtype=np.float64)
 
     def _refuse_long_rows(self, extra: pd.Series[Any], row: int) -> None:
         if extra.notna().any():
@@ -266,8 +358,9 @@ class CsvSource:
         count = len(self.header)
         dialect = self.dialect
         kinds = {**dict.fromkeys(positions, dtype), count: object}
-        if dialect.clock:
-            kinds[self._position(dialect.clock)] = object
+        for name in (self.clock, *self._switches):
+            if name in self.header:
+                kinds[self._position(name)] = object
         # The first row decides how many fields pandas allows.
         widest = dialect.delimiter.join(["0"] * (count + 1)) + "\n"
         with warnings.catch_warnings():
@@ -280,38 +373,20 @@ class CsvSource:
                 names=list(range(count + 1)),
                 usecols=sorted({*positions, count}),
                 index_col=False,
-                na_values=list(_NO_VALUE),
+                keep_default_na=False,
+                na_values=[*_NAN, *self._no_value],
                 dtype=kinds,
                 skipinitialspace=True,
                 engine="c",
             )
         return table.iloc[1:]
 
-    def _first_text(
-        self, rows: list[str], positions: dict[str, int]
-    ) -> tuple[int, str, str] | None:
-        """Row, column and content of the first cell that is no number."""
-        try:
-            cells = self._cells(rows, [*positions.values()], object)
-        except ValueError:  # a broken row
-            return None
-        found = [
-            (int(bad.argmax()), position, name)
-            for name, position in positions.items()
-            if (bad := self._unreadable(name, cells[position])).any()
-        ]
-        if not found:
-            return None
-        at, position, name = min(found)
-        return at + 1, name, str(cells[position].iloc[at])
-
     def _unreadable(self, name: str, texts: pd.Series[Any]) -> NDArray[np.bool_]:
-        if name == self.dialect.clock:
-            return np.asarray(np.isnan(clock_seconds(texts)) & texts.notna())
-        plain = texts.astype("str").str.strip()
-        if self.dialect.decimal != ".":
-            plain = plain.str.replace(".", "x").str.replace(self.dialect.decimal, ".")
-        return np.asarray(pd.to_numeric(plain, errors="coerce").isna() & texts.notna())
+        if name == self.dialect.time and self.dialect.clock:
+            numbers = self.dialect.clock.seconds(texts)
+        else:
+            numbers = self._of_switch(texts) if name in self._switches else self._parsed(texts)
+        return np.asarray(np.isnan(numbers) & texts.notna())
 
 
 def _what_to_do(text: str) -> str:
@@ -346,13 +421,11 @@ def readable(path: Path) -> Iterator[None]:
         raise DataError(f"the file cannot be read ({error.strerror})", file=path) from error
 
 
-def open_csv(
-    path: Path, delimiter: str, decimal: str, comment: str, time: str = "time_s"
-) -> CsvSource:
+def open_csv(path: Path, config: LogsConfig) -> CsvSource:
     """Find out how `path` is written; raises `DataError` where it is empty or unreadable.
 
-    Column `time` may hold clock times (see `data_prep.stamps`).
+    The column of time may hold clock times and dates (see `data_prep.clock`).
     """
     with readable(path), open_text(path) as text:
-        dialect = sniff(text, delimiter, decimal, comment, time)
-    return CsvSource(path, dialect)
+        dialect = sniff(text, config)
+    return CsvSource(path, dialect, config.no_value)

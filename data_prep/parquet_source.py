@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, Any
 
-from data_prep.csv_source import Pace
+from data_prep.csv_source import Counts, Pace
 from data_prep.text_file import Head
 from narxcal.support.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from narxcal.support.arrays import FloatArray
@@ -51,13 +52,13 @@ class ParquetSource:
     Column `time` may be one of dates or durations, which become seconds (dates from 1970).
     """
 
-    short_rows = 0
     truncated = False
     hourly = False
     tabular = True
 
     def __init__(self, path: Path, time: str = "time_s") -> None:
         self.path = path
+        self.counts: Counts = Counter()
         self._time = time
         pa, parquet = arrow(path)
         self._broken = (pa.ArrowException, OSError)
@@ -68,11 +69,12 @@ class ParquetSource:
             self._file: Any = parquet.ParquetFile(path)
         except self._broken as error:
             raise self._damaged() from error
+        self._raw = {" ".join(name.split()): name for name in self._file.schema_arrow.names}
 
     @property
     def header(self) -> tuple[str, ...]:
         """Column names in file order."""
-        return tuple(self._file.schema_arrow.names)
+        return tuple(self._raw)
 
     @property
     def head(self) -> Head:
@@ -85,7 +87,10 @@ class ParquetSource:
         return self._time
 
     def blocks(
-        self, names: Sequence[str], pace: Pace | None = None
+        self,
+        names: Sequence[str],
+        pace: Pace | None = None,
+        switches: Collection[str] = (),  # noqa: ARG002 - a column of words is no column of numbers
     ) -> Iterator[dict[str, FloatArray]]:
         """The named columns in blocks of up to `pace.lines` rows; null is NaN.
 
@@ -97,15 +102,16 @@ class ParquetSource:
                 "a Parquet file cannot be streamed", file=self.path, hint="Write it as CSV first"
             )
         for name in names:
-            kind = self._file.schema_arrow.field(name).type
+            kind = self._file.schema_arrow.field(self._raw[name]).type
             kinds = self._numeric + (self._temporal if name == self._time else ())
             if not any(fits(kind) for fits in kinds):
                 raise DataError(
                     f"expected a column of numbers, found {kind}", file=self.path, channel=name
                 )
         try:
-            for batch in self._file.iter_batches((pace or Pace()).lines, columns=list(names)):
-                columns = {name: batch.column(name) for name in names}
+            raw = [self._raw[name] for name in names]
+            for batch in self._file.iter_batches((pace or Pace()).lines, columns=raw):
+                columns = {name: batch.column(self._raw[name]) for name in names}
                 yield {name: self._values(column) for name, column in columns.items()}
         except self._broken as error:
             raise self._damaged() from error

@@ -6,6 +6,7 @@ that memory holds the logs and one block. `narxcal replay` reads by the same two
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,11 +15,12 @@ import numpy as np
 
 from data_prep.columns import constants, head_entries, map_columns, sources_of, to_channel
 from data_prep.config import LogsConfig
-from data_prep.csv_source import Pace, open_csv, readable
+from data_prep.csv_source import Counts, Pace, open_csv, readable
 from data_prep.log import Audit, Log, Source
 from data_prep.parquet_source import MAGIC, ParquetSource
 from data_prep.stamps import Passed, all_apart, clock_goes_on, ordered_rows, usual_interval
 from data_prep.stream import GridStream
+from narxcal.channels import CHANNELS
 from narxcal.support.errors import DataError
 from narxcal.support.files import sha256_of
 
@@ -33,7 +35,6 @@ if TYPE_CHECKING:
 # each channel is found from all of it; in a larger file they are found from blocks of this size.
 BLOCK_CELLS = 5_000_000
 _LEAST_AHEAD_S = 5.0  # of rows in the next block, to bridge blanks of slow channels
-SHORT_ROW = "row with a missing field"
 
 Rows = dict[str, "FloatArray"]  # channel -> (rows,)
 
@@ -62,7 +63,7 @@ def open_table(path: Path, config: LogsConfig) -> Table:
         magic = raw.read(len(MAGIC))
     if magic == MAGIC:
         return ParquetSource(path, config.time_column)
-    return open_csv(path, config.delimiter, config.decimal, config.comment, config.time_column)
+    return open_csv(path, config)
 
 
 class LogFile:
@@ -82,8 +83,25 @@ class LogFile:
     def blocks(self, engines: Sequence[str], pace: Pace | None = None) -> Iterator[dict[str, Rows]]:
         """Yield engine -> channel -> `(rows,)`, in file order; raises `DataError`."""
         names = list({name: None for each in engines for name in self._columns[each].values()})
-        for cells in self.table.blocks(names, pace):
+        switches = [
+            column
+            for columns in self._columns.values()
+            for name, column in columns.items()
+            if CHANNELS[name].role == "switch"
+        ]
+        for cells in self.table.blocks(names, pace, switches):
             yield {engine: self._canonical(engine, cells) for engine in engines}
+
+    def counted(self) -> dict[str, Counts]:
+        """Take engine -> what the file's `counts` became since the last call, by channel."""
+        counts, self.table.counts = self.table.counts, Counter()
+        found: dict[str, Counts] = {engine: Counter() for engine in self.engines}
+        for engine, columns in self._columns.items():
+            channels = {"*": "*", **{column: name for name, column in columns.items()}}
+            for (column, action, reason), count in counts.items():
+                if column in channels:
+                    found[engine][channels[column], action, reason] += count
+        return found
 
     def large_blocks(self) -> Iterator[dict[str, Rows]]:
         """Yield the same for all engines of a finished file, in blocks of about `BLOCK_CELLS`."""
@@ -129,9 +147,8 @@ def _file_logs(path: Path, config: LogsConfig) -> list[Log]:
     with readable(path):
         digest = sha256_of(path)
     growing: dict[str, _Growing] = {}
-    short_rows = 0
     for block, last in _with_last(file.large_blocks()):
-        short, short_rows = file.table.short_rows - short_rows, file.table.short_rows
+        counts = file.counted()
         for engine, rows in block.items():
             first = engine not in growing
             if first:
@@ -141,7 +158,8 @@ def _file_logs(path: Path, config: LogsConfig) -> list[Log]:
             for entry in head_entries(file.table, config, len(rows["time_s"])):
                 if first or entry.channel != "*":
                     stream.audit.count(entry.channel, entry.action, entry.reason, entry.samples)
-            stream.audit.count("*", "masked", SHORT_ROW, short)
+            for channel, action, reason in counts[engine]:
+                stream.audit.count(channel, action, reason, counts[engine][channel, action, reason])
             growing[engine].take(stream.push(rows, last=last))
     if not growing:
         raise DataError("no rows follow the header", file=path)

@@ -1,9 +1,6 @@
-"""Time stamps of one recording: read from text, put in order, split at gaps, rid of rounding.
+"""Time stamps of one recording: put in order, split at gaps, rid of rounding.
 
-Stamps are `(rows,)` in s. A clock time `12:34:56.7`, with the day of the year before it where there
-is one (`123:12:34:56.7`) or `AM` or `PM` after it, counts from midnight of day 0; decimals mark one
-of minutes and seconds alone (`34:56.7`); a date, `2026-03-01T12:34:56.7`, counts from 1970, in UTC
-where it names no zone.
+Stamps are `(rows,)` in s, as `data_prep.clock` reads them.
 
 A recorder of ten rows a second whose clock shows seconds writes the same stamp ten times. From the
 number of rows per stamp their rate is found, and `undo_rounding` places them in between. Where the
@@ -13,13 +10,11 @@ in between.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import pandas as pd
 from scipy.ndimage import maximum_filter1d
 
 from data_prep.grid import ON_GRID
@@ -28,7 +23,7 @@ from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
 
@@ -47,16 +42,6 @@ _WHOLE_HZ = 0.005
 _ORDINARY = 0.95  # of the steps between rows are no large move
 _SURELY = 5.0  # standard errors between two means that are surely different
 _NO_SHARED = 0.1  # of a step: means this close may differ by chance
-# Hours of a time since the start may be more than 24, those after a day may not.
-_CLOCK = (
-    r"\s*(?:(\d{1,3}):(?=(?:[01]?\d|2[0-4]):))?(\d{1,2}):([0-5]\d):((?:[0-5]\d|60)(?:[.,]\d*)?)"
-    r"\s*(?:([AaPp])\.?[Mm]\.?)?\s*"
-)
-_MINUTES = r"\s*(\d{1,3}):([0-5]\d[.,]\d+)\s*"
-_FRAMES = r"\s*(\d{1,3}):(\d{2}):(\d{2}):(\d{2})\s*"
-_DATE = r"\s*\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}.*"
-_UNIT_S = np.array([86400.0, 3600.0, 60.0, 1.0])
-_HALF_DAY = 12.0  # hours: 12 AM is midnight, and 12 PM is noon
 
 
 @dataclass(frozen=True)
@@ -402,54 +387,3 @@ def _alike(within: FloatArray, between: FloatArray) -> bool:
     error = np.hypot(within.std() / np.sqrt(len(within)), between.std() / np.sqrt(len(between)))
     apart = abs(float(within.mean() - between.mean()))
     return apart <= max(_SURELY * float(error), _NO_SHARED * float(np.abs(within).mean()))
-
-
-def is_clock(text: str) -> bool:
-    """Whether `text` is a clock time or a date rather than a number."""
-    return re.fullmatch(f"{_CLOCK}|{_MINUTES}|{_DATE}", text) is not None
-
-
-def counts_frames(texts: Iterable[str]) -> bool:
-    """Whether the last part of stamps `10:46:39:05` counts frames of a second, not seconds.
-
-    It starts anew before it has reached 60, or the parts before it are no hours and minutes.
-    """
-    found = [re.fullmatch(_FRAMES, text) for text in texts]
-    stamps = [tuple(map(int, one.groups())) for one in found if one]
-    if any(hours > 24 for _, hours, _, _ in stamps):
-        return True
-    steps = [b[3] - a[3] for a, b in pairwise(stamps) if b[:3] == a[:3]]
-    usual = max(steps, default=60)
-    return any(
-        b[2] == (a[2] + 1) % 60 and b[3] < a[3] and a[3] + usual < 60 for a, b in pairwise(stamps)
-    )
-
-
-def lacks_hours(text: str) -> bool:
-    """Whether `text` is a clock time of minutes and seconds alone, which starts anew each hour."""
-    return re.fullmatch(_MINUTES, text) is not None
-
-
-def clock_seconds(texts: pd.Series[Any]) -> FloatArray:
-    """Convert texts to seconds `(rows,)`; NaN for a blank and for no clock time or date."""
-    plain = texts.astype("str").where(texts.notna(), "").str.replace(",", ".")
-    seconds = _of_clock(plain.str.extract(f"^{_CLOCK}$"))
-    short = plain.str.extract(f"^{_MINUTES}$").astype(np.float64).to_numpy() @ _UNIT_S[2:]
-    seconds = np.where(np.isnan(seconds), short, seconds)
-    dates = plain[np.isnan(seconds) & plain.str.fullmatch(_DATE).to_numpy(dtype=np.bool_)]
-    if len(dates):
-        stamps = pd.to_datetime(dates, format="ISO8601", utc=True, errors="coerce")
-        since = (stamps - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(1, "s")
-        seconds[plain.index.get_indexer(dates.index)] = since.to_numpy(dtype=np.float64)
-    return seconds
-
-
-def _of_clock(found: pd.DataFrame) -> FloatArray:
-    """Convert day, hours, minutes, seconds and half of the day `(rows, 5)`, as text, to seconds."""
-    parts = found.iloc[:, :4].astype(np.float64).to_numpy()
-    parts[:, 0] = np.nan_to_num(parts[:, 0])  # the day may be missing
-    half = found[4].str.upper()
-    halves, hours = half.notna().to_numpy(), parts[:, 1]
-    of_twelve = np.where((hours >= 1.0) & (hours <= _HALF_DAY), hours % _HALF_DAY, np.nan)
-    parts[:, 1] = np.where(halves, of_twelve + _HALF_DAY * (half == "P").to_numpy(), hours)
-    return np.asarray(parts @ _UNIT_S, dtype=np.float64)

@@ -13,17 +13,20 @@ import io
 import re
 import zlib
 from collections import Counter
-from dataclasses import dataclass, field
-from itertools import chain
+from dataclasses import dataclass, field, replace
+from itertools import chain, islice
 from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
 
-from data_prep.stamps import counts_frames, is_clock, lacks_hours
-from data_prep.units import is_unit_text
+from data_prep.clock import Clock, clock_of, is_ambiguous, is_clock, order_of
+from data_prep.units import is_no_unit, is_unit_text
+from data_prep.words import is_no_value
 from narxcal.support.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
+
+    from data_prep.config import LogsConfig
 
 DELIMITERS = (";", "\t", "|", ",")
 MAX_LINE_CHARS = 1_000_000
@@ -31,8 +34,10 @@ _LINES_ABOVE = 100  # a header is looked for so far down
 _SEPARATOR_MARK = re.compile(r'"?sep=.?"?', re.IGNORECASE)  # Excel's own line, no data
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?")
 _NUMBERS_PART = 0.3  # of the cells with content; a log of notes and numbers has more
-_OF_FRAMES = "stamps like {!r} count frames of a second"
-_WRITE_SECONDS = "Write them as HH:MM:SS.mmm, by the frames that a second has"
+_MOST_BELOW = 5  # rows between the header and the data that are looked through
+_MOST_QUOTED = 50  # lines of a quoted cell; a quote that is never closed must not take the file
+_OPEN_QUOTE = re.compile(r'(?:^|[;,|\t ])\s*"[^"]*$')
+_BRACKETED = re.compile(r"[\[({<].*[\])}>]")
 _FEWEST_UNITS = 2  # of a row above the header
 SAMPLE_LINES = 200
 _HEAD_BYTES = 65_536
@@ -58,12 +63,32 @@ class Head:
     """`lines` of the file come before the first row of data; `above` of them above the header.
 
     Blank lines and comments count in `lines` alone. `units` `(columns,)` are the cells of a row of
-    units below the header or above it, empty where there is none.
+    units below the header or above it, empty where there is none; `below` counts further rows
+    below the header: types, codes. `repeated` are the lines that may occur again, without blanks.
     """
 
     lines: int
     above: int = 0
     units: tuple[str, ...] = ()
+    below: int = 0
+    repeated: frozenset[str] = frozenset()
+
+
+def read_row(text: TextIO) -> str:
+    """Read a row with its end: a line, or several where a quoted cell holds their ends (RFC 4180).
+
+    Raises as `read_line`.
+    """
+    row = read_line(text)
+    if not row.count('"') % 2 or not _OPEN_QUOTE.search(row.rstrip("\r\n")):
+        return row
+    after, first = text.tell(), row
+    for _ in range(_MOST_QUOTED):
+        row += read_line(text)
+        if not row.count('"') % 2:
+            return row
+    text.seek(after)
+    return first
 
 
 def read_line(text: TextIO) -> str:
@@ -82,7 +107,7 @@ def read_line(text: TextIO) -> str:
 
 def first_lines(text: TextIO, count: int) -> list[str]:
     """Read up to `count` lines and the lines above them, each with its end."""
-    lines = (read_line(text) for _ in range(count + _LINES_ABOVE))
+    lines = (read_row(text) for _ in range(count + _LINES_ABOVE))
     return [line for line in lines if line]
 
 
@@ -109,14 +134,31 @@ def has_content(line: str, comment: str) -> bool:
 def units_row(cells: Sequence[str], header: Sequence[str]) -> tuple[str, ...]:
     """Return the cells `(columns,)` of a row of units; empty for any other row.
 
-    No cell of it is a number or a clock time, and half of those that are not blank are units.
+    No cell of it is a number or a clock time, and half of those that are not blank are units, or
+    all of them stand in brackets.
     """
-    filled = [cell for cell in cells if cell]
+    filled = [cell for cell in cells if cell and not is_no_unit(cell)]
     if not filled or any(map(_is_number, filled)):
         return ()
-    if 2 * sum(map(is_unit_text, filled)) < len(filled):
+    units = sum(map(is_unit_text, filled))
+    if 2 * units < len(filled) and not (units and all(map(_BRACKETED.fullmatch, filled))):
         return ()
     return (*cells, *[""] * len(header))[: len(header)]
+
+
+def _rows_below(rows: Sequence[Sequence[str]], header: Sequence[str]) -> int:
+    """Count the rows between the header and the data: units, types, codes.
+
+    The last of them has no number, and units or a cell for half of the columns. Those between it
+    and the header may be numbers: codes.
+    """
+    found = 0
+    for count, cells in enumerate(rows[:_MOST_BELOW], 1):
+        filled = [cell for cell in cells if cell and not is_no_value(cell)]
+        named = 2 * len(filled) >= len(header)
+        if not any(map(_is_number, filled)) and (units_row(cells, header) or (filled and named)):
+            found = count
+    return found
 
 
 def _units_above(
@@ -151,17 +193,17 @@ def fields(line: str, delimiter: str) -> tuple[str, ...]:
         found = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
     except csv.Error:
         found = line.split(delimiter)
-    return tuple(cell.strip() for cell in found)
+    return tuple(" ".join(cell.split()) for cell in found)
 
 
 @dataclass(frozen=True)
 class Dialect:
     """How the data rows are parsed; delimiter ` ` means any run of blanks.
 
-    `decimal_open`: no decimal mark was seen yet, so that a comma may still turn up. `clock` is the
-    column of clock times or dates, if there is one; `hourly`: they show no hours. `head` is what
-    stands above the rows, `width` the number of fields of a row, and `tabular` whether the rows
-    look like those of a log: a good part of their cells are numbers.
+    `decimal_open`: no decimal mark was seen yet, so that a comma may still turn up. `time` is the
+    column of stamps, `clock` how they are written where they are no numbers. `head` is what stands
+    above the rows, `width` the number of fields of a row, and `tabular` whether the rows look like
+    those of a log: a good part of their cells are numbers.
     """
 
     delimiter: str
@@ -169,8 +211,8 @@ class Dialect:
     decimal_open: bool
     comment: str
     header: tuple[str, ...]
-    clock: str = ""
-    hourly: bool = False
+    time: str = ""
+    clock: Clock | None = None
     head: Head = field(default_factory=lambda: Head(lines=1))
     width: int = 0
     tabular: bool = True
@@ -215,16 +257,19 @@ def _unmarked(head: bytes) -> str:
     return "utf-8"
 
 
-def sniff(text: TextIO, delimiter: str, decimal: str, comment: str, time: str) -> Dialect:
-    """Read the header and the first rows; `auto` is decided from them.
+def sniff(text: TextIO, config: LogsConfig) -> Dialect:
+    """Read the header and the first rows; what `config` leaves `auto` is decided from them.
 
-    Column `time` may hold clock times or dates instead of numbers, which its first cell decides.
+    The column of time may hold clock times or dates instead of numbers, which its first cell
+    decides.
 
     The delimiter is the one of `; TAB | ,` that the header and most rows hold equally often,
     else blanks; the decimal mark is a comma where numbers like `1,5` occur and none like `1.5`.
-    Raises `DataError` for a file that is empty or no text, for numbers like `1,250` alone in a file
-    that is separated by commas, and for rows that have fewer fields than the header has names.
+    Raises `DataError` for a file that is empty, no text or without a header, for numbers like
+    `1,250` alone in a file that is separated by commas, for rows that have fewer fields than the
+    header has names, and for stamps that can be read in two ways.
     """
+    time, comment = config.time_column, config.comment
     lines = first_lines(text, SAMPLE_LINES)
     place = header_at(lines, comment, time)
     if place is None:
@@ -234,32 +279,48 @@ def sniff(text: TextIO, delimiter: str, decimal: str, comment: str, time: str) -
     _refuse_no_text(header, "".join(lines))
     rows = [k for k in range(at + 1, len(lines)) if has_content(lines[k], comment)][:SAMPLE_LINES]
     texts = [lines[k].rstrip("\r\n") for k in rows]
-    if delimiter == "auto":
-        delimiter = _delimiter(header, texts)
+    delimiter = _delimiter(header, texts) if config.delimiter == "auto" else config.delimiter
     names = fields(header, delimiter)
-    below = units_row(fields(texts[0], delimiter), names) if texts else ()
-    units = below or _units_above(lines[:at], (delimiter, comment), names)
-    cells = [fields(text, delimiter) for text in texts[bool(below) :]]
-    if decimal == "auto":
-        decimal = _decimal(cells, delimiter)
-    stamps = _cells_of(cells, names, time)
-    if counts_frames(stamps):
-        raise DataError(_OF_FRAMES.format(stamps[0]), hint=_WRITE_SECONDS)
-    first = next(iter(stamps), "")
-    if not first and time in names:  # before a receiver has its fix, a recorder leaves them blank
-        first = _first_below(lines[(rows or [at])[-1] + 1 :], text, (delimiter, names.index(time)))
+    if all(map(_is_number, filter(None, names))):
+        raise DataError(
+            "the file has no header: its first line holds numbers",
+            hint="Write the names of the columns above it",
+        )
+    cells = [fields(text, delimiter) for text in texts]
+    below = _rows_below(cells, names)
+    heads = [found for row in cells[:below] if (found := units_row(row, names))]
+    units = heads[0] if heads else _units_above(lines[:at], (delimiter, comment), names)
+    cells = cells[below:]
+    decimal = _decimal(cells, delimiter) if config.decimal == "auto" else config.decimal
+    further = _cells_below(lines[(rows or [at])[-1] + 1 :], text, names, (delimiter, time))
     return Dialect(
         delimiter=delimiter,
         decimal=decimal or ".",
         decimal_open=not decimal,
         comment=comment,
         header=names,
-        clock=time if is_clock(first) else "",
-        hourly=lacks_hours(first),
-        head=Head((rows[0] if below else at) + 1, above, units),
+        time=time,
+        clock=_clock(_cells_of(cells, names, time), further, config),
+        head=Head(
+            lines=(rows[below - 1] if below else at) + 1,
+            above=above,
+            units=units,
+            below=below - bool(heads),
+            repeated=frozenset(line.strip() for line in (header, *texts[:below])),
+        ),
         width=_width(cells, names),
         tabular=_is_tabular(cells),
     )
+
+
+def _clock(stamps: Sequence[str], further: Iterator[str], config: LogsConfig) -> Clock | None:
+    """Find how stamps are written, from `further` ones where the first do not tell."""
+    if not stamps:  # before a receiver has its fix, a recorder leaves them blank
+        stamps = [*islice(further, 1)]
+    found = clock_of(stamps, config.dates, config.frames_hz)
+    if found and found.order == "auto" and is_ambiguous(stamps[0]):
+        return replace(found, order=order_of(chain(stamps, further)))
+    return found
 
 
 def _width(rows: Sequence[Sequence[str]], header: Sequence[str]) -> int:
@@ -288,14 +349,18 @@ def _cells_of(rows: Sequence[Sequence[str]], header: tuple[str, ...], name: str)
     return [row[position] for row in rows if row[position : position + 1] not in ((), ("",))]
 
 
-def _first_below(lines: Sequence[str], text: TextIO, column: tuple[str, int]) -> str:
-    """Find the first content of a column further down, by delimiter and position."""
-    delimiter, position = column
-    for line in chain(lines, iter(lambda: read_line(text), "")):
+def _cells_below(
+    lines: Sequence[str], text: TextIO, header: Sequence[str], column: tuple[str, str]
+) -> Iterator[str]:
+    """Contents of a column further down, by delimiter and name, blank ones left out."""
+    delimiter, name = column
+    if name not in header:
+        return
+    position = header.index(name)
+    for line in chain(lines, iter(lambda: read_row(text), "")):
         cells = fields(line, delimiter)
         if len(cells) > position and cells[position]:
-            return cells[position]
-    return ""
+            yield cells[position]
 
 
 def _refuse_no_text(line: str, all_lines: str) -> None:

@@ -178,6 +178,11 @@ def is_volume_flow(cell: str) -> bool:
     return _plain(cell) in _FLOWS
 
 
+def is_no_unit(cell: str) -> bool:
+    """Whether a cell of a row of units is as good as blank: `()`, `[-]`."""
+    return _plain(cell) in ("", "-")
+
+
 def looks_like_unit(cell: str) -> bool:
     """Whether text in brackets is plainly a unit: a letter may be the name of an engine."""
     plain = _plain(cell)

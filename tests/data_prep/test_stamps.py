@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from data_prep.clock import Clock, is_clock
 from data_prep.config import LogsConfig
 from data_prep.reading import LogFile, read_logs
-from data_prep.stamps import clock_seconds, is_clock, past_midnight, shared_interval, undo_rounding
+from data_prep.stamps import past_midnight, shared_interval, undo_rounding
 from data_prep.stream import GridStream
 from narxcal.support.errors import DataError
 
@@ -41,7 +42,7 @@ def write(folder, stamps, delimiter=",", decimal="."):
 )
 def test_a_clock_time_counts_from_midnight_and_a_date_from_1970(text, seconds):
     assert is_clock(text)
-    np.testing.assert_allclose(clock_seconds(pd.Series([text, None])), [seconds, np.nan])
+    np.testing.assert_allclose(Clock().seconds(pd.Series([text, None])), [seconds, np.nan])
 
 
 @pytest.mark.parametrize(
@@ -49,7 +50,7 @@ def test_a_clock_time_counts_from_midnight_and_a_date_from_1970(text, seconds):
     ["12", "12:30", "1.5e3", "", "noon", "13:00:00 PM", "0:10:00 am", "2026-13-01T12:00:00"],
 )
 def test_anything_else_is_neither(text):
-    assert np.isnan(clock_seconds(pd.Series([text]))).all()
+    assert np.isnan(Clock().seconds(pd.Series([text]))).all()
 
 
 @pytest.mark.parametrize(("stamps", "start_s"), [(CLOCK, 86390.0), (DATES, MIDDAY_S)])
@@ -236,7 +237,7 @@ def test_parts_beyond_their_range_are_no_clock(text):
 
 
 def test_hours_since_the_start_may_be_more_than_a_day():
-    np.testing.assert_allclose(clock_seconds(pd.Series(["30:00:01.5"])), [108001.5])
+    np.testing.assert_allclose(Clock().seconds(pd.Series(["30:00:01.5"])), [108001.5])
 
 
 @pytest.mark.parametrize("start", ["10:46:39", "10:12:39", "1:02:03"])
@@ -248,7 +249,7 @@ def test_frames_of_a_second_are_not_read_as_seconds(tmp_path, start, rate):
         read_logs(write(tmp_path, stamps), LogsConfig.parse(COLUMNS))
     assert str(caught.value).endswith(
         f"log.csv: stamps like '{stamps[0]}' count frames of a second. "
-        "Write them as HH:MM:SS.mmm, by the frames that a second has"
+        "Set [logs] frames_hz to the number of frames that a second has"
     )
 
 
@@ -305,3 +306,44 @@ def test_one_fast_recording_by_a_coarse_clock_stays_one(seed, rows):
     values = motion(np.random.default_rng(seed), 100 * rows, 0.1 / rows)
     time = np.repeat(np.arange(100) * 0.1, rows)
     assert shared_interval(time, {"N1_pct": values}) == pytest.approx(0.1 / rows, rel=0.01)
+
+
+@pytest.mark.parametrize("rate", [24, 25, 30])
+def test_frames_of_a_second_are_read_by_their_rate(tmp_path, rate):
+    stamps = [f"10:46:{39 + k // rate:02d}:{k % rate:02d}" for k in range(100)]
+    (log,) = read_logs(write(tmp_path, stamps), LogsConfig.parse({**COLUMNS, "frames_hz": rate}))
+    np.testing.assert_allclose(log.time_s, 38799.0 + np.arange(100) / rate, atol=1e-6)
+
+
+def dates(form, days=("2026-03-31", "2026-04-01")):
+    first, *later = (pd.Timestamp(day) for day in days)
+    start = first + pd.Timedelta(hours=23, minutes=59, seconds=58) if later else first
+    stamps = [start + pd.Timedelta(milliseconds=100 * k) for k in range(40)]
+    return [f"{stamp.strftime(form)}.{stamp.microsecond // 100_000}" for stamp in stamps]
+
+
+@pytest.mark.parametrize(
+    "form",
+    ["%d/%m/%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%d.%m.%Y %H:%M:%S", "%d-%b-%Y %H:%M:%S",
+     "%Y/%m/%d %H:%M:%S", "%d-%m-%y %H:%M:%S", "%b %d, %Y %H:%M:%S", "%d %B %Y, %H:%M:%S"],
+)  # fmt: skip
+@pytest.mark.parametrize("days", [("2026-03-31", "2026-04-01"), ("2026-03-04", "2026-03-05")])
+def test_dates_are_read_in_the_order_that_the_file_settles(tmp_path, form, days):
+    (log,) = read_logs(write(tmp_path, dates(form, days), ";"), LogsConfig.parse(COLUMNS))
+    start_s = (pd.Timestamp(days[0]) - pd.Timestamp(0)).total_seconds() + 86398.0
+    np.testing.assert_allclose(log.time_s, start_s + np.arange(40) / 10, rtol=0, atol=1e-6)
+
+
+def test_dates_that_may_begin_with_day_or_month_ask(tmp_path):
+    stamps = dates("%d/%m/%Y %H:%M:%S", ["2026-04-03"])
+    path = write(tmp_path, stamps)
+    with pytest.raises(DataError) as caught:
+        read_logs(path, LogsConfig.parse(COLUMNS))
+    assert str(caught.value) == (
+        f"{path}: dates like '{stamps[0]}' may begin with the day or with the month. "
+        'Set [logs] dates = "DMY" or "MDY"'
+    )
+    (log,) = read_logs(path, LogsConfig.parse({**COLUMNS, "dates": "DMY"}))
+    assert pd.Timestamp(log.time_s[0], unit="s") == pd.Timestamp("2026-04-03")
+    (log,) = read_logs(path, LogsConfig.parse({**COLUMNS, "dates": "MDY"}))
+    assert pd.Timestamp(log.time_s[0], unit="s") == pd.Timestamp("2026-03-04")

@@ -108,19 +108,111 @@ def test_a_unit_is_known_in_brackets_and_any_case(cell):
     assert is_unit_text(cell)
 
 
-def test_names_of_columns_are_no_units(tmp_path):
+def test_names_of_columns_are_no_units():
     assert not is_unit_text("fan speed")
-    assert error_of(write(tmp_path, f"t,fan,itt\ntime,fan speed,gas\n{ROWS}"), config()) == (
-        "FILE, channel t, row 1: expected a number, found 'time'. "
-        "Correct it or leave it blank; row 1 is the first data row below the header"
-    )
 
 
-@pytest.mark.parametrize("text", ["N/A", "n/a", "-", "---", "NULL", "#DIV/0!", "NaN", ""])
-def test_what_stands_for_no_value_is_none(tmp_path, text):
+@pytest.mark.parametrize(
+    ("below", "units", "others"),
+    [
+        ("(sec),(),()\nNUMBER,%N(3),DEGC(4)\n", 1, 1),
+        ("time,fan speed,gas\n", 0, 1),
+        ("NUMBER,NUMBER,NUMBER\n17,203,204\nsec,%,degC\n", 1, 2),
+        ("float,float,float\nTIME,N1,EGT\nsec,%,degC\nA,B,C\n", 1, 3),
+        ("(sec),(%),(furlong)\n", 1, 0),
+    ],
+)
+def test_rows_of_units_types_and_codes_are_found_and_counted(tmp_path, below, units, others):
+    path = write(tmp_path, f"t,fan,itt\n{below}{ROWS}")
+    (log,) = read_logs(path, config(EGT_C={"unit": "degC"}))
+    np.testing.assert_array_equal(log["EGT_C"], 500.0 + np.arange(40))
+    found = {reason: samples for channel, _, reason, samples in changes(log) if channel == "*"}
+    expected = {"row of units": units, "row of types or codes below the header": others}
+    assert found == {reason: samples for reason, samples in expected.items() if samples}
+
+
+@pytest.mark.parametrize(
+    "text", ["N/A", "n/a", "-", "---", "NULL", "#DIV/0!", "*", "NCD", "Fail ", "INVALID", "#N/A"]
+)
+def test_words_for_no_value_are_none_and_counted(tmp_path, text):
     rows = ROWS.replace("1.0,90,510", f"1.0,90,{text}").replace("3.0,110,530", f"3.0,{text},530")
     (log,) = read_logs(write(tmp_path, f"t,fan,itt\n{rows}"), config())
-    assert changes(log) == [("N1_pct", "filled", "blank", 1), ("EGT_C", "filled", "blank", 1)]
+    reason = f"no value: {text.strip()}"
+    assert changes(log) == [
+        (channel, *change)
+        for channel in ("N1_pct", "EGT_C")
+        for change in (("dropped", reason, 1), ("filled", "blank", 1))
+    ]
+
+
+@pytest.mark.parametrize("text", ["NaN", ""])
+def test_a_missing_number_is_a_blank(tmp_path, text):
+    rows = ROWS.replace("1.0,90,510", f"1.0,90,{text}")
+    (log,) = read_logs(write(tmp_path, f"t,fan,itt\n{rows}"), config())
+    assert changes(log) == [("EGT_C", "filled", "blank", 1)]
+
+
+def test_a_word_of_the_recorder_s_own_is_named_in_the_configuration(tmp_path):
+    path = write(tmp_path, f"t,fan,itt\n{ROWS.replace('1.0,90,510', '1.0,90,no sync')}")
+    assert "found 'no sync'" in error_of(path, config())
+    own = LogsConfig.parse({"columns": COLUMNS, "no_value": ["No Sync"]})
+    assert ("EGT_C", "dropped", "no value: no sync", 1) in changes(read_logs(path, own)[0])
+
+
+@pytest.mark.parametrize(
+    ("on", "off"), [("ON", "OFF"), ("True", "False"), ("GROUND", "AIR"), ("yes", "no"), ("1", "0")]
+)
+def test_words_of_a_switch_are_one_and_zero(tmp_path, on, off):
+    rows = "".join(f"{k / 10},{80 + k},{on if 10 <= k < 30 else off}\n" for k in range(40))
+    columns = {"time_s": {"column": "t"}, "N1_pct": {"column": "fan"}, "WOW": {"column": "gear"}}
+    (log,) = read_logs(
+        write(tmp_path, f"t,fan,gear\n{rows}"), LogsConfig.parse({"columns": columns})
+    )
+    np.testing.assert_array_equal(log["WOW"], (np.arange(40) // 10 % 3 > 0).astype(float))
+
+
+def test_a_word_of_a_switch_is_no_number_of_another_channel(tmp_path):
+    path = write(tmp_path, f"t,fan,itt\n{ROWS.replace('1.0,90,510', '1.0,90,ON')}")
+    assert "channel itt, row 11: expected a number, found 'ON'" in error_of(path, config())
+
+
+def test_a_header_that_occurs_again_and_text_at_the_end_are_no_rows(tmp_path):
+    head = "t,fan,itt\ns,%,degC\n"
+    rows = ROWS.replace("1.0,90", f"{head}1.0,90") + "Average,99,520\nMaximum,119,539\n"
+    (log,) = read_logs(write(tmp_path, f"{head}{rows}"), config())
+    np.testing.assert_array_equal(log["EGT_C"], 500.0 + np.arange(40))
+    assert ("*", "dropped", "header again", 2) in changes(log)
+    assert ("*", "dropped", "row below the data: Average", 2) in changes(log)
+
+
+def test_text_between_rows_is_no_footer_however_the_file_is_read(tmp_path):
+    rows = ROWS.replace("1.0,90", "Average,90")
+    path = write(tmp_path, f"t,fan,itt\n{rows}")
+    with pytest.raises(NarxcalError, match="row 11: expected a number, found 'Average'"):
+        read_logs(path, config())
+    with pytest.raises(NarxcalError, match="row 11: expected a number, found 'Average'"):
+        list(LogFile(path, config()).blocks([""], Pace(lines=11)))
+
+
+@pytest.mark.parametrize("name", ["Gas [degF]", "Gas \n [degF]"])
+def test_quoted_cells_may_hold_ends_of_lines(tmp_path, name):
+    rows = "".join(f'{k / 10},{80 + k},{500 + k},"two\nlines, ""so"""\n' for k in range(40))
+    path = write(tmp_path, f't,fan,"Gas\r\n [degF]","remark\n"\n{rows}')
+    (log,) = read_logs(path, config(EGT_C={"column": name}))
+    np.testing.assert_allclose(log["EGT_C"], (468.0 + np.arange(40)) / 1.8)
+
+
+def test_a_quote_that_is_never_closed_takes_no_further_rows(tmp_path):
+    rows = ROWS.replace("1.0,90,510", '1.0,90,510,"probe')
+    path = write(tmp_path, f"t,fan,itt,remark\n{rows}".replace("\n", ",\n"))
+    assert len(read_logs(path, config())[0]) == 40
+
+
+def test_a_file_without_a_header_is_named_so(tmp_path):
+    assert error_of(write(tmp_path, ROWS), config()) == (
+        "FILE: the file has no header: its first line holds numbers. "
+        "Write the names of the columns above it"
+    )
 
 
 def test_lines_of_comments_are_skipped_wherever_they_stand(tmp_path):
