@@ -18,6 +18,7 @@ from data_prep.units import (
     find_unit,
     is_no_unit,
     is_volume_flow,
+    litres_per_hour,
     looks_like_unit,
     named_unit,
     to_canonical,
@@ -26,11 +27,11 @@ from narxcal.channels import CHANNELS
 from narxcal.support.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from data_prep.config import ColumnSource, LogsConfig
-    from data_prep.csv_source import Counts, Pace
+    from data_prep.csv_source import Counts, Pace, Words
     from data_prep.text_file import Head
     from data_prep.units import Unit
     from narxcal.support.arrays import FloatArray
@@ -39,7 +40,6 @@ _SHOWN = 12  # names of columns in a message
 _SEARCHED = 1000  # columns among which a misspelt one is looked for
 _NO_UNIT = ("", "-")
 _BRACKETS_AT_END = re.compile(r"[\[({<]([^][(){}<>]+)[])}>]\s*$")
-_DENSITY = "1 l/h of 0.80 kg/l is 0.80 kg/h, 1 gal/h (US) is 3.03 kg/h"
 _RIGHT = "r"  # the right engine of [L] and [R], no degree Rankine
 
 
@@ -75,11 +75,11 @@ class Table(Protocol):
         """Whether the rows look like those of a log; else no message quotes the file."""
 
     def blocks(
-        self, names: Sequence[str], pace: Pace | None = None, switches: Collection[str] = ()
+        self, names: Sequence[str], pace: Pace | None = None, words: Words | None = None
     ) -> Iterator[dict[str, FloatArray]]:
         """Columns as float64 `(rows,)`, NaN where blank, in blocks of rows.
 
-        Those of `switches` may hold words like ON.
+        Those of `words` may hold words, each with a function that gives their number.
         """
 
 
@@ -190,7 +190,11 @@ def sources_of(table: Table, config: LogsConfig) -> dict[str, ColumnSource]:
     sources = config.sources(table.header)
     for name, source in sources.items():
         text = _unit_text(table, config, name, source)
-        if text and _is_open(source):
+        volume = (text and _is_open(source) and text) or source.unit or ""
+        if source.density_kgpl is not None and is_volume_flow(volume):
+            scale = source.scale * litres_per_hour(volume) * source.density_kgpl
+            sources[name] = source.model_copy(update={"unit": "kg/h", "scale": scale})
+        elif text and _is_open(source):
             sources[name] = source.model_copy(update={"unit": _unit(table, name, text)})
     return sources
 
@@ -259,7 +263,7 @@ def _unit(table: Table, name: str, text: str) -> str:
         what = "is not known" if not unit else f"does not fit {CHANNELS[name].unit}"
         if is_volume_flow(text):
             what = "is a flow of volume"
-            hint = f"Set scale of {name} in [logs.columns] by the fuel's density: {_DENSITY}"
+            hint = f"Set density_kgpl of {name} in [logs.columns]: kg of fuel in a litre, about 0.8"
         problem = f"the {_place(table)} says '{text}', which {what}"
         raise DataError(problem, file=table.path, channel=name, hint=hint)
     return unit

@@ -10,7 +10,7 @@ from pydantic import Field, PositiveFloat, field_validator, model_validator
 
 from data_prep.clock import Order
 from data_prep.derive import DeriveConfig
-from data_prep.units import find_unit
+from data_prep.units import find_unit, is_volume_flow
 from narxcal.channels import CHANNELS, channel
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.settings import Section
@@ -24,6 +24,7 @@ class ColumnSource(Section):
 
     `unit` is the canonical one when left out. An `optional` column may be absent from a file.
     `constant` (in the canonical unit) replaces a column: the altitude of a test bench.
+    `density_kgpl` (kg/l) makes a mass flow of a volume flow, in `unit` or that of the file.
     """
 
     column: str = ""
@@ -32,6 +33,7 @@ class ColumnSource(Section):
     scale: float = 1.0
     offset: float = 0.0
     optional: bool = False
+    density_kgpl: PositiveFloat | None = None
 
     @field_validator("column")
     @classmethod
@@ -55,7 +57,8 @@ class LogsConfig(Section):
 
     `dates` is the order of day, month and year where the stamps do not settle it; `frames_hz` the
     frames of a second in stamps `HH:MM:SS:FF`. `no_value` are further words that stand for no
-    value, beside `data_prep.words.NO_VALUE`.
+    value, beside `data_prep.words.NO_VALUE`. `instances` are columns that tell the engines, units
+    or recordings in a file apart: each combination of their values becomes a log.
     """
 
     folder: str = "."
@@ -69,6 +72,7 @@ class LogsConfig(Section):
     dates: Order = "auto"
     frames_hz: PositiveFloat | None = None
     no_value: tuple[str, ...] = ()
+    instances: tuple[str, ...] = ()
     engines: dict[str, str] = Field(default_factory=dict)
     columns: dict[str, ColumnSource] = Field(default_factory=dict)
     derive: DeriveConfig = DeriveConfig()
@@ -101,7 +105,9 @@ class LogsConfig(Section):
     @classmethod
     def _known_channels(cls, columns: dict[str, ColumnSource]) -> dict[str, ColumnSource]:
         for name, source in columns.items():
-            find_unit(source.unit if source.unit is not None else channel(name).unit, name)
+            unit = source.unit if source.unit is not None else channel(name).unit
+            if source.density_kgpl is None or not is_volume_flow(unit):
+                find_unit(unit, name)
         if columns and "time_s" not in columns:
             raise ConfigError(
                 "[logs.columns] lacks time_s", hint='Add time_s = { column = "...", unit = "s" }'

@@ -8,7 +8,7 @@ import time
 import warnings
 import zlib
 from collections import Counter
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from io import StringIO
@@ -26,12 +26,12 @@ from data_prep.text_file import (
     read_row,
     sniff,
 )
-from data_prep.words import SWITCH, is_no_value, plain
+from data_prep.words import is_no_value, plain
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -46,6 +46,7 @@ _POLL_S = 0.05
 _NAN = ("", "nan", "NaN", "NAN", "-nan", "-NaN")  # how programs print a missing number
 _MOST_FOOTER = 20  # rows of text at the end of a file
 _DATE = re.compile(r"\d+([-/.:])\d+\1\d.*|\d+:\d+(\.\d+)?.*")
+Words = Mapping[str, Callable[[str], float]]  # column -> word -> number, NaN for an unknown one
 Counts = Counter[tuple[str, "Action", str]]  # (column or *, action, reason) -> cells or rows
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d*)?")
 
@@ -86,7 +87,7 @@ class CsvSource:
         self.truncated = False
         self._further = {plain(word) for word in no_value}
         self._no_value: set[str] = set()  # as they are spelled in the file
-        self._switches: Collection[str] = ()
+        self._words: Words = {}
         self._footer: DataError | None = None
 
     @property
@@ -115,18 +116,18 @@ class CsvSource:
         return self.dialect.tabular
 
     def blocks(
-        self, names: Sequence[str], pace: Pace | None = None, switches: Collection[str] = ()
+        self, names: Sequence[str], pace: Pace | None = None, words: Words | None = None
     ) -> Iterator[dict[str, FloatArray]]:
         """The named columns `(rows,)` in blocks of `pace.lines` rows; a blank is NaN.
 
-        Those of `switches` may hold words like ON.
+        Those of `words` may hold words, each with a function that gives their number.
 
         Raises `DataError` for text in place of a number (naming row and value), a row longer
         than the header, a column that occurs twice, and a file that cannot be parsed.
         """
         positions = {name: self._position(name) for name in names}
         row = 0
-        self._switches = switches
+        self._words = words or {}
         for lines in self._line_blocks(pace or Pace()):
             rows = self._rows(lines)
             if rows and self._footer:
@@ -325,16 +326,17 @@ class CsvSource:
 
     def _values(self, name: str, cells: pd.Series[Any]) -> FloatArray:
         clock = self.dialect.clock if name == self.dialect.time else None
-        if not clock and name not in self._switches:
+        if not clock and name not in self._words:
             return cells.to_numpy(dtype=np.float64, copy=True)
         if self._unreadable(name, cells).any():
-            raise ValueError("neither a clock time nor a date, or no word of a switch")
-        return clock.seconds(cells) if clock else self._of_switch(cells)
+            raise ValueError("neither a clock time nor a date, or no known word")
+        return clock.seconds(cells) if clock else self._of_words(name, cells)
 
-    def _of_switch(self, texts: pd.Series[Any]) -> FloatArray:
-        known = texts.astype("str").fillna("")
-        words = np.array([SWITCH.get(plain(text), np.nan) for text in known], dtype=np.float64)
-        return np.where(np.isfinite(words), words, self._parsed(texts))
+    def _of_words(self, name: str, texts: pd.Series[Any]) -> FloatArray:
+        words, codes = np.unique(texts.astype("str").fillna(""), return_inverse=True)
+        numbers = [self._words[name](str(word)) if word else np.nan for word in words]
+        values = np.array(numbers, dtype=np.float64)[codes]
+        return np.where(np.isfinite(values), values, self._parsed(texts))
 
     def _parsed(self, texts: pd.Series[Any]) -> FloatArray:
         plain_numbers = texts.astype("str").str.strip()
@@ -358,7 +360,7 @@ class CsvSource:
         count = len(self.header)
         dialect = self.dialect
         kinds = {**dict.fromkeys(positions, dtype), count: object}
-        for name in (self.clock, *self._switches):
+        for name in (self.clock, *self._words):
             if name in self.header:
                 kinds[self._position(name)] = object
         # The first row decides how many fields pandas allows.
@@ -385,7 +387,8 @@ class CsvSource:
         if name == self.dialect.time and self.dialect.clock:
             numbers = self.dialect.clock.seconds(texts)
         else:
-            numbers = self._of_switch(texts) if name in self._switches else self._parsed(texts)
+            of_words = name in self._words
+            numbers = self._of_words(name, texts) if of_words else self._parsed(texts)
         return np.asarray(np.isnan(numbers) & texts.notna())
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
-from data_prep.csv_source import Counts, Pace
+from data_prep.csv_source import Counts, Pace, Words
 from data_prep.text_file import Head
 from narxcal.support.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
     from narxcal.support.arrays import FloatArray
@@ -90,7 +90,7 @@ class ParquetSource:
         self,
         names: Sequence[str],
         pace: Pace | None = None,
-        switches: Collection[str] = (),  # noqa: ARG002 - a column of words is no column of numbers
+        words: Words | None = None,  # noqa: ARG002 - a column of words is no column of numbers
     ) -> Iterator[dict[str, FloatArray]]:
         """The named columns in blocks of up to `pace.lines` rows; null is NaN.
 

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from data_prep.array_source import MAGIC_BYTES, ArraySource, is_array_file
+from data_prep.code_words import CodeWord, code_words
 from data_prep.columns import constants, head_entries, map_columns, sources_of, to_channel
 from data_prep.config import LogsConfig
 from data_prep.csv_source import Counts, Pace, open_csv, readable
@@ -20,12 +22,15 @@ from data_prep.log import Audit, Log, Source
 from data_prep.parquet_source import MAGIC, ParquetSource
 from data_prep.stamps import Passed, all_apart, clock_goes_on, ordered_rows, usual_interval
 from data_prep.stream import GridStream
+from data_prep.words import Labels, switch
 from narxcal.channels import CHANNELS
-from narxcal.support.errors import DataError
+from narxcal.support.errors import DataError, did_you_mean
 from narxcal.support.files import sha256_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from data_prep.columns import Table
     from data_prep.stream import Piece
@@ -58,11 +63,13 @@ def read_logs(
 
 
 def open_table(path: Path, config: LogsConfig) -> Table:
-    """Open a CSV or Parquet file, distinguished by their first bytes; raises `DataError`."""
+    """Open a CSV, Parquet, MATLAB or HDF5 file by its first bytes; raises `DataError`."""
     with readable(path), path.open("rb") as raw:
-        magic = raw.read(len(MAGIC))
-    if magic == MAGIC:
+        magic = raw.read(MAGIC_BYTES)
+    if magic.startswith(MAGIC):
         return ParquetSource(path, config.time_column)
+    if is_array_file(magic):
+        return ArraySource(path, config.time_column)
     return open_csv(path, config)
 
 
@@ -81,16 +88,75 @@ class LogFile:
         self.engines = tuple(self._columns)
 
     def blocks(self, engines: Sequence[str], pace: Pace | None = None) -> Iterator[dict[str, Rows]]:
-        """Yield engine -> channel -> `(rows,)`, in file order; raises `DataError`."""
-        names = list({name: None for each in engines for name in self._columns[each].values()})
-        switches = [
-            column
-            for columns in self._columns.values()
-            for name, column in columns.items()
-            if CHANNELS[name].role == "switch"
-        ]
-        for cells in self.table.blocks(names, pace, switches):
-            yield {engine: self._canonical(engine, cells) for engine in engines}
+        """Yield engine -> channel -> `(rows,)`, in file order; raises `DataError`.
+
+        Where columns tell instances apart, `engine-instance` takes the place of the engine.
+        """
+        columns = [column for each in engines for column in self._columns[each].items()]
+        switches = {column: switch for name, column in columns if CHANNELS[name].role == "switch"}
+        labels = {column: Labels() for column in self._instances()}
+        if labels and pace and pace.live:
+            raise DataError(
+                "a file of several instances cannot be streamed",
+                file=self.path,
+                hint="Write each of them to a file of its own",
+            )
+        names = list(dict.fromkeys([column for _, column in columns] + list(labels)))
+        words = {**switches, **{column: each.number for column, each in labels.items()}}
+        coded: dict[str, tuple[CodeWord, ...]] = {}
+        for cells in self.table.blocks(names, pace, words):
+            if not (pace and pace.live):
+                self._mask_code_words(cells, coded, {*switches, *labels, self.config.time_column})
+            rows = self._apart(cells, labels) if labels else {"": slice(None)}
+            yield {
+                "-".join(filter(None, (engine, instance))): {
+                    name: values[chosen] for name, values in self._canonical(engine, cells).items()
+                }
+                for engine in engines
+                for instance, chosen in rows.items()
+            }
+
+    def _mask_code_words(
+        self,
+        cells: dict[str, FloatArray],
+        known: dict[str, tuple[CodeWord, ...]],
+        others: Collection[str],
+    ) -> None:
+        """Blank the code words of each column but `others`; the first block tells them."""
+        for column in [name for name in cells if name not in others]:
+            if column not in known:
+                known[column] = code_words(cells[column])
+            for word in known[column]:
+                rows = word.rows(cells[column])
+                cells[column] = np.where(rows, np.nan, cells[column])
+                reason = f"code word {word.value:g}: {word.why}"
+                self.table.counts[column, "dropped", reason] += int(rows.sum())
+
+    def _instances(self) -> tuple[str, ...]:
+        columns = tuple(" ".join(name.split()) for name in self.config.instances)
+        for column in columns:
+            if column not in self.table.header:
+                raise DataError(
+                    f"column '{column}' of [logs] instances is missing",
+                    file=self.path,
+                    hint=did_you_mean(column, self.table.header, "The file has"),
+                )
+        return columns
+
+    def _apart(
+        self, cells: Mapping[str, FloatArray], labels: Mapping[str, Labels]
+    ) -> dict[str, NDArray[np.intp]]:
+        """Instance -> its rows; a row without a label belongs to none, which is counted."""
+        keys = np.column_stack([cells[column] for column in labels])
+        known = np.flatnonzero(np.isfinite(keys).all(axis=1))
+        self.table.counts["*", "dropped", "row of no instance"] += len(keys) - len(known)
+        found, of_row = np.unique(keys[known], axis=0, return_inverse=True)
+        return {
+            "-".join(
+                each.label(number) for each, number in zip(labels.values(), key, strict=True)
+            ): known[of_row.ravel() == k]
+            for k, key in enumerate(found)
+        }
 
     def counted(self) -> dict[str, Counts]:
         """Take engine -> what the file's `counts` became since the last call, by channel."""
@@ -133,13 +199,13 @@ class LogFile:
 def _joined(blocks: list[dict[str, Rows]]) -> dict[str, Rows]:
     if len(blocks) == 1:
         return blocks[0]
-    return {
-        engine: {
-            name: np.concatenate([block[engine].pop(name) for block in blocks])
-            for name in list(rows)
+    found: dict[str, Rows] = {}
+    for engine in dict.fromkeys(engine for block in blocks for engine in block):
+        parts = [block.pop(engine) for block in blocks if engine in block]
+        found[engine] = {
+            name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])
         }
-        for engine, rows in blocks[0].items()
-    }
+    return found
 
 
 def _file_logs(path: Path, config: LogsConfig) -> list[Log]:
@@ -158,9 +224,9 @@ def _file_logs(path: Path, config: LogsConfig) -> list[Log]:
             for entry in head_entries(file.table, config, len(rows["time_s"])):
                 if first or entry.channel != "*":
                     stream.audit.count(entry.channel, entry.action, entry.reason, entry.samples)
-            for channel, action, reason in counts[engine]:
-                stream.audit.count(channel, action, reason, counts[engine][channel, action, reason])
-            growing[engine].take(stream.push(rows, last=last))
+            for key, count in _taken(counts, engine).items():
+                stream.audit.count(*key, count)
+            growing[engine].push(rows, last=last)
     if not growing:
         raise DataError("no rows follow the header", file=path)
     return [log for each in growing.values() for log in each.finished()]
@@ -175,6 +241,12 @@ def _with_last(blocks: Iterable[dict[str, Rows]]) -> Iterator[tuple[dict[str, Ro
         before = block
     if before is not None:
         yield before, True
+
+
+def _taken(counts: dict[str, Counts], key: str) -> Counts:
+    """Take the counts of the engine of which `key` is an instance; none the second time."""
+    fits = (each for each in counts if each in ("", key) or key.startswith(f"{each}-"))
+    return counts.pop(next(fits, ""), Counter())
 
 
 def _stream(file: LogFile, rows: Rows) -> GridStream:
@@ -204,16 +276,20 @@ class _Growing:
     file: str
     logs: list[Log] = field(default_factory=list)
     pieces: list[Piece] = field(default_factory=list)
+    over: bool = False
 
-    def take(self, pieces: Iterable[Piece]) -> None:
-        """Add samples; a piece that begins a recording ends the one before."""
-        for piece in pieces:
+    def push(self, rows: Rows, *, last: bool) -> None:
+        """Add rows; a piece of samples that begins a recording ends the one before."""
+        self.over = last
+        for piece in self.stream.push(rows, last=last):
             if piece.starts:
                 self._finish(self.stream.ended)
             self.pieces.append(piece)
 
     def finished(self) -> list[Log]:
         """Return all logs, after the last row."""
+        if not self.over:  # an instance that the last block does not have
+            self.push({}, last=True)
         self._finish(self.stream.audit.taken())
         if not self.logs:
             raise all_apart(self.stream.config.max_gap_s, self.source.file)

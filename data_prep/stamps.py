@@ -179,7 +179,10 @@ def _where_it_goes_back(before_s: float, after_s: float) -> str:
             "A worksheet that shows MM:SS.0 leaves the hours out: write HH:MM:SS.0; "
             "or, if it holds more than one recording, split the file there"
         )
-    return "Split the file there: it holds more than one recording"
+    return (
+        "It holds more than one recording: split the file there, or name the column that tells "
+        "them apart in [logs] instances"
+    )
 
 
 def _lone_spikes(time: FloatArray, max_gap_s: float) -> BoolArray:
@@ -341,6 +344,9 @@ def shared_interval(time: FloatArray, channels: Mapping[str, FloatArray]) -> flo
 def _row_by_row(time: FloatArray, channels: Mapping[str, FloatArray]) -> bool:
     """Whether rows that share a stamp follow each other in time, by each channel that changes."""
     same = np.diff(time) == 0.0
+    channels = {
+        name: np.where(np.isfinite(values), values, np.nan) for name, values in channels.items()
+    }
     if any(_opposed(values, same) for values in channels.values()):
         return False
     found = []

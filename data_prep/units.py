@@ -87,6 +87,7 @@ _ALIASES = {
     "pps": "lb/s",
     "pct": "%",
     "percent": "%",
+    "%rpm": "%",
     "1": "-",
     "": "-",
     "bool": "0/1",
@@ -123,7 +124,19 @@ _WORDS = {
     for word in words.split()
 }
 # Volumes of fuel need its density; the others are units of columns that are no channels.
-_VOLUME_FLOWS = ("gal/h", "gph", "gal/min", "gpm", "l/h", "lph", "l/min", "lpm", "ml/min", "m3/h")
+_GALLON_L = 3.785411784  # exact, US gallon
+_VOLUME_FLOWS = {  # in l/h
+    "gal/h": _GALLON_L,
+    "gph": _GALLON_L,
+    "gal/min": 60.0 * _GALLON_L,
+    "gpm": 60.0 * _GALLON_L,
+    "l/h": 1.0,
+    "lph": 1.0,
+    "l/min": 60.0,
+    "lpm": 60.0,
+    "ml/min": 0.06,
+    "m3/h": 1000.0,
+}
 _MEASURES = (
     *("psi", "psia", "psig", "bar", "mbar", "hPa", "kPa", "Pa", "inHg", "V", "mV", "A", "mA", "Hz"),
     *("g", "lb", "kg", "gal", "l", "nm", "mi", "ft/min", "fpm", "deg/s", "m/s2", *_VOLUME_FLOWS),
@@ -176,6 +189,11 @@ def named_unit(cell: str) -> str:
 def is_volume_flow(cell: str) -> bool:
     """Whether a cell names a flow of volume, which no mass flow follows from without a density."""
     return _plain(cell) in _FLOWS
+
+
+def litres_per_hour(cell: str) -> float:
+    """Litres per hour in one unit of a flow of volume (`is_volume_flow`)."""
+    return _FLOWS[_plain(cell)]
 
 
 def is_no_unit(cell: str) -> bool:
@@ -232,6 +250,6 @@ def to_canonical(values: FloatArray, unit: Unit) -> FloatArray:
 
 
 _BY_TEXT = _texts()
-_FLOWS = {_plain(text) for text in _VOLUME_FLOWS}
+_FLOWS = {_plain(text): flow for text, flow in _VOLUME_FLOWS.items()}
 _NO_MEASURES = {_plain(text) for text in _OTHER}
 _FOREIGN = {_plain(text) for text in (*_MEASURES, *_PER_MINUTE)} | _NO_MEASURES

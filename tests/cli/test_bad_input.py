@@ -102,7 +102,8 @@ def test_time_going_back(prepare, flight):
     refused(
         done,
         f"{file}, channel time_s, row 1921: time goes back from 59.96875 s to 0 s. "
-        "Split the file there: it holds more than one recording",
+        "It holds more than one recording: split the file there, or name the column that tells "
+        "them apart in [logs] instances",
     )
 
 

@@ -232,7 +232,8 @@ HEAD = "time_s,N1_pct\n"
             HEAD + "".join(f"{k / 10},1\n" for k in [*range(100), *range(50)]),
             (
                 "FILE, channel time_s, row 101: time goes back from 9.9 s to 0 s. "
-                "Split the file there: it holds more than one recording"
+                "It holds more than one recording: split the file there, or name the column "
+                "that tells them apart in [logs] instances"
             ),
         ),
         (

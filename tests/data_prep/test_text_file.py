@@ -202,10 +202,10 @@ def test_quoted_cells_may_hold_ends_of_lines(tmp_path, name):
     np.testing.assert_allclose(log["EGT_C"], (468.0 + np.arange(40)) / 1.8)
 
 
-def test_a_quote_that_is_never_closed_takes_no_further_rows(tmp_path):
-    rows = ROWS.replace("1.0,90,510", '1.0,90,510,"probe')
-    path = write(tmp_path, f"t,fan,itt,remark\n{rows}".replace("\n", ",\n"))
-    assert len(read_logs(path, config())[0]) == 40
+def test_a_quote_that_is_never_closed_is_named(tmp_path):
+    rows = ROWS.replace("1.0,90,510", '1.0,90,"510')
+    message = error_of(write(tmp_path, f"t,fan,itt\n{rows}"), config())
+    assert message.endswith("Look for a quote that is never closed")
 
 
 def test_a_file_without_a_header_is_named_so(tmp_path):
@@ -326,7 +326,8 @@ def test_a_clock_without_hours_that_stood_at_the_hour_is_told_what_it_needs(tmp_
             "A worksheet that shows MM:SS.0 leaves the hours out: write HH:MM:SS.0; or, if it "
             "holds more than one recording, split the file there"
             if lost < 600
-            else "Split the file there: it holds more than one recording"
+            else "It holds more than one recording: split the file there, or name the column "
+            "that tells them apart in [logs] instances"
         )
     )
 
@@ -346,7 +347,8 @@ def test_time_that_goes_back_is_a_second_recording(tmp_path):
     rows = "".join(f"{stamp},80,500\n" for stamp in stamps)
     assert error_of(write(tmp_path, f"t,fan,itt\n{rows}"), config()) == (
         "FILE, channel time_s, row 21: time goes back from 86319.9 s to 0 s. "
-        "Split the file there: it holds more than one recording"
+        "It holds more than one recording: split the file there, or name the column that tells "
+        "them apart in [logs] instances"
     )
 
 
@@ -443,11 +445,9 @@ def test_a_spelled_out_unit_in_brackets_converts(tmp_path, name, column, factor,
     ("name", "text", "why", "hint"),
     [
         ("FF_kgph", "gal/hr", "is a flow of volume",
-         ("Set scale of FF_kgph in [logs.columns] by the fuel's density: "
-         "1 l/h of 0.80 kg/l is 0.80 kg/h, 1 gal/h (US) is 3.03 kg/h")),
+         "Set density_kgpl of FF_kgph in [logs.columns]: kg of fuel in a litre, about 0.8"),
         ("FF_kgph", "l/min", "is a flow of volume",
-         ("Set scale of FF_kgph in [logs.columns] by the fuel's density: "
-         "1 l/h of 0.80 kg/l is 0.80 kg/h, 1 gal/h (US) is 3.03 kg/h")),
+         "Set density_kgpl of FF_kgph in [logs.columns]: kg of fuel in a litre, about 0.8"),
         ("N1_pct", "RPM", "is not known",
          "Say what it is in [logs.columns]: unit of N1_pct, or scale and offset"),
         ("FN_kN", "lbs", "is not known",
@@ -497,13 +497,67 @@ def test_a_separator_of_thousands_is_named_with_blanks_after_it(tmp_path):
     )
 
 
-@pytest.mark.parametrize(
-    "head", [b"MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: now" + b" " * 400 + b"\n",
-             b"ULog\x01\x12\x35 a, b\n"]
-)  # fmt: skip
-def test_a_file_that_is_no_text_below_its_first_line_is_named_so(tmp_path, head):
+def test_a_file_that_is_no_text_below_its_first_line_is_named_so(tmp_path):
     path = tmp_path / "log.csv"
-    path.write_bytes(head + b"\x89HDF\x0d\x0a\x1a\x0a" + bytes(range(256)) * 20)
+    path.write_bytes(
+        b"ULog\x01\x12\x35 a, b\n" + b"\x89HDF\x0d\x0a\x1a\x0a" + bytes(range(256)) * 20
+    )
     assert error_of(path, config()) == (
         "FILE: the file is no text. Expected a CSV file, plain or gzipped, or Parquet"
     )
+
+
+@pytest.mark.parametrize(
+    ("text", "litres"), [("gal/hr", 3.785411784), ("l/min", 60.0), ("Liters per Hour", 1.0)]
+)
+@pytest.mark.parametrize("own", [False, True])
+def test_fuel_by_volume_becomes_a_mass_flow_by_its_density(tmp_path, text, litres, own):
+    column = "fuel" if own else f"fuel ({text})"
+    path = write(tmp_path, f"t,fan,{column}\n{ROWS}")
+    fuel = {"column": column, "density_kgpl": 0.8} | ({"unit": text} if own else {})
+    columns = {"time_s": {"column": "t"}, "FF_kgph": fuel}
+    (log,) = read_logs(path, LogsConfig.parse({"columns": columns}))
+    np.testing.assert_allclose(log["FF_kgph"], 0.8 * litres * (500.0 + np.arange(40)))
+
+
+@pytest.mark.parametrize("labels", [("0", "1"), ("LH", "RH"), ("7", "left")])
+@pytest.mark.parametrize("interleaved", [True, False])
+def test_instances_in_a_file_are_told_apart_by_a_column(tmp_path, labels, interleaved):
+    rows = [(k / 10, label, 80 + k + 7 * n) for n, label in enumerate(labels) for k in range(40)]
+    rows = sorted(rows, key=lambda row: row[0]) if interleaved else rows
+    text = "".join(f"{t},{label},{fan}\n" for t, label, fan in rows)
+    path = write(tmp_path, f"t,I,fan\n{text}")
+    columns = {"time_s": {"column": "t"}, "N1_pct": {"column": "fan"}}
+    logs = read_logs(path, LogsConfig.parse({"columns": columns, "instances": ["I"]}))
+    assert {log.source.engine for log in logs} == set(labels)
+    for log in logs:
+        expected = 80.0 + np.arange(40) + 7.0 * labels.index(log.source.engine)
+        np.testing.assert_array_equal(log["N1_pct"], expected)
+        assert changes(log) == []
+
+
+def test_units_and_cycles_are_recordings_of_their_own(tmp_path):
+    rows = "".join(
+        f"{unit},{cycle},{k / 10},{unit * 10 + cycle + k}\n"
+        for unit in (1, 2) for cycle in (1, 2) for k in range(20)
+    )  # fmt: skip
+    path = write(tmp_path, f"unit,cycle,t,fan\n{rows}")
+    columns = {"time_s": {"column": "t"}, "N1_pct": {"column": "fan"}}
+    apart = LogsConfig.parse({"columns": columns, "instances": ["unit", "cycle"]})
+    logs = read_logs(path, apart)
+    assert [log.name for log in logs] == [f"log.csv:{key}" for key in ("1-1", "1-2", "2-1", "2-2")]
+    np.testing.assert_array_equal(logs[2]["N1_pct"], 21.0 + np.arange(20))
+    missing = LogsConfig.parse({"columns": columns, "instances": ["units"]})
+    assert error_of(path, missing) == (
+        "FILE: column 'units' of [logs] instances is missing. Did you mean 'unit'?"
+    )
+    with pytest.raises(NarxcalError, match="a file of several instances cannot be streamed"):
+        next(LogFile(path, apart).blocks([""], Pace(live=True)))
+
+
+def test_rows_of_no_instance_are_counted(tmp_path):
+    columns = {"time_s": {"column": "t"}, "N1_pct": {"column": "fan"}}
+    rows = "".join(f"{k / 10},{80 + k},{'' if k == 10 else 'A'}\n" for k in range(40))
+    path = write(tmp_path, f"t,fan,I\n{rows}")
+    (log,) = read_logs(path, LogsConfig.parse({"columns": columns, "instances": ["I"]}))
+    assert ("*", "dropped", "row of no instance", 1) in changes(log)

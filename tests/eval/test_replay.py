@@ -493,7 +493,8 @@ def test_time_going_back_is_refused_with_its_row_however_far_down(tmp_path):
     assert error.value.row == 5001
     assert str(error.value) == (
         f"{log}, channel time_s, row 5001: time goes back from 504.9 s to 105 s. "
-        "Split the file there: it holds more than one recording"
+        "It holds more than one recording: split the file there, or name the column that tells "
+        "them apart in [logs] instances"
     )
 
 

@@ -1,0 +1,227 @@
+"""Files of arrays: MATLAB (version 5 by scipy; 7.3 needs the extra `hdf5`) and HDF5.
+
+| layout | column |
+|---|---|
+| array `(rows,)`, `(rows, 1)` or `(1, rows)` | of its name; in a struct or group `GROUP/NAME` |
+| struct or group with `data` and `Rate`, and perhaps `Units` and `Description` | of its name |
+| array `(rows, n)` `NAME`, `NAME_dev` or `NAME_test` beside `n` names `NAME_var` | of these names |
+
+Columns with rates have no stamps: sample k of a channel is at `k / rate`, and the rows are those of
+the fastest column that is read. Columns slower than that are blank in between.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.io import loadmat
+
+from data_prep.csv_source import Counts, Pace, Words
+from data_prep.text_file import Head
+from narxcal.support.arrays import FloatArray
+from narxcal.support.errors import ConfigError, DataError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+_MATLAB, _MATLAB_73, _HDF5 = b"MATLAB 5.0 MAT", b"MATLAB 7.3 MAT", b"\x89HDF\r\n\x1a\n"
+MAGIC_BYTES = len(_MATLAB)
+_BROKEN = (
+    ValueError, TypeError, KeyError, IndexError, OSError, EOFError, NotImplementedError,
+    OverflowError, MemoryError, struct.error, zlib.error,
+)  # fmt: skip
+_WHOLE = 1e-6  # by which a ratio of rates may differ from a whole number
+_TABLES = ("", "_dev", "_test")  # endings of a table's name beside `_var`
+
+
+@dataclass(frozen=True)
+class _Column:
+    """Values `(samples,)` and what the file says of them; a rate of 0 means one sample a row."""
+
+    values: FloatArray
+    unit: str = ""
+    rate_hz: float = 0.0
+
+
+def is_array_file(magic: bytes) -> bool:
+    """Whether a file that begins so is one of arrays."""
+    return magic.startswith((_MATLAB, _MATLAB_73, _HDF5))
+
+
+class ArraySource:
+    """One file of arrays, whose columns were read as a whole; row 1 is the first."""
+
+    truncated = False
+    hourly = False
+    tabular = True
+    clock = ""
+
+    def __init__(self, path: Path, time: str = "time_s") -> None:
+        self.path = path
+        self.counts: Counts = Counter()
+        self._time = time
+        self._columns = {" ".join(name.split()): each for name, each in _columns(path).items()}
+        if not self._columns:
+            raise DataError("the file holds no columns of numbers", file=path)
+        rated = any(column.rate_hz for column in self._columns.values())
+        if time not in self._columns and not rated:
+            raise DataError(
+                f"the file has no column '{time}', and its channels have no rates",
+                file=path,
+                channel="time_s",
+                hint=f"Name the column of time: {', '.join(list(self._columns)[:12])}",
+            )
+        made = {} if time in self._columns else {time: ""}
+        self._units = {**made, **{name: each.unit for name, each in self._columns.items()}}
+
+    @property
+    def header(self) -> tuple[str, ...]:
+        """Column names in file order; that of time first, where it follows from the rates."""
+        return tuple(self._units)
+
+    @property
+    def head(self) -> Head:
+        """There are no lines above the first row, and units where the file names any."""
+        units = tuple(self._units.values())
+        return Head(lines=0, units=units if any(units) else ())
+
+    def blocks(
+        self,
+        names: Sequence[str],
+        pace: Pace | None = None,
+        words: Words | None = None,  # noqa: ARG002 - arrays hold numbers
+    ) -> Iterator[dict[str, FloatArray]]:
+        """The named columns in blocks of up to `pace.lines` rows; blank is NaN.
+
+        Raises `DataError` for columns of different lengths, for rates that do not divide the
+        fastest one, and for a live `pace`.
+        """
+        if pace is not None and pace.live:
+            raise DataError(
+                "a file of arrays cannot be streamed", file=self.path, hint="Write it as CSV first"
+            )
+        table = self._rows({name: self._columns[name] for name in names if name in self._columns})
+        rows, size = len(next(iter(table.values()))), (pace or Pace()).lines
+        for start in range(0, rows, size):
+            yield {name: table[name][start : start + size] for name in names}
+
+    def _rows(self, columns: Mapping[str, _Column]) -> dict[str, FloatArray]:
+        """Columns on common rows, with stamps where they follow from the rates."""
+        fastest = max((each.rate_hz for each in columns.values()), default=0.0)
+        if self._time in self._columns or not fastest:
+            lengths = {name: len(each.values) for name, each in columns.items()}
+            if len(set(lengths.values())) > 1:
+                found = ", ".join(f"{name} {length}" for name, length in lengths.items())
+                raise DataError(f"columns of one table differ in rows: {found}", file=self.path)
+            return {name: each.values for name, each in columns.items()}
+        every = {name: self._every(name, each, fastest) for name, each in columns.items()}
+        rows = max((len(columns[name].values) - 1) * step + 1 for name, step in every.items())
+        table = {self._time: np.arange(rows) / fastest}
+        for name, each in columns.items():
+            table[name] = np.full(rows, np.nan)
+            table[name][:: every[name]][: len(each.values)] = each.values
+        return table
+
+    def _every(self, name: str, column: _Column, fastest_hz: float) -> int:
+        ratio = fastest_hz / column.rate_hz if column.rate_hz else 0.0
+        if ratio < 1.0 or abs(ratio - round(ratio)) > _WHOLE * ratio:
+            raise DataError(
+                f"a rate of {column.rate_hz:g} Hz does not divide that of {fastest_hz:g} Hz of "
+                "another column",
+                file=self.path,
+                channel=name,
+                hint="Write the columns that do to a file of their own",
+            )
+        return round(ratio)
+
+
+def _columns(path: Path) -> dict[str, _Column]:
+    with path.open("rb") as raw:
+        magic = raw.read(MAGIC_BYTES)
+    try:
+        tree = _hdf5(path) if magic != _MATLAB else loadmat(path, simplify_cells=True)
+        return dict(_found(tree, ""))
+    except _BROKEN as error:
+        raise DataError(
+            f"the file cannot be read ({' '.join(str(error).split())[:100]})",
+            file=path,
+            hint="Copy it again",
+        ) from error
+
+
+def _hdf5(path: Path) -> dict[str, Any]:
+    """Groups as dictionaries and datasets as arrays, one with a unit as a struct."""
+    try:
+        import h5py  # noqa: PLC0415 - an extra, needed for such files only
+    except ImportError:
+        raise ConfigError(
+            "HDF5 and MATLAB 7.3 need h5py",
+            file=path,
+            hint="Install it with: pip install 'narxcal[hdf5]'",
+        ) from None
+
+    def tree(item: Any) -> Any:
+        if isinstance(item, h5py.Group):
+            return {name: tree(each) for name, each in item.items() if not name.startswith("#")}
+        values = item[()]
+        if item.attrs.get("MATLAB_class") == b"char":
+            return "".join(map(chr, np.ravel(values)))
+        unit = next(
+            (item.attrs[key] for key in ("units", "Units", "unit") if key in item.attrs), ""
+        )
+        return {"data": values, "units": unit} if unit else values
+
+    with h5py.File(path, "r") as file:
+        found: dict[str, Any] = tree(file)
+    return found
+
+
+def _found(tree: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, _Column]]:
+    for name, item in tree.items():
+        if name.startswith("__"):
+            continue
+        if isinstance(item, dict):
+            fields = {key.lower(): value for key, value in item.items()}
+            values = _vector(fields.get("data"))
+            if values is None:
+                yield from _found(item, f"{prefix}{name}/")
+                continue
+            rate = float(np.ravel(fields["rate"])[0]) if "rate" in fields else 0.0
+            yield prefix + name, _Column(values, _text(fields.get("units", "")), rate)
+        elif table := dict(_table(tree, name, np.asarray(item))):
+            yield from table.items()
+        elif (values := _vector(item)) is not None:
+            yield prefix + name, _Column(values)
+
+
+def _table(tree: Mapping[str, Any], name: str, values: Any) -> Iterator[tuple[str, _Column]]:
+    """Columns of a matrix whose names stand beside it; none for any other array."""
+    if values.ndim != 2:
+        return
+    stems = [name.removesuffix(end) for end in _TABLES if name.endswith(end)]
+    known = next((tree[f"{stem}_var"] for stem in stems if f"{stem}_var" in tree), None)
+    names = [] if known is None else [_text(each) for each in np.ravel(known)]
+    if len(names) == values.shape[1] and np.issubdtype(values.dtype, np.number):
+        for each, column in zip(names, values.T, strict=True):
+            yield each, _Column(np.asarray(column, dtype=np.float64))
+
+
+def _vector(item: Any) -> FloatArray | None:
+    """An array of numbers along one axis, as `(samples,)`; None for anything else."""
+    values = np.asarray(item)
+    numeric = np.issubdtype(values.dtype, np.number) or values.dtype == np.bool_
+    if not numeric or values.ndim == 0 or max(values.shape) < values.size or not values.size:
+        return None
+    return np.asarray(values.ravel(), dtype=np.float64)
+
+
+def _text(item: Any) -> str:
+    """Text of a string, of bytes or of an array of one of them."""
+    plain = np.ravel(item)[0] if np.size(item) else ""
+    return (plain.decode("utf-8", "replace") if isinstance(plain, bytes) else str(plain)).strip()

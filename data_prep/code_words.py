@@ -1,0 +1,135 @@
+"""Code words: values that a recorder writes in the place of a measurement.
+
+A word with all bits set marks a sample as invalid, and some recorders use a word for something else
+at a fixed period. Either is found from the data alone. A value is a code word if
+
+* nearly every run of it is entered and left by a jump, there and back, that is larger than nearly
+  all steps between the other samples, as no quantity moves; and
+* it is all ones, `(2**bits - 1)` times the resolution of the channel, or comes at a fixed period.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from narxcal.support.arrays import BoolArray, FloatArray, runs
+
+_FEWEST_RUNS = 3  # each is a jump that one step in a hundred exceeds, twice: 1e-12 by chance
+_FEWEST_PERIODS = 8
+_MOST_OF = 0.9  # of the runs; a measurement may equal the word
+_LARGE = 0.99  # quantile of the steps between samples
+_FEWEST_STEPS = 20  # that move at all, to know how a channel moves
+_FEWEST_LEVELS = 16  # to know its resolution
+_BITS = range(8, 17)
+_LONGEST = 0.6  # of the time from one to the next is a code word
+_MAX_DECIMALS = 6
+
+
+class CodeWord(NamedTuple):
+    """One code word of a channel: runs of `value` beyond jumps of `jump` are none of its samples.
+
+    `why` says what it was recognised by.
+    """
+
+    value: float
+    jump: float
+    why: str
+
+    def rows(self, values: FloatArray) -> BoolArray:
+        """Which of `values` `(rows,)`, with NaN where blank, are this word."""
+        found = np.zeros(len(values), dtype=np.bool_)
+        own = np.flatnonzero(np.isfinite(values))
+        starts, stops, jumps = _runs_of(self.value, values[own])
+        for start, stop, jump in zip(starts, stops, jumps, strict=True):
+            found[own[start:stop]] = jump > self.jump
+        return found
+
+
+def code_words(values: FloatArray) -> tuple[CodeWord, ...]:
+    """Find the code words of a channel `(rows,)`, with NaN where blank."""
+    found: list[CodeWord] = []
+    for _ in range(_FEWEST_RUNS):
+        own = np.flatnonzero(np.isfinite(values))
+        word = _next(values[own], own)
+        if word is None:
+            break
+        found.append(word)
+        values = np.where(word.rows(values), np.nan, values)
+    return tuple(found)
+
+
+def _next(values: FloatArray, rows: NDArray[np.intp]) -> CodeWord | None:
+    levels, counts = np.unique(values, return_counts=True)
+    if len(levels) <= _FEWEST_LEVELS:
+        return None
+    often = counts >= _FEWEST_RUNS
+    steps = np.diff(values)
+    peaks = values[1:-1][steps[1:] * steps[:-1] < 0.0]
+    peaks = peaks[np.abs(peaks - np.median(values)) > 0.0]
+    common, times = np.unique(peaks, return_counts=True)
+    candidates = [levels[-1]] * bool(often[-1]) + [levels[0]] * bool(often[0])
+    candidates += [*common[times == times.max(initial=0)][:1]]
+    found = (_word(float(value), values, rows) for value in candidates)
+    return next((word for word in found if word), None)
+
+
+def _word(value: float, values: FloatArray, rows: NDArray[np.intp]) -> CodeWord | None:
+    others = values[values != value]
+    steps = np.abs(np.diff(others))
+    steps = steps[steps > 0.0]
+    starts, stops, jumps = _runs_of(value, values)
+    if len(steps) < _FEWEST_STEPS or len(starts) < _FEWEST_RUNS:
+        return None
+    large = float(np.quantile(steps, _LARGE))
+    apart = np.diff(rows[starts])
+    short = np.median(stops - starts) <= _LONGEST * np.median(np.diff(starts))
+    if np.mean(jumps > large) < _MOST_OF or not short:
+        return None
+    bits = _bits(value, others)
+    period = int(np.median(apart))
+    if bits:
+        return CodeWord(value, large, f"all ones of {bits} bits")
+    if len(apart) >= _FEWEST_PERIODS and period > 2 and np.mean(apart % period == 0) >= _MOST_OF:
+        return CodeWord(value, large, f"every {period} rows")
+    return None
+
+
+def _runs_of(value: float, values: FloatArray) -> tuple[NDArray[np.intp], ...]:
+    """First and end of each run of `value`, and the smaller of its jumps, 0 if not there and back.
+
+    A run at an end of the data has one jump.
+    """
+    starts, stops = runs(values == value)
+    before = value - values[np.maximum(starts - 1, 0)]
+    after = value - values[np.minimum(stops, len(values) - 1)]
+    before = np.where(starts == 0, after, before)
+    after = np.where(stops == len(values), before, after)
+    jumps = np.where(before * after > 0.0, np.minimum(np.abs(before), np.abs(after)), 0.0)
+    return starts, stops, jumps
+
+
+def _bits(value: float, others: FloatArray) -> int:
+    """Bits of the word if `value` is all ones of the channel's resolution, else 0."""
+    levels = np.unique(others)
+    printed = _printed_step(np.append(levels, value))
+    if value <= 0.0 or len(levels) < _FEWEST_LEVELS:
+        return 0
+    for bits in _BITS:
+        resolution = value / (2**bits - 1)
+        if printed > 0.5 * resolution:
+            return 0
+        away = np.abs(levels / resolution - np.round(levels / resolution)) * resolution
+        if (away <= printed * (0.5 + 0.5 * levels / value) + 1e-9 * value).all():
+            return bits
+    return 0
+
+
+def _printed_step(values: FloatArray) -> float:
+    """Step of the last decimal that values were printed with; 0 where they were not rounded."""
+    for decimals in range(_MAX_DECIMALS + 1):
+        if np.allclose(values, np.round(values, decimals), rtol=1e-12, atol=1e-12):
+            return float(10.0**-decimals) if decimals else 0.0
+    return 0.0
