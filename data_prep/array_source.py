@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _MATLAB, _MATLAB_73, _HDF5 = b"MATLAB 5.0 MAT", b"MATLAB 7.3 MAT", b"\x89HDF\r\n\x1a\n"
 MAGIC_BYTES = len(_MATLAB)
 _BROKEN = (
-    ValueError, TypeError, KeyError, IndexError, OSError, EOFError, NotImplementedError,
+    ValueError, TypeError, KeyError, IndexError, OSError, EOFError, RuntimeError,
     OverflowError, MemoryError, struct.error, zlib.error,
 )  # fmt: skip
 _WHOLE = 1e-6  # by which a ratio of rates may differ from a whole number
