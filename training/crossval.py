@@ -27,7 +27,8 @@ from narxcal.support.errors import DataError
 from narxcal.support.parallel import in_processes
 from narxcal.support.settings import Section
 from training.config import RunConfig
-from training.pipeline import TrainOptions, calibrate
+from training.methods import TrainOptions
+from training.pipeline import calibrate
 from training.records import Split
 
 T = TypeVar("T")

@@ -1,5 +1,8 @@
 """Identify the dynamics behind a steady state by the methods of the two older papers.
 
+Logs have complete inputs. Each function raises `DataError` for logs that lack a channel or do not
+determine the model.
+
 | method | fitted to | by |
 |---|---|---|
 | output-error | whole logs, an offset per log and output | `training.output_error.fit` |
@@ -72,19 +75,6 @@ class Identified:
         return {name: getattr(self, name) for name in names}
 
 
-def identify(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> Identified:
-    """Identify the dynamics of `logs`, whose inputs are complete, by [identify] method.
-
-    Raises `DataError` for logs that lack a channel or do not determine the model.
-    """
-    methods: dict[str, Callable[..., Identified]] = {
-        "output-error": _output_error,
-        "transfer": _transfer,
-        "subspace": _subspace,
-    }
-    return methods[config.identify.method](config, steady, logs)
-
-
 def steady_record(log: Log, steady: SteadyStateModel, driver: str) -> Record:
     """Record of a log for `EngineFromSteady`; raises `DataError` as `steady_drive` does."""
     moved = log[driver]
@@ -98,7 +88,8 @@ def steady_record(log: Log, steady: SteadyStateModel, driver: str) -> Record:
     return Record(drive, log.measured(STEADY_OUTPUTS), log.name)
 
 
-def _output_error(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> Identified:
+def output_error(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> Identified:
+    """Fit an engine of first-order spools to whole logs, with offsets of each."""
     driver = config.driver
     records = [
         steady_record(log, steady_for_engine(steady, log.source.engine), driver) for log in logs
@@ -155,7 +146,8 @@ def _parts(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> 
     return parts
 
 
-def _transfer(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> Identified:
+def transfer(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> Identified:
+    """Fit the response of each output to its steady state, scheduled over level and altitude."""
     parts, dt_s = _parts(config, steady, logs), logs[0].dt_s
     names = steady.input_names
     conditions, axes, warnings = _mesh(config, steady, parts)
@@ -263,7 +255,8 @@ def _node(conditions: Sequence[str], at: Sequence[float]) -> str:
     return ",".join(f"{name}={value:.4g}" for name, value in zip(conditions, at, strict=True))
 
 
-def _subspace(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> Identified:
+def subspace_model(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -> Identified:
+    """Fit a linear state space from increments of the steady state to the deviation from it."""
     section, records = config.identify, []
     parts = _parts(config, steady, logs)
     ways = _ways(np.concatenate([np.diff(part.ss, axis=0) for part in parts]))

@@ -2,18 +2,17 @@
 
 logs -> split -> masks -> steady state -> lags -> network -> mixture -> noise -> bundle
 
-With [identify] another method takes the place of lags and network (`training.identify`); the rest
-is the same.
+Steady state, lags, network and mixture are the method's (`training.methods`); the rest is the same
+for all.
 """
 
 from __future__ import annotations
 
-import hashlib
 import os
 import platform
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +22,8 @@ from data_prep.log import Log
 from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
 from narxcal.calibration.bundle import Bundle
-from narxcal.calibration.calibration import Calibration, DynamicCalibration
+from narxcal.calibration.calibration import Calibration
 from narxcal.calibration.certificate import settling
-from narxcal.calibration.identified import IdentifiedCalibration
 from narxcal.calibration.noise import NoiseModel, estimate_noise
 from narxcal.calibration.run_record import (
     FitRecord,
@@ -36,51 +34,19 @@ from narxcal.calibration.run_record import (
 )
 from narxcal.channels import CHANNELS
 from narxcal.intervals import HalfWidths, HeldErrors, joined
-from narxcal.lumped.engine import LumpedEngine
-from narxcal.narx.network import NarxModel
-from narxcal.record import Record
 from narxcal.steady.fitted import FittedSteadyState
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import FloatArray, known_mean
 from narxcal.support.errors import DataError
-from narxcal.support.progress import Progress, silent
-from training.baselines import Baselines, fit_baselines, run_of
-from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
-from training.config import METHODS, STATIC, RunConfig
-from training.identify import identify, static_laws
-from training.lags import choose_form, fit_lags
+from training.baselines import Baselines, run_of
+from training.config import RunConfig
 from training.levels import prior_scatter
 from training.masking import learnable
-from training.mixture import HeldRun, Mixture, choose_mixture, network_alone
-from training.network import (
-    FitResult,
-    HistoryRow,
-    Material,
-    TrainingState,
-    fit_narx,
-    merge_models,
-)
-from training.records import LEAST_WIDTHS, Split, material, structure_of
+from training.methods import TrainOptions, method_of
+from training.mixture import HeldRun
+from training.records import LEAST_WIDTHS, Split
 from training.redundancy import learn
-from training.steady_choice import contradicting, steady_state, without
 from training.steady_fit import SteadyQuality
-from training.transport import DelayChoice, choose_delay, delayed
-
-CHECKPOINT = "checkpoint-{}.safetensors"
-
-
-@dataclass(frozen=True)
-class TrainOptions:
-    """How to run a training: who shows progress, where checkpoints go, whether to resume from them.
-
-    `screened` logs have the faults that
-    `training.masking.by_each_other` finds, such as parts of logs that were screened whole.
-    """
-
-    progress: Progress = silent
-    checkpoints: Path | None = None
-    resume: bool = False
-    screened: bool = False
 
 
 def configured_files(config: RunConfig, base: Path) -> list[Path]:
@@ -109,112 +75,41 @@ def calibrate(
     which a fault leaves nothing,
     `ConfigError` for a configuration that does not fit the logs.
     """
-    options, began, given = options or TrainOptions(), time.perf_counter(), config
-    dt_s = _common_interval([*split.train, *split.validate])
+    options, began = options or TrainOptions(), time.perf_counter()
+    _check_interval([*split.train, *split.validate])
     identities = _identities(split)
     options.progress(0, 1, "comparing the logs with each other")
     learned = learnable(split, config, screen=not options.screened)
-    split = learned.split
-    method, law, quality = config.identify.method, None, None
-    steady: SteadyStateModel
     options.progress(0, 1, "fitting the steady state")
-    if method.startswith(STATIC):
-        config, steady, law = static_laws(config, split.train)
-        split = split.with_outputs(config.narx.outputs)
-    else:
-        split = split.with_outputs(config.narx.outputs)
-        spoilt = contradicting(config, split.train)
-        split = replace(split, train=without(split.train, spoilt))
-        learned = replace(learned, split=split, contradicting=tuple(spoilt))
-        steady, quality = steady_state(config, base, split.train)
-    split = split.held(steady.input_names)
-    late = DelayChoice()
-    if not method.startswith(STATIC):
-        late = choose_delay(config, steady, split.train, options.progress)
-    if late.delay is not None:
-        split = split.changed(lambda log: delayed(log, late.delay))
-        steady, quality = steady_state(config, base, split.train)
-    if method == METHODS[0]:
-        config, calibration, mixture, found = _narx(config, base, steady, split, options)
-        held = mixture.free_runs
-    else:
-        options.progress(0, 1, f"identifying by {method}")
-        known = law or identify(config, steady, split.train)
-        calibration = IdentifiedCalibration(steady, known.dynamics, dt_s)
-        found = {"training": {"status": known.status, "score": [], "history": []}}
-        found["identify"] = known.document()
-        found["baselines"] = fit_baselines(calibration, split.train)
-        held = ()
+    found = method_of(config)(config, base, learned, options)
+    ground, calibration, entries = found.ground, found.calibration, dict(found.entries)
+    split, held = ground.split, found.held
     held = held or free_runs(calibration, split.validate)
     calibration = calibration.with_interval(interval_of(held, calibration.output_names))
     calibration = calibration.reaching(*input_reach(split.train, calibration.input_names))
     options.progress(0, 1, "holding inputs constant")
-    lags = Baselines.from_json(found["baselines"]).lag.members(dt_s)
+    lags = Baselines.from_json(entries["baselines"]).lag.members(calibration.dt_s)
     calibration, certificate, lost = settling(calibration, lags)
     if lost:
         held = free_runs(calibration, split.validate)
         calibration = calibration.with_interval(interval_of(held, calibration.output_names))
-        found["training"]["status"] = "; ".join([found["training"]["status"], *lost])
-    found["training"]["wall_s"] = time.perf_counter() - began
+        entries["training"]["status"] = "; ".join([entries["training"]["status"], *lost])
+    entries["training"]["wall_s"] = time.perf_counter() - began
     record = RunRecord(
-        **_provenance(given, base, split),
-        config=_resolved(config, steady).model_dump(mode="json", by_alias=True),
-        steady_state=_steady_record(quality, steady),
-        **found,
+        **_provenance(config, base, split),
+        config=ground.resolved.model_dump(mode="json", by_alias=True),
+        steady_state=_steady_record(ground.quality, ground.steady),
+        **entries,
         free_run=free_run_fit(calibration, split.train),
         fuser_noise=fuser_noise(calibration, split, held).to_dict(),
-        screening=learned.row(),
+        screening=ground.learned.row(),
         redundancy=redundancy_of(calibration, learned.train),
         certificate=certificate.row(),
         identities=identities,
         held_out=_held_out_record(calibration, split, held),
-        delay=late.row(),
+        delay=ground.late.row(),
     )
-    return Bundle(calibration.with_delay(late.delay), record)
-
-
-def _narx(
-    config: RunConfig, base: Path, steady: SteadyStateModel, split: Split, options: TrainOptions
-) -> tuple[RunConfig, Calibration, Mixture, dict[str, Any]]:
-    """Fit lags and network, weigh them and simple models; the configuration has the lags' form."""
-    config, choice = choose_form(config, steady, split.train, options.progress)
-    options.progress(0, 1, "fitting the lags")
-    lag = fit_lags(config, steady, split.train)
-    results = fit_networks(config, material(config, steady, lag, split), options)
-    network = merge_models([result.model for result in results])
-    calibration = _calibration(config, (steady, lag, network), split.train[0].dt_s)
-    baselines = fit_baselines(calibration, split.train)
-    mixture = _mixture(_resolved(config, steady), base, split, calibration, options)
-    rows = {
-        "lag_form": choice.row(),
-        "training": _training_row(results),
-        "baselines": baselines,
-        "mixture": mixture.row(),
-    }
-    return config, mixture.applied(calibration, baselines), mixture, rows
-
-
-def _mixture(
-    config: RunConfig,
-    base: Path,
-    split: Split,
-    calibration: DynamicCalibration,
-    options: TrainOptions,
-) -> Mixture:
-    """Weights of all models in each output, by folds of the training logs and refits to each."""
-    if config.train.choice_s == 0.0:
-        return network_alone(calibration, "no choice: choice_s = 0")
-
-    def refit(logs: Sequence[Log]) -> tuple[DynamicCalibration, dict[str, Any]]:
-        part = Split(tuple(logs), split.validate, ())
-        steady, _ = steady_state(config, base, part.train)
-        lag = fit_lags(config, steady, part.train)
-        results = fit_networks(config, material(config, steady, lag, part), TrainOptions())
-        network = merge_models([result.model for result in results])
-        found = _calibration(config, (steady, lag, network), calibration.dt_s)
-        return found, fit_baselines(found, part.train)
-
-    return choose_mixture(config, split.train, refit, calibration, options.progress)
+    return Bundle(calibration.with_delay(ground.late.delay), record)
 
 
 def input_reach(logs: Sequence[Log], names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
@@ -262,31 +157,12 @@ def free_run_fit(calibration: Calibration, logs: Sequence[Log]) -> FitRecord:
     )
 
 
-def _calibration(
-    config: RunConfig, parts: tuple[SteadyStateModel, LumpedEngine | None, NarxModel], dt_s: float
-) -> DynamicCalibration:
-    steady, lag, network = parts
-    section = config.narx
-    settle_s = section.settle_s if section.anchored and section.settle_s > 0 else None
-    return DynamicCalibration(steady, network, dt_s, section.schedule, settle_s).with_lag(lag)
-
-
-def _resolved(config: RunConfig, steady: SteadyStateModel) -> RunConfig:
-    """The configuration with the layout of the fitted steady state in the place of "auto"."""
-    if not isinstance(steady, FittedSteadyState):
-        return config
-    layout = steady.layout
-    names = ("blend", "switches", "corrected", "exponents", "driver")
-    chosen = {name: getattr(layout, name) for name in names}
-    return config.having(steady_state=chosen)
-
-
 def calibration_for(calibration: Calibration, log: Log) -> Calibration:
     """Calibration for the engine of `log`."""
     return calibration.for_engine(log.source.engine)
 
 
-def _common_interval(logs: Sequence[Log]) -> float:
+def _check_interval(logs: Sequence[Log]) -> None:
     intervals = {round(log.dt_s, 6): log.name for log in logs}
     if len(intervals) > 1:
         found = ", ".join(f"{dt:g} s in {name}" for dt, name in sorted(intervals.items()))
@@ -294,67 +170,6 @@ def _common_interval(logs: Sequence[Log]) -> float:
             f"expected all logs at one sampling interval, found {found}",
             hint="Set raster_hz in [logs]",
         )
-    return logs[0].dt_s
-
-
-def fit_networks(config: RunConfig, learned: Material, options: TrainOptions) -> list[FitResult]:
-    """Train one joint network, or one for each output (see `merge_models`)."""
-    parts = {"joint": learned}
-    if not config.narx.joint:
-        parts = {name: learned.of_output(k) for k, name in enumerate(config.narx.outputs)}
-    total = len(parts) * config.train.starts * sum(config.train.iterations)
-    return [
-        _fit_network(config, part, name, _counted(options, k, len(parts), total))
-        for k, (name, part) in enumerate(parts.items())
-    ]
-
-
-def _counted(options: TrainOptions, number: int, count: int, total: int) -> TrainOptions:
-    """The options for one of several networks, whose steps are counted over all of them."""
-    before = number * total // count
-    return replace(
-        options,
-        progress=lambda done, _total, what="": options.progress(
-            min(before + done, total), total, what
-        ),
-    )
-
-
-def _fit_network(
-    config: RunConfig, learned: Material, name: str, options: TrainOptions
-) -> FitResult:
-    structure = structure_of(config)
-    file = None if options.checkpoints is None else options.checkpoints / CHECKPOINT.format(name)
-    key = fingerprint(
-        config.train.model_dump_json(),
-        structure.model_dump_json(),
-        *(_record_hash(record) for record in learned.records),
-        "validation",
-        *(_record_hash(record) for record in learned.validation),
-    )
-
-    def on_step(state: TrainingState) -> None:
-        if file is not None:
-            write_checkpoint(file, state, key)
-        if state.history:
-            options.progress(len(state.history), 0, _error_words(state.history[-1]))
-
-    resume = None
-    if options.resume and file is not None and file.is_file():
-        resume = read_checkpoint(file, key)
-    return fit_narx(learned, structure, config.train, on_step, resume)
-
-
-def _error_words(row: HistoryRow) -> str:
-    if np.isfinite(row.validation):
-        return f"free-run validation error {row.validation:.4f}"
-    return f"free-run training error {np.sqrt(2.0 * row.loss):.4f}"
-
-
-def _record_hash(record: Record) -> str:
-    """Hash of shapes and numbers, without the name: a file may move."""
-    shapes = f"{record.u.shape} {record.y.shape}".encode()
-    return hashlib.sha256(shapes + record.u.tobytes() + record.y.tobytes()).hexdigest()
 
 
 def free_runs(calibration: Calibration, logs: Sequence[Log]) -> tuple[HeldRun, ...]:
@@ -486,21 +301,3 @@ def _steady_record(quality: SteadyQuality | None, steady: SteadyStateModel) -> S
         exponents=layout.exponents,
         assumed=layout.assumed,
     )
-
-
-def _training_row(results: Sequence[FitResult]) -> dict[str, Any]:
-    return {
-        "status": "; ".join(sorted({result.status for result in results})),
-        "score": [result.score for result in results],
-        "history": [[_history_row(row) for row in result.history] for result in results],
-    }
-
-
-def _history_row(row: HistoryRow) -> dict[str, Any]:
-    return {
-        "start": row.start,
-        "horizon_s": row.horizon_s,
-        "iteration": row.iteration,
-        "loss": row.loss,
-        "validation": row.validation if np.isfinite(row.validation) else None,
-    }

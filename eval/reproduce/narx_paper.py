@@ -39,7 +39,8 @@ from narxcal.calibration.bundle import Bundle
 from narxcal.support.files import versions
 from narxcal.support.progress import Progress, silent
 from training.config import RunConfig
-from training.pipeline import TrainOptions, calibrate
+from training.methods import TrainOptions
+from training.pipeline import calibrate
 from training.records import Split
 
 ERROR_PCT, TIMES_PCT = 2.0, 3.0

@@ -40,7 +40,8 @@ from narxcal.cli.results import (
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import check_writable, recover
 from training.config import RunConfig, SplitConfig
-from training.pipeline import TrainOptions, calibrate, configured_files, prepare_logs
+from training.methods import TrainOptions
+from training.pipeline import calibrate, configured_files, prepare_logs
 from training.records import Split, split_logs
 
 SCHEMA = "narxcal.train/1"

@@ -8,7 +8,7 @@ import pytest
 
 from narxcal.calibration.bundle import load_bundle
 from training.config import RunConfig
-from training.identify import identify
+from training.identify import output_error, subspace_model, transfer
 from training.pipeline import prepare_logs
 
 RATE_HZ = 5.0
@@ -130,7 +130,7 @@ def test_lags_are_recovered_with_their_deviations(runs):
 
 
 def test_subspace_finds_the_time_constants_of_all_outputs(logs):
-    found = identify(method("subspace", order=3), Curves(), logs)
+    found = subspace_model(method("subspace", order=3), Curves(), logs)
     values = sorted(row["value"] for row in found.parameters.values())
     np.testing.assert_allclose(values, sorted(TAUS.values()), rtol=0.1)
     assert all(row["sd"] is None for row in found.parameters.values())
@@ -356,31 +356,31 @@ def method(name, **more):
 
 
 @pytest.mark.parametrize(
-    ("name", "message"),
+    ("fit", "message"),
     [
-        ("output-error", "no input moves in any record: only offsets could be determined"),
+        (output_error, "no input moves in any record: only offsets could be determined"),
         (
-            "transfer",
+            transfer,
             "the steady state never moves in the training logs: no response can be identified",
         ),
-        ("subspace", "the steady state never moves in the training logs"),
+        (subspace_model, "the steady state never moves in the training logs"),
     ],
 )
-def test_an_input_that_never_moves_is_an_error(logs, name, message):
+def test_an_input_that_never_moves_is_an_error(logs, fit, message):
     held = [log.with_channels({"TRA_deg": np.full(len(log), 45.0)}) for log in logs]
     with pytest.raises(Exception, match=message):
-        identify(method(name), Curves(), held)
+        fit(method("narx"), Curves(), held)
 
 
 def test_a_rank_deficient_hankel_matrix_is_an_error(logs):
     (log, *_) = logs
     step = np.where(np.arange(len(log)) < len(log) // 2, 30.0, 60.0)
     with pytest.raises(Exception, match="not persistently exciting of order 24"):
-        identify(method("subspace"), Curves(), [log.with_channels({"TRA_deg": step})])
+        subspace_model(method("subspace"), Curves(), [log.with_channels({"TRA_deg": step})])
 
 
 def test_an_unexcited_parameter_is_named(logs):
-    found = identify(method("output-error"), Curves(flat=True), logs)
+    found = output_error(method("output-error"), Curves(flat=True), logs)
     assert "unidentifiable" in found.status
     assert any("beta" in text for text in found.warnings)
 
@@ -390,6 +390,6 @@ def test_a_hole_that_nobody_asked_for_is_a_named_warning(logs):
     for log in logs:
         high = log["TRA_deg"] > 60.0
         tall.append(log.with_channels({"ALT_ft": np.where(high, 30e3, 1e3)}))
-    found = identify(method("transfer"), Curves(), tall)
+    found = transfer(method("transfer"), Curves(), tall)
     assert any("parameters are not scheduled over altitude" in text for text in found.warnings)
     assert found.dynamics.conditions == ("level",)

@@ -13,8 +13,9 @@ from tests.training.test_masking import CONFIG, flight
 from tests.training.test_steady_fit import LAYOUT, truth
 from training.config import RunConfig, SteadyFitConfig
 from training.masking import learnable
+from training.methods import TrainOptions
 from training.outlying import Outlier, outliers
-from training.pipeline import TrainOptions, calibrate
+from training.pipeline import calibrate
 from training.records import Split
 from training.steady_choice import contradicting, steady_state, without
 from training.steady_fit import SteadySamples

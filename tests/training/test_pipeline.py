@@ -17,8 +17,8 @@ from narxcal.lumped.rotors import LIMITED, UNLIMITED
 from narxcal.support.errors import ConfigError, DataError, ModelError
 from narxcal.support.files import to_json
 from training.config import RunConfig, SplitConfig
+from training.methods import TrainOptions
 from training.pipeline import (
-    TrainOptions,
     calibrate,
     calibration_for,
     configured_files,

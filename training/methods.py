@@ -1,0 +1,307 @@
+"""Methods of identification: each fits a steady state and the dynamics behind it.
+
+| [identify] method | steady state | dynamics |
+|---|---|---|
+| narx | fitted or the maker's | lags, network, mixture with simple models |
+| output-error, transfer, subspace | the same | `training.identify` |
+| static:NAME | the law of that name | none |
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from data_prep.log import Log
+from narxcal.calibration.calibration import Calibration, DynamicCalibration
+from narxcal.calibration.identified import IdentifiedCalibration
+from narxcal.lumped.engine import LumpedEngine
+from narxcal.narx.network import NarxModel
+from narxcal.record import Record
+from narxcal.steady.fitted import FittedSteadyState
+from narxcal.steady.model import SteadyStateModel
+from narxcal.support.progress import Progress, silent
+from training.baselines import fit_baselines
+from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
+from training.config import STATIC, RunConfig
+from training.identify import Identified, output_error, static_laws, subspace_model, transfer
+from training.lags import choose_form, fit_lags
+from training.masking import Learnable
+from training.mixture import HeldRun, Mixture, choose_mixture, network_alone
+from training.network import (
+    FitResult,
+    HistoryRow,
+    Material,
+    TrainingState,
+    fit_narx,
+    merge_models,
+)
+from training.records import Split, material, structure_of
+from training.steady_choice import contradicting, steady_state, without
+from training.steady_fit import SteadyQuality
+from training.transport import DelayChoice, choose_delay, delayed
+
+CHECKPOINT = "checkpoint-{}.safetensors"
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """How to run a training: who shows progress, where checkpoints go, whether to resume from them.
+
+    `screened` logs have the faults that
+    `training.masking.by_each_other` finds, such as parts of logs that were screened whole.
+    """
+
+    progress: Progress = silent
+    checkpoints: Path | None = None
+    resume: bool = False
+    screened: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """A steady state, the logs `split` it was fitted to, with complete inputs, and its settings.
+
+    `learned` says what of the logs was left out, `late` which delay of the driver was taken off.
+    `quality` is None of a steady state that was not fitted.
+    """
+
+    config: RunConfig
+    learned: Learnable
+    split: Split
+    steady: SteadyStateModel
+    quality: SteadyQuality | None = None
+    late: DelayChoice = field(default_factory=DelayChoice)
+
+    @property
+    def resolved(self) -> RunConfig:
+        """The configuration with the layout of the fitted steady state in the place of "auto"."""
+        if not isinstance(self.steady, FittedSteadyState):
+            return self.config
+        layout = self.steady.layout
+        names = ("blend", "switches", "corrected", "exponents", "driver")
+        return self.config.having(steady_state={name: getattr(layout, name) for name in names})
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """A calibration on its ground, its entries in the run's record, and its held-out free runs."""
+
+    ground: Ground
+    calibration: Calibration
+    entries: Mapping[str, Any]
+    held: tuple[HeldRun, ...] = ()
+
+
+class Method(Protocol):
+    """Identify a calibration from logs; raises `DataError` for logs that do not determine it."""
+
+    def __call__(
+        self, config: RunConfig, base: Path, learned: Learnable, options: TrainOptions
+    ) -> Identification:
+        """`base` is the folder that paths of `config` are relative to."""
+        ...
+
+
+def method_of(config: RunConfig) -> Method:
+    """The method that [identify] names."""
+    name = config.identify.method
+    return _METHODS[STATIC if name.startswith(STATIC) else name]
+
+
+def _grounded(config: RunConfig, base: Path, learned: Learnable, progress: Progress) -> Ground:
+    """Fit or open the steady state, without logs that contradict the others and without delay."""
+    split = learned.split.with_outputs(config.narx.outputs)
+    spoilt = contradicting(config, split.train)
+    split = replace(split, train=without(split.train, spoilt))
+    learned = replace(learned, split=split, contradicting=tuple(spoilt))
+    steady, quality = steady_state(config, base, split.train)
+    split = split.held(steady.input_names)
+    late = choose_delay(config, steady, split.train, progress)
+    if late.delay is not None:
+        split = split.changed(lambda log: delayed(log, late.delay))
+        steady, quality = steady_state(config, base, split.train)
+    return Ground(config, learned, split, steady, quality, late)
+
+
+def _narx(
+    config: RunConfig, base: Path, learned: Learnable, options: TrainOptions
+) -> Identification:
+    """Fit lags and network, weigh them and simple models; the configuration has the lags' form."""
+    ground = _grounded(config, base, learned, options.progress)
+    steady, split = ground.steady, ground.split
+    config, choice = choose_form(config, steady, split.train, options.progress)
+    ground = replace(ground, config=config)
+    options.progress(0, 1, "fitting the lags")
+    lag = fit_lags(config, steady, split.train)
+    results = fit_networks(config, material(config, steady, lag, split), options)
+    network = merge_models([result.model for result in results])
+    calibration = _calibration(config, (steady, lag, network), split.train[0].dt_s)
+    baselines = fit_baselines(calibration, split.train)
+    mixture = _mixture(ground, base, calibration, options)
+    entries = {
+        "lag_form": choice.row(),
+        "training": _training_row(results),
+        "baselines": baselines,
+        "mixture": mixture.row(),
+    }
+    weighed = mixture.applied(calibration, baselines)
+    return Identification(ground, weighed, entries, mixture.free_runs)
+
+
+def _mixture(
+    ground: Ground, base: Path, calibration: DynamicCalibration, options: TrainOptions
+) -> Mixture:
+    """Weights of all models in each output, by folds of the training logs and refits to each."""
+    config, split = ground.resolved, ground.split
+    if config.train.choice_s == 0.0:
+        return network_alone(calibration, "no choice: choice_s = 0")
+
+    def refit(logs: Sequence[Log]) -> tuple[DynamicCalibration, dict[str, Any]]:
+        part = Split(tuple(logs), split.validate, ())
+        steady, _ = steady_state(config, base, part.train)
+        lag = fit_lags(config, steady, part.train)
+        results = fit_networks(config, material(config, steady, lag, part), TrainOptions())
+        network = merge_models([result.model for result in results])
+        found = _calibration(config, (steady, lag, network), calibration.dt_s)
+        return found, fit_baselines(found, part.train)
+
+    return choose_mixture(config, split.train, refit, calibration, options.progress)
+
+
+def _calibration(
+    config: RunConfig, parts: tuple[SteadyStateModel, LumpedEngine | None, NarxModel], dt_s: float
+) -> DynamicCalibration:
+    steady, lag, network = parts
+    section = config.narx
+    settle_s = section.settle_s if section.anchored and section.settle_s > 0 else None
+    return DynamicCalibration(steady, network, dt_s, section.schedule, settle_s).with_lag(lag)
+
+
+def fit_networks(config: RunConfig, learned: Material, options: TrainOptions) -> list[FitResult]:
+    """Train one joint network, or one for each output (see `merge_models`)."""
+    parts = {"joint": learned}
+    if not config.narx.joint:
+        parts = {name: learned.of_output(k) for k, name in enumerate(config.narx.outputs)}
+    total = len(parts) * config.train.starts * sum(config.train.iterations)
+    return [
+        _fit_network(config, part, name, _counted(options, k, len(parts), total))
+        for k, (name, part) in enumerate(parts.items())
+    ]
+
+
+def _counted(options: TrainOptions, number: int, count: int, total: int) -> TrainOptions:
+    """The options for one of several networks, whose steps are counted over all of them."""
+    before = number * total // count
+    return replace(
+        options,
+        progress=lambda done, _total, what="": options.progress(
+            min(before + done, total), total, what
+        ),
+    )
+
+
+def _fit_network(
+    config: RunConfig, learned: Material, name: str, options: TrainOptions
+) -> FitResult:
+    structure = structure_of(config)
+    file = None if options.checkpoints is None else options.checkpoints / CHECKPOINT.format(name)
+    key = fingerprint(
+        config.train.model_dump_json(),
+        structure.model_dump_json(),
+        *(_record_hash(record) for record in learned.records),
+        "validation",
+        *(_record_hash(record) for record in learned.validation),
+    )
+
+    def on_step(state: TrainingState) -> None:
+        if file is not None:
+            write_checkpoint(file, state, key)
+        if state.history:
+            options.progress(len(state.history), 0, _error_words(state.history[-1]))
+
+    resume = None
+    if options.resume and file is not None and file.is_file():
+        resume = read_checkpoint(file, key)
+    return fit_narx(learned, structure, config.train, on_step, resume)
+
+
+def _error_words(row: HistoryRow) -> str:
+    if np.isfinite(row.validation):
+        return f"free-run validation error {row.validation:.4f}"
+    return f"free-run training error {np.sqrt(2.0 * row.loss):.4f}"
+
+
+def _record_hash(record: Record) -> str:
+    """Hash of shapes and numbers, without the name: a file may move."""
+    shapes = f"{record.u.shape} {record.y.shape}".encode()
+    return hashlib.sha256(shapes + record.u.tobytes() + record.y.tobytes()).hexdigest()
+
+
+def _training_row(results: Sequence[FitResult]) -> dict[str, Any]:
+    return {
+        "status": "; ".join(sorted({result.status for result in results})),
+        "score": [result.score for result in results],
+        "history": [[_history_row(row) for row in result.history] for result in results],
+    }
+
+
+def _history_row(row: HistoryRow) -> dict[str, Any]:
+    return {
+        "start": row.start,
+        "horizon_s": row.horizon_s,
+        "iteration": row.iteration,
+        "loss": row.loss,
+        "validation": row.validation if np.isfinite(row.validation) else None,
+    }
+
+
+@dataclass(frozen=True)
+class _OnSteadyState:
+    """Dynamics behind the same steady state as the network's, by a function of `identify`."""
+
+    fit: Callable[[RunConfig, SteadyStateModel, Sequence[Log]], Identified]
+
+    def __call__(
+        self, config: RunConfig, base: Path, learned: Learnable, options: TrainOptions
+    ) -> Identification:
+        ground = _grounded(config, base, learned, options.progress)
+        options.progress(0, 1, f"identifying by {config.identify.method}")
+        return _identification(ground, self.fit(config, ground.steady, ground.split.train))
+
+
+def _static_law(
+    config: RunConfig,
+    base: Path,  # noqa: ARG001 (of `Method`: a law has no file)
+    learned: Learnable,
+    options: TrainOptions,
+) -> Identification:
+    options.progress(0, 1, f"identifying by {config.identify.method}")
+    config, steady, found = static_laws(config, learned.split.train)
+    split = learned.split.with_outputs(config.narx.outputs).held(steady.input_names)
+    return _identification(Ground(config, learned, split, steady), found)
+
+
+def _identification(ground: Ground, found: Identified) -> Identification:
+    logs = ground.split.train
+    calibration = IdentifiedCalibration(ground.steady, found.dynamics, logs[0].dt_s)
+    entries = {
+        "training": {"status": found.status, "score": [], "history": []},
+        "identify": found.document(),
+        "baselines": fit_baselines(calibration, logs),
+    }
+    return Identification(ground, calibration, entries)
+
+
+_METHODS: Final[Mapping[str, Method]] = {
+    "narx": _narx,
+    "output-error": _OnSteadyState(output_error),
+    "transfer": _OnSteadyState(transfer),
+    "subspace": _OnSteadyState(subspace_model),
+    STATIC: _static_law,
+}
