@@ -189,13 +189,6 @@ def running_median(values: FloatArray, window: int) -> FloatArray:
     return np.asarray(median_filter(values, size=window, mode="nearest"))
 
 
-def gross_errors(
-    values: FloatArray, window: int, sigmas: float, method: Method = "3-sigma"
-) -> BoolArray:
-    """Flag samples `(time,)` that deviate from the running median; NaN never does."""
-    return deviations(values, window).gross(sigmas, method)
-
-
 @dataclass(frozen=True)
 class Deviations:
     """How far samples `(time,)` lie from the running median of `window`, for tests of any limit.

@@ -28,7 +28,7 @@ from narxcal.support.errors import DataError
 from training.config import TrainConfig
 from training.folds import thinned
 from training.latent import Data, Fitted, Starts, fit_linear, model_of
-from training.network import FitResult, Material, TrainingState, fit_narx
+from training.network import FitResult, Material, TrainingState, fit_narx, net_of
 from training.ranking import Build, Form
 from training.search import (
     ARX,
@@ -294,7 +294,7 @@ def drawn_networks(
         }
         result = fit_narx(material, STRUCTURE, _TRAIN.model_copy(update=update), resume=start)
         found.append(result)
-        start = start or TrainingState(result.model.net.get_theta(), stage=len(steps) - 1)
+        start = start or TrainingState(net_of(result.model).get_theta(), stage=len(steps) - 1)
     rows = [row for each in found for row in each.history]
     return found, sum(_WHOLE if row.horizon_s == 0.0 else 1.0 for row in rows)
 

@@ -153,17 +153,12 @@ class Combined:
     """Mean of repeated estimates, weighted by 1/sd^2.
 
     `sd` is the formal one; `birge` is the ratio of scatter between runs to reported standard
-    deviation, sqrt(chi2 / (n - 1)); `sd_scaled` is `sd` times that where it is above one.
+    deviation, sqrt(chi2 / (n - 1)).
     """
 
     value: float
     sd: float
     birge: float
-
-    @property
-    def sd_scaled(self) -> float:
-        """Standard deviation that covers the scatter between runs."""
-        return self.sd * max(1.0, self.birge)
 
 
 def combine(estimates: Sequence[float] | FloatArray, sd: Sequence[float] | FloatArray) -> Combined:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,6 +28,18 @@ from training.levenberg_marquardt import Damping, minimise, minimise_geodesic
 
 _POLES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 0.995)
 _RIDGE = 1e-6
+
+if TYPE_CHECKING:
+    from narxcal.narx.module import NarxNet
+
+
+def net_of(model: NarxModel) -> NarxNet:
+    """Return the network as a PyTorch module, from then on the one that `model` runs."""
+    from narxcal.narx.module import NarxNet  # noqa: PLC0415 (PyTorch takes seconds to import)
+
+    if not isinstance(model.network, NarxNet):
+        model.network = NarxNet.of(model.weights)
+    return model.network
 
 
 def new_model(
@@ -70,7 +83,7 @@ def start_linear(model: NarxModel, records: Sequence[Record], problem: FreeRunPr
         replace(drawn, a=linear, b2=bias).theta for linear, bias in _candidates(model, records)
     ]
     losses = [problem.loss(theta) for theta in thetas]
-    model.net.set_theta(thetas[int(np.argmin(losses))])
+    net_of(model).set_theta(thetas[int(np.argmin(losses))])
 
 
 def _candidates(model: NarxModel, records: Sequence[Record]) -> list[tuple[FloatArray, FloatArray]]:
@@ -215,7 +228,7 @@ def fit_narx(
         status = "interrupted: the best network so far was kept; --resume goes on from here"
     progress = run.latest or progress
     theta = progress.theta if progress.best_theta is None else progress.best_theta
-    run.model.net.set_theta(theta)
+    net_of(run.model).set_theta(theta)
     return FitResult(run.model, status, progress.best_score, progress.history)
 
 
@@ -242,15 +255,15 @@ class _Run:
         horizon = max(round(horizon_s / dt_s), 1) if horizon_s > 0 else None
         stride = max(round(self.config.score_every_s / dt_s), 1)
         windows = cut_windows(self.model, records, horizon, stride, self.config.restarts)
-        return FreeRunProblem(self.model.net, windows, self.config.threads)
+        return FreeRunProblem(net_of(self.model), windows, self.config.threads)
 
     def first_theta(self, start: int) -> FloatArray:
         """Weights that start number `start` begins with."""
         drawn = self._new(self.config.seed + start)
-        self.model.net.set_theta(drawn.net.get_theta())
+        net_of(self.model).set_theta(net_of(drawn).get_theta())
         problem = self._problem(self.material.records, self.config.horizons_s[0])
         start_linear(self.model, self.material.records, problem)
-        return self.model.net.get_theta()
+        return net_of(self.model).get_theta()
 
     def train(self, progress: TrainingState, interrupt: Interrupt) -> None:
         """Go on from `progress` to the end; `latest` always holds the last complete step."""

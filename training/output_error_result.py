@@ -66,11 +66,6 @@ class OutputErrorFit:
         """Correlation matrix (P, P) of the estimates."""
         return correlation(self.covariance)
 
-    @property
-    def f_ratios(self) -> FloatArray:
-        """(value / sd)^2 (P,): above 3.84 a parameter differs from zero at 5 %."""
-        return (self.values / self.sd_used) ** 2
-
     def interval(self, name: str, level: float = 0.9) -> tuple[float, float]:
         """Confidence interval of one free parameter."""
         k = self.names.index(name)

@@ -31,7 +31,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from data_prep.log import Log
-from narxcal.atmosphere import KELVIN, air_state, corrected_scale
+from narxcal.atmosphere import air_state, corrected_scale
 from narxcal.channels import CHANNELS
 from narxcal.steady.model import ALTERED
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray, bridge_gaps, noise_level
@@ -585,8 +585,3 @@ def moving_mean(values: FloatArray, size: int) -> FloatArray:
     count = np.convolve(known.astype(np.float64), kernel, "same")
     whole = np.convolve(np.ones(len(values)), kernel, "same")
     return np.where(count > 0.5 * whole, total / np.maximum(count, 1e-9), np.nan)
-
-
-def kelvin(name: str) -> float:
-    """What is added to a channel for its corrected value to be a ratio."""
-    return KELVIN if CHANNELS[name].unit == "degC" else 0.0

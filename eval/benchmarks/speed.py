@@ -39,7 +39,7 @@ from narxcal.support.arrays import FloatArray
 from training.adam import minimise
 from training.config import RunConfig, load_config
 from training.free_run import FreeRunProblem, cut_windows
-from training.network import new_model
+from training.network import net_of, new_model
 from training.pipeline import calibrate, prepare_logs
 from training.records import Split
 
@@ -80,7 +80,7 @@ def _simulation(model: NarxModel, record: Record, short: Record) -> list[Row]:
 
     def twin() -> None:
         with torch.no_grad():
-            model.net.free_run_by_steps(start, u)
+            net_of(model).free_run_by_steps(start, u)
 
     slow = _seconds(twin, repeats=1) / len(short)
     note = "2 lags, 30 tanh units, one thread"
@@ -92,11 +92,11 @@ def _simulation(model: NarxModel, record: Record, short: Record) -> list[Row]:
 
 
 def _training(model: NarxModel, record: Record, short: Record) -> list[Row]:
-    theta = model.net.get_theta()
-    full = FreeRunProblem(model.net, cut_windows(model, [record], 100))
+    theta = net_of(model).get_theta()
+    full = FreeRunProblem(net_of(model), cut_windows(model, [record], 100))
     adam = _seconds(lambda: full.gradient(theta)) / len(record)
     lm = _seconds(lambda: full.normal_equations(theta)) / len(record)
-    model.net.set_theta(theta)
+    net_of(model).set_theta(theta)
     slow = _seconds(lambda: autograd_loss(model, short, 100), repeats=1) / len(short)
     note = "windows of 100 samples; loss and derivatives of one step"
     return [
@@ -127,8 +127,8 @@ def _against_tsfast(model: NarxModel, record: Record) -> list[Row]:
         ((theirs(windows) - windows[..., 1:]) ** 2).mean().backward()
         adam.step()
 
-    problem = FreeRunProblem(model.net, cut_windows(model, [record], 100))
-    descent = minimise(problem, model.net.get_theta(), rate=1e-3)
+    problem = FreeRunProblem(net_of(model), cut_windows(model, [record], 100))
+    descent = minimise(problem, net_of(model).get_theta(), rate=1e-3)
     pairs = (
         ("free run", lambda: model.simulate(record.u, record.y[:1]), run, 0.5),
         ("gradient with Adam step", lambda: next(descent), step, 0.7),
@@ -153,12 +153,12 @@ def _in_turn(one: Callable[[], object], other: Callable[[], object]) -> tuple[fl
 def autograd_loss(model: NarxModel, record: Record, horizon: int) -> float:
     """Free-run loss over windows one after the other, and its gradient by autograd."""
     u, y = model.input_scaling.down(record.u), model.output_scaling.down(record.y)
-    model.net.zero_grad()
+    net_of(model).zero_grad()
     total = 0.0
     for first in range(1, len(y) - 1, horizon):
         part = slice(first - 1, min(first + horizon, len(y)))
         drive, target = torch.from_numpy(u[part])[None], torch.from_numpy(y[part])[None]
-        run = model.net.free_run_by_steps(target[:, :1], drive)
+        run = net_of(model).free_run_by_steps(target[:, :1], drive)
         loss = 0.5 * ((run - target) ** 2).sum() / (len(y) - 1)
         torch.autograd.backward(loss)
         total += float(loss.detach())

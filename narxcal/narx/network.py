@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,9 +18,6 @@ from narxcal.narx import kernels
 from narxcal.narx.config import NarxConfig
 from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.errors import DataError, ModelError
-
-if TYPE_CHECKING:
-    from narxcal.narx.module import NarxNet
 
 AT_START: IntArray = np.zeros(1, dtype=np.int64)
 
@@ -228,45 +225,50 @@ def checked_start(start: ArrayLike, count: int) -> FloatArray:
     return first
 
 
+class TrainedNetwork(Protocol):
+    """A network whose arrays training changes (`narx.module`)."""
+
+    config: NarxConfig
+    inputs: int
+    outputs: int
+
+    def weights(self) -> Weights:
+        """Return its arrays as they are now."""
+        ...
+
+
 class NarxModel:
     """A network with its scaling: simulates records in the units they came in.
 
     Inputs (time, inputs) and outputs (time, outputs) may be any; nothing here is about engines.
     """
 
-    def __init__(self, network: NarxNet | Weights, inputs: Scaling, outputs: Scaling) -> None:
-        self._network = network
+    def __init__(
+        self, network: Weights | TrainedNetwork, inputs: Scaling, outputs: Scaling
+    ) -> None:
+        self.network = network
         self.input_scaling = inputs
         self.output_scaling = outputs
 
     @property
-    def net(self) -> NarxNet:
-        """The network as a PyTorch module, from then on the one that this model runs."""
-        if isinstance(self._network, Weights):
-            from narxcal.narx.module import NarxNet  # noqa: PLC0415 (PyTorch takes seconds)
-
-            self._network = NarxNet.of(self._network)
-        return self._network
-
-    @property
     def weights(self) -> Weights:
         """The network's arrays as they are now."""
-        return self._network if isinstance(self._network, Weights) else self._network.weights()
+        return self.network if isinstance(self.network, Weights) else self.network.weights()
 
     @property
     def config(self) -> NarxConfig:
         """Structure of the network."""
-        return self._network.config
+        return self.network.config
 
     @property
     def inputs(self) -> int:
         """Number of inputs."""
-        return self._network.inputs
+        return self.network.inputs
 
     @property
     def outputs(self) -> int:
         """Number of outputs."""
-        return self._network.outputs
+        return self.network.outputs
 
     @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:

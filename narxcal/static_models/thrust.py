@@ -39,7 +39,6 @@ from narxcal.static_models.model import (
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 
-RHO0 = P0_PA / (GAS_R * T0_K)
 _FULL_DEG = 85.0  # resolver angle at full travel
 _REFERENCE_MPS = 100.0
 _CHOKED_FLOW = 241.0  # kg/s/m^2 through a choked area at sea level standard, gamma = 1.4

@@ -1,4 +1,4 @@
-"""Responses of first- and second-order systems to a step, a pulse and a ramp; their scaling.
+"""Responses of first- and second-order systems to a step and a ramp; their scaling.
 
 | symbol | meaning | unit |
 |---|---|---|
@@ -8,7 +8,7 @@
 | t10, t90 | times at which y first reaches 0.1 and 0.9 | s |
 
 Sources: equations 21 to 27 of the Citation X paper (26 and 27 are lost; the forms are the standard
-ones); pulse and ramp follow from the step by linearity.
+ones); the ramp follows from the step by linearity.
 """
 
 from __future__ import annotations
@@ -87,11 +87,6 @@ class SecondOrder:
         late, xi, w = np.maximum(t, 0.0), self.xi, self.omega_radps
         even, odd = self._terms(late)
         return np.asarray(late - 2.0 * xi / w * (1.0 - even) + (2.0 * xi**2 - 1.0) * odd)
-
-
-def pulse(system: System, t: FloatArray, width_s: float) -> FloatArray:
-    """Response to a pulse of height one and `width_s` that begins at t = 0."""
-    return system.step(t) - system.step(t - width_s)
 
 
 def ramp(system: System, t: FloatArray, duration_s: float) -> FloatArray:

@@ -13,7 +13,7 @@ from data_prep.clean import (
     _critical,
     _grubbs,
     clean,
-    gross_errors,
+    deviations,
     running_median,
 )
 from data_prep.log import Log
@@ -25,6 +25,10 @@ settings.load_profile("patient")
 
 DT = 1 / 32
 METHODS = ["3-sigma", "grubbs"]
+
+
+def gross_errors(values, method="3-sigma"):
+    return deviations(values, 33).gross(3.0, method)
 
 
 def noisy(seed=0, count=6400, sigma=0.05):
@@ -67,8 +71,8 @@ def test_a_slam_is_no_outlier(method, rate, tau_s):
     time_s = np.arange(3200) * DT
     step = np.clip((time_s - 40) * rate, 0, 40)
     lagged = 50 + 40 * (1 - np.exp(-np.maximum(time_s - 60, 0) / tau_s))
-    assert not gross_errors(50 + step, 33, 3.0, method).any()
-    assert not gross_errors(lagged, 33, 3.0, method).any()
+    assert not gross_errors(50 + step, method).any()
+    assert not gross_errors(lagged, method).any()
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -76,28 +80,28 @@ def test_an_overshoot_of_a_second_is_no_outlier(method):
     time_s = np.arange(6400) * DT
     peak = 600 + 150 * np.exp(-(((time_s - 100) / 0.7) ** 2))
     noise = np.random.default_rng(0).normal(0, 0.2, 6400)
-    assert not gross_errors(peak, 33, 3.0, method).any()
+    assert not gross_errors(peak, method).any()
     near = np.abs(time_s - 100) < 3
-    assert gross_errors(peak + noise, 33, 3.0, method)[near].mean() < 0.02
+    assert gross_errors(peak + noise, method)[near].mean() < 0.02
 
 
 def test_the_last_digit_of_a_noise_free_simulation_is_no_outlier():
     values = np.round(75 + 15 * np.tanh(np.arange(6400) * DT / 20), 3)
     values[::97] += 0.001
-    assert not gross_errors(values, 33, 3.0).any()
+    assert not gross_errors(values).any()
 
 
 def test_a_coarsely_quantised_channel_keeps_its_steps():
     rng = np.random.default_rng(1)
     values = np.round((10 - np.arange(6400) / 800 + rng.normal(0, 0.15, 6400)) * 4) / 4
-    assert gross_errors(values, 33, 3.0).mean() < 0.003
+    assert gross_errors(values).mean() < 0.003
 
 
 def test_a_spike_on_a_slam_is_found():
     values = noisy()
     values += np.clip(np.arange(6400) - 3000, 0, 100) * 0.1
     values[3050] += 20.0
-    assert gross_errors(values, 33, 3.0)[3050]
+    assert gross_errors(values)[3050]
 
 
 def test_running_median_of_a_monotone_signal_is_the_signal():

@@ -19,7 +19,7 @@ from training.adam import Moments
 from training.checkpoint import fingerprint, read_checkpoint, write_checkpoint
 from training.config import TrainConfig
 from training.levenberg_marquardt import Damping
-from training.network import HistoryRow, Material, TrainingState, fit_narx
+from training.network import HistoryRow, Material, TrainingState, fit_narx, net_of
 
 ROOT = Path(__file__).parents[2]
 FULL = TrainingState(
@@ -110,7 +110,7 @@ def training(file, optimiser, pause_s=0.0):
 
     resume = read_checkpoint(file, "key") if file.is_file() else None
     structure = NarxConfig(lags=1, taps=(0,), hidden=3)
-    return fit_narx(material, structure, config, watch, resume).model.net.get_theta()
+    return net_of(fit_narx(material, structure, config, watch, resume).model).get_theta()
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from narxcal.narx.network import AT_START, NarxConfig, NarxModel, Scaling
 from narxcal.record import Record
 from training import adam, free_run, levenberg_marquardt
 from training.free_run import FreeRunProblem, cut_windows
+from training.network import net_of
 
 
 def make_model(config: NarxConfig, inputs: int = 3, outputs: int = 2, seed: int = 0) -> NarxModel:
@@ -51,10 +52,14 @@ def test_compiled_free_run_equals_one_pytorch_call_a_step(config, given_samples,
     start = np.nan_to_num(record.y[:given_samples])
     fast = model.simulate(record.u, start)
     with torch.no_grad():
-        slow = model.net.free_run_by_steps(
-            torch.from_numpy(model.output_scaling.down(start))[None],
-            torch.from_numpy(model.input_scaling.down(record.u))[None],
-        )[0].numpy()
+        slow = (
+            net_of(model)
+            .free_run_by_steps(
+                torch.from_numpy(model.output_scaling.down(start))[None],
+                torch.from_numpy(model.input_scaling.down(record.u))[None],
+            )[0]
+            .numpy()
+        )
     np.testing.assert_allclose(fast, model.output_scaling.up(slow), rtol=1e-12, atol=1e-12)
 
 
@@ -63,7 +68,7 @@ def test_compiled_free_run_equals_one_pytorch_call_a_step(config, given_samples,
 def test_the_differentiable_free_run_is_that_of_the_steps_and_so_are_its_slopes(
     config, first, seed
 ):
-    net = make_model(config, seed=seed).net
+    net = net_of(make_model(config, seed=seed))
     found = []
     for run in (net.free_run, net.free_run_by_steps):
         random = np.random.default_rng(seed)
@@ -79,7 +84,7 @@ def test_the_differentiable_free_run_is_that_of_the_steps_and_so_are_its_slopes(
 
 
 def test_slopes_of_the_differentiable_free_run_are_those_of_finite_differences():
-    net = make_model(NarxConfig(lags=2, taps=(0, 2), hidden=3, moving=1)).net
+    net = net_of(make_model(NarxConfig(lags=2, taps=(0, 2), hidden=3, moving=1)))
     random = np.random.default_rng(0)
     start = torch.tensor(random.normal(size=(2, 1, 2)) * 0.2, requires_grad=True)
     u = torch.tensor(random.normal(size=(2, 9, 3)), requires_grad=True)
@@ -88,7 +93,7 @@ def test_slopes_of_the_differentiable_free_run_are_those_of_finite_differences()
 
 @pytest.mark.parametrize("optimiser", [torch.optim.SGD, torch.optim.AdamW, torch.optim.LBFGS])
 def test_any_optimiser_of_torch_trains_the_network_by_any_loss(optimiser):
-    truth, net = (make_model(NarxConfig(hidden=4), outputs=1, seed=k).net for k in (0, 1))
+    truth, net = (net_of(make_model(NarxConfig(hidden=4), outputs=1, seed=k)) for k in (0, 1))
     u = torch.tensor(np.random.default_rng(0).normal(size=(8, 30, 3)))
     start = torch.zeros(8, 1, 1, dtype=torch.float64)
     target = truth.free_run(start, u).detach()
@@ -118,7 +123,7 @@ def test_tanh_of_all_units_at_once_is_exact_to_the_last_digits(values):
 
 def autograd(model, windows, theta):
     """Loss and gradient by PyTorch through every step."""
-    net = model.net
+    net = net_of(model)
     net.set_theta(theta)
     net.zero_grad()
     lags, taps, inputs = net.config.lags, len(net.config.taps), net.inputs
@@ -151,8 +156,8 @@ def autograd(model, windows, theta):
 def test_both_gradients_equal_autograd(config, horizon, seed):
     model = make_model(config, seed=seed)
     windows = cut_windows(model, [make_record(time=40, seed=seed)], horizon)
-    theta = model.net.get_theta()
-    problem = FreeRunProblem(model.net, windows, threads=2)
+    theta = net_of(model).get_theta()
+    problem = FreeRunProblem(net_of(model), windows, threads=2)
     loss, gradient = autograd(model, windows, theta)
     by_adjoint = problem.gradient(theta)
     by_sensitivity = problem.normal_equations(theta)
@@ -168,10 +173,10 @@ def test_sensitivities_in_blocks_are_those_in_one(block, horizon, monkeypatch):
     """Also where a block is shorter than the history, and where windows begin within one."""
     model = make_model(NarxConfig(hidden=3, lags=4))
     windows = cut_windows(model, [make_record(time=40)], horizon)
-    theta = model.net.get_theta()
-    whole = FreeRunProblem(model.net, windows).normal_equations(theta)
+    theta = net_of(model).get_theta()
+    whole = FreeRunProblem(net_of(model), windows).normal_equations(theta)
     monkeypatch.setattr(free_run, "_BLOCK", block)
-    found = FreeRunProblem(model.net, windows).normal_equations(theta)
+    found = FreeRunProblem(net_of(model), windows).normal_equations(theta)
     np.testing.assert_allclose(found.gradient, whole.gradient, rtol=1e-9)
     np.testing.assert_allclose(found.hessian, whole.hessian, rtol=1e-9)
 
@@ -179,13 +184,13 @@ def test_sensitivities_in_blocks_are_those_in_one(block, horizon, monkeypatch):
 def test_gauss_newton_matrix_is_the_jacobian_squared():
     model = make_model(NarxConfig(hidden=3))
     windows = cut_windows(model, [make_record()], None)
-    theta = model.net.get_theta()
-    problem = FreeRunProblem(model.net, windows)
+    theta = net_of(model).get_theta()
+    problem = FreeRunProblem(net_of(model), windows)
 
     def residual(at):
-        model.net.set_theta(at)
+        net_of(model).set_theta(at)
         history = windows[0].history[None]
-        y = model.net.weights().run(windows[0].tapped, (AT_START, history))[0]
+        y = net_of(model).weights().run(windows[0].tapped, (AT_START, history))[0]
         return ((y - windows[0].target) * windows[0].root_weight).ravel()
 
     step = 1e-6
@@ -211,14 +216,14 @@ def test_gauss_newton_matrix_is_the_jacobian_squared():
 @pytest.mark.parametrize("threads", [1, 2])
 def test_the_curvature_is_that_of_the_run_along_the_step(config, threads):
     model = make_model(config)
-    theta = model.net.get_theta()
-    step = 0.1 * np.random.default_rng(3).normal(size=len(theta)) * model.net.trained()
+    theta = net_of(model).get_theta()
+    step = 0.1 * np.random.default_rng(3).normal(size=len(theta)) * net_of(model).trained()
     windows = cut_windows(model, [make_record()], 20)
-    problem = FreeRunProblem(model.net, windows, threads)
+    problem = FreeRunProblem(net_of(model), windows, threads)
 
     def residual(at):
-        model.net.set_theta(at)
-        weights = model.net.weights()
+        net_of(model).set_theta(at)
+        weights = net_of(model).weights()
         runs = [weights.run(w.tapped, (AT_START, w.history[None]))[0] for w in windows]
         return np.concatenate(
             [((y - w.target) * w.root_weight).ravel() for y, w in zip(runs, windows, strict=True)]
@@ -227,14 +232,14 @@ def test_the_curvature_is_that_of_the_run_along_the_step(config, threads):
     bend = (
         residual(theta + 0.1 * step) - 2 * residual(theta) + residual(theta - 0.1 * step)
     ) / 0.01
-    units = 1e-6 * np.diag(model.net.trained())
+    units = 1e-6 * np.diag(net_of(model).trained())
     jacobian = np.stack([(residual(theta + e) - residual(theta - e)) / 2e-6 for e in units])
     found = problem.curvature(theta, step)
     np.testing.assert_allclose(found, jacobian @ bend, rtol=1e-4, atol=1e-8)
 
 
 def test_weights_taken_out_of_a_network_stay_when_it_is_given_others():
-    net = make_model(NarxConfig(lags=1, hidden=1), outputs=1).net
+    net = net_of(make_model(NarxConfig(lags=1, hidden=1), outputs=1))
     weights = net.weights()
     kept = [array.copy() for array in (weights.w1, weights.b1, weights.a)]
     net.set_theta(net.get_theta() + 1.0)
@@ -275,17 +280,17 @@ def test_linear_feedback_stays_linear_whatever_trains_it(how):
     config = NarxConfig(lags=2, taps=(0, 1), hidden=3, moving=1, linear_feedback=True)
     model = make_model(config)
     with torch.no_grad():
-        model.net.output.weight.fill_(0.1)
-    problem = FreeRunProblem(model.net, cut_windows(model, [make_record()], 20))
-    theta = model.net.get_theta()
+        net_of(model).output.weight.fill_(0.1)
+    problem = FreeRunProblem(net_of(model), cut_windows(model, [make_record()], 20))
+    theta = net_of(model).get_theta()
     lm = how == "lm"
     steps = (
         levenberg_marquardt.minimise(problem, theta) if lm else adam.minimise(problem, theta, 0.01)
     )
     for _, step in zip(range(5), steps, strict=False):
-        model.net.set_theta(step.theta)
-    assert not model.net.hidden.weight[:, :4].any()
-    assert (model.net.get_theta() != theta)[model.net.trained() == 1.0].mean() > 0.6
+        net_of(model).set_theta(step.theta)
+    assert not net_of(model).hidden.weight[:, :4].any()
+    assert (net_of(model).get_theta() != theta)[net_of(model).trained() == 1.0].mean() > 0.6
 
 
 def test_whole_records_are_run_from_several_places_with_the_measured_history():

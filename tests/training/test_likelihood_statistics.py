@@ -82,8 +82,6 @@ def test_a_mean_of_equal_runs_and_its_birge_ratio():
     one = combine([1.0, 3.0], [1.0, 1.0])
     assert (one.value, one.sd) == (2.0, pytest.approx(np.sqrt(0.5)))
     assert one.birge == pytest.approx(np.sqrt(2.0))
-    assert one.sd_scaled == pytest.approx(1.0)
-    assert combine([1.0, 1.0], [1.0, 1.0]).sd_scaled == pytest.approx(np.sqrt(0.5))
 
 
 def test_a_run_that_determines_nothing_has_no_weight():

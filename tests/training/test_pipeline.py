@@ -18,6 +18,7 @@ from narxcal.support.errors import ConfigError, DataError, ModelError
 from narxcal.support.files import to_json
 from training.config import RunConfig, SplitConfig
 from training.methods import TrainOptions
+from training.network import net_of
 from training.pipeline import (
     calibrate,
     calibration_for,
@@ -192,7 +193,7 @@ def test_an_interrupted_training_goes_on_to_the_same_weights(tmp_path):
     stopped = calibrate(config(), tmp_path, parts, options)
     assert stopped.record.training.status.startswith("interrupted: ")
     resumed = calibrate(config(), tmp_path, parts, TrainOptions(checkpoints=tmp_path, resume=True))
-    weights = [b.calibration.narx.net.get_theta() for b in (whole, resumed)]
+    weights = [net_of(b.calibration.narx).get_theta() for b in (whole, resumed)]
     assert np.array_equal(*weights)
 
 

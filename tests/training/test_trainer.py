@@ -11,7 +11,7 @@ from narxcal.record import Record
 from narxcal.support.errors import DataError
 from training.config import TrainConfig
 from training.free_run import FreeRunProblem, cut_windows
-from training.network import Material, fit_narx
+from training.network import Material, fit_narx, net_of
 
 STRUCTURE = NarxConfig(lags=1, taps=(0,), hidden=3)
 SHORT = TrainConfig(
@@ -37,7 +37,7 @@ class Stop:
 
 
 def theta(result):
-    return result.model.net.get_theta()
+    return net_of(result.model).get_theta()
 
 
 def free_run_r2(result, record):
@@ -243,5 +243,5 @@ def test_a_network_is_judged_from_every_place_that_a_whole_record_is_run_from(la
     result = fit_narx(Material([record], [], 1.0), STRUCTURE, SHORT.model_copy(update=update))
     windows = cut_windows(result.model, [record], None, restarts=3)
     assert len(windows) == 3
-    loss = FreeRunProblem(result.model.net, windows).loss(theta(result))
+    loss = FreeRunProblem(net_of(result.model), windows).loss(theta(result))
     assert result.score == pytest.approx(np.sqrt(2.0 * loss))

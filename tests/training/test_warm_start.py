@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from narxcal.narx.config import NarxConfig
 from narxcal.record import Record
 from training.free_run import FreeRunProblem, cut_windows
-from training.network import new_model, start_linear
+from training.network import net_of, new_model, start_linear
 
 configs = st.builds(
     NarxConfig,
@@ -21,7 +21,7 @@ configs = st.builds(
 
 def started(records, config, seed=0):
     model = new_model(records, config, seed)
-    problem = FreeRunProblem(model.net, cut_windows(model, records, None))
+    problem = FreeRunProblem(net_of(model), cut_windows(model, records, None))
     start_linear(model, records, problem)
     return model, problem
 
@@ -50,7 +50,7 @@ def test_it_never_diverges(config, seed, drift):
     assert (free_run <= high + 1e-9).all()
     # A model of the mean alone is among what it had to choose from, up to the ridge.
     variance = 0.5 * np.nanmean(model.output_scaling.down(y) ** 2)
-    assert problem.loss(model.net.get_theta()) <= 1.1 * variance + 1e-9
+    assert problem.loss(net_of(model).get_theta()) <= 1.1 * variance + 1e-9
 
 
 def test_bounds_are_the_envelope_and_a_margin():
@@ -87,7 +87,7 @@ def test_an_anchored_start_rests_at_zero():
 def test_the_seed_draws_the_hidden_layer_and_nothing_else():
     record = Record(np.arange(30.0), np.arange(30.0) ** 2)
     one, same, other = (new_model([record], NarxConfig(), seed) for seed in (1, 1, 2))
-    assert np.array_equal(one.net.get_theta(), same.net.get_theta())
-    assert not np.array_equal(one.net.get_theta(), other.net.get_theta())
-    assert not one.net.output.weight.any()
-    assert not one.net.linear.weight.any()
+    assert np.array_equal(net_of(one).get_theta(), net_of(same).get_theta())
+    assert not np.array_equal(net_of(one).get_theta(), net_of(other).get_theta())
+    assert not net_of(one).output.weight.any()
+    assert not net_of(one).linear.weight.any()

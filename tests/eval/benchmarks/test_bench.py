@@ -20,7 +20,7 @@ from narxcal.support.errors import DataError
 from training.choice import Limits
 from training.config import load_config
 from training.free_run import FreeRunProblem, cut_windows
-from training.network import new_model
+from training.network import net_of, new_model
 
 
 @pytest.fixture
@@ -94,12 +94,12 @@ def test_the_slow_training_step_has_the_loss_and_gradient_of_the_fast_one():
     record = speed.record_of(301)
     model = new_model([record], NarxConfig(lags=1, taps=(0,), hidden=4), seed=0)
     with torch.no_grad():
-        model.net.linear.weight.fill_(0.3)
-        model.net.output.weight.fill_(0.1)
-    problem = FreeRunProblem(model.net, cut_windows(model, [record], 100))
-    loss, gradient = problem.gradient(model.net.get_theta())
+        net_of(model).linear.weight.fill_(0.3)
+        net_of(model).output.weight.fill_(0.1)
+    problem = FreeRunProblem(net_of(model), cut_windows(model, [record], 100))
+    loss, gradient = problem.gradient(net_of(model).get_theta())
     assert speed.autograd_loss(model, record, 100) == pytest.approx(loss)
-    named = dict(model.net.named_parameters())
+    named = dict(net_of(model).named_parameters())
     order = ("hidden.weight", "hidden.bias", "output.weight", "output.bias", "linear.weight")
     slow = np.concatenate([named[name].grad.numpy().ravel() for name in order])
     np.testing.assert_allclose(slow, gradient, atol=1e-9)

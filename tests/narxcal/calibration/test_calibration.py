@@ -15,6 +15,7 @@ from narxcal.steady.fitted import FittedSteadyState, Layout
 from narxcal.steady.model import Envelope
 from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import DataError, ModelError
+from training.network import net_of
 
 INPUTS, OUTPUTS = ("TRA_deg", "Mach"), ("N1_pct", "EGT_C")
 
@@ -90,9 +91,9 @@ def stubborn(settle_s):
     """A network that keeps any deviation for ever, or lets it grow."""
     model = calibration(settle_s=settle_s)
     with torch.no_grad():
-        model.narx.net.output.weight.zero_()
-        model.narx.net.linear.weight.zero_()
-        model.narx.net.linear.weight[:, :2] = 1.05 * torch.eye(2)
+        net_of(model.narx).output.weight.zero_()
+        net_of(model.narx).linear.weight.zero_()
+        net_of(model.narx).linear.weight[:, :2] = 1.05 * torch.eye(2)
     return model
 
 

@@ -10,6 +10,7 @@ from narxcal.narx.config import NarxConfig
 from narxcal.narx.module import NarxNet
 from narxcal.narx.network import NarxModel, Scaling, history_before, tap
 from narxcal.support.errors import ConfigError, DataError, ModelError
+from training.network import net_of
 
 
 def model(seed=0, inputs=2, outputs=2, **config):
@@ -69,8 +70,8 @@ def test_given_samples_are_returned_as_given():
 
 def test_weights_pass_through_one_vector():
     one, other = model(0), model(1)
-    other.net.set_theta(one.net.get_theta())
-    for a, b in zip(one.net.parameters(), other.net.parameters(), strict=True):
+    net_of(other).set_theta(net_of(one).get_theta())
+    for a, b in zip(net_of(one).parameters(), net_of(other).parameters(), strict=True):
         assert torch.equal(a, b)
 
 
