@@ -18,7 +18,7 @@ from data_prep.events import Event, find_events
 from data_prep.log import Log
 from eval.evaluate import run_config
 from eval.free_run import ARX, FIRST_ORDER, MODEL, STEADY_STATE, FreeRun, run_log
-from eval.report.tables import Cell, Table, figure, number
+from eval.report.style import number
 from eval.scores import max_relative_percent, nrmse, rmse
 from eval.significance import LEVEL, Difference, differences
 from eval.transients import Assessment, Overlay, Tally, TransientsConfig, assess_events, tally
@@ -114,55 +114,6 @@ class Comparison:
             lines.append(text)
         return lines
 
-    def table(self) -> Table:
-        """Every figure of every row; the least RMSE of a channel is marked."""
-        least = {
-            name: min((row.channels[name]["rmse"] for row in self.rows if name in row.channels),
-                      default=math.nan)
-            for name in self.channels
-        }  # fmt: skip
-        head = ("run", "method", *(f"{name} RMSE" for name in self.channels),
-                *(f"{name} [%]" for name in self.channels), "Ti, Tt passed", "parameters", "AIC",
-                "fit [s]", "sample [us]", "in 90 % [%]")  # fmt: skip
-        return Table(
-            "Free run on the same rows; [%] is RMSE over the standard deviation of the channel",
-            head, tuple(self._cells(row, least) for row in self.rows),
-        )  # fmt: skip
-
-    def _cells(self, row: Row, least: Mapping[str, float]) -> tuple[Cell, ...]:
-        found = [row.channels.get(name, {}) for name in self.channels]
-        errors = [one.get("rmse") for one in found]
-        marks = [error == least[name] for name, error in zip(self.channels, errors, strict=True)]
-        coverage = None if row.coverage_90 is None else 100.0 * row.coverage_90
-        return (
-            Cell(row.run, "head"),
-            Cell(row.method),
-            *(figure(error, "best" if mark else "")
-              for error, mark in zip(errors, marks, strict=True)),
-            *(figure(None if not one else 100.0 * one["nrmse"]) for one in found),
-            Cell(_passed(row.ti_tt), number=True),
-            Cell(number(None) if row.parameters is None else str(row.parameters), number=True),
-            Cell(number(None) if row.aic is None else f"{row.aic:.0f}", number=True),
-            figure(row.fit_s),
-            figure(row.simulate_us),
-            figure(coverage),
-        )  # fmt: skip
-
-    def claims(self) -> Table:
-        """Significant differences, with the interval of each pair alone."""
-        head = ("channel", "less", "more", "RMSE less by [%]", "95 % from", "to", "p of the table")
-        rows = tuple(
-            (
-                Cell(one.channel, "head"),
-                Cell(one.better),
-                Cell(one.worse),
-                *(figure(100.0 * (1.0 - ratio)) for ratio in (one.ratio, one.high, one.low)),
-                figure(one.p, digits=2),
-            )
-            for one in self.significant
-        )
-        return Table("", head, rows)
-
     def document(self) -> dict[str, Any]:
         """`compare.json`; None where a figure does not exist."""
         found: dict[str, Any] = finite({
@@ -188,10 +139,6 @@ def _power(open_: Sequence[Difference]) -> str:
     if not known:
         return " (too few units to tell)"
     return f" (1 : {1.0 / min(known):.2g} would have been found in 8 of 10)"
-
-
-def _passed(found: Tally | None) -> str:
-    return number(None) if found is None else f"{found.passed} of {found.assessed}"
 
 
 def compare(

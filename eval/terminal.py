@@ -11,8 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from eval.outcome import Outcome
-from eval.report.style import unit, with_unit
-from eval.report.tables import measures, number
+from eval.report.style import number, unit, with_unit
+from eval.report.tables import measures
 from eval.transients import Assessment
 from narxcal.channels import symbol
 from narxcal.intervals import LEVEL

@@ -27,8 +27,8 @@ from eval.diagnosis.words import (
 )
 from eval.report import style
 from eval.report.page import RunHeader, render
-from eval.report.style import Picture, picture
-from eval.report.tables import Cell, Table, figure, number
+from eval.report.style import Picture, number, picture
+from eval.report.tables import Cell, Table, figure
 from narxcal.channels import symbol
 from narxcal.effects.library import effect
 from narxcal.support.interrupt import is_interrupt

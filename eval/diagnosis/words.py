@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from eval.outcome import Outcome
-from eval.report.tables import number
+from eval.report.style import number
 from narxcal.channels import symbol
 from narxcal.effects.library import effect
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
 import re
 import threading
 from collections.abc import Sequence
@@ -27,6 +28,8 @@ from narxcal.intervals import LEVEL
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.arrays import spans as runs_of
 
+NOTHING = "\N{EN DASH}"
+
 AnyFloats = NDArray[np.floating[Any]]
 
 MAX_POINTS = 1500
@@ -35,6 +38,17 @@ MAX_POINTS = 1500
 RENDERING = threading.Lock()
 
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Print `digits` significant digits without an exponent; a dash for what does not exist."""
+    if value is None or not math.isfinite(value):
+        return NOTHING
+    if value == 0.0:
+        return "0"
+    # The exponent after rounding: 0.9997 is 1.00, as 1.0004 is.
+    decimals = max(0, digits - 1 - int(f"{value:.{digits - 1}e}".partition("e")[2]))
+    return f"{value:.{min(decimals, 6)}f}"
 
 
 @dataclass(frozen=True)

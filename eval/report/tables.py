@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from data_prep.log import Audit, AuditEntry, Source
-from eval.report.style import unit, with_unit
+from eval.report.style import NOTHING, number, unit, with_unit
 from eval.report.view import LogView
 from eval.rules import TimeCheck
 from eval.transients import AssessedEvent, Assessment, not_assessable, tally
@@ -21,6 +21,7 @@ from narxcal.channels import symbol
 from narxcal.intervals import LEVEL
 
 if TYPE_CHECKING:
+    from eval.compare import Comparison, Row
     from eval.crossval import CrossValidation, FoldResult
     from eval.denoising import NoiseSweep
     from eval.report.figures import WindowTrial
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 
 Mark = Literal["", "best", "good", "bad", "none", "strong", "head", "group"]
 BASELINES = {"steady_state": "steady state", "first_order": "first order", "arx": "ARX"}
-NOTHING = "\N{EN DASH}"
 _MOST_NAMED = 2  # logs of a fold
 
 
@@ -56,17 +56,6 @@ class Table:
         columns = zip(*(row for row in self.rows if len(row) == len(self.head)), strict=True)
         found = tuple(any(cell.number for cell in column) for column in columns)
         return found or (False,) * len(self.head)
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """Print `digits` significant digits without an exponent; a dash for what does not exist."""
-    if value is None or not math.isfinite(value):
-        return NOTHING
-    if value == 0.0:
-        return "0"
-    # The exponent after rounding: 0.9997 is 1.00, as 1.0004 is.
-    decimals = max(0, digits - 1 - int(f"{value:.{digits - 1}e}".partition("e")[2]))
-    return f"{value:.{min(decimals, 6)}f}"
 
 
 def figure(value: float | None, mark: Mark = "", digits: int = 3) -> Cell:
@@ -508,3 +497,60 @@ def _times(check: TimeCheck | None, flight_s: float, model_s: float) -> tuple[Ce
         Cell(f"{check.error_s:+.3f}", mark, number=True),
         figure(check.allowed_s),
     )
+
+
+def comparison(found: Comparison) -> Table:
+    """Every figure of every row; the least RMSE of a channel is marked."""
+    least = {
+        name: min((row.channels[name]["rmse"] for row in found.rows if name in row.channels),
+                  default=math.nan)
+        for name in found.channels
+    }  # fmt: skip
+    head = ("run", "method", *(f"{name} RMSE" for name in found.channels),
+            *(f"{name} [%]" for name in found.channels), "Ti, Tt passed", "parameters", "AIC",
+            "fit [s]", "sample [us]", "in 90 % [%]")  # fmt: skip
+    return Table(
+        "Free run on the same rows; [%] is RMSE over the standard deviation of the channel",
+        head, tuple(_compared_row(row, found.channels, least) for row in found.rows),
+    )  # fmt: skip
+
+
+def _compared_row(
+    row: Row, channels: Sequence[str], least: Mapping[str, float]
+) -> tuple[Cell, ...]:
+    found = [row.channels.get(name, {}) for name in channels]
+    errors = [one.get("rmse") for one in found]
+    marks = [error == least[name] for name, error in zip(channels, errors, strict=True)]
+    coverage = None if row.coverage_90 is None else 100.0 * row.coverage_90
+    passed = number(None)
+    if row.ti_tt is not None:
+        passed = f"{row.ti_tt.passed} of {row.ti_tt.assessed}"
+    return (
+        Cell(row.run, "head"),
+        Cell(row.method),
+        *(figure(error, "best" if mark else "")
+          for error, mark in zip(errors, marks, strict=True)),
+        *(figure(None if not one else 100.0 * one["nrmse"]) for one in found),
+        Cell(passed, number=True),
+        Cell(number(None) if row.parameters is None else str(row.parameters), number=True),
+        Cell(number(None) if row.aic is None else f"{row.aic:.0f}", number=True),
+        figure(row.fit_s),
+        figure(row.simulate_us),
+        figure(coverage),
+    )  # fmt: skip
+
+
+def significant(found: Comparison) -> Table:
+    """Significant differences, with the interval of each pair alone."""
+    head = ("channel", "less", "more", "RMSE less by [%]", "95 % from", "to", "p of the table")
+    rows = tuple(
+        (
+            Cell(one.channel, "head"),
+            Cell(one.better),
+            Cell(one.worse),
+            *(figure(100.0 * (1.0 - ratio)) for ratio in (one.ratio, one.high, one.low)),
+            figure(one.p, digits=2),
+        )
+        for one in found.significant
+    )
+    return Table("", head, rows)

@@ -19,8 +19,8 @@ from eval.crossval import spread as spread_of
 from eval.evaluate import EvaluateConfig, LogEvaluation, assess_log, run_config
 from eval.report import event_figures, figures, tables
 from eval.report.page import worst_events
-from eval.report.style import Picture, unit
-from eval.report.tables import NOTHING, Cell, Table, figure
+from eval.report.style import NOTHING, Picture, unit
+from eval.report.tables import Cell, Table, figure
 from eval.report.view import LogView, view_of
 from eval.reproduce.data import PHASES, SPEEDS, DataSets, Effort, phase_of, pieces, within
 from eval.reproduce.study import Claim, Study, or_nan, table_of

@@ -9,8 +9,8 @@ from typing import Any
 
 from eval.outcome import Outcome
 from eval.report.page import RunHeader, render
-from eval.report.style import Picture
-from eval.report.tables import NOTHING, Cell, Table, figure, number
+from eval.report.style import NOTHING, Picture, number
+from eval.report.tables import Cell, Table, figure
 from eval.report.view import LogView
 from narxcal.support.files import finite
 

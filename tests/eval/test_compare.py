@@ -5,6 +5,7 @@ import pytest
 
 from eval.benchmarks.comparisons import false_claims
 from eval.compare import Recording, Row, compare
+from eval.report.tables import comparison
 from narxcal.support.errors import DataError
 
 CHANNELS = ("N1_pct", "EGT_C")
@@ -118,7 +119,7 @@ def test_no_common_row_is_an_error():
 
 
 def test_the_table_marks_the_least_error():
-    found = compare([recording(good=1.0, bad=3.0)], rows("good", "bad")).table()
+    found = comparison(compare([recording(good=1.0, bad=3.0)], rows("good", "bad")))
     assert [row[2].mark for row in found.rows] == ["best", ""]
     assert len(found.head) == len(found.rows[0])
 

@@ -10,6 +10,7 @@ from typing import Any, Final
 from eval.report import page
 from eval.report import tables as tables_of_pages
 from eval.report.page import RunHeader
+from eval.report.style import NOTHING
 
 Table = tuple[str, Sequence[str], Sequence[Sequence[str]]]
 _COLUMNS: Final = 4  # of shares side by side, beside their names, in 80 columns of a terminal
@@ -142,7 +143,7 @@ def _cells(table: Table) -> tables_of_pages.Table:
         (
             tables_of_pages.Cell(row[0], "head"),
             *(
-                tables_of_pages.Cell(tables_of_pages.NOTHING if text == "-" else text, number=right)
+                tables_of_pages.Cell(NOTHING if text == "-" else text, number=right)
                 for text, right in zip(row[1:], flush[1:], strict=True)
             ),
         )

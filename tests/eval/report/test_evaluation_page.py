@@ -7,7 +7,7 @@ import pytest
 
 from eval.evaluate import EvaluateConfig, evaluate
 from eval.report.page import evaluate_page
-from eval.report.tables import number
+from eval.report.style import number
 from eval.report.view import view_of
 from narxcal.support.errors import DataError
 

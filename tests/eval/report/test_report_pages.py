@@ -28,6 +28,7 @@ from eval.report.page import (
     worst_events,
     write_page,
 )
+from eval.report.style import number
 from eval.report.view import LogView
 from eval.transients import AssessedEvent
 from eval.trim import Trim
@@ -161,7 +162,7 @@ def test_equal_repairs_of_a_channel_stand_in_one_row():
     [(0.9997, "1.00"), (1.0004, "1.00"), (0.09996, "0.100"), (99.96, "100"), (7.125, "7.12")],
 )
 def test_numbers_have_three_digits_after_rounding(value, text):
-    assert tables.number(value) == text
+    assert number(value) == text
 
 
 def test_events_that_are_not_assessable_count_on_neither_side(evaluated, outcome_of):
