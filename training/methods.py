@@ -64,7 +64,7 @@ class TrainOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class SteadyFit:
     """A steady state, the logs `split` it was fitted to, with complete inputs, and its settings.
 
     `learned` says what of the logs was left out, `late` which delay of the driver was taken off.
@@ -90,9 +90,9 @@ class Ground:
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """A calibration on its ground, its entries in the run's record, and its held-out free runs."""
+    """A calibration, its steady state, entries in the record of the run, held-out free runs."""
 
-    ground: Ground
+    steady_fit: SteadyFit
     calibration: Calibration
     entries: Mapping[str, Any]
     held: tuple[HeldRun, ...] = ()
@@ -114,7 +114,7 @@ def method_of(config: RunConfig) -> Method:
     return _METHODS[STATIC if name.startswith(STATIC) else name]
 
 
-def _grounded(config: RunConfig, base: Path, learned: Learnable, progress: Progress) -> Ground:
+def _fit_steady(config: RunConfig, base: Path, learned: Learnable, progress: Progress) -> SteadyFit:
     """Fit or open the steady state, without logs that contradict the others and without delay."""
     split = learned.split.with_outputs(config.narx.outputs)
     spoilt = contradicting(config, split.train)
@@ -126,24 +126,24 @@ def _grounded(config: RunConfig, base: Path, learned: Learnable, progress: Progr
     if late.delay is not None:
         split = split.changed(lambda log: delayed(log, late.delay))
         steady, quality = steady_state(config, base, split.train)
-    return Ground(config, learned, split, steady, quality, late)
+    return SteadyFit(config, learned, split, steady, quality, late)
 
 
 def _narx(
     config: RunConfig, base: Path, learned: Learnable, options: TrainOptions
 ) -> Identification:
     """Fit lags and network, weigh them and simple models; the configuration has the lags' form."""
-    ground = _grounded(config, base, learned, options.progress)
-    steady, split = ground.steady, ground.split
+    steady_fit = _fit_steady(config, base, learned, options.progress)
+    steady, split = steady_fit.steady, steady_fit.split
     config, choice = choose_form(config, steady, split.train, options.progress)
-    ground = replace(ground, config=config)
+    steady_fit = replace(steady_fit, config=config)
     options.progress(0, 1, "fitting the lags")
     lag = fit_lags(config, steady, split.train)
     results = fit_networks(config, material(config, steady, lag, split), options)
     network = merge_models([result.model for result in results])
     calibration = _calibration(config, (steady, lag, network), split.train[0].dt_s)
     baselines = fit_baselines(calibration, split.train)
-    mixture = _mixture(ground, base, calibration, options)
+    mixture = _mixture(steady_fit, base, calibration, options)
     entries = {
         "lag_form": choice.row(),
         "training": _training_row(results),
@@ -151,14 +151,14 @@ def _narx(
         "mixture": mixture.row(),
     }
     weighed = mixture.applied(calibration, baselines)
-    return Identification(ground, weighed, entries, mixture.free_runs)
+    return Identification(steady_fit, weighed, entries, mixture.free_runs)
 
 
 def _mixture(
-    ground: Ground, base: Path, calibration: DynamicCalibration, options: TrainOptions
+    steady_fit: SteadyFit, base: Path, calibration: DynamicCalibration, options: TrainOptions
 ) -> Mixture:
     """Weights of all models in each output, by folds of the training logs and refits to each."""
-    config, split = ground.resolved, ground.split
+    config, split = steady_fit.resolved, steady_fit.split
     if config.train.choice_s == 0.0:
         return network_alone(calibration, "no choice: choice_s = 0")
 
@@ -270,9 +270,11 @@ class _OnSteadyState:
     def __call__(
         self, config: RunConfig, base: Path, learned: Learnable, options: TrainOptions
     ) -> Identification:
-        ground = _grounded(config, base, learned, options.progress)
+        steady_fit = _fit_steady(config, base, learned, options.progress)
         options.progress(0, 1, f"identifying by {config.identify.method}")
-        return _identification(ground, self.fit(config, ground.steady, ground.split.train))
+        return _identification(
+            steady_fit, self.fit(config, steady_fit.steady, steady_fit.split.train)
+        )
 
 
 def _static_law(
@@ -284,18 +286,18 @@ def _static_law(
     options.progress(0, 1, f"identifying by {config.identify.method}")
     config, steady, found = static_laws(config, learned.split.train)
     split = learned.split.with_outputs(config.narx.outputs).held(steady.input_names)
-    return _identification(Ground(config, learned, split, steady), found)
+    return _identification(SteadyFit(config, learned, split, steady), found)
 
 
-def _identification(ground: Ground, found: Identified) -> Identification:
-    logs = ground.split.train
-    calibration = IdentifiedCalibration(ground.steady, found.dynamics, logs[0].dt_s)
+def _identification(steady_fit: SteadyFit, found: Identified) -> Identification:
+    logs = steady_fit.split.train
+    calibration = IdentifiedCalibration(steady_fit.steady, found.dynamics, logs[0].dt_s)
     entries = {
         "training": {"status": found.status, "score": [], "history": []},
         "identify": found.document(),
         "baselines": fit_baselines(calibration, logs),
     }
-    return Identification(ground, calibration, entries)
+    return Identification(steady_fit, calibration, entries)
 
 
 _METHODS: Final[Mapping[str, Method]] = {

@@ -82,8 +82,8 @@ def calibrate(
     learned = learnable(split, config, screen=not options.screened)
     options.progress(0, 1, "fitting the steady state")
     found = method_of(config)(config, base, learned, options)
-    ground, calibration, entries = found.ground, found.calibration, dict(found.entries)
-    split, held = ground.split, found.held
+    steady_fit, calibration, entries = found.steady_fit, found.calibration, dict(found.entries)
+    split, held = steady_fit.split, found.held
     held = held or free_runs(calibration, split.validate)
     calibration = calibration.with_interval(interval_of(held, calibration.output_names))
     calibration = calibration.reaching(*input_reach(split.train, calibration.input_names))
@@ -97,19 +97,19 @@ def calibrate(
     entries["training"]["wall_s"] = time.perf_counter() - began
     record = RunRecord(
         **_provenance(config, base, split),
-        config=ground.resolved.model_dump(mode="json", by_alias=True),
-        steady_state=_steady_record(ground.quality, ground.steady),
+        config=steady_fit.resolved.model_dump(mode="json", by_alias=True),
+        steady_state=_steady_record(steady_fit.quality, steady_fit.steady),
         **entries,
         free_run=free_run_fit(calibration, split.train),
         fuser_noise=fuser_noise(calibration, split, held).to_dict(),
-        screening=ground.learned.row(),
+        screening=steady_fit.learned.row(),
         redundancy=redundancy_of(calibration, learned.train),
         certificate=certificate.row(),
         identities=identities,
         held_out=_held_out_record(calibration, split, held),
-        delay=ground.late.row(),
+        delay=steady_fit.late.row(),
     )
-    return Bundle(calibration.with_delay(ground.late.delay), record)
+    return Bundle(calibration.with_delay(steady_fit.late.delay), record)
 
 
 def input_reach(logs: Sequence[Log], names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
