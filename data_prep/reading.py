@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 # each channel is found from all of it; in a larger file they are found from blocks of this size.
 BLOCK_CELLS = 5_000_000
 _LEAST_AHEAD_S = 5.0  # of rows in the next block, to bridge blanks of slow channels
+SAME_INTERVAL = 1e-3  # relative difference of sampling intervals that is none
 
 Rows = dict[str, "FloatArray"]  # channel -> (rows,)
 
@@ -60,6 +61,17 @@ def read_logs(
     config = config or LogsConfig()
     paths = [files] if isinstance(files, str | Path) else list(files)
     return [log for path in paths for log in _file_logs(Path(path), config)]
+
+
+def shared_interval_s(logs: Sequence[Log]) -> float | None:
+    """Median over files of the sampling interval in s; None where all logs have the same one.
+
+    A model is fitted on one grid: recorders whose frames are not quite regular need one named.
+    """
+    intervals = list({log.source.file: log.dt_s for log in logs}.values())
+    if np.ptp(intervals) <= SAME_INTERVAL * min(intervals):
+        return None
+    return float(np.median(intervals))
 
 
 def open_table(path: Path, config: LogsConfig) -> Table:

@@ -12,6 +12,7 @@ import numpy as np
 from data_prep.equilibrium import quasi_steady
 from data_prep.log import Log
 from data_prep.prepare import hold_inputs
+from data_prep.reading import SAME_INTERVAL
 from eval.trim import Trim, TrimConfig, TrimSamples, estimate_trim
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration
@@ -177,7 +178,7 @@ def trimmed(run: FreeRun, until: int, config: TrimConfig) -> FreeRun:
 
 
 def _check_interval(calibration: Calibration, log: Log) -> None:
-    if abs(log.dt_s - calibration.dt_s) > 1e-3 * calibration.dt_s:
+    if abs(log.dt_s - calibration.dt_s) > SAME_INTERVAL * calibration.dt_s:
         raise DataError(
             f"the model samples every {calibration.dt_s:g} s, this log every {log.dt_s:g} s",
             file=log.name,

@@ -189,10 +189,9 @@ def _fit_arx(runs: Sequence[Run], k: int, dt_s: float) -> tuple[FloatArray, Floa
     n_out = runs[0].steady.shape[1]
     best, least = (np.empty(0), np.empty((0, n_out)), 0.0), np.inf
     for order in ORDERS:
-        longer = [run for run in runs if len(run.measured) > order]
-        if not longer:
+        if all(len(run.measured) <= order for run in runs):
             continue
-        poles, gains, offset = arx_of(longer, k, order)
+        poles, gains, offset = arx_of(runs, k, order)
         roots = np.roots(np.concatenate([[1.0], -poles]))
         if not np.all(np.abs(roots) <= np.exp(-dt_s / LONGEST_S)):
             continue
@@ -203,9 +202,12 @@ def _fit_arx(runs: Sequence[Run], k: int, dt_s: float) -> tuple[FloatArray, Floa
 
 
 def arx_of(runs: Sequence[Run], k: int, order: int) -> tuple[FloatArray, FloatArray, float]:
-    """Poles (order,), gains (order + 1, n_out) and offset of output `k` by least squares."""
+    """Poles (order,), gains (order + 1, n_out) and offset of output `k` by least squares.
+
+    Runs of `order` samples or fewer tell nothing; one has to be longer.
+    """
     rows, targets = [], []
-    for run in runs:
+    for run in (run for run in runs if len(run.measured) > order):
         y, n = run.measured[:, k], len(run.measured)
         past = [y[order - i : n - i, None] for i in range(1, order + 1)]
         drive = [run.steady[order - i : n - i] for i in range(order + 1)]

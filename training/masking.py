@@ -123,7 +123,5 @@ def _parts(log: Log, config: RunConfig) -> list[Log]:
         for start_s, stop_s in entry.spans_s if entry.reason == HELD else ():
             if entry.channel in inputs and stop_s - start_s > config.logs.max_gap_s:
                 unknown |= (held.time_s >= start_s) & (held.time_s <= stop_s)
-    if not unknown.any():
-        return [held]
     parts = [held.part(start, stop) for start, stop in spans(~unknown)]
     return [part for part in parts if len(part) * held.dt_s >= _LEAST_PART_S]

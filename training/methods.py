@@ -143,7 +143,8 @@ def _narx(
     network = merge_models([result.model for result in results])
     calibration = _calibration(config, (steady, lag, network), split.train[0].dt_s)
     baselines = fit_baselines(calibration, split.train)
-    mixture = _mixture(steady_fit, base, calibration, options)
+    whole = (calibration, baselines)
+    mixture = _mixture(steady_fit, base, whole, options)
     entries = {
         "lag_form": choice.row(),
         "training": _training_row(results),
@@ -155,10 +156,14 @@ def _narx(
 
 
 def _mixture(
-    steady_fit: SteadyFit, base: Path, calibration: DynamicCalibration, options: TrainOptions
+    steady_fit: SteadyFit,
+    base: Path,
+    whole: tuple[DynamicCalibration, dict[str, Any]],
+    options: TrainOptions,
 ) -> Mixture:
     """Weights of all models in each output, by folds of the training logs and refits to each."""
     config, split = steady_fit.resolved, steady_fit.split
+    calibration, _ = whole
     if config.train.choice_s == 0.0:
         return network_alone(calibration, "no choice: choice_s = 0")
 
@@ -171,7 +176,7 @@ def _mixture(
         found = _calibration(config, (steady, lag, network), calibration.dt_s)
         return found, fit_baselines(found, part.train)
 
-    return choose_mixture(config, split.train, refit, calibration, options.progress)
+    return choose_mixture(config, split.train, refit, whole, options.progress)
 
 
 def _calibration(

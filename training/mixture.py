@@ -190,13 +190,15 @@ def choose_mixture(
     config: RunConfig,
     logs: Sequence[Log],
     refit: Refit,
-    calibration: DynamicCalibration,
+    whole: tuple[DynamicCalibration, Mapping[str, Any]],
     progress: Progress = silent,
 ) -> Mixture:
-    """Judge all models on folds of the training logs; `calibration` is fitted to all of them.
+    """Judge all models on folds of the training logs.
 
-    `refit` fits calibration and baselines to some logs.
+    `refit` fits calibration and baselines to some logs; `whole` are those fitted to all of them,
+    and an ARX model that is stable in the folds alone has no share.
     """
+    calibration, fitted = whole
     folds = log_folds(logs, lambda log: run_of(calibration, log).steady[:, 0])
     steps = sum(config.train.iterations) * config.train.starts
     cost = 1e-6 * _UNIT_US * steps * sum(len(log) for fold in folds for log in fold.fitted)
@@ -216,8 +218,11 @@ def choose_mixture(
     if not held:
         reason = next(iter(lost.values()), "nothing could be held out")
         return network_alone(calibration, f"no choice: {reason}; add a longer or another log")
-    outputs = range(len(calibration.output_names))
-    weights = np.stack([weights_of(_products(held, k)) for k in outputs], axis=1)
+    arx = Baselines.from_json(fitted).arx
+    fits = [np.array([True, True, True, len(poles) > 0]) for poles in arx.poles]
+    weights = np.stack(
+        [weights_of(_products(held, k), there) for k, there in enumerate(fits)], axis=1
+    )
     parts = dict.fromkeys(Path(one.piece).name for one in held)
     status = f"weights by {len(parts)} held-out parts of the training logs: {', '.join(parts)}"
     if lost:
@@ -264,12 +269,14 @@ def _products(held: Sequence[HeldOut], k: int) -> FloatArray:
     return np.array(found).reshape(len(found), len(MODELS), len(MODELS))
 
 
-def weights_of(products: FloatArray) -> FloatArray:
+def weights_of(products: FloatArray, fitted: BoolArray | None = None) -> FloatArray:
     """Weights (models,) by mean products of errors (pieces, models, models); see the module.
 
-    A model without a free run over some piece has none. Without any piece the network is alone.
+    A model without a free run over some piece has none, nor one that is not among those `fitted`
+    (models,) to all logs. Without any piece the network is alone.
     """
     usable = np.isfinite(np.diagonal(products, axis1=1, axis2=2)).all(axis=0)
+    usable = usable if fitted is None else usable & fitted
     weights = np.zeros(products.shape[1])
     if not len(products) or not usable.any():
         weights[0] = 1.0

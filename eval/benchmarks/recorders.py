@@ -22,11 +22,12 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
+from data_prep.fragments import joined
 from data_prep.log import Finding, Log, Source
 from data_prep.prepare import hold_inputs, prepare, with_outputs
-from data_prep.reading import read_logs
+from data_prep.reading import read_logs, shared_interval_s
 from eval.benchmarks import Row
-from eval.evaluate import Evaluation, evaluate
+from eval.evaluate import Evaluation, bank_of, evaluate
 from narxcal.channels import channel
 from narxcal.support.errors import NarxcalError
 from training.config import RunConfig, load_config
@@ -57,7 +58,12 @@ class Recorder:
         path = files("eval") / "benchmarks" / "columns" / f"{name}.toml"
         config = load_config(str(path))[0].with_logs_in(data)
         paths = config.logs.resolve(data)
-        logs = _cut(paths[0]) if name == "micro_gas_turbine" else read_logs(paths, config.logs)
+        if name == "micro_gas_turbine":
+            logs = _cut(paths[0])
+        else:
+            logs = read_logs(paths, config.logs)
+            dt_s = shared_interval_s(logs)  # as `narxcal train` does
+            logs = logs if dt_s is None else read_logs(paths, config.logs.every(dt_s))
         if name == "a321":  # one flight: its halves
             logs = [half for log in logs for half in _halves(log)]
         recordings: dict[str, list[Log]] = {}
@@ -170,10 +176,14 @@ def trained(recorder: Recorder, train: Sequence[Log], judged: Sequence[Log]) -> 
     """Train on `train`, and judge each output on `judged`."""
     config = recorder.config
     try:
-        logs = tuple(_prepared(config, train))
+        logs = tuple(
+            hold_inputs(one.log, config.steady_state.inputs) for one in prepare(train, config)
+        )
         bundle = calibrate(config, Path(), Split(logs, (), ()))
-        bank = learn([masked(log) for log in logs], (*config.narx.outputs,))
-        others = screened(bank, _prepared(config, judged))
+        whole = joined([one.log for one in prepare(judged, config)])
+        others = screened(
+            bank_of(bundle), [with_outputs(log, config.narx.outputs) for log in whole]
+        )
         found = evaluate(bundle, others)
     except NarxcalError as error:
         return [Figure(name, math.nan, math.nan, why=str(error)) for name in config.narx.outputs]
@@ -183,11 +193,6 @@ def trained(recorder: Recorder, train: Sequence[Log], judged: Sequence[Log]) -> 
         replace(one, baselines={**one.baselines, "output error": extra.get(one.output, math.nan)})
         for one in figures
     ]
-
-
-def _prepared(config: RunConfig, raw: Sequence[Log]) -> list[Log]:
-    logs = [with_outputs(one.log, config.narx.outputs) for one in prepare(raw, config)]
-    return [hold_inputs(log, config.steady_state.inputs) for log in logs]
 
 
 def _output_error(

@@ -18,6 +18,7 @@ from typing import Any
 from data_prep.identity import refuse_duplicates
 from data_prep.log import Finding, Log
 from data_prep.prepare import cautions
+from data_prep.reading import shared_interval_s
 from narxcal.calibration.bundle import (
     DOCUMENT,
     Bundle,
@@ -92,6 +93,10 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
         for number, file in enumerate(files):
             advance(number, len(files), file.name)
             logs += prepare_logs(config, [file])
+        dt_s = shared_interval_s(logs)
+        if dt_s is not None:
+            console.warn(f"sampling intervals differ between logs: all are read every {dt_s:g} s")
+            logs = prepare_logs(config, files, dt_s)
     split = split_logs(logs, config.split)
     refuse_duplicates(
         (*split.train, *split.validate, *split.test), "a model would be judged on what it learned"

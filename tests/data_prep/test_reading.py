@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from data_prep import units
 from data_prep.config import LogsConfig
-from data_prep.reading import read_logs
+from data_prep.reading import read_logs, shared_interval_s
 from narxcal.support.errors import ConfigError, DataError, NarxcalError
 
 ROOT = Path(__file__).parents[2]
@@ -95,6 +95,17 @@ def test_a_fast_recording_is_averaged_onto_a_slower_grid_without_shift(tmp_path)
     (log,) = read_logs(path, LogsConfig(raster_hz=32.0))
     np.testing.assert_allclose(log["N1_pct"], 80 + log.time_s, rtol=1e-12)
     assert counts(log, "N1_pct") == {("repaired", "averaged: faster than the grid"): len(log)}
+
+
+def test_files_of_different_rates_share_the_median_interval(tmp_path):
+    steps = {"one.csv": 0.1046, "two.csv": 0.107, "three.csv": 0.1063}
+    paths = [
+        write(tmp_path, table(step * np.arange(400), N1_pct=np.full(400, 50.0)), name)
+        for name, step in steps.items()
+    ]
+    found = shared_interval_s(read_logs(paths))
+    assert found == pytest.approx(0.1063, rel=1e-3)
+    assert shared_interval_s(read_logs(paths, LogsConfig().every(found))) is None
 
 
 def test_a_slower_channel_is_bridged_between_its_own_samples(tmp_path):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from data_prep.log import Log
 from narxcal.support.errors import ModelError
-from training.baselines import Baselines, FirstOrderLag, LinearArx, fit_baselines
+from training.baselines import Baselines, FirstOrderLag, LinearArx, Run, arx_of, fit_baselines
 
 DT_S = 0.1
 
@@ -96,6 +96,13 @@ def test_an_arx_system_is_recovered_and_simulated_exactly():
     found = Baselines.from_json(params).arx.simulate(settled, outputs[0])
     # The start itself is not a state of the system: it stood still before.
     np.testing.assert_allclose(found, outputs, atol=0.05)
+
+
+def test_a_run_shorter_than_the_order_tells_nothing():
+    steady = np.array([[50.0], [60.0], [60.0], [60.0], [40.0], [40.0], [40.0], [40.0]])
+    y = LinearArx(((0.5,),), (((0.5,), (0.0,)),), (0.0,)).simulate(steady, np.array([50.0]))
+    runs = [Run(steady[:1], y[:1]), Run(steady, y)]
+    assert arx_of(runs, 0, 1)[0] == pytest.approx([0.5], abs=1e-6)
 
 
 def test_an_arx_run_is_its_difference_equation():

@@ -50,6 +50,13 @@ def test_an_input_that_is_lost_for_long_divides_the_log(sound):
     assert found.row()["logs"][0]["left_out_rows"] == 600
 
 
+def test_a_part_too_short_for_a_response_is_left_out_and_counted(sound):
+    short = sound[0].part(0, 2)
+    found = learnable(Split((short, *sound[1:]), (), ()), CONFIG)
+    assert [len(each) for each in found.split.train] == [ROWS, ROWS]
+    assert found.row()["logs"][0]["left_out_rows"] == 2
+
+
 def finding(name, channel, start_s, end_s):
     return Finding("stuck", channel, start_s, end_s, 0.0, "", 0.999, "stays at 0", log=name)
 

@@ -50,6 +50,13 @@ def test_a_model_without_a_free_run_has_no_weight():
     assert found.sum() == pytest.approx(1.0)
 
 
+def test_a_model_that_is_stable_in_the_folds_alone_has_no_weight():
+    fitted = np.array([True, True, True, False])
+    found = weights_of(products([1.0, 1.1, 1.0, 0.1], [1.1, 1.0, 0.9, 0.1]), fitted)
+    assert found[3] == 0.0
+    assert found.sum() == pytest.approx(1.0)
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     pieces=st.integers(1, 5),
