@@ -10,10 +10,19 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy.ndimage import uniform_filter1d
 
 from data_prep.log import Log
 from narxcal.channels import CHANNELS, SPOOLS
-from narxcal.support.arrays import BoolArray, FloatArray, noise_level, robust_range, runs
+from narxcal.support.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    bridge_gaps,
+    noise_level,
+    robust_range,
+    runs,
+)
 from narxcal.support.settings import Section
 
 Reason = Literal["frozen", "spiking", "out of range"]
@@ -189,13 +198,18 @@ def bursts(log: Log, name: str, spikes: BoolArray, config: FaultsConfig) -> Bool
     return mask
 
 
-# At most this many freezes are expected in one log; the next longest run is natural.
+# False alarms per hour of a log and channel.
+RATE_PER_H = 0.01
+# At most this many freezes are expected in one log: the next longest runs are natural.
 _FREEZES = 10
-_UNNATURAL = 5  # times longer than the longest natural run of equal samples is a freeze
-# Noise reverses at least this part of the changes.
+_TAIL = 0.02  # share of the runs that make the tail, and the least number that shows its shape
+_LEAST_TAIL = 20
+_LEVELS = 10  # of the motion of the other channels, with as many samples each
+_MOTION_S = 2.0  # over which it is taken
+# Noise reverses at least this part of the changes. Measured: 3-70 % of the changes of recorded
+# outputs reverse the one before, even where the recorder has smoothed and the reader has
+# interpolated; 1 % of a noise-free simulation's.
 _REVERSALS = 0.02
-# Another channel changes as usual if at least this part as often as in the whole log.
-_AS_USUAL = 0.5
 # Below this part of its highest value an engine does not run: it is cranked or windmills.
 _STANDSTILL = 0.05
 
@@ -214,22 +228,17 @@ def repeats(values: FloatArray) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def frozen(log: Log, name: str, config: FaultsConfig) -> BoolArray:
-    """Flag samples where a noisy output repeats one value for too long.
+    """Flag samples where an output repeats one value for longer than sound ones do.
 
-    All of these have to be true: it is an output; outside its long runs it has noise (a
-    simulation without noise has none and may be constant for minutes); the run is longer than
-    `frozen_s` and five times its longest natural run; another channel changes meanwhile; it is
-    not the zero of an engine at standstill; and its noise exceeds its resolution. Levers,
-    ambient channels and switches may be constant; samples between two measurements of a slow
-    channel count for nothing.
+    Left alone is what lasts less than `frozen_s`, the zero of an engine at standstill and a cut of
+    fuel that the spools follow. Levers, ambient channels and switches may be constant.
     """
-    never = np.zeros(len(log), dtype=np.bool_)
-    values = np.where(log.interpolated.get(name, never), np.nan, log[name])
-    mask = never.copy()
+    mask = np.zeros(len(log), dtype=np.bool_)
     if role(name) != "output":
         return mask
-    for start, stop in unnatural(values, config.frozen_s / log.dt_s):
-        if _standstill(values, start) or not _others_change(log, name, start, stop):
+    for start, stop in unnatural(log, name, config.frozen_s):
+        values = log[name]
+        if _standstill(values, start):
             continue
         if abs(values[start]) < 1e-9 and followed(log, name, start, stop):
             continue
@@ -237,50 +246,107 @@ def frozen(log: Log, name: str, config: FaultsConfig) -> BoolArray:
     return mask
 
 
-def _quantised(values: FloatArray) -> bool:
-    """Whether the resolution exceeds the noise: then a repeated value is no evidence.
+def unnatural(log: Log, name: str, least_s: float) -> list[tuple[int, int]]:
+    """Find runs of one value that the channel's own behaviour in the log does not explain.
 
-    The resolution is the distance of neighbours among all values that occur.
+    The exposure of a run is the number of changes that were to be expected in it,
+
+        x = sum_k h(m_k),   h(m) = -ln P(no change from sample to sample | m),
+
+    with m the motion of the other channels and P its share in samples of the same log with as much
+    motion: so the resolution, the noise and the rate of the recorder are accounted for. Exposures
+    of natural runs have an exponential tail above a level u, with the mean g of x - u, taken from
+    all but the `_FREEZES` largest. With k runs above u, of which k' were used,
+
+        E[longer runs] = k (1 + (x - u) / (k' g))^-k'
+
+    by the predictive distribution of an exponential variable. A run of which fewer than
+    `RATE_PER_H` an hour are expected is unnatural. Samples between two measurements of a slow
+    channel count for nothing, nor do those at which no other channel changes, for then the recorder
+    may pause. A channel that most samples repeat is coarser than its noise, and one without noise
+    rests in equilibrium: of both nothing is concluded.
+
+    Returns (start, stop) in samples of what lasts for more than `least_s`.
     """
-    known = values[np.isfinite(values)]
-    apart = np.diff(np.unique(known))
-    return bool(len(apart)) and noise_level(known) < float(np.percentile(apart, 5))
-
-
-def unnatural(values: FloatArray, least: float) -> list[tuple[int, int]]:
-    """Find runs of one value, of more than `least` samples, in a signal that else has noise.
-
-    They are five times as long as the longest natural run; (start, stop) in samples.
-    """
+    never = np.zeros(len(log), dtype=np.bool_)
+    values = np.where(log.interpolated.get(name, never), np.nan, log[name])
+    known = np.flatnonzero(np.isfinite(values))
     starts, stops = repeats(values)
-    if len(starts) <= _FREEZES or _quantised(values):
+    long = (stops - starts) * log.dt_s > least_s
+    lengths = np.diff(np.searchsorted(known, starts), append=len(known))
+    if not long.any() or not _noisy(values[known], lengths):
         return []
-    # Of a channel slower than the grid its own samples count.
-    known = np.concatenate([[0], np.cumsum(np.isfinite(values))])
-    length = known[stops] - known[starts]
-    least *= float(known[-1]) / max(len(values), 1)
-    natural = np.partition(length, -_FREEZES - 1)[-_FREEZES - 1]
-    longest = max(least, float(_UNNATURAL * natural))
-    long = length > longest
-    others = np.ones(len(values), dtype=np.bool_)
-    for start, stop in zip(starts[long], stops[long], strict=True):
-        others[start:stop] = False
-    if not long.any() or not _noisy(values[others & np.isfinite(values)]):
-        return []
-    return list(zip(starts[long].tolist(), stops[long].tolist(), strict=True))
+    few = RATE_PER_H * len(log) * log.dt_s / 3600.0
+    found = long & (expected_beyond(*_exposures(log, name, known, starts)) < few)
+    return list(zip(starts[found].tolist(), stops[found].tolist(), strict=True))
 
 
-def _noisy(values: FloatArray) -> bool:
-    """Whether a channel has noise: its changes reverse every so often.
+def expected_beyond(least: FloatArray, most: FloatArray) -> FloatArray:
+    """How many natural runs of a log are expected beyond each one's exposure (runs,).
 
-    Measured: 3-70 % of the changes of recorded outputs reverse the one before, even where the
-    recorder has smoothed and the reader has interpolated; 1 % of a noise-free simulation's.
+    A run is known to whole samples: its exposure lies between `least` and `most`.
     """
-    signs = np.sign(np.diff(values))
-    signs = signs[signs != 0.0]
-    if len(signs) < 2 or noise_level(values) == 0.0:
+    count = len(least)
+    many = min(max(round(_TAIL * count), _LEAST_TAIL), count // 2)
+    largest = min(_FREEZES, many // 2)
+    if not largest:
+        return np.full(count, np.inf)
+    ordered = np.sort(most)[::-1]
+    level = float(np.sort(least)[::-1][many])
+    tail = ordered[largest:many] - level
+    # The largest ones count as those below them: they may be faults.
+    total = float(tail.sum() + largest * tail[0])
+    if not total > 0.0:
+        return np.full(count, np.inf)
+    beyond = np.maximum(least - level, 0.0)
+    return np.asarray(many * np.exp(-(many - largest) * np.log1p(beyond / total)))
+
+
+def _noisy(known: FloatArray, lengths: IntArray) -> bool:
+    """Whether a channel has noise beyond its resolution, outside of its longest runs."""
+    if len(lengths) <= _FREEZES:
         return False
-    return float(np.mean(signs[1:] != signs[:-1])) >= _REVERSALS
+    natural = np.sort(lengths)[:-_FREEZES]
+    signs = np.sign(np.diff(known))
+    signs = signs[signs != 0.0]
+    reversals = float(np.mean(signs[1:] != signs[:-1]))
+    return bool(2 * len(natural) >= natural.sum()) and reversals >= _REVERSALS
+
+
+def _exposures(
+    log: Log, name: str, known: IntArray, starts: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Bounds of the exposures (runs,) of runs that begin at `starts`, two of the `known` samples.
+
+    Least without the sample that ends a run, most with it.
+    """
+    changed = np.isin(known, starts)
+    motion, alive = _motion(log, name, known)
+    edges = np.quantile(motion, np.linspace(0.0, 1.0, _LEVELS + 1)[1:-1])
+    level = np.searchsorted(edges, motion)
+    changes, samples = (
+        np.bincount(level, each, _LEVELS) for each in (changed, np.ones_like(motion))
+    )
+    hazard = -np.log1p(-(changes + 0.5) / (samples + 1.0))[level] * alive
+    total = np.append(0.0, np.cumsum(hazard))
+    ends = np.append(np.searchsorted(known, starts), len(known))
+    least = np.diff(total[ends])
+    return least, least + np.append(hazard[ends[1:-1]], 0.0)
+
+
+def _motion(log: Log, name: str, known: IntArray) -> tuple[FloatArray, BoolArray]:
+    """Motion of the other channels at the `known` samples, and whether any of them changes."""
+    motion, alive = np.zeros(len(log)), np.zeros(len(log), dtype=np.bool_)
+    others = [other for other in log.channels if other != name and is_sensed(other)]
+    size = max(1, round(_MOTION_S / log.dt_s))
+    for other in others:
+        low, high = robust_range(log[other])
+        if high > low:
+            values = bridge_gaps(log[other])
+            slow = uniform_filter1d(values, size, mode="nearest")
+            motion += np.abs(np.gradient(slow)) / (high - low)
+            alive[1:] |= np.diff(values) != 0.0
+    return motion[known], alive[known] if others else np.ones(len(known), dtype=np.bool_)
 
 
 def _standstill(values: FloatArray, start: int) -> bool:
@@ -289,21 +355,3 @@ def _standstill(values: FloatArray, start: int) -> bool:
     before = values[max(0, start - 8) : start]
     entry = float(np.nanmax(np.abs(before - values[start]), initial=0.0))
     return bool(abs(values[start]) < _STANDSTILL * high) and not entry > 0.05 * (high - low)
-
-
-def _others_change(log: Log, name: str, start: int, stop: int) -> bool:
-    """Whether another output or ambient channel goes on changing as it always does."""
-    others = [other for other in log.channels if other != name and is_sensed(other)]
-    if not others:
-        return True
-    return any(_changes_as_usual(log[other], start, stop) for other in others)
-
-
-def _changes_as_usual(values: FloatArray, start: int, stop: int) -> bool:
-    changes = np.diff(values) != 0.0
-    known = np.isfinite(values[1:]) & np.isfinite(values[:-1])
-    usual = float(np.mean(changes[known])) if known.any() else 0.0
-    inside = known[start : stop - 1]
-    if usual < 0.1 or not inside.any():
-        return False
-    return float(np.mean(changes[start : stop - 1][inside])) >= _AS_USUAL * usual

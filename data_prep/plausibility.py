@@ -246,7 +246,7 @@ def _measurable(log: Log, name: str, start: int, stop: int) -> bool:
 def _without_noise(log: Log, name: str) -> BoolArray:
     """Samples (time,) in flight at which a channel that has noise repeats one value."""
     flies, found = _airborne(log), np.zeros(len(log), dtype=np.bool_)
-    for start, stop in unnatural(log[name], _STUCK_S / log.dt_s):
+    for start, stop in unnatural(log, name, _STUCK_S):
         found[start:stop] = bool(flies[start:stop].all())
     return found
 

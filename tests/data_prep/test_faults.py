@@ -8,7 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from data_prep.clean import CleanConfig, clean
-from data_prep.faults import FaultsConfig, excursions, frozen, out_of_range, repeats
+from data_prep.faults import (
+    FaultsConfig,
+    excursions,
+    expected_beyond,
+    frozen,
+    out_of_range,
+    repeats,
+)
 from data_prep.log import Log
 
 # A busy machine is no failure.
@@ -174,6 +181,18 @@ def test_a_lone_channel_is_judged_by_itself():
     lone = Log(log.name, log.time_s, {"N1_pct": log["N1_pct"]})
     bad = broken(lone, "N1_pct", 1000, 2000, 50.0)
     assert masked(bad) == {"N1_pct": {"frozen": 1000}}
+
+
+def test_exponential_exposures_are_expected_as_often_as_the_distribution_says():
+    draw = np.random.default_rng(2).exponential(3.0, 20_000)
+    far = np.r_[draw, 60.0]
+    assert expected_beyond(far, far)[-1] == pytest.approx(20_000 * np.exp(-20.0), rel=2.0)
+    assert (expected_beyond(draw, draw) < 0.01).sum() == 0
+
+
+def test_few_runs_show_no_tail():
+    few = np.array([1.0, 1.0, 900.0])
+    assert np.isinf(expected_beyond(few, few)).all()
 
 
 def test_short_freezes_are_left_alone():

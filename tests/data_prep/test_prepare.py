@@ -120,8 +120,6 @@ def fault(values, kind, rows, rng):
     ],
 )
 def test_injected_faults_are_found_and_only_they(name, channel, kind, seconds):
-    if (name, kind) == ("citation2", "frozen"):
-        pytest.skip("this recorder's N2 is coarser than its noise: a repeated value is no evidence")
     rng = np.random.default_rng(7)
     for number in (-2, -1):
         log, base = recorded(name)[number], cleaned(name, number)
