@@ -71,7 +71,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--screening-only", action="store_true", help="of --recorders: faults alone, no training"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of flights that are flown")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="of flights that are flown, and of faults"
+    )
     parser.add_argument(
         "--data", type=Path, default=_SHARED, help="folder that holds bench, flights, agtf30"
     )
@@ -94,7 +96,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         found = list(fleets.rows(options.seed))
         found += flights.more_flights_rows(options.data / "flights")
     else:
-        found = _flights(options.data) if options.flights else _short(options.data)
+        found = _flights(options.data) if options.flights else _short(options.data, options.seed)
     document = describe(found, time.perf_counter() - began)
     if options.json:
         sys.stdout.write(to_json(document))
@@ -103,12 +105,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _short(data: Path) -> list[Row]:
+def _short(data: Path, seed: int) -> list[Row]:
     return [
         *speed.rows(),
         *virtual_engine.rows(),
         *public_sets.rows(data / "bench"),
-        *faults.rows(data),
+        *faults.rows(data, seed),
     ]
 
 

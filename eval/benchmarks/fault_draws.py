@@ -1,21 +1,20 @@
-"""Sensor faults drawn at random, on flights and engines that no limit was chosen on.
+"""Sensor faults drawn at random, and flights of drawn engines to put them into.
 
-The list of `eval.benchmarks.faults` was in view while the limits of the screening were set. Here
-kind, channel, size, begin and length are drawn; lags, delays, gains, offsets and drifts are the
+Kind, channel, size, begin and length are drawn. Lags, delays, gains, offsets and drifts are the
 sensor models of `narxcal.effects`, by which `diagnose` explains such errors.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
 
-from data_prep.log import Log, Source
+from data_prep.log import Kind, Log, Source
 from data_prep.plausibility import conversions
-from eval.benchmarks.injection import Apply, Injection
+from narxcal.atmosphere import KELVIN, isa
 from narxcal.effects import effect
 from narxcal.effects.base import Run, Signals
 from narxcal.effects.sensor_side import SensorEffect
@@ -26,6 +25,56 @@ from narxcal.support.arrays import FloatArray
 ENGINE = ("N1_pct", "N2_pct", "EGT_C", "FF_kgph")
 AIR = ("ALT_ft", "Mach", "SAT_C", "CAS_kt")
 Draw = np.random.Generator
+Apply = Callable[[FloatArray, FloatArray], FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Injection:
+    """A fault as it is put into a raw log: `channels`, `kind`, size, and `change(values, time_s)`.
+
+    `begins` is the share of the log at which it begins, `ends` at which it ends.
+    """
+
+    kind: Kind
+    channels: tuple[str, ...]
+    size: str
+    change: Apply
+    begins: float = 0.0
+    ends: float = 1.0
+
+    def into(self, log: Log) -> Log:
+        """The log with the fault; channels that the reader derives follow."""
+        if self.channels == ("time_s",):
+            return self._stretched(log)
+        changed = {}
+        first, last = (round(share * len(log)) for share in (self.begins, self.ends))
+        part = slice(first, last)
+        if self.kind == "exchanged":
+            a, b = self.channels
+            changed = {a: log[b], b: log[a]}
+        else:
+            for name in self.channels:
+                changed[name] = log[name].copy()
+                changed[name][part] = self.change(log[name][part], log.time_s[part])
+        return _derived(log.with_channels(changed))
+
+    def _stretched(self, log: Log) -> Log:
+        """Time stamps times a factor, on the log's sampling grid."""
+        factor = float(self.change(np.ones(1), np.ones(1))[0])
+        time_s = np.arange(0.0, log.time_s[-1] * factor - log.time_s[0] * factor, log.dt_s)
+        channels = {
+            name: np.interp(time_s / factor + log.time_s[0], log.time_s, values)
+            for name, values in log.channels.items()
+        }
+        return replace(log, time_s=time_s + log.time_s[0], channels=channels, interpolated={})
+
+
+def _derived(log: Log) -> Log:
+    """Temperature deviation anew from the temperature and altitude of the log."""
+    if not {"SAT_C", "ALT_ft", "dT_C"} <= log.channels.keys():
+        return log
+    deviation = log["SAT_C"] + KELVIN - isa(log["ALT_ft"])[0]
+    return log.with_channels({"dT_C": deviation})
 
 
 def drawn(log: Log, seed: int, count: int) -> list[Injection]:

@@ -1,4 +1,4 @@
-"""Sensor faults put into sound logs, and what is found of them: `python -m eval.benchmarks.faults`.
+"""Drawn faults put into sound logs, and what is found of them: `python -m eval.benchmarks.faults`.
 
 Models are trained on other flights than those that the faults are put into. A fault counts if it
 moves the free run (an input) or the measurement (an output) by more than three times the held-out
@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,8 +24,7 @@ from data_prep.log import Finding, Log
 from data_prep.prepare import hold_inputs, prepare
 from data_prep.reading import read_logs
 from eval.benchmarks import Row
-from eval.benchmarks.fault_draws import drawn, flights
-from eval.benchmarks.injection import Injection, injections
+from eval.benchmarks.fault_draws import Injection, drawn, flights
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration
 from narxcal.support.arrays import FloatArray
@@ -37,22 +35,6 @@ from training.records import Split
 from training.redundancy import Bank
 from training.screening import screened
 
-
-@dataclass(frozen=True, eq=False)
-class Campaign:
-    """A configuration, and which of its logs are trained on; the others get the faults."""
-
-    name: str
-    config: str
-    train: str  # part of the names of the logs
-    test: str
-
-
-CAMPAIGNS = (
-    Campaign("Citation II, trained on flight 1", "citation2.toml", "flight1", "flight2"),
-    Campaign("Citation II, trained on flight 2", "citation2.toml", "flight2", "flight1"),
-    Campaign("AGTF30, trained on flights 1 and 2", "agtf30.toml", "flight_[12]", "flight_3"),
-)
 _TIMES = 3.0  # the held-out error that a fault has to move the free run by
 _LASTING_S = 20.0
 
@@ -102,37 +84,17 @@ class Result:
     reports: tuple[str, ...] = field(default=())
 
 
-Injections = Callable[[Log], Iterable[Injection]]
-
-
-def measure(campaign: Campaign, data: Path | None = None, show: bool = False) -> Result:
-    """Train on some logs of a campaign, and put every fault of the list into the others."""
-    config, base = load_config(campaign.config)
-    if data is not None:
-        config = config.with_logs_in(data)
-    raw = read_logs(configured_files(config, base), config.logs)
-    train, test = (
-        [log for log in raw if _matches(log, part)] for part in (campaign.train, campaign.test)
-    )
-    return _measured(campaign.name, config, (train, test), injections, show=show)
-
-
 def _measured(
-    name: str,
-    config: RunConfig,
-    raw: tuple[Sequence[Log], Sequence[Log]],
-    faults: Injections,
-    *,
-    show: bool,
+    name: str, config: RunConfig, raw: tuple[Sequence[Log], Sequence[Log]], seed: int, *, show: bool
 ) -> Result:
-    """Train on the first of the raw logs, and put faults into the others."""
+    """Train on the first of the raw logs, and put drawn faults into the others."""
     train, test = raw
     config = config.having(train={"choice_s": 0.0})
     logs = tuple(one.log for one in prepare(train, config))
     bundle = calibrate(config, Path(), Split(logs, (), ()))
     bank = Bank.from_json(bundle.record.redundancy or {})
     trials = tuple(
-        trial for log in test for trial in _trials(log, config, (bundle, bank), faults, show=show)
+        trial for log in test for trial in _trials(log, config, (bundle, bank), seed, show=show)
     )
     sound = [one.log for one in prepare(test, config)]
     found = [(log, log.findings) for log in screened(bank, sound)]
@@ -165,30 +127,29 @@ _LEVER = {
 _PER_LOG = 24  # faults: about 100 in all, so that a share has a standard error of 2 to 5 points
 
 
-def unseen(seed: int, data: Path, *, show: bool = False) -> Iterator[Result]:
-    """Drawn faults on drawn engines, and on simulations by others that no limit was chosen on."""
+def results(data: Path, seed: int, *, show: bool = False) -> Iterator[Result]:
+    """Measure drawn engines, simulations by others and a real recorder; `data` holds the files.
+
+    No limit of the screening was chosen on the engines and the simulations. What has no files is
+    left out.
+    """
     fuel, lever = RunConfig.parse(_FUEL), RunConfig.parse(_LEVER)
-    faults = partial(_drawn, seed=seed)
     for engine, logs in (("business_jet", 4), ("single_aisle", 5), ("business_jet", 3)):
         raw = list(flights(engine, 7000 + 10 * seed + logs, logs))
         name = f"{engine}, {logs - 1} training flights"
-        yield _measured(name, fuel, (raw[:-1], raw[-1:]), faults, show=show)
+        yield _measured(name, fuel, (raw[:-1], raw[-1:]), seed, show=show)
     for case in ("case_A", "case_B"):
-        folder = data / "gap_example" / case
-        raw = read_logs(sorted(folder.glob("real*/*.csv.gz")), lever.logs)
-        yield _measured(case, lever, (raw[:3], raw[3:4]), faults, show=show)
+        files = sorted((data / "gap_example" / case).glob("real*/*.csv.gz"))
+        if files:
+            raw = read_logs(files, lever.logs)
+            yield _measured(case, lever, (raw[:3], raw[3:4]), seed, show=show)
     config, base = load_config("citation2.toml")
     config = config.with_logs_in(data / "flights")
-    raw = read_logs(configured_files(config, base), config.logs)
-    yield _measured("Citation II", config, (raw[2:], raw[:1]), faults, show=show)
-
-
-def _drawn(log: Log, seed: int) -> list[Injection]:
-    return drawn(log, seed, _PER_LOG)
-
-
-def _matches(log: Log, part: str) -> bool:
-    return Path(log.source.file).match(f"*{part}*")
+    try:
+        raw = read_logs(configured_files(config, base), config.logs)
+    except DataError:
+        return
+    yield _measured("Citation II", config, (raw[2:], raw[:1]), seed, show=show)
 
 
 def _size(log: Log) -> int:
@@ -201,14 +162,14 @@ def _masked(log: Log, found: Sequence[Finding]) -> float:
 
 
 def _trials(
-    raw: Log, config: RunConfig, trained: tuple[Bundle, Bank], faults: Injections, *, show: bool
+    raw: Log, config: RunConfig, trained: tuple[Bundle, Bank], seed: int, *, show: bool
 ) -> Iterator[Trial]:
     bundle, bank = trained
     own = bundle.calibration.for_engine(raw.source.engine)
     [clean] = prepare([raw], config)
     reference = _run(own, clean.log)
     error = np.sqrt(np.nanmean((reference - clean.log.matrix(own.output_names)) ** 2, axis=0))
-    for injection in faults(raw):
+    for injection in drawn(raw, seed, _PER_LOG):
         log = prepare([injection.into(raw)], config)[0].log
         moved = _moved(own, (clean.log, log), reference)
         large = np.array([0.0])
@@ -256,30 +217,15 @@ def _line(log: Log, trial: Trial) -> str:
     return f"{words:7}{log.name}: {what}{weight} -> {found or 'nothing'}"
 
 
-def rows(data: Path | None = None, *, show: bool = False) -> Iterator[Row]:
-    """Measure every campaign; `data` holds `flights` and `agtf30`."""
-    results = []
-    for campaign in CAMPAIGNS:
-        folder = "agtf30" if campaign.config == "agtf30.toml" else "flights"
-        try:
-            results.append(measure(campaign, None if data is None else data / folder, show))
-        except DataError as error:
-            note = f"not measured: {error}"
-            yield Row("sensor faults", campaign.name, float("nan"), "", note=note)
-    for result in results:
+def rows(data: Path, seed: int = 0, *, show: bool = False) -> Iterator[Row]:
+    """Figures of each set and of all together; `data` is the folder of the shared data."""
+    found = list(results(data, seed, show=show))
+    for result in found:
         yield from _figures(result.name, [result])
-    if len(results) > 1:
-        yield from _figures("all", results)
+    yield from _figures("all", found)
 
 
-def _drawn_rows(seed: int, data: Path) -> Iterator[Row]:
-    results = list(unseen(seed, data, show=True))
-    for result in results:
-        yield from _figures(result.name, [result])
-    yield from _figures("all", results)
-
-
-_TARGET = "issue 29 A: faults that move the free run by more than 3 times its held-out error"
+_TARGET = "faults that move the free run by more than 3 times its held-out error"
 
 
 def _figures(name: str, results: Sequence[Result]) -> Iterator[Row]:
@@ -304,16 +250,11 @@ def _figures(name: str, results: Sequence[Result]) -> Iterator[Row]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print every trial, then the figures."""
     parser = argparse.ArgumentParser(prog="python -m eval.benchmarks.faults", description=__doc__)
-    parser.add_argument("--data", type=Path, help="folder that holds flights and agtf30")
-    parser.add_argument(
-        "--drawn", metavar="SEED", type=int, help="faults drawn by it, on unseen logs"
-    )
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="shared data")
+    parser.add_argument("--seed", type=int, default=0, help="of the drawn faults and engines")
     options = parser.parse_args(arguments)
     table = Table("figure", "measured", "target", "reached", title="Sensor faults", box=None)
-    found = rows(options.data, show=True)
-    if options.drawn is not None:
-        found = _drawn_rows(options.drawn, options.data or Path("../shared/data"))
-    for row in found:
+    for row in rows(options.data, options.seed, show=True):
         bound = f"{row.bound} {row.target:g} {row.unit}" if row.bound else ""
         reached = {True: "yes", False: "no", None: ""}[row.reached]
         measured = f"{row.value:.3g} {row.unit} {row.note}"
