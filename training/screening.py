@@ -616,10 +616,14 @@ _RESTORED = 0.35  # of the misfit that undoing a hypothesis leaves at most
 
 
 def _restored(subject: _Subject) -> tuple[Finding, ...]:
-    """Another unit or an exchange that brings a log beyond the scatter back into it."""
+    """Another unit or an exchange that brings a log beyond the scatter back into it.
+
+    Where nothing can be compared nothing is beyond it: a flight in air where no training log has
+    been is not one in another unit.
+    """
     before, t = _misfit(subject, subject.signals)
     known = [abs(value) for value in t.values() if np.isfinite(value)]
-    if known and max(known) < subject.threshold:
+    if not known or max(known) < subject.threshold:
         return ()
     best: tuple[float, _Other] | None = None
     for each in _others(subject):

@@ -25,7 +25,7 @@ def lagged(x, tau_s):
     return x[0] + lfilter([1.0 - a], [1.0, -a], x - x[0])
 
 
-def engine(seed, level=1.0):
+def engine(seed, level=1.0, climb_ft=0.0):
     """Fuel in steps; both spools and the temperature follow with lags of their own, plus noise."""
     draw = np.random.default_rng(seed)
     steps = np.repeat(draw.uniform(0.2, 1.0, ROWS // 150), 150)
@@ -33,6 +33,7 @@ def engine(seed, level=1.0):
     core = lagged(fuel, 2.0)
     fan = lagged(core, 1.0)
     alt = np.interp(np.arange(ROWS), [0, 2000, 4000, ROWS], [1000.0, 9000.0, 9000.0, 2000.0])
+    alt += climb_ft
     noise = draw.standard_normal((4, ROWS))
     delta = (1.0 - 6.8756e-6 * alt) ** 5.2559
     channels = {
@@ -113,6 +114,11 @@ def test_what_the_whole_log_disagrees_in_is_named_and_not_masked(bank, channel, 
     assert (channel, kind) in [(each.channel, each.kind) for each in log.findings]
     assert not any(each.local for each in log.findings if each.kind == kind)
     assert np.isfinite(masked(log)[channel]).mean() > 0.9
+
+
+@pytest.mark.parametrize("seed", [40, 41])
+def test_a_flight_above_all_training_logs_is_not_one_in_another_unit(bank, seed):
+    assert examined(bank, engine(seed, climb_ft=20000.0)) == ()
 
 
 def test_exchanged_channels_are_named(bank):
