@@ -312,7 +312,8 @@ def _at_fault(subject: _Subject, name: str, blocks: Blocks, step: Step) -> list[
     right = levels[1] if abs(levels[0]) > abs(levels[1]) else levels[0]
     if abs(right) > _AGREES:
         return []
-    far = np.abs(blocks.r / scatter - right) > subject.threshold
+    # A fault once proven, what does not agree as the rest has to is no more believed.
+    far = np.abs(blocks.r / scatter - right) > _AGREES
     return _joined([_extended(far, span) for span in spans(wrong)])
 
 
