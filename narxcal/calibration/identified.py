@@ -140,9 +140,9 @@ class EngineDynamics(Dynamics):
         return f"output error, {shown}"
 
     def drive(self, steady: SteadyStateModel, inputs: FloatArray, ss: FloatArray) -> FloatArray:
-        """Steady values and slopes of N_H, N_L, T."""
-        del ss
-        return steady_drive(steady, inputs, self.driver, self.span)
+        """Steady values and slopes of N_H, N_L, T; then the steady values of other outputs."""
+        own = steady_drive(steady, inputs, self.driver, self.span)
+        return np.hstack([own, np.delete(ss, self.order, axis=1)])
 
     def equilibrium(self, drive: FloatArray) -> FloatArray:
         """Steady N_H, N_L, T."""
@@ -151,12 +151,13 @@ class EngineDynamics(Dynamics):
     def run(
         self, state: FloatArray, drive: FloatArray, measured: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Integrate equation 1."""
-        order = list(self.order)
+        """Integrate equation 1; outputs that it does not have are steady."""
+        order, size = list(self.order), 5  # columns of `steady_drive`
         outputs = np.empty_like(measured)
         outputs[:, order], end = EngineFromSteady(self.dt_s).run(
-            self.values, drive, state, measured[:, order]
+            self.values, drive[:, :size], state, measured[:, order]
         )
+        outputs[:, np.delete(np.arange(measured.shape[1]), order)] = drive[:, size:]
         return outputs, end
 
     def to_json(self) -> dict[str, Any]:

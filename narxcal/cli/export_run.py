@@ -18,6 +18,7 @@ from narxcal.export.dynamic import Exportable
 from narxcal.export.fmu import write_fmu
 from narxcal.export.onnx_model import write_onnx
 from narxcal.export.report import ExportOptions
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.files import (
     Results,
@@ -30,6 +31,8 @@ from narxcal.support.files import (
 from training.screening import masked
 
 SCHEMA = "narxcal.export_run/1"
+# Rows of a proof, None where the file cannot be run here, and what else is said of it.
+_Compared = tuple[list[dict[str, Any]] | None, dict[str, Any]]
 _WRITTEN = Results(proof.SCHEMA, proof.FILE, ("engine.c", "engine.h"))
 
 
@@ -47,7 +50,12 @@ def run(options: Namespace, console: Console, nodes: dict[str, tuple[float, ...]
             progress=advance,
         )
         exported = Exportable.of(bundle, options.engine, nodes, how)
-        found = _WRITERS[options.to](exported, options, lambda: _cases(bundle, exported, options))
+        cases = _cases(bundle, exported, options, console)
+        if options.to == "c":
+            with atomic_folder(options.out, _WRITTEN if options.overwrite else None) as folder:
+                found = _write(exported, options, cases, folder / "engine.c")
+        else:
+            found = _write(exported, options, cases, options.out)
     _show(console, exported, found)
     console.document({"schema": SCHEMA, "to": options.to, "out": str(options.out), **found})
     met = exported.sampled is None or exported.sampled.met
@@ -70,15 +78,18 @@ def _check(options: Namespace) -> None:
     proof.read(out.absolute().parent)
 
 
-def _cases(bundle: Bundle, exported: Exportable, options: Namespace) -> list[proof.Case]:
+def _cases(
+    bundle: Bundle, exported: Exportable, options: Namespace, console: Console
+) -> list[proof.Case]:
     """Inputs to compare over: the logs of the run or those named, and drawn ones."""
     model, engine = exported.model, options.engine or ""
     cases = [proof.drawn(exported.program().envelope, engine)]
     try:
         logs = evaluation_logs(bundle, options.logs)
-    except (DataError, ConfigError):
+    except (DataError, ConfigError) as error:
         if options.logs:
             raise
+        console.warn(f"the proof is over drawn inputs alone, without the run's logs: {error}")
         return cases
     for log in logs:
         own = log.source.engine
@@ -88,76 +99,74 @@ def _cases(bundle: Bundle, exported: Exportable, options: Namespace) -> list[pro
     return cases
 
 
-def _c(exported: Exportable, options: Namespace, cases: Callable[[], Any]) -> dict[str, Any]:
-    """Write the sources; without a compiler nothing is proven."""
-    program = exported.program(options.interval)
-    with atomic_folder(options.out, _WRITTEN if options.overwrite else None) as part:
-        for name, text in program.code.items():
-            atomic_write_text(part / name, text)
-        found: dict[str, Any] = {"file": "engine.c", "rows": []}
-        if compiler() is not None:
-            model = Compiled.of(program)
-
-            def run_c(case: proof.Case, start: Any) -> Any:
-                number = program.number_of(case.engine)
-                return model.run(case.inputs, start, number)[:, : model.outputs]
-
-            given = cases()
-            rows = proof.compare(exported.model, run_c, given)
-            step_us = model.step_us(proof.held(given[-1].inputs))
-            found = proof.document(
-                part / "engine.c", rows, proof.BOUND, step_us=step_us, states=program.states,
-                sampled=_sampling(exported, given),
-            )  # fmt: skip
-            proof.write(part, found)
-        else:
-            proof.write(part, found)
+def _write(
+    exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path
+) -> dict[str, Any]:
+    """Write a file, and enter its proof in the folder; without a tool to run it there is none."""
+    rows, more = _WRITERS[options.to](exported, options, cases, file)
+    found: dict[str, Any] = {"file": file.name, "rows": [], **more}
+    if rows is not None:
+        if options.to != "jsbsim":
+            more["sampled"] = _sampling(exported, cases)
+        found = proof.document(file, rows, _BOUNDS.get(options.to, proof.BOUND), **more)
+    proof.write(file.absolute().parent, found)
     return found
 
 
-def _fmu(exported: Exportable, options: Namespace, cases: Callable[[], Any]) -> dict[str, Any]:
+def _c(exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path) -> _Compared:
+    """Write the sources, compile and run them."""
+    program = exported.program(options.interval)
+    for name, text in program.code.items():
+        atomic_write_text(file.parent / name, text)
+    if compiler() is None:
+        return None, {}
+    model = Compiled.of(program)
+
+    def run_c(case: proof.Case, start: FloatArray | None) -> FloatArray:
+        return model.run(case.inputs, start, program.number_of(case.engine))[:, : model.outputs]
+
+    rows = proof.compare(exported.model, run_c, cases)
+    step_us = model.step_us(proof.held(cases[-1].inputs))
+    return rows, {"step_us": step_us, "states": program.states}
+
+
+def _fmu(
+    exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path
+) -> _Compared:
     """Write an FMU, and run it by FMPy."""
     program = exported.program(options.interval)
-    size = write_fmu(program, options.out, options.fmi)
-    found: dict[str, Any] = {"file": options.out.name, "rows": [], "bytes": size}
-    if compiler() is not None:
-        given, model = cases(), exported.model
-        rows = fmu_run.compare(model, options.out, given, program.engines)
-        sampled = _sampling(exported, given)
-        found = proof.document(options.out, rows, proof.BOUND, bytes=size, sampled=sampled)
-    proof.write(options.out.absolute().parent, found)
-    return found
+    size = write_fmu(program, file, options.fmi)
+    if compiler() is None:
+        return None, {"bytes": size}
+    rows, step_us = fmu_run.compare(exported.model, file, cases, program.engines)
+    return rows, {"bytes": size, "step_us": step_us, "states": program.states}
 
 
-def _onnx(exported: Exportable, options: Namespace, cases: Callable[[], Any]) -> dict[str, Any]:
+def _onnx(
+    exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path
+) -> _Compared:
     """Write a graph of one engine, and run it by onnxruntime."""
-    program, engine = exported.program(), options.engine or ""
-    size = write_onnx(program, options.out)
-    found: dict[str, Any] = {"file": options.out.name, "rows": [], "bytes": size}
-    if onnx_run.runtime() is not None:
-        given, model = [replace(case, engine=engine) for case in cases()], exported.model
-        rows = onnx_run.compare(model.for_engine(engine), options.out, given)
-        sampled = _sampling(exported, given)
-        found = proof.document(options.out, rows, onnx_run.BOUND, bytes=size, sampled=sampled)
-    proof.write(options.out.absolute().parent, found)
-    return found
+    engine = options.engine or ""
+    size = write_onnx(exported.program(), file)
+    if onnx_run.runtime() is None:
+        return None, {"bytes": size}
+    given = [replace(case, engine=engine) for case in cases]
+    return onnx_run.compare(exported.model.for_engine(engine), file, given), {"bytes": size}
 
 
-def _jsbsim(exported: Exportable, options: Namespace, cases: Callable[[], Any]) -> dict[str, Any]:
+def _jsbsim(
+    exported: Exportable, options: Namespace, cases: list[proof.Case], file: Path
+) -> _Compared:
     """Fit JSBSim's turbine, write it, and fly it in JSBSim."""
-    engine, given = options.engine or "", cases()
-    model, envelope = exported.model.for_engine(engine), exported.program().envelope
-    logs = given[1:] or given
+    model, envelope = exported.model.for_engine(options.engine or ""), exported.program().envelope
+    logs = cases[1:] or cases
     turbine = jsbsim.Turbine.of(model, envelope, logs)
     data = turbine.xml(exported.about)
-    atomic_write_bytes(options.out, data)
-    found: dict[str, Any] = {"file": options.out.name, "rows": [], "bytes": len(data)}
-    if jsbsim.runtime() is not None:
-        rows, misfit = jsbsim.compare(model, turbine, data, logs)
-        more = {"misfit": misfit, "throttle": turbine.to_json()}
-        found = proof.document(options.out, rows, jsbsim.BOUND, bytes=len(data), **more)
-    proof.write(options.out.absolute().parent, found)
-    return found
+    atomic_write_bytes(file, data)
+    if jsbsim.runtime() is None:
+        return None, {"bytes": len(data)}
+    rows, misfit = jsbsim.compare(model, turbine, data, logs)
+    return rows, {"bytes": len(data), "misfit": misfit, "throttle": turbine.to_json()}
 
 
 def _sampling(exported: Exportable, cases: list[proof.Case]) -> dict[str, Any] | None:
@@ -174,14 +183,13 @@ def _simulated(exported: Exportable) -> proof.Run:
     )
 
 
-_WRITERS: dict[str, Callable[[Exportable, Namespace, Callable[[], Any]], dict[str, Any]]] = {
+_WRITERS: dict[str, Callable[[Exportable, Namespace, list[proof.Case], Path], _Compared]] = {
     "c": _c,
     "fmu": _fmu,
     "onnx": _onnx,
     "jsbsim": _jsbsim,
 }
-
-
+_BOUNDS = {"onnx": onnx_run.BOUND, "jsbsim": jsbsim.BOUND}  # of the others, that of `proof`
 _NO_COMPILER = "there is no C compiler 'cc' on the PATH: sources alone, and no proof"
 _NO_PROOF = {
     ".onnx": "onnxruntime is not installed: no proof",

@@ -29,7 +29,6 @@ from narxcal.steady.model import Envelope
 from narxcal.support.arrays import FloatArray
 from narxcal.support.compiled import compiled, table_value
 from narxcal.support.errors import ModelError
-from narxcal.support.files import atomic_write_bytes
 
 SPOOLS = ("N1_pct", "N2_pct")
 BOUND = 1e-6  # of idle and maximum speeds in JSBSim, %
@@ -336,10 +335,3 @@ def _t90(
             run, jsbsim = (float(crossings(p, np.array([0.9]), model.dt_s)[0]) for p in pair)
             found[name] = {"run": run, "jsbsim": jsbsim}
     return found
-
-
-def write_jsbsim(turbine: Turbine, about: Sequence[str], file: Path) -> bytes:
-    """Write the turbine as JSBSim's XML; returns what was written."""
-    data = turbine.xml(about)
-    atomic_write_bytes(file, data)
-    return data

@@ -262,7 +262,7 @@ def _member(one: Member, outputs: int) -> Part:
 
 
 def _identified(model: IdentifiedCalibration, weights: FloatArray) -> list[Part]:
-    dynamics, outputs = model.dynamics, len(weights)
+    dynamics = model.dynamics
     if isinstance(dynamics, NoDynamics):
         return []
     if isinstance(dynamics, StateSpaceDynamics):
@@ -272,10 +272,9 @@ def _identified(model: IdentifiedCalibration, weights: FloatArray) -> list[Part]
     if not isinstance(dynamics, EngineDynamics):
         raise ModelError(f"dynamics of kind '{dynamics.kind}' cannot be exported")
     values = dynamics.values
-    if values["square_M"] or sorted(dynamics.order) != list(range(outputs)):
-        part = "square_M (it looks ahead)" if values["square_M"] else "outputs but N1, N2 and EGT"
+    if values["square_M"]:
         raise ModelError(
-            f"output error with {part} cannot be exported",
+            "output error with square_M (it looks ahead) cannot be exported",
             hint="Identify it without, or by another method",
         )
     low, high = dynamics.span

@@ -32,11 +32,6 @@ def shipped(name: str) -> str:
     return files("narxcal.export").joinpath("c", name).read_text(encoding="utf-8")
 
 
-def unit_of(name: str) -> str:
-    """Unit of a channel."""
-    return CHANNELS[name].unit if name in CHANNELS else "-"
-
-
 @dataclass(frozen=True, eq=False)
 class Program:
     """A calibration to be written as C.
@@ -218,8 +213,8 @@ def _distinct(names: Sequence[str]) -> list[str]:
 
 
 def _meaning(name: str) -> str:
-    meaning = CHANNELS[name].meaning if name in CHANNELS else name
-    return f"{meaning} [{unit_of(name)}]"
+    known = CHANNELS.get(name)
+    return f"{known.meaning} [{known.unit}]" if known else f"{name} [-]"
 
 
 def _comment(lines: Sequence[str]) -> str:

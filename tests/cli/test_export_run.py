@@ -5,6 +5,8 @@ import shutil
 
 import pytest
 
+from narxcal.support.errors import DataError
+
 needs_a_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 
 
@@ -53,6 +55,28 @@ def test_without_a_compiler_there_are_the_sources_alone(narxcal, run, tmp_path, 
     )
     proof = json.loads((tmp_path / "c/proof.json").read_text("utf-8"))["proofs"]["engine.c"]
     assert proof == {"file": "engine.c", "rows": []}
+
+
+@needs_a_compiler
+def test_without_the_runs_logs_the_proof_is_over_drawn_inputs_and_says_so(
+    narxcal, run, tmp_path, monkeypatch
+):
+    def gone(*_):
+        raise DataError("the folder does not exist", file="flights")
+
+    monkeypatch.setattr("narxcal.cli.export_run.evaluation_logs", gone)
+    out = tmp_path / "c"
+    done = narxcal("export", run, "--to", "c", "--out", out, "--quiet")
+    assert (done.code, done.err) == (
+        0,
+        (
+            "narxcal: warning: the proof is over drawn inputs alone, without the run's logs: "
+            "flights: the folder does not exist\n"
+        ),
+    )
+    document = json.loads((out / "proof.json").read_text("utf-8"))
+    logs = {row["log"] for row in document["proofs"]["engine.c"]["rows"]}
+    assert logs == {"drawn: outside the envelope, with holes"}
 
 
 def test_a_folder_with_content_and_an_unknown_engine_are_refused(narxcal, run, tmp_path):

@@ -3,6 +3,7 @@
 import ctypes
 import re
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -169,6 +170,20 @@ def test_what_cannot_be_exported_is_named():
         "output error with square_M (it looks ahead) cannot be exported. "
         "Identify it without, or by another method"
     )
+
+
+def test_outputs_that_output_error_does_not_have_are_steady():
+    deck = models.table()
+    settled = deck.outputs(deck.points)
+    names = ("FN_kN", *models.OUTPUTS)
+    more = type(deck)(
+        (models.INPUTS, names), deck.points, np.column_stack([0.1 * settled[:, 0], settled])
+    )
+    dynamics = replace(models.output_error(), order=(2, 1, 3))
+    model, inputs = models.identified(dynamics, more), models.log(240)
+    found = Compiled.of(Program(model)).run(inputs)[:, :4]
+    np.testing.assert_allclose(found, model.simulate(inputs), rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(found[:, 0], more.outputs(inputs)[:, 0], rtol=0.0, atol=1e-9)
 
 
 FLIGHTS = sorted(Path("../shared/data").glob("*/**/citation_*.csv.gz"))

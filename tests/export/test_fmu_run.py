@@ -56,7 +56,8 @@ def test_the_fmu_is_valid_and_bears_channels_interval_and_parameters(made):
 def test_it_is_simulate_at_every_step_with_states_set(made):
     program, file = made
     cases = [drawn(program.envelope), Case("moves", "right", models.log(300))]
-    rows = compare(program.model, file, cases, program.engines)
+    rows, step_us = compare(program.model, file, cases, program.engines)
+    assert step_us > 0.0
     assert {row["what"] for row in rows} == {
         "step of 0.1 s", "step of 0.02 s", "step of 0.25 s", "state stored and set",
     }  # fmt: skip

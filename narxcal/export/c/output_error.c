@@ -51,6 +51,7 @@ static void output_error_step(const void *numbers, const sample *now, double *x,
         double before = was[k] + by * drive_was[2 + k] * behind, after = goal[k] + by * u[2 + k] * left;
         x[k] = lag_step(x[k], before, after, samples);
     }
+    for (int o = 0; o < NARXCAL_OUTPUTS; o++) d[o] = 0.0; /* other outputs are steady */
     for (int k = 0; k < 3; k++) d[p->order[k]] = now->ss[p->order[k]] - x[k];
     for (int k = 0; k < 5; k++) drive_was[k] = u[k];
 }

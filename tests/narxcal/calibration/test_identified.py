@@ -1,6 +1,7 @@
 """Identified dynamics behind a steady state: one sample, a block, a whole log; bundles."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -102,6 +103,21 @@ def test_a_bundle_gives_the_same_numbers(model, tmp_path):
     loaded = load_bundle(tmp_path / "run").calibration
     np.testing.assert_array_equal(loaded.simulate(LOG), model.simulate(LOG))
     assert (loaded.words, loaded.size) == (model.words, model.size)
+
+
+def test_an_output_that_the_engine_does_not_have_is_steady():
+    names, deck = NAMES[1], steady()
+    more = SteadyTable(
+        (NAMES[0], ("FF_kgph", *names)),
+        deck.points,
+        np.hstack([100.0 + deck.points[:, :1], deck.values]),
+    )
+    own = replace(engine(), order=(2, 1, 3))
+    model, without = (IdentifiedCalibration(*each, DT) for each in ((more, own), (deck, engine())))
+    start = model.steady.outputs(LOG[0]) + 5.0
+    found = model.simulate(LOG, start)
+    np.testing.assert_allclose(found[1:, 0], model.steady.outputs(LOG)[1:, 0], atol=1e-12)
+    np.testing.assert_array_equal(found[:, 1:], without.simulate(LOG, start[1:]))
 
 
 def test_the_engine_is_that_of_the_fit():
