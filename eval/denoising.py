@@ -73,7 +73,7 @@ class Flight:
 
 def flight_of(bundle: Bundle, log: Log) -> Flight:
     """The experiment's view of one prepared log: its outputs as truth, the bundle's free run."""
-    own = bundle.calibration.for_engine(log.source.engine)
+    own = bundle.calibration.for_engine(log.source.engine, or_mean=True)
     inputs = hold_inputs(log, own.input_names).matrix(own.input_names)
     truth = log.matrix(own.output_names)
     return Flight(

@@ -97,7 +97,7 @@ def run_log(
     run starts anew from the measured outputs. Without `one_step` that prediction is left out.
     Raises `DataError` for a log without the model's channels or on another sampling grid.
     """
-    own = bundle.calibration.for_engine(log.source.engine)
+    own = bundle.calibration.for_engine(log.source.engine, or_mean=True)
     _check_interval(own, log)
     known = np.asarray(np.isfinite(log.matrix(own.input_names)).all(axis=1))
     before = recorded or log

@@ -133,7 +133,8 @@ class EngineReplay:
     """
 
     def __init__(self, model: ReplayModel, options: ReplayOptions, engine: str, file: str) -> None:
-        self._calibration = calibration = model.calibration.for_engine(engine)  # own register
+        calibration = model.calibration.for_engine(engine, or_mean=True)  # with its own register
+        self._calibration = calibration
         self._model, self._options, self._file = model, options, file
         self._inputs = tuple(calibration.input_names)
         self.outputs = tuple(calibration.output_names)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias, TypeGuard
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
+from narxcal.support.tables import labels, positions
 
 LARGEST = 1e100  # squares, and sums of 1e100 of them, stay below the largest float64, 1.8e308
 
@@ -21,15 +22,20 @@ class Record:
 
     A masked output sample is NaN: it is left out of every loss and score. Inputs have to be
     complete, since a free run cannot skip a sample; `DataError` names the first bad row.
-    `weight` (time,), if given, scales the loss of each sample.
+    `weight` (time,), if given, scales the loss of each sample. `inputs` and `outputs` name the
+    columns; of a data frame they are its own, and of an array there may be none.
     """
 
     u: FloatArray
     y: FloatArray
     name: str = "record"
     weight: FloatArray | None = None
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "inputs", self.inputs or labels(self.u))
+        object.__setattr__(self, "outputs", self.outputs or labels(self.y))
         object.__setattr__(self, "u", columns(self.u, self.name))
         object.__setattr__(self, "y", columns(self.y, self.name))
         if len(self.u) != len(self.y):
@@ -44,6 +50,18 @@ class Record:
 
     def __len__(self) -> int:
         return len(self.u)
+
+    def ordered(self, inputs: Sequence[str], outputs: Sequence[str]) -> Record:
+        """The record with its columns in this order; without names they are taken by position.
+
+        Raises `DataError` for a column that is missing or unknown.
+        """
+        u, y = self.u, self.y
+        if self.inputs and inputs:
+            u = u[:, positions(self.inputs, inputs, self.name)]
+        if self.outputs and outputs:
+            y = y[:, positions(self.outputs, outputs, self.name)]
+        return replace(self, u=u, y=y, inputs=tuple(inputs), outputs=tuple(outputs))
 
     def _check_values(self) -> None:
         bad = np.flatnonzero(~np.isfinite(self.u).all(axis=1))
@@ -126,18 +144,26 @@ Pair: TypeAlias = tuple[ArrayLike, ArrayLike]
 RecordLike: TypeAlias = Record | Pair
 
 
-def as_records(given: RecordLike | Iterable[RecordLike], name: str = "record") -> list[Record]:
+def as_records(
+    given: RecordLike | Iterable[RecordLike],
+    name: str = "record",
+    like: tuple[Sequence[str], Sequence[str]] = ((), ()),
+) -> list[Record]:
     """Records as users have them: `Record`, pairs (u, y), one of these or several.
 
-    A pair is called `name` and its number. Raises `DataError` for anything else, and as `Record`
-    does.
+    A pair is called `name` and its number. Named columns are put in the order of `like`, input and
+    output names, or of the first record that has names. Raises `DataError` for anything else, and
+    as `Record` and `Record.ordered` do.
     """
     if isinstance(given, Record) or _is_pair(given):
-        return [_as_record(given, f"{name} 1")]
+        given = [given]
     # One array, table or tensor can be iterated over, too, but what comes of it is no record.
     if hasattr(given, "__array__") or not isinstance(given, Iterable):
         raise _no_record(given)
-    return [_as_record(each, f"{name} {number}") for number, each in enumerate(given, 1)]
+    records = [_as_record(each, f"{name} {number}") for number, each in enumerate(given, 1)]
+    inputs = like[0] or next((one.inputs for one in records if one.inputs), ())
+    outputs = like[1] or next((one.outputs for one in records if one.outputs), ())
+    return [one.ordered(inputs, outputs) for one in records]
 
 
 def _is_pair(given: object) -> TypeGuard[Pair]:
@@ -151,7 +177,8 @@ def _as_record(given: object, name: str) -> Record:
     if not _is_pair(given):
         raise _no_record(given)
     u, y = given
-    return Record(columns(u, name), columns(y, name), name)
+    names = labels(u), labels(y)
+    return Record(columns(u, name), columns(y, name), name, None, *names)
 
 
 def _no_record(given: object) -> DataError:

@@ -154,7 +154,7 @@ def fit_baselines(calibration: Calibration, logs: Sequence[Log]) -> dict[str, An
 
 def run_of(calibration: Calibration, log: Log) -> Run:
     """Steady-state values of the log's own engine, and what was measured."""
-    own = calibration.for_engine(log.source.engine)
+    own = calibration.for_engine(log.source.engine, or_mean=True)
     steady = own.settled(log.matrix(own.input_names))
     return Run(np.asarray(steady, dtype=np.float64), log.matrix(own.output_names))
 

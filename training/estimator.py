@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from numbers import Real
 from os import PathLike
-from typing import Any, Self, TypeAlias, overload
+from typing import Any, Self, TypeAlias, TypeGuard, overload
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 from rich.progress import Progress
-from sklearn.base import BaseEstimator
+from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.exceptions import NotFittedError
 
 from narxcal.intervals import Band
@@ -27,6 +28,8 @@ from narxcal.record import (
 )
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, ModelError
+from narxcal.support.settings import Section
+from narxcal.support.tables import by_name
 from training.choice import Choice, Limits, choose
 from training.config import TrainConfig
 from training.estimator_folder import TIME_LIMIT_S, Stored, Structure, load, save
@@ -40,14 +43,14 @@ Records: TypeAlias = RecordLike | Iterable[RecordLike]
 _STRUCTURE = NarxConfig(lags=8, taps=tuple(range(9)), hidden=8)
 # Horizons in samples.
 _TRAIN = TrainConfig(horizons_s=(20.0, 200.0, 0.0), iterations=(10, 20, 40), score_every_s=1.0)
-_SECTIONS = ("structure", "train")
+_DEFAULTS: dict[str, Section] = {"structure": _STRUCTURE, "train": _TRAIN}
 
 
 class NotTrainedError(ModelError, NotFittedError):  # type: ignore[misc]  # scikit-learn ships no types
     """The network is not trained yet; also scikit-learn's `NotFittedError`."""
 
 
-class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
+class Narx(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # likewise
     """Model of a dynamic system, fitted to its free run over one or several records.
 
     With `structure="auto"` (and no `train`) the form is chosen by held-out free runs, from a
@@ -62,7 +65,9 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
     not be used. `None`, or "auto" with a `train`, is 8 lags, taps 0 to 8 and 8 hidden units.
 
     A record is a pair of arrays `(u, y)` (time, inputs) and (time, outputs), or a `Record`, which
-    also has a name; methods take one of these or several. Searches of scikit-learn reach into
+    also has a name; methods take one of these or several. Data frames are taken by the
+    column names of the first record of `fit`, `input_names_` and `output_names_`; a name that is
+    missing or unknown is a `DataError`. Searches of scikit-learn reach into
     both sections: `GridSearchCV(Narx(), {"structure__hidden": [4, 8]}).fit(records)`. `save` and
     `Narx.load` keep a trained one in a folder.
 
@@ -75,6 +80,9 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
     >>> bool(model.score([(u, y)]) > 0.999)
     True
     """
+
+    input_names_: tuple[str, ...] = ()
+    output_names_: tuple[str, ...] = ()
 
     def __init__(  # noqa: PLR0913 (scikit-learn wants all settings here)
         self,
@@ -106,23 +114,30 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         `ConfigError` for parameters that are none.
         """
         structure, train = self._sections()
-        if not self.dt_s > 0.0 or not np.isfinite(self.dt_s):
-            raise ConfigError(f"key 'dt_s': expected a time above 0, found {self.dt_s}")
+        self._check_numbers()
         learned = as_records(records)
-        held_out = [] if validation is None else as_records(validation, "validation record")
+        names = (learned[0].inputs, learned[0].outputs) if learned else ((), ())
+        held_out = [] if validation is None else as_records(validation, "validation record", names)
         self.result_: FitResult | Choice
-        if self.structure == "auto" and self.train is None:
+        if _is_auto(self.structure) and self.train is None:
             self.result_ = self._chosen(learned, held_out)
         else:
             material = Material(learned, held_out, self.dt_s)
             self.result_ = fit_narx(material, structure, train, on_step)
+        self.input_names_, self.output_names_ = names
         return self
 
+    def _check_numbers(self) -> None:
+        for key in ("dt_s", "time_limit_s"):
+            value = getattr(self, key)
+            if not (_is_number(value) and 0.0 < value < np.inf):
+                raise ConfigError(f"key '{key}': expected a time above 0, found {value!r}")
+        if not (
+            isinstance(self.seed, int | np.integer) and _is_number(self.seed) and self.seed >= 0
+        ):
+            raise ConfigError(f"key 'seed': expected an integer of at least 0, found {self.seed!r}")
+
     def _chosen(self, learned: list[Record], held_out: list[Record]) -> Choice:
-        if not self.time_limit_s > 0.0 or not np.isfinite(self.time_limit_s):
-            raise ConfigError(
-                f"key 'time_limit_s': expected a time above 0, found {self.time_limit_s}"
-            )
         check_records([*learned, *held_out], 0)
         check_measured(learned, "training")
         limits = Limits(self.time_limit_s, self.seed)
@@ -175,8 +190,9 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         """
         self._sections()
         stored = Stored(
-            self.structure, self.train, self.dt_s, self.time_limit_s, self.seed, self._fitted()
-        )
+            self.structure, self.train, self.dt_s, self.time_limit_s, self.seed, self._fitted(),
+            self.input_names_, self.output_names_,
+        )  # fmt: skip
         save(folder, stored, replace=replace)
 
     @classmethod
@@ -191,6 +207,7 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
             time_limit_s=stored.time_limit_s, seed=stored.seed,
         )  # fmt: skip
         loaded.result_ = stored.result
+        loaded.input_names_, loaded.output_names_ = stored.inputs, stored.outputs
         return loaded
 
     @overload
@@ -207,7 +224,8 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         covers this share of samples, by the errors of held-out free runs at the same horizon.
         """
         model = self.model
-        inputs = checked_inputs(columns(u), model.inputs)
+        inputs = checked_inputs(columns(by_name(u, self.input_names_)), model.inputs)
+        start = by_name(start, self.output_names_)
         first = checked_start(columns(start) if model.outputs == 1 else start, model.outputs)
         first = first[: len(inputs)]
         free_run = model.simulate(inputs, first)
@@ -227,7 +245,9 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
 
     def predict(self, u: ArrayLike, y: ArrayLike) -> FloatArray:
         """One-step-ahead prediction (time, outputs) from measured outputs (time, outputs)."""
-        model, inputs, measured = self.model, columns(u), columns(y)
+        model = self.model
+        inputs = columns(by_name(u, self.input_names_))
+        measured = columns(by_name(y, self.output_names_))
         checked_inputs(inputs, model.inputs)
         if measured.shape != (len(inputs), model.outputs):
             raise DataError(
@@ -260,7 +280,8 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
     def _scorable(self, given: Records, start: int) -> list[Record]:
         if start < 1:
             raise DataError(f"expected at least one start sample, found start = {start}")
-        records, net = as_records(given), self.model
+        net = self.model
+        records = as_records(given, like=(self.input_names_, self.output_names_))
         found = check_records(records, start)
         if found != (net.inputs, net.outputs):
             raise DataError(
@@ -283,8 +304,10 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         """Settings by name; if `deep`, the keys of both sections too, as `structure__hidden`."""
         params: dict[str, Any] = super().get_params(deep=False)
         if deep:
-            for name, section in zip(_SECTIONS, self._sections(), strict=True):
-                params |= {f"{name}__{key}": value for key, value in section}
+            for name in _DEFAULTS:
+                section = self._defaulted(name)
+                if isinstance(section, Section):  # anything may be set; `fit` judges
+                    params |= {f"{name}__{key}": value for key, value in section}
         return params
 
     def set_params(self, **params: Any) -> Self:
@@ -293,7 +316,7 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
         Raises `ConfigError` for a bad key or value of a section, `ValueError` for a strange name.
         """
         own: dict[str, Any] = {}
-        nested: dict[str, dict[str, Any]] = {name: {} for name in _SECTIONS}
+        nested: dict[str, dict[str, Any]] = {name: {} for name in _DEFAULTS}
         for name, value in params.items():
             head, _, key = name.partition("__")
             if key and head in nested:
@@ -301,32 +324,37 @@ class Narx(BaseEstimator):  # type: ignore[misc]  # likewise
             else:
                 own[name] = value
         super().set_params(**own)
-        for name, section in zip(_SECTIONS, self._sections(), strict=True):
-            if nested[name]:
-                setattr(self, name, type(section).parse(dict(section) | nested[name]))
+        for name in (name for name in _DEFAULTS if nested[name]):
+            section = self._section(name)
+            setattr(self, name, type(section).parse(dict(section) | nested[name]))
         return self
 
     def _sections(self) -> tuple[NarxConfig, TrainConfig]:
-        structure = (
-            _STRUCTURE if self.structure is None or self.structure == "auto" else self.structure
-        )
-        train = _TRAIN if self.train is None else self.train
-        for name, given, kind in (
-            ("structure", structure, NarxConfig),
-            ("train", train, TrainConfig),
-        ):
-            if not isinstance(given, kind):
-                raise ConfigError(
-                    f"key '{name}': expected {kind.__name__}, found {type(given).__name__}",
-                    hint=f"Pass {kind.__name__}(...)",
-                )
-        return structure, train
+        return self._section("structure"), self._section("train")
 
-    def __sklearn_tags__(self) -> Any:
-        """Mark the estimator as a regressor for scikit-learn."""
-        tags = super().__sklearn_tags__()
-        tags.estimator_type = "regressor"
-        return tags
+    def _section(self, name: str) -> Any:
+        default, given = _DEFAULTS[name], self._defaulted(name)
+        if not isinstance(given, type(default)):
+            kind = type(default).__name__
+            raise ConfigError(
+                f"key '{name}': expected {kind}, found {type(given).__name__}",
+                hint=f"Pass {kind}(...)",
+            )
+        return given
+
+    def _defaulted(self, name: str) -> Any:
+        """A parameter as `fit` takes it, of whatever type."""
+        given = getattr(self, name)
+        left = given is None or (name == "structure" and _is_auto(given))
+        return _DEFAULTS[name] if left else given
+
+
+def _is_auto(structure: object) -> bool:
+    return isinstance(structure, str) and structure == "auto"
+
+
+def _is_number(value: object) -> TypeGuard[Any]:
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def _not_trained() -> NotTrainedError:

@@ -5,7 +5,7 @@
                 for what was left to the default
     network     structure and sizes of the trained model
     result      how the training ended: status, score, every step; of /2 status, rung, reason,
-                work and everything that was tried
+                work and everything that was tried; inputs and outputs, names of the columns
     weights     file, SHA-256, shapes; the arrays themselves are in that file
     sha256      of parameters, network and result
     versions    of Python and the packages that made it
@@ -60,7 +60,10 @@ _INTERVALS = "intervals."
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """What a trained estimator is made of: its parameters as given, and what `fit` found."""
+    """What a trained estimator is made of: its parameters as given, and what `fit` found.
+
+    `inputs` and `outputs` name the columns, where the records had names.
+    """
 
     structure: Structure
     train: TrainConfig | None
@@ -68,6 +71,8 @@ class Stored:
     time_limit_s: float
     seed: int
     result: FitResult | Choice
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
 
 
 def save(folder: str | PathLike[str], stored: Stored, *, replace: bool = False) -> None:
@@ -85,6 +90,7 @@ def save(folder: str | PathLike[str], stored: Stored, *, replace: bool = False) 
         schema = _NETWORK
         network, arrays = stored.result.model.to_arrays()
         result = _network_result(stored.result)
+    result |= {"inputs": list(stored.inputs), "outputs": list(stored.outputs)}
     weights, entry = packed(arrays)
     sealed = {"parameters": parameters, "network": network, "result": result}
     document = {
@@ -134,6 +140,8 @@ def _stored(sealed: Mapping[str, Any], arrays: Mapping[str, FloatArray], *, chos
         time_limit_s=given.get("time_limit_s", TIME_LIMIT_S),
         seed=given.get("seed", 0),
         result=_choice(sealed, arrays) if chosen else _fit_result(sealed, arrays),
+        inputs=tuple(sealed["result"].get("inputs", ())),
+        outputs=tuple(sealed["result"].get("outputs", ())),
     )
 
 

@@ -234,7 +234,7 @@ def held_out(
     calibration: DynamicCalibration, baselines: Baselines, log: Log, fold: LogFold
 ) -> HeldOut:
     """Run all models over one held-out log."""
-    own = calibration.for_engine(log.source.engine)
+    own = calibration.for_engine(log.source.engine, or_mean=True)
     run = run_of(calibration, log)
     inputs, start = log.matrix(own.input_names), run.measured[0]
     lags = np.full_like(run.measured, np.nan)

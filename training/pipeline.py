@@ -159,7 +159,7 @@ def free_run_fit(calibration: Calibration, logs: Sequence[Log]) -> FitRecord:
 
 def calibration_for(calibration: Calibration, log: Log) -> Calibration:
     """Calibration for the engine of `log`."""
-    return calibration.for_engine(log.source.engine)
+    return calibration.for_engine(log.source.engine, or_mean=True)
 
 
 def _check_interval(logs: Sequence[Log]) -> None:

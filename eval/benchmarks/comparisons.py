@@ -71,12 +71,16 @@ def _say(line: str) -> None:
 def main() -> None:
     """Print a table of rates."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--tables", type=int, default=400)
-    tables = parser.parse_args().tables
+    parser.add_argument("--tables", type=int, default=3000)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    tables, seed = given.tables, given.seed
     _say(f"{'flights':>8}{'offsets':>9}" + "".join(f"{f'tau {t:g} s':>18}" for t in TAUS_S))
     for flights in FLIGHTS:
         for offsets in (False, True) if flights > 1 else (False,):
-            rates = [false_claims(tau, flights, tables, offsets=offsets) for tau in TAUS_S]
+            rates = [
+                false_claims(tau, flights, tables, offsets=offsets, seed=seed) for tau in TAUS_S
+            ]
             cells = "".join(
                 f"{100.0 * one.claims / tables:>8.1f} %, {100.0 * one.found / tables:>3.0f} %"
                 f"{'':>1}"

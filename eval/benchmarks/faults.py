@@ -165,7 +165,7 @@ def _trials(
     raw: Log, config: RunConfig, trained: tuple[Bundle, Bank], seed: int, *, show: bool
 ) -> Iterator[Trial]:
     bundle, bank = trained
-    own = bundle.calibration.for_engine(raw.source.engine)
+    own = bundle.calibration.for_engine(raw.source.engine, or_mean=True)
     [clean] = prepare([raw], config)
     reference = _run(own, clean.log)
     error = np.sqrt(np.nanmean((reference - clean.log.matrix(own.output_names)) ** 2, axis=0))

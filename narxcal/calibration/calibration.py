@@ -36,7 +36,8 @@ from narxcal.steady.model import (
 )
 from narxcal.steady.opening import steady_from_json, steady_to_json
 from narxcal.support.arrays import FloatArray
-from narxcal.support.errors import DataError, ModelError
+from narxcal.support.errors import ConfigError, DataError, ModelError
+from narxcal.support.tables import by_name
 
 _ROUNDING = 1e-9  # of weights that sum to one
 # Bounds may be infinite: an input without a range, an output without a clamp.
@@ -68,7 +69,8 @@ class Calibration(ABC):
     """Turns inputs into outputs over time: `simulate` for whole logs, `step` for one sample.
 
     All methods give the same numbers. Columns are canonical channels: `input_names` are those of
-    the steady-state model, `output_names` those that it gives. `dt_s` is the sampling interval.
+    the steady-state model, `output_names` those that it gives. Data frames are taken by these
+    names; one that is missing or unknown is a `DataError`. `dt_s` is the sampling interval.
     A subclass has a dynamic model of its own behind the steady state; `with_members` mixes simple
     models with it, and `own_alone` is the same without them.
     """
@@ -160,6 +162,7 @@ class Calibration(ABC):
         Whatever the inputs, the outputs are then those of conditions in a box: bounded. Raises
         `ModelError` for limits that are no range for each input.
         """
+        low, high = (by_name(limit, self.input_names) for limit in (low, high))
         box = Envelope(*(np.asarray(limit, dtype=np.float64) for limit in (low, high)))
         fits = box.low.shape == box.high.shape == (len(self.input_names),)
         if not fits or not (box.low <= box.high).all():
@@ -187,8 +190,22 @@ class Calibration(ABC):
         """Channels that they return, in this order."""
         return self.steady.output_names
 
-    def for_engine(self, engine: str) -> Self:
-        """The calibration with the build scatter of `engine`, where the model has one."""
+    @property
+    def engines(self) -> tuple[str, ...]:
+        """Engines whose build the steady-state model distinguishes; () where it does not."""
+        return tuple(getattr(self.steady, "engines", ()))
+
+    def for_engine(self, engine: str, *, or_mean: bool = False) -> Self:
+        """The calibration with the build of `engine`, where the model distinguishes engines.
+
+        "" is their mean, and with `or_mean` any other that the model was not fitted to is, too.
+        Else that raises `ConfigError` with the engines.
+        """
+        if engine and self.engines and engine not in self.engines and not or_mean:
+            raise ConfigError(
+                f"expected one of the engines {', '.join(self.engines)}, found {engine!r}",
+                hint='"" is the mean of these engines',
+            )
         return self._with(steady=steady_for_engine(self.steady, engine))
 
     def _with(self, **changed: Any) -> Self:
@@ -283,7 +300,8 @@ class Calibration(ABC):
         NaN where the past is unknown: at sample 0 and after a masked one.
         """
         given = self.acting(self._checked(inputs))
-        ss, known = self.steady.outputs(given), np.asarray(measured, dtype=np.float64)
+        ss = self.steady.outputs(given)
+        known = np.asarray(by_name(measured, self.output_names), dtype=np.float64)
         outputs = self._prediction(given, ss, known)
         if self.members.members:
             outputs = self.members.mixed(outputs, self.members.predict(ss, known))
@@ -294,7 +312,7 @@ class Calibration(ABC):
 
         Returns the outputs (n_out,) at that sample, which are sample 0 of `simulate`.
         """
-        given = self._checked(np.atleast_2d(np.asarray(inputs, dtype=np.float64)))
+        given = self._checked(np.atleast_2d(self._inputs(inputs)))
         ss = self.steady.outputs(given)
         first = self._first_deviation(ss[0], start)
         self._register = self._started(given[0], ss[0], first)
@@ -311,11 +329,11 @@ class Calibration(ABC):
         register before the step; NaN keeps the model's own. The first call resets.
         """
         if correction is not None and self._register is not None:
-            corrected = np.asarray(correction, dtype=np.float64)
+            corrected = np.asarray(by_name(correction, self.output_names), dtype=np.float64)
             self._register.correct(corrected)
             if self._member_state is not None:
                 self._member_state.correct(corrected)
-        outputs: FloatArray = self.extend(np.asarray(inputs, dtype=np.float64)[None])[0]
+        outputs: FloatArray = self.extend(self._inputs(inputs)[None])[0]
         return outputs
 
     def extend(self, inputs: ArrayLike) -> FloatArray:
@@ -332,8 +350,11 @@ class Calibration(ABC):
             outputs = self.members.mixed(outputs, self._member_state.advance(ss))
         return outputs
 
+    def _inputs(self, inputs: ArrayLike) -> FloatArray:
+        return np.asarray(by_name(inputs, self.input_names), dtype=np.float64)
+
     def _checked(self, inputs: ArrayLike) -> FloatArray:
-        given = np.asarray(inputs, dtype=np.float64)
+        given = self._inputs(inputs)
         if given.ndim != 2 or given.shape[1] != len(self.input_names) or not len(given):
             raise DataError(
                 f"expected inputs of shape (time, {len(self.input_names)}) "
@@ -352,7 +373,7 @@ class Calibration(ABC):
     def _first_deviation(self, ss: FloatArray, start: ArrayLike | None) -> FloatArray:
         if start is None:
             return np.zeros(len(self.output_names))
-        given = np.asarray(start, dtype=np.float64)
+        given = np.asarray(by_name(start, self.output_names), dtype=np.float64)
         if given.shape != ss.shape:
             raise DataError(
                 f"expected start values of shape ({len(ss)},) ({', '.join(self.output_names)}), "

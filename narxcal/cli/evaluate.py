@@ -120,7 +120,8 @@ def judge(
 
 def _outside(bundle: Bundle, parts: Sequence[LogEvaluation]) -> list[str]:
     """Warnings of logs outside the envelope of their engine's steady-state model."""
-    models = [bundle.calibration.for_engine(part.log.source.engine).steady for part in parts]
+    own = (bundle.calibration.for_engine(part.log.source.engine, or_mean=True) for part in parts)
+    models = [calibration.steady for calibration in own]
     found = (outside_envelope(part.run, model) for part, model in zip(parts, models, strict=True))
     return [text for text in found if text]
 

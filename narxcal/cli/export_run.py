@@ -178,7 +178,7 @@ def _sampling(exported: Exportable, cases: list[proof.Case]) -> dict[str, Any] |
 
 
 def _simulated(exported: Exportable) -> proof.Run:
-    return lambda case, start: exported.model.for_engine(case.engine).simulate(
+    return lambda case, start: exported.model.for_engine(case.engine, or_mean=True).simulate(
         proof.held(case.inputs), start
     )
 

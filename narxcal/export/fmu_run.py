@@ -97,7 +97,7 @@ def compare(
     rows = []
     with FmuRun(file, model.input_names, model.output_names) as fmu:
         for case in cases:
-            own, number = model.for_engine(case.engine), _number(engines, case.engine)
+            own, number = model.for_engine(case.engine, or_mean=True), _number(engines, case.engine)
             for step_s in dict.fromkeys([model.dt_s, *STEPS_S]):
                 same = step_s == model.dt_s
                 points = case.inputs if same else _between(held(case.inputs), model.dt_s, step_s)

@@ -65,7 +65,7 @@ def compare(
     """
     rows = []
     for case in cases:
-        own, inputs = model.for_engine(case.engine), held(case.inputs)
+        own, inputs = model.for_engine(case.engine, or_mean=True), held(case.inputs)
         later = Case(case.name, case.engine, case.inputs[len(inputs) // 2 :])
         away = own.steady.outputs(inputs[0]) * 1.02
         runs: list[tuple[str, Case, FloatArray | None]] = [("free run", case, None)]

@@ -18,6 +18,7 @@ from pydantic import Field
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import ModelError
 from narxcal.support.settings import Section
+from narxcal.support.tables import by_name
 
 Model = TypeVar("Model", bound="StorableSteadyState")
 Arrays = Mapping[str, NDArray[Any]]
@@ -173,8 +174,11 @@ class BoxModel(ABC):
 
 
 def checked_inputs(inputs: ArrayLike, names: Sequence[str]) -> FloatArray:
-    """Turn `inputs` into floats; raise `ModelError` unless the last axis has one entry per name."""
-    array = np.asarray(inputs, dtype=np.float64)
+    """Turn `inputs` into floats; raise `ModelError` unless the last axis has one entry per name.
+
+    Tables are taken by name, and raise `DataError` for one that is missing or unknown.
+    """
+    array = np.asarray(by_name(inputs, names), dtype=np.float64)
     found = array.shape[-1] if array.ndim else 0
     if found != len(names):
         raise ModelError(

@@ -54,7 +54,7 @@ class FirstOrder:
     def _settled(self, inputs):
         return self.steady.outputs(inputs[..., ::-1])
 
-    def for_engine(self, engine):
+    def for_engine(self, engine, **_):
         assert isinstance(engine, str)
         return FirstOrder()
 
@@ -155,7 +155,7 @@ class Interval(FirstOrder):
 
     interval = "there"
 
-    def for_engine(self, engine):
+    def for_engine(self, engine, **_):
         assert isinstance(engine, str)
         return Interval()
 

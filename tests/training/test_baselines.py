@@ -33,7 +33,7 @@ class Calibration:
     input_names: tuple = Linear.input_names
     output_names: tuple = Linear.output_names
 
-    def for_engine(self, _):
+    def for_engine(self, _, **__):
         return self
 
     def settled(self, inputs):

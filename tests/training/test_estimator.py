@@ -239,3 +239,52 @@ def test_a_grid_search_over_records_and_a_pipeline_work(lag_record):
     score = search.best_estimator_.score(records)
     assert pipeline.score(records) == score
     assert 0.99 < score < 1.0
+
+
+def table_of(record, order):
+    u = pd.DataFrame(np.column_stack([record.u, record.u**2]), columns=["lever", "square"])
+    return u[list(order)], pd.DataFrame(record.y, columns=["speed"])
+
+
+def test_tables_are_taken_by_name_before_and_after_storing(tmp_path, lag_record):
+    u, y = table_of(lag_record(0), ("lever", "square"))
+    model = Narx(STRUCTURE, QUICK).fit([(u, y), table_of(lag_record(1), ("square", "lever"))])
+    arrays = Narx(STRUCTURE, QUICK).fit(
+        [
+            (table_of(lag_record(k), ("lever", "square"))[0].to_numpy(), lag_record(k).y)
+            for k in (0, 1)
+        ]
+    )
+    model.save(tmp_path / "model")
+    expected = arrays.simulate(u.to_numpy(), y.to_numpy()[:1])
+    for found in (model, Narx.load(tmp_path / "model")):
+        assert (found.input_names_, found.output_names_) == (("lever", "square"), ("speed",))
+        permuted = u[["square", "lever"]]
+        assert np.array_equal(found.simulate(permuted, y[:1]), expected)
+        assert found.score((permuted, y)) == arrays.score((u.to_numpy(), y.to_numpy()))
+        one_step = arrays.predict(u.to_numpy(), y.to_numpy())
+        np.testing.assert_array_equal(found.predict(permuted, y), one_step)
+    renamed = u.rename(columns={"lever": "throttle"})
+    for use in (
+        lambda: model.simulate(renamed, y[:1]),
+        lambda: model.predict(renamed, y),
+        lambda: model.score((renamed, y)),
+        lambda: model.fit([(u, y), (renamed, y)]),
+    ):
+        with pytest.raises(DataError, match=r"throttle: unknown column; expected .* lever, sq"):
+            use()
+    with pytest.raises(DataError, match="channel lever: the column is missing"):
+        model.simulate(u[["square"]], y[:1])
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("dt_s", "1"), ("dt_s", None), ("dt_s", True), ("dt_s", -1.0), ("time_limit_s", "2"),
+        ("time_limit_s", np.nan), ("seed", "0"), ("seed", 0.5), ("seed", -1), ("seed", None),
+        ("structure", np.zeros(2)), ("train", "quick"),
+    ],
+)  # fmt: skip
+def test_a_parameter_of_the_wrong_type_is_named(key, value, lag_record):
+    with pytest.raises(ConfigError, match=f"key '{key}': expected "):
+        Narx(**{key: value}).fit([lag_record(0)])

@@ -1,6 +1,7 @@
 """A calibration: simulate, step and extend agree; at rest it is the steady-state model."""
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 from hypothesis import given, settings
@@ -14,7 +15,7 @@ from narxcal.narx.network import NarxModel, Scaling
 from narxcal.steady.fitted import FittedSteadyState, Layout
 from narxcal.steady.model import Envelope
 from narxcal.steady.table import SteadyTable
-from narxcal.support.errors import DataError, ModelError
+from narxcal.support.errors import ConfigError, DataError, ModelError
 from training.network import net_of
 
 INPUTS, OUTPUTS = ("TRA_deg", "Mach"), ("N1_pct", "EGT_C")
@@ -277,3 +278,32 @@ def test_the_reach_is_stored_and_checked():
     np.testing.assert_array_equal(again.reach.low, [-10.0, 0.0])
     with pytest.raises(ModelError, match=r"^'reach' is no range for each input"):
         calibration_from_arrays({**meta, "reach": {"low": [0.0], "high": [1.0]}}, arrays)
+
+
+def test_tables_are_taken_by_name():
+    model = calibration()
+    table = pd.DataFrame(log(), columns=model.input_names)
+    turned = table[list(model.input_names[::-1])]
+    start = pd.Series([51.0, 61.0], index=model.output_names)
+    expected = model.simulate(log(), start.to_numpy())
+    assert np.array_equal(model.simulate(turned, start[::-1]), expected)
+    measured = pd.DataFrame(expected, columns=model.output_names)
+    one_step = model.predict(log(), expected)
+    np.testing.assert_array_equal(model.predict(turned, measured[measured.columns[::-1]]), one_step)
+    assert np.array_equal(model.reset(turned.iloc[0], start[::-1]), expected[0])
+    stepped = [model.step(turned.iloc[k]) for k in range(1, 6)]
+    np.testing.assert_allclose(stepped, expected[1:6])
+    assert np.array_equal(model.steady.outputs(turned), model.steady.outputs(log()))
+    with pytest.raises(DataError, match="channel speed: unknown column; expected the columns"):
+        model.simulate(table.rename(columns={model.input_names[0]: "speed"}))
+    with pytest.raises(DataError, match=f"channel {model.input_names[1]}: the column is missing"):
+        model.simulate(table[[model.input_names[0]]])
+
+
+def test_an_engine_that_the_model_does_not_know_lists_those_that_it_knows():
+    model = calibration(steady=two_engines())
+    with pytest.raises(ConfigError) as error:
+        model.for_engine("centre")
+    assert "expected one of the engines left, right, found 'centre'" in str(error.value)
+    mean = model.for_engine("").simulate(log())
+    assert np.array_equal(model.for_engine("centre", or_mean=True).simulate(log()), mean)
