@@ -90,7 +90,7 @@ def learnable(split: Split, config: RunConfig, *, screen: bool = True) -> Learna
     for before, after in zip((split.train, split.validate), usable, strict=True):
         pairs = zip(before, after, strict=True)
         kept = [log for was, log in pairs if not _lost(log, was if screen else None, config)]
-        found.append(tuple(part for log in kept for part in _parts(log, config)))
+        found.append(_long_enough([part for log in kept for part in _parts(log, config)]))
     if not found[0]:
         raise _nothing_left(usable[0])
     return Learnable(
@@ -98,6 +98,12 @@ def learnable(split: Split, config: RunConfig, *, screen: bool = True) -> Learna
         *usable,
         (*split.train, *split.validate),
     )
+
+
+def _long_enough(parts: Sequence[Log]) -> tuple[Log, ...]:
+    """Those that show a response with its settling; all where none is so long."""
+    long = tuple(part for part in parts if np.ptp(part.time_s) >= _LEAST_PART_S)
+    return long or tuple(parts)
 
 
 def _lost(log: Log, before: Log | None, config: RunConfig) -> bool:
@@ -123,5 +129,7 @@ def _parts(log: Log, config: RunConfig) -> list[Log]:
         for start_s, stop_s in entry.spans_s if entry.reason == HELD else ():
             if entry.channel in inputs and stop_s - start_s > config.logs.max_gap_s:
                 unknown |= (held.time_s >= start_s) & (held.time_s <= stop_s)
+    if not unknown.any():
+        return [held]
     parts = [held.part(start, stop) for start, stop in spans(~unknown)]
     return [part for part in parts if len(part) * held.dt_s >= _LEAST_PART_S]
