@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -45,7 +44,6 @@ _ROWS = 20000  # more quasi-steady samples than this tell nothing new
 # the output, as of the recorders that fly: `python -m eval.benchmarks.exponents` leaves one out in
 # turn. Without a prior its estimates are several times as large, and differ as much in sign.
 SPREADS: Final = {"%": (0.06, 0.03), "degC": (0.12, 0.065)}
-_NEAR: Final = 0.15  # of the driver's range: curves may still bend so far beyond the samples
 _UNRELATED: Final = 0.05  # autocorrelation below which samples count as independent
 
 
@@ -117,13 +115,13 @@ def linear_problem(
     rows = slice(None, None, max(len(inputs) // _ROWS, 1))
     inputs, outputs, names, logs = inputs[rows], outputs[rows], names[rows], logs[rows]
     drive = layout.drive(inputs)
-    knots, tied = _spread_knots(drive, config)
+    knots = _spread_knots(drive, config)
     engines = _distinguished(samples)
     envelope = _envelope(inputs, layout)
     seen = np.array([drive.min(), drive.max()])
     ratios = layout.ratios(inputs)
     air_seen = np.stack([ratios.min(axis=0), ratios.max(axis=0)], axis=1)
-    design = _Design(layout, envelope, seen, (knots, tied), engines, config, air_seen)
+    design = _Design(layout, envelope, seen, knots, engines, config, air_seen)
     corrected = layout.to_corrected(inputs, outputs)
     matrix = design.matrix(inputs, names)
     return design, LinearData(inputs, outputs, corrected, matrix, names, logs)
@@ -178,19 +176,11 @@ def _envelope(inputs: FloatArray, layout: Layout) -> Envelope:
     return Envelope(box.low - width, box.high + width)
 
 
-def _spread_knots(drive: FloatArray, config: SteadyFitConfig) -> tuple[FloatArray, int]:
-    """Even knots over the range and `reach` of it beyond, and how many of each side are tied.
-
-    Those a little beyond the range have coefficients of their own, which the penalty draws to a
-    straight line; those further out have the coefficient of the last of these (of temperatures 0).
-    """
+def _spread_knots(drive: FloatArray, config: SteadyFitConfig) -> FloatArray:
+    """Even knots over the range and a little beyond, where the penalty draws straight lines."""
     low, high = float(drive.min()), float(drive.max())
-    near = min(_NEAR, config.reach) * (high - low)
-    knots = np.linspace(low - near, high + near, config.knots)
-    step = knots[1] - knots[0]
-    far = int(np.ceil((config.reach * (high - low) - near) / step - 1e-9))
-    more = step * np.arange(1, far + 1)
-    return np.concatenate([knots[0] - more[::-1], knots, knots[-1] + more]), far
+    beyond = config.reach * (high - low)
+    return np.linspace(low - beyond, high + beyond, config.knots)
 
 
 def _distinguished(samples: Sequence[SteadySamples]) -> tuple[str, ...]:
@@ -215,16 +205,11 @@ def _curve(
         strengths = _exponent_strengths(design.layout, target, target - matrix @ first, own)
         design = replace(design, exponents=strengths)
     monotone = design.solve(matrix, target, monotone=True)
-    if not _may_turn(name):
+    if not name.endswith("_C"):
         return monotone
     free = design.solve(matrix, target, monotone=False)
     left = [float(np.nansum((matrix @ each - target) ** 2)) for each in (free, monotone)]
     return free if left[0] < _NOT_MONOTONE**2 * left[1] else monotone
-
-
-def _may_turn(output: str) -> bool:
-    """Whether the output may fall with the driver: temperatures do at low power."""
-    return output.endswith("_C")
 
 
 def _exponent_strengths(
@@ -255,15 +240,11 @@ class _Design:
     layout: Layout
     envelope: Envelope
     seen: FloatArray
-    grid: tuple[FloatArray, int]
+    knots: FloatArray
     engines: tuple[str, ...]
     config: SteadyFitConfig
     air_seen: FloatArray
     exponents: tuple[float, ...] = ()
-
-    @property
-    def knots(self) -> FloatArray:
-        return self.grid[0]
 
     @property
     def corners(self) -> int:
@@ -271,20 +252,12 @@ class _Design:
 
     @property
     def splines(self) -> int:
-        """Splines with a coefficient of their own."""
-        return len(self.knots) - 2 * self.grid[1]
-
-    @cached_property
-    def tied(self) -> FloatArray:
-        """Coefficients of all splines (knots + 1,) as those of their own (splines + 1,); 0 or 1."""
-        own = np.clip(np.arange(len(self.knots)) - self.grid[1], 0, self.splines - 1)
-        return np.asarray(np.eye(self.splines + 1)[np.concatenate([[0], 1 + own])])
+        return len(self.knots)
 
     def matrix(self, inputs: FloatArray, names: NDArray[np.str_]) -> FloatArray:
         """Columns: by corner 1 and the splines, then by engine, switch and ratio 1 and slope."""
         drive = self.layout.drive(inputs)
         basis = np.concatenate([np.ones((len(drive), 1)), i_splines(self.knots)(drive)], axis=1)
-        basis = basis @ self.tied
         weights = self.layout.corners(inputs, self.envelope)
         curve = (weights[:, :, None] * basis[:, None, :]).reshape(len(drive), -1)
         line = np.stack([np.ones_like(drive), scaled_driver(drive, self.knots)], axis=1)
@@ -340,8 +313,6 @@ class _Design:
         strengths = np.full(size - first, self.config.scatter)
         if self.exponents:
             strengths[-2 * len(self.exponents) :] = np.repeat(self.exponents, 2)
-        # Slopes count by what they change where curves may bend, however far they go on straight.
-        strengths[1::2] *= ((self.splines - 1) / (len(self.knots) - 1)) ** 2
         pairs = zip(range(first, size), strengths.tolist(), strict=True)
         rows += [_row(size, {j: 1.0}, strength) for j, strength in pairs]
         return np.array(rows)
@@ -349,12 +320,7 @@ class _Design:
     def model(self, coefficients: FloatArray) -> FittedSteadyState:
         """Coefficients (n_out, columns) to a model whose curve is the mean engine's."""
         at = self.corners * (1 + self.splines)
-        own = coefficients[:, :at].reshape(len(coefficients), self.corners, -1)
-        curve = own @ self.tied.T
-        # Nothing tells which way a curve goes on that may turn.
-        far, turns = self.grid[1], [_may_turn(name) for name in self.layout.output_names]
-        curve[turns, :, 0] += far * own[turns, :, 1]
-        curve[turns, :, 1 : far + 1] = curve[turns, :, len(self.knots) - far + 1 :] = 0.0
+        curve = coefficients[:, :at].reshape(len(coefficients), self.corners, -1)
         lines = coefficients[:, at:].reshape(len(coefficients), -1, 2).transpose(1, 0, 2)
         engines = len(self.engines)
         switches = engines + len(self.layout.switches)
