@@ -80,7 +80,7 @@ def read_row(text: TextIO) -> str:
     Raises as `read_line`.
     """
     row = read_line(text)
-    if not row.count('"') % 2 or not _OPEN_QUOTE.search(row.rstrip("\r\n")):
+    if '"' not in row or not row.count('"') % 2 or not _OPEN_QUOTE.search(row.rstrip("\r\n")):
         return row
     after, first = text.tell(), row
     for _ in range(_MOST_QUOTED):
@@ -358,6 +358,8 @@ def _cells_below(
         return
     position = header.index(name)
     for line in chain(lines, iter(lambda: read_row(text), "")):
+        if line.isspace():  # a packed file may hold millions of such lines
+            continue
         cells = fields(line, delimiter)
         if len(cells) > position and cells[position]:
             yield cells[position]
