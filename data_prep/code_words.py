@@ -53,7 +53,9 @@ def code_words(values: FloatArray) -> tuple[CodeWord, ...]:
     found: list[CodeWord] = []
     for _ in range(_FEWEST_RUNS):
         own = np.flatnonzero(np.isfinite(values))
-        word = _next(values[own], own)
+        # Steps between numbers that no recorder writes overflow, and then there is no word.
+        with np.errstate(over="ignore", invalid="ignore"):
+            word = _next(values[own], own)
         if word is None:
             break
         found.append(word)
@@ -67,7 +69,7 @@ def _next(values: FloatArray, rows: NDArray[np.intp]) -> CodeWord | None:
         return None
     often = counts >= _FEWEST_RUNS
     steps = np.diff(values)
-    peaks = values[1:-1][steps[1:] * steps[:-1] < 0.0]
+    peaks = values[1:-1][np.sign(steps[1:]) * np.sign(steps[:-1]) < 0.0]
     peaks = peaks[np.abs(peaks - np.median(values)) > 0.0]
     common, times = np.unique(peaks, return_counts=True)
     candidates = [levels[-1]] * bool(often[-1]) + [levels[0]] * bool(often[0])

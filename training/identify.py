@@ -14,6 +14,7 @@ determine the model.
 from __future__ import annotations
 
 import inspect
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -92,7 +93,8 @@ def output_error(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log
     """Fit an engine of first-order spools to whole logs, with offsets of each."""
     driver = config.driver
     records = [
-        steady_record(log, steady_for_engine(steady, log.source.engine), driver) for log in logs
+        steady_record(log, steady_for_engine(steady, log.source.engine), driver)
+        for log in _numbered(logs)
     ]
     model = EngineFromSteady(logs[0].dt_s)
     shared = [one.name for one in model.parameters if one.free and one.name not in OFFSETS]
@@ -104,6 +106,17 @@ def output_error(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log
     span = float(moved.min()), float(moved.max())
     dynamics = EngineDynamics(values, free, driver, span, order, logs[0].dt_s)
     return _of_fits(dynamics, {"": found})
+
+
+def _numbered(logs: Sequence[Log]) -> list[Log]:
+    """Name the parts of one log NAME, NAME.2 and so on: a fit tells records by their names."""
+    seen: Counter[str] = Counter()
+    named = []
+    for log in logs:
+        seen[log.name] += 1
+        number = seen[log.name]
+        named.append(replace(log, name=f"{log.name}.{number}") if number > 1 else log)
+    return named
 
 
 def _of_fits(
@@ -156,7 +169,7 @@ def transfer(config: RunConfig, steady: SteadyStateModel, logs: Sequence[Log]) -
         grid = tuple(axes[name] if name != "level" else axes[f"level {k}"] for name in conditions)
         nodes = [_node(conditions, at) for at in product(*grid)]
         records = []
-        for part, log in zip((one.trimmed for one in parts), logs, strict=True):
+        for part, log in zip((one.trimmed for one in parts), _numbered(logs), strict=True):
             named = [part.inputs[:, names.index(name)] for name in conditions if name != "level"]
             level = [part.ss[:, k]] if "level" in conditions else []
             at = np.column_stack([np.empty((len(part.ss), 0)), *level, *named])

@@ -14,7 +14,6 @@ from narxcal.cli import export_run
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_interval, add_logs, add_overwrite, add_trust, count, path
 from narxcal.export import ExportOptions, ExportReport, Grid, export_fmu, export_table
-from narxcal.export.report import ADVICE
 from narxcal.intervals import LEVEL
 from narxcal.steady.model import SteadyStateModel
 from narxcal.steady.opening import open_steady
@@ -210,10 +209,7 @@ def _show(console: Console, report: ExportReport) -> None:
     if report.additive:
         console.say(f"Switches on grids of their own: {', '.join(report.additive)}")
     if not report.met:
-        console.warn(
-            f"the largest error, {report.measured.worst_pct:.3g} % of the range, is above the "
-            f"tolerance of {report.tolerance_pct:g} %: {report.why}. {ADVICE}"
-        )
+        console.warn(report.shortfall)
     console.say(f"Exported: {report.file} ({report.bytes / 1e6:.2f} MB)")
 
 

@@ -200,6 +200,8 @@ _NO_PROOF = {
 def _show(console: Console, exported: Exportable, found: dict[str, Any]) -> None:
     for line in exported.about[2:]:
         console.say(line)
+    if exported.sampled is not None and not exported.sampled.met:
+        console.warn(f"steady state: {exported.sampled.shortfall}")
     rows = [
         [row["log"], row["what"], str(row["samples"]), f"{max(row['largest'].values()):.2g}"]
         for row in found["rows"]

@@ -110,6 +110,14 @@ class ExportReport:
         return self.measured.worst_pct <= self.tolerance_pct
 
     @property
+    def shortfall(self) -> str:
+        """By how much the tolerance is missed, why, and what to do."""
+        return (
+            f"the largest error, {self.measured.worst_pct:.3g} % of the range, is above the "
+            f"tolerance of {self.tolerance_pct:g} %: {self.why}. {ADVICE}"
+        )
+
+    @property
     def why(self) -> str:
         """Why no more nodes were added, in words."""
         return _WHY[self.stopped]

@@ -1,6 +1,7 @@
 """`identify` and `compare`: what they write, what takes it, and every bad input in one line."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -393,3 +394,14 @@ def test_a_hole_that_nobody_asked_for_is_a_named_warning(logs):
     found = transfer(method("transfer"), Curves(), tall)
     assert any("parameters are not scheduled over altitude" in text for text in found.warnings)
     assert found.dynamics.conditions == ("level",)
+
+
+@pytest.mark.parametrize("fit", [output_error, transfer])
+def test_the_parts_of_one_log_are_two_records(logs, fit):
+    log, half = logs[0], len(logs[0]) // 2
+    parts = [log.part(0, half), log.part(half, len(log))]
+    apart = [parts[0], replace(parts[1], name="another")]
+    name = fit.__name__.replace("_", "-")
+    found, expected = (fit(method(name), Curves(), each) for each in (parts, apart))
+    for key, row in found.parameters.items():
+        assert row == expected.parameters[key.replace(f"{log.name}.2", "another")]
