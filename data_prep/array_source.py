@@ -4,7 +4,7 @@
 |---|---|
 | array `(rows,)`, `(rows, 1)` or `(1, rows)` | of its name; in a struct or group `GROUP/NAME` |
 | struct or group with `data` and `Rate`, and perhaps `Units` and `Description` | of its name |
-| array `(rows, n)` `NAME`, `NAME_dev` or `NAME_test` beside `n` names `NAME_var` | of these names |
+| array `(rows, n)` `NAME`, `NAME_dev` or `NAME_test` with `n` names in `NAME_var` | of these names |
 
 Columns with rates have no stamps: sample k of a channel is at `k / rate`, and the rows are those of
 the fastest column that is read. Columns slower than that are blank in between.
@@ -37,7 +37,7 @@ _BROKEN = (
     OverflowError, MemoryError, struct.error, zlib.error,
 )  # fmt: skip
 _WHOLE = 1e-6  # by which a ratio of rates may differ from a whole number
-_TABLES = ("", "_dev", "_test")  # endings of a table's name beside `_var`
+_TABLES = ("", "_dev", "_test")  # endings of a table whose names are in `_var`
 
 
 @dataclass(frozen=True)
@@ -201,7 +201,7 @@ def _found(tree: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, _Column]
 
 
 def _table(tree: Mapping[str, Any], name: str, values: Any) -> Iterator[tuple[str, _Column]]:
-    """Columns of a matrix whose names stand beside it; none for any other array."""
+    """Columns of a matrix that has names in `_var`; none for any other array."""
     if values.ndim != 2:
         return
     stems = [name.removesuffix(end) for end in _TABLES if name.endswith(end)]

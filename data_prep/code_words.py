@@ -4,7 +4,9 @@ A word with all bits set marks a sample as invalid, and some recorders use a wor
 at a fixed period. Either is found from the data alone. A value is a code word if
 
 * nearly every run of it is entered and left by a jump, there and back, that is larger than nearly
-  all steps between the other samples, as no quantity moves; and
+  all steps between the other samples, as no quantity moves;
+* its runs are no longer than that of one measurement: a lever or a fuel flow that is stepped to its
+  stop and back is none; and
 * it is all ones, `(2**bits - 1)` times the resolution of the channel, or comes at a fixed period.
 """
 
@@ -24,7 +26,6 @@ _LARGE = 0.99  # quantile of the steps between samples
 _FEWEST_STEPS = 20  # that move at all, to know how a channel moves
 _FEWEST_LEVELS = 16  # to know its resolution
 _BITS = range(8, 17)
-_LONGEST = 0.6  # of the time from one to the next is a code word
 _MAX_DECIMALS = 6
 
 
@@ -80,16 +81,16 @@ def _next(values: FloatArray, rows: NDArray[np.intp]) -> CodeWord | None:
 
 def _word(value: float, values: FloatArray, rows: NDArray[np.intp]) -> CodeWord | None:
     others = values[values != value]
-    steps = np.abs(np.diff(others))
-    steps = steps[steps > 0.0]
+    changes = np.flatnonzero(np.diff(others) != 0.0)
     starts, stops, jumps = _runs_of(value, values)
-    if len(steps) < _FEWEST_STEPS or len(starts) < _FEWEST_RUNS:
+    if len(changes) < _FEWEST_STEPS or len(starts) < _FEWEST_RUNS:
         return None
-    large = float(np.quantile(steps, _LARGE))
+    large = float(np.quantile(np.abs(np.diff(others)[changes]), _LARGE))
+    # A recorder may hold each measurement for some rows, give or take one.
+    held = int(np.diff(changes).min()) + 1
+    if np.mean(jumps > large) < _MOST_OF or np.median(stops - starts) > held:
+        return None
     apart = np.diff(rows[starts])
-    short = np.median(stops - starts) <= _LONGEST * np.median(np.diff(starts))
-    if np.mean(jumps > large) < _MOST_OF or not short:
-        return None
     bits = _bits(value, others)
     period = int(np.median(apart))
     if bits:

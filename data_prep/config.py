@@ -55,10 +55,11 @@ class LogsConfig(Section):
     `raster_hz` is the rate of the sampling grid; left out, each file's own. `max_gap_s` splits a
     log; a channel's blanks are bridged up to `bridge_s`.
 
-    `dates` is the order of day, month and year where the stamps do not settle it; `frames_hz` the
-    frames of a second in stamps `HH:MM:SS:FF`. `no_value` are further words that stand for no
-    value, beside `data_prep.words.NO_VALUE`. `instances` are columns that tell the engines, units
-    or recordings in a file apart: each combination of their values becomes a log.
+    `dates` is the order of day, month and year where the stamps do not settle it; `frames_hz`
+    the frames of a second in stamps `HH:MM:SS:FF`. `no_value` are further words that stand for
+    no value, in addition to `data_prep.words.NO_VALUE`. `instances` are columns that tell the
+    engines, units or recordings in a file apart: each combination of their values becomes a
+    log.
     """
 
     folder: str = "."

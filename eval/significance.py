@@ -17,8 +17,9 @@ The correlation time tau is 1/2 + the sum of autocorrelations to the first that 
 the errors about their mean. Squares of first-order errors are correlated for tau / 2, so that the r
 of neighbouring stretches of m tau correlate by rho = 1 / (4 m - 2): t is too large by the root of
 (1 + 2 rho (1 - 1/K)) / (1 - 2 rho / K). 8 is the least m at which a table of three pairs, each at
-5/3 %, claims at most 6 % at K = 20 (6.7 % at m = 5). p is of the whole table: Holm's step-down over all pairs and channels makes
-5 % the probability of any false claim. A claim also takes the lower RMSE over all rows.
+5/3 %, claims at most 6 % at K = 20 (6.7 % at m = 5). p is of the whole table: Holm's step-down over
+all pairs and channels makes 5 % the probability of any false claim. A claim also takes the lower
+RMSE over all rows.
 Of one flight a claim is about that flight.
 
 `python -m eval.benchmarks.comparisons` measures false claims and power.

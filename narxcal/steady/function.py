@@ -207,7 +207,7 @@ def import_function(
     """Import `module:function`, installed or of a file in `folder`; return it and its file.
 
     A module in `folder` is loaded under a name of its own, which hides no installed module, and
-    again if its file changed; it may import others beside it. Errors begin with `subject`.
+    again if its file changed; it may import others of its folder. Errors begin with `subject`.
     Raises `ConfigError` if there is no such module or function, or if the module fails.
     """
     module, name = _split(reference, subject)

@@ -81,7 +81,7 @@ def matlab_73(path):
 
 
 def matrix(path):
-    """The layout of N-CMAPSS: matrices, and the names of their columns beside them."""
+    """The layout of N-CMAPSS: matrices, each with another one of the names of its columns."""
     h5py = pytest.importorskip("h5py")
     with h5py.File(path, "w") as file:
         file["A_dev"], file["A_var"] = TIME_S[:, None], np.array([b"t"])

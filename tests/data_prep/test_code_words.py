@@ -54,6 +54,13 @@ def test_words_of_all_ones_are_found_at_any_period_and_nothing_else(seed, period
         np.testing.assert_array_equal(word.rows(np.where(marked, ones(name), sound)), marked)
 
 
+@pytest.mark.parametrize("stop", [100.0, ones("TRA")])
+def test_a_lever_that_is_stepped_to_its_stop_and_back_is_none(stop):
+    ramp = words(np.linspace(5.0, 40.0, 400), "TRA")
+    pushes = np.tile(np.repeat([40.0, stop], 80), 12)
+    assert code_words(np.concatenate([ramp, pushes, ramp[::-1]])) == ()
+
+
 def test_a_constant_at_a_fixed_period_is_a_code_word_without_being_all_ones():
     sound = words(engine(3)["EGT"], "EGT")
     marked = np.arange(len(sound)) % 32 == 7
