@@ -4,7 +4,7 @@
 |---|---|
 | array `(rows,)`, `(rows, 1)` or `(1, rows)` | of its name; in a struct or group `GROUP/NAME` |
 | struct or group with `data` and `Rate`, and perhaps `Units` and `Description` | of its name |
-| array `(rows, n)` `NAME`, `NAME_dev` or `NAME_test` with `n` names in `NAME_var` | of these names |
+| array `(rows, n)` `NAME`, `NAME_dev`, `NAME_test`, with `n` names in `NAME_var` | of these names |
 
 Columns with rates have no stamps: sample k of a channel is at `k / rate`, and the rows are those of
 the fastest column that is read. Columns slower than that are blank in between.

@@ -219,9 +219,7 @@ def choose_mixture(
         reason = next(iter(lost.values()), "nothing could be held out")
         return network_alone(calibration, f"no choice: {reason}; add a longer or another log")
     arx = Baselines.from_json(fitted).arx
-    fits = [
-        np.array([kind != "arx" or len(poles) > 0 for kind in MODELS]) for poles in arx.poles
-    ]
+    fits = [np.array([kind != "arx" or len(poles) > 0 for kind in MODELS]) for poles in arx.poles]
     weights = np.stack(
         [weights_of(_products(held, k), there) for k, there in enumerate(fits)], axis=1
     )
