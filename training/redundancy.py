@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -42,9 +43,9 @@ from training.levels import prior_share as _prior
 STEP_S, BLOCK_S = 1.0, 5.0
 _LEAST_STEPS = 10  # of a log; fewer show no relation of channels
 _LAGS_S = (2.0, 8.0, 30.0)
-_RIDGE = 1e-4
+_RIDGE, _FEATURES = 1e-4, 16
 AIR = ("ALT_ft", "Mach", "dT_C")
-_MOST_FOLDS = 6
+MOST_FOLDS = 6
 _ENGINE = frozenset({"output", "lever"})
 
 Values = Mapping[str, FloatArray]
@@ -191,26 +192,57 @@ class Bank:
         known = {name: stored[name] for name in cls.__dataclass_fields__}
         return cls(**{**known, "channels": tuple(known["channels"])})
 
-    def predict(self, air: Corrected, target: str, source: str, step_s: float) -> FloatArray:
+    def predict(self, design: Design, target: str, source: str) -> FloatArray:
         """Corrected target (time,) by the model of one source."""
-        z = (bridge_gaps(air.x[source]) - self.centre[source]) / self.spread[source]
-        inside = np.clip(z, self.low[source], self.high[source])
-        found = _features(inside, air, step_s) @ np.asarray(self.models[target][source])
+        found = design.phi[source] @ np.asarray(self.models[target][source])
         return np.asarray(found * self.spread[target] + self.centre[target])
 
-    def covers(self, air: Corrected, source: str) -> BoolArray:
+    def covers(self, design: Design, source: str) -> BoolArray:
         """Whether training logs have been in or next to the cell of each sample (time,)."""
-        cells = _cells(air, (air.x[source] - self.centre[source]) / self.spread[source])
-        seen = np.asarray(self.cells[source], dtype=np.float64).reshape(-1, 1, 3)
-        known = np.unique(_coded((seen + _NEXT).reshape(-1, 3)))
-        return np.isin(_coded(cells), known)
+        known, cells = self._covered[source], design.cells[source]
+        if not len(known):
+            return np.zeros(len(cells), dtype=np.bool_)
+        nearest = np.minimum(np.searchsorted(known, cells), len(known) - 1)
+        return np.asarray(known[nearest] == cells)
+
+    @cached_property
+    def _covered(self) -> dict[str, IntArray]:
+        """Source -> codes of its cells and of those next to them, sorted."""
+        seen = {name: np.asarray(each, dtype=np.int64) for name, each in self.cells.items()}
+        return {
+            name: np.unique((_coded(each.reshape(-1, 3))[:, None] + _NEXT).ravel())
+            for name, each in seen.items()
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """What models are applied to: corrected channels of one log, features and cells of each."""
+
+    signals: Signals
+    air: Corrected
+    phi: Values  # (time, 16)
+    cells: Mapping[str, IntArray]
+
+    @classmethod
+    def of(cls, bank: Bank, signals: Signals, names: Sequence[str], step_s: float = 0.0) -> Self:
+        """Scale the channels `names` as the bank does; `step_s` replaces that of the signals."""
+        air = Corrected.of(signals, names)
+        phi, cells = {}, {}
+        for name in names:
+            z = (air.x[name] - bank.centre[name]) / bank.spread[name]
+            inside = np.clip(np.nan_to_num(bridge_gaps(z)), bank.low[name], bank.high[name])
+            phi[name] = _features(inside, air, step_s or signals.step_s)
+            cells[name] = _coded(_cells(air, z))
+        return cls(signals, air, phi, cells)
 
 
 # Cells of (source in its spread, Mach number, ln delta) in which, or next to which, training logs
 # have to have been: elsewhere the models extrapolate, and nothing is compared.
 _CELL = np.array([0.25, 0.03, 0.12])
 _LEAST_STAY_S = 10.0  # in a cell
-_NEXT = np.array([[a, b, c] for a in (-1, 0, 1) for b in (-1, 0, 1) for c in (-1, 0, 1)])
+_CODE = np.array([9_000_000, 3_000, 1])
+_NEXT = (np.indices((3, 3, 3)).reshape(3, -1).T - 1) @ _CODE  # differences of codes
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,28 +268,30 @@ class Residuals:
         return float(np.median(known)) if len(known) else float("nan")
 
 
-def residuals(
-    bank: Bank, signals: Signals, channels: Sequence[str], step_s: float = 0.0
-) -> Residuals:
-    """Compare the channels of one log with each other; `step_s` replaces that of the signals."""
-    step_s = step_s or signals.step_s
-    air = Corrected.of(signals, channels)
-    testable = {j: air.known & bank.covers(air, j) for j in channels}
+def residuals(bank: Bank, signals: Signals, channels: Sequence[str]) -> Residuals:
+    """Compare the channels of one log with each other."""
+    return compared(bank, Design.of(bank, signals, channels))
+
+
+def compared(bank: Bank, design: Design) -> Residuals:
+    """Compare the channels of a design with each other."""
+    air, channels = design.air, tuple(design.phi)
+    sources = [j for j in channels if is_measured(j)]
+    testable = {j: air.known & bank.covers(design, j) for j in sources}
     errors: dict[str, dict[str, FloatArray]] = {name: {} for name in channels}
     expected: dict[str, FloatArray] = {}
     agreed: dict[str, FloatArray] = {}
     for i in channels:
-        sources = [j for j in channels if j != i and is_measured(j)]
-        found = {j: bank.predict(air, i, j, step_s) for j in sources}
+        found = {j: bank.predict(design, i, j) for j in sources if j != i}
         known = {j: np.where(np.isfinite(air.x[j]), each, np.nan) for j, each in found.items()}
         if not known:
-            expected[i] = agreed[i] = np.full(len(signals.time_s), np.nan)
+            expected[i] = agreed[i] = np.full(len(air.mach), np.nan)
             continue
         expected[i] = _middle(list(known.values()))
         scale = 0.5 * np.maximum(expected[i], 0.0) + 0.5 * abs(bank.centre[i])
         errors[i] = {j: np.where(testable[j], (air.x[i] - known[j]) / scale, np.nan) for j in known}
         agreed[i] = agreement(list(errors[i].values()))
-    return Residuals(bank, signals, tuple(channels), errors, expected, agreed, air)
+    return Residuals(bank, design.signals, channels, errors, expected, agreed, air)
 
 
 def is_measured(name: str) -> bool:
@@ -290,15 +324,19 @@ def _middle(parts: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(np.where(count % 2 == 1, low, 0.5 * (low + high)))
 
 
-def _cells(air: Corrected, z: FloatArray) -> FloatArray:
+def _cells(air: Corrected, z: FloatArray) -> IntArray:
     """Cell (time, 3) of each sample."""
     found = np.column_stack([np.nan_to_num(z), air.mach, air.log_delta]) / _CELL
-    return np.asarray(np.clip(np.floor(found), -1000.0, 1000.0))
+    return np.asarray(np.clip(np.floor(found), -1000.0, 1000.0), dtype=np.int64)
 
 
-def _coded(cells: FloatArray) -> IntArray:
+def _coded(cells: IntArray) -> IntArray:
     """One number for each cell."""
-    return np.asarray((cells + 1500.0) @ np.array([9e6, 3e3, 1.0]), dtype=np.int64)
+    return np.asarray((cells + 1500) @ _CODE)
+
+
+def _decoded(codes: IntArray) -> IntArray:
+    return np.stack([codes // base % 3000 - 1500 for base in _CODE], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,7 +358,7 @@ class Blocks:
         shape = (count, size)
         r = found.agreed[name][: count * size].reshape(shape)
         known = np.isfinite(r).sum(axis=1) * 2 > size
-        middle = np.array([np.nanmedian(row) for row in r[known]])
+        middle = _middle(list(r[known].T))
         expected = block_means(found.expected[name][: count * size], size)
         changes = np.abs(np.diff(expected, prepend=expected[:1]))
         # A slam that ends within a block, or begins late in it, moves the next one, too.
@@ -338,37 +376,96 @@ def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
     reported. None where there are fewer than two. Each log is left out once to measure what is
     left, of many logs groups of them; a single log is cut into halves.
     """
-    logs = [log for log in logs if _is_informative(log)]
-    names = _engine_channels(logs)
-    if len(names) < 2:
-        return None
-    every = [Signals.of(log) for log in logs]
-    parts = every if len(every) > 1 else _halves(every[0])
-    count = min(_MOST_FOLDS, len(parts))
-    folds = [parts[k::count] for k in range(count)]
-    left_out = [
-        residuals(bank, one, names)
-        for fold in folds
-        for bank in [_fit([one for one in parts if all(one is not each for each in fold)], names)]
-        for one in fold
-    ]
-    whole = _fit(every, names)
-    ratios = {
-        k: [log_ratio(one.bank, one.signals, names, k) for one in left_out] for k in STRETCHES
-    }
-    return replace(
-        whole,
-        level={name: _level_scatter(name, left_out) for name in names},
-        wander={name: _wander(name, left_out).to_json() for name in names},
-        stretch={str(k): _mean_and_scatter(each) for k, each in ratios.items()},
-        delays=delay_table([delays_of(log, names) for log in logs], names, PRIOR_LOGS),
-        noise={
-            name: max(noise_of(log, name) for log in logs if log.recorded([name])) for name in names
-        },
-        updates=_longest_updates(logs),
-        logs=sum(any(np.isfinite(r).any() for r in one.agreed.values()) for one in left_out),
-        used=tuple(name for name in names if name in channels),
-    )
+    return Pool.of(logs).bank(channels)
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """One log of a pool: its design and its moments.
+
+    `moments` are [phi y]' W [phi y] (source, target, 17, 17), with y the scaled target and W the
+    weights of the fit to all parts; `stays` is source -> samples in each of the pool's cells.
+    """
+
+    log: Log
+    design: Design
+    moments: FloatArray
+    stays: Mapping[str, IntArray]
+    delays: Mapping[tuple[str, str], float]
+
+
+@dataclass(frozen=True, eq=False)
+class Pool:
+    """Logs from which banks are learned, with any of them left out.
+
+    A bank follows from the sum of the normal equations of its logs, so that leaving one out is a
+    difference of sums; scaling and robust weights are those of all logs (downdating; Golub and Van
+    Loan 2013, section 6.5).
+    """
+
+    scaling: Bank  # without models; its cells are all in which a log has been
+    parts: tuple[_Part | None, ...]  # None for a log without information
+
+    @classmethod
+    def of(cls, logs: Sequence[Log]) -> Self:
+        """Prepare what does not depend on which logs are left out."""
+        usable = [_is_informative(log) for log in logs]
+        known = [log for log, one in zip(logs, usable, strict=True) if one]
+        names = _engine_channels(known)
+        if len(names) < 2:
+            return cls(Bank((), {}, {}, {}, {}, {}, {}), (None,) * len(logs))
+        scaling, designs = _scaled([Signals.of(log) for log in known], names)
+        found = iter(_parts(scaling, known, designs))
+        return cls(scaling, tuple(next(found) if one else None for one in usable))
+
+    def bank(self, channels: Sequence[str], without: Sequence[int] = ()) -> Bank | None:
+        """Learn the bank of all logs but those numbered `without`, as `learn` does."""
+        kept = [one for k, one in enumerate(self.parts) if one is not None and k not in without]
+        if not kept:
+            return None
+        parts = kept if len(kept) > 1 else _halves(self.scaling, kept[0])
+        count = min(MOST_FOLDS, len(parts))
+        left_out: list[Residuals] = []
+        ratios: dict[float, list[float]] = {k: [] for k in STRETCHES}
+        for fold in (parts[k::count] for k in range(count)):
+            bank = self._fitted([one for one in parts if all(one is not each for each in fold)])
+            for one in fold:
+                found = compared(bank, one.design)
+                left_out.append(found)
+                for k in STRETCHES:
+                    ratios[k].append(log_ratio(found, k))
+        logs = [one.log for one in kept]
+        names = self.scaling.channels
+        return replace(
+            self._fitted(kept),
+            level={name: _level_scatter(name, left_out) for name in names},
+            wander={name: _wander(name, left_out).to_json() for name in names},
+            stretch={str(k): _mean_and_scatter(each) for k, each in ratios.items()},
+            delays=delay_table([one.delays for one in kept], names, PRIOR_LOGS),
+            noise={
+                name: max(
+                    (noise_of(log, name) for log in logs if log.recorded([name])), default=0.0
+                )
+                for name in names
+            },
+            updates=_longest_updates(logs),
+            logs=sum(any(np.isfinite(r).any() for r in one.agreed.values()) for one in left_out),
+            used=tuple(name for name in names if name in channels),
+        )
+
+    def _fitted(self, parts: Sequence[_Part]) -> Bank:
+        names, step_s = self.scaling.channels, parts[0].design.signals.step_s
+        moments = np.sum([one.moments for one in parts], axis=0)
+        models: dict[str, dict[str, tuple[float, ...]]] = {name: {} for name in names}
+        for j, source in enumerate(names):
+            for i, target in enumerate(names):
+                if i != j:
+                    models[target][source] = tuple(_solved(moments[j, i]).tolist())
+        cells = {}
+        for name in names:
+            stayed = np.sum([one.stays[name] for one in parts], axis=0) * step_s >= _LEAST_STAY_S
+            cells[name] = np.asarray(self.scaling.cells[name])[stayed].tolist()
+        return replace(self.scaling, models=models, cells=cells)
 
 
 def _is_informative(log: Log) -> bool:
@@ -390,86 +487,96 @@ def _engine_channels(logs: Sequence[Log]) -> tuple[str, ...]:
     )
 
 
-def _halves(signals: Signals) -> list[Signals]:
-    middle = len(signals.time_s) // 2
-    return [signals.part(slice(None, middle)), signals.part(slice(middle, None))]
+def _halves(scaling: Bank, whole: _Part) -> list[_Part]:
+    signals, middle = whole.design.signals, len(whole.design.signals.time_s) // 2
+    parts = [signals.part(slice(None, middle)), signals.part(slice(middle, None))]
+    designs = [Design.of(scaling, one, scaling.channels) for one in parts]
+    return _parts(scaling, [whole.log] * 2, designs)
 
 
-def _fit(logs: Sequence[Signals], names: Sequence[str]) -> Bank:
-    air = [_in_known_air(Corrected.of(one, names)) for one in logs]
-    joined = {name: np.concatenate([one.x[name] for one in air]) for name in names}
-    known = {name: values[np.isfinite(values)] for name, values in joined.items()}
-    centre = {name: float(np.mean(each)) if len(each) else 0.0 for name, each in known.items()}
-    spread = {
-        name: max(float(np.std(each)), 1e-9) if len(each) else 1.0 for name, each in known.items()
-    }
-    low, high = {}, {}
+def _parts(scaling: Bank, logs: Sequence[Log], designs: Sequence[Design]) -> list[_Part]:
+    names, found = scaling.channels, []
+    for log, design, moments in zip(logs, designs, _moments(scaling, designs), strict=True):
+        stays = {}
+        for name in names:
+            codes = _coded(np.asarray(scaling.cells[name], dtype=np.int64).reshape(-1, 3))
+            own = design.cells[name][np.isfinite(_in_known_air(design.air, name))]
+            stays[name] = np.bincount(np.searchsorted(codes, own), minlength=len(codes))
+        found.append(_Part(log, design, moments, stays, delays_of(log, names)))
+    return found
+
+
+def _scaled(logs: Sequence[Signals], names: Sequence[str]) -> tuple[Bank, list[Design]]:
+    """A bank with the scaling of the channels and all cells, and the designs by it."""
+    air = [Corrected.of(one, names) for one in logs]
+    bank = Bank(tuple(names), {}, {}, {}, {}, {}, {})
+    centre, spread, low, high = {}, {}, {}, {}
     for name in names:
-        ends = np.array(_ends((joined[name] - centre[name]) / spread[name]))
+        x = np.concatenate([_in_known_air(one, name) for one in air])
+        x = x[np.isfinite(x)]
+        centre[name] = float(np.mean(x)) if len(x) else 0.0
+        spread[name] = max(float(np.std(x)), 1e-9) if len(x) else 1.0
+        ends = np.percentile(x, (0.1, 99.9)) - centre[name] if len(x) else np.zeros(2)
         margin = 0.05 * float(np.ptp(ends))
-        low[name], high[name] = float(ends[0]) - margin, float(ends[1]) + margin
-    scaled = [{name: (one.x[name] - centre[name]) / spread[name] for name in names} for one in air]
-    models: dict[str, dict[str, tuple[float, ...]]] = {name: {} for name in names}
-    cells = {name: _stayed(logs, air, [one[name] for one in scaled]) for name in names}
-    for j in names:
-        phi = np.concatenate(
-            [
-                _features(np.clip(_bridged(z[j]), low[j], high[j]), one, part.step_s)
-                for z, one, part in zip(scaled, air, logs, strict=True)
-            ]
-        )
-        source = np.isfinite(np.concatenate([z[j] for z in scaled]))
-        for i in names:
-            if i != j:
-                target = np.concatenate([z[i] for z in scaled])
-                usable = source & np.isfinite(target)
-                models[i][j] = tuple(_robust_fit(phi[usable], target[usable]).tolist())
-    return Bank(tuple(names), centre, spread, low, high, cells, models)
+        low[name] = float(ends[0] - margin) / spread[name]
+        high[name] = float(ends[1] + margin) / spread[name]
+    bank = replace(bank, centre=centre, spread=spread, low=low, high=high)
+    designs = [Design.of(bank, one, names) for one in logs]
+    cells = {
+        name: _decoded(np.unique(np.concatenate([one.cells[name] for one in designs])))
+        for name in names
+    }
+    return replace(bank, cells={name: each.tolist() for name, each in cells.items()}), designs
 
 
-def _stayed(
-    logs: Sequence[Signals], air: Sequence[Corrected], scaled: Sequence[FloatArray]
-) -> list[list[int]]:
-    """Cells in which the logs have been for some time."""
-    found = np.concatenate(
-        [_cells(one, z)[np.isfinite(z)] for one, z in zip(air, scaled, strict=True)]
-    )
-    cells, count = np.unique(found, axis=0, return_counts=True)
-    stayed = cells[count * logs[0].step_s >= _LEAST_STAY_S]
-    return [[int(each) for each in cell] for cell in stayed]
+def _moments(scaling: Bank, designs: Sequence[Design]) -> list[FloatArray]:
+    """[phi y]' W [phi y] (source, target, 17, 17) of each design; see `_Part`."""
+    names = scaling.channels
+    x = {name: np.concatenate([_in_known_air(one.air, name) for one in designs]) for name in names}
+    ends = np.cumsum([0, *(len(one.air.mach) for one in designs)])
+    found = [np.zeros((len(names), len(names), _FEATURES + 1, _FEATURES + 1)) for _ in designs]
+    for j, source in enumerate(names):
+        phi = np.concatenate([one.phi[source] for one in designs])
+        for i, target in enumerate(names):
+            usable = np.isfinite(x[source]) & np.isfinite(x[target])
+            if i == j or usable.sum() < _FEATURES:
+                continue
+            y = np.where(usable, (x[target] - scaling.centre[target]) / scaling.spread[target], 0.0)
+            weight = np.zeros(len(y))
+            weight[usable] = robust_weights(phi[usable], y[usable])
+            rows = np.column_stack([phi, y]) * weight[:, None]
+            for own, start, stop in zip(found, ends, ends[1:], strict=False):
+                own[j, i] = rows[start:stop].T @ rows[start:stop]
+    return found
 
 
-def _bridged(z: FloatArray) -> FloatArray:
-    return np.nan_to_num(bridge_gaps(z))
+def _in_known_air(air: Corrected, name: str) -> FloatArray:
+    """A channel where the air is known: elsewhere it was corrected by a guess."""
+    return np.where(air.known, air.x[name], np.nan)
 
 
-def _in_known_air(air: Corrected) -> Corrected:
-    """Corrected channels where the air is known: elsewhere they were corrected by a guess."""
-    return replace(air, x={name: np.where(air.known, x, np.nan) for name, x in air.x.items()})
-
-
-def _ends(values: FloatArray) -> tuple[float, float]:
-    """Percentiles 0.1 and 99.9 of the finite values; zeros where there are none."""
-    known = values[np.isfinite(values)]
-    low, high = np.percentile(known, (0.1, 99.9)) if len(known) else (0.0, 0.0)
-    return float(low), float(high)
-
-
-def _robust_fit(phi: FloatArray, target: FloatArray) -> FloatArray:
-    """Ridge regression with soft-L1 weights, by reweighting; NaN where there is too little."""
-    if len(target) < phi.shape[1]:
-        return np.full(phi.shape[1], np.nan)
-    size = np.sqrt(np.mean(phi**2, axis=0)) + 1e-12
-    scaled, weight = phi / size, np.ones(len(target))
-    ridge = _RIDGE * len(target) * np.eye(phi.shape[1])
-    found = np.zeros(phi.shape[1])
-    for _ in range(4):
-        left = (scaled * weight[:, None]).T
-        found = np.linalg.solve(left @ scaled + ridge, left @ target)
-        error = target - scaled @ found
+def robust_weights(phi: FloatArray, target: FloatArray) -> FloatArray:
+    """Soft-L1 weights of a ridge regression, by reweighting; roots of those of the squares."""
+    rows, weight = np.column_stack([phi, target]), np.ones(len(target))
+    for _ in range(3):
+        weighted = rows * weight[:, None]
+        error = target - phi @ _solved(weighted.T @ weighted)
         spread = 1.4826 * float(np.median(np.abs(error))) + 1e-12
         weight = 1.0 / np.sqrt(1.0 + (error / (2.0 * spread)) ** 2)
-    return np.asarray(found / size)
+    return weight
+
+
+def _solved(moments: FloatArray) -> FloatArray:
+    """Coefficients of the ridge regression with the moments [phi y]'[phi y], phi_0 = 1.
+
+    NaN where there are fewer samples than coefficients.
+    """
+    total = float(moments[0, 0])
+    if total < _FEATURES:
+        return np.full(_FEATURES, np.nan)
+    size = np.sqrt(np.diag(moments)[:-1] / total) + 1e-12
+    matrix = moments[:-1, :-1] / np.outer(size, size) + _RIDGE * total * np.eye(_FEATURES)
+    return np.asarray(np.linalg.solve(matrix, moments[:-1, -1] / size) / size)
 
 
 def _level_scatter(name: str, left_out: Sequence[Residuals]) -> float:
@@ -546,29 +653,24 @@ _DYNAMIC_S, _MOVING = 150.0, 0.8
 _RATIO_PRIOR = 0.15  # scatter of ln r(k) between logs
 
 
-def log_ratio(bank: Bank, signals: Signals, channels: Sequence[str], stretch: float) -> float:
+def log_ratio(found: Residuals, stretch: float) -> float:
     """Ln r(k): mean over the pairs of the log ratio of the RMS residual in the moving samples.
 
     r(k) is what the residual would be, were the stamps stretched by k, over what it is. NaN where
     nothing moves.
     """
+    signals = found.signals
+    design = Design.of(found.bank, signals, found.channels, signals.step_s / stretch)
+    stretched = compared(found.bank, design)
+    size = round(_DYNAMIC_S / found.signals.step_s)
+    shown = [x for x in found.corrected.x.values() if np.isfinite(x).any()]
+    motion = np.abs(shown[0] - moving_mean(shown[0], size // 5)) if shown else np.full(1, np.nan)
+    if not np.isfinite(motion).any():
+        return float("nan")
+    moving = motion > np.nanpercentile(motion, 100.0 * _MOVING)
     sizes = []
-    for step_s in (signals.step_s / stretch, signals.step_s):
-        found = residuals(bank, signals, channels, step_s)
-        size = round(_DYNAMIC_S / signals.step_s)
-        shown = [x for x in found.corrected.x.values() if np.isfinite(x).any()]
-        if not shown:
-            return float("nan")
-        motion = np.abs(shown[0] - moving_mean(shown[0], size // 5))
-        if not np.isfinite(motion).any():
-            return float("nan")
-        moving = motion > np.nanpercentile(motion, 100.0 * _MOVING)
-        pairs = [
-            each
-            for name, errors in found.errors.items()
-            for each in errors.values()
-            if is_measured(name)
-        ]
+    for one in (stretched, found):
+        pairs = [e for name, each in one.errors.items() if is_measured(name) for e in each.values()]
         rough = [(each - moving_mean(each, size))[moving] for each in pairs]
         if not rough or not all(np.isfinite(each).any() for each in rough):
             return float("nan")

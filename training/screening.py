@@ -34,16 +34,17 @@ from training.levels import PRIOR_LOGS
 from training.redundancy import (
     AIR,
     BLOCK_S,
+    MOST_FOLDS,
     STRETCHES,
     Bank,
     Blocks,
+    Pool,
     Residuals,
     Signals,
     Wander,
     agreement,
     delays_of,
     is_measured,
-    learn,
     log_ratio,
     moving_mean,
     noise_of,
@@ -109,16 +110,16 @@ def masked(log: Log) -> Log:
 def by_each_other(logs: Sequence[Log], channels: Sequence[str]) -> list[Log]:
     """Return prepared training logs with the findings that the other recordings show.
 
-    `channels` are those of the model. A recording is a file; a single one is compared with itself,
-    of which a stretch is not most. What the first pass masks is not learned from in the second.
+    `channels` are those of the model. A recording is a file, of many a group is left out at a time;
+    a single one is compared with itself, of which a stretch is not most. What the first pass masks
+    is not learned from in the second.
     """
-    found = list(logs)
+    found, groups = list(logs), _groups(_files(logs))
     for _ in range(2):
         known = [masked(log) for log in found]
-        after = list(found)
-        for own in _files(logs):
-            rest = [log for k, log in enumerate(known) if k not in own] or known
-            bank = learn(rest, channels)
+        after, pool = list(found), Pool.of(known)
+        for own in groups:
+            bank = pool.bank(channels, own if len(groups) > 1 else ())
             for k, log in zip(own, screened(bank, [logs[k] for k in own]), strict=True):
                 after[k] = log
         done = [_spans(a) == _spans(b) for a, b in zip(after, found, strict=True)]
@@ -126,6 +127,12 @@ def by_each_other(logs: Sequence[Log], channels: Sequence[str]) -> list[Log]:
         if all(done):
             break
     return found
+
+
+def _groups(files: Sequence[list[int]]) -> list[list[int]]:
+    """Files that are left out together, at most `MOST_FOLDS` groups of them."""
+    count = min(MOST_FOLDS, len(files))
+    return [[k for own in files[first::count] for k in own] for first in range(count)]
 
 
 def _spans(log: Log) -> set[tuple[str, float | None]]:
@@ -578,8 +585,9 @@ def _stretched(bank: Bank, logs: Sequence[Log]) -> list[tuple[Finding, ...]]:
         if not subjects or min(len(_sensed(one)) for one in subjects) < _TELLING:
             continue
         hours = max(one.hours for one in subjects)
+        shown = [residuals(bank, one.signals, one.channels) for one in subjects]
         for stretch in STRETCHES:
-            ratios = [log_ratio(bank, one.signals, one.channels, stretch) for one in subjects]
+            ratios = [log_ratio(each, stretch) for each in shown]
             known = [each for each in ratios if np.isfinite(each)]
             if not known:
                 continue

@@ -11,7 +11,7 @@ from data_prep.log import Log, Source
 from data_prep.plausibility import checked
 from narxcal.atmosphere import KELVIN
 from narxcal.support.errors import ModelError
-from training.redundancy import Bank, Blocks, Wander, agreement, learn
+from training.redundancy import Bank, Blocks, Pool, Wander, agreement, learn, robust_weights
 from training.screening import by_each_other, masked, screened, strongest_step, threshold
 
 DT_S = 0.2
@@ -216,6 +216,37 @@ def test_training_logs_are_masked_by_what_they_show_against_themselves(count):
     assert lost[0] == pytest.approx(0.0, abs=12.0)
     assert lost[-1] == pytest.approx(300.0, abs=12.0)
     assert all(masked(log) is log for log in found[1:])
+
+
+def slow_model(pool, target, source, kept):
+    """The weighted ridge regression of one pair on all rows of the logs that are kept."""
+    designs = [one.design for one in pool.parts]
+    centre, spread = pool.scaling.centre[target], pool.scaling.spread[target]
+    phi = np.concatenate([one.phi[source] for one in designs])
+    y = np.concatenate([(one.air.x[target] - centre) / spread for one in designs])
+    own = np.concatenate([np.full(len(one.air.mach), k in kept) for k, one in enumerate(designs)])
+    weight = robust_weights(phi, y)[own]
+    rows, ends = weight[:, None] * phi[own], weight * y[own]
+    ridge = np.diag(np.sqrt(1e-4 * np.sum(rows**2, axis=0)))
+    return np.linalg.lstsq(np.vstack([rows, ridge]), np.r_[ends, np.zeros(len(ridge))])[0]
+
+
+def test_leaving_logs_out_of_a_pool_is_fitting_to_the_others():
+    pool = Pool.of([engine(seed) for seed in range(4)])
+    bank = pool.bank(CHANNELS, without=[1])
+    for target, source in (("EGT_C", "FF_kgph"), ("N1_pct", "N2_pct")):
+        slow = slow_model(pool, target, source, {0, 2, 3})
+        np.testing.assert_allclose(bank.models[target][source], slow, rtol=1e-6, atol=1e-8)
+
+
+@pytest.mark.parametrize("change", [lambda x: x, lambda x: 1.12 * x, lambda x: x + 50.0])
+def test_verdicts_on_a_log_left_out_of_a_pool_are_those_of_learning_anew(change):
+    logs = [engine(seed) for seed in range(4)]
+    logs[2] = logs[2].with_channels({"N1_pct": change(logs[2]["N1_pct"])})
+    quick = examined(Pool.of(logs).bank(CHANNELS, without=[2]), logs[2])
+    slow = examined(learn([logs[k] for k in (0, 1, 3)], CHANNELS), logs[2])
+    assert [(one.kind, one.channel) for one in quick] == [(one.kind, one.channel) for one in slow]
+    assert [one.size for one in quick] == pytest.approx([one.size for one in slow], rel=0.1)
 
 
 def test_agreement_is_what_the_sources_have_in_common():
