@@ -552,6 +552,7 @@ _MODELS: Final = {
     STEADY_STATE: "the steady state",
     FIRST_ORDER: "a first-order lag",
     ARX: "an ARX model",
+    "output_error": "an output-error model",
 }
 
 

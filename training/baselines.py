@@ -1,25 +1,32 @@
 """What a calibration has to beat: the simplest dynamic models, fitted to the same training logs.
 
-Both are driven by the same steady-state values `ss` as the calibration and run free, so that a
-comparison shows what the network adds and nothing else:
+All are driven by the same steady-state values `ss` as the calibration and run free, so that a
+comparison shows what the network adds and nothing else. With d = y - ss, output by output:
 
     first order   y(k) = y(k-1) + (1 - exp(-dt / tau)) (ss(k) - y(k-1)),
                   tau of a push while ss > y, tau of a pull otherwise
-    ARX           y(k) = sum_i a_i y(k-i) + sum_i B_i ss(k-i) + c   (i from 0 in the second sum)
+    linear        d(k) = sum_i a_i d(k-i) + sum_i c_i (ss(k-i+1) - ss(k-i)),      i = 1 .. order
 
-The lag's two time constants per channel minimise its free-run error. The ARX model is fitted as
-everyone fits one, by least squares on the one-step error (Ljung, System Identification, section
-4.2); among its orders the one with the best free run over the training logs is taken.
+At rest a linear model is the steady state: its gain is one by construction, and with poles inside
+the unit circle it settles there whatever the inputs. Steady values of several outputs, which follow
+one driver, are collinear; only the output's own is taken.
+
+The lag's two time constants minimise its free-run error. A linear model is fitted to the next
+sample by least squares (ARX: Ljung, System Identification, section 4.2), and from there to the free
+run by Gauss-Newton steps (output error: the same, section 10.2). A level of its own in each run, as
+a day or a sensor has it, is profiled out of both: it is no slow pole. Among the orders the one
+with the best free run over the training logs is taken.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 from scipy.optimize import minimize
+from scipy.signal import lfilter
 
 from data_prep.log import Log
 from narxcal.calibration.calibration import Calibration
@@ -29,6 +36,9 @@ from narxcal.support.errors import ModelError
 
 SHORTEST_S, LONGEST_S = 0.02, 60.0
 ORDERS = (1, 2, 3)
+_STEPS: Final = 20  # of Gauss-Newton, each tried at once and at up to `_HALVINGS` halves
+_HALVINGS: Final = 4
+_CONVERGED: Final = 1e-4  # of the mean square
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +75,14 @@ class FirstOrderLag:
 
 
 @dataclass(frozen=True)
-class LinearArx:
+class Linear:
     """Coefficients per channel: `poles` (n_out, order), `gains` (n_out, order + 1, n_out), offset.
 
-    A channel for which no stable model was found has no poles, and its free run is NaN.
+    Those of `narxcal.calibration.members`. A channel for which no stable model was found has no
+    poles, and its free run is NaN.
     """
 
+    kind: Kind
     poles: tuple[tuple[float, ...], ...]
     gains: tuple[tuple[tuple[float, ...], ...], ...]
     offsets: tuple[float, ...]
@@ -87,7 +99,33 @@ class LinearArx:
 
     def member(self, k: int) -> Member:
         """The model of one output."""
-        return Member("arx", k, poles=self.poles[k], gains=self.gains[k], offset=self.offsets[k])
+        return Member(
+            self.kind, k, poles=self.poles[k], gains=self.gains[k], offset=self.offsets[k]
+        )
+
+    @classmethod
+    def of(cls, kind: Kind, found: Sequence[Member]) -> Self:
+        """Models of all outputs; a member without poles is none."""
+        return cls(
+            kind,
+            tuple(one.poles for one in found),
+            tuple(one.gains for one in found),
+            tuple(one.offset for one in found),
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON-able, without the kind."""
+        return {"poles": self.poles, "gains": self.gains, "offsets": self.offsets}
+
+    @classmethod
+    def from_json(cls, kind: Kind, row: Mapping[str, Any]) -> Self:
+        """Inverse of `to_json`."""
+        return cls(
+            kind,
+            tuple(map(tuple, row["poles"])),
+            tuple(tuple(map(tuple, rows)) for rows in row["gains"]),
+            tuple(row["offsets"]),
+        )
 
 
 @dataclass(frozen=True)
@@ -95,7 +133,8 @@ class Baselines:
     """The fitted baselines and the range of each output, `(low, high)`, in the training logs."""
 
     lag: FirstOrderLag
-    arx: LinearArx
+    arx: Linear
+    output_error: Linear
     low: tuple[float, ...]
     high: tuple[float, ...]
 
@@ -104,22 +143,44 @@ class Baselines:
         one = Member("steady_state", channel)
         if kind == "first_order":
             one = self.lag.member(channel, dt_s)
-        elif kind == "arx":
-            one = self.arx.member(channel)
+        elif kind != "steady_state":
+            one = self._linear[kind].member(channel)
         return replace(one, weight=weight)
+
+    @property
+    def _linear(self) -> dict[Kind, Linear]:
+        return {"arx": self.arx, "output_error": self.output_error}
+
+    def has(self, kind: Kind, channel: int) -> bool:
+        """Whether a stable model of this kind was found for the output."""
+        return kind not in self._linear or len(self._linear[kind].poles[channel]) > 0
+
+    def simulate(
+        self, kind: Kind, steady: FloatArray, start: FloatArray, dt_s: float
+    ) -> FloatArray:
+        """Free run (time, n_out) of one kind behind `steady` (time, n_out), from `start` (n_out,).
+
+        NaN where there is no such model.
+        """
+        if kind == "steady_state":
+            return steady
+        if kind == "first_order":
+            return self.lag.simulate(steady, start, dt_s)
+        return self._linear[kind].simulate(steady, start)
 
     @classmethod
     def from_json(cls, params: Mapping[str, Any]) -> Baselines:
-        """Rebuild what `fit_baselines` returned; `ModelError` where a part is missing."""
+        """Rebuild what `fit_baselines` returned; `ModelError` where a part is missing.
+
+        Older versions have no output error.
+        """
         try:
-            lag, arx = params["first_order"], params["arx"]
+            lag, count = params["first_order"], len(params["low"])
+            none = Linear.of("output_error", [Member("output_error", 0)] * count).to_json()
             return cls(
                 FirstOrderLag(tuple(lag["push_s"]), tuple(lag["pull_s"])),
-                LinearArx(
-                    tuple(map(tuple, arx["poles"])),
-                    tuple(tuple(map(tuple, rows)) for rows in arx["gains"]),
-                    tuple(arx["offsets"]),
-                ),
+                Linear.from_json("arx", params["arx"]),
+                Linear.from_json("output_error", params.get("output_error", none)),
                 tuple(params["low"]),
                 tuple(params["high"]),
             )
@@ -130,23 +191,20 @@ class Baselines:
 
 
 def fit_baselines(calibration: Calibration, logs: Sequence[Log]) -> dict[str, Any]:
-    """Fit both baselines to the training logs; returns JSON-able parameters.
+    """Fit all baselines to the training logs; returns JSON-able parameters.
 
     `logs` are prepared as for training: their inputs are complete, masked outputs are NaN.
     """
     runs = [run_of(calibration, log) for log in logs]
     channels = range(len(calibration.output_names))
     lags = [_fit_lag(runs, k, calibration.dt_s) for k in channels]
-    arx = [_fit_arx(runs, k, calibration.dt_s) for k in channels]
+    linear = [_fit_linear(runs, k, lags[k], calibration.dt_s) for k in channels]
     every = np.concatenate([run.measured for run in runs])
     low, high = np.nanpercentile(every, (1.0, 99.0), axis=0)
     return {
         "first_order": {"push_s": [one[0] for one in lags], "pull_s": [one[1] for one in lags]},
-        "arx": {
-            "poles": [poles.tolist() for poles, _, _ in arx],
-            "gains": [gains.tolist() for _, gains, _ in arx],
-            "offsets": [offset for _, _, offset in arx],
-        },
+        "arx": Linear.of("arx", [one[0] for one in linear]).to_json(),
+        "output_error": Linear.of("output_error", [one[1] for one in linear]).to_json(),
         "low": low.tolist(),
         "high": high.tolist(),
     }
@@ -181,58 +239,150 @@ def _fit_lag(runs: Sequence[Run], k: int, dt_s: float) -> tuple[float, float]:
     return float(push_s), float(pull_s)
 
 
-def _fit_arx(runs: Sequence[Run], k: int, dt_s: float) -> tuple[FloatArray, FloatArray, float]:
-    """Poles (order,), gains (order + 1, n_out) and offset of the order with the best free run.
+class _Deviation(NamedTuple):
+    """Deviation (time,) of an output from its steady value, NaN where masked, and its start.
 
-    Of those that settle with `LONGEST_S` at most.
+    `moved` (time,) are the increments of the steady value, the first of them 0.
     """
-    n_out = runs[0].steady.shape[1]
-    best, least = (np.empty(0), np.empty((0, n_out)), 0.0), np.inf
-    for order in ORDERS:
-        if all(len(run.measured) <= order for run in runs):
-            continue
-        poles, gains, offset = arx_of(runs, k, order)
-        roots = np.roots(np.concatenate([[1.0], -poles]))
-        if not np.all(np.abs(roots) <= np.exp(-dt_s / LONGEST_S)):
-            continue
-        score = _free_run_error(runs, k, (poles, gains, offset))
-        if score < least:
-            best, least = (poles, gains, offset), score
-    return best
+
+    measured: FloatArray
+    moved: FloatArray
+    first: float
+
+    @classmethod
+    def of(cls, run: Run, k: int) -> Self:
+        """The deviation of output `k`."""
+        steady = run.steady[:, k]
+        first = start_of(run.steady, run.measured[0], k) - float(steady[0])
+        return cls(run.measured[:, k] - steady, np.diff(steady, prepend=steady[:1]), first)
+
+    def past(self, values: FloatArray, order: int, before: float) -> FloatArray:
+        """The `order` samples before each of `values` (time,): (order, time), newest first."""
+        padded = np.concatenate([np.full(order, before), values])
+        return np.stack([padded[order - i : len(padded) - i] for i in range(1, order + 1)])
+
+    def moves(self, order: int) -> FloatArray:
+        """Increments (order, time) at each sample and before it, newest first."""
+        return np.concatenate([self.moved[None], self.past(self.moved, order, 0.0)[: order - 1]])
 
 
-def arx_of(runs: Sequence[Run], k: int, order: int) -> tuple[FloatArray, FloatArray, float]:
-    """Poles (order,), gains (order + 1, n_out) and offset of output `k` by least squares.
+def arx_of(runs: Sequence[Run], k: int, order: int) -> FloatArray:
+    """Coefficients (2 order,) of output `k`, a then c, by least squares on the next sample.
 
     Runs of `order` samples or fewer tell nothing; one has to be longer.
     """
     rows, targets = [], []
     for run in (run for run in runs if len(run.measured) > order):
-        y, n = run.measured[:, k], len(run.measured)
-        past = [y[order - i : n - i, None] for i in range(1, order + 1)]
-        drive = [run.steady[order - i : n - i] for i in range(order + 1)]
-        row = np.concatenate([*past, *drive, np.ones((n - order, 1))], axis=1)
-        known = np.isfinite(row).all(axis=1) & np.isfinite(y[order:])
-        rows.append(row[known])
-        targets.append(y[order:][known])
+        one = _Deviation.of(run, k)
+        row = np.concatenate([one.past(one.measured, order, np.nan), one.moves(order)]).T
+        known = np.isfinite(row).all(axis=1) & np.isfinite(one.measured)
+        rows.append(_levelled(row[known]))
+        targets.append(_levelled(one.measured[known]))
     matrix, target = np.concatenate(rows), np.concatenate(targets)
     size = np.maximum(np.abs(matrix).max(axis=0, initial=0.0), 1e-12)
-    found = np.linalg.lstsq(matrix / size, target, rcond=None)[0] / size
-    gains = found[order:-1].reshape(order + 1, -1)
-    return found[:order], gains, float(found[-1])
+    return np.asarray(np.linalg.lstsq(matrix / size, target, rcond=None)[0] / size)
 
 
-def _free_run_error(
-    runs: Sequence[Run], k: int, model: tuple[FloatArray, FloatArray, float]
-) -> float:
-    poles, gains, offset = model
-    arx = Member("arx", k, poles=tuple(poles), gains=tuple(map(tuple, gains)), offset=offset)
-    errors = []
-    for run in runs:
-        first = start_of(run.steady, run.measured[0], k)
-        errors.append(arx.simulate(run.steady, first) - run.measured[:, k])
-    error = np.concatenate(errors)
-    return float(np.sqrt(np.nanmean(error**2)))
+def _levelled(rows: FloatArray) -> FloatArray:
+    """Rows (samples, ...) less their mean: what a level of the run's own leaves of them."""
+    return rows - rows.mean(axis=0) if len(rows) else rows
+
+
+def linear(kind: Kind, k: int, found: FloatArray, outputs: int) -> Member:
+    """The model of output `k` of so many, from its coefficients (2 order,), a then c."""
+    poles, moves = np.split(found, 2)
+    gains = np.zeros((len(poles) + 1, outputs))
+    gains[:, k] = np.concatenate([[1.0], -poles])
+    gains[:-1, k] += moves
+    gains[1:, k] -= moves
+    rows = tuple(map(tuple, gains.tolist()))
+    return Member(kind, k, poles=tuple(poles.tolist()), gains=rows)
+
+
+def _fit_linear(
+    runs: Sequence[Run], k: int, lag_s: tuple[float, float], dt_s: float
+) -> tuple[Member, Member]:
+    """ARX and output-error model of output `k`, each of the order with the best free run.
+
+    Of those that settle with `LONGEST_S` at most; without poles where there is none. Where ARX does
+    not, output error starts from the first-order lag with time constants `lag_s`.
+    """
+    outputs, furthest = runs[0].steady.shape[1], float(np.exp(-dt_s / LONGEST_S))
+    parts = [_Deviation.of(run, k) for run in runs]
+    kept = float(np.exp(-dt_s / np.sqrt(lag_s[0] * lag_s[1])))
+    arx, free = (Member("arx", k), np.inf), (Member("output_error", k), np.inf)
+    for order in ORDERS:
+        if all(len(run.measured) <= order for run in runs):
+            continue
+        found = arx_of(runs, k, order)
+        settles = _settles(found, furthest)
+        if not settles:
+            found = np.zeros(2 * order)
+            found[0], found[order] = kept, -kept
+        left = _FreeRunError.of(parts, found)
+        if settles and left.square < arx[1]:
+            arx = linear("arx", k, found, outputs), left.square
+        found, left = _to_free_run(parts, (found, left), furthest)
+        if left.square < free[1]:
+            free = linear("output_error", k, found, outputs), left.square
+    return arx[0], free[0]
+
+
+def _settles(found: FloatArray, furthest: float) -> bool:
+    """Whether all poles lie within a circle of this radius."""
+    poles = found[: len(found) // 2]
+    return bool((np.abs(np.roots(np.concatenate([[1.0], -poles]))) <= furthest).all())
+
+
+class _FreeRunError(NamedTuple):
+    """Mean square of the free-run error, and its normal equations J'J, J'e in the coefficients."""
+
+    square: float
+    matrix: FloatArray
+    slope: FloatArray
+
+    @classmethod
+    def of(cls, parts: Sequence[_Deviation], found: FloatArray) -> Self:
+        """Of a model with coefficients `found` (2 order,), without the level of each run."""
+        order, size = len(found) // 2, len(found)
+        poles, moves = np.split(found, 2)
+        fed_back = np.concatenate([[1.0], -poles])
+        square, matrix, slope, count = 0.0, np.zeros((size, size)), np.zeros(size), 0
+        for one in parts:
+            driven = moves @ one.moves(order) + (poles.sum() - 1.0) * one.first
+            driven[0] = 0.0  # the run starts where it was measured
+            free = one.first + lfilter([1.0], fed_back, driven)
+            causes = np.concatenate([one.past(free, order, one.first), one.moves(order)])
+            causes[:, 0] = 0.0
+            known = np.isfinite(one.measured)
+            rows = _levelled(lfilter([1.0], fed_back, causes, axis=1).T[known])
+            error = _levelled((one.measured - free)[known])
+            square, count = square + float(error @ error), count + len(error)
+            matrix, slope = matrix + rows.T @ rows, slope + rows.T @ error
+        return cls(square / max(count, 1), matrix, slope)
+
+
+def _to_free_run(
+    parts: Sequence[_Deviation], begun: tuple[FloatArray, _FreeRunError], furthest: float
+) -> tuple[FloatArray, _FreeRunError]:
+    """Coefficients with the least free-run error near those `begun` with, by Gauss-Newton."""
+    found, left = begun
+    for _ in range(_STEPS):
+        step = np.linalg.lstsq(left.matrix, left.slope, rcond=None)[0]
+        for _ in range(_HALVINGS):
+            trial = found + step
+            if _settles(trial, furthest):
+                less = _FreeRunError.of(parts, trial)
+                if less.square < left.square:
+                    break
+            step = 0.5 * step
+        else:
+            break
+        done = less.square > (1.0 - _CONVERGED) * left.square
+        found, left = trial, less
+        if done:
+            break
+    return found, left
 
 
 def _gain(tau_s: float, dt_s: float) -> float:

@@ -42,7 +42,8 @@ class SteadyFitConfig(Section):
     curvature, on differences between envelope corners and on engine lines, as shares of the
     mean squared error. `huber` is the residual, in robust standard deviations, beyond which a
     sample loses weight; 0 turns that off. The curves go on straight for `reach` of the driver's
-    range beyond the samples, and are held from there on; both count as outside the envelope.
+    range beyond the samples (those of temperatures, which may turn, for 0.15 at most), and are held
+    from there on; both count as outside the envelope.
     """
 
     knots: int = Field(default=8, ge=2, le=200)
@@ -50,7 +51,7 @@ class SteadyFitConfig(Section):
     spread: float = Field(default=3e-4, ge=0)
     scatter: float = Field(default=1e-4, ge=0)
     huber: float = Field(default=0.0, ge=0)
-    reach: float = Field(default=0.15, ge=0)
+    reach: float = Field(default=1.0, ge=0)
 
 
 class SteadyStateConfig(Section):

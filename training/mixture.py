@@ -27,7 +27,7 @@ from scipy.optimize import minimize
 
 from data_prep.log import Log
 from narxcal.calibration.calibration import DynamicCalibration
-from narxcal.calibration.members import Kind, Member
+from narxcal.calibration.members import KINDS, Member
 from narxcal.support.arrays import BoolArray, FloatArray, known_mean
 from narxcal.support.errors import DataError
 from narxcal.support.progress import Progress, silent
@@ -38,8 +38,7 @@ from training.levels import lag_of, level_of
 
 NETWORK: Final = "network"
 LAGS: Final = "lags"
-SIMPLE: Final[tuple[Kind, ...]] = ("first_order", "arx")
-MODELS: Final = (NETWORK, LAGS, *SIMPLE)
+MODELS: Final = (NETWORK, LAGS, *KINDS)
 _PRIOR: Final = 0.5  # pieces that the prior of equal weights counts as; 0.3 to 2 differ by 1 %
 _LEAST_WEIGHT: Final = 0.02  # of a simple model; what less it changes is within rounding of figures
 _UNIT_US: Final = 3.0  # nominal cost of a sample-step of the network behind lags
@@ -92,7 +91,7 @@ class HeldOut(NamedTuple):
 class Mixture:
     """Weights (models, outputs) in the order of `MODELS`, and what they rest on.
 
-    Without anything `held` out the network is alone, and `status` says why.
+    Without anything `held` out weights are equal, or the network alone; `status` says why.
     """
 
     channels: tuple[str, ...]
@@ -117,7 +116,7 @@ class Mixture:
         simple = Baselines.from_json(baselines)
         members: list[Member] = []
         for k, weights in enumerate(self.weights.T):
-            for kind, weight in zip(SIMPLE, weights[2:], strict=True):
+            for kind, weight in zip(KINDS, weights[2:], strict=True):
                 if weight > 0.0:
                     members.append(simple.member(kind, k, calibration.dt_s, float(weight)))
         if calibration.lag is not None and self.weights[1].any():
@@ -196,7 +195,7 @@ def choose_mixture(
     """Judge all models on folds of the training logs.
 
     `refit` fits calibration and baselines to some logs; `whole` are those fitted to all of them,
-    and an ARX model that is stable in the folds alone has no share.
+    and a linear model that is stable in the folds alone has no share.
     """
     calibration, fitted = whole
     folds = log_folds(logs, lambda log: run_of(calibration, log).steady[:, 0])
@@ -210,19 +209,23 @@ def choose_mixture(
     for number, fold in enumerate(folds):
         progress(number, len(folds), "judging on held-out parts")
         try:
-            found, simple = refit(fold.fitted)
+            found, own = refit(fold.fitted)
         except DataError as error:
             lost[fold.name] = str(error.problem)
             continue
-        held += [held_out(found, Baselines.from_json(simple), log, fold) for log in fold.judged]
-    if not held:
-        reason = next(iter(lost.values()), "nothing could be held out")
-        return network_alone(calibration, f"no choice: {reason}; add a longer or another log")
-    arx = Baselines.from_json(fitted).arx
-    fits = [np.array([kind != "arx" or len(poles) > 0 for kind in MODELS]) for poles in arx.poles]
+        held += [held_out(found, Baselines.from_json(own), log, fold) for log in fold.judged]
+    simple = Baselines.from_json(fitted)
+    fits = [
+        np.array([True, calibration.lag is not None, *(simple.has(kind, k) for kind in KINDS)])
+        for k in range(len(calibration.output_names))
+    ]
     weights = np.stack(
         [weights_of(_products(held, k), there) for k, there in enumerate(fits)], axis=1
     )
+    if not held:
+        reason = next(iter(lost.values()), "nothing could be held out")
+        status = f"equal weights: {reason}; add a longer or another log"
+        return Mixture(calibration.output_names, weights, (), status)
     parts = dict.fromkeys(Path(one.piece).name for one in held)
     status = f"weights by {len(parts)} held-out parts of the training logs: {', '.join(parts)}"
     if lost:
@@ -244,8 +247,7 @@ def held_out(
     models = (
         own.simulate(inputs, start),
         lags,
-        baselines.lag.simulate(run.steady, start, own.dt_s),
-        baselines.arx.simulate(run.steady, start),
+        *(baselines.simulate(kind, run.steady, start, own.dt_s) for kind in KINDS),
     )
     return HeldOut(
         log.name, log.source.file, fold.piece(log), fold.whole,
@@ -273,14 +275,17 @@ def weights_of(products: FloatArray, fitted: BoolArray | None = None) -> FloatAr
     """Weights (models,) by mean products of errors (pieces, models, models); see the module.
 
     A model without a free run over some piece has none, nor one that is not among those `fitted`
-    (models,) to all logs. Without any piece the network is alone.
+    (models,) to all logs. Without any piece all others are equal, without any model that has one
+    the network is alone.
     """
     usable = np.isfinite(np.diagonal(products, axis1=1, axis2=2)).all(axis=0)
     usable = usable if fitted is None else usable & fitted
     weights = np.zeros(products.shape[1])
-    if not len(products) or not usable.any():
+    if not usable.any():
         weights[0] = 1.0
         return weights
+    if not len(products):
+        return np.asarray(usable / usable.sum())
     known = products[:, usable][:, :, usable]
     floor = _LEAST_ERROR**2 * max(float(known.max()), 1e-300)
     known = known + floor * np.eye(known.shape[1])

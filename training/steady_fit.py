@@ -44,6 +44,7 @@ _ROWS = 20000  # more quasi-steady samples than this tell nothing new
 # the output, as of the recorders that fly: `python -m eval.benchmarks.exponents` leaves one out in
 # turn. Without a prior its estimates are several times as large, and differ as much in sign.
 SPREADS: Final = {"%": (0.06, 0.03), "degC": (0.12, 0.065)}
+_NEAR: Final = 0.15  # of the driver's range: curves may still bend so far beyond the samples
 _UNRELATED: Final = 0.05  # autocorrelation below which samples count as independent
 
 
@@ -179,7 +180,7 @@ def _envelope(inputs: FloatArray, layout: Layout) -> Envelope:
 def _spread_knots(drive: FloatArray, config: SteadyFitConfig) -> FloatArray:
     """Even knots over the range and a little beyond, where the penalty draws straight lines."""
     low, high = float(drive.min()), float(drive.max())
-    beyond = config.reach * (high - low)
+    beyond = min(_NEAR, config.reach) * (high - low)
     return np.linspace(low - beyond, high + beyond, config.knots)
 
 
@@ -205,11 +206,16 @@ def _curve(
         strengths = _exponent_strengths(design.layout, target, target - matrix @ first, own)
         design = replace(design, exponents=strengths)
     monotone = design.solve(matrix, target, monotone=True)
-    if not name.endswith("_C"):
+    if not _may_turn(name):
         return monotone
     free = design.solve(matrix, target, monotone=False)
     left = [float(np.nansum((matrix @ each - target) ** 2)) for each in (free, monotone)]
     return free if left[0] < _NOT_MONOTONE**2 * left[1] else monotone
+
+
+def _may_turn(output: str) -> bool:
+    """Whether the output may fall with the driver: temperatures do at low power."""
+    return output.endswith("_C")
 
 
 def _exponent_strengths(
@@ -322,13 +328,15 @@ class _Design:
         at = self.corners * (1 + self.splines)
         curve = coefficients[:, :at].reshape(len(coefficients), self.corners, -1)
         lines = coefficients[:, at:].reshape(len(coefficients), -1, 2).transpose(1, 0, 2)
+        knots, curve = self._straight_on(curve)
+        lines = lines * [1.0, (len(knots) - 1) / (self.splines - 1)]  # slopes are over all knots
         engines = len(self.engines)
         switches = engines + len(self.layout.switches)
         return FittedSteadyState(
             layout=self.layout,
             envelope=self.envelope,
             seen=self.seen,
-            knots=self.knots,
+            knots=knots,
             curve=curve,
             engines=self.engines,
             engine_lines=lines[:engines],
@@ -336,6 +344,23 @@ class _Design:
             air_lines=lines[switches:],
             air_seen=self.air_seen,
         )
+
+    def _straight_on(self, curve: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Knots as far as `reach`, and curves that go on to them as straight lines.
+
+        Between the knots of the fit they are the same. Those of outputs that may turn stand:
+        nothing says which way they go on.
+        """
+        step, span = self.knots[1] - self.knots[0], self.seen[1] - self.seen[0]
+        lacking = self.config.reach * span - (self.knots[-1] - self.seen[1])
+        more = max(int(np.ceil(lacking / step - 1e-9)), 0)
+        out = step * np.arange(1, more + 1)
+        knots = np.concatenate([self.knots[0] - out[::-1], self.knots, self.knots[-1] + out])
+        stands = np.array([_may_turn(name) for name in self.layout.output_names])
+        ends = np.where(stands[:, None, None], 0.0, curve[..., [1, -1]])
+        below, above = (np.repeat(ends[..., k, None], more, axis=-1) for k in (0, 1))
+        first = curve[..., :1] - below.sum(axis=-1, keepdims=True)
+        return knots, np.concatenate([first, below, curve[..., 1:], above], axis=-1)
 
 
 def _row(size: int, entries: dict[int, float], strength: float) -> FloatArray:

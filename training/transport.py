@@ -26,11 +26,10 @@ import numpy as np
 from data_prep.log import Log
 from narxcal.calibration.calibration import steady_for_engine
 from narxcal.calibration.delay import TransportDelay
-from narxcal.calibration.members import Member
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import FloatArray
 from narxcal.support.progress import Progress, silent
-from training.baselines import Run, arx_of, start_of
+from training.baselines import Run, arx_of, linear, start_of
 from training.config import RunConfig
 from training.folds import Fold, geometric_rms, surely_below, thirds
 from training.lags import PLAIN, Trial, thinned, with_form
@@ -133,7 +132,8 @@ def _arx_errors(runs: Sequence[Run], folds: Sequence[Fold], samples: int) -> Flo
     found = []
     for fold in folds:
         fitted, judged = fold.of(late)
-        models = [_arx(k, *arx_of(fitted, k, _ORDER)) for k in range(late[0].steady.shape[1])]
+        count = late[0].steady.shape[1]
+        models = [linear("arx", k, arx_of(fitted, k, _ORDER), count) for k in range(count)]
         with np.errstate(over="ignore", invalid="ignore"):
             errors = [
                 np.column_stack(
@@ -148,11 +148,6 @@ def _arx_errors(runs: Sequence[Run], folds: Sequence[Fold], samples: int) -> Flo
             found.append(np.log(geometric_rms(errors)))
     known: FloatArray = np.nan_to_num(np.array(found), nan=_UNSTABLE, posinf=_UNSTABLE)
     return known
-
-
-def _arx(k: int, poles: FloatArray, gains: FloatArray, offset: float) -> Member:
-    rows = tuple(tuple(row) for row in gains.tolist())
-    return Member("arx", k, poles=tuple(poles.tolist()), gains=rows, offset=offset)
 
 
 def _shifted(values: FloatArray, samples: int) -> FloatArray:

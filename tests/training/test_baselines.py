@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 
 from data_prep.log import Log
 from narxcal.support.errors import ModelError
-from training.baselines import Baselines, FirstOrderLag, LinearArx, Run, arx_of, fit_baselines
+from training.baselines import Baselines, FirstOrderLag, Linear, Run, arx_of, fit_baselines, linear
 
 DT_S = 0.1
 
 
-class Linear:
+class Steady:
     """Settled N1 = 20 + lever, EGT = 300 + 5 lever."""
 
     input_names, output_names = ("TRA_deg",), ("N1_pct", "EGT_C")
@@ -28,10 +28,10 @@ class Linear:
 
 @dataclass
 class Calibration:
-    steady: Linear = field(default_factory=Linear)
+    steady: Steady = field(default_factory=Steady)
     dt_s: float = DT_S
-    input_names: tuple = Linear.input_names
-    output_names: tuple = Linear.output_names
+    input_names: tuple = Steady.input_names
+    output_names: tuple = Steady.output_names
 
     def for_engine(self, _, **__):
         return self
@@ -53,7 +53,7 @@ def log_of(outputs, lever):
 
 
 def lagged(lever, push_s, pull_s):
-    settled = Linear().outputs(lever[:, None])
+    settled = Steady().outputs(lever[:, None])
     return FirstOrderLag(push_s, pull_s).simulate(settled, settled[0], DT_S)
 
 
@@ -83,49 +83,83 @@ def test_the_compiled_lag_gives_the_numbers_of_the_plain_one(seed, push, pull):
     np.testing.assert_allclose(fast, plain, rtol=1e-9)
 
 
-def test_an_arx_system_is_recovered_and_simulated_exactly():
+# Coefficients of two systems: poles, then what increments of the steady value add.
+SECOND, FIRST = np.array([1.5, -0.56, -0.9, 0.3]), np.array([0.8, -0.5])
+
+
+def linear_of(*coefficients):
+    members = [linear("arx", k, np.array(c), len(coefficients)) for k, c in enumerate(coefficients)]
+    return Linear.of("arx", members)
+
+
+@pytest.mark.parametrize("kind", ["arx", "output_error"])
+def test_a_linear_system_is_recovered(kind):
     lever = slams(1)
-    settled = Linear().outputs(lever[:, None])
-    true = LinearArx(
-        poles=((1.5, -0.56), (0.8,)),
-        gains=(((0.05, 0.0), (0.01, 0.0), (0.0, 0.0)), ((0.3, 0.1), (-0.1, 0.0))),
-        offsets=(0.2, -3.0),
-    )
-    outputs = true.simulate(settled, settled[0])
-    params = fit_baselines(Calibration(), [log_of(outputs, lever)])
-    found = Baselines.from_json(params).arx.simulate(settled, outputs[0])
-    # The start itself is not a state of the system: it stood still before.
-    np.testing.assert_allclose(found, outputs, atol=0.05)
+    steady = Steady().outputs(lever[:, None])
+    outputs = linear_of(SECOND, FIRST).simulate(steady, steady[0])
+    found = Baselines.from_json(fit_baselines(Calibration(), [log_of(outputs, lever)]))
+    np.testing.assert_allclose(found.simulate(kind, steady, outputs[0], DT_S), outputs, atol=1e-6)
+
+
+def test_output_error_is_not_biased_by_noise_as_arx_is():
+    lever, rng = slams(1), np.random.default_rng(0)
+    steady = Steady().outputs(lever[:, None])
+    outputs = linear_of(FIRST, FIRST).simulate(steady, steady[0])
+    noisy = outputs + 5.0 * rng.normal(size=outputs.shape)
+    found = Baselines.from_json(fit_baselines(Calibration(), [log_of(noisy, lever)]))
+    left = {
+        kind: np.abs(found.simulate(kind, steady, outputs[0], DT_S) - outputs).max()
+        for kind in ("arx", "output_error")
+    }
+    assert left["output_error"] < 0.5 * left["arx"]
+
+
+def test_a_level_of_each_run_is_no_slow_pole():
+    runs = []
+    for level in (-3.0, 2.0):
+        steady = Steady().outputs(slams(int(level) + 9, 600)[:, None])
+        runs.append(Run(steady, linear_of(FIRST, FIRST).simulate(steady, steady[0]) + level))
+    assert arx_of(runs, 0, 1) == pytest.approx(FIRST, abs=1e-9)
+
+
+@given(
+    poles=st.lists(st.floats(-0.95, 0.95), min_size=1, max_size=3),
+    moves=st.lists(st.floats(-3.0, 3.0), min_size=3, max_size=3),
+)
+def test_whatever_its_coefficients_a_linear_model_rests_on_the_steady_state(poles, moves):
+    fed_back = -np.poly(poles)[1:]
+    model = linear_of(np.concatenate([fed_back, moves[: len(poles)]]))
+    steady = np.repeat([[20.0], [90.0]], [1, 2000], axis=0)
+    assert model.simulate(steady, np.array([31.0]))[-1, 0] == pytest.approx(90.0, abs=1e-6)
 
 
 def test_a_run_shorter_than_the_order_tells_nothing():
     steady = np.array([[50.0], [60.0], [60.0], [60.0], [40.0], [40.0], [40.0], [40.0]])
-    y = LinearArx(((0.5,),), (((0.5,), (0.0,)),), (0.0,)).simulate(steady, np.array([50.0]))
+    y = linear_of([0.5, -0.5]).simulate(steady, np.array([50.0]))
     runs = [Run(steady[:1], y[:1]), Run(steady, y)]
-    assert arx_of(runs, 0, 1)[0] == pytest.approx([0.5], abs=1e-6)
+    assert arx_of(runs, 0, 1) == pytest.approx([0.5, -0.5], abs=1e-6)
 
 
 def test_an_arx_run_is_its_difference_equation():
-    settled = np.random.default_rng(2).normal(size=(40, 1))
-    arx = LinearArx(poles=((0.5, 0.3),), gains=(((0.7,), (-0.2,)),), offsets=(0.1,))
-    run = arx.simulate(settled, np.array([2.0]))[:, 0]
-    y = [2.0, 2.0]
+    steady = np.random.default_rng(2).normal(size=40)
+    run = linear_of([0.5, 0.3, 0.7, -0.2]).simulate(steady[:, None], np.array([2.0]))[:, 0]
+    d, moved = [2.0 - steady[0]] * 2, np.diff(steady, prepend=[steady[0]] * 2)
     for k in range(1, 40):
-        y.append(0.5 * y[-1] + 0.3 * y[-2] + 0.7 * settled[k, 0] - 0.2 * settled[k - 1, 0] + 0.1)
-    np.testing.assert_allclose(run, y[1:], rtol=1e-12)
+        d.append(0.5 * d[-1] + 0.3 * d[-2] + 0.7 * moved[k + 1] - 0.2 * moved[k])
+    np.testing.assert_allclose(run, steady + d[1:], rtol=1e-12)
 
 
 def test_an_unstable_arx_is_never_returned():
     lever = slams(3, 400)
     growing = np.exp(0.02 * np.arange(len(lever)))
     params = fit_baselines(Calibration(), [log_of(np.column_stack([growing, growing]), lever)])
-    for poles in params["arx"]["poles"]:
+    for poles in (*params["arx"]["poles"], *params["output_error"]["poles"]):
         roots = np.roots([1.0, *(-value for value in poles)])
         assert np.all(np.abs(roots) < 1.0)
 
 
 def test_a_channel_without_a_stable_arx_runs_as_nan():
-    arx = LinearArx(poles=((),), gains=((),), offsets=(0.0,))
+    arx = Linear("arx", poles=((),), gains=((),), offsets=(0.0,))
     assert np.isnan(arx.simulate(np.ones((5, 1)), np.array([1.0]))).all()
 
 

@@ -15,8 +15,12 @@ def products(*pieces, correlation=0.5):
     return rms[:, :, None] * rms[:, None, :] * alike
 
 
-def test_without_anything_held_out_the_network_is_alone():
-    assert weights_of(np.empty((0, 4, 4))).tolist() == [1.0, 0.0, 0.0, 0.0]
+def test_without_anything_held_out_all_models_there_are_equal():
+    there = np.array([True, False, True, True])
+    assert weights_of(np.empty((0, 4, 4)), there) == pytest.approx([1 / 3, 0.0, 1 / 3, 1 / 3])
+
+
+def test_without_a_held_out_free_run_the_network_is_alone():
     assert weights_of(np.full((2, 4, 4), np.nan)).tolist() == [1.0, 0.0, 0.0, 0.0]
 
 
@@ -81,30 +85,32 @@ def held(log, errors, whole=True):
 
 
 def mixture(*logs):
-    weights = np.array([[0.5], [0.5], [0.0], [0.0]])
+    weights = np.zeros((len(MODELS), 1))
+    weights[:2] = 0.5
     return Mixture(("N1_pct",), weights, logs, "")
 
 
 def test_a_log_that_spoils_the_rest_is_named():
     sizes = {"a": 1.0, "b": 1.2, "c": 5.0, "d": 0.9}
-    logs = [held(name, [size] * 4) for name, size in sizes.items()]
+    logs = [held(name, [size] * len(MODELS)) for name, size in sizes.items()]
     assert mixture(*logs).suspects == (
         (
             "c does not fit the other logs: held out, N1_pct is wrong by 5, 5.0 times as much as "
             "usual, in every model; check it, or leave it out"
         ),
     )
-    regions = [held(name, [size] * 4, whole=False) for name, size in sizes.items()]
+    regions = [held(name, [size] * len(MODELS), whole=False) for name, size in sizes.items()]
     assert mixture(*regions).suspects == ()
-    one_model = [*logs[:2], held("c", [5.0, 1.0, 1.0, 1.0]), logs[3]]
+    one_model = [*logs[:2], held("c", [5.0, *[1.0] * (len(MODELS) - 1)]), logs[3]]
     assert mixture(*one_model).suspects == ()
 
 
 def test_what_is_stored_says_weights_and_held_out_errors():
-    found = mixture(held("a", [1.0, 3.0, 2.0, np.nan]), held("b", [1.0, 3.0, 2.0, 1.0])).row()
+    sizes = (1.0, 3.0, 2.0, 1.0, 4.0, 5.0)
+    found = mixture(held("a", [*sizes[:-1], np.nan]), held("b", sizes)).row()
     one = found["channels"]["N1_pct"]
     assert one["weights"] == {"network": 0.5, "lags": 0.5}
-    errors = dict(zip(MODELS, (1.0, 3.0, 2.0, 1.0), strict=True))
+    errors = dict(zip(MODELS, sizes, strict=True))
     assert one["held_out_rmse"] == pytest.approx({**errors, "mixture": 2.0})
     assert one["held_out_level"] == [2.0, 2.0]
     assert found["held_out"] == ["a", "b"]

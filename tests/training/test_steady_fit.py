@@ -122,16 +122,31 @@ def test_a_masked_output_costs_only_itself():
     assert largest_error(part)[0] < 0.8
 
 
-def test_beyond_the_samples_a_curve_goes_on_straight_and_then_stands():
+def test_beyond_the_samples_a_curve_goes_on_straight_for_their_range_and_then_stands():
     inputs = drawn()
-    model, _ = fitted(SteadySamples(inputs, truth(inputs)), config=SteadyFitConfig(reach=0.2))
-    span = np.ptp(inputs[:, 0])
-    sweep = np.tile([0.0, 0.0, 0.0, 0.0], (4, 1))
-    sweep[:, 0] = inputs[:, 0].min() - span * np.array([0.0, 0.1, 0.2, 0.5])
-    n1 = model.outputs(sweep)[:, 0]
-    assert n1[0] > n1[1] > n1[2]
-    assert n1[2] == pytest.approx(n1[3])
-    assert model.inside(sweep).tolist()[1:] == [False] * 3
+    model, _ = fitted(SteadySamples(inputs, truth(inputs)))
+    low, span = inputs[:, 0].min(), np.ptp(inputs[:, 0])
+    sweep = np.zeros((6, 4))
+    sweep[:, 0] = low + span * np.array([-2.0, -1.3, -0.8, 1.5, 1.75, 2.0])
+    n1, egt = model.outputs(sweep).T
+    assert n1[0] == pytest.approx(n1[1])
+    assert n1[1] < n1[2]
+    assert n1[4] - n1[3] == pytest.approx(n1[5] - n1[4])
+    assert egt[1] == pytest.approx(egt[2])  # a temperature may turn
+    assert egt[4] == pytest.approx(egt[5])
+    assert not model.inside(sweep).any()
+
+
+def test_how_far_a_curve_goes_on_changes_nothing_within_the_samples():
+    inputs, other = drawn(300, 0), drawn(300, 1)
+    samples = [
+        SteadySamples(inputs, truth(inputs) - inputs[:, :1] / 80.0, "left"),
+        SteadySamples(other, truth(other), "right"),
+    ]
+    near, far = (fitted(*samples, config=SteadyFitConfig(reach=reach))[0] for reach in (0.15, 1.0))
+    at = drawn(seed=9)
+    expected = near.for_engine("left").outputs(at)
+    np.testing.assert_allclose(far.for_engine("left").outputs(at), expected, rtol=1e-9)
 
 
 def test_corrected_curves_are_vouched_for_in_air_they_were_not_fitted_in_but_not_at_any_mach():
