@@ -55,7 +55,10 @@ def is_array_file(magic: bytes) -> bool:
 
 
 class ArraySource:
-    """One file of arrays, whose columns were read as a whole; row 1 is the first."""
+    """One file of arrays, whose columns were read as a whole; row 1 is the first.
+
+    `time` is the column of stamps; "" where only the header is wanted.
+    """
 
     truncated = False
     hourly = False
@@ -70,14 +73,14 @@ class ArraySource:
         if not self._columns:
             raise DataError("the file holds no columns of numbers", file=path)
         rated = any(column.rate_hz for column in self._columns.values())
-        if time not in self._columns and not rated:
+        if time and time not in self._columns and not rated:
             raise DataError(
                 f"the file has no column '{time}', and its channels have no rates",
                 file=path,
                 channel="time_s",
                 hint=f"Name the column of time: {', '.join(list(self._columns)[:12])}",
             )
-        made = {} if time in self._columns else {time: ""}
+        made = {} if not time or time in self._columns else {time: ""}
         self._units = {**made, **{name: each.unit for name, each in self._columns.items()}}
 
     @property

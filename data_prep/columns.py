@@ -14,12 +14,12 @@ import numpy as np
 
 from data_prep.config import ENGINE
 from data_prep.log import AuditEntry
+from data_prep.naming import is_designation
 from data_prep.units import (
     find_unit,
     is_no_unit,
     is_volume_flow,
     litres_per_hour,
-    looks_like_unit,
     named_unit,
     to_canonical,
 )
@@ -40,7 +40,6 @@ _SHOWN = 12  # names of columns in a message
 _SEARCHED = 1000  # columns among which a misspelt one is looked for
 _NO_UNIT = ("", "-")
 _BRACKETS_AT_END = re.compile(r"[\[({<]([^][(){}<>]+)[])}>]\s*$")
-_RIGHT = "r"  # the right engine of [L] and [R], no degree Rankine
 
 
 class Table(Protocol):
@@ -233,7 +232,7 @@ def _unit_text(table: Table, config: LogsConfig, name: str, source: ColumnSource
         return ""
     prefixes = (config.engines or {"": ""}).values()
     columns = [source.column.replace(ENGINE, prefix) for prefix in prefixes]
-    texts = [_unit_of_column(table, name, column) for column in columns if column in table.header]
+    texts = [unit_text(table, column, name) for column in columns if column in table.header]
     if len(set(map(named_unit, texts))) > 1:
         raise DataError(
             f"the {_place(table)} says {' and '.join(map(repr, texts))} of the engines' columns",
@@ -243,17 +242,19 @@ def _unit_text(table: Table, config: LogsConfig, name: str, source: ColumnSource
     return "" if not texts or is_no_unit(texts[0]) else texts[0]
 
 
-def _unit_of_column(table: Table, name: str, column: str) -> str:
+def unit_text(table: Table, column: str, name: str) -> str:
+    """Return what stands in the file as the unit of a column: in a row, or brackets that end it.
+
+    Brackets around an engine or another word of a column's name are none, nor is a letter that is
+    no unit of channel `name`.
+    """
     if table.head.units:
         return table.head.units[table.header.index(column)]
     found = _BRACKETS_AT_END.search(column)
     text = found[1].strip() if found else ""
-    if text.isdigit() or text.casefold() == _RIGHT:
-        return ""
-    # Brackets may contain anything: one letter is a unit only of this very channel.
-    unit = named_unit(text)
-    fits = bool(unit) and _or_none(unit, name) is not None
-    return text if fits or looks_like_unit(text) else ""
+    fits = named_unit(text) and _or_none(named_unit(text), name)
+    other = len(text) == 1 and not fits
+    return "" if other or is_designation(text) else text
 
 
 def _unit(table: Table, name: str, text: str) -> str:

@@ -166,7 +166,8 @@ def _units_above(
 ) -> tuple[str, ...]:
     """Return the row of units that is nearest above the header, a comment or not.
 
-    It has as many cells as the header, and two of them are units: a title may be one.
+    It has as many cells as the header, and two of them are units or in brackets, as all others are:
+    a title may be one.
     """
     delimiter, comment = how
     for line in reversed(lines):
@@ -175,7 +176,9 @@ def _units_above(
             plain = plain.lstrip().removeprefix(comment)
         cells = fields(plain, delimiter)
         found = units_row(cells, header) if len(cells) == len(header) else ()
-        if sum(map(is_unit_text, filter(None, found))) >= _FEWEST_UNITS:
+        filled = [cell for cell in found if cell]
+        bracketed = all(map(_BRACKETED.fullmatch, filled))
+        if sum(bracketed or is_unit_text(cell) for cell in filled) >= _FEWEST_UNITS:
             return found
     return ()
 

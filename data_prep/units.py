@@ -201,12 +201,6 @@ def is_no_unit(cell: str) -> bool:
     return _plain(cell) in ("", "-")
 
 
-def looks_like_unit(cell: str) -> bool:
-    """Whether text in brackets is plainly a unit: a letter may be the name of an engine."""
-    plain = _plain(cell)
-    return len(plain) > 1 and plain not in _NO_MEASURES and is_unit_text(cell)
-
-
 def is_unit_text(cell: str) -> bool:
     """Whether a cell names any unit, be it one of a channel or not."""
     plain = _plain(cell)
@@ -251,5 +245,4 @@ def to_canonical(values: FloatArray, unit: Unit) -> FloatArray:
 
 _BY_TEXT = _texts()
 _FLOWS = {_plain(text): flow for text, flow in _VOLUME_FLOWS.items()}
-_NO_MEASURES = {_plain(text) for text in _OTHER}
-_FOREIGN = {_plain(text) for text in (*_MEASURES, *_PER_MINUTE)} | _NO_MEASURES
+_FOREIGN = {_plain(text) for text in (*_MEASURES, *_PER_MINUTE, *_OTHER)}

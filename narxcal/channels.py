@@ -55,21 +55,45 @@ _TABLE = (
 CHANNELS: dict[str, Channel] = {channel.name: channel for channel in _TABLE}
 SPOOLS = ("N1_pct", "N2_pct")
 
-
-# Names in use elsewhere, for the hint at ours.
-_SYNONYMS = {
-    "EGT_C": ("ITT", "TGT", "TOT", "MGT", "T45", "T5", "TIT"),
-    "FF_kgph": ("WF", "FMF", "FUELFLOW", "FF"),
-    "TRA_deg": ("PLA", "TLA", "THROTTLE", "LEVER", "POWERLEVER"),
-    "N1_pct": ("NL", "NF", "FAN", "N1"),
-    "N2_pct": ("NH", "NG", "NGG", "CORE", "N2"),
-    "ALT_ft": ("HP", "ALTITUDE", "PALT", "ALT"),
-    "CAS_kt": ("IAS", "KIAS", "KCAS", "VCAS", "CAS"),
-    "dT_C": ("DISA", "DELTAISA", "ISADEV", "DTISA"),
-    "SAT_C": ("OAT", "SAT", "TAMB"),
-    "Mach": ("MN", "MACHNO"),
-    "WOW": ("AIRGROUND", "GROUND", "SQUAT"),
-    "time_s": ("TIME", "TIMESTAMP", "UTC"),
+# Names in use elsewhere: abbreviations of ARINC 429, AGARD and recorders, and words in full.
+FIELD_NAMES: dict[str, tuple[str, ...]] = {
+    name: tuple("".join(each.split()).upper() for each in text.split(","))
+    for name, text in {
+        "time_s": "time, t, timestamp, utc, gmt, elapsed, elapsed time, relative time, clock, "
+        "frame time, sec, seconds, recorder time, utc time, gmt time, sample time, time stamp",
+        "TRA_deg": "tra, tla, pla, throttle, lever, power lever, thrust lever, throttle lever, "
+        "throttle resolver angle, throttle angle, throttle lever angle, thrust lever angle, "
+        "power lever angle, throttle position, power lever position, thrust lever position",
+        "ALT_ft": "alt, altitude, hp, palt, pressure altitude, altitude press, altitude pressure, "
+        "press alt, baro alt, baro altitude, alt std, altitude std, std altitude, pressure alt",
+        "Mach": "mach, mn, mach no, mach number",
+        "dT_C": "disa, delta isa, isa dev, isa deviation, dtisa",
+        "WOW": "wow, weight on wheels, air ground, gnd air, squat, squat switch, on ground, "
+        "on gnd, ground, ac on gnd, ac on ground, ground air",
+        "Approach": "approach idle, high idle, flight idle",
+        "ECS": "ecs, pack, bleed, bleed air, ecs bleed, air conditioning",
+        "NAI": "nai, eai, cai, nacelle anti ice, engine anti ice, cowl anti ice, "
+        "inlet anti ice, aie",
+        "WAI": "wai, wing anti ice, wing deice",
+        "N1_pct": "n1, nl, nf, fan, fan speed, n1 speed, lp speed, lp spool speed, lp rotor speed, "
+        "low pressure spool speed, xnl, rpm, shaft speed, rotor speed, spool speed, n1 rpm",
+        "N2_pct": "n2, nh, ng, ngg, core, core speed, n2 speed, hp speed, hp spool speed, "
+        "hp rotor speed, high pressure spool speed, gas generator speed, xnh, n2 rpm",
+        "EGT_C": "egt, itt, tgt, tot, mgt, t45, t49, t5, tit, jpt, exhaust gas temp, "
+        "exhaust gas temperature, inter turbine temperature, interturbine temp, turbine gas temp, "
+        "turbine gas temperature, turbine outlet temperature, turbine exit, turbine exit temp, "
+        "jet pipe temperature, exhaust temp, exhaust temperature, turbine inlet temperature",
+        "FF_kgph": "ff, wf, fmf, wfe, fuel flow, fuel mass flow, fuel flow rate, fuel rate",
+        "FN_kN": "fn, thrust, net thrust",
+        "FPR": "fpr, fan pressure ratio",
+        "EPR": "epr, engine pressure ratio",
+        "SAT_C": "sat, oat, tamb, static air temp, static air temperature, outside air temp, "
+        "outside air temperature, ambient temp, ambient temperature, air temp",
+        "TAT_C": "tat, rat, total air temp, total air temperature, ram air temperature",
+        "CAS_kt": "cas, ias, kias, kcas, vcas, vias, airspeed, air speed, calibrated airspeed, "
+        "computed airspeed, indicated airspeed, airspeed comp, airspeed computed",
+        "TAS_kt": "tas, ktas, vtas, true airspeed, true air speed",
+    }.items()
 }
 
 
@@ -79,7 +103,7 @@ def channel(name: str) -> Channel:
         return CHANNELS[name]
     written = (name, name.partition("_")[0])  # a unit may follow: ITT_C
     plain = {"".join(filter(str.isalnum, text)).upper() for text in written}
-    meant = next((own for own, others in _SYNONYMS.items() if plain & {*others}), name)
+    meant = next((own for own, others in FIELD_NAMES.items() if plain & {*others}), name)
     hint = did_you_mean(meant, CHANNELS, "Known channels:")
     raise ConfigError(f"unknown channel '{name[:80]}'", hint=hint)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from data_prep.events import Event
 from data_prep.log import Log
@@ -18,7 +19,7 @@ from eval.report.style import Picture, envelope, picture
 from eval.report.tables import Measure, measures
 from eval.report.view import Curves, LogView
 from eval.residuals import Correlation, ResidualTests, independence, whiteness
-from narxcal.channels import symbol
+from narxcal.channels import CHANNELS, symbol
 from narxcal.support.arrays import FloatArray
 
 if TYPE_CHECKING:
@@ -362,6 +363,20 @@ def segment(log: Log, event: Event, channels: Sequence[str], title: str) -> Pict
     axes[-1].set_xlabel("time after the lever moved [s]")
     place = f"{event.start_s:.1f} s of {log.name}"
     return picture(figure, f"{title} at {place}", f"{title}, at {place}.")
+
+
+def recorded(log: Log) -> Figure:
+    """Draw every channel of a log over time, one below the other; grey is where none was read."""
+    names = [name for name in CHANNELS if name in log.channels and log.recorded([name])]
+    figure, axes = style.stack(9.0, [0.8] * len(names))
+    for part, name in zip(axes, names, strict=True):
+        style.shade_missing(part, log.time_s, log[name])
+        style.curve(part, log.time_s, log[name], style.MEASURED, lw=0.8)
+        part.set_ylabel(style.with_unit(name))
+        style.dress(part)
+        part.margins(x=0.0)
+    axes[-1].set_xlabel(f"time [s] of {log.name}")
+    return figure
 
 
 def free_runs(

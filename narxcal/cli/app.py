@@ -34,6 +34,7 @@ INTERRUPTED, PIPE_CLOSED, TERMINATED = 130, 141, 143
 # Each command is a module of its name with `add_options(parser)` and `run(options, console)`.
 COMMANDS = {
     "demo": "Fly the virtual engine, train on it, evaluate; needs no files.",
+    "init": "Draft a configuration from logs, with what is still to be filled in.",
     "prepare": "Read, clean and smooth the logs; find events, rank channels.",
     "train": "Calibrate a model. Ctrl-C keeps the best network so far and ends well.",
     "identify": "Calibrate by another method: output error, responses, subspace, static law.",

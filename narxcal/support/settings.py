@@ -12,6 +12,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from narxcal.support.errors import ConfigError, did_you_mean
 
+OPEN = "?"  # stands for a value that is still to be filled in
+
 
 class Section(BaseModel):
     """One table of a TOML configuration: immutable, and without unknown keys."""
@@ -45,7 +47,8 @@ class Section(BaseModel):
 def read_toml(file: Path, schema: str) -> dict[str, Any]:
     """Read a TOML file whose key `schema` has to be this; raises `ConfigError`."""
     try:
-        table = tomllib.loads(file.read_text(encoding="utf-8-sig"))
+        text = file.read_text(encoding="utf-8-sig")
+        table = tomllib.loads(text)
     except OSError as error:
         raise ConfigError(f"cannot be read: {error.strerror}", file=file) from None
     except UnicodeDecodeError:
@@ -59,7 +62,34 @@ def read_toml(file: Path, schema: str) -> dict[str, Any]:
             file=file,
             hint="Write it as the first line",
         )
+    if key := _open_key(table):
+        line, comment = _question(text)
+        raise ConfigError(
+            f"line {line}: '{key}' is still to be filled in{comment}",
+            file=file,
+            hint=f'Put a value in the place of "{OPEN}"',
+        )
     return table
+
+
+def _open_key(table: Mapping[str, Any], at: str = "") -> str:
+    """Path to the first value that is still to be filled in; "" for none."""
+    for name, value in table.items():
+        found = f"{at}{name}" if value == OPEN else ""
+        if isinstance(value, Mapping):
+            found = _open_key(value, f"{at}{name}.")
+        if found:
+            return found
+    return ""
+
+
+def _question(text: str) -> tuple[int, str]:
+    """Number of the first line with an open value, and the comment on it."""
+    lines = text.splitlines()
+    asks = (k for k, each in enumerate(lines) if OPEN in each.partition("#")[0])
+    line = next(asks, 0)
+    comment = lines[line].rpartition("#")[2] if "#" in lines[line] else ""
+    return line + 1, f": {comment.strip()}" if comment else ""
 
 
 def _explain(

@@ -452,6 +452,8 @@ def test_a_spelled_out_unit_in_brackets_converts(tmp_path, name, column, factor,
          "Say what it is in [logs.columns]: unit of N1_pct, or scale and offset"),
         ("FN_kN", "lbs", "is not known",
          "Say what it is in [logs.columns]: unit of FN_kN, or scale and offset"),
+        ("ALT_ft", "furlong", "is not known",
+         "Say what it is in [logs.columns]: unit of ALT_ft, or scale and offset"),
         ("ALT_ft", "knots", "does not fit ft",
          "Say what it is in [logs.columns]: unit of ALT_ft, or scale and offset"),
     ],
@@ -483,9 +485,11 @@ def test_a_row_of_units_above_the_header_counts_as_one_below(tmp_path, above):
     assert ("EGT_C", "repaired", "degF, as its row of units says", 40) in changes(log)
 
 
-def test_a_unit_above_the_header_that_is_not_known_is_refused(tmp_path):
-    assert error_of(write(tmp_path, f"#s,%,ohm\nt,fan,itt\n{ROWS}"), config()) == (
-        "FILE, channel EGT_C: the row of units says 'ohm', which is not known. "
+@pytest.mark.parametrize("above", ["#s,%,ohm", ",[%],[ohm]"])
+def test_a_unit_above_the_header_that_is_not_known_is_refused(tmp_path, above):
+    said = above.rpartition(",")[2]
+    assert error_of(write(tmp_path, f"{above}\nt,fan,itt\n{ROWS}"), config()) == (
+        f"FILE, channel EGT_C: the row of units says '{said}', which is not known. "
         "Say what it is in [logs.columns]: unit of EGT_C, or scale and offset"
     )
 

@@ -1,0 +1,173 @@
+"""Which channel a recorder's column may be, by its name: `lh_engine_fan_N1`, `EGT1C`, `ALT (ft)`.
+
+A name is cut into words. Each has to be explained: by the names of a channel
+(`narxcal.channels.FIELD_NAMES`), an engine, a unit, or as one of the few words that change nothing.
+So a `radio altitude` or a `fuel used` is no channel, and no part of a name is passed over.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from data_prep.config import ENGINE
+from data_prep.units import find_unit, is_volume_flow, named_unit
+from narxcal.channels import CHANNELS, FIELD_NAMES, SPOOLS
+from narxcal.support.errors import ConfigError
+
+PER_MINUTE = "rpm"
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+_WORD = re.compile(r"%|[A-Z]?[a-z]+\d*|[A-Z]+\d*[A-Z]*(?![a-z])|\d+[A-Za-z]*|[A-Za-z]\w*")
+_IN_BRACKETS = re.compile(r"[\[({<]([^][(){}<>]*)[\])}>]\s*$")
+_SIDES = ("l", "r", "lh", "rh", "left", "right", "le", "re", "lft", "rgt", "port", "stbd")
+_ENGINE = re.compile(r"(?:eng|engine|e|no)([1-8])")
+_NUMBERED = re.compile(r"([a-z]+\d?|n[12]|t\d+)([1-8])c?")
+_LEAST_WORD = 3  # letters before an engine's number
+_SIDED = re.compile(r"(l|r|lh|rh)(n[12]|egt|itt|ff|tla|pla|tra)")
+_AIR_DATA = re.compile(r"d?adc?\d?|adr\d?|airdata|fmc\d?|fdr|dfdr|fadec\d?|eec\d?|ecu|acms")
+_FILLERS = _words(
+    "engine eng act actual ind meas measured value val raw lsp avg average mean std sensor probe "
+    "tach spool rotor turbine parameter param of the no number"
+)
+_COMMANDS = _words(
+    "setpoint set sp cmd command commanded dem demand demanded target ref request requested"
+)
+# What else stands in brackets at the end of a name.
+_DESIGNATIONS = _words(
+    "a b captain capt fo copilot pilot primary secondary main backup filtered smoothed corrected "
+    "indicated total static baro gps radio inner outer upper lower front rear hp lp max utc gmt "
+    "local"
+)
+_BY_NAME = {text.casefold(): name for name, texts in FIELD_NAMES.items() for text in texts}
+
+
+class Reading(NamedTuple):
+    """One way to read a column's name.
+
+    `template` is the name with `{engine}` in the place of the text `engine`; `unit` stands in the
+    name ("" where none does); `command` marks a demanded value, not a measured one; `doubt` counts
+    the words that were passed over, fewer being better.
+    """
+
+    channel: str
+    template: str
+    engine: str = ""
+    unit: str = ""
+    command: bool = False
+    doubt: int = 0
+
+
+class _Word(NamedTuple):
+    text: str
+    start: int
+    stop: int
+
+
+def read_name(column: str) -> Reading | None:
+    """Return the best reading of a column's name; None for a column that is no channel.
+
+    Brackets that end it may hold its unit, which `data_prep.columns.unit_text` reads.
+    """
+    brackets = _IN_BRACKETS.search(column)
+    named = brackets is None or is_designation(brackets[1])
+    own = column if brackets is None or named else column[: brackets.start()]
+    words = [_Word(found[0].casefold(), *found.span()) for found in _WORD.finditer(own)]
+    found = list(_readings(column, words))
+    return min(found, key=lambda each: each.doubt, default=None)
+
+
+def is_designation(text: str) -> bool:
+    """Whether text in brackets belongs to a column's name: an engine, a number, `fan`, `avg`.
+
+    `R` is the right engine, not a degree Rankine.
+    """
+    words = [found[0].casefold() for found in _WORD.finditer(text)]
+    unit = named_unit(text) or is_volume_flow(text) or PER_MINUTE in words
+    if unit and text.casefold() not in (*_SIDES, "1"):
+        return False
+    known = _DESIGNATIONS | _FILLERS | _COMMANDS | _BY_NAME.keys() | {*_SIDES}
+    return all(
+        word in known or word.isdigit() or _ENGINE.fullmatch(word) or _AIR_DATA.fullmatch(word)
+        for word in words
+    )
+
+
+def _readings(column: str, words: Sequence[_Word]) -> Iterator[Reading]:
+    """Read the name as that of no engine, then each word as the engine's in turn."""
+    if plain := _channel([word.text for word in words]):
+        yield Reading(plain[0], column, "", *plain[1:])
+        return
+    for place, (text, start, stop) in enumerate(words):
+        rest = [word.text for word in words]
+        for left, at, width in _without_engine(text, stop - start):
+            known = _channel([*rest[:place], *left, *rest[place + 1 :]])
+            if known:
+                name, unit, command, doubt = known
+                mark = column[start + at : start + at + width]
+                template = column[: start + at] + ENGINE + column[start + at + width :]
+                yield Reading(name, template, mark, unit, command, doubt + len(left))
+
+
+def _without_engine(text: str, length: int) -> Iterator[tuple[list[str], int, int]]:
+    """Yield what is left of a word without the engine in it, and place and length of that."""
+    if text in _SIDES or (len(text) == 1 and text in "12345678"):
+        yield [], 0, length
+    if found := _ENGINE.fullmatch(text):
+        yield [], found.start(1), 1
+    # N1 is no `N` of engine 1.
+    found = _NUMBERED.fullmatch(text)
+    if found and (found[1] in _BY_NAME or len(found[1]) >= _LEAST_WORD):
+        yield [found[1]], found.start(2), 1
+    if found := _SIDED.fullmatch(text):
+        yield [found[2]], 0, len(found[1])
+
+
+def _channel(words: Sequence[str]) -> tuple[str, str, bool, int] | None:
+    """Channel, unit, whether commanded, and words passed over, of a name without its engine."""
+    plain = [word for word in words if word not in _COMMANDS]
+    command = len(plain) < len(words)
+    # The longest unit first: `GMT_SEC` is a time in seconds, though `sec` alone names one, too.
+    for unit_words in range(min(2, len(plain) - 1), -1, -1):
+        kept = plain[: len(plain) - unit_words]
+        unit = "/".join(plain[len(kept) :])  # `FF_lb_hr`
+        found = _named(kept)
+        if found and (not unit or (not unit.isdigit() and fits(unit, found[0]))):
+            own = PER_MINUTE if PER_MINUTE in kept and not unit else unit
+            return found[0], own, command, found[1] + 2 * command
+    return None
+
+
+def _named(words: Sequence[str]) -> tuple[str, int] | None:
+    if not words:
+        return None
+    kept = [word for word in words if word not in _FILLERS and not _AIR_DATA.fullmatch(word)]
+    for doubt, some in enumerate((words, kept)):
+        if name := _BY_NAME.get("".join(some)):
+            return name, doubt
+    names = {_BY_NAME.get(word, "") for word in kept}
+    if len(names) == 1 and (name := names.pop()):
+        return name, 2  # `fan N1`
+    joined = "".join(kept)
+    checked = joined.endswith("c") and kept[-1] != "c"
+    # Airbus marks checked parameters by a C at the end; of a speed it means commanded.
+    name = _BY_NAME.get(joined[:-1], "") if checked else ""
+    return (name, 3) if name and name not in SPOOLS else None
+
+
+def fits(unit: str, name: str) -> bool:
+    """Whether text names a unit in which channel `name` may be recorded."""
+    if unit.casefold() == PER_MINUTE:
+        return name in SPOOLS
+    if is_volume_flow(unit):
+        return CHANNELS[name].unit == "kg/h"
+    try:
+        find_unit(named_unit(unit), name)
+    except ConfigError:
+        return False
+    return bool(named_unit(unit))

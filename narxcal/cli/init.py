@@ -1,0 +1,191 @@
+"""`narxcal init`: a configuration drafted from logs, each line with its evidence, and a plot.
+
+What the logs do not settle is written as `"?"`, which no command runs with.
+"""
+
+from __future__ import annotations
+
+import glob
+import io
+import json
+import os
+import tomllib
+from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from data_prep.draft import Draft, draft
+from data_prep.equilibrium import BELOW_IDLE, in_equilibrium
+from data_prep.log import Log
+from data_prep.ranking import other_driver
+from data_prep.reading import read_logs
+from eval.report.figures import recorded
+from narxcal.channels import SPOOLS
+from narxcal.cli.console import Console
+from narxcal.cli.options import add_overwrite, path
+from narxcal.support.errors import ConfigError
+from narxcal.support.files import atomic_write_bytes, atomic_write_text, check_file
+from narxcal.support.settings import OPEN
+from training.config import SCHEMA, RunConfig
+
+_MOST_READ = 3  # files that are read as a whole
+_AIR = ("ALT_ft", "Mach", "dT_C")
+_OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
+_BELOW = 0.9  # of the lowest idle: where the engine no longer counts as running
+_IDLES_S = 10.0  # a speed that stands for so long
+_IDLES_PCT = 1.0  # within so much
+_TRAINED = 2.0 / 3.0  # of the files
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    parser.add_argument("logs", metavar="LOG", type=path, nargs="+", help="logs of one recorder")
+    parser.add_argument(
+        "--out", metavar="FILE.toml", type=path, required=True, help="and FILE.png beside it"
+    )
+    add_overwrite(parser)
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Write the configuration and the plot; returns 0 whether anything is open or not."""
+    out: Path = options.out
+    if out.suffix != ".toml":
+        raise ConfigError(
+            f"a configuration is a .toml file, and --out names {out.name}",
+            hint=f"Name it {out.stem or 'mine'}.toml",
+        )
+    plot = out.with_suffix(".png")
+    for file in (out, plot):
+        check_file(file, *options.logs, overwrite=options.overwrite)
+    with console.progress("Reading the logs"):
+        columns = draft(options.logs)
+        logs = [log for file in options.logs[:_MOST_READ] for log in _read(file, columns)]
+    text = _Text(columns, logs, options.logs, out.resolve().parent).text()
+    asked = [line for line in text.splitlines() if OPEN in line.partition("#")[0]]
+    if not asked:
+        RunConfig.parse(tomllib.loads(text), out)
+    atomic_write_text(out, text)
+    picture = io.BytesIO()
+    recorded(logs[0]).savefig(picture, format="png", dpi=110)
+    atomic_write_bytes(plot, picture.getvalue())
+    for line in asked:
+        console.say(f"To be filled in: {line}")
+    then = "fill these in, then " if asked else ""
+    console.say(f"Configuration: {out}, plot: {plot}. Next: {then}narxcal train {out} --out RUN")
+    console.document({"schema": "narxcal.init/1", "out": str(out), "open": asked})
+    return 0
+
+
+def _read(file: Path, columns: Draft) -> list[Log]:
+    return read_logs(file, columns.logs())
+
+
+@dataclass(frozen=True)
+class _Text:
+    """The text of a configuration, table by table."""
+
+    columns: Draft
+    logs: Sequence[Log]
+    files: Sequence[Path]
+    base: Path
+
+    def text(self) -> str:
+        driver, why = self._driver()
+        there = {name for name in self.logs[0].channels if self.logs[0].recorded([name])}
+        air = [name for name in _AIR if name in there]
+        outputs = [name for name in _OUTPUTS if name in there and name != driver]
+        lacking = ", ".join(name for name in _AIR if name not in there)
+        without = f"  # the logs have no {lacking}, so the model knows none" if lacking else ""
+        response = next((name for name in SPOOLS if name in outputs), outputs[0])
+        parts = [
+            f'schema = "{SCHEMA}"\nname = {_toml(self.files[0].stem.partition(".")[0])}\n',
+            self._logs(),
+            self._running(),
+            f"[events]\ndriver = {_toml(driver)}  # {why}\nresponse = {_toml([response])}\n",
+            f"[steady_state]\ninputs = {_toml([driver, *air])}{without}\n",
+            f"[narx]\noutputs = {_toml(outputs)}\n",
+            self._split(),
+        ]
+        return "\n".join(parts)
+
+    def _logs(self) -> str:
+        folder = Path(os.path.commonpath([file.resolve().parent for file in self.files]))
+        names = [str(file.resolve().relative_to(folder)) for file in self.files]
+        lines = [
+            "[logs]",
+            f"folder = {_toml(os.path.relpath(folder, self.base))}",
+            f"files = {_toml([glob.escape(name) for name in names])}",
+            *(f"# {log.name}: {len(log)} samples, one every {log.dt_s:.4g} s" for log in self.logs),
+        ]
+        if self.columns.engines:
+            lines += ["", "[logs.engines]  # by the columns that differ in this alone"]
+            lines += [f"{name} = {_toml(mark)}" for name, mark in self.columns.engines.items()]
+        lines += ["", "[logs.columns]", *map(str, self.columns.lines)]
+        lines += [f"# not used: {_toml(name)}, {why}" for name, why in self.columns.unused.items()]
+        named = {line.channel for line in self.columns.lines}
+        if "WOW" not in named and "CAS_kt" in named:
+            lines += [
+                "",
+                "[logs.derive]  # no switch: on the ground below 60 kt, in flight above 70",
+                'WOW = { airspeed = "CAS_kt", below_kt = 60.0, hysteresis_kt = 10.0 }',
+            ]
+        return "\n".join(lines) + "\n"
+
+    def _driver(self) -> tuple[str, str]:
+        there = {name for log in self.logs for name in log.channels if log.recorded([name])}
+        warned = [text for log in self.logs if (text := other_driver(log, "TRA_deg"))]
+        if "TRA_deg" in there and 2 * len(warned) < max(len(self.logs), 1):
+            return "TRA_deg", "the lever"
+        if "FF_kgph" in there:
+            why = warned[0].partition(":")[0] if warned else "there is no lever, fuel is the input"
+            return "FF_kgph", why
+        return (
+            OPEN,
+            f"neither a lever nor a fuel flow was found; one of {', '.join(sorted(there))}?",
+        )
+
+    def _running(self) -> str:
+        """Put the threshold below the lowest speed at which an engine stands."""
+        lines = ["[running]"]
+        above = {}
+        for name in SPOOLS:
+            idle = min((_idle(log, name) for log in self.logs), default=np.inf)
+            if not np.isfinite(idle):
+                continue
+            above[name] = round(max(BELOW_IDLE[name], _BELOW * idle), 1)
+            lines.append(f"# {name} stands at {idle:.1f} % at the lowest: {_BELOW:g} of that")
+        if not above:
+            return "# [running]: no speed stands above any idle; the usual thresholds hold\n"
+        found = ", ".join(f"{name} = {value}" for name, value in above.items())
+        return "\n".join([*lines, f"above = {{ {found} }}"]) + "\n"
+
+    def _split(self) -> str:
+        names = [glob.escape(file.name) + "*" for file in self.files]
+        if len(names) == 1:
+            return (
+                '[split]\ntrain = ["*"]  # one recording: nothing is left to judge the model by\n'
+            )
+        trained = min(max(round(_TRAINED * len(names)), 1), len(names) - 1)
+        why = f"the first {trained} of {len(names)} files, whole; the others judge the model"
+        return (
+            f"[split]  # {why}\ntrain = {_toml(names[:trained])}\ntest = {_toml(names[trained:])}\n"
+        )
+
+
+def _idle(log: Log, name: str) -> float:
+    """Return the lowest speed [%] at which a running engine stands; inf where it never does."""
+    if not log.recorded([name]):
+        return np.inf
+    size = 2 * round(0.5 * _IDLES_S / log.dt_s) + 1
+    bands = {each: _IDLES_PCT for each in SPOOLS if log.recorded([each])}
+    still = in_equilibrium(log, bands, size, longest_gap=size)
+    for each in bands:  # a windmilling engine does not idle
+        still &= log[each] > BELOW_IDLE[each]
+    return float(np.min(log[name][still], initial=np.inf))
+
+
+def _toml(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,56 @@
+"""`narxcal init`: from a header that nobody mapped to a configuration that runs."""
+
+import json
+
+import numpy as np
+import pytest
+
+TIME_S = np.arange(1200) / 10.0
+SPEED_PCT = 70.0 + 25.0 * np.sin(TIME_S / 9.0)
+
+
+@pytest.fixture
+def logs(tmp_path):
+    paths = [tmp_path / f"day_{number}.csv" for number in (1, 2, 3)]
+    for path in paths:
+        np.savetxt(
+            path,
+            np.column_stack([TIME_S, SPEED_PCT / 2.0, SPEED_PCT, 20.0 * SPEED_PCT]),
+            fmt="%.6g", delimiter=",", header="t [s],TLA [deg],N1 [%],FF", comments="",
+        )  # fmt: skip
+    return paths
+
+
+def test_what_is_open_is_named_and_refused_until_it_is_filled_in(logs, narxcal, tmp_path):
+    out = tmp_path / "mine.toml"
+    done = narxcal("init", *logs, "--out", out)
+    assert (done.code, done.err) == (0, "")
+    asked = 'FF_kgph = { column = "FF", unit = "?" }  # kg/h or lb/h? It is 900 to 1900'
+    assert f"To be filled in: {asked}\n" in done.out
+    assert out.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+
+    done = narxcal("prepare", out, "--out", tmp_path / "prepared")
+    text = out.read_text("utf-8")
+    line = 1 + text.splitlines().index(asked)
+    assert done.code == 2
+    assert done.err == (
+        f"narxcal: error: {out}: line {line}: 'logs.columns.FF_kgph.unit' is still to be filled "
+        'in: kg/h or lb/h? It is 900 to 1900. Put a value in the place of "?"\n'
+    )
+
+    out.write_text(text.replace('unit = "?"', 'unit = "lb/h"'), "utf-8")
+    done = narxcal("prepare", out, "--out", tmp_path / "prepared", "--json")
+    assert done.code == 0
+    config = json.loads(done.out)["config"]
+    assert config["events"]["driver"] == config["steady_state"]["inputs"][0] == "TRA_deg"
+    assert config["narx"]["outputs"] == ["N1_pct"]
+    assert config["split"]["train"] == ["day_1.csv*", "day_2.csv*"]
+    assert config["split"]["test"] == ["day_3.csv*"]
+
+
+def test_a_configuration_that_is_there_is_not_replaced(logs, narxcal, tmp_path):
+    (tmp_path / "mine.toml").write_text("mine", "utf-8")
+    done = narxcal("init", *logs, "--out", tmp_path / "mine.toml")
+    assert done.code == 2
+    assert "mine.toml exists" in done.err
+    assert (tmp_path / "mine.toml").read_text("utf-8") == "mine"

@@ -1,0 +1,157 @@
+"""A configuration drafted from logs: what they settle is settled, what they do not is open."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from data_prep.air_data import units_that_agree
+from data_prep.draft import draft
+from narxcal.atmosphere import KELVIN, SOUND_KT, isa
+from narxcal.support.errors import DataError
+from narxcal.support.settings import OPEN
+
+DATA = Path(__file__).parents[3] / "shared" / "data"
+TIME_S = np.arange(1200) / 10.0
+SPEED_PCT = 70.0 + 25.0 * np.sin(TIME_S / 9.0)
+ALT_FT = np.linspace(2000.0, 30000.0, 1200)
+MACH = np.linspace(0.35, 0.78, 1200)
+
+
+def air():
+    """Air data in canonical units that belong together."""
+    kelvin = isa(ALT_FT)[0] + 7.0
+    tas = MACH * SOUND_KT * np.sqrt(kelvin / 288.15)
+    return {
+        "ALT_ft": ALT_FT,
+        "Mach": MACH,
+        "TAS_kt": tas,
+        "SAT_C": kelvin - KELVIN,
+        "TAT_C": kelvin * (1.0 + 0.2 * MACH**2) - KELVIN,
+    }
+
+
+UNITS = {"ALT_ft": ("ft", "m"), "TAS_kt": ("kt", "km/h", "m/s"),
+         "SAT_C": ("degC", "K", "degF"), "TAT_C": ("degC", "K", "degF")}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["TAS_kt", "SAT_C", "TAT_C"])
+@pytest.mark.parametrize("number", [0, 1])
+def test_air_data_agree_in_their_own_units_alone(name, number):
+    written = UNITS[name][number]
+    scale, offset = {"km/h": (1.852, 0.0), "K": (1.0, KELVIN)}.get(written, (1.0, 0.0))
+    found = units_that_agree({**air(), name: air()[name] * scale + offset}, UNITS)
+    assert found[name] == written
+
+
+def test_air_data_alone_on_the_ground_settle_nothing():
+    still = {name: values[:1] + 0.0 * values for name, values in air().items()}
+    assert units_that_agree({**still, "Mach": 0.0 * MACH}, UNITS) == {}
+
+
+def csv(folder, header, *columns, name="log.csv"):
+    path = folder / name
+    table = np.column_stack(columns)
+    np.savetxt(path, table, fmt="%.10g", delimiter=",", header=header, comments="")
+    return path
+
+
+def lines(found):
+    return {line.channel: line.keys for line in found.lines}
+
+
+def test_what_name_and_data_say_is_settled_and_the_rest_is_open(tmp_path):
+    path = csv(
+        tmp_path,
+        "Time,Eng1 TLA,Eng1 N1,Eng2 N1,Eng1 EGT (deg F),Eng2 EGT (deg F),Eng1 FF,Eng2 FF,Altitude",
+        *(TIME_S, SPEED_PCT / 2, SPEED_PCT, SPEED_PCT - 1, *2 * [900 + 5 * SPEED_PCT]),
+        *(*2 * [20 * SPEED_PCT], ALT_FT),
+    )
+    found = draft([path])
+    assert found.engines == {"engine1": "1", "engine2": "2"}
+    assert lines(found) == {
+        "time_s": {"column": "Time", "unit": "s"},
+        "N1_pct": {"column": "Eng{engine} N1", "unit": "%"},
+        "EGT_C": {"column": "Eng{engine} EGT (deg F)", "unit": "degF"},
+        "FF_kgph": {"column": "Eng{engine} FF", "unit": OPEN},
+        "ALT_ft": {"column": "Altitude", "unit": "ft"},
+        "TRA_deg": {"column": "Eng{engine} TLA", "unit": "deg"},
+    }
+    assert all(line.why for line in found.lines)
+
+
+@pytest.mark.parametrize(
+    ("header", "key", "value"),
+    [
+        ("t,N1 (RPM),EGT_C,FF_kgph", "N1_pct", {"scale": OPEN}),
+        ("t,N1,EGT_C,FF (gal/h)", "FF_kgph", {"density_kgpl": OPEN}),
+        ("t,N1,EGT (furlong),FF_kgph", "EGT_C", {"unit": OPEN}),
+        ("seconds past,N1,EGT_C,FF_kgph", "time_s", {"column": OPEN}),
+    ],
+)
+def test_what_is_open_names_the_key_to_fill_in(tmp_path, header, key, value):
+    rows = (TIME_S, SPEED_PCT, 400 + 4 * SPEED_PCT, 20 * SPEED_PCT)
+    found = lines(draft([csv(tmp_path, header, *rows)]))
+    assert {name: found[key][name] for name in value} == value
+
+
+def test_a_percentage_that_is_not_proportional_gives_way_to_revolutions(tmp_path):
+    rows = (TIME_S, 400.0 * SPEED_PCT, SPEED_PCT**2 / 100.0, 400 + 4 * SPEED_PCT)
+    found = draft([csv(tmp_path, "time_s,rpm,rpm_pct,egt_C", *rows)])
+    assert lines(found)["N1_pct"] == {"column": "rpm", "scale": OPEN}
+    assert found.unused == {"rpm_pct": "N1_pct is 'rpm'"}
+
+
+def test_channels_with_rates_need_no_stamps(tmp_path):
+    path = tmp_path / "flight.mat"
+    channels = {
+        "N1_1": (SPEED_PCT, 4.0, "%RPM"), "N1_2": (SPEED_PCT, 4.0, "%RPM"),
+        "PLA_1": (SPEED_PCT / 2, 4.0, "DEG"), "PLA_2": (SPEED_PCT / 2, 4.0, "DEG"),
+        "ALT": (ALT_FT[::4], 1.0, "FEET"), "N1T": (SPEED_PCT, 4.0, "%"),
+    }  # fmt: skip
+    savemat(
+        path,
+        {name: dict(zip(("data", "Rate", "Units"), each, strict=True))
+         for name, each in channels.items()},
+    )  # fmt: skip
+    found = draft([path])
+    assert found.engines == {"engine1": "1", "engine2": "2"}
+    assert lines(found) == {
+        "time_s": {"column": "time_s", "unit": "s"},
+        "TRA_deg": {"column": "PLA_{engine}", "unit": "deg"},
+        "N1_pct": {"column": "N1_{engine}", "unit": "%"},
+        "ALT_ft": {"column": "ALT", "unit": "ft"},
+    }
+
+
+def test_a_file_without_an_engine_is_refused(tmp_path):
+    with pytest.raises(DataError, match="no column has the name of an engine's channel"):
+        draft([csv(tmp_path, "time,Pitch", TIME_S, SPEED_PCT)])
+
+
+def test_a_column_that_another_file_lacks_is_optional(tmp_path):
+    first = csv(tmp_path, "time_s,N1_pct,EGT_C", TIME_S, SPEED_PCT, SPEED_PCT * 8)
+    second = csv(tmp_path, "time_s,N1_pct", TIME_S, SPEED_PCT, name="other.csv")
+    assert lines(draft([first, second]))["EGT_C"]["optional"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("file", "engines", "open_"),
+    [
+        ("flights/citation_20190312_flight2.csv.gz", ["left", "right"], {"EGT_C", "FF_kgph"}),
+        (
+            "recorders/a321/a321_flight.csv.gz",
+            ["engine1", "engine2"],
+            {"time_s", "EGT_C", "FF_kgph", "TAT_C", "CAS_kt", "TAS_kt"},
+        ),
+        ("flights/jetcat_p300_20230109_120101.csv.gz", [], {"N1_pct"}),
+    ],
+)
+def test_the_headers_of_other_recorders_map_or_ask(file, engines, open_):
+    if not (DATA / file).is_file():
+        pytest.skip("the measured flights are not here")
+    found = draft([DATA / file])
+    assert list(found.engines) == engines
+    assert {line.channel for line in found.lines if line.open} == open_
