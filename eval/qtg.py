@@ -1,12 +1,14 @@
 """A qualification test guide: which events are its tests, their results, and its JSON document.
 
 A test is one event of `eval.evaluate`, with the same assessments to the last digit. What is chosen,
-titled and annotated stands in a TOML file of tests (`TestsFile`); `start_file` writes one of all
-events found. A `Guide` that was saved is the master of later, recurrent evaluations.
+titled and annotated stands in a TOML or CSV file of tests (`TestsFile`); `start_file` writes one of
+all events found. A `Guide` that was saved is the master of later, recurrent evaluations.
 """
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import math
 from collections import Counter
@@ -73,7 +75,7 @@ class Entry(Section):
 
 
 class TestsFile(Section):
-    """A TOML file of tests; `critical` is the channel that decides, the usual one where empty."""
+    """A file of tests; `critical` is the channel that decides, the usual one where empty."""
 
     __test__ = False  # no test of pytest
 
@@ -84,11 +86,24 @@ class TestsFile(Section):
 
 
 def read_tests(file: Path) -> TestsFile:
-    """Read a file of tests; raises `ConfigError`."""
-    found = TestsFile.parse(read_toml(file, TESTS_SCHEMA), file)
+    """Read a TOML file of tests, or a CSV with the keys of [[test]]; raises `ConfigError`."""
+    table = {"test": _rows(file)} if file.suffix == ".csv" else read_toml(file, TESTS_SCHEMA)
+    found = TestsFile.parse(table, file)
     if not found.test:
         raise ConfigError("no [[test]] is listed", file=file, hint="Write a start by --write-tests")
     return found
+
+
+def _rows(file: Path) -> list[dict[str, str]]:
+    """Rows of a CSV without their empty cells."""
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise ConfigError(f"cannot be read: {error.strerror}", file=file) from None
+    except UnicodeDecodeError:
+        raise ConfigError("expected a CSV file, found no text in UTF-8", file=file) from None
+    rows = csv.DictReader(io.StringIO(text), restkey="more cells than the header")
+    return [{key: cell for key, cell in row.items() if cell} for row in rows]
 
 
 @dataclass(frozen=True)
@@ -530,9 +545,21 @@ def _numbered(
     return numbers
 
 
-def start_file(events: Evaluated) -> str:
-    """TOML of all events: those that are tests by themselves with `use = true`."""
+def start_file(events: Evaluated, file: Path) -> str:
+    """Text of `file`, TOML or CSV, with all events; tests by themselves have `use = true`."""
     rules, deciding = events.settings.rule_set, events.deciding()
+    reasons = [one.reason(deciding, rules) for one in events.found]
+    rows = [
+        _entry(one, use=not why).model_dump()
+        | {"title": usual_title(rules.manoeuvres[one.one.event.label], one.one)}
+        for one, why in zip(events.found, reasons, strict=True)
+    ]
+    if file.suffix == ".csv":
+        text = io.StringIO()
+        writer = csv.DictWriter(text, Entry.model_fields, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        return text.getvalue()
     lines = [
         f'schema = "{TESTS_SCHEMA}"',
         'critical = ""  # the channel that decides; empty: the usual one of the rules',
@@ -540,25 +567,15 @@ def start_file(events: Evaluated) -> str:
         "[document]  # what the cover says; an empty entry is a line to be filled in by hand",
         *(f'{name} = ""' for name in FrontMatter.model_fields),
     ]
-    for one in events.found:
-        why = one.reason(deciding, rules)
-        event = one.one.event
-        lines += [
-            "",
-            "[[test]]" + (f"  # {_plain(why)}" if why else ""),
-            f"use = {'false' if why else 'true'}",
-            f"log = {_quoted(one.at[0])}",
-            f"start_s = {one.at[1]:.3f}",
-            'number = ""',
-            f"title = {_quoted(usual_title(rules.manoeuvres[event.label], one.one))}",
-            'configuration = ""  # flaps, gear, weight, centre of gravity',
-            'rationale = ""',
-        ]
+    for row, why in zip(rows, reasons, strict=True):
+        lines += ["", "[[test]]" + (f"  # {_plain(why)}" if why else "")]
+        lines += [f"{name} = {_quoted(value)}" for name, value in row.items()]
     return "\n".join(lines) + "\n"
 
 
-def _quoted(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+def _quoted(value: str | float) -> str:
+    """TOML of a text, number or boolean, which but for one letter is its JSON."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _plain(text: str) -> str:

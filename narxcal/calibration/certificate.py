@@ -30,7 +30,7 @@ import numpy as np
 from narxcal.calibration.calibration import Calibration, DynamicCalibration
 from narxcal.calibration.members import Member
 from narxcal.channels import CHANNELS
-from narxcal.steady.model import ALTERED, Envelope
+from narxcal.steady.model import ALTERED, Envelope, envelope_of
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
 
@@ -200,11 +200,11 @@ def _box(model: Calibration) -> Envelope:
     known = [CHANNELS.get(name) for name in model.input_names]
     low = np.array([0.0 if one is None else one.low for one in known])
     high = np.array([0.0 if one is None else one.high for one in known])
-    box = getattr(model.steady, "envelope", None)
-    if isinstance(box, Envelope):
-        low = np.where(np.isfinite(box.low), box.low, low)
-        high = np.where(np.isfinite(box.high), box.high, high)
-    return Envelope(low, high)
+    box = envelope_of(model.steady)
+    return Envelope(
+        np.where(np.isfinite(box.low), box.low, low),
+        np.where(np.isfinite(box.high), box.high, high),
+    )
 
 
 def _points(box: Envelope) -> FloatArray:

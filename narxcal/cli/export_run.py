@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -122,8 +121,10 @@ def _c(exported: Exportable, options: Namespace, cases: list[proof.Case], file: 
         return None, {}
     model = Compiled.of(program)
 
-    def run_c(case: proof.Case, start: FloatArray | None) -> FloatArray:
-        return model.run(case.inputs, start, program.number_of(case.engine))[:, : model.outputs]
+    def run_c(trials: Sequence[proof.Trial]) -> Iterator[FloatArray]:
+        for case, start in trials:
+            found = model.run(case.inputs, start, program.number_of(case.engine))
+            yield found[:, : model.outputs]
 
     rows = proof.compare(exported.model, run_c, cases)
     step_us = model.step_us(proof.held(cases[-1].inputs))
@@ -138,7 +139,7 @@ def _fmu(
     size = write_fmu(program, file, options.fmi)
     if compiler() is None:
         return None, {"bytes": size}
-    rows, step_us = fmu_run.compare(exported.model, file, cases, program.engines)
+    rows, step_us = fmu_run.compare(program, file, cases)
     return rows, {"bytes": size, "step_us": step_us, "states": program.states}
 
 
@@ -150,8 +151,12 @@ def _onnx(
     size = write_onnx(exported.program(), file)
     if onnx_run.runtime() is None:
         return None, {"bytes": size}
-    given = [replace(case, engine=engine) for case in cases]
-    return onnx_run.compare(exported.model.for_engine(engine), file, given), {"bytes": size}
+    given = [proof.Case(case.name, engine, proof.held(case.inputs)) for case in cases]
+
+    def run_onnx(trials: Sequence[proof.Trial]) -> list[FloatArray]:
+        return onnx_run.run(file, [case.inputs for case, _ in trials])
+
+    return proof.compare(exported.model, run_onnx, given, starts=False), {"bytes": size}
 
 
 def _jsbsim(
@@ -173,14 +178,10 @@ def _sampling(exported: Exportable, cases: list[proof.Case]) -> dict[str, Any] |
     """What sampling the steady state changed: at random conditions, and in free run."""
     if exported.sampled is None:
         return None
-    rows = proof.compare(exported.original, _simulated(exported), cases[1:], starts=False)
-    return {"steady": exported.sampled.to_dict(), "rows": rows}
-
-
-def _simulated(exported: Exportable) -> proof.Run:
-    return lambda case, start: exported.model.for_engine(case.engine, or_mean=True).simulate(
-        proof.held(case.inputs), start
+    rows = proof.compare(
+        exported.original, proof.simulated(exported.model), cases[1:], starts=False
     )
+    return {"steady": exported.sampled.to_dict(), "rows": rows}
 
 
 _WRITERS: dict[str, Callable[[Exportable, Namespace, list[proof.Case], Path], _Compared]] = {

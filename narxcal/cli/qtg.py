@@ -43,9 +43,11 @@ def add_options(parser: ArgumentParser) -> None:
     parser.add_argument(
         "--out", metavar="FILE.pdf", type=path, required=True, help="and FILE.json beside it"
     )
-    parser.add_argument("--tests", metavar="FILE.toml", type=path, help="tests, titles, rationales")
     parser.add_argument(
-        "--write-tests", metavar="FILE.toml", type=path, help="write such a file of all events"
+        "--tests", metavar="FILE", type=path, help=".toml or .csv: tests, titles, rationales"
+    )
+    parser.add_argument(
+        "--write-tests", metavar="FILE", type=path, help="write such a file of all events"
     )
     parser.add_argument(
         "--master", metavar="FILE.json", type=path, help="draw over the curves of an earlier guide"
@@ -65,7 +67,7 @@ def run(options: Namespace, console: Console) -> int:
         recorded = recorded_logs(bundle, list(dict.fromkeys(Path(log.source.file) for log in logs)))
         events = evaluate_events(bundle, logs, _settings(bundle, options), recorded)
     if options.write_tests:
-        atomic_write_text(options.write_tests, start_file(events))
+        atomic_write_text(options.write_tests, start_file(events, options.write_tests))
         console.say(f"Tests: {options.write_tests}")
     guide = guide_of(events, options.bundle.resolve().name, listed, options.tests, master)
     guide = replace(guide, cautions=_cautions(bundle, logs))

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
 from narxcal.calibration.calibration import Calibration
-from narxcal.export.proof import Case, held, row_of
+from narxcal.export import proof
+from narxcal.export.program import Program
+from narxcal.export.proof import Case, Trial, held, row_of
+from narxcal.steady.fmu import open_unit
 from narxcal.support.arrays import FloatArray
 
 STEPS_S = (0.1, 0.02, 0.25)  # communication steps of the proof, next to the model's own
@@ -23,46 +25,40 @@ class FmuRun:
     """One instance of a dynamic FMU that narxcal wrote."""
 
     def __init__(self, file: Path, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        import fmpy  # noqa: PLC0415  (an extra that most installations lack)
-
-        self.described = fmpy.read_model_description(str(file))
-        self._folder = fmpy.extract(str(file))
-        self.slave: Any = fmpy.instantiate_fmu(self._folder, self.described, "CoSimulation")
-        self.three = self.described.fmiVersion == "3.0"
-        known = {one.name: one.valueReference for one in self.described.modelVariables}
-        self.references = known
-        self.inputs = [known[name] for name in inputs]
-        self.outputs = [known[name] for name in outputs]
-        real = ("Float64", "Int32") if self.three else ("Real", "Integer")
-        self._set, self._get = (getattr(self.slave, f"{verb}{real[0]}") for verb in ("set", "get"))
-        self._set_integer = getattr(self.slave, f"set{real[1]}")
+        self.unit = open_unit(file)
+        self.slave, self.fmi3 = self.unit.slave, self.unit.fmi3
+        self.references = {one.name: one.valueReference for one in self.unit.variables}
+        self.inputs, self.outputs = (
+            [self.references[name] for name in names] for names in (inputs, outputs)
+        )
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.slave.freeInstance()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self.unit.close()
 
     def start(
         self, inputs: FloatArray | None, engine: int = 0, *, interpolate: bool = False
     ) -> None:
         """Initialise at inputs (n_in,), or without any."""
-        self.slave.reset()
-        if not self.three:
-            self.slave.setupExperiment(startTime=0.0)
-        self.slave.enterInitializationMode()
+        self.unit.begin()
         if engine:
-            self._set_integer([self.references["engine"]], [engine])
+            self.set_engine(engine)
         if "interpolate" in self.references:
             self.slave.setBoolean([self.references["interpolate"]], [interpolate])
         if inputs is not None:
-            self._set(self.inputs, inputs.tolist())
+            self.unit.put(self.inputs, inputs.tolist())
         self.slave.exitInitializationMode()
+
+    def set_engine(self, engine: int) -> None:
+        """Choose an engine by number."""
+        put = self.slave.setInt32 if self.fmi3 else self.slave.setInteger
+        put([self.references["engine"]], [engine])
 
     def values(self) -> list[float]:
         """Outputs now."""
-        return list(self._get(self.outputs))
+        return list(self.unit.get(self.outputs))
 
     def run(self, inputs: FloatArray, step_s: float, first: int = 0) -> FloatArray:
         """Outputs (n, n_out) after steps at whose ends the inputs are those (n, n_in).
@@ -71,14 +67,14 @@ class FmuRun:
         """
         rows = np.empty((len(inputs), len(self.outputs)))
         for k, row in enumerate(inputs.tolist()):
-            self._set(self.inputs, row)
+            self.unit.put(self.inputs, row)
             self.slave.doStep((first + k) * step_s, step_s)
             rows[k] = self.values()
         return rows
 
     def step_us(self, inputs: FloatArray, step_s: float) -> float:
         """CPU time of `doStep` alone in microseconds, called from Python, after a start."""
-        self._set(self.inputs, inputs.tolist())
+        self.unit.put(self.inputs, inputs.tolist())
         begin = time.process_time()
         for k in range(_TIMED):
             self.slave.doStep(k * step_s, step_s)
@@ -86,27 +82,28 @@ class FmuRun:
 
 
 def compare(
-    model: Calibration, file: Path, cases: Sequence[Case], engines: Sequence[str]
+    program: Program, file: Path, cases: Sequence[Case]
 ) -> tuple[list[dict[str, Any]], float]:
-    """Compare an FMU with `simulate` over cases, at several communication steps.
+    """Compare the FMU of a program with `simulate` over cases, at several communication steps.
 
     At a step that is not the model's, inputs are interpolated in time, and outputs compared where
     both have a sample. States are stored and set in mid-flight. Returns the rows of the proof and
     the CPU time of a step at the model's own interval in microseconds.
     """
-    rows = []
+    model = program.model
     with FmuRun(file, model.input_names, model.output_names) as fmu:
+
+        def run(trials: Sequence[Trial]) -> Iterator[FloatArray]:
+            for case, _ in trials:
+                fmu.start(case.inputs[0], program.number_of(case.engine))
+                yield np.vstack([fmu.values(), fmu.run(case.inputs[1:], model.dt_s)])
+
+        rows = proof.compare(model, run, cases, starts=False)
         for case in cases:
-            own, number = model.for_engine(case.engine, or_mean=True), _number(engines, case.engine)
-            for step_s in dict.fromkeys([model.dt_s, *STEPS_S]):
-                same = step_s == model.dt_s
-                points = case.inputs if same else _between(held(case.inputs), model.dt_s, step_s)
-                fmu.start(points[0], number, interpolate=not same)
-                found = np.vstack([fmu.values(), fmu.run(points[1:], step_s)])
-                given = held(points) if same else _between(points, step_s, model.dt_s)
-                expected = own.simulate(given)
-                at, samples = _common(len(points), len(expected), step_s / model.dt_s)
-                off = np.abs(found[at] - expected[samples])
+            own = model.for_engine(case.engine, or_mean=True)
+            number = program.number_of(case.engine)
+            for step_s in STEPS_S:
+                off = _at_steps(fmu, held(case.inputs), own, number, step_s)
                 rows.append(row_of(model, case, f"step of {step_s:g} s", off))
             off = _restored(fmu, held(case.inputs[:_MOST_RESTORED]), own, number)
             rows.append(row_of(model, case, "state stored and set", off))
@@ -115,8 +112,16 @@ def compare(
         return rows, fmu.step_us(first[-1], model.dt_s)
 
 
-def _number(engines: Sequence[str], engine: str) -> int:
-    return [*engines].index(engine) if engine in engines else 0
+def _at_steps(
+    fmu: FmuRun, inputs: FloatArray, own: Calibration, number: int, step_s: float
+) -> FloatArray:
+    """Differences of a run at communication steps, inputs (time, n_in) running straight."""
+    points = _between(inputs, own.dt_s, step_s)
+    fmu.start(points[0], number, interpolate=True)
+    found = np.vstack([fmu.values(), fmu.run(points[1:], step_s)])
+    expected = own.simulate(_between(points, step_s, own.dt_s))
+    at, samples = _common(len(points), len(expected), step_s / own.dt_s)
+    return np.abs(found[at] - expected[samples])
 
 
 def _between(inputs: FloatArray, step_s: float, other_s: float) -> FloatArray:
@@ -135,11 +140,11 @@ def _common(points: int, samples: int, ratio: float) -> tuple[list[int], list[in
 
 def _restored(fmu: FmuRun, inputs: FloatArray, own: Calibration, number: int) -> FloatArray:
     """Differences of a run whose state is stored, serialised and set after another flight."""
-    half, expected, end = len(inputs) // 2, own.simulate(inputs), "State" if fmu.three else "state"
+    half, expected, end = len(inputs) // 2, own.simulate(inputs), "State" if fmu.fmi3 else "state"
     get, put, free, serialise = (
         getattr(fmu.slave, f"{verb}FMU{end}") for verb in ("get", "set", "free", "serialize")
     )
-    restore = getattr(fmu.slave, "deserializeFMUState" if fmu.three else "deSerializeFMUstate")
+    restore = getattr(fmu.slave, "deserializeFMUState" if fmu.fmi3 else "deSerializeFMUstate")
     fmu.start(inputs[0], number)
     fmu.run(inputs[1:half], own.dt_s)
     stored = get()

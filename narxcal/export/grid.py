@@ -12,8 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from narxcal.channels import CHANNELS, channel
-from narxcal.steady.fitted import FittedSteadyState
-from narxcal.steady.model import Envelope, SteadyStateModel, at_known, checked_inputs
+from narxcal.steady.model import (
+    Envelope,
+    SteadyStateModel,
+    at_known,
+    checked_inputs,
+    envelope_of,
+)
 from narxcal.steady.table import Multilinear, SteadyTable
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import ConfigError, ModelError
@@ -26,84 +31,6 @@ USUAL_RANGES = {
     "Mach": (0.0, 0.8),
     "dT_C": (-30.0, 35.0),
 }
-_RANGE_DRAWS, _STARTS, _HALVINGS = 4096, 64, 80
-
-Range = tuple[float, float]
-
-
-def model_ranges(
-    model: SteadyStateModel, nodes: Mapping[str, Sequence[float]]
-) -> dict[str, tuple[float, float]]:
-    """Ends of each input: those of `nodes`, else of the model's envelope, else the usual ones.
-
-    The envelope of a model that is no table is searched: from random conditions inside, each input
-    is moved until `inside` is False. Raises `ModelError` where no condition is inside and
-    `ConfigError` for an input that is no channel.
-    """
-    widest = {name: (channel(name).low, channel(name).high) for name in model.input_names}
-    given = {name: (float(ends[0]), float(ends[-1])) for name, ends in nodes.items()}
-    box = _known_box(model)
-    if box is not None:
-        return {**box, **given}
-    usual = {name: USUAL_RANGES.get(name, widest[name]) for name in model.input_names} | given
-    inside = _inside(model, usual)
-    if not len(inside):
-        inside = _inside(model, widest | given)
-    if not len(inside):
-        raise ModelError(
-            "the model is valid nowhere in the range searched",
-            hint="Give the ends of its inputs as nodes",
-        )
-    for name in usual.keys() - given.keys():
-        reach = _reach(model, inside, name, widest[name])
-        # An input valid over the whole range of the channel has no limits of its own.
-        usual[name] = usual[name] if reach == widest[name] else reach
-    return usual
-
-
-def _known_box(model: SteadyStateModel) -> dict[str, Range] | None:
-    if isinstance(model, SteadyTable):
-        box = Envelope.of(model.points)
-    elif isinstance(model, FittedSteadyState):
-        box = model.envelope
-    else:
-        return None
-    pairs = zip(box.low.tolist(), box.high.tolist(), strict=True)
-    return dict(zip(model.input_names, pairs, strict=True))
-
-
-def _inside(model: SteadyStateModel, ranges: Mapping[str, Range]) -> FloatArray:
-    """Draw up to 64 conditions, (n, n_in), inside the model's envelope."""
-    rng = np.random.default_rng(0)
-    low, high = np.array(list(ranges.values())).T
-    share = rng.uniform(size=(_RANGE_DRAWS, len(low)))
-    switch = [channel(name).role == "switch" for name in ranges]
-    share[:, switch] = np.round(share[:, switch])
-    drawn = low + share * (high - low)
-    found: FloatArray = drawn[model.inside(drawn)][:_STARTS]
-    return found
-
-
-def _reach(model: SteadyStateModel, inside: FloatArray, name: str, widest: Range) -> Range:
-    column = model.input_names.index(name)
-    low, high = (_farthest(model, inside, column, end) for end in widest)
-    return float(low.min()), float(high.max())
-
-
-def _farthest(model: SteadyStateModel, inside: FloatArray, column: int, end: float) -> FloatArray:
-    """Bisect from each condition towards `end`: the last value still inside, (n,)."""
-    near, probe = inside[:, column].copy(), inside.copy()
-    far = np.full_like(near, end)
-    probe[:, column] = far
-    near = np.where(model.inside(probe), far, near)
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (near + far)
-        probe[:, column] = middle
-        valid = model.inside(probe)
-        near, far = np.where(valid, middle, near), np.where(valid, far, middle)
-    # Bisection never reaches an end at zero exactly.
-    probe[:, column] = rounded = np.round(near, 9)
-    return np.where(model.inside(probe), rounded, near)
 
 
 @dataclass(frozen=True)
@@ -138,8 +65,7 @@ class Grid:
 
         A gridded table keeps all its own nodes.
 
-        Raises `ConfigError` for nodes of a name that is no input, and `ModelError` where the model
-        is valid nowhere.
+        Raises `ConfigError` for nodes of a name that is no input.
         """
         given = dict(nodes or {})
         for name in given:
@@ -151,9 +77,8 @@ class Grid:
         if isinstance(model, SteadyTable) and model.gridded and model.method == "linear":
             columns = zip(model.input_names, model.points.T, strict=True)
             given = {name: np.unique(column).tolist() for name, column in columns} | given
-        found = model_ranges(model, given)
-        axes = {name: tuple(given.get(name) or _ends(name, found)) for name in model.input_names}
-        return cls(axes)
+        ends = zip(model.input_names, *_ends(model), strict=True)
+        return cls({name: tuple(given.get(name) or sorted({*both})) for name, *both in ends})
 
     @property
     def varying(self) -> tuple[str, ...]:
@@ -186,9 +111,18 @@ def is_switch(name: str) -> bool:
     return name in CHANNELS and CHANNELS[name].role == "switch"
 
 
-def _ends(name: str, found: Mapping[str, tuple[float, float]]) -> tuple[float, ...]:
-    low, high = found[name]
-    return (low, high) if low < high else (low,)
+def _ends(model: SteadyStateModel) -> tuple[list[float], list[float]]:
+    """Ends of each input: those of the model's envelope, else the usual ones."""
+    usual = [
+        USUAL_RANGES.get(name, (channel(name).low, channel(name).high))
+        for name in model.input_names
+    ]
+    box, (low, high) = envelope_of(model), np.array(usual).T
+    found = (
+        np.where(np.isfinite(box.low), box.low, low),
+        np.where(np.isfinite(box.high), box.high, high),
+    )
+    return found[0].tolist(), found[1].tolist()
 
 
 # Conditions per call: a model may need much more memory than its inputs.

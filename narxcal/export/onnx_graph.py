@@ -51,6 +51,14 @@ class Graph:
         return Number(self, self._known[key])
 
 
+def _both_sides(operation: str) -> tuple[Callable[..., Number], Callable[..., Number]]:
+    """An operator with the number on its left, and on its right."""
+    return (
+        lambda number, other: number.to(operation, other),
+        lambda number, other: number.graph.add(operation, other, number),
+    )
+
+
 class Number:
     """A value in a graph."""
 
@@ -64,41 +72,17 @@ class Number:
         """An operation on this number and others."""
         return self.graph.add(operation, self, *others, **attributes)
 
-    def __add__(self, other: Any) -> Number:
-        return self.to("Add", other)
-
-    def __sub__(self, other: Any) -> Number:
-        return self.to("Sub", other)
-
-    def __mul__(self, other: Any) -> Number:
-        return self.to("Mul", other)
-
-    def __truediv__(self, other: Any) -> Number:
-        return self.to("Div", other)
-
-    def __radd__(self, other: Any) -> Number:
-        return self.graph.add("Add", other, self)
-
-    def __rsub__(self, other: Any) -> Number:
-        return self.graph.add("Sub", other, self)
-
-    def __rmul__(self, other: Any) -> Number:
-        return self.graph.add("Mul", other, self)
-
-    def __rtruediv__(self, other: Any) -> Number:
-        return self.graph.add("Div", other, self)
+    __add__, __radd__ = _both_sides("Add")
+    __sub__, __rsub__ = _both_sides("Sub")
+    __mul__, __rmul__ = _both_sides("Mul")
+    __truediv__, __rtruediv__ = _both_sides("Div")
+    __gt__, __lt__ = _both_sides("Greater")[0], _both_sides("Less")[0]
 
     def __neg__(self) -> Number:
         return self.to("Neg")
 
     def __abs__(self) -> Number:
         return self.to("Abs")
-
-    def __gt__(self, other: Any) -> Any:
-        return self.to("Greater", other)
-
-    def __lt__(self, other: Any) -> Any:
-        return self.to("Less", other)
 
     def __bool__(self) -> bool:
         if not _PATHS:

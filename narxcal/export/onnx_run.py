@@ -1,4 +1,4 @@
-"""An exported ONNX graph run by onnxruntime, to compare it with `simulate`."""
+"""An exported ONNX graph run by onnxruntime."""
 
 from __future__ import annotations
 
@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from narxcal.calibration.calibration import Calibration
-from narxcal.export.proof import Case, held, row_of
 from narxcal.support.arrays import FloatArray
 
 BOUND = 1e-5
@@ -24,34 +22,17 @@ def runtime() -> Any:
     return onnxruntime
 
 
-def run(file: Path, inputs: FloatArray) -> FloatArray:
-    """Free runs (time, batch, n_out) from equilibrium over inputs (time, batch, n_in)."""
+def run(file: Path, inputs: Sequence[FloatArray]) -> list[FloatArray]:
+    """Free runs (time, n_out) from equilibrium over inputs (time, n_in), all as one batch."""
     ort = runtime()
     options = ort.SessionOptions()
     options.intra_op_num_threads = 1
     session = ort.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
-    width = session.get_inputs()[0].shape[1]
-    state, rows = np.full((inputs.shape[1], width), np.nan), []
-    for row in inputs:
-        state, output = session.run(["next_state", "output"], {"state": state, "input": row})
+    width, longest = session.get_inputs()[0].shape[1], max(map(len, inputs))
+    state, rows = np.full((len(inputs), width), np.nan), []
+    for k in range(longest):
+        given = np.array([one[min(k, len(one) - 1)] for one in inputs])
+        state, output = session.run(["next_state", "output"], {"state": state, "input": given})
         rows.append(output)
-    return np.array(rows)
-
-
-def compare(model: Calibration, file: Path, cases: Sequence[Case]) -> list[dict[str, Any]]:
-    """Compare free runs and restarts in mid-flight, all as one batch.
-
-    The file has one engine, that of `model`. Inputs without a number are held by the caller.
-    """
-    runs = []
-    for case in cases:
-        inputs = held(case.inputs)
-        runs.append(("free run", case, inputs))
-        runs.append(("restart in mid-flight", case, inputs[len(inputs) // 2 :]))
-    longest = max(len(inputs) for _, _, inputs in runs)
-    padded = [inputs[np.minimum(np.arange(longest), len(inputs) - 1)] for _, _, inputs in runs]
-    found = run(file, np.stack(padded, axis=1))
-    return [
-        row_of(model, case, what, np.abs(found[: len(inputs), k] - model.simulate(inputs)))
-        for k, (what, case, inputs) in enumerate(runs)
-    ]
+    found = np.array(rows)
+    return [found[: len(one), k] for k, one in enumerate(inputs)]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from narxcal.export.grid import (
 )
 from narxcal.export.report import ADVICE, ExportOptions, ExportReport, Measured, Probes, Stopped
 from narxcal.steady.model import SteadyStateModel
-from narxcal.support.arrays import BoolArray, FloatArray, IntArray
+from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.compiled import compiled
 from narxcal.support.errors import ModelError
 
@@ -41,61 +41,29 @@ def _round_up(step: float) -> float:
     return next(m * power for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= step * (1.0 - 1e-9))
 
 
-_MOST_SEGMENTS = 64
+def fewest_nodes(candidates: FloatArray, errors: FloatArray, allowed: float) -> FloatArray:
+    """Fewest of candidates (M,) between which no straight line is off by more than `allowed`.
 
-
-@dataclass(frozen=True, eq=False)
-class AxisNodes:
-    """Best nodes of one axis, for each number of segments.
-
-    A curve sampled at M candidates is interpolated linearly between some of them. Its error is that
-    of the worst segment, so the best nodes are a shortest path over segments (dynamic programming;
-    Bellman 1961, Communications of the ACM 4(6)). `errors[k]` is the error with `k` segments
-    (infinite where the required nodes need more), `before[k, j]` the node before candidate `j` on
-    the best path to it.
+    Of as many nodes, those with the smallest error. `errors` (M, M) are those of `segment_errors`,
+    infinite across a node that has to be there.
     """
-
-    candidates: FloatArray
-    errors: FloatArray
-    before: IntArray
-
-    @property
-    def fewest(self) -> int:
-        """Smallest number of segments with all required nodes."""
-        return int(np.flatnonzero(np.isfinite(self.errors))[0])
-
-    def finer(self, segments: int) -> int | None:
-        """Next number of segments with a smaller error, None where there is none."""
-        better = np.flatnonzero(self.errors[segments:] < self.errors[segments] * (1.0 - 1e-9))
-        return segments + int(better[0]) if len(better) else None
-
-    def nodes(self, segments: int) -> FloatArray:
-        """Best nodes for `segments`: `(segments + 1,)`."""
-        place = len(self.candidates) - 1
-        path = [place]
-        for count in range(segments, 0, -1):
-            place = int(self.before[count, place])
-            path.append(place)
-        return self.candidates[path[::-1]]
+    path = _shortest(errors, allowed)
+    levels = np.unique(errors[errors <= allowed])
+    best = bisect_left(levels, -len(path), key=lambda level: -len(_shortest(errors, level)))
+    return candidates[_shortest(errors, levels[best])]
 
 
-def best_nodes(candidates: FloatArray, values: FloatArray, required: Sequence[float]) -> AxisNodes:
-    """Plan an axis from curves `values` (M, curves) at `candidates` (M,).
-
-    The `required` nodes are always among the chosen.
-    """
-    error = segment_errors(candidates, np.ascontiguousarray(values))
-    for place in np.flatnonzero(np.isin(candidates, required)):
-        error[:place, place + 1 :] = np.inf
-    count = min(len(candidates) - 1, _MOST_SEGMENTS)
-    worst = np.full((count + 1, len(candidates)), np.inf)
-    before = np.zeros(worst.shape, dtype=np.int64)
-    worst[0, 0] = 0.0
-    for segments in range(1, count + 1):
-        through = np.maximum(worst[segments - 1][:, None], error)
-        before[segments] = through.argmin(axis=0)
-        worst[segments] = through.min(axis=0)
-    return AxisNodes(candidates, worst[:, -1], before)
+def _shortest(errors: FloatArray, allowed: float) -> list[int]:
+    """Shortest path over segments (Bellman 1961, Communications of the ACM 4(6))."""
+    count, before = np.zeros(len(errors)), [0] * len(errors)
+    for place in range(1, len(errors)):
+        steps = np.where(errors[:place, place] <= allowed, count[:place], np.inf)
+        before[place] = int(steps.argmin())
+        count[place] = steps[before[place]] + 1.0
+    path = [len(errors) - 1]
+    while path[-1]:
+        path.append(before[path[-1]])
+    return path[::-1]
 
 
 @compiled
@@ -132,40 +100,11 @@ def curves(
     return found.reshape(len(candidates), -1)
 
 
-def grow(
-    axes: Mapping[str, AxisNodes], others: int, goal: float, most: int
-) -> tuple[dict[str, int], Literal["size", "nodes"] | None]:
-    """Refine the axis with the largest error until the sum of all errors is at most `goal`.
-
-    `others` is the factor on the rows by the axes not refined, `most` the limit of rows. Returns
-    the segments of each axis and, where the goal was not reached, whether the `size` or the lack
-    of further `nodes` was the reason.
-    """
-    segments = {name: axis.fewest for name, axis in axes.items()}
-    open_axes, too_many = set(axes), False
-
-    def error(name: str) -> float:
-        return float(axes[name].errors[segments[name]])
-
-    while sum(map(error, axes)) > goal:
-        if not open_axes:
-            return segments, "size" if too_many else "nodes"
-        name = max(sorted(open_axes), key=error)
-        finer = axes[name].finer(segments[name])
-        tried = {**segments, name: finer or 0}
-        rows = others * int(np.prod([count + 1 for count in tried.values()], dtype=np.int64))
-        if finer is None or rows > most:
-            open_axes.remove(name)
-            too_many = too_many or finer is not None
-        else:
-            segments = tried
-    return segments, None
-
-
 # Random conditions to decide which switches add up; and numbers of candidates and lines to choose
 # nodes by, fewer for the part of a switch: it is small, and each condition costs two samples.
 _DRAWS = 1024
 _FINE, _COARSE = (128, 48), (32, 18)
+Axis = tuple[FloatArray, FloatArray]  # candidates (M,) and errors (M, M) of the lines between them
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,11 +144,6 @@ class Layer:
         full[:, column] = 0.0
         return gate[:, None] * (with_it - finite_outputs(self.model, full))
 
-    @property
-    def others(self) -> int:
-        """Factor on the rows by the switches."""
-        return math.prod(len(self.grid.axes[name]) for name in self.names if is_switch(name))
-
     def embedded(self, points: FloatArray) -> FloatArray:
         """Conditions (n, n_in) of the model with the layer's inputs at `points`."""
         full = np.zeros((len(points), len(self.model.input_names)))
@@ -218,16 +152,20 @@ class Layer:
         full[:, [self.model.input_names.index(name) for name in self.names]] = points
         return full
 
-    def axis_nodes(self, scale: FloatArray, rng: np.random.Generator) -> dict[str, AxisNodes]:
-        """Best nodes of each continuous axis, with errors in units of `scale` (n_out,)."""
+    def axes(self, scale: FloatArray, rng: np.random.Generator) -> dict[str, Axis]:
+        """Candidates and errors, in units of `scale` (n_out,), of each continuous axis."""
         return {name: self._axis(name, scale, rng) for name in self.names if not is_switch(name)}
 
-    def _axis(self, name: str, scale: FloatArray, rng: np.random.Generator) -> AxisNodes:
+    def _axis(self, name: str, scale: FloatArray, rng: np.random.Generator) -> Axis:
         most, lines = _FINE if self.switch is None else _COARSE
-        places = candidates(self.grid.axes[name], most)
+        nodes = self.grid.axes[name]
+        places = candidates(nodes, most)
         others = self._lines(lines, rng)
         values = curves(lambda at: self(at) / scale, others, self.names.index(name), places)
-        return best_nodes(places, values, self.grid.axes[name])
+        errors = segment_errors(places, values)
+        for kept in np.flatnonzero(np.isin(places, nodes)):
+            errors[:kept, kept + 1 :] = np.inf
+        return places, errors
 
     def _lines(self, count: int, rng: np.random.Generator) -> FloatArray:
         """Draw conditions (count, names), every third in a corner, where errors are largest."""
@@ -283,9 +221,9 @@ def additive_switches(
     return tuple(chosen)
 
 
-# Errors of several axes rarely have their maximum at one point: the first sum of errors tried is
-# this many tolerances, and there are so many rounds.
-_FIRST_GOAL, _ROUNDS = 2.0, 8
+# Rounds, and the factor on what axes may be off by while the grid is too large. Errors of axes
+# rarely have their maximum at one point, so each may first have the whole tolerance.
+_ROUNDS, _LOOSER = 12, 1.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -387,37 +325,34 @@ class _Sampling:
         return self._planned([{}] * len(self.layers), "nodes")
 
     def refined(self) -> Planned:
-        """Add nodes until the measured error meets the tolerance, or no more are allowed."""
+        """Add nodes until the measured error meets the tolerance, or no more are allowed.
+
+        All axes of a layer are off by as much: that makes the product of their nodes the smallest
+        where the error of an axis falls with the square of its nodes.
+        """
         rng = np.random.default_rng(self.options.seed)
-        plans = []
+        axes = []
         for place, layer in enumerate(self.layers):
             self.options.progress(place, len(self.layers), "choosing nodes")
-            plans.append(layer.axis_nodes(self.probes.scale, rng))
-        goal = _FIRST_GOAL * self.tolerance
+            axes.append(layer.axes(self.probes.scale, rng))
+        allowed = self.tolerance
+        stopped: Stopped = "nodes"
         for _ in range(_ROUNDS):
-            axes, stopped = self._grown(plans, goal)
-            planned = self._planned(axes, stopped or "nodes")
-            if stopped is not None or planned.stopped == "tolerance":
+            nodes = self._nodes(axes, allowed)
+            while sum(map(_rows, self.layers, nodes)) > self.options.max_rows:
+                allowed, stopped = _LOOSER * allowed, "size"
+                nodes = self._nodes(axes, allowed)
+            planned = self._planned(nodes, stopped)
+            if planned.stopped != "nodes":
                 break
-            goal *= min(0.9 * self.tolerance / planned.measured.worst_pct * 100.0, 0.7)
+            allowed *= min(0.95 * self.options.tolerance_pct / planned.measured.worst_pct, 0.85)
         return planned
 
-    def _grown(
-        self, plans: list[dict[str, AxisNodes]], goal: float
-    ) -> tuple[list[dict[str, FloatArray]], Stopped | None]:
-        """Nodes of each layer's axes, and the reason where the goal was not reached."""
-        axes: list[dict[str, FloatArray]] = [{} for _ in plans]
-        left, reasons = self.options.max_rows, []
-        # The small layers first; the rows that are left are for the first layer.
-        for place in [*range(1, len(plans)), 0]:
-            layer, axis_nodes = self.layers[place], plans[place]
-            most = left if place == 0 else self.options.max_rows // (4 * len(plans))
-            segments, reason = grow(axis_nodes, layer.others, goal * layer.share, most)
-            axes[place] = {name: each.nodes(segments[name]) for name, each in axis_nodes.items()}
-            left -= _rows(layer, axes[place])
-            reasons.append(reason)
-        reached = [reason for reason in reasons if reason is not None]
-        return axes, ("size" if "size" in reached else "nodes") if reached else None
+    def _nodes(self, axes: list[dict[str, Axis]], allowed: float) -> list[dict[str, FloatArray]]:
+        return [
+            {name: fewest_nodes(*axis, layer.share * allowed) for name, axis in own.items()}
+            for layer, own in zip(self.layers, axes, strict=True)
+        ]
 
     def _planned(self, axes: list[dict[str, FloatArray]], stopped: Stopped) -> Planned:
         blocks = [self._block(*pair) for pair in zip(self.layers, axes, strict=True)]

@@ -31,8 +31,10 @@ class Case:
     inputs: FloatArray
 
 
-# Outputs (time, n_out) of the exported model over inputs, from measured outputs (n_out,) or None.
-Run = Callable[[Case, FloatArray | None], FloatArray]
+# A case, and the measured outputs (n_out,) to begin at; None in equilibrium.
+Trial = tuple[Case, FloatArray | None]
+# Outputs (time, n_out) of the exported model over trials.
+Run = Callable[[Sequence[Trial]], Iterable[FloatArray]]
 
 
 def drawn(envelope: Envelope, engine: str = "") -> Case:
@@ -63,20 +65,30 @@ def compare(
 
     A row has the largest difference by output, in its unit.
     """
-    rows = []
+    trials: list[tuple[str, Trial]] = []
     for case in cases:
-        own, inputs = model.for_engine(case.engine, or_mean=True), held(case.inputs)
-        later = Case(case.name, case.engine, case.inputs[len(inputs) // 2 :])
-        away = own.steady.outputs(inputs[0]) * 1.02
-        runs: list[tuple[str, Case, FloatArray | None]] = [("free run", case, None)]
-        if np.isfinite(later.inputs[0]).all():
-            runs.append(("restart in mid-flight", later, None))
+        first, later = held(case.inputs)[0], case.inputs[len(case.inputs) // 2 :]
+        trials.append(("free run", (case, None)))
+        if np.isfinite(later[0]).all():
+            again = Case(case.name, case.engine, later)
+            trials.append(("restart in mid-flight", (again, None)))
         if starts:
-            runs.append(("start at other outputs", case, away))
-        for what, one, start in runs:
-            expected = own.simulate(held(one.inputs), start)
-            rows.append(row_of(model, one, what, np.abs(run(one, start) - expected)))
-    return rows
+            away = model.for_engine(case.engine, or_mean=True).steady.outputs(first) * 1.02
+            trials.append(("start at other outputs", (case, away)))
+    found = run([trial for _, trial in trials])
+    expected = simulated(model)([trial for _, trial in trials])
+    return [
+        row_of(model, case, what, np.abs(y - own))
+        for (what, (case, _)), y, own in zip(trials, found, expected, strict=True)
+    ]
+
+
+def simulated(model: Calibration) -> Run:
+    """What `simulate` gives."""
+    return lambda trials: (
+        model.for_engine(case.engine, or_mean=True).simulate(held(case.inputs), start)
+        for case, start in trials
+    )
 
 
 def row_of(model: Calibration, case: Case, what: str, off: FloatArray) -> dict[str, Any]:

@@ -57,8 +57,8 @@ class SteadyFmu(BoxModel):
         self.path = Path(path)
         self.options = options or SteadyOptions()
         self.input_names, self.output_names = (tuple(part) for part in names)
-        self._box = Envelope.from_ranges(self.input_names, self.options.ranges)
-        self._unit = _open(self.path)
+        self.envelope = Envelope.from_ranges(self.input_names, self.options.ranges)
+        self._unit = open_unit(self.path)
         self._inputs = self._references(self.input_names)
         self._outputs = self._references(self.output_names)
 
@@ -138,35 +138,36 @@ class SteadyFmu(BoxModel):
             raise ModelError(f"the FMU failed at {at}: {error}", file=self.path) from None
 
 
-class _Unit:
+class Unit:
     """One running FMU; freed, with the files it was unpacked to, when no longer referenced."""
 
     def __init__(self, slave: Any, description: Any, folder: Any, call_error: Any) -> None:
         self.variables = description.modelVariables
         self.call_error: type[Exception] = call_error
-        self._slave = slave
-        self._fmi3 = not description.fmiVersion.startswith("2")
+        self.slave, self.fmi3 = slave, not description.fmiVersion.startswith("2")
+        kind = "Float64" if self.fmi3 else "Real"
+        self.put, self.get = (getattr(slave, f"{verb}{kind}") for verb in ("set", "get"))
         self._used = False
-        weakref.finalize(self, _close, slave, folder)
+        self.close = weakref.finalize(self, _close, slave, folder)
+
+    def begin(self) -> None:
+        """Go back to initialisation at time 0."""
+        if self._used:
+            self.slave.reset()
+        self._used = True
+        if not self.fmi3:
+            self.slave.setupExperiment(startTime=0.0)
+        self.slave.enterInitializationMode()
 
     def evaluate(
         self, inputs: list[int], values: list[float], outputs: list[int], settle_s: float
     ) -> list[float]:
         """Run from the start at constant inputs for `settle_s`, and read the outputs."""
-        slave = self._slave
-        if self._used:
-            slave.reset()
-        self._used = True
-        if not self._fmi3:
-            slave.setupExperiment(startTime=0.0)
-        slave.enterInitializationMode()
-        put, get = (
-            (slave.setFloat64, slave.getFloat64) if self._fmi3 else (slave.setReal, slave.getReal)
-        )
-        put(inputs, values)
-        slave.exitInitializationMode()
-        slave.doStep(0.0, settle_s)
-        return list(get(outputs))
+        self.begin()
+        self.put(inputs, values)
+        self.slave.exitInitializationMode()
+        self.slave.doStep(0.0, settle_s)
+        return list(self.get(outputs))
 
 
 def import_fmpy(path: Path) -> Any:
@@ -197,7 +198,8 @@ def read_description(path: Path) -> Any:
         raise ModelError(f"the file is no FMU that can be read: {error}", file=path) from error
 
 
-def _open(path: Path) -> _Unit:
+def open_unit(path: Path) -> Unit:
+    """Unpack and start an FMU; raises `ModelError` for one that this machine cannot run."""
     fmpy = import_fmpy(path)
     description = read_description(path)
     platforms = fmpy.supported_platforms(path)
@@ -210,7 +212,7 @@ def _open(path: Path) -> _Unit:
     except Exception as error:
         shutil.rmtree(folder, ignore_errors=True)
         raise ModelError(f"the FMU does not start: {error}", file=path) from error
-    return _Unit(slave, description, folder, fmpy.fmi1.FMICallException)
+    return Unit(slave, description, folder, fmpy.fmi1.FMICallException)
 
 
 def _check(path: Path, description: Any, platforms: tuple[list[str], str]) -> None:

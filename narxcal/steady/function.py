@@ -99,7 +99,7 @@ class SteadyCallable(BoxModel):
         self.reference = reference
         self.file = file
         self._function = function
-        self._box = Envelope.from_ranges(self.input_names, ranges)
+        self.envelope = Envelope.from_ranges(self.input_names, ranges)
         self._cached = Cached(self._call)
 
     @classmethod
@@ -121,7 +121,7 @@ class SteadyCallable(BoxModel):
         """Send a worker process the reference: a module loaded from a file has no import name."""
         if self.reference is None or self.file is None:
             return super().__reduce__()  # type: ignore[return-value]
-        ranges = _ranges(self.input_names, self._box.low, self._box.high)
+        ranges = _ranges(self.input_names, self.envelope.low, self.envelope.high)
         names = (self.input_names, self.output_names)
         return type(self).load, (self.reference, names, ranges, Path(self.file).parent)
 
@@ -158,7 +158,7 @@ class SteadyCallable(BoxModel):
             "input_names": list(self.input_names),
             "output_names": list(self.output_names),
         }
-        return meta, {"low": self._box.low, "high": self._box.high}
+        return meta, {"low": self.envelope.low, "high": self.envelope.high}
 
     @classmethod
     def executed(cls, meta: Mapping[str, Any]) -> str:

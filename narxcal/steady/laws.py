@@ -39,7 +39,7 @@ class StaticLaws(BoxModel):
         self.input_names = tuple(input_names)
         self.output_names = tuple(model.output for model, _ in laws)
         self.laws = tuple(laws)
-        self._box = box
+        self.envelope = box
 
     def _evaluate(self, inputs: FloatArray) -> FloatArray:
         columns = dict(zip(self.input_names, inputs.T, strict=True))
@@ -53,7 +53,7 @@ class StaticLaws(BoxModel):
             "recipes": [dict(model.recipe) for model, _ in self.laws],
         }
         values = {f"values_{k}": values for k, (_, values) in enumerate(self.laws)}
-        return meta, {"low": self._box.low, "high": self._box.high, **values}
+        return meta, {"low": self.envelope.low, "high": self.envelope.high, **values}
 
     @classmethod
     def from_arrays(cls, meta: Mapping[str, Any], arrays: Arrays) -> Self:

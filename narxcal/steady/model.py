@@ -144,16 +144,22 @@ class Envelope:
         return np.clip(inputs, self.low, self.high)
 
 
+def envelope_of(model: SteadyStateModel) -> Envelope:
+    """The box that a model states; unbounded where it states none."""
+    found = getattr(model, "envelope", None)
+    return found if isinstance(found, Envelope) else Envelope.from_ranges(model.input_names, None)
+
+
 class BoxModel(ABC):
     """Base of models that evaluate a function inside a box of inputs.
 
-    A subclass sets the names and `_box` and defines `_evaluate((n, n_in)) -> (n, n_out)` for finite
-    inputs.
+    A subclass sets the names and `envelope` and defines `_evaluate((n, n_in)) -> (n, n_out)` for
+    finite inputs.
     """
 
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
-    _box: Envelope
+    envelope: Envelope
 
     @abstractmethod
     def _evaluate(self, inputs: FloatArray) -> FloatArray:
@@ -164,13 +170,13 @@ class BoxModel(ABC):
 
         NaN where an input is NaN.
         """
-        clamped = self._box.clamp(checked_inputs(inputs, self.input_names))
+        clamped = self.envelope.clamp(checked_inputs(inputs, self.input_names))
         return at_known(self._evaluate, clamped, len(self.output_names))
 
     def inside(self, inputs: ArrayLike) -> BoolArray:
         """Whether each sample lies within the ranges: `(...,)`."""
         array = checked_inputs(inputs, self.input_names)
-        return np.asarray(self._box.inside(array) & np.isfinite(array).all(axis=-1))
+        return np.asarray(self.envelope.inside(array) & np.isfinite(array).all(axis=-1))
 
 
 def checked_inputs(inputs: ArrayLike, names: Sequence[str]) -> FloatArray:

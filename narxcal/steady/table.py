@@ -145,6 +145,7 @@ class SteadyTable:
         self.points = np.array(points, dtype=np.float64)
         self.values = np.array(values, dtype=np.float64)
         self._check()
+        self.envelope = Envelope.of(self.points)
         axes = _grid_axes(self.points)
         self.gridded = axes is not None
         self._interpolant: _Interpolant = (

@@ -125,7 +125,7 @@ class VirtualEngine(BoxModel):
         self._fadec = control(
             self.preset, core.machine, core.line, core.body, self.settings.accel_margin
         )
-        self._box = Envelope(LOW, HIGH)
+        self.envelope = Envelope(LOW, HIGH)
 
     def gas_path(self, inputs: ArrayLike) -> dict[str, FloatArray]:
         """Steady stations, each (n,), at `inputs` (n, 9), by the names of `Stations`.
@@ -172,7 +172,7 @@ class VirtualEngine(BoxModel):
     def _check(self, u: FloatArray, dt_s: float) -> None:
         if not (np.isfinite(dt_s) and 0.0 < dt_s <= 0.2):
             raise ModelError(f"the virtual engine runs at steps of up to 0.2 s, got {dt_s} s")
-        outside = ~self._box.inside(u)
+        outside = ~self.envelope.inside(u)
         if len(u) == 0 or outside.any():
             raise ModelError(_outside(u, outside))
 

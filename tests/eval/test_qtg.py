@@ -137,7 +137,7 @@ def test_the_critical_channel_decides_by_part60_and_every_channel_by_the_paper(e
 
 def test_the_other_reading_of_an_open_tolerance_is_printed_where_it_differs(events, tmp_path):
     file = tmp_path / "tests.toml"
-    text = start_file(events()).replace('critical = ""', 'critical = "N2_pct"')
+    text = start_file(events(), file).replace('critical = ""', 'critical = "N2_pct"')
     file.write_text(text, "utf-8")
     # 90 % of N2 after 1.84 s in flight, 2.07 s in the model: the floor is more than 10 %.
     found = events("cs-fstd", tau_s=(1.5, 0.9))
@@ -205,10 +205,11 @@ def test_120_events_are_no_more_than_10_megabytes(events):
     assert len(few[1]) + 118 * (len(more[1]) - len(few[1])) / added <= 10e6
 
 
-def test_the_start_of_a_file_of_tests_gives_the_same_guide(events, tmp_path):
+@pytest.mark.parametrize("name", ["tests.toml", "tests.csv"])
+def test_the_start_of_a_file_of_tests_gives_the_same_guide(events, tmp_path, name):
     found = events()
-    file = tmp_path / "tests.toml"
-    file.write_text(start_file(found), "utf-8")
+    file = tmp_path / name
+    file.write_text(start_file(found, file), "utf-8")
     plain, listed = guide_of(found, "run"), guide_of(found, "run", read_tests(file), file)
     names = [[test.number for test in guide.tests] for guide in (plain, listed)]
     assert names[0] == names[1]
@@ -285,6 +286,18 @@ def test_a_wrong_file_of_tests_is_refused(events, tmp_path, text, message):
     file, made = listed_guide(events, tmp_path, text)
     with pytest.raises(ConfigError, match=f"^{re.escape(f'{file}: {message}')}$"):
         made()
+
+
+def test_tests_may_stand_in_a_csv(events, tmp_path):
+    file = tmp_path / "tests.csv"
+    file.write_text(
+        '\ufefflog,start_s,use,rationale\nflight.csv:left,19.9,,"Probe, changed"\n', "utf-8"
+    )
+    (test,) = guide_of(events(), "run", read_tests(file), file).tests
+    assert (test.entry.use, test.entry.rationale) == (True, "Probe, changed")
+    file.write_text("log,start_s\nflight.csv:left,19.9,1\n", "utf-8")
+    with pytest.raises(ConfigError, match=r"unknown key 'test\.0\.more cells than"):
+        read_tests(file)
 
 
 def test_a_critical_channel_that_is_not_judged_is_refused(events, tmp_path):

@@ -13,6 +13,7 @@ import pytest
 from narxcal.export import ExportOptions, Grid, export_fmu, export_table
 from narxcal.export.plan import plan
 from narxcal.steady.fmu import SteadyFmu
+from narxcal.steady.model import Envelope
 from narxcal.steady.table import read_steady_table
 from narxcal.support.errors import ConfigError, ModelError
 
@@ -135,6 +136,7 @@ class Corner:
     """A plane that holds only where lever and Mach are not both high."""
 
     input_names, output_names = ("TRA_deg", "Mach"), ("N1_pct", "EGT_C")
+    envelope = Envelope(np.zeros(2), np.array([80.0, 0.8]))
 
     def outputs(self, inputs):
         inputs = np.asarray(inputs)

@@ -56,10 +56,11 @@ def test_the_fmu_is_valid_and_bears_channels_interval_and_parameters(made):
 def test_it_is_simulate_at_every_step_with_states_set(made):
     program, file = made
     cases = [drawn(program.envelope), Case("moves", "right", models.log(300))]
-    rows, step_us = compare(program.model, file, cases, program.engines)
+    rows, step_us = compare(program, file, cases)
     assert step_us > 0.0
     assert {row["what"] for row in rows} == {
-        "step of 0.1 s", "step of 0.02 s", "step of 0.25 s", "state stored and set",
+        "free run", "restart in mid-flight", "step of 0.1 s", "step of 0.02 s", "step of 0.25 s",
+        "state stored and set",
     }  # fmt: skip
     assert largest(rows) < BOUND
 
@@ -83,12 +84,8 @@ def test_inputs_that_arrive_after_initialisation_are_those_of_the_equilibrium(un
     found = fmu.run(inputs, 0.1)
     np.testing.assert_allclose(found, model.simulate(inputs[[0, *range(60)]])[1:], atol=1e-9)
     # Some inputs before, the lever after.
-    fmu.start(None)
-    fmu.slave.reset()
-    if not fmu.three:
-        fmu.slave.setupExperiment(startTime=0.0)
-    fmu.slave.enterInitializationMode()
-    fmu._set(fmu.inputs[1:], inputs[0, 1:].tolist())
+    fmu.unit.begin()
+    fmu.unit.put(fmu.inputs[1:], inputs[0, 1:].tolist())
     fmu.slave.exitInitializationMode()
     first = inputs.copy()
     first[0, 0] = inputs[1, 0]
@@ -112,11 +109,11 @@ def test_flags_say_what_was_held_and_what_is_outside(unit):
     inputs = models.log(60, far=False)
     fmu.start(inputs[0])
     fmu.run(inputs[1:2] * [np.nan, 1.0, 1.0, 1.0], 0.1)
-    assert fmu._get(flags) == [1.0, 1.0]
+    assert fmu.unit.get(flags) == [1.0, 1.0]
     fmu.run(inputs[2:3] + np.array([0.0, 5e4, 0.0, 0.0]), 0.1, 1)
-    assert fmu._get(flags) == [0.0, 0.0]
+    assert fmu.unit.get(flags) == [0.0, 0.0]
     low, high = (fmu.references[f"N1_pct_{end}"] for end in ("low", "high"))
-    found = fmu._get([low, fmu.references["N1_pct"], high])
+    found = fmu.unit.get([low, fmu.references["N1_pct"], high])
     assert found[0] < found[1] < found[2]
 
 
@@ -127,9 +124,9 @@ def test_a_step_backwards_and_a_late_engine_are_refused(unit):
         fmu.slave.doStep(0.0, -0.1)
     fmu.slave.doStep(0.0, 0.1)
     with pytest.raises(Exception, match="failed with status 3"):
-        fmu._set_integer([fmu.references["engine"]], [1])
+        fmu.set_engine(1)
     with pytest.raises(Exception, match="failed with status 3"):
-        fmu._set([fmu.references["engine"]], [1.0])
+        fmu.unit.put([fmu.references["engine"]], [1.0])
 
 
 def test_a_model_without_dynamics_follows_its_inputs_at_once(tmp_path):
