@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from data_prep.log import Log
@@ -39,6 +39,7 @@ ORDERS = (1, 2, 3)
 _STEPS: Final = 20  # of Gauss-Newton, each tried at once and at up to `_HALVINGS` halves
 _HALVINGS: Final = 4
 _CONVERGED: Final = 1e-4  # of the mean square
+_CLOSE: Final = 1e-3  # of ln(time constant)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,25 +219,22 @@ def run_of(calibration: Calibration, log: Log) -> Run:
 
 
 def _fit_lag(runs: Sequence[Run], k: int, dt_s: float) -> tuple[float, float]:
-    """Time constants (push, pull) in s with the least free-run error, by Nelder-Mead."""
+    """Time constants (push, pull) in s with the least free-run error, from 1 s each."""
 
-    def loss(log_tau: FloatArray) -> float:
-        taus = np.exp(np.clip(log_tau, np.log(SHORTEST_S), np.log(LONGEST_S)))
-        push, pull = (_gain(tau, dt_s) for tau in taus.tolist())
+    def errors(log_tau: FloatArray) -> FloatArray:
+        push, pull = (_gain(tau, dt_s) for tau in np.exp(log_tau).tolist())
         lag = Member("first_order", k, push, pull)
-        total, count = 0.0, 0
+        found = []
         for run in runs:
             first = start_of(run.steady, run.measured[0], k)
             error = lag.simulate(run.steady, first) - run.measured[:, k]
-            known = np.isfinite(error)
-            total, count = total + float(error[known] @ error[known]), count + int(known.sum())
-        return total / max(count, 1)
+            found.append(error[np.isfinite(error)])
+        return np.concatenate(found)
 
-    found = minimize(
-        loss, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-9}
-    )
-    push_s, pull_s = np.exp(np.clip(found.x, np.log(SHORTEST_S), np.log(LONGEST_S)))
-    return float(push_s), float(pull_s)
+    bounds = np.log([SHORTEST_S, LONGEST_S])
+    found = least_squares(errors, np.zeros(2), bounds=tuple(bounds), ftol=_CONVERGED, xtol=_CLOSE)
+    push_s, pull_s = np.exp(found.x).tolist()
+    return push_s, pull_s
 
 
 class _Deviation(NamedTuple):
@@ -347,19 +345,20 @@ class _FreeRunError(NamedTuple):
         order, size = len(found) // 2, len(found)
         poles, moves = np.split(found, 2)
         fed_back = np.concatenate([[1.0], -poles])
-        square, matrix, slope, count = 0.0, np.zeros((size, size)), np.zeros(size), 0
+        total, count = np.zeros((size + 1, size + 1)), 0
         for one in parts:
-            driven = moves @ one.moves(order) + (poles.sum() - 1.0) * one.first
+            driven = lfilter(moves, [1.0], one.moved) + (poles.sum() - 1.0) * one.first
             driven[0] = 0.0  # the run starts where it was measured
             free = one.first + lfilter([1.0], fed_back, driven)
             causes = np.concatenate([one.past(free, order, one.first), one.moves(order)])
             causes[:, 0] = 0.0
+            rows = np.vstack([lfilter([1.0], fed_back, causes, axis=1), one.measured - free])
             known = np.isfinite(one.measured)
-            rows = _levelled(lfilter([1.0], fed_back, causes, axis=1).T[known])
-            error = _levelled((one.measured - free)[known])
-            square, count = square + float(error @ error), count + len(error)
-            matrix, slope = matrix + rows.T @ rows, slope + rows.T @ error
-        return cls(square / max(count, 1), matrix, slope)
+            rows = rows if known.all() else rows[:, known]
+            mean = rows.sum(axis=1) / max(rows.shape[1], 1)
+            total += rows @ rows.T - rows.shape[1] * np.outer(mean, mean)
+            count += rows.shape[1]
+        return cls(float(total[-1, -1]) / max(count, 1), total[:-1, :-1], total[:-1, -1])
 
 
 def _to_free_run(
