@@ -239,7 +239,7 @@ def _unit_text(table: Table, config: LogsConfig, name: str, source: ColumnSource
             file=table.path,
             hint=f"Set the unit of column '{source.column}' in [logs.columns]",
         )
-    return "" if not texts or is_no_unit(texts[0]) else texts[0]
+    return texts[0] if texts else ""
 
 
 def unit_text(table: Table, column: str, name: str) -> str:
@@ -249,7 +249,8 @@ def unit_text(table: Table, column: str, name: str) -> str:
     no unit of channel `name`.
     """
     if table.head.units:
-        return table.head.units[table.header.index(column)]
+        text = table.head.units[table.header.index(column)]
+        return "" if is_no_unit(text) else text
     found = _BRACKETS_AT_END.search(column)
     text = found[1].strip() if found else ""
     fits = named_unit(text) and _or_none(named_unit(text), name)

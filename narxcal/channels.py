@@ -60,12 +60,14 @@ FIELD_NAMES: dict[str, tuple[str, ...]] = {
     name: tuple("".join(each.split()).upper() for each in text.split(","))
     for name, text in {
         "time_s": "time, t, timestamp, utc, gmt, elapsed, elapsed time, relative time, clock, "
-        "frame time, sec, seconds, recorder time, utc time, gmt time, sample time, time stamp",
+        "frame time, sec, seconds, recorder time, utc time, gmt time, sample time, time stamp, "
+        "elapsed flight time, local time, lcl time, relative seconds",
         "TRA_deg": "tra, tla, pla, throttle, lever, power lever, thrust lever, throttle lever, "
         "throttle resolver angle, throttle angle, throttle lever angle, thrust lever angle, "
         "power lever angle, throttle position, power lever position, thrust lever position",
         "ALT_ft": "alt, altitude, hp, palt, pressure altitude, altitude press, altitude pressure, "
-        "press alt, baro alt, baro altitude, alt std, altitude std, std altitude, pressure alt",
+        "altp, press alt, baro alt, baro altitude, alt std, altitude std, std altitude, "
+        "pressure alt",
         "Mach": "mach, mn, mach no, mach number",
         "dT_C": "disa, delta isa, isa dev, isa deviation, dtisa",
         "WOW": "wow, weight on wheels, air ground, gnd air, squat, squat switch, on ground, "
@@ -83,7 +85,7 @@ FIELD_NAMES: dict[str, tuple[str, ...]] = {
         "exhaust gas temperature, inter turbine temperature, interturbine temp, turbine gas temp, "
         "turbine gas temperature, turbine outlet temperature, turbine exit, turbine exit temp, "
         "jet pipe temperature, exhaust temp, exhaust temperature, turbine inlet temperature",
-        "FF_kgph": "ff, wf, fmf, wfe, fuel flow, fuel mass flow, fuel flow rate, fuel rate",
+        "FF_kgph": "ff, wf, fmf, wfe, fflow, fuel flow, fuel mass flow, fuel flow rate, fuel rate",
         "FN_kN": "fn, thrust, net thrust",
         "FPR": "fpr, fan pressure ratio",
         "EPR": "epr, engine pressure ratio",

@@ -148,17 +148,17 @@ class _Text:
         )
 
     def _running(self) -> str:
-        """Put the threshold below the lowest speed at which an engine stands."""
-        lines = ["[running]"]
+        """Put the threshold below idle where engines start or stop; elsewhere none is needed."""
         above = {}
+        lines = ["[running]"]
         for name in SPOOLS:
-            idle = min((_idle(log, name) for log in self.logs), default=np.inf)
-            if not np.isfinite(idle):
-                continue
-            above[name] = round(max(BELOW_IDLE[name], _BELOW * idle), 1)
-            lines.append(f"# {name} stands at {idle:.1f} % at the lowest: {_BELOW:g} of that")
+            started = [log for log in self.logs if _stops(log, name)]
+            idle = min((_idle(log, name) for log in started), default=np.inf)
+            if np.isfinite(idle):
+                above[name] = round(max(BELOW_IDLE[name], _BELOW * idle), 1)
+                lines.append(f"# {name} stands at {idle:.1f} % at the lowest: {_BELOW:g} of that")
         if not above:
-            return "# [running]: no speed stands above any idle; the usual thresholds hold\n"
+            return "# [running]: no engine starts or stops in these logs\n"
         found = ", ".join(f"{name} = {value}" for name, value in above.items())
         return "\n".join([*lines, f"above = {{ {found} }}"]) + "\n"
 
@@ -175,10 +175,12 @@ class _Text:
         )
 
 
+def _stops(log: Log, name: str) -> bool:
+    return bool(log.recorded([name]) and np.nanmin(log[name]) < BELOW_IDLE[name])
+
+
 def _idle(log: Log, name: str) -> float:
     """Return the lowest speed [%] at which a running engine stands; inf where it never does."""
-    if not log.recorded([name]):
-        return np.inf
     size = 2 * round(0.5 * _IDLES_S / log.dt_s) + 1
     bands = {each: _IDLES_PCT for each in SPOOLS if log.recorded([each])}
     still = in_equilibrium(log, bands, size, longest_gap=size)
