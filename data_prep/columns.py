@@ -255,7 +255,7 @@ def unit_text(table: Table, column: str, name: str) -> str:
     text = found[1].strip() if found else ""
     fits = named_unit(text) and _or_none(named_unit(text), name)
     other = len(text) == 1 and not fits
-    return "" if other or is_designation(text) else text
+    return "" if other or is_no_unit(text) or is_designation(text) else text
 
 
 def _unit(table: Table, name: str, text: str) -> str:
