@@ -258,7 +258,7 @@ def assess_log(
 def _levels(bundle: Bundle, run: FreeRun) -> tuple[LevelCheck, ...]:
     """Level and lag of the scored rows, compared with training logs that were held out."""
     measured = np.where(run.scored[:, None], run.measured, np.nan)
-    return checks(bundle.record.mixture_channels, run.channels, (run.model, measured), run.log.dt_s)
+    return checks(bundle.record.weighed.channels, run.channels, (run.model, measured), run.log.dt_s)
 
 
 def overlay_of(run: FreeRun, name: str) -> Overlay:
@@ -559,15 +559,14 @@ _MODELS: Final = {
 def mixture_sentences(bundle: Bundle) -> tuple[str, ...]:
     """Of which models the outputs are mixed, and the errors that their weights rest on."""
     found = []
-    for name, stored in bundle.record.mixture_channels.items():
-        weights = stored.get("weights") or {stored.get("leads", NETWORK): 1.0}
-        if weights == {NETWORK: 1.0}:
+    for name, stored in bundle.record.weighed.channels.items():
+        if stored.ordered == [(NETWORK, 1.0)]:
             continue
-        errors = stored.get("held_out_rmse") or {}
+        errors = stored.held_out_rmse
         parts = [
             f"{weight:.2f} {_MODELS.get(model, model)}"
             + (f" ({errors[model]:.3g} held out)" if errors.get(model) is not None else "")
-            for model, weight in sorted(weights.items(), key=lambda pair: -pair[1])
+            for model, weight in stored.ordered
         ]
         found.append(f"{symbol(name)} is {', '.join(parts)}.")
     return tuple(found)

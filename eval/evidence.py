@@ -35,6 +35,7 @@ from scipy.stats import beta
 from scipy.stats import t as student
 
 from data_prep.log import Log
+from narxcal.calibration.run_record import MixtureChannel
 from narxcal.channels import channel, symbol
 
 if TYPE_CHECKING:
@@ -104,10 +105,10 @@ def _known_errors(record: RunRecord, name: str) -> tuple[list[float], bool]:
     held = record.held_out
     if held is not None and held.rmse.get(name):
         return [each for each in held.rmse[name] if math.isfinite(each)], held.fitted
-    pooled = record.mixture_channels.get(name, {}).get("held_out_rmse", {})
-    leads = record.mixture_channels.get(name, {}).get("leads", "mixture")
-    if pooled.get(leads) is not None:
-        return [float(pooled[leads])], False
+    one = record.weighed.channels.get(name, MixtureChannel())
+    pooled = one.held_out_rmse.get(one.leads or "mixture")
+    if pooled is not None:
+        return [pooled], False
     fit = record.free_run.rmse.get(name, math.nan) if record.free_run else math.nan
     return ([fit] if math.isfinite(fit) else []), True
 

@@ -13,7 +13,9 @@ The error of a recording is an offset, which its engine, day and sensors make, a
 | b | offset of a held-out recording from a model of the others: its median error |
 | s_0, m | scatter between engines of one type, days and meters, and its count of recordings |
 
-The offset of a `Conformal` is not known apart from the rest; its half-width is
+s^2 of a fleet has an inverse-gamma prior of m recordings, and the offsets of fleets give s_0 and m
+by its marginal likelihood: h is then a t interval. The offset of a `Conformal` is not known apart
+from the rest; its half-width is
 
     w(x, p) = q(x, p) t_nu((1 + p) / 2) / z((1 + p) / 2),      nu = 2 k / C
     C = (1.5 C_0 + (k - 1) c) / (k + 0.5),      c = var(v) / mean(v)^2
@@ -47,7 +49,7 @@ LEVEL: Final = 0.9  # of intervals on pages and in replays
 ENOUGH: Final = 8  # held-out pieces; with fewer it is said that intervals are widened
 LEVELS: Final = (0.5, 0.6, 0.7, 0.8, 0.85, 0.9, 0.95, 0.98, 0.99)
 _PRIOR, _PRIOR_WITHIN, _PRIOR_PIECES = 2.0, 0.5, 1.5  # C_0 with offsets and without, and its count
-_PRIOR_RECORDINGS = 2.0  # m: of seven real sets s is 0.4 to 2 times s_0, and ten times in one
+_PRIOR_RECORDINGS = 2.0  # m: as fleets differ in s, see `eval.benchmarks.fleets`
 _LEAST = 20  # errors near x: a 90 % quantile needs 10; twice that
 # Shares of samples below the lowest x of a bin: each bin holds half of what lies above.
 _SHARES: Final = (0.0, 0.5, 0.75, 0.875, 0.9375)

@@ -21,7 +21,7 @@ with the best free run over the training logs is taken.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
@@ -31,8 +31,10 @@ from scipy.signal import lfilter
 from data_prep.log import Log
 from narxcal.calibration.calibration import Calibration
 from narxcal.calibration.members import Kind, Member
+from narxcal.steady.model import ALTERED
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError
+from narxcal.support.settings import read_stored
 
 SHORTEST_S, LONGEST_S = 0.02, 60.0
 ORDERS = (1, 2, 3)
@@ -118,16 +120,6 @@ class Linear:
         """JSON-able, without the kind."""
         return {"poles": self.poles, "gains": self.gains, "offsets": self.offsets}
 
-    @classmethod
-    def from_json(cls, kind: Kind, row: Mapping[str, Any]) -> Self:
-        """Inverse of `to_json`."""
-        return cls(
-            kind,
-            tuple(map(tuple, row["poles"])),
-            tuple(tuple(map(tuple, rows)) for rows in row["gains"]),
-            tuple(row["offsets"]),
-        )
-
 
 @dataclass(frozen=True)
 class Baselines:
@@ -171,24 +163,29 @@ class Baselines:
 
     @classmethod
     def from_json(cls, params: Mapping[str, Any]) -> Baselines:
-        """Rebuild what `fit_baselines` returned; `ModelError` where a part is missing.
+        """Rebuild what `fit_baselines` returned; `ModelError` where a part does not fit the others.
 
         Older versions have no output error.
         """
-        try:
-            lag, count = params["first_order"], len(params["low"])
-            none = Linear.of("output_error", [Member("output_error", 0)] * count).to_json()
-            return cls(
-                FirstOrderLag(tuple(lag["push_s"]), tuple(lag["pull_s"])),
-                Linear.from_json("arx", params["arx"]),
-                Linear.from_json("output_error", params.get("output_error", none)),
-                tuple(params["low"]),
-                tuple(params["high"]),
-            )
-        except (KeyError, TypeError) as error:
-            raise ModelError(
-                f"the bundle's baselines cannot be read: {error}", hint="Train it again"
-            ) from None
+        table = {"lag": params.get("first_order"), **params}
+        for kind in ("arx", "output_error"):
+            if isinstance(table.get(kind), Mapping):
+                table[kind] = {"kind": kind, **table[kind]}
+        if "output_error" not in table and isinstance(table.get("low"), Sequence):
+            found = Linear.of("output_error", [Member("output_error", 0)] * len(table["low"]))
+            table["output_error"] = asdict(found)
+        return read_stored(cls, table, "baselines")
+
+    def __post_init__(self) -> None:
+        count = len(self.low)
+        parts: list[Sequence[object]] = [self.high, self.lag.push_s, self.lag.pull_s]
+        for one in self._linear.values():
+            parts += [one.poles, one.gains, one.offsets]
+        fits = all(len(part) == count for part in parts) and all(
+            one.member(k).fits(count) for one in self._linear.values() for k in range(count)
+        )
+        if not fits:
+            raise ModelError("'baselines' are no models of the same outputs", hint=ALTERED)
 
 
 def fit_baselines(calibration: Calibration, logs: Sequence[Log]) -> dict[str, Any]:

@@ -21,6 +21,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from narxcal.atmosphere import KELVIN
+from narxcal.calibration.run_record import MixtureChannel
 from narxcal.channels import CHANNELS, channel
 from narxcal.support.arrays import FloatArray, bridge_gaps, known_mean
 
@@ -82,24 +83,24 @@ class LevelCheck:
 
 
 def checks(
-    stored: Mapping[str, Any],
+    stored: Mapping[str, MixtureChannel],
     names: Sequence[str],
     signals: tuple[FloatArray, FloatArray],
     dt_s: float,
 ) -> tuple[LevelCheck, ...]:
     """Check a free run and the measurement (time, n_out) of the outputs `names`.
 
-    `stored` (channel -> `held_out_level`, `held_out_lag_s`) is what training kept.
+    `stored` is what training kept, by channel.
     """  # fmt: skip
     model, measured = signals
     found = []
     for name, error, lag_s, values in zip(
         names, level_of(model, measured), lag_of(model, measured, dt_s), measured.T, strict=True
     ):
-        own = stored.get(name) or {}
+        own = stored.get(name, MixtureChannel())
         known = [
-            np.array([x for x in own.get(key) or () if x is not None], dtype=np.float64)
-            for key in ("held_out_level", "held_out_lag_s")
+            np.array([x for x in each if x is not None], dtype=np.float64)
+            for each in (own.held_out_level, own.held_out_lag_s)
         ]
         typical = np.nanmedian(np.abs(values)) if np.isfinite(values).any() else 0.0
         prior = prior_scatter(name, float(typical))

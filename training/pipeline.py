@@ -14,7 +14,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -26,10 +26,12 @@ from narxcal.calibration.calibration import Calibration
 from narxcal.calibration.certificate import settling
 from narxcal.calibration.noise import NoiseModel, estimate_noise
 from narxcal.calibration.run_record import (
+    DelayRecord,
     FitRecord,
     HeldOutRecord,
     IdentityRecord,
     RunRecord,
+    ScreeningRecord,
     SteadyRecord,
 )
 from narxcal.channels import CHANNELS
@@ -47,6 +49,10 @@ from training.mixture import HeldRun
 from training.records import LEAST_WIDTHS, Split
 from training.redundancy import learn
 from training.steady_fit import SteadyQuality
+
+# Scatter of recordings of a fleet, as a share of the tolerance that level checks allow: the most
+# likely one, with a prior that counts as two recordings, of 11 sets (`eval.benchmarks.fleets`).
+BETWEEN: Final = 0.4
 
 
 def configured_files(config: RunConfig, base: Path) -> list[Path]:
@@ -102,12 +108,12 @@ def calibrate(
         **entries,
         free_run=free_run_fit(calibration, split.train),
         fuser_noise=fuser_noise(calibration, split, held).to_dict(),
-        screening=steady_fit.learned.row(),
+        screening=ScreeningRecord.parse(steady_fit.learned.row()),
         redundancy=redundancy_of(calibration, learned.train),
-        certificate=certificate.row(),
+        certificate=certificate,
         identities=identities,
         held_out=_held_out_record(calibration, split, held),
-        delay=steady_fit.late.row(),
+        delay=DelayRecord(found=steady_fit.late.delay, ln_error=steady_fit.late.errors),
     )
     return Bundle(calibration.with_delay(steady_fit.late.delay), record)
 
@@ -209,7 +215,8 @@ def interval_of(held: Sequence[HeldRun], names: Sequence[str]) -> HalfWidths | N
         for one, errors in _held_errors(held)
     ]
     typical = np.nan_to_num(known_mean(np.concatenate([np.abs(one.measured) for one in held])))
-    scatter = [prior_scatter(*pair) for pair in zip(names, typical.tolist(), strict=True)]
+    pairs = zip(names, typical.tolist(), strict=True)
+    scatter = [BETWEEN * prior_scatter(*pair) for pair in pairs]
     return joined(found, np.array(scatter))
 
 

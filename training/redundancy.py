@@ -24,7 +24,7 @@ with m the change of x^_i from block to block: models are less exact while the e
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -37,6 +37,7 @@ from narxcal.channels import CHANNELS
 from narxcal.steady.model import ALTERED
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray, bridge_gaps, noise_level
 from narxcal.support.errors import ModelError
+from narxcal.support.settings import read_stored
 from training.levels import DELAY_STEP_S, PRIOR_LOGS, block_means, delay_table, delays_between
 from training.levels import prior_share as _prior
 
@@ -112,6 +113,9 @@ class Corrected:
         return corrected * self.scale[name] - self.offset[name]
 
 
+_FEATURES = 16
+
+
 def _features(z: FloatArray, air: Corrected, step_s: float) -> FloatArray:
     """Phi (time, 16) of a channel scaled to zero mean and unit spread."""
     mach, log_delta = air.mach, air.log_delta
@@ -184,13 +188,32 @@ class Bank:
     def from_json(cls, stored: Mapping[str, Any]) -> Self:
         """Rebuild from `to_json`, also after a round trip through JSON.
 
-        Raises `ModelError` where a part is missing.
+        Raises `ModelError` where a part is missing, of another type, or does not fit the channels.
         """
+        found = read_stored(cls, stored, "redundancy")
         lacking = [name for name in cls.__dataclass_fields__ if name not in stored]
         if lacking:
             raise ModelError(f"the part 'redundancy' has no '{lacking[0]}'", hint=ALTERED)
-        known = {name: stored[name] for name in cls.__dataclass_fields__}
-        return cls(**{**known, "channels": tuple(known["channels"])})
+        if not found.complete:
+            raise ModelError("the part 'redundancy' does not fit its channels", hint=ALTERED)
+        return found
+
+    @property
+    def complete(self) -> bool:
+        """Whether every channel has its entries, of the lengths that the formulas take."""
+        names = set(self.channels)
+        own = (self.centre, self.spread, self.low, self.high, self.level, self.wander)
+        every = all(names <= set(part) for part in (*own, self.cells, self.models))
+        return (
+            every
+            and names | set(self.used) <= set(CHANNELS)
+            and all(size > 0.0 for part in (self.spread, self.level) for size in part.values())
+            and all(len(cell) == _CELL.size for each in self.cells.values() for cell in each)
+            and all({*filter(is_measured, names - {i})} <= set(self.models[i]) for i in names)
+            and all(len(b) == _FEATURES for row in self.models.values() for b in row.values())
+            and all(len(each) == len(fields(Wander)) for each in self.wander.values())
+            and set(map(str, STRETCHES)) <= set(self.stretch)
+        )
 
     def predict(self, design: Design, target: str, source: str) -> FloatArray:
         """Corrected target (time,) by the model of one source."""

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -48,11 +48,6 @@ class DelayChoice:
 
     delay: TransportDelay | None = None
     errors: tuple[tuple[float, float], ...] = ()
-
-    def row(self) -> dict[str, Any]:
-        """As JSON-able values."""
-        found = None if self.delay is None else self.delay.to_json()
-        return {"found": found, "ln_error": [list(pair) for pair in self.errors]}
 
 
 def choose_delay(

@@ -333,7 +333,7 @@ def load_bundle(folder: str | PathLike[str], *, trust: bool = False) -> Bundle:
 def _record(document: Mapping[str, Any], file: Path) -> RunRecord:
     try:
         return RunRecord.parse({key: document[key] for key in document if key not in _OURS})
-    except ConfigError as error:
+    except (ConfigError, ModelError) as error:
         raise ModelError(error.problem, file=file, hint=_FORM.again) from None
 
 

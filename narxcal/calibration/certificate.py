@@ -23,9 +23,10 @@ import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any, Final, Self
+from typing import Annotated, Any, Final
 
 import numpy as np
+from pydantic import BeforeValidator
 
 from narxcal.calibration.calibration import Calibration, DynamicCalibration
 from narxcal.calibration.members import Member
@@ -45,6 +46,10 @@ _CORNERS, _INSIDE = 16, 16  # points at most
 _DECAY_S = 30.0
 
 
+# JSON has no number for what is not finite: it is null there.
+_Unbounded = Annotated[float, BeforeValidator(lambda found: np.inf if found is None else found)]
+
+
 @dataclass(frozen=True)
 class Certificate:
     """What was found: largest pole (modulus per sample), swing and offset of each output.
@@ -53,14 +58,18 @@ class Certificate:
     stay. `at` are the inputs of the worst swing, `pole_at` those of the largest pole.
     """
 
-    pole: float
+    pole: _Unbounded
     pole_at: Mapping[str, float]
-    swing: Mapping[str, float]
-    offset: Mapping[str, float]
+    swing: Mapping[str, _Unbounded]
+    offset: Mapping[str, _Unbounded]
     at: Mapping[str, float]
     dt_s: float
     points: int
     hold_s: float
+
+    def __post_init__(self) -> None:
+        if not self.swing or not self.pole >= 0.0:
+            raise ModelError("the stored certificate is of no output", hint=ALTERED)
 
     @property
     def settled(self) -> bool:
@@ -109,19 +118,11 @@ class Certificate:
             "dt_s": self.dt_s,
         }
 
-    @classmethod
-    def from_json(cls, row: Mapping[str, Any]) -> Self:
-        """Inverse of `row`; raises `ModelError` where a part is missing."""
-        try:
-            return cls(**{name: row[name] for name in cls.__dataclass_fields__})
-        except KeyError as error:
-            raise ModelError(f"the stored certificate has no {error}", hint=ALTERED) from None
 
-
-def certificate_of(model: Calibration, stored: Mapping[str, Any] | None) -> Certificate:
+def certificate_of(model: Calibration, stored: Certificate | None) -> Certificate:
     """The certificate that was stored with `model`; without one it is looked for now, and said."""
     if stored is not None:
-        return Certificate.from_json(stored)
+        return stored
     found = certify(model)
     _LOG.warning("trained by a version without certificates; tried now, the model %s", found.words)
     return found

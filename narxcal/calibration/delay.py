@@ -16,6 +16,7 @@ import numpy as np
 from narxcal.steady.model import ALTERED
 from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.errors import ModelError
+from narxcal.support.settings import read_stored
 
 
 @dataclass(frozen=True)
@@ -51,10 +52,7 @@ class TransportDelay:
     @classmethod
     def from_json(cls, stored: Mapping[str, Any], names: Sequence[str]) -> Self:
         """Inverse of `to_json`; `ModelError` for a channel that is no input, or a bad time."""
-        found = cls(
-            tuple(stored["channels"]),
-            *(float(stored[name]) for name in ("delay_s", "low_s", "high_s")),
-        )
+        found = read_stored(cls, stored, "delay")
         if not set(found.channels) <= set(names) or not 0.0 <= found.delay_s < np.inf:
             raise ModelError("'delay' does not fit the inputs", hint=ALTERED)
         return found

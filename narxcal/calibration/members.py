@@ -26,7 +26,7 @@ import numpy as np
 
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 from narxcal.support.compiled import compiled
-from narxcal.support.errors import ModelError
+from narxcal.support.settings import read_stored
 
 Kind = Literal["steady_state", "first_order", "arx", "output_error"]
 KINDS: tuple[Kind, ...] = ("steady_state", "first_order", "arx", "output_error")
@@ -80,20 +80,7 @@ class Member:
 
         A member of an older version has no weight: it stands for its output alone.
         """
-        if stored["kind"] not in KINDS:
-            raise ModelError(
-                f"expected a member of kind {', '.join(KINDS)}, found {stored['kind']}"
-            )
-        return cls(
-            stored["kind"],
-            int(stored["channel"]),
-            float(stored["push"]),
-            float(stored["pull"]),
-            tuple(float(pole) for pole in stored["poles"]),
-            tuple(tuple(float(gain) for gain in row) for row in stored["gains"]),
-            float(stored["offset"]),
-            float(stored.get("weight", 1.0)),
-        )
+        return read_stored(cls, stored, "members")
 
     def fits(self, outputs: int) -> bool:
         """Whether shapes and weight are those of a member of a model of so many outputs."""

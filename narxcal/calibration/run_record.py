@@ -7,12 +7,13 @@ this version does not know are kept as they are.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, ConfigDict, Field, PlainSerializer
 
+from narxcal.calibration.certificate import Certificate
+from narxcal.calibration.delay import TransportDelay
 from narxcal.calibration.noise import NoiseModel
 from narxcal.support.settings import Section
 
@@ -99,6 +100,65 @@ class HeldOutRecord(_Part):
     rmse: dict[str, tuple[Number, ...]]
 
 
+class MixtureChannel(_Part):
+    """Weights of the models in one output, and what they left on what was held out.
+
+    Older versions let one model lead, `leads`, in the place of weights.
+    """
+
+    weights: dict[str, float] = Field(default_factory=dict)
+    leads: str = ""
+    held_out_rmse: dict[str, float | None] = Field(default_factory=dict)
+    held_out_level: tuple[float | None, ...] = ()
+    held_out_lag_s: tuple[float | None, ...] = ()
+
+    @property
+    def ordered(self) -> list[tuple[str, float]]:
+        """Models with their weights, the largest first."""
+        weights = self.weights or {self.leads or "network": 1.0}
+        return sorted(weights.items(), key=lambda pair: -pair[1])
+
+
+class MixtureRecord(_Part):
+    """By output the models' weights; `suspects` are sentences on logs that no model follows."""
+
+    status: str = ""
+    held_out: tuple[str, ...] = ()
+    channels: dict[str, MixtureChannel] = Field(default_factory=dict)
+    suspects: tuple[str, ...] = ()
+
+
+class ScreenedLog(_Part):
+    """How many samples of a training log are masked for faults, and how many rows go."""
+
+    log: str
+    rows: int
+    masked: dict[str, int]
+    left_out_rows: int
+
+
+class ContradictingLog(_Part):
+    """A training log that contradicts the others as a whole, and a sentence on it."""
+
+    log: str = ""
+    words: str
+
+
+class ScreeningRecord(_Part):
+    """What the training logs' screening found; `findings` are rows of `data_prep.log.Finding`."""
+
+    findings: tuple[Table, ...] = ()
+    logs: tuple[ScreenedLog, ...] = ()
+    contradicting: tuple[ContradictingLog, ...] = ()
+
+
+class DelayRecord(_Part):
+    """The delay that was found, and ln of the held-out error at each candidate."""
+
+    found: TransportDelay | None = None
+    ln_error: tuple[tuple[Number, Number], ...] = ()
+
+
 class RunRecord(_Part):
     """Provenance and results of a training.
 
@@ -119,17 +179,17 @@ class RunRecord(_Part):
     lag_form: LagRecord | None = None
     training: TrainingRecord = TrainingRecord()
     baselines: Table | None = None
-    mixture: Table | None = None
-    lead: Table | None = None  # in the place of `mixture` in older versions
+    mixture: MixtureRecord | None = None
+    lead: MixtureRecord | None = None  # in the place of `mixture` in older versions
     identify: Table | None = None
     free_run: FitRecord | None = None
     fuser_noise: Table | None = None
-    screening: Table | None = None
+    screening: ScreeningRecord | None = None
     redundancy: Table | None = None
-    certificate: Table | None = None
+    certificate: Annotated[Certificate, PlainSerializer(lambda one: one.row())] | None = None
     identities: tuple[IdentityRecord, ...] = ()
     held_out: HeldOutRecord | None = None
-    delay: Table | None = None
+    delay: DelayRecord | None = None
 
     def to_json(self) -> Table:
         """Return the entries that were given, as JSON-able values."""
@@ -155,9 +215,9 @@ class RunRecord(_Part):
         return None if self.fuser_noise is None else NoiseModel.from_dict(self.fuser_noise)
 
     @property
-    def mixture_channels(self) -> Mapping[str, Table]:
-        """By output the models' weights and held-out errors; empty where nothing was chosen."""
-        return (self.mixture or self.lead or {}).get("channels") or {}
+    def weighed(self) -> MixtureRecord:
+        """The models' weights and held-out errors; without channels where nothing was chosen."""
+        return self.mixture or self.lead or MixtureRecord()
 
     def logs(self, role: str) -> tuple[str, ...]:
         """Names of the logs of "train", "validate" or "test"."""

@@ -16,6 +16,7 @@ from narxcal.calibration.run_record import RunRecord
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_run
 from narxcal.cli.results import hash_words, interval_words, lag_words, steady_words
+from narxcal.support.settings import read_stored
 
 SCHEMA = "narxcal.info/1"
 _KEPT = ("split", "seeds", "steady_state", "lag_form", "training")
@@ -157,7 +158,7 @@ def _facts(document: dict[str, Any], record: RunRecord) -> dict[str, str]:
         "Steady state": steady_words(record),
         "Lags": lag_words(record),
         "Interval": document["interval"]["words"],
-        "Constant inputs": Certificate.from_json(document["certificate"]).words,
+        "Constant inputs": read_stored(Certificate, document["certificate"], "certificate").words,
         **{f"{part.capitalize()} logs": ", ".join(logs) or "none" for part, logs in split},
         "Seeds": ", ".join(map(str, record.seeds)),
         "Versions": ", ".join(f"{name} {text}" for name, text in record.versions.items()),

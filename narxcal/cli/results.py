@@ -132,10 +132,8 @@ _KINDS = {"fmu": "FMU", "callable": "function"}
 
 def doubtful_logs(record: RunRecord) -> list[str]:
     """Training logs that were left out as a whole, and logs that no model follows, in words."""
-    left_out = (record.screening or {}).get("contradicting", ())
-    return [each["words"] for each in left_out] + list(
-        (record.mixture or record.lead or {}).get("suspects", ())
-    )
+    left_out = record.screening.contradicting if record.screening else ()
+    return [*(each.words for each in left_out), *record.weighed.suspects]
 
 
 def steady_words(record: RunRecord) -> str:
@@ -180,21 +178,17 @@ def lag_words(record: RunRecord) -> str:
         return ""
     left = ", ".join(f"{form} {100.0 * share:.2g} %" for form, share in found.left.items())
     chosen = f"; chosen by the error on logs that were left out: {left}" if left else ""
-    return f"{_LAGS[found.form]}{chosen}"
+    return f"{_LAGS.get(found.form, found.form)}{chosen}"
 
 
 def mixture_words(record: RunRecord) -> str:
     """Say of which models each output is mixed, and on what grounds; empty without a choice."""
-    found = record.mixture or record.lead or {}
-    if not found:
-        return ""
+    found = record.weighed
     parts = []
-    for name, one in found["channels"].items():
-        weights = one.get("weights") or {one.get("leads", "network"): 1.0}
-        order = sorted(weights.items(), key=lambda pair: -pair[1])
-        words = [f"{weight:.2f} {model.replace('_', ' ')}" for model, weight in order]
+    for name, one in found.channels.items():
+        words = [f"{weight:.2f} {model.replace('_', ' ')}" for model, weight in one.ordered]
         parts.append(f"{name} {' + '.join(words)}")
-    return f"{', '.join(parts)} ({found['status']})"
+    return f"{', '.join(parts)} ({found.status})" if parts else ""
 
 
 def interval_words(

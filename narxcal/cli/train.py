@@ -27,7 +27,7 @@ from narxcal.calibration.bundle import (
     write_bundle,
 )
 from narxcal.calibration.certificate import certificate_of
-from narxcal.calibration.run_record import RunRecord, StepRow
+from narxcal.calibration.run_record import RunRecord, ScreeningRecord, StepRow
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config
 from narxcal.cli.results import (
@@ -120,14 +120,14 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
 
 def masked_words(record: RunRecord) -> list[str]:
     """What to say of the faults of the logs to learn from, and of what was masked for them."""
-    found = record.screening or {"findings": [], "logs": []}
-    said = [Finding.from_row(row).caution for row in found.get("findings", ())]
-    for row in found["logs"]:
-        parts = [f"{count} samples of {name}" for name, count in row["masked"].items()]
-        if row["left_out_rows"]:
-            parts.append(f"{row['left_out_rows']} of {row['rows']} rows")
+    found = record.screening or ScreeningRecord()
+    said = [Finding.from_row(row).caution for row in found.findings]
+    for row in found.logs:
+        parts = [f"{count} samples of {name}" for name, count in row.masked.items()]
+        if row.left_out_rows:
+            parts.append(f"{row.left_out_rows} of {row.rows} rows")
         if parts:
-            said.append(f"{row['log']}: not learned from {', '.join(parts)}")
+            said.append(f"{row.log}: not learned from {', '.join(parts)}")
     return said
 
 

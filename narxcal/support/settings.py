@@ -1,16 +1,19 @@
-"""Base class of configuration tables, their TOML files, and what is wrong with them in words."""
+"""Read tables and stored values by their types, TOML files, and say what is wrong in words."""
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Iterator, Mapping
 from os import PathLike
 from pathlib import Path
-from typing import Any, Self, get_args
+from typing import Any, Self, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from narxcal.support.errors import ConfigError, did_you_mean
+from narxcal.support.errors import ConfigError, ModelError, did_you_mean
+
+T = TypeVar("T")
 
 OPEN = "?"  # stands for a value that is still to be filled in
 
@@ -42,6 +45,24 @@ class Section(BaseModel):
             raise ConfigError(
                 error.problem, file=error.file or file, channel=error.channel, hint=error.hint
             ) from None
+
+
+def read_stored(kind: type[T], stored: object, part: str) -> T:
+    """Read a dataclass from JSON-able values by the types of its fields.
+
+    Entries that it does not have are passed over; whole numbers stand for fractions, nothing else
+    is converted. Raises `ModelError` naming the `part` of the file and the entry.
+    """
+    try:
+        text = json.dumps(stored, allow_nan=False)
+        return TypeAdapter(kind).validate_json(text, strict=True)
+    except ValidationError as error:
+        first, key = error.errors()[0], _key(error)
+        missing = first["type"] == "missing"
+        problem = f" has no '{key}'" if missing else f", '{key}': {_problem_and_value(error)}"
+    except (TypeError, ValueError, RecursionError) as error:
+        problem = f": {error}"
+    raise ModelError(f"the part '{part}'{problem}", hint="The bundle was altered; train it again")
 
 
 def read_toml(file: Path, schema: str) -> dict[str, Any]:

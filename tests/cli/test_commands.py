@@ -279,7 +279,7 @@ def test_a_log_that_was_not_learned_from_is_named_in_every_later_evaluation(
 ):
     bundle = load_bundle(project / "run")
     words = Outlier("x.csv", {"N1_pct": 3.61}).words
-    screening = {**bundle.record.screening, "contradicting": [{"words": words}]}
+    screening = {**bundle.record.screening.model_dump(), "contradicting": [{"words": words}]}
     save_bundle(tmp_path / "run", replace(bundle, record=bundle.record.having(screening=screening)))
     log = project / "flights" / "flight_1.csv"
     done = narxcal("evaluate", tmp_path / "run", "--logs", log, "--out", tmp_path / "out", "--json")

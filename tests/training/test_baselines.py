@@ -2,7 +2,6 @@
 
 import json
 import math
-import re
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -180,7 +179,17 @@ def test_parameters_survive_json():
     assert params["low"][0] < params["high"][0]
 
 
-def test_baselines_with_a_part_missing_are_refused():
-    expected = "the bundle's baselines cannot be read: 'first_order'. Train it again"
-    with pytest.raises(ModelError, match=f"^{re.escape(expected)}$"):
-        Baselines.from_json({"arx": {}})
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("arx", {}, r"the part 'baselines' has no 'arx.poles'"),
+        ("low", ["0.5", 1.0], r"the part 'baselines', 'low.0': .* found '0.5'"),
+        ("low", [0.5], "'baselines' are no models of the same outputs"),
+        ("first_order", None, "the part 'baselines', 'lag': .* found None"),
+    ],
+)
+def test_baselines_that_were_altered_are_refused(key, value, words):
+    lever = slams(5, 600)
+    stored = fit_baselines(Calibration(), [log_of(lagged(lever, (1.0, 2.0), (1.0, 2.0)), lever)])
+    with pytest.raises(ModelError, match=words):
+        Baselines.from_json({**stored, key: value})

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
+from narxcal.calibration.run_record import MixtureChannel
 from training.levels import PRIOR_LOGS, checks, lag_of, level_of, prior_scatter
 
 DT_S = 0.1
@@ -22,7 +23,7 @@ def late(seconds):
 
 
 def checked(model, levels, lags=(0.0, 0.0, 0.0)):
-    stored = {name: {"held_out_level": levels, "held_out_lag_s": lags} for name in NAMES}
+    stored = {name: MixtureChannel(held_out_level=levels, held_out_lag_s=lags) for name in NAMES}
     return checks(stored, NAMES, (model, MEASURED), DT_S)
 
 
@@ -74,7 +75,8 @@ def test_false_alarms_are_as_rare_as_promised():
     for _ in range(150):
         own, *held = draw.standard_normal((5, 2)) * scatter
         stored = {
-            name: {"held_out_level": [each[k] for each in held]} for k, name in enumerate(NAMES)
+            name: MixtureChannel(held_out_level=tuple(each[k] for each in held))
+            for k, name in enumerate(NAMES)
         }
         part = MEASURED[::50]
         found = checks(stored, NAMES, (part + own, part), 50 * DT_S)

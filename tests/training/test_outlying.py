@@ -118,8 +118,8 @@ def test_it_is_not_learned_from_and_that_is_said_and_counted(rigged):
     screened = TrainOptions(screened=True)
     bundle = calibrate(BY_LEVER, Path(), Split(tuple(rigged), (), ()), screened)
     found = bundle.record.screening
-    assert [row["left_out_rows"] for row in found["logs"]] == [0, len(rigged[1]), 0, 0]
-    assert [row["log"] for row in found["contradicting"]] == ["2.csv"]
+    assert [row.left_out_rows for row in found.logs] == [0, len(rigged[1]), 0, 0]
+    assert [row.log for row in found.contradicting] == ["2.csv"]
     assert list(bundle.record.logs("train")) == [log.name for log in rigged if log is not rigged[1]]
     [text] = doubtful_logs(bundle.record)
     assert text.startswith("2.csv contradicts the other logs as a whole")

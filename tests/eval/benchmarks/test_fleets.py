@@ -7,7 +7,8 @@ import pytest
 
 from eval.benchmarks.fleets import (
     FAULTS,
-    errors,
+    fitted_prior,
+    judged,
     mean_log_ratio,
     ratio_row,
     read_fleet,
@@ -35,6 +36,14 @@ def test_a_ratio_is_missed_only_beyond_its_scatter():
     assert "each 1.30, 1.25, 1.35" in worse.note
 
 
+@pytest.mark.parametrize("m", [1.0, 4.0])
+def test_the_prior_that_fleets_were_drawn_from_is_recovered(m):
+    draw = np.random.default_rng(7)
+    scatter = 0.3 * np.sqrt(m / draw.chisquare(m, 800))
+    found = fitted_prior([draw.normal(0.0, one, 6) for one in scatter])
+    assert found == pytest.approx((m, 0.3), rel=0.2)
+
+
 @pytest.fixture(scope="module")
 def judged_fleets(tmp_path_factory):
     """Errors of models of 3 and of 6 flights over four that are held out."""
@@ -45,7 +54,7 @@ def judged_fleets(tmp_path_factory):
         case = read_fleet(folder)
         fast = case.config.having(train={"choice_s": 0.0, "iterations": (2, 2)})
         case = case._replace(config=fast)
-        sizes = {n: errors(trained(case, case.logs[:n]), case.logs[6:]) for n in (3, 6)}
+        sizes = {n: judged(trained(case, case.logs[:n]), case.logs[6:]).rmse for n in (3, 6)}
         found.append((case, sizes))
     return found
 
@@ -61,7 +70,7 @@ def test_a_lever_that_reads_too_much_in_one_flight_costs_no_more_than_that_fligh
     sound, bad, _ = with_faults(case.logs)
     assert np.allclose(bad[0]["TRA_deg"] - sound[0]["TRA_deg"], FAULTS["TRA_deg"])
     bundle = trained(case, bad)
-    left_out = bundle.record.screening["contradicting"]
-    assert [Path(row["log"]).name for row in left_out] == ["flight_01.csv"]
-    others = errors(trained(case, bad[1:]), case.logs[6:])
-    np.testing.assert_array_equal(errors(bundle, case.logs[6:]), others)
+    left_out = bundle.record.screening.contradicting
+    assert [Path(row.log).name for row in left_out] == ["flight_01.csv"]
+    others = judged(trained(case, bad[1:]), case.logs[6:]).rmse
+    np.testing.assert_array_equal(judged(bundle, case.logs[6:]).rmse, others)

@@ -23,6 +23,7 @@ from narxcal.narx.network import NarxModel, Scaling
 from narxcal.output_error.engine import EngineFromSteady
 from narxcal.steady.table import SteadyTable
 from narxcal.support.errors import ModelError
+from narxcal.support.settings import read_stored
 from narxcal.transfer.state_space import Schedule, StateSpace
 from training.lag_priors import Form, start_engine
 
@@ -163,12 +164,14 @@ def test_what_settles_stays_as_it_is():
 def test_a_certificate_comes_back_from_its_row(caplog):
     model = network(lags(Form()), 30.0)
     found = certify(model)
-    assert Certificate.from_json(found.row()) == found
-    assert certificate_of(model, found.row()) == found
+    assert read_stored(Certificate, found.row(), "certificate") == found
+    assert certificate_of(model, found) == found
     assert not caplog.records
     assert certificate_of(model, None) == found
     assert caplog.messages == [
         f"trained by a version without certificates; tried now, the model {found.words}"
     ]
-    with pytest.raises(ModelError, match="the stored certificate has no 'swing'"):
-        Certificate.from_json({key: value for key, value in found.row().items() if key != "swing"})
+    with pytest.raises(ModelError, match="the part 'certificate' has no 'swing'"):
+        read_stored(
+            Certificate, {k: v for k, v in found.row().items() if k != "swing"}, "certificate"
+        )

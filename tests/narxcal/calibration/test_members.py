@@ -62,6 +62,6 @@ def test_a_stored_member_comes_back_one_of_an_older_version_stands_alone():
     assert Member.from_json(older).weight == 1.0
     with pytest.raises(ModelError) as caught:
         Member.from_json(ARX.to_json() | {"kind": "magic"})
-    assert str(caught.value) == (
-        "expected a member of kind steady_state, first_order, arx, output_error, found magic"
+    assert str(caught.value).startswith(
+        "the part 'members', 'kind': Input should be 'steady_state'"
     )
