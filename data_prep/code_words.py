@@ -27,6 +27,48 @@ _FEWEST_STEPS = 20  # that move at all, to know how a channel moves
 _FEWEST_LEVELS = 16  # to know its resolution
 _BITS = range(8, 17)
 _MAX_DECIMALS = 6
+_MOST_LEARNED = 200_000  # rows
+
+
+class CodeWords:
+    """Code words of a channel that is read block by block.
+
+    They are looked for in the first rows, and again whenever there are twice as many, so that those
+    of a file that is still written are found as soon as they can be; earlier rows stay as they are.
+    """
+
+    def __init__(self) -> None:
+        self._rows: list[FloatArray] = []
+        self._count = 0
+        self._look_at = 1
+        self._known: tuple[CodeWord, ...] = ()
+        self._before = np.nan
+
+    def masks(self, values: FloatArray) -> list[tuple[CodeWord, BoolArray]]:
+        """Return the code words in the next rows `(rows,)` and where each is."""
+        self._learn(values)
+        # A run of code words at the beginning is entered from the row before.
+        rows = np.concatenate([[self._before], values])
+        found = []
+        for word in self._known:
+            masked = word.rows(rows)
+            rows = np.where(masked, np.nan, rows)
+            found.append((word, masked[1:]))
+        sound = rows[np.isfinite(rows)]
+        self._before = sound[-1] if len(sound) else np.nan
+        return found
+
+    def _learn(self, values: FloatArray) -> None:
+        if self._look_at > _MOST_LEARNED:
+            return
+        self._rows.append(values)
+        self._count += len(values)
+        if self._count >= self._look_at:
+            self._rows = [np.concatenate(self._rows)]
+            self._known = code_words(self._rows[0])
+            self._look_at = 2 * self._count
+        if self._look_at > _MOST_LEARNED:
+            self._rows.clear()
 
 
 class CodeWord(NamedTuple):

@@ -14,6 +14,7 @@ from data_prep.identity import Identity
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 
+CODE_WORD = "code word"  # begins the reason of such a sample in an audit
 LONG_SPAN_S = 1.0  # an audit lists spans of this length, and only counts shorter ones
 Action = Literal["masked", "repaired", "filled", "dropped"]
 Kind = Literal[

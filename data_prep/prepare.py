@@ -20,7 +20,7 @@ from data_prep.equilibrium import (
 )
 from data_prep.events import Event, EventsConfig, find_events, needs_condition
 from data_prep.grid import SLOW
-from data_prep.log import LONG_SPAN_S, AuditEntry, Log
+from data_prep.log import CODE_WORD, LONG_SPAN_S, AuditEntry, Log
 from data_prep.plausibility import checked, of_cleaning
 from data_prep.ranking import other_driver
 from data_prep.smooth import SmoothConfig, blurs, smooth
@@ -87,6 +87,7 @@ class Prepared:
             "crowded": _crowded(self.log),
             "unit": _never_runs(self.log),
             "masked": _all_masked(self.log),
+            "coded": _coded(self.log),
             "outputs": _unrecorded(self.log, self.outputs, self.tables.logs),
             "rate": _seldom(self.log, self.tables.events),
             "driver": other_driver(self.log, self.tables.events.driver),
@@ -161,6 +162,21 @@ def _all_masked(log: Log) -> str:
     empty = [name for name, values in log.channels.items() if not np.isfinite(values).any()]
     named = [f"{name} ({', '.join(masked[name])})" for name in empty if name in masked]
     return f"no sample is left of {', '.join(named)}: check column and unit" if named else ""
+
+
+def _coded(log: Log) -> str:
+    """Warn of channels of which half of the recorded samples are code words."""
+    words: dict[str, int] = {}
+    for entry in log.audit.entries:
+        if entry.reason.startswith(CODE_WORD):
+            words[entry.channel] = words.get(entry.channel, 0) + entry.samples
+    known = {
+        name: int(np.isfinite(log[name]).sum()) - int(log.interpolated.get(name, np.zeros(0)).sum())
+        for name in words
+        if name in log.channels
+    }
+    most = [f"{name} ({words[name]})" for name, count in known.items() if words[name] >= count]
+    return f"half of the samples or more are code words: {', '.join(most)}" if most else ""
 
 
 def _seldom(log: Log, events: EventsConfig) -> str:

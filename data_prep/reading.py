@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from data_prep.array_source import MAGIC_BYTES, ArraySource, is_array_file
-from data_prep.code_words import CodeWord, code_words
+from data_prep.code_words import CodeWords
 from data_prep.columns import constants, head_entries, map_columns, sources_of, to_channel
 from data_prep.config import LogsConfig
 from data_prep.csv_source import Counts, Pace, open_csv, readable
-from data_prep.log import Audit, Log, Source
+from data_prep.log import CODE_WORD, Audit, Log, Source
 from data_prep.parquet_source import MAGIC, ParquetSource
 from data_prep.stamps import Passed, all_apart, clock_goes_on, ordered_rows, usual_interval
 from data_prep.stream import GridStream
@@ -28,7 +28,7 @@ from narxcal.support.errors import DataError, did_you_mean
 from narxcal.support.files import sha256_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -115,10 +115,10 @@ class LogFile:
             )
         names = list(dict.fromkeys([column for _, column in columns] + list(labels)))
         words = {**switches, **{column: each.number for column, each in labels.items()}}
-        coded: dict[str, tuple[CodeWord, ...]] = {}
+        others = {*switches, *labels, self.config.time_column}
+        coded = {name: CodeWords() for name in names if name not in others}
         for cells in self.table.blocks(names, pace, words):
-            if not (pace and pace.live):
-                self._mask_code_words(cells, coded, {*switches, *labels, self.config.time_column})
+            self._mask_code_words(cells, coded)
             rows = self._apart(cells, labels) if labels else {"": slice(None)}
             yield {
                 "-".join(filter(None, (engine, instance))): {
@@ -129,19 +129,13 @@ class LogFile:
             }
 
     def _mask_code_words(
-        self,
-        cells: dict[str, FloatArray],
-        known: dict[str, tuple[CodeWord, ...]],
-        others: Collection[str],
+        self, cells: dict[str, FloatArray], coded: Mapping[str, CodeWords]
     ) -> None:
-        """Blank the code words of each column but `others`; the first block tells them."""
-        for column in [name for name in cells if name not in others]:
-            if column not in known:
-                known[column] = code_words(cells[column])
-            for word in known[column]:
-                rows = word.rows(cells[column])
+        """Blank the code words of each column, and count them."""
+        for column, words in coded.items():
+            for word, rows in words.masks(cells[column]):
                 cells[column] = np.where(rows, np.nan, cells[column])
-                reason = f"code word {word.value:g}: {word.why}"
+                reason = f"{CODE_WORD} {word.value:g}: {word.why}"
                 self.table.counts[column, "dropped", reason] += int(rows.sum())
 
     def _instances(self) -> tuple[str, ...]:

@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from narxcal.calibration.calibration import Calibration
 
 # At full speed rows can wait until the next measurement of a slow channel is known.
+# Rows per sample of the model, half of what minutes read as seconds give.
+_CROWDED = 30
 _LOOK_AHEAD_S = 5.0
 
 
@@ -370,6 +372,7 @@ class ReplaySummary:
     | `gated` | engine -> output -> measurements that the fuser rejected |
     | `unfused` | engine -> outputs with too few measurements to fuse |
     | `slow` | engine -> channel slower than the sampling grid -> s between measurements |
+    | `read` | rows of the file, those of all engines together |
     | `dropped` | rows without a usable time stamp |
     | `truncated` | the file ends in mid-line, and that line was left out |
     | `faults` | faults of the log, as in `evaluate.json` |
@@ -391,6 +394,7 @@ class ReplaySummary:
     dropped: int
     truncated: bool
     findings: tuple[Finding, ...] = ()
+    read: int = 0
 
     @property
     def times_real_time(self) -> float:
@@ -428,6 +432,11 @@ class ReplaySummary:
                     f"are {', '.join(named)}: outputs are fused only where they were measured, "
                     "inputs are interpolated between"
                 )
+        if self.read > _CROWDED * max(self.rows, 1):
+            texts.append(
+                f"{self.read} rows of the log are {self.log_s:.3g} s, {self.rows} samples of the "
+                "model: are its stamps seconds? Set unit of time_s under [logs.columns]"
+            )
         return texts
 
     def to_dict(self) -> dict[str, Any]:
@@ -497,7 +506,7 @@ class _Replay:
         dt_s = model.calibration.dt_s
         self.streams = {name: self.file.stream(dt_s, ahead) for name in names}
         self.outputs = tuple(model.calibration.output_names)
-        self.rows = 0
+        self.rows = self.read = 0
         self._first_s: float | None = None
         self._began = clock.now()
 
@@ -544,6 +553,7 @@ class _Replay:
         """Finished rows per engine, as they become certain."""
         names = tuple(self.engines)
         for block in self.file.blocks(names, self.pace):
+            self.read += sum(len(rows["time_s"]) for rows in block.values())
             yield {
                 name: self.engines[name].feed(list(self.streams[name].push(block[name])))
                 for name in names
@@ -614,4 +624,5 @@ class _Replay:
             dropped=sum(stream.dropped for stream in self.streams.values()),
             truncated=self.file.table.truncated,
             findings=self.model.findings,
+            read=self.read,
         )

@@ -528,6 +528,11 @@ class Sound:
         Narx(time_limit_s=2.0).fit([(u, np.convolve(u, [0.1, 0.2, 0.3])[:200])]).save(
             self.estimator
         )
+        # What is compiled at its first use must not count in the time of a case.
+        flight = folder / "flight.csv"
+        flight.write_bytes(FLIGHT)
+        for model in self.models.values():
+            replay(model, flight, folder / "replayed.csv", ReplayOptions())
 
     @staticmethod
     def scores(run):

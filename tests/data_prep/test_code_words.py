@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from data_prep.code_words import code_words
+from data_prep.code_words import CodeWords, code_words
 from data_prep.config import LogsConfig
+from data_prep.prepare import prepare
 from data_prep.reading import read_logs
 
 BITS = {"N1": (10, 0.125), "N2": (10, 0.125), "EGT": (10, 1.0), "FF": (12, 2.0), "TRA": (9, 0.25)}
@@ -130,3 +131,34 @@ def test_an_airliner_s_export_is_read_untouched_each_word_at_its_place(tmp_path,
         assert exact.sum() > 0.99 * own.sum()
         np.testing.assert_array_equal(log[channel][exact], words(flight[name], name)[at][exact])
     assert counted["*", "row of types or codes below the header"] == 1
+
+
+@pytest.mark.parametrize("size", [1, 7, 400])
+def test_words_of_a_growing_file_are_masked_from_where_they_can_be_known(size):
+    sound = words(engine(3, 600)["N1"], "N1")
+    marked = np.arange(len(sound)) % 32 == 5
+    rows = np.where(marked, ones("N1"), sound)
+    reader = CodeWords()
+    masked = np.concatenate(
+        [
+            np.any([rows for _, rows in found] or [np.zeros(len(part), np.bool_)], axis=0)
+            for start in range(0, len(rows), size)
+            for part in [rows[start : start + size]]
+            for found in [reader.masks(part)]
+        ]
+    )
+    known = np.flatnonzero(masked)[0]
+    assert known < 1024
+    np.testing.assert_array_equal(masked[known:], marked[known:])
+
+
+def test_a_channel_of_which_half_is_code_words_gets_a_warning(tmp_path):
+    rows = engine(4, 300)
+    half = np.where(np.arange(len(rows["N1"])) % 2 == 0, ones("N1"), words(rows["N1"], "N1"))
+    table = np.column_stack([np.arange(len(half)) / 4.0, words(rows["TRA"], "TRA"), half])
+    path = tmp_path / "log.csv"
+    header = "time_s,TRA_deg,N1_pct"
+    np.savetxt(path, table, fmt="%.10g", delimiter=",", header=header, comments="")
+    (one,) = prepare(read_logs(path))
+    (found,) = [each.text for each in one.warnings if each.kind == "coded"]
+    assert found == f"half of the samples or more are code words: N1_pct ({len(half) // 2})"

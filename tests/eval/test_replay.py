@@ -388,6 +388,16 @@ def test_a_truncated_last_line_is_left_out_and_reported(tmp_path):
     assert summary.rows == 600
 
 
+def test_stamps_in_minutes_that_are_read_as_seconds_are_said(tmp_path):
+    table = flight()
+    table["time_s"] = table["time_s"] / 60.0
+    summary = replay(MODEL, write(tmp_path / "log.csv", table), tmp_path / "out.csv", STORED)
+    (said,) = [text for text in summary.cautions if "stamps" in text]
+    assert said.startswith(f"{summary.read} rows of the log are {summary.log_s:.3g} s")
+    summary = replay(MODEL, write(tmp_path / "log.csv", flight()), tmp_path / "out.csv", STORED)
+    assert not [text for text in summary.cautions if "stamps" in text]
+
+
 def test_a_compressed_log_and_a_broken_off_one_are_replayed(tmp_path):
     log = write(tmp_path / "log.csv", flight(samples=3000))
     packed = gzip.compress(log.read_bytes())
