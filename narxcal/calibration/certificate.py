@@ -6,15 +6,16 @@
 | network behind lags | by its decay bound (`settle_s`) |
 | response of first or second order | by construction: exp(...) are times, damping, frequency |
 | steady state, first-order lag | by construction |
-| ARX, state space, output error, other networks, lags of older folders | if it is found here |
+| ARX, output error of `training.baselines` | by construction, with unit gain |
+| state space, output-error engine, other networks, older folders | if it is found here |
 
 Inputs saturate in the box `Calibration.reach`, so that what holds there holds for all inputs. At
 points of the box, its corners first, the poles of the linearised step have to lie inside the unit
 circle; and a run that steps from point to point, far ones in turn, and stays ten time constants of
 the slowest pole at each (`HOLD_S` at least), may move by at most `SWING` of an output's largest
 steady value in the last sixth of each stay. A certificate is evidence, no proof: both are samples.
-Where a model comes to rest is a second figure: ARX models and networks without an anchor have
-equilibria of their own.
+Where a model comes to rest is a second figure: ARX models of older folders and networks without an
+anchor have equilibria of their own.
 """
 
 from __future__ import annotations
