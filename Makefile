@@ -13,7 +13,7 @@ BROWSER := $(VENV)/.browser
 # Most of what is installed is never imported: Python compiles what is, at its first import.
 PIP := $(BIN)/python -m pip install --disable-pip-version-check --no-compile --quiet -c constraints.txt
 
-PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile
+PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile --durations=20 --durations-min=5
 
 .PHONY: demo test test-slow test-all fuzz lint ruff types floors bench figures clean
 

@@ -31,6 +31,9 @@ hidden = 2
 lags = 1
 lag_limits = false
 
+[train]
+choice_s = 0 # mixtures have tests of their own
+
 [steady_state]
 kind = "table"
 source = "MAKER"

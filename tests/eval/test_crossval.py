@@ -31,7 +31,7 @@ def config():
                 "outputs": ["N1_pct", "N2_pct"], "schedule": [], "hidden": 1, "lags": 1,
                 "lag_limits": False,
             },
-            "train": {"horizons_s": [5.0], "iterations": [2]},
+            "train": {"horizons_s": [5.0], "iterations": [2], "choice_s": 0.0},
             "evaluate": {"crossval": {"random_splits": 2}, "largest_rmse": {"N1_pct": 5.0}},
         }
     )  # fmt: skip

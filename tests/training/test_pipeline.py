@@ -36,7 +36,7 @@ TABLE = {
     "narx": {
         "outputs": ["N1_pct", "EGT_C"], "schedule": ["Mach"], "hidden": 2, "lag_limits": False,
     },
-    "train": {"horizons_s": [5.0, 20.0], "iterations": [3, 4], "threads": 1},
+    "train": {"horizons_s": [5.0, 20.0], "iterations": [3, 4], "threads": 1, "choice_s": 0.0},
     "smooth": {"window": 1},
 }  # fmt: skip
 
