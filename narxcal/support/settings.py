@@ -93,14 +93,16 @@ def read_toml(file: Path, schema: str) -> dict[str, Any]:
     return table
 
 
-def _open_key(table: Mapping[str, Any], at: str = "") -> str:
+def _open_key(table: Mapping[str, Any]) -> str:
     """Path to the first value that is still to be filled in; "" for none."""
-    for name, value in table.items():
-        found = f"{at}{name}" if value == OPEN else ""
+    waiting: list[tuple[str, Any]] = [("", table)]
+    while waiting:  # no recursion: tables may be nested deeper than Python's stack
+        at, value = waiting.pop()
         if isinstance(value, Mapping):
-            found = _open_key(value, f"{at}{name}.")
-        if found:
-            return found
+            inner = [(f"{at}.{name}".lstrip("."), each) for name, each in value.items()]
+            waiting += reversed(inner)
+        elif value == OPEN:
+            return at
     return ""
 
 
