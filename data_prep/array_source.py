@@ -1,4 +1,4 @@
-"""Files of arrays: MATLAB (version 5 by scipy; 7.3 needs the extra `hdf5`) and HDF5.
+"""Files of arrays: MATLAB (version 5 by scipy; 7.3 needs the extra `hdf5`), HDF5 and MDF 4 (`mdf`).
 
 | layout | column |
 |---|---|
@@ -7,7 +7,8 @@
 | array `(rows, n)` `NAME`, `NAME_dev`, `NAME_test`, with `n` names in `NAME_var` | of these names |
 
 Columns with rates have no stamps: sample k of a channel is at `k / rate`, and the rows are those of
-the fastest column that is read. Columns slower than that are blank in between.
+the fastest column that is read. Columns slower than that are blank in between. Channels of MDF have
+stamps of their own: the rows are those of all that are read, blank where a channel has none.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
 _MATLAB, _MATLAB_73, _HDF5 = b"MATLAB 5.0 MAT", b"MATLAB 7.3 MAT", b"\x89HDF\r\n\x1a\n"
+_MDF = b"MDF     "
 MAGIC_BYTES = len(_MATLAB)
 _BROKEN = (
     ValueError, TypeError, KeyError, IndexError, OSError, EOFError, RuntimeError,
@@ -42,16 +44,20 @@ _TABLES = ("", "_dev", "_test")  # endings of a table whose names are in `_var`
 
 @dataclass(frozen=True)
 class _Column:
-    """Values `(samples,)` and what the file says of them; a rate of 0 means one sample a row."""
+    """Values `(samples,)` and what the file says of them.
+
+    A rate of 0 means one sample a row, unless the channel has `stamps_s` `(samples,)` of its own.
+    """
 
     values: FloatArray
     unit: str = ""
     rate_hz: float = 0.0
+    stamps_s: FloatArray | None = None
 
 
 def is_array_file(magic: bytes) -> bool:
     """Whether a file that begins so is one of arrays."""
-    return magic.startswith((_MATLAB, _MATLAB_73, _HDF5))
+    return magic.startswith((_MATLAB, _MATLAB_73, _HDF5, _MDF))
 
 
 class ArraySource:
@@ -72,7 +78,9 @@ class ArraySource:
         self._columns = {" ".join(name.split()): each for name, each in _columns(path).items()}
         if not self._columns:
             raise DataError("the file holds no columns of numbers", file=path)
-        rated = any(column.rate_hz for column in self._columns.values())
+        rated = any(
+            column.rate_hz or column.stamps_s is not None for column in self._columns.values()
+        )
         if time and time not in self._columns and not rated:
             raise DataError(
                 f"the file has no column '{time}', and its channels have no rates",
@@ -116,6 +124,9 @@ class ArraySource:
 
     def _rows(self, columns: Mapping[str, _Column]) -> dict[str, FloatArray]:
         """Columns on common rows, with stamps where they follow from the rates."""
+        stamps = [each.stamps_s for each in columns.values() if each.stamps_s is not None]
+        if stamps:
+            return self._stamped(columns, np.unique(np.concatenate(stamps)))
         fastest = max((each.rate_hz for each in columns.values()), default=0.0)
         if self._time in self._columns or not fastest:
             lengths = {name: len(each.values) for name, each in columns.items()}
@@ -129,6 +140,15 @@ class ArraySource:
         for name, each in columns.items():
             table[name] = np.full(rows, np.nan)
             table[name][:: every[name]][: len(each.values)] = each.values
+        return table
+
+    def _stamped(self, columns: Mapping[str, _Column], time_s: FloatArray) -> dict[str, FloatArray]:
+        """Columns with stamps of their own on the rows of all of them."""
+        table = {self._time: time_s}
+        for name, each in columns.items():
+            table[name] = np.full(len(time_s), np.nan)
+            if each.stamps_s is not None:
+                table[name][np.searchsorted(time_s, each.stamps_s)] = each.values
         return table
 
     def _every(self, name: str, column: _Column, fastest_hz: float) -> int:
@@ -148,6 +168,8 @@ def _columns(path: Path) -> dict[str, _Column]:
     with path.open("rb") as raw:
         magic = raw.read(MAGIC_BYTES)
     try:
+        if magic.startswith(_MDF):
+            return dict(_mdf(path))
         tree = _hdf5(path) if magic != _MATLAB else loadmat(path, simplify_cells=True)
         return dict(_found(tree, ""))
     except _BROKEN as error:
@@ -156,6 +178,22 @@ def _columns(path: Path) -> dict[str, _Column]:
             file=path,
             hint="Copy it again",
         ) from error
+
+
+def _mdf(path: Path) -> Iterator[tuple[str, _Column]]:
+    """Channels of numbers, each with the stamps of its group."""
+    try:
+        from asammdf import MDF  # noqa: PLC0415 - an extra, needed for such files only
+    except ImportError:
+        raise ConfigError(
+            "MDF needs asammdf", file=path, hint="Install it with: pip install 'narxcal[mdf]'"
+        ) from None
+    with MDF(path) as file:
+        for signal in file.iter_channels():
+            values = _vector(signal.samples)
+            if values is not None:
+                stamps = np.asarray(signal.timestamps, dtype=np.float64)
+                yield str(signal.name), _Column(values, str(signal.unit), stamps_s=stamps)
 
 
 def _hdf5(path: Path) -> dict[str, Any]:

@@ -75,7 +75,7 @@ def shared_interval_s(logs: Sequence[Log]) -> float | None:
 
 
 def open_table(path: Path, config: LogsConfig) -> Table:
-    """Open a CSV, Parquet, MATLAB or HDF5 file by its first bytes; raises `DataError`."""
+    """Open a file of any format that is read, by its first bytes; raises `DataError`."""
     with readable(path), path.open("rb") as raw:
         magic = raw.read(MAGIC_BYTES)
     if magic.startswith(MAGIC):

@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, BinaryIO, TextIO, cast
 from data_prep.clock import Clock, clock_of, is_ambiguous, is_clock, order_of
 from data_prep.units import is_no_unit, is_unit_text
 from data_prep.words import is_no_value
+from data_prep.workbook import MAGIC_BYTES as WORKBOOK_BYTES
+from data_prep.workbook import is_workbook, sheet_text
 from narxcal.support.errors import DataError
 
 if TYPE_CHECKING:
@@ -40,6 +42,10 @@ _OPEN_QUOTE = re.compile(r'(?:^|[;,|\t ])\s*"[^"]*$')
 _BRACKETED = re.compile(r"[\[({<].*[\])}>]")
 _FEWEST_UNITS = 2  # of a row above the header
 SAMPLE_LINES = 200
+READERS = (
+    "CSV, plain or gzipped, and MATLAB of version 5; with an extra (pip install 'narxcal[EXTRA]') "
+    "Parquet [parquet], HDF5 and MATLAB 7.3 [hdf5], Excel [excel], MDF 4 [mdf]"
+)
 _HEAD_BYTES = 65_536
 _GZIP_MAGIC = b"\x1f\x8b"
 _BOMS = (
@@ -51,7 +57,6 @@ _BOMS = (
 )
 # What no text in a code page of one byte holds, and other files begin with.
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x1f]")
-_ZIP_MAGIC = "PK\x03\x04"
 _GROUPED = re.compile(r'"?\s*[+-]?[1-9]\d{0,2},\d{3}\s*"?')
 _QUOTED = re.compile(r'"[^"]*"')
 COMMA_NUMBER = re.compile(r'"?\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*"?')
@@ -222,14 +227,17 @@ class Dialect:
 
 
 def open_text(path: Path) -> TextIO:
-    """Open `path` as text; its first bytes decide on gzip and encoding, not its name.
+    """Open `path` as text; its first bytes decide on gzip, workbook and encoding, not its name.
 
     Text without a byte order mark is UTF-8, or Windows-1252 (a superset of Latin-1) where it cannot
     be. Bytes that are neither become the replacement character: in a number they are reported as
     text.
     """
     with path.open("rb") as raw:
-        zipped = raw.read(2) == _GZIP_MAGIC
+        magic = raw.read(WORKBOOK_BYTES)
+    if is_workbook(magic):
+        return sheet_text(path)
+    zipped = magic.startswith(_GZIP_MAGIC)
     binary = cast("BinaryIO", gzip.GzipFile(path, "rb") if zipped else path.open("rb"))
     try:
         head = _first_bytes(binary)
@@ -370,13 +378,10 @@ def _cells_below(
 
 def _refuse_no_text(line: str, all_lines: str) -> None:
     """Refuse what holds more than stray signs of another encoding that cannot be printed."""
-    if line.startswith(_ZIP_MAGIC):
-        raise DataError(
-            "the file is a workbook of Excel or another archive", hint="Save the sheet as CSV"
-        )
     if 5 * _unprintable(line) > len(line) or 20 * _unprintable(all_lines) > len(all_lines):
         raise DataError(
-            "the file is no text", hint="Expected a CSV file, plain or gzipped, or Parquet"
+            "the file is no text",
+            hint=f"Formats are {READERS}",
         )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from data_prep.text_file import READERS
 from narxcal.calibration.bundle import load_bundle
 
 FLIGHT = "flight_3.csv"
@@ -412,12 +413,9 @@ def test_a_result_takes_the_place_of_neither_a_folder_nor_its_input(
 
 def test_a_file_that_is_no_text_is_not_shown(narxcal, project, tmp_path):
     file = tmp_path / "sheet.csv"
-    file.write_bytes(b"PK\x03\x04" + bytes(range(128, 256)) * 20)
+    file.write_bytes(b"\x7fELF" + bytes(range(128, 256)) * 20)
     done = narxcal("evaluate", project / "run", "--logs", file, "--out", tmp_path / "out")
-    refused(
-        done,
-        f"{file}: the file is a workbook of Excel or another archive. Save the sheet as CSV",
-    )
+    refused(done, f"{file}: the file is no text. Formats are {READERS}")
 
 
 def test_a_value_in_the_place_of_a_table(narxcal, tmp_path):

@@ -89,9 +89,20 @@ def matrix(path):
         file["X_s_var"] = np.array([name.encode() for name in EVERY_ROW])
 
 
+def mdf(path):
+    """Groups with stamps of their own, as a test cell writes them."""
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version="4.10") as file:
+        for name, each in VALUES.items():
+            stamps = TIME_S if len(each) == len(TIME_S) else TIME_S[::4]
+            file.append([asammdf.Signal(each, stamps, unit=UNITS[name], name=name)])
+        file.save(path.with_suffix(".mf4"), overwrite=True)
+    path.with_suffix(".mf4").rename(path)
+
+
 @pytest.mark.parametrize(
     ("write", "units"),
-    [(plain, False), (rated, True), (hdf5, True), (matlab_73, True), (matrix, False)],
+    [(plain, False), (rated, True), (hdf5, True), (matlab_73, True), (matrix, False), (mdf, True)],
 )
 def test_a_file_of_arrays_is_read_as_its_twin(tmp_path, write, units):
     path = tmp_path / "log.mat"

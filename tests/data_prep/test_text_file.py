@@ -1,6 +1,8 @@
 """What recorders and worksheets put above the rows, and how they write what they do not know."""
 
 import codecs
+import datetime as dt
+import sys
 
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ import pytest
 from data_prep.config import LogsConfig
 from data_prep.csv_source import Pace
 from data_prep.reading import LogFile, read_logs
+from data_prep.text_file import READERS
 from data_prep.units import is_unit_text, named_unit
 from narxcal.support.errors import NarxcalError
 
@@ -276,16 +279,51 @@ def test_thousands_are_not_taken_for_decimals(tmp_path):
     assert read_logs(path, comma)[0]["EGT_C"][9] == 34.984
 
 
-def test_a_workbook_is_told_by_its_first_bytes(tmp_path):
+def test_a_workbook_is_read_as_its_csv_twin(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    pytest.importorskip("python_calamine")
+    book = openpyxl.Workbook()
+    twin = []
+    begin = dt.datetime(2026, 3, 1, 11, 59, 55)  # noqa: DTZ001 - a cell has no zone
+    for cells in (("t", "fan", "itt"), ("", "%", "deg F")):
+        book.active.append(cells)
+        twin.append(",".join(cells))
+    for k in range(40):
+        cells = (begin + dt.timedelta(seconds=k), 80 + k / 7, None if k == 5 else 500 + k)
+        book.active.append(cells)
+        twin.append(f"{cells[0].isoformat()},{cells[1]!r},{'' if k == 5 else cells[2]}")
+    book.save(tmp_path / "log.xlsx")
+    (log,) = read_logs(tmp_path / "log.xlsx", config())
+    (same,) = read_logs(write(tmp_path, "\n".join(twin) + "\n"), config())
+    np.testing.assert_array_equal(log.time_s, same.time_s)
+    for name in ("N1_pct", "EGT_C"):
+        np.testing.assert_array_equal(log[name], same[name])
+    assert changes(log) == changes(same)
+
+
+def test_an_archive_that_is_no_workbook_is_refused(tmp_path):
+    pytest.importorskip("python_calamine")
     path = tmp_path / "log.csv"
     path.write_bytes(b"PK\x03\x04" + bytes(range(256)))
     assert error_of(path, config()) == (
-        "FILE: the file is a workbook of Excel or another archive. Save the sheet as CSV"
+        "FILE: the file is an archive and no workbook that can be read. Save the sheet as CSV"
     )
-    path.write_bytes(codecs.BOM_UTF8 + bytes(range(1, 9)) + bytes(range(128, 256)))
+
+
+def test_a_workbook_names_the_extra_that_reads_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "python_calamine", None)
+    path = tmp_path / "log.csv"
+    path.write_bytes(b"PK\x03\x04" + bytes(range(256)))
     assert error_of(path, config()) == (
-        "FILE: the file is no text. Expected a CSV file, plain or gzipped, or Parquet"
+        "FILE: workbooks of Excel need python-calamine. Install it with: "
+        "pip install 'narxcal[excel]', or save the sheet as CSV"
     )
+
+
+def test_a_file_of_no_format_lists_the_readers_and_their_extras(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_bytes(codecs.BOM_UTF8 + bytes(range(1, 9)) + bytes(range(128, 256)))
+    assert error_of(path, config()) == (f"FILE: the file is no text. Formats are {READERS}")
 
 
 def test_minutes_and_seconds_are_a_clock_time_too(tmp_path):
@@ -506,9 +544,7 @@ def test_a_file_that_is_no_text_below_its_first_line_is_named_so(tmp_path):
     path.write_bytes(
         b"ULog\x01\x12\x35 a, b\n" + b"\x89HDF\x0d\x0a\x1a\x0a" + bytes(range(256)) * 20
     )
-    assert error_of(path, config()) == (
-        "FILE: the file is no text. Expected a CSV file, plain or gzipped, or Parquet"
-    )
+    assert error_of(path, config()) == (f"FILE: the file is no text. Formats are {READERS}")
 
 
 @pytest.mark.parametrize(
