@@ -32,7 +32,7 @@ def units_that_agree(
     """
     most = max(map(len, air.values()), default=1)
     rows = np.linspace(0, most - 1, _ROWS)
-    raw = {name: _filled(values, rows) for name, values in air.items()}
+    raw = {name: filled(values, rows) for name, values in air.items()}
     agreeing = []
     for units in product(*possible.values()):
         chosen = dict(zip(possible, units, strict=True))
@@ -77,7 +77,7 @@ def _machs(air: Mapping[str, FloatArray]) -> list[FloatArray]:
     return machs
 
 
-def _filled(values: FloatArray, rows: FloatArray) -> FloatArray:
+def filled(values: FloatArray, rows: FloatArray) -> FloatArray:
     """Interpolate a column at fractional `rows`, over its blanks."""
     known = np.flatnonzero(np.isfinite(values))
     return np.interp(rows, known, values[known]) if len(known) else np.full(len(rows), np.nan)

@@ -63,7 +63,8 @@ def is_array_file(magic: bytes) -> bool:
 class ArraySource:
     """One file of arrays, whose columns were read as a whole; row 1 is the first.
 
-    `time` is the column of stamps; "" where only the header is wanted.
+    `time` is the column of stamps; "" where only the header is wanted. With `rated` channels, which
+    have rates or stamps of their own, it is made from these.
     """
 
     truncated = False
@@ -78,10 +79,10 @@ class ArraySource:
         self._columns = {" ".join(name.split()): each for name, each in _columns(path).items()}
         if not self._columns:
             raise DataError("the file holds no columns of numbers", file=path)
-        rated = any(
+        self.rated = any(
             column.rate_hz or column.stamps_s is not None for column in self._columns.values()
         )
-        if time and time not in self._columns and not rated:
+        if time and time not in self._columns and not self.rated:
             raise DataError(
                 f"the file has no column '{time}', and its channels have no rates",
                 file=path,

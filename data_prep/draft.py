@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data_prep.air_data import units_that_agree
+from data_prep.air_data import filled, units_that_agree
 from data_prep.array_source import MAGIC_BYTES, ArraySource, is_array_file
 from data_prep.code_words import code_words
 from data_prep.columns import Table, unit_text
@@ -58,12 +58,14 @@ _HIGHEST: Mapping[str, tuple[float, float]] = {
     "SAT_C": (-60.0, 55.0),
     "TAT_C": (-60.0, 80.0),
 }
+_TEMPERATURES = ("temperature", "difference")
 _AIR = ("ALT_ft", "CAS_kt", "TAS_kt", "SAT_C", "TAT_C")
 # Recorders sample an engine's channels at these rates, and run for so long.
 _RATES_HZ = (0.5, 100.0)
 _LENGTHS_S = (30.0, 86400.0)
 _TIME_UNITS = ("s", "ms", "us", "min", "h")
 _LEVER = (5.0, 120.0)  # highest value of a lever that needs no scale
+_EITHER_WAY = ("air", "squat")  # in the name of a switch that may be on in flight
 _PROPORTIONAL = 0.02  # by which two columns of one speed may differ
 
 
@@ -170,7 +172,8 @@ def _open(path: Path) -> tuple[Table, str]:
     with readable(path), path.open("rb") as raw:
         magic = raw.read(MAGIC_BYTES)
     if is_array_file(magic):
-        time = _time_of(ArraySource(path, "").header) or "time_s"
+        source = ArraySource(path, "")
+        time = ("" if source.rated else _time_of(source.header)) or "time_s"
     elif magic.startswith(MAGIC):
         time = _time_of(ParquetSource(path).header)
     else:
@@ -302,8 +305,11 @@ class _Drafting:
 
     def _unit(self, column: str) -> str:
         """Return what the file or the name says of a unit."""
-        said = unit_text(self.table, column, self.readings[column].channel)
-        return said or self.readings[column].unit
+        reading = self.readings[column]
+        said = unit_text(self.table, column, reading.channel) or reading.unit
+        # Degrees of temperature are those of any scale.
+        scale = find_unit(CHANNELS[reading.channel].unit, reading.channel).dimension
+        return "" if named_unit(said) == "deg" and scale in _TEMPERATURES else said
 
     def _time(self, columns: Sequence[str]) -> Line:
         if not columns:
@@ -406,7 +412,29 @@ class _Drafting:
             self.unused.update(dict.fromkeys(columns, f"{name} is 0 or 1, not {text}"))
             return None
         keys = {**self._column(columns), "unit": "0/1", "optional": True}
-        return Line(name, keys, "0 and 1, or words for them; 1 is on, of WOW on the ground")
+        if name != "WOW":
+            return Line(name, keys, "0 and 1, or words for them; 1 is on")
+        fast, slow = self._speeds(columns[0])
+        if fast < slow:
+            return Line(name, keys, "1 is on the ground, at low airspeed")
+        if not np.isfinite(fast - slow):
+            if not any(word in columns[0].casefold() for word in _EITHER_WAY):
+                return Line(name, keys, "1 is on the ground, by its name")
+            why = "1 if 1 is on the ground; -1 if it is in flight, and then offset = 1"
+            return Line(name, {**keys, "scale": OPEN}, why)
+        why = "1 is in flight: it is 1 at high airspeed"
+        return Line(name, {**keys, "scale": -1.0, "offset": 1.0}, why)
+
+    def _speeds(self, switch_column: str) -> tuple[float, float]:
+        """Mean of a switch at high and at low airspeed; NaN where there is none."""
+        for column, reading in self.readings.items():
+            if reading.channel in ("CAS_kt", "TAS_kt", "Mach"):
+                rows = np.arange(0.0, len(self.values[column]))
+                speed, state = (filled(self.values[each], rows) for each in (column, switch_column))
+                middle = 0.5 * (_high(speed, 0.001) + _high(speed))
+                if (speed > middle).any() and (speed < middle).any():
+                    return float(state[speed > middle].mean()), float(state[speed < middle].mean())
+        return float("nan"), float("nan")
 
     def _air(self, columns: Mapping[str, str]) -> dict[str, str]:
         """Return the units in which alone the air data agree, by channel."""

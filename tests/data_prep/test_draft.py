@@ -125,6 +125,40 @@ def test_channels_with_rates_need_no_stamps(tmp_path):
     }
 
 
+@pytest.mark.parametrize(("on_ground", "keys"), [(1, {}), (0, {"scale": -1.0, "offset": 1.0})])
+def test_a_switch_that_is_on_in_flight_is_turned_round(tmp_path, on_ground, keys):
+    speed = np.clip(3.0 * TIME_S - 60.0, 0.0, 200.0)
+    ground = np.where(speed < 90.0, on_ground, 1 - on_ground)
+    rows = (TIME_S, SPEED_PCT, speed, ground)
+    found = lines(draft([csv(tmp_path, "time_s,N1_pct,CAS_kt,Air Ground", *rows)]))
+    wanted = {"column": "Air Ground", "unit": "0/1", "optional": True, **keys}
+    assert found["WOW"] == wanted
+
+
+def test_a_switch_without_airspeed_is_taken_by_its_name_or_asked_for(tmp_path):
+    ground = (TIME_S < 50.0).astype(float)
+    for name, keys in (("WOW", {}), ("Air Ground", {"scale": OPEN})):
+        path = csv(tmp_path, f"time_s,N1_pct,{name}", TIME_S, SPEED_PCT, ground)
+        wanted = {"column": name, "unit": "0/1", "optional": True, **keys}
+        assert lines(draft([path]))["WOW"] == wanted
+
+
+def test_a_clock_of_seconds_is_no_time_where_channels_have_rates(tmp_path):
+    channels = {"GMT_SEC": TIME_S % 60.0, "N1_1": SPEED_PCT, "EGT_1": 400 + 4 * SPEED_PCT}
+    path = tmp_path / "flight.mat"
+    units = {"GMT_SEC": "SECONDS", "N1_1": "%RPM", "EGT_1": "DEG"}
+    savemat(
+        path,
+        {
+            name: {"data": each, "Rate": 4.0, "Units": units[name]}
+            for name, each in channels.items()
+        },
+    )
+    found = lines(draft([path]))
+    assert found["time_s"] == {"column": "time_s", "unit": "s"}
+    assert found["EGT_C"] == {"column": "EGT_{engine}", "unit": OPEN}  # degrees of any scale
+
+
 def test_a_file_without_an_engine_is_refused(tmp_path):
     with pytest.raises(DataError, match="no column has the name of an engine's channel"):
         draft([csv(tmp_path, "time,Pitch", TIME_S, SPEED_PCT)])
