@@ -131,11 +131,11 @@ class Page:
             self.paragraph(value or " ", size=size, ends=(LEFT + label, RIGHT))
             self.y += 0.5
 
-    def lines_to_fill(self, names: Iterable[str], label: float = 45.0) -> None:
+    def lines_to_fill(self, names: Iterable[str], label: float = 45.0, size: float = BODY) -> None:
         """Write names with lines on which something is written by hand."""
         for name in names:
-            self.text((LEFT, self.y + 3.2), name)
-            self.rule(self.y + 6.6, (LEFT + label, RIGHT))
+            self.text((LEFT, self.y), name, size=size, color=QUIET)
+            self.rule(self.y + line_mm(size), (LEFT + label, RIGHT))
             self.y += 9.0
 
     def table(
@@ -157,7 +157,7 @@ class Page:
         self.rule(self.y)
         self.y += 0.9
         for done, row in enumerate(rows):
-            cells = [wrapped(cell, column.width - 1.5, size)
+            cells = [wrapped(cell, column.width - 2.5, size)
                      for cell, column in zip(row, columns, strict=True)]  # fmt: skip
             height = max(map(len, cells)) * line_mm(size) + 0.5
             if height > self.room:

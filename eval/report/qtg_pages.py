@@ -99,10 +99,11 @@ def _cover(guide: Guide) -> Page:
              "Where the tests ran": front.place, "When the tests ran": front.date}  # fmt: skip
     for name, value in names.items():
         if value:
+            start = page.y
             page.pairs([(name, value)], 55.0, 9.0)
-            page.y += 3.5
+            page.y = max(page.y + 3.5, start + 9.0)
         else:
-            page.lines_to_fill([name], 55.0)
+            page.lines_to_fill([name], 55.0, 9.0)
     page.y += 4.0
     page.pairs([
         ("Rules", guide.rules.source),
@@ -216,14 +217,14 @@ def _statement(guide: Guide) -> Page:
     page.heading("Statement of compliance")
     page.paragraph(
         f"The engine response of the device named on the cover is computed by the calibration of "
-        f"sha256 {_sha(guide)}. The {len(guide.tests)} tests in this guide were run with it on the "
-        "recordings listed under validation data, in free run: recorded lever, air data and "
-        f"switches drive the model, and no output is driven or constrained. {counts['PASS']} meet "
-        f"the tolerances of {used.source}, {counts['FAIL']} do not and {counts['NOT ASSESSED']} "
-        "could not be assessed; the rationale of each is on its sheet. The statement is made by "
-        "the person who signs it; the software that printed it makes none."
+        f"sha256 {_sha(guide)}. The tests in this guide, {len(guide.tests)} in all, were run "
+        "with it on the recordings listed under validation data, in free run: recorded lever, air "
+        "data and switches drive the model, and no output is driven or constrained. "
+        f"{counts['PASS']} meet the tolerances of {used.source}, {counts['FAIL']} do not and "
+        f"{counts['NOT ASSESSED']} could not be assessed; the rationale of each is on its sheet. "
+        "The statement is made by the person who signs it; the software that printed it makes none."
     )
-    page.y += 2.0
+    page.y += 5.0
     page.lines_to_fill(("Name and position", "Signature", "Date"))
     page.heading("Rules, and how far they are verified")
     page.table(
@@ -482,7 +483,10 @@ def _construction(axes: Axes, test: Test, one: Assessment | None) -> None:
         ends = np.array([start_s, stop_s]) - test.one.event.start_s
         at = edge + step * row
         axes.plot(ends, [at, at], color=INK, lw=0.7, marker="|", ms=4.0, mew=0.7)
-        axes.text(ends.mean(), at, name, size=SMALL - 0.5, ha="center", va="bottom", color=INK)
+        # Ti is often too short for its name, which stands before it.
+        place, align = (ends[0], "right") if name == "Ti" else (ends.mean(), "center")
+        axes.annotate(name, (place, at), (-2.0 if name == "Ti" else 0.0, 1.0), ha=align,
+                      textcoords="offset points", size=SMALL - 0.5, color=INK)  # fmt: skip
 
 
 def _rows(test: Test) -> list[list[str]]:

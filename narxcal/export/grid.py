@@ -245,9 +245,16 @@ def finite_outputs(model: SteadyStateModel, inputs: FloatArray) -> FloatArray:
 
 
 def nine_digits(values: FloatArray) -> FloatArray:
-    """Round to nine significant digits, as a text of them is read back.
-
-    That is far more accurate than any engine model, and half the size of all digits.
-    """
+    """Round to nine significant digits, as a text of them is read back."""
     flat = [float(f"{value:.9g}") for value in values.ravel().tolist()]
     return np.array(flat).reshape(values.shape)
+
+
+def rounded(values: FloatArray, most: FloatArray) -> FloatArray:
+    """Round (..., n_out) to powers of two, by at most `most` (n_out,).
+
+    Numbers that end in zeros are packed to half the size, and float32 holds them exactly.
+    """
+    step = 2.0 ** np.floor(np.log2(2.0 * most))
+    found: FloatArray = np.round(values / step) * step
+    return found

@@ -135,7 +135,10 @@ class _Model:
             first = row.to("Add", cell.to("Mul", g.constant(stride, np.int64)).to("Unsqueeze", one))
             row = g.add("Concat", first, first.to("Add", g.constant(stride, np.int64)), axis=1)
             weights = g.add("Concat", weights * (1.0 - share), weights * share, axis=1)
-        values = g.constant(n["values"].reshape(-1, n["width"])).to("Gather", row)
+        table = n["values"].reshape(-1, n["width"])
+        exact = np.array_equal(table.astype(np.float32), table)  # as rounded ones are
+        values = g.constant(table, np.float32 if exact else np.float64).to("Gather", row)
+        values = values.to("Cast", to=11) if exact else values
         weighted = values * weights.to("Unsqueeze", g.constant([2], np.int64))
         found = weighted.to("ReduceSum", one, keepdims=0)
         return [found.column(o) for o in range(n["width"])]

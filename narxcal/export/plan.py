@@ -16,6 +16,7 @@ from narxcal.export.grid import (
     finite_outputs,
     is_switch,
     nine_digits,
+    rounded,
     sample,
 )
 from narxcal.export.report import ADVICE, ExportOptions, ExportReport, Measured, Probes, Stopped
@@ -224,6 +225,7 @@ def additive_switches(
 # Rounds, and the factor on what axes may be off by while the grid is too large. Errors of axes
 # rarely have their maximum at one point, so each may first have the whole tolerance.
 _ROUNDS, _LOOSER = 12, 1.1
+_ROUNDED = 0.01  # share of the tolerance by which the values at added nodes may be rounded
 
 
 @dataclass(frozen=True, eq=False)
@@ -372,7 +374,11 @@ class _Sampling:
         def progress(done: int, total: int, _what: str = "") -> None:
             self.options.progress(done, total, note)
 
-        return Block(layer.columns, axes, nine_digits(sample(layer, axes, progress)))
+        values = sample(layer, axes, progress)
+        if not nodes:  # those given: a table stays what it is
+            return Block(layer.columns, axes, nine_digits(values))
+        most = _ROUNDED * self.tolerance / len(self.layers) * self.probes.scale
+        return Block(layer.columns, axes, rounded(values, most))
 
     def _valid_nodes(self, block: Block) -> BoolArray:
         """Whether the model is valid at each node of the first block."""
