@@ -164,7 +164,7 @@ def draft(paths: Sequence[Path]) -> Draft:
             hint=f"Write [logs.columns] by hand. The file has {', '.join(table.header[:12])}",
         )
     found = _Drafting(table, readings, _values(table, list(readings))).draft()
-    return found.where_there([_open(each)[0].header for each in paths[1:]])
+    return found.where_there([table.header, *(_open(each)[0].header for each in paths[1:])])
 
 
 def _open(path: Path) -> tuple[Table, str]:
@@ -236,6 +236,11 @@ class _Drafting:
         marks = self._engines()
         chosen = self._chosen(marks)
         lines = [self._time(chosen.pop("time_s", []))]
+        if not any(CHANNELS[name].role == "output" for name in chosen if name in CHANNELS):
+            why = "; ".join(f"{name}: {text}" for name, text in self.unused.items())
+            raise DataError(
+                "no column of an engine's channel can be used", file=self.table.path, hint=why
+            )
         air = self._air({name: chosen[name][0] for name in _AIR if name in chosen})
         commands = chosen.pop("command", [])
         if "TRA_deg" not in chosen and commands:
@@ -313,8 +318,12 @@ class _Drafting:
 
     def _time(self, columns: Sequence[str]) -> Line:
         if not columns:
-            why = f"which column is time? The file has {', '.join(self.table.header[:8])}"
-            return Line("time_s", {"column": OPEN}, why)
+            raise DataError(
+                "no column that rises has the name of a time",
+                file=self.table.path,
+                channel="time_s",
+                hint=f"Rename it time. The file has {', '.join(self.table.header[:8])}",
+            )
         column = columns[0]
         if column == self.table.clock or (self.table.head.units and not self._unit(column)):
             return Line("time_s", {"column": column}, "clock times, dates or rates")
@@ -399,8 +408,9 @@ class _Drafting:
         low, high = self._range(columns)
         if said and fits(said, "TRA_deg"):
             return _as_said("TRA_deg", keys, said, f"{low:.4g} to {high:.4g}")
-        if not _within(high, _LEVER):
-            keys["scale"] = _lever_scale(high)
+        most = max(abs(low), abs(high))
+        if not _within(most, _LEVER) or low < CHANNELS["TRA_deg"].low:
+            keys["scale"] = _lever_scale(most)
         why = f"any scale of the lever does; {low:.4g} to {high:.4g} {said}".rstrip()
         return Line("TRA_deg", {**keys, "unit": "deg"}, why)
 

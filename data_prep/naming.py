@@ -137,7 +137,8 @@ def _channel(words: Sequence[str]) -> tuple[str, str, bool, int] | None:
         kept = plain[: len(plain) - unit_words]
         unit = "/".join(plain[len(kept) :])  # `FF_lb_hr`
         found = _named(kept)
-        if found and (not unit or (not unit.isdigit() and fits(unit, found[0]))):
+        engine = unit.isdigit() or unit in _SIDES  # `EGT R` is no degree Rankine
+        if found and (not unit or (not engine and fits(unit, found[0]))):
             own = PER_MINUTE if PER_MINUTE in kept and not unit else unit
             return found[0], own, command, found[1] + 2 * command
     return None

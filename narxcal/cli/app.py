@@ -19,7 +19,6 @@ import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import ModuleType
 from typing import NoReturn
@@ -68,6 +67,19 @@ class _Parser(argparse.ArgumentParser):
         raise ConfigError(message, hint=f"See {self.prog} --help")
 
 
+class _Version(argparse.Action):
+    """Shows the version; it is looked up then, as that takes longer than all of the help."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415
+
+        try:
+            found = version("narxcal")
+        except PackageNotFoundError:  # run from a checkout that is not installed
+            found = "unknown"
+        parser.exit(message=f"narxcal {found}\n")
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run `narxcal ARGUMENTS` (those of the process if None); returns the exit code."""
     given = sys.argv[1:] if arguments is None else list(arguments)
@@ -111,7 +123,7 @@ def parser_of(command: str) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    parser.add_argument("--version", action="version", version=f"narxcal {_version()}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, text in COMMANDS.items():
         own = commands.add_parser(name, help=text, description=text, allow_abbrev=False)
@@ -190,10 +202,3 @@ def _drop_stdout() -> None:
     """Discard what stdout still buffers: the interpreter would fail on it once more at its end."""
     with suppress(OSError), Path(os.devnull).open("w", encoding="utf-8") as nowhere:
         os.dup2(nowhere.fileno(), sys.stdout.fileno())
-
-
-def _version() -> str:
-    try:
-        return version("narxcal")
-    except PackageNotFoundError:  # run from a checkout that is not installed
-        return "unknown"

@@ -76,7 +76,7 @@ def test_what_name_and_data_say_is_settled_and_the_rest_is_open(tmp_path):
         "EGT_C": {"column": "Eng{engine} EGT (deg F)", "unit": "degF"},
         "FF_kgph": {"column": "Eng{engine} FF", "unit": OPEN},
         "ALT_ft": {"column": "Altitude", "unit": "ft"},
-        "TRA_deg": {"column": "Eng{engine} TLA", "unit": "deg"},
+        "TRA_deg": {"column": "Eng{engine} TLA", "unit": "deg", "optional": True},
     }
     assert all(line.why for line in found.lines)
 
@@ -87,7 +87,6 @@ def test_what_name_and_data_say_is_settled_and_the_rest_is_open(tmp_path):
         ("t,N1 (RPM),EGT_C,FF_kgph", "N1_pct", {"scale": OPEN}),
         ("t,N1,EGT_C,FF (gal/h)", "FF_kgph", {"density_kgpl": OPEN}),
         ("t,N1,EGT (furlong),FF_kgph", "EGT_C", {"unit": OPEN}),
-        ("seconds past,N1,EGT_C,FF_kgph", "time_s", {"column": OPEN}),
     ],
 )
 def test_what_is_open_names_the_key_to_fill_in(tmp_path, header, key, value):
@@ -159,9 +158,35 @@ def test_a_clock_of_seconds_is_no_time_where_channels_have_rates(tmp_path):
     assert found["EGT_C"] == {"column": "EGT_{engine}", "unit": OPEN}  # degrees of any scale
 
 
-def test_a_file_without_an_engine_is_refused(tmp_path):
-    with pytest.raises(DataError, match="no column has the name of an engine's channel"):
-        draft([csv(tmp_path, "time,Pitch", TIME_S, SPEED_PCT)])
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        (
+            "seconds past,N1",
+            "no column that rises has the name of a time. Rename it time. The file",
+        ),
+        ("time,Fan Vibration", "no column has the name of an engine's channel"),
+    ],
+)
+def test_a_file_without_time_or_engine_is_refused(tmp_path, header, message):
+    with pytest.raises(DataError, match=message):
+        draft([csv(tmp_path, header, TIME_S, SPEED_PCT)])
+
+
+def test_a_lever_of_one_engine_alone_is_optional(tmp_path):
+    header = "time_s,N1 L,N1 R,EGT L,EGT R,Throttle L"
+    found = draft([csv(tmp_path, header, TIME_S, *4 * [8 * SPEED_PCT], SPEED_PCT)])
+    assert found.engines == {"left": "L", "right": "R"}
+    assert lines(found)["TRA_deg"]["optional"]
+    assert lines(found)["EGT_C"]["column"] == "EGT {engine}"
+
+
+def test_a_channel_that_stands_still_is_not_used(tmp_path):
+    path = csv(tmp_path, "time_s,N1,EGT_C", TIME_S, 0.0 * TIME_S, SPEED_PCT * 8)
+    assert draft([path]).unused == {"N1": "without a value that changes"}
+    path = csv(tmp_path, "time_s,N1", TIME_S, 0.0 * TIME_S)
+    with pytest.raises(DataError, match="no column of an engine's channel can be used"):
+        draft([path])
 
 
 def test_a_column_that_another_file_lacks_is_optional(tmp_path):
