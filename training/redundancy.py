@@ -13,18 +13,13 @@ three lags of itself, also times x_j, M and ln delta. A fault of channel k is in
 in r_k; of the sources of another channel it is one only, hence not in r_i (structured residuals;
 Gertler 1998, Fault Detection and Diagnosis in Engineering Systems, ch. 6).
 
-On a sound log r_i is a random effect of the log plus wander within it (u and w):
-
-    r_i(k) = u_i + w(k),   u_i ~ N(0, s_i^2)
-    w(k) = phi w(k-1) + v(k),   v(k) ~ N(0, q^2 + c^2 m(k)^2)
-
-with m the change of x^_i from block to block: models are less exact while the engine moves.
+On a sound log r_i is a random effect of the log plus wander within it (`training.steps`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -38,13 +33,21 @@ from narxcal.steady.model import ALTERED
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray, bridge_gaps, noise_level
 from narxcal.support.errors import ModelError
 from narxcal.support.settings import read_stored
-from training.levels import DELAY_STEP_S, PRIOR_LOGS, block_means, delay_table, delays_between
-from training.levels import prior_share as _prior
+from training.levels import (
+    DELAY_MEDIAN_S,
+    DELAY_STEP_S,
+    PRIOR_LOGS,
+    Scatter,
+    block_means,
+    delays_between,
+    level_median,
+)
+from training.steps import BLOCK_S, Blocks, heights, limits
 
-STEP_S, BLOCK_S = 1.0, 5.0
+STEP_S = 1.0
 _LEAST_STEPS = 10  # of a log; fewer show no relation of channels
 _LAGS_S = (2.0, 8.0, 30.0)
-_RIDGE, _FEATURES = 1e-4, 16
+_RIDGE = 1e-4
 AIR = ("ALT_ft", "Mach", "dT_C")
 MOST_FOLDS = 6
 _ENGINE = frozenset({"output", "lever"})
@@ -128,23 +131,6 @@ def _features(z: FloatArray, air: Corrected, step_s: float) -> FloatArray:
     return np.column_stack(columns)
 
 
-@dataclass(frozen=True)
-class Wander:
-    """Wander of r within a log: share of the last block that stays, sizes at rest and in motion."""
-
-    stays: float
-    rest: float
-    motion: float
-
-    def variance(self, moved: FloatArray) -> FloatArray:
-        """Variance of v by the change m (time,) of the prediction."""
-        return np.asarray(self.rest**2 + (self.motion * moved) ** 2)
-
-    def to_json(self) -> list[float]:
-        """For the bundle."""
-        return [self.stays, self.rest, self.motion]
-
-
 @dataclass(frozen=True, eq=False)
 class Bank:
     """The pair models with what they leave on left-out logs; stored with the bundle.
@@ -155,12 +141,12 @@ class Bank:
     | `low`, `high` | its range in the training logs, scaled |
     | `cells` | source -> cells in which the training logs have been |
     | `models` | target -> source -> coefficients b |
-    | `level` | s: scatter of u between logs, with the prior |
-    | `wander` | [phi, q, c] |
+    | `level` | u of the logs that were left out |
+    | `steps` | octave -> heights of the strongest steps of these logs (`training.steps`) |
     | `stretch` | k -> (mean, scatter) of ln r(k), see `log_ratio` |
-    | `delays` | target -> source -> (mean, standard deviation) of the delay in s |
+    | `delays`, `late` | mean delay in s, target -> source; how much later logs were |
     | `noise`, `updates` | largest noise level, and update interval in s, of each channel |
-    | `logs` | number of logs that were left out |
+    | `logs` | number of recordings of one engine |
     | `used` | the channels that the model uses |
     """
 
@@ -171,10 +157,11 @@ class Bank:
     high: Mapping[str, float]
     cells: Mapping[str, Sequence[Sequence[int]]]
     models: Mapping[str, Mapping[str, tuple[float, ...]]]
-    level: Mapping[str, float] = field(default_factory=dict)
-    wander: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    level: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    steps: Mapping[str, Mapping[str, Sequence[float]]] = field(default_factory=dict)
     stretch: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    delays: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
+    delays: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    late: Mapping[str, Sequence[float]] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
     updates: Mapping[str, float] = field(default_factory=dict)
     logs: int = 0
@@ -188,8 +175,11 @@ class Bank:
     def from_json(cls, stored: Mapping[str, Any]) -> Self:
         """Rebuild from `to_json`, also after a round trip through JSON.
 
-        Raises `ModelError` where a part is missing, of another type, or does not fit the channels.
+        Of one without `steps`, of an earlier version, scatter is known by its prior alone. Raises
+        `ModelError` where a part is missing, of another type, or does not fit the channels.
         """
+        if "steps" not in stored and "wander" in stored:
+            stored = {**stored, "level": {}, "late": {}, "steps": {}, "delays": {}}
         found = read_stored(cls, stored, "redundancy")
         lacking = [name for name in cls.__dataclass_fields__ if name not in stored]
         if lacking:
@@ -202,16 +192,17 @@ class Bank:
     def complete(self) -> bool:
         """Whether every channel has its entries, of the lengths that the formulas take."""
         names = set(self.channels)
-        own = (self.centre, self.spread, self.low, self.high, self.level, self.wander)
-        every = all(names <= set(part) for part in (*own, self.cells, self.models))
+        own = (self.centre, self.spread, self.low, self.high)
+        known = (self.level, self.steps, self.late) if self.steps else ()
+        every = all(names <= set(part) for part in (*own, *known, self.cells, self.models))
         return (
             every
             and names | set(self.used) <= set(CHANNELS)
-            and all(size > 0.0 for part in (self.spread, self.level) for size in part.values())
+            and all(size > 0.0 for size in self.spread.values())
+            and all(k.isdecimal() and seen for by in self.steps.values() for k, seen in by.items())
             and all(len(cell) == _CELL.size for each in self.cells.values() for cell in each)
             and all({*filter(is_measured, names - {i})} <= set(self.models[i]) for i in names)
             and all(len(b) == _FEATURES for row in self.models.values() for b in row.values())
-            and all(len(each) == len(fields(Wander)) for each in self.wander.values())
             and set(map(str, STRETCHES)) <= set(self.stretch)
         )
 
@@ -227,6 +218,36 @@ class Bank:
             return np.zeros(len(cells), dtype=np.bool_)
         nearest = np.minimum(np.searchsorted(known, cells), len(known) - 1)
         return np.asarray(known[nearest] == cells)
+
+    @cached_property
+    def scatter(self) -> dict[str, Scatter]:
+        """What is known of the level of one more log in each channel."""
+        measured = [name for name in self.channels if is_measured(name)]
+        return Scatter.of(
+            {name: (level_median(name), self.level.get(name, ())) for name in measured}
+        )
+
+    @cached_property
+    def late_scatter(self) -> dict[str, Scatter]:
+        """What is known of the delay of each channel in one more log."""
+        return Scatter.of(
+            {name: (DELAY_MEDIAN_S, self.late.get(name, ())) for name in self.channels}
+        )
+
+    def step_limits(self, share: float) -> dict[str, dict[int, float]]:
+        """Channel -> octave -> height of a step that one more log exceeds with `share`."""
+        measured = [name for name in self.channels if is_measured(name)]
+        seen = {n: {int(k): each for k, each in self.steps.get(n, {}).items()} for n in measured}
+        return limits(seen, share)
+
+    def lateness(self, found: Mapping[tuple[str, str], float], name: str) -> float:
+        """By how much a channel is later than usual in s, as others agree; NaN of fewer than 2."""
+        return _excess(self.delays.get(name, {}), found, name)
+
+    @cached_property
+    def usual(self) -> dict[str, float]:
+        """Size within which two levels of three are."""
+        return {name: each.limit(0.3173) for name, each in self.scatter.items()}
 
     @cached_property
     def _covered(self) -> dict[str, IntArray]:
@@ -262,7 +283,7 @@ class Design:
 
 # Cells of (source in its spread, Mach number, ln delta) in which, or next to which, training logs
 # have to have been: elsewhere the models extrapolate, and nothing is compared.
-_CELL = np.array([0.25, 0.03, 0.12])
+_CELL = np.array([0.25, 0.06, 0.24])
 _LEAST_STAY_S = 10.0  # in a cell
 _CODE = np.array([9_000_000, 3_000, 1])
 _NEXT = (np.indices((3, 3, 3)).reshape(3, -1).T - 1) @ _CODE  # differences of codes
@@ -362,34 +383,15 @@ def _decoded(codes: IntArray) -> IntArray:
     return np.stack([codes // base % 3000 - 1500 for base in _CODE], axis=-1)
 
 
-@dataclass(frozen=True, eq=False)
-class Blocks:
-    """R of one channel in medians over `BLOCK_S`: known blocks only, with their middle times.
-
-    `moved` is the change of the prediction since the block before, in units of r.
-    """
-
-    time_s: FloatArray
-    r: FloatArray
-    moved: FloatArray
-
-    @classmethod
-    def of(cls, found: Residuals, name: str) -> Self:
-        """Medians of r; blocks without half of their values are left out."""
-        size = max(1, round(BLOCK_S / found.signals.step_s))
-        count = len(found.signals.time_s) // size
-        shape = (count, size)
-        r = found.agreed[name][: count * size].reshape(shape)
-        known = np.isfinite(r).sum(axis=1) * 2 > size
-        middle = _middle(list(r[known].T))
-        expected = block_means(found.expected[name][: count * size], size)
-        changes = np.abs(np.diff(expected, prepend=expected[:1]))
-        # A slam that ends within a block, or begins late in it, moves the next one, too.
-        changes = np.fmax(changes, np.concatenate([[0.0], changes[:-1]])) if count else changes
-        scale = block_means(found.scale(name)[: count * size], size)
-        moved = np.nan_to_num(changes / scale)[known]
-        time_s = found.signals.time_s[: count * size].reshape(shape).mean(axis=1)[known]
-        return cls(time_s, middle, moved)
+def blocks_of(found: Residuals, name: str) -> Blocks:
+    """Medians of r of a channel; blocks without half of their values are left out."""
+    size = max(1, round(BLOCK_S / found.signals.step_s))
+    count = len(found.signals.time_s) // size
+    shape = (count, size)
+    r = found.agreed[name][: count * size].reshape(shape)
+    known = np.isfinite(r).sum(axis=1) * 2 > size
+    time_s = found.signals.time_s[: count * size].reshape(shape).mean(axis=1)[known]
+    return Blocks(time_s, _middle(list(r[known].T)))
 
 
 def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
@@ -447,24 +449,27 @@ class Pool:
         if not kept:
             return None
         parts = kept if len(kept) > 1 else _halves(self.scaling, kept[0])
-        count = min(MOST_FOLDS, len(parts))
         left_out: list[Residuals] = []
+        shown: list[_Part] = []
         ratios: dict[float, list[float]] = {k: [] for k in STRETCHES}
-        for fold in (parts[k::count] for k in range(count)):
+        for fold in _folds(parts):
             bank = self._fitted([one for one in parts if all(one is not each for each in fold)])
             for one in fold:
                 found = compared(bank, one.design)
                 left_out.append(found)
+                shown.append(one)
                 for k in STRETCHES:
                     ratios[k].append(log_ratio(found, k))
         logs = [one.log for one in kept]
-        names = self.scaling.channels
+        names, whole = self.scaling.channels, _longest(kept)
+        of_whole = [one for one, part in zip(left_out, shown, strict=True) if part in whole]
         return replace(
             self._fitted(kept),
-            level={name: _level_scatter(name, left_out) for name in names},
-            wander={name: _wander(name, left_out).to_json() for name in names},
+            level={name: _known([one.level(name) for one in of_whole]) for name in names},
+            steps={name: _heights([blocks_of(one, name) for one in left_out]) for name in names},
             stretch={str(k): _mean_and_scatter(each) for k, each in ratios.items()},
-            delays=delay_table([one.delays for one in kept], names, PRIOR_LOGS),
+            delays=_mean_delays([one.delays for one in whole], names),
+            late=_lateness([one.delays for one in whole], names),
             noise={
                 name: max(
                     (noise_of(log, name) for log in logs if log.recorded([name])), default=0.0
@@ -472,7 +477,7 @@ class Pool:
                 for name in names
             },
             updates=_longest_updates(logs),
-            logs=sum(any(np.isfinite(r).any() for r in one.agreed.values()) for one in left_out),
+            logs=len(whole),
             used=tuple(name for name in names if name in channels),
         )
 
@@ -508,6 +513,23 @@ def _engine_channels(logs: Sequence[Log]) -> tuple[str, ...]:
         and 2 * sum(bool(log.recorded([name])) for log in logs) > len(logs)
         and np.nanstd(np.concatenate([log[name] for log in logs])) > 0.0
     )
+
+
+def _folds(parts: Sequence[_Part]) -> list[list[_Part]]:
+    """Parts that are left out together: recordings, or of a single one stretches of its time.
+
+    Parts next to each other in time are so alike that they say nothing of other recordings.
+    """
+    files: dict[str, list[_Part]] = {}
+    for one in parts:
+        files.setdefault(recording_of(one.log)[0], []).append(one)
+    groups = list(files.values())
+    if len(groups) == 1:
+        ordered = sorted(parts, key=lambda one: float(one.design.signals.time_s[0]))
+        size = -(-len(ordered) // MOST_FOLDS)
+        groups = [ordered[k : k + size] for k in range(0, len(ordered), size)]
+    count = min(MOST_FOLDS, len(groups))
+    return [[one for group in groups[k::count] for one in group] for k in range(count)]
 
 
 def _halves(scaling: Bank, whole: _Part) -> list[_Part]:
@@ -602,44 +624,60 @@ def _solved(moments: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(matrix, moments[:-1, -1] / size) / size)
 
 
-def _level_scatter(name: str, left_out: Sequence[Residuals]) -> float:
-    """S: RMS of u over left-out logs and the prior ones."""
-    levels = [one.level(name) for one in left_out]
-    squares = [level**2 for level in levels if np.isfinite(level)]
-    total = PRIOR_LOGS * _prior(name) ** 2 + sum(squares)
-    return float(np.sqrt(total / (PRIOR_LOGS + len(squares))))
+def _known(levels: Sequence[float]) -> list[float]:
+    return [each for each in levels if np.isfinite(each)]
 
 
-def _wander(name: str, left_out: Sequence[Residuals]) -> Wander:
-    """Fit phi by the lag-one correlation of r - u, then q and c by the size of what is left."""
-    r, before, moved = [], [], []
-    for one in left_out:
-        blocks = Blocks.of(one, name)
-        if len(blocks.r) > 2:
-            apart = blocks.r - np.median(blocks.r)
-            r.append(apart[1:])
-            before.append(apart[:-1])
-            moved.append(blocks.moved[1:])
-    if not r:
-        return Wander(0.9, _prior(name), 0.3)
-    now, last, change = np.concatenate(r), np.concatenate(before), np.concatenate(moved)
-    clip = 6.0 * 1.4826 * float(np.median(np.abs(now))) + 1e-9
-    a, b = np.clip(now, -clip, clip), np.clip(last, -clip, clip)
-    stays = float(np.clip(np.sum(a * b) / max(np.sum(b**2), 1e-12), 0.0, 0.995))
-    return own_wander(now - stays * last, change, stays)
+def _longest(parts: Sequence[_Part]) -> list[_Part]:
+    """The longest part of each recording of an engine: it stands for the recording as a whole."""
+    found: dict[tuple[str, str], _Part] = {}
+    for one in parts:
+        key = recording_of(one.log)
+        if key not in found or len(one.log) > len(found[key].log):
+            found[key] = one
+    return list(found.values())
 
 
-def own_wander(left: FloatArray, moved: FloatArray, stays: float) -> Wander:
-    """Sizes of the innovations `left` (time,) at rest and in motion, by medians."""
-    if not len(left):
-        return Wander(stays, 0.0, 0.0)
-    order = np.argsort(moved)
-    calm, lively = order[: max(1, len(order) // 2)], order[-max(1, len(order) // 10) :]
-    rest = 1.4826 * float(np.median(np.abs(left[calm])))
-    size = 1.4826 * float(np.median(np.abs(left[lively])))
-    move = float(np.median(moved[lively]))
-    motion = np.sqrt(max(size**2 - rest**2, 0.0)) / move if move > 0.0 else 0.0
-    return Wander(stays, max(rest, 1e-9), float(motion))
+def recording_of(log: Log) -> tuple[str, str]:
+    """File and engine, which parts of one recording have in common."""
+    return log.source.file or log.name, log.source.engine
+
+
+Delays = Mapping[tuple[str, str], float]
+
+
+def _mean_delays(logs: Sequence[Delays], names: Sequence[str]) -> dict[str, dict[str, float]]:
+    table: dict[str, dict[str, float]] = {name: {} for name in names}
+    for i in names:
+        for j in names:
+            seen = [one[i, j] for one in logs if (i, j) in one]
+            if seen:
+                table[i][j] = float(np.mean(seen))
+    return table
+
+
+def _excess(usual: Mapping[str, float], found: Delays, name: str) -> float:
+    parts = [np.array([found[name, j] - each]) for j, each in usual.items() if (name, j) in found]
+    return float(agreement(parts)[0]) if len(parts) > 1 else float("nan")
+
+
+def _lateness(logs: Sequence[Delays], names: Sequence[str]) -> dict[str, list[float]]:
+    """By how much each channel of each log was later than in the others."""
+    found: dict[str, list[float]] = {name: [] for name in names}
+    for k, one in enumerate(logs):
+        usual = _mean_delays([*logs[:k], *logs[k + 1 :]], names)
+        for name in names:
+            found[name] += _known([_excess(usual[name], one, name)])
+    return found
+
+
+def _heights(logs: Sequence[Blocks]) -> dict[str, list[float]]:
+    """Octave -> largest heights of the logs that have stretches of such lengths."""
+    found: dict[str, list[float]] = {}
+    for one in logs:
+        for k, height in heights(one).items():
+            found.setdefault(str(k), []).append(height)
+    return found
 
 
 def _mean_and_scatter(values: Sequence[float]) -> tuple[float, float]:

@@ -1,61 +1,52 @@
 """Screen logs by the bank of `training.redundancy`: what is masked, and what is only reported.
 
-**Masked** is a stretch of one channel with a beginning or an end inside the log. With the wander w
-of a sound log as a first-order process (`training.redundancy`), a step of height h from block a to
-block b raises the log likelihood of r by G / 2,
+**Masked** is a stretch of one channel with a beginning or an end inside the log. It is at fault if
+its height is beyond the limit of sound logs (`training.steps`), while the rest of the log is within
+the scatter of levels between logs. What two channels show at the same time is a state of the engine
+and no fault, and so is what both engines of a file show, which share clock, air and manoeuvre
+(`training.redundancy.agreement` of r of one and of the difference). Levers are commands, which an
+engine may not follow: nothing is concluded from them.
 
-    G = (s' z)^2 / (s' s),   z = whitened r,   s = whitened step: 1 at a, 1 - phi inside, -phi at b
-
-It is at fault if G and h are beyond what sound logs show (`LEAST_GAIN`, `threshold`), and if r is
-within the scatter of sound logs outside of it. A second engine of the file shares clock, air and
-manoeuvre: what r of both shows is no fault of one (`training.redundancy.agreement` of r and of the
-difference). Levers are commands, which an engine may not follow: nothing is
-concluded from them.
-
-**Reported** is what the whole log disagrees in: its level u is compared with the scatter of levels
-s, which is known from few logs: Student's t. One stated rate of false alarms, `RATE_PER_H`, gives
-all thresholds.
+**Reported** is what the whole log disagrees in: its levels u and its delays are compared with their
+scatter between logs (`training.levels.Scatter`). Another unit or an exchange is named where it
+makes the log sound, and is more likely than an error of one channel. The longest part of a
+recording stands for it. One stated rate of false alarms, `RATE_PER_H`, gives all thresholds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import t as student
 
 from data_prep.log import AuditEntry, Finding, Kind, Log
 from data_prep.plausibility import conversions, finding, sound_air
 from narxcal.channels import CHANNELS, symbol
 from narxcal.support.arrays import BoolArray, FloatArray, spans
-from training.levels import PRIOR_LOGS
 from training.redundancy import (
     AIR,
-    BLOCK_S,
     MOST_FOLDS,
     STRETCHES,
     Bank,
-    Blocks,
     Pool,
     Residuals,
     Signals,
-    Wander,
     agreement,
+    blocks_of,
     delays_of,
     is_measured,
     log_ratio,
     moving_mean,
     noise_of,
-    own_wander,
+    recording_of,
     residuals,
 )
+from training.steps import BLOCK_S, LEAST_STRETCH_S, Blocks, Step, strongest_step
 
 RATE_PER_H = 0.01  # false alarms of each kind per hour of flight
-LEAST_GAIN = 300.0
-_LEAST_STRETCH_S = 20.0
-_AGREES = 3.0  # scatters within which the rest of a log agrees
 _MOST_STRETCHES = 6
 _BRIDGED_S, _FAR_BLOCKS = 60.0, 3  # so many blocks are no outliers
 _REASON = "fault: "
@@ -63,31 +54,31 @@ _TELLING = 3  # measured channels from which on it can be said which of them is 
 _LEAST_TESTABLE = 0.1  # share of a log that has to be comparable for a finding about all of it
 
 
-def threshold(bank: Bank, hours: float, channels: int) -> float:
-    """Scatters beyond which a level of any of `channels` is seen once in 1 / `RATE_PER_H`.
-
-    The scatter itself is known from the bank's logs and the prior ones (Bonferroni over channels).
-    """
-    share = min(RATE_PER_H * max(hours, 0.1), 0.05) / max(channels, 1)
-    return float(student.isf(0.5 * share, _dof(bank)))
-
-
-def _dof(bank: Bank) -> float:
-    """Degrees of freedom of the scatter between logs."""
-    return PRIOR_LOGS + max(bank.logs - 1, 1)
-
-
 def screened(bank: Bank | None, logs: Sequence[Log]) -> list[Log]:
     """Return prepared logs with what the bank shows added to their findings."""
     if bank is None:
         return list(logs)
-    found = []
-    for log, clock in zip(logs, _stretched(bank, logs), strict=True):
-        mates = [one for one in logs if _of_one_flight(log, one)]
-        # With another clock every channel looks late, and lags are wrong.
-        more = clock or _examine(bank, log, mates[0] if mates else None)
-        found.append(replace(log, findings=(*log.findings, *more)))
-    return found
+    subjects = [_subject(bank, log, _mate(log, logs)) for log in logs]
+    whole = [_is_longest(log, logs) for log in logs]
+    found = [
+        _restored(one) if one is not None and all_ else ()
+        for one, all_ in zip(subjects, whole, strict=True)
+    ]
+    if not any(found):  # exchanged channels have other lags
+        found = _stretched(bank, logs)
+    found = [
+        more or (() if one is None else _examine(one, whole=all_))
+        for more, one, all_ in zip(found, subjects, whole, strict=True)
+    ]
+    return [
+        replace(log, findings=(*log.findings, *more)) for log, more in zip(logs, found, strict=True)
+    ]
+
+
+def _is_longest(log: Log, logs: Sequence[Log]) -> bool:
+    """Whether a log is the longest part of its recording, which stands for it as a whole."""
+    own = [len(one) for one in logs if recording_of(one) == recording_of(log)]
+    return len(log) == max(own)
 
 
 def masked(log: Log) -> Log:
@@ -114,7 +105,7 @@ def by_each_other(logs: Sequence[Log], channels: Sequence[str]) -> list[Log]:
     a single one is compared with itself, of which a stretch is not most. What the first pass masks
     is not learned from in the second.
     """
-    found, groups = list(logs), _groups(_files(logs))
+    found, groups = list(logs), _groups(logs)
     for _ in range(2):
         known = [masked(log) for log in found]
         after, pool = list(found), Pool.of(known)
@@ -129,8 +120,14 @@ def by_each_other(logs: Sequence[Log], channels: Sequence[str]) -> list[Log]:
     return found
 
 
-def _groups(files: Sequence[list[int]]) -> list[list[int]]:
-    """Files that are left out together, at most `MOST_FOLDS` groups of them."""
+def _groups(logs: Sequence[Log]) -> list[list[int]]:
+    """Files that are left out together, at most `MOST_FOLDS` groups; of one file its engines."""
+    files = _files(logs)
+    if len(files) == 1:
+        engines = [log.source.engine for log in logs]
+        files = [
+            [k for k, each in enumerate(engines) if each == one] for one in dict.fromkeys(engines)
+        ]
     count = min(MOST_FOLDS, len(files))
     return [[k for own in files[first::count] for k in own] for first in range(count)]
 
@@ -139,10 +136,13 @@ def _spans(log: Log) -> set[tuple[str, float | None]]:
     return {(each.channel, each.start_s) for each in log.findings if each.masks}
 
 
-def _of_one_flight(a: Log, b: Log) -> bool:
-    """Whether two logs are those of two engines at the same times."""
-    apart = a.source.engine != b.source.engine and a.source.file == b.source.file
-    return apart and len(a) == len(b) and bool(a.time_s[0] == b.time_s[0])
+def _mate(log: Log, logs: Sequence[Log]) -> Log | None:
+    """The log of another engine at the same times."""
+    for one in logs:
+        apart = one.source.engine != log.source.engine and one.source.file == log.source.file
+        if apart and len(one) == len(log) and one.time_s[0] == log.time_s[0]:
+            return one
+    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,9 +162,19 @@ class _Subject:
         return len(self.log) * self.log.dt_s / 3600.0
 
     @property
-    def threshold(self) -> float:
-        """Of levels, in scatters."""
-        return threshold(self.bank, self.hours, len(self.channels))
+    def share(self) -> float:
+        """Probability of a false alarm of one channel of one sound log of this length."""
+        return min(RATE_PER_H * max(self.hours, 0.1), 0.05) / len(self.channels)
+
+    @cached_property
+    def limit(self) -> dict[str, float]:
+        """Sizes beyond which levels are findings (Bonferroni over channels)."""
+        return {name: self.bank.scatter[name].limit(self.share) for name in _sensed(self)}
+
+    @cached_property
+    def step_limits(self) -> dict[str, dict[int, float]]:
+        """Heights of each octave beyond which steps within the log are findings."""
+        return self.bank.step_limits(self.share)
 
     def residuals(self) -> Residuals:
         """R without what the other engine of the flight shows, too."""
@@ -192,7 +202,7 @@ def _subject(bank: Bank, log: Log, mate: Log | None) -> _Subject | None:
     channels = tuple(name for name in bank.channels if log.recorded([name]) and name not in lost)
     clean = masked(log)
     signals = Signals.of(clean)
-    if len(channels) < 2 or len(signals.time_s) * signals.step_s < 2.0 * _LEAST_STRETCH_S:
+    if len(channels) < 2 or len(signals.time_s) * signals.step_s < 2.0 * LEAST_STRETCH_S:
         return None
     other = None
     if mate is not None:
@@ -208,26 +218,37 @@ def _without_air(log: Log, signals: Signals) -> Signals:
     return signals.having(blank)
 
 
-def _examine(bank: Bank, log: Log, mate: Log | None) -> tuple[Finding, ...]:
-    """What the bank shows of one prepared log."""
-    subject = _subject(bank, log, mate)
-    if subject is None:
-        return ()
-    other = _restored(subject)
-    if other:
-        return other
-    for name in _sensed(subject):
+def _examine(subject: _Subject, *, whole: bool) -> tuple[Finding, ...]:
+    """What the bank shows of one prepared log with its own clock, units and order of channels."""
+    found = [*_seldom(subject), *_noisy(subject), *_late(subject)] if whole else []
+    # Of a channel with other dynamics all the log no stretch is at fault.
+    suspects = [n for n in _sensed(subject) if all(n != each.channel for each in found)]
+    for name in suspects:
         subject = _motionless(subject, name)
     for _ in range(_MOST_STRETCHES):
         before = len(subject.findings)
-        subject = _stretch(subject)
+        subject = _stretch(subject, suspects)
         if len(subject.findings) == before:
             break
-    found = [*subject.findings, *_seldom(subject), *_noisy(subject), *_late(subject)]
-    if not any(each.kind in {"held", "late", "stuck"} for each in found):
+    found = [*_alone(subject.findings), *found]
+    if whole and not any(each.kind in {"held", "late", "stuck"} for each in found):
         found += _level(subject)
-    used = {*bank.used, *AIR, "time_s"}
+    used = {*subject.bank.used, *AIR, "time_s"}
     return tuple(each for each in found if used & {*each.channels})
+
+
+def _alone(findings: Sequence[Finding]) -> list[Finding]:
+    """Those without another channel's at the same time: what two show is a state of the engine."""
+
+    def overlap(a: Finding, b: Finding) -> bool:
+        if not (a.local and b.local) or a.channel == b.channel:
+            return False
+        start_s = max(a.start_s or 0.0, b.start_s or 0.0)
+        end_s = min(a.end_s or 0.0, b.end_s or 0.0)
+        shorter = min((each.end_s or 0.0) - (each.start_s or 0.0) for each in (a, b))
+        return end_s - start_s > 0.5 * shorter
+
+    return [one for one in findings if not any(overlap(one, each) for each in findings)]
 
 
 def _sensed(subject: _Subject) -> list[str]:
@@ -238,65 +259,18 @@ def _sensed(subject: _Subject) -> list[str]:
 # ---------------------------------------------------------------- stretches
 
 
-@dataclass(frozen=True)
-class Step:
-    """A step of height h in blocks `start:stop`; it raises the log likelihood by `gain` / 2."""
-
-    gain: float
-    start: int
-    stop: int
-    height: float
-
-
-def strongest_step(blocks: Blocks, wander: Wander) -> Step:
-    """The step that raises the likelihood of r most; a log is compared with its own wander, too."""
-    count, least = len(blocks.r), round(_LEAST_STRETCH_S / BLOCK_S)
-    if count < 2 * least:
-        return Step(0.0, 0, 0, 0.0)
-    z, phi, variance = _whitened(blocks, wander)
-    weight = 1.0 / variance
-    score = np.concatenate([[0.0], np.cumsum((1.0 - phi) * z * weight)])
-    norm = np.concatenate([[0.0], np.cumsum((1.0 - phi) ** 2 * weight)])
-    begin = z * weight - score[1:], weight - norm[1:]
-    end = (
-        np.append(score[:-1] - phi * z * weight, score[-1]),
-        np.append(norm[:-1] + phi**2 * weight, norm[-1]),
-    )
-    product, square = (a[:, None] + b[None, :] for a, b in zip(begin, end, strict=True))
-    length = np.arange(count + 1)[None, :] - np.arange(count)[:, None]
-    allowed = (length >= least) & (length <= count - least)
-    gain = np.where(allowed, product**2 / np.where(allowed, square, 1.0), 0.0)
-    start, stop = np.unravel_index(int(np.argmax(gain)), gain.shape)
-    if not gain[start, stop] > 0.0:
-        return Step(0.0, 0, 0, 0.0)
-    height = float(product[start, stop] / square[start, stop])
-    return Step(float(gain[start, stop]), int(start), int(stop), height)
-
-
-def _whitened(blocks: Blocks, wander: Wander) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Innovations of r, the share phi that stays since the block before, and their variance."""
-    r = blocks.r - np.median(blocks.r)
-    apart = np.clip(np.round(np.diff(blocks.time_s) / BLOCK_S), 1.0, 1e4)
-    phi = np.concatenate([[0.0], wander.stays**apart])
-    z = r - phi * np.concatenate([[0.0], r[:-1]])
-    own = own_wander(z[1:], blocks.moved[1:], wander.stays)
-    larger = Wander(wander.stays, max(wander.rest, own.rest), max(wander.motion, own.motion))
-    stationary = max(1.0 - wander.stays**2, 1e-9)
-    return z, phi, larger.variance(blocks.moved) * (1.0 - phi**2) / stationary
-
-
-def _stretch(subject: _Subject) -> _Subject:
-    """Add the strongest stretch of one channel, if it is at fault."""
+def _stretch(subject: _Subject, channels: Sequence[str]) -> _Subject:
+    """Add the strongest stretch of one of `channels`, if it is at fault."""
     found = subject.residuals()
     best: tuple[float, str, Blocks, list[tuple[int, int]]] | None = None
-    for name in _sensed(subject):
+    for name in channels:
         if len(found.errors[name]) < 2:
             continue  # of two channels neither can be said to be wrong
-        blocks = Blocks.of(found, name)
-        step = strongest_step(blocks, Wander(*subject.bank.wander[name]))
+        blocks = blocks_of(found, name)
+        step = strongest_step(blocks, subject.step_limits[name])
         parts = _at_fault(subject, name, blocks, step)
-        if parts and (best is None or step.gain > best[0]):
-            best = step.gain, name, blocks, parts
+        if parts and (best is None or step.excess > best[0]):
+            best = step.excess, name, blocks, parts
     if best is None:
         return subject
     _, name, blocks, parts = best
@@ -307,20 +281,21 @@ def _stretch(subject: _Subject) -> _Subject:
 
 def _at_fault(subject: _Subject, name: str, blocks: Blocks, step: Step) -> list[tuple[int, int]]:
     """Blocks at fault: the step, or all but it where that agrees; empty where nothing is."""
-    if step.gain < LEAST_GAIN:
+    if step.excess < 1.0:
         return []
-    scatter = subject.bank.level[name]
+    limit = subject.limit[name]
     inside = np.zeros(len(blocks.r), dtype=np.bool_)
     inside[step.start : step.stop] = True
-    levels = [float(np.median(blocks.r[rows])) / scatter for rows in (inside, ~inside)]
-    if abs(levels[0] - levels[1]) < subject.threshold:
-        return []
+    levels = [float(np.median(blocks.r[rows])) for rows in (inside, ~inside)]
     wrong = inside if abs(levels[0]) > abs(levels[1]) else ~inside
     right = levels[1] if abs(levels[0]) > abs(levels[1]) else levels[0]
-    if abs(right) > _AGREES:
+    if abs(right) > limit:
         return []
-    # A fault once proven, what does not agree as the rest has to is no more believed.
-    far = np.abs(blocks.r / scatter - right) > _AGREES
+    # A fault once proven, what is nearer to it than to the rest, or as far from that as no stretch
+    # of a sound log is, is no more believed.
+    wrong_level = levels[0] if abs(levels[0]) > abs(levels[1]) else levels[1]
+    least = min(subject.step_limits[name].values())
+    far = (blocks.r - right) * np.sign(wrong_level) > min(0.5 * abs(wrong_level - right), least)
     return _joined([_extended(far, span) for span in spans(wrong)])
 
 
@@ -357,28 +332,28 @@ def _described(
 ) -> Finding:
     """The stretch as a finding: its times, and what explains its error best.
 
-    It reaches to the next blocks that agree: what cannot be compared in between is not believed.
+    It reaches to the middles of the next blocks: less than half of a block whose median agrees can
+    be wrong, and what cannot be compared in between is not believed.
     """
     blocks, start, stop = where
-    time_s, half = blocks.time_s, 0.5 * BLOCK_S
+    time_s = blocks.time_s
     log_ends = float(subject.log.time_s[0]), float(subject.log.time_s[-1])
-    first = log_ends[0] if start == 0 else float(time_s[start - 1]) + half
-    last = log_ends[1] if stop == len(time_s) else float(time_s[stop]) - half
+    first = log_ends[0] if start == 0 else float(time_s[start - 1])
+    last = log_ends[1] if stop == len(time_s) else float(time_s[stop])
     inside = (found.signals.time_s >= first) & (found.signals.time_s <= last)
     kind, size, unit = _kind(found, name, inside)
     text = f"{size:+.3g} {unit} against what {_listed(subject.channels, name)} say"
-    level = float(np.median(np.abs(blocks.r[start:stop]))) / subject.bank.level[name]
-    probability = _probability(subject, level)
+    level = float(np.median(np.abs(blocks.r[start:stop])))
+    probability = _probability(subject, name, level)
     return finding(
         subject.log, name, kind, text, span_s=(first, last), size=(size, unit),
         probability=max(probability, 1.0 - RATE_PER_H * max(subject.hours, 0.1)),
     )  # fmt: skip
 
 
-def _probability(subject: _Subject, level: float) -> float:
-    """One minus the probability of a level of any channel on a sound log."""
-    tail = float(student.sf(abs(level), _dof(subject.bank)))
-    alarms = len(subject.channels) * 2.0 * tail
+def _probability(subject: _Subject, name: str, level: float) -> float:
+    """One minus the probability of such a level of any channel on a sound log."""
+    alarms = len(subject.channels) * subject.bank.scatter[name].tail(level)
     return float(np.clip(1.0 - alarms, 0.0, 0.9999))
 
 
@@ -437,7 +412,9 @@ def _motionless(subject: _Subject, name: str) -> _Subject:
     size = round(_STILL_S / found.signals.step_s)
     y = subject.signals.values[name]
     own, implied = _moving_spread(y, size), _implied(found, name, size)
-    scatter = _AGREES * subject.bank.level[name] * abs(subject.bank.centre[name])
+    # Half of the steps that sound logs show: a motion to both sides has that standard deviation.
+    limits = subject.step_limits[name]
+    scatter = 0.5 * limits.get(1, limits.get(0, np.inf)) * abs(subject.bank.centre[name])
     least = np.maximum(scatter * found.corrected.scale[name], 3.0 * _resolution(y))
     if subject.mate is not None and name in subject.mate.channels:
         # The other engine moves, too, while this one's channel stays.
@@ -535,7 +512,7 @@ def _noisy(subject: _Subject) -> Iterator[Finding]:
     """Channels with much more noise than in any training log, and more than their scatter."""
     for name in _sensed(subject):
         own, usual = noise_of(subject.log, name), subject.bank.noise.get(name, 0.0)
-        matters = 0.5 * subject.bank.level[name] * abs(subject.bank.centre[name])
+        matters = 0.5 * subject.bank.usual[name] * abs(subject.bank.centre[name])
         if own > max(_NOISY * usual, matters):
             unit = CHANNELS[name].unit
             text = f"noise of {own:.2g} {unit}, {usual:.2g} in the training logs"
@@ -548,23 +525,12 @@ _LEAST_DELAY_S = 0.4
 def _late(subject: _Subject) -> Iterator[Finding]:
     """The channel that is later against all others than in the training logs."""
     bank, found = subject.bank, delays_of(subject.log, subject.channels)
-    excess: dict[str, tuple[float, float]] = {}
-    for i in subject.channels:
-        known = [
-            (found[i, j] - bank.delays[i][j][0], bank.delays[i][j][1])
-            for j in subject.channels
-            if (i, j) in found and j in bank.delays.get(i, {})
-        ]
-        if len(known) >= 2:
-            errors = np.array([[error] for error, _ in known])
-            spread = float(np.median([each for _, each in known]))
-            excess[i] = float(agreement(list(errors))[0]), spread
-    limit = subject.threshold
-    late = {
-        name: delay
-        for name, (delay, spread) in excess.items()
-        if abs(delay) > max(_LEAST_DELAY_S, limit * spread)
-    }
+    late = {}
+    for name in subject.channels:
+        delay_s = bank.lateness(found, name)
+        limit = bank.late_scatter[name].limit(subject.share)
+        if abs(delay_s) > max(_LEAST_DELAY_S, limit):
+            late[name] = delay_s
     if late:
         name = max(late, key=lambda each: abs(late[each]))
         word = "late" if late[name] > 0.0 else "early"
@@ -621,42 +587,71 @@ class _Other:
     size: float = float("nan")
 
 
-_RESTORED = 0.35  # of the misfit that undoing a hypothesis leaves at most
+_FAULT = 0.2  # standard deviation of the share by which faults scale or shift a channel
 
 
 def _restored(subject: _Subject) -> tuple[Finding, ...]:
-    """Another unit or an exchange that brings a log beyond the scatter back into it.
+    """Another unit or an exchange that makes a log sound, and more so than an error of one channel.
 
-    Where nothing can be compared nothing is beyond it: a flight in air where no training log has
-    been is not one in another unit.
+    Where channels cannot be compared they may be beyond what training logs show; but a flight in
+    air where no training log has been is not one in another unit of altitude or speed.
     """
-    before, t = _misfit(subject, subject.signals)
-    known = [abs(value) for value in t.values() if np.isfinite(value)]
-    if not known or max(known) < subject.threshold:
+    before = _fit(subject, subject.signals)
+    comparable = len(before.levels) == len(_sensed(subject))
+    if before.sound and comparable:
         return ()
-    best: tuple[float, _Other] | None = None
+    best: tuple[float, _Other | None] = _scaled(subject, before), None
     for each in _others(subject):
-        after, levels = _misfit(subject, subject.signals.having(each.values))
-        sound = all(abs(value) < _AGREES for value in levels.values())
-        if sound and after < _RESTORED * before and (best is None or after < best[0]):
-            best = after, each
-    if best is None:
-        return ()
+        if not comparable and each.channel in AIR:
+            continue
+        after = _fit(subject, subject.signals.having(each.values))
+        least = len(before.levels) if comparable else len(_sensed(subject))
+        gain = _log_likelihood(subject, after.levels)
+        if after.sound and len(after.levels) >= least and gain > best[0]:
+            best = gain, each
     one = best[1]
+    if one is None:
+        return ()
     size = one.size, ""
     return (finding(subject.log, one.channel, one.kind, one.text, size=size, partner=one.partner),)
 
 
-def _misfit(subject: _Subject, signals: Signals) -> tuple[float, dict[str, float]]:
-    """Mean square of the levels u / s, bounded, and these; NaN where little can be compared."""
-    found = residuals(subject.bank, signals, subject.channels)
-    levels = {}
+def _scaled(subject: _Subject, fit: _Fit) -> float:
+    """Log likelihood of the levels, were one channel at fault by any size; of a part of them none.
+
+    Nothing is left to say so where not all are comparable.
+    """
+    if len(fit.levels) < len(_sensed(subject)):
+        return -np.inf
+    found = []
+    for name, level in fit.levels.items():
+        others = {each: x for each, x in fit.levels.items() if each != name}
+        own = -0.5 * (level / _FAULT) ** 2 - float(np.log(_FAULT * np.sqrt(2.0 * np.pi)))
+        found.append(_log_likelihood(subject, others) + own)
+    return max(found)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """How channels agree: levels of those of which enough can be compared, and whether all do."""
+
+    levels: Mapping[str, float]
+    sound: bool
+
+
+def _fit(subject: _Subject, signals: Signals) -> _Fit:
+    """No level and no stretch of a sound log is beyond its limit."""
+    found, levels, sound = residuals(subject.bank, signals, subject.channels), {}, True
     for name in _sensed(subject):
-        comparable = float(np.mean(np.isfinite(found.agreed[name])))
-        level = found.level(name) / subject.bank.level[name]
-        levels[name] = level if comparable > _LEAST_TESTABLE else float("nan")
-    squares = [min(each**2, 400.0) if np.isfinite(each) else 400.0 for each in levels.values()]
-    return float(np.mean(squares)) if squares else 0.0, levels
+        if np.mean(np.isfinite(found.agreed[name])) > _LEAST_TESTABLE:
+            levels[name] = found.level(name)
+            step = strongest_step(blocks_of(found, name), subject.step_limits[name])
+            sound &= abs(levels[name]) <= subject.limit[name] and step.excess < 1.0
+    return _Fit(levels, sound)
+
+
+def _log_likelihood(subject: _Subject, levels: Mapping[str, float]) -> float:
+    return sum(subject.bank.scatter[name].log_density(level) for name, level in levels.items())
 
 
 def _others(subject: _Subject) -> Iterator[_Other]:
@@ -678,11 +673,12 @@ def _level(subject: _Subject) -> list[Finding]:
     """The channel whose level is furthest beyond the scatter."""
     if len(_sensed(subject)) < _TELLING:
         return []
-    t = {name: x for name, x in _misfit(subject, subject.signals)[1].items() if np.isfinite(x)}
-    worst = max(t, key=lambda each: abs(t[each]), default="")
-    if not worst or abs(t[worst]) < subject.threshold:
+    levels = _fit(subject, subject.signals).levels
+    beyond = [name for name, level in levels.items() if abs(level) > subject.limit[name]]
+    if not beyond:
         return []
-    probability = _probability(subject, t[worst])
+    worst = min(beyond, key=lambda each: subject.bank.scatter[each].tail(levels[each]))
+    probability = _probability(subject, worst, levels[worst])
     found = residuals(subject.bank, subject.signals, subject.channels)
     everywhere = np.ones(len(found.signals.time_s), dtype=np.bool_)
     kind, size, unit = _kind(found, worst, everywhere)

@@ -11,8 +11,8 @@ from data_prep.log import Log, Source
 from data_prep.plausibility import checked
 from narxcal.atmosphere import KELVIN
 from narxcal.support.errors import ModelError
-from training.redundancy import Bank, Blocks, Pool, Wander, agreement, learn, robust_weights
-from training.screening import by_each_other, masked, screened, strongest_step, threshold
+from training.redundancy import Bank, Pool, agreement, learn, robust_weights
+from training.screening import by_each_other, masked, screened
 
 DT_S = 0.2
 ROWS = 6000  # twenty minutes
@@ -260,32 +260,9 @@ def test_agreement_is_what_the_sources_have_in_common():
     assert np.isnan(agreed(3.0, np.nan, np.nan))
 
 
-def slow_gain(r, start, stop, phi):
-    """Log likelihood ratio, doubled, of a step in a stationary first-order process."""
-    step = np.zeros(len(r))
-    step[start:stop] = 1.0
-    size = np.r_[1.0 / np.sqrt(1.0 - phi**2), np.ones(len(r) - 1)]
-
-    def white(x):
-        return (x - np.r_[0.0, phi * x[:-1]]) / size
-
-    s, z = white(step), white(r - np.median(r))
-    return float((s @ z) ** 2 / (s @ s)), float((s @ z) / (s @ s))
-
-
-def test_the_strongest_step_is_that_of_the_likelihood_ratio():
-    draw = np.random.default_rng(3)
-    r = lfilter([1.0], [1.0, -0.8], draw.standard_normal(120))
-    r[40:70] += 20.0
-    blocks = Blocks(5.0 * np.arange(120), r, np.zeros(120))
-    found = strongest_step(blocks, Wander(0.8, 50.0, 0.0))
-    gain, height = slow_gain(r, 40, 70, 0.8)
-    assert (found.start, found.stop) == (40, 70)
-    assert found.height == pytest.approx(height)
-    assert found.gain == pytest.approx(gain / 2500.0)
-
-
-def test_a_threshold_falls_with_the_logs_that_it_is_known_from(bank):
-    few, many = (threshold(replace(bank, logs=count), 1.0, 4) for count in (1, 30))
-    assert few > many > 3.0
-    assert threshold(bank, 4.0, 4) < threshold(bank, 1.0, 4)
+def test_a_bank_of_an_earlier_version_knows_scatter_by_its_prior(bank):
+    older = {**bank.to_json(), "level": dict.fromkeys(CHANNELS, 0.01), "wander": {}}
+    del older["steps"], older["late"]
+    stored = Bank.from_json(json.loads(json.dumps(older)))
+    assert examined(stored, engine(21)) == ()
+    assert stored.scatter["N1_pct"].limit(1e-3) > bank.scatter["N1_pct"].limit(1e-3)
