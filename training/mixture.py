@@ -27,7 +27,7 @@ from scipy.optimize import minimize
 
 from data_prep.log import Log
 from narxcal.calibration.calibration import DynamicCalibration
-from narxcal.calibration.members import KINDS, Member
+from narxcal.calibration.members import Kind, Member
 from narxcal.support.arrays import BoolArray, FloatArray, known_mean
 from narxcal.support.errors import DataError
 from narxcal.support.progress import Progress, silent
@@ -38,7 +38,10 @@ from training.levels import lag_of, level_of
 
 NETWORK: Final = "network"
 LAGS: Final = "lags"
-MODELS: Final = (NETWORK, LAGS, *KINDS)
+# The steady state itself is a first-order lag without a time constant: the fits would find it. A
+# share of it would move at once with every input, and with it all response times.
+SIMPLE: Final[tuple[Kind, ...]] = ("first_order", "arx", "output_error")
+MODELS: Final = (NETWORK, LAGS, *SIMPLE)
 _PRIOR: Final = 0.5  # pieces that the prior of equal weights counts as; 0.3 to 2 differ by 1 %
 _LEAST_WEIGHT: Final = 0.02  # of a simple model; what less it changes is within rounding of figures
 _UNIT_US: Final = 3.0  # nominal cost of a sample-step of the network behind lags
@@ -116,7 +119,7 @@ class Mixture:
         simple = Baselines.from_json(baselines)
         members: list[Member] = []
         for k, weights in enumerate(self.weights.T):
-            for kind, weight in zip(KINDS, weights[2:], strict=True):
+            for kind, weight in zip(SIMPLE, weights[2:], strict=True):
                 if weight > 0.0:
                     members.append(simple.member(kind, k, calibration.dt_s, float(weight)))
         if calibration.lag is not None and self.weights[1].any():
@@ -216,7 +219,7 @@ def choose_mixture(
         held += [held_out(found, Baselines.from_json(own), log, fold) for log in fold.judged]
     simple = Baselines.from_json(fitted)
     fits = [
-        np.array([True, calibration.lag is not None, *(simple.has(kind, k) for kind in KINDS)])
+        np.array([True, calibration.lag is not None, *(simple.has(kind, k) for kind in SIMPLE)])
         for k in range(len(calibration.output_names))
     ]
     weights = np.stack(
@@ -247,7 +250,7 @@ def held_out(
     models = (
         own.simulate(inputs, start),
         lags,
-        *(baselines.simulate(kind, run.steady, start, own.dt_s) for kind in KINDS),
+        *(baselines.simulate(kind, run.steady, start, own.dt_s) for kind in SIMPLE),
     )
     return HeldOut(
         log.name, log.source.file, fold.piece(log), fold.whole,
