@@ -5,16 +5,23 @@ import re
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from narxcal.atmosphere import isa
+from narxcal.calibration.identified import IdentifiedCalibration, NoDynamics
 from narxcal.export.compiler import Compiled, compiler
+from narxcal.export.dynamic import Exportable
 from narxcal.export.program import Program
+from narxcal.static_models import polynomial
+from narxcal.steady.laws import StaticLaws
+from narxcal.steady.model import Envelope
 from narxcal.support.errors import ModelError
 from tests.export import models
+from training.static_fit import fit
 
 if compiler() is None:
     pytest.skip("needs a C compiler", allow_module_level=True)
@@ -184,6 +191,22 @@ def test_outputs_that_output_error_does_not_have_are_steady():
     found = Compiled.of(Program(model)).run(inputs)[:, :4]
     np.testing.assert_allclose(found, model.simulate(inputs), rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(found[:, 0], more.outputs(inputs)[:, 0], rtol=0.0, atol=1e-9)
+
+
+def test_a_static_law_is_sampled_first_and_its_error_is_stated():
+    lever = np.linspace(0.0, 80.0, 60)
+    columns = {"TRA_deg": lever, "N1_pct": 20.0 + 0.3 * lever + 0.006 * lever**2}
+    law = polynomial(columns=columns, output="N1_pct", degrees={"TRA_deg": 2})
+    box = Envelope(np.array([0.0]), np.array([80.0]))
+    laws = StaticLaws(("TRA_deg",), [(law, fit(law, columns).values)], box)  # noqa: PD011
+    model = IdentifiedCalibration(laws, NoDynamics(), 0.1)
+    exported = Exportable.of(SimpleNamespace(calibration=model, sha256="00ff"))
+    inputs = np.linspace(-10.0, 90.0, 101)[:, None]
+    found = Compiled.of(exported.program()).run(inputs)[:, :1]
+    np.testing.assert_allclose(found, exported.model.simulate(inputs), rtol=0.0, atol=1e-9)
+    stated = exported.sampled.measured.outputs[0].max
+    assert 0.0 < np.abs(found - model.simulate(inputs)).max() < 1.2 * stated
+    assert f"N1_pct {stated:.3g} %" in exported.about[2]
 
 
 FLIGHTS = sorted(Path("../shared/data").glob("*/**/citation_*.csv.gz"))
