@@ -77,7 +77,8 @@ class _Version(argparse.Action):
             found = version("narxcal")
         except PackageNotFoundError:  # run from a checkout that is not installed
             found = "unknown"
-        parser.exit(message=f"narxcal {found}\n")
+        sys.stdout.write(f"narxcal {found}\n")
+        parser.exit()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
