@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 
 from data_prep.identity import Identity
 from narxcal.support.arrays import BoolArray, FloatArray
@@ -181,6 +182,10 @@ class Log:
                 hint=f"It has {', '.join(self.channels)}",
             )
         return self.channels[channel]
+
+    def to_frame(self) -> pd.DataFrame:
+        """Return the channels as columns, in their canonical units, over the index `time_s` [s]."""
+        return pd.DataFrame(dict(self.channels), index=pd.Index(self.time_s, name="time_s"))
 
     @property
     def dt_s(self) -> float:
