@@ -128,8 +128,9 @@ def _allowed(seen: FloatArray, prior: float, outputs: int) -> float | None:
     return tail * float(np.sqrt(square))
 
 
-# Scatter between logs of one engine: median over recorders of levels by unit, as a share, and of
-# delays; standard deviations of logarithms from recorder to recorder, and between its channels.
+# Scatter between logs of one engine, set in view of real recorders and drawn engines, not fitted
+# without the judged one: median over recorders of levels by unit, as a share, and of delays;
+# standard deviations of logarithms from recorder to recorder, and between its channels.
 _MEDIAN = {"%": 0.005, "degC": 0.008, "kg/h": 0.015}
 _MEDIAN_OTHER, DELAY_MEDIAN_S, _RECORDERS, _CHANNELS = 0.01, 0.15, 1.3, 0.6
 _GRID = np.linspace(-6.0, 6.0, 97)
@@ -145,7 +146,7 @@ class Scatter:
 
         ln s_c = ln m_c + a + b_c,   a ~ N(0, h^2) of the recorder,   b_c ~ N(0, g^2)
 
-    with m, h and g estimated over recorders; the other channels show a, too. s_c is known to its
+    with m, h and g of a prior; the other channels show a, too. s_c is known to its
     posterior distribution on a grid, and u is a mixture of normals.
     """
 

@@ -9,7 +9,7 @@ the length. The largest |height| among the stretches of a log is taken for each 
 A stretch is beyond what sound logs show if its height exceeds the limit of its octave, which comes
 from the largest heights of left-out logs (a scan statistic with its null distribution measured, not
 derived from a model of the errors; Glaz, Naus and Wallenstein 2001, Scan Statistics, chapter 3).
-Their logarithms x are normal, with the conjugate prior of recorders for mean and variance:
+Their logarithms x are normal, with a conjugate prior for mean and variance:
 
     x_k ~ N(mu_k, v),   mu_k ~ N(ln m_k, v / p),   v ~ scaled inverse chi^2 (d, v_0)
 
@@ -52,6 +52,7 @@ class Step:
 
 
 # Prior of ln h over recorders: median of h at k = 0 and from octave to octave, sqrt(v_0), d and p.
+# Set in view of the recorders and drawn engines at hand, as those of `training.levels.Scatter`.
 _MEDIAN, _PER_OCTAVE, _SPREAD, _DOF, _PRIOR_LOGS = 0.015, 0.72, 0.6, 6.0, 0.15
 
 
