@@ -595,4 +595,4 @@ def unit_value(name: str, value: float) -> str:
         return "on" if value else "off"
     digits = {"ft": 0, "-": 3, "kg/h": 0, "kN": 2}.get(known.unit, 1)
     unit = {"degC": " °C", "deg": "°", "-": ""}.get(known.unit, f" {known.unit}")
-    return f"{value:.{digits}f}{unit}"
+    return f"{round(value, digits) + 0.0:.{digits}f}{unit}"  # never -0.0
