@@ -90,12 +90,16 @@ class SteadyFit:
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """A calibration, its steady state, entries in the record of the run, held-out free runs."""
+    """A calibration, its steady state, entries in the record of the run, held-out free runs.
+
+    `held_lags` are those of the first-order lags that take its place if it does not settle.
+    """
 
     steady_fit: SteadyFit
     calibration: Calibration
     entries: Mapping[str, Any]
     held: tuple[HeldRun, ...] = ()
+    held_lags: tuple[HeldRun, ...] = ()
 
 
 class Method(Protocol):
@@ -152,7 +156,7 @@ def _narx(
         "mixture": mixture.row(),
     }
     weighed = mixture.applied(calibration, baselines)
-    return Identification(steady_fit, weighed, entries, mixture.free_runs)
+    return Identification(steady_fit, weighed, entries, mixture.free_runs, mixture.lag_runs)
 
 
 def _mixture(

@@ -105,10 +105,18 @@ class Mixture:
     @property
     def free_runs(self) -> tuple[HeldRun, ...]:
         """Held-out free runs of the mixture."""
+        return self._runs(self.weights)
+
+    @property
+    def lag_runs(self) -> tuple[HeldRun, ...]:
+        """Held-out free runs of first-order lags, which lead where the mixture does not settle."""
+        alone = np.zeros_like(self.weights)
+        alone[MODELS.index("first_order")] = 1.0
+        return self._runs(alone)
+
+    def _runs(self, weights: FloatArray) -> tuple[HeldRun, ...]:
         return tuple(
-            HeldRun(
-                one.steady, one.mixed(self.weights), one.measured, one.piece, one.whole, one.inside
-            )
+            HeldRun(one.steady, one.mixed(weights), one.measured, one.piece, one.whole, one.inside)
             for one in self.held
         )
 

@@ -97,7 +97,9 @@ def calibrate(
     lags = Baselines.from_json(entries["baselines"]).lag.members(calibration.dt_s)
     calibration, certificate, lost = settling(calibration, lags)
     if lost:
-        held = free_runs(calibration, split.validate)
+        # Where only a decay bound was added, the held-out runs without it stand in.
+        lead = calibration.members.members == lags
+        held = (found.held_lags if lead else held) or free_runs(calibration, split.validate)
         calibration = calibration.with_interval(interval_of(held, calibration.output_names))
         entries["training"]["status"] = "; ".join([entries["training"]["status"], *lost])
     entries["training"]["wall_s"] = time.perf_counter() - began

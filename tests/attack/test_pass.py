@@ -50,6 +50,12 @@ WAYS = {
     "N1 a second late": steps("N1_pct", lambda v, _: np.concatenate([np.full(10, v[0]), v[:-10]])),
     "N1 drifts by 3 %": steps("N1_pct", lambda v, t: v + 3.0 * t / t[-1]),
     "N1 noise of 2 %": steps("N1_pct", noise(2.0)),
+    "N1 early by 0.5 s": steps("N1_pct", lambda v, _: np.concatenate([v[5:], np.full(5, v[-1])])),
+    "N1 clipped": steps("N1_pct", lambda v, _: np.minimum(v, np.quantile(v, 0.7))),
+    "N1 swings by 1 %": steps("N1_pct", lambda v, t: v + np.sin(1.2 * t)),
+    "N1 steps by 2 %": steps("N1_pct", lambda v, t: v + 2.0 * (t > t[-1] / 2.0)),
+    "N1 spikes": steps("N1_pct", lambda v, _: v + 15.0 * (np.arange(len(v)) % 70 < 3)),
+    "N1 held for 2 s each": steps("N1_pct", lambda v, _: v[np.arange(len(v)) // 20 * 20]),
     "lever stuck for 60 s": steps(
         "TRA_deg", lambda v, t: np.where((t > 80) & (t < 140), v[800], v)
     ),

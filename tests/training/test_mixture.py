@@ -114,3 +114,10 @@ def test_what_is_stored_says_weights_and_held_out_errors():
     assert one["held_out_rmse"] == pytest.approx({**errors, "mixture": 2.0})
     assert one["held_out_level"] == [2.0, 2.0]
     assert found["held_out"] == ["a", "b"]
+
+
+def test_lags_that_take_the_place_of_a_mixture_have_held_out_runs_of_their_own():
+    errors = np.arange(1.0, len(MODELS) + 1.0)
+    found = mixture(held("a", errors))
+    assert found.free_runs[0].model[0, 0] == pytest.approx(np.mean(errors[:2]))
+    assert found.lag_runs[0].model[0, 0] == errors[MODELS.index("first_order")]
