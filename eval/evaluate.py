@@ -231,7 +231,7 @@ def assess_log(
         untrimmed = score([replace(run, scored_from=until)])
         run = trimmed(run, until, settings.trim)
         events = [event for event in events if event.start >= until]
-    role, shared = _role(bundle, recorded)
+    role, shared = role_of(bundle, recorded)
     scores = score([run])
     return LogEvaluation(
         run=run,
@@ -267,7 +267,7 @@ def overlay_of(run: FreeRun, name: str) -> Overlay:
     return Overlay(run.log.time_s, run.measured, model, run.channels, run.inputs_known)
 
 
-def _role(bundle: Bundle, log: Log) -> tuple[str, Shared | None]:
+def role_of(bundle: Bundle, log: Log) -> tuple[str, Shared | None]:
     """What the bundle did with a log of these samples, under whatever name."""
     known = {(one.log, one.engine): one for one in bundle.record.identities}
     others = (

@@ -47,10 +47,10 @@ from eval.diagnosis.flights import (
 )
 from eval.diagnosis.learned import keep_learned, learn_left_out, learned_by, learned_from
 from eval.diagnosis.page import budget_figure
-from eval.diagnosis.pairs import Pair, check_apart, read_pairs
+from eval.diagnosis.pairs import Pair, check_apart, files_in, read_pairs
 from eval.diagnosis.simulators import Rerun, Simulate, Simulator, open_simulator
 from eval.diagnosis.where import locate
-from eval.evaluate import run_config
+from eval.evaluate import evaluation_logs, role_of, run_config
 from narxcal.calibration.bundle import DOCUMENT, load_bundle
 from narxcal.effects.running import Emulator, with_load
 from narxcal.effects.steady import UnloggedSwitch
@@ -163,11 +163,29 @@ def diagnose_folders(request: Request, progress: Progress = silent) -> Answer:
     if learned is not None and request.build != 1.0:
         warnings.append("what the run gets wrong by itself is learned: --build has no effect")
     differences = Differences(learned, request.build)
-    answer = diagnose_pairs(pairs, held, simulator.again, differences, progress)
+    doubts = not_new(request) if simulator.kind == "bundle" else []
+    answer = diagnose_pairs(pairs, held, simulator.again, differences, progress, doubts=doubts)
     facts = {"simulator": simulator.kind, "wall_s": round(time.perf_counter() - began, 1)}
     quality = {**facts, **answer.document["quality"]}
     quality["warnings"] = [*warnings, *quality["warnings"]]
     return replace(answer, document={**answer.document, "quality": quality})
+
+
+def not_new(request: Request) -> list[str]:
+    """Flights whose samples the run learned from: what it errs by there is not the engine's gap."""
+    bundle = load_bundle(Path(request.sim), trust=request.trust)
+    if not bundle.record.config:
+        return []
+    try:
+        logs = evaluation_logs(bundle, files_in(request.real))
+    except NarxcalError:  # not in the form of the run's own logs
+        return []
+    roles = {log.name: role_of(bundle, log)[0] for log in logs}
+    known = [name for name, role in roles.items() if role in ("train", "validate")]
+    if not known:
+        return []
+    names = ", ".join(known)
+    return [f"the run was trained on samples of {names}: its errors there are no gap of an engine"]
 
 
 def _held_pairs(request: Request) -> list[Pair]:
@@ -200,14 +218,19 @@ def _learned_of(
         return None, [text]
 
 
-def diagnose_pairs(
+def diagnose_pairs(  # noqa: PLR0913 - what is known of the pairs, each part by itself
     pairs: Sequence[Pair],
     held: Sequence[Pair] = (),
     again: Simulate | None = None,
     differences: Differences = ASSUMED,
     progress: Progress = silent,
+    *,
+    doubts: Sequence[str] = (),
 ) -> Answer:
-    """Diagnose pairs that are already read; `held` are flights that take no part."""
+    """Diagnose pairs that are already read; `held` are flights that take no part.
+
+    With `doubts` of the flights the answer is undetermined, and they are its reason.
+    """
     data = batch(pairs)
     check_excitation(data, events_of(data))
     there = in_terms_of(data, batch(held)) if held else None
@@ -217,7 +240,11 @@ def diagnose_pairs(
     itself = None if again is None else Rerun(emulator, again, block_size(pairs[0].dt_s))
     progress(2, _STEPS, "effects")
     found = weighed(
-        record, Engines(emulator, itself), phases_of(data), differences, implausible(data)
+        record,
+        Engines(emulator, itself),
+        phases_of(data),
+        differences,
+        [*doubts, *implausible(data)],
     )
     progress(3, _STEPS, "where, and how far the gap shrinks")
     stand_in: Emulator = itself or emulator
@@ -233,6 +260,7 @@ def diagnose_pairs(
     elif there is not None:
         evidence = _with_held_out(evidence, there, stand_in)
     facts = {**facts_of(pairs, data, held), "core": dict(found.facts)}
+    facts["warnings"] = [*doubts, *facts["warnings"]]
     facts["warnings"] += coarse_emulator(evidence, again=again is not None)
     evidence = replace(evidence, facts=facts)
     return Answer(document(evidence, pairs), found, evidence, emulator)

@@ -66,20 +66,25 @@ def read_folder(folder: Path, config: RunConfig | None = None) -> dict[str, Log]
     Hidden files, which some systems leave beside copied ones, are no logs. A file with several
     engines gives `NAME_ENGINE` for each. Raises `DataError`.
     """
-    if not folder.is_dir():
-        what = "is a file" if folder.exists() else "does not exist"
-        raise DataError(f"the folder of the logs {what}", file=folder)
-    files = sorted(file for file in folder.iterdir() if _is_log(file))
-    if not files:
-        raise DataError("the folder holds no .csv or .csv.gz", file=folder)
     found: dict[str, Log] = {}
-    for file in files:
+    for file in files_in(folder):
         for log in read_logs(file, _reading(file, config)):
             name = _stem(file) + (f"_{log.source.engine}" if log.source.engine else "")
             if name in found:
                 raise DataError("two files have one name", file=file, hint="Remove one of them")
             found[name] = log
     return found
+
+
+def files_in(folder: Path) -> list[Path]:
+    """The logs of a folder, in order of name; raises `DataError` where there are none."""
+    if not folder.is_dir():
+        what = "is a file" if folder.exists() else "does not exist"
+        raise DataError(f"the folder of the logs {what}", file=folder)
+    files = sorted(file for file in folder.iterdir() if _is_log(file))
+    if not files:
+        raise DataError("the folder holds no .csv or .csv.gz", file=folder)
+    return files
 
 
 def pair_up(

@@ -15,6 +15,7 @@ import pandas as pd
 import pytest
 
 from data_prep.reading import read_logs
+from eval.diagnosis.diagnose import Request, not_new
 from narxcal.calibration.bundle import load_bundle, save_bundle
 from narxcal.cli import main
 from narxcal.cli.denoise import usual_channel
@@ -577,3 +578,8 @@ def test_qtg_writes_a_guide_of_the_numbers_of_evaluate(project, narxcal, undrawn
     assert narxcal("qtg", project / "run", "--out", tmp_path / "qtg.html").err == (
         "narxcal: error: the guide is a .pdf file, and --out names qtg.html. Name it qtg.pdf\n"
     )
+
+
+def test_flights_that_a_run_was_trained_on_make_a_diagnosis_undetermined(project):
+    (doubt,) = not_new(Request(project / "flights", str(project / "run")))
+    assert doubt.startswith("the run was trained on samples of flight_1.csv, flight_2.csv: ")
