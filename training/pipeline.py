@@ -50,9 +50,9 @@ from training.records import LEAST_WIDTHS, Split
 from training.redundancy import learn
 from training.steady_fit import SteadyQuality
 
-# Scatter of recordings of a fleet, as a share of the tolerance that level checks allow, with a prior
-# that counts as two recordings: chosen by one flown fleet and seven recorders. With a second fleet
-# 0.35 and 1.4 recordings are the most likely (`python -m eval.bench --fleets`).
+# Scatter of recordings of a fleet, as a share of the tolerance that level checks allow. Its prior
+# counts as two recordings. Chosen by one flown fleet and seven recorders; with a second fleet 0.35
+# and 1.4 recordings are the most likely (`python -m eval.bench --fleets`).
 BETWEEN: Final = 0.4
 
 

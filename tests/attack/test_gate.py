@@ -48,7 +48,8 @@ COMMANDS_OF_RUNS = {
     "diagnose --learn": ("--out", "RUN"),
 }
 OTHERS = {
-    "demo", "prepare", "train", "identify", "crossval", "fly", "reproduce", "benchmark", "blind",
+    "demo", "init", "prepare", "train", "identify", "crossval", "fly", "reproduce", "benchmark",
+    "blind",
 }  # fmt: skip
 
 

@@ -150,12 +150,12 @@ def test_a_log_from_another_air_is_told_by_what_is_unknown(folder, narxcal):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_an_envelope_that_is_no_box_is_told_without_its_inputs(project, narxcal, tmp_path):
+def test_inputs_that_leave_the_ranges_of_a_table_are_named(project, narxcal, tmp_path):
     flight = pd.read_csv(project / "flights/flight_3.csv")
     file = tmp_path / "high.csv"
     flight.assign(ALT_ft=55000.0).to_csv(file, index=False)
     done = narxcal("evaluate", project / "run", "--logs", file, "--out", tmp_path / "ev", "--quiet")
     assert done.err.splitlines()[-1] == (
         "narxcal: warning: high.csv: 100 % of the samples are outside the envelope of the "
-        "steady-state model"
+        "steady-state model (ALT_ft is 55000 to 55000, the envelope -1000 to 40000)"
     )

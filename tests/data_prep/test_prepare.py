@@ -59,7 +59,7 @@ def prepared(name):
     tables = table(name)
     sections = Preparation(
         clean=CleanConfig.parse(tables.get("clean", {})),
-        smooth=SmoothConfig.parse(tables["smooth"]),
+        smooth=SmoothConfig.parse(tables.get("smooth", {})),
     )
     logs = [one.log for one in prepare(recorded(name), sections)]
     return logs, EventsConfig.parse(tables["events"])

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from training.mixture import MODELS, HeldOut, Mixture, weights_of
+from training.mixture import MODELS, HeldOut, Mixture, error_products, weights_of
 
 
 def products(*pieces, correlation=0.5):
@@ -44,6 +44,32 @@ def test_every_piece_counts_alike_however_large_its_errors_are():
     """The second model is best on two pieces, the first on one with errors of a hundred."""
     found = weights_of(products([1.0, 0.5], [1.0, 0.5], [100.0, 200.0]))
     assert found[1] > found[0]
+
+
+def test_a_slow_error_that_all_models_share_changes_no_weight():
+    """As that of their steady state, larger than what they differ by."""
+    rng, time_s, dt_s = np.random.default_rng(0), np.arange(0.0, 3600.0, 0.5), 0.5
+    shared = 2.5 * np.sin(2.0 * np.pi * time_s / 1800.0)[:, None]
+    size = np.linspace(0.5, 1.5, len(MODELS))[:, None, None]
+    models = size * rng.normal(size=(len(MODELS), len(time_s), 1))
+
+    def weights(error):
+        known = np.ones(len(time_s), dtype=bool)
+        measured = error + np.zeros((len(time_s), 1))
+        held = HeldOut(
+            "a",
+            "a",
+            "a",
+            whole=True,
+            models=models,
+            steady=measured,
+            measured=measured,
+            inside=known,
+            dt_s=dt_s,
+        )
+        return weights_of(error_products([held], 0))
+
+    np.testing.assert_allclose(weights(shared), weights(0.0), atol=0.02)
 
 
 def test_a_model_without_a_free_run_has_no_weight():
