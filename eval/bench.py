@@ -24,6 +24,7 @@ from eval.benchmarks import (
     faults,
     fleets,
     flights,
+    priors,
     public_sets,
     recorders,
     speed,
@@ -31,7 +32,9 @@ from eval.benchmarks import (
     virtual_engine,
 )
 from eval.terminal import plain_table
+from narxcal.support.errors import NarxcalError
 from narxcal.support.files import to_json, versions
+from training.redundancy import Priors
 
 SCHEMA = "narxcal.bench/1"
 _SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
@@ -88,6 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             recorders.rows(
                 options.recorders.resolve(),
                 options.sets,
+                _priors(options.recorders.resolve()),
                 leave_out=options.leave_out,
                 screening_only=options.screening_only,
             )
@@ -103,6 +107,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         show(Console(), found, document)
     return 0
+
+
+def _priors(data: Path) -> dict[str, Priors]:
+    """Priors of screening for each recorder by the others; shipped ones where any is missing."""
+    try:
+        return priors.without_each(data)
+    except NarxcalError:
+        return {}
 
 
 def _short(data: Path, seed: int) -> list[Row]:

@@ -18,8 +18,6 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.stats import norm as normal
 from scipy.stats import t as student
 
 from narxcal.atmosphere import KELVIN
@@ -126,76 +124,6 @@ def _allowed(seen: FloatArray, prior: float, outputs: int) -> float | None:
     square = (PRIOR_LOGS * prior**2 + np.sum(seen**2)) / (PRIOR_LOGS + len(seen))
     tail = float(student.isf(0.5 * _FALSE_ALARMS / outputs, PRIOR_LOGS + len(seen) - 1.0))
     return tail * float(np.sqrt(square))
-
-
-# Scatter between logs of one engine, set in view of real recorders and drawn engines, not fitted
-# without the judged one: median over recorders of levels by unit, as a share, and of delays;
-# standard deviations of logarithms from recorder to recorder, and between its channels.
-_MEDIAN = {"%": 0.005, "degC": 0.008, "kg/h": 0.015}
-_MEDIAN_OTHER, DELAY_MEDIAN_S, _RECORDERS, _CHANNELS = 0.01, 0.15, 1.3, 0.6
-_GRID = np.linspace(-6.0, 6.0, 97)
-
-
-@dataclass(frozen=True)
-class Scatter:
-    """What is known of the level u of one more log against n others, by those of each of these.
-
-    With x ~ N(mean, s^2) of each log and u = x - mean of the others, u of one more log has the
-    variance s^2 (1 + 1 / n), and those u_i that were seen, of logs left out in turn, show s with
-    n - 1 degrees of freedom: sum (x_i - mean)^2 = ((n - 1) / n)^2 sum (u_i - mean u)^2. With
-
-        ln s_c = ln m_c + a + b_c,   a ~ N(0, h^2) of the recorder,   b_c ~ N(0, g^2)
-
-    with m, h and g of a prior; the other channels show a, too. s_c is known to its
-    posterior distribution on a grid, and u is a mixture of normals.
-    """
-
-    sizes: FloatArray
-    weights: FloatArray
-
-    @classmethod
-    def of(cls, seen: Mapping[str, tuple[float, Sequence[float]]]) -> dict[str, Scatter]:
-        """Posteriors by channel; `seen` is channel -> (m, levels of the other logs, finite)."""
-        between = np.exp(-0.5 * ((_GRID[:, None] - _GRID[None, :]) / _CHANNELS) ** 2)
-        recorder = np.exp(-0.5 * (_GRID / _RECORDERS) ** 2)
-        own = {name: _likelihood(median, levels) for name, (median, levels) in seen.items()}
-        shown = {name: between @ each for name, each in own.items()}
-        found = {}
-        for name, (median, levels) in seen.items():
-            others = [each for other, each in shown.items() if other != name]
-            weights = own[name] * (
-                between @ (recorder * np.prod([np.ones(len(_GRID)), *others], axis=0))
-            )
-            widened = np.sqrt(1.0 + 1.0 / max(len(levels), 1))
-            found[name] = cls(median * np.exp(_GRID) * widened, weights / weights.sum())
-        return found
-
-    def tail(self, size: float) -> float:
-        """Probability of a level beyond `size`, of either sign."""
-        return float(self.weights @ (2.0 * normal.sf(abs(size) / self.sizes)))
-
-    def log_density(self, level: float) -> float:
-        """Logarithm of the probability density of a level."""
-        each = np.exp(-0.5 * (level / self.sizes) ** 2) / (np.sqrt(2.0 * np.pi) * self.sizes)
-        return float(np.log(self.weights @ each + 1e-300))
-
-    def limit(self, share: float) -> float:
-        """Size beyond which a level is with probability `share`."""
-        low, high = np.log(self.sizes[0]) - 5.0, np.log(self.sizes[-1]) + 5.0
-        return float(np.exp(brentq(lambda x: self.tail(np.exp(x)) - share, low, high)))
-
-
-def _likelihood(median: float, levels: Sequence[float]) -> FloatArray:
-    """Likelihood of the scatters m exp(grid) by `levels`, up to a factor."""
-    n, u = max(len(levels), 1), np.asarray(levels, dtype=np.float64)
-    square = ((n - 1) / n) ** 2 * float(np.sum((u - u.mean()) ** 2)) if len(u) else 0.0
-    log = -(n - 1) * _GRID - 0.5 * square / (median * np.exp(_GRID)) ** 2
-    return np.asarray(np.exp(log - log.max()))
-
-
-def level_median(name: str) -> float:
-    """Median over recorders of the scatter of the levels of channel `name`, as a share."""
-    return _MEDIAN.get(CHANNELS[name].unit if name in CHANNELS else "", _MEDIAN_OTHER)
 
 
 def words(check: LevelCheck) -> str:

@@ -33,16 +33,9 @@ from narxcal.steady.model import ALTERED
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray, bridge_gaps, noise_level
 from narxcal.support.errors import ModelError
 from narxcal.support.settings import read_stored
-from training.levels import (
-    DELAY_MEDIAN_S,
-    DELAY_STEP_S,
-    PRIOR_LOGS,
-    Scatter,
-    block_means,
-    delays_between,
-    level_median,
-)
-from training.steps import BLOCK_S, Blocks, heights, limits
+from training.levels import DELAY_STEP_S, PRIOR_LOGS, block_means, delays_between
+from training.scatter import Scatter, ScatterPrior
+from training.steps import BLOCK_S, Blocks, StepPrior, heights
 
 STEP_S = 1.0
 _LEAST_STEPS = 10  # of a log; fewer show no relation of channels
@@ -53,6 +46,17 @@ MOST_FOLDS = 6
 _ENGINE = frozenset({"output", "lever"})
 
 Values = Mapping[str, FloatArray]
+
+
+@dataclass(frozen=True)
+class Priors:
+    """What is known of a recorder before its logs: scatter of levels and delays, steps."""
+
+    scatter: ScatterPrior = field(default_factory=ScatterPrior)
+    steps: StepPrior = field(default_factory=StepPrior)
+
+
+PRIORS = Priors()
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +152,7 @@ class Bank:
     | `noise`, `updates` | largest noise level, and update interval in s, of each channel |
     | `logs` | number of recordings of one engine |
     | `used` | the channels that the model uses |
+    | `priors` | what sound logs show in general; not stored, it is that of the version |
     """
 
     channels: tuple[str, ...]
@@ -166,10 +171,15 @@ class Bank:
     updates: Mapping[str, float] = field(default_factory=dict)
     logs: int = 0
     used: tuple[str, ...] = ()
+    priors: Priors = PRIORS
 
     def to_json(self) -> dict[str, Any]:
         """For the bundle's document."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return {name: getattr(self, name) for name in self._stored()}
+
+    @classmethod
+    def _stored(cls) -> list[str]:
+        return [name for name in cls.__dataclass_fields__ if name != "priors"]
 
     @classmethod
     def from_json(cls, stored: Mapping[str, Any]) -> Self:
@@ -180,8 +190,9 @@ class Bank:
         """
         if "steps" not in stored and "wander" in stored:
             stored = {**stored, "level": {}, "late": {}, "steps": {}, "delays": {}}
-        found = read_stored(cls, stored, "redundancy")
-        lacking = [name for name in cls.__dataclass_fields__ if name not in stored]
+        known = {name: stored[name] for name in cls._stored() if name in stored}
+        found = read_stored(cls, known, "redundancy")
+        lacking = [name for name in cls._stored() if name not in stored]
         if lacking:
             raise ModelError(f"the part 'redundancy' has no '{lacking[0]}'", hint=ALTERED)
         if not found.complete:
@@ -222,23 +233,26 @@ class Bank:
     @cached_property
     def scatter(self) -> dict[str, Scatter]:
         """What is known of the level of one more log in each channel."""
-        measured = [name for name in self.channels if is_measured(name)]
-        return Scatter.of(
-            {name: (level_median(name), self.level.get(name, ())) for name in measured}
+        return self.priors.scatter.of_levels(
+            {name: self.level.get(name, ()) for name in self.channels if is_measured(name)}
         )
 
     @cached_property
     def late_scatter(self) -> dict[str, Scatter]:
         """What is known of the delay of each channel in one more log."""
-        return Scatter.of(
-            {name: (DELAY_MEDIAN_S, self.late.get(name, ())) for name in self.channels}
+        return self.priors.scatter.of_delays(
+            {name: self.late.get(name, ()) for name in self.channels}
         )
+
+    @cached_property
+    def heights(self) -> dict[str, dict[int, Sequence[float]]]:
+        """Channel -> octave -> heights of the strongest steps of left-out logs."""
+        measured = [name for name in self.channels if is_measured(name)]
+        return {n: {int(k): each for k, each in self.steps.get(n, {}).items()} for n in measured}
 
     def step_limits(self, share: float) -> dict[str, dict[int, float]]:
         """Channel -> octave -> height of a step that one more log exceeds with `share`."""
-        measured = [name for name in self.channels if is_measured(name)]
-        seen = {n: {int(k): each for k, each in self.steps.get(n, {}).items()} for n in measured}
-        return limits(seen, share)
+        return self.priors.steps.limits(self.heights, share)
 
     def lateness(self, found: Mapping[tuple[str, str], float], name: str) -> float:
         """By how much a channel is later than usual in s, as others agree; NaN of fewer than 2."""
@@ -394,14 +408,14 @@ def blocks_of(found: Residuals, name: str) -> Blocks:
     return Blocks(time_s, _middle(list(r[known].T)))
 
 
-def learn(logs: Sequence[Log], channels: Sequence[str]) -> Bank | None:
+def learn(logs: Sequence[Log], channels: Sequence[str], priors: Priors = PRIORS) -> Bank | None:
     """Fit the bank to the engine channels that most of the prepared logs record.
 
     `channels` are those of the model: the others support the comparison, and no fault of them is
     reported. None where there are fewer than two. Each log is left out once to measure what is
     left, of many logs groups of them; a single log is cut into halves.
     """
-    return Pool.of(logs).bank(channels)
+    return Pool.of(logs, priors).bank(channels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -432,7 +446,7 @@ class Pool:
     parts: tuple[_Part | None, ...]  # None for a log without information
 
     @classmethod
-    def of(cls, logs: Sequence[Log]) -> Self:
+    def of(cls, logs: Sequence[Log], priors: Priors = PRIORS) -> Self:
         """Prepare what does not depend on which logs are left out."""
         usable = [_is_informative(log) for log in logs]
         known = [log for log, one in zip(logs, usable, strict=True) if one]
@@ -440,6 +454,7 @@ class Pool:
         if len(names) < 2:
             return cls(Bank((), {}, {}, {}, {}, {}, {}), (None,) * len(logs))
         scaling, designs = _scaled([Signals.of(log) for log in known], names)
+        scaling = replace(scaling, priors=priors)
         found = iter(_parts(scaling, known, designs))
         return cls(scaling, tuple(next(found) if one else None for one in usable))
 

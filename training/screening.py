@@ -29,9 +29,11 @@ from narxcal.support.arrays import BoolArray, FloatArray, spans
 from training.redundancy import (
     AIR,
     MOST_FOLDS,
+    PRIORS,
     STRETCHES,
     Bank,
     Pool,
+    Priors,
     Residuals,
     Signals,
     agreement,
@@ -98,7 +100,9 @@ def masked(log: Log) -> Log:
     return log.with_channels(changed, *entries) if changed else log
 
 
-def by_each_other(logs: Sequence[Log], channels: Sequence[str]) -> list[Log]:
+def by_each_other(
+    logs: Sequence[Log], channels: Sequence[str], priors: Priors = PRIORS
+) -> list[Log]:
     """Return prepared training logs with the findings that the other recordings show.
 
     `channels` are those of the model. A recording is a file, of many a group is left out at a time;
@@ -108,7 +112,7 @@ def by_each_other(logs: Sequence[Log], channels: Sequence[str]) -> list[Log]:
     found, groups = list(logs), _groups(logs)
     for _ in range(2):
         known = [masked(log) for log in found]
-        after, pool = list(found), Pool.of(known)
+        after, pool = list(found), Pool.of(known, priors)
         for own in groups:
             bank = pool.bank(channels, own if len(groups) > 1 else ())
             for k, log in zip(own, screened(bank, [logs[k] for k in own]), strict=True):

@@ -41,7 +41,7 @@ _NOT_MONOTONE = 0.8  # of the residual that a monotone curve leaves
 _USUAL = SteadyFitConfig()
 _ROWS = 20000  # more quasi-steady samples than this tell nothing new
 # Standard deviation of the exponents of theta and delta from those of similarity, by the unit of
-# the output, as of the recorders that fly: `python -m eval.benchmarks.exponents` leaves one out in
+# the output, as of the recorders that fly: `python -m eval.benchmarks.priors` leaves one out in
 # turn. Without a prior its estimates are several times as large, and differ as much in sign.
 SPREADS: Final = {"%": (0.06, 0.03), "degC": (0.12, 0.065)}
 _NEAR: Final = 0.15  # of the driver's range: curves may still bend so far beyond the samples

@@ -24,6 +24,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import gammaln
 from scipy.stats import t as student
 
 from narxcal.support.arrays import FloatArray, IntArray
@@ -51,33 +52,64 @@ class Step:
     height: float
 
 
-# Prior of ln h over recorders: median of h at k = 0 and from octave to octave, sqrt(v_0), d and p.
-# Set in view of the recorders and drawn engines at hand, as those of `training.levels.Scatter`.
-_MEDIAN, _PER_OCTAVE, _SPREAD, _DOF, _PRIOR_LOGS = 0.015, 0.72, 0.6, 6.0, 0.15
-
-
 Seen = Mapping[int, Sequence[float]]  # octave -> largest heights of logs with such lengths
 
 
-def limits(seen: Mapping[str, Seen], share: float) -> dict[str, dict[int, float]]:
-    """Channel -> octave -> height that one more sound log exceeds with the probability `share`."""
-    logs = {
+@dataclass(frozen=True)
+class StepPrior:
+    """Prior of ln h over recorders: m at k = 0 and its factor per octave, sqrt(v_0), d and p.
+
+    The values are most likely on the recorders of ../shared (`python -m eval.benchmarks.priors`,
+    which also leaves each of them out).
+    """
+
+    median: float = 0.026
+    per_octave: float = 0.81
+    spread: float = 0.65
+    dof: float = 4.2
+    logs: float = 0.34
+
+    def limits(self, seen: Mapping[str, Seen], share: float) -> dict[str, dict[int, float]]:
+        """Channel -> octave -> height that one more sound log exceeds with probability `share`."""
+        logs = _logarithms(seen)
+        total, dof = self.dof * self.spread**2, self.dof
+        for own in filter(None, logs.values()):
+            total += float(np.mean([np.sum((x - x.mean()) ** 2) for x in own.values()]))
+            dof += float(np.mean([len(x) - 1.0 for x in own.values()]))
+        tail = float(student.isf(share, dof)) * np.sqrt(total / dof)
+        return {
+            name: {k: self._limit(k, x, tail) for k, x in own.items()} for name, own in logs.items()
+        }
+
+    def log_evidence(self, seen: Mapping[str, Seen]) -> float:
+        """Logarithm of the probability density of what one recorder shows, up to a constant."""
+        count, square, log = 0.0, 0.0, 0.0
+        for own in filter(None, _logarithms(seen).values()):
+            n = np.array([len(x) for x in own.values()])
+            off = np.array([x.mean() - self._log_median(k) for k, x in own.items()])
+            within = np.array([np.sum((x - x.mean()) ** 2) for x in own.values()])
+            count += float(n.mean())
+            square += float(np.mean(within + n * self.logs / (n + self.logs) * off**2))
+            log += float(np.mean(0.5 * np.log(self.logs / (self.logs + n))))
+        prior = self.dof * self.spread**2
+        log += float(gammaln(0.5 * (self.dof + count)) - gammaln(0.5 * self.dof))
+        log += 0.5 * self.dof * np.log(prior)
+        return float(log - 0.5 * (self.dof + count) * np.log(prior + square))
+
+    def _limit(self, k: int, x: FloatArray, tail: float) -> float:
+        weight = self.logs + len(x)
+        centre = (self.logs * self._log_median(k) + x.sum()) / weight
+        return float(np.exp(centre + tail * np.sqrt(1.0 + 1.0 / weight)))
+
+    def _log_median(self, k: int) -> float:
+        return float(np.log(self.median) + k * np.log(self.per_octave))
+
+
+def _logarithms(seen: Mapping[str, Seen]) -> dict[str, dict[int, FloatArray]]:
+    return {
         name: {k: np.log(np.maximum(each, 1e-9)) for k, each in own.items()}
         for name, own in seen.items()
     }
-    total, dof = _DOF * _SPREAD**2, _DOF
-    for own in logs.values():
-        if own:
-            total += float(np.mean([np.sum((x - x.mean()) ** 2) for x in own.values()]))
-            dof += float(np.mean([len(x) - 1.0 for x in own.values()]))
-    tail = float(student.isf(share, dof)) * np.sqrt(total / dof)
-    return {name: {k: _limit(k, x, tail) for k, x in own.items()} for name, own in logs.items()}
-
-
-def _limit(k: int, x: FloatArray, tail: float) -> float:
-    weight = _PRIOR_LOGS + len(x)
-    centre = (_PRIOR_LOGS * np.log(_MEDIAN * _PER_OCTAVE**k) + x.sum()) / weight
-    return float(np.exp(centre + tail * np.sqrt(1.0 + 1.0 / weight)))
 
 
 def heights(blocks: Blocks) -> dict[int, float]:

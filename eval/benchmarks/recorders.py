@@ -33,7 +33,7 @@ from narxcal.support.errors import NarxcalError
 from training.config import RunConfig, load_config
 from training.pipeline import calibrate
 from training.records import Split
-from training.redundancy import learn
+from training.redundancy import PRIORS, Priors, learn
 from training.screening import by_each_other, masked, screened
 
 SETS: Final = ("citation", "a321", "jetcat", "test_cell", "micro_gas_turbine", "agtf30")
@@ -134,13 +134,15 @@ class Figure:
         return self.rmse / self.best
 
 
-def screening(recorder: Recorder, train: Sequence[Log], judged: Sequence[Log]) -> list[Screened]:
+def screening(
+    recorder: Recorder, train: Sequence[Log], judged: Sequence[Log], priors: Priors = PRIORS
+) -> list[Screened]:
     """What is masked and accused in the logs of one division, without any training."""
     config = recorder.config
     raw = [one.log for one in prepare(train, config)]
     names = (*config.narx.outputs, *config.steady_state.inputs)
-    training = by_each_other(raw, names)
-    bank = learn([masked(log) for log in training], names)
+    training = by_each_other(raw, names, priors)
+    bank = learn([masked(log) for log in training], names, priors)
     others = screened(bank, [one.log for one in prepare(judged, config)])
     return [_screened(log, names) for log in (*training, *others)]
 
@@ -223,9 +225,17 @@ def _figures(found: Evaluation) -> Iterator[Figure]:
 
 
 def rows(
-    data: Path, sets: Sequence[str] = SETS, *, leave_out: bool = False, screening_only: bool = False
+    data: Path,
+    sets: Sequence[str] = SETS,
+    priors: Mapping[str, Priors] | None = None,
+    *,
+    leave_out: bool = False,
+    screening_only: bool = False,
 ) -> Iterator[Row]:
-    """Measure the sets whose files are there, then all of them together."""
+    """Measure the sets whose files are there, then all of them together.
+
+    `priors` are those of screening for each set; trained models have the shipped ones.
+    """
     figures: list[Figure] = []
     seen: list[Screened] = []
     for name in sets:
@@ -237,7 +247,7 @@ def rows(
         own: list[Figure] = []
         checked: list[Screened] = []
         for recording, train, judged in recorder.divisions(leave_out=leave_out):
-            checked += screening(recorder, train, judged)
+            checked += screening(recorder, train, judged, (priors or {}).get(name, PRIORS))
             if not screening_only:
                 part = trained(recorder, train, judged)
                 yield from (_row(name, recording, one) for one in part)

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import t as student
 
 from narxcal.calibration.run_record import MixtureChannel
-from training.levels import PRIOR_LOGS, Scatter, checks, lag_of, level_of, prior_scatter
+from training.levels import PRIOR_LOGS, checks, lag_of, level_of, prior_scatter
 
 DT_S = 0.1
 TIME_S = DT_S * np.arange(6000)
@@ -82,35 +82,3 @@ def test_false_alarms_are_as_rare_as_promised():
         found = checks(stored, NAMES, (part + own, part), 50 * DT_S)
         alarms += any(each.ok is False for each in found)
     assert alarms <= 15
-
-
-def test_a_limit_is_where_the_tail_is_as_large_as_stated():
-    known = Scatter.of({"N1_pct": (0.005, [0.002, -0.001]), "EGT_C": (0.008, [])})
-    for each in known.values():
-        for share in (0.3, 1e-2, 1e-4):
-            assert each.tail(each.limit(share)) == pytest.approx(share, rel=1e-6)
-    assert known["N1_pct"].limit(1e-3) < known["EGT_C"].limit(1e-3)
-
-
-def test_other_channels_of_a_quiet_recorder_narrow_a_limit():
-    alone = Scatter.of({"EGT_C": (0.008, [])})["EGT_C"]
-    quiet = {f"{k}": (0.005, [2e-4, -1e-4, -1e-4]) for k in range(3)}
-    assert Scatter.of({"EGT_C": (0.008, []), **quiet})["EGT_C"].limit(1e-3) < 0.3 * alone.limit(
-        1e-3
-    )
-
-
-def test_levels_of_one_more_log_exceed_limits_at_the_stated_rate():
-    """Levels of logs of recorders whose scatter is drawn from the prior, two channels each."""
-    draw, above = np.random.default_rng(4), []
-    for _ in range(300):
-        recorder = 1.3 * draw.standard_normal()
-        seen, last = {}, {}
-        for name in ("a", "b"):
-            size = 0.01 * np.exp(recorder + 0.6 * draw.standard_normal())
-            x = size * draw.standard_normal(4)
-            levels = [x[k] - np.mean(np.delete(x[:3], k)) for k in range(3)]
-            seen[name], last[name] = (0.01, levels), x[3] - np.mean(x[:3])
-        known = Scatter.of(seen)
-        above += [abs(last[name]) > known[name].limit(0.02) for name in seen]
-    assert np.mean(above) == pytest.approx(0.02, abs=0.008)

@@ -9,8 +9,12 @@ from scipy.signal import lfilter
 
 from data_prep.log import Log, Source
 from data_prep.plausibility import checked
+from data_prep.prepare import prepare
+from data_prep.reading import read_logs
 from narxcal.atmosphere import KELVIN
 from narxcal.support.errors import ModelError
+from training.config import load_config
+from training.pipeline import configured_files
 from training.redundancy import Bank, Pool, agreement, learn, robust_weights
 from training.screening import by_each_other, masked, screened
 
@@ -216,6 +220,19 @@ def test_training_logs_are_masked_by_what_they_show_against_themselves(count):
     assert lost[0] == pytest.approx(0.0, abs=12.0)
     assert lost[-1] == pytest.approx(300.0, abs=12.0)
     assert all(masked(log) is log for log in found[1:])
+
+
+@pytest.mark.slow
+def test_of_two_engines_of_one_real_flight_neither_is_masked():
+    """The only bank for each is that of the other, which knows one build and one day."""
+    config, base = load_config("citation2")
+    if not (base / config.logs.folder).is_dir():
+        pytest.skip("the shared recordings are not beside this checkout")
+    files = [each for each in configured_files(config, base) if "flight1" in each.name]
+    logs = [one.log for one in prepare(read_logs(files, config.logs), config)]
+    found = by_each_other(logs, (*config.narx.outputs, *config.steady_state.inputs))
+    assert len(found) == 2
+    assert all(masked(log) is log for log in found)
 
 
 def slow_model(pool, target, source, kept):

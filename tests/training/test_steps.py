@@ -1,11 +1,21 @@
 """Stretches of a residual: their heights, the strongest of them, and limits at the stated rate."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from training.steps import BLOCK_S, LEAST_STRETCH_S, Blocks, heights, limits, octave, strongest_step
+from training.steps import (
+    BLOCK_S,
+    LEAST_STRETCH_S,
+    Blocks,
+    StepPrior,
+    heights,
+    octave,
+    strongest_step,
+)
 
 LEAST = round(LEAST_STRETCH_S / BLOCK_S)
 
@@ -53,18 +63,36 @@ def test_too_short_a_log_has_no_stretch():
     assert strongest_step(blocks(np.zeros(5)), {0: 1.0}).excess == 0.0
 
 
-def test_sound_logs_exceed_the_limits_at_the_stated_rate_at_most():
+PRIOR = StepPrior(0.015, 0.72, 0.6, 6.0, 0.15)
+
+
+def drawn(draw, prior, logs):
     """Heights of logs of one engine, whose mean and scatter are drawn from the prior."""
+    variance = prior.dof * prior.spread**2 / draw.chisquare(prior.dof)
+    mean = np.log(prior.median) + np.sqrt(variance / prior.logs) * draw.standard_normal()
+    return np.exp(mean + np.sqrt(variance) * draw.standard_normal(logs)).tolist()
+
+
+def test_sound_logs_exceed_the_limits_at_the_stated_rate_at_most():
     draw, share, above = np.random.default_rng(3), 0.02, []
     for _ in range(3000):
-        variance = 6.0 * 0.6**2 / draw.chisquare(6.0)
-        mean = np.log(0.015) + np.sqrt(variance / 0.15) * draw.standard_normal()
-        x = np.exp(mean + np.sqrt(variance) * draw.standard_normal(4))
-        above.append(x[3] > limits({"a": {0: x[:3].tolist()}}, share)["a"][0])
+        *known, last = drawn(draw, PRIOR, 4)
+        above.append(last > PRIOR.limits({"a": {0: known}}, share)["a"][0])
     assert np.mean(above) == pytest.approx(share, abs=0.008)
 
 
+@pytest.mark.parametrize("off", [{"median": 0.15}, {"spread": 1.8}, {"logs": 3.0}])
+def test_the_evidence_is_largest_near_the_prior_that_was_drawn_from(off):
+    draw = np.random.default_rng(9)
+    seen = [{"a": {0: drawn(draw, PRIOR, 6)}} for _ in range(60)]
+
+    def evidence(prior):
+        return sum(prior.log_evidence(each) for each in seen)
+
+    assert evidence(PRIOR) > evidence(replace(PRIOR, **off)) + 3.0
+
+
 def test_limits_fall_with_the_logs_that_they_are_known_from_and_with_the_length():
-    few, many = (limits({"a": {0: [0.02] * n, 3: [0.01] * n}}, 1e-3)["a"] for n in (2, 20))
+    few, many = (PRIOR.limits({"a": {0: [0.02] * n, 3: [0.01] * n}}, 1e-3)["a"] for n in (2, 20))
     assert few[0] > many[0] > 0.02
     assert many[3] == pytest.approx(0.5 * many[0], rel=0.02)
