@@ -78,7 +78,7 @@ $(DEMO): $(VENV)/.pip pyproject.toml
 	@touch $@
 
 $(STAMP): $(VENV)/.pip pyproject.toml
-	$(PIP) --build-constraint constraints.txt -e '.[parquet,hdf5,excel,mdf,fmu,export]' --group dev
+	$(PIP) --build-constraint constraints.txt -e '.[parquet,hdf5,excel,mdf,fmu,export,fleet]' --group dev
 	@touch $(DEMO) $@
 
 # Opens the pages in the tests, and only there; where it cannot be had, those tests are skipped.

@@ -478,12 +478,13 @@ EMULATOR = {
 COMMANDS = (
     "demo", "prepare", "train", "identify", "evaluate", "compare", "crossval", "replay",
     "simulate", "info", "denoise", "fly", "reproduce", "export", "benchmark", "diagnose", "blind",
+    "fleet",
 )  # fmt: skip
 OPTIONS = (
     "--out", "--overwrite", "--trust", "--json", "--quiet", "--data", "--logs", "--trim",
     "--engine", "--seed", "--flights", "--jobs", "--config", "--effects", "--nodes",
     "--tolerance", "--max-rows", "--timeout", "--method", "--real", "--sim", "--learn", "--cases",
-    "--help", "--", "-", "-x", "--resume",
+    "--help", "--", "-", "-x", "--resume", "--workers", "--scheduler",
 )  # fmt: skip
 
 

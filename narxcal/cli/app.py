@@ -38,6 +38,7 @@ COMMANDS = {
     "train": "Calibrate a model. Ctrl-C keeps the best network so far and ends well.",
     "identify": "Calibrate by another method: output error, responses, subspace, static law.",
     "evaluate": "Judge a model in free run over whole logs, and its Ti and Tt.",
+    "fleet": "Evaluate many logs into a dataset; goes on where it was interrupted.",
     "compare": "Compare runs on the same held-out rows: one table, what is significant.",
     "qtg": "The qualification test guide: one sheet a test, as a PDF for an authority.",
     "crossval": "Leave one flight out, and ten random 7:3 splits by event.",
@@ -142,19 +143,32 @@ def _run(options: argparse.Namespace) -> int:
     logging.getLogger("narxcal").addHandler(warnings)
     try:
         module = import_module(f"narxcal.cli.{options.command}")
-        with _alone(_output(module, options)):
+        with _alone(_output(module, options)), _cluster(options):
             code: int = module.run(options, console)
     finally:
         logging.getLogger("narxcal").removeHandler(warnings)
     return code
 
 
+@contextmanager
+def _cluster(options: argparse.Namespace) -> Iterator[None]:
+    """Compute on the cluster of --scheduler or --workers, where the command has them."""
+    where = getattr(options, "scheduler", None), getattr(options, "workers", None)
+    if where == (None, None):
+        yield
+        return
+    from narxcal.support.parallel import cluster  # noqa: PLC0415 -- help does not wait for joblib
+
+    with cluster(*where):
+        yield
+
+
 def _output(module: ModuleType, options: argparse.Namespace) -> Path | None:
     """Where a command writes: --out, or its own default place."""
-    out: Path | None = getattr(options, "out", None)
+    out = getattr(options, "out", None)
     if out is None and hasattr(module, "default_output"):
         out = module.default_output(options)
-    return out
+    return out if isinstance(out, Path) else None  # what is not of this machine can't be locked
 
 
 @contextmanager

@@ -10,7 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import rich.console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.progress import Progress as Bar
 from rich.table import Table
 from rich.text import Text
@@ -20,8 +27,7 @@ from narxcal.support.files import STDOUT, to_json
 from narxcal.support.progress import Progress, silent
 
 WIDTH = 80
-
-# Called with the steps done, the number of steps, and a note.
+_RATE_OVER_S = 600.0  # a batch of a fleet takes minutes
 
 
 @dataclass(frozen=True)
@@ -94,10 +100,12 @@ class Console:
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
+            _Rate(),
             TimeRemainingColumn(),
         )
         shown = rich.console.Console(stderr=True)
-        with Bar(*columns, console=shown, transient=True) as bar:
+        period_s = _RATE_OVER_S
+        with Bar(*columns, console=shown, transient=True, speed_estimate_period=period_s) as bar:
             task = bar.add_task(what, total=None)
 
             def advance(done: int, total: int, note: str = "") -> None:
@@ -112,6 +120,16 @@ class Console:
         found = _Stdout(highlight=False, markup=False, quiet=self.silent)
         found.width = min(WIDTH, found.width)
         return found
+
+
+class _Rate(ProgressColumn):
+    """Steps per second, or seconds per step."""
+
+    def render(self, task: Task) -> Text:
+        speed = task.finished_speed or task.speed
+        if not speed:
+            return Text("")
+        return Text(f"{speed:.3g}/s" if speed >= 1.0 else f"{1.0 / speed:.3g} s each")
 
 
 class _Stdout(rich.console.Console):

@@ -26,6 +26,12 @@ def path(text: str) -> Path:
     return Path(text)
 
 
+def address(text: str) -> Path | str:
+    """Folder of this machine as a path, any other fsspec address as it is."""
+    plain = text.removeprefix("file://")
+    return plain if "://" in plain else path(plain).absolute()
+
+
 def fraction(text: str) -> float:
     """Fraction from 0 to 0.9, as `--trim` takes it: the rest has to be long enough to score."""
     value = _number(text)
@@ -135,9 +141,16 @@ def add_overwrite(parser: ArgumentParser) -> None:
 
 
 def add_jobs(parser: ArgumentParser, what: str) -> None:
-    """--jobs: how many of `what` at a time."""
+    """--jobs: how many of `what` at a time; --workers and --scheduler: on a Dask cluster."""
     parser.add_argument(
         "--jobs", metavar="N", type=count, default=os.cpu_count() or 1, help=f"{what} at a time"
+    )
+    place = parser.add_mutually_exclusive_group()
+    place.add_argument(
+        "--workers", metavar="N", type=count, help=f"{what} on N new Dask workers of this machine"
+    )
+    place.add_argument(
+        "--scheduler", metavar="ADDRESS", help=f"{what} on the cluster of a Dask scheduler"
     )
 
 

@@ -1,17 +1,50 @@
-"""The same function over many items, in processes of one thread each."""
+"""The same function over many items, in processes of one thread each: here, or on a Dask cluster.
+
+`in_processes` is the one place. In the block of `cluster` it submits to the workers of that
+cluster, at most `_AHEAD` items per worker at a time, so that scheduler and client hold as little
+for 10^5 items as for ten. Dask does the rest: it gives the item of a worker that died to another.
+
+Joblib's Dask backend is not used: an item at which four workers die is never reported to joblib
+1.6, which waits for it for ever.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import signal
 import warnings
-from typing import TYPE_CHECKING, TypeVar
+from concurrent.futures import CancelledError
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from joblib import Parallel, delayed, parallel_config
+
+from narxcal.support.errors import ConfigError, NarxcalError
+from narxcal.support.files import versions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
 S = TypeVar("S")
 T = TypeVar("T")
+
+_AHEAD = 2  # items per worker that wait there, so that no worker waits for the client
+_FLOORS = ("narxcal", "data_prep", "training", "eval")
+
+
+class WorkerDied(NarxcalError):  # noqa: N818 -- an event, as KeyboardInterrupt
+    """Several workers, one after the other, ended while they computed `item`, or had it waiting."""
+
+    def __init__(self, item: Any, problem: str) -> None:
+        self.item = item
+        hint = "Give the workers more memory, or leave out what they died of"
+        super().__init__(problem, hint=hint)
 
 
 def in_processes(
@@ -22,7 +55,14 @@ def in_processes(
     In the order of the items, or as they come where `ordered` is false. `function` has to be one
     of a module, or a partial of one, and what it raises is raised here. One job needs no process.
     A caller that stops early stops the processes without a word.
+
+    In a block of `cluster` its workers compute, whatever `jobs` is. Then raises `WorkerDied`, and
+    `ConfigError` for a scheduler that went away and for a worker of another version.
     """
+    used = _cluster.get()
+    if used is not None:
+        yield from _on_workers(used, function, items, ordered=ordered)
+        return
     if jobs == 1:
         yield from map(function, items)
         return
@@ -37,3 +77,210 @@ def in_processes(
             # Joblib tells of the results that it throws away; so does whoever pressed Ctrl-C.
             warnings.simplefilter("ignore", UserWarning)
             results.close()
+
+
+# --- a cluster ---
+
+
+@dataclass(frozen=True)
+class _Cluster:
+    """A client (`distributed.Client`) of a scheduler at `address`."""
+
+    client: Any
+    address: str
+
+    def room(self, running: int) -> int:
+        """How many more items to submit; raises `ConfigError` where the scheduler is gone."""
+        try:
+            return max(0, _AHEAD * max(1, len(self.client.nthreads())) - running)
+        except (OSError, RuntimeError, AttributeError):  # what the client raises is not documented
+            if self.client.status == "running":
+                raise
+            raise self._gone() from None
+
+    def result(self, future: Any, item: object) -> Any:
+        """What `item` became; raises as `in_processes`."""
+        from distributed import KilledWorker  # noqa: PLC0415 -- an extra, and it takes a second
+
+        try:
+            return future.result()
+        except KilledWorker as error:
+            died = f"{error.allowed_failures + 1} workers died with the same work"
+            raise WorkerDied(item, f"{died}, the last one {error.last_worker.address}") from None
+        except CancelledError:
+            raise self._gone() from None
+
+    def _gone(self) -> ConfigError:
+        hint = "What was written stays; the same command goes on"
+        return ConfigError(f"the scheduler {self.address} went away", hint=hint)
+
+
+_cluster: ContextVar[_Cluster | None] = ContextVar("cluster", default=None)
+
+
+@contextmanager
+def cluster(scheduler: str | None = None, workers: int | None = None) -> Iterator[None]:
+    """Let `in_processes` use a Dask cluster in the block: at an address, or new local workers.
+
+    Without either, nothing is changed. Raises `ConfigError` without the extra `fleet`, for a
+    scheduler that does not answer or has no workers, and for workers that run several threads or
+    another version of the code.
+    """
+    if scheduler is None and workers is None:
+        yield
+        return
+    distributed = _distributed()
+    with _local(distributed, workers) as found:
+        address = scheduler or found.scheduler_address
+        with _connected(distributed, address) as client:
+            _check_workers(client, address)
+            token = _cluster.set(_Cluster(client, address))
+            try:
+                yield
+            finally:
+                _cluster.reset(token)
+
+
+def _distributed() -> Any:
+    try:
+        import distributed  # noqa: PLC0415 -- an extra, and it takes a second
+    except ImportError:
+        raise ConfigError(
+            "a cluster needs dask and distributed",
+            hint="Install them with: pip install 'narxcal[fleet]'",
+        ) from None
+    return distributed
+
+
+@contextmanager
+def _local(distributed: Any, workers: int | None) -> Iterator[Any]:
+    """Workers of this machine, each a process of one thread; None where there are to be none."""
+    if workers is None:
+        yield None
+        return
+    quiet = {"silence_logs": "CRITICAL", "dashboard_address": None, "preload": [__name__]}
+    made = distributed.LocalCluster(n_workers=workers, threads_per_worker=1, **quiet)
+    with made:
+        yield made
+
+
+def dask_setup(_worker: object) -> None:
+    """Leave Ctrl-C, which reaches the workers of this machine too, to the client."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def _connected(distributed: Any, address: str) -> Iterator[Any]:
+    try:
+        # A client of an address that is none takes a minute to end.
+        distributed.comm.get_address_host_port(distributed.comm.normalize_address(address))
+        client = distributed.Client(address, set_as_default=False)
+    except (OSError, ValueError) as error:
+        why = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ConfigError(
+            f"the scheduler {address} does not answer: {why}",
+            hint="Start it with 'dask scheduler', or correct --scheduler tcp://HOST:PORT",
+        ) from None
+    with client:
+        yield client
+
+
+def _check_workers(client: Any, address: str) -> None:
+    """Refuse a cluster without workers, and workers that would not compute the same numbers."""
+    patience = client._timeout  # noqa: SLF001 -- distributed.comm.timeouts.connect, as a number
+    try:
+        client.wait_for_workers(1, timeout=patience)
+    except TimeoutError:
+        raise ConfigError(
+            f"the scheduler {address} has had no worker for {patience:g} s",
+            hint=f"Start some: dask worker {address} --nthreads 1",
+        ) from None
+    for worker, threads in client.nthreads().items():
+        if threads != 1:
+            raise ConfigError(
+                f"worker {worker} runs {threads} threads, expected 1",
+                hint=f"Start it anew: dask worker {address} --nworkers {threads} --nthreads 1",
+            )
+    own = identity()
+    for worker, found in client.run(identity, on_error="return").items():
+        if isinstance(found, Exception):
+            why = f"{type(found).__name__}: {found}"
+            raise ConfigError(
+                f"worker {worker} cannot import narxcal ({why})",
+                hint=f"Install there what is here: {words(own)}",
+            )
+        _check_same(own, found, worker)
+
+
+def _check_same(own: dict[str, str], found: dict[str, str], worker: str) -> None:
+    if found != own:
+        other = {name: each for name, each in found.items() if own.get(name) != each}
+        ours = {name: own.get(name, "none") for name in other}
+        raise ConfigError(
+            f"worker {worker} has {words(other)}, this command {words(ours)}",
+            hint="Install the same version on both; results would differ",
+        )
+
+
+@cache
+def identity() -> dict[str, str]:
+    """Versions of all that decides on results, and a hash over narxcal's own code."""
+    found = versions()
+    for package in ("numba", "pandas", "pyarrow"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "none"
+    digest = hashlib.sha256()
+    root = Path(__file__).parents[2]
+    for file in sorted(file for floor in _FLOORS for file in (root / floor).rglob("*.py")):
+        digest.update(f"{file.relative_to(root).as_posix()}\0".encode())
+        digest.update(file.read_bytes())
+    return {**found, "code": digest.hexdigest()[:12]}
+
+
+def words(found: dict[str, str]) -> str:
+    """Name versions in one line."""
+    return ", ".join(f"{name} {each}" for name, each in found.items())
+
+
+@dataclass(frozen=True)
+class _Task(Generic[S, T]):
+    """A function, to be run by workers of the same versions, also by those that come later."""
+
+    function: Callable[[S], T]
+    versions: dict[str, str]
+
+    def __call__(self, item: S) -> T:
+        if identity() != self.versions:
+            _check_same(self.versions, identity(), _distributed().get_worker().address)
+        return self.function(item)
+
+
+def _on_workers(
+    used: _Cluster, function: Callable[[S], T], items: Iterable[S], *, ordered: bool
+) -> Iterator[T]:
+    task, todo = _Task(function, identity()), enumerate(items)
+    running: dict[Any, tuple[int, S]] = {}
+    done: dict[int, T] = {}
+    following = 0
+    completed = _distributed().as_completed(loop=used.client.loop)
+    try:
+        while True:
+            for number, item in islice(todo, used.room(len(running))):
+                future = used.client.submit(task, item, pure=False)
+                running[future] = number, item
+                completed.add(future)
+            if not running:
+                return
+            future = next(completed)
+            number, item = running.pop(future)
+            done[number] = used.result(future, item)
+            if not ordered:
+                following = number
+            while following in done:
+                yield done.pop(following)
+                following += 1
+    finally:
+        if used.client.status == "running":
+            used.client.cancel(list(running))

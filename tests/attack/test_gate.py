@@ -38,6 +38,7 @@ def engine(u):
 COMMANDS_OF_RUNS = {
     "evaluate": ("RUN", "--out", "OUT"),
     "compare": ("RUN", "--out", "OUT"),
+    "fleet": ("FLEET.toml", "--out", "OUT"),
     "replay": ("RUN", "LOG", "--out", "OUT.csv"),
     "simulate": ("RUN", "LOG", "--out", "OUT.csv"),
     "info": ("RUN",),
@@ -93,6 +94,8 @@ def planted(tmp_path, flight):
         "steady_state": {"fitted": True, "samples": 1, "coverage": 1.0},
     })  # fmt: skip
     save_bundle(tmp_path / "run", Bundle(calibration(), record))
+    fleet = 'schema = "narxcal.fleet/1"\nflights = "flights"\nrun = "run"\ntail = "(_)"\n'
+    (tmp_path / "fleet.toml").write_text(fleet, encoding="utf-8")
     yield tmp_path
     sys.modules.pop("maker", None)
 
@@ -110,7 +113,7 @@ def test_no_command_executes_what_a_run_names(planted, command, monkeypatch, cap
     monkeypatch.chdir(planted)
     places = {
         "RUN": "run", "FLIGHTS": "flights", "LOG": "flights/flight_2.csv", "OUT": "out",
-        "OUT.csv": "out.csv", "OUT.pdf": "out.pdf",
+        "OUT.csv": "out.csv", "OUT.pdf": "out.pdf", "FLEET.toml": "fleet.toml",
     }  # fmt: skip
     given = [places.get(word, word) for word in COMMANDS_OF_RUNS[command]]
     assert main([*command.split(), *given, "--quiet"]) == 2
