@@ -36,6 +36,10 @@ class Folder:
 
     address: str
 
+    def __getstate__(self) -> dict[str, str]:
+        """Send the address alone to other processes: what it opens may need what they lack."""
+        return {"address": self.address}
+
     @cached_property
     def _place(self) -> tuple[Any, str]:
         from fsspec.core import url_to_fs  # noqa: PLC0415 -- comes with torch; help does not wait

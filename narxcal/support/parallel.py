@@ -21,7 +21,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from joblib import Parallel, delayed, parallel_config
 
@@ -201,23 +201,34 @@ def _check_workers(client: Any, address: str) -> None:
                 f"worker {worker} runs {threads} threads, expected 1",
                 hint=f"Start it anew: dask worker {address} --nworkers {threads} --nthreads 1",
             )
+    _check_versions(client, address)
+
+
+def _check_versions(client: Any, address: str) -> None:
+    """Refuse workers, or a scheduler, of other versions than here, naming both."""
     own = identity()
-    for worker, found in client.run(identity, on_error="return").items():
-        if isinstance(found, Exception):
-            why = f"{type(found).__name__}: {found}"
-            raise ConfigError(
-                f"worker {worker} cannot import narxcal ({why})",
-                hint=f"Install there what is here: {words(own)}",
-            )
-        _check_same(own, found, worker)
+    found = {
+        f"worker {worker}": answer
+        for worker, answer in client.run(identity, on_error="return").items()
+    }
+    try:
+        found[f"the scheduler {address}"] = client.run_on_scheduler(identity)
+    except Exception as error:  # noqa: BLE001 -- whatever its import raised there
+        found[f"the scheduler {address}"] = error
+    for where, answer in found.items():
+        if isinstance(answer, Exception):
+            why = f"{type(answer).__name__}: {answer}".splitlines()[0]
+            hint = f"Install there what is here: {words(own)}"
+            raise ConfigError(f"{where} cannot import narxcal ({why})", hint=hint)
+        _check_same(own, answer, where)
 
 
-def _check_same(own: dict[str, str], found: dict[str, str], worker: str) -> None:
+def _check_same(own: dict[str, str], found: dict[str, str], where: str) -> None:
     if found != own:
         other = {name: each for name, each in found.items() if own.get(name) != each}
         ours = {name: own.get(name, "none") for name in other}
         raise ConfigError(
-            f"worker {worker} has {words(other)}, this command {words(ours)}",
+            f"{where} has {words(other)}, this command {words(ours)}",
             hint="Install the same version on both; results would differ",
         )
 
@@ -244,23 +255,24 @@ def words(found: dict[str, str]) -> str:
     return ", ".join(f"{name} {each}" for name, each in found.items())
 
 
-@dataclass(frozen=True)
-class _Task(Generic[S, T]):
-    """A function, to be run by workers of the same versions, also by those that come later."""
+def _run(function: bytes, item: bytes, own: dict[str, str]) -> Any:
+    """Call a function on a worker of the same versions, also on one that joined later.
 
-    function: Callable[[S], T]
-    versions: dict[str, str]
-
-    def __call__(self, item: S) -> T:
-        if identity() != self.versions:
-            _check_same(self.versions, identity(), _distributed().get_worker().address)
-        return self.function(item)
+    Both are bytes until then: the scheduler, which opens what it is given, would load all that they
+    are of, and need the memory for it.
+    """
+    distributed = _distributed()
+    if identity() != own:
+        _check_same(own, identity(), f"worker {distributed.get_worker().address}")
+    loads = distributed.protocol.pickle.loads
+    return loads(function)(loads(item))
 
 
 def _on_workers(
     used: _Cluster, function: Callable[[S], T], items: Iterable[S], *, ordered: bool
 ) -> Iterator[T]:
-    task, todo = _Task(function, identity()), enumerate(items)
+    dumps = _distributed().protocol.pickle.dumps
+    packed, todo = dumps(function), enumerate(items)
     running: dict[Any, tuple[int, S]] = {}
     done: dict[int, T] = {}
     following = 0
@@ -268,7 +280,7 @@ def _on_workers(
     try:
         while True:
             for number, item in islice(todo, used.room(len(running))):
-                future = used.client.submit(task, item, pure=False)
+                future = used.client.submit(_run, packed, dumps(item), identity(), pure=False)
                 running[future] = number, item
                 completed.add(future)
             if not running:

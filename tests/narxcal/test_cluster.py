@@ -3,9 +3,6 @@
 import os
 import re
 import signal
-import socket
-import subprocess
-import sys
 import time
 from contextlib import ExitStack
 from functools import partial
@@ -16,6 +13,7 @@ import pytest
 from narxcal.cli import main
 from narxcal.support.errors import ConfigError
 from narxcal.support.parallel import WorkerDied, cluster, identity, in_processes
+from tests.dask_servers import Servers
 
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[2]
@@ -39,38 +37,6 @@ def deadly(item):
 def refuse(item):
     message = f"no {item}"
     raise LookupError(message)
-
-
-class Servers:
-    """A scheduler and workers that the test starts and stops."""
-
-    def __init__(self, stack):
-        self.stack = stack
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = free.getsockname()[1]
-        self.address = f"tcp://127.0.0.1:{self.port}"
-
-    def _started(self, *arguments, **environment):
-        """Started with a pipe to its end: no process outlives the test."""
-        found = {**os.environ, "PYTHONPATH": f"{ROOT}", "OMP_NUM_THREADS": "1", **environment}
-        found["PYTHONPATH"] += f":{Path(__file__).parent}"
-        process = subprocess.Popen(
-            [sys.executable, "-m", *arguments],
-            env=found,
-            stderr=subprocess.DEVNULL,
-        )
-        self.stack.callback(process.wait)
-        self.stack.callback(process.kill)
-        return process
-
-    def scheduler(self):
-        where = ("--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard")
-        return self._started("distributed.cli.dask_scheduler", *where)
-
-    def worker(self, threads=1, **environment):
-        how = ("--nthreads", str(threads), "--no-nanny", "--no-dashboard")
-        return self._started("distributed.cli.dask_worker", self.address, *how, **environment)
 
 
 @pytest.fixture
@@ -216,3 +182,13 @@ def test_what_has_jobs_computes_on_a_cluster_to_the_same_bytes(tmp_path):
     assert files == sorted(path.name for path in (tmp_path / "two").iterdir())
     for name in files:
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+
+
+def test_a_scheduler_without_narxcal_is_refused(servers, tmp_path):
+    (tmp_path / "narxcal").mkdir()
+    (tmp_path / "narxcal/__init__.py").write_text("", "utf-8")
+    servers.scheduler(PYTHONPATH=str(tmp_path))
+    servers.worker()
+    message = rf"the scheduler {servers.address} cannot import narxcal \(.*\)\. Install there what"
+    with pytest.raises(ConfigError, match=message), cluster(servers.address):
+        pass
