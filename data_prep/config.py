@@ -13,6 +13,7 @@ from data_prep.derive import DeriveConfig
 from data_prep.units import find_unit, is_volume_flow
 from narxcal.channels import CHANNELS, channel
 from narxcal.support.errors import ConfigError, DataError
+from narxcal.support.files import is_file, is_folder
 from narxcal.support.settings import Section
 
 ENGINE = "{engine}"
@@ -121,8 +122,8 @@ class LogsConfig(Section):
         Raises `DataError` when the folder is missing or a pattern matches nothing.
         """
         folder = (Path(base) / self.folder).resolve()
-        if not folder.is_dir():
-            what = "is a file" if folder.exists() else "does not exist"
+        if not is_folder(folder):
+            what = "is a file" if is_file(folder) else "does not exist"
             hint = "Set [logs] folder, or name another by --data"
             raise DataError(f"the folder of the logs {what}", file=folder, hint=hint)
         found: dict[Path, None] = {}

@@ -333,10 +333,11 @@ class CsvSource:
         return clock.seconds(cells) if clock else self._of_words(name, cells)
 
     def _of_words(self, name: str, texts: pd.Series[Any]) -> FloatArray:
-        words, codes = np.unique(texts.astype("str").fillna(""), return_inverse=True)
+        codes, words = pd.factorize(texts.astype("str"))
         numbers = [self._words[name](str(word)) if word else np.nan for word in words]
-        values = np.array(numbers, dtype=np.float64)[codes]
-        return np.where(np.isfinite(values), values, self._parsed(texts))
+        known = np.array(numbers, dtype=np.float64)
+        values = np.where(np.isfinite(known), known, self._parsed(pd.Series(words, dtype="str")))
+        return np.append(values, np.nan)[codes]  # code -1 is a blank
 
     def _parsed(self, texts: pd.Series[Any]) -> FloatArray:
         plain_numbers = texts.astype("str").str.strip()

@@ -225,11 +225,12 @@ def _stuck_air(log: Log) -> Iterator[Finding]:
         if name not in log.channels:
             continue
         constant = _without_noise(log, name)
-        for start, stop in zip(*repeats(log[name]), strict=True):
-            if (stop - start) * log.dt_s >= _STUCK_S:
-                against = [other for other in others if other in log.channels]
-                moves = any(_moves(log, each, start, stop) for each in against)
-                constant[start:stop] |= moves & _measurable(log, name, int(start), int(stop))
+        against = [other for other in others if other in log.channels]
+        starts, stops = repeats(log[name])
+        long = (stops - starts) * log.dt_s >= _STUCK_S
+        for start, stop in zip(starts[long], stops[long], strict=True):
+            moves = any(_moves(log, each, start, stop) for each in against)
+            constant[start:stop] |= moves & _measurable(log, name, int(start), int(stop))
         yield from (_stuck(log, name, start, stop) for start, stop in spans(constant))
 
 

@@ -221,6 +221,7 @@ def assess_log(
     outputs = bundle.calibration.output_names
     recorded = with_outputs(log, outputs)
     log = masked(recorded)
+    role, shared = role_of(bundle, recorded)
     run = run_log(bundle, config, log, recorded)
     if events is None:
         events = find_events(log, config.events.for_log(log, outputs))
@@ -231,7 +232,6 @@ def assess_log(
         untrimmed = score([replace(run, scored_from=until)])
         run = trimmed(run, until, settings.trim)
         events = [event for event in events if event.start >= until]
-    role, shared = role_of(bundle, recorded)
     scores = score([run])
     return LogEvaluation(
         run=run,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -99,13 +99,13 @@ def run_log(
     """
     own = bundle.calibration.for_engine(log.source.engine, or_mean=True)
     _check_interval(own, log)
-    known = np.asarray(np.isfinite(log.matrix(own.input_names)).all(axis=1))
+    known = _complete(log, own.input_names)
     before = recorded or log
     lost = [name for name in own.input_names if not log.recorded([name])]
     filled = log.with_channels({name: before[name] for name in lost})
     inputs = hold_inputs(filled, own.input_names).matrix(own.input_names)
-    faulty = np.isfinite(before.matrix(own.input_names)).all(axis=1) & ~known
-    faulty |= ~np.isfinite(np.stack(list(before.channels.values()))).any(axis=0)
+    faulty = _complete(before, own.input_names) & ~known
+    faulty |= ~np.any([np.isfinite(values) for values in before.channels.values()], axis=0)
     measured = log.matrix(own.output_names)
     steady = np.asarray(own.settled(inputs), dtype=np.float64)
     began = time.perf_counter()
@@ -138,6 +138,11 @@ def run_log(
     )
 
 
+def _complete(log: Log, names: Sequence[str]) -> BoolArray:
+    """Rows (time,) at which every one of the named channels has a value."""
+    return np.asarray(np.all([np.isfinite(log[name]) for name in names], axis=0))
+
+
 def _restarted(
     own: Calibration, inputs: FloatArray, measured: FloatArray, faulty: BoolArray
 ) -> FloatArray:
@@ -155,6 +160,8 @@ def _one_step(
     Such an output feeds back its free run, so that the others still have a one-step figure.
     """
     there = np.isfinite(measured).any(axis=0)
+    if there.all():
+        return own.predict(inputs, measured)
     return np.where(there, own.predict(inputs, np.where(there, measured, free)), np.nan)
 
 

@@ -29,6 +29,7 @@ Records = Sequence[FloatArray]
 # Chance of calling a white or independent residual dependent, over all lags of one test.
 FALSE_ALARM = 0.01
 _LONGEST_LAG_S = 10.0  # several time constants of a spool
+_STRETCH = 2**14  # samples of one FFT: its arrays fit into the cache of a core
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,17 +176,22 @@ def _pair_means(first: Records, second: Records, lags: int) -> tuple[FloatArray,
 
 
 def _lagged_sums(first: FloatArray, second: FloatArray, lags: int) -> FloatArray:
-    """Sum of `first[t] * second[t + lag]` over t, lags `-lags` to `lags`, by FFT."""
+    """Sum of `first[t] * second[t + lag]` over t, lags `-lags` to `lags`, by FFT.
+
+    Spectra of short stretches are added: one FFT of a whole flight of hours takes several times as
+    long and a gigabyte. Each stretch of `second` reaches `lags` beyond that of `first`.
+    """
     if len(first) == 0:
         return np.zeros(2 * lags + 1)
-    margin = np.zeros(lags)
-    first, second = (np.concatenate((margin, values, margin)) for values in (first, second))
-    # scipy.signal.correlate would do it, at a second of importing it.
-    whole = len(first) + len(second) - 1
-    size = next_fast_len(whole, real=True)
-    full = irfft(rfft(second, size) * rfft(first[::-1], size), size)[:whole]
-    middle = len(first) - 1
-    return np.asarray(full[middle - lags : middle + lags + 1])
+    # scipy.signal.correlate would do one stretch, at a second of importing it.
+    size = next_fast_len(min(len(first), _STRETCH) + 2 * lags, real=True)
+    step = size - 2 * lags
+    around = np.concatenate((np.zeros(lags), second, np.zeros(lags)))
+    spectrum = np.zeros(size // 2 + 1, dtype=np.complex128)
+    for start in range(0, len(first), step):
+        own = rfft(first[start : start + step], size)
+        spectrum += np.conj(own) * rfft(around[start : start + size], size)
+    return np.asarray(irfft(spectrum, size)[: 2 * lags + 1])
 
 
 def _white(pairs: FloatArray) -> FloatArray:

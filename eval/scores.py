@@ -9,7 +9,7 @@ define is NaN.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -179,19 +179,15 @@ def score(runs: Sequence[FreeRun]) -> dict[str, ChannelScores]:
                 f"expected the channels {', '.join(channels)}, found {', '.join(one.channels)}",
                 file=one.log.name,
             )
-    columns = _columns(runs)
-    return {
-        name: ChannelScores(**{key: float(values[k]) for key, values in columns.items()})
-        for k, name in enumerate(channels)
-    }
+    return {name: _of_channel(runs, k) for k, name in enumerate(channels)}
 
 
-def _columns(runs: Sequence[FreeRun]) -> Mapping[str, FloatArray]:
-    """Every figure as (channel,)."""
-    measured = np.concatenate([one.log.measured(one.channels) for one in runs])
+def _of_channel(runs: Sequence[FreeRun], k: int) -> ChannelScores:
+    """Every figure of channel `k`: one at a time, as logs may take much of the memory."""
+    measured = np.concatenate([one.log.measured(one.channels[k : k + 1]) for one in runs])
     scored = np.concatenate([one.scored for one in runs])
     static = np.concatenate([one.quasi_steady for one in runs]) & scored
-    model = _joined(runs, MODEL)
+    model = _joined(runs, MODEL, k)
     error = np.where(np.isfinite(model - measured) & scored[:, None], model - measured, np.nan)
     figures: dict[str, FloatArray] = {
         "samples": counted(measured, model, scored).astype(np.float64),
@@ -206,25 +202,22 @@ def _columns(runs: Sequence[FreeRun]) -> Mapping[str, FloatArray]:
         "static_bias": _reduced(error[static], "mean"),
         "dynamic_rmse": rmse(measured, model, scored & ~static),
     }
-    wide = np.concatenate(
-        [
-            np.full_like(one.measured, np.nan) if one.half_width is None else one.half_width
-            for one in runs
-        ]
-    )
+    wide = np.concatenate([_column(one, one.half_width, k) for one in runs])
     wide = np.where(np.isfinite(error), wide, np.nan)
     inside = np.where(np.isfinite(wide), np.abs(error) <= wide, np.nan)
     figures |= {"coverage": _reduced(inside, "mean"), "half_width": _reduced(wide, "mean")}
     for name in (ONE_STEP, NETWORK, *BASELINES):
-        figures[f"{name}_rmse"] = rmse(measured, _joined(runs, name), scored)
-    return figures
+        figures[f"{name}_rmse"] = rmse(measured, _joined(runs, name, k), scored)
+    return ChannelScores(**{key: float(values[0]) for key, values in figures.items()})
 
 
-def _joined(runs: Sequence[FreeRun], name: str) -> FloatArray:
-    """Outputs of one model over all logs; NaN for logs it was not run on."""
-    return np.concatenate(
-        [one.outputs.get(name, np.full_like(one.measured, np.nan)) for one in runs]
-    )
+def _joined(runs: Sequence[FreeRun], name: str, k: int) -> FloatArray:
+    """Channel `k` (time, 1) of one model over all logs; NaN for logs it was not run on."""
+    return np.concatenate([_column(one, one.outputs.get(name), k) for one in runs])
+
+
+def _column(run: FreeRun, values: FloatArray | None, k: int) -> FloatArray:
+    return np.full((len(run.log), 1), np.nan) if values is None else values[:, k : k + 1]
 
 
 def _reduced(values: FloatArray, how: str) -> FloatArray:

@@ -20,6 +20,7 @@ from narxcal.channels import CHANNELS, channel
 from narxcal.narx.config import MOST_HIDDEN, MOST_LAGS, Taps
 from narxcal.steady.model import SteadyOptions
 from narxcal.support.errors import ConfigError
+from narxcal.support.files import is_file
 from narxcal.support.settings import Section, read_toml
 
 Kind = Literal["fitted", "table", "callable", "fmu", "static"]
@@ -343,9 +344,9 @@ def load_config(path: str | Path) -> tuple[RunConfig, Path]:
     Raises `ConfigError` for a missing file, bad TOML, an unknown key or a bad value.
     """
     file = Path(path)
-    if not file.is_file():
+    if not is_file(file):
         shipped = Path(str(files("configs"))) / f"{file.name.removesuffix('.toml')}.toml"
-        if not shipped.is_file():
+        if not is_file(shipped):
             there = sorted(item.name for item in shipped.parent.glob("*.toml"))
             names = [name for name in there if not name.startswith(_SCENARIO)]
             raise ConfigError(

@@ -52,6 +52,8 @@ from narxcal.support.files import (
     atomic_folder,
     atomic_write_bytes,
     atomic_write_text,
+    is_file,
+    is_folder,
     sha256_of,
     to_json,
     versions,
@@ -100,14 +102,14 @@ class ModelFolder:
     def read_document(self, source: Path) -> dict[str, Any]:
         """Read the document; raises `ModelError` for a folder of something else."""
         hint = f"Name the folder that {self.made_by} wrote"
-        if not source.is_dir():
-            if source.exists():
+        if not is_folder(source):
+            if is_file(source):
                 problem = f"a {self.what} is a folder, and this is a file"
                 raise ModelError(problem, file=source, hint=hint)
             problem = f"the {self.what} folder does not exist"
             raise ModelError(problem, file=source, hint="Train one first")
         file = source / self.document
-        if not file.is_file():
+        if not is_file(file):
             raise ModelError(
                 f"the folder holds no {self.document}, so it is no {self.what}",
                 file=source,

@@ -28,7 +28,7 @@ from narxcal.calibration.members import Member, Members, MembersState
 from narxcal.calibration.register import Parts, Register, Sample, stacked
 from narxcal.intervals import Band, HalfWidths
 from narxcal.lumped.engine import LumpedEngine
-from narxcal.narx.network import NarxModel
+from narxcal.narx.network import AT_START, NarxModel
 from narxcal.steady.model import (
     ALTERED,
     Envelope,
@@ -45,6 +45,7 @@ _UNBOUNDED = ("narx/low", "narx/high", "steady/low", "steady/high")
 
 
 _DIFFERENCE = 1e-4  # of a state, by which the step is linearised
+_BLOCK = 2**16  # rows at a time, so that a flight of days takes little more memory than its results
 
 
 class Running(Protocol):
@@ -146,7 +147,11 @@ class Calibration(ABC):
 
     def settled(self, inputs: ArrayLike) -> FloatArray:
         """Steady states (time, n_out) that a run over `inputs` (time, n_in) follows."""
-        return self.steady.outputs(self.acting(self._checked(inputs)))
+        return self._steady_over(self.acting(self._checked(inputs)))
+
+    def _steady_over(self, given: FloatArray) -> FloatArray:
+        """Steady states (time, n_out) at inputs as they act."""
+        return _joined([self.steady.outputs(given[rows]) for rows in _blocks(len(given))])
 
     def own_alone(self) -> Self:
         """The calibration with its own model alone in every output."""
@@ -250,16 +255,16 @@ class Calibration(ABC):
 
     def _simulated(self, inputs: ArrayLike, start: ArrayLike | None) -> FloatArray:
         given = self.acting(self._checked(inputs))
-        return self.run(given, self.steady.outputs(given), start)
+        return self.run(given, self._steady_over(given), start)
 
     def run(self, inputs: FloatArray, ss: FloatArray, start: ArrayLike | None) -> FloatArray:
         """Free run over inputs as they act, of which the steady states `ss` (time, n_out) are."""
         first = self._first_deviation(ss[0], start)
-        deviation = first[None]
-        if len(inputs) > 1:
-            later = self._started(inputs[0], ss[0], first).advance(inputs[1:], ss[1:])
-            deviation = np.concatenate([deviation, later])
-        outputs: FloatArray = ss - deviation
+        running = self._started(inputs[0], ss[0], first)
+        outputs: FloatArray = np.array(ss)
+        outputs[0] -= first
+        for rows in _blocks(len(inputs), 1):
+            outputs[rows] -= running.advance(inputs[rows], ss[rows])
         if self.members.members:
             later = self.members.started(ss[0], outputs[0]).advance(ss[1:])
             outputs[1:] = self.members.mixed(outputs[1:], later)
@@ -300,7 +305,7 @@ class Calibration(ABC):
         NaN where the past is unknown: at sample 0 and after a masked one.
         """
         given = self.acting(self._checked(inputs))
-        ss = self.steady.outputs(given)
+        ss = self._steady_over(given)
         known = np.asarray(by_name(measured, self.output_names), dtype=np.float64)
         outputs = self._prediction(given, ss, known)
         if self.members.members:
@@ -457,18 +462,25 @@ class DynamicCalibration(Calibration):
 
     def _prediction(self, given: FloatArray, ss: FloatArray, known: FloatArray) -> FloatArray:
         """With lags in front of the network, the network's own share is that of the free run."""
-        deviation = ss - known
         if self.lag is None:
             features = narx_features(ss, given[:, self._columns])
-            return np.asarray(ss - self.narx.predict(features, deviation))
-        drive = self.lag.drive(given, self.input_names, ss)
-        free = self.lag.deviations(drive, deviation[0], self.dt_s)
-        own = self.with_members(())
-        share = ss - free - own.run(given, ss, ss[0] - deviation[0])
-        lagged = self.lag.deviations(drive, deviation[0], self.dt_s, deviation - share)
-        unknown = np.ones(len(ss), dtype=np.bool_)
-        unknown[1:] = np.isnan(deviation[:-1]).any(axis=1)
-        return np.where(unknown[:, None], np.nan, ss - lagged - share)
+            return np.asarray(ss - self.narx.predict(features, ss - known))
+        first = np.nan_to_num(ss[0] - known[0])
+        running = self._started(given[0], ss[0], first)
+        state = alone = self.lag.start(first)
+        last, found = first[None], np.full_like(ss, np.nan)
+        for block in _blocks(len(ss), 1):
+            # The states are those of the row before.
+            rows = slice(block.start - 1, block.stop)
+            free = np.concatenate([last, running.advance(given[block], ss[block])])
+            drive = self.lag.drive(given[rows], self.input_names, ss[rows])
+            lags, alone = self.lag.run(drive, (AT_START, alone[None]), self.dt_s)
+            share, last = free - lags, free[-1:]
+            own = ss[rows] - known[rows] - share
+            lags, state = self.lag.run(drive, (AT_START, state[None]), self.dt_s, own)
+            found[block] = (ss[rows] - lags - share)[1:]
+        found[1:][np.isnan(known[:-1]).any(axis=1)] = np.nan
+        return found
 
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Guaranteed (low, high) of the deviation of each output, in the outputs' units."""
@@ -581,6 +593,14 @@ class DynamicCalibration(Calibration):
             self.network_share,
         )
         return Register(parts, Sample(inputs, ss, deviation))
+
+
+def _blocks(rows: int, first: int = 0) -> list[slice]:
+    return [slice(start, min(start + _BLOCK, rows)) for start in range(first, rows, _BLOCK)]
+
+
+def _joined(parts: list[FloatArray]) -> FloatArray:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def narx_features(

@@ -29,6 +29,7 @@ from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_run, fraction, path
 from narxcal.cli.results import changed, doubtful_logs, header_of, logs_for
 from narxcal.support.files import Results
+from narxcal.support.system import release_memory
 
 PAGE = "evaluate.html"
 RESULTS = Results(SCHEMA, "evaluate.json", (PAGE,))
@@ -85,6 +86,7 @@ def judge(
     run_folder, trim = how
     config, settings = run_config(bundle)
     parts: list[LogEvaluation] = []
+    release_memory()  # that reading took
     with console.progress("Evaluating") as advance:
         for number, log in enumerate(logs):
             advance(number, len(logs), log.name)

@@ -23,7 +23,7 @@ from narxcal.flight_test.scenario import SCHEMA, FlightScenario, FlownEffect
 from narxcal.flight_test.sensors import Streams, record
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, ModelError
-from narxcal.support.files import log_csv, versions
+from narxcal.support.files import is_file, log_csv, versions
 from narxcal.support.parallel import in_processes
 from narxcal.support.progress import Progress, silent
 from narxcal.support.settings import read_toml
@@ -80,7 +80,7 @@ def load_scenario(path: str | Path) -> FlightScenario:
 
 
 def _file(path: Path) -> Path:
-    if path.is_file():
+    if is_file(path):
         return path
     shipped = Path(str(files("configs")))
     found = {item.stem.removeprefix("fly_"): item for item in sorted(shipped.glob("fly_*.toml"))}

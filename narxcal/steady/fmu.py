@@ -31,7 +31,7 @@ from narxcal.steady.model import (
 )
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ModelError, did_you_mean
-from narxcal.support.files import sha256_of
+from narxcal.support.files import is_file, sha256_of
 
 _REAL = ("Real", "Float64")
 _WHAT = "steady-state FMU"
@@ -91,7 +91,7 @@ class SteadyFmu(BoxModel):
     def from_arrays(cls, meta: Mapping[str, Any], arrays: Arrays) -> Self:  # noqa: ARG003
         """Open the FMU again; raises `ModelError` if it is missing or another one."""
         file = Path(stored(meta, "file", _WHAT))
-        if not file.is_file():
+        if not is_file(file):
             raise ModelError(
                 "the FMU of this bundle is missing", file=file, hint="Put it there again"
             )
@@ -187,7 +187,7 @@ def import_fmpy(path: Path) -> Any:
 def read_description(path: Path) -> Any:
     """Read an FMU's model description; raises `ModelError` for what is no FMU."""
     fmpy = import_fmpy(path)
-    if not path.is_file():
+    if not is_file(path):
         raise ModelError("the FMU does not exist", file=path)
     # FMPy raises bare Exception for whatever it dislikes about a file.
     try:

@@ -33,7 +33,7 @@ from narxcal.steady.model import (
 )
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, ModelError
-from narxcal.support.files import sha256_of
+from narxcal.support.files import is_file, sha256_of
 
 # Part of narxcal, a function of its inputs without side effects: opening it needs no trust.
 BUILT_IN = ("narxcal.turbofan:maker_model",)
@@ -250,7 +250,7 @@ def _find(module: str, folder: Path) -> Path | None:
         return installed
     local = folder.joinpath(*module.split("."))
     files = (local.with_suffix(".py"), local / "__init__.py")
-    return next((file.resolve() for file in files if file.is_file()), None)
+    return next((file.resolve() for file in files if is_file(file)), None)
 
 
 def _installed(module: str) -> Path | None:

@@ -38,6 +38,7 @@ from narxcal.steady.model import (
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 from narxcal.support.compiled import compiled
 from narxcal.support.errors import ConfigError, DataError
+from narxcal.support.files import is_file
 
 _SUBDIVISIONS = 16  # of each interval of a cubic: its error is below 1/256 of a straight line's
 _CHUNK = 4096  # samples evaluated at a time, to bound memory
@@ -371,7 +372,7 @@ def _by_role(header: Sequence[str], taken: Sequence[str], *, output: bool) -> li
 
 def _read_cells(file: Path) -> pd.DataFrame:
     """Columns as numbers, or as text where a cell is none; the index is the line of the file."""
-    if not file.is_file():
+    if not is_file(file):
         raise DataError("the table does not exist", file=file)
     try:
         lines = {n: line for n, line in _lines(file) if not line.startswith("#")}

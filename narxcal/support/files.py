@@ -365,6 +365,22 @@ def text_cell(text: str) -> str:
     return f"'{text}" if text.startswith(_FORMULA) else text
 
 
+def is_file(path: Path) -> bool:
+    """Whether there is such a file; a name that the system refuses, such as a long one, is none."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
+
+
+def is_folder(path: Path) -> bool:
+    """Whether there is such a folder, as `is_file`."""
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
+
+
 def sha256_of(path: str | PathLike[str]) -> str:
     """Hash of a file's content, in bounded memory."""
     with Path(path).open("rb") as stream:

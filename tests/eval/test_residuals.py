@@ -41,11 +41,18 @@ def slow_correlation(first, second, lags):
     lengths=st.lists(st.integers(1, 25), min_size=1, max_size=3),
     lags=st.integers(1, 30),
     gaps=st.floats(0.0, 0.5),
+    stretch=st.integers(1, 30),
     seed=st.integers(0, 1000),
 )
 @settings(deadline=None, max_examples=40)
-def test_fast_correlation_is_the_slow_one(lengths, lags, gaps, seed):
+def test_fast_correlation_is_the_slow_one(lengths, lags, gaps, stretch, seed):
     """Logs of any length, also shorter than the lags, with gaps; no pair crosses two logs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("eval.residuals._STRETCH", stretch)
+        _compare_with_slow(lengths, lags, gaps, seed)
+
+
+def _compare_with_slow(lengths, lags, gaps, seed):
     rng = np.random.default_rng(seed)
     first = [rng.normal(size=n) for n in lengths]
     second = [np.where(rng.random(n) < gaps, np.nan, rng.normal(size=n)) for n in lengths]

@@ -58,6 +58,18 @@ def test_steps_blocks_and_the_whole_are_one(settle_s, cut):
     np.testing.assert_allclose(np.concatenate(parts), whole[1:], rtol=1e-10)
 
 
+@pytest.mark.parametrize("rows", [1, 7, 79])
+def test_a_long_log_in_blocks_is_the_log_as_a_whole(rows, monkeypatch):
+    model, inputs = calibration(), log()
+    measured = model.simulate(inputs, [25.0, 333.0]) + np.random.default_rng(1).normal(size=(80, 2))
+    measured[40] = np.nan
+    whole = model.simulate(inputs, measured[0]), model.predict(inputs, measured)
+    monkeypatch.setattr("narxcal.calibration.calibration._BLOCK", rows)
+    np.testing.assert_allclose(model.simulate(inputs, measured[0]), whole[0], rtol=1e-12)
+    np.testing.assert_allclose(model.predict(inputs, measured), whole[1], rtol=1e-12)
+    np.testing.assert_array_equal(model.settled(inputs), model.steady.outputs(inputs))
+
+
 def test_a_silent_network_leaves_the_lags():
     model, inputs = calibration(share=0.0), log()
     ss, start = model.steady.outputs(inputs), np.array([25.0, 333.0])
