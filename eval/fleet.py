@@ -15,6 +15,7 @@ from __future__ import annotations
 import io
 import json
 import re
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
@@ -44,6 +45,7 @@ _LIST_COLUMNS = {
     "engine": "string",
 }  # fmt: skip
 _TAIL = "{tail}"
+_STORE_EVERY_S = 60.0  # what a killed listing may lose; 100,000 rows are written in 1 s
 
 
 class FleetConfig(Section):
@@ -330,7 +332,7 @@ class Fleet:
         each, count = {row["file"]: row for row in waiting}, self.config.batch
         names = list(each)
         groups = [tuple(names[k : k + count]) for k in range(0, len(names), count)]
-        task, done = partial(_hashed, flights=self.flights), 0
+        task, done, stored = partial(_hashed, flights=self.flights), 0, time.monotonic()
         jobs = max(1, min(self.jobs, len(groups)))
         try:
             for found in in_processes(task, groups, jobs, ordered=False):
@@ -338,6 +340,9 @@ class Fleet:
                     each[name]["sha256"] = sha256
                 done += len(found)
                 progress(done, len(names), "hashes")
+                if time.monotonic() > stored + _STORE_EVERY_S:
+                    self._write_list(rows)
+                    stored = time.monotonic()
         finally:
             self._write_list(rows)
 

@@ -33,8 +33,11 @@ def run(options: Namespace, console: Console) -> int:
     """Evaluate the logs that are not in the dataset yet; writes Parquet."""
     config = load_fleet(options.config)
     fleet = Fleet(Folder(str(options.out)), config, options.jobs, options.trust)
-    with console.progress("Listing the files") as advance:
-        rows = fleet.list_files(advance)
+    try:
+        with console.progress("Listing the files") as advance:
+            rows = fleet.list_files(advance)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("what was listed is kept; the same command goes on") from None
     batches = fleet.batches(rows)
     left = sum(len(batch.files) for batch in batches)
     if left < len(rows):

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from joblib import Parallel, delayed, parallel_config
+from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from narxcal.support.errors import ConfigError, NarxcalError
 from narxcal.support.files import versions
@@ -54,7 +55,8 @@ def in_processes(
 
     In the order of the items, or as they come where `ordered` is false. `function` has to be one
     of a module, or a partial of one, and what it raises is raised here. One job needs no process.
-    A caller that stops early stops the processes without a word.
+    A caller that stops early stops the processes without a word. Raises `ConfigError` for a process
+    that was killed.
 
     In a block of `cluster` its workers compute, whatever `jobs` is. Then raises `WorkerDied`, and
     `ConfigError` for a scheduler that went away and for a worker of another version.
@@ -72,6 +74,11 @@ def in_processes(
     try:
         for result in results:  # noqa: UP028  `yield from` would close them, which warns
             yield result
+    except TerminatedWorkerError:
+        raise ConfigError(
+            "a process ended in the middle of its work, perhaps for want of memory",
+            hint="Use fewer --jobs, or --workers, which goes on without it",
+        ) from None
     finally:
         with warnings.catch_warnings():
             # Joblib tells of the results that it throws away; so does whoever pressed Ctrl-C.

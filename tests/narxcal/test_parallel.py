@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import signal
 import time
 import warnings
 from functools import partial
 
 import pytest
 
+from narxcal.support.errors import ConfigError
 from narxcal.support.parallel import in_processes
 
 ITEMS = range(6)
@@ -25,6 +27,11 @@ def _slow_square(item: int, slow: int) -> int:
 
 def _surroundings(_: int) -> tuple[int, str | None]:
     return os.getpid(), os.environ.get("OMP_NUM_THREADS")
+
+
+def _die(item: int) -> None:
+    if item == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _refuse(item: int) -> int:
@@ -55,6 +62,12 @@ def test_one_job_stays_in_this_process_and_two_get_others_of_one_thread():
 def test_what_a_task_raises_is_raised_here(jobs):
     with pytest.raises(LookupError, match=r"no \d"):
         list(in_processes(_refuse, ITEMS, jobs))
+
+
+def test_a_process_that_is_killed_is_one_error():
+    with pytest.raises(ConfigError, match="a process ended in the middle of its work"):
+        list(in_processes(_die, ITEMS, 2))
+    assert list(in_processes(_square, ITEMS, 2)) == [item * item for item in ITEMS]
 
 
 @pytest.mark.parametrize("ordered", [True, False])
