@@ -65,6 +65,7 @@ from narxcal.channels import symbol
 from narxcal.steady.model import Envelope, SteadyStateModel
 from narxcal.support.errors import ConfigError, DataError, ModelError
 from narxcal.support.files import finite
+from narxcal.support.progress import Progress, silent
 from narxcal.support.settings import Section
 from training.config import RunConfig
 from training.crossval import CrossvalConfig
@@ -665,6 +666,7 @@ def evaluate(
     logs: Sequence[Log],
     trim: float | None = None,
     settings: EvaluateConfig | None = None,
+    progress: Progress = silent,
 ) -> Evaluation:
     """Evaluate prepared logs; with `trim`, that share of each log is used up for offsets.
 
@@ -672,13 +674,24 @@ def evaluate(
     outside of 0 to 1.
     """
     settings = settings or run_config(bundle)[1]
-    found = tuple(assess_log(bundle, log, settings, trim=trim) for log in logs)
-    return Evaluation(found, settings, trim, mixture_sentences(bundle), certificate(bundle))
+    found = []
+    for number, log in enumerate(logs):
+        progress(number, len(logs), log.name)
+        found.append(assess_log(bundle, log, settings, trim=trim))
+    return Evaluation(tuple(found), settings, trim, mixture_sentences(bundle), certificate(bundle))
 
 
 def certificate(bundle: Bundle) -> Certificate:
     """Whether the model settles at constant inputs, as stored or as found now."""
     return certificate_of(bundle.calibration, bundle.record.certificate)
+
+
+def outside_envelopes(bundle: Bundle, found: Evaluation) -> list[str]:
+    """Warnings of logs outside the envelope of their engine's steady-state model."""
+    own = (bundle.calibration.for_engine(one.log.source.engine, or_mean=True) for one in found.logs)
+    pairs = zip(found.logs, own, strict=True)
+    texts = (outside_envelope(one.run, calibration.steady) for one, calibration in pairs)
+    return [text for text in texts if text]
 
 
 def outside_envelope(run: FreeRun, steady: SteadyStateModel) -> str:

@@ -47,6 +47,11 @@ class LogReport:
         return self.prepared.log
 
     @property
+    def name(self) -> str:
+        """The log's name."""
+        return self.log.name
+
+    @property
     def events(self) -> tuple[Event, ...]:
         """Its pushes and pulls."""
         return self.prepared.events
@@ -154,14 +159,14 @@ def examine(raw: Log, config: RunConfig) -> LogReport:
     )
 
 
-def events_table(logs: Sequence[LogSummary]) -> pd.DataFrame:
+def events_table(logs: Sequence[LogSummary | LogReport]) -> pd.DataFrame:
     """One row per event of all logs."""
     events = [event for one in logs for event in one.events]
     columns = [*Event.__dataclass_fields__]
     return pd.DataFrame({name: [getattr(event, name) for event in events] for name in columns})
 
 
-def pearson_table(logs: Sequence[LogSummary]) -> pd.DataFrame:
+def pearson_table(logs: Sequence[LogSummary | LogReport]) -> pd.DataFrame:
     """One row per log, input and output: rho, and whether it is strong (|rho| >= 0.8)."""
     rows = [
         {"log": one.name, "input": source, "output": target, "rho": rho}
@@ -173,7 +178,7 @@ def pearson_table(logs: Sequence[LogSummary]) -> pd.DataFrame:
     return table.assign(strong=table["rho"].abs() >= STRONG)
 
 
-def windows_table(logs: Sequence[LogSummary]) -> pd.DataFrame:
+def windows_table(logs: Sequence[LogSummary | LogReport]) -> pd.DataFrame:
     """One row per log, channel and window."""
     return pd.concat([one.windows.assign(log=one.name) for one in logs], ignore_index=True)
 

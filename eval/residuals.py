@@ -29,6 +29,7 @@ Records = Sequence[FloatArray]
 # Chance of calling a white or independent residual dependent, over all lags of one test.
 FALSE_ALARM = 0.01
 _LONGEST_LAG_S = 10.0  # several time constants of a spool
+_FEWEST_LAGS = 25  # as MATLAB's resid
 _STRETCH = 2**14  # samples of one FFT: its arrays fit into the cache of a core
 
 
@@ -75,11 +76,13 @@ class ResidualTests:
 def residual_tests(
     channel: str, residual: FloatArray, inputs: Mapping[str, FloatArray], dt_s: float
 ) -> ResidualTests:
-    """Correlate one log's residual (time,) with itself and with `inputs` (time,), up to 10 s.
+    """Correlate one log's residual (time,) with itself and with `inputs` (time,).
+
+    Lags reach to 10 s, and there are 25 of them at least.
 
     Inputs that never change are left out: they correlate with nothing.
     """
-    lags = max(1, round(_LONGEST_LAG_S / dt_s))
+    lags = max(_FEWEST_LAGS, round(_LONGEST_LAG_S / dt_s))
     cross = {
         name: cross_correlation([values], [residual], lags, coloured=True)
         for name, values in inputs.items()

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from eval.diagnosis.diagnose import diagnose
+    from eval.report import plot
+    from eval.results import evaluate, prepare, read, train
     from narxcal.calibration.bundle import Bundle, load_bundle, save_bundle
     from narxcal.calibration.calibration import Calibration, DynamicCalibration
     from narxcal.calibration.fuser import KalmanFuser
@@ -34,8 +36,13 @@ __all__ = [
     "NoiseModel",
     "Record",
     "diagnose",
+    "evaluate",
     "load_bundle",
+    "plot",
+    "prepare",
+    "read",
     "save_bundle",
+    "train",
 ]
 
 _MODULE_OF = {
@@ -53,11 +60,12 @@ _MODULE_OF = {
     "load_bundle": "narxcal.calibration.bundle",
     "save_bundle": "narxcal.calibration.bundle",
 }
+_CALLS = ("evaluate", "prepare", "read", "train")
 
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used (PEP 562)."""
-    # The two imports upwards are declared to import-linter in pyproject.toml.
+    # The imports upwards are declared to import-linter in pyproject.toml.
     if name == "Narx":
         from training import estimator  # noqa: PLC0415
 
@@ -66,6 +74,14 @@ def __getattr__(name: str) -> object:
         from eval.diagnosis import diagnose as home  # noqa: PLC0415
 
         value = home.diagnose
+    elif name == "plot":
+        from eval.report import plot  # noqa: PLC0415
+
+        value = plot
+    elif name in _CALLS:
+        from eval import results  # noqa: PLC0415
+
+        value = getattr(results, name)
     elif name in _MODULE_OF:
         value = getattr(import_module(_MODULE_OF[name]), name)
     else:

@@ -189,6 +189,12 @@ def _no_record(given: object) -> DataError:
     )
 
 
+def known_start(y: FloatArray, samples: int) -> FloatArray:
+    """First `samples` outputs; a masked one takes its channel's first known value."""
+    first = y[np.isfinite(y).argmax(axis=0), np.arange(y.shape[1])]
+    return np.where(np.isfinite(y[:samples]), y[:samples], np.nan_to_num(first))
+
+
 def check_measured(records: Sequence[Record], purpose: str) -> None:
     """Raise `DataError` for an output that is masked throughout: nothing can be learnt of it."""
     known = np.any([np.isfinite(record.y).any(axis=0) for record in records], axis=0)

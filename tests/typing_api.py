@@ -9,13 +9,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+import narxcal as nx
 from data_prep import Audit, AuditEntry, Event, EventsConfig, Log, find_events, read_logs
 from data_prep.clean import CleanConfig, clean
 from data_prep.prepare import Prepared, prepare
 from data_prep.smooth import SmoothConfig, smooth
 from eval import transients
+from eval.results import Judgement, PreparedLogs, Recordings, Training
 from eval.transients import Assessment, Overlay, TransientsConfig
 from narxcal import (
     Bundle,
@@ -94,6 +99,21 @@ def fuse(noise: NoiseModel) -> FusedRun:
     value: Floats = started.value
     return fuser.run(free_run, value + measured)
 
+
+recordings: Recordings = nx.read("flights/*.csv", config)
+examined: PreparedLogs = nx.prepare(recordings)
+training: Training = nx.train(recordings, out=Path("run"))
+judgement: Judgement = nx.evaluate(training, ["flight.csv"], trim=0.2)
+tables: list[pd.DataFrame] = [examined.events, training.scores, judgement.events, judgement.faults]
+axes: Axes = nx.plot.compare(judgement["flight_3*"], channel="N1_pct")
+axes = nx.plot.resid((inputs, measured), network, cross=True, ax=axes)
+axes = nx.plot.steps(training, smoothed, driver="TRA_deg")
+axes = nx.plot.frequency(smoothed, model)
+axes = nx.plot.events(examined)
+axes = nx.plot.compare((inputs, measured), free_run)
+axes = network.plot((inputs, measured))
+axes = nx.plot.gap(nx.diagnose("flights", "run"))
+drawing: Figure = judgement.plot(log=1)
 
 overlay: Overlay = Overlay(smoothed.time_s, measured, free_run, model.output_names)
 judged: list[Assessment] = transients.assess_events(found, overlay, TransientsConfig(rules="paper"))

@@ -20,7 +20,7 @@ from narxcal.channels import CHANNELS, channel
 from narxcal.narx.config import MOST_HIDDEN, MOST_LAGS, Taps
 from narxcal.steady.model import SteadyOptions
 from narxcal.support.errors import ConfigError
-from narxcal.support.files import is_file
+from narxcal.support.files import is_file, is_folder
 from narxcal.support.settings import Section, read_toml
 
 Kind = Literal["fitted", "table", "callable", "fmu", "static"]
@@ -341,9 +341,15 @@ def load_config(path: str | Path) -> tuple[RunConfig, Path]:
     """Read a TOML file; returns the configuration and the folder its paths are relative to.
 
     A name that is no file is looked up among the shipped configurations, with or without `.toml`.
-    Raises `ConfigError` for a missing file, bad TOML, an unknown key or a bad value.
+    Raises `ConfigError` for a missing file, a folder, bad TOML, an unknown key or a bad value.
     """
     file = Path(path)
+    if is_folder(file):
+        raise ConfigError(
+            "a configuration is a file, and this is a folder",
+            file=file,
+            hint="Name the TOML file in it",
+        )
     if not is_file(file):
         shipped = Path(str(files("configs"))) / f"{file.name.removesuffix('.toml')}.toml"
         if not is_file(shipped):

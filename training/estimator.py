@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from numbers import Real
 from os import PathLike
-from typing import Any, Self, TypeAlias, TypeGuard, overload
+from typing import TYPE_CHECKING, Any, Self, TypeAlias, TypeGuard, overload
 
 import numpy as np
 import pandas as pd
@@ -25,6 +25,7 @@ from narxcal.record import (
     check_measured,
     check_records,
     columns,
+    known_start,
 )
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, ModelError
@@ -33,8 +34,10 @@ from narxcal.support.tables import by_name
 from training.choice import Choice, Limits, choose
 from training.config import TrainConfig
 from training.estimator_folder import TIME_LIMIT_S, Stored, Structure, load, save
-from training.folds import known_start
 from training.network import FitResult, Material, OnStep, fit_narx
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Records: TypeAlias = RecordLike | Iterable[RecordLike]
 
@@ -299,6 +302,17 @@ class Narx(RegressorMixin, BaseEstimator):  # type: ignore[misc]  # likewise
                     hint="Leave this record out, or fill its first sample",
                 )
         return records
+
+    def plot(
+        self, record: RecordLike, channel: str | None = None, *, ax: Axes | None = None
+    ) -> Axes:
+        """Draw an output of a record as measured and in free run, with its fit in percent.
+
+        As `narxcal.plot.compare(record, self, channel)`; raises `DataError` as that does.
+        """
+        from eval.report import plot  # noqa: PLC0415 - declared to import-linter; fits draw nothing
+
+        return plot.compare(record, self, channel, ax=ax)
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """Settings by name; if `deep`, the keys of both sections too, as `structure__hidden`."""

@@ -24,7 +24,7 @@ from scipy.special import ndtr, stdtrit
 
 from data_prep.log import Log
 from narxcal.narx.forms import DynamicModel
-from narxcal.record import Record
+from narxcal.record import Record, known_start
 from narxcal.support.arrays import BoolArray, FloatArray, known_mean, spans
 
 T = TypeVar("T")
@@ -222,12 +222,6 @@ class RecordFold:
 
     fit: tuple[Record, ...]
     held: tuple[Run, ...]
-
-
-def known_start(y: FloatArray, samples: int) -> FloatArray:
-    """The first `samples` outputs; a masked one takes its channel's first known value."""
-    first = y[np.isfinite(y).argmax(axis=0), np.arange(y.shape[1])]
-    return np.where(np.isfinite(y[:samples]), y[:samples], np.nan_to_num(first))
 
 
 def record_folds(records: Sequence[Record], gap: int, count: int = 2 * FOLDS) -> list[RecordFold]:

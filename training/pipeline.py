@@ -13,14 +13,16 @@ import platform
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from data_prep.log import Log
-from data_prep.prepare import hold_inputs, prepare
-from data_prep.reading import read_logs
+from data_prep.identity import refuse_duplicates
+from data_prep.log import Finding, Log
+from data_prep.prepare import cautions, hold_inputs, prepare
+from data_prep.reading import read_logs, shared_interval_s
 from narxcal.calibration.bundle import Bundle
 from narxcal.calibration.calibration import Calibration
 from narxcal.calibration.certificate import settling
@@ -40,13 +42,14 @@ from narxcal.steady.fitted import FittedSteadyState
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import FloatArray, known_mean
 from narxcal.support.errors import DataError
+from narxcal.support.progress import Progress, silent
 from training.baselines import Baselines, run_of
-from training.config import RunConfig
+from training.config import RunConfig, SplitConfig
 from training.levels import prior_scatter
 from training.masking import learnable
 from training.methods import TrainOptions, method_of
 from training.mixture import HeldRun
-from training.records import LEAST_WIDTHS, Split
+from training.records import LEAST_WIDTHS, Split, split_logs
 from training.redundancy import learn
 from training.steady_fit import SteadyQuality
 
@@ -64,8 +67,68 @@ def configured_files(config: RunConfig, base: Path) -> list[Path]:
 def prepare_logs(config: RunConfig, files: Sequence[Path], dt_s: float | None = None) -> list[Log]:
     """Read and prepare `files`, with complete inputs, at the sampling interval `dt_s` if given."""
     reading = config.logs if dt_s is None else config.logs.every(dt_s)
-    prepared = prepare(read_logs(files, reading), config)
-    return [hold_inputs(one.log, config.steady_state.inputs) for one in prepared]
+    return _ready(read_logs(files, reading), config)
+
+
+def _ready(raw: Sequence[Log], config: RunConfig) -> list[Log]:
+    return [hold_inputs(one.log, config.steady_state.inputs) for one in prepare(raw, config)]
+
+
+def read_split(
+    config: RunConfig,
+    files: Sequence[Path],
+    progress: Progress = silent,
+    raw: Sequence[Log] = (),
+) -> tuple[Split, list[str]]:
+    """Read and prepare `files` and split them as [split] says; also returns what to warn of.
+
+    `raw` are the logs in them where they have been read. Logs of different sampling intervals are
+    all read at the median one. Raises `DataError`, also for recordings that two sets share.
+    """
+    said: list[str] = []
+    logs = _ready(raw, config)
+    for number, file in enumerate(() if raw else files):
+        progress(number, len(files), file.name)
+        logs += prepare_logs(config, [file])
+    dt_s = shared_interval_s(logs)
+    if dt_s is not None:
+        said.append(f"sampling intervals differ between logs: all are read every {dt_s:g} s")
+        logs = prepare_logs(config, files, dt_s)
+    split = split_logs(logs, config.split)
+    refuse_duplicates(
+        (*split.train, *split.validate, *split.test), "a model would be judged on what it learned"
+    )
+    said += _left_out(logs, split, config.split)
+    return split, [*said, *cautions(logs, config, config.narx.outputs)]
+
+
+def doubts(record: RunRecord) -> list[str]:
+    """What to say of the faults of the logs to learn from, and of logs that no model follows."""
+    found = record.screening or ScreeningRecord()
+    said = [Finding.from_row(row).caution for row in found.findings]
+    for row in found.logs:
+        parts = [f"{count} samples of {name}" for name, count in row.masked.items()]
+        if row.left_out_rows:
+            parts.append(f"{row.left_out_rows} of {row.rows} rows")
+        if parts:
+            said.append(f"{row.log}: not learned from {', '.join(parts)}")
+    return [*said, *record.doubtful_logs]
+
+
+def _left_out(logs: Sequence[Log], split: Split, config: SplitConfig) -> list[str]:
+    """What to say of patterns in [split] that name no log, and of logs that are in no set."""
+    patterns = {"train": config.train, "validate": config.validate_, "test": config.test}
+    said = [
+        f"[split] {part} = '{pattern}' matches no log"
+        for part, chosen in patterns.items()
+        for pattern in chosen
+        if not any(fnmatch(log.name, pattern) for log in logs)
+    ]
+    used = {log.name for log in (*split.train, *split.validate, *split.test)}
+    unused = [log.name for log in logs if log.name not in used]
+    if unused:
+        said.append(f"not used, for no pattern in [split] matches: {', '.join(unused)}")
+    return said
 
 
 def calibrate(

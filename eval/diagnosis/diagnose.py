@@ -46,11 +46,13 @@ from eval.diagnosis.flights import (
     together,
 )
 from eval.diagnosis.learned import keep_learned, learn_left_out, learned_by, learned_from
-from eval.diagnosis.page import budget_figure
 from eval.diagnosis.pairs import Pair, check_apart, files_in, read_pairs
 from eval.diagnosis.simulators import Rerun, Simulate, Simulator, open_simulator
 from eval.diagnosis.where import locate
+from eval.diagnosis.words import outcome
 from eval.evaluate import evaluation_logs, role_of, run_config
+from eval.report import plot
+from eval.report.tables import summary
 from narxcal.calibration.bundle import DOCUMENT, load_bundle
 from narxcal.effects.running import Emulator, with_load
 from narxcal.effects.steady import UnloggedSwitch
@@ -109,7 +111,14 @@ class Answer:
 
     def plot(self) -> Figure:
         """Draw the budget as bars: the whole gap, each channel, each phase."""
-        return budget_figure(self.budget.rows())
+        figure: Any = plot.gap(self).figure
+        drawn: Figure = figure
+        return drawn
+
+    def _repr_html_(self) -> str:
+        said = outcome(self.document)
+        warnings = self.document["quality"]["warnings"]
+        return summary(said.headline, [*said.lines, *warnings], self.table)
 
 
 def diagnose(  # noqa: PLR0913 - each is one option of the command

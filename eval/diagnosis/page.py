@@ -126,17 +126,27 @@ def budget_picture(document: Row) -> Picture | None:
 
 def budget_figure(rows: Sequence[Row]) -> Figure:
     """The same as a matplotlib figure, from the rows of `budget`."""
-    effects = [row["cause"] for row in rows if row["cause"] not in _OTHERS]
-    colours = dict(zip(effects, style.CYCLE * (1 + len(effects) // len(style.CYCLE)), strict=False))
+    drawn = style.figure(10.0, 0.9 + 0.3 * len(_bars(rows)))
+    draw_budget(drawn.add_subplot(), rows)
+    return drawn
+
+
+def _bars(rows: Sequence[Row]) -> dict[str, list[float]]:
+    """Label of each bar, and its shares in the order of `rows`."""
     bars = {"whole gap": [row["share"] for row in rows]}
     bars |= {symbol(c): [row["channels"][c] for row in rows] for c in rows[0]["channels"]}
-    bars |= {
+    return bars | {
         phase.replace("_", ", "): [row["phases"][phase] for row in rows]
         for phase in rows[0]["phases"]
         if sum(row["phases"][phase] for row in rows) > 0.0
     }
-    drawn = style.figure(10.0, 0.9 + 0.3 * len(bars))
-    axes = drawn.add_subplot()
+
+
+def draw_budget(axes: Axes, rows: Sequence[Row]) -> None:
+    """Draw the bars of `budget_figure` on given axes."""
+    effects = [row["cause"] for row in rows if row["cause"] not in _OTHERS]
+    colours = dict(zip(effects, style.CYCLE * (1 + len(effects) // len(style.CYCLE)), strict=False))
+    bars = _bars(rows)
     for place, (label, shares) in enumerate(bars.items()):
         _bar(axes, place, shares, [{**_OTHERS, **colours}[row["cause"]] for row in rows])
         axes.text(-0.01, place, label, ha="right", va="center", fontsize=8)
@@ -149,7 +159,6 @@ def budget_figure(rows: Sequence[Row]) -> Figure:
     axes.set_xlabel("share of the energy of the whole gap")
     style.dress(axes, grid="x")
     style.legend(axes, columns=3)
-    return drawn
 
 
 def _bar(axes: Axes, place: int, shares: Sequence[float], colours: Sequence[str]) -> None:

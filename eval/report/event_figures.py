@@ -62,7 +62,7 @@ def draw_output(axes: Axes, time: FloatArray, curves: Curves, one: AssessedEvent
     if assessment is not None:
         _levels(axes, assessment)
         _windows(axes, assessment, t0_s)
-    _curves(axes, time, curves)
+    draw_curves(axes, time, curves)
     if assessment is not None:
         _dots(axes, assessment, t0_s)
     axes.set_ylabel(style.with_unit(curves.name))
@@ -86,15 +86,18 @@ def _direction(one: AssessedEvent) -> str:
     return ("push", "pull")[one.event.label]
 
 
-def _curves(axes: Axes, time: FloatArray, curves: Curves) -> None:
+def draw_curves(axes: Axes, time: FloatArray, curves: Curves) -> None:
+    """Draw one output over `time (time,)`: measured on top of model, interval, steady state."""
     style.shade_missing(axes, time, curves.measured)
     if curves.model is not None and curves.half_width is not None:
         style.band(axes, time, curves.model, curves.half_width)
     if curves.steady is not None:
         style.curve(axes, time, curves.steady, style.STEADY, lw=0.9, ls="--", label="steady state")
     if curves.model is not None:
-        style.curve(axes, time, curves.model, style.MODEL, lw=2.2, alpha=0.8, label="model")
-    style.curve(axes, time, curves.measured, style.MEASURED, lw=1.0, label="flight")
+        style.curve(
+            axes, time, curves.model, style.MODEL, lw=2.0, alpha=0.8, label="model, free run"
+        )
+    style.curve(axes, time, curves.measured, style.MEASURED, lw=0.8, label="measured")
 
 
 def _levels(axes: Axes, one: Assessment) -> None:

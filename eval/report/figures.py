@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 
 from data_prep.events import Event
 from data_prep.log import Log
-from eval.report import style
-from eval.report.style import Picture, envelope, picture
+from eval.report import plot, style
+from eval.report.style import Picture, picture
 from eval.report.tables import Measure, measures
-from eval.report.view import Curves, LogView
-from eval.residuals import Correlation, ResidualTests, independence, whiteness
+from eval.report.view import LogView
+from eval.residuals import ResidualTests, independence, whiteness
 from narxcal.channels import CHANNELS, symbol
 from narxcal.support.arrays import FloatArray
 
@@ -27,33 +27,36 @@ if TYPE_CHECKING:
     from eval.crossval import CrossValidation, FoldResult
     from eval.denoising import NoiseSweep
 
-_LAGS = 160  # drawn per correlation; a reader sees no more
-
 
 def overlay(view: LogView) -> Picture:
     """Draw the whole log: driver, then per output flight over model and the deviation below it."""
+    names = ", ".join(symbol(name) for name in view.outputs)
+    shown = "as measured" if view.evaluation is None else "measured and model, with deviation"
+    alt = f"{names} over the whole log {view.name}: {shown}"
+    return picture(overlay_figure(view), alt, _overlay_caption(view))
+
+
+def overlay_figure(view: LogView, on: Figure | None = None) -> Figure:
+    """The same as a matplotlib figure, which may be given."""
     outputs, compared = view.curves(), view.evaluation is not None
     ratios = [0.6] + [part for _ in outputs for part in ((1.6, 0.6) if compared else (1.4,))]
-    figure, rows = style.stack(10.0, ratios)
-    time_s, step = view.log.time_s, 2 if compared else 1
-    _driver(rows[0], view)
+    figure, rows = style.stack(10.0, ratios, on)
+    step = 2 if compared else 1
+    plot.events(view, ax=rows[0])
     for position, curves in enumerate(outputs):
-        _output(rows[1 + step * position], time_s, curves)
+        plot.compare(view, channel=curves.name, ax=rows[1 + step * position])
         if curves.model is not None:
-            _deviation(
-                rows[2 + step * position], time_s, curves.name, curves.model - curves.measured
-            )
+            deviation = curves.model - curves.measured
+            _deviation(rows[2 + step * position], view.log.time_s, curves.name, deviation)
     style.legend(rows[1], columns=5)
     for axes in rows:
         style.dress(axes)
         axes.margins(x=0.0)
+        axes.set_xlabel("")
         if view.scored_from_s is not None:
             axes.axvline(view.scored_from_s, color="#24292f", lw=0.9, ls=":")
     rows[-1].set_xlabel("time [s]")
-    names = ", ".join(symbol(name) for name in view.outputs)
-    shown = "measured and model, with deviation" if compared else "as measured"
-    alt = f"{names} over the whole log {view.name}: {shown}"
-    return picture(figure, alt, _overlay_caption(view))
+    return figure
 
 
 def _overlay_caption(view: LogView) -> str:
@@ -66,28 +69,6 @@ def _overlay_caption(view: LogView) -> str:
     )
     trim = " Left of the dotted line trim offsets are estimated; only what follows is scored."
     return text if view.scored_from_s is None else text + trim
-
-
-def _driver(axes: Axes, view: LogView) -> None:
-    style.curve(axes, view.log.time_s, view.log[view.driver], style.DRIVER, lw=0.9)
-    axes.set_ylabel(style.with_unit(view.driver))
-    for event in (one.event for one in view.events):
-        colour = style.BAD if event.label == 0 else style.MODEL
-        axes.axvline(event.start_s, color=colour, lw=0.5, alpha=0.6)
-
-
-def _output(axes: Axes, time: FloatArray, curves: Curves) -> None:
-    style.shade_missing(axes, time, curves.measured)
-    if curves.model is not None and curves.half_width is not None:
-        style.band(axes, time, curves.model, curves.half_width)
-    if curves.steady is not None:
-        style.curve(axes, time, curves.steady, style.STEADY, lw=0.8, ls="--", label="steady state")
-    if curves.model is not None:
-        style.curve(
-            axes, time, curves.model, style.MODEL, lw=2.0, alpha=0.75, label="model, free run"
-        )
-    style.curve(axes, time, curves.measured, style.MEASURED, lw=0.7, label="measured")
-    axes.set_ylabel(style.with_unit(curves.name))
 
 
 def _deviation(axes: Axes, time: FloatArray, name: str, deviation: FloatArray) -> None:
@@ -104,39 +85,13 @@ def residual_tests(view: LogView) -> list[Picture]:
 
 def _residual_test(log: str, part: ResidualTests) -> Picture:
     entries = len(part.cross) + 1  # one line of the legend per input, and the band
-    figure, left, right = style.pair(10.0, 2.5, legend_rows=-(-entries // _LEGEND_COLUMNS))
-    _band(left, part.auto, part.dt_s)
-    _stems(left, part.auto, part.dt_s)
-    left.set(xlabel="lag [s]", ylabel="autocorrelation [-]", ylim=(-1.05, 1.05))
-    for (colour, dashes), (name, cross) in zip(_INPUT_STYLES, part.cross.items(), strict=False):
-        _band(right, cross, part.dt_s, None if right.lines else "95 % band")
-        lags, values = envelope(cross.lags * part.dt_s, cross.values, 2 * _LAGS)
-        right.plot(lags, values, color=colour, ls=dashes, lw=1.2, label=symbol(name))
-    right.set(xlabel="lag [s] (positive: the input comes first)", ylabel="cross-correlation [-]")
-    for axes in (left, right):
-        style.dress(axes)
-        axes.margins(x=0.0)
-        style.legend(axes, columns=_LEGEND_COLUMNS)
+    figure, left, right = style.pair(10.0, 2.5, legend_rows=-(-entries // plot.LEGEND_COLUMNS))
+    for axes, cross in ((left, False), (right, True)):
+        plot.resid(part, cross=cross, ax=axes)
+        style.legend(axes, columns=plot.LEGEND_COLUMNS)
     name = symbol(part.channel)
     alt = f"Correlation of the {name} residual of {log} with itself and with each input"
     return picture(figure, alt, _judgement(part))
-
-
-# More inputs than colours: the dashes differ.
-_INPUT_STYLES = [(colour, dashes) for dashes in ("-", "--", ":", "-.") for colour in style.CYCLE]
-_LEGEND_COLUMNS = 5  # in the width of one of two axes
-
-
-def _stems(axes: Axes, part: Correlation, dt_s: float) -> None:
-    """Bars from zero as one broken line: a tenth of the bytes of a collection of lines."""
-    lags, bars = envelope(part.lags * dt_s, part.values, _LAGS)
-    heights = np.column_stack([np.zeros_like(bars), bars, np.full_like(bars, np.nan)]).ravel()
-    axes.plot(np.repeat(lags, 3), heights, color=style.MODEL, lw=1.0)
-
-
-def _band(axes: Axes, part: Correlation, dt_s: float, label: str | None = "95 % band") -> None:
-    lags, half = envelope(part.lags * dt_s, part.band_95, _LAGS)
-    axes.fill_between(lags, -half, half, color=style.MASK, alpha=0.6, lw=0, label=label)
 
 
 _CHANCE = "no input correlates more than chance allows (1 % over all lags)"
@@ -365,10 +320,10 @@ def segment(log: Log, event: Event, channels: Sequence[str], title: str) -> Pict
     return picture(figure, f"{title} at {place}", f"{title}, at {place}.")
 
 
-def recorded(log: Log) -> Figure:
+def recorded_figure(log: Log, on: Figure | None = None) -> Figure:
     """Draw every channel of a log over time, one below the other; grey is where none was read."""
     names = [name for name in CHANNELS if name in log.channels and log.recorded([name])]
-    figure, axes = style.stack(9.0, [0.8] * len(names))
+    figure, axes = style.stack(9.0, [0.8] * len(names), on)
     for part, name in zip(axes, names, strict=True):
         style.shade_missing(part, log.time_s, log[name])
         style.curve(part, log.time_s, log[name], style.MEASURED, lw=0.8)

@@ -168,14 +168,18 @@ def figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained", facecolor="white")
 
 
-def stack(width: float, heights: Sequence[float]) -> tuple[Figure, list[Axes]]:
+def stack(
+    width: float, heights: Sequence[float], on: Figure | None = None
+) -> tuple[Figure, list[Axes]]:
     """Rows of axes, `heights` in inches, over one time axis; room for a legend above the second.
 
     Margins are fixed: finding them by trial, as a layout engine does, takes half of the time.
+    The figure is a new one unless it is given.
     """
     left, right, top, bottom, gap, legend_gap = 0.62, 0.12, 0.06, 0.42, 0.11, 0.22
     total = top + sum(heights) + gap * (len(heights) - 1) + legend_gap + bottom
-    drawn = Figure(figsize=(width, total), facecolor="white")
+    drawn = Figure(facecolor="white") if on is None else on
+    drawn.set_size_inches(width, total)
     rows: list[Axes] = []
     edge = total - top
     for position, height in enumerate(heights):

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pandas as pd
+from markupsafe import escape
 
 from data_prep.log import Audit, AuditEntry, Source
 from eval.report.style import NOTHING, number, unit, with_unit
@@ -554,3 +555,10 @@ def significant(found: Comparison) -> Table:
         for one in found.significant
     )
     return Table("", head, rows)
+
+
+def summary(title: str, lines: Sequence[str], table: pd.DataFrame) -> str:
+    """HTML that a notebook shows of a result: title, remarks and up to twenty rows."""
+    listed = "".join(f"<li>{escape(line)}</li>" for line in lines)
+    rows: str = table.to_html(float_format="{:.4g}".format, border=0, max_rows=20, na_rep="")
+    return f"<h4>{escape(title)}</h4>{f'<ul>{listed}</ul>' if lines else ''}{rows}"

@@ -191,6 +191,12 @@ class RunRecord(_Part):
     held_out: HeldOutRecord | None = None
     delay: DelayRecord | None = None
 
+    @property
+    def doubtful_logs(self) -> list[str]:
+        """Training logs left out as a whole, and logs that no model follows, in words."""
+        left_out = self.screening.contradicting if self.screening else ()
+        return [*(each.words for each in left_out), *self.weighed.suspects]
+
     def to_json(self) -> Table:
         """Return the entries that were given, as JSON-able values."""
         return self.model_dump(mode="python", exclude_unset=True)

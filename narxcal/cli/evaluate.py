@@ -9,25 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from data_prep.log import Log
-from data_prep.prepare import cautions
 from eval import terminal
-from eval.evaluate import (
-    SCHEMA,
-    Evaluation,
-    LogEvaluation,
-    assess_log,
-    certificate,
-    mixture_sentences,
-    outside_envelope,
-    run_config,
-)
+from eval.evaluate import SCHEMA, Evaluation, certificate, run_config
 from eval.outcome import Outcome
 from eval.report.page import evaluate_page
-from eval.report.view import view_of
+from eval.results import changed
+from eval.results import judge as evaluated
 from narxcal.calibration.bundle import Bundle, load_bundle, read_document
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_run, fraction, path
-from narxcal.cli.results import changed, doubtful_logs, header_of, logs_for
+from narxcal.cli.results import header_of, logs_for
 from narxcal.support.files import Results
 from narxcal.support.system import release_memory
 
@@ -36,7 +27,7 @@ RESULTS = Results(SCHEMA, "evaluate.json", (PAGE,))
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class Report:
     """An evaluation with its verdict, its JSON document and its page."""
 
     evaluation: Evaluation
@@ -81,34 +72,20 @@ def run(options: Namespace, console: Console) -> int:
 
 def judge(
     bundle: Bundle, logs: Sequence[Log], how: tuple[Path, float | None], console: Console
-) -> Judgement:
+) -> Report:
     """Evaluate log by log; `how` names the bundle's folder and the trim."""
     run_folder, trim = how
-    config, settings = run_config(bundle)
-    parts: list[LogEvaluation] = []
     release_memory()  # that reading took
     with console.progress("Evaluating") as advance:
-        for number, log in enumerate(logs):
-            advance(number, len(logs), log.name)
-            parts.append(assess_log(bundle, log, settings, trim=trim or None))
-    mixture, settling = mixture_sentences(bundle), certificate(bundle)
-    evaluation = Evaluation(tuple(parts), settings, trim or None, mixture, settling)
-    outcome = evaluation.outcome
-    warnings = [
-        *doubtful_logs(bundle.record),
-        *cautions(logs, config, config.narx.outputs),
-        *(each.caution for each in evaluation.findings),
-        *evaluation.level_cautions,
-        *_outside(bundle, parts),
-    ]
-    header = header_of(
-        f"Evaluation: {config.name}", run_folder, bundle, logs, settings.transients.rule_set
-    )
-    header = replace(header, facts={**header.facts, "Constant inputs": settling.words})
+        found = evaluated(bundle, logs, trim, advance)
+    evaluation, warnings = found.evaluation, list(found.cautions)
+    config, settings = run_config(bundle)
+    title, rules = f"Evaluation: {config.name}", settings.transients.rule_set
+    header = header_of(title, run_folder, bundle, logs, rules)
+    facts = {**header.facts, "Constant inputs": certificate(bundle).words}
     with console.progress("Drawing the page"):
-        inputs = bundle.calibration.input_names
-        views = [view_of(part, config.events.driver, inputs) for part in parts]
-        html = evaluate_page(replace(header, cautions=warnings), views, outcome)
+        header = replace(header, facts=facts, cautions=warnings)
+        html = evaluate_page(header, found.views, found.outcome)
     document = {
         **evaluation.document(),
         "run": str(run_folder),
@@ -117,18 +94,10 @@ def judge(
         "changed": changed(bundle, logs),
         "cautions": warnings,
     }
-    return Judgement(evaluation, outcome, document, html)
+    return Report(evaluation, found.outcome, document, html)
 
 
-def _outside(bundle: Bundle, parts: Sequence[LogEvaluation]) -> list[str]:
-    """Warnings of logs outside the envelope of their engine's steady-state model."""
-    own = (bundle.calibration.for_engine(part.log.source.engine, or_mean=True) for part in parts)
-    models = [calibration.steady for calibration in own]
-    found = (outside_envelope(part.run, model) for part, model in zip(parts, models, strict=True))
-    return [text for text in found if text]
-
-
-def show(console: Console, found: Judgement) -> None:
+def show(console: Console, found: Report) -> None:
     """Print the tables and the verdict."""
     terminal.print_scores(console.page, found.evaluation.logs)
     terminal.print_interval(console.page, found.evaluation.pooled)

@@ -22,7 +22,7 @@ from data_prep.equilibrium import BELOW_IDLE, in_equilibrium
 from data_prep.log import Log
 from data_prep.ranking import other_driver
 from data_prep.reading import read_logs
-from eval.report.figures import recorded
+from eval.report.figures import recorded_figure
 from narxcal.channels import SPOOLS
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_overwrite, path
@@ -69,7 +69,7 @@ def run(options: Namespace, console: Console) -> int:
         RunConfig.parse(tomllib.loads(text), out)
     atomic_write_text(out, text)
     picture = io.BytesIO()
-    recorded(logs[0]).savefig(picture, format="png", dpi=110)
+    recorded_figure(logs[0]).savefig(picture, format="png", dpi=110)
     atomic_write_bytes(plot, picture.getvalue())
     for line in asked:
         console.say(f"To be filled in: {line}")

@@ -25,7 +25,7 @@ from eval.transients import TransientsConfig
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_data, add_logs, add_overwrite, add_run, path
-from narxcal.cli.results import doubtful_logs, logs_for
+from narxcal.cli.results import logs_for
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import atomic_write_bytes, atomic_write_text, check_file, to_json
 
@@ -108,7 +108,7 @@ def _settings(bundle: Bundle, options: Namespace) -> TransientsConfig:
 def _cautions(bundle: Bundle, logs: Sequence[Log]) -> tuple[str, ...]:
     found = cautions(logs, run_config(bundle)[0], bundle.calibration.output_names)
     faults = [each.caution for log in logs for each in log.findings]
-    return (*doubtful_logs(bundle.record), *found, *faults)
+    return (*bundle.record.doubtful_logs, *found, *faults)
 
 
 def _show(console: Console, guide: Guide) -> None:

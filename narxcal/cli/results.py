@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data_prep.identity import duplicates
 from data_prep.log import Log, Source
 from eval.report.page import RunHeader
 from eval.rules import Rules
 from narxcal.channels import CHANNELS, channel
 from narxcal.cli.console import Console
 from narxcal.intervals import ENOUGH, LEVEL, HalfWidths
-from narxcal.support.errors import ConfigError, DataError
 from training.config import IdentifyConfig, RunConfig, load_config
 
 if TYPE_CHECKING:
@@ -30,20 +27,7 @@ def read_config(path: str, data: Path | None) -> tuple[RunConfig, Path]:
     Returns the configuration and the folder that its paths are relative to; raises
     `ConfigError` as `load_config`.
     """
-    if Path(path).is_dir():
-        raise ConfigError(
-            "a configuration is a file, and this is a folder",
-            file=path,
-            hint="Name the TOML file in it",
-        )
-    try:
-        config, base = load_config(path)
-    except ConfigError as error:
-        if error.file is not None:
-            raise
-        raise ConfigError(
-            error.problem, file=path, channel=error.channel, hint=error.hint
-        ) from None
+    config, base = load_config(path)
     return config if data is None else config.with_logs_in(data), base
 
 
@@ -63,63 +47,10 @@ def logs_for(
 
     Warns of a held-out log whose file has changed since the training. Raises `DataError`.
     """
-    from eval.evaluate import evaluation_logs  # noqa: PLC0415 -- `prepare` needs no model
+    from eval.results import logs_of  # noqa: PLC0415 -- `prepare` needs no model
 
     with console.progress("Reading the logs"):
-        if files:
-            return _distinct(evaluation_logs(bundle, _once(files, console)), console)
-        logs = _distinct(_held_out(bundle, data), console)
-    if not bundle.record.logs("test"):
-        console.warn("no log was held out: these are logs that the model was trained on")
-    for text in changed(bundle, logs):
-        console.warn(text)
-    return logs
-
-
-def _once(files: Sequence[Path], console: Console) -> list[Path]:
-    """Each file once: a log that is judged twice would count twice in pooled figures."""
-    chosen = list({file.resolve(): file for file in files}.values())
-    if len(chosen) < len(files):
-        console.warn("a file that is named twice is read once")
-    return chosen
-
-
-def _distinct(logs: list[Log], console: Console) -> list[Log]:
-    """Each recording once, under whatever names it is stored."""
-    found = duplicates(logs)
-    for shared in found:
-        console.warn(f"{shared.words}; it counts once")
-    return [log for log in logs if log.name not in {shared.log for shared in found}]
-
-
-def changed(bundle: Bundle, logs: Sequence[Log]) -> list[str]:
-    """Warnings about logs whose files have changed since the training."""
-    known = {Path(file).name: digest for file, digest in bundle.record.data.items()}
-    found = {log.source.file: log.source.sha256 for log in logs}
-    return [
-        f"{file}: the file has changed since the training: sha256 was "
-        f"{known[Path(file).name][:12]}, is {digest[:12]}"
-        for file, digest in found.items()
-        if known.get(Path(file).name, digest) != digest
-    ]
-
-
-def _held_out(bundle: Bundle, data: Path | None) -> list[Log]:
-    from eval.evaluate import evaluation_logs  # noqa: PLC0415 -- `prepare` needs no model
-
-    try:
-        return evaluation_logs(_moved(bundle, data) if data else bundle)
-    except DataError as error:
-        if not (error.hint or "").startswith(("Set [logs] folder", "Set [logs] files")):
-            raise
-        hint = "Name their folder by --data, or other logs by --logs"
-        raise DataError(error.problem, file=error.file, hint=hint) from None
-
-
-def _moved(bundle: Bundle, data: Path) -> Bundle:
-    config = bundle.record.config
-    logs = {**config.get("logs", {}), "folder": str(data.resolve())}
-    return replace(bundle, record=bundle.record.having(config={**config, "logs": logs}))
+        return logs_of(bundle, files, data, console.warn)
 
 
 _LAGS = {
@@ -128,12 +59,6 @@ _LAGS = {
     "governed": "with N1 governed by the control",
 }
 _KINDS = {"fmu": "FMU", "callable": "function"}
-
-
-def doubtful_logs(record: RunRecord) -> list[str]:
-    """Training logs that were left out as a whole, and logs that no model follows, in words."""
-    left_out = record.screening.contradicting if record.screening else ()
-    return [*(each.words for each in left_out), *record.weighed.suspects]
 
 
 def steady_words(record: RunRecord) -> str:

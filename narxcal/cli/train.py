@@ -9,16 +9,10 @@ from __future__ import annotations
 import math
 import shutil
 from argparse import ArgumentParser, Namespace
-from collections.abc import Sequence
 from contextlib import suppress
-from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
-from data_prep.identity import refuse_duplicates
-from data_prep.log import Finding, Log
-from data_prep.prepare import cautions
-from data_prep.reading import shared_interval_s
 from narxcal.calibration.bundle import (
     DOCUMENT,
     Bundle,
@@ -27,11 +21,10 @@ from narxcal.calibration.bundle import (
     write_bundle,
 )
 from narxcal.calibration.certificate import certificate_of
-from narxcal.calibration.run_record import RunRecord, ScreeningRecord, StepRow
+from narxcal.calibration.run_record import RunRecord, StepRow
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_config
 from narxcal.cli.results import (
-    doubtful_logs,
     interval_words,
     lag_words,
     mixture_words,
@@ -40,10 +33,9 @@ from narxcal.cli.results import (
 )
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import check_writable, recover
-from training.config import RunConfig, SplitConfig
+from training.config import RunConfig
 from training.methods import TrainOptions
-from training.pipeline import calibrate, configured_files, prepare_logs
-from training.records import Split, split_logs
+from training.pipeline import calibrate, configured_files, doubts, read_split
 
 SCHEMA = "narxcal.train/1"
 CHECKPOINTS = "checkpoints"
@@ -88,63 +80,18 @@ def train(config: RunConfig, base: Path, folder: Path, how: tuple[bool, Console]
     """
     resume, console = how
     with console.progress("Reading the logs") as advance:
-        logs = []
-        files = configured_files(config, base)
-        for number, file in enumerate(files):
-            advance(number, len(files), file.name)
-            logs += prepare_logs(config, [file])
-        dt_s = shared_interval_s(logs)
-        if dt_s is not None:
-            console.warn(f"sampling intervals differ between logs: all are read every {dt_s:g} s")
-            logs = prepare_logs(config, files, dt_s)
-    split = split_logs(logs, config.split)
-    refuse_duplicates(
-        (*split.train, *split.validate, *split.test), "a model would be judged on what it learned"
-    )
-    said = (
-        *left_out(logs, split, config.split), *cautions(logs, config, config.narx.outputs),
-    )  # fmt: skip
+        split, said = read_split(config, configured_files(config, base), advance)
     for warning in said:
         console.warn(warning)
     checkpoints = folder / CHECKPOINTS
     with console.progress("Training") as advance:
-        options = TrainOptions(advance, checkpoints, resume)
-        bundle = calibrate(config, base, split, options)
-    for warning in (*masked_words(bundle.record), *doubtful_logs(bundle.record)):
+        bundle = calibrate(config, base, split, TrainOptions(advance, checkpoints, resume))
+    for warning in doubts(bundle.record):
         console.warn(warning)
     write_bundle(folder, bundle)
     if not bundle.record.interrupted:
         shutil.rmtree(checkpoints, ignore_errors=True)
     return bundle
-
-
-def masked_words(record: RunRecord) -> list[str]:
-    """What to say of the faults of the logs to learn from, and of what was masked for them."""
-    found = record.screening or ScreeningRecord()
-    said = [Finding.from_row(row).caution for row in found.findings]
-    for row in found.logs:
-        parts = [f"{count} samples of {name}" for name, count in row.masked.items()]
-        if row.left_out_rows:
-            parts.append(f"{row.left_out_rows} of {row.rows} rows")
-        if parts:
-            said.append(f"{row.log}: not learned from {', '.join(parts)}")
-    return said
-
-
-def left_out(logs: Sequence[Log], split: Split, config: SplitConfig) -> list[str]:
-    """What to say of patterns in [split] that name no log, and of logs that are in no set."""
-    patterns = {"train": config.train, "validate": config.validate_, "test": config.test}
-    said = [
-        f"[split] {part} = '{pattern}' matches no log"
-        for part, chosen in patterns.items()
-        for pattern in chosen
-        if not any(fnmatch(log.name, pattern) for log in logs)
-    ]
-    used = {log.name for log in (*split.train, *split.validate, *split.test)}
-    unused = [log.name for log in logs if log.name not in used]
-    if unused:
-        said.append(f"not used, for no pattern in [split] matches: {', '.join(unused)}")
-    return said
 
 
 def check(folder: Path, *, resume: bool) -> None:

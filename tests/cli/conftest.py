@@ -15,6 +15,7 @@ import pytest
 from narxcal.calibration.bundle import load_bundle
 from narxcal.cli import main, train
 from narxcal.flight_test.sensors import first_order
+from training import pipeline
 from training.checkpoint import read_checkpoint, write_checkpoint
 from training.network import TrainingState
 
@@ -118,9 +119,9 @@ def training(project, monkeypatch):
             )
         return trained
 
-    real = train.prepare_logs
+    real = pipeline.prepare_logs
     once = cache(lambda file: real(train.read_config(project / "tiny.toml", None)[0], [file]))
-    monkeypatch.setattr(train, "prepare_logs", lambda _, files: once(files[0]))
+    monkeypatch.setattr(pipeline, "prepare_logs", lambda _, files: once(files[0]))
     monkeypatch.setattr(train, "calibrate", calibrate)
     return "train", project / "tiny.toml", "--out"
 

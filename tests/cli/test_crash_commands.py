@@ -115,7 +115,7 @@ def replaced_or_not(folder, write, how):
 
 @HOW
 def test_results_of_an_evaluation(project, tmp_path, monkeypatch, exchange, power):
-    found = evaluate.Judgement(None, type("Outcome", (), {"exit_code": 0}), DOCUMENT, "<p>a: b</p>")
+    found = evaluate.Report(None, type("Outcome", (), {"exit_code": 0}), DOCUMENT, "<p>a: b</p>")
     monkeypatch.setattr(evaluate, "logs_for", lambda *_: [])
     monkeypatch.setattr(evaluate, "judge", lambda *_: found)
     monkeypatch.setattr(evaluate, "show", lambda *_: None)

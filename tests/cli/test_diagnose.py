@@ -5,6 +5,7 @@ import shutil
 
 import pandas as pd
 import pytest
+from matplotlib import pyplot as plt
 
 import narxcal
 from eval.diagnosis.learned import learned_by
@@ -99,6 +100,9 @@ def test_python_gives_the_budget_as_a_table_and_a_figure(case):
     assert found.table.index[0] == "sensor_lag:EGT_C"
     [axes] = found.plot().axes
     assert axes.get_xlabel() == "share of the energy of the whole gap"
+    assert narxcal.plot.gap(found, ax=axes) is axes
+    plt.close(axes.figure)
+    assert "sensor_lag:EGT_C" in found._repr_html_()
 
 
 def test_what_a_simulator_gets_wrong_by_itself_is_learned_and_then_no_finding(

@@ -15,6 +15,7 @@ from data_prep import csv_source
 from narxcal.calibration.bundle import load_bundle
 from narxcal.cli import console, demo
 from narxcal.cli import train as training
+from training import pipeline
 
 LONG = ("iterations = [2, 2]", "iterations = [40, 40]")
 CHECKPOINT = "checkpoints/checkpoint-joint.safetensors"
@@ -107,7 +108,7 @@ def test_ctrl_c_before_anything_is_written_says_so(project, narxcal, monkeypatch
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(training, "prepare_logs", stop)
+    monkeypatch.setattr(pipeline, "prepare_logs", stop)
     done = narxcal("train", project / "tiny.toml", "--out", tmp_path / "run")
     assert (done.code, done.out) == (130, "")
     assert done.err == "narxcal: interrupted; nothing was written\n"

@@ -42,7 +42,7 @@ class Runs(RuleBasedStateMachine):
     def judged(self, *_):
         document = {"schema": "narxcal.evaluate/1", "number": self.number}
         outcome = type("Outcome", (), {"exit_code": 0})
-        return evaluate.Judgement(None, outcome, document, f"<p>{self.number}</p>")
+        return evaluate.Report(None, outcome, document, f"<p>{self.number}</p>")
 
     def attempt(self, work, kill_at):
         """Run `work`; returns its exit code, or None where it was killed before its end."""

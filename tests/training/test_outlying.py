@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from narxcal.cli.results import doubtful_logs
 from tests.training.test_masking import CONFIG, flight
 from tests.training.test_steady_fit import LAYOUT, truth
 from training.config import RunConfig, SteadyFitConfig
@@ -122,7 +121,7 @@ def test_it_is_not_learned_from_and_that_is_said_and_counted(rigged):
     assert [row.left_out_rows for row in found.logs] == [0, len(rigged[1]), 0, 0]
     assert [row.log for row in found.contradicting] == ["2.csv"]
     assert list(bundle.record.logs("train")) == [log.name for log in rigged if log is not rigged[1]]
-    [text] = doubtful_logs(bundle.record)
+    [text] = bundle.record.doubtful_logs
     assert text.startswith("2.csv contradicts the other logs as a whole")
     sound = learnable(Split((rigged[0], *rigged[2:]), (), ()), BY_LEVER, screen=False).split
     quality = steady_state(BY_LEVER, Path(), sound.train)[1]

@@ -309,7 +309,10 @@ def test_the_page_of_an_80_minute_log_at_32_hz_with_40_events_stays_small(header
     made, names = view(), ("N1_pct", "N2_pct", "EGT_C")
     log = Log("long.csv", np.arange(samples) / 32.0, dict.fromkeys(("TRA_deg", *names), noise))
     three = np.column_stack([noise] * 3)
-    run = replace(made.evaluation.run, outputs={"model": three, "steady_state": three})
+    run = replace(
+        made.evaluation.run, outputs={"model": three, "steady_state": three},
+        inputs_known=np.ones(samples, dtype=bool),
+    )  # fmt: skip
     long = replace(
         made, log=log, outputs=names, evaluation=replace(made.evaluation, run=run), residuals=[],
         events=list(made.events) * 14,

@@ -1,0 +1,437 @@
+"""What Python users call, and what it gives: frozen results with tables and a drawing.
+
+    data = read("flights/*.csv", "mine.toml")
+    prepared = prepare(data)        # events, ranking of channels
+    model = train(data, out="run")  # the run folder of `narxcal train`
+    judged = evaluate(model)        # on the logs that were held out
+
+Each computes what the command of its name does. Tables are data frames, units are in their
+columns' names or those of the channels. A log of a result is `result[0]` or `result["flight_3*"]`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from fnmatch import fnmatch
+from functools import cached_property
+from glob import glob, has_magic
+from pathlib import Path
+from typing import Protocol, TypeAlias, TypeVar
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from data_prep.equilibrium import while_running
+from data_prep.identity import duplicates
+from data_prep.log import Log
+from data_prep.prepare import cautions, in_lines
+from data_prep.reading import read_logs
+from eval.evaluate import (
+    Evaluation,
+    assess_log,
+    evaluation_logs,
+    outside_envelopes,
+    run_config,
+)
+from eval.evaluate import evaluate as evaluate_logs
+from eval.outcome import Outcome
+from eval.preparation import LogReport, events_table, examine, pearson_table, windows_table
+from eval.report.figures import overlay_figure, recorded_figure
+from eval.report.tables import summary
+from eval.report.view import LogView, view_of
+from narxcal.calibration.bundle import Bundle, load_bundle, save_bundle
+from narxcal.calibration.run_record import ScreeningRecord
+from narxcal.support.errors import DataError
+from narxcal.support.progress import Progress, silent
+from training.config import RunConfig, load_config
+from training.methods import TrainOptions
+from training.pipeline import calibrate, configured_files, doubts, read_split
+from training.records import Split
+
+Files: TypeAlias = str | Path | Sequence[str | Path]
+
+
+class _Named(Protocol):
+    @property
+    def name(self) -> str: ...
+
+
+T = TypeVar("T", bound=_Named)
+
+
+def _item(items: Sequence[T], key: int | str) -> T:
+    """One log by its place, or by its name or a pattern of it; raises `DataError`."""
+    if isinstance(key, str):
+        found = [one for one in items if key == one.name or fnmatch(one.name, key)]
+    else:
+        found = list(items[key : key + 1 or None])
+    if not found:
+        names = ", ".join(one.name for one in items)
+        raise DataError(f"there is no log {key!r}", hint=f"There are {len(items)}: {names}")
+    return found[0]
+
+
+def _canvas() -> Figure:
+    """A figure of pyplot, which notebooks and `pyplot.show` display."""
+    from matplotlib import pyplot as plt  # noqa: PLC0415 - pages open no window
+
+    return plt.figure()
+
+
+def _audit(logs: Sequence[Log]) -> pd.DataFrame:
+    rows = [
+        {"log": log.name, "channel": one.channel, "action": one.action, "reason": one.reason,
+         "samples": one.samples}
+        for log in logs for one in log.audit.entries
+    ]  # fmt: skip
+    return pd.DataFrame(rows, columns=["log", "channel", "action", "reason", "samples"])
+
+
+@dataclass(frozen=True, eq=False)
+class Recordings:
+    """Logs as read, with the configuration that says how: `logs` one of each engine and part."""
+
+    logs: tuple[Log, ...]
+    config: RunConfig
+    base: Path
+    files: tuple[Path, ...]
+
+    def __len__(self) -> int:
+        return len(self.logs)
+
+    def __iter__(self) -> Iterator[Log]:
+        return iter(self.logs)
+
+    def __getitem__(self, log: int | str) -> Log:
+        return _item(self.logs, log)
+
+    @property
+    def audit(self) -> pd.DataFrame:
+        """What was changed between files and logs: log, channel, action, reason, samples."""
+        return _audit(self.logs)
+
+    def plot(self, log: int | str = 0) -> Figure:
+        """Draw every channel of one log over time."""
+        return recorded_figure(self[log], _canvas())
+
+    def _repr_html_(self) -> str:
+        rows = [
+            {"log": one.name, "minutes": len(one) * one.dt_s / 60.0, "dt_s": one.dt_s,
+             "channels": ", ".join(one.channels)}
+            for one in self.logs
+        ]  # fmt: skip
+        return summary(f"{len(self)} logs as read", (), pd.DataFrame(rows))
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedLogs:
+    """Logs cleaned and smoothed, with what was found in each."""
+
+    reports: tuple[LogReport, ...]
+
+    def __len__(self) -> int:
+        return len(self.reports)
+
+    def __getitem__(self, log: int | str) -> LogView:
+        return _item(self.views, log)
+
+    @cached_property
+    def views(self) -> tuple[LogView, ...]:
+        """The logs as they are drawn."""
+        return tuple(one.view() for one in self.reports)
+
+    @property
+    def events(self) -> pd.DataFrame:
+        """Pushes (label 0) and pulls (1): log, start, times, levels, kind."""
+        return events_table(self.reports)
+
+    @property
+    def ranking(self) -> pd.DataFrame:
+        """Pearson coefficient of every input and output: log, input, output, rho, strong."""
+        return pearson_table(self.reports)
+
+    @property
+    def windows(self) -> pd.DataFrame:
+        """What moving averages of several widths take from each channel."""
+        return windows_table(self.reports)
+
+    @property
+    def audit(self) -> pd.DataFrame:
+        """What was changed: log, channel, action, reason, samples."""
+        return _audit([one.log for one in self.reports])
+
+    @property
+    def cautions(self) -> list[str]:
+        """What a reader of the tables has to know."""
+        return in_lines(each for one in self.reports for each in one.prepared.warnings)
+
+    def plot(self, log: int | str = 0) -> Figure:
+        """Draw one log: driver with its events, and outputs."""
+        return overlay_figure(self[log], _canvas())
+
+    def _repr_html_(self) -> str:
+        rows = [{"log": one.name, **one.counts()} for one in self.reports]
+        return summary(f"{len(self)} prepared logs", self.cautions, pd.DataFrame(rows))
+
+
+@dataclass(frozen=True, eq=False)
+class Training:
+    """A trained model, in `bundle`, and the logs that it was made of."""
+
+    bundle: Bundle
+    split: Split
+    cautions: tuple[str, ...]
+
+    def __getitem__(self, log: int | str) -> LogView:
+        return _item(self.views, log)
+
+    @property
+    def scores(self) -> pd.DataFrame:
+        """A row per output: RMSE in free run over training logs, and over held-out ones (mean)."""
+        record = self.bundle.record
+        fit = {} if record.free_run is None else record.free_run.rmse
+        table = pd.DataFrame({"rmse": fit})
+        if record.held_out is not None and not record.held_out.fitted:
+            table["held_out_rmse"] = pd.DataFrame(record.held_out.rmse).mean()
+        return table.rename_axis("channel")
+
+    @property
+    def faults(self) -> pd.DataFrame:
+        """Faults found in the training logs, as `data_prep.log.Finding` describes them."""
+        return pd.DataFrame((self.bundle.record.screening or ScreeningRecord()).findings)
+
+    @cached_property
+    def views(self) -> tuple[LogView, ...]:
+        """The training logs with the model's free run, as they are drawn."""
+        return _views(self.bundle, self.split.train)
+
+    def plot(self, log: int | str = 0) -> Figure:
+        """Draw one training log: driver, and outputs as measured and in free run."""
+        return overlay_figure(self[log], _canvas())
+
+    def save(self, folder: str | Path, *, replace: bool = False) -> None:
+        """Write the run folder that the commands take; `ConfigError` for one that has content."""
+        save_bundle(folder, self.bundle, replace)
+
+    def _repr_html_(self) -> str:
+        return summary(self.bundle.calibration.words, self.cautions, self.scores)
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """A model's evaluation, with the verdict in `outcome`."""
+
+    bundle: Bundle
+    evaluation: Evaluation
+    cautions: tuple[str, ...]
+
+    def __getitem__(self, log: int | str) -> LogView:
+        return _item(self.views, log)
+
+    @cached_property
+    def outcome(self) -> Outcome:
+        """Pass, fail or open, and why."""
+        return self.evaluation.outcome
+
+    @cached_property
+    def views(self) -> tuple[LogView, ...]:
+        """The logs with the model's free run, as they are drawn."""
+        driver = run_config(self.bundle)[0].events.driver
+        inputs = self.bundle.calibration.input_names
+        return tuple(view_of(one, driver, inputs) for one in self.evaluation.logs)
+
+    @property
+    def scores(self) -> pd.DataFrame:
+        """A row per log and output: RMSE in the channel's unit, fit in percent, baselines."""
+        rows = [
+            {"log": one.log.name, "role": one.role, "channel": name, **asdict(scores)}
+            for one in self.evaluation.logs
+            for name, scores in one.scores.items()
+        ]
+        return pd.DataFrame(rows).set_index(["log", "channel"])
+
+    @property
+    def events(self) -> pd.DataFrame:
+        """A row per event and judged channel: Ti, Tt of flight and model, and the verdict."""
+        rows = [
+            {"log": one.log.name, **each.row()}
+            for one in self.evaluation.logs
+            for each in one.assessments
+        ]
+        return pd.json_normalize(rows)
+
+    @property
+    def faults(self) -> pd.DataFrame:
+        """Faults found in the logs, as `data_prep.log.Finding` describes them."""
+        return pd.DataFrame([each.row() for each in self.evaluation.findings])
+
+    def plot(self, log: int | str = 0) -> Figure:
+        """Draw one log: driver, and outputs as measured and in free run."""
+        return overlay_figure(self[log], _canvas())
+
+    def _repr_html_(self) -> str:
+        shown = self.scores[["role", "samples", "rmse", "fit_pct", "steady_state_rmse"]]
+        words = {True: "Pass", False: "Fail", None: "Not assessed"}[self.outcome.passed]
+        lines = [*self.outcome.lines, *self.cautions]
+        return summary(f"{words}: {self.outcome.headline}", lines, shown)
+
+
+def _views(bundle: Bundle, logs: Sequence[Log]) -> tuple[LogView, ...]:
+    config, settings = run_config(bundle)
+    parts = (assess_log(bundle, log, settings) for log in logs)
+    inputs = bundle.calibration.input_names
+    return tuple(view_of(one, config.events.driver, inputs) for one in parts)
+
+
+def read(files: Files | None = None, config: str | Path | RunConfig | None = None) -> Recordings:
+    """Read recordings as `config` says, a TOML file or a `RunConfig`.
+
+    `files` are one or several, or a pattern such as "flights/*.csv"; by default those of [logs].
+    Without `config` columns bear the canonical names of channels. Raises `DataError` for what the
+    files hold and where there are none, `ConfigError` for a configuration that does not fit.
+    """
+    settings, base = config, Path()
+    if isinstance(settings, str | Path):
+        settings, base = load_config(settings)
+    settings = settings or RunConfig()
+    paths = configured_files(settings, base) if files is None else _listed(files)
+    return Recordings(tuple(read_logs(paths, settings.logs)), settings, base, tuple(paths))
+
+
+def _listed(files: Files) -> list[Path]:
+    given = [files] if isinstance(files, str | Path) else list(files)
+    found: list[Path] = []
+    for one in map(str, given):
+        matches = sorted(glob(one)) if has_magic(one) and not Path(one).exists() else [one]  # noqa: PTH207 - a pattern may begin anywhere
+        if not matches:
+            raise DataError("no file matches", file=one, hint="Name the logs, or a pattern of them")
+        found += map(Path, matches)
+    return found
+
+
+def prepare(data: Recordings) -> PreparedLogs:
+    """Leave out where the engine does not run, clean, smooth; find events and rank channels.
+
+    As `narxcal prepare`; raises `DataError` for a log without the driver or any output.
+    """
+    running = while_running(list(data.logs), data.config.running)
+    return PreparedLogs(tuple(examine(log, data.config) for log in running))
+
+
+def train(
+    data: Recordings, *, out: str | Path | None = None, progress: Progress = silent
+) -> Training:
+    """Calibrate a model on the logs that [split] of the configuration names.
+
+    As `narxcal train`, or `identify` where [identify] names a method. `out` is a new folder for the
+    run; `progress` is called with steps done, steps in all, and a word. Raises `DataError`,
+    `ConfigError` as the command.
+    """
+    split, said = read_split(data.config, data.files, progress, data.logs)
+    bundle = calibrate(data.config, data.base, split, TrainOptions(progress))
+    found = Training(bundle, split, (*said, *doubts(bundle.record)))
+    if out is not None:
+        found.save(out)
+    return found
+
+
+def evaluate(
+    model: Training | Bundle | str | Path,
+    data: Recordings | Files | None = None,
+    *,
+    trim: float | None = None,
+    trust: bool = False,
+) -> Judgement:
+    """Judge a model in free run over whole logs: errors, Ti and Tt of every event, one verdict.
+
+    `model` may be a run folder; `trust` opens one whose steady-state model runs code. `data` are
+    read with the mapping of the run; by default they are the logs that it held out. `trim` is the
+    first part of each log from which offsets are estimated, 0 to 1. Raises `DataError`,
+    `ConfigError`, `ModelError` as the command.
+    """
+    if isinstance(model, str | Path):
+        model = load_bundle(model, trust=trust)
+    bundle = model.bundle if isinstance(model, Training) else model
+    said: list[str] = []
+    chosen = data.files if isinstance(data, Recordings) else None if data is None else _listed(data)
+    logs = logs_of(bundle, chosen, None, said.append)
+    found = judge(bundle, logs, trim)
+    return replace(found, cautions=(*said, *found.cautions))
+
+
+def judge(
+    bundle: Bundle, logs: Sequence[Log], trim: float | None = None, progress: Progress = silent
+) -> Judgement:
+    """Evaluate prepared logs one by one, with what a reader of the figures has to know."""
+    config, _ = run_config(bundle)
+    found = evaluate_logs(bundle, logs, trim or None, progress=progress)
+    said = (
+        *bundle.record.doubtful_logs,
+        *cautions(logs, config, config.narx.outputs),
+        *(each.caution for each in found.findings),
+        *found.level_cautions,
+        *outside_envelopes(bundle, found),
+    )
+    return Judgement(bundle, found, said)
+
+
+def logs_of(
+    bundle: Bundle, files: Sequence[Path] | None, data: Path | None, warn: Callable[[str], None]
+) -> list[Log]:
+    """Read `files`, or the held-out logs of a run; `data` says where the latter are now.
+
+    Warns of a held-out log whose file has changed since the training. Raises `DataError`.
+    """
+    if files:
+        return _distinct(evaluation_logs(bundle, _once(files, warn)), warn)
+    logs = _distinct(_held_out(bundle, data), warn)
+    if not bundle.record.logs("test"):
+        warn("no log was held out: these are logs that the model was trained on")
+    for text in changed(bundle, logs):
+        warn(text)
+    return logs
+
+
+def _once(files: Sequence[Path], warn: Callable[[str], None]) -> list[Path]:
+    """Each file once: a log that is judged twice would count twice in pooled figures."""
+    chosen = list({file.resolve(): file for file in files}.values())
+    if len(chosen) < len(files):
+        warn("a file that is named twice is read once")
+    return chosen
+
+
+def _distinct(logs: list[Log], warn: Callable[[str], None]) -> list[Log]:
+    """Each recording once, under whatever names it is stored."""
+    found = duplicates(logs)
+    for shared in found:
+        warn(f"{shared.words}; it counts once")
+    return [log for log in logs if log.name not in {shared.log for shared in found}]
+
+
+def changed(bundle: Bundle, logs: Sequence[Log]) -> list[str]:
+    """Warnings about logs whose files have changed since the training."""
+    known = {Path(file).name: digest for file, digest in bundle.record.data.items()}
+    found = {log.source.file: log.source.sha256 for log in logs}
+    return [
+        f"{file}: the file has changed since the training: sha256 was "
+        f"{known[Path(file).name][:12]}, is {digest[:12]}"
+        for file, digest in found.items()
+        if known.get(Path(file).name, digest) != digest
+    ]
+
+
+def _held_out(bundle: Bundle, data: Path | None) -> list[Log]:
+    try:
+        return evaluation_logs(_moved(bundle, data) if data else bundle)
+    except DataError as error:
+        if not (error.hint or "").startswith(("Set [logs] folder", "Set [logs] files")):
+            raise
+        hint = "Name their folder by --data, or other logs by --logs"
+        raise DataError(error.problem, file=error.file, hint=hint) from None
+
+
+def _moved(bundle: Bundle, data: Path) -> Bundle:
+    config = bundle.record.config
+    logs = {**config.get("logs", {}), "folder": str(data.resolve())}
+    return replace(bundle, record=bundle.record.having(config={**config, "logs": logs}))
