@@ -48,6 +48,7 @@ _BLENDED = ("Mach", "ALT_ft")  # the usual one first
 # Share of `LEAST_WIDTHS` between corners. Over it pressure changes by 3 %; with exponents that are
 # off by a tenth, outputs by 0.3 %, which is about what any steady state leaves.
 _APART = 0.1
+_IDLES = ("WOW", "Approach")  # by them controls choose ground, flight and approach idle
 _ON_S = 6.0  # quasi-steady time for which a switch has to be on, and off; the rest is judged
 
 
@@ -262,10 +263,14 @@ def _thinned(samples: SteadySamples) -> SteadySamples:
 
 
 def _switches(config: RunConfig, logs: Sequence[Log]) -> tuple[str, ...]:
-    """Switches that every log records, on and off for some time of quasi-steady flight."""
+    """Switches that every log records, on and off for some time of quasi-steady flight.
+
+    Those that choose an idle change what a lever asks for, not what an engine makes of its fuel.
+    """
     spools, found = spools_of(config.narx.outputs), []
+    lever = CHANNELS[config.driver].role == "lever"
     for name, channel in CHANNELS.items():
-        if channel.role != "switch":
+        if channel.role != "switch" or (name in _IDLES and not lever):
             continue
         if not all(name in log.channels and np.isfinite(log[name]).any() for log in logs):
             continue

@@ -15,34 +15,49 @@ def products(*pieces, correlation=0.5):
     return rms[:, :, None] * rms[:, None, :] * alike
 
 
-def test_without_anything_held_out_all_models_there_are_equal():
+def weighed(products, fitted=None):
+    """By a prior of equal weights."""
+    models = products.shape[1]
+    return weights_of(products, fitted, np.full(models, 1.0 / models))
+
+
+def test_little_evidence_leaves_most_to_lags_and_network():
+    alike = products([1.0] * len(MODELS), correlation=0.98)
+    assert weights_of(alike)[:2].sum() > 0.6
+    nothing = np.empty((0, len(MODELS), len(MODELS)))
+    assert weights_of(nothing)[:2].tolist() == pytest.approx([0.4, 0.4])
+    clear = products(*[[1.0, 1.0, 0.1, 1.0, 1.0]] * 4)
+    assert weights_of(clear)[MODELS.index("first_order")] > 0.95
+
+
+def test_without_anything_held_out_all_models_there_have_the_weights_of_the_prior():
     there = np.array([True, False, True, True])
-    assert weights_of(np.empty((0, 4, 4)), there) == pytest.approx([1 / 3, 0.0, 1 / 3, 1 / 3])
+    assert weighed(np.empty((0, 4, 4)), there) == pytest.approx([1 / 3, 0.0, 1 / 3, 1 / 3])
 
 
 def test_without_a_held_out_free_run_the_network_is_alone():
-    assert weights_of(np.full((2, 4, 4), np.nan)).tolist() == [1.0, 0.0, 0.0, 0.0]
+    assert weighed(np.full((2, 4, 4), np.nan)).tolist() == [1.0, 0.0, 0.0, 0.0]
 
 
 def test_models_alike_share_the_output_and_a_worse_one_has_less():
-    found = weights_of(products([1.0, 1.1, 0.9, 2.0], [1.1, 0.9, 1.0, 2.2]))
+    found = weighed(products([1.0, 1.1, 0.9, 2.0], [1.1, 0.9, 1.0, 2.2]))
     assert found.sum() == pytest.approx(1.0)
     assert found[:3] == pytest.approx([1 / 3] * 3, abs=0.08)
     assert found[3] < 0.08
 
 
 def test_a_model_that_is_clearly_best_everywhere_leads_alone():
-    found = weights_of(products([0.1, 1.0, 1.0, 1.0], [0.12, 1.0, 1.1, 1.2], [0.1, 0.9, 1.0, 1.0]))
+    found = weighed(products([0.1, 1.0, 1.0, 1.0], [0.12, 1.0, 1.1, 1.2], [0.1, 0.9, 1.0, 1.0]))
     assert found.tolist() == [1.0, 0.0, 0.0, 0.0]
 
 
 def test_the_best_of_one_piece_does_not_lead_alone():
-    assert (weights_of(products([0.5, 1.0, 1.0, 1.0])) > 0.0).sum() > 1
+    assert (weighed(products([0.5, 1.0, 1.0, 1.0])) > 0.0).sum() > 1
 
 
 def test_every_piece_counts_alike_however_large_its_errors_are():
     """The second model is best on two pieces, the first on one with errors of a hundred."""
-    found = weights_of(products([1.0, 0.5], [1.0, 0.5], [100.0, 200.0]))
+    found = weighed(products([1.0, 0.5], [1.0, 0.5], [100.0, 200.0]))
     assert found[1] > found[0]
 
 
@@ -75,14 +90,14 @@ def test_a_slow_error_that_all_models_share_changes_no_weight():
 def test_a_model_without_a_free_run_has_no_weight():
     known = products([1.0, 1.1, 1.0, 0.9], [1.1, 1.0, 0.9, 1.0])
     known[:, 3, :] = known[:, :, 3] = np.nan
-    found = weights_of(known)
+    found = weighed(known)
     assert found[3] == 0.0
     assert found.sum() == pytest.approx(1.0)
 
 
 def test_a_model_that_is_stable_in_the_folds_alone_has_no_weight():
     fitted = np.array([True, True, True, False])
-    found = weights_of(products([1.0, 1.1, 1.0, 0.1], [1.1, 1.0, 0.9, 0.1]), fitted)
+    found = weighed(products([1.0, 1.1, 1.0, 0.1], [1.1, 1.0, 0.9, 0.1]), fitted)
     assert found[3] == 0.0
     assert found.sum() == pytest.approx(1.0)
 
@@ -96,10 +111,10 @@ def test_a_model_that_is_stable_in_the_folds_alone_has_no_weight():
 def test_weights_are_shares_and_have_no_unit(pieces, scale, seed):
     errors = np.random.default_rng(seed).normal(size=(pieces, 4, 30))
     known = errors @ errors.transpose(0, 2, 1)
-    found = weights_of(known)
+    found = weighed(known)
     assert (found >= 0.0).all()
     assert found.sum() == pytest.approx(1.0)
-    assert weights_of(scale**2 * known) == pytest.approx(found, abs=1e-3)
+    assert weighed(scale**2 * known) == pytest.approx(found, abs=1e-3)
 
 
 def held(log, errors, whole=True):

@@ -78,6 +78,24 @@ def test_a_switch_that_shifts_outputs_becomes_an_input_and_one_that_does_not_sta
     np.testing.assert_allclose(on - off, [-1.5, 15.0], atol=0.4, rtol=0.1)
 
 
+@pytest.mark.parametrize(("driver", "used"), [("TRA_deg", ("Approach",)), ("FF_kgph", ())])
+def test_an_idle_switch_is_one_of_the_lever_and_not_of_the_fuel(driver, used):
+    def other_idle(channels):
+        return bled({**channels, "NAI": channels["Approach"]})
+
+    flights = logs(other_idle, ("Approach",))
+    air = [air_state(log["ALT_ft"], log["Mach"], log["dT_C"]) for log in flights]
+    fuel = [
+        np.exp(0.02 * log["TRA_deg"]) * 100.0 * each.delta2 * np.sqrt(each.theta2)
+        for log, each in zip(flights, air, strict=True)
+    ]
+    flights = [
+        log.with_channels({"FF_kgph": each}) for log, each in zip(flights, fuel, strict=True)
+    ]
+    asked = config(inputs=[driver, "ALT_ft", "Mach", "dT_C"], driver=driver)
+    assert chosen_layout(asked, flights).switches == used
+
+
 def test_a_switch_that_is_on_for_seconds_is_used_where_left_out_recordings_say_so():
     flights = logs(bled, ("NAI",))
     for number, log in enumerate(flights):
