@@ -36,6 +36,9 @@ S = TypeVar("S")
 T = TypeVar("T")
 
 _AHEAD = 2  # items per worker that wait there, so that no worker waits for the client
+# Dask has glibc return memory at once, which also maps every array of 128 kB anew: of `prepare` in
+# a worker that was a quarter of the processor time, spent in the kernel (docs/fleet.md).
+_MALLOC = {"MALLOC_TRIM_THRESHOLD_": 1 << 28, "MALLOC_MMAP_THRESHOLD_": 1 << 25}
 _FLOORS = ("narxcal", "data_prep", "training", "eval")
 
 
@@ -165,9 +168,14 @@ def _local(distributed: Any, workers: int | None) -> Iterator[Any]:
     if workers is None:
         yield None
         return
+    import dask  # noqa: PLC0415 -- comes with distributed
+
+    key = "distributed.nanny.pre-spawn-environ"
     quiet = {"silence_logs": "CRITICAL", "dashboard_address": None, "preload": [__name__]}
-    made = distributed.LocalCluster(n_workers=workers, threads_per_worker=1, **quiet)
-    with made:
+    with (
+        dask.config.set({key: {**dask.config.get(key), **_MALLOC}}),
+        distributed.LocalCluster(n_workers=workers, threads_per_worker=1, **quiet) as made,
+    ):
         yield made
 
 
