@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -11,7 +11,7 @@ import pandas as pd
 
 from data_prep.clean import clean
 from data_prep.events import PUSH, Event
-from data_prep.log import Log, Source
+from data_prep.log import Audit, Log, Source
 from data_prep.prepare import LogWarning, Prepared
 from data_prep.ranking import STRONG, pearson, ranked
 from data_prep.smooth import compare_windows, frequency_response, moving_average, smooth
@@ -19,6 +19,7 @@ from eval.report.figures import WindowTrial
 from eval.report.page import PreparedLog
 from eval.report.view import LogView
 from eval.transients import AssessedEvent
+from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from training.config import RunConfig
 
@@ -66,7 +67,9 @@ class LogReport:
             ranking=self.ranking,
             windows=self.windows,
             warnings=self.prepared.warnings,
-            page=PreparedLog.drawn(self.view(), self.trial, number),
+            page=PreparedLog.of(self.view(), self.trial, number),
+            driver=self.prepared.tables.events.driver,
+            audit=self.log.audit,
         )
 
     def view(self) -> LogView:
@@ -129,6 +132,25 @@ class LogSummary:
     windows: pd.DataFrame
     warnings: tuple[LogWarning, ...]
     page: PreparedLog
+    driver: str
+    audit: Audit
+
+    def drawn(self, columns: Mapping[str, FloatArray]) -> PreparedLog:
+        """Draw the log from its samples as they were written, `time_s` among them."""
+        channels = {name: values for name, values in columns.items() if name != "time_s"}
+        log = Log(self.name, columns["time_s"], channels, self.audit, self.source)
+        events = [AssessedEvent(event) for event in self.events]
+        outputs = tuple(self.ranking.columns)
+        view = LogView(
+            log=log, driver=self.driver, outputs=outputs, events=events, pearson=self.ranking
+        )
+        return self.page.with_pictures(view)
+
+
+def most_to_show(logs: Sequence[LogSummary], count: int) -> list[int]:
+    """Numbers of the logs with the most warnings, then the most events, in their order."""
+    worth = [(-len(one.warnings), -len(one.events), k) for k, one in enumerate(logs)]
+    return sorted(k for _, _, k in sorted(worth)[:count])
 
 
 def examine(raw: Log, config: RunConfig) -> LogReport:

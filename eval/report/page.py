@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -69,7 +69,7 @@ def evaluate_page(header: RunHeader, views: Sequence[LogView], outcome: Outcome)
 
 @dataclass(frozen=True, eq=False)
 class PreparedLog:
-    """One log on the page of `prepare`, as HTML that was drawn while the log was in memory.
+    """One log on the page of `prepare`, as HTML that was made while the log was in memory.
 
     `number` names its events on the page. The HTML is compressed: that of a thousand hours of
     flight takes a quarter of a gigabyte.
@@ -82,29 +82,47 @@ class PreparedLog:
     parts: Mapping[str, bytes]
 
     @classmethod
-    def drawn(cls, view: LogView, trial: figures.WindowTrial, number: str) -> PreparedLog:
-        """Draw the parts of one log."""
-        macros: Any = _environment().get_template("macros.html.j2").module
+    def of(cls, view: LogView, trial: figures.WindowTrial, number: str) -> PreparedLog:
+        """Make the tables of one log."""
+        macros = _macros()
+        parts = {"ranking": macros.rankings([view], pictures=False), "audit": macros.audits([view])}
+        return cls(view.name, number, len(view.events), trial, _packed(parts))
+
+    def with_pictures(self, view: LogView) -> PreparedLog:
+        """Add the pictures of the log, nine tenths of the time of `prepare`."""
+        macros = _macros()
         parts = {
             "overlay": macros.draw(figures.overlay(view)),
-            "windows": macros.draw(figures.windows(trial)),
-            "events": macros.contact_sheet(view, number),
+            "windows": macros.draw(figures.windows(self.trial)),
+            "events": macros.contact_sheet(view, self.number),
             "ranking": macros.rankings([view]),
-            "audit": macros.audits([view]),
         }
-        packed = {name: zlib.compress(html.encode(), 1) for name, html in parts.items()}
-        return cls(view.name, number, len(view.events), trial, packed)
+        return replace(self, parts={**self.parts, **_packed(parts)})
+
+    @property
+    def drawn(self) -> bool:
+        """Whether it has pictures."""
+        return "overlay" in self.parts
 
     def part(self, name: str) -> Markup:
-        """HTML of the `overlay`, `windows`, `events`, `ranking` or `audit`."""
+        """HTML of `ranking` or `audit`; with pictures, of `overlay`, `windows` or `events`."""
         return Markup(zlib.decompress(self.parts[name]).decode())  # noqa: S704 - escaped when drawn
+
+
+def _macros() -> Any:
+    return _environment().get_template("macros.html.j2").module
+
+
+def _packed(parts: Mapping[str, str]) -> dict[str, bytes]:
+    return {name: zlib.compress(html.encode(), 1) for name, html in parts.items()}
 
 
 def prepare_page(header: RunHeader, logs: Sequence[PreparedLog]) -> Iterator[str]:
     """Yield the page of `prepare`: windows compared, ranking, events and the audit; no model."""
     events = sum(log.events for log in logs)
     template = _environment().get_template("prepare.html.j2")
-    return template.generate(header=header, logs=logs, events=events)
+    undrawn = [log for log in logs if not log.drawn]
+    return template.generate(header=header, logs=logs, events=events, undrawn=undrawn)
 
 
 def crossval_page(header: RunHeader, found: CrossValidation) -> str:

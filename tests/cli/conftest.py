@@ -131,10 +131,7 @@ def undrawn(monkeypatch):
     """Pages without their drawings, which take most of the time, where only figures are read."""
     monkeypatch.setattr("narxcal.cli.evaluate.evaluate_page", lambda *_: "")
     monkeypatch.setattr("narxcal.cli.prepare.prepare_page", lambda *_: "")
-    bare = classmethod(
-        lambda cls, view, trial, number: cls(view.name, number, len(view.events), trial, {})
-    )
-    monkeypatch.setattr("eval.report.page.PreparedLog.drawn", bare)
+    monkeypatch.setattr("narxcal.cli.prepare.MOST_DRAWN", 0)
 
 
 def environment(**more):

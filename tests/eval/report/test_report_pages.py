@@ -5,16 +5,19 @@ from __future__ import annotations
 import re
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
+from markupsafe import escape
 
 from data_prep.log import Audit, AuditEntry, Log
 from eval.crossval import CrossValidation, FoldResult
 from eval.denoising import NoiseSweep
 from eval.evaluate import EvaluateConfig
 from eval.outcome import Outcome
+from eval.preparation import most_to_show
 from eval.report import tables
 from eval.report.event_figures import summary_figure
 from eval.report.figures import WindowTrial, residual_tests
@@ -72,7 +75,7 @@ def without_model(one: LogView) -> LogView:
 
 
 def prepared_page(header: RunHeader, one: LogView) -> str:
-    return "".join(prepare_page(header, [PreparedLog.drawn(one, trial(), "1-1")]))
+    return "".join(prepare_page(header, [PreparedLog.of(one, trial(), "1-1").with_pictures(one)]))
 
 
 @pytest.fixture(scope="module")
@@ -250,6 +253,29 @@ def test_the_prepare_page_shows_no_model_and_no_verdict(header, view):
     assert html.count('<div class="card ">') == 3
     assert "model minus measured." not in html.replace("deviation strips are model minus", "")
     assert '<td class="best num">0.0525</td>' in html
+
+
+def test_a_log_without_pictures_is_named_and_keeps_its_tables(header, view):
+    one = without_model(view())
+    bare, drawn = (PreparedLog.of(one, trial(), number) for number in ("1-1", "2-1"))
+    html = "".join(prepare_page(header, [bare, drawn.with_pictures(one)]))
+    assert "Pictures of 1 of 2 logs: those with the most warnings, then the most events." in html
+    assert f"Not drawn: {escape(one.name)}." in html
+    assert not bare.drawn
+    alone = "".join(prepare_page(header, [bare]))
+    assert "counts as strong" in alone
+    assert "samples masked of" in alone
+    assert 'class="card ' not in alone
+    assert "Not drawn" not in prepared_page(header, one)
+
+
+def test_pictures_are_of_the_logs_with_most_to_show():
+    logs = [
+        SimpleNamespace(warnings=(None,) * warnings, events=(None,) * events)
+        for warnings, events in ((0, 9), (1, 0), (0, 3), (0, 9), (2, 1))
+    ]
+    assert most_to_show(logs, 3) == [0, 1, 4]
+    assert most_to_show(logs, 9) == [0, 1, 2, 3, 4]
 
 
 def test_with_nine_inputs_the_legend_of_the_residuals_is_within_the_drawing(view):
