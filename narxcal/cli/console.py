@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import rich.console
+from rich.console import ConsoleOptions, RenderableType
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -19,6 +20,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 from rich.progress import Progress as Bar
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
@@ -103,7 +105,7 @@ class Console:
             _Rate(),
             TimeRemainingColumn(),
         )
-        shown = rich.console.Console(stderr=True)
+        shown = _Plain(stderr=True)
         period_s = _RATE_OVER_S
         with Bar(*columns, console=shown, transient=True, speed_estimate_period=period_s) as bar:
             task = bar.add_task(what, total=None)
@@ -132,7 +134,17 @@ class _Rate(ProgressColumn):
         return Text(f"{speed:.3g}/s" if speed >= 1.0 else f"{1.0 / speed:.3g} s each")
 
 
-class _Stdout(rich.console.Console):
+class _Plain(rich.console.Console):
+    """A console whose texts command no terminal; its own styles are added behind them."""
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterator[Segment]:
+        for found in super().render(renderable, options):
+            yield found if found.control else found._replace(text=printable(found.text))
+
+
+class _Stdout(_Plain):
     def on_broken_pipe(self) -> None:
         """Leave the end to the entry: rich would exit with 1, which means a missed tolerance."""
         raise BrokenPipeError

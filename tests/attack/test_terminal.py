@@ -21,6 +21,8 @@ def test_errors_and_warnings_show_names_without_commands(command, capsys):
     assert main([command, EVIL, *more]) == 2
     Console().warn(EVIL)
     Console().say(EVIL)
+    Console().table(EVIL, [EVIL], [[EVIL]])
+    Console().page.print(EVIL)
     shown = capsys.readouterr()
     assert "\x1b" not in shown.out + shown.err
     assert "\x9b" not in shown.out + shown.err
