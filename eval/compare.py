@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -133,10 +133,13 @@ class Comparison:
         return found
 
 
+_TELLING: Final = 1e-3  # models that differ by a thousand need no test
+
+
 def _power(open_: Sequence[Difference]) -> str:
     """Which ratio would have been found, the least sensitive of the pairs."""
     known = [one.detectable for one in open_ if not one.significant and one.detectable > 0.0]
-    if not known:
+    if not known or min(known) < _TELLING:
         return " (too few units to tell)"
     return f" (1 : {1.0 / min(known):.2g} would have been found in 8 of 10)"
 

@@ -525,17 +525,6 @@ def test_the_folder_of_the_logs_can_be_named_by_option_or_environment(
     assert narxcal("prepare", config, "--out", tmp_path / "b", "--quiet").code == 0
 
 
-@pytest.mark.slow
-def test_the_demonstration_needs_no_files_and_ends_with_a_page(narxcal, tmp_path):
-    out = tmp_path / "demo"
-    done = narxcal("demo", "--out", out)
-    (caution,) = done.err.splitlines()  # its training holds no log out
-    assert caution.startswith("narxcal: warning: flight_14_left.csv and 2 more: level error of up")
-    assert done.code == 0
-    assert done.out.endswith(f"Page: {out / 'evaluate' / 'evaluate.html'}\n")
-    assert strict((out / "demo.json").read_text("utf-8"))["complete"] is True
-
-
 @pytest.mark.usefixtures("undrawn")
 def test_a_log_without_a_probe_is_judged_by_its_spools(project, narxcal, tmp_path):
     log = tmp_path / "noegt.csv"
