@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import Any, Self, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Self, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from narxcal.support.errors import ConfigError, ModelError, did_you_mean
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
 T = TypeVar("T")
 
@@ -57,7 +61,7 @@ def read_stored(kind: type[T], stored: object, part: str) -> T:
         text = json.dumps(stored, allow_nan=False)
         return TypeAdapter(kind).validate_json(text, strict=True)
     except ValidationError as error:
-        first, key = error.errors()[0], _key(error)
+        first, key = _first(error), _key(error)
         missing = first["type"] == "missing"
         problem = f" has no '{key}'" if missing else f", '{key}': {_problem_and_value(error)}"
     except (TypeError, ValueError, RecursionError) as error:
@@ -118,7 +122,7 @@ def _question(text: str) -> tuple[int, str]:
 def _explain(
     section: type[BaseModel], error: ValidationError, file: str | PathLike[str] | None
 ) -> ConfigError:
-    first, key = error.errors()[0], _key(error)
+    first, key = _first(error), _key(error)
     path = key.split(".")
     if first["type"] == "extra_forbidden":
         return ConfigError(f"unknown key '{key}'", file=file, hint=_hint(section, path))
@@ -147,24 +151,52 @@ def _tables_with(key: str, section: type[BaseModel], at: str = "") -> Iterator[s
             yield from _tables_with(key, nested, f"{at}.{name}" if at else name)
 
 
+# Where a value may be of several types, pydantic names each in the path to what is wrong.
+_TYPE = re.compile(
+    r"constrained-\w+|(literal|list|tuple|dict|nullable|function-\w+)\[.*\]|bool|int|float|str"
+)
+
+
+def _first(error: ValidationError) -> ErrorDetails:
+    """What is wrong first; of a list that may also be one word, the entry that is wrong."""
+    first, *others = error.errors()
+    inside = f"{_path(first['loc'])}."
+    return next((each for each in others if _path(each["loc"]).startswith(inside)), first)
+
+
 def _key(error: ValidationError) -> str:
     """Path to what is wrong first."""
-    return ".".join(str(part) for part in error.errors()[0]["loc"])
+    return _path(_first(error)["loc"])
+
+
+def _path(loc: Sequence[int | str]) -> str:
+    return ".".join(str(part) for part in loc if not _TYPE.fullmatch(str(part)))
+
+
+def _expected(error: ValidationError) -> str:
+    """What pydantic says of the first value that is wrong; of several types what each expects."""
+    first = _first(error)
+    at = _path(first["loc"])
+    found = dict.fromkeys(each["msg"] for each in error.errors() if _path(each["loc"]) == at)
+    if len(found) < 2:
+        return first["msg"].removeprefix("Value error, ")
+    words = [each.removeprefix("Input should be ").partition(", unable")[0] for each in found]
+    return f"Input should be {' or '.join(words)}"
 
 
 def _problem(error: ValidationError) -> str:
-    first = error.errors()[0]
+    first = _first(error)
     if first["type"] in ("model_type", "dict_type"):
         return "expected a table of keys"
     if first["type"] in ("tuple_type", "list_type"):
         return "expected a list"
     if first["type"] == "too_short":
         return f"expected a list of at least {first['ctx']['min_length']}"
-    return first["msg"].removeprefix("Value error, ")
+    return _expected(error)
 
 
 def _problem_and_value(error: ValidationError) -> str:
-    first = error.errors()[0]
+    first = _first(error)
     if first["type"] == "value_error" and isinstance(first["input"], dict):
         return _problem(error)  # of several keys of a table, and it names them
     return f"{_problem(error)}, found {_shown(first['input'])}"

@@ -224,3 +224,26 @@ def test_any_table_gives_a_configuration_or_one_error(section, table):
     with contextlib.suppress(ConfigError):
         found = RunConfig.parse({"schema": "narxcal.config/1", section: table})
         assert isinstance(found, RunConfig)
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        (
+            {"smooth": {"window": "x"}},
+            "key 'smooth.window': Input should be a valid integer or 'auto', found 'x'",
+        ),
+        (
+            {"narx": {"lag_limits": "x"}},
+            "key 'narx.lag_limits': Input should be 'auto' or a valid boolean, found 'x'",
+        ),
+        (
+            {"steady_state": {"exponents": ["x"]}},
+            "key 'steady_state.exponents.0': Input should be 'theta' or 'delta', found 'x'",
+        ),
+    ],
+)
+def test_a_value_that_may_be_of_several_types_is_named_by_its_key_alone(table, said):
+    with pytest.raises(ConfigError) as caught:
+        RunConfig.parse(table)
+    assert str(caught.value) == said
