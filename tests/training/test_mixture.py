@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from training.mixture import MODELS, HeldOut, Mixture, error_products, weights_of
+from training.mixture import MODELS, HeldOut, Mixture, error_products, prior_of, weights_of
 
 
 def products(*pieces, correlation=0.5):
@@ -18,16 +18,17 @@ def products(*pieces, correlation=0.5):
 def weighed(products, fitted=None):
     """By a prior of equal weights."""
     models = products.shape[1]
-    return weights_of(products, fitted, np.full(models, 1.0 / models))
+    return weights_of(products, np.full(models, 1.0 / models), fitted)
 
 
-def test_little_evidence_leaves_most_to_lags_and_network():
+def test_little_evidence_leaves_most_of_a_speed_to_lags_and_network():
     alike = products([1.0] * len(MODELS), correlation=0.98)
-    assert weights_of(alike)[:2].sum() > 0.6
+    assert weights_of(alike, prior_of("N1_pct"))[:2].sum() > 0.6
+    assert weights_of(alike, prior_of("EGT_C")) == pytest.approx([0.2] * len(MODELS))
     nothing = np.empty((0, len(MODELS), len(MODELS)))
-    assert weights_of(nothing)[:2].tolist() == pytest.approx([0.4, 0.4])
+    assert weights_of(nothing, prior_of("N2_pct"))[:2].tolist() == pytest.approx([0.4, 0.4])
     clear = products(*[[1.0, 1.0, 0.1, 1.0, 1.0]] * 4)
-    assert weights_of(clear)[MODELS.index("first_order")] > 0.95
+    assert weights_of(clear, prior_of("N1_pct"))[MODELS.index("first_order")] > 0.95
 
 
 def test_without_anything_held_out_all_models_there_have_the_weights_of_the_prior():
@@ -82,7 +83,7 @@ def test_a_slow_error_that_all_models_share_changes_no_weight():
             inside=known,
             dt_s=dt_s,
         )
-        return weights_of(error_products([held], 0))
+        return weights_of(error_products([held], 0), prior_of("N1_pct"))
 
     np.testing.assert_allclose(weights(shared), weights(0.0), atol=0.02)
 
