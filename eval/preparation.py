@@ -149,8 +149,8 @@ class LogSummary:
 
 def most_to_show(logs: Sequence[LogSummary], count: int) -> list[int]:
     """Numbers of the logs with the most warnings, then the most events, in their order."""
-    worth = [(-len(one.warnings), -len(one.events), k) for k, one in enumerate(logs)]
-    return sorted(k for _, _, k in sorted(worth)[:count])
+    ranked_logs = sorted((-len(one.warnings), -len(one.events), k) for k, one in enumerate(logs))
+    return sorted(k for _, _, k in ranked_logs[:count])
 
 
 def examine(raw: Log, config: RunConfig) -> LogReport:

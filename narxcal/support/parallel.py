@@ -103,7 +103,9 @@ class _Cluster:
         """How many more items to submit; raises `ConfigError` where the scheduler is gone."""
         try:
             return max(0, _AHEAD * max(1, len(self.client.nthreads())) - running)
-        except (OSError, RuntimeError, AttributeError):  # what the client raises is not documented
+        except OSError:  # the connection broke, which the client's status says only later
+            raise self._gone() from None
+        except (RuntimeError, AttributeError):  # of a client that has ended
             if self.client.status == "running":
                 raise
             raise self._gone() from None

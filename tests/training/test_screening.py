@@ -227,7 +227,7 @@ def test_of_two_engines_of_one_real_flight_neither_is_masked():
     """The only bank for each is that of the other, which knows one build and one day."""
     config, base = load_config("citation2")
     if not (base / config.logs.folder).is_dir():
-        pytest.skip("the shared recordings are not beside this checkout")
+        pytest.skip("needs the flights in ../shared/data")
     files = [each for each in configured_files(config, base) if "flight1" in each.name]
     logs = [one.log for one in prepare(read_logs(files, config.logs), config)]
     found = by_each_other(logs, (*config.narx.outputs, *config.steady_state.inputs))
