@@ -71,6 +71,9 @@ def in_processes(
     if jobs == 1:
         yield from map(function, items)
         return
+    # Where psutil is installed, joblib starts workers anew that have grown by 300 MB. Nothing is
+    # lost. It warns in the thread that all wait for, which would end there, were that an error.
+    warnings.filterwarnings("ignore", message="A worker stopped while some jobs were given")
     how = "generator" if ordered else "generator_unordered"
     with parallel_config(backend="loky", inner_max_num_threads=1):
         results = Parallel(n_jobs=jobs, return_as=how)(delayed(function)(item) for item in items)

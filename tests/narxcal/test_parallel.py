@@ -78,3 +78,23 @@ def test_a_caller_that_stops_early_hears_nothing_of_the_rest(ordered):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         results.close()
+
+
+_KEPT: list[bytearray] = []
+
+
+def _keep(item: int) -> int:
+    """Keep 200 MB for ever, as long as Joblib's workers look at their memory once a second."""
+    _KEPT.append(bytearray(200_000_000))
+    time.sleep(0.6)
+    return item
+
+
+@pytest.mark.slow
+def test_workers_that_joblib_starts_anew_for_their_memory_lose_nothing():
+    """It says so by a warning in a thread, which as an error would end the thread: all would wait.
+
+    Joblib measures memory where psutil is installed, as with the extra `fleet`.
+    """
+    pytest.importorskip("psutil")
+    assert list(in_processes(_keep, range(14), 2)) == list(range(14))
