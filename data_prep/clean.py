@@ -111,7 +111,7 @@ class _Work:
 
     def run(self) -> None:
         """Run the tests, the surest first; later ones do not see what earlier ones removed."""
-        self._drop(out_of_range(self.name, self.values), "out of range")
+        self._drop(out_of_range(self.log.channel(self.name), self.values), "out of range")
         if role(self.name) == "switch":
             return
         for start, stop in spans(frozen(self._current(), self.name, self.config.faults)):

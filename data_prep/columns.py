@@ -23,7 +23,7 @@ from data_prep.units import (
     named_unit,
     to_canonical,
 )
-from narxcal.channels import CHANNELS
+from narxcal.channels import described
 from narxcal.support.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 _SHOWN = 12  # names of columns in a message
 _SEARCHED = 1000  # columns among which a misspelt one is looked for
-_NO_UNIT = ("", "-")
+_NO_UNIT = ("", "-", "rpm")  # a speed in revolutions has a scale
 _BRACKETS_AT_END = re.compile(r"[\[({<]([^][(){}<>]+)[])}>]\s*$")
 
 
@@ -166,7 +166,7 @@ def to_channel(name: str, cells: FloatArray, source: ColumnSource) -> FloatArray
     if (source.scale, source.offset) != (1.0, 0.0):
         with np.errstate(over="ignore"):  # an infinity is counted on the grid
             cells = cells * source.scale + source.offset
-    unit = CHANNELS[name].unit if source.unit is None else source.unit
+    unit = described(name).unit if source.unit is None else source.unit
     with np.errstate(over="ignore"):
         return to_canonical(cells, find_unit(unit, name))
 
@@ -207,7 +207,7 @@ def head_entries(table: Table, config: LogsConfig, rows: int) -> tuple[AuditEntr
     ]
     for name, source in config.sources(table.header).items():
         named = named_unit(_unit_text(table, config, name, source))
-        own = CHANNELS[name].unit if source.unit is None else source.unit
+        own = described(name).unit if source.unit is None else source.unit
         if named in _NO_UNIT or find_unit(own, name) == _or_none(named, name):
             continue
         reason = f"unit of the configuration, where the {_place(table)} says {named}"
@@ -246,7 +246,7 @@ def unit_text(table: Table, column: str, name: str) -> str:
     """Return what stands in the file as the unit of a column: in a row, or brackets that end it.
 
     Brackets around an engine or another word of a column's name are none, nor is a letter that is
-    no unit of channel `name`.
+    no unit of channel `name`. `HP` is a unit of powers alone.
     """
     if table.head.units:
         text = table.head.units[table.header.index(column)]
@@ -255,14 +255,15 @@ def unit_text(table: Table, column: str, name: str) -> str:
     text = found[1].strip() if found else ""
     fits = named_unit(text) and _or_none(named_unit(text), name)
     other = len(text) == 1 and not fits
-    return "" if other or is_no_unit(text) or is_designation(text) else text
+    part_of_name = is_designation(text) and not (fits and len(text) > 1)
+    return "" if other or is_no_unit(text) or part_of_name else text
 
 
 def _unit(table: Table, name: str, text: str) -> str:
     hint = f"Say what it is in [logs.columns]: unit of {name}, or scale and offset"
     unit = named_unit(text)
     if not unit or _or_none(unit, name) is None:
-        what = "is not known" if not unit else f"does not fit {CHANNELS[name].unit}"
+        what = "is not known" if not unit else f"does not fit {described(name).unit}"
         if is_volume_flow(text):
             what = "is a flow of volume"
             hint = f"Set density_kgpl of {name} in [logs.columns]: kg of fuel in a litre, about 0.8"

@@ -1,8 +1,14 @@
-"""The TOML table `[logs]`: where the recordings are and which column is which channel."""
+"""The TOML table `[logs]`: where the recordings are and which column is which channel.
+
+Speeds, ratios, powers and the like that are not in the table of channels are declared in
+`[logs.channels]`, and are then used as the outputs of that table are.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import re
+from collections.abc import Collection, Mapping
+from functools import cached_property
 from pathlib import Path, PurePath
 from typing import Annotated, Literal, Self
 
@@ -11,13 +17,62 @@ from pydantic import Field, PositiveFloat, field_validator, model_validator
 from data_prep.clock import Order
 from data_prep.derive import DeriveConfig
 from data_prep.units import find_unit, is_volume_flow
-from narxcal.channels import CHANNELS, channel
+from narxcal.channels import CHANNELS, ENDINGS, Channel, channel, described, symbol
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.files import is_file, is_folder
 from narxcal.support.settings import Section
 
 ENGINE = "{engine}"
 FASTEST_HZ = 1000.0  # no recorder of engine channels is faster, and a grid takes memory
+
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+class DeclaredChannel(Section):
+    """A measured quantity beyond the table of channels: torque, power, the speed of a propeller.
+
+    `range` is what is physically possible, in the unit that ends the channel's name: a sample
+    outside is a recording fault. `unit` may say that unit again.
+    """
+
+    range: tuple[float, float]
+    unit: str = ""
+
+    @field_validator("range")
+    @classmethod
+    def _rises(cls, ends: tuple[float, float]) -> tuple[float, float]:
+        if not ends[0] < ends[1]:
+            raise ValueError("expected [lowest, highest]")
+        return ends
+
+    def named(self, name: str) -> Channel:
+        """Return the channel that `[logs.channels]` declares under `name`.
+
+        Raises `ConfigError` for a name that clashes with the table of channels or has no unit.
+        """
+        same = next((each for each in CHANNELS if symbol(each) == symbol(name)), "")
+        if same:
+            raise ConfigError(
+                f"[logs.channels] declares '{name}', and {same} is built in",
+                hint=f"Map the column to {same}, with scale and offset, or choose another name",
+            )
+        known = described(name)
+        unit = self.unit or known.unit
+        endings = {each: end for end, each in ENDINGS.items()}
+        if unit not in (*endings, "-"):
+            raise ConfigError(
+                f"[logs.channels] declares '{name}' in '{unit}', which is no unit of a channel",
+                hint=f"Units are {', '.join(endings)} and -. [logs.columns] converts from others",
+            )
+        if unit != known.unit or not _NAME.fullmatch(name) or ("_" in name and unit == "-"):
+            listed = f"Units end in {', '.join(f'_{end}' for end in ENDINGS)}; a ratio has no '_'"
+            right = f"{name.partition('_')[0]}_{endings[unit]}" if unit in endings else ""
+            raise ConfigError(
+                f"[logs.channels] declares '{name}', a name that does not end in its unit",
+                hint=f"Name it {right}" if _NAME.fullmatch(right) else listed,
+            )
+        return Channel(name, unit, "output", *self.range, known.meaning)
 
 
 class ColumnSource(Section):
@@ -60,7 +115,7 @@ class LogsConfig(Section):
     the frames of a second in stamps `HH:MM:SS:FF`. `no_value` are further words that stand for
     no value, in addition to `data_prep.words.NO_VALUE`. `instances` are columns that tell the
     engines, units or recordings in a file apart: each combination of their values becomes a
-    log.
+    log. `channels` are declared beyond the table of `narxcal.channels`.
     """
 
     folder: str = "."
@@ -76,6 +131,7 @@ class LogsConfig(Section):
     no_value: tuple[str, ...] = ()
     instances: tuple[str, ...] = ()
     engines: dict[str, str] = Field(default_factory=dict)
+    channels: dict[str, DeclaredChannel] = Field(default_factory=dict)
     columns: dict[str, ColumnSource] = Field(default_factory=dict)
     derive: DeriveConfig = DeriveConfig()
 
@@ -101,20 +157,46 @@ class LogsConfig(Section):
         placed = any(ENGINE in source.column for source in self.columns.values())
         if bool(self.engines) != placed:
             raise ValueError("[logs.engines] and '{engine}' in the column names belong together")
+        self._check_channels()
         return self
 
-    @field_validator("columns")
-    @classmethod
-    def _known_channels(cls, columns: dict[str, ColumnSource]) -> dict[str, ColumnSource]:
-        for name, source in columns.items():
-            unit = source.unit if source.unit is not None else channel(name).unit
+    def _check_channels(self) -> None:
+        """Every column is of a channel, every declared channel has a column and its own symbol."""
+        symbols = [symbol(name) for name in self.declared]
+        for name in self.declared:
+            if symbols.count(symbol(name)) > 1:
+                raise ConfigError(
+                    f"[logs.channels] declares '{symbol(name)}' twice",
+                    hint="Tables and pages show channels without their units: give it another name",
+                )
+            if self.columns and name not in self.columns:
+                raise ConfigError(
+                    f"[logs.channels] declares '{name}', and [logs.columns] has no column for it",
+                    hint=f'Add {name} = {{ column = "...", unit = "{self.declared[name].unit}" }}',
+                )
+        for name, source in self.columns.items():
+            unit = source.unit if source.unit is not None else self.channel(name).unit
             if source.density_kgpl is None or not is_volume_flow(unit):
                 find_unit(unit, name)
-        if columns and "time_s" not in columns:
+        if self.columns and "time_s" not in self.columns:
             raise ConfigError(
                 "[logs.columns] lacks time_s", hint='Add time_s = { column = "...", unit = "s" }'
             )
-        return columns
+
+    @cached_property
+    def declared(self) -> Mapping[str, Channel]:
+        """Channels of `[logs.channels]` by name."""
+        return {name: each.named(name) for name, each in self.channels.items()}
+
+    def channel(self, name: str) -> Channel:
+        """Look up a channel, built in or declared; raises `ConfigError` for any other name."""
+        try:
+            return self.declared.get(name) or channel(name)
+        except ConfigError as error:
+            if "_" not in name or described(name).unit == "-":
+                raise
+            hint = f"{error.hint} Or declare it: [logs.channels] {name} = {{ range = [0, 100] }}"
+            raise ConfigError(error.problem, hint=hint) from None
 
     def resolve(self, base: Path) -> list[Path]:
         """Files that match `files` in `folder`, which is relative to `base`; in order of name.
@@ -162,5 +244,5 @@ class LogsConfig(Section):
         """Channel -> source; the canonical names found in `header` when none are configured."""
         if self.columns:
             return dict(self.columns)
-        names = [name for name in header if name in CHANNELS]
+        names = [name for name in header if name in CHANNELS or name in self.declared]
         return {name: ColumnSource(column=name) for name in names}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -22,13 +22,13 @@ from data_prep.code_words import code_words
 from data_prep.columns import Table, unit_text
 from data_prep.config import ENGINE, LogsConfig
 from data_prep.csv_source import readable
-from data_prep.naming import PER_MINUTE, Reading, fits, read_name
+from data_prep.naming import PER_MINUTE, Reading, declarable, fits, read_name
 from data_prep.parquet_source import MAGIC, ParquetSource
 from data_prep.reading import open_table
 from data_prep.text_file import DELIMITERS, fields, first_lines, has_content, open_text
 from data_prep.units import find_unit, is_volume_flow, named_unit, to_canonical
 from data_prep.words import switch
-from narxcal.channels import CHANNELS, SPOOLS
+from narxcal.channels import CHANNELS, SPOOLS, described
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 from narxcal.support.settings import OPEN
@@ -66,6 +66,7 @@ _LENGTHS_S = (30.0, 86400.0)
 _TIME_UNITS = ("s", "ms", "us", "min", "h")
 _LEVER = (5.0, 120.0)  # highest value of a lever that needs no scale
 _EITHER_WAY = ("air", "squat")  # in the name of a switch that may be on in flight
+_MOST_OTHERS = 12  # columns that are no channel, in a draft
 _PROPORTIONAL = 0.02  # by which two columns of one speed may differ
 
 
@@ -101,12 +102,14 @@ class Line:
 class Draft:
     """Columns and engines of a recorder's files, as far as they follow from the first of them.
 
-    `unused` are columns that may be channels and were not taken, with the reason.
+    `unused` are columns that may be channels and were not taken, with the reason; `others` those
+    that are no channel of the table and may be declared.
     """
 
     lines: tuple[Line, ...]
     engines: Mapping[str, str]
     unused: Mapping[str, str] = field(default_factory=dict)
+    others: tuple[Line, ...] = ()
 
     def logs(self, **keys: object) -> LogsConfig:
         """Return the table [logs] in which what is open is left as recorded, to look at the logs.
@@ -250,7 +253,20 @@ class _Drafting:
             if line:
                 lines.append(line)
         engines = {_engine_name(mark): mark for mark in marks}
-        return Draft(tuple(lines), engines, self.unused)
+        return Draft(tuple(lines), engines, self.unused, self._others(marks))
+
+    def _others(self, marks: Collection[str]) -> tuple[Line, ...]:
+        """Return lines of columns that are no channel, and have a unit of an engine's quantity."""
+        found: dict[str, Line] = {}
+        for column in self.table.header:
+            said = unit_text(self.table, column, "")
+            known = None if column in self.readings else declarable(column, said, marks)
+            if known and known[0] not in found and len(found) < _MOST_OTHERS:
+                name, template, unit = known
+                cells = to_canonical(_values(self.table, [column])[column], find_unit(unit, name))
+                seen = f"{_high(cells, 0.001):.4g} to {_high(cells):.4g} {described(name).unit}"
+                found[name] = Line(name, {"column": template, "unit": unit}, seen)
+        return tuple(found.values())
 
     def _engines(self) -> tuple[str, ...]:
         """Return the marks of engines that most templates of engine channels share."""

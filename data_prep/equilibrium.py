@@ -11,11 +11,10 @@ from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 from scipy.ndimage import binary_dilation, binary_opening, maximum_filter1d, minimum_filter1d
 
 from data_prep.log import Audit, AuditEntry, Log
-from narxcal.channels import channel
 from narxcal.support.arrays import (
     BoolArray,
     FloatArray,
@@ -99,13 +98,6 @@ class RunningConfig(Section):
     above: Mapping[str, float] = Field(default_factory=lambda: dict(BELOW_IDLE))
     least_s: float = Field(default=5.0, ge=0.0)
     margin_s: float = Field(default=20.0, ge=0.0)
-
-    @field_validator("above")
-    @classmethod
-    def _known(cls, above: Mapping[str, float]) -> Mapping[str, float]:
-        for name in above:
-            channel(name)
-        return above
 
 
 def while_running(logs: Sequence[Log], config: RunningConfig) -> list[Log]:

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from data_prep.equilibrium import in_equilibrium
 from data_prep.log import Log
-from narxcal.channels import CHANNELS
+from narxcal.channels import described
 from narxcal.support.arrays import (
     BoolArray,
     FloatArray,
@@ -170,9 +170,8 @@ def needs_condition(log: Log, config: EventsConfig) -> str:
 def _least(driver: Driver, config: EventsConfig) -> float:
     if config.min_change is not None:
         return config.min_change
-    known = CHANNELS.get(config.driver)
-    lever = known is not None and known.role == "lever"
-    floor = _LEVER_FLOOR * (known.high - known.low) if known is not None and lever else 0.0
+    known = described(config.driver)
+    floor = _LEVER_FLOOR * (known.high - known.low) if known.role == "lever" else 0.0
     return max(config.min_fraction * driver.span, floor)
 
 

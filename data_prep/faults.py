@@ -13,7 +13,7 @@ from pydantic import Field
 from scipy.ndimage import uniform_filter1d
 
 from data_prep.log import Log
-from narxcal.channels import CHANNELS, SPOOLS
+from narxcal.channels import SPOOLS, Channel, described
 from narxcal.support.arrays import (
     BoolArray,
     FloatArray,
@@ -68,7 +68,7 @@ def resolution(values: FloatArray) -> float:
 
 def role(name: str) -> str:
     """Look up the role of a channel; one outside the canonical table is an output."""
-    return CHANNELS[name].role if name in CHANNELS else "output"
+    return described(name).role
 
 
 def is_sensed(name: str) -> bool:
@@ -76,13 +76,12 @@ def is_sensed(name: str) -> bool:
     return role(name) in {"output", "ambient", "auxiliary"}
 
 
-def out_of_range(name: str, values: FloatArray) -> BoolArray:
-    """Flag samples that no turbofan and no atmosphere can show."""
-    if name not in CHANNELS:
+def out_of_range(channel: Channel, values: FloatArray) -> BoolArray:
+    """Flag samples that no engine and no atmosphere can show."""
+    if np.isinf(channel.high - channel.low):
         return np.isinf(values)
-    low, high = CHANNELS[name].low, CHANNELS[name].high
-    slack = _SLACK * (high - low)
-    return (values < low - slack) | (values > high + slack)
+    slack = _SLACK * (channel.high - channel.low)
+    return (values < channel.low - slack) | (values > channel.high + slack)
 
 
 def jumps(log: Log, name: str) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from data_prep.grid import ON_GRID
 from data_prep.log import Audit, AuditEntry, Log
-from narxcal.channels import CHANNELS
+from narxcal.channels import described
 from narxcal.support.arrays import FloatArray
 
 GAP = "gap in the recording"
@@ -64,7 +64,7 @@ def _one(parts: list[Log]) -> list[Log]:
 
 
 def _is_switch(name: str) -> bool:
-    return name in CHANNELS and CHANNELS[name].role == "switch"
+    return described(name).role == "switch"
 
 
 def _at(time_s: FloatArray, part: Log, values: FloatArray, *, switch: bool) -> FloatArray:

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 import numpy as np
 
-from narxcal.channels import CHANNELS
+from narxcal.channels import CHANNELS, described
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray, bridge_gaps, noise_level
 from narxcal.support.errors import DataError, ModelError
 
@@ -280,12 +280,11 @@ def _largest_sum(scores: IntArray) -> tuple[int, int]:
 
 def engine_channels(channels: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Outputs with a sample; a lever follows the same schedule in many runs."""
+    ordered = [*(name for name in CHANNELS if name in channels), *sorted({*channels} - {*CHANNELS})]
     return {
         name: channels[name]
-        for name in CHANNELS
-        if name in channels
-        and CHANNELS[name].role == "output"
-        and np.isfinite(channels[name]).any()
+        for name in ordered
+        if described(name).role == "output" and np.isfinite(channels[name]).any()
     }
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from data_prep.identity import Identity
+from narxcal.channels import Channel, described
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 
@@ -146,6 +147,7 @@ class Log:
     `noise` is the variance of the white noise that was on each channel before it was smoothed.
     `interpolated` (channel -> bool `(time,)`) is True where the sample lies between two
     measurements of a channel slower than the grid; faster channels are not in it.
+    `declared` are channels of the configuration, beyond the table of `narxcal.channels`.
     `findings` are those of `data_prep.plausibility` and `training.screening`, `updates` (channel ->
     s) how often a channel changes.
     """
@@ -159,6 +161,7 @@ class Log:
     interpolated: Mapping[str, BoolArray] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
     updates: Mapping[str, float] = field(default_factory=dict)
+    declared: Mapping[str, Channel] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         # The rounding of a sum depends on the memory layout, and a copy in another process is
@@ -196,6 +199,10 @@ class Log:
     def identity(self) -> Identity:
         """What the samples of the log are recognised by, under any name."""
         return Identity.of(self.time_s, self.channels)
+
+    def channel(self, name: str) -> Channel:
+        """Unit, role, physical range and meaning of a channel."""
+        return self.declared.get(name) or described(name)
 
     def recorded(self, names: Sequence[str]) -> tuple[str, ...]:
         """Return those of `names` of which the log has a sample."""

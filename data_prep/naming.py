@@ -8,12 +8,12 @@ So a `radio altitude` or a `fuel used` is no channel, and no part of a name is p
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import NamedTuple
 
 from data_prep.config import ENGINE
-from data_prep.units import find_unit, is_volume_flow, named_unit
-from narxcal.channels import CHANNELS, FIELD_NAMES, SPOOLS
+from data_prep.units import base_unit, find_unit, is_volume_flow, named_unit
+from narxcal.channels import CHANNELS, ENDINGS, FIELD_NAMES, SPOOLS, described, symbol
 from narxcal.support.errors import ConfigError
 
 PER_MINUTE = "rpm"
@@ -44,6 +44,7 @@ _DESIGNATIONS = _words(
     "indicated total static baro gps radio inner outer upper lower front rear hp lp max utc gmt "
     "local"
 )
+_QUANTITIES = ("pct", "rpm", "kW", "Nm", "kPa")  # endings of quantities that engines differ in
 _BY_NAME = {text.casefold(): name for name, texts in FIELD_NAMES.items() for text in texts}
 
 
@@ -82,14 +83,49 @@ def read_name(column: str) -> Reading | None:
     return min(found, key=lambda each: each.doubt, default=None)
 
 
+def declarable(column: str, unit: str, marks: Collection[str]) -> tuple[str, str, str] | None:
+    """Return name, template and unit with which a column that is no channel may be declared.
+
+    `unit` is what the file says, else the column's name ends in it; `marks` are texts of engines.
+    None without a unit of an engine's quantity, and for a name that the table of channels has.
+    """
+    brackets = _IN_BRACKETS.search(column)
+    own = column[: brackets.start()] if brackets and unit else column
+    words = [_Word(found[0], *found.span()) for found in _WORD.finditer(own)]
+    if not unit and len(words) > 1:
+        unit = words.pop().text
+    known = "" if unit in ("nm", "NM") else named_unit(unit)  # nautical miles
+    ending = next((end for end, each in ENDINGS.items() if each == base_unit(known)), "")
+    template, left = _of_an_engine(column, words, marks)
+    name = "".join(word[0].upper() + word[1:] for word in left)
+    named = {symbol(each).casefold() for each in CHANNELS}
+    if ending not in _QUANTITIES or not name.isidentifier() or name.casefold() in named:
+        return None
+    return f"{name}_{ending}", template, known
+
+
+def _of_an_engine(
+    column: str, words: Sequence[_Word], marks: Collection[str]
+) -> tuple[str, list[str]]:
+    """Return the template of a column by the first of `marks` in it, and the other words."""
+    texts = [word.text for word in words]
+    for place, (text, start, stop) in enumerate(words):
+        for left, at, width in _without_engine(text.casefold(), stop - start):
+            first, last = start + at, start + at + width
+            if column[first:last] in marks:
+                kept = [*texts[:place], *left, *texts[place + 1 :]]
+                return column[:first] + ENGINE + column[last:], kept
+    return column, texts
+
+
 def is_designation(text: str) -> bool:
     """Whether text in brackets belongs to a column's name: an engine, a number, `fan`, `avg`.
 
-    `R` is the right engine, not a degree Rankine.
+    `R` is the right engine, not a degree Rankine, `HP` the high-pressure spool, not a power.
     """
     words = [found[0].casefold() for found in _WORD.finditer(text)]
     unit = named_unit(text) or is_volume_flow(text) or PER_MINUTE in words
-    if unit and text.casefold() not in (*_SIDES, "1"):
+    if unit and text.casefold() not in (*_SIDES, "1", "hp"):
         return False
     known = _DESIGNATIONS | _FILLERS | _COMMANDS | _BY_NAME.keys() | {*_SIDES}
     return all(
@@ -163,10 +199,10 @@ def _named(words: Sequence[str]) -> tuple[str, int] | None:
 
 def fits(unit: str, name: str) -> bool:
     """Whether text names a unit in which channel `name` may be recorded."""
-    if unit.casefold() == PER_MINUTE:
-        return name in SPOOLS
+    if unit.casefold() == PER_MINUTE and name in SPOOLS:
+        return True
     if is_volume_flow(unit):
-        return CHANNELS[name].unit == "kg/h"
+        return described(name).unit == "kg/h"
     try:
         find_unit(named_unit(unit), name)
     except ConfigError:

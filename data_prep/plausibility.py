@@ -26,7 +26,7 @@ import numpy as np
 from data_prep.faults import out_of_range, repeats, unnatural
 from data_prep.log import Finding, Kind, Log
 from narxcal.atmosphere import KELVIN, SOUND_KT, T0_K, isa, mach_of_cas
-from narxcal.channels import CHANNELS
+from narxcal.channels import CHANNELS, SPOOLS, Channel, described
 from narxcal.support.arrays import BoolArray, FloatArray, robust_range, spans
 
 SURE = 0.999
@@ -72,9 +72,7 @@ CONVERSIONS: Mapping[str, tuple[tuple[str, float, float], ...]] = {
 
 def conversions(channel: str) -> tuple[tuple[str, float, float], ...]:
     """Units that `channel` may be in instead: name, scale, offset of value -> canonical value."""
-    if channel not in CHANNELS or channel == "dT_C":
-        return ()
-    return CONVERSIONS.get(CHANNELS[channel].unit, ())
+    return () if channel == "dT_C" else CONVERSIONS.get(described(channel).unit, ())
 
 
 def checked(log: Log) -> Log:
@@ -173,29 +171,30 @@ def update_interval(values: FloatArray) -> float:
 
 def _units(log: Log) -> Iterator[Finding]:
     """Channels outside of their physical range that another unit brings back into it."""
-    for name in log.recorded(tuple(CHANNELS)):
+    for name in log.recorded((*CHANNELS, *log.declared)):
         known = log[name][np.isfinite(log[name])]
-        word = _unit(name, known)
+        channel = log.channel(name)
+        word = _unit(channel, known)
         if word:
-            text = f"looks like {word}: median {np.median(known):.4g} {CHANNELS[name].unit}"
+            text = f"looks like {word}: median {np.median(known):.4g} {channel.unit}"
             yield finding(log, name, "unit", text)
 
 
-def _unit(name: str, known: FloatArray) -> str:
+def _unit(channel: Channel, known: FloatArray) -> str:
     """Name the unit that fits where the canonical one does not; empty where it does, or none."""
     high = float(robust_range(known)[1])
-    if CHANNELS[name].unit == "%" and 0.2 < high < _FRACTION:
+    if channel.name in SPOOLS and 0.2 < high < _FRACTION:
         return "a fraction"
-    if not np.mean(out_of_range(name, known)) > _MANY:
+    if not np.mean(out_of_range(channel, known)) > _MANY:
         return ""
-    if CHANNELS[name].unit == "%" and high > 2.0 * CHANNELS[name].high:
+    if channel.name in SPOOLS and high > 2.0 * channel.high:
         return "rpm"
-    fitting = [word for word, *how in conversions(name) if _fits(name, known, *how)]
+    fitting = [word for word, *how in conversions(channel.name) if _fits(channel, known, *how)]
     return fitting[0] if fitting else ""
 
 
-def _fits(name: str, known: FloatArray, scale: float, offset: float) -> bool:
-    return not np.mean(out_of_range(name, scale * known + offset)) > 0.01
+def _fits(channel: Channel, known: FloatArray, scale: float, offset: float) -> bool:
+    return not np.mean(out_of_range(channel, scale * known + offset)) > 0.01
 
 
 # What a moving aircraft shows: while one of the others changes by so much, none stays exactly.

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
+from pydantic import model_validator
 
 from data_prep.clean import CleanConfig, clean
 from data_prep.config import ENGINE, LogsConfig
@@ -45,6 +46,16 @@ class Preparation(Section):
     smooth: SmoothConfig = SmoothConfig()
     events: EventsConfig = EventsConfig()
     quasi_steady: QuasiSteadyConfig = QuasiSteadyConfig()
+
+    def named_channels(self) -> tuple[str, ...]:
+        """Channels that the tables name, which have to be built in or declared."""
+        return tuple(self.running.above)
+
+    @model_validator(mode="after")
+    def _names_are_known(self) -> Self:
+        for name in self.named_channels():
+            self.logs.channel(name)
+        return self
 
 
 class LogWarning(NamedTuple):

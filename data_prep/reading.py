@@ -23,7 +23,7 @@ from data_prep.parquet_source import MAGIC, ParquetSource
 from data_prep.stamps import Passed, all_apart, clock_goes_on, ordered_rows, usual_interval
 from data_prep.stream import GridStream
 from data_prep.words import Labels, switch
-from narxcal.channels import CHANNELS
+from narxcal.channels import described
 from narxcal.support.errors import DataError, did_you_mean
 from narxcal.support.files import sha256_of
 
@@ -105,7 +105,7 @@ class LogFile:
         Where columns tell instances apart, `engine-instance` takes the place of the engine.
         """
         columns = [column for each in engines for column in self._columns[each].items()]
-        switches = {column: switch for name, column in columns if CHANNELS[name].role == "switch"}
+        switches = {column: switch for name, column in columns if described(name).role == "switch"}
         labels = {column: Labels() for column in self._instances()}
         if labels and pace and pace.live:
             raise DataError(
@@ -324,5 +324,6 @@ class _Growing:
                 audit,
                 self.source,
                 interpolated={name: flags for name, flags in between.items() if flags.any()},
+                declared=self.stream.config.declared,
             )
         )

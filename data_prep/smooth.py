@@ -11,7 +11,7 @@ import pandas as pd
 from pydantic import Field, field_validator
 
 from data_prep.log import Log
-from narxcal.channels import CHANNELS
+from narxcal.channels import described
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section
@@ -95,13 +95,9 @@ def white_noise(raw: FloatArray, averaged: FloatArray, over: tuple[int, float]) 
 
 def _names(log: Log, wanted: Sequence[str] | None) -> list[str]:
     if wanted is None:
-        return [
-            name
-            for name in log.channels
-            if name in CHANNELS and CHANNELS[name].role in _SMOOTHED_ROLES
-        ]
+        return [name for name in log.channels if described(name).role in _SMOOTHED_ROLES]
     for name in wanted:
-        if name in CHANNELS and CHANNELS[name].role == "switch":
+        if described(name).role == "switch":
             raise ConfigError(
                 f"'{name}' is a switch and cannot be smoothed",
                 hint="Remove it from channels in [smooth]",

@@ -20,7 +20,7 @@ from data_prep.stamps import (
     split_at_gaps,
     undo_rounding,
 )
-from narxcal.channels import CHANNELS
+from narxcal.channels import described
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import DataError
 
@@ -229,7 +229,7 @@ class GridStream:
         between: dict[str, BoolArray] = {}
         for name, values in rows.items():
             if name != "time_s":
-                hold = CHANNELS[name].role == "switch"
+                hold = described(name).role == "switch"
                 channels[name], entries = resample(name, time, values, grid, hold=hold)
                 self.audit.add(entries, self.dt_s)
                 if not hold:
@@ -266,7 +266,7 @@ class GridStream:
             )
         first = order[needed][0]
         for name, values in self._rows.items():
-            if name != "time_s" and CHANNELS[name].role == "switch":
+            if name != "time_s" and described(name).role == "switch":
                 known = values[order[~needed]]
                 known = known[np.isfinite(known)]
                 # A switch stays where it was put, however long ago.

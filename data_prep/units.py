@@ -6,7 +6,7 @@ import difflib
 import re
 from dataclasses import dataclass
 
-from narxcal.channels import channel
+from narxcal.channels import ENDINGS, described
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 
@@ -25,6 +25,9 @@ _FOOT_M = 0.3048  # exact
 _MILE_M = 1852.0  # exact, international nautical mile
 _STATUTE_M = 1609.344  # exact, statute mile
 _LBF_KN = 0.0044482216152605  # exact, pound of force
+_LBF_FT_NM = 1000.0 * _LBF_KN * _FOOT_M
+_HP_KW = 0.55 * _LBF_FT_NM  # 550 ft lbf/s
+_PSI_KPA = 1e6 * _LBF_KN / 25.4**2  # pound of force on a square inch
 
 _UNITS: dict[str, Unit] = {
     "s": Unit("time", 1.0),
@@ -63,7 +66,26 @@ _UNITS: dict[str, Unit] = {
     "km/h": Unit("speed", 1000.0 / _MILE_M),
     "mph": Unit("speed", _STATUTE_M / _MILE_M),
     "ft/s": Unit("speed", 3600.0 * _FOOT_M / _MILE_M),
+    # Of channels that a configuration declares.
+    "rpm": Unit("rotational speed", 1.0),
+    "kW": Unit("power", 1.0),
+    "W": Unit("power", 1e-3),
+    "hp": Unit("power", _HP_KW),
+    "PS": Unit("power", 0.73549875),  # exact, 75 kgf m/s
+    "Nm": Unit("torque", 1.0),
+    "kNm": Unit("torque", 1e3),
+    "lbf.ft": Unit("torque", _LBF_FT_NM),
+    "lbf.in": Unit("torque", _LBF_FT_NM / 12.0),
+    "kPa": Unit("pressure", 1.0),
+    "Pa": Unit("pressure", 1e-3),
+    "hPa": Unit("pressure", 0.1),
+    "bar": Unit("pressure", 100.0),
+    "psi": Unit("pressure", _PSI_KPA),
+    "inHg": Unit("pressure", 3.386389),  # at 0 degC
+    "A": Unit("current", 1.0),
+    "V": Unit("voltage", 1.0),
 }
+_SIGNS = ("A", "V")  # a letter alone in a file is a sensor's or an engine's
 _ALIASES = {
     "sec": "s",
     "°": "deg",
@@ -92,6 +114,16 @@ _ALIASES = {
     "mach": "-",
     "": "-",
     "bool": "0/1",
+    "shp": "hp",
+    "N.m": "Nm",
+    "ft.lb": "lbf.ft",
+    "lb.ft": "lbf.ft",
+    "ft-lb": "lbf.ft",
+    "lb-ft": "lbf.ft",
+    "in.lb": "lbf.in",
+    "mbar": "hPa",
+    "psia": "psi",
+    **dict.fromkeys(("1/min", "r/min", "min-1", "u/min"), "rpm"),
 }
 # How units are spelled out, part by part: "Lbs. per Hour" is lb/h.
 _WORDS = {
@@ -121,6 +153,10 @@ _WORDS = {
         "k": "degk kelvins",
         "degr": "rankine degrankine",
         "lbf": "lbsf poundf poundsforce",
+        "lbfft": "ftlb ftlbs ftlbf lbft lbsft footpounds poundfeet",
+        "lbfin": "inlb inlbs inlbf lbin lbsin inchpounds poundinches",
+        "rpm": "r/min rev/min revs/min",
+        "hp": "horsepower bhp",
     }.items()
     for word in words.split()
 }
@@ -139,7 +175,7 @@ _VOLUME_FLOWS = {  # in l/h
     "m3/h": 1000.0,
 }
 _MEASURES = (
-    *("psi", "psia", "psig", "bar", "mbar", "hPa", "kPa", "Pa", "inHg", "V", "mV", "A", "mA", "Hz"),
+    *("psig", "V", "mV", "A", "mA", "Hz"),
     *("g", "lb", "kg", "gal", "l", "nm", "mi", "ft/min", "fpm", "deg/s", "m/s2", *_VOLUME_FLOWS),
 )
 # What else a row of units may hold.
@@ -148,14 +184,13 @@ _OTHER = (
     *("bit", "bits"),
 )
 _BRACKETS = re.compile(r"\s*[\[({<]?\s*(.*?)\s*[\])}>]?\s*")
-_PER_MINUTE = ("rpm", "1/min", "r/min", "min-1", "u/min")
 
 
 def _texts() -> dict[str, str]:
     """Plain text -> unit, for all texts that name one unit alone, whatever their case."""
     found: dict[str, set[str]] = {}
     for text, unit in [*((unit, unit) for unit in _UNITS), *_ALIASES.items()]:
-        if text:
+        if text and text not in _SIGNS:
             found.setdefault(_plain(text), set()).add(unit)
     return {text: next(iter(units)) for text, units in found.items() if len(units) == 1}
 
@@ -166,7 +201,7 @@ def find_unit(name: str, canonical: str) -> Unit:
     Raises `ConfigError` for an unknown unit (naming the nearest) and for one of another
     dimension (naming those that fit).
     """
-    target = channel(canonical)
+    target = described(canonical)
     known = _lookup(name, canonical)
     if target.name == "dT_C" and known.dimension == "temperature":
         return Unit("difference", known.scale)  # a difference has no zero point
@@ -175,16 +210,25 @@ def find_unit(name: str, canonical: str) -> Unit:
     wanted = _UNITS[target.unit].dimension
     if known.dimension == wanted or (wanted, known.dimension) == ("switch", "number"):
         return known
+    hint = f"Units that fit: {', '.join(_fitting(canonical))}"
+    if known.dimension == _UNITS["rpm"].dimension and target.unit == "%":
+        hint = "Leave it out and set scale to 100 / (rpm at 100 %)"
     raise ConfigError(
         f"unit '{name}' is a {known.dimension}, this channel is a {wanted}",
         channel=canonical,
-        hint=f"Units that fit: {', '.join(_fitting(canonical))}",
+        hint=hint,
     )
 
 
 def named_unit(cell: str) -> str:
     """The unit that a cell such as `[deg C]` or `KG/H` of a row of units names; empty if none."""
     return _BY_TEXT.get(_plain(cell), "")
+
+
+def base_unit(name: str) -> str:
+    """The unit of a channel in which a unit of a recorder ends up; empty if there is none."""
+    dimension = _UNITS[name].dimension if name in _UNITS else ""
+    return next((each for each in ENDINGS.values() if _UNITS[each].dimension == dimension), "")
 
 
 def is_volume_flow(cell: str) -> bool:
@@ -213,13 +257,14 @@ def _plain(cell: str) -> str:
     found = _BRACKETS.fullmatch(cell)
     text = (found[1] if found else cell).casefold().replace("\N{GREEK SMALL LETTER MU}", "u")
     text = re.sub(r"\bper\b", "/", text.replace("\N{MICRO SIGN}", "u"))
-    text = re.sub(r"\s+|\.(?!\d)", "", text)
+    text = re.sub(r"\s+|\.(?!\d)|(?<=[a-z])-(?=[a-z])", "", text)
     text = "/".join(_WORDS.get(part, part) for part in text.split("/"))
     return _WORDS.get(text, text)
 
 
 def _lookup(name: str, canonical: str) -> Unit:
     name = _ALIASES.get(name, name)
+    name = "rpm" if named_unit(name) == "rpm" else name
     if name in _UNITS:
         return _UNITS[name]
     fitting = _fitting(canonical)
@@ -227,13 +272,11 @@ def _lookup(name: str, canonical: str) -> Unit:
     near = [unit for unit in everything if unit.lower() == name.lower()]
     near = near or difflib.get_close_matches(name, everything, n=1, cutoff=0.5)
     hint = f"Did you mean '{near[0]}'?" if near else f"Units that fit: {', '.join(fitting)}"
-    if name.lower() in _PER_MINUTE and channel(canonical).unit == "%":
-        hint = "Leave it out and set scale to 100 / (rpm at 100 %)"
     raise ConfigError(f"unknown unit '{name}'", channel=canonical, hint=hint)
 
 
 def _fitting(canonical: str) -> list[str]:
-    wanted = _UNITS[channel(canonical).unit].dimension
+    wanted = _UNITS[described(canonical).unit].dimension
     return [unit for unit, each in _UNITS.items() if each.dimension == wanted]
 
 
@@ -246,4 +289,4 @@ def to_canonical(values: FloatArray, unit: Unit) -> FloatArray:
 
 _BY_TEXT = _texts()
 _FLOWS = {_plain(text): flow for text, flow in _VOLUME_FLOWS.items()}
-_FOREIGN = {_plain(text) for text in (*_MEASURES, *_PER_MINUTE, *_OTHER)}
+_FOREIGN = {_plain(text) for text in (*_MEASURES, *_OTHER)}

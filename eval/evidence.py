@@ -36,7 +36,7 @@ from scipy.stats import t as student
 
 from data_prep.log import Log
 from narxcal.calibration.run_record import MixtureChannel
-from narxcal.channels import channel, symbol
+from narxcal.channels import described, symbol
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -78,7 +78,7 @@ class ErrorCheck:
     @property
     def words(self) -> str:
         """What is wrong, without a full stop."""
-        unit = channel(self.channel).unit
+        unit = described(self.channel).unit
         whose = "training logs" if self.fitted else "held-out training logs"
         return (
             f"{symbol(self.channel)} RMSE {self.rmse:.3g} {unit}, {self.usual or 0.0:.3g} is usual "

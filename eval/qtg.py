@@ -30,7 +30,7 @@ from eval.report.view import LogView
 from eval.rules import Manoeuvre, Rules
 from eval.transients import AssessedEvent, Assessment, TransientsConfig, assessed
 from narxcal.calibration.bundle import Bundle, seal
-from narxcal.channels import CHANNELS, channel
+from narxcal.channels import described
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError, DataError, did_you_mean
 from narxcal.support.files import finite, versions
@@ -385,7 +385,7 @@ class Evaluated:
         """Channels whose verdict is the result of a test; raises `ConfigError`."""
         outputs = self.bundle.calibration.output_names
         judged = [name for name in self.settings.channels if name in outputs]
-        if critical and channel(critical).name not in judged:
+        if critical and critical not in judged:
             raise ConfigError(
                 "the critical channel is not judged by the run",
                 channel=critical,
@@ -590,7 +590,7 @@ def supporting(test: Test) -> list[Assessment]:
 
 def unit_value(name: str, value: float) -> str:
     """Value of a channel with its unit, as precise as an instrument is read."""
-    known = CHANNELS[name]
+    known = described(name)
     if known.role == "switch":
         return "on" if value else "off"
     digits = {"ft": 0, "-": 3, "kg/h": 0, "kN": 2}.get(known.unit, 1)

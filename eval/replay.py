@@ -23,7 +23,7 @@ from data_prep.reading import LogFile
 from narxcal.calibration.fuser import FastFuser
 from narxcal.calibration.fuser_config import FuserConfig
 from narxcal.calibration.noise import MIN_SAMPLES, STORED, NoiseModel, estimate_noise
-from narxcal.channels import CHANNELS
+from narxcal.channels import described
 from narxcal.intervals import LEVEL, LEVELS
 from narxcal.support.arrays import BoolArray, FloatArray, last_true, spans
 from narxcal.support.errors import ConfigError, DataError
@@ -213,7 +213,9 @@ class EngineReplay:
         """Where a fault masks a channel, or its values are physically impossible (time,)."""
         bad = np.zeros(len(piece.time_s), dtype=np.bool_)
         if name in piece.channels:
-            bad |= out_of_range(name, piece.channels[name])
+            bad |= out_of_range(
+                self._model.logs.declared.get(name) or described(name), piece.channels[name]
+            )
         for one in self._findings:
             if name == one.channel:
                 bad |= one.rows(piece.time_s)
@@ -424,7 +426,7 @@ class ReplaySummary:
             named = [
                 f"{name} about every {every_s:.2g} s"
                 for name, every_s in slow.items()
-                if CHANNELS[name].role != "ambient"
+                if described(name).role != "ambient"
             ]
             if named:
                 texts.append(

@@ -23,7 +23,7 @@ from eval.rules import (
     compare_transients,
     rules,
 )
-from narxcal.channels import channel as channel_of
+from narxcal.channels import described
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.errors import ConfigError, DataError
 
@@ -74,7 +74,7 @@ class TransientsConfig(Reading):
             before_s=self.before_s,
             after_s=self.after_s,
             least_response=least[channel],
-            unit=channel_of(channel).unit,
+            unit=described(channel).unit,
         )
 
 

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from narxcal.channels import SPOOLS, described
 from narxcal.support.arrays import FloatArray, IntArray
 
 T0_K = 288.15
@@ -118,19 +119,35 @@ def air_at(inputs: FloatArray, names: Sequence[str]) -> AirState:
     return air_state(*(zero if k < 0 else inputs[..., k] for k in air_columns(names)))
 
 
+# What a channel scales with, in the order in which the exported runtime numbers it.
+SIMILARITY = ("plain", "speed", "temperature", "fuel", "thrust")
+_BY_UNIT = {
+    "degC": "temperature", "kN": "thrust", "Nm": "thrust", "kPa": "thrust", "kW": "fuel",
+}  # fmt: skip
+
+
+def similarity(name: str) -> str:
+    """One of `SIMILARITY` for a channel; "plain" where its name and unit do not settle it."""
+    if name in SPOOLS:
+        return "speed"
+    return "fuel" if name == "FF_kgph" else _BY_UNIT.get(described(name).unit, "plain")
+
+
 def corrected_scale(name: str, air: AirState) -> tuple[FloatArray | float, float]:
     """Scale s and offset o of channel `name`, so that (value + o) / s is its corrected value.
 
-    Speeds refer to sqrt(theta2), temperatures (in K) to theta2, fuel flow to delta2 sqrt(theta2)
-    and thrust to delta2 (Walsh and Fletcher 2004, Gas Turbine Performance, section 4.3).
+    Spool speeds refer to sqrt(theta2), temperatures (in K) to theta2, fuel flow and power to
+    delta2 sqrt(theta2), thrust, torque and pressure to delta2 (Walsh and Fletcher 2004, Gas
+    Turbine Performance, section 4.3). A speed in rpm may be that of a governed propeller.
     """
-    if name.endswith("_pct"):
+    kind = similarity(name)
+    if kind == "speed":
         return np.sqrt(air.theta2), 0.0
-    if name.endswith("_C"):
+    if kind == "temperature":
         return air.theta2, KELVIN
-    if name == "FF_kgph":
+    if kind == "fuel":
         return air.delta2 * np.sqrt(air.theta2), 0.0
-    return (air.delta2, 0.0) if name == "FN_kN" else (1.0, 0.0)
+    return (air.delta2, 0.0) if kind == "thrust" else (1.0, 0.0)
 
 
 def mach_of_cas(cas_kt: ArrayLike, alt_ft: ArrayLike) -> FloatArray:

@@ -1,4 +1,9 @@
-"""The canonical channels: the one table of names, units, roles and physical ranges."""
+"""The canonical channels: the one table of names, units, roles and physical ranges.
+
+A configuration may declare further ones (`data_prep.config.DeclaredChannel`). Their names, as those
+of the table, end in their unit: what takes a name alone knows the unit by it (`described`), and a
+log the physical range, too (`data_prep.log.Log.channel`).
+"""
 
 from __future__ import annotations
 
@@ -55,6 +60,35 @@ _TABLE = (
 CHANNELS: dict[str, Channel] = {channel.name: channel for channel in _TABLE}
 SPOOLS = ("N1_pct", "N2_pct")
 
+# How the name of a channel ends in each unit; one without a unit has no ending.
+ENDINGS = {
+    "pct": "%",
+    "rpm": "rpm",
+    "kW": "kW",
+    "Nm": "Nm",
+    "kN": "kN",
+    "kPa": "kPa",
+    "C": "degC",
+    "kgph": "kg/h",
+    "deg": "deg",
+    "A": "A",
+    "V": "V",
+}
+_QUANTITIES = {
+    "%": "percentage",
+    "rpm": "rotational speed",
+    "kW": "power",
+    "Nm": "torque",
+    "kN": "force",
+    "kPa": "pressure",
+    "degC": "temperature",
+    "kg/h": "mass flow",
+    "deg": "angle",
+    "A": "current",
+    "V": "voltage",
+    "-": "ratio",
+}
+
 # Names in use elsewhere: abbreviations of ARINC 429, AGARD and recorders, and words in full.
 FIELD_NAMES: dict[str, tuple[str, ...]] = {
     name: tuple("".join(each.split()).upper() for each in text.split(","))
@@ -110,11 +144,24 @@ def channel(name: str) -> Channel:
     raise ConfigError(f"unknown channel '{name[:80]}'", hint=hint)
 
 
+def described(name: str) -> Channel:
+    """Return a channel by its name alone: of the table, or else an output of any value.
+
+    Its unit is that which ends the name, `-` where none does.
+    """
+    known = CHANNELS.get(name)
+    if known:
+        return known
+    unit = ENDINGS.get(name.rpartition("_")[2], "-") if "_" in name else "-"
+    return Channel(name, unit, "output", float("-inf"), float("inf"), _QUANTITIES[unit])
+
+
 def spools_of(names: Iterable[str]) -> tuple[str, ...]:
     """Those of `names` that are spool speeds, by which equilibrium is detected."""
     return tuple(name for name in names if name in SPOOLS)
 
 
 def symbol(name: str) -> str:
-    """`N1_pct` -> `N1`: what an engineer calls the channel; any other name as it is."""
-    return name.rsplit("_", 1)[0] if name in CHANNELS else name
+    """`N1_pct` -> `N1`: what an engineer calls the channel; a name without a unit as it is."""
+    stem, _, end = name.rpartition("_")
+    return stem if stem and (name in CHANNELS or end in ENDINGS) else name

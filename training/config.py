@@ -16,7 +16,7 @@ from pydantic import Field, NonNegativeInt, field_validator, model_validator
 from data_prep.equilibrium import QuasiSteadyConfig
 from data_prep.prepare import Preparation
 from narxcal.calibration.fuser_config import FuserConfig
-from narxcal.channels import CHANNELS, channel
+from narxcal.channels import CHANNELS
 from narxcal.narx.config import MOST_HIDDEN, MOST_LAGS, Taps
 from narxcal.steady.model import SteadyOptions
 from narxcal.support.errors import ConfigError
@@ -27,10 +27,9 @@ Kind = Literal["fitted", "table", "callable", "fmu", "static"]
 Auto = Literal["auto"]
 
 
-def known_once(names: tuple[str, ...]) -> tuple[str, ...]:
-    """`names`, if all are channels and none stands there twice; for validators of fields."""
+def _once(names: tuple[str, ...]) -> tuple[str, ...]:
+    """`names`, if none stands there twice; for validators of fields."""
     for name in names:
-        channel(name)
         if names.count(name) > 1:
             raise ValueError(f"'{name}' is named twice")
     return names
@@ -89,8 +88,8 @@ class SteadyStateConfig(Section):
 
     @field_validator("inputs")
     @classmethod
-    def _are_channels(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        return known_once(names)
+    def _differ(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return _once(names)
 
     @field_validator("switches")
     @classmethod
@@ -162,8 +161,8 @@ class NarxSection(Section):
 
     @field_validator("outputs", "schedule")
     @classmethod
-    def _known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        return known_once(names)
+    def _differ(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        return _once(names)
 
 
 class TrainConfig(Section):
@@ -279,6 +278,12 @@ class RunConfig(Preparation):
     split: SplitConfig = SplitConfig()
     fuser: FuserConfig = FuserConfig()
     evaluate: dict[str, Any] = Field(default_factory=dict)
+
+    def named_channels(self) -> tuple[str, ...]:
+        """Channels that the tables name, which have to be built in or declared."""
+        narx = self.narx
+        own = (*self.steady_state.inputs, *narx.outputs, *narx.schedule)
+        return (*super().named_channels(), *own)
 
     @property
     def driver(self) -> str:

@@ -45,7 +45,7 @@ from scipy.optimize import least_squares
 from data_prep.equilibrium import peak_to_peak
 from data_prep.log import Log
 from narxcal.atmosphere import air_at
-from narxcal.channels import CHANNELS
+from narxcal.channels import described
 from narxcal.lumped.engine import LumpedEngine, Slopes, Starts, core_of
 from narxcal.lumped.rotors import Drive
 from narxcal.steady.model import SteadyStateModel
@@ -430,7 +430,7 @@ def _offered(config: RunConfig, steady: SteadyStateModel) -> list[str]:
     # Governed: a lever drives a fan and a core, and [narx] sets nothing of the limited form alone.
     spools = {"N1_pct", "N2_pct"} <= set(steady.output_names)
     unset = section.lag_errors == "absolute" and not section.lag_heat
-    governed = spools and unset and CHANNELS[config.driver].role == "lever"
+    governed = spools and unset and described(config.driver).role == "lever"
     return [*([GOVERNED] if governed and section.lag_governed == "auto" else []), PLAIN, LIMITS]
 
 

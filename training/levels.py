@@ -22,7 +22,7 @@ from scipy.stats import t as student
 
 from narxcal.atmosphere import KELVIN
 from narxcal.calibration.run_record import MixtureChannel
-from narxcal.channels import CHANNELS, channel
+from narxcal.channels import described
 from narxcal.support.arrays import FloatArray, bridge_gaps, known_mean
 
 LEAST_LOGS = 3
@@ -128,17 +128,17 @@ def _allowed(seen: FloatArray, prior: float, outputs: int) -> float | None:
 
 def words(check: LevelCheck) -> str:
     """Size of a level error with its unit."""
-    return f"{check.channel} {check.error:+.3g} {channel(check.channel).unit}"
+    return f"{check.channel} {check.error:+.3g} {described(check.channel).unit}"
 
 
 def prior_share(name: str) -> float:
     """Scatter of a channel between engines of a type and their meters, as a share of the level."""
-    return _PRIOR.get(CHANNELS[name].unit if name in CHANNELS else "", _PRIOR_OTHER)
+    return _PRIOR.get(described(name).unit, _PRIOR_OTHER)
 
 
 def prior_scatter(name: str, level: float) -> float:
     """The same at a level, in its unit."""
-    warm = name in CHANNELS and CHANNELS[name].unit == "degC"
+    warm = described(name).unit == "degC"
     return prior_share(name) * (level + (KELVIN if warm else 0.0))
 
 

@@ -27,7 +27,7 @@ from typing import Final
 
 import numpy as np
 
-from narxcal.channels import channel
+from narxcal.channels import described
 from narxcal.steady.fitted import Layout
 from narxcal.support.arrays import BoolArray, FloatArray
 from training.config import SteadyFitConfig
@@ -52,7 +52,7 @@ class Outlier:
     def words(self) -> str:
         """What to say of it."""
         known = {name: value for name, value in self.errors.items() if np.isfinite(value)}
-        sizes = [f"{name} by {value:.3g} {channel(name).unit}" for name, value in known.items()]
+        sizes = [f"{name} by {value:.3g} {described(name).unit}" for name, value in known.items()]
         return (
             f"{Path(self.log).name} contradicts the other logs as a whole: their steady state "
             f"misses its {', '.join(sizes)}, while its channels agree with each other; nothing was "

@@ -36,7 +36,6 @@ from narxcal.calibration.run_record import (
     ScreeningRecord,
     SteadyRecord,
 )
-from narxcal.channels import CHANNELS
 from narxcal.intervals import HalfWidths, HeldErrors, joined
 from narxcal.steady.fitted import FittedSteadyState
 from narxcal.steady.model import SteadyStateModel
@@ -192,9 +191,8 @@ def input_reach(logs: Sequence[Log], names: Sequence[str]) -> tuple[FloatArray, 
     seen = [np.concatenate([log[name] for log in logs]) for name in names]
     low, high = (np.array([end(values) for values in seen]) for end in (np.nanmin, np.nanmax))
     width = np.maximum(high - low, [LEAST_WIDTHS.get(name, 0.0) for name in names])
-    known = [CHANNELS.get(name) for name in names]
-    least = np.array([-np.inf if one is None else one.low for one in known])
-    most = np.array([np.inf if one is None else one.high for one in known])
+    known = [logs[0].channel(name) for name in names]
+    least, most = np.array([(one.low, one.high) for one in known]).T
     beyond = np.maximum(low - width, least), np.minimum(high + width, most)
     return np.minimum(low, beyond[0]), np.maximum(high, beyond[1])
 

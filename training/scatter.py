@@ -21,7 +21,7 @@ from scipy.optimize import brentq
 from scipy.special import logsumexp
 from scipy.stats import norm as normal
 
-from narxcal.channels import CHANNELS
+from narxcal.channels import described
 from narxcal.support.arrays import FloatArray
 
 _GRID = np.linspace(-6.0, 6.0, 97)
@@ -46,7 +46,7 @@ class ScatterPrior:
 
     def level(self, name: str) -> float:
         """M of the levels of a channel."""
-        return self.median.get(CHANNELS[name].unit if name in CHANNELS else "", self.other)
+        return self.median.get(described(name).unit, self.other)
 
     def of_levels(self, seen: Seen) -> dict[str, Scatter]:
         """What is known of the level of one more log in each channel."""

@@ -28,7 +28,7 @@ import numpy as np
 from data_prep.equilibrium import quasi_steady
 from data_prep.log import Log
 from data_prep.prepare import hold_inputs
-from narxcal.channels import CHANNELS, spools_of
+from narxcal.channels import CHANNELS, described, spools_of
 from narxcal.steady.fitted import RATIOS, Layout
 from narxcal.steady.model import SteadyStateModel
 from narxcal.steady.opening import open_steady
@@ -268,7 +268,7 @@ def _switches(config: RunConfig, logs: Sequence[Log]) -> tuple[str, ...]:
     Those that choose an idle change what a lever asks for, not what an engine makes of its fuel.
     """
     spools, found = spools_of(config.narx.outputs), []
-    lever = CHANNELS[config.driver].role == "lever"
+    lever = described(config.driver).role == "lever"
     for name, channel in CHANNELS.items():
         if channel.role != "switch" or (name in _IDLES and not lever):
             continue

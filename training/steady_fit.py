@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from narxcal.channels import CHANNELS
 from narxcal.steady.fitted import (
     RATIOS,
     FittedSteadyState,
@@ -42,8 +43,10 @@ _USUAL = SteadyFitConfig()
 _ROWS = 20000  # more quasi-steady samples than this tell nothing new
 # Standard deviation of the exponents of theta and delta from those of similarity, by the unit of
 # the output, as of the recorders that fly: `python -m eval.benchmarks.priors` leaves one out in
-# turn. Without a prior its estimates are several times as large, and differ as much in sign.
+# turn. Without a prior its estimates are several times as large, and differ as much in sign. Those
+# of similarity lie between 0 and 1: where a channel's are not known, the logs have to say.
 SPREADS: Final = {"%": (0.06, 0.03), "degC": (0.12, 0.065)}
+_UNKNOWN: Final = (1.0, 1.0)
 _NEAR: Final = 0.15  # of the driver's range: curves may still bend so far beyond the samples
 _UNRELATED: Final = 0.05  # autocorrelation below which samples count as independent
 
@@ -200,7 +203,7 @@ def _curve(
     `output` is its name, and the spreads of exponents by unit.
     """
     name, spreads = output
-    own = spreads["degC" if name.endswith("_C") else "%"]
+    own = spreads["degC" if name.endswith("_C") else "%"] if name in CHANNELS else _UNKNOWN
     if design.layout.exponents:
         first = design.solve(matrix, target, monotone=True)
         strengths = _exponent_strengths(design.layout, target, target - matrix @ first, own)
@@ -215,7 +218,7 @@ def _curve(
 
 def _may_turn(output: str) -> bool:
     """Whether the output may fall with the driver: temperatures do at low power."""
-    return output.endswith("_C")
+    return output.endswith("_C") or output not in CHANNELS
 
 
 def _exponent_strengths(

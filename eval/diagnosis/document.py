@@ -16,6 +16,7 @@ from eval.diagnosis.flights import GapData
 from eval.diagnosis.pairs import Pair
 from eval.diagnosis.stored_emulator import signals_to_json
 from eval.diagnosis.where import Row, Sides, Where
+from narxcal.channels import SPOOLS
 from narxcal.effects.base import InputEffect, RateEffect, SettledEffect, ShiftEffect, unit
 from narxcal.effects.library import LIBRARY, effect
 from narxcal.effects.steady import UnloggedSwitch
@@ -292,7 +293,7 @@ def implausible(data: GapData) -> list[str]:
         ]
         if units:
             found.append(f"{units[0]}: it is {apart:+.4g} {unit(name)} off the other throughout")
-        elif name.endswith("_pct") and abs(apart) > _FAR * abs(_middle(sim)):
+        elif name in SPOOLS and abs(apart) > _FAR * abs(_middle(sim)):
             found.append(
                 f"recorded {name} is {100.0 * apart / _middle(sim):+.0f} % of its level off the "
                 "simulated one throughout: another engine, or another speed for 100 %?"

@@ -11,6 +11,7 @@ from data_prep.events import PULL, PUSH, Event, EventsConfig, find_events
 from data_prep.log import Log
 from eval.diagnosis.pairs import RATES, Pair
 from eval.response import HIGH, LOW
+from narxcal.channels import spools_of
 from narxcal.effects.base import Signals
 from narxcal.effects.running import Flights, with_load
 from narxcal.effects.steady import UNLOGGED
@@ -168,7 +169,7 @@ _FUEL_FRACTION = 0.05  # a fuel flow wanders more than a lever does
 def events_of(data: GapData) -> tuple[tuple[Event, ...], ...]:
     """Pushes and pulls of each flight, settled when the simulated speeds are."""
     signals = data.flights.signals
-    speeds = tuple(name for name in signals.outputs if name.endswith("_pct"))
+    speeds = spools_of(signals.outputs)
     config = EventsConfig(
         driver=signals.driver,
         response=speeds or signals.outputs[:1],

@@ -20,7 +20,7 @@ from data_prep.log import AuditEntry, Log
 from data_prep.prepare import hold_inputs
 from data_prep.reading import open_table, read_logs
 from eval.diagnosis.simulators import Simulate
-from narxcal.channels import CHANNELS
+from narxcal.channels import CHANNELS, described
 from narxcal.support.arrays import FloatArray, bridge_gaps
 from narxcal.support.errors import DataError
 from training.config import RunConfig
@@ -110,7 +110,8 @@ def _reading(file: Path, config: RunConfig | None) -> LogsConfig:
     logs = LogsConfig() if config is None else config.logs
     header = set(open_table(file, logs).header)
     if {"time_s", "N1_pct"} <= header or not logs.columns:
-        logs = LogsConfig(bridge_s=logs.bridge_s, delimiter=logs.delimiter, decimal=logs.decimal)
+        own = {"bridge_s", "delimiter", "decimal", "channels"}
+        logs = LogsConfig(**{key: getattr(logs, key) for key in own})
     return logs.model_copy(update={"max_gap_s": _NO_SPLIT_S, "raster_hz": logs.raster_hz})
 
 
@@ -185,7 +186,7 @@ def is_input(name: str, log: Log) -> bool:
     """Whether a simulator takes the channel; fuel flow only where there is no lever."""
     if name == "FF_kgph":
         return "TRA_deg" not in log.channels
-    return CHANNELS[name].role in _ROLES
+    return described(name).role in _ROLES
 
 
 SPEEDS = ("N1_pct", "N2_pct")
@@ -362,7 +363,7 @@ def _plausible(log: Log) -> Log:
     """The log with values beyond what any engine or atmosphere shows masked and counted."""
     changed, entries = {}, []
     for name, values in log.channels.items():
-        wrong = out_of_range(name, values)
+        wrong = out_of_range(log.channel(name), values)
         if wrong.any():
             changed[name] = np.where(wrong, np.nan, values)
             entries.append(AuditEntry(name, "masked", "out of range", int(wrong.sum())))

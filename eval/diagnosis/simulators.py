@@ -104,7 +104,17 @@ def open_simulator(source: str, *, trust: bool = False) -> Simulator:
 
 
 def _of_run(folder: Path, trust: bool) -> Simulator:
-    return Simulator("bundle", simulate_by(load_bundle(folder, trust=trust).calibration))
+    calibration = load_bundle(folder, trust=trust).calibration
+    declared = [name for name in calibration.input_names if name not in CHANNELS]
+    if declared:
+        raise ModelError(
+            "an input of the run is a declared channel, and a diagnosis simulates from built-in "
+            "ones alone",
+            file=folder,
+            channel=declared[0],
+            hint="Train a run without it in [steady_state] inputs",
+        )
+    return Simulator("bundle", simulate_by(calibration))
 
 
 def _virtual_engine(name: str) -> Simulate:

@@ -322,7 +322,7 @@ def segment(log: Log, event: Event, channels: Sequence[str], title: str) -> Pict
 
 def recorded_figure(log: Log, on: Figure | None = None) -> Figure:
     """Draw every channel of a log over time, one below the other; grey is where none was read."""
-    names = [name for name in CHANNELS if name in log.channels and log.recorded([name])]
+    names = log.recorded((*CHANNELS, *log.declared))
     figure, axes = style.stack(9.0, [0.8] * len(names), on)
     for part, name in zip(axes, names, strict=True):
         style.shade_missing(part, log.time_s, log[name])

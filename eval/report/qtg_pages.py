@@ -29,7 +29,7 @@ from eval.report.pdf import (
 )
 from eval.rules import TimeCheck
 from eval.transients import Assessment
-from narxcal.channels import CHANNELS, symbol
+from narxcal.channels import described, symbol
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import versions
@@ -207,7 +207,7 @@ def _treatment(guide: Guide, config: RunConfig) -> str:
 
 
 def _named(name: str) -> str:
-    known = CHANNELS[name]
+    known = described(name)
     unit = style.unit(name)
     return f"{symbol(name)} ({known.meaning}{f', {unit}' if unit else ''})"
 
@@ -245,7 +245,7 @@ def _statement(guide: Guide) -> Page:
         ("Difference", "simulation minus flight: positive is later"),
         ("t = 0", "first movement of the lever; flight and simulation share one clock"),
         ("Settled levels", "of each curve for itself: level errors, see free run, stay apart"),
-        *((symbol(name), f"{CHANNELS[name].meaning}, {style.unit(name) or 'no unit'}")
+        *((symbol(name), f"{described(name).meaning}, {style.unit(name) or 'no unit'}")
           for name in (*guide.bundle.calibration.input_names,
                        *guide.bundle.calibration.output_names)),
     ], 32.0, BODY - 0.5)  # fmt: skip
@@ -390,7 +390,7 @@ def _marks(guide: Guide) -> str:
 
 def _initial(test: Test) -> str:
     view, start = test.view, test.one.event.start
-    found = [f"{CHANNELS[name].meaning} {unit_value(name, value)}"
+    found = [f"{described(name).meaning} {unit_value(name, value)}"
              for name, value in view.conditions(test.one.event).items()]  # fmt: skip
     levels = {each.name: float(each.measured[0]) for each in view.curves(slice(start, start + 1))}
     return ", ".join([

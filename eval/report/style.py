@@ -23,7 +23,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from narxcal.channels import CHANNELS, symbol
+from narxcal.channels import described, symbol
 from narxcal.intervals import LEVEL
 from narxcal.support.arrays import BoolArray, FloatArray
 from narxcal.support.arrays import spans as runs_of
@@ -153,8 +153,8 @@ _UNITS = {"degC": "°C", "deg": "°", "-": "", "0/1": ""}
 
 def unit(channel: str) -> str:
     """Printed unit of a channel, empty where it has none."""
-    known = CHANNELS.get(channel)
-    return "" if known is None else _UNITS.get(known.unit, known.unit)
+    known = described(channel).unit
+    return _UNITS.get(known, known)
 
 
 def with_unit(channel: str) -> str:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from data_prep.log import Log
 from data_prep.prepare import hold_inputs, with_outputs
 from eval.report.view import Curves, LogView
-from narxcal.channels import CHANNELS
+from narxcal.channels import described
 from narxcal.intervals import LEVEL
 from narxcal.record import Record, RecordLike, as_records, columns, known_start
 from narxcal.support.arrays import BoolArray, FloatArray
@@ -166,7 +166,7 @@ def _of_view(view: LogView) -> Traces:
 def _of_log(log: Log, run: _Runner) -> Traces:
     log = with_outputs(log, run.outputs)
     held = hold_inputs(log, run.inputs)
-    levers = [name for name in run.inputs if name in CHANNELS and CHANNELS[name].role == "lever"]
+    levers = [name for name in run.inputs if described(name).role == "lever"]
     return Traces(
         log.name,
         log.time_s,

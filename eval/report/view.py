@@ -15,7 +15,7 @@ from data_prep.log import Log
 from data_prep.ranking import pearson
 from eval.residuals import ResidualTests, residual_tests
 from eval.transients import AssessedEvent, Assessment
-from narxcal.channels import CHANNELS
+from narxcal.channels import described
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 
@@ -90,7 +90,7 @@ class LogView:
         found = {
             name: float(self.log[name][event.start])
             for name in self.log.channels
-            if name in CHANNELS and CHANNELS[name].role in ("ambient", "switch")
+            if described(name).role in ("ambient", "switch")
         }
         return {name: value for name, value in found.items() if math.isfinite(value)}
 

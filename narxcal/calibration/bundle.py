@@ -43,7 +43,7 @@ from safetensors.numpy import save as save_arrays
 from narxcal.calibration.calibration import Calibration
 from narxcal.calibration.identified import calibration_from_arrays
 from narxcal.calibration.run_record import RunRecord
-from narxcal.channels import CHANNELS
+from narxcal.channels import described
 from narxcal.steady.model import CarriesFiles
 from narxcal.steady.opening import refuse_code
 from narxcal.support.errors import ConfigError, ModelError, NarxcalError
@@ -386,7 +386,7 @@ def _warn_once(text: str) -> None:
 
 def _channels(calibration: Calibration) -> dict[str, Any]:
     inputs, outputs = list(calibration.input_names), list(calibration.output_names)
-    units = {name: CHANNELS[name].unit for name in (*inputs, *outputs) if name in CHANNELS}
+    units = {name: described(name).unit for name in (*inputs, *outputs)}
     return {"channels": {"inputs": inputs, "outputs": outputs}, "units": units}
 
 

@@ -125,6 +125,15 @@ class _Text:
             lines += [f"{name} = {_toml(mark)}" for name, mark in self.columns.engines.items()]
         lines += ["", "[logs.columns]", *map(str, self.columns.lines)]
         lines += [f"# not used: {_toml(name)}, {why}" for name, why in self.columns.unused.items()]
+        if self.columns.others:
+            lines += [
+                "# no built-in channels: to use one, take the # away here and below, and name it",
+                "# in [narx] outputs or [steady_state] inputs",
+                *(f"# {line}" for line in self.columns.others),
+                "",
+                "# [logs.channels]  # the lowest and highest value that are possible",
+                *(f'# {one.channel} = {{ range = ["?", "?"] }}' for one in self.columns.others),
+            ]
         named = {line.channel for line in self.columns.lines}
         if "WOW" not in named and "CAS_kt" in named:
             lines += [

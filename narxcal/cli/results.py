@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from data_prep.log import Log, Source
 from eval.report.page import RunHeader
 from eval.rules import Rules
-from narxcal.channels import CHANNELS, channel
+from narxcal.channels import described
 from narxcal.cli.console import Console
 from narxcal.intervals import ENOUGH, LEVEL, HalfWidths
 from training.config import IdentifyConfig, RunConfig, load_config
@@ -71,7 +71,7 @@ def steady_words(record: RunRecord) -> str:
         kind = section.get("kind", "model")
         return f"the maker's {_KINDS.get(kind, kind)} {section.get('source', '')}".strip()
     left = ", ".join(
-        f"{name} {rms:.3g} {CHANNELS[name].unit}".removesuffix(" -")
+        f"{name} {rms:.3g} {described(name).unit}".removesuffix(" -")
         for name, rms in found.rms.items()
     )
     return (
@@ -125,7 +125,7 @@ def interval_words(
     logs = f"{found.pieces} held-out {'log' if found.pieces == 1 else 'logs'}"
     few = ", so few that it is widened" if found.pieces < ENOUGH else ""
     pairs = zip(names, found.between, strict=False)
-    levels = ", ".join(f"{name} {each:.2g} {channel(name).unit}" for name, each in pairs)
+    levels = ", ".join(f"{name} {each:.2g} {described(name).unit}" for name, each in pairs)
     days = f"; another day or engine is off by {levels} (standard deviation)" if levels else ""
     return f"Interval of {100.0 * level:g} % by the errors of {logs}{few}{days}"
 

@@ -121,7 +121,7 @@ def read_inputs(bundle: Bundle, file: Path) -> list[Log]:
     header = open_table(file, config.logs).header
     logs = config.logs
     if {"time_s", *names} <= set(header):
-        logs = LogsConfig(max_gap_s=logs.max_gap_s, bridge_s=logs.bridge_s)
+        logs = LogsConfig(max_gap_s=logs.max_gap_s, bridge_s=logs.bridge_s, channels=logs.channels)
     else:
         logs = logs.for_inputs(names)
     prepared = prepare(read_logs([file], logs.every(bundle.calibration.dt_s)), config)

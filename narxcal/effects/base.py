@@ -17,13 +17,13 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from narxcal.atmosphere import air_state
+from narxcal.channels import described
 from narxcal.effects.memory import Memory
 from narxcal.effects.pace import Pace
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 
 Side = Literal["input", "process", "sensor"]
-_UNITS = {"_pct": "%", "_C": "degC", "_kgph": "kg/h", "_kN": "kN"}
 
 
 @dataclass(frozen=True)
@@ -239,4 +239,4 @@ class OutputEffect(Effect):
 
 def unit(output: str) -> str:
     """Unit of an output, by the ending of its name."""
-    return next((text for ending, text in _UNITS.items() if output.endswith(ending)), "-")
+    return described(output).unit

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from narxcal.channels import SPOOLS
 from narxcal.effects.base import OutputEffect, Parameter, Run, Side, Signals, unit
 from narxcal.effects.memory import Clock, SmoothDelay, SmoothLag
 from narxcal.support.arrays import FloatArray
@@ -52,7 +53,7 @@ class SensorLag(SensorEffect):
 
     def parameters(self, signals: Signals) -> tuple[Parameter, ...]:  # noqa: ARG002 - the channel says it
         """How much longer, and the simulator's own lag, which of a speed is short."""
-        counted = (self.channel or "").endswith("_pct")
+        counted = self.channel in SPOOLS
         return (self.fixed[0], _COUNTED) if counted else self.fixed
 
     def reading(self, run: Run, value: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from narxcal.calibration.identified import IdentifiedCalibration, NoDynamics
-from narxcal.channels import CHANNELS
+from narxcal.channels import described
 from narxcal.export.compiler import SUFFIX, compiled, compiler
 from narxcal.export.grid import Grid
 from narxcal.export.plan import plan
@@ -37,6 +37,12 @@ _SI: dict[str, dict[str, str]] = {
     "%": {"factor": "0.01"},
     "kg/h": {"kg": "1", "s": "-1", "factor": "0.0002777777777777778"},
     "kN": {"kg": "1", "m": "1", "s": "-2", "factor": "1000"},
+    "rpm": {"rad": "1", "s": "-1", "factor": "0.10471975511965978"},
+    "kW": {"kg": "1", "m": "2", "s": "-3", "factor": "1000"},
+    "Nm": {"kg": "1", "m": "2", "s": "-2"},
+    "kPa": {"kg": "1", "m": "-1", "s": "-2", "factor": "1000"},
+    "A": {"A": "1"},
+    "V": {"kg": "1", "m": "2", "s": "-3", "A": "-1"},
 }
 
 
@@ -55,7 +61,7 @@ class Variable:
     @property
     def unit(self) -> str | None:
         """Its unit, None for a number without unit."""
-        unit = CHANNELS[self.channel].unit if self.channel in CHANNELS else "-"
+        unit = described(self.channel).unit
         return unit if unit in _SI else None
 
     @property
@@ -103,7 +109,7 @@ def variables(program: Program) -> list[Variable]:
 
 
 def _meaning(name: str) -> str:
-    return CHANNELS[name].meaning if name in CHANNELS else name
+    return described(name).meaning
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from narxcal.channels import CHANNELS, channel
+from narxcal.channels import described
 from narxcal.steady.model import (
     Envelope,
     SteadyStateModel,
@@ -108,13 +108,13 @@ class Grid:
 
 def is_switch(name: str) -> bool:
     """Whether a channel is a switch, 0 or 1."""
-    return name in CHANNELS and CHANNELS[name].role == "switch"
+    return described(name).role == "switch"
 
 
 def _ends(model: SteadyStateModel) -> tuple[list[float], list[float]]:
     """Ends of each input: those of the model's envelope, else the usual ones."""
     usual = [
-        USUAL_RANGES.get(name, (channel(name).low, channel(name).high))
+        USUAL_RANGES.get(name, (described(name).low, described(name).high))
         for name in model.input_names
     ]
     box, (low, high) = envelope_of(model), np.array(usual).T

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from narxcal.atmosphere import air_columns
+from narxcal.atmosphere import SIMILARITY, air_columns, similarity
 from narxcal.calibration.calibration import Calibration, DynamicCalibration
 from narxcal.calibration.identified import (
     EngineDynamics,
@@ -110,14 +110,9 @@ def _grid(block: Block, known: NDArray[np.bool_] | None = None) -> Struct:
     return Struct("grid", numbers, ("grid",))
 
 
-_KINDS = {"_pct": "SPEED", "_C": "TEMPERATURE", "FF_kgph": "FUEL", "FN_kN": "THRUST"}
-
-
 def _kind(name: str, *, corrected: bool) -> int:
     """What the channel is corrected by, as `corrected_scale` of fitted.c numbers it."""
-    order = ("PLAIN", "SPEED", "TEMPERATURE", "FUEL", "THRUST")
-    found = [kind for end, kind in _KINDS.items() if name.endswith(end)]
-    return order.index(found[0]) if found and corrected else 0
+    return SIMILARITY.index(similarity(name)) if corrected else 0
 
 
 def _fitted(model: FittedSteadyState) -> Struct:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from narxcal.calibration.calibration import Calibration
-from narxcal.channels import CHANNELS
+from narxcal.channels import described
 from narxcal.export.parts import Part, Struct, parts_of, steady_struct
 from narxcal.intervals import LEVEL, LEVELS
 from narxcal.steady.model import Envelope
@@ -213,8 +213,8 @@ def _distinct(names: Sequence[str]) -> list[str]:
 
 
 def _meaning(name: str) -> str:
-    known = CHANNELS.get(name)
-    return f"{known.meaning} [{known.unit}]" if known else f"{name} [-]"
+    known = described(name)
+    return f"{known.meaning} [{known.unit}]"
 
 
 def _comment(lines: Sequence[str]) -> str:

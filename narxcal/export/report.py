@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from narxcal.channels import CHANNELS
+from narxcal.channels import described
 from narxcal.export.grid import Grid
 from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import FloatArray
@@ -155,7 +155,7 @@ class Probes:
         largest, rms = difference.max(axis=0), np.sqrt(np.mean(difference**2, axis=0))
         rows = zip(self.names, self.scale, largest, rms, strict=True)
         outputs = tuple(
-            OutputError(name, CHANNELS[name].unit, float(scale), float(worst), float(mean))
+            OutputError(name, described(name).unit, float(scale), float(worst), float(mean))
             for name, scale, worst, mean in rows
         )
         return Measured(outputs, self.drawn, len(self.inputs))

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from narxcal.atmosphere import air_columns
+from narxcal.channels import SPOOLS
 from narxcal.lumped.rotors import (
     CASING,
     EXTRA,
@@ -259,7 +260,7 @@ class LumpedEngine:
 
 def speeds_of(names: Sequence[str]) -> BoolArray:
     """Which outputs are spool speeds."""
-    return np.array([name.endswith("_pct") for name in names])
+    return np.array([name in SPOOLS for name in names])
 
 
 def core_of(names: Sequence[str]) -> int:

@@ -336,7 +336,6 @@ def read_steady_table(
     outputs = tuple(output_names or _by_role(header, input_names or (), output=True))
     inputs = tuple(input_names or _by_role(header, outputs, output=False))
     for name in (*inputs, *outputs):
-        channel(name)
         if name not in header:
             raise DataError(
                 "the table lacks this column",

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from data_prep.equilibrium import QuasiSteadyConfig, RunningConfig, quasi_steady, while_running
 from data_prep.log import Log
-from data_prep.prepare import prepare
+from data_prep.prepare import Preparation, prepare
 from narxcal.support.errors import ConfigError
 
 DT_S = 0.5
@@ -149,7 +149,7 @@ def test_nothing_above_keeps_everything():
 
 def test_an_unknown_channel_is_refused():
     with pytest.raises(ConfigError, match="unknown channel 'N3_pct'"):
-        RunningConfig.parse({"above": {"N3_pct": 40.0}})
+        Preparation.parse({"running": {"above": {"N3_pct": 40.0}}})
 
 
 def test_preparation_cuts_before_it_cleans():

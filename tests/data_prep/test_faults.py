@@ -17,6 +17,7 @@ from data_prep.faults import (
     repeats,
 )
 from data_prep.log import Log
+from narxcal.channels import described
 
 # A busy machine is no failure.
 settings.register_profile("patient", deadline=None)
@@ -209,9 +210,17 @@ def test_frozen_is_told_by_equal_samples_across_missing_ones():
 
 def test_physical_limits_hold_with_some_slack():
     mach = np.array([-4e-6, 0.0, 1.2, 1.3, -0.1, np.nan])
-    assert out_of_range("Mach", mach).tolist() == [False, False, False, True, True, False]
-    assert out_of_range("WOW", np.array([0.0, 0.5, 1.0, 2.0])).tolist() == [False] * 3 + [True]
-    assert out_of_range("own", np.array([1e30, np.inf])).tolist() == [False, True]
+    assert out_of_range(described("Mach"), mach).tolist() == [
+        False,
+        False,
+        False,
+        True,
+        True,
+        False,
+    ]
+    switch = np.array([0.0, 0.5, 1.0, 2.0])
+    assert out_of_range(described("WOW"), switch).tolist() == [False] * 3 + [True]
+    assert out_of_range(described("own"), np.array([1e30, np.inf])).tolist() == [False, True]
 
 
 def test_a_channel_outside_the_table_is_cleaned_as_an_output():

@@ -300,7 +300,8 @@ def test_configuration_errors_name_the_nearest():
     with pytest.raises(ConfigError) as caught:
         mapped(N2_pct={"column": "f", "unit": "rpm"})
     assert str(caught.value) == (
-        "channel N2_pct: unknown unit 'rpm'. Leave it out and set scale to 100 / (rpm at 100 %)"
+        "channel N2_pct: unit 'rpm' is a rotational speed, this channel is a ratio. Leave it out "
+        "and set scale to 100 / (rpm at 100 %)"
     )
     with pytest.raises(ConfigError) as caught:
         mapped(ALT_ft={"column": "f", "unit": "zzz"})

@@ -79,7 +79,7 @@ def test_the_configuration_stands_against_the_row_of_units(tmp_path):
 @pytest.mark.parametrize(
     ("units", "channel", "why"),
     [
-        ("s,rpm,degC", "N1_pct", "'rpm', which is not known"),
+        ("s,rpm,degC", "N1_pct", "'rpm', which does not fit %"),
         ("s,%,deg", "EGT_C", "'deg', which does not fit degC"),
         ("s,shaft,degC", "N1_pct", "'shaft', which is not known"),
     ],
@@ -486,7 +486,7 @@ def test_a_spelled_out_unit_in_brackets_converts(tmp_path, name, column, factor,
          "Set density_kgpl of FF_kgph in [logs.columns]: kg of fuel in a litre, about 0.8"),
         ("FF_kgph", "l/min", "is a flow of volume",
          "Set density_kgpl of FF_kgph in [logs.columns]: kg of fuel in a litre, about 0.8"),
-        ("N1_pct", "RPM", "is not known",
+        ("N1_pct", "RPM", "does not fit %",
          "Say what it is in [logs.columns]: unit of N1_pct, or scale and offset"),
         ("FN_kN", "lbs", "is not known",
          "Say what it is in [logs.columns]: unit of FN_kN, or scale and offset"),

@@ -140,6 +140,10 @@ def test_air_of_a_matrix_takes_missing_channels_as_zero():
         ("FF_kgph", 900.0, 900.0 / (0.35868 * 0.92555)),
         ("FN_kN", 12.0, 12.0 / 0.35868),
         ("EPR", 1.4, 1.4),
+        ("TRQ_Nm", 3000.0, 3000.0 / 0.35868),
+        ("SHP_kW", 600.0, 600.0 / (0.35868 * 0.92555)),
+        ("TRQ_pct", 60.0, 60.0),
+        ("NP_rpm", 1700.0, 1700.0),
     ],
 )
 def test_corrected_values_refer_to_sea_level(name, value, corrected):

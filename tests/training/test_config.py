@@ -155,7 +155,10 @@ def test_a_missing_file_names_the_shipped_ones(tmp_path):
         ),
         (
             HEAD + "[narx]\noutputs = ['N3_pct']",
-            "unknown channel 'N3_pct'. Did you mean 'N2_pct'?",
+            (
+                "unknown channel 'N3_pct'. Did you mean 'N2_pct'? Or declare it: [logs.channels] "
+                "N3_pct = { range = [0, 100] }"
+            ),
         ),
         (
             HEAD + "[narx]\nschedule = ['WOW']",

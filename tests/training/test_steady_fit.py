@@ -1,10 +1,13 @@
 """The fit of steady-state curves: known curves come back, whatever the noise and the bleed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from narxcal.atmosphere import air_at
 from narxcal.steady.fitted import Layout
 from narxcal.support.errors import ConfigError, DataError
 from training.config import SteadyFitConfig, SteadyStateConfig
@@ -228,3 +231,19 @@ def test_a_section_that_contradicts_itself_is_refused(table, message):
     with pytest.raises(ConfigError) as error:
         SteadyStateConfig.parse(table)
     assert message in str(error.value)
+
+
+def test_how_a_declared_ratio_depends_on_the_air_is_found_from_the_samples():
+    rng = np.random.default_rng(4)
+    inputs = np.column_stack([rng.uniform(20.0, 80.0, 800), rng.uniform(0.0, 20000.0, 800)])
+    delta = air_at(inputs, ("TRA_deg", "ALT_ft")).delta2
+    torque_pct = ((20.0 + inputs[:, 0]) * delta)[:, None]
+    layout = Layout(
+        input_names=("TRA_deg", "ALT_ft"), output_names=("TRQ_pct",), driver="TRA_deg",
+        exponents=("theta", "delta"),
+    )  # fmt: skip
+    left = [
+        fit_steady_state([SteadySamples(inputs, torque_pct)], each)[1].rms["TRQ_pct"]
+        for each in (layout, replace(layout, exponents=()))
+    ]
+    assert left[0] < 1.5 < 0.2 * left[1]

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 from scipy.signal import lfilter
 
+from narxcal.channels import SPOOLS
 from narxcal.effects.base import Signals
 from narxcal.effects.running import Flights
 from narxcal.support.arrays import FloatArray
@@ -115,7 +116,7 @@ def corrected(model: SettledModel, flights: Flights, missed: FloatArray) -> Sett
 def _stillness(flights: Flights) -> FloatArray:
     """Weights (flights, time) between 1 at rest and 0, and 0 beyond a flight's end."""
     signals = flights.signals
-    speeds = [j for j, name in enumerate(signals.outputs) if name.endswith("_pct")]
+    speeds = [j for j, name in enumerate(signals.outputs) if name in SPOOLS]
     columns = speeds or list(range(len(signals.outputs)))
     span = np.maximum(signals.high - signals.low, 1e-9)[columns]
     rate = np.gradient(flights.y[..., columns] / span, signals.dt_s, axis=1)
