@@ -39,7 +39,7 @@ from narxcal.support.settings import Section, read_toml
 
 CONFIG_SCHEMA: Final = "narxcal.fleet/1"
 SCHEMA: Final = "narxcal.fleet-dataset/1"
-DOCUMENT, _WORK_LIST = "fleet.json", "worklist.parquet"
+DOCUMENT, WORK_LIST = "fleet.json", "worklist.parquet"
 _LIST_COLUMNS = {
     "tail": "string", "batch": "int64", "file": "string", "size": "int64", "sha256": "string",
     "engine": "string",
@@ -145,7 +145,7 @@ def evaluate_batch(batch: Batch, flights: Folder) -> tuple[Batch, dict[str, Any]
 
     A log that fails is a row with its reason. Raises `ModelError` for a run that is not the one.
     """
-    pa, _ = arrow(Path(_WORK_LIST))
+    pa, _ = arrow(Path(WORK_LIST))
     rows: dict[str, list[Row]] = {name: [] for name in TABLES}
     for file in batch.files:
         for name, found in _of_file(file, batch.run, flights).items():
@@ -212,6 +212,33 @@ def _hashed(names: tuple[str, ...], flights: Folder) -> dict[str, str]:
 # --- the dataset ---
 
 
+def read_table(dataset: Folder, name: str) -> Any:
+    """The work list, or a table of a dataset with all batches of it, as a pyarrow table.
+
+    Raises `DataError` for a missing table or a damaged part, `ConfigError` without pyarrow.
+    """
+    if name == WORK_LIST:
+        return _read_part(dataset, name)
+    pa, _ = arrow(Path(WORK_LIST))
+    parts = dataset.sizes([f"{name}/*/*.parquet"])
+    if not parts:
+        hint = "Restore it, or remove the table logs: all is then computed anew"
+        raise DataError(f"the table {name} is missing", file=dataset.address, hint=hint)
+    return pa.concat_tables([_read_part(dataset, part) for part in parts])
+
+
+def _read_part(dataset: Folder, name: str) -> Any:
+    pa, parquet = arrow(Path(name))
+    try:
+        return parquet.read_table(io.BytesIO(dataset.read(name)))
+    except pa.ArrowException:
+        place = f"{dataset.address}/{name}"
+        hint = "Restore it, or choose another --out"
+        if name != WORK_LIST:
+            hint = "Remove its batch from the table logs: it is then computed anew"
+        raise DataError("the Parquet file is damaged", file=place, hint=hint) from None
+
+
 @dataclass
 class Fleet:
     """A dataset in a folder, and how it grows; `trust` as of `load_bundle`."""
@@ -251,12 +278,12 @@ class Fleet:
         return rows
 
     def _stored_list(self, sizes: Mapping[str, int]) -> list[Row]:
-        if not self.out.has(_WORK_LIST):
+        if not self.out.has(WORK_LIST):
             if self.out.sizes(["logs/*/*.parquet"]):
                 hint = "Restore it, or choose another --out"
                 raise DataError("the work list is missing", file=self.out.address, hint=hint)
             return []
-        rows: list[Row] = self._table(_WORK_LIST).to_pylist()
+        rows: list[Row] = _read_part(self.out, WORK_LIST).to_pylist()
         for row in rows:
             size = sizes.get(row["file"], row["size"])
             if size != row["size"]:
@@ -383,7 +410,7 @@ class Fleet:
 
     def _file_by_file(self, batch: Batch) -> dict[str, Any]:
         """Tables of a batch with a file of which workers die, in a task for each file."""
-        pa, _ = arrow(Path(_WORK_LIST))
+        pa, _ = arrow(Path(WORK_LIST))
         work = partial(evaluate_batch, flights=self.flights)
         found = []
         for file in batch.files:
@@ -405,20 +432,7 @@ class Fleet:
 
     def table(self, name: str) -> Any:
         """One table of the dataset, all batches of it, as a pyarrow table."""
-        pa, _ = arrow(Path(_WORK_LIST))
-        parts = [self._table(part) for part in self.out.sizes([f"{name}/*/*.parquet"])]
-        return pa.concat_tables(parts)
-
-    def _table(self, name: str) -> Any:
-        pa, parquet = arrow(Path(name))
-        try:
-            return parquet.read_table(io.BytesIO(self.out.read(name)))
-        except pa.ArrowException:
-            place = f"{self.out.address}/{name}"
-            hint = "Restore it, or choose another --out"
-            if name != _WORK_LIST:
-                hint = "Remove its batch from the table logs: it is then computed anew"
-            raise DataError("the Parquet file is damaged", file=place, hint=hint) from None
+        return read_table(self.out, name)
 
     def _write_table(self, name: str, table: Any) -> None:
         _, parquet = arrow(Path(name))
@@ -427,6 +441,6 @@ class Fleet:
         self.out.write(name, stream.getvalue())
 
     def _write_list(self, rows: Sequence[Row]) -> None:
-        pa, _ = arrow(Path(_WORK_LIST))
+        pa, _ = arrow(Path(WORK_LIST))
         kinds = [(name, pa.type_for_alias(kind)) for name, kind in _LIST_COLUMNS.items()]
-        self._write_table(_WORK_LIST, pa.Table.from_pylist(list(rows), pa.schema(kinds)))
+        self._write_table(WORK_LIST, pa.Table.from_pylist(list(rows), pa.schema(kinds)))

@@ -478,7 +478,7 @@ EMULATOR = {
 COMMANDS = (
     "demo", "prepare", "train", "identify", "evaluate", "compare", "crossval", "replay",
     "simulate", "info", "denoise", "fly", "reproduce", "export", "benchmark", "diagnose", "blind",
-    "fleet",
+    "fleet", "watch",
 )  # fmt: skip
 OPTIONS = (
     "--out", "--overwrite", "--trust", "--json", "--quiet", "--data", "--logs", "--trim",

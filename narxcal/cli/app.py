@@ -1,7 +1,7 @@
 """Runs a command and turns every end it can have into one line and an exit code.
 
 0    good
-1    a validation failed: a tolerance was missed
+1    a validation failed: a tolerance was missed, an alarm stands
 2    bad input, configuration or bundle, or the disk refused the output
 3    an error of narxcal itself
 130  interrupted (Ctrl-C) with nothing written; `train` keeps its best network and ends well
@@ -39,6 +39,7 @@ COMMANDS = {
     "identify": "Calibrate by another method: output error, responses, subspace, static law.",
     "evaluate": "Judge a model in free run over whole logs, and its Ti and Tt.",
     "fleet": "Evaluate many logs into a dataset; goes on where it was interrupted.",
+    "watch": "Find trends, steps and outliers of a fleet's engines over their flights.",
     "compare": "Compare runs on the same held-out rows: one table, what is significant.",
     "qtg": "The qualification test guide: one sheet a test, as a PDF for an authority.",
     "crossval": "Leave one flight out, and ten random 7:3 splits by event.",
@@ -54,8 +55,8 @@ COMMANDS = {
     "blind": "Make cases whose effect is withheld, answer them without the key, score with it.",
 }
 _EPILOG = """\
-exit codes: 0 good, 1 a tolerance was missed, 2 bad input or configuration,
-3 internal error (NARXCAL_TRACEBACK=1 shows where), 130 interrupted,
+exit codes: 0 good, 1 a tolerance was missed or an alarm stands, 2 bad input or
+configuration, 3 internal error (NARXCAL_TRACEBACK=1 shows where), 130 interrupted,
 141 nobody read the output, 143 terminated.
 --json prints one JSON document to stdout and nothing else.
 """

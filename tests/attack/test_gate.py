@@ -50,7 +50,7 @@ COMMANDS_OF_RUNS = {
 }
 OTHERS = {
     "demo", "init", "prepare", "train", "identify", "crossval", "fly", "reproduce", "benchmark",
-    "blind",
+    "blind", "watch",
 }  # fmt: skip
 
 

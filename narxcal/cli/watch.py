@@ -1,0 +1,82 @@
+"""`narxcal watch`: trends, steps and outliers of a fleet's engines over their flights."""
+
+from __future__ import annotations
+
+import re
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+
+from eval.fleet import load_fleet
+from eval.report.page import RunHeader
+from eval.report.watch_page import console_rows, watch_page
+from eval.watch import watch
+from narxcal.cli.console import Console
+from narxcal.cli.options import add_overwrite, address, path
+from narxcal.cli.results import now
+from narxcal.support.addresses import Folder
+from narxcal.support.errors import ConfigError
+from narxcal.support.files import atomic_write_text, check_file, to_json, versions
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    parser.add_argument(
+        "fleet", metavar="FLEET", type=address, help="dataset that narxcal fleet wrote"
+    )
+    parser.add_argument(
+        "--out", metavar="PAGE.html", type=path, required=True, help="and PAGE.json beside it"
+    )
+    parser.add_argument(
+        "--engine",
+        metavar="REGEX",
+        type=_pattern,
+        help="group 1 in a file's name is its engine; files that differ in it alone are one flight",
+    )
+    parser.add_argument(
+        "--config", metavar="CONFIG", type=path,
+        help="TOML file of the fleet, for commands with the places of flights and run",
+    )  # fmt: skip
+    add_overwrite(parser)
+
+
+def _pattern(text: str) -> str:
+    """Regular expression with a group."""
+    try:
+        groups = re.compile(text).groups
+    except re.error as error:
+        raise ArgumentTypeError(f"expected a regular expression: {error}") from None
+    if groups < 1:
+        raise ArgumentTypeError("expected a regular expression with a group: the engine")
+    return text
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Watch a fleet; writes page and document, returns 1 where an alarm stands."""
+    document = options.out.with_suffix(".json")
+    if options.out.suffix != ".html":
+        raise ConfigError(
+            f"the page is a .html file, and --out names {options.out.name}",
+            hint=f"Name it {options.out.stem or 'watch'}.html",
+        )
+    dataset = Folder(str(options.fleet))
+    inputs = [] if dataset.local is None else [dataset.local]
+    for out in (options.out, document):
+        check_file(out, *inputs, overwrite=options.overwrite)
+    place = {}
+    if options.config:
+        fleet = load_fleet(options.config)
+        place = {"flights": fleet.flights, "run": fleet.run}
+    with console.progress("Watching"):
+        found = watch(dataset, options.engine)
+    header = RunHeader(title="Fleet watch", created=now(), run=str(options.fleet),
+                       versions=versions())  # fmt: skip
+    result = found.document()
+    atomic_write_text(options.out, watch_page(header, found, place))
+    atomic_write_text(document, to_json(result))
+    if found.alarms:
+        console.table("Alarms", ["alarm", "of", "p", "may be"], console_rows(found))
+    console.say(found.outcome.headline)
+    for text in found.remarks:
+        console.warn(text)
+    console.say(f"Page: {options.out} and {document.name}")
+    console.document(result)
+    return found.outcome.exit_code
