@@ -36,7 +36,7 @@ from eval.fleet import DOCUMENT, WORK_LIST, read_table
 from eval.fleet import SCHEMA as DATASET
 from eval.fleet_rows import FAILED, GOOD
 from eval.outcome import Outcome, plural
-from narxcal.channels import channel, symbol
+from narxcal.channels import described, symbol
 from narxcal.support.addresses import Folder
 from narxcal.support.arrays import FloatArray, IntArray
 from narxcal.support.errors import DataError
@@ -76,7 +76,7 @@ class Key(NamedTuple):
     @property
     def unit(self) -> str:
         """Unit of the values; empty for an output without one."""
-        found = channel(self.channel).unit if self.quantity == "offset" else "s"
+        found = described(self.channel).unit if self.quantity == "offset" else "s"
         return "" if found == "-" else found
 
 

@@ -149,6 +149,14 @@ def test_the_pattern_of_what_moved_says_what_it_may_be(sizes, says):
     assert "of a tail with one engine" in cause(changes(**sizes), 1)
 
 
+def test_a_declared_channel_has_the_unit_of_its_name():
+    keys = [Key("T", "left", "NP_pct", quantity) for quantity in ("offset", "Ti")]
+    assert [(key.what, key.unit) for key in keys] == [
+        ("offset of NP", "%"),
+        ("Ti error of NP", "s"),
+    ]
+
+
 def test_an_alarm_names_the_commands_that_diagnose_it(seen):
     lines = commands(seen().alarms[0], "my flights", "runs/{tail}")
     assert lines[0].startswith("mkdir before && cp 'my flights/0002.csv' ")
