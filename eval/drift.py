@@ -114,13 +114,22 @@ def detect(
     Every series has at least `LEAST_FLIGHTS` flights. Raises `ConfigError` without statsmodels.
     """
     found: list[tuple[Change, ...]] = [() for _ in series]
+    members: dict[Quantity, list[int]] = {}
+    for k, kind in enumerate(kinds):
+        members.setdefault(kind, []).append(k)
     priors: dict[Quantity, Prior] = {}
+    changed = set(members)
     for _ in range(_MOST_ROUNDS):
-        priors = _learned(series, kinds, found)
+        for kind in filter(changed.__contains__, members):
+            own = members[kind]
+            priors[kind] = learn([series[k] for k in own], [found[k] for k in own])
         judged = _round(series, [priors[kind] for kind in kinds], found, share)
-        same = [_places(one) for one in judged] == [_places(one) for one in found]
+        changed = {
+            kind for kind, new, old in zip(kinds, judged, found, strict=True)
+            if _places(new) != _places(old)
+        }  # fmt: skip
         found = judged
-        if same:
+        if not changed:
             break
     curves = [
         _level(one, priors[kind], own) for one, kind, own in zip(series, kinds, found, strict=True)
@@ -286,27 +295,16 @@ def _state_space(series: Series, prior: Prior, columns: Sequence[FloatArray]) ->
     model["design"] = np.stack([np.ones(n), *columns])[None]
     model["transition"] = np.eye(states)
     model["selection"] = np.eye(states)[:, :1]
-    model["obs_cov"] = (series.errors**2 + prior.variance)[None, None]
+    noise = series.errors**2 + prior.variance
+    model["obs_cov"] = noise[None, None]
     steps = np.diff(series.hours, append=series.hours[-1])
     model["state_cov"] = (prior.walk * steps)[None, None]
-    vague = _VAGUE * prior.variance / np.array([1.0, *scales]) ** 2
+    vague = _VAGUE * float(np.mean(noise)) / np.array([1.0, *scales]) ** 2
     model.initialize_known(np.zeros(states), np.diag(vague))
     return model
 
 
 # --- what is learned over the fleet ---
-
-
-def _learned(
-    series: Sequence[Series], kinds: Sequence[Quantity], found: Sequence[tuple[Change, ...]]
-) -> dict[Quantity, Prior]:
-    members: dict[Quantity, list[int]] = {}
-    for k, kind in enumerate(kinds):
-        members.setdefault(kind, []).append(k)
-    return {
-        kind: learn([series[k] for k in own], [found[k] for k in own])
-        for kind, own in members.items()
-    }
 
 
 def learn(series: Sequence[Series], found: Sequence[Sequence[Change]]) -> Prior:

@@ -32,12 +32,15 @@ def projection(series, prior, changes):
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 10**6),
+    variance=st.sampled_from([0.8, 1e-9]),
     walk=st.sampled_from([0.0, 0.01, 1.0]),
     changes=st.sampled_from([(), (("step", 7),), (("outlier", 0), ("trend", 0))]),
 )
-def test_statistics_of_all_positions_are_those_of_the_likelihood_with_each(seed, walk, changes):
+def test_statistics_of_all_positions_are_those_of_the_likelihood_with_each(
+    seed, variance, walk, changes
+):
     rng = np.random.default_rng(seed)
-    series, prior = drawn(rng, 15), Prior(0.8, walk, 7.0)
+    series, prior = drawn(rng, 15), Prior(variance, walk, 7.0)
     found = [Change(kind, at, at, at) for kind, at in changes]
     m, smoothed = projection(series, prior, found), _Smoothed(series, prior, found)
     for kind in KINDS:
