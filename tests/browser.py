@@ -4,6 +4,9 @@
 
 The first line says that the engine works; then there is one line per page. A crash of the
 engine ends this process and not the tests'; what is printed says how far it came.
+
+Where PAGE.js lies beside a page it runs on the desk: the value of its last expression, a promise of
+text, is printed as JSON, too, and the page printed to PAGE.pdf.
 """
 
 from __future__ import annotations
@@ -18,7 +21,11 @@ os.environ["QTWEBENGINE_DISABLE_SANDBOX"] = "1"
 os.environ["QTWEBENGINE_CHROMIUM_FLAGS"] = "--no-sandbox --disable-gpu --disable-dev-shm-usage"
 
 from PySide6.QtCore import QEventLoop, QTimer, QUrl
-from PySide6.QtWebEngineCore import QWebEnginePage, QWebEngineProfile
+from PySide6.QtWebEngineCore import (
+    QWebEnginePage,
+    QWebEngineProfile,
+    QWebEngineUrlRequestInterceptor,
+)
 from PySide6.QtWebEngineWidgets import QWebEngineView
 from PySide6.QtWidgets import QApplication
 
@@ -31,7 +38,8 @@ LOOK = """(() => {
   const box = each => each.getBoundingClientRect();
   const name = each => each.tagName + "." + (each.className.baseVal ?? each.className)
     + " " + (each.getAttribute("aria-label") ?? each.textContent).trim().slice(0, 60);
-  const drawings = [...document.querySelectorAll("svg, img, figure")];
+  const drawings = [...document.querySelectorAll("svg, img, figure")]
+    .filter(each => !each.closest(".on > .view")); // a chart is in its place
   const letters = [...document.querySelectorAll("svg text")].map(each => box(each).height);
   const inside = each => { // of something that scrolls or cuts
     for (let up = each.parentElement; up && up !== document.body; up = up.parentElement)
@@ -64,6 +72,19 @@ class Listening(QWebEnginePage):
         self.said.append(f"{level.name}: {message} ({Path(source).name}:{line})")
 
 
+class Asked(QWebEngineUrlRequestInterceptor):
+    """Keeps what is asked of disk and network but for the pages themselves."""
+
+    def __init__(self, paths):
+        super().__init__()
+        self.pages = {QUrl.fromLocalFile(str(Path(path).resolve())) for path in paths}
+        self.urls = []
+
+    def interceptRequest(self, info):  # noqa: N802 - Qt's name
+        if info.requestUrl() not in self.pages and info.requestUrl().scheme() != "data":
+            self.urls.append(info.requestUrl().toString())
+
+
 def waited(start, *signals):
     """Run the event loop from `start()` until one of `signals` and give what it said."""
     loop, said = QEventLoop(), []
@@ -94,6 +115,21 @@ def looked(view, width):
     return json.loads(answered(view, LOOK))
 
 
+def did(view, page):
+    """What the script beside a page answers; the page is printed then."""
+    script = page.with_suffix(".js")
+    if not script.exists():
+        return None
+    told = f"var told = null; Promise.resolve({script.read_text('utf-8')})"
+    said = ".then(text => { told = text; }, error => { told = JSON.stringify(String(error)); })"
+    answered(view, told + said + "; 0")
+    while not (answer := answered(view, "told")):  # null is an empty text
+        waited(lambda done: QTimer.singleShot(DRAWN_MS, done))
+    view.page().printToPdf(str(page.with_suffix(".pdf")))
+    waited(lambda _: None, view.page().pdfPrintingFinished.connect)
+    return json.loads(answer)
+
+
 def tell(**found):
     sys.stdout.write(json.dumps(found) + "\n")
     sys.stdout.flush()
@@ -102,6 +138,8 @@ def tell(**found):
 def main(paths):
     _application = QApplication(sys.argv[:1])
     profile = QWebEngineProfile()  # without a name it keeps nothing on the disk
+    asked = Asked(paths)
+    profile.setUrlRequestInterceptor(asked)
     view, page = QWebEngineView(), Listening(profile)
     view.setPage(page)
     view.resize(PHONE, HEIGHT)
@@ -110,9 +148,14 @@ def main(paths):
     tell(works=answered(view, "document.body.innerText") == "works")
     for path in paths:
         page.said.clear()
+        asked.urls.clear()
         ok = loaded(view, QUrl.fromLocalFile(str(Path(path).resolve())))
         phone, desk = looked(view, PHONE), looked(view, DESK)
-        tell(page=Path(path).stem, loaded=ok, said=page.said, phone=phone, desk=desk)
+        seen = did(view, Path(path))
+        tell(
+            page=Path(path).stem, loaded=ok, said=page.said, phone=phone, desk=desk, did=seen,
+            asked=asked.urls,
+        )  # fmt: skip
     os._exit(0)  # Qt's own end takes a second and may complain
 
 

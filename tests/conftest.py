@@ -1,5 +1,7 @@
 """Short pieces of virtual flights, and what every page of ours has to be."""
 
+import base64
+import hashlib
 import json
 import re
 import signal
@@ -160,20 +162,35 @@ class Page(HTMLParser):
         self.text.append(data)
 
 
+SCRIPT = "<script>(.*?)</script>"
+POLICY = "default-src 'none'; (?:script-src ([^;]*); )?style-src 'unsafe-inline'; img-src data:\""
+
+
+def hashed(script):
+    """The hash by which a content security policy allows a script."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
+
+
 @pytest.fixture(scope="session")
 def sound_page():
-    """Parse a page that has to be well-formed and to need nothing but itself."""
+    """Parse a page that has to be well-formed and to need nothing but itself.
+
+    Its scripts are those that its policy allows by their hashes.
+    """
 
     def read(html):
         page = Page()
         page.feed(html)
         page.close()
         assert page.stack == []
-        assert "script" not in page.tags
+        allowed, scripts = re.search(POLICY, html)[1], re.findall(SCRIPT, html, re.DOTALL)
+        assert (allowed or "").split() == [hashed(script) for script in scripts]
+        assert page.tags.count("script") == len(scripts)
         assert len(page.ids) == len(set(page.ids))
         assert set(page.anchors) <= set(page.ids)
         assert all(resource.startswith("data:") for resource in page.resources)
-        assert not re.search(r"url\((?!#)|@import|https?://(?!www\.w3\.org/)", html)
+        bare = re.sub(SCRIPT, "", html, flags=re.DOTALL)
+        assert not re.search(r"url\((?!#)|@import|https?://(?!www\.w3\.org/)", bare)
         return page
 
     return read
@@ -187,14 +204,17 @@ LEAST_LETTER_PX = 6.0  # of a figure on a phone, whose pixels are a third of a m
 def browse(tmp_path_factory):
     """Open pages (name -> HTML) in a browser engine and give what it found, one dict per page.
 
+    A page with a script in `acts` is printed after it as `pdf`.
     Skips where the engine is not installed or does not start; a fault after that is one.
     """
 
-    def opened(pages):
+    def opened(pages, acts=None):
         folder = tmp_path_factory.mktemp("pages")
         paths = [folder / f"{name}.html" for name in pages]
         for path, html in zip(paths, pages.values(), strict=True):
             path.write_text(html, encoding="utf-8")
+        for name, script in (acts or {}).items():
+            (folder / f"{name}.js").write_text(script, encoding="utf-8")
         out, err = folder / "out", folder / "err"
         with out.open("w") as told, err.open("w") as complained:
             command = [sys.executable, str(BROWSER), *map(str, paths)]
@@ -209,7 +229,7 @@ def browse(tmp_path_factory):
         if found[:1] != [{"works": True}]:
             pytest.skip(f"no browser engine (ended with {code}): {' '.join(last)}")
         assert code == 0, f"the engine ended with {code}: {' '.join(last)}"
-        return found[1:]
+        return [{**one, "pdf": folder / f"{one['page']}.pdf"} for one in found[1:]]
 
     return opened
 

@@ -17,8 +17,6 @@ from eval.transients import AssessedEvent, Assessment
 from narxcal.channels import symbol
 from narxcal.support.arrays import FloatArray
 
-_TI, _TT = style.GOOD, "#cc79a7"
-
 
 def large(view: LogView, one: AssessedEvent) -> Picture:
     """Draw the event as a qualification page does, every output with its own Ti/Tt windows."""
@@ -28,7 +26,7 @@ def large(view: LogView, one: AssessedEvent) -> Picture:
     alt = f"Overlay of {symbols}, flight and model, {_direction(one)} at {place}"
     caption = (
         "Flight: the line without a colour; model in blue. Shaded: where the model may reach "
-        "10 % (green) and 90 % (pink) of its own response; dots: where flight and model do."
+        "10 % (green) and 90 % (pink) of its own response; marked: where flight and model do."
     )
     return picture(figure, alt, caption)
 
@@ -113,7 +111,7 @@ def _windows(axes: Axes, one: Assessment, t0_s: float) -> None:
     """Shade where the model's own 10 % and 90 % may lie, and mark where the flight's do."""
     bands = time_bands(one.flight, one.model, one.verdict)
     for (start_s, stop_s), colour, label in zip(
-        bands, (_TI, _TT), ("Ti window", "Tt window"), strict=False
+        bands, (style.TI, style.TT), ("Ti window", "Tt window"), strict=False
     ):
         axes.axvspan(start_s - t0_s, stop_s - t0_s, color=colour, alpha=0.25, lw=0, label=label)
     for reached_s in (one.flight.t10_s, one.flight.t90_s):

@@ -54,7 +54,7 @@ def overlay_figure(view: LogView, on: Figure | None = None) -> Figure:
         axes.margins(x=0.0)
         axes.set_xlabel("")
         if view.scored_from_s is not None:
-            axes.axvline(view.scored_from_s, color="#24292f", lw=0.9, ls=":")
+            axes.axvline(view.scored_from_s, color=style.MEASURED, lw=0.9, ls=":")
     rows[-1].set_xlabel("time [s]")
     return figure
 
@@ -67,7 +67,9 @@ def _overlay_caption(view: LogView) -> str:
         "model minus measured. "
         "Grey: masked by cleaning, not scored."
     )
-    trim = " Left of the dotted line trim offsets are estimated; only what follows is scored."
+    trim = (
+        " Left of the black vertical line trim offsets are estimated; only what follows is scored."
+    )
     return text if view.scored_from_s is None else text + trim
 
 
@@ -357,12 +359,17 @@ def free_runs(
     )
 
 
+def most_eventful(found: Comparison) -> Recording:
+    """The log with most events, the first of several."""
+    return max(found.recordings, key=lambda each: len(each.events))
+
+
 def compared(found: Comparison) -> Picture:
     """Free runs of all models, a row per channel: the log with most events, and its largest move.
 
     The move is that with the largest change of the first channel within 20 s of an event's start.
     """
-    one = max(found.recordings, key=lambda each: len(each.events))
+    one = most_eventful(found)
     rows, names = len(one.channels), [row.run for row in found.rows]
     figure = style.figure(10.0, 0.5 + 1.9 * rows)
     grid = figure.subplots(rows, 2, squeeze=False, width_ratios=(1.0, 1.2))

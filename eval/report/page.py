@@ -14,7 +14,7 @@ from markupsafe import Markup
 
 from data_prep.log import Audit, Source
 from eval.outcome import Outcome
-from eval.report import event_figures, figures, tables
+from eval.report import event_figures, figures, live, tables
 from eval.report.panel import panel
 from eval.report.style import unit
 from eval.report.view import LogView
@@ -92,7 +92,7 @@ class PreparedLog:
         """Add the pictures of the log, nine tenths of the time of `prepare`."""
         macros = _macros()
         parts = {
-            "overlay": macros.draw(figures.overlay(view)),
+            "overlay": macros.draw(figures.overlay(view), live.of_log(view)),
             "windows": macros.draw(figures.windows(self.trial)),
             "events": macros.contact_sheet(view, self.number),
             "ranking": macros.rankings([view]),
@@ -187,7 +187,9 @@ def _environment() -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals.update(tables=tables, figures=figures, event_figures=event_figures)
+    environment.globals.update(
+        tables=tables, figures=figures, event_figures=event_figures, live=live
+    )
     for helper in (symbol, unit, worst_events, panel, masked_share, conditions):
         environment.globals[helper.__name__] = helper
     environment.filters.update(status=status, reasons=reasons, basename=os.path.basename)

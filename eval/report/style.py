@@ -145,6 +145,7 @@ DRIVER = "#57606a"
 GOOD = "#009e73"
 BAD = "#d55e00"
 MASK = "#d0d7de"
+TI, TT = GOOD, "#cc79a7"  # windows of the two times
 CYCLE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 _LEGEND_LINE = 0.18  # inches per line of a legend
 _INK, _GRID = "#24292f", "#e4e8ec"
@@ -226,19 +227,24 @@ def legend(axes: Axes, columns: int = 4, size: float = 8.0) -> None:
     )  # fmt: skip
 
 
-def shade_missing(axes: Axes, time: FloatArray, values: FloatArray, label: str = "masked") -> None:
-    """Grey out where `values` is NaN; runs closer than a pixel are drawn as one."""
-    if not len(time):
-        return
-    pixel = (time[-1] - time[0]) / 1200 if len(time) > 1 else 0.0
-    merged: list[list[float]] = []
+def missing_spans(
+    time: FloatArray, values: FloatArray, pixels: int = 1200
+) -> list[tuple[float, float]]:
+    """(start, end) where `values` is NaN, at least a pixel; runs closer than a pixel are one."""
+    pixel = float(time[-1] - time[0]) / pixels if len(time) > 1 else 0.0
+    merged: list[tuple[float, float]] = []
     for start, end in spans(time, np.isnan(values)):
         if merged and start - merged[-1][1] <= pixel:
-            merged[-1][1] = end
+            merged[-1] = (merged[-1][0], end)
         else:
-            merged.append([start, end])
-    if merged:
-        bars = [(start, max(end - start, pixel)) for start, end in merged]
+            merged.append((start, end))
+    return [(start, max(end, start + pixel)) for start, end in merged]
+
+
+def shade_missing(axes: Axes, time: FloatArray, values: FloatArray, label: str = "masked") -> None:
+    """Grey out where `values` is NaN."""
+    bars = [(start, end - start) for start, end in missing_spans(time, values)]
+    if bars:
         axes.broken_barh(
             bars, (0, 1), transform=axes.get_xaxis_transform(), color=MASK, lw=0, zorder=0.4,
             label=label,

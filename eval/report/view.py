@@ -85,6 +85,10 @@ class LogView:
         """Rows of an event with some seconds before it."""
         return slice(max(0, event.start - round(LEAD_S / self.log.dt_s)), event.stop)
 
+    def stretch_s(self, event: Event) -> tuple[float, float]:
+        """(start, stop) of `rows` on the log's clock."""
+        return stretch_s(self.log.time_s, event)
+
     def conditions(self, event: Event) -> Mapping[str, float]:
         """Known ambient conditions and switches where an event begins."""
         found = {
@@ -93,6 +97,12 @@ class LogView:
             if described(name).role in ("ambient", "switch")
         }
         return {name: value for name, value in found.items() if math.isfinite(value)}
+
+
+def stretch_s(time_s: FloatArray, event: Event) -> tuple[float, float]:
+    """(start, stop) of an event with some seconds before it, within `time_s` (time,)."""
+    start_s = max(float(time_s[0]), event.start_s - LEAD_S)
+    return start_s, float(time_s[min(event.stop, len(time_s)) - 1])
 
 
 def view_of(one: LogEvaluation, driver: str, inputs: Sequence[str]) -> LogView:
