@@ -98,7 +98,7 @@ function moves(view, over) {
     const by = seconds(held.x - event.clientX);
     view.show(held.start + by, held.stop + by);
   });
-  for (const end of ["pointerup", "pointercancel"]) over.addEventListener(end, () => { held = null; });
+  over.addEventListener("lostpointercapture", () => { held = null; });
   over.addEventListener("wheel", event => {
     if (!event.ctrlKey) return;
     event.preventDefault();
@@ -127,12 +127,13 @@ function panel(view, one, last, parent) {
   const decimals = Math.max(0, Math.min(6, Math.ceil(-Math.log10(chart.dt_s))));
   const numbers = (plot, splits) => splits.map(value => String(+value.toPrecision(10)));
   const value = line => (plot, _, column, at) => {
-    if (at === null || at === undefined) return "";
+    if (at == null) return "";
     const first = view.size > 1 ? at - at % 2 : at, values = plot.data[column];
     return [...new Set(values.slice(first, first + (view.size > 1 ? 2 : 1)))]
       .map(each => each === null ? "–" : each.toFixed(Math.max(0, line.digits))).join(" to ");
   };
-  const pen = {stroke: "#24292f", font: "11px system-ui, sans-serif", labelFont: "11px system-ui, sans-serif",
+  const font = "11px system-ui, sans-serif";
+  const pen = {stroke: "#24292f", font, labelFont: font,
     grid: {stroke: "#e4e8ec", width: 1}, ticks: {show: false}};
   const plot = new uPlot({
     width: parent.clientWidth, height: one.height + (last ? 42 : 6), padding: [6, 8, last ? 0 : 6, 0],
@@ -146,9 +147,9 @@ function panel(view, one, last, parent) {
       {...pen, size: 52, space: 24, values: numbers, label: one.label, labelSize: 16},
     ],
     series: [
-      {label: "time", value: (_, time) => time === null || time === undefined ? "" : time.toFixed(decimals) + " s"},
-      ...lines.map(line => ({label: line.label, stroke: line.colour, width: line.width, dash: line.dash,
-        points: {show: false}, pxAlign: 0, value: value(line)})),
+      {label: "time", value: (_, time) => time == null ? "" : time.toFixed(decimals) + " s"},
+      ...lines.map(line => ({label: line.label, stroke: line.colour, width: line.width,
+        dash: line.dash, points: {show: false}, pxAlign: 0, value: value(line)})),
     ],
     bands: one.band ? [{series: [2, 1], fill: lines[0].colour + "2e"}] : [],
     cursor: {
@@ -176,36 +177,37 @@ function panel(view, one, last, parent) {
 class View {
   constructor(chart, found, root) {
     Object.assign(this, {chart, found, key: `chart-${charts++}`});
+    root.role = "group";
+    root.ariaLabel = root.parentElement.querySelector("svg").getAttribute("aria-label");
     this.first = chart.start_s;
     this.final = chart.start_s + (chart.rows - 1) * chart.dt_s;
     this.tools(root);
     this.plots = chart.panels.map((one, k) => panel(this, one, k === chart.panels.length - 1, root));
     this.show(...(root.wanted ?? [this.first, this.final]));
-    new ResizeObserver(() => this.plots.forEach(plot => plot.setSize({width: root.clientWidth, height: plot.height})))
-      .observe(root);
+    const fit = plot => plot.setSize({width: root.clientWidth, height: plot.height});
+    new ResizeObserver(() => this.plots.forEach(fit)).observe(root);
   }
 
   tools(root) {
     const bar = element("div", "tools", "", root);
-    const step = share => () => this.show(
-      this.start + share * (this.stop - this.start), this.stop + share * (this.stop - this.start));
+    const move = share => {
+      const by = share * (this.stop - this.start);
+      this.show(this.start + by, this.stop + by);
+    };
     for (const [text, says, act] of [
-      ["all", "show all", () => this.all()], ["+", "zoom in", () => this.zoom(0.5)], ["−", "zoom out", () => this.zoom(2)],
-      ["←", "earlier", step(-0.5)], ["→", "later", step(0.5)],
+      ["all", "show all", () => this.all()],
+      ["+", "zoom in", () => this.zoom(0.5)], ["−", "zoom out", () => this.zoom(2)],
+      ["←", "earlier", () => move(-0.5)], ["→", "later", () => move(0.5)],
     ]) {
       const button = element("button", "", text, bar);
-      button.type = "button";
-      button.title = says;
-      button.setAttribute("aria-label", says);
+      button.title = button.ariaLabel = says;
       button.onclick = act;
     }
     this.note = element("span", "", "", bar);
     if (!this.chart.marks.length) return;
     const list = element("div", "jumps", "", root);
     for (const [start, stop, text, state] of this.chart.marks) {
-      const button = element("button", state, text, list);
-      button.type = "button";
-      button.onclick = () => this.show(start, stop);
+      element("button", state, text, list).onclick = () => this.show(start, stop);
     }
   }
 
@@ -222,7 +224,8 @@ class View {
     start = Math.min(Math.max(start, this.first), this.final - length);
     [this.start, this.stop] = [start, start + length];
     const row = time => (time - this.first) / chart.dt_s, last = chart.rows - 1;
-    const a = Math.max(0, Math.floor(row(start) + 1e-6)), b = Math.min(last, Math.ceil(row(this.stop) - 1e-6));
+    const a = Math.max(0, Math.floor(row(start) + 1e-6));
+    const b = Math.min(last, Math.ceil(row(this.stop) - 1e-6));
     const one = chosen(this.found, a, b), [times, values] = columns(chart, one, a, b);
     this.size = one.size;
     const bin = `the least and the largest of each ${+(one.size * chart.dt_s).toPrecision(3)} s`;
