@@ -92,11 +92,16 @@ class Effects:
 
 @dataclass(frozen=True, eq=False)
 class Alarm:
-    """Changes of one tail at the same flights that have one cause, and what may be the cause."""
+    """Changes of one tail at the same flights, which may have one cause, stated in words.
+
+    `at` names the flight, likeliest of `first` to `last`, and `hours` are those of the tail before
+    it; a trend is over all flights. `before` and `after` are files to compare.
+    """
 
     tail: str
     kind: str
     changes: tuple[tuple[Key, Change], ...]
+    at: str
     first: str
     last: str
     hours: float
@@ -111,7 +116,7 @@ class Alarm:
 
     def row(self) -> dict[str, Any]:
         """One entry of `alarms` in JSON."""
-        names = ("tail", "kind", "first", "last", "hours", "cause", "before", "after")
+        names = ("tail", "kind", "at", "first", "last", "hours", "cause", "before", "after")
         changes = [
             {"engine": key.engine, "channel": key.channel, "quantity": key.quantity,
              "unit": key.unit, **asdict(change)}
@@ -460,7 +465,7 @@ def _alarm(
         for part in (before, after)
     ]
     began = float(hours[at - 1]) if at else 0.0
-    ends = flights[first].name, flights[last].name
+    ends = flights[at].name, flights[first].name, flights[last].name
     return Alarm(one.key.tail, kind, changes, *ends, began, cause(changes, engines), *files)
 
 

@@ -20,6 +20,7 @@ from narxcal.support.arrays import FloatArray
 MOST_DRAWN: Final = 8  # engines with curves
 MOST_ROWS: Final = 60  # engines on the map
 _CELLS = 60  # of time on the map
+_POINTS = 200  # flights of a curve; of more, the extremes are drawn, without standard errors
 _INTERVAL = 1.6449  # standard errors of the product's usual 90 %
 
 Engine = tuple[str, str]
@@ -73,7 +74,7 @@ def _title(alarm: Alarm) -> str:
     return (
         f"{alarm.tail} {who}".strip()
         + f": {alarm.kind}"
-        + ("" if alarm.kind == "trend" else f" at {alarm.first}")
+        + ("" if alarm.kind == "trend" else f" at {alarm.at}")
     )
 
 
@@ -82,7 +83,7 @@ def alarm_table(alarms: Sequence[Alarm]) -> Table:
     head = ("engine", "of", "size", "standard error", "unit", "p over the fleet")
     rows: list[tuple[Cell, ...]] = []
     for alarm in alarms:
-        where = "" if alarm.first == alarm.last else f", between {alarm.first} and {alarm.last}"
+        where = "" if alarm.first == alarm.last else f" ({alarm.first} to {alarm.last})"
         text = f"{_title(alarm)}{where}, {alarm.hours:.1f} h: {alarm.cause}"
         rows.append((Cell(text, "group"),))
         for key, one in alarm.changes:
@@ -164,8 +165,8 @@ def _curves(found: Watch, engine: Engine) -> tuple[str, Picture]:
         axes.set_xlabel("flight hours")
     name = " ".join(filter(None, engine))
     caption = (
-        f"Points: flights with their standard errors. Line: level with its {100 * LEVEL:.0f} % "
-        "interval. Red: alarms (line: step or outlier, level in red: trend)."
+        "Points: flights with their standard errors, of very many the extremes. Curve: level with "
+        f"its {100 * LEVEL:.0f} % interval, red with a trend. Upright lines: steps and outliers."
     )
     listed = ", ".join(symbol(each) for each in channels)
     return name, picture(drawn, f"{listed} of {name} over flight hours", caption)
@@ -174,12 +175,11 @@ def _curves(found: Watch, engine: Engine) -> tuple[str, Picture]:
 def _curve(axes: Axes, one: Effects) -> None:
     hours, drift = one.series.hours, one.drift
     axes.set_visible(True)
-    axes.errorbar(
-        hours, one.series.y, one.series.errors, fmt=".", ms=3.0, lw=0.6,
-        color=style.DRIVER, alpha=0.7,
-    )  # fmt: skip
+    at, values = style.envelope(hours, one.series.y, _POINTS)
+    errors = one.series.errors if len(at) == len(hours) else None
+    axes.errorbar(at, values, errors, fmt=".", ms=3.0, lw=0.6, color=style.DRIVER, alpha=0.7)
     trend = any(change.kind == "trend" for change in drift.changes)
-    axes.plot(hours, drift.level, color=style.BAD if trend else style.MODEL, lw=1.4)
+    style.curve(axes, hours, drift.level, style.BAD if trend else style.MODEL, lw=1.4)
     half = _INTERVAL * drift.level_error
     axes.fill_between(
         hours, drift.level - half, drift.level + half, color=style.MODEL, alpha=0.18, lw=0
