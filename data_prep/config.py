@@ -6,6 +6,7 @@ Speeds, ratios, powers and the like that are not in the table of channels are de
 
 from __future__ import annotations
 
+import fnmatch
 import re
 from collections.abc import Collection, Mapping
 from functools import cached_property
@@ -22,7 +23,7 @@ from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.files import is_file, is_folder
 from narxcal.support.settings import Section
 
-ENGINE = "{engine}"
+ENGINE, FLIGHT = "{engine}", "{flight}"
 FASTEST_HZ = 1000.0  # no recorder of engine channels is faster, and a grid takes memory
 
 
@@ -115,7 +116,9 @@ class LogsConfig(Section):
     the frames of a second in stamps `HH:MM:SS:FF`. `no_value` are further words that stand for
     no value, in addition to `data_prep.words.NO_VALUE`. `instances` are columns that tell the
     engines, units or recordings in a file apart: each combination of their values becomes a
-    log. `channels` are declared beyond the table of `narxcal.channels`.
+    log. `channels` are declared beyond the table of `narxcal.channels`. `flights` are patterns of
+    file names in which `{flight}` stands for what the files of one flight share: they become one
+    recording (`data_prep.flight`).
     """
 
     folder: str = "."
@@ -130,6 +133,7 @@ class LogsConfig(Section):
     frames_hz: PositiveFloat | None = None
     no_value: tuple[str, ...] = ()
     instances: tuple[str, ...] = ()
+    flights: tuple[str, ...] = ()
     engines: dict[str, str] = Field(default_factory=dict)
     channels: dict[str, DeclaredChannel] = Field(default_factory=dict)
     columns: dict[str, ColumnSource] = Field(default_factory=dict)
@@ -141,6 +145,14 @@ class LogsConfig(Section):
         if value != "auto" and (len(value) != 1 or not (value.isprintable() or value == "\t")):
             raise ValueError("expected 'auto' or a single character")
         return value
+
+    @field_validator("flights")
+    @classmethod
+    def _name_a_flight(cls, patterns: tuple[str, ...]) -> tuple[str, ...]:
+        for pattern in patterns:
+            if pattern.count(FLIGHT) != 1 or PurePath(pattern).name != pattern:
+                raise ValueError(f"expected names of files with {FLIGHT} in them")
+        return patterns
 
     @field_validator("files")
     @classmethod
@@ -201,6 +213,7 @@ class LogsConfig(Section):
     def resolve(self, base: Path) -> list[Path]:
         """Files that match `files` in `folder`, which is relative to `base`; in order of name.
 
+        Of a flight of several files it is the first.
         Raises `DataError` when the folder is missing or a pattern matches nothing.
         """
         folder = (Path(base) / self.folder).resolve()
@@ -217,7 +230,23 @@ class LogsConfig(Section):
                 file=folder,
                 hint="Set [logs] files",
             )
-        return list(found)
+        return list(dict.fromkeys(self.parts(path)[0] for path in found))
+
+    def flight_of(self, path: Path) -> str:
+        """What stands for `{flight}` in the name of a file; the name itself where nothing does."""
+        for pattern in self.flights:
+            ahead, behind = (fnmatch.translate(part)[:-2] for part in pattern.split(FLIGHT))
+            known = re.fullmatch(f"{ahead}(?P<flight>.+){behind}", path.name)
+            if known:
+                return known["flight"]
+        return path.name
+
+    def parts(self, path: Path) -> list[Path]:
+        """Files of the flight of `path` in its folder, in order of name; itself where it is all."""
+        flight = self.flight_of(path)
+        if flight == path.name:
+            return [path]
+        return sorted(each for each in path.parent.iterdir() if self.flight_of(each) == flight)
 
     @property
     def time_column(self) -> str:

@@ -22,9 +22,9 @@ from data_prep.code_words import code_words
 from data_prep.columns import Table, unit_text
 from data_prep.config import ENGINE, LogsConfig
 from data_prep.csv_source import readable
+from data_prep.log_file import open_table
 from data_prep.naming import PER_MINUTE, Reading, declarable, fits, read_name
 from data_prep.parquet_source import MAGIC, ParquetSource
-from data_prep.reading import open_table
 from data_prep.text_file import DELIMITERS, fields, first_lines, has_content, open_text
 from data_prep.units import find_unit, is_volume_flow, named_unit, to_canonical
 from data_prep.words import switch

@@ -316,7 +316,14 @@ class Fleet:
             if not bundle.sha256:
                 problem = "the run has no hash over all of it"
                 raise ModelError(problem, file=run.address, hint="Train it anew")
-            engines = ",".join(run_config(bundle)[0].logs.engines)
+            logs = run_config(bundle)[0].logs
+            if logs.flights:
+                raise ConfigError(
+                    "[logs] flights of the run joins files, and a fleet evaluates file by file",
+                    file=run.address,
+                    hint="Join the files of a flight before, or evaluate the run on their folder",
+                )
+            engines = ",".join(logs.engines)
             self._runs[run.address] = run._replace(sha256=bundle.sha256), engines
         return self._runs[run.address]
 

@@ -11,8 +11,9 @@ import pandas as pd
 
 from data_prep.clean import clean
 from data_prep.events import PUSH, Event
-from data_prep.log import Audit, Log, Source
-from data_prep.prepare import LogWarning, Prepared
+from data_prep.log import Audit, Finding, Log, Source
+from data_prep.plausibility import checked, of_cleaning
+from data_prep.prepare import LogWarning, Prepared, in_lines
 from data_prep.ranking import STRONG, pearson, ranked
 from data_prep.smooth import compare_windows, frequency_response, moving_average, smooth
 from eval.report.figures import WindowTrial
@@ -57,6 +58,16 @@ class LogReport:
         """Its pushes and pulls."""
         return self.prepared.events
 
+    @property
+    def warnings(self) -> tuple[LogWarning, ...]:
+        """What a reader of its figures has to know."""
+        return self.prepared.warnings
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What the log alone shows to be wrong with it."""
+        return self.log.findings
+
     def summary(self, number: str) -> LogSummary:
         """What is kept of the log; `number` is that of `PreparedLog`."""
         return LogSummary(
@@ -66,7 +77,8 @@ class LogReport:
             events=self.events,
             ranking=self.ranking,
             windows=self.windows,
-            warnings=self.prepared.warnings,
+            warnings=self.warnings,
+            findings=self.findings,
             page=PreparedLog.of(self.view(), self.trial, number),
             driver=self.prepared.tables.events.driver,
             audit=self.log.audit,
@@ -97,6 +109,7 @@ class LogReport:
             "audit": [asdict(entry) for entry in log.audit.entries],
             "masked": log.audit.masked(),
             "events": self.counts(),
+            "findings": [each.row() for each in self.findings],
             "not_ranked": self.ranking.attrs["reasons"],
         }
 
@@ -131,6 +144,7 @@ class LogSummary:
     ranking: pd.DataFrame
     windows: pd.DataFrame
     warnings: tuple[LogWarning, ...]
+    findings: tuple[Finding, ...]
     page: PreparedLog
     driver: str
     audit: Audit
@@ -158,7 +172,7 @@ def examine(raw: Log, config: RunConfig) -> LogReport:
 
     Raises `DataError` for a log without the driver or without any of the outputs.
     """
-    cleaned = clean(raw, config.clean)
+    cleaned = of_cleaning(clean(checked(raw), config.clean))
     del raw  # of a caller that keeps it no longer, too: an hour of a log takes megabytes
     log = smooth(cleaned, config.smooth)
     prepared = Prepared(log, config, config.narx.outputs)
@@ -179,6 +193,12 @@ def examine(raw: Log, config: RunConfig) -> LogReport:
         windows=windows,
         trial=_trial(cleaned, events, windows, window),
     )
+
+
+def cautions_about(logs: Sequence[LogSummary | LogReport]) -> list[str]:
+    """Word the warnings and findings about logs."""
+    warned = in_lines(warning for one in logs for warning in one.warnings)
+    return [*warned, *(each.caution for one in logs for each in one.findings)]
 
 
 def events_table(logs: Sequence[LogSummary | LogReport]) -> pd.DataFrame:

@@ -18,8 +18,8 @@ from pydantic import Field
 from data_prep.config import LogsConfig
 from data_prep.csv_source import Pace
 from data_prep.faults import out_of_range
+from data_prep.flight import open_log
 from data_prep.log import Finding
-from data_prep.reading import LogFile
 from narxcal.calibration.fuser import FastFuser
 from narxcal.calibration.fuser_config import FuserConfig
 from narxcal.calibration.noise import MIN_SAMPLES, STORED, NoiseModel, estimate_noise
@@ -501,7 +501,7 @@ class _Replay:
             clock=clock.now,
             sleep=clock.sleep,
         )
-        self.file = LogFile(log, model.logs)
+        self.file = open_log(log, model.logs)
         names = self._engines(log)
         self.engines = {name: EngineReplay(model, options, name, str(log)) for name in names}
         ahead = 0.0 if options.live else _LOOK_AHEAD_S
@@ -624,7 +624,7 @@ class _Replay:
             unfused={name: engine.unfused for name, engine in engines.items()},
             slow={name: engine.slow for name, engine in engines.items()},
             dropped=sum(stream.dropped for stream in self.streams.values()),
-            truncated=self.file.table.truncated,
+            truncated=self.file.truncated,
             findings=self.model.findings,
             read=self.read,
         )

@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 from data_prep.equilibrium import while_running
 from data_prep.identity import duplicates
 from data_prep.log import Log
-from data_prep.prepare import cautions, in_lines
+from data_prep.prepare import cautions
 from data_prep.reading import read_logs
 from eval.evaluate import (
     Evaluation,
@@ -36,7 +36,14 @@ from eval.evaluate import (
 )
 from eval.evaluate import evaluate as evaluate_logs
 from eval.outcome import Outcome
-from eval.preparation import LogReport, events_table, examine, pearson_table, windows_table
+from eval.preparation import (
+    LogReport,
+    cautions_about,
+    events_table,
+    examine,
+    pearson_table,
+    windows_table,
+)
 from eval.report.figures import overlay_figure, recorded_figure
 from eval.report.tables import summary
 from eval.report.view import LogView, view_of
@@ -164,7 +171,7 @@ class PreparedLogs:
     @property
     def cautions(self) -> list[str]:
         """What a reader of the tables has to know."""
-        return in_lines(each for one in self.reports for each in one.prepared.warnings)
+        return cautions_about(self.reports)
 
     def plot(self, log: int | str = 0) -> Figure:
         """Draw one log: driver with its events, and outputs."""

@@ -17,8 +17,9 @@ from data_prep.clean import clean
 from data_prep.config import LogsConfig
 from data_prep.faults import out_of_range
 from data_prep.log import AuditEntry, Log
+from data_prep.log_file import open_table
 from data_prep.prepare import hold_inputs
-from data_prep.reading import open_table, read_logs
+from data_prep.reading import read_logs
 from eval.diagnosis.simulators import Simulate
 from narxcal.channels import CHANNELS, described
 from narxcal.support.arrays import FloatArray, bridge_gaps

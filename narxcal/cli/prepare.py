@@ -16,10 +16,10 @@ import pandas as pd
 from data_prep.equilibrium import while_running
 from data_prep.log import Log
 from data_prep.parquet_source import arrow, write_parquet
-from data_prep.prepare import in_lines
 from data_prep.reading import read_logs
 from eval.preparation import (
     LogSummary,
+    cautions_about,
     events_table,
     examine,
     most_to_show,
@@ -175,7 +175,7 @@ def _document(
         "schema": SCHEMA,
         "config": config.model_dump(mode="json", by_alias=True),
         "versions": versions(),
-        "cautions": _cautions(logs),
+        "cautions": cautions_about(logs),
         "logs": [
             {**one.document, **{keys[form]: f"{name}{form}" for form in forms}}
             for one, name in zip(logs, names, strict=True)
@@ -219,12 +219,8 @@ def _header(config: RunConfig, logs: Sequence[LogSummary]) -> RunHeader:
         sources=data_files(one.source for one in logs),
         versions=versions(),
         config=config.model_dump_json(by_alias=True, indent=1),
-        cautions=_cautions(logs),
+        cautions=cautions_about(logs),
     )
-
-
-def _cautions(logs: Sequence[LogSummary]) -> list[str]:
-    return in_lines(warning for one in logs for warning in one.warnings)
 
 
 def _show(console: Console, logs: Sequence[LogSummary], out: Path) -> None:

@@ -13,8 +13,9 @@ import pandas as pd
 
 from data_prep.config import LogsConfig
 from data_prep.log import Log
+from data_prep.log_file import open_table
 from data_prep.prepare import hold_inputs, prepare
-from data_prep.reading import open_table, read_logs
+from data_prep.reading import read_logs
 from eval.evaluate import bank_of
 from narxcal.calibration.bundle import Bundle, load_bundle
 from narxcal.calibration.calibration import Calibration

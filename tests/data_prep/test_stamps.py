@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from data_prep.clock import Clock, is_clock
 from data_prep.config import LogsConfig
-from data_prep.reading import LogFile, read_logs
+from data_prep.log_file import LogFile
+from data_prep.reading import read_logs
 from data_prep.stamps import past_midnight, shared_interval, undo_rounding
 from data_prep.stream import GridStream
 from narxcal.support.errors import DataError

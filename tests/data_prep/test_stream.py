@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data_prep import reading
+from data_prep import log_file
 from data_prep.config import LogsConfig
 from data_prep.csv_source import Pace
-from data_prep.reading import LogFile, read_logs
+from data_prep.log_file import LogFile
+from data_prep.reading import read_logs
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT / "../shared/data"
@@ -193,7 +194,7 @@ def test_samples_and_audit_are_those_of_the_whole_for_any_block(tmp_path, lines,
 def test_a_file_larger_than_a_block_gives_the_same_logs(tmp_path, monkeypatch, cells, raster_hz):
     path, config = faulty(tmp_path / "log.csv"), LogsConfig(raster_hz=raster_hz)
     whole = read_logs(path, config)
-    monkeypatch.setattr(reading, "BLOCK_CELLS", cells)
+    monkeypatch.setattr(log_file, "BLOCK_CELLS", cells)
     monkeypatch.setattr(
         Pace.__init__, "__kwdefaults__", {**Pace.__init__.__kwdefaults__, "lines": 40}
     )

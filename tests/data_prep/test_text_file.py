@@ -9,7 +9,8 @@ import pytest
 
 from data_prep.config import LogsConfig
 from data_prep.csv_source import Pace
-from data_prep.reading import LogFile, read_logs
+from data_prep.log_file import LogFile
+from data_prep.reading import read_logs
 from data_prep.text_file import READERS
 from data_prep.units import is_unit_text, named_unit
 from narxcal.support.errors import NarxcalError
