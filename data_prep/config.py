@@ -7,6 +7,7 @@ Speeds, ratios, powers and the like that are not in the table of channels are de
 from __future__ import annotations
 
 import fnmatch
+import glob
 import re
 from collections.abc import Collection, Mapping
 from functools import cached_property
@@ -230,23 +231,35 @@ class LogsConfig(Section):
                 file=folder,
                 hint="Set [logs] files",
             )
-        return list(dict.fromkeys(self.parts(path)[0] for path in found))
+        flights: dict[tuple[Path, str], Path] = {}
+        for path in found:
+            key = path.parent, self.flight_of(path)
+            flights[key] = min(path, flights.get(key, path))
+        return list(flights.values())
+
+    @cached_property
+    def _patterns(self) -> tuple[re.Pattern[str], ...]:
+        ends = (
+            [fnmatch.translate(end)[:-2] for end in each.split(FLIGHT)] for each in self.flights
+        )
+        return tuple(re.compile("(?P<flight>.+)".join(both)) for both in ends)
 
     def flight_of(self, path: Path) -> str:
         """What stands for `{flight}` in the name of a file; the name itself where nothing does."""
-        for pattern in self.flights:
-            ahead, behind = (fnmatch.translate(part)[:-2] for part in pattern.split(FLIGHT))
-            known = re.fullmatch(f"{ahead}(?P<flight>.+){behind}", path.name)
-            if known:
-                return known["flight"]
-        return path.name
+        known = (pattern.fullmatch(path.name) for pattern in self._patterns)
+        return next((found["flight"] for found in known if found), path.name)
 
     def parts(self, path: Path) -> list[Path]:
         """Files of the flight of `path` in its folder, in order of name; itself where it is all."""
         flight = self.flight_of(path)
-        if flight == path.name:
+        if flight == path.name or not is_file(path):
             return [path]
-        return sorted(each for each in path.parent.iterdir() if self.flight_of(each) == flight)
+        named = {
+            each
+            for pattern in self.flights
+            for each in path.parent.glob(pattern.replace(FLIGHT, glob.escape(flight)))
+        }
+        return sorted(each for each in named if self.flight_of(each) == flight)
 
     @property
     def time_column(self) -> str:

@@ -164,6 +164,13 @@ def test_a_flight_is_replayed_whole_and_cannot_be_followed(tmp_path):
         next(flight.blocks(flight.engines, Pace(live=True, follow=True)))
 
 
+def test_a_file_that_is_not_there_is_no_part_of_a_flight(tmp_path):
+    folder = written(tmp_path / "p", f1_1=recording())
+    for path in (folder / "f1_2.csv", tmp_path / "none" / "f1_2.csv"):
+        with pytest.raises(DataError, match="the file does not exist"):
+            read_logs(path, LogsConfig.parse(BY_PART))
+
+
 @pytest.mark.parametrize("pattern", ["f_*.csv", "{flight}_{flight}.csv", "day/{flight}.csv"])
 def test_a_pattern_that_names_no_flight_is_refused(pattern):
     with pytest.raises(ConfigError, match=r"expected names of files with \{flight\} in them"):
