@@ -567,7 +567,8 @@ def _stretched(bank: Bank, logs: Sequence[Log]) -> list[tuple[Finding, ...]]:
             odds = ((ratio - usual) ** 2 - (ratio - other) ** 2) / (2.0 * scatter**2)
             if ratio < 0.0 and odds > -np.log(RATE_PER_H * max(hours, 0.1)):
                 word = "long" if stretch > 1.0 else "short"
-                text = f"all responses are {stretch:g} times as {word} as in the training logs"
+                times = max(stretch, 1.0 / stretch)
+                text = f"all responses are {times:g} times as {word} as in the training logs"
                 for k in own:
                     found[k] = (finding(logs[k], "time_s", "stretched", text, size=(stretch, "")),)
                 break

@@ -56,7 +56,7 @@ from eval.report.tables import summary
 from narxcal.calibration.bundle import DOCUMENT, load_bundle
 from narxcal.effects.running import Emulator, with_load
 from narxcal.effects.steady import UnloggedSwitch
-from narxcal.support.errors import DataError, NarxcalError
+from narxcal.support.errors import ConfigError, DataError, NarxcalError
 from narxcal.support.progress import Progress, silent
 from training.config import RunConfig
 from training.diagnosis.budget import Budget, Interval
@@ -76,6 +76,7 @@ from training.diagnosis.verdict import diagnose as weighed
 
 _NOTHING: Final = Interval(0.0, 0.0, 0.0)
 _STEPS: Final = 4
+_MISREAD: Final = ("unit", "exchanged", "stretched")  # findings about columns and clock of a log
 
 
 class Request(NamedTuple):
@@ -172,7 +173,7 @@ def diagnose_folders(request: Request, progress: Progress = silent) -> Answer:
     if learned is not None and request.build != 1.0:
         warnings.append("what the run gets wrong by itself is learned: --build has no effect")
     differences = Differences(learned, request.build)
-    doubts = not_new(request) if simulator.kind == "bundle" else []
+    doubts = doubts_of(request) if simulator.kind == "bundle" else []
     answer = diagnose_pairs(pairs, held, simulator.again, differences, progress, doubts=doubts)
     facts = {"simulator": simulator.kind, "wall_s": round(time.perf_counter() - began, 1)}
     quality = {**facts, **answer.document["quality"]}
@@ -180,8 +181,12 @@ def diagnose_folders(request: Request, progress: Progress = silent) -> Answer:
     return replace(answer, document={**answer.document, "quality": quality})
 
 
-def not_new(request: Request) -> list[str]:
-    """Flights whose samples the run learned from: what it errs by there is not the engine's gap."""
+def doubts_of(request: Request) -> list[str]:
+    """What flights show to a run before any effect is weighed.
+
+    The run learned from their samples, so that its errors there are not the engine's gap; or their
+    columns or clock are not those of its training logs, which no effect of the library mends.
+    """
     bundle = load_bundle(Path(request.sim), trust=request.trust)
     if not bundle.record.config:
         return []
@@ -190,11 +195,15 @@ def not_new(request: Request) -> list[str]:
     except NarxcalError:  # not in the form of the run's own logs
         return []
     roles = {log.name: role_of(bundle, log)[0] for log in logs}
-    known = [name for name, role in roles.items() if role in ("train", "validate")]
-    if not known:
-        return []
-    names = ", ".join(known)
-    return [f"the run was trained on samples of {names}: its errors there are no gap of an engine"]
+    known = ", ".join(name for name, role in roles.items() if role in ("train", "validate"))
+    trained = [f"the run was trained on samples of {known}: its errors there are no gap of an engine"]
+    misread = {  # of a file once: its engines have columns and clock in common
+        (log.source.file, each.kind, each.channel): each.caution
+        for log in reversed(logs)
+        for each in log.findings
+        if each.kind in _MISREAD and not each.local
+    }
+    return [*(trained if known else []), *reversed(misread.values())]
 
 
 def _held_pairs(request: Request) -> list[Pair]:
@@ -221,10 +230,15 @@ def _learned_of(
         return found, []
     progress(1, _STEPS, "once per run: models without some of its flights")
     try:
-        return learn_left_out(run, trust=request.trust), []
+        found = learn_left_out(run, trust=request.trust)
     except NarxcalError as error:
         text = f"what {run} gets wrong by itself is not known ({error}): tolerances are assumed"
         return None, [text]
+    try:
+        keep_learned(found, run)
+    except ConfigError as error:
+        return found, [f"what {run} gets wrong by itself is learned anew each time: {error}"]
+    return found, []
 
 
 def diagnose_pairs(  # noqa: PLR0913 - what is known of the pairs, each part by itself

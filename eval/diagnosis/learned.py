@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -100,7 +99,7 @@ def _pairs(bundle: Bundle, plan: Plan) -> list[Pair]:
 
 
 def learn_left_out(run: Path, *, trust: bool = False, jobs: int = -1) -> Discrepancy:
-    """Learn from a run's own training flights by models without them, and keep it in the folder.
+    """Learn from a run's own training flights by models without them.
 
     Of a single flight halves stand for flights, and count as one. Raises `DataError` where the
     training logs are not at hand, and as the training.
@@ -109,7 +108,6 @@ def learn_left_out(run: Path, *, trust: bool = False, jobs: int = -1) -> Discrep
     found = learned_from(pairs)
     if len({pair.name.partition("[")[0].partition(":")[0] for pair in pairs}) == 1:
         found = replace(found, flights=1)
-    keep_learned(found, run)
     return found
 
 
@@ -122,10 +120,12 @@ def learned_from(pairs: Sequence[Pair]) -> Discrepancy:
 
 
 def keep_learned(found: Discrepancy, run: Path) -> None:
-    """Write what was learned into the folder of a run, with its own hash and that of the bundle."""
+    """Write what was learned into the folder of a run, with its own hash and that of the bundle.
+
+    Raises `ConfigError` where that cannot be written.
+    """
     stored = {**found.document(), "bundle_sha256": sha256_of(run / DOCUMENT)}
-    with suppress(PermissionError):  # another's run: learned again at every diagnosis
-        atomic_write_text(run / LEARNED, to_json({**stored, "sha256": seal(stored)}))
+    atomic_write_text(run / LEARNED, to_json({**stored, "sha256": seal(stored)}))
 
 
 def learned_by(run: Path) -> Discrepancy | None:

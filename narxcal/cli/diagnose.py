@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from eval.diagnosis.diagnose import Answer, Request, diagnose_folders, learn_folders, mapping_of
-from eval.diagnosis.learned import LEARNED, learn_left_out
+from eval.diagnosis.learned import LEARNED, keep_learned, learn_left_out
 from eval.diagnosis.page import budget_page, console_tables
 from eval.diagnosis.stored_emulator import EMULATOR, write_emulator
 from eval.diagnosis.words import outcome
@@ -84,6 +84,7 @@ def _learn(options: Namespace, console: Console) -> int:
         advance(0, 1, "")
         if options.real is None and options.sim is None:
             found = learn_left_out(options.out, trust=options.trust)
+            keep_learned(found, options.out)
         else:
             found = learn_folders(_request(options), options.out)
     flights = "1 flight" if found.flights == 1 else f"{found.flights} flights"

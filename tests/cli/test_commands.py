@@ -15,7 +15,7 @@ import pandas as pd
 import pytest
 
 from data_prep.reading import read_logs
-from eval.diagnosis.diagnose import Request, not_new
+from eval.diagnosis.diagnose import Request, doubts_of
 from narxcal.calibration.bundle import load_bundle, save_bundle
 from narxcal.cli import main
 from narxcal.cli.denoise import usual_channel
@@ -570,5 +570,20 @@ def test_qtg_writes_a_guide_of_the_numbers_of_evaluate(project, narxcal, undrawn
 
 
 def test_flights_that_a_run_was_trained_on_make_a_diagnosis_undetermined(project):
-    (doubt,) = not_new(Request(project / "flights", str(project / "run")))
+    (doubt,) = doubts_of(Request(project / "flights", str(project / "run")))
     assert doubt.startswith("the run was trained on samples of flight_1.csv, flight_2.csv: ")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda log: {"EGT_C": log["EGT_C"] + 273.15}, "EGT_C unit, the whole log: looks like kel"),
+        (lambda log: {"N1_pct": log["N2_pct"], "N2_pct": log["N1_pct"]}, "N1_pct and N2_pct exch"),
+        (lambda log: {}, ""),
+    ],
+)
+def test_a_misread_log_makes_a_diagnosis_undetermined(project, tmp_path, change, said):
+    flight = pd.read_csv(project / "flights" / "flight_3.csv")
+    flight.assign(**change(flight)).to_csv(tmp_path / "new.csv", index=False)
+    doubts = doubts_of(Request(tmp_path, str(project / "run")))
+    assert [each.partition(": ")[2][: len(said)] for each in doubts] == [said] * bool(said)

@@ -8,11 +8,14 @@ import pytest
 from matplotlib import pyplot as plt
 
 import narxcal
-from eval.diagnosis.learned import learned_by
+from eval.diagnosis.diagnose import Request, _learned_of
+from eval.diagnosis.learned import keep_learned, learned_by
 from eval.diagnosis.page import budget_table, console_tables, sizes_table
+from eval.diagnosis.simulators import open_simulator
 from eval.diagnosis.words import outcome, sentences
 from narxcal.cli import main
-from narxcal.support.errors import ModelError
+from narxcal.support.errors import ConfigError, ModelError
+from narxcal.support.progress import silent
 
 pytestmark = pytest.mark.slow
 
@@ -130,6 +133,18 @@ def test_a_run_learns_from_its_own_flights_what_it_gets_wrong(project, tmp_path,
     learned = learned_by(run)
     assert learned.logs >= 1
     assert set(learned.noise) == {"N1_pct", "N2_pct", "EGT_C"}
+
+
+def test_what_is_learned_is_used_where_it_cannot_be_kept(project, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(project / "run", run)
+    (run / "discrepancy.json").mkdir()
+    simulator = open_simulator(str(run))
+    found, (warning,) = _learned_of(Request(tmp_path, str(run)), simulator, silent)
+    assert found.logs >= 1
+    assert f"{run} gets wrong by itself is learned anew each time" in warning
+    with pytest.raises(ConfigError, match=r"discrepancy\.json"):
+        keep_learned(found, run)
 
 
 def test_flights_are_required_where_something_is_diagnosed(capsys):
