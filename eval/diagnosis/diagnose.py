@@ -196,7 +196,9 @@ def doubts_of(request: Request) -> list[str]:
         return []
     roles = {log.name: role_of(bundle, log)[0] for log in logs}
     known = ", ".join(name for name, role in roles.items() if role in ("train", "validate"))
-    trained = [f"the run was trained on samples of {known}: its errors there are no gap of an engine"]
+    trained = [
+        f"the run was trained on samples of {known}: its errors there are no gap of an engine"
+    ]
     misread = {  # of a file once: its engines have columns and clock in common
         (log.source.file, each.kind, each.channel): each.caution
         for log in reversed(logs)

@@ -579,7 +579,7 @@ def test_flights_that_a_run_was_trained_on_make_a_diagnosis_undetermined(project
     [
         (lambda log: {"EGT_C": log["EGT_C"] + 273.15}, "EGT_C unit, the whole log: looks like kel"),
         (lambda log: {"N1_pct": log["N2_pct"], "N2_pct": log["N1_pct"]}, "N1_pct and N2_pct exch"),
-        (lambda log: {}, ""),
+        (lambda _: {}, ""),
     ],
 )
 def test_a_misread_log_makes_a_diagnosis_undetermined(project, tmp_path, change, said):
