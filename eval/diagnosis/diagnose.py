@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike, fspath
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple
 import pandas as pd
 from matplotlib.figure import Figure
 
+from data_prep.log import Finding
 from eval.diagnosis.document import (
     Evidence,
     coarse_emulator,
@@ -46,10 +47,10 @@ from eval.diagnosis.flights import (
     together,
 )
 from eval.diagnosis.learned import keep_learned, learn_left_out, learned_by, learned_from
-from eval.diagnosis.pairs import Pair, check_apart, files_in, read_pairs
+from eval.diagnosis.pairs import Pair, check_apart, files_in, log_name, read_pairs
 from eval.diagnosis.simulators import Rerun, Simulate, Simulator, open_simulator
 from eval.diagnosis.where import locate
-from eval.diagnosis.words import outcome
+from eval.diagnosis.words import in_words, listed, outcome, percent
 from eval.evaluate import evaluation_logs, role_of, run_config
 from eval.report import plot
 from eval.report.tables import summary
@@ -71,8 +72,7 @@ from training.diagnosis.fit import Frame
 from training.diagnosis.load import windows_of
 from training.diagnosis.metric import Metric, assumed_variance
 from training.diagnosis.nuisances import nuisances
-from training.diagnosis.verdict import ASSUMED, Differences, Engines
-from training.diagnosis.verdict import diagnose as weighed
+from training.diagnosis.verdict import ASSUMED, Differences, Engines, concluded, weigh
 
 _NOTHING: Final = Interval(0.0, 0.0, 0.0)
 _STEPS: Final = 4
@@ -166,46 +166,58 @@ def diagnose_folders(request: Request, progress: Progress = silent) -> Answer:
     began = time.perf_counter()
     progress(0, _STEPS, "reading")
     simulator = open_simulator(request.sim, trust=request.trust)
-    pairs = read_pairs(request.real, simulator.how, request.config)
+    shown = shown_to(request, request.real) if simulator.kind == "bundle" else Shown()
+    pairs = read_pairs(request.real, simulator.how, request.config, shown.faults)
     held = _held_pairs(request)
     check_apart(pairs, held)
     learned, warnings = _learned_of(request, simulator, progress)
     if learned is not None and request.build != 1.0:
         warnings.append("what the run gets wrong by itself is learned: --build has no effect")
     differences = Differences(learned, request.build)
-    doubts = doubts_of(request) if simulator.kind == "bundle" else []
-    answer = diagnose_pairs(pairs, held, simulator.again, differences, progress, doubts=doubts)
+    answer = diagnose_pairs(
+        pairs, held, simulator.again, differences, progress, doubts=shown.doubts
+    )
     facts = {"simulator": simulator.kind, "wall_s": round(time.perf_counter() - began, 1)}
     quality = {**facts, **answer.document["quality"]}
     quality["warnings"] = [*warnings, *quality["warnings"]]
     return replace(answer, document={**answer.document, "quality": quality})
 
 
-def doubts_of(request: Request) -> list[str]:
+class Shown(NamedTuple):
     """What flights show to a run before any effect is weighed.
 
-    The run learned from their samples, so that its errors there are not the engine's gap; or their
-    columns or clock are not those of its training logs, which no effect of the library mends.
+    `doubts`: the run learned from their samples, so that its errors there are not the engine's gap;
+    or their columns or clock are not those of its training logs, which no effect of the library
+    mends. `faults` are stretches of channels, by the names of logs (`pairs.log_name`).
     """
+
+    doubts: Sequence[str] = ()
+    faults: Mapping[str, Sequence[Finding]] = {}
+
+
+def shown_to(request: Request, folder: Path) -> Shown:
+    """What the logs of a folder show to the run of a request."""
     bundle = load_bundle(Path(request.sim), trust=request.trust)
     if not bundle.record.config:
-        return []
+        return Shown()
     try:
-        logs = evaluation_logs(bundle, files_in(request.real))
+        logs = evaluation_logs(bundle, files_in(folder))
     except NarxcalError:  # not in the form of the run's own logs
-        return []
+        return Shown()
     roles = {log.name: role_of(bundle, log)[0] for log in logs}
     known = ", ".join(name for name, role in roles.items() if role in ("train", "validate"))
-    trained = [
-        f"the run was trained on samples of {known}: its errors there are no gap of an engine"
-    ]
+    trained = f"the run was trained on samples of {known}: its errors there are no gap of an engine"
     misread = {  # of a file once: its engines have columns and clock in common
         (log.source.file, each.kind, each.channel): each.caution
         for log in reversed(logs)
         for each in log.findings
         if each.kind in _MISREAD and not each.local
     }
-    return [*(trained if known else []), *reversed(misread.values())]
+    faults: dict[str, list[Finding]] = {}
+    for log in logs:
+        name = log_name(Path(log.source.file), log.source.engine)
+        faults.setdefault(name, []).extend(log.findings)
+    return Shown([*([trained] if known else []), *reversed(misread.values())], faults)
 
 
 def _held_pairs(request: Request) -> list[Pair]:
@@ -213,6 +225,9 @@ def _held_pairs(request: Request) -> list[Pair]:
         return []
     source = request.sim if request.held_sim is None else request.held_sim
     simulator = open_simulator(source, trust=request.trust)
+    if simulator.kind == "bundle":
+        faults = shown_to(request._replace(sim=source), request.held_real).faults
+        return read_pairs(request.held_real, simulator.how, request.config, faults)
     if request.held_sim is None and isinstance(simulator.how, Path):
         raise DataError(
             "held-out flights need their simulated logs", hint="Name them by --heldout-sim"
@@ -264,19 +279,16 @@ def diagnose_pairs(  # noqa: PLR0913 - what is known of the pairs, each part by 
     emulator = choose_control(fit_emulators(data.flights), record)
     itself = None if again is None else Rerun(emulator, again, block_size(pairs[0].dt_s))
     progress(2, _STEPS, "effects")
-    found = weighed(
-        record,
-        Engines(emulator, itself),
-        phases_of(data),
-        differences,
-        [*doubts, *implausible(data)],
-    )
+    weights, phases = weigh(record, Engines(emulator, itself), differences), phases_of(data)
+    found = concluded(weights, phases, [*doubts, *implausible(data)])
     progress(3, _STEPS, "where, and how far the gap shrinks")
     stand_in: Emulator = itself or emulator
     flown = data.flights
-    if found.on is not None:
-        data = replace(data, flights=with_load(data.flights, found.on.astype(float)))
     evidence = _evidence(data, found, emulator, stand_in)
+    if evidence.predicted.high < 0.0:
+        found = concluded(weights, phases, [_harmful(evidence)])
+        evidence = _evidence(data, found, emulator, stand_in)
+    data = evidence.data
     if there is not None and rests_on_emulator(found.claimed, again=again is not None):
         # What the effects do in these flights, the simulator's own logs of them know best.
         emulator = widened(emulator, together(flown, there.flights))
@@ -291,9 +303,18 @@ def diagnose_pairs(  # noqa: PLR0913 - what is known of the pairs, each part by 
     return Answer(document(evidence, pairs), found, evidence, emulator)
 
 
+def _harmful(evidence: Evidence) -> str:
+    """Why effects are no answer that fit with differences of build and flights against them."""
+    names = listed([in_words(name) for name in evidence.budget.claimed])
+    more = percent(-evidence.predicted.value)
+    return f"the best candidate is {names}, which makes the squared gap {more} larger by itself"
+
+
 def _evidence(
     data: GapData, found: Budget, emulator: GreyBoxEmulator, stand_in: Emulator
 ) -> Evidence:
+    if found.on is not None:
+        data = replace(data, flights=with_load(data.flights, found.on.astype(float)))
     values = found.claimed
     after = with_effects(values, data.flights, stand_in)
     errors = emulator.errors(data.flights).tolist()

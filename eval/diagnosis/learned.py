@@ -6,17 +6,17 @@ Models without some of the flights say what the run says of flights that it does
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 from data_prep.clean import clean
-from data_prep.log import Log
+from data_prep.log import Finding, Log
 from data_prep.prepare import prepare
 from data_prep.reading import read_logs
 from eval.diagnosis.flights import batch, record_of
-from eval.diagnosis.pairs import Pair, alike, pair_logs, simulated_log
+from eval.diagnosis.pairs import Pair, alike, pair_logs, simulated_log, with_known_inputs
 from eval.diagnosis.simulators import simulate_by
 from eval.evaluate import run_config
 from narxcal.calibration.bundle import DOCUMENT, Bundle, load_bundle, seal
@@ -47,16 +47,31 @@ def left_out_pairs(bundle: Bundle, jobs: int = -1) -> list[Pair]:
     for log in raw:
         if known.get(log.source.file, log.source.sha256) != log.source.sha256:
             raise DataError("is not the file that the run was trained on", file=log.source.file)
+    screening, faults = bundle.record.screening, dict[str, list[Finding]]()
+    for row in () if screening is None else screening.findings:
+        each = Finding.from_row(row)
+        faults.setdefault(each.log, []).append(each)
     pairs: list[Pair] = []
-    for found in run_plans(_plans(raw, config), config, base, _pairs, jobs):
+    for found in run_plans(_plans(raw, config, faults), config, base, _pairs, jobs):
         pairs += found
     return alike(pairs)
 
 
-def _plans(raw: Sequence[Log], config: RunConfig) -> list[Plan]:
+def _plans(
+    raw: Sequence[Log], config: RunConfig, faults: Mapping[str, Sequence[Finding]]
+) -> list[Plan]:
     """Trainings on prepared logs, and the logs as recorded that they are without."""
-    prepared = {one.log.name: one.log for one in prepare(raw, config)}
-    recorded = {log.name: clean(log, config.clean) for log in raw if log.name in prepared}
+    prepared = {
+        one.log.name: replace(one.log, findings=tuple(faults.get(one.log.name, ())))
+        for one in prepare(raw, config)
+    }
+    recorded = {
+        log.name: with_known_inputs(
+            clean(log, config.clean), faults.get(log.name, ()), config.logs.max_gap_s
+        )
+        for log in raw
+        if log.name in prepared
+    }
     flights = list(dict.fromkeys(log.source.file for log in recorded.values()))
     if len(flights) == 1:
         return [_half(prepared, recorded, second) for second in (0, 1)]

@@ -3,6 +3,10 @@
 File names pair the logs of two folders; `.csv` may meet `.csv.gz`. Rows are paired by number from
 the first. The rates have to agree within 0.1 %; one log may end up to 2 s after the other, and
 what is over is cut and counted. Inputs recorded in both have to be the same but for rounding.
+
+A simulator that runs on held inputs is compared with nothing while they are held for long (longer
+than the gap that divides a recording), nor for as long again afterwards: of the error that a lag of
+any time constant T gathers in a time t, (1 - exp(-t / T)) exp(-t / T) <= 1/4 is left by then.
 """
 
 from __future__ import annotations
@@ -10,19 +14,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from data_prep.clean import clean
 from data_prep.config import LogsConfig
 from data_prep.faults import out_of_range
-from data_prep.log import AuditEntry, Log
+from data_prep.log import AuditEntry, Finding, Log
 from data_prep.log_file import open_table
 from data_prep.prepare import hold_inputs
 from data_prep.reading import read_logs
 from eval.diagnosis.simulators import Simulate
 from narxcal.channels import CHANNELS, described
-from narxcal.support.arrays import FloatArray, bridge_gaps
+from narxcal.support.arrays import FloatArray, bridge_gaps, long_runs, spans
 from narxcal.support.errors import DataError
 from training.config import RunConfig
 
@@ -70,11 +75,16 @@ def read_folder(folder: Path, config: RunConfig | None = None) -> dict[str, Log]
     found: dict[str, Log] = {}
     for file in files_in(folder):
         for log in read_logs(file, _reading(file, config)):
-            name = _stem(file) + (f"_{log.source.engine}" if log.source.engine else "")
+            name = log_name(file, log.source.engine)
             if name in found:
                 raise DataError("two files have one name", file=file, hint="Remove one of them")
             found[name] = log
     return found
+
+
+def log_name(file: Path, engine: str) -> str:
+    """The name of an engine's log of a file."""
+    return _stem(file) + (f"_{engine}" if engine else "")
 
 
 def files_in(folder: Path) -> list[Path]:
@@ -282,12 +292,18 @@ RATES = 0.01  # by which those of flights may differ: clocks of recorders do by 
 _LONGER_S = 2.0
 
 
-def read_pairs(real: Path, sim: Path | Simulate, config: RunConfig | None = None) -> list[Pair]:
+def read_pairs(
+    real: Path,
+    sim: Path | Simulate,
+    config: RunConfig | None = None,
+    faults: Mapping[str, Sequence[Finding]] = MappingProxyType({}),
+) -> list[Pair]:
     """Read all logs of `real` with those of `sim`, or with what `sim` makes of their inputs.
 
     `config` maps the columns of files whose headers are not canonical, and cleans the recorded
-    logs; without one only values that no engine can have are taken for unknown. Raises `DataError`
-    for files without a partner, and as `pair_logs`.
+    logs; without one only values that no engine can have are taken for unknown. `faults` of logs
+    mask the inputs that `sim` runs on. Raises `DataError` for files without a partner, and as
+    `pair_logs`.
     """
     flown = {
         name: _plausible(log) if config is None else clean(log, config.clean)
@@ -295,9 +311,38 @@ def read_pairs(real: Path, sim: Path | Simulate, config: RunConfig | None = None
     }
     if isinstance(sim, Path):
         simulated = pair_up(flown, read_folder(sim, config), (real, sim))
-    else:
-        simulated = {name: simulated_log(log, sim) for name, log in flown.items()}
-    return alike([pair_logs(name, log, simulated[name]) for name, log in flown.items()])
+        return alike([pair_logs(name, log, simulated[name]) for name, log in flown.items()])
+    longest_s = (LogsConfig() if config is None else config.logs).max_gap_s
+    driven = [
+        (name, with_known_inputs(log, faults.get(name, ()), longest_s))
+        for name, log in flown.items()
+    ]
+    return alike([pair_logs(name, log, simulated_log(log, sim)) for name, log in driven])
+
+
+def with_known_inputs(log: Log, faults: Sequence[Finding], longest_s: float) -> Log:
+    """The log without outputs where an input is unknown for longer than `longest_s`, and counted.
+
+    An input that `faults` mask is unknown there, as one of which the log has no sample.
+    """
+    inputs = {name: log[name] for name in log.channels if is_input(name, log)}
+    for each in faults:
+        if each.masks and each.channel in inputs:
+            known = ~each.rows(log.time_s)
+            inputs[each.channel] = np.where(known, inputs[each.channel], np.nan)
+    unknown = np.zeros(len(log), dtype=np.bool_)
+    for values in inputs.values():
+        for start, stop in spans(long_runs(~np.isfinite(values), round(longest_s / log.dt_s))):
+            unknown[start : 2 * stop - start] = True
+    if not unknown.any():
+        return log.with_channels(inputs)
+    outputs = {
+        name: np.where(unknown, np.nan, values)
+        for name, values in log.channels.items()
+        if name not in inputs
+    }
+    count = int(unknown.sum())
+    return log.with_channels(inputs | outputs, AuditEntry("inputs", "masked", "unknown", count))
 
 
 def match_simulated(name: str, log: Log, sim: Mapping[str, Log] | Simulate) -> Log:

@@ -100,22 +100,11 @@ def weigh(
     return Evidence(frame, tuple(singles), *features(frame, singles), setting)
 
 
-def diagnose(
-    record: Record,
-    engines: Engines,
-    phases: Phases,
-    differences: Differences = ASSUMED,
-    doubts: Sequence[str] = (),
-) -> Budget:
+def concluded(evidence: Evidence, phases: Phases, doubts: Sequence[str] = ()) -> Budget:
     """Say which effects act in recorded flights, and what share of the gap each cause takes.
 
-    With `doubts` of the logs themselves the answer is undetermined, and they are its reason.
+    With `doubts` of the logs or of the answer it is undetermined, and they are its reason.
     """
-    return concluded(weigh(record, engines, differences), phases, doubts)
-
-
-def concluded(evidence: Evidence, phases: Phases, doubts: Sequence[str] = ()) -> Budget:
-    """The budget that follows from the evidence."""
     frame, record = evidence.frame, evidence.setting.record
     if evidence.setting.learned is None:
         known, none, unknown, layers = _assumed(evidence)

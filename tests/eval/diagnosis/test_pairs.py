@@ -10,6 +10,7 @@ from eval.diagnosis.pairs import (
     pair_logs,
     read_folder,
     read_pairs,
+    with_known_inputs,
 )
 from narxcal.support.errors import DataError
 from training.config import RunConfig
@@ -87,6 +88,19 @@ def test_a_simulator_makes_the_logs_that_there_are_not(folders):
     found = read_pairs(folders[0], twice)[0]
     assert tuple(found.sim) == ("N1_pct", "EGT_C")
     np.testing.assert_allclose(found.sim["N1_pct"], 2.0 * found.inputs["TRA_deg"])
+
+
+@pytest.mark.parametrize("missing_s", [1.0, 5.0])
+def test_nothing_is_compared_where_a_simulator_ran_on_a_held_input(fly, log_of, missing_s):
+    log = log_of(fly(0, 60.0))
+    here = (log.time_s >= 20.0) & (log.time_s < 20.0 + missing_s)
+    log = log.with_channels({"TRA_deg": np.where(here, np.nan, log["TRA_deg"])})
+    found = with_known_inputs(log, (), longest_s=2.0)
+    twice = (log.time_s >= 20.0) & (log.time_s < 20.0 + 2.0 * missing_s)
+    expected = twice if missing_s > 2.0 else np.zeros(len(log), dtype=bool)
+    np.testing.assert_array_equal(~np.isfinite(found["N1_pct"]), expected)
+    np.testing.assert_array_equal(~np.isfinite(found["TRA_deg"]), here)
+    assert sum(one.samples for one in found.audit.entries) == expected.sum()
 
 
 def test_other_inputs_are_refused_with_the_first_row(fly, record, log_of):

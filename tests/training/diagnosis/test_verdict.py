@@ -7,7 +7,7 @@ from tests.training.diagnosis.conftest import flights_of, recorded
 from training.diagnosis.budget import Phases
 from training.diagnosis.metric import Record
 from training.diagnosis.nuisances import BUILD, OFFSET, SMALL, nuisances
-from training.diagnosis.verdict import Differences, Engines, diagnose
+from training.diagnosis.verdict import Differences, Engines, concluded, weigh
 
 SHIFT = np.array([0.0, 0.15, 6.0])  # of N2 in %, of EGT in K
 
@@ -22,7 +22,7 @@ class NoEmulator:
 
 def answer(record, build=1.0):
     phases = Phases(("all",), np.zeros(record.unit.shape, dtype=int))
-    return diagnose(record, Engines(NoEmulator()), phases, Differences(build=build))
+    return concluded(weigh(record, Engines(NoEmulator()), Differences(build=build)), phases)
 
 
 def test_a_shift_that_builds_differ_by_is_none_and_an_effect_of_this_very_engine(flights):
