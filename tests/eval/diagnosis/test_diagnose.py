@@ -1,6 +1,8 @@
 """The whole diagnosis on made-up flights, with the weighing of effects replaced by its answer."""
 
 import json
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,12 +28,19 @@ class NoEmulator:
 
 @pytest.fixture
 def answer(monkeypatch, make_budget):
-    """Makes the core find this."""
+    """Makes the core find this, if there is no doubt."""
+    nothing = make_budget("unknown", {})
 
     def set_to(kind="effects", effects=None):
         found = make_budget(kind, {NAME: LAG} if effects is None else effects)
+
+        def concluded(_evidence, _phases, doubts):
+            verdict = replace(nothing.verdict, reason="; ".join(doubts))
+            return replace(nothing, verdict=verdict) if doubts else found
+
         monkeypatch.setattr(module, "fit_emulators", lambda _flights: (NoEmulator(),))
-        monkeypatch.setattr(module, "weighed", lambda *_args, **_more: found)
+        monkeypatch.setattr(module, "weigh", lambda *_args: None)
+        monkeypatch.setattr(module, "concluded", concluded)
 
     set_to()
     return set_to
@@ -58,9 +67,17 @@ def test_the_prediction_is_about_the_flights_that_are_held_out(answer, pair, pro
     assert alone.predicted == expected(here)
 
 
-def test_a_wrong_claim_does_not_shrink_the_gap(answer, pair):
-    pairs = [pair(seed) for seed in range(4)]
-    assert diagnose_pairs(pairs[:3], pairs[3:]).document["shrink"]["realised"] < 0.0
+def test_a_claim_that_makes_the_gap_larger_is_no_answer(answer, pair, probe):
+    answer("effects", {NAME: {"tau_s": Interval(20.0, 19.0, 21.0)}})
+    pairs = [pair(seed, probe) for seed in range(4)]
+    found = diagnose_pairs(pairs[:3], pairs[3:])
+    assert found.document["verdict"]["kind"] == "unknown"
+    reason = (
+        r"the best candidate is lag of the EGT sensor .*, which makes the squared gap \d+ % larger"
+    )
+    assert re.match(reason, found.document["verdict"]["reason"])
+    assert found.document["shrink"]["realised"] == 0.0
+    np.testing.assert_array_equal(found.evidence.after, found.evidence.data.flights.y)
 
 
 def test_nothing_claimed_changes_nothing(answer, pair, probe):
@@ -152,7 +169,8 @@ def test_what_an_effect_does_on_held_out_flights_the_simulators_own_logs_say(
     """A lever that is read wrong, found at low power, on flights at full power."""
     size = {"throttle_bias": {"bias_deg": Interval(4.0, 3.9, 4.1)}}
     budget = make_budget("effects", size)
-    monkeypatch.setattr(module, "weighed", lambda *_args, **_more: budget)
+    monkeypatch.setattr(module, "weigh", lambda *_args: None)
+    monkeypatch.setattr(module, "concluded", lambda *_args: budget)
     pairs, held = misread(0.5), misread(1.0)
     found = diagnose_pairs(pairs, held).document
     assert found["shrink"]["realised"] > 0.85
