@@ -17,13 +17,16 @@ the covariance and X the level and the changes found before, the likelihood-rati
 
 Student's t with nu + d - 1 degrees of freedom, d = n - columns of X. M y are the smoothing errors
 of y, and x'M x is theirs for an outlier and that of the scaled state for a step, so that one pass
-gives all positions (de Jong and Penzer, JASA 93, 1998; Harvey and Koopman, JBES 10, 1992).
+gives all positions (de Jong and Penzer, JASA 93, 1998; Harvey and Koopman, JBES 10, 1992). A series
+that seems calmer than the fleet is judged by the scatter of the fleet (k at least 1): where a few
+flights happen to be alike, the next one is no change.
 
 A p-value counts three times, once for each kind, and that of a step or an outlier as often as there
 are flights. Benjamini and Yekutieli's adjustment then bounds the share of false ones among the
 changes that are found in the fleet, whatever the dependence of its series. A found change enters X,
-variances are learned anew, and the next one is looked for; a change is kept while it is significant
-next to the others.
+and the next one is looked for; a change is kept while it is significant next to the others. Steps
+would teach that levels wander, and so hide each other: variances are learned anew without the
+changes that were found, and without those that are significant at 1 % in their own series.
 """
 
 from __future__ import annotations
@@ -49,6 +52,7 @@ FALSE_DISCOVERIES: Final = 0.05
 LEAST_FLIGHTS: Final = 3  # a trend and a level leave one degree of freedom
 _VAGUE = 1e7  # prior variance of level and changes, in that of flights: no prior at all
 _MOST_ROUNDS = 8
+_SUSPECT = 0.01  # of series without a change one in a hundred loses a step or outlier for learning
 _MOST_LEARNED = 128  # series of a kind: standard error of a log variance below 0.13 / sqrt(n)
 _FREEDOM = (1.0, 1e4)  # of the scales; at the upper end all are equal
 _SIMPLEX = np.vstack([np.zeros(3), np.diag([0.7, -4.0, 1.5])])
@@ -114,6 +118,7 @@ def detect(
     Every series has at least `LEAST_FLIGHTS` flights. Raises `ConfigError` without statsmodels.
     """
     found: list[tuple[Change, ...]] = [() for _ in series]
+    taken = list(found)  # out of the series from which variances are learned
     members: dict[Quantity, list[int]] = {}
     for k, kind in enumerate(kinds):
         members.setdefault(kind, []).append(k)
@@ -122,14 +127,20 @@ def detect(
     for _ in range(_MOST_ROUNDS):
         for kind in filter(changed.__contains__, members):
             own = members[kind]
-            priors[kind] = learn([series[k] for k in own], [found[k] for k in own])
-        judged = _round(series, [priors[kind] for kind in kinds], found, share)
+            priors[kind] = learn([series[k] for k in own], [taken[k] for k in own])
+        judged = _judged(series, [priors[kind] for kind in kinds], found)
+        kept = [tuple(one for one in own if one.adjusted <= share) for own in judged]
+        suspect = [
+            tuple(one for one in own if one.adjusted <= share or one.p <= _SUSPECT)
+            for own in judged
+        ]
+        same = [_places(one) for one in kept] == [_places(one) for one in found]
         changed = {
-            kind for kind, new, old in zip(kinds, judged, found, strict=True)
+            kind for kind, new, old in zip(kinds, suspect, taken, strict=True)
             if _places(new) != _places(old)
         }  # fmt: skip
-        found = judged
-        if not changed:
+        found, taken = kept, suspect
+        if same and not changed:
             break
     curves = [
         _level(one, priors[kind], own) for one, kind, own in zip(series, kinds, found, strict=True)
@@ -141,27 +152,17 @@ def _places(changes: Sequence[Change]) -> list[tuple[str, int]]:
     return [(one.kind, one.at) for one in changes]
 
 
-def _round(
-    series: Sequence[Series],
-    priors: Sequence[Prior],
-    found: Sequence[tuple[Change, ...]],
-    share: float,
-) -> list[tuple[Change, ...]]:
-    """Judge the changes that were found, and the best further one of each series, together."""
-    owners, tested = [], []
-    for number, (one, prior, own) in enumerate(zip(series, priors, found, strict=True)):
+def _judged(
+    series: Sequence[Series], priors: Sequence[Prior], found: Sequence[tuple[Change, ...]]
+) -> list[list[Change]]:
+    """Test the changes that were found, and the best further one of each series, together."""
+    judged: list[list[Change]] = []
+    for one, prior, own in zip(series, priors, found, strict=True):
         ours = [_tested(one, prior, change, own[:k] + own[k + 1 :]) for k, change in enumerate(own)]
-        ours += [best] if (best := candidate(one, prior, own)) else []
-        owners += [number] * len(ours)
-        tested += ours
-    if not tested:
-        return [() for _ in series]
-    adjusted = false_discovery_control([one.p for one in tested], method="by")
-    kept: list[list[Change]] = [[] for _ in series]
-    for number, change, value in zip(owners, tested, adjusted, strict=True):
-        if value <= share:
-            kept[number].append(replace(change, adjusted=float(value)))
-    return [tuple(one) for one in kept]
+        judged.append(ours + ([best] if (best := candidate(one, prior, own)) else []))
+    p = [one.p for own in judged for one in own]
+    adjusted = iter(false_discovery_control(p, method="by").tolist() if p else [])
+    return [[replace(one, adjusted=next(adjusted)) for one in own] for own in judged]
 
 
 # --- one series ---
@@ -253,9 +254,9 @@ class _Smoothed:
         return level, np.einsum("st,sut,ut->t", design, cov, design)
 
     def scale(self, explained: float = 0.0) -> float:
-        """Posterior mean of k without what a change explains of y'M y."""
+        """Posterior mean of k without what a change explains of y'M y; at least 1."""
         nu = self.prior.freedom
-        return max(nu + self._square - explained, 1e-12) / max(nu + self.freedom - 1, 1.0)
+        return max((nu + self._square - explained) / max(nu + self.freedom - 1, 1.0), 1.0)
 
     def p(self, tau: float, kind: Kind) -> float:
         """P-value of the largest |tau| over all positions and kinds (Bonferroni)."""
