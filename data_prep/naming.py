@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 from data_prep.config import ENGINE
@@ -92,8 +93,8 @@ def declarable(column: str, unit: str, marks: Collection[str]) -> tuple[str, str
     brackets = _IN_BRACKETS.search(column)
     own = column[: brackets.start()] if brackets and unit else column
     words = [_Word(found[0], *found.span()) for found in _WORD.finditer(own)]
-    if not unit and len(words) > 1:
-        unit = words.pop().text
+    if not unit:
+        words, unit = _unit_at_the_end(words)
     known = "" if unit in ("nm", "NM") else named_unit(unit)  # nautical miles
     ending = next((end for end, each in ENDINGS.items() if each == base_unit(known)), "")
     template, left = _of_an_engine(column, words, marks)
@@ -102,6 +103,21 @@ def declarable(column: str, unit: str, marks: Collection[str]) -> tuple[str, str
     if ending not in _QUANTITIES or not name.isidentifier() or name.casefold() in named:
         return None
     return f"{name}_{ending}", template, known
+
+
+def _unit_at_the_end(words: list[_Word]) -> tuple[list[_Word], str]:
+    """The words before the longest unit that ends a name, and the unit: `Load_kW`, `LoadkW`."""
+    for first in range(1, len(words)):
+        part, before = words[first:], words[first - 1]
+        text = "".join(word.text for word in part)
+        if not named_unit(text) or any(a.stop != b.start for a, b in pairwise(part)):
+            continue
+        prefix = before.text[-1]  # of the unit, in a word that it touches
+        if before.stop < part[0].start or not named_unit(prefix + text):
+            return words[:first], text
+        shorter = _Word(before.text[:-1], before.start, before.stop - 1)
+        return [*words[: first - 1], shorter], prefix + text
+    return words, ""
 
 
 def _of_an_engine(
