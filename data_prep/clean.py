@@ -123,7 +123,7 @@ class _Work:
                 self._plateau(start, stop, "spiking")
         self._drop(self._gross(self.config.sigmas), "spiking", repair_only=True)
         # Half a second off the median is no manoeuvre of an output; ambient channels may blip.
-        if role(self.name) == "output":
+        if self.log.channel(self.name).role == "output":
             self._drop(self._gross(_BURST_FACTOR * self.config.sigmas), "spiking")
 
     def _current(self) -> Log:
@@ -139,7 +139,7 @@ class _Work:
         return self._deviations.gross(sigmas, self.config.method)
 
     def _bursts(self) -> None:
-        if not is_sensed(self.name):
+        if not is_sensed(self.log.channel(self.name)):
             return
         spikes = self._gross(_BURST_FACTOR * self.config.sigmas)
         mask = bursts(self._current(), self.name, spikes, self.config.faults)

@@ -19,7 +19,7 @@ from pydantic import Field, PositiveFloat, field_validator, model_validator
 from data_prep.clock import Order
 from data_prep.derive import DeriveConfig
 from data_prep.units import find_unit, is_volume_flow
-from narxcal.channels import CHANNELS, ENDINGS, Channel, channel, described, symbol
+from narxcal.channels import CHANNELS, ENDINGS, Channel, Role, channel, described, symbol
 from narxcal.support.errors import ConfigError, DataError
 from narxcal.support.files import is_file, is_folder
 from narxcal.support.settings import Section
@@ -35,11 +35,13 @@ class DeclaredChannel(Section):
     """A measured quantity beyond the table of channels: torque, power, the speed of a propeller.
 
     `range` is what is physically possible, in the unit that ends the channel's name: a sample
-    outside is a recording fault. `unit` may say that unit again.
+    outside is a recording fault. `unit` may say that unit again. What is `commanded`, as a lever,
+    may stay constant and jump.
     """
 
     range: tuple[float, float]
     unit: str = ""
+    commanded: bool = False
 
     @field_validator("range")
     @classmethod
@@ -74,7 +76,8 @@ class DeclaredChannel(Section):
                 f"[logs.channels] declares '{name}', a name that does not end in its unit",
                 hint=f"Name it {right}" if _NAME.fullmatch(right) else listed,
             )
-        return Channel(name, unit, "output", *self.range, known.meaning)
+        role: Role = "lever" if self.commanded else "output"
+        return Channel(name, unit, role, *self.range, known.meaning)
 
 
 class ColumnSource(Section):

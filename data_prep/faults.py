@@ -71,9 +71,9 @@ def role(name: str) -> str:
     return described(name).role
 
 
-def is_sensed(name: str) -> bool:
+def is_sensed(channel: Channel) -> bool:
     """Whether a channel is a physical quantity that cannot jump, unlike levers and switches."""
-    return role(name) in {"output", "ambient", "auxiliary"}
+    return channel.role in {"output", "ambient", "auxiliary"}
 
 
 def out_of_range(channel: Channel, values: FloatArray) -> BoolArray:
@@ -109,7 +109,7 @@ def excursions(log: Log, name: str, config: FaultsConfig) -> list[tuple[int, int
 
     Fuel flow, thrust and pressure ratios can be cut for real: then the spools follow.
     """
-    if not is_sensed(name):
+    if not is_sensed(log.channel(name)):
         return []
     starts, stops, change = jumps(log, name)
     found, first = [], 0
@@ -139,7 +139,7 @@ def _stands_off(log: Log, name: str, span: tuple[int, int], height: float) -> bo
 
 def followed(log: Log, name: str, start: int, stop: int) -> bool:
     """Whether a spool fell below its whole operating range: then a cut of fuel was real."""
-    if name in _INERTIAL or role(name) != "output":
+    if name in _INERTIAL or log.channel(name).role != "output":
         return False
     for spool in SPOOLS:
         if spool not in log.channels:
@@ -233,7 +233,7 @@ def frozen(log: Log, name: str, config: FaultsConfig) -> BoolArray:
     fuel that the spools follow. Levers, ambient channels and switches may be constant.
     """
     mask = np.zeros(len(log), dtype=np.bool_)
-    if role(name) != "output":
+    if log.channel(name).role != "output":
         return mask
     for start, stop in unnatural(log, name, config.frozen_s):
         values = log[name]
@@ -336,7 +336,7 @@ def _exposures(
 def _motion(log: Log, name: str, known: IntArray) -> tuple[FloatArray, BoolArray]:
     """Motion of the other channels at the `known` samples, and whether any of them changes."""
     motion, alive = np.zeros(len(log)), np.zeros(len(log), dtype=np.bool_)
-    others = [other for other in log.channels if other != name and is_sensed(other)]
+    others = [other for other in log.channels if other != name and is_sensed(log.channel(other))]
     size = max(1, round(_MOTION_S / log.dt_s))
     for other in others:
         low, high = robust_range(log[other])

@@ -8,6 +8,7 @@ import pytest
 from data_prep.clean import clean
 from data_prep.config import LogsConfig
 from data_prep.draft import draft
+from data_prep.log import Log
 from data_prep.naming import declarable
 from data_prep.plausibility import checked
 from data_prep.prepare import Preparation
@@ -154,6 +155,21 @@ def test_a_declaration_that_cannot_be_is_refused(channels, message):
     with pytest.raises(ConfigError) as caught:
         LogsConfig.parse({"channels": channels, "columns": columns})
     assert str(caught.value).removeprefix("[logs.channels] declares ") == message
+
+
+@pytest.mark.parametrize("commanded", [False, True])
+def test_a_command_may_stay_and_jump(commanded):
+    time_s = np.arange(6000) / 10.0
+    speed = 60.0 + 10.0 * np.sin(time_s / 7.0)
+    noise = np.random.default_rng(0).normal(0.0, 0.3, len(time_s))
+    fuel = 40.0 + noise + 5.0 * np.sin(time_s / 7.0)
+    fuel[2000:3000] = 30.0
+    declared = LogsConfig.parse(
+        {"channels": {"FuelCall_pct": {"range": [0, 100], "commanded": commanded}}}
+    )
+    log = Log("f", time_s, {"N1_pct": speed, "FuelCall_pct": fuel}, declared=declared.declared)
+    masked = clean(log).audit.masked().get("FuelCall_pct", {})
+    assert sum(masked.values()) == (0 if commanded else 1000)
 
 
 def test_a_name_that_nothing_declares_is_refused_wherever_it_stands():
