@@ -11,6 +11,7 @@ n_eff effective samples, not all of them, are evidence. A `Frame` fits single ef
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -27,6 +28,7 @@ _ROUNDS: Final = 3
 _SWEEPS: Final = 60
 _RIDGE: Final = 1e-9
 _FINE: Final = 1e-5
+_AT_ONCE: Final = 12  # rows that are compared with the nuisances in one pass
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,20 +244,33 @@ class Frame:
 
     def columns(self, node: Node) -> Columns:
         """Inner products of a node."""
-        absent = np.array([name == node.name for name in self.nuisances.effect])
-        return Columns(*self.inner(node.rows.astype(np.float64)), node.box, absent)
+        (found,) = self._columns([node])
+        return found
+
+    def _columns(self, nodes: Sequence[Node]) -> Iterator[Columns]:
+        """Inner products of nodes, of several in one pass through the nuisances."""
+        some = max(1, _AT_ONCE // len(nodes[0].rows))
+        for k in range(0, len(nodes), some):
+            part = nodes[k : k + some]
+            rows = np.concatenate([node.rows for node in part], dtype=np.float64)
+            rr, rn, rd = self.inner(rows)
+            ends = np.cumsum([len(node.rows) for node in part])
+            for node, stop in zip(part, ends.tolist(), strict=True):
+                own = slice(stop - len(node.rows), stop)
+                absent = np.array([name == node.name for name in self.nuisances.effect])
+                yield Columns(rr[:, own, own], rn[:, own], rd[:, own], node.box, absent)
 
     def inner(self, rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Inner products of rows among themselves, with the nuisances, and with the gap."""
         found, gram = self._metric.whiten(rows), self._metric.gram
         return gram(found, found), gram(found, self._n), gram(found, self._d)[..., 0]
 
-    def fit(self, nodes: list[Node]) -> Single:
+    def fit(self, nodes: Sequence[Node]) -> Single:
         """The best of the nodes of one effect."""
-        fits = []
-        for node in nodes:
-            columns = self.columns(node)
-            fits.append(Single(node, columns, solve(self.grams, columns, begin=self.none.tau)))
+        fits = [
+            Single(node, columns, solve(self.grams, columns, begin=self.none.tau))
+            for node, columns in zip(nodes, self._columns(nodes), strict=True)
+        ]
         return min(fits, key=lambda one: one.solved.cost)
 
     def refined(self, one: Single, dictionary: Dictionary, rounds: int = 2) -> Single:
