@@ -10,12 +10,13 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 DEMO := $(VENV)/.demo
 BROWSER := $(VENV)/.browser
+DOCS := $(VENV)/.docs
 # Most of what is installed is never imported: Python compiles what is, at its first import.
 PIP := $(BIN)/python -m pip install --disable-pip-version-check --no-compile --quiet -c constraints.txt
 
 PYTEST = OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile --durations=20 --durations-min=5
 
-.PHONY: demo test test-slow test-all fuzz lint ruff types floors bench figures clean
+.PHONY: demo test test-slow test-all docs fuzz lint ruff types floors bench figures clean
 
 # Both cores compile what the demonstration runs; training leaves one to the rest.
 demo: $(DEMO)
@@ -31,6 +32,11 @@ test-slow: $(STAMP) $(BROWSER)
 	$(PYTEST) -m slow
 
 test-all: test test-slow
+
+# The site, in docs/_build/html; tutorials run again where their text or the code has changed.
+docs: $(DOCS)
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/sphinx-build --jobs 2 --fail-on-warning --keep-going --quiet docs docs/_build/html
+	@echo "Open docs/_build/html/index.html"
 
 # Changed logs, configurations and models against the readers: make fuzz N=1000 SEED=7.
 fuzz: $(STAMP)
@@ -58,7 +64,7 @@ figures: $(STAMP)
 		$(if $(FAST),--fast) $(if $(OUT),--out $(OUT)) $(if $(AGAINST),--against $(AGAINST))
 
 clean:
-	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis dist build
+	rm -rf $(VENV) docs/_build .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis dist build
 	find narxcal data_prep training eval tests -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Made once: venv over an environment of another Python mixes the two.
@@ -85,3 +91,7 @@ $(STAMP): $(VENV)/.pip pyproject.toml
 $(BROWSER): $(STAMP)
 	@$(PIP) --retries 1 --group browser && touch $@ \
 		|| echo "No browser engine could be installed: tests that open pages in one are skipped."
+
+$(DOCS): $(DEMO)
+	$(PIP) --build-constraint constraints.txt -e '.[fleet,export]' --group docs
+	@touch $@

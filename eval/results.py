@@ -294,7 +294,7 @@ def _views(bundle: Bundle, logs: Sequence[Log]) -> tuple[LogView, ...]:
 def read(files: Files | None = None, config: str | Path | RunConfig | None = None) -> Recordings:
     """Read recordings as `config` says, a TOML file or a `RunConfig`.
 
-    `files` are one or several, or a pattern such as "flights/*.csv"; by default those of [logs].
+    `files` are one or several, or a pattern such as `flights/*.csv`; by default those of [logs].
     Without `config` columns bear the canonical names of channels. Raises `DataError` for what the
     files hold and where there are none, `ConfigError` for a configuration that does not fit.
     """

@@ -14,7 +14,12 @@ from narxcal.support.settings import Section
 from training.config import RunConfig
 
 ROOT = Path(__file__).parents[1]
-PAGES = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))
+TUTORIALS = sorted(f"docs/tutorials/{path.name}" for path in (ROOT / "docs/tutorials").glob("*.md"))
+PAGES = (
+    "README.md",
+    *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")),
+    *TUTORIALS,
+)
 
 
 def text(name):
@@ -104,6 +109,30 @@ def test_examples_of_the_layout_run():
 def test_links_between_pages_lead_somewhere(page):
     for target in re.findall(r"\]\((?!https?:)([^)#]+)", text(page)):
         assert ((ROOT / page).parent / target).exists(), target
+
+
+def test_the_site_has_every_page_once():
+    trees = re.findall(
+        r"^```\{toctree\}\n(.*?)^```", text("docs/index.md"), re.MULTILINE | re.DOTALL
+    )
+    listed = [line for tree in trees for line in tree.splitlines() if line and line[0] != ":"]
+    there = [name.removeprefix("docs/").removesuffix(".md") for name in PAGES if "docs/" in name]
+    assert sorted(listed) == sorted(set(there) - {"index"})
+
+
+@pytest.mark.parametrize("page", TUTORIALS)
+def test_a_tutorial_is_run_and_can_be_taken_along(page):
+    whole = text(page)
+    assert whole.startswith("---\nfile_format: mystnb\n")
+    assert f"{{nb-download}}`{Path(page).stem}.ipynb`" in whole
+    commands = re.findall(r"^narxcal .*$", whole, re.MULTILINE)
+    cells = "".join(
+        re.findall(r"^```\{code-cell\}\n%%sh -e\n(.*?)^```", whole, re.MULTILINE | re.DOTALL)
+    )
+    assert all(line in cells for line in commands), "only a cell of `%%sh -e` stops at an error"
+    for line in commands:
+        words = shlex.split(line.split(" || ")[0].split(" > ")[0])
+        assert parse(words[1:]).command == words[1]
 
 
 ROOMS = "narxcal|training|eval|data_prep|tests"

@@ -58,7 +58,7 @@ class Campaign:
     unlogged: Mapping[str, Sequence[tuple[float, float]]] = field(default_factory=dict)
 
 
-# The load that docs/citation_gap.md names, in seconds after the start: by an earlier search for its
+# The load that docs/results.md names, in seconds after the start: by an earlier search for its
 # edges, where in both engines N1 falls by 1.9 % and ITT rises by 14, then 25 degC.
 _LOADS_S = ((455.0, 1466.0), (2327.0, 2617.0), (3651.0, 4040.0))
 CAMPAIGNS = (

@@ -1,6 +1,6 @@
 """What the two open Citation II flights hold that a model of the other flight does not.
 
-    python -m eval.diagnosis.flights_study --data ../shared/data/flights --out docs
+    python -m eval.diagnosis.flights_study --data ../shared/data/flights --out FOLDER
 
 For either flight the simulator is a calibration of the other one (`citation2.toml`), fuel flow
 being the input, as a free run over the whole flight. It writes `citation_gap.md`.
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="python -m eval.diagnosis.flights_study", description=__doc__
     )
     parser.add_argument("--data", type=Path, default=Path("../shared/data/flights"))
-    parser.add_argument("--out", type=Path, default=Path("docs"))
+    parser.add_argument("--out", type=Path, default=Path())
     parser.add_argument("--config", default="citation2.toml")
     options = parser.parse_args(arguments)
     config, base = load_config(options.config)
@@ -111,11 +111,11 @@ _HEAD = """# What the two Citation II flights hold that a model of the other doe
 
 This page is made by
 
-    python -m eval.diagnosis.flights_study --data ../shared/data/flights --out docs
+    python -m eval.diagnosis.flights_study --data ../shared/data/flights
 
 There are two flights of one aircraft, a year apart, both engines of each. Each flight is simulated
 by a calibration of the other one (`citation2.toml`), fuel flow being the input, as a free run over
-the whole flight; both engines together are then diagnosed as [diagnose.md](diagnose.md) says, with
+the whole flight; both engines together are then diagnosed as `narxcal diagnose` does, with
 nothing learned beforehand. ITT stands in the column EGT. Last, each engine is diagnosed alone, and
 what was found is added to the simulation of the other one.
 """

@@ -179,11 +179,11 @@ def frequency(
 ) -> Axes:
     """Draw the gain from driver to output over frequency: as measured, and of the model.
 
-    The empirical transfer function is H(f) = S_uy(f) / S_uu(f) by Welch's spectra; that of the
+    The empirical transfer function is `H(f) = S_uy(f) / S_uu(f)` by Welch's spectra; that of the
     model is computed from its free run over the same inputs in the same way, so that both share
-    what averaging over amplitudes and leakage do. Shaded: 95 % of |H| as measured, from the
-    coherence c (Bendat and Piersol, Random Data, section 9.2): |H| (1 +- 1.96 s),
-    s^2 = (1 - c) / (2 n c), n independent segments. Frequencies at which c could be that of
+    what averaging over amplitudes and leakage do. Shaded: 95 % of `|H|` as measured, from the
+    coherence c (Bendat and Piersol, Random Data, section 9.2): `|H| (1 +- 1.96 s)`,
+    `s^2 = (1 - c) / (2 n c)`, n independent segments. Frequencies at which c could be that of
     unrelated signals (1 - 0.05^(1 / (n - 1))) are left out. Raises `DataError` for a record of
     less than eight segments of four samples, and where no frequency is left.
     """
