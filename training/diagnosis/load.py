@@ -21,6 +21,7 @@ from typing import Final
 
 import numpy as np
 from numba import njit
+from scipy.signal import lfilter
 
 from narxcal.effects.library import LIBRARY
 from narxcal.effects.memory import Lag
@@ -99,16 +100,36 @@ def _edge(
 ) -> tuple[float, float]:
     """Interval of one edge that was put at step `at`, between `first` and `last`."""
     left, weight, shift, lag = seen
-    places, steps = np.arange(first, last + 1), np.arange(first, last)
-    behind = np.maximum(steps[None, :] - places[:, None] + 1.0, 0.0)
-    part = 1.0 - np.exp(-behind / lag)
-    part = part if rising else 1.0 - part
-    here, w = left[first:last], weight[first:last]
-    toward = 2.0 * part @ (here * w) @ shift - part**2 @ w @ shift**2
+    places = np.arange(first, last + 1)
+    gain = (left[first:last] * weight[first:last]) @ shift
+    price = weight[first:last] @ shift**2
+    toward = 2.0 * _following(gain, lag) - _following(price, lag, squared=True)
+    if not rising:
+        toward = 2.0 * _leaving(gain, lag) - _leaving(price, lag, squared=True)
     chance = np.exp(0.5 * (toward - toward.max()))
     total = np.cumsum(chance) / chance.sum()
     low, high = (int(places[np.searchsorted(total, level)]) for level in (0.05, 0.95))
     return float(min(low, at)), float(max(high, at))
+
+
+def _following(values: FloatArray, lag: float, *, squared: bool = False) -> FloatArray:
+    """Sums (n + 1,) of `values` (n,) from every step p on, times 1 - exp(-(k - p + 1) / lag)."""
+    after = np.append(np.cumsum(values[::-1])[::-1], 0.0)
+    if squared:
+        return after - 2.0 * _decayed(values, lag) + _decayed(values, 0.5 * lag)
+    return after - _decayed(values, lag)
+
+
+def _leaving(values: FloatArray, lag: float, *, squared: bool = False) -> FloatArray:
+    """Sums (n + 1,) of `values` (n,) before every step p, and after it times exp(...)."""
+    before = np.append(0.0, np.cumsum(values))
+    return before + _decayed(values, 0.5 * lag if squared else lag)
+
+
+def _decayed(values: FloatArray, lag: float) -> FloatArray:
+    """Sums (n + 1,) of `values` (n,) from every step p on, times exp(-(k - p + 1) / lag)."""
+    kept = np.exp(-1.0 / lag)
+    return np.append(lfilter([kept], [1.0, -kept], values[::-1])[::-1], 0.0)
 
 
 def _penalty(frame: Frame) -> float:

@@ -129,3 +129,20 @@ def test_a_load_that_only_shows_beside_another_effect_is_in_the_answer(flights):
     assert set(found.verdict.effects) <= set(rows)
     assert found.claimed.keys() == set(found.verdict.effects)
     assert sum(one.share for one in found.causes) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("rising", [True, False])
+def test_intervals_of_an_edge_are_those_of_every_place_tried(rising):
+    random = np.random.default_rng(4)
+    n, lag, at = 120, 5.0, 50
+    behind = np.maximum(np.arange(n)[None, :] - np.arange(n + 1)[:, None] + 1.0, 0.0)
+    followed = 1.0 - np.exp(-behind / lag) if rising else np.exp(-behind / lag)
+    shift, weight = np.array([0.5, -3.0]), random.uniform(0.01, 0.1, (n, 2))
+    left = followed[at][:, None] * shift + random.normal(0.0, 3.0, (n, 2))
+    cost = [float((weight * (left - own[:, None] * shift) ** 2).sum()) for own in followed]
+    chance = np.exp(-0.5 * (np.array(cost) - min(cost)))
+    total = np.cumsum(chance) / chance.sum()
+    low, high = (int(np.searchsorted(total, level)) for level in (0.05, 0.95))
+    found = load._edge((left, weight, shift, lag), 0, at, n, rising=rising)
+    assert found == (min(low, at), max(high, at))
+    assert high > low
