@@ -489,7 +489,10 @@ def cause(changes: Sequence[tuple[Key, Change]], engines: int) -> str:
         what = f"the sensor of {names}" if len(slow) == 1 else "rotors, fuel valve or control"
         return f"times alone: {what} became slower or faster{alone}"
     if len(moved) == 1 and not slow - set(moved):
-        return f"{names} alone: its sensor or meter, or a change too small to show elsewhere{alone}"
+        return (
+            f"{names} alone: its sensor or meter, or a change of the engine that is too small to "
+            f"show elsewhere{alone}"
+        )
     if len(moved) > 1 and len(set(moved.values())) == 1 and "N1_pct" in moved:
         return (
             f"{names} in one direction: the reading of the input (lever or fuel meter), the "

@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -389,6 +390,14 @@ def test_a_dataset_whose_logs_all_failed(drawn, narxcal, tmp_path):
         narxcal(dataset.address, "--out", tmp_path / "page.html"),
         f"{dataset.address}: the dataset has no evaluated log. Its table logs says why; evaluate "
         "some with narxcal fleet",
+    )
+
+
+def test_an_installation_without_the_extra(drawn, narxcal, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "statsmodels.tsa.statespace.kalman_smoother", None)
+    refused(
+        narxcal(drawn(), "--out", tmp_path / "page.html"),
+        "the watch needs statsmodels. Install it with: pip install 'narxcal[fleet]'",
     )
 
 
