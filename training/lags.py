@@ -52,7 +52,7 @@ from narxcal.steady.model import SteadyStateModel
 from narxcal.support.arrays import BoolArray, FloatArray, IntArray
 from narxcal.support.errors import DataError
 from narxcal.support.progress import Progress, silent
-from training.config import RunConfig
+from training.config import NarxSection, RunConfig
 from training.folds import Fold, geometric_rms, held_out_folds, surely_below
 from training.lag_priors import Form, Priors, start_engine
 from training.records import LagSamples, lag_samples
@@ -118,15 +118,18 @@ def fitted_form(
     config: RunConfig, samples: Sequence[LagSamples], steady: SteadyStateModel, dt_s: float
 ) -> LumpedEngine:
     """Fit the form that [narx] names; errors are those of `fit_engine`."""
-    section = config.narx
-    form = Form(
+    names = (steady.input_names, tuple(steady.output_names))
+    return fit_engine(samples, names, dt_s, form_of(config.narx), config.train.threads)
+
+
+def form_of(section: NarxSection) -> Form:
+    """The form that a resolved [narx] names."""
+    return Form(
         governed=section.lag_governed is True,
         limited=section.lag_limits is True,
         heat=section.lag_heat,
         relative=section.lag_errors == "relative",
     )
-    names = (steady.input_names, tuple(steady.output_names))
-    return fit_engine(samples, names, dt_s, form, config.train.threads)
 
 
 def fit_engine(

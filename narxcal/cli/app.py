@@ -40,6 +40,7 @@ COMMANDS = {
     "evaluate": "Judge a model in free run over whole logs, and its Ti and Tt.",
     "fleet": "Evaluate many logs into a dataset; goes on where it was interrupted.",
     "watch": "Find trends, steps and outliers of a fleet's engines over their flights.",
+    "card": "Plan the lever moves to fly next, within the limits of an aircraft.",
     "compare": "Compare runs on the same held-out rows: one table, what is significant.",
     "qtg": "The qualification test guide: one sheet a test, as a PDF for an authority.",
     "crossval": "Leave one flight out, and ten random 7:3 splits by event.",

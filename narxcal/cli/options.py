@@ -70,6 +70,14 @@ def seconds(text: str) -> float:
     return value
 
 
+def minutes(text: str) -> float:
+    """Flight time from 1 to 600 minutes, as `--minutes` takes it."""
+    value = _number(text)
+    if not 1.0 <= value <= 600.0:
+        raise ArgumentTypeError(f"expected 1 to 600 minutes, found {text}")
+    return value
+
+
 def count(text: str) -> int:
     """Whole number of 1 or more, as `--jobs` takes it."""
     return _whole(text, 1, _LARGEST_COUNT)

@@ -122,6 +122,19 @@ class LumpedEngine:
         return views
 
     @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names (P,) of `theta`: output or part, and what it is of."""
+        if not self.governed:
+            return tuple(f"{output}: {name}" for output in self.output_names for name in LIMITED)
+        core, *others = (self.output_names[k] for k in self.order)
+        rest = others[1:]
+        lines = [*(f"control {each}" for each in LINES)]
+        lines += [f"{output} {each}" for output in rest for each in OTHER_LINES]
+        parts = (lines, REGRESSORS), (others, SLOPES), ([core, *others], HEAT)
+        named = [f"{row}: {name}" for rows, names in parts for row in rows for name in names]
+        return (*named, *EXTRA, *(f"{output}: share" for output in rest))
+
+    @property
     def speeds(self) -> BoolArray:
         """Which outputs (n_out,) are spool speeds."""
         return speeds_of(self.output_names)

@@ -25,7 +25,7 @@ from training.outlying import Outlier
 ROOT = Path(__file__).parents[2]
 COMMANDS = (
     "demo", "prepare", "train", "identify", "evaluate", "compare", "crossval", "replay",
-    "simulate", "info", "denoise", "qtg", "fleet", "watch",
+    "simulate", "info", "denoise", "qtg", "fleet", "watch", "card",
     "fly", "export", "reproduce", "diagnose", "blind", "benchmark",
 )  # fmt: skip
 

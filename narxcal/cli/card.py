@@ -1,0 +1,73 @@
+"""`narxcal card`: which lever moves to fly next, for a run or an undecided diagnosis."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+
+from eval.card import Wanted, calibration_card
+from eval.report.card_page import CONSOLE_HEAD, card_page, console_rows
+from eval.report.page import RunHeader
+from narxcal.calibration.bundle import load_bundle
+from narxcal.cli.console import Console
+from narxcal.cli.options import add_data, add_overwrite, add_trust, minutes, path
+from narxcal.cli.results import now
+from narxcal.flight_test.moves import Limits
+from narxcal.support.errors import ConfigError
+from narxcal.support.files import atomic_write_text, check_file, to_json, versions
+
+
+def add_options(parser: ArgumentParser) -> None:
+    """Add what the command takes to `parser`."""
+    parser.add_argument("source", metavar="RUN", type=path, help="folder that train wrote")
+    parser.add_argument(
+        "--aircraft", metavar="LIMITS.toml", type=path, required=True, help="limits to keep"
+    )
+    parser.add_argument(
+        "--minutes", metavar="N", type=minutes, default=20.0, help="flight time (default 20)"
+    )
+    parser.add_argument(
+        "--out", metavar="CARD.html", type=path, required=True, help="and CARD.json beside it"
+    )
+    parser.add_argument(
+        "--criterion",
+        choices=("D", "I"),
+        default="D",
+        help="of a run: D, intervals of its parameters (default), or I, of its predictions",
+    )
+    add_data(parser, "folder of the run's training logs, if they have moved")
+    add_trust(parser)
+    add_overwrite(parser)
+
+
+def run(options: Namespace, console: Console) -> int:
+    """Plan the flight and write page and document."""
+    document = options.out.with_suffix(".json")
+    if options.out.suffix != ".html":
+        raise ConfigError(
+            f"the page is a .html file, and --out names {options.out.name}",
+            hint=f"Name it {options.out.stem or 'card'}.html",
+        )
+    for out in (options.out, document):
+        check_file(out, options.source, options.aircraft, overwrite=options.overwrite)
+    wanted = Wanted(Limits.read(options.aircraft), options.minutes, options.criterion)
+    bundle = load_bundle(options.source, trust=options.trust)
+    with console.progress("Planning") as advance:
+        card = calibration_card(bundle, wanted, options.data, advance)
+    header = RunHeader(
+        title="Flight card",
+        created=now(),
+        run=str(options.source),
+        versions=versions(),
+        facts={"Limits": str(options.aircraft), "Time": f"{options.minutes:g} minutes"},
+        cautions=card.cautions,
+    )
+    found = {**card.document(), "source": str(options.source)}
+    atomic_write_text(options.out, card_page(header, card))
+    atomic_write_text(document, to_json(found))
+    console.table("Card", CONSOLE_HEAD, console_rows(card))
+    console.say(card.headline)
+    for text in card.cautions:
+        console.warn(text)
+    console.say(f"Page: {options.out} and {document.name}")
+    console.document(found)
+    return 0

@@ -1,0 +1,182 @@
+"""`narxcal card`: a page and a document of a tiny run, its limits kept, what is refused."""
+
+import json
+
+import numpy as np
+import pytest
+
+from eval.card import Wanted, calibration_card
+from eval.information import Experiment, of_training, whitened
+from narxcal.calibration.bundle import load_bundle
+from narxcal.flight_test.moves import Limits, course
+
+pytestmark = pytest.mark.slow  # the run takes half a minute to train
+
+LIMITS = """\
+schema = "narxcal.limits/1"
+altitude_ft = [2000, 8000]
+mach = [0.3, 0.4]
+climb_ft_min = 2500
+lever = [10, 75]
+lever_per_s = 60
+settle_s = 10
+hold_s = 5
+altitudes = 2
+"""
+
+
+@pytest.fixture(scope="module")
+def limits(tmp_path_factory):
+    """Write limits, the table above with `more` below it."""
+
+    def write(more="", base=LIMITS):
+        file = tmp_path_factory.mktemp("limits") / "LIMITS.toml"
+        file.write_text(base + more, "utf-8")
+        return file
+
+    return write
+
+
+@pytest.fixture(scope="module")
+def bundle(project):
+    return load_bundle(project / "run")
+
+
+def test_a_card_is_a_page_and_a_document(narxcal, project, limits, tmp_path, sound_page):
+    page = tmp_path / "card.html"
+    ended = narxcal("card", project / "run", "--aircraft", limits(), "--minutes", "8",
+                    "--out", page, "--json")  # fmt: skip
+    assert ended.code == 0, ended.err
+    found = json.loads(ended.out)
+    assert found == json.loads(page.with_suffix(".json").read_text("utf-8"))
+    assert found["schema"] == "narxcal.card/1"
+    assert found["minutes"] <= 8.0
+    sound_page(page.read_text("utf-8"))
+    for number, step in enumerate(found["steps"], 1):
+        assert 2000.0 <= step["altitude_ft"] <= 8000.0
+        positions = [position for _, position in step["corners"]]
+        assert min(positions) >= 10.0 - 1e-9
+        assert max(positions) <= 75.0 + 1e-9
+        assert f">{number}<" in page.read_text("utf-8")
+    assert sum(step["share"] for step in found["steps"]) == pytest.approx(1.0)
+    assert all(row["after"] <= row["before"] * (1 + 1e-9) for row in found["expected"])
+    assert found["information_nats"] > 0.0
+
+
+def test_a_limit_of_an_output_is_kept_with_the_interval_of_the_run(bundle, limits):
+    free = calibration_card(bundle, Wanted(Limits.read(limits()), 8.0))
+    most = max(step.high[2] for step in free.steps) - 20.0
+    kept = calibration_card(
+        bundle, Wanted(Limits.read(limits(f"[highest]\nEGT_C = {most}\n")), 8.0)
+    )
+    assert kept.steps
+    assert all(step.high[2] <= most for step in kept.steps)
+
+
+def test_each_criterion_serves_its_own_end(bundle, limits):
+    wanted = [Wanted(Limits.read(limits()), 6.0, name) for name in ("D", "I")]
+    by_d, by_i = (calibration_card(bundle, one).facts for one in wanted)
+    assert by_i["predictive_variance"]["after"] <= 1.02 * by_d["predictive_variance"]["after"]
+    assert by_d["information_nats"] >= 0.98 * by_i["information_nats"]
+
+
+def test_slopes_are_those_of_the_free_run(bundle, limits):
+    """Against central differences of the lags' share of the free run."""
+    experiment = Experiment(bundle, Limits.read(limits()), "TRA_deg")
+    own, lag = bundle.calibration, bundle.calibration.lag
+    inputs = np.tile([10.0, 3000.0, 0.3, 0.0, 0.0, 0.0], (60, 1))
+    inputs[10:, 0] = 70.0
+    drive = lag.drive(inputs, own.input_names, own.settled(inputs))
+    names, unit, slopes = experiment.parameters
+    found = slopes(inputs)
+    share = own.members.rest(3)
+    for k in range(0, len(names), 17):
+        at = lag.parameter_names.index(names[k])
+        step, runs = 1e-5 * unit[k], []
+        for sign in (1.0, -1.0):
+            theta = lag.theta.copy()
+            theta[at] += sign * step
+            moved = type(lag)(**{**vars_of(lag), "theta": theta})
+            runs.append(moved.deviations(drive, np.zeros(3), own.dt_s))
+        expected = -share * (runs[0] - runs[1]) / 2e-5
+        np.testing.assert_allclose(found[..., k], expected, rtol=2e-3, atol=2e-4)
+
+
+def vars_of(lag):
+    return {name: getattr(lag, name) for name in type(lag).__dataclass_fields__}
+
+
+def test_whitening_is_that_of_the_whole_covariance():
+    """Against the inverse of the covariance of b + v, where the noise is stationary."""
+    phi, q, r, n = 0.9, 0.3, 0.5, 40
+    p0 = q / (1.0 - phi**2)
+    lags = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    covariance = p0 * phi**lags + r * np.eye(n)
+    columns = np.random.default_rng(1).normal(size=(n, 3))
+    known = np.arange(n) % 7 != 3
+    rows = whitened(columns, np.zeros(n), known, np.array([phi, q, 0.0, 0.5, r, p0]))
+    some = columns[known]
+    expected = some.T @ np.linalg.solve(covariance[np.ix_(known, known)], some)
+    np.testing.assert_allclose(rows.T @ rows, expected, rtol=1e-9)
+
+
+@pytest.fixture
+def refused(narxcal, project, limits, tmp_path):
+    """What the command says of limits with `more` below them, or of other ones."""
+
+    def say(*options, **table):
+        page = tmp_path / "card.html"
+        ended = narxcal("card", project / "run", "--aircraft", limits(**table), "--out", page,
+                        *options)  # fmt: skip
+        assert ended.code == 2
+        assert not page.exists()
+        return ended.err.removeprefix("narxcal: error: ")
+
+    return say
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (
+            "[highest]\nITT_C = 700\n",
+            "[highest] names 'ITT_C', which is none of its channels. They are N1_pct, ",
+        ),
+        (
+            "[inputs]\nECS = 1\n",
+            "[inputs] names 'ECS', which is none of its channels. They are WOW, Approach",
+        ),
+        (
+            "[highest]\nEGT_C = 100\n",
+            "limits that admit no move: the gentlest of 52 may reach EGT_C ",
+        ),
+    ],
+)
+def test_limits_that_do_not_fit_the_run_are_refused(refused, more, words):
+    assert refused(more=more).startswith(words)
+
+
+def test_too_little_time_is_an_error(refused):
+    long = LIMITS.replace("settle_s = 10", "settle_s = 100")
+    assert refused("--minutes", "1", base=long) == (
+        "limits that admit no move: the shortest takes 1.7 minutes, found 1. "
+        "Give more minutes, or shorten settle_s and hold_s\n"
+    )
+
+
+def test_a_run_whose_training_logs_are_elsewhere_says_so(refused, tmp_path):
+    (tmp_path / "empty").mkdir()
+    assert "flight_*.csv" in refused("--data", tmp_path / "empty")
+
+
+def test_the_flown_card_tells_what_was_expected(bundle, limits):
+    wanted = Wanted(Limits.read(limits()), 6.0)
+    card = calibration_card(bundle, wanted)
+    experiment = Experiment(bundle, wanted.limits, "TRA_deg")
+    path = course(wanted.limits, [one.move for one in card.steps], bundle.calibration.dt_s)
+    inputs = np.zeros((len(path["lever"]), 6))
+    inputs[:, 0], inputs[:, 1], inputs[:, 2] = path["lever"], path["ALT_ft"], path["Mach"]
+    before = np.eye(len(experiment.unit)) + of_training(experiment, None)
+    after = before + experiment.told(inputs).information
+    nats = 0.5 * (np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1])
+    assert card.facts["information_nats"] == pytest.approx(nats)
