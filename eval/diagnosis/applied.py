@@ -241,7 +241,7 @@ def read_effects(file: Path) -> FoundEffects:
     Raises `ConfigError` for a file that is none, and `ModelError` for a damaged emulator.
     """
     file = file / "gap.json" if file.is_dir() else file
-    document = _document(file)
+    document = gap_document(file)
     folder = file.parent / EMULATOR
     emulator = read_emulator(folder) if folder.is_dir() else None
     try:
@@ -274,7 +274,8 @@ def _windows(document: Mapping[str, Any]) -> Windows:
     return found
 
 
-def _document(file: Path) -> Mapping[str, Any]:
+def gap_document(file: Path) -> Mapping[str, Any]:
+    """Read a `gap.json`; raises `ConfigError` for a file that is none."""
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
+from pathlib import Path
 
-from eval.card import Wanted, calibration_card
+from eval.card import Card, Wanted, calibration_card
+from eval.diagnosis.separate import separation_card
 from eval.report.card_page import CONSOLE_HEAD, card_page, console_rows
 from eval.report.page import RunHeader
 from narxcal.calibration.bundle import load_bundle
 from narxcal.cli.console import Console
+from narxcal.cli.diagnose import DOCUMENT as GAP
 from narxcal.cli.options import add_data, add_overwrite, add_trust, minutes, path
 from narxcal.cli.results import now
 from narxcal.flight_test.moves import Limits
 from narxcal.support.errors import ConfigError
 from narxcal.support.files import atomic_write_text, check_file, to_json, versions
+from narxcal.support.progress import Progress
 
 
 def add_options(parser: ArgumentParser) -> None:
     """Add what the command takes to `parser`."""
-    parser.add_argument("source", metavar="RUN", type=path, help="folder that train wrote")
+    parser.add_argument(
+        "source", metavar="RUN|gap.json", type=path,
+        help="folder that train wrote, or the undecided result of diagnose",
+    )  # fmt: skip
     parser.add_argument(
         "--aircraft", metavar="LIMITS.toml", type=path, required=True, help="limits to keep"
     )
@@ -50,9 +57,8 @@ def run(options: Namespace, console: Console) -> int:
     for out in (options.out, document):
         check_file(out, options.source, options.aircraft, overwrite=options.overwrite)
     wanted = Wanted(Limits.read(options.aircraft), options.minutes, options.criterion)
-    bundle = load_bundle(options.source, trust=options.trust)
     with console.progress("Planning") as advance:
-        card = calibration_card(bundle, wanted, options.data, advance)
+        card = _card(options, wanted, advance)
     header = RunHeader(
         title="Flight card",
         created=now(),
@@ -71,3 +77,12 @@ def run(options: Namespace, console: Console) -> int:
     console.say(f"Page: {options.out} and {document.name}")
     console.document(found)
     return 0
+
+
+def _card(options: Namespace, wanted: Wanted, progress: Progress) -> Card:
+    source: Path = options.source
+    gap = source / GAP if (source / GAP).is_file() else source
+    if gap.is_file():
+        return separation_card(gap, wanted)
+    bundle = load_bundle(source, trust=options.trust)
+    return calibration_card(bundle, wanted, options.data, progress)

@@ -1,6 +1,7 @@
 """`narxcal card`: a page and a document of a tiny run, its limits kept, what is refused."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from eval.card import Wanted, calibration_card
 from eval.information import Experiment, of_training, whitened
 from narxcal.calibration.bundle import load_bundle
+from narxcal.cli import main
 from narxcal.flight_test.moves import Limits, course
 
 pytestmark = pytest.mark.slow  # the run takes half a minute to train
@@ -180,3 +182,63 @@ def test_the_flown_card_tells_what_was_expected(bundle, limits):
     after = before + experiment.told(inputs).information
     nats = 0.5 * (np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1])
     assert card.facts["information_nats"] == pytest.approx(nats)
+
+
+@pytest.fixture(scope="module")
+def diagnosed(slow_probe, tmp_path_factory):
+    """A diagnosis of flights whose probe lags, of which `verdict` writes what it leaves open."""
+    folder = tmp_path_factory.mktemp("case")
+    for seed in range(3):
+        real, sim = slow_probe(seed, 200.0, stay_s=20.0)
+        for kind, table in (("sim", sim), ("real", real)):
+            (folder / kind).mkdir(exist_ok=True)
+            table.to_csv(folder / kind / f"f{seed}.csv", index=False)
+    where = ["--real", str(folder / "real"), "--sim", str(folder / "sim")]
+    assert main(["diagnose", *where, "--out", str(folder / "gap"), "--quiet"]) == 0
+    return folder / "gap"
+
+
+@pytest.fixture
+def verdict(diagnosed, tmp_path):
+    """A copy of the diagnosis with another verdict."""
+
+    def write(**changed):
+        copy = tmp_path / "gap"
+        shutil.copytree(diagnosed, copy)
+        document = json.loads((copy / "gap.json").read_text("utf-8"))
+        document["verdict"] |= changed
+        (copy / "gap.json").write_text(json.dumps(document), "utf-8")
+        return copy
+
+    return write
+
+
+def test_moves_tell_a_slow_probe_from_an_offset(narxcal, verdict, limits, tmp_path, sound_page):
+    gap = verdict(kind="ambiguous", ambiguous_with=["sensor_bias:EGT_C"])
+    page = tmp_path / "card.html"
+    chances = []
+    for minutes in ("2", "8"):
+        ended = narxcal("card", gap, "--aircraft", limits(), "--minutes", minutes, "--out", page,
+                        "--overwrite", "--json")  # fmt: skip
+        assert ended.code == 0, ended.err
+        found = json.loads(ended.out)
+        assert found["purpose"] == "diagnosis"
+        assert found["minutes"] <= float(minutes)
+        [row] = found["expected"]
+        assert row["of"] == "sensor_lag:EGT_C or sensor_bias:EGT_C"
+        chances.append(row["after"])
+    assert 0.5 < chances[0] <= chances[1] <= 1.0
+    assert chances[1] > 0.95
+    assert any(step["name"] != "level" for step in found["steps"])
+    sound_page(page.read_text("utf-8"))
+
+
+def test_a_decided_diagnosis_needs_no_card(narxcal, diagnosed, limits, tmp_path):
+    ended = narxcal("card", diagnosed / "gap.json", "--aircraft", limits(), "--out",
+                    tmp_path / "card.html")  # fmt: skip
+    assert ended.code == 2
+    assert ended.err == (
+        f"narxcal: error: {diagnosed / 'gap.json'}: the diagnosis leaves nothing open that a "
+        "flight could tell apart: it found sensor_lag:EGT_C. A card is for an ambiguous or "
+        "undetermined diagnosis, or for a run\n"
+    )

@@ -57,8 +57,8 @@ def nuisances(record: Record, emulator: Emulator | None = None, build: float = 1
     very engine. What flights of one engine differ by stays.
     """
     level = levels(record.flights)
-    steady = _maps(record, level)
-    offsets = _offsets(record, level)
+    steady = _maps(record.flights, level)
+    offsets = _offsets(record.flights)
     starts = _starts(record, level)
     small = _small(record.flights, emulator)
     kinds = (BUILD,) * len(steady) + (OFFSET,) * len(offsets) + (START,) * len(starts)
@@ -70,6 +70,21 @@ def nuisances(record: Record, emulator: Emulator | None = None, build: float = 1
     columns[of_build] *= build
     limit[of_build & (build == 0.0)] = 0.0
     return Nuisances(columns, kinds + (SMALL,) * len(small), names, limit)
+
+
+def build_columns(flights: Flights, emulator: Emulator | None) -> list[tuple[str, FloatArray]]:
+    """What engines of one type differ by, of one standard deviation each.
+
+    Steady maps have no name, small dynamics that of the effect which they are a small size of.
+    """
+    steady = _maps(flights, levels(flights))
+    return [*(("", each) for each in steady), *_small(flights, emulator)]
+
+
+def offset_sizes(flights: Flights) -> FloatArray:
+    """Standard deviation (outputs,) of the offset of a flight."""
+    shares = np.array([_share(name) for name in flights.signals.outputs])
+    return np.asarray(_OF_FLIGHT * shares * levels(flights))
 
 
 def levels(flights: Flights) -> FloatArray:
@@ -89,9 +104,9 @@ def _share(name: str) -> float:
     return _LEVEL_PCT.get(name, _OTHER_PCT) / 100.0
 
 
-def _maps(record: Record, level: FloatArray) -> FloatArray:
-    y, outputs = record.flights.y, record.flights.signals.outputs
-    p = record.flights.signals.power(y)
+def _maps(flights: Flights, level: FloatArray) -> FloatArray:
+    y, outputs = flights.y, flights.signals.outputs
+    p = flights.signals.power(y)
     shapes = np.stack([np.ones_like(p), p - 0.5, 2.0 * ((p - 0.5) ** 2 - 1.0 / 12.0)])
     found = np.zeros((3 * len(outputs), *y.shape))
     for c, name in enumerate(outputs):
@@ -99,12 +114,12 @@ def _maps(record: Record, level: FloatArray) -> FloatArray:
     return found
 
 
-def _offsets(record: Record, level: FloatArray) -> FloatArray:
-    flights, outputs = record.flights, record.flights.signals.outputs
-    found = np.zeros((len(flights.y) * len(outputs), *flights.y.shape))
+def _offsets(flights: Flights) -> FloatArray:
+    sizes = offset_sizes(flights)
+    found = np.zeros((len(flights.y) * len(sizes), *flights.y.shape))
     for k in range(len(found)):
-        f, c = divmod(k, len(outputs))
-        found[k, f, :, c] = _OF_FLIGHT * _share(outputs[c]) * level[c]
+        f, c = divmod(k, len(sizes))
+        found[k, f, :, c] = sizes[c]
     return found
 
 
