@@ -11,6 +11,7 @@ from eval.information import Experiment, of_training, whitened
 from narxcal.calibration.bundle import load_bundle
 from narxcal.cli import main
 from narxcal.flight_test.moves import Limits, course
+from narxcal.flight_test.plan import FlightPlan, plan_flight
 
 pytestmark = pytest.mark.slow  # the run takes half a minute to train
 
@@ -182,6 +183,27 @@ def test_the_flown_card_tells_what_was_expected(bundle, limits):
     after = before + experiment.told(inputs).information
     nats = 0.5 * (np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1])
     assert card.facts["information_nats"] == pytest.approx(nats)
+
+
+def test_twenty_minutes_tell_more_than_an_hour_in_line_or_as_long_of_the_enriched_profile(bundle):
+    """The profile has the same envelope; what both tell is measured over the whole flight."""
+    air = {"altitude_ft": (2000.0, 40_000.0), "mach": (0.3, 0.75), "climb_ft_min": 4000.0}
+    lever = {"lever": (0.0, 85.0), "lever_per_s": 120.0, "settle_s": 10.0, "hold_s": 8.0}
+    limits = Limits.parse({"schema": "narxcal.limits/1", **air, **lever})
+    card = calibration_card(bundle, Wanted(limits, 20.0))
+    experiment, own = Experiment(bundle, limits, "TRA_deg"), bundle.calibration
+    before = np.eye(len(experiment.unit)) + of_training(experiment, None)
+
+    def nats(style, minutes, seed):
+        plan = FlightPlan(style=style, duration_s=60.0 * minutes, rate_hz=1.0 / own.dt_s)
+        flown = plan_flight(plan, seed)["left"]
+        told = experiment.told(np.stack([flown[name] for name in own.input_names], axis=1))
+        after = np.linalg.slogdet(before + told.information)[1]
+        return 0.5 * (after - np.linalg.slogdet(before)[1])
+
+    found = card.facts["information_nats"]
+    assert found > max(nats("line", 60.0, seed) for seed in (11, 12, 13))
+    assert found > max(nats("enriched", 20.0, seed) for seed in (11, 12, 13))
 
 
 @pytest.fixture(scope="module")
