@@ -76,6 +76,8 @@ def read_name(column: str) -> Reading | None:
 
     Brackets that end it may hold its unit, which `data_prep.columns.unit_text` reads.
     """
+    if column in CHANNELS:  # also `dT_C`, of which a part is a step of time elsewhere
+        return Reading(column, column, unit=column.partition("_")[2].casefold())
     brackets = _IN_BRACKETS.search(column)
     named = brackets is None or is_designation(brackets[1])
     own = column if brackets is None or named else column[: brackets.start()]

@@ -3,6 +3,7 @@
 import pytest
 
 from data_prep.naming import read_name
+from narxcal.channels import CHANNELS
 
 
 @pytest.mark.parametrize(
@@ -53,3 +54,8 @@ def test_a_name_may_end_with_a_unit(column, unit):
 def test_a_demanded_speed_is_no_measured_one():
     assert read_name("rpm_setpoint").command
     assert read_name("N1 command").command
+
+
+@pytest.mark.parametrize("name", CHANNELS)
+def test_a_canonical_name_is_read_as_itself(name):
+    assert read_name(name)[:2] == (name, name)
