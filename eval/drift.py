@@ -7,8 +7,8 @@ differ by beyond their standard errors:
     mu_t+1 = mu_t + w_t,                       w_t ~ N(0, k q (h_t+1 - h_t))
     k ~ nu / chi^2(nu)
 
-All series of one kind share v, q and nu, which maximise the marginal likelihood of the fleet; k is
-the scale of a series, which a short one takes from the others and a long one shows by itself.
+All series of one kind share v, q and nu; v and nu maximise the marginal likelihood of the fleet. k
+is the scale of a series, which a short one takes from the others and a long one shows by itself.
 `statsmodels` filters and smooths. A change adds a column x to beta: hours (a trend), 1 from a
 flight on (a step), 1 at a flight (an outlier). With M = W - W X (X'W X)^-1 X'W, W the inverse of
 the covariance and X the level and the changes found before, the likelihood-ratio statistic of x is
@@ -25,8 +25,10 @@ A p-value counts three times, once for each kind, and that of a step or an outli
 are flights. Benjamini and Yekutieli's adjustment then bounds the share of false ones among the
 changes that are found in the fleet, whatever the dependence of its series. A found change enters X,
 and the next one is looked for; a change is kept while it is significant next to the others. Steps
-would teach that levels wander, and so hide each other: variances are learned anew without the
-changes that were found, and without those that are significant at 1 % in their own series.
+would teach that levels wander, and so hide each other: q is the median of the series' own likeliest
+values (0 in two of three where nothing wanders), which a fifth of them do not move; variances are
+learned anew without the changes that were found, and without those that are significant at 1 % in
+their own series.
 """
 
 from __future__ import annotations
@@ -55,7 +57,8 @@ _MOST_ROUNDS = 8
 _SUSPECT = 0.01  # of series without a change one in a hundred loses a step or outlier for learning
 _MOST_LEARNED = 128  # series of a kind: standard error of a log variance below 0.13 / sqrt(n)
 _FREEDOM = (1.0, 1e4)  # of the scales; at the upper end all are equal
-_SIMPLEX = np.vstack([np.zeros(3), np.diag([0.7, -4.0, 1.5])])
+_SIMPLEX = np.vstack([np.zeros(2), np.diag([0.7, 1.5])])
+_WALKS = np.array([0.0, *np.geomspace(1e-4, 1.0, 9)])  # per flight, in the variance of flights
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,7 +312,7 @@ def _state_space(series: Series, prior: Prior, columns: Sequence[FloatArray]) ->
 
 
 def learn(series: Sequence[Series], found: Sequence[Sequence[Change]]) -> Prior:
-    """Maximise the marginal likelihood of series of one kind over v, q and nu.
+    """Learn v, q and nu of series of one kind, q robustly, v and nu by marginal likelihood.
 
     Level, trend and the changes that were found are taken out of each series first (REML), so
     that a fleet that wears does not teach that levels wander. nu is at most the degrees of freedom
@@ -317,6 +320,7 @@ def learn(series: Sequence[Series], found: Sequence[Sequence[Change]]) -> Prior:
     """
     chosen = np.unique(np.linspace(0, len(series) - 1, _MOST_LEARNED).astype(int)).tolist()
     start = _start([series[k] for k in chosen])
+    hours = max(float(np.median([np.median(np.diff(series[k].hours)) for k in chosen])), 1e-9)
     models, freedom = [], np.zeros(len(chosen))
     for place, k in enumerate(chosen):
         one, other = series[k], [each for each in found[k] if each.kind != "trend"]
@@ -325,22 +329,32 @@ def learn(series: Sequence[Series], found: Sequence[Sequence[Change]]) -> Prior:
         model.bind((one.y - np.median(one.y))[:, None].copy())
         models.append((one, model))
         freedom[place] = max(len(one.y) - 1 - len(columns), 0)
-    unit = np.array([start.variance, start.walk, start.freedom])
+    unit = np.array([start.variance, start.freedom])
     free = (math.log(_FREEDOM[0] / start.freedom), math.log(_FREEDOM[1] / start.freedom))
 
-    def loss(logs: FloatArray) -> float:
-        prior = Prior(*(unit * np.exp(logs)).tolist())
-        square, log_det = np.array([_filtered(*one, prior) for one in models]).T
-        return -_likelihood(prior.freedom, freedom, square, log_det)
+    def fitted(walk: float) -> Prior:
+        def loss(logs: FloatArray) -> float:
+            variance, nu = (unit * np.exp(logs)).tolist()
+            return -float(likelihoods(Prior(variance, walk, nu)).sum())
 
-    best = minimize(
-        loss, np.zeros(3), method="Nelder-Mead",
-        bounds=[(-12.0, 12.0), (-12.0, 12.0), free],
-        options={"initial_simplex": _SIMPLEX, "xatol": 0.05, "fatol": 0.02, "maxfev": 150},
-    )  # fmt: skip
-    variance, walk, nu = (unit * np.exp(best.x)).tolist()
+        best = minimize(
+            loss, np.zeros(2), method="Nelder-Mead", bounds=[(-12.0, 12.0), free],
+            options={"initial_simplex": _SIMPLEX, "xatol": 0.05, "fatol": 0.02, "maxfev": 100},
+        )  # fmt: skip
+        variance, nu = (unit * np.exp(best.x)).tolist()
+        return Prior(variance, walk, nu)
+
+    def likelihoods(prior: Prior) -> FloatArray:
+        square, log_det = np.array([_filtered(*one, prior) for one in models]).T
+        return _likelihood(prior.freedom, freedom, square, log_det)
+
+    still = fitted(0.0)
+    walks = still.variance / hours * _WALKS
+    own = walks[np.argmax([likelihoods(replace(still, walk=each)) for each in walks], axis=0)]
+    walk = float(np.median(own))
+    found_prior = still if walk == 0.0 else fitted(walk)
     others = max(float(freedom.sum() - freedom.max()), _FREEDOM[0])
-    return Prior(variance, walk, min(nu, others))
+    return replace(found_prior, freedom=min(found_prior.freedom, others))
 
 
 def _start(series: Sequence[Series]) -> Prior:
@@ -350,11 +364,10 @@ def _start(series: Sequence[Series]) -> Prior:
     """
     y = np.concatenate([one.y for one in series])
     errors = np.concatenate([one.errors for one in series])
-    hours = np.concatenate([np.diff(one.hours) for one in series])
     total = float(np.median(np.concatenate([np.diff(one.y) ** 2 for one in series]))) / 0.91
     floor = 1e-12 * (1.0 + float(np.mean(y**2)))  # of values that do not change at all
     variance = max(total - float(np.mean(errors**2)), 0.1 * total, floor)
-    return Prior(variance, 0.01 * variance / max(float(np.median(hours)), 1e-9), 20.0)
+    return Prior(variance, 0.0, 20.0)
 
 
 def _filtered(series: Series, model: Any, prior: Prior) -> tuple[float, float]:
@@ -366,8 +379,11 @@ def _filtered(series: Series, model: Any, prior: Prior) -> tuple[float, float]:
     return float(np.sum(found.forecasts_error[0] ** 2 / variance)), float(np.sum(np.log(variance)))
 
 
-def _likelihood(nu: float, freedom: FloatArray, square: FloatArray, log_det: FloatArray) -> float:
+def _likelihood(
+    nu: float, freedom: FloatArray, square: FloatArray, log_det: FloatArray
+) -> FloatArray:
     """Log density of series whose k is integrated out, multivariate t; all arrays (series,)."""
     half = 0.5 * (nu + freedom)
     scale = gammaln(half) - gammaln(0.5 * nu) - 0.5 * freedom * np.log(nu * np.pi)
-    return float(np.sum(scale - 0.5 * log_det - half * np.log1p(square / nu)))
+    found: FloatArray = scale - 0.5 * log_det - half * np.log1p(square / nu)
+    return found

@@ -96,6 +96,14 @@ def test_what_the_fleet_was_drawn_from_is_learned():
     assert 0.5 * nu < prior.freedom < 2.5 * nu
 
 
+def test_steps_of_a_sixth_of_the_series_do_not_teach_that_levels_wander():
+    rng = np.random.default_rng(9)
+    fleet = [drawn(rng) for _ in range(30)]
+    for one in fleet[:5]:
+        one.y[20:] += 4.0
+    assert learn(fleet, [()] * 30).walk < 0.001  # of a variance of 1, and 2 h between flights
+
+
 def test_series_that_all_wear_do_not_teach_that_levels_wander():
     rng = np.random.default_rng(6)
     fleet = [drawn(rng) for _ in range(10)]
