@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eval.card import Wanted, calibration_card
-from eval.information import Experiment, of_training, whitened
+from eval.information import Experiment, of_training
 from narxcal.calibration.bundle import load_bundle
 from narxcal.cli import main
 from narxcal.flight_test.moves import Limits, course
@@ -107,20 +107,6 @@ def test_slopes_are_those_of_the_free_run(bundle, limits):
 
 def vars_of(lag):
     return {name: getattr(lag, name) for name in type(lag).__dataclass_fields__}
-
-
-def test_whitening_is_that_of_the_whole_covariance():
-    """Against the inverse of the covariance of b + v, where the noise is stationary."""
-    phi, q, r, n = 0.9, 0.3, 0.5, 40
-    p0 = q / (1.0 - phi**2)
-    lags = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
-    covariance = p0 * phi**lags + r * np.eye(n)
-    columns = np.random.default_rng(1).normal(size=(n, 3))
-    known = np.arange(n) % 7 != 3
-    rows = whitened(columns, np.zeros(n), known, np.array([phi, q, 0.0, 0.5, r, p0]))
-    some = columns[known]
-    expected = some.T @ np.linalg.solve(covariance[np.ix_(known, known)], some)
-    np.testing.assert_allclose(rows.T @ rows, expected, rtol=1e-9)
 
 
 @pytest.fixture
