@@ -10,7 +10,8 @@ Their Kullback-Leibler divergence is half the squared distance
 and the likelier one is the right one with probability Phi(d / 2) (Anderson, *An Introduction to
 Multivariate Statistical Analysis*, section 6.4). Inner products by V^-1 of moves add up, so that
 they are what `eval.card` plans by; it maximises the mean divergence of pairs, weighted by their
-probabilities. Errors of a simulator are slow, 25 of them in eight minutes are independent
+probabilities. The chances that a card states are those of the whole flight, with what lies between
+the moves. Errors of a simulator are slow, 25 of them in eight minutes are independent
 (`training.diagnosis.metric`): the variance of a sample is as much larger as a sample is shorter.
 """
 
@@ -41,7 +42,7 @@ from narxcal.effects.base import Effect, Signals
 from narxcal.effects.library import effect
 from narxcal.effects.running import Flights, respond
 from narxcal.effects.steady import UNLOGGED, UnloggedSwitch
-from narxcal.flight_test.moves import Move, moves
+from narxcal.flight_test.moves import moves
 from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import ConfigError
 from training.diagnosis.emulator import GreyBoxEmulator
@@ -85,7 +86,7 @@ def separation_card(file: Path, wanted: Wanted) -> Card:
     check_channels(limits, names, signals.outputs, signals.driver)
     flown = Flown(limits, signals.driver, signals.inputs, signals.dt_s)
     every = moves(limits)
-    flights = simulated(open_, flown, every)
+    flights = simulated(open_, [flown.alone(one) for one in every])
     ends = [(y[:n], u[:n]) for y, u, n in zip(flights.y, flights.u, flights.lengths, strict=True)]
     kept = admitted(limits, np.array([y.max(axis=0) for y, _ in ends]), signals.outputs)
     columns = Columns.of(open_, flights)
@@ -93,7 +94,9 @@ def separation_card(file: Path, wanted: Wanted) -> Card:
               for k in kept]  # fmt: skip
     grams, some = columns.grams(flights, open_.variance)[kept], [every[k] for k in kept]
     chosen = planned(wanted, some, grams, columns.divergence)
-    rows = columns.chances(grams[chosen.numbers].sum(axis=0))
+    flight = simulated(open_, [flown.course([some[k] for k in chosen.numbers])])
+    whole = Columns.of(open_, flight)
+    rows = whole.chances(whole.grams(flight, open_.variance)[0])
     return Card(
         "diagnosis",
         limits,
@@ -169,9 +172,8 @@ def _hypothesis(name: str, row: Mapping[str, Any], signals: Signals) -> Hypothes
     return Hypothesis(kind, theta, spread, float(row["probability"]))
 
 
-def simulated(open_: Undecided, flown: Flown, every: Sequence[Move]) -> Flights:
-    """Moves as flights of the emulator, each from equilibrium, filled up with its last row."""
-    inputs = [flown.alone(one) for one in every]
+def simulated(open_: Undecided, inputs: Sequence[FloatArray]) -> Flights:
+    """Flights of the emulator from equilibrium over inputs (time, n_in) of each."""
     lengths = np.array([len(u) for u in inputs], dtype=np.int64)
     filled = [np.concatenate([u, np.repeat(u[-1:], lengths.max() - len(u), axis=0)])
               for u in inputs]  # fmt: skip
