@@ -119,14 +119,14 @@ def calibration_card(
     flights = Flown(limits, lever, own.input_names, own.dt_s)
     every, ranges = _permitted(experiment, flights)
     before = np.eye(len(experiment.unit)) + of_training(experiment, data, progress)
-    told = [experiment.told(flights.alone(one)) for one in every]
-    outer = np.sum([one.outer for one in told], axis=0) / sum(one.samples for one in told)
-    information = np.stack([one.information for one in told])
+    alone = [experiment.information_of(flights.alone(one)) for one in every]
+    outer = np.sum([one.outer for one in alone], axis=0) / sum(one.samples for one in alone)
+    information = np.stack([one.information for one in alone])
     values = {"D": d_optimal(before), "I": i_optimal(before, outer)}
     value = values[wanted.criterion]
     chosen = planned(wanted, every, information, value)
     path = flights.course([every[k] for k in chosen.numbers])
-    flight = experiment.told(path)
+    flight = experiment.information_of(path)
     after = before + flight.information
     shrunk = _Shrunk(before, after, outer, experiment.unit)
     return Card(

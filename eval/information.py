@@ -144,8 +144,8 @@ def _differenced(
     return slopes
 
 
-class Told(NamedTuple):
-    """What inputs tell: `information` (P, P), and the sum of `outer` products over `samples`."""
+class Information(NamedTuple):
+    """Of inputs: `information` (P, P), and the sum of `outer` products over `samples`."""
 
     information: FloatArray
     outer: FloatArray
@@ -207,8 +207,8 @@ class Experiment:
         between = np.array(() if interval is None else interval.between)
         return between if len(between) and (between > 0.0).all() else self.errors
 
-    def told(self, inputs: FloatArray, known: BoolArray | None = None) -> Told:
-        """What a log of these inputs tells where its outputs are `known` (time, n_out)."""
+    def information_of(self, inputs: FloatArray, known: BoolArray | None = None) -> Information:
+        """Information of a log of these inputs where its outputs are `known` (time, n_out)."""
         y = self.bundle.calibration.simulate(inputs)
         slopes = self._slopes(inputs)
         seen = np.ones(y.shape, dtype=np.bool_) if known is None else known
@@ -219,7 +219,7 @@ class Experiment:
             rows = whitened(slopes[:, k], change, seen[:, k], self._noise_of(k))
             found += rows.T @ rows
             outer += slopes[:, k].T @ slopes[:, k] / self.errors[k] ** 2
-        return Told(found, outer, len(y) * y.shape[1])
+        return Information(found, outer, len(y) * y.shape[1])
 
     def _noise_of(self, k: int) -> FloatArray:
         """What `whitened` takes of the noise of output k."""
@@ -292,5 +292,5 @@ def of_training(
     for number, log in enumerate(split.train):
         progress(number, len(split.train), log.name)
         known = np.isfinite(with_outputs(log, own.output_names).matrix(own.output_names))
-        found.append(experiment.told(log.matrix(own.input_names), known))
+        found.append(experiment.information_of(log.matrix(own.input_names), known))
     return np.asarray(np.sum([one.information for one in found], axis=0))

@@ -166,7 +166,7 @@ def test_the_flown_card_tells_what_was_expected(bundle, limits):
     inputs = np.zeros((len(path["lever"]), 6))
     inputs[:, 0], inputs[:, 1], inputs[:, 2] = path["lever"], path["ALT_ft"], path["Mach"]
     before = np.eye(len(experiment.unit)) + of_training(experiment, None)
-    after = before + experiment.told(inputs).information
+    after = before + experiment.information_of(inputs).information
     nats = 0.5 * (np.linalg.slogdet(after)[1] - np.linalg.slogdet(before)[1])
     assert card.facts["information_nats"] == pytest.approx(nats)
 
@@ -183,8 +183,8 @@ def test_twenty_minutes_tell_more_than_an_hour_in_line_or_as_long_of_the_enriche
     def nats(style, minutes, seed):
         plan = FlightPlan(style=style, duration_s=60.0 * minutes, rate_hz=1.0 / own.dt_s)
         flown = plan_flight(plan, seed)["left"]
-        told = experiment.told(np.stack([flown[name] for name in own.input_names], axis=1))
-        after = np.linalg.slogdet(before + told.information)[1]
+        inputs = np.stack([flown[name] for name in own.input_names], axis=1)
+        after = np.linalg.slogdet(before + experiment.information_of(inputs).information)[1]
         return 0.5 * (after - np.linalg.slogdet(before)[1])
 
     found = card.facts["information_nats"]
