@@ -42,6 +42,7 @@ COMMANDS_OF_RUNS = {
     "replay": ("RUN", "LOG", "--out", "OUT.csv"),
     "simulate": ("RUN", "LOG", "--out", "OUT.csv"),
     "info": ("RUN",),
+    "card": ("RUN", "--aircraft", "LIMITS.toml", "--out", "OUT.html"),
     "denoise": ("RUN", "--out", "OUT"),
     "qtg": ("RUN", "--out", "OUT.pdf"),
     "export": ("RUN", "--to", "table", "--out", "OUT.csv"),
@@ -96,6 +97,9 @@ def planted(tmp_path, flight):
     save_bundle(tmp_path / "run", Bundle(calibration(), record))
     fleet = 'schema = "narxcal.fleet/1"\nflights = "flights"\nrun = "run"\ntail = "(_)"\n'
     (tmp_path / "fleet.toml").write_text(fleet, encoding="utf-8")
+    limits = 'schema = "narxcal.limits/1"\naltitude_ft = [0, 1000]\nmach = [0.0, 0.1]\n'
+    limits += "climb_ft_min = 1000\nlever = [10, 70]\nlever_per_s = 60\n"
+    (tmp_path / "limits.toml").write_text(limits, encoding="utf-8")
     yield tmp_path
     sys.modules.pop("maker", None)
 
@@ -114,6 +118,7 @@ def test_no_command_executes_what_a_run_names(planted, command, monkeypatch, cap
     places = {
         "RUN": "run", "FLIGHTS": "flights", "LOG": "flights/flight_2.csv", "OUT": "out",
         "OUT.csv": "out.csv", "OUT.pdf": "out.pdf", "FLEET.toml": "fleet.toml",
+        "LIMITS.toml": "limits.toml", "OUT.html": "out.html",
     }  # fmt: skip
     given = [places.get(word, word) for word in COMMANDS_OF_RUNS[command]]
     assert main([*command.split(), *given, "--quiet"]) == 2
