@@ -45,7 +45,7 @@ from eval.preparation import (
     windows_table,
 )
 from eval.report.figures import overlay_figure, recorded_figure
-from eval.report.tables import summary
+from eval.report.tables import Shown, Summary
 from eval.report.view import LogView, view_of
 from narxcal.calibration.bundle import Bundle, load_bundle, save_bundle
 from narxcal.calibration.run_record import ScreeningRecord
@@ -95,8 +95,8 @@ def _audit(logs: Sequence[Log]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["log", "channel", "action", "reason", "samples"])
 
 
-@dataclass(frozen=True, eq=False)
-class Recordings:
+@dataclass(frozen=True, eq=False, repr=False)
+class Recordings(Shown):
     """Logs as read, with the configuration that says how: `logs` one of each engine and part."""
 
     logs: tuple[Log, ...]
@@ -122,17 +122,19 @@ class Recordings:
         """Draw every channel of one log over time."""
         return recorded_figure(self[log], _canvas())
 
-    def _repr_html_(self) -> str:
+    @property
+    def summary(self) -> Summary:
+        """What shells and notebooks show."""
         rows = [
             {"log": one.name, "minutes": len(one) * one.dt_s / 60.0, "dt_s": one.dt_s,
              "channels": ", ".join(one.channels)}
             for one in self.logs
         ]  # fmt: skip
-        return summary(f"{len(self)} logs as read", (), pd.DataFrame(rows))
+        return Summary(f"{len(self)} logs as read", (), pd.DataFrame(rows))
 
 
-@dataclass(frozen=True, eq=False)
-class PreparedLogs:
+@dataclass(frozen=True, eq=False, repr=False)
+class PreparedLogs(Shown):
     """Logs cleaned and smoothed, with what was found in each."""
 
     reports: tuple[LogReport, ...]
@@ -177,13 +179,15 @@ class PreparedLogs:
         """Draw one log: driver with its events, and outputs."""
         return overlay_figure(self[log], _canvas())
 
-    def _repr_html_(self) -> str:
+    @property
+    def summary(self) -> Summary:
+        """What shells and notebooks show."""
         rows = [{"log": one.name, **one.counts()} for one in self.reports]
-        return summary(f"{len(self)} prepared logs", self.cautions, pd.DataFrame(rows))
+        return Summary(f"{len(self)} prepared logs", self.cautions, pd.DataFrame(rows))
 
 
-@dataclass(frozen=True, eq=False)
-class Training:
+@dataclass(frozen=True, eq=False, repr=False)
+class Training(Shown):
     """A trained model, in `bundle`, and the logs that it was made of."""
 
     bundle: Bundle
@@ -221,12 +225,14 @@ class Training:
         """Write the run folder that the commands take; `ConfigError` for one that has content."""
         save_bundle(folder, self.bundle, replace)
 
-    def _repr_html_(self) -> str:
-        return summary(self.bundle.calibration.words, self.cautions, self.scores)
+    @property
+    def summary(self) -> Summary:
+        """What shells and notebooks show."""
+        return Summary(self.bundle.calibration.words, self.cautions, self.scores)
 
 
-@dataclass(frozen=True, eq=False)
-class Judgement:
+@dataclass(frozen=True, eq=False, repr=False)
+class Judgement(Shown):
     """A model's evaluation, with the verdict in `outcome`."""
 
     bundle: Bundle
@@ -277,11 +283,13 @@ class Judgement:
         """Draw one log: driver, and outputs as measured and in free run."""
         return overlay_figure(self[log], _canvas())
 
-    def _repr_html_(self) -> str:
+    @property
+    def summary(self) -> Summary:
+        """What shells and notebooks show."""
         shown = self.scores[["role", "samples", "rmse", "fit_pct", "steady_state_rmse"]]
         words = {True: "Pass", False: "Fail", None: "Not assessed"}[self.outcome.passed]
         lines = [*self.outcome.lines, *self.cautions]
-        return summary(f"{words}: {self.outcome.headline}", lines, shown)
+        return Summary(f"{words}: {self.outcome.headline}", lines, shown)
 
 
 def _views(bundle: Bundle, logs: Sequence[Log]) -> tuple[LogView, ...]:

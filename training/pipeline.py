@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from data_prep.identity import refuse_duplicates
 from data_prep.log import Finding, Log
@@ -144,7 +145,14 @@ def calibrate(
     which a fault leaves nothing,
     `ConfigError` for a configuration that does not fit the logs.
     """
-    options, began = options or TrainOptions(), time.perf_counter()
+    # The matrices are small: threads of the numerical libraries would wait for each other and for
+    # ours, several times as long as one takes, and round otherwise than in the command.
+    with threadpool_limits(limits=1):
+        return _calibrated(config, base, split, options or TrainOptions())
+
+
+def _calibrated(config: RunConfig, base: Path, split: Split, options: TrainOptions) -> Bundle:
+    began = time.perf_counter()
     _check_interval([*split.train, *split.validate])
     identities = _identities(split)
     options.progress(0, 1, "comparing the logs with each other")

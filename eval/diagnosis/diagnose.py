@@ -53,7 +53,7 @@ from eval.diagnosis.where import locate
 from eval.diagnosis.words import in_words, listed, outcome, percent
 from eval.evaluate import evaluation_logs, role_of, run_config
 from eval.report import plot
-from eval.report.tables import summary
+from eval.report.tables import Shown, Summary
 from narxcal.calibration.bundle import DOCUMENT, load_bundle
 from narxcal.effects.running import Emulator, with_load
 from narxcal.effects.steady import UnloggedSwitch
@@ -91,8 +91,8 @@ class Request(NamedTuple):
     build: float = 1.0  # share of what engines of one type differ by: 0 for this very engine
 
 
-@dataclass(frozen=True, eq=False)
-class Answer:
+@dataclass(frozen=True, eq=False, repr=False)
+class Answer(Shown):
     """The document of schema narxcal.gap/2, the budget it states, and what both rest on."""
 
     document: dict[str, Any]
@@ -116,10 +116,12 @@ class Answer:
         drawn: Figure = figure
         return drawn
 
-    def _repr_html_(self) -> str:
+    @property
+    def summary(self) -> Summary:
+        """What shells and notebooks show."""
         said = outcome(self.document)
         warnings = self.document["quality"]["warnings"]
-        return summary(said.headline, [*said.lines, *warnings], self.table)
+        return Summary(said.headline, [*said.lines, *warnings], self.table)
 
 
 def diagnose(  # noqa: PLR0913 - each is one option of the command
@@ -166,8 +168,8 @@ def diagnose_folders(request: Request, progress: Progress = silent) -> Answer:
     began = time.perf_counter()
     progress(0, _STEPS, "reading")
     simulator = open_simulator(request.sim, trust=request.trust)
-    shown = shown_to(request, request.real) if simulator.kind == "bundle" else Shown()
-    pairs = read_pairs(request.real, simulator.how, request.config, shown.faults)
+    screening = screening_by(request, request.real) if simulator.kind == "bundle" else Screening()
+    pairs = read_pairs(request.real, simulator.how, request.config, screening.faults)
     held = _held_pairs(request)
     check_apart(pairs, held)
     learned, warnings = _learned_of(request, simulator, progress)
@@ -175,7 +177,7 @@ def diagnose_folders(request: Request, progress: Progress = silent) -> Answer:
         warnings.append("what the run gets wrong by itself is learned: --build has no effect")
     differences = Differences(learned, request.build)
     answer = diagnose_pairs(
-        pairs, held, simulator.again, differences, progress, doubts=shown.doubts
+        pairs, held, simulator.again, differences, progress, doubts=screening.doubts
     )
     facts = {"simulator": simulator.kind, "wall_s": round(time.perf_counter() - began, 1)}
     quality = {**facts, **answer.document["quality"]}
@@ -183,7 +185,7 @@ def diagnose_folders(request: Request, progress: Progress = silent) -> Answer:
     return replace(answer, document={**answer.document, "quality": quality})
 
 
-class Shown(NamedTuple):
+class Screening(NamedTuple):
     """What flights show to a run before any effect is weighed.
 
     `doubts`: the run learned from their samples, so that its errors there are not the engine's gap;
@@ -195,15 +197,15 @@ class Shown(NamedTuple):
     faults: Mapping[str, Sequence[Finding]] = {}
 
 
-def shown_to(request: Request, folder: Path) -> Shown:
+def screening_by(request: Request, folder: Path) -> Screening:
     """What the logs of a folder show to the run of a request."""
     bundle = load_bundle(Path(request.sim), trust=request.trust)
     if not bundle.record.config:
-        return Shown()
+        return Screening()
     try:
         logs = evaluation_logs(bundle, files_in(folder))
     except NarxcalError:  # not in the form of the run's own logs
-        return Shown()
+        return Screening()
     roles = {log.name: role_of(bundle, log)[0] for log in logs}
     known = ", ".join(name for name, role in roles.items() if role in ("train", "validate"))
     trained = f"the run was trained on samples of {known}: its errors there are no gap of an engine"
@@ -217,7 +219,7 @@ def shown_to(request: Request, folder: Path) -> Shown:
     for log in logs:
         name = log_name(Path(log.source.file), log.source.engine)
         faults.setdefault(name, []).extend(log.findings)
-    return Shown([*([trained] if known else []), *reversed(misread.values())], faults)
+    return Screening([*([trained] if known else []), *reversed(misread.values())], faults)
 
 
 def _held_pairs(request: Request) -> list[Pair]:
@@ -226,7 +228,7 @@ def _held_pairs(request: Request) -> list[Pair]:
     source = request.sim if request.held_sim is None else request.held_sim
     simulator = open_simulator(source, trust=request.trust)
     if simulator.kind == "bundle":
-        faults = shown_to(request._replace(sim=source), request.held_real).faults
+        faults = screening_by(request._replace(sim=source), request.held_real).faults
         return read_pairs(request.held_real, simulator.how, request.config, faults)
     if request.held_sim is None and isinstance(simulator.how, Path):
         raise DataError(

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 import re
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -557,8 +558,40 @@ def significant(found: Comparison) -> Table:
     return Table("", head, rows)
 
 
-def summary(title: str, lines: Sequence[str], table: pd.DataFrame) -> str:
-    """HTML that a notebook shows of a result: title, remarks and up to twenty rows."""
-    listed = "".join(f"<li>{escape(line)}</li>" for line in lines)
-    rows: str = table.to_html(float_format="{:.4g}".format, border=0, max_rows=20, na_rep="")
-    return f"<h4>{escape(title)}</h4>{f'<ul>{listed}</ul>' if lines else ''}{rows}"
+_DIGITS, _ROWS = "{:.4g}".format, 20
+
+
+class Summary(NamedTuple):
+    """What a shell and a notebook show of a result: title, remarks, and up to twenty rows."""
+
+    title: str
+    lines: Sequence[str]
+    table: pd.DataFrame
+
+    @property
+    def html(self) -> str:
+        """For a notebook."""
+        listed = "".join(f"<li>{escape(line)}</li>" for line in self.lines)
+        rows: str = self.table.to_html(float_format=_DIGITS, border=0, max_rows=_ROWS, na_rep="")
+        return f"<h4>{escape(self.title)}</h4>{f'<ul>{listed}</ul>' if self.lines else ''}{rows}"
+
+    @property
+    def text(self) -> str:
+        """For a shell."""
+        rows = self.table.to_string(float_format=_DIGITS, max_rows=_ROWS, na_rep="")
+        return "\n".join([self.title, *(f"- {line}" for line in self.lines), rows])
+
+
+class Shown(ABC):
+    """A result that shells and notebooks show by its `summary`."""
+
+    @property
+    @abstractmethod
+    def summary(self) -> Summary:
+        """Title, remarks, table."""
+
+    def __repr__(self) -> str:
+        return self.summary.text
+
+    def _repr_html_(self) -> str:
+        return self.summary.html

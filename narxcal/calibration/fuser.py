@@ -228,7 +228,7 @@ class KalmanFuser(Fuser):
         self._filter.P = np.diag(self.noise.initial_variance)
         self._last = prediction.copy()
         self._activity = np.zeros(self.n_out)
-        # Rejections in a row: how many, signed by the side on which the measurement lies.
+        # Samples since the first rejection in a row, signed by the side of the measurements.
         self._streak = np.zeros(self.n_out)
 
     def _fuse(self, predictions: FloatArray, measurements: FloatArray, *, fresh: bool) -> FusedRun:
@@ -266,9 +266,14 @@ class KalmanFuser(Fuser):
         out.values[k], out.variances[k] = kf.x[:, 0], kf.P.diagonal()
 
     def _relock(self, measurement: FloatArray, side: FloatArray) -> BoolArray:
-        """Count rejections in a row on one side, and start a channel again after too many."""
-        self._streak = np.where(side * self._streak > 0.0, self._streak + side, side)
-        relocked: BoolArray = np.abs(self._streak) >= self._patience
+        """Count samples since the first rejection on one side, and start again after too many.
+
+        Samples without a measurement count, and end no row of rejections.
+        """
+        counted = np.where(side * self._streak > 0.0, self._streak + side, side)
+        waited = self._streak + np.sign(self._streak)
+        self._streak = np.where(np.isfinite(measurement), counted, waited)
+        relocked: BoolArray = (side != 0.0) & (np.abs(self._streak) >= self._patience)
         for i in np.flatnonzero(relocked):
             self._filter.x[i, 0] = measurement[i]
             self._filter.P[i, :] = self._filter.P[:, i] = 0.0
@@ -284,7 +289,7 @@ class FastFuser(Fuser):
     """
 
     def _start(self, prediction: FloatArray) -> None:
-        """Keep x, P, the last prediction, the activity and the rejections in a row: (5, n_out)."""
+        """Keep x, P, the last prediction, the activity and the streak of rejections: (5, n_out)."""
         zero = np.zeros(self.n_out)
         self._state = np.stack([prediction, self.noise.initial_variance, prediction, zero, zero])
 
@@ -327,8 +332,8 @@ def _fuse_rows(
 ) -> None:
     """Fuse `rows` channel by channel into `out`, the arrays of a `FusedRun`.
 
-    `rules` are the gate, the rejections in a row it may last, and whether the first row starts a
-    record.
+    `rules` are the gate, the samples that rejections in a row may last, and whether the first row
+    starts a record.
     """
     x, P, last, a, streak = state
     phi, q, g, rho, r = noise
@@ -348,8 +353,11 @@ def _fuse_rows(
             gated[k, i] = measured and innovation * innovation > gate * total
             innovations[k, i] = innovation if measured else np.nan
             side = np.sign(innovation) if gated[k, i] else 0.0
-            streak[i] = streak[i] + side if side * streak[i] > 0.0 else side
-            if abs(streak[i]) >= patience:
+            if not measured:
+                streak[i] += np.sign(streak[i])
+            else:
+                streak[i] = streak[i] + side if side * streak[i] > 0.0 else side
+            if side != 0.0 and abs(streak[i]) >= patience:
                 x[i], P[i], streak[i] = z, r[i], 0.0
                 relocked[k, i] = True
             elif measured and not gated[k, i]:

@@ -34,6 +34,7 @@ def test_logs_are_read_by_configuration_or_by_name(project, data):
     assert named["flight_3*"].to_frame().equals(data[2].to_frame())
     assert len(data.plot().axes) == len(data[0].recorded(list(data[0].channels)))
     assert "3 logs as read" in data._repr_html_()
+    assert "3 logs as read" in repr(data)
     assert list(data.audit) == ["log", "channel", "action", "reason", "samples"]
 
 
@@ -53,6 +54,7 @@ def test_prepared_logs_are_those_of_the_command(project, data, narxcal, tmp_path
     )
     assert len(found.plot().axes) == 4
     assert "3 prepared logs" in found._repr_html_()
+    assert "3 prepared logs" in repr(found)
 
 
 def test_an_evaluation_is_that_of_the_command(project, narxcal, tmp_path, undrawn):
@@ -76,6 +78,8 @@ def test_an_evaluation_is_that_of_the_command(project, narxcal, tmp_path, undraw
         next(one for one in drawn.lines if one.get_label() == "model, free run").get_ydata()
     )
     assert judged.outcome.headline in unescape(judged._repr_html_())
+    assert judged.outcome.headline in repr(judged)
+    assert len(repr(judged)) < 5000
     assert (
         nx.evaluate(project / "run", project / "flights/flight_1.csv")
         .scores["role"]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from data_prep.log import Log, Source
 from data_prep.smooth import SmoothConfig, smooth
@@ -16,6 +17,7 @@ from narxcal.lumped.engine import LumpedEngine
 from narxcal.lumped.rotors import LIMITED, UNLIMITED
 from narxcal.support.errors import ConfigError, DataError, ModelError
 from narxcal.support.files import to_json
+from training import pipeline
 from training.config import RunConfig, SplitConfig
 from training.methods import TrainOptions
 from training.network import net_of
@@ -97,6 +99,15 @@ def bundle(tmp_path_factory):
 def test_logs_are_sorted_by_their_names(table, expected):
     logs = [flight(name, samples=10) for name in ("a:l", "a:r", "b:l")]
     assert named(split_logs(logs, SplitConfig.parse(table))) == expected
+
+
+def test_the_libraries_run_one_thread_each_as_in_the_command(monkeypatch):
+    def counted(*_args, **_more):
+        raise DataError(str({one["num_threads"] for one in threadpool_info()}))
+
+    monkeypatch.setattr(pipeline, "learnable", counted)
+    with threadpool_limits(limits=2), pytest.raises(DataError, match=r"^\{1\}$"):
+        calibrate(config(), Path(), split())
 
 
 def test_a_split_without_training_logs_is_refused():

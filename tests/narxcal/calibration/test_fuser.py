@@ -212,6 +212,19 @@ def test_a_real_step_is_rejected_for_the_stated_time_only(kind):
 
 
 @BOTH
+@pytest.mark.parametrize("every", [2, 7, 40])
+def test_a_real_step_of_a_slow_channel_is_rejected_for_the_stated_time_only(kind, every):
+    model = noise(1, bias_decay=1.0, process_variance=1e-6, transient_gain=0.0)
+    p, z = np.zeros((400, 1)), np.full((400, 1), np.nan)
+    z[::every] = np.where(np.arange(0, 400, every) < 100, 0.0, 20.0)[:, None]
+    run = kind(model, FuserConfig(relock_s=0.8)).run(p, z)
+    first = -(-100 // every) * every
+    later = max(1, -(-7 // every)) * every  # the first measurement when 0.8 s have gone by
+    assert np.flatnonzero(run.relocked[:, 0]).tolist() == [first + later]
+    np.testing.assert_allclose(run.values[first + later :], 20.0, atol=0.1)
+
+
+@BOTH
 def test_spikes_to_both_sides_never_relock(kind):
     model = noise(1, bias_decay=1.0, process_variance=1e-6, transient_gain=0.0)
     p, z = np.zeros((100, 1)), np.zeros((100, 1))
