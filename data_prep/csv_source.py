@@ -9,7 +9,7 @@ import warnings
 import zlib
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from io import StringIO
 from typing import TYPE_CHECKING, Any, TextIO
@@ -31,7 +31,7 @@ from narxcal.support.arrays import FloatArray
 from narxcal.support.errors import DataError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Generator, Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -128,16 +128,18 @@ class CsvSource:
         positions = {name: self._position(name) for name in names}
         row = 0
         self._words = words or {}
-        for lines in self._line_blocks(pace or Pace()):
-            rows = self._rows(lines)
-            if rows and self._footer:
-                raise self._footer
-            if rows:
-                self._blank_short(rows, row)
-                yield self._numbers(rows, positions, row)
-                row += len(rows)
+        # Closed at once: the error of a footer keeps this frame until garbage is collected.
+        with closing(self._line_blocks(pace or Pace())) as blocks:
+            for lines in blocks:
+                rows = self._rows(lines)
+                if rows and self._footer:
+                    raise self._footer
+                if rows:
+                    self._blank_short(rows, row)
+                    yield self._numbers(rows, positions, row)
+                    row += len(rows)
 
-    def _line_blocks(self, pace: Pace) -> Iterator[list[str]]:
+    def _line_blocks(self, pace: Pace) -> Generator[list[str]]:
         """Whole lines below the header."""
         tail = ""  # a line without its end
         with readable(self.path), open_text(self.path) as text:

@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from pydantic import Field, PositiveFloat
 
-from narxcal.atmosphere import KELVIN, SOUND_KT, T0_K, isa, mach_of_cas, static_temperature
+from narxcal.atmosphere import (
+    KELVIN,
+    SOUND_KT,
+    T0_K,
+    cas_of_mach,
+    isa,
+    mach_of_cas,
+    static_temperature,
+)
 from narxcal.support.arrays import FloatArray, sample_and_hold
 from narxcal.support.errors import ConfigError
 from narxcal.support.settings import Section
@@ -21,6 +29,8 @@ if TYPE_CHECKING:
 
 class WeightOnWheels(Section):
     """WOW from airspeed: 1 below `below_kt`, 0 from `below_kt + hysteresis_kt` on.
+
+    CAS_kt follows from Mach and ALT_ft where it is not there.
 
     In between the last decision is kept, so that noise around the threshold does not switch it.
     """
@@ -82,8 +92,11 @@ def derive(
                 static = static_temperature(static, known["Mach"], config.recovery)
             added["dT_C"] = static + KELVIN - isa(known["ALT_ft"])[0]
     if "WOW" not in channels and config.WOW is not None:
-        _require("WOW", (config.WOW.airspeed,), channels, file)
-        added["WOW"] = weight_on_wheels(channels[config.WOW.airspeed], config.WOW)
+        name, speeds = config.WOW.airspeed, dict(channels)
+        if name == "CAS_kt" and name not in channels and {"Mach", "ALT_ft"} <= channels.keys():
+            speeds[name] = cas_of_mach(channels["Mach"], channels["ALT_ft"])
+        _require("WOW", (name,), speeds, file)
+        added["WOW"] = weight_on_wheels(speeds[name], config.WOW)
     return added
 
 

@@ -161,6 +161,13 @@ def mach_of_cas(cas_kt: ArrayLike, alt_ft: ArrayLike) -> FloatArray:
     return np.asarray(np.sqrt(5.0 * np.expm1(np.log1p(impact / isa(alt_ft)[1]) / 3.5)))
 
 
+def cas_of_mach(mach: ArrayLike, alt_ft: ArrayLike) -> FloatArray:
+    """Calibrated airspeed [kt] at a Mach number and pressure altitude [ft]: the inverse."""
+    ratio = np.expm1(3.5 * np.log1p(0.2 * np.asarray(mach, dtype=np.float64) ** 2))
+    impact = ratio * isa(alt_ft)[1] / P0_PA
+    return np.asarray(SOUND_KT * np.sqrt(5.0 * np.expm1(np.log1p(impact) / 3.5)))
+
+
 def static_temperature(total_c: ArrayLike, mach: ArrayLike, recovery: float = 1.0) -> FloatArray:
     """Static temperature [degC] from that of a total probe: `T = Tt / (1 + 0.2 r M^2)`."""
     rise = 1.0 + 0.2 * recovery * np.asarray(mach, dtype=np.float64) ** 2

@@ -23,6 +23,7 @@ from data_prep.log import Log
 from data_prep.ranking import other_driver
 from data_prep.reading import read_logs
 from eval.report.figures import recorded_figure
+from narxcal.atmosphere import cas_of_mach
 from narxcal.channels import SPOOLS
 from narxcal.cli.console import Console
 from narxcal.cli.options import add_overwrite, path
@@ -31,6 +32,7 @@ from narxcal.support.files import atomic_write_bytes, atomic_write_text, check_f
 from narxcal.support.settings import OPEN
 from training.config import SCHEMA, RunConfig
 
+_FLIES_KT = 70.0  # calibrated airspeed above which no wheel carries weight
 _MOST_READ = 3  # files that are read as a whole
 _AIR = ("ALT_ft", "Mach", "dT_C")
 _OUTPUTS = ("N1_pct", "N2_pct", "EGT_C")
@@ -135,13 +137,18 @@ class _Text:
                 *(f'# {one.channel} = {{ range = ["?", "?"] }}' for one in self.columns.others),
             ]
         named = {line.channel for line in self.columns.lines}
-        if "WOW" not in named and "CAS_kt" in named:
+        if "WOW" not in named and ("CAS_kt" in named or self._flies()):
             lines += [
                 "",
                 "[logs.derive]  # no switch: on the ground below 60 kt, in flight above 70",
                 'WOW = { airspeed = "CAS_kt", below_kt = 60.0, hysteresis_kt = 10.0 }',
             ]
         return "\n".join(lines) + "\n"
+
+    def _flies(self) -> bool:
+        """Whether Mach and altitude show an aircraft in flight, not an engine on a bench."""
+        logs = [log for log in self.logs if len(log.recorded(("Mach", "ALT_ft"))) == 2]
+        return any(np.nanmax(cas_of_mach(log["Mach"], log["ALT_ft"])) > _FLIES_KT for log in logs)
 
     def _driver(self) -> tuple[str, str]:
         there = {name for log in self.logs for name in log.channels if log.recorded([name])}

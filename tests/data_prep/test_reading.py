@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from data_prep import units
 from data_prep.config import LogsConfig
 from data_prep.reading import read_logs, shared_interval_s
+from narxcal.atmosphere import cas_of_mach, mach_of_cas
 from narxcal.support.errors import ConfigError, DataError, NarxcalError
 
 ROOT = Path(__file__).parents[2]
@@ -347,6 +348,19 @@ def test_what_cannot_be_derived_says_what_it_needs(tmp_path, derive, channel, la
         f"FILE, channel {channel}: it cannot be derived without {lacks}. Map it under "
         "[logs.columns] or take the derivation out of [logs.derive]"
     )
+
+
+@given(st.floats(0.0, 500.0), st.floats(-1000.0, 45_000.0))
+def test_airspeed_and_mach_are_each_others_inverse(cas_kt, alt_ft):
+    assert cas_of_mach(mach_of_cas(cas_kt, alt_ft), alt_ft) == pytest.approx(cas_kt, abs=1e-9)
+
+
+def test_weight_on_wheels_follows_from_mach_and_altitude(tmp_path):
+    time = np.arange(40) / 10
+    mach = np.repeat([0.05, 0.3], 20)  # 33 and 198 kt at sea level
+    text = table(time, N1_pct=80 + time, ALT_ft=np.full(40, 10.0), Mach=mach)
+    (log,) = read_logs(write(tmp_path, text), LogsConfig.parse({"derive": {"WOW": {}}}))
+    np.testing.assert_array_equal(log["WOW"], np.repeat([1.0, 0.0], 20))
 
 
 @pytest.mark.parametrize("airspeed", ["CAS_kt", "TAS_kt"])
