@@ -13,12 +13,10 @@ stamps of their own: the rows are those of all that are read, blank where a chan
 
 from __future__ import annotations
 
-import struct
-import zlib
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from scipy.io import loadmat
@@ -26,7 +24,7 @@ from scipy.io import loadmat
 from data_prep.csv_source import Counts, Pace, Words
 from data_prep.text_file import Head
 from narxcal.support.arrays import FloatArray
-from narxcal.support.errors import ConfigError, DataError
+from narxcal.support.errors import ConfigError, DataError, NarxcalError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -34,10 +32,6 @@ if TYPE_CHECKING:
 _MATLAB, _MATLAB_73, _HDF5 = b"MATLAB 5.0 MAT", b"MATLAB 7.3 MAT", b"\x89HDF\r\n\x1a\n"
 _MDF = b"MDF     "
 MAGIC_BYTES = len(_MATLAB)
-_BROKEN = (
-    ValueError, TypeError, KeyError, IndexError, OSError, EOFError, RuntimeError,
-    OverflowError, MemoryError, struct.error, zlib.error,
-)  # fmt: skip
 _WHOLE = 1e-6  # by which a ratio of rates may differ from a whole number
 _TABLES = ("", "_dev", "_test")  # endings of a table whose names are in `_var`
 
@@ -171,14 +165,23 @@ def _columns(path: Path) -> dict[str, _Column]:
     try:
         if magic.startswith(_MDF):
             return dict(_mdf(path))
-        tree = _hdf5(path) if magic != _MATLAB else loadmat(path, simplify_cells=True)
+        tree = _hdf5(path) if magic != _MATLAB else _matlab(path)
         return dict(_found(tree, ""))
-    except _BROKEN as error:
+    except NarxcalError:
+        raise
+    except Exception as error:  # readers by others raise anything on a damaged file
         raise DataError(
             f"the file cannot be read ({' '.join(str(error).split())[:100]})",
             file=path,
             hint="Copy it again",
         ) from error
+
+
+def _matlab(path: Path) -> dict[str, Any]:
+    """Variables of a MATLAB file; scipy leaves one open that it opened and cannot read."""
+    with path.open("rb") as raw:
+        found: dict[str, Any] = loadmat(cast("Any", raw), simplify_cells=True)
+    return found
 
 
 def _mdf(path: Path) -> Iterator[tuple[str, _Column]]:
@@ -189,7 +192,7 @@ def _mdf(path: Path) -> Iterator[tuple[str, _Column]]:
         raise ConfigError(
             "MDF needs asammdf", file=path, hint="Install it with: pip install 'narxcal[mdf]'"
         ) from None
-    with MDF(path) as file:
+    with path.open("rb") as raw, MDF(raw) as file:
         for signal in file.iter_channels():
             values = _vector(signal.samples)
             if values is not None:

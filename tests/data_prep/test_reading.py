@@ -465,6 +465,9 @@ cells = st.sampled_from(
         st.binary(max_size=60).map(lambda tail: b"\x1f\x8b" + tail),
         st.binary(max_size=60).map(lambda tail: b"\xff\xfe" + tail),
         st.binary(max_size=60).map(lambda tail: b"PAR1" + tail),
+        st.binary(max_size=600).map(lambda tail: b"MATLAB 5.0 MAT" + tail),
+        st.binary(max_size=60).map(lambda tail: b"\x89HDF\r\n\x1a\n" + tail),
+        st.binary(max_size=60).map(lambda tail: b"MDF     " + tail),
     )
 )
 def test_whatever_the_bytes_are_they_read_or_are_refused(tmp_path, content):
