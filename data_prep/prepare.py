@@ -200,7 +200,7 @@ def _seldom(log: Log, events: EventsConfig) -> str:
         known = max(int(np.isfinite(log[name]).sum()), 1)
         every_s = log.dt_s * known / max(known - filled.get(name, 0), 1)
         if every_s > _TOLERANCE_S:
-            slow.append(f"{name} is sampled every {every_s:.2g} s")
+            slow.append(f"{name} is sampled every {every_s:.1g} s")
     if not slow:
         return ""
     return (
